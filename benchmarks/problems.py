@@ -1,0 +1,82 @@
+"""The problems of the benchmarks as models, and what every opponent hands back.
+
+`oscillator` is the paper's 3-DOF oscillator (Table 1); `many_contacts` is a made-up structure of ten modes with five
+contacts, two of them with a full K_u and one between two points, that stick, slip and separate about 20 times a cycle.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from timesim.model import GROUND, Contact, Excitation, Model, Start, Structure
+
+Event = tuple[float, int, int, int]
+
+
+class Run(NamedTuple):
+    """The end of a run: modal displacement and velocity (M,), slip (C, 2), state (C,), and its transitions.
+
+    ``events`` holds (time, contact, state left, state entered), and is empty where it was not asked for.
+    """
+
+    q: np.ndarray
+    qdot: np.ndarray
+    slip: np.ndarray
+    state: np.ndarray
+    num_events: int
+    events: list[Event]
+
+
+def error(run: Run, reference: Run) -> float:
+    """Largest difference of the final q and qdot, relative to the largest of each in the reference."""
+    return max(
+        float(np.abs(run.q - reference.q).max() / np.abs(reference.q).max()),
+        float(np.abs(run.qdot - reference.qdot).max() / np.abs(reference.qdot).max()),
+    )
+
+
+def rest(num_modes: int, num_contacts: int) -> Start:
+    return Start(
+        np.zeros(num_modes), np.zeros(num_modes), np.zeros((num_contacts, 2)), np.full(num_contacts, -1)
+    )
+
+
+def oscillator(preload: float, frequency: float | None = None) -> Model:
+    """The paper's oscillator (Table 1) from rest at any preload."""
+    omega = 2 * np.pi * np.array([0.9, 1.1])
+    shape = np.array([[[1.0, 1.0], [1.0, -1.0], [0.8, 0.6]]])
+    structure = Structure(omega / (2 * np.pi), np.ones(2), 2 * 0.02 * omega, ("tip",), shape)
+    pad = Contact("pad", "tip", GROUND, np.eye(3), 0.5, 20.0 * np.eye(2), 20.0, preload)
+    excitation = Excitation(frequency, np.array([1]), np.ones((1, 2)), np.zeros((1, 2)), np.zeros(2))
+    return Model(structure, (pad,), excitation, rest(2, 1))
+
+
+def many_contacts(frequency: float | None = None) -> Model:
+    """Ten modes, five contacts; about 20 transitions a cycle at `MANY_CONTACTS_FREQUENCY`."""
+    random = np.random.default_rng(7)
+    natural = np.geomspace(0.8, 4.0, 10)
+    names = tuple(f"p{k}" for k in range(5))
+    shape = random.uniform(-1, 1, (5, 3, 10))
+    structure = Structure(natural, np.ones(10), 2 * 0.02 * 2 * np.pi * natural, names, shape)
+    stiffness = [
+        6 * np.eye(2),
+        np.array([[8.0, 2.0], [2.0, 4.0]]),
+        5 * np.eye(2),
+        np.diag([3.0, 7.0]),
+        4 * np.eye(2),
+    ]
+    preload = [0.6, 0.3, -0.2, 0.15, 0.4]
+    frames = [np.linalg.qr(random.normal(size=(3, 3)))[0] for _ in names]
+    contacts = tuple(
+        Contact(
+            f"c{k}", names[k], names[0] if k == 4 else GROUND, np.linalg.det(frames[k]) * frames[k],
+            0.4, stiffness[k], 6.0, preload[k],
+        )
+        for k in range(5)
+    )  # fmt: skip
+    cosine, sine = random.uniform(-1, 1, (2, 1, 10))
+    excitation = Excitation(frequency, np.array([1]), cosine, sine, np.zeros(10))
+    return Model(structure, contacts, excitation, rest(10, 5))
+
+
+MANY_CONTACTS_FREQUENCY = 1.0

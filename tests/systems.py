@@ -1,0 +1,205 @@
+"""A zoo of models with known answers, and generated ones that slip and separate.
+
+Sources: the oscillator of the paper's Table 1; systems of one or two degrees of freedom whose steady states are known
+in closed form or were computed by other codes (circular motion, Jenkins element, Den Hartog 1931, a jump on an
+inclined contact, and the two-degree-of-freedom example of TMDSimPy). Those are given at angular frequencies.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from timesim.model import GROUND, Contact, Excitation, Model, Start, Structure
+
+GENERATED_CYCLES = 12
+
+
+def excitation(
+    frequency: float, cosine: Sequence[float], sine: Sequence[float], constant: Sequence[float] | None = None
+) -> Excitation:
+    """Modal forces of the first harmonic."""
+    cosines, sines = np.array([cosine], dtype=float), np.array([sine], dtype=float)
+    rest = np.zeros(cosines.shape[1]) if constant is None else np.array(constant, dtype=float)
+    return Excitation(frequency, np.array([1]), cosines, sines, rest)
+
+
+def at_rest(num_modes: int, num_contacts: int) -> Start:
+    return Start(
+        np.zeros(num_modes), np.zeros(num_modes), np.zeros((num_contacts, 2)), np.full(num_contacts, -1)
+    )
+
+
+def structure(
+    stiffness: Sequence[float], damping: Sequence[float], shape: Sequence[Sequence[float]]
+) -> Structure:
+    """Unit masses and one point; `shape` holds x, y, z of it a mode."""
+    frequency = np.sqrt(np.array(stiffness, dtype=float)) / (2 * np.pi)
+    shapes = np.array(shape, dtype=float).T[None]
+    return Structure(frequency, np.ones(len(stiffness)), np.array(damping, dtype=float), ("tip",), shapes)
+
+
+def pad(
+    friction: float, tangential: float, normal: float, preload: float, frame: np.ndarray | None = None
+) -> Contact:
+    axes = np.eye(3) if frame is None else frame
+    return Contact("pad", "tip", GROUND, axes, friction, tangential * np.eye(2), normal, preload)
+
+
+def oscillator(preload: float, frequency: float) -> Model:
+    """Table 1 of the paper; `frequency` [Hz]."""
+    natural = np.array([0.9, 1.1])
+    shape = [[1.0, 1.0, 0.8], [1.0, -1.0, 0.6]]
+    body = structure((2 * np.pi * natural) ** 2, 2 * 0.02 * 2 * np.pi * natural, shape)
+    return Model(
+        body, (pad(0.5, 20.0, 20.0, preload),), excitation(frequency, [1.0, 1.0], [0.0, 0.0]), at_rest(2, 1)
+    )
+
+
+def circular(force: float, omega: float) -> Model:
+    """Rotating force on a mass on a plane: in slip the steady motion is a circle, see `circular_radius`."""
+    body = structure([1.0, 1.0], [0.02, 0.02], [[1, 0, 0], [0, 1, 0]])
+    load = excitation(omega / (2 * np.pi), [force, 0.0], [0.0, force])
+    return Model(body, (pad(0.3, 1.0, 0.0, 1.0),), load, at_rest(2, 1))
+
+
+def circular_radius(force: float, omega: float) -> float:
+    """Exact radius R of `circular` in steady slip, delta = mu N / k_t = 0.3; NaN where it sticks."""
+    delta, low, high = 0.3, 0.3, 0.3
+
+    def excess(radius: float) -> float:
+        ratio = (delta / radius) ** 2
+        imaginary = 0.02 * omega + delta * np.sqrt(max(radius**2 - delta**2, 0.0)) / radius**2
+        return float(np.hypot(1 - omega**2 + ratio, imaginary) * radius - force)
+
+    if excess(low) > 0:
+        return float("nan")
+    while excess(high) < 0:
+        high *= 2
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if excess(middle) < 0 else (low, middle)
+    return high
+
+
+def jenkins(omega: float) -> Model:
+    """One mass on a Jenkins element under constant load: amplitude 1.360172 at 1.2, 0.965336 at 1.3."""
+    body = structure([1.0], [0.02], [[1, 0, 0]])
+    load = excitation(omega / (2 * np.pi), [0.5], [0.0])
+    return Model(body, (pad(0.3, 1.0, 0.0, 1.0),), load, at_rest(1, 1))
+
+
+def den_hartog(omega: float, friction_force: float, tangential: float) -> Model:
+    """Undamped mass with Coulomb friction under ``cos``; rigid as `tangential` grows (Den Hartog 1931)."""
+    body = structure([1.0], [0.0], [[1, 0, 0]])
+    load = excitation(omega / (2 * np.pi), [1.0], [0.0])
+    return Model(body, (pad(friction_force, tangential, 0.0, 1.0),), load, at_rest(1, 1))
+
+
+def den_hartog_amplitude(omega: float, friction_force: float) -> float:
+    """Exact amplitude of `den_hartog` with a rigid element, without stops."""
+    response = 1 / (1 - omega**2)
+    damping = np.sin(np.pi / omega) / (omega * (1 + np.cos(np.pi / omega)))
+    return float(np.sqrt(response**2 - (friction_force * damping) ** 2))
+
+
+def inclined(omega: float) -> Model:
+    """One mass on a contact inclined by 45 degrees: two stable motions between 1.2575 and 1.2850."""
+    r = np.sqrt(0.5)
+    frame = np.array([[r, 0, -r], [0, 1, 0], [r, 0, r]])
+    body = structure([1.0], [0.02], [[1, 0, 0]])
+    load = excitation(omega / (2 * np.pi), [0.2], [0.0])
+    return Model(body, (pad(0.4, 1.0, 1.0, 1.0, frame),), load, at_rest(1, 1))
+
+
+def two_degrees(force: float, omega: float) -> Model:
+    """TMDSimPy's `2dof_eldry_fric`: a tangential and a normal mode, closed by a constant force of 100."""
+    body = structure([12.0, 21.0], [0.1 * np.sqrt(12.0), 2.0], [[1, 0, 0], [0, 0, 1]])
+    load = excitation(omega / (2 * np.pi), [force, 0.1 * force], [0.0, 0.0], [0.0, 100.0])
+    return Model(body, (pad(0.85, 5.0, 21.0, 0.0),), load, at_rest(2, 1))
+
+
+def two_stops(gaps: tuple[float, float]) -> Model:
+    """Two uncoupled, equally forced masses; each meets a frictionless stop at its own gap."""
+    natural, points = np.array([0.8, 0.8]), ("first", "second")
+    shape = np.zeros((2, 3, 2))
+    shape[0, 2, 0] = shape[1, 2, 1] = 1.0
+    omega = 2 * np.pi * natural
+    body = Structure(natural, np.ones(2), 0.1 * omega, points, shape)
+    stops = tuple(
+        Contact(point, point, GROUND, np.eye(3), 0.0, np.zeros((2, 2)), 40.0, -40.0 * gap)
+        for point, gap in zip(points, gaps, strict=True)
+    )
+    return Model(body, stops, excitation(1.0, [1.0, 1.0], [0.0, 0.0]), at_rest(2, 2))
+
+
+def grazing_stop(gap: float, stiffness: float) -> Model:
+    """One mass that meets a stiff frictionless stop for a small part of a period."""
+    body = structure([(2 * np.pi * 0.8) ** 2], [0.1], [[0, 0, 1]])
+    stop = pad(0.0, 0.0, stiffness, -stiffness * gap)
+    return Model(body, (stop,), excitation(1.0, [1.0], [0.0]), at_rest(1, 1))
+
+
+def _frame(rng: np.random.Generator) -> np.ndarray:
+    return Rotation.random(random_state=rng.integers(2**31)).as_matrix()
+
+
+def _tangential(rng: np.random.Generator, scale: float) -> np.ndarray:
+    if rng.random() < 0.3:
+        return scale * np.eye(2)
+    turn = Rotation.from_euler("z", rng.uniform(0, np.pi)).as_matrix()[:2, :2]
+    full = turn @ np.diag([1.0, rng.uniform(0.2, 0.7)]) @ turn.T
+    return scale * 0.5 * (full + full.T)
+
+
+def _contact(
+    rng: np.random.Generator, index: int, stiffness: float, length: float, joined: bool
+) -> Contact:
+    against = f"p{index}" if joined else GROUND
+    normal = stiffness * rng.uniform(0.3, 1.5)
+    preload = normal * length * rng.uniform(-0.35, 0.6)
+    return Contact(
+        name=f"c{index}",
+        point=f"p{index + 1}",
+        against=against,
+        frame=_frame(rng),
+        friction=rng.uniform(0.15, 0.9),
+        tangential_stiffness=_tangential(rng, stiffness * rng.uniform(0.3, 1.5)),
+        normal_stiffness=normal,
+        preload=preload,
+    )
+
+
+def _damping(rng: np.random.Generator, mass: np.ndarray, omega: np.ndarray) -> np.ndarray:
+    """Modal damping, in a third of the models as a matrix that the modes do not diagonalise."""
+    diagonal = 2 * rng.uniform(0.02, 0.08, mass.size) * omega * mass
+    if rng.random() < 2 / 3:
+        return diagonal
+    coupling = rng.uniform(-0.15, 0.15, (mass.size, mass.size)) * np.sqrt(np.outer(diagonal, diagonal))
+    return np.diag(diagonal) + 0.5 * (coupling + coupling.T)
+
+
+def generated_model(seed: int, num_modes: int, num_contacts: int) -> Model:
+    """A random model, its units of time, mass and length random as well; the same for the same arguments."""
+    rng = np.random.default_rng([seed, num_modes, num_contacts])
+    base, unit_mass, length = 10 ** rng.uniform(-0.5, 2.5), 10 ** rng.uniform(-2, 2), 10 ** rng.uniform(-5, 0)
+    natural = np.sort(base * rng.uniform(0.6, 3.0, num_modes))
+    mass, omega = unit_mass * rng.uniform(0.7, 1.4, num_modes), 2 * np.pi * natural
+    stiffness = unit_mass * (2 * np.pi * base) ** 2
+    points = tuple(f"p{i}" for i in range(num_contacts + 1))
+    body = Structure(
+        natural, mass, _damping(rng, mass, omega), points, rng.uniform(-1, 1, (len(points), 3, num_modes))
+    )
+    contacts = tuple(
+        _contact(rng, i, stiffness * 0.5, length, joined=i > 0 and rng.random() < 0.4)
+        for i in range(num_contacts)
+    )
+    size = np.array([1.0, rng.choice([0.0, 0.3])])[:, None] * stiffness * length
+    load = Excitation(
+        frequency=base * rng.uniform(0.8, 1.6),
+        harmonic=np.array([1, rng.integers(2, 4)]),
+        cosine=size * rng.uniform(-1, 1, (2, num_modes)),
+        sine=size * rng.uniform(-1, 1, (2, num_modes)),
+        constant=rng.choice([0.0, 0.2]) * stiffness * length * rng.uniform(-1, 1, num_modes),
+    )
+    return Model(body, contacts, load, at_rest(num_modes, num_contacts))

@@ -1,0 +1,124 @@
+"""Names that occur in result files, with their meaning and units: the one table of them.
+
+Units are those of the scene's own consistent system, so the texts name quantities: ``length``, ``force``,
+``length/s``, ``force*length`` (energy), ``force/length`` (stiffness). Time is in ``s``, frequency in ``Hz``,
+angles in ``degree``, pure numbers in ``1``. Modal displacements are in ``modal length``: times the mode shape
+of the scene they give a length. Names, flags and text have no units.
+"""
+
+from typing import Any
+
+import numpy as np
+
+# Name: (long name, units or None).
+LABELS: dict[str, tuple[str, str | None]] = {
+    # coordinates
+    "point": ("point of the structure", None),
+    "contact": ("contact", None),
+    "axis": ("axis of the scene", None),
+    "mode": ("mode, natural frequency ascending", "1"),
+    "component": ("axis of the contact: in-plane t1, t2 and normal n", None),
+    "tangent": ("in-plane axis of the contact", None),
+    "harmonic": ("multiple of the excitation frequency", "1"),
+    "cycle": ("excitation cycle, counted from 1", "1"),
+    "time": ("time", "s"),
+    "frequency": ("excitation frequency", "Hz"),
+    "angle": ("phase angle of the prescribed motion", "degree"),
+    "direction": ("direction of the sweep", None),
+    "end": ("end of the bistable range", None),
+    "a": ("amplitude of the motion along t1", "length"),
+    "b": ("amplitude of the motion along t2", "length"),
+    # transient, jump
+    "displacement": ("displacement", "length"),
+    "velocity": ("velocity", "length/s"),
+    "modal_displacement": ("modal displacement", "modal length"),
+    "modal_velocity": ("modal velocity", "modal length/s"),
+    "contact_force": ("friction force on body 2 (t1, t2) and normal load (n)", "force"),
+    "contact_state": ("contact state: 0 stick, 1 slip, 2 separation", None),
+    "contact_displacement": ("relative motion (u1, u2, v) in the contact's axes", "length"),
+    "slip": ("slip displacement w", "length"),
+    "event_time": ("time of the transition", "s"),
+    "event_contact": ("contact of the transition, position along the contacts from 0", None),
+    "event_from": ("contact state before the transition", None),
+    "event_to": ("contact state after the transition", None),
+    "cycle_amplitude": ("displacement amplitude of the cycle, (max - min)/2", "length"),
+    "cycle_start": ("time at the start of the cycle", "s"),
+    "cycle_period": ("length of the cycle", "s"),
+    "final_modal_displacement": ("modal displacement at the end", "modal length"),
+    "final_modal_velocity": ("modal velocity at the end", "modal length/s"),
+    "final_slip": ("slip displacement w at the end", "length"),
+    "final_contact_state": ("contact state at the end", None),
+    "final_phase_deg": ("phase of the excitation at the end", "degree"),
+    "energy_input": ("work of the excitation in the cycle", "force*length"),
+    "energy_damping": ("energy lost to modal damping in the cycle", "force*length"),
+    "energy_stored_change": ("change of the stored energy over the cycle", "force*length"),
+    "energy_residual": ("energy that the other terms of the cycle leave unexplained", "force*length"),
+    "energy_friction": ("energy lost to friction in the cycle", "force*length"),
+    # sweep
+    "amplitude": ("displacement amplitude, (max - min)/2 over a period", "length"),
+    "settled": ("1 where the motion settled", None),
+    "cycles": ("excitation cycles run", "1"),
+    "period": ("period of the motion in excitation periods", "1"),
+    "floquet_max": ("largest modulus of the Floquet multipliers", "1"),
+    "slip_share": ("share of a period in slip", "1"),
+    "separation_share": ("share of a period in separation", "1"),
+    # bistable
+    "range": ("frequency at the ends of the range with two motions", "Hz"),
+    "amplitude_upper": ("displacement amplitude of the larger motion at mid-range", "length"),
+    "amplitude_lower": ("displacement amplitude of the smaller motion at mid-range", "length"),
+    # element, element map
+    "u": ("tangential relative displacement", "length"),
+    "force": ("friction force", "force"),
+    "normal_load": ("normal load", "force"),
+    "state": ("contact state: 0 stick, 1 slip, 2 separation", None),
+    "transition_angle_deg": ("phase angle of the transition", "degree"),
+    "transition_from": ("contact state before the transition", None),
+    "transition_to": ("contact state after the transition", None),
+    "f_b": ("mean friction force", "force"),
+    "f_s": ("friction force in phase with the displacement", "force"),
+    "f_c": ("friction force in phase with the velocity", "force"),
+    "dissipation": ("energy lost to friction in a cycle", "force*length"),
+    "effective_stiffness": (
+        "friction force in phase with the displacement over its amplitude",
+        "force/length",
+    ),
+    "effective_damping": ("friction force in phase with the velocity over the amplitude", "force/length"),
+    # harmonic balance
+    "stable": ("1 where the solution is stable", None),
+    "fold": ("1 at a turning point of the branch", None),
+    "branch": ("number of the branch", None),
+    "harmonic_amplitude": ("amplitude of the harmonic; harmonic 0: the signed mean", "length"),
+    "harmonic_cos": ("cosine part of the harmonic; harmonic 0: the signed mean", "length"),
+    "harmonic_sin": ("sine part of the harmonic", "length"),
+    # compare
+    "relative_difference": ("(harmonic balance - sweep)/sweep of the amplitude", "1"),
+}
+
+# Units of the scene's own scalars, by the last part of their key: these become axes of a parameter study.
+SCENE_UNITS = {
+    "frequency": "Hz",
+    "phase_deg": "degree",
+    "damping_ratio": "1",
+    "friction": "1",
+    "tangential_stiffness": "force/length",
+    "normal_stiffness": "force/length",
+    "preload": "force",
+}
+
+STATE_FLAGS = {"flag_values": np.arange(3, dtype=np.int8), "flag_meanings": "stick slip separation"}
+
+
+def attributes(name: str) -> dict[str, Any]:
+    """`long_name` and `units` of a variable or coordinate, and the meaning of flags.
+
+    A name with a dot is the key of a scalar in the scene, such as ``contacts.pad.preload``.
+
+    Raises:
+        KeyError: no result holds a variable of this name.
+    """
+    if "." in name:
+        long_name, units = f"scene value {name}", SCENE_UNITS.get(name.rsplit(".", 1)[1])
+    else:
+        long_name, units = LABELS[name]
+    found = {"long_name": long_name} | ({} if units is None else {"units": units})
+    return found | (STATE_FLAGS if long_name.startswith("contact state") else {})

@@ -1,0 +1,353 @@
+"""Prescribed relative motion of a contact over one cycle: y = (u1, u2, v) as a function of the angle theta, period 2 pi.
+
+The paper's section 3.1 takes u = [A sin theta, B sin(theta + phi)], v = D sin(theta + psi); a motion from samples is
+interpolated by a periodic quintic spline. Either kind answers the questions that the state-by-state simulation asks in
+closed form: where a linear combination of y changes its sign (equations 13 and 14), and where the trial force of a
+stuck contact leaves its cone (section 3.1, a quartic in exp(i theta) for the harmonic motion, a polynomial of degree
+ten on each piece of the spline).
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from math import comb, factorial
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import PPoly, make_interp_spline
+from scipy.optimize import brentq
+
+Array = NDArray[np.float64]
+CYCLE = 2 * np.pi
+MIN_SAMPLES = 16
+# Overshoot of |f|^2 - (mu n)^2, relative to the squares it is the difference of, that counts as touching.
+TOUCH = 1e-14
+CONE = np.array([1.0, 1.0, -1.0])
+
+
+class Motion(ABC):
+    """One cycle of motion of body 1 relative to body 2 in the contact frame, period 2 pi in the angle theta [rad]."""
+
+    @abstractmethod
+    def evaluate(self, theta: ArrayLike) -> tuple[Array, Array]:
+        """Motion and its rate at angles of any shape.
+
+        Args:
+            theta: angles [rad], shape (...).
+
+        Returns:
+            y = (u1, u2, v) [length] and dy/dtheta [length/rad], each of shape (3, ...).
+        """
+
+    @abstractmethod
+    def crossings(
+        self, weights: Array, constant: float, *, rate: bool = False
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Where ``weights . y + constant`` (of dy/dtheta with `rate`) changes its sign; touching zero does not count.
+
+        Returns:
+            angles in [0, 2 pi), ascending [rad], shape (k,), and whether the value rises there, shape (k,).
+        """
+
+    @abstractmethod
+    def cone_exit(self, transform: Array, offset: Array, start: float, *, on_cone: bool) -> float:
+        """First angle after `start`, within one cycle, where ``r = transform @ y + offset`` leaves ``r1^2 + r2^2 = r3^2``.
+
+        Args:
+            transform, offset: r = (f1, f2, mu n) of a stuck contact, shapes (3, 3) and (3,).
+            start: angle at which the contact stuck, where r lies in the cone [rad].
+            on_cone: r lies on the cone at `start` and does not leave it to first order, so that `start` is a double
+                root: it is divided out.
+
+        Returns:
+            angle in [start, start + 2 pi] [rad]; inf where r never leaves the cone (touching it is not leaving).
+        """
+
+    @property
+    @abstractmethod
+    def fundamental(self) -> NDArray[np.complex128]:
+        """First harmonic of the tangential motion, u_i = Im(U_i exp(i theta)), U of shape (2,) [length]."""
+
+    @property
+    @abstractmethod
+    def amplitude(self) -> Array:
+        """Amplitude of u1 and u2 at the base frequency, shape (2,) [length]: A and B of the paper."""
+
+    @property
+    @abstractmethod
+    def phase(self) -> Array:
+        """Phase of u1 and u2, shape (2,) [rad]: (0, phi) of the paper; amplitude * sin(theta + phase)."""
+
+    @property
+    @abstractmethod
+    def line(self) -> Array | None:
+        """Unit vector along a straight tangential motion, shape (2,); None where the motion has an area."""
+
+    @property
+    @abstractmethod
+    def breaks(self) -> Array:
+        """Angles in [0, 2 pi) where a high derivative jumps [rad], ascending."""
+
+
+@dataclass(frozen=True)
+class HarmonicMotion(Motion):
+    """u = [A sin theta, B sin(theta + phi)], v = D sin(theta + psi): section 3.1 of the paper.
+
+    Attributes:
+        A, B, D: amplitudes of u1, u2 and v [length].
+        phi, psi: phases of u2 and v [rad].
+    """
+
+    A: float
+    B: float
+    D: float
+    phi: float = 0.0
+    psi: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("A", "B", "D", "phi", "psi"):
+            if not np.isfinite(getattr(self, name)):
+                raise ValueError(f"motion: {name} must be a finite number, not {getattr(self, name)}")
+
+    @cached_property
+    def phasor(self) -> NDArray[np.complex128]:
+        """y = Im(phasor exp(i theta)), shape (3,): sine coefficients real, cosine coefficients imaginary [length]."""
+        return np.array([self.A, self.B * np.exp(1j * self.phi), self.D * np.exp(1j * self.psi)])
+
+    def evaluate(self, theta: ArrayLike) -> tuple[Array, Array]:
+        turned = np.multiply.outer(self.phasor, np.exp(1j * np.asarray(theta)))
+        return turned.imag, turned.real
+
+    def crossings(
+        self, weights: Array, constant: float, *, rate: bool = False
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        phasor = (1j if rate else 1.0) * np.dot(weights, self.phasor)
+        if abs(phasor) <= abs(constant):
+            return np.zeros(0), np.zeros(0, bool)
+        rise = -np.arcsin(constant / abs(phasor))
+        angles = wrap(np.array([rise, np.pi - rise]) - np.angle(phasor))
+        order = np.argsort(angles)
+        return angles[order], np.array([True, False])[order]
+
+    def cone_exit(self, transform: Array, offset: Array, start: float, *, on_cone: bool) -> float:
+        phasor = (transform @ self.phasor) * np.exp(1j * start)
+        find = _exit_from_cone if on_cone else _exit_from_inside
+        return start + find(offset, phasor.imag, phasor.real)
+
+    @property
+    def fundamental(self) -> NDArray[np.complex128]:
+        return self.phasor[:2]
+
+    @property
+    def amplitude(self) -> Array:
+        return np.array([self.A, self.B])
+
+    @property
+    def phase(self) -> Array:
+        return np.array([0.0, self.phi])
+
+    @property
+    def line(self) -> Array | None:
+        a, b = self.fundamental
+        size = abs(a) ** 2 + abs(b) ** 2
+        if abs((np.conj(a) * b).imag) > 4 * np.finfo(float).eps * size:
+            return None
+        largest = a if abs(a) >= abs(b) else b
+        return unit((self.fundamental * np.conj(largest)).real)
+
+    @property
+    def breaks(self) -> Array:
+        return np.zeros(0)
+
+
+def _exit_from_cone(mean: Array, cosine: Array, sine: Array) -> float:
+    """Exit of r = mean + cosine cos t + sine sin t, t >= 0, from the cone on which it lies at t = 0 without leaving.
+
+    There F = |r|^2 in the cone's metric is (1 - cos t)(a + b cos t + c sin t), so the quartic's other roots are those of
+    the second factor, and one of them at most is rising.
+    """
+    b = CONE @ (sine**2 - cosine**2)
+    c = -2 * CONE @ (cosine * sine)
+    a = b - 2 * CONE @ (mean * cosine)
+    reach, floor = np.hypot(b, c), TOUCH * (mean @ mean + cosine @ cosine + sine @ sine)
+    if a + reach <= floor:
+        return np.inf
+    if a + b > -floor and c > floor:
+        return 0.0
+    return float((np.arctan2(c, b) - np.arccos(np.clip(-a / reach, -1.0, 1.0))) % CYCLE)
+
+
+def _exit_from_inside(mean: Array, cosine: Array, sine: Array) -> float:
+    """Exit of r = mean + cosine cos t + sine sin t, t > 0, from the cone in which it lies at t = 0 (or touches)."""
+
+    def margin(t: Array) -> Array:
+        turned = np.exp(1j * t)
+        return constant + (first * turned + second * turned**2).real
+
+    first, second = 2 * CONE @ (mean * (cosine - 1j * sine)), CONE @ (cosine - 1j * sine) ** 2 / 2
+    constant = CONE @ (mean**2 + (cosine**2 + sine**2) / 2)
+    roots = trigonometric_roots(np.array([constant, first, second]))
+    floor = TOUCH * (mean @ mean + cosine @ cosine + sine @ sine)
+    return _first_rise(margin, roots, CYCLE, floor)
+
+
+def trigonometric_roots(coefficients: ArrayLike) -> Array:
+    """Angles of all complex roots of the real trigonometric polynomial ``Re sum_k coefficients[k] exp(i k t)``.
+
+    The real roots are among them; a pair off the unit circle gives two angles that are not roots. The polynomial in
+    z = exp(i t) is solved by the eigenvalues of its companion matrix, leading coefficients at rounding level left out.
+
+    Returns:
+        angles in [0, 2 pi), ascending [rad], shape (at most 2 degree,).
+    """
+    half = np.array(coefficients, complex)
+    half[1:] /= 2
+    while half.size > 1 and abs(half[-1]) <= 4 * np.finfo(float).eps * np.abs(half).max():
+        half = half[:-1]
+    return np.sort(wrap(np.angle(np.roots(np.concatenate([half[:0:-1], half[:1].real, np.conj(half[1:])])))))
+
+
+def _first_rise(margin: Callable[[Array], Array], candidates: Array, end: float, floor: float) -> float:
+    """First place in [0, end) where `margin`, of fixed sign between the candidates, turns positive beyond `floor`."""
+    inside = np.sort(candidates[(candidates > 0) & (candidates < end)])
+    edges = np.concatenate([[0.0], inside, [end]])
+    middle = (edges[1:] + edges[:-1]) / 2
+    positive = np.flatnonzero(margin(middle) > floor)
+    if positive.size == 0:
+        return np.inf
+    k = positive[0]
+    return float(brentq(margin, middle[k - 1], middle[k], xtol=1e-15)) if k else 0.0
+
+
+@dataclass(frozen=True)
+class SplineMotion(Motion):
+    """Periodic quintic spline through samples of one cycle at theta = 2 pi k / N; smooth to the fourth derivative.
+
+    Attributes:
+        samples: (u1, u2, v) at equal angles, the end of the cycle left out, shape (N, 3) [length].
+    """
+
+    samples: Array
+
+    def __post_init__(self) -> None:
+        if self.samples.ndim != 2 or self.samples.shape[1] != 3 or len(self.samples) < MIN_SAMPLES:
+            raise ValueError(
+                f"motion: samples must be at least {MIN_SAMPLES} rows of (u1, u2, v), not an array of shape {self.samples.shape}"
+            )
+        if not np.isfinite(self.samples).all():
+            raise ValueError(
+                f"motion: sample {np.argwhere(~np.isfinite(self.samples))[0, 0]} is not a finite number"
+            )
+
+    @cached_property
+    def pieces(self) -> PPoly:
+        """Polynomials between the samples: coefficients (6, N, 3) in powers of theta - theta_k, highest first."""
+        theta = np.linspace(0.0, CYCLE, len(self.samples) + 1)
+        closed = np.concatenate([self.samples, self.samples[:1]])
+        spline = make_interp_spline(theta, closed, k=5, bc_type="periodic")
+        taylor = np.stack([spline(theta[:-1], nu=k) / factorial(k) for k in range(5, -1, -1)])
+        return PPoly(taylor, theta, extrapolate="periodic")
+
+    @cached_property
+    def _rate(self) -> PPoly:
+        return self.pieces.derivative()
+
+    def evaluate(self, theta: ArrayLike) -> tuple[Array, Array]:
+        return np.moveaxis(self.pieces(theta), -1, 0), np.moveaxis(self._rate(theta), -1, 0)
+
+    def crossings(
+        self, weights: Array, constant: float, *, rate: bool = False
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        source = self._rate if rate else self.pieces
+        value = PPoly(source.c @ weights, source.x)
+        roots = value.solve(-constant, discontinuity=False, extrapolate=False)
+        edges = np.unique(np.concatenate([source.x, roots[np.isfinite(roots)]]))
+        floor = TOUCH * (np.abs(constant) + np.abs(value.c[-1]).max())
+        positive = value((edges[1:] + edges[:-1]) / 2) + constant > floor
+        rising = positive & ~np.roll(positive, 1)
+        changes = np.flatnonzero(positive != np.roll(positive, 1))
+        return wrap(edges[changes]), rising[changes]
+
+    def cone_exit(self, transform: Array, offset: Array, start: float, *, on_cone: bool) -> float:
+        width = CYCLE / len(self.samples)
+        powers = width ** np.arange(6)[:, None, None]
+        r = (self.pieces.c[::-1] @ transform.T) * powers
+        r[0] += offset
+        margin = _cone_margin(r)
+        floor = TOUCH * np.abs(r).max() ** 2
+        first = int(start // width)
+        local = start / width - first
+        exit_ = _piece_exit(_cone_margin(_shift(r[:, first], local)), 1 - local, floor, on_cone)
+        if np.isfinite(exit_):
+            return start + exit_ * width
+        for piece in first + 1 + np.flatnonzero(np.roll((BERNSTEIN @ margin).max(0), -first - 1) > floor):
+            end = local if piece == first + len(self.samples) else 1.0
+            exit_ = _piece_exit(margin[:, piece % len(self.samples)], end, floor, False)
+            if np.isfinite(exit_):
+                return float((piece + exit_) * width)
+        return np.inf
+
+    @cached_property
+    def fundamental(self) -> NDArray[np.complex128]:
+        theta = np.linspace(0.0, CYCLE, len(self.samples), endpoint=False)
+        phasor = 2j / len(self.samples) * np.exp(-1j * theta) @ self.samples[:, :2]
+        phasor[np.abs(phasor) <= TOUCH * np.abs(phasor).max()] = 0
+        return phasor
+
+    @property
+    def amplitude(self) -> Array:
+        return np.abs(self.fundamental)
+
+    @property
+    def phase(self) -> Array:
+        return np.angle(self.fundamental)
+
+    @cached_property
+    def line(self) -> Array | None:
+        tangential = self.samples[:, :2] - self.samples[:, :2].mean(0)
+        _, size, axes = np.linalg.svd(tangential, full_matrices=False)
+        return axes[0] if size[1] <= TOUCH * size[0] else None
+
+    @property
+    def breaks(self) -> Array:
+        return self.pieces.x[:-1]
+
+
+# Value of each power of x on [0, 1] as Bernstein coefficients of degree ten: they bound the polynomial.
+BERNSTEIN = np.array([[comb(i, k) / comb(10, k) for k in range(11)] for i in range(11)])
+
+
+def _cone_margin(r: Array) -> Array:
+    """Coefficients of r1^2 + r2^2 - r3^2, ascending, shape (11, ...), of those of r, shape (6, ..., 3)."""
+    margin = np.zeros((11, *r.shape[1:-1]))
+    for k in range(6):
+        margin[k : k + 6] += (r[k] * r) @ CONE
+    return margin
+
+
+def _shift(coefficients: Array, origin: float) -> Array:
+    """Coefficients, ascending along the first axis, of the same polynomial about another origin."""
+    power = np.arange(len(coefficients))
+    matrix = np.array([[comb(j, k) * origin ** max(j - k, 0) for j in power] for k in power])
+    return matrix @ coefficients
+
+
+def _piece_exit(coefficients: Array, end: float, floor: float, on_cone: bool) -> float:
+    """First exit on one piece, as `_first_rise`; with `on_cone` the double root at 0 is divided out."""
+    coefficients = coefficients.copy()
+    coefficients[: 2 * on_cone] = 0.0
+    roots = np.polynomial.polynomial.polyroots(coefficients[2 * on_cone :])
+    return _first_rise(lambda x: np.polynomial.polynomial.polyval(x, coefficients), roots.real, end, floor)
+
+
+def wrap(theta: ArrayLike) -> Array:
+    """Angles brought to [0, 2 pi) [rad]; what lies within rounding below 2 pi becomes 0."""
+    angle = np.asarray(theta, float) % CYCLE
+    return np.where(angle > CYCLE - 1e-13, 0.0, angle)
+
+
+def unit(vector: Array) -> Array:
+    """Unit vector along `vector`; the first axis where that is zero."""
+    size = np.hypot(*vector)
+    return vector / size if size > 0 else np.array([1.0, 0.0])

@@ -1,0 +1,190 @@
+"""Structure, contacts and excitation as one dynamical system: the only place where the parts meet.
+
+The event loop integrates a dimensionless form, so that a tolerance means the same in every system of units and at
+every frequency. Time is the phase of the excitation, ``theta = 2 pi f t``: a cycle has length 2 pi. With the modal
+coordinate ``eta_i = sqrt(m_i) q_i / X``, lengths at the contacts in units of L and forces in units of F,
+
+    eta_i'' + d_i eta_i' + (omega_i / Omega)^2 eta_i = p_i(theta) + sum_contacts B_i^T g,   F L = X^2 Omega^2
+
+where ``g = (-f, -(n - max(n0, 0)))`` is the force on body 1 in the axes of the contact: a positive preload is carried
+by the structure at rest, so only its change acts.
+"""
+
+import timesim.jax_setup  # noqa: F401  isort: skip
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from timesim.contact import Law, Motion, Reaction, State, dot, margin_scale, reaction
+from timesim.model import Model
+
+
+class System(eqx.Module):
+    """A model at one frequency, dimensionless. Leaves only: what changes between runs needs no new compilation.
+
+    Attributes:
+        law: parameters of the contacts.
+        shape: B, relative motion (u, v) at the contacts for a unit of each mode.
+        stiffness: ``(omega_i / Omega)^2``, or a matrix where stuck contacts are taken into the structure.
+        damping: ``2 zeta_i omega_i / Omega``, or a matrix where the modes do not diagonalise it.
+        harmonic: the multiples of the base frequency that are excited.
+        cosine, sine: modal forces at them.
+        constant: constant modal force.
+        phase: phase of the excitation at the start of a cycle [rad].
+        margin_scale: see `timesim.contact.margin_scale`.
+    """
+
+    law: Law
+    shape: Float[Array, "contact axis mode"]
+    stiffness: Float[Array, " mode"] | Float[Array, "mode mode"]
+    damping: Float[Array, " mode"] | Float[Array, "mode mode"]
+    harmonic: Float[Array, " harmonic"]
+    cosine: Float[Array, "harmonic mode"]
+    sine: Float[Array, "harmonic mode"]
+    constant: Float[Array, " mode"]
+    phase: Float[Array, ""]
+    margin_scale: Float[Array, "contact 2"]
+
+
+class Point(eqx.Module):
+    """Where a trajectory is in its continuous state, and the work done since it started.
+
+    Attributes:
+        q, p: modal displacement and velocity (dimensionless).
+        w: slip of the contacts.
+        work: energy put in by the excitation, lost in modal damping, and lost in each contact.
+    """
+
+    q: Float[Array, " mode"]
+    p: Float[Array, " mode"]
+    w: Float[Array, "contact tangent"]
+    work: Float[Array, " work"]
+
+
+def excitation(system: System, time: Float[Array, ""]) -> Float[Array, " mode"]:
+    """Modal force at a time within the cycle."""
+    angle = system.harmonic * (time + system.phase)
+    force = system.constant
+    for row in range(system.harmonic.shape[0]):
+        force = force + system.cosine[row] * jnp.cos(angle[row]) + system.sine[row] * jnp.sin(angle[row])
+    return force
+
+
+def times(matrix: Array, x: Float[Array, " mode"]) -> Float[Array, " mode"]:
+    """A modal matrix times a vector, the matrix given whole or by its diagonal."""
+    return matrix * x if matrix.ndim == 1 else matrix @ x
+
+
+def relative(system: System, x: Float[Array, " mode"]) -> Float[Array, "contact axis"]:
+    """Relative motion at the contacts, normal last."""
+    return jnp.sum(system.shape * x, axis=-1)
+
+
+def motion(system: System, point: Point) -> Motion:
+    """Relative motion of the contacts and its rates."""
+    x, dx = relative(system, point.q), relative(system, point.p)
+    return Motion(x[:, :-1], x[:, -1], dx[:, :-1], dx[:, -1])
+
+
+def contact_force(system: System, acts: Reaction) -> Float[Array, "contact axis"]:
+    """g, the force on body 1 in the axes of the contact."""
+    change = acts.n - jnp.maximum(system.law.preload, 0.0)
+    return -jnp.concatenate([acts.f, change[:, None]], axis=-1)
+
+
+def field(system: System, state: State, time: Float[Array, ""], point: Point) -> Point:
+    """Rate of the continuous state, every contact keeping its own."""
+    moves = motion(system, point)
+    acts = reaction(system.law, state, moves, point.w)
+    drive = excitation(system, time)
+    pushed = jnp.sum(system.shape * contact_force(system, acts)[:, :, None], axis=(0, 1))
+    drag = times(system.damping, point.p)
+    acceleration = drive + pushed - drag - times(system.stiffness, point.q)
+    power = jnp.concatenate(
+        [jnp.stack([dot(drive, point.p), dot(drag, point.p)]), dot(acts.f, acts.dw)],
+    )
+    return Point(point.p, acceleration, acts.dw, power)
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Units of the dimensionless form in those of the scene.
+
+    Attributes:
+        omega: circular frequency of the excitation; a unit of time is its inverse.
+        mode: unit of each modal displacement, shape (M,).
+        length: unit of length at the contacts.
+        force: unit of force at the contacts.
+        energy: unit of energy.
+    """
+
+    omega: float
+    mode: np.ndarray
+    length: float
+    force: float
+    energy: float
+
+
+def modal_size(model: Model, omega: float) -> float:
+    """The scene's own scale X of mass-normalised modal displacement: what the forces would move quasi-statically.
+
+    Without forces it is the size of the start.
+    """
+    root = np.sqrt(model.structure.mass)
+    drive = np.abs(model.excitation.constant) + np.hypot(model.excitation.cosine, model.excitation.sine).sum(axis=0)
+    quasi_static = drive / root / np.maximum(model.structure.omega, omega) ** 2
+    start = np.hypot(model.start.displacement, model.start.velocity / omega) * root
+    size = max(np.max(quasi_static, initial=0.0), np.max(start, initial=0.0))
+    return float(size) if size > 0 else 1.0
+
+
+def scales_of(model: Model, frequency: float) -> Scales:
+    """Units for a model at a frequency [Hz]."""
+    omega = 2 * np.pi * frequency
+    size = modal_size(model, omega)
+    root = np.sqrt(model.structure.mass)
+    reach = float(np.max(np.abs(model.contact_shape / root), initial=0.0)) or 1.0
+    length = size * reach
+    energy = (size * omega) ** 2
+    return Scales(omega, size / root, length, energy / length, energy)
+
+
+def system_of(model: Model, frequency: float, phase: float = 0.0) -> System:
+    """The dimensionless system of a model at a frequency [Hz]."""
+    scales = scales_of(model, frequency)
+    structure, excited = model.structure, model.excitation
+    root = np.sqrt(structure.mass)
+    push = scales.mode * structure.mass * scales.omega**2
+    stiffness = np.array([c.tangential_stiffness for c in model.contacts]).reshape(-1, 2, 2)
+    ratio = scales.length / scales.force
+    law = Law(
+        friction=jnp.asarray([c.friction for c in model.contacts], dtype=float),
+        stiffness=jnp.asarray(_isotropic(stiffness) * ratio),
+        normal_stiffness=jnp.asarray([c.normal_stiffness * ratio for c in model.contacts], dtype=float),
+        preload=jnp.asarray([c.preload / scales.force for c in model.contacts], dtype=float),
+    )
+    damping = structure.damping / scales.omega
+    whole = damping.ndim == 2
+    return System(
+        law=law,
+        shape=jnp.asarray(model.contact_shape * scales.mode / scales.length),
+        stiffness=jnp.asarray((structure.omega / scales.omega) ** 2),
+        damping=jnp.asarray(damping / np.outer(root, root) if whole else damping / structure.mass),
+        harmonic=jnp.asarray(excited.harmonic, dtype=float),
+        cosine=jnp.asarray(excited.cosine / push),
+        sine=jnp.asarray(excited.sine / push),
+        constant=jnp.asarray(excited.constant / push),
+        phase=jnp.asarray(phase, dtype=float),
+        margin_scale=margin_scale(law),
+    )
+
+
+def _isotropic(stiffness: np.ndarray) -> np.ndarray:
+    """One number a contact where every K_u is isotropic, else the matrices."""
+    diagonal = stiffness[:, 0, 0]
+    same = np.all(stiffness == diagonal[:, None, None] * np.eye(2))
+    return diagonal if same else stiffness
