@@ -1,7 +1,9 @@
 """The problems of the benchmarks as models, and what every opponent hands back.
 
-`oscillator` is the paper's 3-DOF oscillator (Table 1); `many_contacts` is a made-up structure of ten modes with five
-contacts, two of them with a full K_u and one between two points, that stick, slip and separate about 20 times a cycle.
+`oscillator` is the paper's 3-DOF oscillator (Table 1); `many_contacts` is a made-up structure of ten modes
+with five contacts, one of them with a full K_u, one with unequal axes and one between two points, that
+stick, slip and separate: 18 transitions a cycle; over cycles 11 to 20 each contact slips for 18 to 94 % of
+the time, and three are apart for 36 to 65 %.
 """
 
 from typing import NamedTuple
@@ -52,8 +54,8 @@ def oscillator(preload: float, frequency: float | None = None) -> Model:
 
 
 def many_contacts(frequency: float | None = None) -> Model:
-    """Ten modes, five contacts; about 20 transitions a cycle at `MANY_CONTACTS_FREQUENCY`."""
-    random = np.random.default_rng(7)
+    """Ten modes, five contacts; 18 transitions a cycle at `MANY_CONTACTS_FREQUENCY`."""
+    random = np.random.default_rng(1)
     natural = np.geomspace(0.8, 4.0, 10)
     names = tuple(f"p{k}" for k in range(5))
     shape = random.uniform(-1, 1, (5, 3, 10))

@@ -6,8 +6,11 @@ inclined contact, and the two-degree-of-freedom example of TMDSimPy). Those are 
 """
 
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
 from timesim.model import GROUND, Contact, Excitation, Model, Start, Structure
@@ -133,11 +136,55 @@ def two_stops(gaps: tuple[float, float]) -> Model:
     return Model(body, stops, excitation(1.0, [1.0, 1.0], [0.0, 0.0]), at_rest(2, 2))
 
 
-def grazing_stop(gap: float, stiffness: float) -> Model:
-    """One mass that meets a stiff frictionless stop for a small part of a period."""
-    body = structure([(2 * np.pi * 0.8) ** 2], [0.1], [[0, 0, 1]])
-    stop = pad(0.0, 0.0, stiffness, -stiffness * gap)
-    return Model(body, (stop,), excitation(1.0, [1.0], [0.0]), at_rest(1, 1))
+def grazing_stop(part: float, stiffness: float) -> Model:
+    """One mass in its steady motion without contact, and a frictionless stop at the given part of its amplitude."""
+    omega, natural, damping = 2 * np.pi, 2 * np.pi * 0.8, 0.5
+    response = 1.0 / (natural**2 - omega**2 + 1j * damping * omega)
+    body = structure([natural**2], [damping], [[0, 0, 1]])
+    stop = pad(0.0, 0.0, stiffness, -stiffness * part * abs(response))
+    start = Start(
+        np.array([response.real]), np.array([-omega * response.imag]), np.zeros((1, 2)), np.array([-1])
+    )
+    return Model(body, (stop,), excitation(1.0, [1.0], [0.0]), start)
+
+
+def scene(path: Path) -> Model:
+    """A scene file whose modes are given directly, read without the program: phases 0 or 180 degrees, start at rest."""
+    tree: Any = YAML(typ="safe").load(path)
+    modes, points = tree["structure"]["modes"], tuple(tree["structure"]["modes"][0]["shape"])
+    frequency, zeta, mass = (np.array([m[k] for m in modes]) for k in ("frequency", "damping_ratio", "mass"))
+    shape = np.array([[mode["shape"][point] for mode in modes] for point in points]).swapaxes(1, 2)
+    contacts = tuple(_scene_contact(entry) for entry in tree["contacts"])
+    drive = tree["excitation"]
+    if "modal_force" in drive:
+        force = [
+            entry["amplitude"] * np.cos(np.deg2rad(entry["phase_deg"])) for entry in drive["modal_force"]
+        ]
+    else:
+        force = sum(
+            f["amplitude"] * np.array(f["direction"]) @ shape[points.index(f["point"])]
+            for f in drive["forces"]
+        )
+    body = Structure(frequency, mass, 2 * zeta * 2 * np.pi * frequency * mass, points, shape)
+    load = excitation(drive["frequency"], force, np.zeros(len(modes)))
+    return Model(body, contacts, load, at_rest(len(modes), len(contacts)))
+
+
+def _scene_contact(entry: dict[str, Any]) -> Contact:
+    normal, tangent = np.array(entry["normal"], dtype=float), np.array(entry["tangent"], dtype=float)
+    normal /= np.linalg.norm(normal)
+    tangent -= (tangent @ normal) * normal
+    tangent /= np.linalg.norm(tangent)
+    return Contact(
+        name=entry["name"],
+        point=entry["point"],
+        against=entry.get("against", GROUND),
+        frame=np.array([tangent, np.cross(normal, tangent), normal]),
+        friction=entry["friction"],
+        tangential_stiffness=entry["tangential_stiffness"] * np.eye(2),
+        normal_stiffness=entry["normal_stiffness"],
+        preload=entry["preload"],
+    )
 
 
 def _frame(rng: np.random.Generator) -> np.ndarray:
@@ -152,21 +199,20 @@ def _tangential(rng: np.random.Generator, scale: float) -> np.ndarray:
     return scale * 0.5 * (full + full.T)
 
 
-def _contact(
-    rng: np.random.Generator, index: int, stiffness: float, length: float, joined: bool
-) -> Contact:
-    against = f"p{index}" if joined else GROUND
+def _contact(rng: np.random.Generator, index: int, stiffness: float, length: float, joined: bool) -> Contact:
+    """Mostly a full contact; now and then a frictionless stop or one under constant normal load."""
+    kind = rng.choice(["full", "stop", "constant"], p=[0.84, 0.08, 0.08])
     normal = stiffness * rng.uniform(0.3, 1.5)
     preload = normal * length * rng.uniform(-0.35, 0.6)
     return Contact(
         name=f"c{index}",
         point=f"p{index + 1}",
-        against=against,
+        against=f"p{index}" if joined else GROUND,
         frame=_frame(rng),
-        friction=rng.uniform(0.15, 0.9),
-        tangential_stiffness=_tangential(rng, stiffness * rng.uniform(0.3, 1.5)),
-        normal_stiffness=normal,
-        preload=preload,
+        friction=0.0 if kind == "stop" else rng.uniform(0.15, 0.9),
+        tangential_stiffness=_tangential(rng, stiffness * rng.uniform(0.3, 1.5)) * (kind != "stop"),
+        normal_stiffness=0.0 if kind == "constant" else normal,
+        preload=abs(preload) if kind == "constant" else preload,
     )
 
 
@@ -203,3 +249,27 @@ def generated_model(seed: int, num_modes: int, num_contacts: int) -> Model:
         constant=rng.choice([0.0, 0.2]) * stiffness * length * rng.uniform(-1, 1, num_modes),
     )
     return Model(body, contacts, load, at_rest(num_modes, num_contacts))
+
+
+# (seed, modes, contacts): found by search so that a contact slips for 5 to 95 % of the last of 12 cycles and the
+# end state does not hang on the tolerance (two settings agree to 1e-8); the tests assert both again.
+GENERATED = tuple(
+    (seed, num_modes, num_contacts)
+    for num_modes, num_contacts, seeds in (
+        (2, 1, (1, 2, 5, 6, 7)),
+        (3, 2, (0, 1, 2, 3, 4)),
+        (3, 3, (1, 2, 3, 4)),
+        (4, 3, (0, 1, 2, 4)),
+        (5, 4, (0, 1, 2, 3, 4)),
+        (6, 5, (0, 1, 2, 3, 4)),
+    )
+    for seed in seeds
+)
+
+
+def generated_models() -> dict[str, Model]:
+    """The generated models that slip, by name; run them for `GENERATED_CYCLES`."""
+    return {
+        f"seed{seed}-{num_modes}modes-{num_contacts}contacts": generated_model(seed, num_modes, num_contacts)
+        for seed, num_modes, num_contacts in GENERATED
+    }

@@ -1,7 +1,6 @@
 """The law of frictional contacts: force, slip rate, what ends a state and what follows it.
 
-Notation (sections 2 and 3 of the paper, as corrected here). Every array has the contact as its first axis; the
-tangential plane is the last one, of length 2, or of length 1 where the motion of every contact is straight::
+Notation (sections 2 and 3 of the paper, as corrected here)::
 
     f = K_u (u - w)                                 friction force on body 2             (1)
     n = n0 + k_v v                                  normal load while in contact         (2)
@@ -17,34 +16,38 @@ displacement vanishes altogether (n = 0) the direction is the one that solves
 ``(mu n' I + s K_u) e = K_u u'``, the only one with a bounded rate: it starts a slip after separation (17), and
 ends a slip before it.
 
-Nothing here knows units: the law is homogeneous, and the event loop uses it in dimensionless form.
+A vector of the contact plane is a tuple of its components, each an array over the contacts: two of them, or one where
+all motion is straight. Everything is elementwise, which is what XLA fuses. Nothing here knows units: the law is
+homogeneous, and the event loop uses it in dimensionless form.
 """
 
 import timesim.jax_setup  # noqa: F401  isort: skip
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from timesim.model import SEPARATION, SLIP, STICK
 
-Plane = Float[Array, "contact tangent"]
-Scalar = Float[Array, " contact"]
-State = Int[Array, " contact"]
+Scalar = Float[Array, "*contact"]
+Plane = tuple[Scalar, ...]
+State = Int[Array, "*contact"]
 
 
 class Law(eqx.Module):
-    """Parameters of all contacts.
+    """Parameters of all contacts, each an array over the contacts.
 
     Attributes:
         friction: mu.
-        stiffness: K_u, one number a contact where it is isotropic, else a 2 x 2 matrix.
+        stiffness: K_u: (k,) where it is isotropic in every contact, else (k11, k12, k22).
+        compliance: its inverse in the same form; zero for a frictionless stop without stiffness.
         normal_stiffness: k_v.
         preload: n0.
     """
 
     friction: Scalar
-    stiffness: Float[Array, " contact"] | Float[Array, "contact 2 2"]
+    stiffness: tuple[Scalar, ...]
+    compliance: tuple[Scalar, ...]
     normal_stiffness: Scalar
     preload: Scalar
 
@@ -60,33 +63,38 @@ class Motion(eqx.Module):
 
 def dot(a: Plane, b: Plane) -> Scalar:
     """Scalar product in the contact plane."""
-    return jnp.sum(a * b, axis=-1)
+    total = a[0] * b[0]
+    for x, y in zip(a[1:], b[1:], strict=True):
+        total = total + x * y
+    return total
 
 
-def norm(a: Plane) -> Scalar:
-    """Length in the contact plane, with derivative zero at zero."""
-    square = dot(a, a)
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+def scaled(factor: Scalar, a: Plane) -> Plane:
+    """A multiple of a vector."""
+    return tuple(factor * x for x in a)
 
 
-def elastic_force(law: Law, stretch: Plane) -> Plane:
-    """K_u times a stretch u - w."""
-    if law.stiffness.ndim == 1:
-        return law.stiffness[:, None] * stretch
-    return law.stiffness[:, :, 0] * stretch[:, :1] + law.stiffness[:, :, 1] * stretch[:, 1:]
+def where(condition: Bool[Array, "*contact"], a: Plane, b: Plane) -> Plane:
+    """One of two vectors."""
+    return tuple(jnp.where(condition, x, y) for x, y in zip(a, b, strict=True))
 
 
-def stretch_of(law: Law, force: Plane) -> Plane:
-    """The stretch u - w that a friction force belongs to, zero for a frictionless contact."""
-    if law.stiffness.ndim == 1:
-        soft = law.stiffness == 0
-        return jnp.where(soft[:, None], 0.0, force / jnp.where(soft, 1.0, law.stiffness)[:, None])
-    (a, b), (c, d) = ((law.stiffness[:, i, j] for j in range(2)) for i in range(2))
-    det = a * d - b * c
-    soft = det == 0
-    inverse = jnp.where(soft, 0.0, 1 / jnp.where(soft, 1.0, det))
-    x, y = force[:, 0], force[:, 1]
-    return jnp.stack([(d * x - b * y) * inverse, (a * y - c * x) * inverse], axis=-1)
+def between(a: Plane, b: Plane) -> Plane:
+    """a - b."""
+    return tuple(x - y for x, y in zip(a, b, strict=True))
+
+
+def length(a: Plane) -> Scalar:
+    """Length of a vector; its derivative at zero is zero, and one may divide by it."""
+    return jnp.sqrt(jnp.maximum(dot(a, a), 1e-300))
+
+
+def product(matrix: tuple[Scalar, ...], a: Plane) -> Plane:
+    """A symmetric matrix of the plane times a vector; isotropic if it is one number."""
+    if len(matrix) == 1:
+        return scaled(matrix[0], a)
+    k11, k12, k22 = matrix
+    return (k11 * a[0] + k12 * a[1], k12 * a[0] + k22 * a[1])
 
 
 def normal_load(law: Law, v: Scalar) -> Scalar:
@@ -96,10 +104,11 @@ def normal_load(law: Law, v: Scalar) -> Scalar:
 
 def slip_speed(law: Law, e: Plane, motion: Motion) -> Scalar:
     """s = |w'| while slipping along e (9); it falls through zero where the contact sticks (12)."""
-    ke = elastic_force(law, e)
-    stiff = dot(e, ke)
-    driven = dot(ke, motion.du) - law.friction * law.normal_stiffness * motion.dv
-    return jnp.where(stiff > 0, driven / jnp.where(stiff > 0, stiff, 1.0), 1.0)
+    cone_rate = law.friction * law.normal_stiffness * motion.dv
+    if len(law.stiffness) == 1:
+        return dot(e, motion.du) - cone_rate * law.compliance[0]
+    ke = product(law.stiffness, e)
+    return (dot(ke, motion.du) - cone_rate) / jnp.maximum(dot(e, ke), 1e-300)
 
 
 def incipient_direction(law: Law, motion: Motion, iterations: int = 7) -> Plane:
@@ -108,37 +117,29 @@ def incipient_direction(law: Law, motion: Motion, iterations: int = 7) -> Plane:
     Isotropic K_u: along u' (18). Otherwise |e| falls monotonically in s; Newton's method on 1 / |e| starts where one
     component alone has length 1, which lies left of the root, and converges from there without overshooting.
     """
-    if law.stiffness.ndim == 1:
-        return _unit(motion.du)
+    if len(law.stiffness) == 1:
+        return scaled(1 / length(motion.du), motion.du)
     axes = _principal_axes(law)
-    stiff = jnp.stack([dot(x, elastic_force(law, x)) for x in axes], axis=-1)
-    stiff = jnp.where(stiff > 0, stiff, 1.0)
-    load = stiff * jnp.stack([dot(x, motion.du) for x in axes], axis=-1)
-    growth = (law.friction * law.normal_stiffness * motion.dv)[:, None]
-    s = jnp.max((jnp.abs(load) - growth) / stiff, axis=-1)
-    for _ in range(iterations):
-        below = growth + s[:, None] * stiff
-        below = jnp.where(below == 0, 1.0, below)
-        e = load / below
-        square = dot(e, e)
-        slope = dot(e, e * stiff / below)
-        s = s + jnp.where(slope > 0, (jnp.sqrt(square) - 1) * square / jnp.where(slope > 0, slope, 1.0), 0.0)
-    below = growth + s[:, None] * stiff
-    e = load / jnp.where(below == 0, 1.0, below)
-    return _unit(e[:, :1] * axes[0] + e[:, 1:] * axes[1])
-
-
-def _unit(a: Plane) -> Plane:
-    """The vector at length 1; the first axis where it has none."""
-    length = norm(a)
-    still = (length == 0)[:, None]
-    return jnp.where(still, jnp.eye(1, a.shape[-1])[0], a / jnp.where(still, 1.0, length[:, None]))
+    stiff = tuple(jnp.maximum(dot(x, product(law.stiffness, x)), 1e-300) for x in axes)
+    load = tuple(k * dot(x, motion.du) for k, x in zip(stiff, axes, strict=True))
+    growth = law.friction * law.normal_stiffness * motion.dv
+    s = jnp.maximum(*((jnp.abs(p) - growth) / k for p, k in zip(load, stiff, strict=True)))
+    for _ in range(iterations + 1):
+        below = tuple(growth + s * k for k in stiff)
+        below = tuple(jnp.where(x == 0, 1.0, x) for x in below)
+        e = tuple(p / x for p, x in zip(load, below, strict=True))
+        size = length(e)
+        slope = sum(x * x * k / y for x, k, y in zip(e, stiff, below, strict=True))
+        s = s + (size - 1) * size**2 / jnp.maximum(slope, 1e-300)
+    e = scaled(1 / size, e)
+    return tuple(e[0] * x + e[1] * y for x, y in zip(*axes, strict=True))
 
 
 def _principal_axes(law: Law) -> tuple[Plane, Plane]:
-    angle = 0.5 * jnp.arctan2(2 * law.stiffness[:, 0, 1], law.stiffness[:, 0, 0] - law.stiffness[:, 1, 1])
-    axis = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
-    return axis, jnp.stack([-axis[:, 1], axis[:, 0]], axis=-1)
+    k11, k12, k22 = law.stiffness
+    angle = 0.5 * jnp.arctan2(2 * k12, k11 - k22)
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return (c, s), (-s, c)
 
 
 # Where |K_u (u - w)| is no larger than this many times its own departure from the cone, its direction means nothing:
@@ -150,17 +151,21 @@ FORCE_FLOOR = 1e-13
 
 def slip_direction(law: Law, motion: Motion, w: Plane) -> Plane:
     """Unit vector e along which a contact slips."""
-    trial = elastic_force(law, motion.u - w)
+    trial = product(law.stiffness, between(motion.u, w))
     n = normal_load(law, motion.v)
-    size = norm(trial)
+    size = length(trial)
     off_cone = jnp.abs(size - law.friction * jnp.abs(n))
     directed = size > UNDIRECTED * off_cone + FORCE_FLOOR
-    along = jnp.where(n < 0, -1.0, 1.0)[:, None] * trial / jnp.where(directed, size, 1.0)[:, None]
-    return jnp.where(directed[:, None], along, incipient_direction(law, motion, iterations=3))
+    if len(law.stiffness) == 1:
+        # The incipient direction is that of u': normalising after the choice saves a root and a division.
+        chosen = where(directed, scaled(jnp.where(n < 0, -1.0, 1.0), trial), motion.du)
+        return scaled(1 / length(chosen), chosen)
+    along = scaled(jnp.where(n < 0, -1.0, 1.0) / size, trial)
+    return where(directed, along, incipient_direction(law, motion, iterations=3))
 
 
 class Reaction(eqx.Module):
-    """What the contacts do at an instant: friction force f, normal load n >= 0 as it enters, and slip rate w'."""
+    """What the contacts do at an instant: friction force f, normal load n as it enters, slip rate w'."""
 
     f: Plane
     n: Scalar
@@ -174,54 +179,48 @@ def reaction(law: Law, state: State, motion: Motion, w: Plane) -> Reaction:
     """
     n = normal_load(law, motion.v)
     e = slip_direction(law, motion, w)
-    stick, slip = (state == STICK)[:, None], (state == SLIP)[:, None]
-    f = jnp.where(
-        stick, elastic_force(law, motion.u - w), jnp.where(slip, (law.friction * n)[:, None] * e, 0.0)
-    )
-    dw = jnp.where(slip, slip_speed(law, e, motion)[:, None] * e, 0.0)
+    slips = state == SLIP
+    sliding = jnp.where(slips, law.friction * n, 0.0)
+    elastic = product(law.stiffness, between(motion.u, w))
+    f = where(state == STICK, elastic, scaled(sliding, e))
+    dw = scaled(jnp.where(slips, slip_speed(law, e, motion), 0.0), e)
     return Reaction(f, jnp.where(state == SEPARATION, 0.0, n), dw)
 
 
-def margins(law: Law, state: State, motion: Motion, w: Plane) -> Float[Array, "contact 2"]:
-    """Distance to the end of the state: positive inside, zero at the transition, dimension of K_u u or of u'.
+def margins(law: Law, state: State, motion: Motion, w: Plane) -> tuple[Scalar, Scalar]:
+    """Distance to the end of the state: positive inside, zero at the transition; a force, and a speed.
 
     Stick ends on the cone (3), slip where n or the slip speed falls through zero (12, 13), separation where n rises
-    through zero (14). The second column is used by slip alone.
+    through zero (14). The second one belongs to slip alone, and not to a frictionless contact, which cannot stick.
     """
     n = normal_load(law, motion.v)
-    cone = law.friction * n - norm(elastic_force(law, motion.u - w))
-    # Only an odd power of n is a guard in slip; the speed is none for a frictionless contact, which cannot stick.
+    cone = law.friction * n - length(product(law.stiffness, between(motion.u, w)))
     speed = slip_speed(law, slip_direction(law, motion, w), motion)
     first = jnp.where(state == STICK, cone, jnp.where(state == SLIP, n, -n))
-    second = jnp.where((state == SLIP) & (law.friction > 0), speed, 1.0)
-    return jnp.stack([first, second], axis=-1)
+    return first, jnp.where((state == SLIP) & (law.friction > 0), speed, 1.0)
 
 
-def margin_scale(law: Law) -> Float[Array, "contact 2"]:
-    """Size of the margins for motions of size 1, to compare them with zero."""
-    stiffness = law.stiffness if law.stiffness.ndim == 1 else jnp.abs(law.stiffness).sum(axis=(1, 2))
-    force = stiffness + law.normal_stiffness + jnp.abs(law.preload)
-    return jnp.stack([force, jnp.ones_like(force)], axis=-1)
+def force_scale(law: Law) -> Scalar:
+    """Size of the contact forces for motions of size one, to compare a margin with zero."""
+    return sum(jnp.abs(k) for k in law.stiffness) + law.normal_stiffness + jnp.abs(law.preload)
 
 
-def successor(law: Law, state: State, motion: Motion, w: Plane, *, tiny: float) -> State:
+def successor(law: Law, state: State, motion: Motion, *, tiny: Scalar) -> State:
     """State of a contact that has reached a transition, decided by the rates (section 3).
 
-    Where stick ends with n = 0 (within ``tiny``, relative to the size of the load), cone and separation are reached
-    at once and separation wins; likewise at the end of a slip.
+    Where stick or slip ends with n <= ``tiny`` and falling, cone and separation are reached at once and separation
+    wins.
     """
     n = normal_load(law, motion.v)
     dn = law.normal_stiffness * motion.dv
-    empty = (n <= tiny * margin_scale(law)[:, 0]) & (dn < 0)
-    sticks = norm(elastic_force(law, motion.du)) < law.friction * dn
-    leaving = jnp.where(empty, SEPARATION, jnp.where(state == STICK, SLIP, STICK))
-    arriving = jnp.where(sticks, STICK, SLIP)
-    return jnp.where(state == SEPARATION, arriving, leaving)
+    sticks = length(product(law.stiffness, motion.du)) < law.friction * dn
+    leaving = jnp.where((n <= tiny) & (dn < 0), SEPARATION, jnp.where(state == STICK, SLIP, STICK))
+    return jnp.where(state == SEPARATION, jnp.where(sticks, STICK, SLIP), leaving)
 
 
 def slip_at_transition(law: Law, before: State, after: State, motion: Motion, w: Plane) -> Plane:
     """w with which a contact enters a state: on the cone after slip, w = u after or during separation."""
-    n = normal_load(law, motion.v)
-    on_cone = motion.u - stretch_of(law, (law.friction * n)[:, None] * slip_direction(law, motion, w))
-    w = jnp.where(((before == SLIP) & (after == STICK))[:, None], on_cone, w)
-    return jnp.where(((before == SEPARATION) | (after == SEPARATION))[:, None], motion.u, w)
+    sliding = law.friction * normal_load(law, motion.v)
+    on_cone = between(motion.u, product(law.compliance, scaled(sliding, slip_direction(law, motion, w))))
+    w = where((before == SLIP) & (after == STICK), on_cone, w)
+    return where((before == SEPARATION) | (after == SEPARATION), motion.u, w)

@@ -10,123 +10,144 @@ import timesim.jax_setup  # noqa: F401  isort: skip
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from timesim import hermite
-from timesim.contact import Motion, State, margins
+from timesim.contact import Motion, Plane, State, force_scale, margins
 from timesim.system import Point, System, relative
 
 NUM_NODES = 6
 VIOLATED = 1e-12  # of the margin's own scale: below it a margin is rounding
-NUM_SECANTS = 5
+NUM_SECANTS = 3
 SHORT = 1e-3  # in shorter steps the change of displacement is better had from the velocities than as a difference
 NONE = 2.0  # a fraction beyond the step
 
-Margins = Float[Array, "contact guard"]
+Margins = tuple[Float[Array, "*node contact"], Float[Array, "*node contact"]]
+Ends = tuple[Plane, Plane, Plane]
 
 
 class Segment(eqx.Module):
     """A step as the contacts see it: relative motion with two derivatives, and slip with one, at both ends."""
 
-    start: tuple[Array, Array, Array]
-    end: tuple[Array, Array, Array]
-    jump: Array
-    slip_start: tuple[Array, Array]
-    slip_end: tuple[Array, Array]
+    start: Ends
+    end: Ends
+    jump: Plane
+    slip_start: tuple[Plane, Plane]
+    slip_end: tuple[Plane, Plane]
     h: Float[Array, ""]
 
 
 def segment(system: System, points: tuple[Point, Point], rates: tuple[Point, Point], h: Float[Array, ""]) -> Segment:
     """The contacts' view of a step."""
-    ends = [tuple(relative(system, x) for x in (y.q, y.p, dy.p)) for y, dy in zip(points, rates, strict=True)]
+    starts, ends = (
+        tuple(relative(system, x) for x in (y.q, y.p, dy.p)) for y, dy in zip(points, rates, strict=True)
+    )
     slips = [(y.w, dy.w) for y, dy in zip(points, rates, strict=True)]
-    (x0, v0, a0), (x1, v1, a1) = ends
-    jump = jnp.where(h < SHORT, h * (0.5 * (v0 + v1) + h / 12 * (a0 - a1)), x1 - x0)
-    return Segment((x0, v0, a0), (x1, v1, a1), jump, slips[0], slips[1], h)
+
+    def change(x0: Array, v0: Array, a0: Array, x1: Array, v1: Array, a1: Array) -> Array:
+        return jnp.where(h < SHORT, h * (0.5 * (v0 + v1) + h / 12 * (a0 - a1)), x1 - x0)
+
+    jump = tuple(change(*row) for row in zip(*starts, *ends, strict=True))
+    return Segment(starts, ends, jump, slips[0], slips[1], h)  # type: ignore[arg-type]
 
 
-def margins_inside(system: System, state: State, part: Segment, x: Float[Array, " contact"]) -> Margins:
-    """Margins on the dense output, each contact at its own fraction of the step; of order one."""
-    column = x[:, None]
-    value, rate = hermite.quintic(column, part.h, part.start, part.end, part.jump)
-    w = hermite.cubic(column, part.h, part.slip_start, part.slip_end)
-    moves = Motion(value[:, :-1], value[:, -1], rate[:, :-1], rate[:, -1])
-    return margins(system.law, state, moves, w) / system.margin_scale
+def margins_inside(system: System, state: State, part: Segment, x: Float[Array, "*node contact"]) -> Margins:
+    """Margins on the dense output at fractions x of the step, made dimensionless by their scale."""
+    along = [
+        hermite.quintic(x, part.h, start, end, jump)
+        for start, end, jump in zip(
+            zip(*part.start, strict=True), zip(*part.end, strict=True), part.jump, strict=True
+        )
+    ]
+    value, rate = (tuple(column) for column in zip(*along, strict=True))
+    w = tuple(
+        hermite.cubic(x, part.h, start, end)
+        for start, end in zip(zip(*part.slip_start, strict=True), zip(*part.slip_end, strict=True), strict=True)
+    )
+    moves = Motion(value[:-1], value[-1], rate[:-1], rate[-1])
+    force, speed = margins(system.law, state, moves, w)
+    return force / force_scale(system.law), speed
 
 
 def end_margins(system: System, state: State, part: Segment) -> tuple[Margins, Margins]:
     """Margins at the end of the step and their exact rates."""
 
-    def at(u: Array, du: Array, w: Array) -> Margins:
-        moves = Motion(u[:, :-1], u[:, -1], du[:, :-1], du[:, -1])
-        return margins(system.law, state, moves, w) / system.margin_scale
+    def at(x: Plane, dx: Plane, w: Plane) -> Margins:
+        force, speed = margins(system.law, state, Motion(x[:-1], x[-1], dx[:-1], dx[-1]), w)
+        return force / force_scale(system.law), speed
 
-    (u, du, ddu), (w, dw) = part.end, part.slip_end
-    return jax.jvp(at, (u, du, w), (du, ddu, dw))
+    (x, dx, ddx), (w, dw) = part.end, part.slip_end
+    return jax.jvp(at, (x, dx, w), (dx, ddx, dw))
 
 
-def first_crossing(system: System, state: State, part: Segment, end: Margins, spared: Array) -> Float[Array, ""]:
+def first_crossing(
+    system: System, state: State, part: Segment, end: Margins, spared: tuple[Bool[Array, " contact"], ...]
+) -> Float[Array, ""]:
     """Fraction of the step at which the first margin falls through zero, `NONE` where none does.
 
     Also a margin that only dips below zero between two nodes, judged by a parabola through three of them, is
     proposed: to end a step there needlessly does no harm.
 
     Args:
-        end: margins at the end of the step, shape (C, 2).
+        system: the system.
+        state: states of the contacts during the step.
+        part: the step.
+        end: margins at its end.
         spared: margins that are allowed to be negative at the end, because their transition is taken there.
     """
     if state.shape[0] == 0:
         return jnp.asarray(NONE)
-    at = jax.vmap(lambda x: margins_inside(system, state, part, jnp.full(state.shape, x)))
-    inner = at(jnp.arange(NUM_NODES) / NUM_NODES)
-    # A step starts on a guard after each transition: what is there is rounding, and no crossing.
-    start = jnp.maximum(inner[:1], 0.0)
-    last = jnp.where(spared, jnp.maximum(end, 0.0), end)
-    nodes = jnp.concatenate([start, inner[1:], last[None]])
-    below = nodes < -VIOLATED
-    first = jnp.argmax(below, axis=0)
-    first = jnp.where(below.any(axis=0), first, NUM_NODES + 1)
-    guard = jnp.argmin(first, axis=1)
-    right = jnp.take_along_axis(first, guard[:, None], axis=1)[:, 0]
-    crossing = _root(system, state, part, nodes, guard, right)
-    return jnp.minimum(crossing.min(), _dip(nodes))
+    inner = margins_inside(system, state, part, jnp.arange(NUM_NODES)[:, None] / NUM_NODES)
+    nodes = []
+    for margin, last, spare in zip(inner, end, spared, strict=True):
+        # A step starts on a guard after each transition: what is there is rounding, and no crossing.
+        first = [jnp.maximum(margin[0], 0.0), *(margin[i] for i in range(1, NUM_NODES))]
+        nodes.append([*first, jnp.where(spare, jnp.maximum(last, 0.0), last)])
+    return jnp.minimum(_root(system, state, part, nodes), jnp.minimum(_dip(nodes[0]), _dip(nodes[1])).min())
 
 
-def _root(system: System, state: State, part: Segment, nodes: Array, guard: Array, right: Array) -> Array:
-    """Root of one margin of each contact in the bracket that ends at its node ``right``, by the Illinois rule."""
+def _bracket(node: list[Array]) -> tuple[Array, Array, Array]:
+    """Right end of the first bracket (in nodes; beyond the step if none), and the values at its ends."""
+    right, low, high = jnp.full(node[0].shape, NONE * NUM_NODES), node[0], node[0]
+    for i in range(NUM_NODES, 0, -1):
+        below = node[i] < -VIOLATED
+        right = jnp.where(below, i, right)
+        low, high = jnp.where(below, node[i - 1], low), jnp.where(below, node[i], high)
+    return right, low, high
+
+
+def _root(system: System, state: State, part: Segment, nodes: list[list[Array]]) -> Float[Array, ""]:
+    """First root of each contact's margins in their first bracket, by the Illinois rule; the least of them."""
+    (right, low_a, high_a), (other, low_b, high_b) = (_bracket(node) for node in nodes)
+    second = other < right
+    right = jnp.where(second, other, right)
     found = right <= NUM_NODES
-    high_node = jnp.where(found, right, NUM_NODES)
-
-    def pick(node: Array) -> Array:
-        chosen = jnp.take_along_axis(nodes, node[None, :, None], axis=0)[0]
-        return jnp.take_along_axis(chosen, guard[:, None], axis=1)[:, 0]
-
-    low, high = (high_node - 1) / NUM_NODES, high_node / NUM_NODES
-    f_high = jnp.minimum(pick(high_node), -VIOLATED)
+    f_high = jnp.minimum(jnp.where(second, high_b, high_a), -VIOLATED)
     # A left value that is rounding would draw every secant to the left end, and the event would re-fire for ever.
-    f_low = jnp.maximum(pick(high_node - 1), 1e-3 * jnp.abs(f_high))
-    side = jnp.zeros_like(guard)
+    f_low = jnp.maximum(jnp.where(second, low_b, low_a), -1e-3 * f_high)
+    low, high = (right - 1) / NUM_NODES, right / NUM_NODES
+    side = jnp.zeros_like(low)
     for _ in range(NUM_SECANTS):
         x = low - f_low * (high - low) / (f_high - f_low)
-        values = margins_inside(system, state, part, x)
-        f = jnp.take_along_axis(values, guard[:, None], axis=1)[:, 0]
+        force, speed = margins_inside(system, state, part, x)
+        f = jnp.where(second, speed, force)
         inside = f > 0
-        f_high = jnp.where(inside, jnp.where(side == 1, 0.5 * f_high, f_high), jnp.minimum(f, -1e-300))
-        f_low = jnp.where(inside, f, jnp.where(side == -1, 0.5 * f_low, f_low))
+        f_high = jnp.where(inside, jnp.where(side > 0, 0.5 * f_high, f_high), jnp.minimum(f, -1e-300))
+        f_low = jnp.where(inside, f, jnp.where(side < 0, 0.5 * f_low, f_low))
         low, high = jnp.where(inside, x, low), jnp.where(inside, high, x)
-        side = jnp.where(inside, 1, -1)
+        side = jnp.where(inside, 1.0, -1.0)
     x = low - f_low * (high - low) / (f_high - f_low)
-    return jnp.where(found, x, NONE)
+    return jnp.where(found, x, NONE).min()
 
 
-def _dip(nodes: Array) -> Float[Array, ""]:
+def _dip(node: list[Array]) -> Float[Array, " contact"]:
     """First interior minimum below zero of the parabolas through three nodes at a time."""
-    left, middle, right = nodes[:-2], nodes[1:-1], nodes[2:]
-    curvature = left - 2 * middle + right
-    slope = right - left
-    inside = (middle <= left) & (middle <= right) & (curvature > 0) & (middle >= -VIOLATED) & (left > 0)
-    curvature = jnp.where(curvature > 0, curvature, 1.0)
-    lowest = middle - slope**2 / (8 * curvature)
-    index = jnp.arange(1, NUM_NODES)[:, None, None]
-    where = (index - 0.5 * slope / curvature) / NUM_NODES
-    return jnp.where(inside & (lowest < -VIOLATED), where, NONE).min()
+    first = jnp.full(node[0].shape, NONE)
+    for i in range(NUM_NODES - 1, 0, -1):
+        left, middle, right = node[i - 1 : i + 2]
+        curvature, slope = left - 2 * middle + right, right - left
+        lowest = middle * curvature - slope**2 / 8 < -VIOLATED * curvature
+        inside = (middle <= left) & (middle <= right) & (middle >= -VIOLATED) & (left > 0) & (curvature > 0)
+        where = (i - 0.5 * slope / jnp.where(curvature > 0, curvature, 1.0)) / NUM_NODES
+        first = jnp.where(inside & lowest, where, first)
+    return first

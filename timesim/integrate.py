@@ -19,8 +19,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from timesim.contact import State, slip_at_transition, successor
-from timesim.guard import NONE, VIOLATED, end_margins, first_crossing, segment
+from timesim.contact import State, force_scale, slip_at_transition, successor
+from timesim.guard import NONE, end_margins, first_crossing, segment
 from timesim.method import Method
 from timesim.system import Point, System, field, motion
 
@@ -116,7 +116,9 @@ def begin(system: System, point: Point, state: State, length: Float[Array, ""]) 
 def error_size(control: Control, point: Point, error: Point) -> Float[Array, ""]:
     """Error of a step relative to its tolerance."""
     size = jnp.maximum(jnp.abs(point.q).max(), jnp.abs(point.p).max())
-    worst = jnp.stack([jnp.abs(x).max(initial=0.0) for x in (error.q, error.p, error.w)]).max()
+    worst = jnp.maximum(jnp.abs(error.q).max(), jnp.abs(error.p).max())
+    for w in error.w:
+        worst = jnp.maximum(worst, jnp.abs(w).max(initial=0.0))
     return worst / (control.atol + control.rtol * size)
 
 
@@ -133,14 +135,18 @@ def try_step(method: Method, control: Control, system: System, now: Trajectory) 
 
     part = segment(system, (now.point, end), (now.rate, rate), h)
     margin, slope = end_margins(system, now.state, part)
-    to_zero = -margin / jnp.where(slope < 0, slope, -1.0)
-    due = (slope < 0) & (jnp.abs(to_zero) <= LANDING / control.stiffest) & ~(last & (to_zero > 0))
+    to_zero = tuple(-m / jnp.where(s < 0, s, -1.0) for m, s in zip(margin, slope, strict=True))
+    reach = LANDING / control.stiffest
+    due = tuple(
+        (s < 0) & (jnp.abs(t) <= reach) & ~(last & (t > 0)) for s, t in zip(slope, to_zero, strict=True)
+    )
     crossing = first_crossing(system, now.state, part, margin, due)
     accepted = precise & (crossing >= NONE)
-    lands = accepted & due.any()
-
-    correction = jnp.where(lands, jnp.where(due, to_zero, jnp.inf).min(initial=jnp.inf), 0.0)
-    crossed = lands & (due & (margin + correction * slope <= TOGETHER)).any(axis=1)
+    lands = accepted & (due[0] | due[1]).any()
+    soonest = [jnp.where(d, t, jnp.inf).min(initial=jnp.inf) for d, t in zip(due, to_zero, strict=True)]
+    correction = jnp.where(lands, jnp.minimum(*soonest), 0.0)
+    left = tuple(d & (m + correction * s <= TOGETHER) for d, m, s in zip(due, margin, slope, strict=True))
+    crossed = lands & (left[0] | left[1])
     h_full = h + correction
     end = jax.tree.map(lambda y, dy: y + correction * dy, end, rate)
     after, state = transition(system, now.state, crossed, end)
@@ -162,7 +168,7 @@ def try_step(method: Method, control: Control, system: System, now: Trajectory) 
 def transition(system: System, state: State, crossed: Bool[Array, " contact"], end: Point) -> tuple[Point, State]:
     """Point and states after the transitions of the contacts that have crossed a guard."""
     moves = motion(system, end)
-    next_state = jnp.where(crossed, successor(system.law, state, moves, end.w, tiny=1e-10), state)
+    next_state = jnp.where(crossed, successor(system.law, state, moves, tiny=1e-10 * force_scale(system.law)), state)
     w = slip_at_transition(system.law, state, next_state, moves, end.w)
     return Point(end.q, end.p, w, end.work), next_state
 

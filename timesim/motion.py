@@ -1,10 +1,10 @@
-"""Prescribed relative motion of a contact over one cycle: y = (u1, u2, v) as a function of the angle theta, period 2 pi.
+"""Prescribed relative motion y = (u1, u2, v) of a contact over one cycle, period 2 pi in the angle theta.
 
-The paper's section 3.1 takes u = [A sin theta, B sin(theta + phi)], v = D sin(theta + psi); a motion from samples is
-interpolated by a periodic quintic spline. Either kind answers the questions that the state-by-state simulation asks in
-closed form: where a linear combination of y changes its sign (equations 13 and 14), and where the trial force of a
-stuck contact leaves its cone (section 3.1, a quartic in exp(i theta) for the harmonic motion, a polynomial of degree
-ten on each piece of the spline).
+The paper's section 3.1 takes u = [A sin theta, B sin(theta + phi)], v = D sin(theta + psi); a motion from
+samples is interpolated by a periodic quintic spline. Either kind answers in closed form what the march from
+state to state asks: where a linear combination of y changes its sign (equations 13 and 14), and where the
+trial force of a stuck contact leaves its cone (section 3.1: a quartic in exp(i theta) for the harmonic motion, a
+polynomial of degree ten on each piece of the spline).
 """
 
 from abc import ABC, abstractmethod
@@ -12,13 +12,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import comb, factorial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PPoly, make_interp_spline
 from scipy.optimize import brentq
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 CYCLE = 2 * np.pi
 MIN_SAMPLES = 16
 # Overshoot of |f|^2 - (mu n)^2, relative to the squares it is the difference of, that counts as touching.
@@ -27,7 +28,7 @@ CONE = np.array([1.0, 1.0, -1.0])
 
 
 class Motion(ABC):
-    """One cycle of motion of body 1 relative to body 2 in the contact frame, period 2 pi in the angle theta [rad]."""
+    """One cycle of motion of body 1 relative to body 2 in the contact frame, period 2 pi in theta [rad]."""
 
     @abstractmethod
     def evaluate(self, theta: ArrayLike) -> tuple[Array, Array]:
@@ -44,7 +45,11 @@ class Motion(ABC):
     def crossings(
         self, weights: Array, constant: float, *, rate: bool = False
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Where ``weights . y + constant`` (of dy/dtheta with `rate`) changes its sign; touching zero does not count.
+        """Where ``weights . y + constant``, or the same of dy/dtheta, changes its sign.
+
+        Args:
+            weights, constant: of u1, u2 and v, shape (3,), and what is added.
+            rate: take dy/dtheta in place of y.
 
         Returns:
             angles in [0, 2 pi), ascending [rad], shape (k,), and whether the value rises there, shape (k,).
@@ -52,16 +57,18 @@ class Motion(ABC):
 
     @abstractmethod
     def cone_exit(self, transform: Array, offset: Array, start: float, *, on_cone: bool) -> float:
-        """First angle after `start`, within one cycle, where ``r = transform @ y + offset`` leaves ``r1^2 + r2^2 = r3^2``.
+        """First angle after `start`, within one cycle, where the trial force leaves its cone.
+
+        The cone is ``r1^2 + r2^2 <= r3^2`` of ``r = transform @ y + offset``.
 
         Args:
             transform, offset: r = (f1, f2, mu n) of a stuck contact, shapes (3, 3) and (3,).
             start: angle at which the contact stuck, where r lies in the cone [rad].
-            on_cone: r lies on the cone at `start` and does not leave it to first order, so that `start` is a double
-                root: it is divided out.
+            on_cone: r lies on the cone at `start` and does not leave it to first order, so that `start` is a
+                double root: it is divided out.
 
         Returns:
-            angle in [start, start + 2 pi] [rad]; inf where r never leaves the cone (touching it is not leaving).
+            angle in [start, start + 2 pi] [rad]; inf where r never leaves the cone; touching is not leaving.
         """
 
     @property
@@ -112,16 +119,18 @@ class HarmonicMotion(Motion):
 
     @cached_property
     def phasor(self) -> NDArray[np.complex128]:
-        """y = Im(phasor exp(i theta)), shape (3,): sine coefficients real, cosine coefficients imaginary [length]."""
+        """y = Im(phasor exp(i theta)), shape (3,): sine coefficients real, cosine ones imaginary [length]."""
         return np.array([self.A, self.B * np.exp(1j * self.phi), self.D * np.exp(1j * self.psi)])
 
     def evaluate(self, theta: ArrayLike) -> tuple[Array, Array]:
+        """One rotating phasor a component."""
         turned = np.multiply.outer(self.phasor, np.exp(1j * np.asarray(theta)))
         return turned.imag, turned.real
 
     def crossings(
         self, weights: Array, constant: float, *, rate: bool = False
     ) -> tuple[Array, NDArray[np.bool_]]:
+        """The two zeros of a sine about its mean, or none."""
         phasor = (1j if rate else 1.0) * np.dot(weights, self.phasor)
         if abs(phasor) <= abs(constant):
             return np.zeros(0), np.zeros(0, bool)
@@ -131,24 +140,29 @@ class HarmonicMotion(Motion):
         return angles[order], np.array([True, False])[order]
 
     def cone_exit(self, transform: Array, offset: Array, start: float, *, on_cone: bool) -> float:
+        """By the roots of the quartic, or of what a double root leaves of it."""
         phasor = (transform @ self.phasor) * np.exp(1j * start)
         find = _exit_from_cone if on_cone else _exit_from_inside
         return start + find(offset, phasor.imag, phasor.real)
 
     @property
     def fundamental(self) -> NDArray[np.complex128]:
+        """The phasors of u1 and u2."""
         return self.phasor[:2]
 
     @property
     def amplitude(self) -> Array:
+        """A and B, with their signs."""
         return np.array([self.A, self.B])
 
     @property
     def phase(self) -> Array:
+        """Zero and phi."""
         return np.array([0.0, self.phi])
 
     @property
     def line(self) -> Array | None:
+        """Where A or B vanishes, or both components are in phase or in opposition."""
         a, b = self.fundamental
         size = abs(a) ** 2 + abs(b) ** 2
         if abs((np.conj(a) * b).imag) > 4 * np.finfo(float).eps * size:
@@ -158,13 +172,14 @@ class HarmonicMotion(Motion):
 
     @property
     def breaks(self) -> Array:
+        """None: a harmonic motion is smooth."""
         return np.zeros(0)
 
 
 def _exit_from_cone(mean: Array, cosine: Array, sine: Array) -> float:
-    """Exit of r = mean + cosine cos t + sine sin t, t >= 0, from the cone on which it lies at t = 0 without leaving.
+    """Exit of r = mean + cosine cos t + sine sin t from the cone that it touches at t = 0.
 
-    There F = |r|^2 in the cone's metric is (1 - cos t)(a + b cos t + c sin t), so the quartic's other roots are those of
+    There r1^2 + r2^2 - r3^2 is (1 - cos t)(a + b cos t + c sin t), so the quartic's other roots are those of
     the second factor, and one of them at most is rising.
     """
     b = CONE @ (sine**2 - cosine**2)
@@ -179,7 +194,7 @@ def _exit_from_cone(mean: Array, cosine: Array, sine: Array) -> float:
 
 
 def _exit_from_inside(mean: Array, cosine: Array, sine: Array) -> float:
-    """Exit of r = mean + cosine cos t + sine sin t, t > 0, from the cone in which it lies at t = 0 (or touches)."""
+    """Exit of r = mean + cosine cos t + sine sin t from the cone in which it lies at t = 0."""
 
     def margin(t: Array) -> Array:
         turned = np.exp(1j * t)
@@ -188,15 +203,16 @@ def _exit_from_inside(mean: Array, cosine: Array, sine: Array) -> float:
     first, second = 2 * CONE @ (mean * (cosine - 1j * sine)), CONE @ (cosine - 1j * sine) ** 2 / 2
     constant = CONE @ (mean**2 + (cosine**2 + sine**2) / 2)
     roots = trigonometric_roots(np.array([constant, first, second]))
-    floor = TOUCH * (mean @ mean + cosine @ cosine + sine @ sine)
+    floor = TOUCH * float(mean @ mean + cosine @ cosine + sine @ sine)
     return _first_rise(margin, roots, CYCLE, floor)
 
 
 def trigonometric_roots(coefficients: ArrayLike) -> Array:
-    """Angles of all complex roots of the real trigonometric polynomial ``Re sum_k coefficients[k] exp(i k t)``.
+    """Angles of all complex roots z = exp(i t) of ``Re sum_k coefficients[k] exp(i k t)``.
 
-    The real roots are among them; a pair off the unit circle gives two angles that are not roots. The polynomial in
-    z = exp(i t) is solved by the eigenvalues of its companion matrix, leading coefficients at rounding level left out.
+    The real roots t are among them; a pair off the unit circle gives two angles that are no roots. The
+    polynomial in z is solved by the eigenvalues of its companion matrix, leading coefficients at rounding
+    level left out.
 
     Returns:
         angles in [0, 2 pi), ascending [rad], shape (at most 2 degree,).
@@ -209,7 +225,7 @@ def trigonometric_roots(coefficients: ArrayLike) -> Array:
 
 
 def _first_rise(margin: Callable[[Array], Array], candidates: Array, end: float, floor: float) -> float:
-    """First place in [0, end) where `margin`, of fixed sign between the candidates, turns positive beyond `floor`."""
+    """First place of [0, end) where `margin`, of fixed sign between the candidates, rises beyond `floor`."""
     inside = np.sort(candidates[(candidates > 0) & (candidates < end)])
     edges = np.concatenate([[0.0], inside, [end]])
     middle = (edges[1:] + edges[:-1]) / 2
@@ -222,7 +238,8 @@ def _first_rise(margin: Callable[[Array], Array], candidates: Array, end: float,
 
 @dataclass(frozen=True)
 class SplineMotion(Motion):
-    """Periodic quintic spline through samples of one cycle at theta = 2 pi k / N; smooth to the fourth derivative.
+    """Periodic quintic spline through samples of one cycle at theta = 2 pi k / N; smooth to the fourth
+    derivative.
 
     Attributes:
         samples: (u1, u2, v) at equal angles, the end of the cycle left out, shape (N, 3) [length].
@@ -233,7 +250,8 @@ class SplineMotion(Motion):
     def __post_init__(self) -> None:
         if self.samples.ndim != 2 or self.samples.shape[1] != 3 or len(self.samples) < MIN_SAMPLES:
             raise ValueError(
-                f"motion: samples must be at least {MIN_SAMPLES} rows of (u1, u2, v), not an array of shape {self.samples.shape}"
+                f"motion: samples must be at least {MIN_SAMPLES} rows of (u1, u2, v), "
+                f"not an array of shape {self.samples.shape}"
             )
         if not np.isfinite(self.samples).all():
             raise ValueError(
@@ -242,7 +260,7 @@ class SplineMotion(Motion):
 
     @cached_property
     def pieces(self) -> PPoly:
-        """Polynomials between the samples: coefficients (6, N, 3) in powers of theta - theta_k, highest first."""
+        """Polynomials between the samples: shape (6, N, 3), powers of theta - theta_k, highest first."""
         theta = np.linspace(0.0, CYCLE, len(self.samples) + 1)
         closed = np.concatenate([self.samples, self.samples[:1]])
         spline = make_interp_spline(theta, closed, k=5, bc_type="periodic")
@@ -254,11 +272,13 @@ class SplineMotion(Motion):
         return self.pieces.derivative()
 
     def evaluate(self, theta: ArrayLike) -> tuple[Array, Array]:
+        """The spline and its derivative."""
         return np.moveaxis(self.pieces(theta), -1, 0), np.moveaxis(self._rate(theta), -1, 0)
 
     def crossings(
         self, weights: Array, constant: float, *, rate: bool = False
     ) -> tuple[Array, NDArray[np.bool_]]:
+        """By the roots of every piece, and by the signs between them."""
         source = self._rate if rate else self.pieces
         value = PPoly(source.c @ weights, source.x)
         roots = value.solve(-constant, discontinuity=False, extrapolate=False)
@@ -270,6 +290,7 @@ class SplineMotion(Motion):
         return wrap(edges[changes]), rising[changes]
 
     def cone_exit(self, transform: Array, offset: Array, start: float, *, on_cone: bool) -> float:
+        """By the roots of the pieces whose Bernstein coefficients do not exclude them."""
         width = CYCLE / len(self.samples)
         powers = width ** np.arange(6)[:, None, None]
         r = (self.pieces.c[::-1] @ transform.T) * powers
@@ -290,6 +311,7 @@ class SplineMotion(Motion):
 
     @cached_property
     def fundamental(self) -> NDArray[np.complex128]:
+        """First discrete Fourier coefficient of the samples."""
         theta = np.linspace(0.0, CYCLE, len(self.samples), endpoint=False)
         phasor = 2j / len(self.samples) * np.exp(-1j * theta) @ self.samples[:, :2]
         phasor[np.abs(phasor) <= TOUCH * np.abs(phasor).max()] = 0
@@ -297,20 +319,24 @@ class SplineMotion(Motion):
 
     @property
     def amplitude(self) -> Array:
+        """Amplitude of the first harmonic."""
         return np.abs(self.fundamental)
 
     @property
     def phase(self) -> Array:
+        """Phase of the first harmonic."""
         return np.angle(self.fundamental)
 
     @cached_property
     def line(self) -> Array | None:
+        """Where the samples lie on a line."""
         tangential = self.samples[:, :2] - self.samples[:, :2].mean(0)
         _, size, axes = np.linalg.svd(tangential, full_matrices=False)
         return axes[0] if size[1] <= TOUCH * size[0] else None
 
     @property
     def breaks(self) -> Array:
+        """The angles of the samples."""
         return self.pieces.x[:-1]
 
 
@@ -328,7 +354,7 @@ def _cone_margin(r: Array) -> Array:
 
 def _shift(coefficients: Array, origin: float) -> Array:
     """Coefficients, ascending along the first axis, of the same polynomial about another origin."""
-    power = np.arange(len(coefficients))
+    power = range(len(coefficients))
     matrix = np.array([[comb(j, k) * origin ** max(j - k, 0) for j in power] for k in power])
     return matrix @ coefficients
 

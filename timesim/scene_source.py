@@ -1,7 +1,7 @@
-"""The text of a scene: YAML 1.2 read into plain data, with the line of every key; and what can be wrong with it.
+"""The text of a scene: YAML 1.2 read into plain data, with the line of every key, and what is wrong with it.
 
-Only the core schema of YAML 1.2 (chapter 10.3) is read: ``2e6`` is a number, ``on`` and ``yes`` are text. A scene
-needs no tags, so they are refused; anchors may be used, within limits that a bomb of aliases exceeds.
+Only the core schema of YAML 1.2 (chapter 10.3) is read: ``2e6`` is a number, ``on`` and ``yes`` are text. A
+scene needs no tags, so they are refused; anchors may be used, within limits that a bomb of aliases exceeds.
 """
 
 import json
@@ -17,7 +17,6 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.events import (
     AliasEvent,
     DocumentStartEvent,
-    Event,
     MappingEndEvent,
     MappingStartEvent,
     ScalarEvent,
@@ -86,7 +85,8 @@ class Problem:
         place = self.file if self.line is None else f"{self.file}:{self.line}"
         parts = [place, self.key, self.value, self.rule]
         text = ": ".join(part for part in parts if part)
-        return f"{text} ({self.hint})" if self.hint else text
+        text = f"{text} ({self.hint})" if self.hint else text
+        return "".join(letter if letter.isprintable() else " " for letter in text)
 
 
 class SceneError(Exception):
@@ -133,12 +133,14 @@ class SceneSource:
 
 
 def dotted(key: Key, data: Any) -> str:
-    """Key path as text; an item of a list that has a name of its own goes by it."""
+    """Key path as text; an item of a list goes by its name where it has one of its own."""
     parts = []
     for part in key:
-        data = _item(data, part)
-        name = data.get("name") if isinstance(data, dict) and isinstance(part, int) else None
-        parts.append(name if isinstance(name, str) and name else str(part))
+        siblings, data = data, _item(data, part)
+        items = siblings if isinstance(siblings, list) else []
+        names = [item.get("name") for item in items if isinstance(item, dict)]
+        name = data.get("name") if isinstance(data, dict) and names else None
+        parts.append(name if isinstance(name, str) and name and names.count(name) == 1 else str(part))
     return ".".join(parts)
 
 
@@ -249,7 +251,7 @@ class _Reader:
     """Walks the events of one document; the nesting is bounded before anything recurses."""
 
     def __init__(self, text: str):
-        self.events: Iterator[Event] = YAML(typ="safe", pure=True).parse(text)
+        self.events: Iterator[Any] = YAML(typ="safe", pure=True).parse(text)
         self.lines: dict[Key, int] = {(): 1}
         self.anchors: dict[str, tuple[Any, int]] = {}
         self.num_values = 0
@@ -269,10 +271,12 @@ class _Reader:
         value = self.value(next(self.events), ())
         next(self.events)
         if isinstance(following := next(self.events), DocumentStartEvent):
-            raise RuleError((), "holds more than one document", "keep one scene a file", line=_line(following))
+            raise RuleError(
+                (), "holds more than one document", "keep one scene a file", line=_line(following)
+            )
         return value
 
-    def value(self, event: Event, key: Key) -> Any:
+    def value(self, event: Any, key: Key) -> Any:
         if isinstance(event, AliasEvent):
             return self.alias(event, key)
         if event.tag is not None and event.tag != "!":
@@ -286,12 +290,11 @@ class _Reader:
             self.anchors[event.anchor] = value, self.num_values - before
         return value
 
-    def content(self, event: Event, key: Key) -> Any:
+    def content(self, event: Any, key: Key) -> Any:
         if isinstance(event, MappingStartEvent):
             return self.mapping(key)
         if isinstance(event, SequenceStartEvent):
             return self.sequence(key)
-        assert isinstance(event, ScalarEvent)
         return scalar(event.value) if event.implicit[0] else event.value
 
     def mapping(self, key: Key) -> dict[str, Any]:
@@ -319,7 +322,7 @@ class _Reader:
             found.append(self.value(event, below))
         return found
 
-    def alias(self, event: AliasEvent, key: Key) -> Any:
+    def alias(self, event: Any, key: Key) -> Any:
         if event.anchor not in self.anchors:
             raise RuleError(
                 key, f"*{event.anchor} refers to no anchor that is complete before it", line=_line(event)
@@ -328,13 +331,15 @@ class _Reader:
         self.count(size, event)
         return value
 
-    def count(self, number: int, event: Event) -> None:
+    def count(self, number: int, event: Any) -> None:
         self.num_values += number
         if self.num_values > MAX_VALUES:
-            raise RuleError((), f"holds more than {MAX_VALUES} values, aliases written out", line=_line(event))
+            raise RuleError(
+                (), f"holds more than {MAX_VALUES} values, aliases written out", line=_line(event)
+            )
 
 
-def _line(event: Event) -> int:
+def _line(event: Any) -> int:
     return event.start_mark.line + 1
 
 
@@ -352,7 +357,7 @@ def scalar(text: str) -> Any:
 
 
 def yaml_text(data: Mapping[str, Any]) -> str:
-    """Plain data as YAML that `parse` reads back as it was: numbers keep every digit, what fits a line stays on it."""
+    """Plain data as YAML that `parse` reads back as it was; numbers keep every digit."""
     return "".join(_block(data, 0))
 
 

@@ -1,290 +1,222 @@
 """The scene file as a tree of sections: which keys there are, what each allows, and what each is in numbers.
 
-A section's ``build`` makes its part of `timesim.model`; rules that need another section (a point, the number of
-modes) are looked after there and raise `RuleError`. Frequencies in Hz, angles in degrees, the rest in any
-consistent system of units. To add a study, write its section beside `Transient` and name it in `STUDIES`.
+A section's ``build`` makes its part of `timesim.model`; rules that need another section (a point, the number
+of modes) are looked after there and raise `RuleError`. Frequencies in Hz, angles in degrees, the rest in any
+consistent system of units.
+
+To add a study, write its section beside `Transient` and name it in `STUDIES` and in `StudySection`, which
+with more than one becomes a union tagged as `InitialSection` is.
 """
 
-from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self, get_args
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    AllowInfNan,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Discriminator,
-    Field,
-    Strict,
-    Tag,
-    model_validator,
-)
-from pydantic_core import PydanticCustomError
+from pydantic import BeforeValidator, Discriminator, Field, Strict, Tag, model_validator
 
 from timesim import model
-from timesim.scene_source import Key, RuleError
-from timesim.structure_source import Matrices, modal_structure, read_matrices
+from timesim.contact_section import ContactSection
+from timesim.excitation_section import ExcitationSection
+from timesim.scene_source import RuleError
+from timesim.section import Count, Number, Pair, Section, Text, Whole, nearest, refuse
+from timesim.start import from_result, given_start, static_start
+from timesim.structure_section import StructureSection
 
 
-def refuse(rule: str, *, key: Key = (), hint: str = "", value: Any = None) -> PydanticCustomError:
-    """An error of a validator; the key is relative to what is validated. Rule and hint hold no braces."""
-    return PydanticCustomError("rule", "{rule}", {"rule": rule, "key": key, "hint": hint, "value": value})
+class StateSection(Section):
+    """A start from a given state; what is not given is 0."""
 
-
-def _whole(value: Any) -> Any:
-    return int(value) if isinstance(value, float) and value.is_integer() else value
-
-
-def _name(text: str) -> str:
-    if not text or text != text.strip() or set(".=") & set(text) or text == model.GROUND:
-        rule = f"must be a name without . and = and outer spaces, other than {model.GROUND}"
-        raise refuse(rule, hint="keys such as contacts.pad.preload are made of names")
-    return text
-
-
-def _direction(vector: tuple[float, ...]) -> tuple[float, ...]:
-    if not any(vector):
-        raise refuse("must not be the zero vector")
-    return vector
-
-
-Number = Annotated[float, Strict(), AllowInfNan(False)]
-Positive = Annotated[Number, Field(gt=0)]
-NotNegative = Annotated[Number, Field(ge=0)]
-Whole = Annotated[int, Strict(), BeforeValidator(_whole), Field(le=10**9)]
-Count = Annotated[Whole, Field(ge=1)]
-Row = Annotated[Whole, Field(ge=0)]
-Text = Annotated[str, Strict()]
-Name = Annotated[str, Strict(), AfterValidator(_name)]
-Pair = Annotated[tuple[Number, ...], Field(min_length=2, max_length=2)]
-Vector = Annotated[tuple[Number, ...], Field(min_length=3, max_length=3)]
-Direction = Annotated[Vector, AfterValidator(_direction)]
-Matrix = Annotated[tuple[Annotated[tuple[Number, ...], Field(min_length=1)], ...], Field(min_length=1)]
-Matrix2 = Annotated[tuple[Pair, ...], Field(min_length=2, max_length=2)]
-
-
-class Section(BaseModel):
-    """A mapping of the scene file: no other keys than these, and nothing changes once it is read."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=False, use_attribute_docstrings=True)
-
-
-def _unit(vector: Sequence[float]) -> np.ndarray:
-    scaled = np.asarray(vector) / np.max(np.abs(vector))
-    return scaled / np.linalg.norm(scaled)
-
-
-# ---------------------------------------------------------------------------------------------- structure
-
-
-class Mode(Section):
-    """One mode: natural frequency, damping, modal mass and its displacement of each point."""
-
-    frequency: NotNegative
-    """Natural frequency [Hz]; 0 for a free motion."""
-    damping_ratio: NotNegative
-    """Share of critical damping; above 1 the mode creeps back without oscillating."""
-    mass: Positive
-    """Modal mass."""
-    shape: Annotated[dict[Name, Vector], Field(min_length=1)]
-    """Displacement along x, y, z of each point for a unit of the mode."""
-
-
-class ModalSection(Section):
-    """A structure by its modes."""
-
-    modes: Annotated[tuple[Mode, ...], Field(min_length=1)]
-    """The modes, in any order; forces and starting states of the scene follow this order."""
+    modal_displacement: tuple[Number, ...] | None = None
+    """One a mode, in the scene's order of modes."""
+    modal_velocity: tuple[Number, ...] | None = None
+    """One a mode, in the scene's order of modes."""
+    slip: dict[Text, Pair] = Field(default_factory=dict)
+    """w of each contact, by its name."""
 
     @model_validator(mode="after")
-    def _same_points(self) -> Self:
-        first = set(self.modes[0].shape)
-        for i, mode in enumerate(self.modes):
-            if odd := first ^ set(mode.shape):
-                hint = f"only one of modes 0 and {i} names {', '.join(sorted(odd))}"
-                raise refuse("must name the same points in every mode", key=("modes", i, "shape"), hint=hint)
+    def _something(self) -> Self:
+        if not self.model_fields_set:
+            raise refuse(
+                "must name modal_displacement, modal_velocity or slip",
+                hint="for a start at rest: initial: rest",
+            )
         return self
 
-    @property
-    def points(self) -> tuple[str, ...]:
-        """Names of the points."""
-        return tuple(self.modes[0].shape)
-
-    def build(self, folder: Path) -> tuple[model.Structure, np.ndarray, tuple[str, ...]]:
-        """The structure, the scene's index of each of its modes, and notes."""
-        frequency, ratio, mass = (
-            np.array([getattr(mode, key) for mode in self.modes]) for key in ("frequency", "damping_ratio", "mass")
+    def build(self, physics: model.Model, order: np.ndarray, folder: Path) -> model.Start:
+        """The state in ascending order of the modes."""
+        displacement, velocity = (
+            self._sorted(key, order) for key in ("modal_displacement", "modal_velocity")
         )
-        shape = np.array([[mode.shape[point] for point in self.points] for mode in self.modes])
-        order = np.argsort(frequency, kind="stable")
-        damping = 2 * ratio * 2 * np.pi * frequency * mass
-        shape = np.moveaxis(shape[order], 0, -1)
-        return model.Structure(frequency[order], mass[order], damping[order], self.points, shape), order, ()
+        names = [contact.name for contact in physics.contacts]
+        for name in self.slip:
+            if name not in names:
+                raise RuleError(("slip", name), "must be a contact", nearest(name, names))
+        slip = np.array([self.slip.get(name, (0.0, 0.0)) for name in names]).reshape(-1, 2)
+        return given_start(physics, displacement, velocity, slip)
+
+    def _sorted(self, key: str, order: np.ndarray) -> np.ndarray:
+        values = getattr(self, key)
+        if values is None:
+            return np.zeros(order.size)
+        if len(values) != order.size:
+            raise RuleError(
+                (key,), f"must have {order.size} entries, one a mode, not {len(values)}", value=values
+            )
+        return np.array(values)[order]
 
 
-class PointRows(Section):
-    """The rows of the matrices that are a point's motion along x, y, z; it does not move along a missing axis."""
+class ResultSection(Section):
+    """A start from the end of another run."""
 
-    x: Row | None = None
-    y: Row | None = None
-    z: Row | None = None
+    source: Text = Field(alias="from")
+    """Path of its result.nc, relative to the scene."""
 
-    @model_validator(mode="after")
-    def _distinct(self) -> Self:
-        if not self.rows():
-            raise refuse("must name a row for at least one of x, y, z")
-        if len(set(self.rows().values())) < len(self.rows()):
-            raise refuse("must name a different row for each axis")
-        return self
+    def build(self, physics: model.Model, order: np.ndarray, folder: Path) -> model.Start:
+        """State, slip, contact states and phase at the end of that run."""
+        try:
+            return from_result(physics, folder / self.source)
+        except RuleError as error:
+            raise RuleError(("from",), error.rule, error.hint, self.source) from None
 
-    def rows(self) -> dict[str, int]:
-        """Row of each axis along which the point moves."""
-        return {axis: row for axis, row in (("x", self.x), ("y", self.y), ("z", self.z)) if row is not None}
+    def absolute(self, folder: Path) -> Self:
+        """The same with a path that does not depend on the folder."""
+        return self.model_copy(update={"source": str(folder / self.source)})
 
 
-Points = Annotated[dict[Name, PointRows], Field(min_length=1)]
+def _initial_kind(value: Any) -> str | None:
+    if isinstance(value, dict | Section):
+        return "<from>" if isinstance(value, ResultSection) or "from" in dict(value) else "<state>"
+    return "<name>" if isinstance(value, str) else None
 
 
-def _number_or_list(value: Any) -> str | None:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return "<number>" if is_number else "<list>" if isinstance(value, list | tuple) else None
-
-
-Ratio = Annotated[
-    Annotated[NotNegative, Tag("<number>")]
-    | Annotated[Annotated[tuple[NotNegative, ...], Field(min_length=1)], Tag("<list>")],
+InitialSection = Annotated[
+    Annotated[Literal["rest", "static"], Tag("<name>")]
+    | Annotated[StateSection, Tag("<state>")]
+    | Annotated[ResultSection, Tag("<from>")],
     Discriminator(
-        _number_or_list, custom_error_type="rule", custom_error_message="must be a number, or a list of one a mode"
+        _initial_kind,
+        custom_error_type="rule",
+        custom_error_message="must be rest, static, a state, or a mapping with the key from",
     ),
 ]
 
 
-class InlineMatrices(Section):
-    """Matrices written out in the scene, with the damping and the points."""
+# Solver and study
 
-    mass: Matrix
-    """Mass matrix, symmetric positive definite."""
-    stiffness: Matrix
-    """Stiffness matrix, symmetric."""
-    damping: Matrix | None = None
-    """Viscous damping matrix, symmetric."""
-    damping_ratio: Ratio | None = None
-    """Share of critical damping of every mode, or one a mode; in place of the matrix."""
-    points: Points
-    """Row of each axis of each point, from 0."""
+ADAPTIVE = ("tsit5", "dopri5", "dopri8", "kvaerno5")
+METHODS = (*ADAPTIVE, "rk4")
+
+
+def _solver_defaults(given: Any) -> Any:
+    if not isinstance(given, dict):
+        return given
+    if "method" not in given:
+        return {"accuracy": "standard", **given}
+    if given["method"] == "rk4":
+        return {"steps_per_cycle": 200, **given}
+    rtol = given.get("rtol", 1e-8)
+    return {"rtol": rtol, "atol": rtol / 100 if isinstance(rtol, float) and rtol > 1e-300 else 1e-10, **given}
+
+
+class SolverSection(Section):
+    """How the equations are integrated: an accuracy, or a method with its own numbers."""
+
+    accuracy: Literal["draft", "standard", "reference"] | None = None
+    """A preset; standard by default."""
+    method: Literal["tsit5", "dopri5", "dopri8", "kvaerno5", "rk4"] | None = None
+    """In place of an accuracy; kvaerno5 for stiff contacts, rk4 with fixed steps for comparison."""
+    rtol: Annotated[Number, Field(ge=1e-15, lt=1)] | None = None
+    """Tolerance of a step relative to the state, 1e-8 by default."""
+    atol: Annotated[Number, Field(gt=0, lt=1)] | None = None
+    """Absolute tolerance as a multiple of the scene's own scale, rtol/100 by default."""
+    steps_per_cycle: Annotated[Whole, Field(ge=200)] | None = None
+    """Fixed steps of rk4, 200 by default."""
+    reduce: Annotated[bool, Strict()] = True
+    """Leave out what the scene cannot need."""
+    max_steps: Count = 100_000
+    """Budget of steps of one cycle."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill(cls, given: Any) -> Any:
+        return _solver_defaults(given)
 
     @model_validator(mode="after")
-    def _one_damping(self) -> Self:
-        if self.damping is not None and self.damping_ratio is not None:
-            raise refuse("excludes damping", key=("damping_ratio",), hint="give one of the two")
+    def _together(self) -> Self:
+        if self.accuracy and self.method:
+            raise refuse("excludes accuracy", key=("method",), hint="give one of the two", value=self.method)
+        allowed = {"rk4": ("steps_per_cycle",), None: ()}.get(self.method, ("rtol", "atol"))
+        owners = {"rtol": ", ".join(ADAPTIVE), "atol": ", ".join(ADAPTIVE), "steps_per_cycle": "rk4"}
+        for key, owner in owners.items():
+            if getattr(self, key) is not None and key not in allowed:
+                hint = f"here {'method is ' + self.method if self.method else 'an accuracy rules'}"
+                raise refuse(
+                    f"goes with method {owner} only", key=(key,), hint=hint, value=getattr(self, key)
+                )
         return self
 
 
-class MatrixSection(Section):
-    """A structure by its matrices."""
+class Transient(Section):
+    """One run at one frequency."""
 
-    matrices: InlineMatrices
-    keep_modes: Count | None = None
-    """How many of the lowest modes; all by default."""
+    requires: ClassVar[tuple[str, ...]] = ("structure", "excitation", "excitation.frequency")
+    uses_frequency: ClassVar[bool] = True
 
-    @property
-    def points(self) -> tuple[str, ...]:
-        """Names of the points."""
-        return tuple(self.matrices.points)
+    kind: Literal["transient"]
+    cycles: Count
+    """Excitation cycles to run."""
+    samples_per_cycle: Annotated[Whole, Field(ge=2)] = 200
+    """Recorded samples of one cycle."""
+    record_last: Count | None = None
+    """How many of the last cycles are recorded; all by default."""
 
-    def build(self, folder: Path) -> tuple[model.Structure, np.ndarray, tuple[str, ...]]:
-        """The structure, the scene's index of each of its modes, and notes."""
-        arrays = {key: self._array(key) for key in ("mass", "stiffness", "damping")}
-        try:
-            structure = _modal_structure(self.matrices, Matrices(**arrays), self.keep_modes)
-        except RuleError as error:
-            raise (error if error.key == ("keep_modes",) else error.below("matrices")) from None
-        return structure, np.arange(structure.num_modes), ()
-
-    def _array(self, key: str) -> np.ndarray | None:
-        if (rows := getattr(self.matrices, key)) is None:
-            return None
-        if len({len(row) for row in rows}) > 1:
-            raise RuleError(("matrices", key), "must have rows of one length")
-        return np.array(rows, dtype=np.float64)
+    @model_validator(mode="after")
+    def _within(self) -> Self:
+        if self.record_last is None:
+            object.__setattr__(self, "record_last", self.cycles)
+        elif self.record_last > self.cycles:
+            rule = f"must be at most the {self.cycles} cycles of the run"
+            raise refuse(rule, key=("record_last",), value=self.record_last)
+        return self
 
 
-def _modal_structure(source: Any, matrices: Matrices, keep_modes: int | None) -> model.Structure:
-    points = {name: point.rows() for name, point in source.points.items()}
-    return modal_structure(matrices, points=points, damping_ratio=source.damping_ratio, keep_modes=keep_modes)
+STUDIES = {"transient": Transient}
 
 
-class MatrixFiles(Section):
-    """A file for each matrix: Matrix Market (.mtx), or .npz as scipy.sparse.save_npz writes it."""
-
-    mass: Text
-    stiffness: Text
-    damping: Text | None = None
-
-
-def _file_kind(value: Any) -> str | None:
-    return "<file>" if isinstance(value, str) else "<files>" if isinstance(value, dict | MatrixFiles) else None
-
-
-class FileSection(Section):
-    """A structure by the matrices in a file."""
-
-    file: Annotated[
-        Annotated[Text, Tag("<file>")] | Annotated[MatrixFiles, Tag("<files>")],
-        Discriminator(
-            _file_kind,
-            custom_error_type="rule",
-            custom_error_message="must be the path of a .npz or .mat file, or a mapping of mass, stiffness, damping",
-        ),
-    ]
-    """A .npz or .mat file that holds mass, stiffness, damping (or M, K, C), or a file for each; relative to the scene."""
-    damping_ratio: Ratio | None = None
-    """Share of critical damping of every mode, or one a mode; rules over a damping matrix in the file."""
-    points: Points
-    """Row of each axis of each point, from 0."""
-    keep_modes: Count | None = None
-    """How many of the lowest modes; all by default."""
-
-    def build(self, folder: Path) -> tuple[model.Structure, np.ndarray, tuple[str, ...]]:
-        """The structure, the scene's index of each of its modes, and notes."""
-        source = self.absolute(folder).file
-        single = isinstance(source, str)
-        paths = Path(source) if single else {key: Path(path) for key, path in source.model_dump(exclude_none=True).items()}
-        try:
-            matrices = read_matrices(paths)
-        except RuleError as error:
-            raise error.below("file") from None
-        try:
-            structure = _modal_structure(self, matrices, self.keep_modes)
-        except RuleError as error:
-            raise self._placed(error) from None
-        notes = matrices.notes
-        if self.damping_ratio is not None and matrices.damping is not None:
-            notes = (*notes, "structure.damping_ratio is used; the damping matrix in the file is not")
-        return structure, np.arange(structure.num_modes), notes
-
-    def _placed(self, error: RuleError) -> RuleError:
-        if error.key[0] not in ("mass", "stiffness", "damping"):
-            return error
-        key = ("file",) if isinstance(self.file, str) else ("file", *error.key)
-        value = self.file if isinstance(self.file, str) else getattr(self.file, str(error.key[0]))
-        return RuleError(key, error.rule, error.hint, value)
-
-    def absolute(self, folder: Path) -> Self:
-        """The same with paths that do not depend on the folder."""
-        if isinstance(self.file, str):
-            return self.model_copy(update={"file": str(folder / self.file)})
-        paths = {key: str(folder / path) for key, path in self.file.model_dump(exclude_none=True).items()}
-        return self.model_copy(update={"file": MatrixFiles(**paths)})
+def _known_study(value: Any) -> Any:
+    if isinstance(value, dict):
+        if "kind" not in value:
+            raise refuse("is required", key=("kind",), hint=f"one of {', '.join(STUDIES)}")
+        if not isinstance(kind := value["kind"], str) or kind not in STUDIES:
+            raise refuse(
+                f"must be one of {', '.join(STUDIES)}", key=("kind",), hint=nearest(kind, STUDIES), value=kind
+            )
+    return value
 
 
-STRUCTURES = ("modes", "matrices", "file")
+StudySection = Annotated[Transient, BeforeValidator(_known_study)]
 
 
-def _structure_kind(value: Any) -> str | None:
-    given = set(value) if isinstance(value, dict) else set(type(value).model_fields) if isinstance(value, Section) else set()
-    kinds = [kind for kind in STRUCTURES if kind in given]
-    return f"<{kinds[0]}>" if len(kinds) == 1 else None
+class SceneFile(Section):
+    """A scene: what is modelled, and what is to be computed of it."""
+
+    title: Text = ""
+    structure: StructureSection | None = None
+    contacts: tuple[ContactSection, ...] = ()
+    excitation: ExcitationSection | None = None
+    initial: InitialSection = "rest"
+    solver: SolverSection = Field(default_factory=SolverSection)
+    study: StudySection
+
+    def start(self, physics: model.Model, order: np.ndarray, folder: Path) -> model.Start:
+        """State at the start, modes in ascending order; ``order`` is the scene's index of each."""
+        if self.initial == "rest":
+            return physics.start
+        if isinstance(self.initial, str):
+            return static_start(physics)
+        return self.initial.build(physics, order, folder)
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema of the scene file, for editors."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **SceneFile.model_json_schema()}

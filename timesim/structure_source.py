@@ -1,8 +1,8 @@
 """Modes from matrices: files of mass, stiffness and damping, and the eigenproblem ``K phi = omega^2 M phi``.
 
-The modes are mass-normalised (``phi^T M phi = 1``), each with its largest entry positive. A damping matrix ``C``
-becomes ``phi^T C phi``: its diagonal where the modes diagonalise it, else the whole of it (Rayleigh damping and
-its kin are diagonal, Caughey and O'Kelly 1965; a dashpot between two masses is not).
+The modes are mass-normalised (``phi^T M phi = 1``), each with its largest entry positive. A damping matrix
+``C`` becomes ``phi^T C phi``: its diagonal where the modes diagonalise it, else the whole of it (Rayleigh
+damping and its kin are diagonal, Caughey and O'Kelly 1965; a dashpot between two masses is not).
 
 SciPy is loaded only when there are matrices to read or to solve.
 """
@@ -83,17 +83,16 @@ def _check_present(path: Path) -> None:
 
 def _read_npz(path: Path) -> dict[str, Any]:
     wanted = [*ARRAYS, *ARRAYS.values()]
+    if not zipfile.is_zipfile(path):
+        raise RuleError((), "is no whole .npz archive", "it may be truncated; write it again", str(path))
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             return {key: archive[key] if key in wanted else None for key in archive.files}
-    except ValueError as error:
-        if "allow_pickle" not in str(error) and "pickle" not in str(error):
+    except Exception as error:  # a damaged archive raises whatever its bytes lead zlib and numpy into
+        if "pickle" not in str(error):
             raise _unreadable(path, error) from None
-        raise RuleError(
-            (), "holds pickled objects", "save plain numeric arrays, sparse ones as .mat or .mtx", str(path)
-        ) from None
-    except (OSError, zipfile.BadZipFile, EOFError, KeyError, AttributeError, NotImplementedError) as error:
-        raise _unreadable(path, error) from None
+        hint = "save plain numeric arrays, sparse ones as .mat or .mtx"
+        raise RuleError((), "holds pickled objects", hint, str(path)) from None
 
 
 def _read_mat(path: Path) -> dict[str, Any]:
@@ -104,7 +103,8 @@ def _read_mat(path: Path) -> dict[str, Any]:
             warnings.simplefilter("ignore")
             names = [entry[0] for entry in scipy.io.whosmat(path)]
             wanted = [name for name in names if name in ARRAYS or name in ARRAYS.values()]
-            return dict.fromkeys(names) | scipy.io.loadmat(path, variable_names=wanted)
+            held = scipy.io.loadmat(path, variable_names=wanted)
+            return {name: held.get(name) for name in names}
     except NotImplementedError:
         raise RuleError((), "is a MATLAB 7.3 file", "save it with save(..., '-v7')", str(path)) from None
     except (
@@ -116,7 +116,9 @@ def _read_mat(path: Path) -> dict[str, Any]:
 def _read_single(path: Path, name: str) -> Any:
     _check_present(path)
     if path.suffix.lower() not in (".mtx", ".npz"):
-        raise RuleError((name,), "must be a .mtx file, or a .npz file of scipy.sparse.save_npz", value=str(path))
+        raise RuleError(
+            (name,), "must be a .mtx file, or a .npz file of scipy.sparse.save_npz", value=str(path)
+        )
     import scipy.io
     import scipy.sparse
 
@@ -125,7 +127,10 @@ def _read_single(path: Path, name: str) -> Any:
         matrix = read(path)
     except Exception as error:  # the same as for .mat
         raise _unreadable(path, error).below(name) from None
-    return _numeric(matrix, path.name)
+    try:
+        return _numeric(matrix, path.name)
+    except RuleError as error:
+        raise error.below(name) from None
 
 
 def _unreadable(path: Path, error: Exception) -> RuleError:
@@ -193,7 +198,10 @@ def modal_structure(
 
 
 def _symmetric(matrix: Any, name: str) -> Any:
-    matrix = _numeric(matrix, f"the {name} matrix")
+    try:
+        matrix = _numeric(matrix, f"the {name} matrix")
+    except RuleError as error:
+        raise error.below(name) from None
     difference, largest = abs(matrix - matrix.T).max(), abs(matrix).max()
     if difference > SYMMETRY * largest:
         raise RuleError(

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from timesim.contact import Law, Motion, Reaction, State, dot, margin_scale, reaction
+from timesim.contact import Law, Motion, Plane, Reaction, State, dot, reaction
 from timesim.model import Model
 
 
@@ -28,18 +28,18 @@ class System(eqx.Module):
 
     Attributes:
         law: parameters of the contacts.
-        shape: B, relative motion (u, v) at the contacts for a unit of each mode.
+        shape: B, relative motion at the contacts for a unit of each mode: one array (contact, mode) for each
+            tangential axis, and the normal last.
         stiffness: ``(omega_i / Omega)^2``, or a matrix where stuck contacts are taken into the structure.
         damping: ``2 zeta_i omega_i / Omega``, or a matrix where the modes do not diagonalise it.
         harmonic: the multiples of the base frequency that are excited.
         cosine, sine: modal forces at them.
         constant: constant modal force.
         phase: phase of the excitation at the start of a cycle [rad].
-        margin_scale: see `timesim.contact.margin_scale`.
     """
 
     law: Law
-    shape: Float[Array, "contact axis mode"]
+    shape: tuple[Float[Array, "contact mode"], ...]
     stiffness: Float[Array, " mode"] | Float[Array, "mode mode"]
     damping: Float[Array, " mode"] | Float[Array, "mode mode"]
     harmonic: Float[Array, " harmonic"]
@@ -47,66 +47,80 @@ class System(eqx.Module):
     sine: Float[Array, "harmonic mode"]
     constant: Float[Array, " mode"]
     phase: Float[Array, ""]
-    margin_scale: Float[Array, "contact 2"]
+
+
+class Work(eqx.Module):
+    """Energy put in by the excitation, lost in modal damping, and lost in each contact."""
+
+    input: Float[Array, ""]
+    damping: Float[Array, ""]
+    friction: Float[Array, " contact"]
 
 
 class Point(eqx.Module):
-    """Where a trajectory is in its continuous state, and the work done since it started.
+    """Where a trajectory is in its continuous state.
 
     Attributes:
         q, p: modal displacement and velocity (dimensionless).
         w: slip of the contacts.
-        work: energy put in by the excitation, lost in modal damping, and lost in each contact.
+        work: the energies since the start, or None where nobody asks for them.
     """
 
     q: Float[Array, " mode"]
     p: Float[Array, " mode"]
-    w: Float[Array, "contact tangent"]
-    work: Float[Array, " work"]
+    w: Plane
+    work: Work | None
 
 
 def excitation(system: System, time: Float[Array, ""]) -> Float[Array, " mode"]:
     """Modal force at a time within the cycle."""
-    angle = system.harmonic * (time + system.phase)
     force = system.constant
     for row in range(system.harmonic.shape[0]):
-        force = force + system.cosine[row] * jnp.cos(angle[row]) + system.sine[row] * jnp.sin(angle[row])
+        angle = system.harmonic[row] * (time + system.phase)
+        force = force + system.cosine[row] * jnp.cos(angle) + system.sine[row] * jnp.sin(angle)
     return force
 
 
-def times(matrix: Array, x: Float[Array, " mode"]) -> Float[Array, " mode"]:
-    """A modal matrix times a vector, the matrix given whole or by its diagonal."""
-    return matrix * x if matrix.ndim == 1 else matrix @ x
+# XLA on a CPU pays for each kernel: written out, a small product is fused with what uses it.
+WRITTEN_OUT = 0
 
 
-def relative(system: System, x: Float[Array, " mode"]) -> Float[Array, "contact axis"]:
+def times(matrix: Array, x: Float[Array, " column"]) -> Float[Array, " row"]:
+    """A matrix times a vector; a modal matrix may be given by its diagonal."""
+    if matrix.ndim == 1:
+        return matrix * x
+    if 0 < matrix.size <= WRITTEN_OUT:
+        return sum(matrix[:, i] * x[i] for i in range(x.shape[0]))
+    return matrix @ x
+
+
+def relative(system: System, x: Float[Array, " mode"]) -> tuple[Float[Array, " contact"], ...]:
     """Relative motion at the contacts, normal last."""
-    return jnp.sum(system.shape * x, axis=-1)
+    return tuple(times(axis, x) for axis in system.shape)
 
 
 def motion(system: System, point: Point) -> Motion:
     """Relative motion of the contacts and its rates."""
     x, dx = relative(system, point.q), relative(system, point.p)
-    return Motion(x[:, :-1], x[:, -1], dx[:, :-1], dx[:, -1])
+    return Motion(x[:-1], x[-1], dx[:-1], dx[-1])
 
 
-def contact_force(system: System, acts: Reaction) -> Float[Array, "contact axis"]:
+def contact_force(system: System, acts: Reaction) -> tuple[Float[Array, " contact"], ...]:
     """g, the force on body 1 in the axes of the contact."""
-    change = acts.n - jnp.maximum(system.law.preload, 0.0)
-    return -jnp.concatenate([acts.f, change[:, None]], axis=-1)
+    return *(-f for f in acts.f), jnp.maximum(system.law.preload, 0.0) - acts.n
 
 
 def field(system: System, state: State, time: Float[Array, ""], point: Point) -> Point:
     """Rate of the continuous state, every contact keeping its own."""
-    moves = motion(system, point)
-    acts = reaction(system.law, state, moves, point.w)
+    acts = reaction(system.law, state, motion(system, point), point.w)
     drive = excitation(system, time)
-    pushed = jnp.sum(system.shape * contact_force(system, acts)[:, :, None], axis=(0, 1))
     drag = times(system.damping, point.p)
-    acceleration = drive + pushed - drag - times(system.stiffness, point.q)
-    power = jnp.concatenate(
-        [jnp.stack([dot(drive, point.p), dot(drag, point.p)]), dot(acts.f, acts.dw)],
-    )
+    acceleration = drive - drag - times(system.stiffness, point.q)
+    for axis, force in zip(system.shape, contact_force(system, acts), strict=True):
+        acceleration = acceleration + times(axis.T, force)
+    power = None
+    if point.work is not None:
+        power = Work(jnp.sum(drive * point.p), jnp.sum(drag * point.p), dot(acts.f, acts.dw))
     return Point(point.p, acceleration, acts.dw, power)
 
 
@@ -135,7 +149,9 @@ def modal_size(model: Model, omega: float) -> float:
     Without forces it is the size of the start.
     """
     root = np.sqrt(model.structure.mass)
-    drive = np.abs(model.excitation.constant) + np.hypot(model.excitation.cosine, model.excitation.sine).sum(axis=0)
+    drive = np.abs(model.excitation.constant) + np.hypot(model.excitation.cosine, model.excitation.sine).sum(
+        axis=0
+    )
     quasi_static = drive / root / np.maximum(model.structure.omega, omega) ** 2
     start = np.hypot(model.start.displacement, model.start.velocity / omega) * root
     size = max(np.max(quasi_static, initial=0.0), np.max(start, initial=0.0))
@@ -159,19 +175,22 @@ def system_of(model: Model, frequency: float, phase: float = 0.0) -> System:
     structure, excited = model.structure, model.excitation
     root = np.sqrt(structure.mass)
     push = scales.mode * structure.mass * scales.omega**2
-    stiffness = np.array([c.tangential_stiffness for c in model.contacts]).reshape(-1, 2, 2)
+    matrices = np.array([c.tangential_stiffness for c in model.contacts]).reshape(-1, 2, 2)
     ratio = scales.length / scales.force
+    stiffness = _components(matrices * ratio)
     law = Law(
         friction=jnp.asarray([c.friction for c in model.contacts], dtype=float),
-        stiffness=jnp.asarray(_isotropic(stiffness) * ratio),
+        stiffness=tuple(map(jnp.asarray, stiffness)),
+        compliance=tuple(map(jnp.asarray, _inverse(stiffness))),
         normal_stiffness=jnp.asarray([c.normal_stiffness * ratio for c in model.contacts], dtype=float),
         preload=jnp.asarray([c.preload / scales.force for c in model.contacts], dtype=float),
     )
     damping = structure.damping / scales.omega
     whole = damping.ndim == 2
+    shape = model.contact_shape * scales.mode / scales.length
     return System(
         law=law,
-        shape=jnp.asarray(model.contact_shape * scales.mode / scales.length),
+        shape=tuple(jnp.asarray(shape[:, axis]) for axis in range(3)),
         stiffness=jnp.asarray((structure.omega / scales.omega) ** 2),
         damping=jnp.asarray(damping / np.outer(root, root) if whole else damping / structure.mass),
         harmonic=jnp.asarray(excited.harmonic, dtype=float),
@@ -179,12 +198,21 @@ def system_of(model: Model, frequency: float, phase: float = 0.0) -> System:
         sine=jnp.asarray(excited.sine / push),
         constant=jnp.asarray(excited.constant / push),
         phase=jnp.asarray(phase, dtype=float),
-        margin_scale=margin_scale(law),
     )
 
 
-def _isotropic(stiffness: np.ndarray) -> np.ndarray:
-    """One number a contact where every K_u is isotropic, else the matrices."""
-    diagonal = stiffness[:, 0, 0]
-    same = np.all(stiffness == diagonal[:, None, None] * np.eye(2))
-    return diagonal if same else stiffness
+def _components(matrices: np.ndarray) -> tuple[np.ndarray, ...]:
+    """K_u as (k,) where every contact's is isotropic, else (k11, k12, k22)."""
+    k11, k12, k22 = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    return (k11,) if np.all(k12 == 0) and np.all(k11 == k22) else (k11, k12, k22)
+
+
+def _inverse(stiffness: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+    """The inverse in the same form, zero where there is no stiffness."""
+    if len(stiffness) == 1:
+        (k,) = stiffness
+        return (np.divide(1.0, k, out=np.zeros_like(k), where=k > 0),)
+    k11, k12, k22 = stiffness
+    det = k11 * k22 - k12**2
+    inverse = np.divide(1.0, det, out=np.zeros_like(det), where=det > 0)
+    return k22 * inverse, -k12 * inverse, k11 * inverse

@@ -1,0 +1,320 @@
+"""Scenes that cannot be meant: each breaks one rule at one key, which the message must name with its line."""
+
+from dataclasses import dataclass
+
+BASE = """\
+title: base
+structure:
+  modes:
+    - frequency: 0.9
+      damping_ratio: 0.02
+      mass: 1.0
+      shape: {tip: [1, 1, 0.8], rim: [0, 1, 0]}
+    - frequency: 1.1
+      damping_ratio: 0.03
+      mass: 2.0
+      shape: {tip: [1, -1, 0.6], rim: [1, 0, 0]}
+contacts:
+  - name: pad
+    point: tip
+    against: ground
+    normal: [0, 0, 1]
+    tangent: [1, 0, 0]
+    friction: 0.5
+    tangential_stiffness: 20.0
+    normal_stiffness: 21.0
+    preload: 3.0
+  - name: stop
+    point: rim
+    friction: 0.0
+    tangential_stiffness: 0
+    normal_stiffness: 5.0
+excitation:
+  frequency: 1.39
+  modal_force:
+    - {amplitude: 1.0, phase_deg: 0.0}
+    - {amplitude: 1.0, phase_deg: 90.0}
+  forces:
+    - {point: tip, direction: [1, 0, 0], amplitude: 1.5, harmonic: 2}
+  constant_forces:
+    - {point: tip, direction: [0, 0, 2], amplitude: 0.5}
+initial: rest
+solver:
+  accuracy: standard
+study:
+  kind: transient
+  cycles: 60
+  samples_per_cycle: 100
+  record_last: 10
+"""
+
+MATRICES = """\
+structure:
+  matrices:
+    mass: [[1, 0], [0, 1]]
+    stiffness: [[2, -1], [-1, 2]]
+    damping: [[0.1, 0], [0, 0.1]]
+    points:
+      m1: {x: 0}
+      m2: {x: 1}
+  keep_modes: 2
+excitation:
+  frequency: 0.2
+  forces: [{point: m1, direction: [1, 0, 0], amplitude: 1}]
+study: {kind: transient, cycles: 5}
+"""
+
+
+@dataclass(frozen=True)
+class BadScene:
+    """The text, the key that the message names, a piece of the line that it names, and words of the rule."""
+
+    key: str
+    text: str
+    at: str
+    rule: str
+
+    @property
+    def line(self) -> int:
+        assert self.text.count(self.at) == 1, self.at
+        return self.text[: self.text.index(self.at)].count("\n") + 1
+
+
+def _base(key: str, old: str, new: str, rule: str, at: str = "", base: str = BASE) -> BadScene:
+    assert base.count(old) == 1, old
+    return BadScene(key, base.replace(old, new), at or new.split("\n")[0].strip(), rule)
+
+
+def _matrices(key: str, old: str, new: str, rule: str, at: str = "") -> BadScene:
+    return _base(key, old, new, rule, at, MATRICES)
+
+
+_SLIP_SCENE = "initial:\n  modal_displacement: [0.5, 0.5]\n  slip: {pad: [0.0, 0.0]}\n"
+
+BAD_SCENES = (
+    _base("titel", "title: base", "titel: base", "did you mean title?"),
+    _base("title", "title: base", "title: 12", "must be text"),
+    _base("structure", "structure:\n  modes:", "structure:\n  mods:", "exactly one of", at="structure:"),
+    _base("structure.modes.0.frequency", "frequency: 0.9", "frequency: -0.9", "must be >= 0"),
+    _base("structure.modes.0.frequency", "frequency: 0.9", "frequency: .nan", "must be finite"),
+    _base("structure.modes.0.frequency", "frequency: 0.9", "frequency: 0.9 Hz", "must be a number"),
+    _base("structure.modes.0.frequency", "frequency: 0.9", "frequency:", "has no value", at="- frequency:\n"),
+    _base("structure.modes.0.damping_ratio", "damping_ratio: 0.02", "damping_ratio: -0.02", "must be >= 0"),
+    _base(
+        "structure.modes.0.dampng_ratio",
+        "damping_ratio: 0.02",
+        "dampng_ratio: 0.02",
+        "did you mean damping_ratio?",
+    ),
+    _base("structure.modes.1.mass", "mass: 2.0", "mass: 0.0", "must be > 0"),
+    _base("structure.modes.1.mass", "      mass: 2.0\n", "", "is required", at="- frequency: 1.1"),
+    _base("structure.modes.1.shape", "rim: [1, 0, 0]", "rom: [1, 0, 0]", "same points", at="rom:"),
+    _base("structure.modes.1.shape.rim", "rim: [1, 0, 0]", "rim: [1, 0]", "3 entries", at="rim: [1, 0]"),
+    _base(
+        "structure.modes.1.shape.tip.0",
+        "tip: [1, -1, 0.6]",
+        "tip: ['1', -1, 0.6]",
+        "must be a number",
+        at="['1'",
+    ),
+    _base("structure.modes.1.shape.a.b", "rim: [1, 0, 0]", "a.b: [1, 0, 0]", "without . and =", at="a.b"),
+    _base(
+        "contacts", "contacts:\n  - name: pad", "contacts:\n  name: pad", "is no YAML", at="    point: tip"
+    ),
+    _base("contacts.1.name", "name: stop", "name: pad2\n    name: pad", "stands twice", at="    name: pad\n"),
+    _base("contacts.1.name", "name: stop", "name: pad", "must differ", at="- name: pad\n    point: rim"),
+    _base("contacts.pad.point", "point: tip\n    against", "point: tp\n    against", "did you mean tip?"),
+    _base(
+        "contacts.pad.point", "    point: tip\n    against", "    against", "is required", at="- name: pad"
+    ),
+    _base("contacts.pad.against", "against: ground", "against: grund", "did you mean ground?"),
+    _base("contacts.pad.against", "against: ground", "against: tip", "another point"),
+    _base("contacts.pad.normal", "normal: [0, 0, 1]", "normal: [0, 0, 0]", "zero vector"),
+    _base("contacts.pad.normal", "normal: [0, 0, 1]", "normal: z", "must be a list"),
+    _base("contacts.pad.tangent", "tangent: [1, 0, 0]", "tangent: [0, 0, -2]", "parallel"),
+    _base("contacts.pad.friction", "friction: 0.5", "friction: -0.5", "must be >= 0"),
+    _base("contacts.pad.frction", "friction: 0.5", "frction: 0.5", "did you mean friction?"),
+    _base("contacts.pad.tangential_stiffness", "ness: 20.0", "ness: soft", "must be a number, [k1, k2]"),
+    _base("contacts.pad.tangential_stiffness", "ness: 20.0", "ness: [[1, 2], [2, 1]]", "positive definite"),
+    _base(
+        "contacts.pad.tangential_stiffness",
+        "ness: 20.0",
+        "ness: 0",
+        "must be > 0 where friction",
+        at="ness: 0\n    normal_stiffness: 21",
+    ),
+    _base("contacts.pad.tangential_stiffness", "ness: 20.0", "ness: [1, 2, 3]", "2 entries"),
+    _base("contacts.pad.normal_stiffness", "ness: 21.0", "ness: -21.0", "must be >= 0"),
+    _base(
+        "contacts.pad.preload",
+        "21.0\n    preload: 3.0",
+        "0\n    preload: -3.0",
+        "must be > 0 where normal",
+        at="preload: -3",
+    ),
+    _base(
+        "contacts.stop.preload",
+        "normal_stiffness: 5.0",
+        "normal_stiffness: 5.0\n    preload: [1]",
+        "must be a number",
+        at="preload: [1]",
+    ),
+    _base("excitation.frequency", "  frequency: 1.39\n", "", "is required for a transient", at="excitation:"),
+    _base("excitation.frequency", "frequency: 1.39", "frequency: -1.39", "must be > 0"),
+    _base(
+        "excitation.modal_force",
+        "    - {amplitude: 1.0, phase_deg: 90.0}\n",
+        "",
+        "must have 2 entries",
+        at="modal_force:",
+    ),
+    _base(
+        "excitation.modal_force.1.phase",
+        "phase_deg: 90.0",
+        "phase: 90.0",
+        "did you mean phase_deg?",
+        at="phase: 90",
+    ),
+    _base(
+        "excitation.forces.0.point",
+        "point: tip, direction: [1",
+        "point: top, direction: [1",
+        "did you mean tip?",
+        at="point: top",
+    ),
+    _base(
+        "excitation.forces.0.direction",
+        "[1, 0, 0], amplitude: 1.5",
+        "[0, 0, 0], amplitude: 1.5",
+        "zero vector",
+        at="amplitude: 1.5",
+    ),
+    _base("excitation.forces.0.amplitude", "amplitude: 1.5", "amplitude: .inf", "must be finite", at=".inf"),
+    _base("excitation.forces.0.harmonic", "harmonic: 2", "harmonic: 0", "must be >= 1", at="harmonic: 0"),
+    _base("excitation.forces.0.harmonic", "harmonic: 2", "harmonic: 1.5", "whole number", at="harmonic: 1.5"),
+    _base(
+        "excitation.constant_forces.0.point",
+        "point: tip, direction: [0",
+        "point: 7, direction: [0",
+        "put it in quotes",
+        at="point: 7",
+    ),
+    _base(
+        "excitation.constant_forces.0.harmonic",
+        "amplitude: 0.5",
+        "amplitude: 0.5, harmonic: 2",
+        "is no key",
+        at="harmonic: 2}\ninitial",
+    ),
+    _base("initial", "initial: rest", "initial: resting", "did you mean rest?"),
+    _base("initial", "initial: rest", "initial: 3", "must be rest, static"),
+    _base("initial", "initial: rest", "initial: {}", "must name"),
+    _base(
+        "initial",
+        "[0, 0, 2], amplitude: 0.5}\ninitial: rest",
+        "[3, 0, -1], amplitude: 50}\ninitial: static",
+        "outside its friction cone",
+        at="initial: static",
+    ),
+    _base(
+        "initial.modal_displacement",
+        "initial: rest",
+        "initial: {modal_displacement: [1]}",
+        "must have 2 entries",
+    ),
+    _base(
+        "initial.modal_velocity.1", "initial: rest", "initial: {modal_velocity: [1, .nan]}", "must be finite"
+    ),
+    _base("initial.slip.pod", "initial: rest", "initial: {slip: {pod: [0, 0]}}", "did you mean pad?"),
+    _base("initial.slip.pad", "initial: rest\n", _SLIP_SCENE, "outside its friction cone", at="slip: {pad"),
+    _base("initial.from", "initial: rest", "initial: {from: no/result.nc}", "does not exist"),
+    _base("solver.accuracy", "accuracy: standard", "accuracy: fine", "'draft', 'standard' or 'reference'"),
+    _base(
+        "solver.method",
+        "accuracy: standard",
+        "accuracy: standard\n  method: tsit5",
+        "excludes accuracy",
+        at="method: tsit5",
+    ),
+    _base("solver.method", "accuracy: standard", "method: euler", "'tsit5', 'dopri5'"),
+    _base("solver.rtol", "accuracy: standard", "rtol: 1e-8", "goes with method"),
+    _base("solver.rtol", "accuracy: standard", "{method: tsit5, rtol: 2}", "must be < 1"),
+    _base(
+        "solver.steps_per_cycle",
+        "accuracy: standard",
+        "method: rk4\n  steps_per_cycle: 100",
+        "must be >= 200",
+        at="steps_per_cycle: 100",
+    ),
+    _base(
+        "solver.steps_per_cycle",
+        "accuracy: standard",
+        "method: dopri8\n  steps_per_cycle: 300",
+        "goes with method rk4",
+        at="steps_per_cycle: 300",
+    ),
+    _base("solver.reduce", "accuracy: standard", "reduce: yes", "true or false"),
+    _base("solver.max_steps", "accuracy: standard", "max_steps: 0", "must be >= 1"),
+    _base("study", BASE[BASE.index("study:") :], "", "is required", at="title: base"),
+    _base("study.kind", "kind: transient", "kind: transent", "did you mean transient?"),
+    _base("study.kind", "  kind: transient\n", "", "is required", at="study:"),
+    _base("study.cycles", "cycles: 60", "cycles: 60.5", "whole number"),
+    _base("study.cycles", "cycles: 60", "cycles: 0", "must be >= 1"),
+    _base("study.cycle", "cycles: 60", "cycle: 60", "did you mean cycles?", at="cycle: 60"),
+    _base("study.samples_per_cycle", "cycle: 100", "cycle: 1\n", "must be >= 2", at="samples_per_cycle: 1"),
+    _base("study.record_last", "record_last: 10", "record_last: 61", "at most the 60 cycles"),
+    _base("study.record_last", "record_last: 10", "record_last: !!int 10", "has the tag"),
+    _matrices(
+        "structure.matrices.mass", "mass: [[1, 0], [0, 1]]", "mass: [[1, 2], [2, 1]]", "positive definite"
+    ),
+    _matrices(
+        "structure.matrices.mass", "mass: [[1, 0], [0, 1]]", "mass: [[1, 0], [1]]", "rows of one length"
+    ),
+    _matrices("structure.matrices.mass", "mass: [[1, 0], [0, 1]]", "mass: [[1, 0]]", "must be square"),
+    _matrices("structure.matrices.stiffness", "[-1, 2]]", "[-1.1, 2]]", "must be symmetric", at="stiffness:"),
+    _matrices(
+        "structure.matrices.stiffness",
+        "[[2, -1], [-1, 2]]",
+        "[[1, 2], [2, 1]]",
+        "no negative eigenvalue",
+        at="stiffness:",
+    ),
+    _matrices(
+        "structure.matrices.stiffness", "[[2, -1], [-1, 2]]", "[[1]]", "must be 2 x 2", at="stiffness:"
+    ),
+    _matrices(
+        "structure.matrices.damping", "[0, 0.1]]", "[0, -0.1]]", "no negative eigenvalue", at="damping:"
+    ),
+    _matrices(
+        "structure.matrices.damping_ratio",
+        "    points:",
+        "    damping_ratio: 0\n    points:",
+        "excludes damping",
+    ),
+    _matrices(
+        "structure.matrices.damping_ratio",
+        "damping: [[0.1, 0], [0, 0.1]]",
+        "damping_ratio: [0.1]",
+        "each of the 2 modes",
+    ),
+    _matrices(
+        "structure.matrices.damping_ratio",
+        "    damping: [[0.1, 0], [0, 0.1]]\n",
+        "",
+        "no damping matrix",
+        at="matrices:",
+    ),
+    _matrices("structure.matrices.points.m2.x", "m2: {x: 1}", "m2: {x: 2}", "row from 0 to 1"),
+    _matrices("structure.matrices.points.m2.x", "m2: {x: 1}", "m2: {x: -1}", "must be >= 0"),
+    _matrices("structure.matrices.points.m2.r", "m2: {x: 1}", "m2: {r: 1}", "known: x, y, z"),
+    _matrices("structure.matrices.points.m2", "m2: {x: 1}", "m2: {x: 1, y: 1}", "different row"),
+    _matrices("structure.matrices.points.m2", "m2: {x: 1}", "m2: {}", "at least one of"),
+    _matrices("structure.keep_modes", "keep_modes: 2", "keep_modes: 3", "must be at most 2"),
+    BadScene(
+        "structure.file",
+        "structure: {file: 3, points: {a: {x: 0}}}\nexcitation: {frequency: 1}\n"
+        "study: {kind: transient, cycles: 1}\n",
+        "file: 3",
+        "must be a .npz or .mat file",
+    ),
+)

@@ -1,0 +1,162 @@
+"""What would be modelled, told before anything runs: the parts of a scene, warnings, the method advised."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import BaseModel
+
+from timesim.config import Scene
+from timesim.model import GROUND, Contact, Model
+from timesim.scene_source import value_text
+
+REACH = 3.3
+"""Largest |eigenvalue| times step at which an explicit fifth-order method stays stable on an oscillation."""
+STIFF_STEPS = 20_000
+"""Explicit steps of a cycle above which an implicit method is advised."""
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading of the report and the lines below it."""
+
+    title: str
+    lines: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Advice:
+    """The method advised for a scene.
+
+    Attributes:
+        method: tsit5 or kvaerno5.
+        steps_per_cycle: steps that stability alone asks of an explicit method.
+    """
+
+    method: str
+    steps_per_cycle: float
+
+    def __str__(self) -> str:
+        steps = f"stability asks about {self.steps_per_cycle:.3g} explicit steps a cycle"
+        bound = f"more than {STIFF_STEPS}" if self.method == "kvaerno5" else f"not above {STIFF_STEPS}"
+        return f"{self.method}: {steps}, {bound}"
+
+
+def describe(scene: Scene, left_out: Sequence[str] = ()) -> list[Heading]:
+    """What ``timesim check`` prints of a scene.
+
+    Args:
+        scene: the scene.
+        left_out: what the run will not model and why, a line each, where that is known.
+    """
+    headings = [Heading("scene", tuple(_study_lines(scene)))]
+    if scene.file.structure is not None:
+        model = scene.model()
+        headings.append(Heading("structure", tuple(_structure_lines(model))))
+        headings.append(Heading("contacts", tuple(map(contact_line, model.contacts)) or ("none",)))
+        headings.append(Heading("excitation", tuple(_excitation_lines(model))))
+        if (advice := advised_method(model)) is not None:
+            headings.append(Heading("advised method", (str(advice),)))
+    headings.append(Heading("left out", tuple(left_out)))
+    headings.append(Heading("warnings", tuple(scene.warnings())))
+    return [heading for heading in headings if heading.lines]
+
+
+def advised_method(model: Model, frequency: float | None = None) -> Advice | None:
+    """Explicit unless stability would ask for very many steps; None where no frequency is known.
+
+    Args:
+        model: what is modelled.
+        frequency: base frequency of the excitation [Hz], the scene's own by default.
+    """
+    frequency = frequency or model.excitation.frequency
+    if frequency is None:
+        return None
+    steps = stuck_rate(model) / (REACH * frequency)
+    return Advice("kvaerno5" if steps > STIFF_STEPS else "tsit5", steps)
+
+
+def stuck_rate(model: Model) -> float:
+    """Fastest rate of the structure with every contact stuck [rad/time]: the highest frequency, or decay."""
+    root = np.sqrt(model.structure.mass)
+    stiffness = np.diag(model.structure.omega**2)
+    for contact, shape in zip(model.contacts, model.contact_shape, strict=True):
+        scaled = shape / root
+        stiffness += scaled[:2].T @ contact.tangential_stiffness @ scaled[:2]
+        stiffness += contact.normal_stiffness * np.outer(scaled[2], scaled[2])
+    damping = model.structure.damping
+    damping = np.diag(damping) if damping.ndim == 1 else damping
+    decay = np.linalg.eigvalsh(damping / np.outer(root, root))[-1]
+    return float(max(np.sqrt(np.linalg.eigvalsh(stiffness)[-1]), decay))
+
+
+def contact_line(contact: Contact) -> str:
+    """One contact in words: where, of what kind, its stiffness and its preload or gap."""
+    partner = "the ground" if contact.against == GROUND else contact.against
+    return f"{contact.name}: {contact.point} against {partner}, {', '.join(_contact_parts(contact))}"
+
+
+def _contact_parts(contact: Contact) -> Iterator[str]:
+    K = contact.tangential_stiffness
+    if contact.friction == 0:
+        yield "frictionless stop"
+    else:
+        isotropic = K[0, 0] == K[1, 1] and K[0, 1] == 0
+        yield f"friction {contact.friction:g}"
+        yield f"tangential stiffness {K[0, 0]:g}" if isotropic else f"tangential stiffness {_rows(K)}"
+    if contact.normal_stiffness == 0:
+        yield f"constant normal load {contact.preload:g}"
+        return
+    yield f"normal stiffness {contact.normal_stiffness:g}"
+    gap = -contact.preload / contact.normal_stiffness
+    yield f"gap {gap:g}" if contact.preload < 0 else f"preload {contact.preload:g}"
+
+
+def _rows(matrix: np.ndarray) -> str:
+    return "[" + ", ".join(f"[{', '.join(f'{entry:g}' for entry in row)}]" for row in matrix) + "]"
+
+
+def _structure_lines(model: Model) -> Iterator[str]:
+    frequency = model.structure.frequency
+    count = "1 mode" if frequency.size == 1 else f"{frequency.size} modes"
+    span = (
+        f"{frequency[0]:.6g} Hz" if frequency.size == 1 else f"{frequency[0]:.6g} to {frequency[-1]:.6g} Hz"
+    )
+    yield f"{count}, {span}"
+    whole = model.structure.damping.ndim == 2
+    yield "damping: a whole matrix, which the modes do not diagonalise" if whole else _damping_line(model)
+    yield f"points: {', '.join(model.structure.points)}"
+
+
+def _damping_line(model: Model) -> str:
+    structure = model.structure
+    moving = structure.frequency > 0
+    if not np.any(structure.damping):
+        return "damping: none"
+    ratio = structure.damping[moving] / (2 * structure.mass * structure.omega)[moving]
+    low, high = ratio.min(), ratio.max()
+    return f"damping ratio {low:.4g}" + ("" if np.isclose(low, high, rtol=1e-9) else f" to {high:.4g}")
+
+
+def _excitation_lines(model: Model) -> Iterator[str]:
+    excitation = model.excitation
+    frequency = "set by the study" if excitation.frequency is None else f"{excitation.frequency:g} Hz"
+    acting = np.any(excitation.cosine, axis=1) | np.any(excitation.sine, axis=1)
+    harmonics = ", ".join(map(str, excitation.harmonic[acting])) or "none"
+    yield f"frequency {frequency}, harmonics {harmonics}"
+    if np.any(excitation.constant):
+        yield "constant forces"
+
+
+def _study_lines(scene: Scene) -> Iterator[str]:
+    if scene.file.title:
+        yield scene.file.title
+    yield f"study: {_keys(scene.file.study)}"
+    yield f"solver: {_keys(scene.file.solver)}"
+    initial = scene.file.initial
+    yield f"start: {initial if isinstance(initial, str) else _keys(initial)}"
+
+
+def _keys(section: BaseModel) -> str:
+    given = section.model_dump(by_alias=True, exclude_none=True)
+    return ", ".join(f"{key} {value_text(value)}" for key, value in given.items())

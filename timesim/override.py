@@ -1,0 +1,71 @@
+"""Overrides: new values for a scene by key path, as ``--set`` and ``over`` write them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from timesim.scene_source import Key, Problem, RuleError, SceneError, SceneSource, parse, plain
+from timesim.section import nearest
+
+
+def overridden(source: SceneSource, overrides: Mapping[str, Any] | Sequence[str]) -> SceneSource:
+    """The source with new values; a missing mapping on the way to a key is made.
+
+    Raises:
+        SceneError: an override that is no assignment, or addresses nothing.
+    """
+    if not overrides:
+        return source
+    data = plain(source.data)  # not deepcopy: aliases share their values
+    errors: list[Problem] = []
+    keys = list(source.overridden)
+    for given in overrides.items() if isinstance(overrides, Mapping) else overrides:
+        try:
+            path, value = given if isinstance(given, tuple) else _assignment(str(given))
+            keys.append(_set(data, str(path), plain(value)))
+        except RuleError as error:
+            parts = given if isinstance(given, tuple) else str(given).partition("=")[::2]
+            key, shown = (str(parts[0]).strip(), str(parts[1]).strip())
+            errors.append(Problem("override", None, key, shown, error.rule, error.hint))
+    if errors:
+        raise SceneError(errors)
+    return replace(source, data=data, overridden=tuple(keys))
+
+
+def _assignment(text: str) -> tuple[str, Any]:
+    path, equals, value = text.partition("=")
+    if not equals or not path.strip() or not value.strip():
+        raise RuleError((), "must be key.path=value", "as in contacts.pad.preload=5")
+    return path.strip(), parse(value.strip())[0]
+
+
+def _set(data: dict[str, Any], path: str, value: Any) -> Key:
+    """Set a value in place; the key path that it has now."""
+    parts = path.split(".")
+    place: Any = data
+    key: list[str | int] = []
+    for i, part in enumerate(parts):
+        step = _step(place, part)
+        key.append(step)
+        if i == len(parts) - 1:
+            place[step] = value
+        elif isinstance(place, dict) and step not in place:
+            place[step] = {}
+        place = place[step]
+    return tuple(key)
+
+
+def _step(place: Any, part: str) -> str | int:
+    if isinstance(place, dict) and part:
+        return part
+    if not isinstance(place, list):
+        rule = f"{part or 'an empty part'} stands below a value that has no keys"
+        raise RuleError((), rule, "override the whole value")
+    names = [str(item["name"]) for item in place if isinstance(item, dict) and "name" in item]
+    found = [i for i, item in enumerate(place) if isinstance(item, dict) and item.get("name") == part]
+    if found:
+        return found[0]
+    if part.isdecimal() and int(part) < len(place):
+        return int(part)
+    known = f"indices 0 to {len(place) - 1}" if place else "the list is empty"
+    raise RuleError((), f"{part} is no item of the list", nearest(part, names) if names else known)
