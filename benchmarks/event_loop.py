@@ -113,7 +113,7 @@ def timesim_rows(problem: Problem, batch: int) -> list[Contender]:
 
 
 def measure(problem: Problem, contenders: list[Contender], repeats: int, budget: float) -> list[Row]:
-    """Error and median time of each contender, over `repeats` interleaved runs or `budget` seconds of them."""
+    """Error and median time of each contender, of `repeats` interleaved runs or `budget` seconds of them."""
     truth = reference(problem)
     ends = [contender.run() for contender in contenders]
     times: list[list[float]] = [[] for _ in contenders]

@@ -24,6 +24,8 @@ from problems import Event, Run
 from timesim.model import SEPARATION, SLIP, STICK, Model
 
 GUARD = 1e-12
+# Located here, not at 0: a run that starts on a guard at rest (n0 = 0) has no direction to slip in until it moves.
+CROSSING = 0.5 * GUARD
 RELAX = 2.2
 MAX_TRIALS = 80
 MAX_EVENTS_A_STEP = 500
@@ -343,9 +345,9 @@ def earliest(s, z, h):
             h * z.end[o.slope + j],
         )
         if g1 < -GUARD:
-            x = min(first_root(g0, r0, g1, r1), 1.0)
+            x = min(first_root(g0 + CROSSING, r0, g1 + CROSSING, r1), 1.0)
         elif dips(g0, r0, g1, r1):
-            x = first_root(g0, r0, g1, r1)
+            x = first_root(g0 + CROSSING, r0, g1 + CROSSING, r1)
         else:
             continue
         if x < best:
@@ -357,13 +359,13 @@ def earliest(s, z, h):
 def refine(s, z, row, x, target):
     """Newton's next length and its guard, and whether this end lies beyond a guard."""
     o = columns(s.modes, s.pads)
-    best, which, beyond = np.inf, target, row[o.guard + target] < 0.0
+    best, which, beyond = np.inf, target, row[o.guard + target] < -CROSSING
     for j in range(2 * len(s.pads)):
         g, r = row[o.guard + j], row[o.slope + j]
         if j != target and g >= -GUARD:
             continue
         beyond = beyond or g < -GUARD
-        there = x - g / r if r < 0.0 else (-np.inf if g < 0.0 else np.inf)
+        there = x - (g + CROSSING) / r if r < 0.0 else (-np.inf if g < -CROSSING else np.inf)
         if there < best:
             best, which = there, j
     return best, which, beyond
@@ -391,12 +393,13 @@ def locate(s, z, offset, theta, omega, h, x, target, grid_step):
     o = columns(s.modes, s.pads)
     mid, end = s.load.shape[0] - 2, s.load.shape[0] - 1
     low, high = 0.0, h
+    only_dips = z.end[o.guard + target] >= -GUARD
     for _ in range(MAX_TRIALS):
         off_grid_load(s, mid, theta + omega * (offset + 0.5 * x))
         off_grid_load(s, end, theta + omega * (offset + x))
         step(s, z, x, mid, end, grid_step)
         there, target, beyond = refine(s, z, z.end, x, target)
-        if not beyond and z.end[o.slope + target] >= 0.0:
+        if only_dips and not beyond and z.end[o.slope + target] >= 0.0:
             return x, -1
         if abs(there - x) <= 1e-13 * grid_step or (x == 0.0 and beyond) or high - low <= 1e-14 * grid_step:
             return x, target
@@ -422,6 +425,8 @@ def slip_direction(k11, k12, k22, a1, a2, limit):
     high = 2.0 * np.sqrt(a1 * a1 + a2 * a2) / (trace - spread)
     e1 = e2 = size = 0.0
     x = high
+    if high == 0.0:
+        return 1.0, 0.0
     for _ in range(200):
         m11, m12, m22 = limit + x * k11, x * k12, limit + x * k22
         det = m11 * m22 - m12 * m12
@@ -532,7 +537,7 @@ def grid_steps(s, z, omega, grid_step, first, num_events, track):
     mid = end - 1
     for k in range(num):
         offset, theta = 0.0, s.phase + omega * k * grid_step
-        mid_load, before = 2 * k + 1, num_events
+        mid_load, tries = 2 * k + 1, 0
         while True:
             h = grid_step - offset
             step(s, z, h, mid_load, 2 * k + 2, grid_step)
@@ -543,7 +548,8 @@ def grid_steps(s, z, omega, grid_step, first, num_events, track):
                 keep_end(s, z)
                 break
             x, target = locate(s, z, offset, theta, omega, h, x, target, grid_step)
-            if target < -1 or num_events - before > MAX_EVENTS_A_STEP:
+            tries += 1
+            if target < -1 or tries > MAX_EVENTS_A_STEP:
                 return STUCK_IN_LOCATION if target < -1 else TOO_MANY_EVENTS
             if track and x > 0.0:
                 note_extremes(s, z, x)

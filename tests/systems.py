@@ -1,8 +1,9 @@
 """A zoo of models with known answers, and generated ones that slip and separate.
 
-Sources: the oscillator of the paper's Table 1; systems of one or two degrees of freedom whose steady states are known
-in closed form or were computed by other codes (circular motion, Jenkins element, Den Hartog 1931, a jump on an
-inclined contact, and the two-degree-of-freedom example of TMDSimPy). Those are given at angular frequencies.
+Sources: the oscillator of the paper's Table 1; systems of one or two degrees of freedom whose steady states
+are known in closed form or were computed by other codes (circular motion, Jenkins element, Den Hartog 1931,
+a jump on an inclined contact, and the example `2dof_eldry_fric` of TMDSimPy). Those are given at angular
+frequencies.
 """
 
 from collections.abc import Sequence
@@ -18,8 +19,11 @@ from timesim.model import GROUND, Contact, Excitation, Model, Start, Structure
 GENERATED_CYCLES = 12
 
 
+Numbers = Sequence[float] | np.ndarray
+
+
 def excitation(
-    frequency: float, cosine: Sequence[float], sine: Sequence[float], constant: Sequence[float] | None = None
+    frequency: float, cosine: Numbers, sine: Numbers, constant: Numbers | None = None
 ) -> Excitation:
     """Modal forces of the first harmonic."""
     cosines, sines = np.array([cosine], dtype=float), np.array([sine], dtype=float)
@@ -33,9 +37,7 @@ def at_rest(num_modes: int, num_contacts: int) -> Start:
     )
 
 
-def structure(
-    stiffness: Sequence[float], damping: Sequence[float], shape: Sequence[Sequence[float]]
-) -> Structure:
+def structure(stiffness: Numbers, damping: Numbers, shape: Sequence[Sequence[float]]) -> Structure:
     """Unit masses and one point; `shape` holds x, y, z of it a mode."""
     frequency = np.sqrt(np.array(stiffness, dtype=float)) / (2 * np.pi)
     shapes = np.array(shape, dtype=float).T[None]
@@ -137,7 +139,7 @@ def two_stops(gaps: tuple[float, float]) -> Model:
 
 
 def grazing_stop(part: float, stiffness: float) -> Model:
-    """One mass in its steady motion without contact, and a frictionless stop at the given part of its amplitude."""
+    """A mass in its steady motion without contact; a frictionless stop at the given part of its amplitude."""
     omega, natural, damping = 2 * np.pi, 2 * np.pi * 0.8, 0.5
     response = 1.0 / (natural**2 - omega**2 + 1j * damping * omega)
     body = structure([natural**2], [damping], [[0, 0, 1]])
@@ -149,7 +151,7 @@ def grazing_stop(part: float, stiffness: float) -> Model:
 
 
 def scene(path: Path) -> Model:
-    """A scene file whose modes are given directly, read without the program: phases 0 or 180 degrees, start at rest."""
+    """A scene file with modes given directly, phases 0 or 180 degrees, at rest; read without the program."""
     tree: Any = YAML(typ="safe").load(path)
     modes, points = tree["structure"]["modes"], tuple(tree["structure"]["modes"][0]["shape"])
     frequency, zeta, mass = (np.array([m[k] for m in modes]) for k in ("frequency", "damping_ratio", "mass"))
@@ -251,8 +253,9 @@ def generated_model(seed: int, num_modes: int, num_contacts: int) -> Model:
     return Model(body, contacts, load, at_rest(num_modes, num_contacts))
 
 
-# (seed, modes, contacts): found by search so that a contact slips for 5 to 95 % of the last of 12 cycles and the
-# end state does not hang on the tolerance (two settings agree to 1e-8); the tests assert both again.
+# (seed, modes, contacts): found by search so that a contact slips for 5 to 95 % of the last of 12 cycles
+# and the end state does not hang on the tolerance (two settings agree to 1e-8); the tests assert both
+# again.
 GENERATED = tuple(
     (seed, num_modes, num_contacts)
     for num_modes, num_contacts, seeds in (

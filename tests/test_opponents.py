@@ -56,4 +56,4 @@ def test_many_contacts_stick_slip_and_separate(load):
     np.testing.assert_allclose(share.sum(axis=1), 1.0)
     assert ((share[:, 1] > 0.05) & (share[:, 1] < 0.97)).all(), share
     assert (share[:, 2] > 0.03).sum() == 3, share
-    assert run.num_events > 6 * 14
+    assert run.num_events > 6 * 12

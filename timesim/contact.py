@@ -27,6 +27,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from timesim.barrier import apart
 from timesim.model import SEPARATION, SLIP, STICK
 
 Scalar = Float[Array, "*contact"]
@@ -172,6 +173,7 @@ class Reaction(eqx.Module):
     dw: Plane
 
 
+@apart
 def reaction(law: Law, state: State, motion: Motion, w: Plane) -> Reaction:
     """Forces and slip rate of each contact in its state (1 to 5).
 
@@ -187,6 +189,7 @@ def reaction(law: Law, state: State, motion: Motion, w: Plane) -> Reaction:
     return Reaction(f, jnp.where(state == SEPARATION, 0.0, n), dw)
 
 
+@apart
 def margins(law: Law, state: State, motion: Motion, w: Plane) -> tuple[Scalar, Scalar]:
     """Distance to the end of the state: positive inside, zero at the transition; a force, and a speed.
 

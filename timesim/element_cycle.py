@@ -113,7 +113,7 @@ class ElementCycle:
         transitions: those of the cycle, angles in [0, 2 pi).
         num_cycles: cycles marched from the start, this one included.
         residual: change of the friction force from its start to its end, relative to the largest mu n.
-        history: all transitions from the start on.
+        history: all transitions from the start on, without the leaps of a slow march to its limit.
     """
 
     law: Law

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from timesim import hermite
+from timesim.barrier import apart
 from timesim.contact import Motion, Plane, State, force_scale, margins
 from timesim.system import Point, System, relative
 
@@ -37,6 +38,7 @@ class Segment(eqx.Module):
     h: Float[Array, ""]
 
 
+@apart
 def segment(system: System, points: tuple[Point, Point], rates: tuple[Point, Point], h: Float[Array, ""]) -> Segment:
     """The contacts' view of a step."""
     starts, ends = (
@@ -51,6 +53,7 @@ def segment(system: System, points: tuple[Point, Point], rates: tuple[Point, Poi
     return Segment(starts, ends, jump, slips[0], slips[1], h)  # type: ignore[arg-type]
 
 
+@apart
 def margins_inside(system: System, state: State, part: Segment, x: Float[Array, "*node contact"]) -> Margins:
     """Margins on the dense output at fractions x of the step, made dimensionless by their scale."""
     along = [
@@ -106,6 +109,7 @@ def first_crossing(
     return jnp.minimum(_root(system, state, part, nodes), jnp.minimum(_dip(nodes[0]), _dip(nodes[1])).min())
 
 
+@apart
 def _bracket(node: list[Array]) -> tuple[Array, Array, Array]:
     """Right end of the first bracket (in nodes; beyond the step if none), and the values at its ends."""
     right, low, high = jnp.full(node[0].shape, NONE * NUM_NODES), node[0], node[0]
@@ -140,6 +144,7 @@ def _root(system: System, state: State, part: Segment, nodes: list[list[Array]])
     return jnp.where(found, x, NONE).min()
 
 
+@apart
 def _dip(node: list[Array]) -> Float[Array, " contact"]:
     """First interior minimum below zero of the parabolas through three nodes at a time."""
     first = jnp.full(node[0].shape, NONE)

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from timesim.barrier import apart
 from timesim.contact import State, force_scale, slip_at_transition, successor
 from timesim.guard import NONE, end_margins, first_crossing, segment
 from timesim.method import Method
@@ -113,6 +114,7 @@ def begin(system: System, point: Point, state: State, length: Float[Array, ""]) 
     return Trajectory(none, zero, point, rate, state, length, one * jnp.inf, one, one, none, none, none, none)
 
 
+@apart
 def error_size(control: Control, point: Point, error: Point) -> Float[Array, ""]:
     """Error of a step relative to its tolerance."""
     size = jnp.maximum(jnp.abs(point.q).max(), jnp.abs(point.p).max())
@@ -165,6 +167,7 @@ def try_step(method: Method, control: Control, system: System, now: Trajectory) 
     return judged(control, result), step, accepted
 
 
+@apart
 def transition(system: System, state: State, crossed: Bool[Array, " contact"], end: Point) -> tuple[Point, State]:
     """Point and states after the transitions of the contacts that have crossed a guard."""
     moves = motion(system, end)
@@ -186,6 +189,7 @@ def next_length(
     return jnp.minimum(length, control.longest)
 
 
+@apart
 def advanced(
     system: System, now: Trajectory, point: Point, state: State, h: Array, ends: Array, crossed: Array
 ) -> Trajectory:
@@ -213,6 +217,7 @@ def advanced(
     )
 
 
+@apart
 def judged(control: Control, now: Trajectory) -> Trajectory:
     """The trajectory with its status: what ends it early is data here, and a message at the boundary."""
     finite = jnp.isfinite(now.point.q).all() & jnp.isfinite(now.point.p).all()

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from timesim.barrier import apart
 from timesim.system import Point
 
 Field = Callable[[Float[Array, ""], Point], Point]
@@ -67,12 +68,15 @@ class Explicit(Method):
 def moved(point: Point | None, slopes: list[Point], weights: tuple[float, ...], h: Float[Array, ""]) -> Point:
     """point + h sum(weights * slopes), terms of weight zero left out."""
     terms = [(weight, slope) for weight, slope in zip(weights, slopes, strict=False) if weight != 0]
+    return _combined(point, [slope for _, slope in terms], [h * weight for weight, _ in terms])
 
+
+@apart
+def _combined(point: Point | None, slopes: list[Point], weights: list[Array]) -> Point:
     def combine(*leaves: Array) -> Array:
-        total = sum(weight * leaf for (weight, _), leaf in zip(terms, leaves, strict=True))
-        return h * total
+        return sum(weight * leaf for weight, leaf in zip(weights, leaves, strict=True))  # type: ignore[return-value]
 
-    step = jax.tree.map(combine, *(slope for _, slope in terms))
+    step = jax.tree.map(combine, *slopes)
     return step if point is None else jax.tree.map(jnp.add, point, step)
 
 

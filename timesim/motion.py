@@ -3,8 +3,8 @@
 The paper's section 3.1 takes u = [A sin theta, B sin(theta + phi)], v = D sin(theta + psi); a motion from
 samples is interpolated by a periodic quintic spline. Either kind answers in closed form what the march from
 state to state asks: where a linear combination of y changes its sign (equations 13 and 14), and where the
-trial force of a stuck contact leaves its cone (section 3.1: a quartic in exp(i theta) for the harmonic motion, a
-polynomial of degree ten on each piece of the spline).
+trial force of a stuck contact leaves its cone (section 3.1: a quartic in exp(i theta) for the harmonic
+motion, a polynomial of degree ten on each piece of the spline).
 """
 
 from abc import ABC, abstractmethod
@@ -197,8 +197,10 @@ def _exit_from_inside(mean: Array, cosine: Array, sine: Array) -> float:
     """Exit of r = mean + cosine cos t + sine sin t from the cone in which it lies at t = 0."""
 
     def margin(t: Array) -> Array:
-        turned = np.exp(1j * t)
-        return constant + (first * turned + second * turned**2).real
+        # By r, not by the coefficients of its square: these lose (mu n)^2 where |K_u u| is much larger.
+        t = np.asarray(t)
+        r = (mean + cosine)[:, None] - np.outer(cosine, 2 * np.sin(t / 2) ** 2) + np.outer(sine, np.sin(t))
+        return np.reshape(CONE @ r**2, t.shape)
 
     first, second = 2 * CONE @ (mean * (cosine - 1j * sine)), CONE @ (cosine - 1j * sine) ** 2 / 2
     constant = CONE @ (mean**2 + (cosine**2 + sine**2) / 2)
@@ -229,11 +231,14 @@ def _first_rise(margin: Callable[[Array], Array], candidates: Array, end: float,
     inside = np.sort(candidates[(candidates > 0) & (candidates < end)])
     edges = np.concatenate([[0.0], inside, [end]])
     middle = (edges[1:] + edges[:-1]) / 2
-    positive = np.flatnonzero(margin(middle) > floor)
+    value = margin(middle)
+    positive = np.flatnonzero(value > floor)
     if positive.size == 0:
         return np.inf
     k = positive[0]
-    return float(brentq(margin, middle[k - 1], middle[k], xtol=1e-15)) if k else 0.0
+    if k == 0 or value[k - 1] >= 0:
+        return float(edges[k])
+    return float(brentq(margin, middle[k - 1], middle[k], xtol=1e-15))
 
 
 @dataclass(frozen=True)

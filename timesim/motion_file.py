@@ -16,9 +16,9 @@ JUMP, SHARE = 8.0, 1e-6
 def read_motion(path: str | Path) -> SplineMotion:
     """Read one cycle of motion and interpolate it smoothly.
 
-    A .csv file has a header naming its columns, some of u1, u2 and v; an .npz file arrays of these names, or u of
-    shape (N, 2) and v. What is left out is zero. The rows are equally spaced over the cycle; the first may be
-    repeated at the end.
+    A .csv file has a header naming its columns, some of u1, u2 and v; an .npz file has arrays of these names,
+    or u of shape (N, 2) and v. What is left out is zero. The rows are equally spaced over the cycle; the
+    first may be repeated at the end.
 
     Args:
         path: the file.
@@ -139,6 +139,6 @@ def _refuse_jump(path: Path, samples: Array) -> None:
         if jump.size:
             first, second = jump[0] + 1, (jump[0] + 1) % len(column) + 1
             raise ValueError(
-                f"motion file {path}: {name} jumps by {step[jump[0]]:.3g} from sample {first} to sample {second}, "
+                f"motion file {path}: {name} jumps by {step[jump[0]]:.3g} from sample {first} to {second}, "
                 f"more than {JUMP:g} times the steps beside it; give one whole cycle of a smooth motion"
             )

@@ -183,17 +183,21 @@ def integrate_slip(
     steps: list[tuple[float, float, Array]] = []
     theta, length = start, FIRST_STEP
     previous, share = None, 1.0
-    parting = law.limit(*motion.evaluate(end))[0] <= VANISHED * largest
+    # Where a gap hardly closes, n is a small difference, known to its rounding only.
+    rounding = 4 * np.finfo(float).eps * (2 * law.friction * abs(law.preload) + largest)
+    nothing, tolerance = max(VANISHED * largest, 4 * rounding), max(tolerance, 100 * rounding / largest)
+    parting = law.limit(*motion.evaluate(end))[0] <= nothing
     for _ in range(MAX_STEPS):
         length = min(length, share * (end - theta))
         guess = _predict(previous, length, alpha)
         solved, dy, weight = _collocate(law, motion, guess, alpha, theta, length)
-        if weight <= VANISHED * largest:
+        if weight <= nothing:
             steps.append((theta, end - theta, np.full(NUM_STAGES + 1, alpha)))
             return _path(steps, end, alpha, False)
         error = np.inf if solved is None else _error(solved) * weight / largest
         if solved is None or error > tolerance:
-            share = 0.75 if parting and length < 0.1 and length >= share * (end - theta) else share
+            singular = parting and length < 0.1 and length >= share * (end - theta) and error > 1e-6
+            share = 0.75 if singular else share
             length *= 0.3 if error == np.inf else max(0.2, 0.9 * (tolerance / error) ** (1 / NUM_STAGES))
             continue
         steps.append((theta, length, solved))

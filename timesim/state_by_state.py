@@ -67,20 +67,23 @@ def steady_cycle(contact: Contact, motion: Motion, *, max_cycles: int = MAX_CYCL
     march = March(law, motion)
     phase = march.begin()
     forces, history = [march.force(phase, 0.0)], []
-    before, patience, best = np.inf, MIN_FORCES, np.inf
+    before, reach, best = np.inf, 1.0, np.inf
     for cycle in range(1, max_cycles + 1):
+        state = phase.state
         stays, transitions, phase = march.cycle(phase)
         history += [replace(item, angle=item.angle + CYCLE * (cycle - 1)) for item in transitions]
         forces.append(march.force(phase, 0.0))
         residual = float(np.hypot(*(forces[-1] - forces[-2]))) / (march.largest or 1.0)
-        if residual <= ROUNDING or (residual <= PERIODIC and residual > before / 2):
+        # A transition right at theta = 0 shows at the end of the first cycle only, as another state.
+        settled = residual <= ROUNDING or (residual <= PERIODIC and residual > before / 2)
+        if settled and (phase.state == state or before <= PERIODIC):
             break
         before = residual
-        limit = _limit_of(forces) if len(forces) >= patience else None
+        limit = _limit_of(forces) if len(forces) >= MIN_FORCES else None
         if limit is not None:
-            # Two slow motions at once make it overshoot, again and again: let them die out between.
-            patience, best = patience if residual < best / 2 else 2 * patience, residual
-            phase = march.moved(phase, limit)
+            # Beyond the limit other slips may push it back, again and again: go less far then.
+            reach, best = min(1.0, 2 * reach) if residual < (1 - reach / 2) * best else reach / 2, residual
+            phase = march.moved(phase, forces[-1] + reach * (limit - forces[-1]))
             forces = [march.force(phase, 0.0)]
     return ElementCycle(law, motion, tuple(stays), tuple(transitions), cycle, residual, tuple(history))
 

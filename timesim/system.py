@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from timesim.barrier import apart
 from timesim.contact import Law, Motion, Plane, Reaction, State, dot, reaction
 from timesim.model import Model
 
@@ -99,6 +100,7 @@ def relative(system: System, x: Float[Array, " mode"]) -> tuple[Float[Array, " c
     return tuple(times(axis, x) for axis in system.shape)
 
 
+@apart
 def motion(system: System, point: Point) -> Motion:
     """Relative motion of the contacts and its rates."""
     x, dx = relative(system, point.q), relative(system, point.p)
@@ -113,6 +115,11 @@ def contact_force(system: System, acts: Reaction) -> tuple[Float[Array, " contac
 def field(system: System, state: State, time: Float[Array, ""], point: Point) -> Point:
     """Rate of the continuous state, every contact keeping its own."""
     acts = reaction(system.law, state, motion(system, point), point.w)
+    return _response(system, time, point, acts)
+
+
+@apart
+def _response(system: System, time: Float[Array, ""], point: Point, acts: Reaction) -> Point:
     drive = excitation(system, time)
     drag = times(system.damping, point.p)
     acceleration = drive - drag - times(system.stiffness, point.q)
