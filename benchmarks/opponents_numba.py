@@ -24,7 +24,7 @@ from problems import Event, Run
 from timesim.model import SEPARATION, SLIP, STICK, Model
 
 GUARD = 1e-12
-# Located here, not at 0: a run that starts on a guard at rest (n0 = 0) has no direction to slip in until it moves.
+# Located here, not at 0: a run at rest on a guard (n0 = 0) has no direction to slip in until it moves.
 CROSSING = 0.5 * GUARD
 RELAX = 2.2
 MAX_TRIALS = 80

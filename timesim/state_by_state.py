@@ -24,8 +24,6 @@ MAX_TRANSITIONS = 400
 MIN_FORCES = 7
 # A transition so near the end of the cycle [rad] belongs to the start of the next.
 SEAM = 1e-11
-# A trial force so small where n = 0, relative to the largest mu n, reaches the cone and n = 0 together.
-TIE = 1e-10
 
 
 @dataclass(frozen=True)
@@ -176,16 +174,10 @@ class March:
     def _stuck(self, theta: float, slip: Array, separation: float, *, on_cone: bool) -> Phase:
         offset = np.append(-self.law.stiffness @ slip, self.law.friction * self.law.preload)
         leave, to = self.motion.cone_exit(self.trial, offset, theta, on_cone=on_cone), SLIP
-        if separation <= leave or self._tied(slip, leave, separation):
+        # Where the cone and n = 0 are met at once the force only touches the cone, and `leave` is later.
+        if separation <= leave:
             leave, to = separation, SEPARATION
         return Phase(STICK, leave, to, slip, 0.0, separation)
-
-    def _tied(self, slip: Array, leave: float, separation: float) -> bool:
-        """Whether the cone and n = 0 are reached together: the two roots are then apart by rounding only."""
-        if leave < separation - 1e-4:
-            return False
-        trial = self.law.stiffness @ (self.motion.evaluate(separation)[0][:2] - slip)
-        return bool(np.hypot(*trial) <= TIE * self.largest)
 
     def _touching(self, theta: float) -> Phase:
         """Re-contact: stick if |K_u u'| < mu n' (15), else slip (17)."""
