@@ -72,22 +72,8 @@ def advised_method(model: Model, frequency: float | None = None) -> Advice | Non
     frequency = frequency or model.excitation.frequency
     if frequency is None:
         return None
-    steps = stuck_rate(model) / (REACH * frequency)
+    steps = model.stuck_rate / (REACH * frequency)
     return Advice("kvaerno5" if steps > STIFF_STEPS else "tsit5", steps)
-
-
-def stuck_rate(model: Model) -> float:
-    """Fastest rate of the structure with every contact stuck [rad/time]: the highest frequency, or decay."""
-    root = np.sqrt(model.structure.mass)
-    stiffness = np.diag(model.structure.omega**2)
-    for contact, shape in zip(model.contacts, model.contact_shape, strict=True):
-        scaled = shape / root
-        stiffness += scaled[:2].T @ contact.tangential_stiffness @ scaled[:2]
-        stiffness += contact.normal_stiffness * np.outer(scaled[2], scaled[2])
-    damping = model.structure.damping
-    damping = np.diag(damping) if damping.ndim == 1 else damping
-    decay = np.linalg.eigvalsh(damping / np.outer(root, root))[-1]
-    return float(max(np.sqrt(np.linalg.eigvalsh(stiffness)[-1]), decay))
 
 
 def contact_line(contact: Contact) -> str:

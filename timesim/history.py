@@ -146,6 +146,7 @@ class CycleTotals:
     """Amplitudes and energies of each completed cycle, gathered from batches of steps."""
 
     model: Model
+    initial: float
     amplitude: list[np.ndarray] = field(default_factory=list)
     start: list[float] = field(default_factory=list)
     end: list[float] = field(default_factory=list)

@@ -130,7 +130,22 @@ class Model:
     @property
     def contact_shape(self) -> np.ndarray:
         """Relative motion (u1, u2, v) of each contact for a unit of each mode, shape (C, 3, M)."""
-        return np.stack([self._relative_shape(contact) for contact in self.contacts]) if self.contacts else np.zeros((0, 3, self.structure.num_modes))
+        if not self.contacts:
+            return np.zeros((0, 3, self.structure.num_modes))
+        return np.stack([self._relative_shape(contact) for contact in self.contacts])
+
+    @property
+    def stuck_rate(self) -> float:
+        """Fastest rate with every contact stuck [rad/time]: the highest circular frequency, or decay."""
+        root = np.sqrt(self.structure.mass)
+        stiffness = np.diag(self.structure.omega**2)
+        for contact, shape in zip(self.contacts, self.contact_shape / root, strict=True):
+            stiffness += shape[:2].T @ contact.tangential_stiffness @ shape[:2]
+            stiffness += contact.normal_stiffness * np.outer(shape[2], shape[2])
+        damping = self.structure.damping
+        damping = np.diag(damping) if damping.ndim == 1 else damping
+        decay = np.linalg.eigvalsh(damping / np.outer(root, root))[-1]
+        return float(max(np.sqrt(np.linalg.eigvalsh(stiffness)[-1]), decay))
 
     def _relative_shape(self, contact: Contact) -> np.ndarray:
         points, shape = self.structure.points, self.structure.shape

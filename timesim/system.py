@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 from timesim.barrier import apart
 from timesim.contact import Law, Motion, Plane, Reaction, State, dot, reaction
 from timesim.model import Model
+from timesim.reduction import Reduction, reduction_of, stuck_force, stuck_matrix
 
 
 class System(eqx.Module):
@@ -176,35 +177,62 @@ def scales_of(model: Model, frequency: float) -> Scales:
     return Scales(omega, size / root, length, energy / length, energy)
 
 
-def system_of(model: Model, frequency: float, phase: float = 0.0) -> System:
-    """The dimensionless system of a model at a frequency [Hz]."""
-    scales = scales_of(model, frequency)
-    structure, excited = model.structure, model.excitation
-    root = np.sqrt(structure.mass)
-    push = scales.mode * structure.mass * scales.omega**2
-    matrices = np.array([c.tangential_stiffness for c in model.contacts]).reshape(-1, 2, 2)
+def system_of(model: Model, frequency: float, phase: float = 0.0, reduction: Reduction | None = None) -> System:
+    """The dimensionless system of a model at a frequency [Hz], without what a reduction leaves out.
+
+    Args:
+        model: the model.
+        frequency: base frequency of the excitation [Hz].
+        phase: its phase at the start of a cycle [rad].
+        reduction: what need not be modelled; nothing is left out by default.
+    """
+    reduction = reduction_of(model, [frequency], reduce=False) if reduction is None else reduction
+    scales, excited, modes = scales_of(model, frequency), model.excitation, reduction.modes
+    root = np.sqrt(model.structure.mass[modes])
+    push = scales.mode[modes] * root**2 * scales.omega**2
+    damping = model.structure.damping / scales.omega
+    whole = damping.ndim == 2
+    damping = damping[np.ix_(modes, modes)] / np.outer(root, root) if whole else damping[modes] / root**2
+    stiffness = (model.structure.omega[modes] / scales.omega) ** 2
+    constant = excited.constant[modes]
+    if reduction.stuck.size:
+        stiffness = np.diag(stiffness) + stuck_matrix(reduction) / np.outer(root, root) / scales.omega**2
+        constant = constant + stuck_force(reduction)
+    shape = model.contact_shape[np.ix_(reduction.live, range(3), modes)] * scales.mode[modes] / scales.length
+    if reduction.line is not None:
+        shape = np.stack([np.einsum("ca,cam->cm", reduction.line, shape[:, :2]), shape[:, 2]], axis=1)
+    return System(
+        law=_law(model, reduction, scales),
+        shape=tuple(jnp.asarray(shape[:, axis]) for axis in range(shape.shape[1])),
+        stiffness=jnp.asarray(stiffness),
+        damping=jnp.asarray(damping),
+        harmonic=jnp.asarray(excited.harmonic, dtype=float),
+        cosine=jnp.asarray(excited.cosine[:, modes] / push),
+        sine=jnp.asarray(excited.sine[:, modes] / push),
+        constant=jnp.asarray(constant / push),
+        phase=jnp.asarray(phase, dtype=float),
+    )
+
+
+def contact_law(model: Model, scales: Scales) -> Law:
+    """Parameters of all contacts of a model in given units."""
+    return _law(model, reduction_of(model, [1.0], reduce=False), scales)
+
+
+def _law(model: Model, reduction: Reduction, scales: Scales) -> Law:
+    contacts = [model.contacts[index] for index in reduction.live]
     ratio = scales.length / scales.force
-    stiffness = _components(matrices * ratio)
-    law = Law(
-        friction=jnp.asarray([c.friction for c in model.contacts], dtype=float),
+    matrices = np.array([c.tangential_stiffness for c in contacts]).reshape(-1, 2, 2) * ratio
+    if reduction.line is not None:
+        stiffness = (np.einsum("ca,cab,cb->c", reduction.line, matrices, reduction.line),)
+    else:
+        stiffness = _components(matrices)
+    return Law(
+        friction=jnp.asarray([c.friction for c in contacts], dtype=float),
         stiffness=tuple(map(jnp.asarray, stiffness)),
         compliance=tuple(map(jnp.asarray, _inverse(stiffness))),
-        normal_stiffness=jnp.asarray([c.normal_stiffness * ratio for c in model.contacts], dtype=float),
-        preload=jnp.asarray([c.preload / scales.force for c in model.contacts], dtype=float),
-    )
-    damping = structure.damping / scales.omega
-    whole = damping.ndim == 2
-    shape = model.contact_shape * scales.mode / scales.length
-    return System(
-        law=law,
-        shape=tuple(jnp.asarray(shape[:, axis]) for axis in range(3)),
-        stiffness=jnp.asarray((structure.omega / scales.omega) ** 2),
-        damping=jnp.asarray(damping / np.outer(root, root) if whole else damping / structure.mass),
-        harmonic=jnp.asarray(excited.harmonic, dtype=float),
-        cosine=jnp.asarray(excited.cosine / push),
-        sine=jnp.asarray(excited.sine / push),
-        constant=jnp.asarray(excited.constant / push),
-        phase=jnp.asarray(phase, dtype=float),
+        normal_stiffness=jnp.asarray([c.normal_stiffness * ratio for c in contacts], dtype=float),
+        preload=jnp.asarray([c.preload / scales.force for c in contacts], dtype=float),
     )
 
 

@@ -94,7 +94,7 @@ class Run:
     def _through(self, phase: Phase) -> Iterator[Steps]:
         frame = Frame(self.model, self.reduction, phase.frequency)
         system = system_of(self.model, phase.frequency, self.phase, self.reduction)
-        stiffest = stuck_rate(self.model) / frame.scales.omega
+        stiffest = self.model.stuck_rate / frame.scales.omega
         method, control = self.solver.method(), self.solver.control(stiffest)
         now = frame.begin(system, self, self.solver.first_step(stiffest))
         done, work, origin = 0, self.work.copy(), self.time
@@ -226,10 +226,3 @@ def start_states(model: Model) -> np.ndarray:
         closed = contact.preload + contact.normal_stiffness * v > 0
         states[index] = (STICK if contact.friction > 0 else SLIP) if closed else SEPARATION
     return states
-
-
-def stuck_rate(model: Model) -> float:
-    """Fastest rate of the structure with every contact stuck [rad/time]: the highest frequency, or decay."""
-    from timesim.check import stuck_rate as rate
-
-    return rate(model)
