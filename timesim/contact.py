@@ -222,8 +222,8 @@ def successor(law: Law, state: State, motion: Motion, *, tiny: Scalar) -> State:
 
 
 def slip_at_transition(law: Law, before: State, after: State, motion: Motion, w: Plane) -> Plane:
-    """w with which a contact enters a state: on the cone after slip, w = u after or during separation."""
+    """w with which a contact goes on: on the cone during and after slip, w = u during and after separation."""
     sliding = law.friction * normal_load(law, motion.v)
     on_cone = between(motion.u, product(law.compliance, scaled(sliding, slip_direction(law, motion, w))))
-    w = where((before == SLIP) & (after == STICK), on_cone, w)
+    w = where(before == SLIP, on_cone, w)
     return where((before == SEPARATION) | (after == SEPARATION), motion.u, w)

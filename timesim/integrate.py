@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from timesim.barrier import apart
 from timesim.contact import State, force_scale, slip_at_transition, successor
-from timesim.guard import NONE, end_margins, first_crossing, segment
+from timesim.guard import NONE, VIOLATED, Margins, end_margins, first_crossing, segment
 from timesim.method import Method
 from timesim.system import Point, System, field, motion
 
@@ -137,11 +137,7 @@ def try_step(method: Method, control: Control, system: System, now: Trajectory) 
 
     part = segment(system, (now.point, end), (now.rate, rate), h)
     margin, slope = end_margins(system, now.state, part)
-    to_zero = tuple(-m / jnp.where(s < 0, s, -1.0) for m, s in zip(margin, slope, strict=True))
-    reach = LANDING / control.stiffest
-    due = tuple(
-        (s < 0) & (jnp.abs(t) <= reach) & ~(last & (t > 0)) for s, t in zip(slope, to_zero, strict=True)
-    )
+    to_zero, due = arriving(control, margin, slope, h, last)
     crossing = first_crossing(system, now.state, part, margin, due)
     accepted = precise & (crossing >= NONE)
     lands = accepted & (due[0] | due[1]).any()
@@ -168,8 +164,31 @@ def try_step(method: Method, control: Control, system: System, now: Trajectory) 
 
 
 @apart
+def arriving(control: Control, margin: Margins, slope: Margins, h: Array, last: Array) -> tuple[Margins, Margins]:
+    """Time from the end of the step to the zero of each margin, and which of them take their transition there.
+
+    A margin that is still violated after the shortest step has jumped through zero: that is a transition too. So is one
+    that is negative by no more than rounding and falling, however slowly.
+    """
+    reach = LANDING / control.stiffest
+    times, due = [], []
+    for value, rate in zip(margin, slope, strict=True):
+        time = -value / jnp.where(rate < 0, rate, -1.0)
+        near = (rate < 0) & (jnp.abs(time) <= reach) & ~(last & (time > 0))
+        passed = (rate < 0) & (value <= 0) & (value >= -10 * VIOLATED)
+        jumped = (h <= 1.01 * SHORTEST) & (value < -VIOLATED)
+        times.append(jnp.where(near, time, 0.0))
+        due.append(near | passed | jumped)
+    return (times[0], times[1]), (due[0], due[1])
+
+
+@apart
 def transition(system: System, state: State, crossed: Bool[Array, " contact"], end: Point) -> tuple[Point, State]:
-    """Point and states after the transitions of the contacts that have crossed a guard."""
+    """Point and states after the transitions of the contacts that have crossed a guard.
+
+    Of a contact that slips on, w is put back on the cone: its drift, small as it is, would grow beyond the friction
+    force itself where n passes close by zero.
+    """
     moves = motion(system, end)
     next_state = jnp.where(crossed, successor(system.law, state, moves, tiny=1e-10 * force_scale(system.law)), state)
     w = slip_at_transition(system.law, state, next_state, moves, end.w)
@@ -259,10 +278,21 @@ def march(
 ) -> tuple[Trajectory, Int[Array, " batch"]]:
     """Advance a batch until each has completed its number of cycles or ended early; nothing is recorded.
 
+    Inside, the batch is the last axis: the kernels run along it.
+
+    Args:
+        method: the method.
+        control: its tolerances, the same for all or with the batch as their first axis.
+        systems: the systems, batch first.
+        start: the trajectories, batch first.
+        cycles: cycles that each is to have completed.
+
     Returns:
         The trajectories, and the number of transitions of each.
     """
-    attempt = jax.vmap(partial(try_step, method, control))
+    per_run = jax.tree.map(lambda leaf: -1 if leaf.ndim else None, control)
+    attempt = jax.vmap(partial(try_step, method), in_axes=(per_run, -1, -1), out_axes=-1)
+    systems, start = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), (systems, start))
 
     def running(now: Trajectory) -> Array:
         return (now.cycle < cycles) & (now.status == Status.RUNNING)
@@ -270,14 +300,11 @@ def march(
     def body(carry: tuple) -> tuple:
         now, count = carry
         moves = running(now)
-        new, step, accepted = attempt(systems, now)
-        switched = (step.state != step.state_after).sum(axis=-1)
+        new, step, accepted = attempt(control, systems, now)
+        switched = (step.state != step.state_after).sum(axis=0)
         count = count + jnp.where(moves & accepted, switched, 0)
+        return jax.tree.map(lambda a, b: jnp.where(moves, a, b), new, now), count
 
-        def choose(a: Array, b: Array) -> Array:
-            return jnp.where(moves.reshape(moves.shape + (1,) * (a.ndim - 1)), a, b)
-
-        return jax.tree.map(choose, new, now), count
-
-    start_count = jnp.zeros(cycles.shape, dtype=jnp.int64)
-    return jax.lax.while_loop(lambda c: running(c[0]).any(), body, (start, start_count))
+    count = jnp.zeros(cycles.shape, dtype=jnp.int64)
+    end, count = jax.lax.while_loop(lambda carry: running(carry[0]).any(), body, (start, count))
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), end), count
