@@ -1,7 +1,7 @@
-"""What is left out before a run: each rule where it holds and where it just does not, and runs near the bound.
+"""What is left out before a run: each rule where it holds and where it just does not.
 
-Proofs are checked against runs that know nothing of the bound: the linear system by matrix exponentials, which must
-never leave the claimed states, and the oracle, which must find no transition.
+Proofs are checked, just above the bound, against runs that know nothing of it: the linear system by matrix
+exponentials, which must never leave the claimed states, and the oracle, which must find no transition.
 """
 
 import subprocess
@@ -17,7 +17,7 @@ from systems import at_rest, den_hartog, excitation, generated_model, oscillator
 from timesim.model import GROUND, SEPARATION, SLIP, STICK, Contact, Excitation, Model, Start, Structure
 from timesim.reduction import Reduction, reduction_of, stuck_force, stuck_matrix
 
-# --- helpers -------------------------------------------------------------------------------------------------
+# --- helpers ---------------------------------------------------------------------------------------
 
 
 def linear_run(
@@ -98,9 +98,7 @@ def inert() -> Model:
     body = model.structure
     shape = np.zeros((2, 3, 3))
     shape[0, :, :2], shape[1, 0, 2] = body.shape[0], 1.0
-    wider = Structure(
-        np.append(body.frequency, 1.5), np.ones(3), np.append(body.damping, 0.3), ("tip", "far"), shape
-    )
+    wider = Structure(np.append(body.frequency, 1.5), np.ones(3), np.append(body.damping, 0.3), ("tip", "far"), shape)
     return Model(wider, model.contacts, excitation(1.39, [1, 1, 0], [0, 0, 0]), at_rest(3, 1))
 
 
@@ -128,7 +126,7 @@ def coupled_damping(value: float) -> np.ndarray:
     return damping
 
 
-# --- modes ---------------------------------------------------------------------------------------------------
+# --- modes -----------------------------------------------------------------------------------------
 
 
 def test_a_mode_that_nothing_moves_is_left_out() -> None:
@@ -174,10 +172,7 @@ def test_a_mode_that_a_contact_moves_is_kept() -> None:
     for entry, kept in ((1e-17, 2), (1e-12, 3)):
         shape = model.structure.shape.copy()
         shape[0, 1, 2] = entry
-        assert (
-            reduction_of(replace(model, structure=replace(model.structure, shape=shape)), [1.39]).modes.size
-            == kept
-        )
+        assert reduction_of(replace(model, structure=replace(model.structure, shape=shape)), [1.39]).modes.size == kept
 
 
 def test_damping_moves_a_mode() -> None:
@@ -203,7 +198,7 @@ def test_one_mode_remains_where_nothing_moves() -> None:
     assert reduction_of(model, [0.2]).modes.tolist() == [0]
 
 
-# --- straight motion -----------------------------------------------------------------------------------------
+# --- straight motion -------------------------------------------------------------------------------
 
 
 def _turned(model: Model, angle: float, stiffness: np.ndarray, slip: Sequence[float] = (0, 0)) -> Model:
@@ -277,9 +272,7 @@ def test_a_contact_that_moves_along_its_normal_alone_follows_its_start_slip() ->
 
 def test_every_live_contact_must_move_straight() -> None:
     model = three_modes()
-    stop = replace(
-        model.contacts[0], name="stop", friction=0.0, tangential_stiffness=np.zeros((2, 2)), preload=-0.01
-    )
+    stop = replace(model.contacts[0], name="stop", friction=0.0, tangential_stiffness=np.zeros((2, 2)), preload=-0.01)
     only = replace(model, contacts=(stop,))
     assert reduction_of(only, [0.2]).line is not None
     both = replace(model, contacts=(stop, model.contacts[0]), start=at_rest(3, 2))
@@ -288,17 +281,13 @@ def test_every_live_contact_must_move_straight() -> None:
     assert found.line is None
 
 
-# --- contacts that keep their state --------------------------------------------------------------------------
+# --- contacts that keep their state ----------------------------------------------------------------
 
 
 def test_free_vibration_before_a_stop_is_decided_sharply() -> None:
     """Undamped and released at 1: it comes as far as 1 on either side, and the bound says just that."""
-    assert reduction_of(
-        free_vibration(-1.0, pad(0, 0, 7.0, -7.0 * 1.001), [0, 0, 1]), [1.0]
-    ).apart.tolist() == [0]
-    assert reduction_of(
-        free_vibration(-1.0, pad(0, 0, 7.0, -7.0 * 0.999), [0, 0, 1]), [1.0]
-    ).live.tolist() == [0]
+    assert reduction_of(free_vibration(-1.0, pad(0, 0, 7.0, -7.0 * 1.001), [0, 0, 1]), [1.0]).apart.tolist() == [0]
+    assert reduction_of(free_vibration(-1.0, pad(0, 0, 7.0, -7.0 * 0.999), [0, 0, 1]), [1.0]).live.tolist() == [0]
 
 
 def test_free_vibration_on_a_stuck_contact_is_decided_sharply() -> None:
@@ -370,6 +359,14 @@ def test_no_claim_from_another_start(state: int, preload: float) -> None:
     assert reduction_of(model, [1.39]).live.tolist() == [0]
 
 
+def test_no_claim_from_a_start_in_slip() -> None:
+    model = free_vibration(0.1, pad(0.5, 3.0, 0.0, 6.0), [1, 0, 0])
+    for state, sticks in ((-1, True), (SLIP, False)):
+        begun = replace(model, start=replace(model.start, state=np.array([state])))
+        found = reduction_of(begun, [1.0])
+        assert (found.stuck.size, found.live.size) == (int(sticks), int(not sticks))
+
+
 def test_a_contact_that_no_mode_moves_keeps_its_state() -> None:
     body = structure([1.0], [0.02], [[1, 0, 0]])
     still = Structure(
@@ -394,6 +391,22 @@ def test_a_constant_force_is_counted() -> None:
         assert (reduction_of(model, [0.3]).apart.size == 1) == open_throughout
 
 
+def test_the_preload_that_an_open_contact_gives_up_is_counted() -> None:
+    """A force F opens the contact, n0 = 1 pushes back: from -9 it swings to 9 - 2 (F - 1), and n = 0 at -0.5."""
+    for force, open_throughout in ((5.8, True), (5.7, False)):
+        body = structure([1.0], [0.0], [[0, 0, 1]])
+        start = Start(np.array([-9.0]), np.zeros(1), np.zeros((1, 2)), np.array([-1]))
+        load = excitation(0.3, [0.0], [0.0], [-force])
+        found = reduction_of(Model(body, (pad(0.5, 1.0, 2.0, 1.0),), load, start), [0.3])
+        assert (found.apart.size == 1) == open_throughout
+
+
+def test_the_start_is_counted_at_several_frequencies() -> None:
+    for gap, open_throughout in ((1.001, True), (0.999, False)):
+        model = free_vibration(-1.0, pad(0, 0, 7.0, -7.0 * gap), [0, 0, 1])
+        assert (reduction_of(model, [0.5, 2.0]).apart.size == 1) == open_throughout
+
+
 def test_several_frequencies_need_damping_and_more_room() -> None:
     a = steady_amplitude()
     assert reduction_of(forced_stop(1e3 * a), [0.61803, 0.62]).live.size == 1
@@ -403,8 +416,8 @@ def test_several_frequencies_need_damping_and_more_room() -> None:
     assert reduction_of(forced_stop(20 * a, damping=0.5), []).apart.size == 1
 
 
-def test_the_bound_for_every_schedule_is_nearly_reached_by_a_resonant_one() -> None:
-    """Driven at resonance from opposite phases the motion comes to 1 / (d w) and the claim is made just above."""
+def test_the_bound_for_every_schedule_is_twice_the_resonance() -> None:
+    """Driven at resonance a light mode comes to 1 / (d w); the claim is made from twice that on."""
     damping = 0.2
     resonant = 1 / (damping * 2 * np.pi)
     gap = 2 * resonant * 1.001
@@ -412,11 +425,12 @@ def test_the_bound_for_every_schedule_is_nearly_reached_by_a_resonant_one() -> N
     assert reduction_of(model, [1.0, 0.5]).apart.size == 1
     short = forced_stop(0.99 * resonant, frequency=1.0, damping=damping)
     assert reduction_of(short, [1.0, 0.5]).live.size == 1
+    assert reduction_of(forced_stop(0.99 * gap, damping=damping), [1.0, 0.5]).live.size == 1
     run, _ = linear_run(assumed(short), [(1.0, 60)])
     assert least_margin(assumed(short), run) < 0
 
 
-# --- parts that hang together --------------------------------------------------------------------------------
+# --- parts that hang together ----------------------------------------------------------------------
 
 
 def two_parts(gaps: tuple[float, float], damping: np.ndarray | None = None) -> Model:
@@ -426,10 +440,8 @@ def two_parts(gaps: tuple[float, float], damping: np.ndarray | None = None) -> M
     body = Structure(
         np.array([0.8, 0.9]), np.ones(2), np.array([0.5, 0.5]) if damping is None else damping, points, shape
     )
-    contacts = tuple(
-        replace(pad(0.5, 4.0, 0.0, load), name=p, point=p) for p, load in zip(points, gaps, strict=True)
-    )
-    return Model(body, contacts, excitation(1.0, [5.0, 0.2], [0.0, 0.0]), at_rest(2, 2))
+    contacts = tuple(replace(pad(0.5, 4.0, 0.0, load), name=p, point=p) for p, load in zip(points, gaps, strict=True))
+    return Model(body, contacts, excitation(1.0, [5.0, 0.1], [0.0, 0.0]), at_rest(2, 2))
 
 
 def test_a_part_is_reduced_while_another_stays_live() -> None:
@@ -454,11 +466,11 @@ def test_what_hangs_together_stays_live_together(coupling: str) -> None:
     assert reduction_of(model, [1.0]).live.tolist() == [0, 1]
 
 
-# --- proofs against runs -------------------------------------------------------------------------------------
+# --- proofs against runs ---------------------------------------------------------------------------
 
 
 def provable_model(seed: int, room: float) -> Model:
-    """A generated model, its preloads and gaps made `room` times as wide; some start displaced or with slip."""
+    """A generated model, preloads and gaps made `room` times as wide; some start displaced or with slip."""
     num_modes, num_contacts = ((2, 1), (3, 2), (4, 3))[seed % 3]
     model = generated_model(seed, num_modes, num_contacts)
     size = model.excitation.cosine.max() / model.structure.stiffness.max()
@@ -503,7 +515,7 @@ def _stays(seed: int, room: float, cycles: int) -> bool:
 
 @pytest.mark.parametrize("seed", range(24))
 def test_just_above_the_bound_no_contact_leaves_its_state(seed: int) -> None:
-    """And the bound is no more than twice too wide: four times too narrow, the contacts do leave."""
+    """Nor is the claim idle: with a quarter of that room they do leave it (measured: half, in the median)."""
     border = _border(lambda room: _all_claimed(seed, room))
     assert _stays(seed, border, cycles=60)
     assert not _stays(seed, border / 4, cycles=60)
@@ -557,9 +569,7 @@ def mixed() -> Model:
     points, shape = ("a", "b", "c", "d"), np.zeros((4, 3, 5))
     shape[0, :, 0], shape[0, :, 1] = (1, 0.5, 0.2), (-0.3, 1, 0.4)
     shape[1, :, 2], shape[2, :, 3], shape[3, 0, 4] = (1, 0.3, 0.5), (0.2, 0.1, 1), 1.0
-    body = Structure(
-        np.array([0.8, 0.9, 1.1, 1.2, 1.3]), np.array([1, 2, 1.5, 1, 1]), np.full(5, 0.4), points, shape
-    )
+    body = Structure(np.array([0.8, 0.9, 1.1, 1.2, 1.3]), np.array([1, 2, 1.5, 1, 1]), np.full(5, 0.4), points, shape)
     contacts = (
         Contact("live", "a", GROUND, np.eye(3), 0.4, 8 * np.eye(2), 5.0, 0.3),
         Contact("held", "b", GROUND, np.eye(3), 0.6, np.array([[6.0, 1.0], [1.0, 4.0]]), 5.0, 1.5),
@@ -610,7 +620,7 @@ def test_the_oracle_finds_no_transition_just_above_the_bound(seed: int) -> None:
     assert simulate(model, model.excitation.frequency, 20).event_time.size == 0
 
 
-# --- what stuck contacts add ---------------------------------------------------------------------------------
+# --- what stuck contacts add -----------------------------------------------------------------------
 
 
 def test_stuck_matrix_and_force_are_those_of_the_contact_law() -> None:
@@ -619,9 +629,7 @@ def test_stuck_matrix_and_force_are_those_of_the_contact_law() -> None:
     q = np.array([0.3, -0.2, 0.5, 0.1, 0.0])
     for c, stuck, preload in ((1, True, 1.5), (1, True, -0.7), (2, False, 0.2), (2, False, -0.2)):
         contact = replace(model.contacts[c], preload=preload)
-        changed = replace(
-            model, contacts=tuple(contact if i == c else other for i, other in enumerate(model.contacts))
-        )
+        changed = replace(model, contacts=tuple(contact if i == c else other for i, other in enumerate(model.contacts)))
         taken = Reduction(
             changed, np.arange(5), np.arange(0), np.array([c] * stuck), np.array([c] * (not stuck)), None, ()
         )
@@ -640,7 +648,7 @@ def test_stuck_matrix_and_force_have_the_rows_of_the_modes_kept() -> None:
     assert np.linalg.matrix_rank(stuck_matrix(found)) == 1
 
 
-# --- findings and the switch ---------------------------------------------------------------------------------
+# --- findings and the switch -----------------------------------------------------------------------
 
 
 def test_reduce_off_keeps_everything() -> None:
@@ -663,9 +671,7 @@ def test_findings_name_what_is_taken_out() -> None:
 
 
 def test_findings_say_what_the_law_makes_simpler() -> None:
-    assert any(
-        "constant normal load 1" in t for t in reduction_of(den_hartog(1.2, 0.3, 9.0), [0.19]).findings
-    )
+    assert any("constant normal load 1" in t for t in reduction_of(den_hartog(1.2, 0.3, 9.0), [0.19]).findings)
     stop = forced_stop(0.5 * steady_amplitude())
     assert any("pad is a frictionless stop" in text for text in reduction_of(stop, [0.61803]).findings)
     body = structure([1.0, 4.0], [0.02, 0.04], [[1, 0, 0], [0, 1, 0]])

@@ -105,9 +105,7 @@ def _rows(matrix: np.ndarray) -> str:
 def _structure_lines(model: Model) -> Iterator[str]:
     frequency = model.structure.frequency
     count = "1 mode" if frequency.size == 1 else f"{frequency.size} modes"
-    span = (
-        f"{frequency[0]:.6g} Hz" if frequency.size == 1 else f"{frequency[0]:.6g} to {frequency[-1]:.6g} Hz"
-    )
+    span = f"{frequency[0]:.6g} Hz" if frequency.size == 1 else f"{frequency[0]:.6g} to {frequency[-1]:.6g} Hz"
     yield f"{count}, {span}"
     whole = model.structure.damping.ndim == 2
     yield "damping: a whole matrix, which the modes do not diagonalise" if whole else _damping_line(model)

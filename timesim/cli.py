@@ -49,9 +49,7 @@ def run(
     kind = loaded.file.study.kind
     try:
         store.check_folder(output, force)
-        store.prepare_folder(
-            output, loaded.resolved_yaml(), force, source=scene, stale=plot.picture_names(kind)
-        )
+        store.prepare_folder(output, loaded.resolved_yaml(), force, source=scene, stale=plot.picture_names(kind))
     except store.StoreError as error:
         _stop(2, str(error))
     for warning in loaded.warnings():

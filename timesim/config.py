@@ -93,9 +93,7 @@ class Scene:
         return list(_warnings(self.file, self._model))
 
 
-def load_scene(
-    source: str | Path | Mapping[str, Any], overrides: Mapping[str, Any] | Sequence[str] = ()
-) -> Scene:
+def load_scene(source: str | Path | Mapping[str, Any], overrides: Mapping[str, Any] | Sequence[str] = ()) -> Scene:
     """Read, check and build a scene.
 
     Args:

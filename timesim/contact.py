@@ -23,6 +23,8 @@ homogeneous, and the event loop uses it in dimensionless form.
 
 import timesim.jax_setup  # noqa: F401  isort: skip
 
+from typing import TYPE_CHECKING, TypeAlias
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -30,9 +32,13 @@ from jaxtyping import Array, Bool, Float, Int
 from timesim.barrier import apart
 from timesim.model import SEPARATION, SLIP, STICK
 
-Scalar = Float[Array, "*contact"]
-Plane = tuple[Scalar, ...]
-State = Int[Array, "*contact"]
+if TYPE_CHECKING:
+    Scalar: TypeAlias = Array
+    State: TypeAlias = Array
+else:
+    Scalar = Float[Array, "*contact"]
+    State = Int[Array, "*contact"]
+Plane: TypeAlias = tuple[Scalar, ...]
 
 
 class Law(eqx.Module):
@@ -205,7 +211,8 @@ def margins(law: Law, state: State, motion: Motion, w: Plane) -> tuple[Scalar, S
 
 def force_scale(law: Law) -> Scalar:
     """Size of the contact forces for motions of size one, to compare a margin with zero."""
-    return sum(jnp.abs(k) for k in law.stiffness) + law.normal_stiffness + jnp.abs(law.preload)
+    tangential = sum((jnp.abs(k) for k in law.stiffness), start=jnp.zeros(()))
+    return tangential + law.normal_stiffness + jnp.abs(law.preload)
 
 
 def successor(law: Law, state: State, motion: Motion, *, tiny: Scalar) -> State:

@@ -43,9 +43,7 @@ def _stiffness_kind(value: Any) -> str | None:
 
 
 TangentialStiffness = Annotated[
-    Annotated[NotNegative, Tag("<number>")]
-    | Annotated[Pair, Tag("<pair>")]
-    | Annotated[Matrix2, Tag("<matrix>")],
+    Annotated[NotNegative, Tag("<number>")] | Annotated[Pair, Tag("<pair>")] | Annotated[Matrix2, Tag("<matrix>")],
     Discriminator(
         _stiffness_kind,
         custom_error_type="rule",

@@ -194,9 +194,7 @@ class ElementCycle:
         limit, _ = self.law.limit(y, dy)
         sliding = limit * (state == SLIP)
         stuck = np.tensordot(self.law.stiffness, y[:2] - slip, 1) * (state == STICK)
-        power = (
-            np.zeros_like(sliding) if self.law.frictionless else sliding * self.law.slip_rate(direction, dy)
-        )
+        power = np.zeros_like(sliding) if self.law.frictionless else sliding * self.law.slip_rate(direction, dy)
         return sliding * np.stack([np.cos(direction), np.sin(direction)]) + stuck, dy[:2], power
 
     def _quadrature(self, width: float) -> tuple[Array, Array]:

@@ -57,13 +57,9 @@ class ExcitationSection(Section):
     def check_points(self, points: Sequence[str]) -> list[RuleError]:
         """Forces on points that there are not."""
         keys = ("forces", "constant_forces")
-        forces = [
-            ((key, i, "point"), force.point) for key in keys for i, force in enumerate(getattr(self, key))
-        ]
+        forces = [((key, i, "point"), force.point) for key in keys for i, force in enumerate(getattr(self, key))]
         hint = "must be a point of the structure"
-        return [
-            RuleError(key, hint, nearest(name, points), name) for key, name in forces if name not in points
-        ]
+        return [RuleError(key, hint, nearest(name, points), name) for key, name in forces if name not in points]
 
     def build(self, structure: model.Structure, order: np.ndarray) -> model.Excitation:
         """Modal forces; ``order`` is the scene's index of each mode."""

@@ -41,16 +41,14 @@ class Segment(eqx.Module):
 @apart
 def segment(system: System, points: tuple[Point, Point], rates: tuple[Point, Point], h: Float[Array, ""]) -> Segment:
     """The contacts' view of a step."""
-    starts, ends = (
-        tuple(relative(system, x) for x in (y.q, y.p, dy.p)) for y, dy in zip(points, rates, strict=True)
-    )
+    starts, ends = (tuple(relative(system, x) for x in (y.q, y.p, dy.p)) for y, dy in zip(points, rates, strict=True))
     slips = [(y.w, dy.w) for y, dy in zip(points, rates, strict=True)]
 
     def change(x0: Array, v0: Array, a0: Array, x1: Array, v1: Array, a1: Array) -> Array:
         return jnp.where(h < SHORT, h * (0.5 * (v0 + v1) + h / 12 * (a0 - a1)), x1 - x0)
 
     jump = tuple(change(*row) for row in zip(*starts, *ends, strict=True))
-    return Segment(starts, ends, jump, slips[0], slips[1], h)  # type: ignore[arg-type]
+    return Segment(starts, ends, jump, slips[0], slips[1], h)
 
 
 @apart
@@ -58,9 +56,7 @@ def margins_inside(system: System, state: State, part: Segment, x: Float[Array, 
     """Margins on the dense output at fractions x of the step, made dimensionless by their scale."""
     along = [
         hermite.quintic(x, part.h, start, end, jump)
-        for start, end, jump in zip(
-            zip(*part.start, strict=True), zip(*part.end, strict=True), part.jump, strict=True
-        )
+        for start, end, jump in zip(zip(*part.start, strict=True), zip(*part.end, strict=True), part.jump, strict=True)
     ]
     value, rate = (tuple(column) for column in zip(*along, strict=True))
     w = tuple(

@@ -4,6 +4,7 @@ Plain numpy on the host, in the units of the scene, a batch of steps at a time; 
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -69,19 +70,17 @@ def sample(steps: Steps, times: np.ndarray) -> Samples:
     index = np.clip(np.searchsorted(steps.time, times, side="right") - 1, 0, steps.time.size - 1)
     h = steps.h[index, None]
     x = np.clip((times - steps.time[index])[:, None] / np.where(h > 0, h, 1.0), 0.0, 1.0)
-    start, end = (tuple(part[index] for part in side) for side in (steps.start, steps.end))
-    q, p = hermite.quintic(x, h, start, end)  # type: ignore[arg-type]
-    slips = [tuple(part[index] for part in side) for side in (steps.slip_start, steps.slip_end)]
-    w = hermite.cubic(x[..., None], h[..., None], slips[0], slips[1])  # type: ignore[arg-type]
+    ends: list[Any] = [tuple(part[index] for part in side) for side in (steps.start, steps.end)]
+    q, p = hermite.quintic(x, h, ends[0], ends[1])
+    slips: list[Any] = [tuple(part[index] for part in side) for side in (steps.slip_start, steps.slip_end)]
+    w = hermite.cubic(x[..., None], h[..., None], slips[0], slips[1])
     return Samples(times, q, p, w, steps.state[index])
 
 
 def events(steps: Steps) -> Events:
     """Transitions of these steps in the order of time."""
     row, contact = np.nonzero(steps.state != steps.state_after)
-    return Events(
-        (steps.time + steps.h)[row], contact, steps.state[row, contact], steps.state_after[row, contact]
-    )
+    return Events((steps.time + steps.h)[row], contact, steps.state[row, contact], steps.state_after[row, contact])
 
 
 def extremes(steps: Steps, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -94,16 +93,16 @@ def extremes(steps: Steps, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         Two arrays of shape (N, X).
     """
-    start, end = (tuple(part @ shape.T for part in side) for side in (steps.start, steps.end))
+    ends: list[Any] = [tuple(part @ shape.T for part in side) for side in (steps.start, steps.end)]
     h = steps.h[:, None]
     nodes = np.linspace(0.0, 1.0, PARTS + 1)
-    along = [hermite.quintic(x, h, start, end) for x in nodes]  # type: ignore[arg-type]
+    along = [hermite.quintic(x, h, ends[0], ends[1]) for x in nodes]
     values = np.stack([value for value, _ in along])
     low, high = values.min(axis=0), values.max(axis=0)
     rates = np.stack([rate for _, rate in along])
     part, row, column = np.nonzero(rates[:-1] * rates[1:] < 0)
     if row.size:
-        picked = [tuple(p[row, column] for p in side) for side in (start, end)]
+        picked = [tuple(p[row, column] for p in side) for side in ends]
         turning = _turning(nodes[part], nodes[part + 1], rates[part, row, column], steps.h[row], picked)
         np.minimum.at(low, (row, column), turning)
         np.maximum.at(high, (row, column), turning)
@@ -153,8 +152,8 @@ class CycleTotals:
     work: list[np.ndarray] = field(default_factory=list)
     stored: list[float] = field(default_factory=list)
     peak: float = 0.0
-    _low: np.ndarray | None = None
-    _high: np.ndarray | None = None
+    _low: Any = None
+    _high: Any = None
     _open: int = -1
 
     def add(self, steps: Steps, completed: int) -> None:
@@ -163,8 +162,7 @@ class CycleTotals:
             return
         shape = self.model.structure.shape.reshape(-1, self.model.structure.num_modes)
         low, high = extremes(steps, shape)
-        ends = [steps.end[0], steps.end[1], steps.slip_end[0], steps.state_after]
-        energy = stored_energy(self.model, *ends)  # type: ignore[arg-type]
+        energy = stored_energy(self.model, steps.end[0], steps.end[1], steps.slip_end[0], steps.state_after)
         self.peak = max(self.peak, float(np.max(np.abs(energy))))
         for cycle in np.unique(steps.cycle):
             rows = np.nonzero(steps.cycle == cycle)[0]
@@ -175,11 +173,11 @@ class CycleTotals:
                 totals = [[steps.input[last], steps.damping[last]], steps.friction[last]]
                 self.work.append(np.concatenate(totals))
                 self.stored.append(float(energy[last]))
-                self.amplitude.append(0.5 * (self._high - self._low).reshape(-1, 3))  # type: ignore[operator]
+                self.amplitude.append(0.5 * (self._high - self._low).reshape(-1, 3))
 
     def _extend(self, cycle: int, time: float, low: np.ndarray, high: np.ndarray) -> None:
         if cycle != self._open:
             self._open, self._low, self._high = cycle, low, high
             self.start.append(time)
         else:
-            self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)  # type: ignore[arg-type]
+            self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)

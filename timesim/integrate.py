@@ -23,6 +23,7 @@ from timesim.barrier import apart
 from timesim.contact import State, force_scale, slip_at_transition, successor
 from timesim.guard import NONE, VIOLATED, Margins, end_margins, first_crossing, segment
 from timesim.method import Method
+from timesim.model import SEPARATION
 from timesim.system import Point, System, field, motion
 
 PERIOD = 2 * jnp.pi
@@ -124,12 +125,15 @@ def error_size(control: Control, point: Point, error: Point) -> Float[Array, ""]
     return worst / (control.atol + control.rtol * size)
 
 
-def try_step(method: Method, control: Control, system: System, now: Trajectory) -> tuple[Trajectory, Step, Bool[Array, ""]]:
+def try_step(
+    method: Method, control: Control, system: System, now: Trajectory
+) -> tuple[Trajectory, Step, Bool[Array, ""]]:
     """Try one step; the trajectory after it, the step, and whether it was accepted."""
     remaining = PERIOD - now.time
     wanted = jnp.minimum(now.length, now.limit)
     last = wanted >= remaining * (1 - 1e-9)
-    h = jnp.where(last, remaining, wanted)
+    # The length of a step is no function of the parameters; only what is left of a cycle after an event is.
+    h = jnp.where(last, remaining, jax.lax.stop_gradient(wanted))
     end, rate, error = method.advance(partial(field, system, now.state), now.time, now.point, now.rate, h)
     size = jnp.zeros(()) if error is None else error_size(control, end, error)
     size = jnp.where(jnp.isfinite(size), size, 1e9)
@@ -198,7 +202,7 @@ def transition(system: System, state: State, crossed: Bool[Array, " contact"], e
 def next_length(
     method: Method, control: Control, now: Trajectory, size: Array, h: Array, precise: Array
 ) -> Float[Array, ""]:
-    """Step length for the next try: PI control; a step cut short by an event or a cycle's end does not slow the next."""
+    """Step length for the next try: PI control; a step cut short by an event or a cycle's end slows nothing."""
     floor = jnp.maximum(size, 1e-10)
     power = 1 / method.order
     grown = h * jnp.clip(0.9 * floor ** (-0.7 * power) * now.last_error ** (0.4 * power), 0.2, 8.0)
@@ -308,3 +312,78 @@ def march(
     count = jnp.zeros(cycles.shape, dtype=jnp.int64)
     end, count = jax.lax.while_loop(lambda carry: running(carry[0]).any(), body, (start, count))
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), end), count
+
+
+def section(system: System, now: Trajectory) -> Float[Array, " state"]:
+    """The state at the end of a cycle as one vector (q, q', w); w of a separated contact, which is u, counts as 0."""
+    apart = now.state == SEPARATION
+    return jnp.concatenate([now.point.q, now.point.p, *(jnp.where(apart, 0.0, w) for w in now.point.w)])
+
+
+@eqx.filter_jit
+def march_sections(
+    method: Method, control: Control, systems: System, start: Trajectory, num_cycles: int
+) -> tuple[Trajectory, Float[Array, "batch cycle state"]]:
+    """Advance a batch by a number of cycles and keep the state at the end of each.
+
+    Args:
+        method: the method.
+        control: its tolerances.
+        systems: the systems, batch first.
+        start: the trajectories, batch first, each at the start of a cycle.
+        num_cycles: the number of cycles.
+
+    Returns:
+        The trajectories, and `section` at the end of each cycle; 0 for cycles that a failed one has not reached.
+    """
+    attempt = jax.vmap(partial(try_step, method, control), in_axes=-1, out_axes=-1)
+    sections = jax.vmap(section, in_axes=-1, out_axes=-1)
+    systems, start = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), (systems, start))
+    start = eqx.tree_at(lambda t: t.cycle, start, jnp.zeros_like(start.cycle))
+    row = jnp.arange(num_cycles)[:, None]
+
+    def running(now: Trajectory) -> Array:
+        return (now.cycle < num_cycles) & (now.status == Status.RUNNING)
+
+    def body(carry: tuple) -> tuple:
+        now, kept = carry
+        moves = running(now)
+        new = attempt(systems, now)[0]
+        new = jax.tree.map(lambda a, b: jnp.where(moves, a, b), new, now)
+        ended = (row == now.cycle) & (new.cycle > now.cycle)
+        return new, jnp.where(ended[:, None], sections(systems, new), kept)
+
+    kept = jnp.zeros((num_cycles, *sections(systems, start).shape))
+    end, kept = jax.lax.while_loop(lambda carry: running(carry[0]).any(), body, (start, kept))
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), end), jnp.moveaxis(kept, -1, 0)
+
+
+@eqx.filter_jit
+def period_slope(
+    method: Method, control: Control, systems: System, start: Trajectory, directions: Point, cycles: int
+) -> tuple[Trajectory, Float[Array, "batch state"], Float[Array, "batch state"]]:
+    """State after a number of cycles and its derivative along one direction of the state before, for a batch.
+
+    The derivative goes through every transition exactly: the time of an event moves with the state, which the
+    Newton correction at its landing carries on (the saltation of the orbit).
+
+    Args:
+        method: the method.
+        control: its tolerances.
+        systems: the systems, batch first.
+        start: the trajectories, batch first, each at the start of a cycle.
+        directions: change of each start.
+        cycles: number of cycles.
+
+    Returns:
+        The trajectories, `section` at the end, and its derivative.
+    """
+
+    def end_of(point: Point) -> tuple[Array, Trajectory]:
+        rate = jax.vmap(field)(systems, start.state, jnp.zeros(start.time.shape), point)
+        now = eqx.tree_at(lambda t: (t.point, t.rate), start, (point, rate))
+        end, kept = march_sections(method, control, systems, now, cycles)
+        return kept[:, -1], end
+
+    value, slope, end = jax.jvp(end_of, (start.point,), (directions,), has_aux=True)
+    return end, value, slope

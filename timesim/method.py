@@ -74,14 +74,14 @@ def moved(point: Point | None, slopes: list[Point], weights: tuple[float, ...], 
 @apart
 def _combined(point: Point | None, slopes: list[Point], weights: list[Array]) -> Point:
     def combine(*leaves: Array) -> Array:
-        return sum(weight * leaf for weight, leaf in zip(weights, leaves, strict=True))  # type: ignore[return-value]
+        return sum(weight * leaf for weight, leaf in zip(weights, leaves, strict=True))
 
     step = jax.tree.map(combine, *slopes)
     return step if point is None else jax.tree.map(jnp.add, point, step)
 
 
 class Implicit(Method):
-    """A diffrax solver for stiff contacts, stepped one step at a time; its Newton iteration may fail, which the error then says."""
+    """A diffrax solver for stiff contacts, a step at a time; where its Newton iteration fails, the error says so."""
 
     order: int = eqx.field(static=True)
     solver: eqx.Module
@@ -90,10 +90,8 @@ class Implicit(Method):
         import diffrax
 
         term = diffrax.ODETerm(lambda t, y, args: field(t, y))
-        start = self.solver.init(term, time, time + h, point, None)  # type: ignore[attr-defined]
-        end, error, _, _, result = self.solver.step(  # type: ignore[attr-defined]
-            term, time, time + h, point, None, start, made_jump=True
-        )
+        start = self.solver.init(term, time, time + h, point, None)
+        end, error, _, _, result = self.solver.step(term, time, time + h, point, None, start, made_jump=True)
         good = result == diffrax.RESULTS.successful
         error = jax.tree.map(lambda e: jnp.where(good, e, jnp.inf), error)
         return Advance(end, field(time + h, end), error)

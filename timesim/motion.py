@@ -42,9 +42,7 @@ class Motion(ABC):
         """
 
     @abstractmethod
-    def crossings(
-        self, weights: Array, constant: float, *, rate: bool = False
-    ) -> tuple[Array, NDArray[np.bool_]]:
+    def crossings(self, weights: Array, constant: float, *, rate: bool = False) -> tuple[Array, NDArray[np.bool_]]:
         """Where ``weights . y + constant``, or the same of dy/dtheta, changes its sign.
 
         Args:
@@ -127,9 +125,7 @@ class HarmonicMotion(Motion):
         turned = np.multiply.outer(self.phasor, np.exp(1j * np.asarray(theta)))
         return turned.imag, turned.real
 
-    def crossings(
-        self, weights: Array, constant: float, *, rate: bool = False
-    ) -> tuple[Array, NDArray[np.bool_]]:
+    def crossings(self, weights: Array, constant: float, *, rate: bool = False) -> tuple[Array, NDArray[np.bool_]]:
         """The two zeros of a sine about its mean, or none."""
         phasor = (1j if rate else 1.0) * np.dot(weights, self.phasor)
         if abs(phasor) <= abs(constant):
@@ -259,9 +255,7 @@ class SplineMotion(Motion):
                 f"not an array of shape {self.samples.shape}"
             )
         if not np.isfinite(self.samples).all():
-            raise ValueError(
-                f"motion: sample {np.argwhere(~np.isfinite(self.samples))[0, 0]} is not a finite number"
-            )
+            raise ValueError(f"motion: sample {np.argwhere(~np.isfinite(self.samples))[0, 0]} is not a finite number")
 
     @cached_property
     def pieces(self) -> PPoly:
@@ -280,9 +274,7 @@ class SplineMotion(Motion):
         """The spline and its derivative."""
         return np.moveaxis(self.pieces(theta), -1, 0), np.moveaxis(self._rate(theta), -1, 0)
 
-    def crossings(
-        self, weights: Array, constant: float, *, rate: bool = False
-    ) -> tuple[Array, NDArray[np.bool_]]:
+    def crossings(self, weights: Array, constant: float, *, rate: bool = False) -> tuple[Array, NDArray[np.bool_]]:
         """By the roots of every piece, and by the signs between them."""
         source = self._rate if rate else self.pieces
         value = PPoly(source.c @ weights, source.x)

@@ -33,21 +33,15 @@ def read_motion(path: str | Path) -> SplineMotion:
     path = Path(path)
     readers = {".csv": _read_csv, ".npz": _read_npz}
     if path.suffix.lower() not in readers:
-        raise ValueError(
-            f"motion file {path}: its name must end in .csv or .npz, not {path.suffix or 'nothing'}"
-        )
+        raise ValueError(f"motion file {path}: its name must end in .csv or .npz, not {path.suffix or 'nothing'}")
     return SplineMotion(_samples(path, readers[path.suffix.lower()](path)))
 
 
 def _read_csv(path: Path) -> dict[str, Array]:
     lines = path.read_text(encoding="utf-8-sig").splitlines()
-    rows = [
-        (number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")
-    ]
+    rows = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
     if not rows:
-        raise ValueError(
-            f"motion file {path}: it is empty; write a header such as u1,u2,v and one row an angle"
-        )
+        raise ValueError(f"motion file {path}: it is empty; write a header such as u1,u2,v and one row an angle")
     names = [name.strip() for name in rows[0][1].split(",")]
     _check_names(path, names)
     values = np.array([_numbers(path, number, line, len(names)) for number, line in rows[1:]])
@@ -71,9 +65,7 @@ def _read_npz(path: Path) -> dict[str, Array]:
         with np.load(path, allow_pickle=False) as data:
             arrays = {name: np.asarray(data[name], float) for name in data.files}
     except (ValueError, TypeError, EOFError, BadZipFile) as error:
-        raise ValueError(
-            f"motion file {path}: it cannot be read as an .npz file of numbers ({error})"
-        ) from error
+        raise ValueError(f"motion file {path}: it cannot be read as an .npz file of numbers ({error})") from error
     pair = arrays.pop("u", None)
     if pair is not None:
         if pair.ndim != 2 or pair.shape[1] != 2 or "u1" in arrays or "u2" in arrays:
@@ -88,9 +80,7 @@ def _read_npz(path: Path) -> dict[str, Array]:
 def _check_names(path: Path, names: list[str]) -> None:
     unknown = [name for name in names if name not in COLUMNS]
     if unknown or not names or len(set(names)) < len(names):
-        raise ValueError(
-            f"motion file {path}: columns must be u1, u2 and v, each at most once, not {', '.join(names)}"
-        )
+        raise ValueError(f"motion file {path}: columns must be u1, u2 and v, each at most once, not {', '.join(names)}")
 
 
 def _samples(path: Path, columns: Mapping[str, Array]) -> Array:
@@ -108,9 +98,7 @@ def _samples(path: Path, columns: Mapping[str, Array]) -> Array:
     if count > MIN_SAMPLES and _end_repeats(samples):
         samples = samples[:-1]
     if len(samples) < MIN_SAMPLES:
-        raise ValueError(
-            f"motion file {path}: a cycle needs at least {MIN_SAMPLES} samples, not {len(samples)}"
-        )
+        raise ValueError(f"motion file {path}: a cycle needs at least {MIN_SAMPLES} samples, not {len(samples)}")
     _refuse_jump(path, samples)
     return samples
 

@@ -150,9 +150,7 @@ def heading(made: "matplotlib.figure.Figure", data: "xarray.Dataset", what: str,
     title = short(str(data.attrs.get("title") or ""), 90)
     unfinished = "" if int(data.attrs["complete"]) else " (incomplete run)"
     tall = made.get_figheight()
-    made.suptitle(
-        (f"{title}\n" if title else "") + what + unfinished, fontsize=10, y=1 - 0.08 / tall, va="top"
-    )
+    made.suptitle((f"{title}\n" if title else "") + what + unfinished, fontsize=10, y=1 - 0.08 / tall, va="top")
     if left_out:
         made.text(0.99, 0.04 / tall, left_out, fontsize=7, color="0.35", ha="right", va="bottom")
 
@@ -187,9 +185,7 @@ def _pieces(inside: np.ndarray) -> np.ndarray:
     """Positions of the samples of each run, the sample that ends it, and -1 for a gap after it."""
     runs = np.flatnonzero(np.diff(inside, prepend=False, append=False)).reshape(-1, 2)
     last = inside.size - 1
-    return np.concatenate(
-        [np.empty(0, int), *(np.append(np.arange(a, min(b, last) + 1), -1) for a, b in runs)]
-    )
+    return np.concatenate([np.empty(0, int), *(np.append(np.arange(a, min(b, last) + 1), -1) for a, b in runs)])
 
 
 def shared_legend(made: "matplotlib.figure.Figure") -> None:

@@ -61,9 +61,7 @@ def displacement(
     return ax
 
 
-def _envelope(
-    data: "xarray.Dataset", ax: "matplotlib.axes.Axes", x: np.ndarray, amplitude: np.ndarray
-) -> None:
+def _envelope(data: "xarray.Dataset", ax: "matplotlib.axes.Axes", x: np.ndarray, amplitude: np.ndarray) -> None:
     start = data.cycle_start.values
     edges = np.append(start, start[-1] + data.cycle_period.values[-1])
     samples = np.searchsorted(data.time.values, edges - 1e-6 * data.cycle_period.values[0])
@@ -144,9 +142,7 @@ def contact_states(
     for row, contact in enumerate(contacts):
         for start, end, state in intervals(data, contact, time[0], time[-1]):
             style = STATE_STYLE[state]
-            bars = ax.broken_barh(
-                [(start, end - start)], (row - 0.35, 0.7), facecolor=style.colour, linewidth=0
-            )
+            bars = ax.broken_barh([(start, end - start)], (row - 0.35, 0.7), facecolor=style.colour, linewidth=0)
             bars.set(edgecolor="white", hatch=style.hatch, label=STATE_NAMES[state])
     starts = data.cycle_start.values
     for start in starts[(starts > time[0]) & (starts < time[-1])]:
@@ -173,9 +169,7 @@ def spectrum(data: "xarray.Dataset", ax: "matplotlib.axes.Axes | None" = None) -
         order, amplitude = harmonics(data, data.displacement.sel(point=point, axis=axis).values)
         whole = np.abs(order - np.round(order)) < 1e-9
         ax.plot(order, amplitude, color=style.colour, linestyle=style.line, linewidth=0.5)
-        ax.plot(
-            order[whole], amplitude[whole], style.marker, color=style.colour, ms=4, label=f"{point} {axis}"
-        )
+        ax.plot(order[whole], amplitude[whole], style.marker, color=style.colour, ms=4, label=f"{point} {axis}")
         peak = max(peak, float(amplitude.max(initial=0.0)))
     if peak > 0:
         ax.set_yscale("log")
@@ -200,9 +194,7 @@ def energy(data: "xarray.Dataset", ax: "matplotlib.axes.Axes | None" = None) -> 
     return _along_cycles(ax)
 
 
-def energy_residual(
-    data: "xarray.Dataset", ax: "matplotlib.axes.Axes | None" = None
-) -> "matplotlib.axes.Axes":
+def energy_residual(data: "xarray.Dataset", ax: "matplotlib.axes.Axes | None" = None) -> "matplotlib.axes.Axes":
     """What the energy balance of each cycle leaves unexplained, beside the input, on a logarithmic axis."""
     ax = axes(ax)
     for name, style in (("input", SERIES[0]), ("residual", SERIES[1])):
@@ -258,9 +250,7 @@ def last_cycles(data: "xarray.Dataset", cycles: int = LAST_CYCLES) -> slice:
     return slice(int(np.searchsorted(time, first)), None)
 
 
-def intervals(
-    data: "xarray.Dataset", contact: str, start: float, end: float
-) -> list[tuple[float, float, int]]:
+def intervals(data: "xarray.Dataset", contact: str, start: float, end: float) -> list[tuple[float, float, int]]:
     """Start, end [s] and state of each interval of a contact within a window, from the event log."""
     index = data.contact.values.tolist().index(contact)
     mine = np.flatnonzero(data.event_contact.values == index)
@@ -375,9 +365,7 @@ def _energy_figure(data: "xarray.Dataset") -> "matplotlib.figure.Figure":
     for ax in grid[:, 0]:
         ax.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.01, 0.5))
     number = data.sizes["contact"]
-    left_out = (
-        f"{number - MAX_CONTACTS} of {number} contacts shown in the sum only" if number > MAX_CONTACTS else ""
-    )
+    left_out = f"{number - MAX_CONTACTS} of {number} contacts shown in the sum only" if number > MAX_CONTACTS else ""
     heading(made, data, "energy balance of each cycle", left_out)
     return made
 

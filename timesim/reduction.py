@@ -108,8 +108,8 @@ def stuck_force(reduction: Reduction) -> np.ndarray:
     """Constant modal force of the contacts left out, in the kept modes, shape (K,).
 
     A stuck contact acts on body 1 by ``(-K_u (u - w0), -(n - max(n0, 0)))``; its constant part is
-    ``(K_u w0, -min(n0, 0))``. One that is apart acts by ``(0, max(n0, 0))``: the structure carries the preload
-    at rest, and now no longer.
+    ``(K_u w0, -min(n0, 0))``. One that is apart acts by ``(0, max(n0, 0))``: the preload that
+    the structure carries at rest, and now no longer.
     """
     shape = reduction.model.contact_shape[:, :, reduction.modes]
     force = np.zeros(reduction.modes.size)
@@ -261,9 +261,7 @@ def _proof(scene: _Scene, part: _Part, omega: float | None) -> dict[int, float]:
     shape = scene.shape[np.ix_(part.contacts, np.arange(3), part.modes)]
     slip = scene.model.start.slip[part.contacts]
     output = np.array([_springs(contact) @ own for contact, own in zip(contacts, shape, strict=True)])
-    offset = np.array(
-        [[*(-c.tangential_stiffness @ w), c.preload] for c, w in zip(contacts, slip, strict=True)]
-    )
+    offset = np.array([[*(-c.tangential_stiffness @ w), c.preload] for c, w in zip(contacts, slip, strict=True)])
     bounds = envelopes(_kept_states(scene, part, shape, output), output, offset, omega)
     margins = {
         int(c): max((_margin(bound, contact, int(scene.state[c])) for bound in own), default=-np.inf)
@@ -338,9 +336,7 @@ def _direction(scene: _Scene, c: int, modes: np.ndarray) -> np.ndarray | None:
 
 def _proven(contact: Contact, margin: float, *, stuck: bool) -> str:
     if stuck:
-        reason = (
-            f"|f| stays more than {margin:.3g} below friction times normal load (preload {contact.preload:g})"
-        )
+        reason = f"|f| stays more than {margin:.3g} below friction times normal load (preload {contact.preload:g})"
         return f"contact {contact.name} sticks from start to end and is taken into the structure: {reason}"
     start = f"gap {-contact.preload / contact.normal_stiffness:g}"
     start = start if contact.preload < 0 else f"preload {contact.preload:g}"

@@ -189,12 +189,8 @@ def read_file(path: Path) -> SceneSource:
         with path.open("rb") as stream:
             content = stream.read(MAX_BYTES + 1)
     except OSError as error:
-        rule = (
-            "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
-        )
-        raise SceneError(
-            [Problem(str(path), None, "", None, rule, "give the path of a scene file")]
-        ) from None
+        rule = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
+        raise SceneError([Problem(str(path), None, "", None, rule, "give the path of a scene file")]) from None
     return read_text(content, str(path), path.absolute().parent)
 
 
@@ -271,9 +267,7 @@ class _Reader:
         value = self.value(next(self.events), ())
         next(self.events)
         if isinstance(following := next(self.events), DocumentStartEvent):
-            raise RuleError(
-                (), "holds more than one document", "keep one scene a file", line=_line(following)
-            )
+            raise RuleError((), "holds more than one document", "keep one scene a file", line=_line(following))
         return value
 
     def value(self, event: Any, key: Key) -> Any:
@@ -324,9 +318,7 @@ class _Reader:
 
     def alias(self, event: Any, key: Key) -> Any:
         if event.anchor not in self.anchors:
-            raise RuleError(
-                key, f"*{event.anchor} refers to no anchor that is complete before it", line=_line(event)
-            )
+            raise RuleError(key, f"*{event.anchor} refers to no anchor that is complete before it", line=_line(event))
         value, size = self.anchors[event.anchor]
         self.count(size, event)
         return value
@@ -334,9 +326,7 @@ class _Reader:
     def count(self, number: int, event: Any) -> None:
         self.num_values += number
         if self.num_values > MAX_VALUES:
-            raise RuleError(
-                (), f"holds more than {MAX_VALUES} values, aliases written out", line=_line(event)
-            )
+            raise RuleError((), f"holds more than {MAX_VALUES} values, aliases written out", line=_line(event))
 
 
 def _line(event: Any) -> int:

@@ -44,9 +44,7 @@ class StateSection(Section):
 
     def build(self, physics: model.Model, order: np.ndarray, folder: Path) -> model.Start:
         """The state in ascending order of the modes."""
-        displacement, velocity = (
-            self._sorted(key, order) for key in ("modal_displacement", "modal_velocity")
-        )
+        displacement, velocity = (self._sorted(key, order) for key in ("modal_displacement", "modal_velocity"))
         names = [contact.name for contact in physics.contacts]
         for name in self.slip:
             if name not in names:
@@ -59,9 +57,7 @@ class StateSection(Section):
         if values is None:
             return np.zeros(order.size)
         if len(values) != order.size:
-            raise RuleError(
-                (key,), f"must have {order.size} entries, one a mode, not {len(values)}", value=values
-            )
+            raise RuleError((key,), f"must have {order.size} entries, one a mode, not {len(values)}", value=values)
         return np.array(values)[order]
 
 
@@ -150,9 +146,7 @@ class SolverSection(Section):
         for key, owner in owners.items():
             if getattr(self, key) is not None and key not in allowed:
                 hint = f"here {'method is ' + self.method if self.method else 'an accuracy rules'}"
-                raise refuse(
-                    f"goes with method {owner} only", key=(key,), hint=hint, value=getattr(self, key)
-                )
+                raise refuse(f"goes with method {owner} only", key=(key,), hint=hint, value=getattr(self, key))
         return self
 
 
@@ -188,9 +182,7 @@ def _known_study(value: Any) -> Any:
         if "kind" not in value:
             raise refuse("is required", key=("kind",), hint=f"one of {', '.join(STUDIES)}")
         if not isinstance(kind := value["kind"], str) or kind not in STUDIES:
-            raise refuse(
-                f"must be one of {', '.join(STUDIES)}", key=("kind",), hint=nearest(kind, STUDIES), value=kind
-            )
+            raise refuse(f"must be one of {', '.join(STUDIES)}", key=("kind",), hint=nearest(kind, STUDIES), value=kind)
     return value
 
 

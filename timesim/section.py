@@ -52,9 +52,7 @@ Matrix2 = Annotated[tuple[Pair, ...], Field(min_length=2, max_length=2)]
 class Section(BaseModel):
     """A mapping of the scene file: no other keys than these, and nothing changes once it is read."""
 
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", populate_by_name=False, use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=False, use_attribute_docstrings=True)
 
 
 def unit(vector: Sequence[float]) -> np.ndarray:

@@ -45,9 +45,7 @@ def _nodes() -> Array:
 NODES = _nodes()
 BARYCENTRIC = 1 / np.prod(NODES[:, None] - NODES + np.eye(NODES.size), axis=1)
 TO_LEGENDRE = np.linalg.inv(legendre.legvander(2 * NODES - 1, NUM_STAGES))
-_DERIVATIVE = (
-    2 * legendre.legval(2 * NODES - 1, legendre.legder(np.eye(NUM_STAGES + 1)), tensor=True).T @ TO_LEGENDRE
-)
+_DERIVATIVE = 2 * legendre.legval(2 * NODES - 1, legendre.legder(np.eye(NUM_STAGES + 1)), tensor=True).T @ TO_LEGENDRE
 FROM_STAGES = np.ascontiguousarray(_DERIVATIVE[1:, 1:])
 ORDERS = range(1, NUM_STAGES)
 FINE = np.linspace(0.0, 1.0, 4 * NUM_STAGES + 1)
@@ -207,9 +205,7 @@ def integrate_slip(
         if length == end - theta:
             return _path(steps, end, solved[-1], False)
         previous, alpha, theta = (solved, length), solved[-1], theta + length
-        length = min(
-            length * min(2.0, 0.9 * (tolerance / max(error, 1e-17)) ** (1 / NUM_STAGES)), LONGEST_STEP
-        )
+        length = min(length * min(2.0, 0.9 * (tolerance / max(error, 1e-17)) ** (1 / NUM_STAGES)), LONGEST_STEP)
     raise RuntimeError(f"slip: no step of {length:.3g} rad can be taken at {np.degrees(theta):.12g} degrees")
 
 
@@ -275,9 +271,7 @@ def _error(alpha: Array) -> float:
     return float(max(tail[1], 0.1 * tail[0]))
 
 
-def _sticking_place(
-    law: Law, motion: Motion, alpha: Array, dy: Array, start: float, length: float
-) -> float | None:
+def _sticking_place(law: Law, motion: Motion, alpha: Array, dy: Array, start: float, length: float) -> float | None:
     """Where in the step, of [0, 1], the slip speed falls through zero first; None where it does not."""
     fine = TO_FINE @ law.slip_margin(alpha, dy)
     negative = np.flatnonzero(fine[1:] < 0)

@@ -195,18 +195,12 @@ def _read_final(path: Path) -> dict[str, Any]:
             wanted = [f"final_{name}" for name in names]
             missing = [name for name in wanted if name not in data.variables]
             final = {
-                name: np.asarray(data.variables[name][...])
-                for name in (*wanted, "contact")
-                if name in data.variables
+                name: np.asarray(data.variables[name][...]) for name in (*wanted, "contact") if name in data.variables
             }
     except Exception as error:  # a damaged file raises whatever HDF5 makes of it
         raise RuleError((), f"cannot be read as NetCDF-4 ({' '.join(str(error).split())[:120]})") from None
     if not complete:
-        raise RuleError(
-            (), "is the result of a run that was not finished (complete = 0)", "finish that run first"
-        )
+        raise RuleError((), "is the result of a run that was not finished (complete = 0)", "finish that run first")
     if missing:
-        raise RuleError(
-            (), f"holds no final state ({missing[0]} is missing)", "a transient or a jump leaves one"
-        )
+        raise RuleError((), f"holds no final state ({missing[0]} is missing)", "a transient or a jump leaves one")
     return final

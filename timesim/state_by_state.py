@@ -227,9 +227,7 @@ class March:
         if self.straight_stops is None:
             key = (theta, phase.direction, end)
             if key not in self._paths:
-                self._paths[key] = integrate_slip(
-                    self.law, self.motion, phase.direction, theta, end, self.largest
-                )
+                self._paths[key] = integrate_slip(self.law, self.motion, phase.direction, theta, end, self.largest)
             return self._paths[key]
         line, forward, backward = self.straight_stops
         along = line @ [np.cos(phase.direction), np.sin(phase.direction)] > 0
@@ -256,8 +254,7 @@ class March:
             transitions.append(Transition(float(stop), phase.state, following.state))
             phase, theta = following, stop
         raise RuntimeError(
-            f"element: more than {MAX_TRANSITIONS} transitions in a cycle, "
-            f"the last at {np.degrees(theta):.9g} degrees"
+            f"element: more than {MAX_TRANSITIONS} transitions in a cycle, the last at {np.degrees(theta):.9g} degrees"
         )
 
     def _follow(self, theta: float, phase: Phase) -> Phase:

@@ -201,13 +201,9 @@ def read(path: Path | str) -> dict[str, Record]:
         raise StoreError(f"no result file at {file}; give a file or the folder of a finished run")
     try:
         with h5netcdf.File(file, "r", decode_vlen_strings=True) as source:
-            groups = {"": _read_group(source)} | {
-                name: _read_group(group) for name, group in source.groups.items()
-            }
+            groups = {"": _read_group(source)} | {name: _read_group(group) for name, group in source.groups.items()}
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        raise StoreError(
-            f"{file} cannot be read as a result file (cut off or not NetCDF-4): {error}"
-        ) from error
+        raise StoreError(f"{file} cannot be read as a result file (cut off or not NetCDF-4): {error}") from error
     missing = [name for name in REQUIRED_ATTRIBUTES if name not in groups[""].attrs]
     if missing:
         raise StoreError(f"{file} is not a result of timesim: it has no attribute {', '.join(missing)}")
@@ -222,9 +218,7 @@ def check_folder(folder: Path | str, force: bool = False) -> None:
     """
     path = Path(folder)
     if (path / RESULT_NAME).exists() and not force:
-        raise StoreError(
-            f"{path / RESULT_NAME} exists; choose another folder or give --force to overwrite it"
-        )
+        raise StoreError(f"{path / RESULT_NAME} exists; choose another folder or give --force to overwrite it")
     for part in (path, *path.parents):
         if part.exists():
             if not part.is_dir():
@@ -292,9 +286,7 @@ def write_whole(path: Path, content: bytes | memoryview) -> None:
                 os.unlink(temporary)
         if not isinstance(error, OSError):
             raise
-        raise StoreError(
-            f"{path} cannot be written: {error.strerror or error}; what was there is unchanged"
-        ) from error
+        raise StoreError(f"{path} cannot be written: {error.strerror or error}; what was there is unchanged") from error
 
 
 def _umask() -> int:

@@ -49,8 +49,7 @@ class ModalSection(Section):
     def build(self, folder: Path) -> tuple[model.Structure, np.ndarray, tuple[str, ...]]:
         """The structure, the scene's index of each of its modes, and notes."""
         frequency, ratio, mass = (
-            np.array([getattr(mode, key) for mode in self.modes])
-            for key in ("frequency", "damping_ratio", "mass")
+            np.array([getattr(mode, key) for mode in self.modes]) for key in ("frequency", "damping_ratio", "mass")
         )
         shape = np.array([[mode.shape[point] for point in self.point_names] for mode in self.modes])
         order = np.argsort(frequency, kind="stable")
@@ -166,9 +165,7 @@ class MatrixFiles(Section):
 
 
 def _file_kind(value: Any) -> str | None:
-    return (
-        "<file>" if isinstance(value, str) else "<files>" if isinstance(value, dict | MatrixFiles) else None
-    )
+    return "<file>" if isinstance(value, str) else "<files>" if isinstance(value, dict | MatrixFiles) else None
 
 
 class FileSection(Section):
@@ -227,9 +224,7 @@ class FileSection(Section):
         paths = self._paths(folder)
         if isinstance(paths, Path):
             return self.model_copy(update={"file": str(paths)})
-        return self.model_copy(
-            update={"file": MatrixFiles(**{key: str(path) for key, path in paths.items()})}
-        )
+        return self.model_copy(update={"file": MatrixFiles(**{key: str(path) for key, path in paths.items()})})
 
 
 STRUCTURES = ("modes", "matrices", "file")

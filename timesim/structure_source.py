@@ -55,9 +55,7 @@ def read_matrices(source: Path | Mapping[str, Path]) -> Matrices:
         raise RuleError((), "must be a .npz or .mat file", hint, str(source))
     _check_present(source)
     found = readers[source.suffix.lower()](source)
-    names = {
-        name: next((key for key in (name, short) if key in found), None) for name, short in ARRAYS.items()
-    }
+    names = {name: next((key for key in (name, short) if key in found), None) for name, short in ARRAYS.items()}
     for name in ("mass", "stiffness"):
         if names[name] is None:
             rule = f"holds neither {name} nor {ARRAYS[name]}"
@@ -65,8 +63,7 @@ def read_matrices(source: Path | Mapping[str, Path]) -> Matrices:
     arrays = {name: _numeric(found[key], f"{key} in {source.name}") for name, key in names.items() if key}
     spare = [short for name, short in ARRAYS.items() if name in found and short in found]
     notes = [
-        f"{source.name} holds {short} besides the array of the full name; {short} is left alone"
-        for short in spare
+        f"{source.name} holds {short} besides the array of the full name; {short} is left alone" for short in spare
     ]
     return Matrices(**arrays, notes=tuple(notes))
 
@@ -107,18 +104,14 @@ def _read_mat(path: Path) -> dict[str, Any]:
             return {name: held.get(name) for name in names}
     except NotImplementedError:
         raise RuleError((), "is a MATLAB 7.3 file", "save it with save(..., '-v7')", str(path)) from None
-    except (
-        Exception
-    ) as error:  # a damaged .mat raises whatever its bytes lead scipy into, zlib.error among them
+    except Exception as error:  # a damaged .mat raises whatever its bytes lead scipy into, zlib.error among them
         raise _unreadable(path, error) from None
 
 
 def _read_single(path: Path, name: str) -> Any:
     _check_present(path)
     if path.suffix.lower() not in (".mtx", ".npz"):
-        raise RuleError(
-            (name,), "must be a .mtx file, or a .npz file of scipy.sparse.save_npz", value=str(path)
-        )
+        raise RuleError((name,), "must be a .mtx file, or a .npz file of scipy.sparse.save_npz", value=str(path))
     import scipy.io
     import scipy.sparse
 
@@ -218,9 +211,7 @@ def _check_sizes(
     for name, matrix in (("stiffness", stiffness), ("damping", damping)):
         if matrix is not None and matrix.shape != (rows, rows):
             size = " x ".join(map(str, matrix.shape))
-            raise RuleError(
-                (name,), f"the {name} matrix must be {rows} x {rows} like the mass matrix, not {size}"
-            )
+            raise RuleError((name,), f"the {name} matrix must be {rows} x {rows} like the mass matrix, not {size}")
     for point, axes in points.items():
         for axis, row in axes.items():
             if row >= rows:
@@ -314,9 +305,7 @@ def _sparse_eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.nd
     if num_modes < size and (found := _num_negative(stiffness - below * mass)) != expected:
         hint = f"{found} lie below omega^2 = {below:.6g}, {expected} were found; try another keep_modes"
         raise RuleError(("keep_modes",), "the eigenvalue solver missed modes", hint, num_modes)
-    return np.where(np.abs(squared) < -2 * shift, np.maximum(squared, 0), squared)[:num_modes], modes[
-        :, :num_modes
-    ]
+    return np.where(np.abs(squared) < -2 * shift, np.maximum(squared, 0), squared)[:num_modes], modes[:, :num_modes]
 
 
 def _num_negative(matrix: Any) -> int:

@@ -48,9 +48,7 @@ def carry_out(scene: Scene, progress: Progress | None = None) -> Outcome:
     return outcome
 
 
-def run(
-    scene: Scene | str | Path | Mapping[str, Any], overrides: Mapping[str, Any] | None = None
-) -> "xarray.Dataset":
+def run(scene: Scene | str | Path | Mapping[str, Any], overrides: Mapping[str, Any] | None = None) -> "xarray.Dataset":
     """Run a scene and return its result, as ``timesim run`` writes it.
 
     Args:

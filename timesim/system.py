@@ -157,9 +157,7 @@ def modal_size(model: Model, omega: float) -> float:
     Without forces it is the size of the start.
     """
     root = np.sqrt(model.structure.mass)
-    drive = np.abs(model.excitation.constant) + np.hypot(model.excitation.cosine, model.excitation.sine).sum(
-        axis=0
-    )
+    drive = np.abs(model.excitation.constant) + np.hypot(model.excitation.cosine, model.excitation.sine).sum(axis=0)
     quasi_static = drive / root / np.maximum(model.structure.omega, omega) ** 2
     start = np.hypot(model.start.displacement, model.start.velocity / omega) * root
     size = max(np.max(quasi_static, initial=0.0), np.max(start, initial=0.0))
@@ -198,7 +196,7 @@ def system_of(model: Model, frequency: float, phase: float = 0.0, reduction: Red
     if reduction.stuck.size:
         stiffness = np.diag(stiffness) + stuck_matrix(reduction) / np.outer(root, root) / scales.omega**2
         constant = constant + stuck_force(reduction)
-    shape = model.contact_shape[np.ix_(reduction.live, range(3), modes)] * scales.mode[modes] / scales.length
+    shape = model.contact_shape[reduction.live][:, :, modes] * scales.mode[modes] / scales.length
     if reduction.line is not None:
         shape = np.stack([np.einsum("ca,cam->cm", reduction.line, shape[:, :2]), shape[:, 2]], axis=1)
     return System(
@@ -223,6 +221,7 @@ def _law(model: Model, reduction: Reduction, scales: Scales) -> Law:
     contacts = [model.contacts[index] for index in reduction.live]
     ratio = scales.length / scales.force
     matrices = np.array([c.tangential_stiffness for c in contacts]).reshape(-1, 2, 2) * ratio
+    stiffness: tuple[np.ndarray, ...]
     if reduction.line is not None:
         stiffness = (np.einsum("ca,cab,cb->c", reduction.line, matrices, reduction.line),)
     else:

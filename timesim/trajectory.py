@@ -102,7 +102,7 @@ class Run:
             clock = time.perf_counter()
             first = self.compile_seconds == 0.0
             now, record, count = advance(method, control, system, now, jnp.asarray(phase.cycles), BATCH)
-            loop = jax.tree.map(lambda rows: np.asarray(rows[: int(count)]), record)
+            loop = first_rows(record, int(count))
             if first:
                 self.compile_seconds = time.perf_counter() - clock
             steps = frame.steps(loop, self.completed - done, origin, work)
@@ -211,6 +211,11 @@ class Frame:
         run.state = self._states(now.state)
         run.time = origin + float(PERIOD * now.cycle + now.time) / omega
         run.work = self._work(now.point.work, work)
+
+
+def first_rows(record: LoopStep, count: int) -> LoopStep:
+    """The filled part of a record, on the host."""
+    return jax.tree.map(lambda rows: np.asarray(rows)[:count], record)
 
 
 def start_states(model: Model) -> np.ndarray:

@@ -88,7 +88,11 @@ def contact_forces(model: Model, samples: Samples) -> tuple[np.ndarray, np.ndarr
     force = np.zeros_like(x)
     for begin in range(0, x.shape[0], ROWS):
         rows = slice(begin, begin + ROWS)
-        parts = (x[rows] / scales.length, dx[rows] / (scales.length * scales.omega), samples.w[rows] / scales.length)
+        parts = (
+            x[rows] / scales.length,
+            dx[rows] / (scales.length * scales.omega),
+            samples.w[rows] / scales.length,
+        )
         missing = ROWS - parts[0].shape[0]
         padded = [np.pad(part, ((0, missing), (0, 0), (0, 0))) for part in parts]
         state = np.pad(samples.state[rows], ((0, missing), (0, 0)))
@@ -213,9 +217,7 @@ def cycle_variables(run: Run, totals: CycleTotals) -> dict[str, tuple[tuple[str,
     }
 
 
-def attributes(
-    scene: Scene, method: str, compiling: float, running: float, reason: str | None
-) -> dict[str, Any]:
+def attributes(scene: Scene, method: str, compiling: float, running: float, reason: str | None) -> dict[str, Any]:
     """Attributes of every result file; ``reason``: why the run ended early, None if it is complete."""
     from importlib.metadata import version
 
