@@ -14,7 +14,7 @@ from bad_scenes import BAD_SCENES, BASE, MATRICES, BadScene
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from timesim.check import advised_method, contact_line, describe, stuck_rate
+from timesim.check import advised_method, contact_line, describe
 from timesim.config import SceneError, json_schema, load_scene
 from timesim.model import SEPARATION, SLIP, STICK
 from timesim.scene_source import MAX_BYTES, RuleError, parse, yaml_text
@@ -134,9 +134,7 @@ def test_modes_are_sorted_with_what_belongs_to_them():
     model = load_scene(text, {"excitation.forces": []}).model()
     assert np.array_equal(model.structure.frequency, [1.1, 1.9])
     assert np.array_equal(model.structure.mass, [2, 1])
-    assert np.allclose(
-        model.structure.damping, 4 * np.pi * np.array([0.03 * 1.1 * 2, 0.02 * 1.9]), rtol=1e-15
-    )
+    assert np.allclose(model.structure.damping, 4 * np.pi * np.array([0.03 * 1.1 * 2, 0.02 * 1.9]), rtol=1e-15)
     assert np.array_equal(model.structure.shape[0], [[1, 1], [-1, 1], [0.6, 0.8]])
     assert np.array_equal(model.start.velocity, [2, 1])
     assert np.array_equal(model.excitation.cosine, [[0, 1]])
@@ -152,9 +150,7 @@ def test_forces_add_up_by_harmonic():
     excitation = model.excitation
     assert np.array_equal(excitation.harmonic, [1, 3])
     pull = np.array([3 + 4, 3 - 4])
-    assert np.allclose(
-        excitation.cosine, [np.sqrt(0.75) * pull + [1, 0], -2 * np.array([0.8, 0.6])], rtol=1e-14
-    )
+    assert np.allclose(excitation.cosine, [np.sqrt(0.75) * pull + [1, 0], -2 * np.array([0.8, 0.6])], rtol=1e-14)
     assert np.allclose(excitation.sine, [-0.5 * pull - [0, 1], [0, 0]], rtol=1e-14)
     assert np.allclose(excitation.constant, [0.4, 0.3], rtol=1e-15)
 
@@ -278,10 +274,7 @@ def test_solver_defaults():
 
 def one_mass(**changes: Any) -> dict[str, Any]:
     """A mass on springs k = (2 pi)^2 along x and z, with a contact below."""
-    modes = [
-        {"frequency": 1, "damping_ratio": 0, "mass": 1, "shape": {"m": axis}}
-        for axis in ([1, 0, 0], [0, 0, 1])
-    ]
+    modes = [{"frequency": 1, "damping_ratio": 0, "mass": 1, "shape": {"m": axis}} for axis in ([1, 0, 0], [0, 0, 1])]
     contact = {"name": "c", "point": "m", "friction": 0.5, "tangential_stiffness": 10, "normal_stiffness": 20}
     return {
         "structure": {"modes": modes},
@@ -293,9 +286,7 @@ def one_mass(**changes: Any) -> dict[str, Any]:
 
 
 def push(*vector: float) -> dict[str, Any]:
-    return {
-        "constant_forces": [{"point": "m", "direction": vector, "amplitude": float(np.linalg.norm(vector))}]
-    }
+    return {"constant_forces": [{"point": "m", "direction": vector, "amplitude": float(np.linalg.norm(vector))}]}
 
 
 K = (2 * np.pi) ** 2
@@ -312,9 +303,7 @@ K = (2 * np.pi) ** 2
         (-1.0, (0, 0, 1), SEPARATION, (0, 1 / K)),
     ],
 )
-def test_static_start(
-    preload: float, force: tuple[float, ...], state: int, displacement: tuple[float, float]
-):
+def test_static_start(preload: float, force: tuple[float, ...], state: int, displacement: tuple[float, float]):
     scene = load_scene(one_mass(contact={"preload": preload}, excitation=push(*force), initial="static"))
     start = scene.model().start
     assert np.allclose(start.displacement, displacement, rtol=1e-13, atol=1e-15)
@@ -403,17 +392,13 @@ def write_result(path: Path, **changes: Any) -> Path:
         names[...] = changes.pop("names", ["c"])
         for name, (dimensions, value) in values.items():
             array = np.asarray(value)
-            file.create_variable(
-                name, (dimensions,) if isinstance(dimensions, str) else dimensions, data=array
-            )
+            file.create_variable(name, (dimensions,) if isinstance(dimensions, str) else dimensions, data=array)
     return path
 
 
 def test_start_from_a_result(tmp_path: Path):
     write_result(tmp_path / "result.nc")
-    (tmp_path / "scene.yaml").write_text(
-        yaml_text(one_mass(contact={"preload": 2}, initial={"from": "result.nc"}))
-    )
+    (tmp_path / "scene.yaml").write_text(yaml_text(one_mass(contact={"preload": 2}, initial={"from": "result.nc"})))
     scene = load_scene(tmp_path / "scene.yaml")
     start = scene.model().start
     assert np.array_equal(start.displacement, [0.01, 0.02])
@@ -440,9 +425,7 @@ def test_start_from_a_result(tmp_path: Path):
         ),
     ],
 )
-def test_start_from_a_result_of_other_parameters(
-    tmp_path: Path, contact: Any, values: Any, state: int, slip: float
-):
+def test_start_from_a_result_of_other_parameters(tmp_path: Path, contact: Any, values: Any, state: int, slip: float):
     path = write_result(tmp_path / "result.nc", values=values)
     start = load_scene(one_mass(contact=contact, initial={"from": path})).model().start
     assert start.state.tolist() == [state]
@@ -489,11 +472,21 @@ def test_files_that_no_result_are(tmp_path: Path):
 
 def test_describe_names_every_part():
     scene = load_scene(CONFIGS / "oscillator.yaml")
-    report = {heading.title: heading.lines for heading in describe(scene, ["mode 7: nothing moves it"])}
+    report = {heading.title: heading.lines for heading in describe(scene)}
     assert report["structure"] == ("2 modes, 0.9 to 1.1 Hz", "damping ratio 0.02", "points: tip")
-    assert report["left out"] == ("mode 7: nothing moves it",)
+    assert "same tangential stiffness" in report["left out or simplified"][0]
     assert "preload 3" in report["contacts"][0]
     assert "warnings" not in report
+
+
+def test_describe_says_what_is_left_out_and_why():
+    def said(**overrides: Any) -> tuple[str, ...]:
+        scene = load_scene(CONFIGS / "oscillator.yaml", {key.replace("__", "."): x for key, x in overrides.items()})
+        return {heading.title: heading.lines for heading in describe(scene)}["left out or simplified"]
+
+    assert "sticks from start to end" in said(contacts__pad__preload=100)[0]
+    assert "never touches" in said(contacts__pad__preload=-40)[0]
+    assert said(contacts__pad__preload=100, solver__reduce=False) == ("nothing: solver.reduce is false",)
 
 
 def test_describe_contacts():
@@ -519,7 +512,7 @@ def test_nothing_moves_is_worth_a_warning():
 
 def test_advised_method_follows_the_fastest_rate():
     model = load_scene(one_mass()).model()
-    assert stuck_rate(model) == pytest.approx(np.sqrt(K + 20))
+    assert model.stuck_rate == pytest.approx(np.sqrt(K + 20))
     assert advised_method(model).steps_per_cycle == pytest.approx(np.sqrt(K + 20) / 3.3)
     assert advised_method(model).method == "tsit5"
     stiff = load_scene(one_mass(contact={"normal_stiffness": 1e10})).model()
@@ -551,9 +544,7 @@ def test_json_schema_knows_the_keys():
 SCALARS = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=20))
 VALUES = st.recursive(
     SCALARS,
-    lambda inner: st.one_of(
-        st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=8), inner, max_size=3)
-    ),
+    lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=8), inner, max_size=3)),
     max_leaves=8,
 )
 

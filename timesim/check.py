@@ -1,6 +1,6 @@
 """What would be modelled, told before anything runs: the parts of a scene, warnings, the method advised."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +8,7 @@ from pydantic import BaseModel
 
 from timesim.config import Scene
 from timesim.model import GROUND, Contact, Model
+from timesim.reduction import reduction_of
 from timesim.scene_source import value_text
 
 REACH = 3.3
@@ -42,13 +43,8 @@ class Advice:
         return f"{self.method}: {steps}, {bound}"
 
 
-def describe(scene: Scene, left_out: Sequence[str] = ()) -> list[Heading]:
-    """What ``timesim check`` prints of a scene.
-
-    Args:
-        scene: the scene.
-        left_out: what the run will not model and why, a line each, where that is known.
-    """
+def describe(scene: Scene) -> list[Heading]:
+    """What ``timesim check`` prints of a scene: what is modelled, what is left out and why, and warnings."""
     headings = [Heading("scene", tuple(_study_lines(scene)))]
     if scene.file.structure is not None:
         model = scene.model()
@@ -57,9 +53,17 @@ def describe(scene: Scene, left_out: Sequence[str] = ()) -> list[Heading]:
         headings.append(Heading("excitation", tuple(_excitation_lines(model))))
         if (advice := advised_method(model)) is not None:
             headings.append(Heading("advised method", (str(advice),)))
-    headings.append(Heading("left out", tuple(left_out)))
+        headings.append(Heading("left out or simplified", _left_out(scene, model)))
     headings.append(Heading("warnings", tuple(scene.warnings())))
     return [heading for heading in headings if heading.lines]
+
+
+def _left_out(scene: Scene, model: Model) -> tuple[str, ...]:
+    if not scene.file.solver.reduce:
+        return ("nothing: solver.reduce is false",)
+    frequency = model.excitation.frequency if scene.file.study.uses_frequency else None
+    findings = reduction_of(model, [] if frequency is None else [frequency]).findings
+    return findings or ("nothing: every mode, contact and direction is needed",)
 
 
 def advised_method(model: Model, frequency: float | None = None) -> Advice | None:

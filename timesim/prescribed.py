@@ -15,7 +15,6 @@ is a rounding of it. The energy is collected as in every run, as the work of fri
 import timesim.jax_setup  # noqa: F401  isort: skip
 
 import abc
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -127,19 +126,24 @@ def _with_carriers(carriers: Array, modes: Array) -> Array:
 
 @dataclass(frozen=True)
 class Elements:
-    """Contacts under harmonic motion, N of them side by side.
+    """Contacts under prescribed motion, N of them side by side.
 
     Attributes:
         friction, normal_stiffness, preload: mu, k_v and n0, shape (N,).
         stiffness: K_u, shape (N, 2, 2).
-        phasor: (u1, u2, v) = Im(phasor exp(i θ)), shape (N, 3) [length].
+        start, rate: (u1, u2, v) and its derivative at θ = 0, shape (N, 3) [length].
+        length: unit of length, the size of the motion, shape (N,) [length].
+        limit: largest limit force mu n of the cycle, shape (N,) [force]; zero without contact or friction.
     """
 
     friction: np.ndarray
     normal_stiffness: np.ndarray
     preload: np.ndarray
     stiffness: np.ndarray
-    phasor: np.ndarray
+    start: np.ndarray
+    rate: np.ndarray
+    length: np.ndarray
+    limit: np.ndarray
 
     @property
     def size(self) -> int:
@@ -152,50 +156,67 @@ class Elements:
         K = self.stiffness
         return bool(np.all(K[:, 0, 1] == 0) and np.all(K[:, 0, 0] == K[:, 1, 1]))
 
-    def pick(self, rows: np.ndarray | slice) -> "Elements":
-        """Some of them."""
-        return replace(self, **{item.name: getattr(self, item.name)[rows] for item in fields(self)})
-
-    @property
-    def length(self) -> np.ndarray:
-        """Unit of length of each: its largest amplitude, shape (N,) [length]."""
-        size = np.abs(self.phasor[:, :2]).max(axis=1)
-        size = np.where(size > 0, size, np.abs(self.phasor[:, 2]))
-        return np.where(size > 0, size, 1.0)
-
-    @property
-    def limit(self) -> np.ndarray:
-        """Largest limit force mu n of each, shape (N,) [force]; zero where there is no contact or no friction."""
-        load = self.preload + self.normal_stiffness * np.abs(self.phasor[:, 2])
-        return self.friction * np.maximum(load, 0.0)
-
-    @property
-    def force(self) -> np.ndarray:
-        """Unit of force of each, shape (N,) [force]."""
-        return np.where(self.limit > 0, self.limit, np.abs(self.preload) + self.normal_stiffness * self.length)
-
     @property
     def live(self) -> np.ndarray:
         """Which of them can have a friction force at all, shape (N,)."""
         return self.limit > 0
 
     @property
-    def start(self) -> tuple[np.ndarray, np.ndarray]:
-        """u, shape (N, 2) [length], and state, shape (N,), at θ = 0: f = 0 if n > 0, else separated."""
-        y = self.phasor.imag
-        load = self.preload + self.normal_stiffness * y[:, 2]
-        floor = 1e-14 * (np.abs(self.preload) + self.normal_stiffness * np.abs(self.phasor[:, 2]))
-        return y[:, :2], np.where(load > floor, np.where(self.friction > 0, STICK, SLIP), SEPARATION)
+    def force(self) -> np.ndarray:
+        """Unit of force, shape (N,) [force]."""
+        other = np.abs(self.preload) + self.normal_stiffness * self.length
+        return np.where(self.live, self.limit, np.where(other > 0, other, 1.0))
+
+    @property
+    def start_state(self) -> np.ndarray:
+        """State at θ = 0, where f = 0 in contact, shape (N,)."""
+        stiffness = self.normal_stiffness
+        load = self.preload + stiffness * self.start[:, 2]
+        floor = 1e-14 * (np.abs(self.preload) + stiffness * np.hypot(self.start[:, 2], self.rate[:, 2]))
+        return np.where(load > floor, np.where(self.friction > 0, STICK, SLIP), SEPARATION)
+
+    @property
+    def carriers(self) -> tuple[Array, Array]:
+        """Where the carriers start a cycle, and their rate, shape (N, 3)."""
+        unit = (self.length * WEAK)[:, None]
+        return jnp.asarray(self.start / unit), jnp.asarray(self.rate / unit)
+
+    def pick(self, rows: np.ndarray) -> "Elements":
+        """Some of them."""
+        return replace(self, **{item.name: getattr(self, item.name)[rows] for item in fields(self)})
 
 
-def elements_of(pairs: Sequence[tuple[Contact, HarmonicMotion]]) -> Elements:
-    """Contacts and their motions side by side."""
-    contacts = [contact for contact, _ in pairs]
-    return Elements(
-        *(np.array([getattr(c, name) for c in contacts]) for name in ("friction", "normal_stiffness", "preload")),
-        np.array([c.tangential_stiffness for c in contacts]).reshape(-1, 2, 2),
-        np.array([motion.phasor for _, motion in pairs]).reshape(-1, 3),
-    )
+def harmonic_elements(
+    friction: Any, normal_stiffness: Any, preload: Any, stiffness: np.ndarray, phasor: np.ndarray
+) -> Elements:
+    """Contacts under harmonic motion.
+
+    Args:
+        friction, normal_stiffness, preload: numbers or arrays of shape (N,).
+        stiffness: K_u, shape (2, 2) or (N, 2, 2).
+        phasor: (u1, u2, v) = Im(phasor exp(i θ)), shape (N, 3) [length].
+    """
+    count = len(phasor)
+    mu, kv, n0 = (np.broadcast_to(np.asarray(x, float), (count,)) for x in (friction, normal_stiffness, preload))
+    size = np.abs(phasor)
+    length = np.where(np.any(size[:, :2] > 0, axis=1), size[:, :2].max(axis=1), size[:, 2])
+    limit = mu * np.maximum(n0 + kv * size[:, 2], 0.0)
+    K = np.broadcast_to(np.asarray(stiffness, float), (count, 2, 2))
+    return Elements(mu, kv, n0, K, phasor.imag, phasor.real, np.where(length > 0, length, 1.0), limit)
+
+
+def single_element(contact: Contact, motion: Motion) -> Elements:
+    """One contact under any motion."""
+    extremes, _ = motion.crossings(np.array([0.0, 0.0, 1.0]), 0.0, rate=True)
+    angles = np.linspace(0.0, CYCLE, 721)
+    v = motion.evaluate(np.append(extremes, 0.0))[0][2]
+    y = np.abs(motion.evaluate(angles)[0]).max(axis=1)
+    length = y[:2].max() if np.any(y[:2]) else y[2]
+    limit = contact.friction * max(contact.preload + contact.normal_stiffness * v.max(), 0.0)
+    start, rate = motion.evaluate(0.0)
+    numbers = (contact.friction, contact.normal_stiffness, contact.preload, contact.tangential_stiffness)
+    column = [np.asarray(x, float)[None] for x in (*numbers, start, rate, length or 1.0, limit)]
+    return Elements(*column)
 
 
 def law_of(elements: Elements, isotropic: bool) -> Law:
@@ -328,18 +349,23 @@ def collected(elements: Elements, end: Trajectory) -> Collected:
     )
 
 
-def coefficients(phasor: np.ndarray, found: Collected) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """f_b, f_s and f_c of (19), each of shape (N, 2) [force], along t1 and t2.
+def coefficients(phase: np.ndarray, found: Collected) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """f_b, f_s and f_c of (19) along t1 and t2, each of shape (N, 2) [force].
 
-    The phase of each component is that of its motion; of one that does not move it is 0, as in the paper's A.
+    Args:
+        phase: of u1 and u2, shape (N, 2) [rad].
+        found: mean and first harmonic.
     """
-    phase = np.angle(phasor[:, :2])
     turned = (found.cosine - 1j * found.sine) * np.exp(-1j * phase)
     return found.mean, -turned.imag, turned.real
 
 
-def drive_of(motion: Motion) -> tuple[Drive, tuple[np.ndarray, np.ndarray, np.ndarray] | None]:
-    """A motion for the loop in units of length over `WEAK`, and its acceleration for the system; see `system_of`.
+def drive_of(motion: Motion, unit: float) -> tuple[Drive, tuple[np.ndarray, np.ndarray, np.ndarray] | None]:
+    """A motion for the loop, and its acceleration for the system; see `system_of`.
+
+    Args:
+        motion: the motion.
+        unit: of the carriers [length].
 
     Raises:
         TypeError: a motion of another kind.
@@ -348,8 +374,8 @@ def drive_of(motion: Motion) -> tuple[Drive, tuple[np.ndarray, np.ndarray, np.nd
         return Turn(), None
     if not isinstance(motion, SplineMotion):
         raise TypeError(f"no drive for a {type(motion).__name__}")
-    taylor = motion.pieces.c
-    spectrum = np.fft.rfft(motion.samples, axis=0)[1 : NUM_GUESSED + 1] * 2 / len(motion.samples)
+    taylor = motion.pieces.c / unit
+    spectrum = np.fft.rfft(motion.samples / unit, axis=0)[1 : NUM_GUESSED + 1] * 2 / len(motion.samples)
     harmonic = np.arange(1, len(spectrum) + 1)
     acceleration = -(harmonic**2)[:, None] * spectrum
     return Pieces(jnp.asarray(taylor)), (harmonic, acceleration.real, -acceleration.imag)

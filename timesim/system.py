@@ -195,6 +195,7 @@ def system_of(model: Model, frequency: float, phase: float = 0.0, reduction: Red
     constant = excited.constant[modes]
     if reduction.stuck.size:
         stiffness = np.diag(stiffness) + stuck_matrix(reduction) / np.outer(root, root) / scales.omega**2
+    if reduction.stuck.size or reduction.apart.size:
         constant = constant + stuck_force(reduction)
     shape = model.contact_shape[reduction.live][:, :, modes] * scales.mode[modes] / scales.length
     if reduction.line is not None:
