@@ -66,9 +66,7 @@ def many_contacts_against_each_other() -> list[bool]:
     for lag, rtol, bound in ((1e-4, 1e-11, 1e-8), (3e-4, 1e-9, 1e-6)):
         run = opponents_scipy.simulate(model, frequency, 20, rtol=rtol, lag=lag)
         note = f"{run.num_events} of {truth.num_events} events"
-        good.append(
-            row(f"scipy DOP853 {rtol:g}, lag {lag:g}", "many_contacts", error(run, truth), bound, note)
-        )
+        good.append(row(f"scipy DOP853 {rtol:g}, lag {lag:g}", "many_contacts", error(run, truth), bound, note))
     for steps, bound in ((50, 1e-3), (200, 1e-5), (800, 1e-7), (3200, 1e-9)):
         run = opponents_numba.simulate(model, frequency, 20, steps_per_cycle=steps)
         note = f"{run.num_events} of {truth.num_events} events"

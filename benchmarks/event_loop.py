@@ -6,6 +6,8 @@ once before the timing, so compilation is not counted; then all of them run in t
 the median is shown.
 """
 
+import timesim.jax_setup  # noqa: F401  isort: skip
+
 import argparse
 import os
 import statistics
@@ -15,17 +17,27 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import opponents_numba
 import opponents_scipy
 from problems import MANY_CONTACTS_FREQUENCY, Run, error, many_contacts, oscillator
 
+from timesim.history import events
+from timesim.integrate import march
 from timesim.model import Model
+from timesim.reduction import reduction_of
+from timesim.solver import Solver
+from timesim.system import system_of
+from timesim.trajectory import Frame, Phase
+from timesim.trajectory import Run as Simulation
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import oracle
 
 BATCHES = (1, 16, 256)
+TIMESIM_SOLVERS = (("tsit5", 1e-5), ("tsit5", 1e-7), ("tsit5", 1e-9), ("dopri8", 1e-9))
 
 
 class Problem(NamedTuple):
@@ -108,8 +120,51 @@ def oracle_rows(problem: Problem) -> list[Contender]:
 
 
 def timesim_rows(problem: Problem, batch: int) -> list[Contender]:
-    """The program's own entries at one batch size; `run` returns when the whole batch is ready."""
-    return []
+    """The program's own entries at one batch size.
+
+    The first of the batch is the problem itself, the others lie up to 1 % above it in frequency. At batch 1 also the
+    whole run as a user has it: every step recorded and handed to the host.
+    """
+    rows = []
+    for method, rtol in TIMESIM_SOLVERS:
+        solver = Solver(method, rtol, rtol * 1e-2)
+        rows.append(Contender(f"timesim {method}, rtol {rtol:g}", batch, marched(problem, batch, solver)))
+        if batch == 1:
+            rows.append(Contender(f"timesim {method}, rtol {rtol:g}, recorded", 1, recorded(problem, solver)))
+    return rows
+
+
+def marched(problem: Problem, batch: int, solver: Solver) -> Callable[[], Run]:
+    frequencies = problem.frequency * (1 + 0.01 * np.arange(batch) / batch)
+    reduction = reduction_of(problem.model, frequencies)
+    frames = [Frame(problem.model, reduction, frequency) for frequency in frequencies]
+    stiffest = problem.model.stuck_rate / frames[0].scales.omega
+    start = Simulation(problem.model, [Phase(problem.frequency, problem.cycles)], solver)
+    systems = [system_of(problem.model, frequency, 0.0, reduction) for frequency in frequencies]
+    starts = [
+        frame.begin(system, start, solver.first_step(stiffest), work=False)
+        for frame, system in zip(frames, systems, strict=True)
+    ]
+    systems, starts = (jax.tree.map(lambda *leaves: jnp.stack(leaves), *each) for each in (systems, starts))
+    cycles = jnp.full(batch, problem.cycles)
+
+    def run() -> Run:
+        end, count = march(solver.method(), solver.control(stiffest), systems, starts, cycles)
+        assert int(jnp.max(end.status)) == 0
+        frames[0].store(jax.tree.map(lambda leaf: leaf[0], end), start, 0.0, start.work)
+        return Run(start.displacement, start.velocity, start.slip, start.state, int(count[0]), [])
+
+    return run
+
+
+def recorded(problem: Problem, solver: Solver) -> Callable[[], Run]:
+    def run() -> Run:
+        simulation = Simulation(problem.model, [Phase(problem.frequency, problem.cycles)], solver)
+        count = sum(events(steps).time.size for steps in simulation.batches())
+        s = simulation
+        return Run(s.displacement, s.velocity, s.slip, s.state, count, [])
+
+    return run
 
 
 def measure(problem: Problem, contenders: list[Contender], repeats: int, budget: float) -> list[Row]:
@@ -141,9 +196,7 @@ def table(problem: Problem, rows: list[Row], num_events: int) -> str:
         "| who | batch | error | transitions | µs a cycle and trajectory |",
         "|---|---|---|---|---|",
     ]
-    body = [
-        f"| {r.name} | {r.batch} | {r.error:.1e} | {r.num_events} | {r.seconds * 1e6:.4g} |" for r in rows
-    ]
+    body = [f"| {r.name} | {r.batch} | {r.error:.1e} | {r.num_events} | {r.seconds * 1e6:.4g} |" for r in rows]
     return "\n".join(head + body)
 
 

@@ -36,9 +36,7 @@ FAILURES = {
 }
 
 compiled = njit(cache=True, fastmath={"contract", "nsz", "reassoc", "arcp"}, error_model="numpy")
-inlined = njit(
-    cache=True, fastmath={"contract", "nsz", "reassoc", "arcp"}, error_model="numpy", forceinline=True
-)
+inlined = njit(cache=True, fastmath={"contract", "nsz", "reassoc", "arcp"}, error_model="numpy", forceinline=True)
 
 
 class Scene(NamedTuple):
@@ -46,9 +44,7 @@ class Scene(NamedTuple):
 
     modes: tuple[int, ...]
     pads: tuple[int, ...]
-    constant: (
-        np.ndarray
-    )  # flat: stiffness (M), damping (M), shape (3C, M), its transpose (M, 3C), pads (C, 9)
+    constant: np.ndarray  # flat: stiffness (M), damping (M), shape (3C, M), its transpose (M, 3C), pads (C, 9)
     load: np.ndarray  # (2N + 3, M): at half-steps, then two rows for points off the grid
     harmonic: np.ndarray  # (H,)
     cosine: np.ndarray  # (H, M)
@@ -168,9 +164,7 @@ def contact_forces(s, z, row, grid_step):
             bounded = mu * n
             floor = grid_step / RELAX
             if bounded < 4.0 * floor * (abs(a1) + abs(a2)):
-                e1, e2, bounded = led_direction(
-                    k11, k12, k22, mu, n, dn, a1, a2, e1, e2, across / along, floor
-                )
+                e1, e2, bounded = led_direction(k11, k12, k22, mu, n, dn, a1, a2, e1, e2, across / along, floor)
             f1, f2 = mu * n * e1, mu * n * e2
             row[o.turn + c] = 0.5 * (1.0 + tau * tau) * across / (along * bounded)
         z.pad[3 * c], z.pad[3 * c + 1], z.pad[3 * c + 2] = -f1, -f2, base - n

@@ -131,9 +131,7 @@ class Pad:
             det = m11 * m22 - m12 * m12
             return (m22 * a1 - m12 * a2) / det, (m11 * a2 - m12 * a1) / det
 
-        high = math.hypot(a1, a2) / (
-            0.5 * (self.k11 + self.k22 - math.hypot(self.k11 - self.k22, 2 * self.k12))
-        )
+        high = math.hypot(a1, a2) / (0.5 * (self.k11 + self.k22 - math.hypot(self.k11 - self.k22, 2 * self.k12)))
         low = 1e-12 * high if limit <= 0 else 0.0
         s = brentq(lambda s: math.hypot(*direction(s)) - 1, low, high * (1 + 1e-12), xtol=1e-300, rtol=1e-14)
         e1, e2 = direction(s)
@@ -209,9 +207,7 @@ class Flow:
             if self.memo[0] != t:
                 self.memo = (t, self.moves(y))
             pad, move = self.pads[k], self.memo[1][k]
-            return (
-                pad.normal_margin(move) if by_normal else pad.margin(move, y[2 * self.num_modes + k])
-            ) + GUARD
+            return (pad.normal_margin(move) if by_normal else pad.margin(move, y[2 * self.num_modes + k])) + GUARD
 
         guard.terminal, guard.direction = True, -1  # type: ignore[attr-defined]
         return guard
@@ -280,9 +276,7 @@ def simulate(
     while t < end:
         functions, owners = flow.guards()
         flow.memo = (math.nan, flow.memo[1])
-        leg = solve_ivp(
-            flow.rate, (t, end), y, method=method, rtol=rtol, atol=atol, events=functions, max_step=longest
-        )
+        leg = solve_ivp(flow.rate, (t, end), y, method=method, rtol=rtol, atol=atol, events=functions, max_step=longest)
         if leg.status < 0:
             raise RuntimeError(f"solve_ivp stopped at t = {leg.t[-1]:.6g}: {leg.message}")
         t, y = float(leg.t[-1]), leg.y[:, -1].copy()

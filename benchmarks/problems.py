@@ -36,9 +36,7 @@ def error(run: Run, reference: Run) -> float:
 
 
 def rest(num_modes: int, num_contacts: int) -> Start:
-    return Start(
-        np.zeros(num_modes), np.zeros(num_modes), np.zeros((num_contacts, 2)), np.full(num_contacts, -1)
-    )
+    return Start(np.zeros(num_modes), np.zeros(num_modes), np.zeros((num_contacts, 2)), np.full(num_contacts, -1))
 
 
 def oscillator(preload: float, frequency: float | None = None) -> Model:

@@ -54,6 +54,8 @@ def describe(scene: Scene) -> list[Heading]:
         if (advice := advised_method(model)) is not None:
             headings.append(Heading("advised method", (str(advice),)))
         headings.append(Heading("left out or simplified", _left_out(scene, model)))
+    else:
+        headings.append(Heading("contacts", tuple(contact_line(item.build()) for item in scene.file.contacts)))
     headings.append(Heading("warnings", tuple(scene.warnings())))
     return [heading for heading in headings if heading.lines]
 
@@ -83,7 +85,8 @@ def advised_method(model: Model, frequency: float | None = None) -> Advice | Non
 def contact_line(contact: Contact) -> str:
     """One contact in words: where, of what kind, its stiffness and its preload or gap."""
     partner = "the ground" if contact.against == GROUND else contact.against
-    return f"{contact.name}: {contact.point} against {partner}, {', '.join(_contact_parts(contact))}"
+    place = [f"{contact.point} against {partner}"] if contact.point else []
+    return f"{contact.name}: {', '.join([*place, *_contact_parts(contact)])}"
 
 
 def _contact_parts(contact: Contact) -> Iterator[str]:

@@ -78,7 +78,7 @@ class Scene:
     @property
     def _resolved(self) -> SceneFile:
         absolute = {}
-        for key in ("structure", "initial"):
+        for key in ("structure", "initial", "study"):
             section = getattr(self.file, key)
             if hasattr(section, "absolute"):
                 absolute[key] = section.absolute(self.source.folder)
@@ -193,6 +193,7 @@ class _Build:
             parent = getattr(self.file, above[0]) if above else self.file
             if parent is not None and getattr(parent, last) is None:
                 self.errors.append(RuleError((*above, last), f"is required for a {study.kind} study"))
+        self.errors += [error.below("study") for error in study.problems(self.file.contacts, self.folder)]
 
     def check_names(self) -> None:
         names = [contact.name for contact in self.file.contacts]

@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     Scalar: TypeAlias = Array
     State: TypeAlias = Array
 else:
-    Scalar = Float[Array, "*contact"]
-    State = Int[Array, "*contact"]
+    Scalar = Float[Array, "*#contact"]
+    State = Int[Array, "*#contact"]
 Plane: TypeAlias = tuple[Scalar, ...]
 
 
@@ -81,7 +81,7 @@ def scaled(factor: Scalar, a: Plane) -> Plane:
     return tuple(factor * x for x in a)
 
 
-def where(condition: Bool[Array, "*contact"], a: Plane, b: Plane) -> Plane:
+def where(condition: Bool[Array, "*#contact"], a: Plane, b: Plane) -> Plane:
     """One of two vectors."""
     return tuple(jnp.where(condition, x, y) for x, y in zip(a, b, strict=True))
 

@@ -256,6 +256,18 @@ def follow(residual: Residual, guess: Array, start: float, stop: float, controls
     return _Walk(residual, controls, start, stop).run(guess)
 
 
+def solve(residual: Residual, guess: Array, p: float, controls: Controls) -> tuple[Array, int] | None:
+    """Solution near a guess at one value of the parameter, and the sign of det dr/dx; None if none is found."""
+    arc = _Arc(residual, controls, abs(p) or 1.0)
+    arc.x_unit = max(controls.size, float(np.linalg.norm(guess)))
+    border = np.append(np.zeros(guess.size), 1.0)
+    try:
+        point = arc.settled(np.append(guess / arc.x_unit, p / arc.p_unit), border)
+    except _FailureError:
+        return None
+    return point.y[:-1] * arc.x_unit, point.determinant
+
+
 class _Walk:
     """A curve on the way: its points in the units of the caller, and the step."""
 
@@ -308,7 +320,6 @@ class _Walk:
         self, point: _Point, before: tuple[_Point, float] | None, step: float
     ) -> tuple[_Point, float, float] | None:
         """The next point, the length of arc to it, and a length for the one after; None if there is none."""
-        refused = 0
         while step >= self.controls.min_step:
             try:
                 found = self.arc.corrected(_predicted(point, before, step), point.tangent)
@@ -317,8 +328,8 @@ class _Walk:
                 continue
             turn = float(np.arccos(np.clip(point.tangent @ found.tangent, -1.0, 1.0)))
             # A tangent that jumps, as where slip begins, does so however short the step.
-            if turn > 4 * self.controls.turn and refused < 4:
-                step, refused = step / 3, refused + 1
+            if turn > 4 * self.controls.turn and step > self.controls.max_step / 20:
+                step /= 3
                 continue
             growth = np.clip(np.sqrt(self.controls.turn / max(turn, 1e-9)), 0.5, 1.6)
             if found.corrections > 4:

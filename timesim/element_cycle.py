@@ -154,6 +154,12 @@ class ElementCycle:
         """States entered."""
         return np.array([item.after for item in self.transitions], np.int64)
 
+    @property
+    def largest_limit(self) -> float:
+        """Largest limit force mu n of the cycle [force]; zero where there is none."""
+        extremes, _ = self.motion.crossings(np.array([0.0, 0.0, 1.0]), 0.0, rate=True)
+        return float(self.law.friction * self.normal_load(np.append(extremes, 0.0)).max())
+
     @cached_property
     def _pieces(self) -> tuple[Array, Array, NDArray[np.int64], Array, Array]:
         """Start, length, state, w and Legendre series of alpha of each piece: a stay, or a step of a slip."""

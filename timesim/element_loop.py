@@ -32,7 +32,7 @@ from timesim.prescribed import (
 )
 from timesim.solver import Solver
 
-FINE = Solver("dopri8", 1e-13, 1e-13)
+FINE = Solver("tsit5", 1e-12, 1e-12)
 MAX_CYCLES = 1000
 # Change of f from cycle to cycle, relative to the largest mu n, that is rounding; a larger one that falls no
 # further is so too, up to the second number.

@@ -52,7 +52,7 @@ def segment(system: System, points: tuple[Point, Point], rates: tuple[Point, Poi
 
 
 @apart
-def margins_inside(system: System, state: State, part: Segment, x: Float[Array, "*node contact"]) -> Margins:
+def margins_inside(system: System, state: State, part: Segment, x: Float[Array, "*#node #contact"]) -> Margins:
     """Margins on the dense output at fractions x of the step, made dimensionless by their scale."""
     along = [
         hermite.quintic(x, part.h, start, end, jump)

@@ -168,7 +168,9 @@ def try_step(
 
 
 @apart
-def arriving(control: Control, margin: Margins, slope: Margins, h: Array, last: Array) -> tuple[Margins, Margins]:
+def arriving(
+    control: Control, margin: Margins, slope: Margins, h: Array, last: Array
+) -> tuple[Margins, tuple[Bool[Array, " contact"], ...]]:
     """Time from the end of the step to the zero of each margin, and which of them take their transition there.
 
     A margin that is still violated after the shortest step has jumped through zero: that is a transition too. So is one

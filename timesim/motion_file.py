@@ -1,4 +1,4 @@
-"""Files of a prescribed motion: one cycle of u1, u2 and v at equal angles, as .csv or .npz."""
+"""Files of a prescribed motion: one cycle of u1, u2 and v at equal angles, as .csv or .npz, or in a result."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -6,6 +6,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from timesim.model import GROUND
 from timesim.motion import MIN_SAMPLES, Array, SplineMotion
 
 COLUMNS = ("u1", "u2", "v")
@@ -35,6 +36,46 @@ def read_motion(path: str | Path) -> SplineMotion:
     if path.suffix.lower() not in readers:
         raise ValueError(f"motion file {path}: its name must end in .csv or .npz, not {path.suffix or 'nothing'}")
     return SplineMotion(_samples(path, readers[path.suffix.lower()](path)))
+
+
+def read_result_motion(path: str | Path, point: str, against: str, frame: Array) -> SplineMotion:
+    """Motion of a point relative to another over the last whole cycle that an earlier transient recorded.
+
+    Args:
+        path: result file, or the folder of the run.
+        point, against: points of that result; the second may be the ground.
+        frame: rows t1, t2 and normal of the contact, shape (3, 3).
+
+    Raises:
+        ValueError: there is no such point, or the cycle is not one smooth motion that closes.
+        StoreError: the file is no result.
+    """
+    path = Path(path)
+    arrays = _recorded(path)
+    names, period = arrays["point"].tolist(), arrays["cycle_period"]
+    for name in (point, against):
+        if name not in names and (name, name) != (against, GROUND):
+            raise ValueError(f"result {path}: no point {name}; it has {', '.join(names)}")
+    start = arrays["cycle_start"][-1] - 1e-6 * period[-1]
+    rows = (arrays["time"] > start) & (arrays["time"] < start + period[-1])
+    x = arrays["displacement"][rows]
+    relative = x[:, names.index(point)] - (0.0 if against == GROUND else x[:, names.index(against)])
+    u1, u2, v = frame @ relative.T
+    return SplineMotion(_samples(path, {"u1": u1, "u2": u2, "v": v}))
+
+
+def _recorded(path: Path) -> dict[str, Array]:
+    """What a transient's result holds of the motion of its points."""
+    from timesim.store import read
+
+    root = read(path)[""]
+    arrays = {name: array for name, (_, array) in root.variables.items()} | dict(root.coords)
+    needed = ("displacement", "point", "time", "cycle_start", "cycle_period")
+    if missing := [name for name in needed if name not in arrays]:
+        raise ValueError(f"result {path}: no {', '.join(missing)}; give the result of a transient")
+    if not arrays["cycle_start"].size:
+        raise ValueError(f"result {path}: no cycle was finished")
+    return arrays
 
 
 def _read_csv(path: Path) -> dict[str, Array]:

@@ -46,6 +46,8 @@ MAX_PASSES = 100
 # Change of d over a period, relative to the largest d, that counts as none; rounding adds to it with |u|.
 CLOSED = 1e-12
 ROUNDING = 1e-14
+# Excess of |f|^2 over (mu n)^2, relative, that is no slip: what a contact left at rest on its cone shows by rounding.
+GRAZING = 1e-11
 
 
 class Basis(eqx.Module):
@@ -163,7 +165,7 @@ def _in_contact(
     force, pull = product(law.stiffness, d), product(law.stiffness, change)
     rise, half_slope = dot(pull, pull) - growth**2, dot(force, pull) - limit0 * growth
     start = jnp.minimum(dot(force, force) - limit0**2, 0.0)
-    slides = rise + 2 * half_slope + start > 0
+    slides = rise + 2 * half_slope + start > GRAZING * limit1**2
     leave = _cone_exit(rise, half_slope, start)
     on_cone = tuple(f + leave * p for f, p in zip(force, pull, strict=True))
     span = (1 - leave) * _mean_inverse(limit0 + leave * growth, limit1)
@@ -281,7 +283,7 @@ def motion_of(basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) 
     return Motion((u1, u2), v, (), v)
 
 
-def _before(period: Period) -> Plane:
+def before_intervals(period: Period) -> Plane:
     """Elastic displacement at the start of each interval."""
     return tuple(jnp.concatenate([b[None], d[:-1]]) for b, d in zip(period.begin, period.d, strict=True))
 
@@ -294,7 +296,7 @@ def forces(law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coeffici
 
 
 def _summary(law: Law, basis: Basis, motion: Motion, period: Period) -> Forces:
-    stay = jax.vmap(partial(carried, law))(_before(period), intervals_of(motion))
+    stay = jax.vmap(partial(carried, law))(before_intervals(period), intervals_of(motion))
     load = jnp.maximum(normal_load(law, motion.v), 0.0)
     samples = jnp.stack([*product(law.stiffness, period.d), load], axis=2)
     coefficient = jnp.moveaxis(jnp.tensordot(basis.project, samples, 1), 0, 2)
@@ -366,7 +368,7 @@ def _after_entry(law: Law, basis: Basis, motion: Motion, period: Period) -> Colu
     intervals = intervals_of(motion)
     _, path = _through(law, period.entered, intervals)
     first = Period(period.entered, path, period.entered, period.gap, period.passes)
-    through = _tangents(slopes(law, _before(first), intervals), basis)[-1]
+    through = _tangents(slopes(law, before_intervals(first), intervals), basis)[-1]
 
     def enter(u1: Scalar, u2: Scalar, v: Scalar) -> Plane:
         return settled(law, (u1, u2), v)
@@ -390,7 +392,7 @@ def linearised(
     motion = motion_of(basis, coefficient)
     period = closed_period(law, motion)
     acts = _summary(law, basis, motion, period)
-    through = _tangents(slopes(law, _before(period), intervals_of(motion)), basis)
+    through = _tangents(slopes(law, before_intervals(period), intervals_of(motion)), basis)
     loose = (acts.slip == 0) & (acts.separation == 0)
     size, here = basis.value.shape[1], basis.value[-1]
     stuck = jnp.zeros((2, 3, size)).at[0, 0].set(here).at[1, 1].set(here).reshape(2, -1)

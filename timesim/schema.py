@@ -4,15 +4,14 @@ A section's ``build`` makes its part of `timesim.model`; rules that need another
 of modes) are looked after there and raise `RuleError`. Frequencies in Hz, angles in degrees, the rest in any
 consistent system of units.
 
-To add a study, write its section beside `Transient` and name it in `STUDIES` and in `StudySection`, which
-with more than one becomes a union tagged as `InitialSection` is.
+The sections of the studies are in `timesim.study_section`.
 """
 
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Discriminator, Field, Strict, Tag, model_validator
+from pydantic import Discriminator, Field, Strict, Tag, model_validator
 
 from timesim import model
 from timesim.contact_section import ContactSection
@@ -21,6 +20,7 @@ from timesim.scene_source import RuleError
 from timesim.section import Count, Number, Pair, Section, Text, Whole, nearest, refuse
 from timesim.start import from_result, given_start, static_start
 from timesim.structure_section import StructureSection
+from timesim.study_section import StudySection
 
 
 class StateSection(Section):
@@ -97,7 +97,7 @@ InitialSection = Annotated[
 ]
 
 
-# Solver and study
+# Solver
 
 ADAPTIVE = ("tsit5", "dopri5", "dopri8", "kvaerno5")
 METHODS = (*ADAPTIVE, "rk4")
@@ -148,45 +148,6 @@ class SolverSection(Section):
                 hint = f"here {'method is ' + self.method if self.method else 'an accuracy rules'}"
                 raise refuse(f"goes with method {owner} only", key=(key,), hint=hint, value=getattr(self, key))
         return self
-
-
-class Transient(Section):
-    """One run at one frequency."""
-
-    requires: ClassVar[tuple[str, ...]] = ("structure", "excitation", "excitation.frequency")
-    uses_frequency: ClassVar[bool] = True
-
-    kind: Literal["transient"]
-    cycles: Count
-    """Excitation cycles to run."""
-    samples_per_cycle: Annotated[Whole, Field(ge=2)] = 200
-    """Recorded samples of one cycle."""
-    record_last: Count | None = None
-    """How many of the last cycles are recorded; all by default."""
-
-    @model_validator(mode="after")
-    def _within(self) -> Self:
-        if self.record_last is None:
-            object.__setattr__(self, "record_last", self.cycles)
-        elif self.record_last > self.cycles:
-            rule = f"must be at most the {self.cycles} cycles of the run"
-            raise refuse(rule, key=("record_last",), value=self.record_last)
-        return self
-
-
-STUDIES = {"transient": Transient}
-
-
-def _known_study(value: Any) -> Any:
-    if isinstance(value, dict):
-        if "kind" not in value:
-            raise refuse("is required", key=("kind",), hint=f"one of {', '.join(STUDIES)}")
-        if not isinstance(kind := value["kind"], str) or kind not in STUDIES:
-            raise refuse(f"must be one of {', '.join(STUDIES)}", key=("kind",), hint=nearest(kind, STUDIES), value=kind)
-    return value
-
-
-StudySection = Annotated[Transient, BeforeValidator(_known_study)]
 
 
 class SceneFile(Section):

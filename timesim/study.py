@@ -1,6 +1,6 @@
 """What each ``study.kind`` runs. Loads the modules of a study only when it runs: checking a scene needs none of them.
 
-To add a study: its section in `timesim.schema`, a module with a function ``study(scene, progress)`` named here, and its
+To add a study: its section in `timesim.study_section`, a module with a function ``study(scene, progress)`` named here, and its
 pictures in `timesim.plot`.
 """
 
@@ -17,7 +17,11 @@ from timesim.store import Record
 if TYPE_CHECKING:
     import xarray
 
-MODULES = {"transient": "timesim.transient"}
+MODULES = {
+    "transient": "timesim.transient",
+    "element": "timesim.element",
+    "element_map": "timesim.element_map",
+}
 
 Progress = Callable[[int, int], None]
 
@@ -66,3 +70,20 @@ def run(scene: Scene | str | Path | Mapping[str, Any], overrides: Mapping[str, A
     if outcome.reason is not None:
         warnings.warn(f"the run is incomplete: {outcome.reason}", RuntimeWarning, stacklevel=2)
     return outcome.groups[""].dataset()
+
+
+def attributes(scene: Scene, method: str, compiling: float, running: float, reason: str | None) -> dict[str, Any]:
+    """Attributes of every result file; ``reason``: why the run ended early, None if it is complete."""
+    from importlib.metadata import version
+
+    told = {
+        "timesim_version": version("timesim"),
+        "scene": scene.resolved_yaml(),
+        "title": scene.file.title,
+        "study": scene.file.study.kind,
+        "complete": int(reason is None),
+        "method": method,
+        "compile_seconds": compiling,
+        "run_seconds": running,
+    }
+    return told if reason is None else told | {"reason": reason}

@@ -19,7 +19,7 @@ from timesim.integrate import Step as LoopStep
 from timesim.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.reduction import Reduction, reduction_of
 from timesim.solver import Solver
-from timesim.system import Point, Scales, Work, scales_of, system_of
+from timesim.system import Point, Scales, System, Work, scales_of, system_of
 
 BATCH = 512  # steps handed over at a time
 PERIOD = 2 * np.pi
@@ -131,13 +131,13 @@ class Frame:
         # Components along the axes of the contact of a unit along each axis that the loop knows: (live, 2, axes).
         self.axes = np.tile(np.eye(2), (reduction.live.size, 1, 1)) if lines is None else lines[:, :, None]
 
-    def begin(self, system: object, run: Run, first_step: float) -> Trajectory:
-        """The loop's trajectory from the present state of a run."""
+    def begin(self, system: System, run: Run, first_step: float, *, work: bool = True) -> Trajectory:
+        """The loop's trajectory from the present state of a run, with or without its energies."""
         scales, modes, live = self.scales, self.reduction.modes, self.reduction.live
         q = jnp.asarray(run.displacement[modes] / scales.mode[modes])
         p = jnp.asarray(run.velocity[modes] / (scales.mode[modes] * scales.omega))
         w = np.einsum("cax,ca->xc", self.axes, run.slip[live]) / scales.length
-        nothing = Work(jnp.zeros(()), jnp.zeros(()), jnp.zeros(live.size))
+        nothing = Work(jnp.zeros(()), jnp.zeros(()), jnp.zeros(live.size)) if work else None
         point = Point(q, p, tuple(map(jnp.asarray, w)), nothing)
         return begin(system, point, jnp.asarray(run.state[live]), jnp.asarray(first_step))  # type: ignore[arg-type]
 
@@ -179,6 +179,7 @@ class Frame:
             (self._slip(y.w, self.model.start.slip), self._slip(dy.w, none, omega))
             for y, dy in ((loop.start, loop.start_rate), (loop.end, loop.end_rate))
         ]
+        assert loop.end.work is not None
         done = self._work(loop.end.work, work)
         return Steps(
             cycle=loop.cycle + before,
@@ -195,8 +196,7 @@ class Frame:
             friction=done[..., 2:],
         )
 
-    def _work(self, made: Work | None, before: np.ndarray) -> np.ndarray:
-        assert made is not None
+    def _work(self, made: Work, before: np.ndarray) -> np.ndarray:
         friction = np.zeros((*np.shape(made.input), self.model.num_contacts))
         friction[..., self.reduction.live] = made.friction
         modal = np.stack([np.asarray(made.input), np.asarray(made.damping)], axis=-1)
@@ -210,7 +210,8 @@ class Frame:
         run.slip = self._slip(now.point.w, self.model.start.slip)
         run.state = self._states(now.state)
         run.time = origin + float(PERIOD * now.cycle + now.time) / omega
-        run.work = self._work(now.point.work, work)
+        if now.point.work is not None:
+            run.work = self._work(now.point.work, work)
 
 
 def first_rows(record: LoopStep, count: int) -> LoopStep:

@@ -16,7 +16,7 @@ from timesim.contact import Motion, reaction
 from timesim.history import CycleTotals, Events, Samples, Steps, events, sample, stored_energy
 from timesim.model import SEPARATION, Model
 from timesim.solver import solver_of
-from timesim.study import Outcome, Progress
+from timesim.study import Outcome, Progress, attributes
 from timesim.system import contact_law, scales_of
 from timesim.trajectory import Phase, Run, RunError
 
@@ -215,20 +215,3 @@ def cycle_variables(run: Run, totals: CycleTotals) -> dict[str, tuple[tuple[str,
         "energy_stored_change": (("cycle",), stored),
         "energy_residual": (("cycle",), work[:, 0] - work[:, 1] - friction.sum(axis=1) - stored),
     }
-
-
-def attributes(scene: Scene, method: str, compiling: float, running: float, reason: str | None) -> dict[str, Any]:
-    """Attributes of every result file; ``reason``: why the run ended early, None if it is complete."""
-    from importlib.metadata import version
-
-    told = {
-        "timesim_version": version("timesim"),
-        "scene": scene.resolved_yaml(),
-        "title": scene.file.title,
-        "study": scene.file.study.kind,
-        "complete": int(reason is None),
-        "method": method,
-        "compile_seconds": compiling,
-        "run_seconds": running,
-    }
-    return told if reason is None else told | {"reason": reason}
