@@ -58,9 +58,7 @@ class Controls:
 
     def __post_init__(self) -> None:
         if not self.size > 0 or not self.tolerance > 0:
-            raise ValueError(
-                f"continuation: size and tolerance must be positive, not {self.size} and {self.tolerance}"
-            )
+            raise ValueError(f"continuation: size and tolerance must be positive, not {self.size} and {self.tolerance}")
         if not 0 < self.min_step <= self.first_step <= self.max_step:
             raise ValueError(
                 "continuation: steps must obey 0 < min_step <= first_step <= max_step, "
@@ -168,7 +166,7 @@ class _Arc:
         The derivatives are those at the guess as long as they make the corrections fall fast; with `exact` they are
         taken anew at the solution.
         """
-        y, before, stale, factors = guess, np.inf, True, None
+        y, before, stale = guess, np.inf, True
         for count in range(self.controls.max_newton + 1):
             if stale:
                 r, matrix = self.bordered(y, border)
@@ -231,7 +229,8 @@ def _direction(factors: Factors) -> tuple[Array, int]:
     tangent = lu_solve(factors, last, check_finite=False)
     swaps = np.count_nonzero(pivots != np.arange(pivots.size))
     negative = np.count_nonzero(np.diag(lu) < 0) + swaps
-    return tangent / np.linalg.norm(tangent), int(np.sign(tangent[-1])) * (-1) ** negative
+    sign = int(np.sign(tangent[-1])) * (-1) ** int(negative)
+    return tangent / np.linalg.norm(tangent), sign
 
 
 def follow(residual: Residual, guess: Array, start: float, stop: float, controls: Controls) -> Curve:
@@ -280,6 +279,7 @@ class _Walk:
 
     def run(self, guess: Array) -> Curve:
         """From the guess to the end."""
+        self.num_unknowns = guess.size
         self.arc.x_unit = max(self.controls.size, float(np.linalg.norm(guess)))
         y = np.append(guess / self.arc.x_unit, self.start / self.arc.p_unit)
         try:
@@ -394,7 +394,7 @@ class _Walk:
         x, p, fold, determinant, corrections = zip(*self.rows, strict=True) if self.rows else ((),) * 5
         folds = np.array(fold, dtype=bool)
         return Curve(
-            x=np.array(x).reshape(len(self.rows), -1),
+            x=np.array(x).reshape(len(self.rows), self.num_unknowns),
             p=np.array(p, dtype=float),
             fold=folds,
             branch=np.cumsum(folds) - folds,

@@ -68,41 +68,57 @@ def margins_inside(system: System, state: State, part: Segment, x: Float[Array, 
     return force / force_scale(system.law), speed
 
 
-def end_margins(system: System, state: State, part: Segment) -> tuple[Margins, Margins]:
-    """Margins at the end of the step and their exact rates."""
-
+def _margins_at(
+    system: System, state: State, ends: Ends, slip: tuple[Plane, Plane]
+) -> tuple[Margins, Margins]:
     def at(x: Plane, dx: Plane, w: Plane) -> Margins:
         force, speed = margins(system.law, state, Motion(x[:-1], x[-1], dx[:-1], dx[-1]), w)
         return force / force_scale(system.law), speed
 
-    (x, dx, ddx), (w, dw) = part.end, part.slip_end
+    (x, dx, ddx), (w, dw) = ends, slip
     return jax.jvp(at, (x, dx, w), (dx, ddx, dw))
 
 
+def end_margins(system: System, state: State, part: Segment) -> tuple[Margins, Margins]:
+    """Margins at the end of the step and their exact rates."""
+    return _margins_at(system, state, part.end, part.slip_end)
+
+
 def first_crossing(
-    system: System, state: State, part: Segment, end: Margins, spared: tuple[Bool[Array, " contact"], ...]
+    system: System,
+    state: State,
+    part: Segment,
+    end: Margins,
+    end_rate: Margins,
+    spared: tuple[Bool[Array, " contact"], ...],
 ) -> Float[Array, ""]:
     """Fraction of the step at which the first margin falls through zero, `NONE` where none does.
 
-    Also a margin that only dips below zero between two nodes, judged by a parabola through three of them, is
-    proposed: to end a step there needlessly does no harm.
+    Also a margin that only dips below zero between two nodes is proposed, judged by a parabola through three of them,
+    and next to an end by the rate there: a step that stops just short of a dip is followed by one that begins with it.
+    To end a step there needlessly does no harm.
 
     Args:
         system: the system.
         state: states of the contacts during the step.
         part: the step.
-        end: margins at its end.
+        end, end_rate: margins at its end and their rates.
         spared: margins that are allowed to be negative at the end, because their transition is taken there.
     """
     if state.shape[0] == 0:
         return jnp.asarray(NONE)
     inner = margins_inside(system, state, part, jnp.arange(NUM_NODES)[:, None] / NUM_NODES)
-    nodes = []
-    for margin, last, spare in zip(inner, end, spared, strict=True):
+    _, start_rate = _margins_at(system, state, part.start, part.slip_start)
+    nodes, dips = [], []
+    for margin, last, spare, falls, rises in zip(inner, end, spared, start_rate, end_rate, strict=True):
         # A step starts on a guard after each transition: what is there is rounding, and no crossing.
         first = [jnp.maximum(margin[0], 0.0), *(margin[i] for i in range(1, NUM_NODES))]
-        nodes.append([*first, jnp.where(spare, jnp.maximum(last, 0.0), last)])
-    return jnp.minimum(_root(system, state, part, nodes), jnp.minimum(_dip(nodes[0]), _dip(nodes[1])).min())
+        node = [*first, jnp.where(spare, jnp.maximum(last, 0.0), last)]
+        nodes.append(node)
+        after = _edge_dip(node[0], part.h / NUM_NODES * falls, node[1])
+        before = _edge_dip(node[-1], -part.h / NUM_NODES * rises, node[-2])
+        dips += [_dip(node), after, jnp.where(before < NONE, 1 - before, NONE)]
+    return jnp.stack([_root(system, state, part, nodes), *(dip.min() for dip in dips)]).min()
 
 
 @apart
@@ -152,3 +168,13 @@ def _dip(node: list[Array]) -> Float[Array, " contact"]:
         where = (i - 0.5 * slope / jnp.where(curvature > 0, curvature, 1.0)) / NUM_NODES
         first = jnp.where(inside & lowest, where, first)
     return first
+
+
+@apart
+def _edge_dip(edge: Array, slope: Array, next_node: Array) -> Float[Array, " contact"]:
+    """Minimum below zero of the parabola from an end of the step, with its slope there, to the node next to it."""
+    curvature = next_node - edge - slope
+    inside = (slope < 0) & (-slope < 2 * curvature) & (edge >= 0) & (next_node >= -VIOLATED)
+    lowest = edge * curvature - 0.25 * slope**2 < -VIOLATED * curvature
+    where = -0.5 * slope / jnp.where(inside, curvature, 1.0) / NUM_NODES
+    return jnp.where(inside & lowest, where, NONE)

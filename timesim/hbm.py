@@ -13,13 +13,14 @@ however many modes there are. The forces follow y through the law of `timesim.pe
 (alternating frequency/time); their derivatives are exact for that law, and so is the matrix of Newton's method.
 
 Sections 4.3 and 5 of the paper, whose scheme is ``harmonics=1``; T. M. Cameron and J. H. Griffin, J. Appl. Mech. 56
-(1989) 149 for the alternation; J. Krack and M. Gross, Harmonic Balance for Nonlinear Vibration Problems (Springer 2019).
+(1989) 149 for the alternation; M. Krack and J. Gross, Harmonic Balance for Nonlinear Vibration Problems (Springer
+2019).
 """
 
 import timesim.jax_setup  # noqa: F401  isort: skip
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -28,7 +29,8 @@ from numpy.typing import NDArray
 from timesim.contact import Law
 from timesim.located_period import located_forces
 from timesim.model import Model
-from timesim.period import Basis, basis_of, forces, linearised
+from timesim.period import Basis, basis_of, forces
+from timesim.period_tangent import linearised
 from timesim.system import scales_of, system_of
 
 Array = NDArray[np.float64]
@@ -69,7 +71,7 @@ def to_complex(coefficient: Array) -> Complex:
     return np.concatenate([first, coefficient[..., 1::2] - 1j * coefficient[..., 2::2]], axis=-1)
 
 
-def to_real(phasor: Complex) -> Array:
+def to_real(phasor: NDArray[Any]) -> Array:
     """The inverse of `to_complex`."""
     waves = np.stack([phasor[..., 1:].real, -phasor[..., 1:].imag], axis=-1)
     return np.concatenate([phasor[..., :1].real, waves.reshape(*phasor.shape[:-1], -1)], axis=-1)
@@ -224,7 +226,8 @@ class Balance:
         for i, block in enumerate(slope):
             own = slice(3 * i, 3 * i + 3)
             stiffness = -block * (self.force / self.length)
-            stiffness = stiffness + np.kron(self.support[own, own], np.eye(size))
+            if self.support.any():
+                stiffness = stiffness + np.kron(self.support[own, own], np.eye(size))
             force = to_complex(stiffness.reshape(3, size, -1).swapaxes(1, 2)).transpose(2, 0, 1)
             motion = flexibility[:, :, own] @ force
             matrix[:, :, 3 * size * i : 3 * size * (i + 1)] = to_real(motion.transpose(1, 2, 0)).swapaxes(1, 2)

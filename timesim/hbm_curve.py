@@ -91,9 +91,9 @@ def hbm_curve(
     Keyword Args:
         setting: harmonics and time samples.
         controls: steps of the continuation.
-        guess: modal displacement at `start` by its Fourier coefficients 1, cos, sin, ..., shape (2K + 1, M), of a sweep's
-            result for instance: so isolated branches are reached. By default the linear response with the contacts stuck,
-            then without contacts, then under a load that grows from zero.
+        guess: modal displacement at `start` by its Fourier coefficients 1, cos, sin, ..., shape (2K + 1, M), of a
+            sweep's result for instance: so isolated branches are reached. By default the linear response with the
+            contacts stuck, then without contacts, then under a load that grows from zero.
         stability: compute Floquet multipliers; without, only the sign of the determinant tells stable from unstable.
 
     Returns:
@@ -123,7 +123,9 @@ def _check_range(start: float, stop: float) -> None:
         if not np.isfinite(value) or value <= 0:
             raise ValueError(f"hbm: frequency.{name} must be a positive number of Hz, not {value}")
     if start == stop:
-        raise ValueError(f"hbm: frequency.from and frequency.to must differ, not both {start}; use a sweep for one point")
+        raise ValueError(
+            f"hbm: frequency.from and frequency.to must differ, not both {start}; use a sweep for one point"
+        )
 
 
 def contact_motion(balance: Balance, modal: Array) -> Array:
@@ -194,7 +196,9 @@ def solutions_at(model: Model, curve: HbmCurve, frequency: float, *, setting: Se
     balance = Balance(model, frequency, setting or Setting())
     unknowns = curve.contact_motion.reshape(curve.frequency.size, -1) / balance.length
     side = np.sign(curve.frequency - frequency)
-    crossed = np.flatnonzero((side[1:] * side[:-1] < 0) | (side[:-1] == 0) | (np.arange(1, side.size) == side.size - 1) & (side[1:] == 0))
+    crossed = np.flatnonzero(
+        (side[1:] * side[:-1] < 0) | (side[:-1] == 0) | (np.arange(1, side.size) == side.size - 1) & (side[1:] == 0)
+    )
     x, determinant, branch = [], [], []
     for i in crossed:
         share = (frequency - curve.frequency[i]) / (curve.frequency[i + 1] - curve.frequency[i])
@@ -259,9 +263,7 @@ def _acts(balance: Balance, motion: Array) -> tuple[Array, Array, Array, Array]:
         padded = np.concatenate([part, np.repeat(part[-1:], TOGETHER - len(part), axis=0)])
         done = forces(law, balance.basis, jnp.asarray(padded.reshape(TOGETHER * num_contacts, *part.shape[2:])))
         each = (done.coefficient, done.slip, done.separation, done.gap)
-        rows.append(
-            tuple(np.asarray(x).reshape(TOGETHER, num_contacts, *x.shape[1:])[: len(part)] for x in each)
-        )
+        rows.append(tuple(np.asarray(x).reshape(TOGETHER, num_contacts, *x.shape[1:])[: len(part)] for x in each))
     if not rows:
         none = np.zeros((0, num_contacts))
         return np.zeros_like(motion), none, none, none

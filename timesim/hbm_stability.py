@@ -20,7 +20,8 @@ from scipy.linalg import expm
 
 from timesim.contact import Law, normal_load
 from timesim.hbm import Balance
-from timesim.period import basis_of, before_intervals, closed_period, intervals_of, motion_of, slopes
+from timesim.period import Basis, basis_of, before_intervals, closed_period, intervals_of, motion_of
+from timesim.period_tangent import slopes
 
 # Multipliers beyond this count as unstable: those of an undamped structure lie on the circle, give or take the error
 # of the samples.
@@ -58,7 +59,7 @@ def _step_of(balance: Balance, frequency: float, num_samples: int) -> _Step:
 
 @jax.jit
 def _monodromy(
-    law: Law, ratio: Float[Array, ""], step: _Step, basis: object, coefficient: Float[Array, "contact 3 coefficient"]
+    law: Law, ratio: Float[Array, ""], step: _Step, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]
 ) -> Float[Array, "all all"]:
     """Product of the maps of (x, d) over the intervals of a period."""
     motion = motion_of(basis, coefficient)

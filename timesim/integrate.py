@@ -49,6 +49,8 @@ class Control(eqx.Module):
     Attributes:
         rtol, atol: tolerance a step is ``rtol * max|state| + atol``.
         longest: longest step, and the step of a method without error estimate [rad of the excitation].
+        opening: first step of each cycle. The control forgets at a cycle's end: what a cycle makes of a state depends
+            on that state alone, so a settled motion repeats to rounding, and a run taken up again is the same run.
         budget: most steps tried in a cycle.
         stiffest: highest circular frequency of the structure, in units of the excitation's.
     """
@@ -56,6 +58,7 @@ class Control(eqx.Module):
     rtol: Float[Array, ""]
     atol: Float[Array, ""]
     longest: Float[Array, ""]
+    opening: Float[Array, ""]
     budget: Int[Array, ""]
     stiffest: Float[Array, ""]
 
@@ -142,7 +145,7 @@ def try_step(
     part = segment(system, (now.point, end), (now.rate, rate), h)
     margin, slope = end_margins(system, now.state, part)
     to_zero, due = arriving(control, margin, slope, h, last)
-    crossing = first_crossing(system, now.state, part, margin, due)
+    crossing = first_crossing(system, now.state, part, margin, slope, due)
     accepted = precise & (crossing >= NONE)
     lands = accepted & (due[0] | due[1]).any()
     soonest = [jnp.where(d, t, jnp.inf).min(initial=jnp.inf) for d, t in zip(due, to_zero, strict=True)]
@@ -160,8 +163,10 @@ def try_step(
     moved = advanced(system, now, after, state, h_full, last & ~(lands & (correction < 0)), crossed)
     kept = eqx.tree_at(lambda t: t.limit, now, jnp.where(accepted, jnp.inf, limit))
     result = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), moved, kept)
-    tried = jnp.where(accepted & (result.cycle > now.cycle), 0, now.tried + 1)
-    last_error = jnp.where(accepted, jnp.maximum(size, 1e-4), now.last_error)
+    ended = accepted & (result.cycle > now.cycle)
+    tried = jnp.where(ended, 0, now.tried + 1)
+    length = jnp.where(ended, control.opening, length)
+    last_error = jnp.where(ended, 1.0, jnp.where(accepted, jnp.maximum(size, 1e-4), now.last_error))
     where = lambda t: (t.length, t.last_error, t.tried)  # noqa: E731
     result = eqx.tree_at(where, result, (length, last_error, tried))
     return judged(control, result), step, accepted

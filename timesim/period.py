@@ -1,7 +1,8 @@
 """Contact forces through one period of a given relative motion, on equal time samples.
 
 The law is that of `timesim.contact`. Between two samples the path of (u, v) is taken as straight; along it the law is
-solved without further error, so the scheme is of second order. With the elastic displacement ``d = u - w``, the
+solved without further error, so the scheme is of second order, and of third in slip under constant load, where the turn
+of the path is put right. With the elastic displacement ``d = u - w``, the
 friction force ``f = K_u d`` and primes for rates along the interval,
 
     stick       d' = u'; the cone |K_u d| = mu n is reached at the root of a quadratic
@@ -73,9 +74,10 @@ def basis_of(harmonics: int, time_samples: int) -> Basis:
 
 
 class Interval(eqx.Module):
-    """Motion from one sample to the next: change of u, and v at both ends."""
+    """Motion from one sample to the next: change of u, how this changes itself, and v at both ends."""
 
     change: Plane
+    bend: Plane
     v0: Scalar
     v1: Scalar
 
@@ -90,8 +92,18 @@ class Stay(eqx.Module):
 
 def intervals_of(motion: Motion) -> Interval:
     """The intervals that end at each sample of a periodic motion, shape (N, C)."""
-    change = tuple(u - jnp.roll(u, 1, axis=0) for u in motion.u)
-    return Interval(change, jnp.roll(motion.v, 1, axis=0), motion.v)
+    change = tuple(change_of(u) for u in motion.u)
+    return Interval(change, tuple(bend_of(c) for c in change), jnp.roll(motion.v, 1, axis=0), motion.v)
+
+
+def change_of(u: Array) -> Array:
+    """From the sample before to each sample, along the first axis, of a period."""
+    return u - jnp.roll(u, 1, axis=0)
+
+
+def bend_of(change: Array) -> Array:
+    """How much the change from sample to sample changes itself over an interval."""
+    return (jnp.roll(change, -1, axis=0) - jnp.roll(change, 1, axis=0)) / 2
 
 
 def _turned_by(e: Plane, z: Plane) -> Plane:
@@ -105,21 +117,35 @@ def _turned_by(e: Plane, z: Plane) -> Plane:
     return tuple((2 * decay * x + share * y) / norm for x, y in zip(e, z, strict=True))
 
 
-def _pull(law: Law, e: Plane, change: Plane, growth: Scalar) -> Plane:
-    """z mu n: what turns the direction of slip, without the isotropic part of C, which turns nothing."""
+def _pull(law: Law, e: Plane, growth: Scalar) -> tuple[Scalar, Plane]:
+    """z mu n = weight (u' - drift), without the isotropic part of C in the drift, which turns nothing."""
     ce = product(law.compliance, e)
     trace = law.compliance[0] + law.compliance[2]
-    along = dot(e, ce)
-    drift = between(ce, scaled(trace / 2, e))
-    return scaled(1 / (trace - along), between(change, scaled(growth, drift)))
+    return 1 / (trace - dot(e, ce)), scaled(growth, between(ce, scaled(trace / 2, e)))
 
 
-def _turned(law: Law, e: Plane, change: Plane, growth: Scalar, span: Scalar) -> Plane:
-    """Direction of slip after a straight path; `span` is the integral of 1 / (mu n) along it."""
+def _veered(e: Plane, z: Plane, dz: Plane) -> Plane:
+    """Direction corrected for a z that changes by dz over the interval: the commutator of Magnus' series.
+
+    For a small |z| the angle is z x dz / 12; for a large one, where e is that of z at the end, z x dz / (2 |z|^2).
+    """
+    if len(e) == 1:
+        return e
+    angle = (z[0] * dz[1] - z[1] * dz[0]) / (12 + 2 * dot(z, z))
+    turned = (e[0] - angle * e[1], e[1] + angle * e[0])
+    return scaled(1 / jnp.sqrt(1 + angle**2), turned)
+
+
+def _turned(law: Law, e: Plane, interval: Interval, growth: Scalar, span: Scalar, rest: Scalar) -> Plane:
+    """Direction of slip over the `rest` of an interval; `span` is the integral of 1 / (mu n) over it."""
     if len(law.stiffness) == 1:
-        return _turned_by(e, scaled(span, product(law.stiffness, change)))
-    middle = _turned_by(e, scaled(span / 2, _pull(law, e, change, growth)))
-    return _turned_by(e, scaled(span, _pull(law, middle, change, growth)))
+        z = scaled(span, product(law.stiffness, interval.change))
+        return _veered(_turned_by(e, z), z, scaled(span * rest, product(law.stiffness, interval.bend)))
+    weight, bare = _pull(law, e, growth)
+    middle = _turned_by(e, scaled(span / 2 * weight, between(interval.change, bare)))
+    weight, bare = _pull(law, middle, growth)
+    z = scaled(span * weight, between(interval.change, bare))
+    return _veered(_turned_by(e, z), z, scaled(span * rest * weight, interval.bend))
 
 
 def _mean_inverse(a: Scalar, b: Scalar) -> Scalar:
@@ -146,7 +172,7 @@ def carried(law: Law, d: Plane, interval: Interval) -> Stay:
     limit0, limit1 = law.friction * load0, law.friction * load1
     root = load0 / jnp.where(load0 == load1, 1.0, load0 - load1)
     was, stays, rubs = load0 > 0, load1 > 0, law.friction > 0
-    held, leave = _in_contact(law, d, interval.change, limit0, limit1)
+    held, leave = _in_contact(law, d, interval, limit0, limit1)
     fresh, grips = _touching(law, interval, root, limit0, limit1)
     d = where(was, held, fresh)
     d = where(stays & rubs, d, (jnp.zeros_like(limit1),) * len(d))
@@ -157,20 +183,18 @@ def carried(law: Law, d: Plane, interval: Interval) -> Stay:
     return Stay(d, slip, first + 1 - last)
 
 
-def _in_contact(
-    law: Law, d: Plane, change: Plane, limit0: Scalar, limit1: Scalar
-) -> tuple[Plane, Scalar]:
+def _in_contact(law: Law, d: Plane, interval: Interval, limit0: Scalar, limit1: Scalar) -> tuple[Plane, Scalar]:
     """From contact to contact: d at the end, and where along the interval slip began (1 in stick)."""
     growth = limit1 - limit0
-    force, pull = product(law.stiffness, d), product(law.stiffness, change)
+    force, pull = product(law.stiffness, d), product(law.stiffness, interval.change)
     rise, half_slope = dot(pull, pull) - growth**2, dot(force, pull) - limit0 * growth
     start = jnp.minimum(dot(force, force) - limit0**2, 0.0)
     slides = rise + 2 * half_slope + start > GRAZING * limit1**2
     leave = _cone_exit(rise, half_slope, start)
     on_cone = tuple(f + leave * p for f, p in zip(force, pull, strict=True))
     span = (1 - leave) * _mean_inverse(limit0 + leave * growth, limit1)
-    e = _turned(law, scaled(1 / length(on_cone), on_cone), change, growth, span)
-    stuck = tuple(x + y for x, y in zip(d, change, strict=True))
+    e = _turned(law, scaled(1 / length(on_cone), on_cone), interval, growth, span, 1 - leave)
+    stuck = tuple(x + y for x, y in zip(d, interval.change, strict=True))
     held = where(slides, product(law.compliance, scaled(limit1, e)), stuck)
     return held, jnp.where(slides | (limit1 <= 0), leave, 1.0)
 
@@ -211,7 +235,9 @@ class Period(eqx.Module):
     passes: Int[Array, ""]
 
 
-def _through(law: Law, begin: Plane, intervals: Interval) -> tuple[Plane, Plane]:
+def through(law: Law, begin: Plane, intervals: Interval) -> tuple[Plane, Plane]:
+    """One pass: d at the end and at every sample."""
+
     def step(d: Plane, interval: Interval) -> tuple[Plane, Plane]:
         d = carried(law, d, interval).d
         return d, d
@@ -242,7 +268,7 @@ def closed_period(law: Law, motion: Motion) -> Period:
 
     def again(search: _Search) -> _Search:
         begin = search.following
-        end, path = _through(law, begin, intervals)
+        end, path = through(law, begin, intervals)
         change, before = between(end, begin), between(search.end, search.begin)
         tolerated = CLOSED * jnp.max(length(path), axis=0) + ROUNDING * reach
         gap = length(change) / jnp.maximum(tolerated, 1e-300)
@@ -254,9 +280,7 @@ def closed_period(law: Law, motion: Motion) -> Period:
         return _Search(following, begin, end, path, gap, search.passes + 1)
 
     first = _Search(start, start, start, motion.u, jnp.full_like(reach, jnp.inf), jnp.asarray(0))
-    last = jax.lax.while_loop(
-        lambda search: jnp.any(search.gap > 1) & (search.passes < MAX_PASSES), again, first
-    )
+    last = jax.lax.while_loop(lambda search: jnp.any(search.gap > 1) & (search.passes < MAX_PASSES), again, first)
     return Period(last.begin, last.path, start, last.gap, last.passes)
 
 
@@ -292,122 +316,14 @@ def before_intervals(period: Period) -> Plane:
 def forces(law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> Forces:
     """Contact forces of a motion given by its Fourier coefficients (u1, u2, v)."""
     motion = motion_of(basis, coefficient)
-    return _summary(law, basis, motion, closed_period(law, motion))
+    return summary(law, basis, motion, closed_period(law, motion))
 
 
-def _summary(law: Law, basis: Basis, motion: Motion, period: Period) -> Forces:
+def summary(law: Law, basis: Basis, motion: Motion, period: Period) -> Forces:
+    """Forces and shares of a closed period."""
     stay = jax.vmap(partial(carried, law))(before_intervals(period), intervals_of(motion))
     load = jnp.maximum(normal_load(law, motion.v), 0.0)
     samples = jnp.stack([*product(law.stiffness, period.d), load], axis=2)
     coefficient = jnp.moveaxis(jnp.tensordot(basis.project, samples, 1), 0, 2)
     shares = (jnp.mean(share, axis=0) for share in (stay.slip, stay.separation))
     return Forces(coefficient, *shares, period.gap, period.passes)
-
-
-class Slope(eqx.Module):
-    """Derivatives of d at the end of each interval: by d at its start, by the change of (u, v) along it, by v."""
-
-    carry: Float[Array, "sample contact 2 2"]
-    change: Float[Array, "sample contact 2 3"]
-    load: Float[Array, "sample contact 2"]
-
-
-def slopes(law: Law, before: Plane, intervals: Interval) -> Slope:
-    """Local derivatives of the law, from the elastic displacement at the start of each interval."""
-
-    def end(d1: Scalar, d2: Scalar, c1: Scalar, c2: Scalar, v0: Scalar, v1: Scalar) -> Plane:
-        return carried(law, (d1, d2), Interval((c1, c2), v0, v1)).d
-
-    def at(place: tuple[Scalar, ...]) -> Float[Array, "6 2 contact"]:
-        def along(seed: Float[Array, " 6"]) -> Plane:
-            seeds = (jnp.broadcast_to(x, y.shape) for x, y in zip(seed, place, strict=True))
-            return jax.jvp(end, place, tuple(seeds))[1]
-
-        return jnp.stack(jax.vmap(along)(jnp.eye(6)), axis=1)
-
-    # One sample after the other: as one array XLA computes the law anew for every derivative (13 ms, not 0.9).
-    slope = jax.lax.map(at, (*before, *intervals.change, intervals.v0, intervals.v1)).transpose(0, 3, 2, 1)
-    carry, change, (by_start, by_end) = slope[..., :2], slope[..., 2:4], jnp.moveaxis(slope[..., 4:], -1, 0)
-    return Slope(carry, jnp.concatenate([change, -by_start[..., None]], axis=3), by_start + by_end)
-
-
-def _tangents(slope: Slope, basis: Basis) -> Float[Array, "sample contact 2 column"]:
-    """Derivatives of d at the samples by the 3 (2H + 1) coefficients, d at the start kept, then by d at the start."""
-    value = basis.value
-    num_contacts, size = slope.load.shape[1], 3 * value.shape[1]
-    none = jnp.zeros((num_contacts, 2, 2))
-
-    def step(x: Array, at: tuple[Slope, Array, Array]) -> tuple[Array, Array]:
-        local, moved, here = at
-        source = (local.change[..., None] * moved).at[:, :, 2].add(local.load[..., None] * here)
-        source = jnp.concatenate([source.reshape(num_contacts, 2, size), none], axis=2)
-        x = local.carry[..., :1] * x[:, None, 0] + local.carry[..., 1:] * x[:, None, 1] + source
-        return x, x
-
-    begin = jnp.concatenate([jnp.zeros((2, size)), jnp.eye(2)], axis=1)
-    start = jnp.broadcast_to(begin, (num_contacts, *begin.shape))
-    return jax.lax.scan(step, start, (slope, value - jnp.roll(value, 1, axis=0), value))[1]
-
-
-Columns = Float[Array, "contact 2 column"]
-
-
-def _closing(through: Array, loose: Bool[Array, " contact"], entered: Columns) -> Columns:
-    """Derivatives of d at the start of a closed period; `entered` where nothing slips, for there it is not unique."""
-    moved, carry = through[..., :-2], through[..., -2:]
-    a, b, c, d = 1 - carry[:, 0, 0], -carry[:, 0, 1], -carry[:, 1, 0], 1 - carry[:, 1, 1]
-    det = a * d - b * c
-    adjoint = jnp.stack([jnp.stack([d, -b], axis=1), jnp.stack([-c, a], axis=1)], axis=1)
-    loose = loose | (jnp.abs(det) < 1e-13)
-    solved = adjoint @ moved / jnp.where(loose, 1.0, det)[:, None, None]
-    return jnp.where(loose[:, None, None], entered, solved)
-
-
-def _after_entry(law: Law, basis: Basis, motion: Motion, period: Period) -> Columns:
-    """Derivatives of d at the end of the first pass."""
-    intervals = intervals_of(motion)
-    _, path = _through(law, period.entered, intervals)
-    first = Period(period.entered, path, period.entered, period.gap, period.passes)
-    through = _tangents(slopes(law, before_intervals(first), intervals), basis)[-1]
-
-    def enter(u1: Scalar, u2: Scalar, v: Scalar) -> Plane:
-        return settled(law, (u1, u2), v)
-
-    place = (motion.u[0][-1], motion.u[1][-1], motion.v[-1])
-    seeds = ((jnp.full_like(x, i == j) for j, x in enumerate(place)) for i in range(3))
-    entry = jnp.stack([jnp.stack(jax.jvp(enter, place, tuple(seed))[1], axis=1) for seed in seeds], axis=2)
-    begin = (entry[..., None] * basis.value[-1]).reshape(entry.shape[0], 2, -1)
-    return through[..., :-2] + through[..., -2:] @ begin
-
-
-@jax.jit
-def linearised(
-    law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]
-) -> tuple[Forces, Float[Array, "contact unknown unknown"]]:
-    """`forces`, and their derivatives by the coefficients of the same contact: 3 (2H + 1) rows and columns.
-
-    The derivatives run through the last pass alone and close by a solution of two equations a contact. Where that
-    pass only sticks but the first one slipped, they run through the first.
-    """
-    motion = motion_of(basis, coefficient)
-    period = closed_period(law, motion)
-    acts = _summary(law, basis, motion, period)
-    through = _tangents(slopes(law, before_intervals(period), intervals_of(motion)), basis)
-    loose = (acts.slip == 0) & (acts.separation == 0)
-    size, here = basis.value.shape[1], basis.value[-1]
-    stuck = jnp.zeros((2, 3, size)).at[0, 0].set(here).at[1, 1].set(here).reshape(2, -1)
-    stuck = jnp.broadcast_to(stuck, (loose.shape[0], *stuck.shape))
-    shift = length(between(tuple(u[-1] for u in motion.u), period.begin))
-    entered = jax.lax.cond(
-        jnp.any(loose & (shift > 1e-9 * jnp.max(length(period.d), axis=0))),
-        lambda: _after_entry(law, basis, motion, period),
-        lambda: stuck,
-    )
-    begin = _closing(through[-1], loose, entered)
-    spectrum = jnp.moveaxis(jnp.tensordot(basis.project, through, 1), 0, 2)
-    slope = spectrum[..., :-2] + spectrum[..., -2:] @ begin[:, None]
-    friction = product(tuple(k[:, None, None] for k in law.stiffness), (slope[:, 0], slope[:, 1]))
-    touching = (normal_load(law, motion.v) > 0) * law.normal_stiffness
-    normal = jnp.einsum("ak,kc,kb->cab", basis.project, touching, basis.value)
-    none = jnp.zeros((*normal.shape[:2], 2 * size))
-    return acts, jnp.concatenate([*friction, jnp.concatenate([none, normal], axis=2)], axis=1)

@@ -86,9 +86,15 @@ def picture_names(study: str) -> list[str]:
 
 
 def _pictures(study: str) -> Mapping[str, Picture]:
-    from timesim import plot_transient
+    from timesim import plot_element, plot_transient
 
-    return {"transient": plot_transient.PICTURES, "jump": plot_transient.PICTURES}.get(study, {})
+    kinds = {
+        "transient": plot_transient.PICTURES,
+        "jump": plot_transient.PICTURES,
+        "element": plot_element.PICTURES,
+        "element_map": plot_element.MAP_PICTURES,
+    }
+    return kinds.get(study, {})
 
 
 def axes(ax: "matplotlib.axes.Axes | None" = None) -> "matplotlib.axes.Axes":

@@ -52,12 +52,13 @@ class Solver:
         stiffest = max(stiffest, 1.0)
         return Control(
             *(jnp.asarray(value, dtype=float) for value in (self.rtol, self.atol, self.longest)),
+            opening=jnp.asarray(self.first_step(stiffest), dtype=float),
             budget=jnp.asarray(self.budget),
             stiffest=jnp.asarray(stiffest, dtype=float),
         )
 
     def first_step(self, stiffest: float) -> float:
-        """Length of the first step; the error control takes over from there."""
+        """Length of the first step of a cycle; the error control takes over from there."""
         return self.longest if self.name == "rk4" else min(0.02, 0.2 / max(stiffest, 1.0))
 
     def __str__(self) -> str:
