@@ -65,6 +65,35 @@ study: {kind: transient, cycles: 5}
 """
 
 
+ELEMENT = """\
+contacts:
+  - name: pad
+    friction: 0.3
+    tangential_stiffness: 1.0
+    normal_stiffness: 1.0
+    preload: 1.0
+study:
+  kind: element
+  A: 1.0
+  B: 0.5
+  phi_deg: 90
+"""
+
+ELEMENT_MAP = """\
+contacts:
+  - name: pad
+    friction: 0.3
+    tangential_stiffness: 1.0
+    normal_stiffness: 1.0
+    preload: 1.0
+study:
+  kind: element_map
+  A: {from: 0, to: 4, num: 5}
+  B: [0, 1, 2]
+  D: 0.5
+"""
+
+
 @dataclass(frozen=True)
 class BadScene:
     """The text, the key that the message names, a piece of the line that it names, and words of the rule."""
@@ -87,6 +116,14 @@ def _base(key: str, old: str, new: str, rule: str, at: str = "", base: str = BAS
 
 def _matrices(key: str, old: str, new: str, rule: str, at: str = "") -> BadScene:
     return _base(key, old, new, rule, at, MATRICES)
+
+
+def _element(key: str, old: str, new: str, rule: str, at: str = "") -> BadScene:
+    return _base(key, old, new, rule, at, ELEMENT)
+
+
+def _map(key: str, old: str, new: str, rule: str, at: str = "") -> BadScene:
+    return _base(key, old, new, rule, at, ELEMENT_MAP)
 
 
 _SLIP_SCENE = "initial:\n  modal_displacement: [0.5, 0.5]\n  slip: {pad: [0.0, 0.0]}\n"
@@ -118,15 +155,11 @@ BAD_SCENES = (
         at="['1'",
     ),
     _base("structure.modes.1.shape.a.b", "rim: [1, 0, 0]", "a.b: [1, 0, 0]", "without . and =", at="a.b"),
-    _base(
-        "contacts", "contacts:\n  - name: pad", "contacts:\n  name: pad", "is no YAML", at="    point: tip"
-    ),
+    _base("contacts", "contacts:\n  - name: pad", "contacts:\n  name: pad", "is no YAML", at="    point: tip"),
     _base("contacts.1.name", "name: stop", "name: pad2\n    name: pad", "stands twice", at="    name: pad\n"),
     _base("contacts.1.name", "name: stop", "name: pad", "must differ", at="- name: pad\n    point: rim"),
     _base("contacts.pad.point", "point: tip\n    against", "point: tp\n    against", "did you mean tip?"),
-    _base(
-        "contacts.pad.point", "    point: tip\n    against", "    against", "is required", at="- name: pad"
-    ),
+    _base("contacts.pad.point", "    point: tip\n    against", "    against", "is required", at="- name: pad"),
     _base("contacts.pad.against", "against: ground", "against: grund", "did you mean ground?"),
     _base("contacts.pad.against", "against: ground", "against: tip", "another point"),
     _base("contacts.pad.normal", "normal: [0, 0, 1]", "normal: [0, 0, 0]", "zero vector"),
@@ -222,9 +255,7 @@ BAD_SCENES = (
         "initial: {modal_displacement: [1]}",
         "must have 2 entries",
     ),
-    _base(
-        "initial.modal_velocity.1", "initial: rest", "initial: {modal_velocity: [1, .nan]}", "must be finite"
-    ),
+    _base("initial.modal_velocity.1", "initial: rest", "initial: {modal_velocity: [1, .nan]}", "must be finite"),
     _base("initial.slip.pod", "initial: rest", "initial: {slip: {pod: [0, 0]}}", "did you mean pad?"),
     _base("initial.slip.pad", "initial: rest\n", _SLIP_SCENE, "outside its friction cone", at="slip: {pad"),
     _base("initial.from", "initial: rest", "initial: {from: no/result.nc}", "does not exist"),
@@ -264,12 +295,8 @@ BAD_SCENES = (
     _base("study.samples_per_cycle", "cycle: 100", "cycle: 1\n", "must be >= 2", at="samples_per_cycle: 1"),
     _base("study.record_last", "record_last: 10", "record_last: 61", "at most the 60 cycles"),
     _base("study.record_last", "record_last: 10", "record_last: !!int 10", "has the tag"),
-    _matrices(
-        "structure.matrices.mass", "mass: [[1, 0], [0, 1]]", "mass: [[1, 2], [2, 1]]", "positive definite"
-    ),
-    _matrices(
-        "structure.matrices.mass", "mass: [[1, 0], [0, 1]]", "mass: [[1, 0], [1]]", "rows of one length"
-    ),
+    _matrices("structure.matrices.mass", "mass: [[1, 0], [0, 1]]", "mass: [[1, 2], [2, 1]]", "positive definite"),
+    _matrices("structure.matrices.mass", "mass: [[1, 0], [0, 1]]", "mass: [[1, 0], [1]]", "rows of one length"),
     _matrices("structure.matrices.mass", "mass: [[1, 0], [0, 1]]", "mass: [[1, 0]]", "must be square"),
     _matrices("structure.matrices.stiffness", "[-1, 2]]", "[-1.1, 2]]", "must be symmetric", at="stiffness:"),
     _matrices(
@@ -279,12 +306,8 @@ BAD_SCENES = (
         "no negative eigenvalue",
         at="stiffness:",
     ),
-    _matrices(
-        "structure.matrices.stiffness", "[[2, -1], [-1, 2]]", "[[1]]", "must be 2 x 2", at="stiffness:"
-    ),
-    _matrices(
-        "structure.matrices.damping", "[0, 0.1]]", "[0, -0.1]]", "no negative eigenvalue", at="damping:"
-    ),
+    _matrices("structure.matrices.stiffness", "[[2, -1], [-1, 2]]", "[[1]]", "must be 2 x 2", at="stiffness:"),
+    _matrices("structure.matrices.damping", "[0, 0.1]]", "[0, -0.1]]", "no negative eigenvalue", at="damping:"),
     _matrices(
         "structure.matrices.damping_ratio",
         "    points:",
@@ -312,9 +335,25 @@ BAD_SCENES = (
     _matrices("structure.keep_modes", "keep_modes: 2", "keep_modes: 3", "must be at most 2"),
     BadScene(
         "structure.file",
-        "structure: {file: 3, points: {a: {x: 0}}}\nexcitation: {frequency: 1}\n"
-        "study: {kind: transient, cycles: 1}\n",
+        "structure: {file: 3, points: {a: {x: 0}}}\nexcitation: {frequency: 1}\nstudy: {kind: transient, cycles: 1}\n",
         "file: 3",
         "must be a .npz or .mat file",
     ),
+    _element("study.A", "  A: 1.0\n", "  A: -1.0\n", "must be >= 0"),
+    _element("study.C", "  B: 0.5\n", "  C: 0.5\n", "is no key here"),
+    _element("study", "  A: 1.0\n  B: 0.5\n", "", "must name A, B or D, or motion", at="study:"),
+    _element("study.A", "  phi_deg: 90", "  motion: cycle.csv", "excludes motion", at="A: 1.0"),
+    _element("study.motion", "  A: 1.0\n  B: 0.5\n  phi_deg: 90\n", "  motion: no.csv\n", "a file that can be read"),
+    _element("study.motion", "  A: 1.0\n  B: 0.5\n  phi_deg: 90\n", "  motion: 3\n", "must be the path of"),
+    _element("study.contact", "  phi_deg: 90", "  contact: pod", "did you mean pad?"),
+    _element("study.samples", "  phi_deg: 90", "  samples: 10", "must be >= 36"),
+    _element("study.harmonics", "  phi_deg: 90", "  harmonics: 0", "must be >= 1"),
+    _element("study.kind", "kind: element\n", "kind: elemnt\n", "did you mean element?"),
+    _map("study", "  B: [0, 1, 2]\n", "", "must have two axes, not 1", at="study:"),
+    _map("study", "  D: 0.5", "  D: [0, 1]", "must have two axes, not 3", at="study:"),
+    _map("study.B", "[0, 1, 2]", "[0, 2, 1]", "must ascend", at="B: [0, 2, 1]"),
+    _map("study.B", "[0, 1, 2]", "[-1, 1]", "must not be negative", at="B: [-1, 1]"),
+    _map("study.A.to", "to: 4", "to: -4", "must be larger than from", at="A: {from"),
+    _map("study.A.num", "num: 5", "num: 1", "must be >= 2", at="A: {from"),
+    _map("study.A.step", "num: 5", "num: 5, step: 1", "is no key here", at="A: {from"),
 )

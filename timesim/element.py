@@ -27,6 +27,7 @@ METHOD = "state by state"
 def study(scene: Scene, progress: Progress | None = None) -> Outcome:
     """Run an element scene; marked incomplete where no cycle repeats, or where the event loop disagrees."""
     plan = scene.file.study
+    assert isinstance(plan, Element)
     section = plan.chosen(scene.file.contacts)
     contact, motion = section.build(), plan.build_motion(scene.source.folder, section)
     clock = time.perf_counter()

@@ -1,7 +1,7 @@
 """Way (b) to the steady cycle of a contact: the event loop, marched from the start until a cycle repeats.
 
-It shares the law with `timesim.state_by_state`, and nothing else: no closed form, no angle of slip, another integration,
-other integrals. What both find must agree.
+It shares the law with `timesim.state_by_state`, and nothing else: no closed form, no angle of slip, another
+integration, other integrals. What both find must agree.
 """
 
 import timesim.jax_setup  # noqa: F401  isort: skip
@@ -72,7 +72,8 @@ class Difference:
     Attributes:
         same_sequence: whether the states follow one another alike.
         angle: largest difference of a transition [rad]; nan where the sequences differ.
-        coefficient: largest difference of a coefficient of (19) relative to the largest mu n, f_b left out where the offset is free.
+        coefficient: largest difference of a coefficient of (19) relative to the largest mu n, f_b left out where
+            the offset is free.
         dissipation: difference of the dissipation relative to mu n times the size of the motion.
         settled: whether the event loop came to a cycle that repeats.
     """

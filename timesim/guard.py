@@ -68,9 +68,7 @@ def margins_inside(system: System, state: State, part: Segment, x: Float[Array, 
     return force / force_scale(system.law), speed
 
 
-def _margins_at(
-    system: System, state: State, ends: Ends, slip: tuple[Plane, Plane]
-) -> tuple[Margins, Margins]:
+def _margins_at(system: System, state: State, ends: Ends, slip: tuple[Plane, Plane]) -> tuple[Margins, Margins]:
     def at(x: Plane, dx: Plane, w: Plane) -> Margins:
         force, speed = margins(system.law, state, Motion(x[:-1], x[-1], dx[:-1], dx[-1]), w)
         return force / force_scale(system.law), speed

@@ -165,7 +165,7 @@ def _held(balance: Balance, frequency: float, held: NDArray[np.bool_]) -> Array:
         motion = np.linalg.solve(matrix, linear.free[..., None])[..., 0]
     except np.linalg.LinAlgError:
         motion = np.zeros_like(linear.free)
-    return to_real(motion.T).ravel() / balance.length
+    return np.nan_to_num(to_real(motion.T).ravel() / balance.length, posinf=0.0, neginf=0.0)
 
 
 class _Ramp:

@@ -223,14 +223,12 @@ class Period(eqx.Module):
     Attributes:
         begin: elastic displacement where it begins, shape (C,).
         d: the same at the samples, shape (N, C).
-        entered: where the first pass began, shape (C,).
         gap: change of d over the period over what is tolerated, at most 1 where it closed, shape (C,).
         passes: how often it was gone through.
     """
 
     begin: Plane
     d: Plane
-    entered: Plane
     gap: Float[Array, " contact"]
     passes: Int[Array, ""]
 
@@ -281,7 +279,7 @@ def closed_period(law: Law, motion: Motion) -> Period:
 
     first = _Search(start, start, start, motion.u, jnp.full_like(reach, jnp.inf), jnp.asarray(0))
     last = jax.lax.while_loop(lambda search: jnp.any(search.gap > 1) & (search.passes < MAX_PASSES), again, first)
-    return Period(last.begin, last.path, start, last.gap, last.passes)
+    return Period(last.begin, last.path, last.gap, last.passes)
 
 
 class Forces(eqx.Module):

@@ -10,14 +10,15 @@ import timesim.jax_setup  # noqa: F401  isort: skip
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
+from numpy.typing import NDArray
 
 from timesim.contact import Law, Motion, Plane, Scalar, between, length, normal_load, product
 from timesim.period import (
     Basis,
     Forces,
     Interval,
-    Period,
     before_intervals,
     bend_of,
     carried,
@@ -25,9 +26,7 @@ from timesim.period import (
     closed_period,
     intervals_of,
     motion_of,
-    settled,
     summary,
-    through,
 )
 
 
@@ -87,64 +86,75 @@ def _tangents(slope: Slope, basis: Basis) -> Float[Array, "sample contact 2 colu
     return jax.lax.scan(step, start, (slope, moved, bend_of(moved), value))[1]
 
 
-def _closing(
-    passed: Array, loose: Bool[Array, " contact"], entered: Float[Array, "contact 2 column"]
-) -> Float[Array, "contact 2 column"]:
-    """Derivatives of d at the start of a closed period; `entered` where nothing slips, for there it is not unique."""
-    moved, carry = passed[..., :-2], passed[..., -2:]
-    a, b, c, d = 1 - carry[:, 0, 0], -carry[:, 0, 1], -carry[:, 1, 0], 1 - carry[:, 1, 1]
-    det = a * d - b * c
-    adjoint = jnp.stack([jnp.stack([d, -b], axis=1), jnp.stack([-c, a], axis=1)], axis=1)
-    loose = loose | (jnp.abs(det) < 1e-13)
-    solved = adjoint @ moved / jnp.where(loose, 1.0, det)[:, None, None]
-    return jnp.where(loose[:, None, None], entered, solved)
+class _Chained(eqx.Module):
+    """Forces, and the derivatives of the last pass.
 
+    Attributes:
+        acts: the forces.
+        spectrum: Fourier coefficients of the derivatives of d by the coefficients of the motion and by d at the start.
+        end: the same derivatives of d at the end.
+        normal: derivatives of the normal load.
+        loose: whether a contact only sticks, at an offset that an earlier pass gave it.
+    """
 
-def _after_entry(law: Law, basis: Basis, motion: Motion, period: Period) -> Float[Array, "contact 2 column"]:
-    """Derivatives of d at the end of the first pass."""
-    intervals = intervals_of(motion)
-    _, path = through(law, period.entered, intervals)
-    first = Period(period.entered, path, period.entered, period.gap, period.passes)
-    passed = _tangents(slopes(law, before_intervals(first), intervals), basis)[-1]
-
-    def enter(u1: Scalar, u2: Scalar, v: Scalar) -> Plane:
-        return settled(law, (u1, u2), v)
-
-    place = (motion.u[0][-1], motion.u[1][-1], motion.v[-1])
-    seeds = ((jnp.full_like(x, i == j) for j, x in enumerate(place)) for i in range(3))
-    entry = jnp.stack([jnp.stack(jax.jvp(enter, place, tuple(seed))[1], axis=1) for seed in seeds], axis=2)
-    begin = (entry[..., None] * basis.value[-1]).reshape(entry.shape[0], 2, -1)
-    return passed[..., :-2] + passed[..., -2:] @ begin
+    acts: Forces
+    spectrum: Float[Array, "contact 2 coefficient column"]
+    end: Float[Array, "contact 2 column"]
+    normal: Float[Array, "contact coefficient coefficient"]
+    loose: Bool[Array, " contact"]
 
 
 @jax.jit
-def linearised(
-    law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]
-) -> tuple[Forces, Float[Array, "contact unknown unknown"]]:
-    """`forces`, and their derivatives by the coefficients of the same contact: 3 (2H + 1) rows and columns.
-
-    The derivatives run through the last pass alone and close by a solution of two equations a contact. Where that
-    pass only sticks but the first one slipped, they run through the first.
-    """
+def _chained(law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> _Chained:
     motion = motion_of(basis, coefficient)
     period = closed_period(law, motion)
     acts = summary(law, basis, motion, period)
     passed = _tangents(slopes(law, before_intervals(period), intervals_of(motion)), basis)
-    loose = (acts.slip == 0) & (acts.separation == 0)
-    size, here = basis.value.shape[1], basis.value[-1]
-    stuck = jnp.zeros((2, 3, size)).at[0, 0].set(here).at[1, 1].set(here).reshape(2, -1)
-    stuck = jnp.broadcast_to(stuck, (loose.shape[0], *stuck.shape))
-    shift = length(between(tuple(u[-1] for u in motion.u), period.begin))
-    entered = jax.lax.cond(
-        jnp.any(loose & (shift > 1e-9 * jnp.max(length(period.d), axis=0))),
-        lambda: _after_entry(law, basis, motion, period),
-        lambda: stuck,
-    )
-    begin = _closing(passed[-1], loose, entered)
     spectrum = jnp.moveaxis(jnp.tensordot(basis.project, passed, 1), 0, 2)
-    slope = spectrum[..., :-2] + spectrum[..., -2:] @ begin[:, None]
-    friction = product(tuple(k[:, None, None] for k in law.stiffness), (slope[:, 0], slope[:, 1]))
     touching = (normal_load(law, motion.v) > 0) * law.normal_stiffness
     normal = jnp.einsum("ak,kc,kb->cab", basis.project, touching, basis.value)
-    none = jnp.zeros((*normal.shape[:2], 2 * size))
-    return acts, jnp.concatenate([*friction, jnp.concatenate([none, normal], axis=2)], axis=1)
+    offset = length(between(tuple(u[-1] for u in motion.u), period.begin))
+    moved = offset > 1e-9 * jnp.max(length(period.d), axis=0)
+    return _Chained(acts, spectrum, passed[-1], normal, (acts.slip == 0) & (acts.separation == 0) & moved)
+
+
+@jax.jit
+def _shaken(
+    law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]
+) -> Float[Array, "contact 2 column"]:
+    """Derivatives of d at the start of the last pass through all passes before it."""
+
+    def begin(y: Float[Array, "contact 3 coefficient"]) -> Plane:
+        return closed_period(law, motion_of(basis, y)).begin
+
+    def along(seed: Float[Array, "3 coefficient"]) -> Plane:
+        return jax.jvp(begin, (coefficient,), (jnp.broadcast_to(seed, coefficient.shape),))[1]
+
+    size = coefficient.shape[1] * coefficient.shape[2]
+    seeds = jnp.eye(size).reshape(size, *coefficient.shape[1:])
+    return jnp.stack(jax.vmap(along, out_axes=-1)(seeds), axis=1)
+
+
+def linearised(
+    law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]
+) -> tuple[Forces, NDArray[np.float64]]:
+    """`forces`, and their derivatives by the coefficients of the same contact: 3 (2H + 1) rows and columns.
+
+    The derivatives run through the last pass alone and close by a solution of two equations a contact. Where that
+    pass only sticks but an earlier one slipped, they run through all passes, which is some ten times slower.
+    """
+    done = _chained(law, basis, coefficient)
+    end, spectrum, here = np.asarray(done.end), np.asarray(done.spectrum), np.asarray(basis.value[-1])
+    moved, carry = end[..., :-2], end[..., -2:]
+    entered = np.zeros_like(moved)
+    entered[:, 0, : here.size] = entered[:, 1, here.size : 2 * here.size] = here
+    if np.any(done.loose):
+        entered = np.asarray(_shaken(law, basis, coefficient))
+    open_ = np.eye(2) - carry
+    unique = np.abs(np.linalg.det(open_)) > 1e-13
+    begin = entered.copy()
+    begin[unique] = np.linalg.solve(open_[unique], moved[unique])
+    slope = spectrum[..., :-2] + spectrum[..., -2:] @ begin[:, None]
+    friction = product(tuple(np.asarray(k)[:, None, None] for k in law.stiffness), (slope[:, 0], slope[:, 1]))
+    normal = np.concatenate([np.zeros((*done.normal.shape[:2], 2 * here.size)), done.normal], axis=2)
+    return done.acts, np.concatenate([*friction, normal], axis=1)

@@ -60,9 +60,9 @@ def _transition_circles(data: "xarray.Dataset", ax: "matplotlib.axes.Axes") -> N
         label = None if number else "limit circle at a transition"
         ax.plot(*(radius * circle), color="0.55", linewidth=0.6, label=label)
         ax.plot(*f, "o", color="black", ms=4, label=None if number else "transition")
-        outwards = f / radius if radius > 0 else np.array([0.3, -0.95])
+        x, y = (12 * (f / radius if radius > 0 else np.array([0.3, -0.95]))).tolist()
         text = ", ".join(f"{degrees:.1f}°" for degrees in angles)
-        ax.annotate(text, f, 12 * outwards, textcoords="offset points", fontsize=7, ha="center", va="center")
+        ax.annotate(text, (f[0], f[1]), (x, y), textcoords="offset points", fontsize=7, ha="center", va="center")
 
 
 def _places(data: "xarray.Dataset") -> list[tuple[np.ndarray, list[float]]]:
@@ -99,9 +99,7 @@ def normal_load(data: "xarray.Dataset", ax: "matplotlib.axes.Axes | None" = None
     limit = data.attrs["friction"] * _closed(data.normal_load.values)
     force = _closed(np.hypot(*data.force.values.T))
     for number, (start, end) in enumerate((a, b) for a, b, state in spans(data) if state == SEPARATION):
-        ax.axvspan(
-            start, end, color="0.87", linewidth=0, zorder=0, label=None if number else "no contact"
-        )
+        ax.axvspan(start, end, color="0.87", linewidth=0, zorder=0, label=None if number else "no contact")
     ax.plot(angle, limit, color=BLUE, linewidth=1.4, label="limit μn")
     ax.plot(angle, force, color=VERMILION, linestyle="--", linewidth=1.2, label="friction force |f|")
     for place in data.transition_angle_deg.values:
@@ -148,8 +146,8 @@ def contour(
     x, y, z = _surface(data, name, tangent)
     if np.ptp(z) > 0:
         shades = ax.contourf(x, y, z.T, levels=12, cmap="viridis")
-        lines = ax.contour(x, y, z.T, levels=shades.levels, colors="black", linewidths=0.4)
-        ax.clabel(lines, lines.levels[1::2], fontsize=6, fmt="%.3g")
+        lines = ax.contour(x, y, z.T, levels=list(shades.levels), colors="black", linewidths=0.4)
+        ax.clabel(lines, np.asarray(lines.levels)[1::2], fontsize=6, fmt="%.3g")
     ax.set_xlabel(_axis_label(data, 0))
     ax.set_ylabel(_axis_label(data, 1))
     ax.set_title(_coefficient_label(name, tangent), fontsize=9)

@@ -8,8 +8,9 @@ The loop is that of every simulation; only the method of a step differs. Of the 
 - two undamped oscillators at the base frequency collect its first harmonic: starting at rest they end a cycle with
   ``q = -∫ F sin θ dθ`` and ``p = ∫ F cos θ dθ`` (Duhamel's integral), which is equation (19).
 
-Every mode shape is `WEAK`: what the force does to the carriers is overwritten, and what the collectors add to the motion
-is a rounding of it. The energy is collected as in every run, as the work of friction ``∫ f · dw``. Time is the angle θ.
+Every mode shape is `WEAK`: what the force does to the carriers is overwritten, and what the collectors add to the
+motion is a rounding of it. The energy is collected as in every run, as the work of friction ``∫ f · dw``. Time is the
+angle θ.
 """
 
 import timesim.jax_setup  # noqa: F401  isort: skip
@@ -35,9 +36,10 @@ from timesim.system import Point, System, Work
 WEAK = 1e-8
 NUM_CARRIERS, NUM_MODES = 3, 7
 # Harmonics of a sampled motion from which the loop has the acceleration at the start of a step: for its guesses only.
-NUM_GUESSED = 12
+NUM_GUESSED = 4
 FIRST_STEP = 0.02
 CAPACITY = 2048  # steps recorded of one cycle
+Carriers = tuple[Array, Array]
 
 
 class Drive(eqx.Module):
@@ -244,26 +246,25 @@ def system_of(law: Law, acceleration: tuple[np.ndarray, np.ndarray, np.ndarray] 
         acceleration: multiples of the base frequency, shape (H,), and the acceleration of the carriers at them on
             cosine and sine, shape (H, 3) each; of harmonic motion, the default, it is -q.
     """
-    count = law.friction.shape[0]
     shape = WEAK * np.array([[1, 0, 0, 1, 0, 1, 0], [0, 1, 0, 0, 1, 0, 1], [0, 0, 1, 0, 0, 0, 0]], float)
     own = 1.0 if acceleration is None else 0.0
     harmonic, cosine, sine = (np.zeros((0, *s)) for s in ((), (3,), (3,))) if acceleration is None else acceleration
     wide = [np.pad(part, ((0, 0), (0, NUM_MODES - NUM_CARRIERS))) for part in (cosine, sine)]
 
-    def each(values: Any) -> Array:
-        return jnp.broadcast_to(jnp.asarray(values, dtype=float), (count, *np.shape(values)))
+    def one(law: Law) -> System:
+        return System(
+            law=law,
+            shape=tuple(jnp.asarray(row[None]) for row in shape),
+            stiffness=jnp.asarray([own, own, own, 0.0, 0.0, 1.0, 1.0]),
+            damping=jnp.zeros(NUM_MODES),
+            harmonic=jnp.asarray(harmonic, dtype=float),
+            cosine=jnp.asarray(wide[0]),
+            sine=jnp.asarray(wide[1]),
+            constant=jnp.zeros(NUM_MODES),
+            phase=jnp.zeros(()),
+        )
 
-    return System(
-        law=law,
-        shape=tuple(each(row[None]) for row in shape),
-        stiffness=each([own, own, own, 0.0, 0.0, 1.0, 1.0]),
-        damping=each(np.zeros(NUM_MODES)),
-        harmonic=each(harmonic),
-        cosine=each(wide[0]),
-        sine=each(wide[1]),
-        constant=each(np.zeros(NUM_MODES)),
-        phase=each(0.0),
-    )
+    return jax.vmap(one)(law)
 
 
 def control_of(solver: Solver) -> Control:
@@ -284,7 +285,7 @@ def method_of(solver: Solver, drive: Drive) -> Prescribed:
     return Prescribed(inner.order, inner, drive)
 
 
-def trajectory(system: System, carriers: tuple[Array, Array], w: Array, state: Array, length: Array) -> Trajectory:
+def trajectory(system: System, carriers: Carriers, w: Array, state: Array, length: Array) -> Trajectory:
     """The start of a cycle of one element, collectors at rest."""
     q, p = (jnp.concatenate([part, jnp.zeros(NUM_MODES - NUM_CARRIERS)]) for part in carriers)
     zero = jnp.zeros(())
@@ -294,7 +295,7 @@ def trajectory(system: System, carriers: tuple[Array, Array], w: Array, state: A
 
 @eqx.filter_jit
 def march_cycle(
-    method: Method, control: Control, systems: System, carriers: tuple[Array, Array], w: Array, state: Array, length: Array
+    method: Method, control: Control, systems: System, carriers: Carriers, w: Array, state: Array, length: Array
 ) -> tuple[Trajectory, Array]:
     """One cycle of a batch: the trajectories at its end, and the number of transitions of each."""
     starts = jax.vmap(trajectory, in_axes=(0, 0, 0, 0, None))(systems, carriers, w, state, length)
@@ -303,7 +304,7 @@ def march_cycle(
 
 @eqx.filter_jit
 def record_cycle(
-    method: Method, control: Control, system: System, carriers: tuple[Array, Array], w: Array, state: Array, length: Array
+    method: Method, control: Control, system: System, carriers: Carriers, w: Array, state: Array, length: Array
 ) -> tuple[Trajectory, Step, Array]:
     """One cycle of one element: the trajectory at its end, its steps, and how many there are."""
     start = trajectory(system, carriers, w, state, length)

@@ -1,7 +1,7 @@
 """What each ``study.kind`` runs. Loads the modules of a study only when it runs: checking a scene needs none of them.
 
-To add a study: its section in `timesim.study_section`, a module with a function ``study(scene, progress)`` named here, and its
-pictures in `timesim.plot`.
+To add a study: its section in `timesim.study_section`, a module with a function ``study(scene, progress)`` named here,
+and its pictures in `timesim.plot`.
 """
 
 import warnings

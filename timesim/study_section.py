@@ -323,9 +323,7 @@ def _known_study(value: Any) -> Any:
         if "kind" not in value:
             raise refuse("is required", key=("kind",), hint=f"one of {', '.join(STUDIES)}")
         if not isinstance(kind := value["kind"], str) or kind not in STUDIES:
-            raise refuse(
-                f"must be one of {', '.join(STUDIES)}", key=("kind",), hint=nearest(kind, STUDIES), value=kind
-            )
+            raise refuse(f"must be one of {', '.join(STUDIES)}", key=("kind",), hint=nearest(kind, STUDIES), value=kind)
     return value
 
 
@@ -339,8 +337,6 @@ StudySection = Annotated[
     Annotated[Transient, Tag("<transient>")]
     | Annotated[Element, Tag("<element>")]
     | Annotated[ElementMap, Tag("<element_map>")],
-    Discriminator(
-        _study_kind, custom_error_type="rule", custom_error_message="must be a mapping of keys with a kind"
-    ),
+    Discriminator(_study_kind, custom_error_type="rule", custom_error_message="must be a mapping of keys with a kind"),
     BeforeValidator(_known_study),
 ]

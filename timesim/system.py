@@ -158,9 +158,9 @@ def modal_size(model: Model, omega: float) -> float:
     """
     root = np.sqrt(model.structure.mass)
     drive = np.abs(model.excitation.constant) + np.hypot(model.excitation.cosine, model.excitation.sine).sum(axis=0)
-    quasi_static = drive / root / np.maximum(model.structure.omega, omega) ** 2
-    start = np.hypot(model.start.displacement, model.start.velocity / omega) * root
-    size = max(np.max(quasi_static, initial=0.0), np.max(start, initial=0.0))
+    size = np.max(drive / root / np.maximum(model.structure.omega, omega) ** 2, initial=0.0)
+    if size == 0:
+        size = np.max(np.hypot(model.start.displacement, model.start.velocity / omega) * root, initial=0.0)
     return float(size) if size > 0 else 1.0
 
 

@@ -17,6 +17,7 @@ from timesim.history import CycleTotals, Events, Samples, Steps, events, sample,
 from timesim.model import SEPARATION, Model
 from timesim.solver import solver_of
 from timesim.study import Outcome, Progress, attributes
+from timesim.study_section import Transient
 from timesim.system import contact_law, scales_of
 from timesim.trajectory import Phase, Run, RunError
 
@@ -110,6 +111,7 @@ def _force(law: Any, state: Any, x: Any, dx: Any, w: Any) -> Any:
 def study(scene: Scene, progress: Progress | None = None) -> Outcome:
     """Run a transient scene; the result is marked incomplete where the run ended early."""
     plan = scene.file.study
+    assert isinstance(plan, Transient)
     frequency = scene.model().excitation.frequency
     assert frequency is not None
     run = Run(scene.model(), [Phase(frequency, plan.cycles)], solver_of(scene.file.solver))
@@ -204,7 +206,7 @@ def cycle_variables(run: Run, totals: CycleTotals) -> dict[str, tuple[tuple[str,
     work = np.diff(np.array([np.zeros(2 + model.num_contacts), *totals.work]), axis=0)
     stored = np.diff(np.array([totals.initial, *totals.stored]))
     friction = work[:, 2:]
-    amplitude = np.array(totals.amplitude).reshape(count, -1, 3)
+    amplitude = np.array(totals.amplitude).reshape(count, len(model.structure.points), 3)
     return {
         "cycle_amplitude": (("cycle", "point", "axis"), amplitude),
         "cycle_start": (("cycle",), np.array(totals.start[:count])),
