@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from numpy.typing import NDArray
 
-from timesim.contact import Law, Motion, Plane, Scalar, between, length, normal_load, product
+from timesim.contact import Law, Plane, Scalar, between, length, normal_load, product
 from timesim.period import (
     Basis,
     Forces,
@@ -86,6 +86,10 @@ def _tangents(slope: Slope, basis: Basis) -> Float[Array, "sample contact 2 colu
     return jax.lax.scan(step, start, (slope, moved, bend_of(moved), value))[1]
 
 
+# A contact that slips for a smaller share of the period has not yet forgotten the passes before.
+CREEPING = 1e-5
+
+
 class _Chained(eqx.Module):
     """Forces, and the derivatives of the last pass.
 
@@ -94,7 +98,7 @@ class _Chained(eqx.Module):
         spectrum: Fourier coefficients of the derivatives of d by the coefficients of the motion and by d at the start.
         end: the same derivatives of d at the end.
         normal: derivatives of the normal load.
-        loose: whether a contact only sticks, at an offset that an earlier pass gave it.
+        loose: whether a contact only sticks or creeps, at an offset that earlier passes gave it.
     """
 
     acts: Forces
@@ -115,7 +119,8 @@ def _chained(law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coeffi
     normal = jnp.einsum("ak,kc,kb->cab", basis.project, touching, basis.value)
     offset = length(between(tuple(u[-1] for u in motion.u), period.begin))
     moved = offset > 1e-9 * jnp.max(length(period.d), axis=0)
-    return _Chained(acts, spectrum, passed[-1], normal, (acts.slip == 0) & (acts.separation == 0) & moved)
+    loose = (acts.slip < CREEPING) & (acts.separation == 0) & moved
+    return _Chained(acts, spectrum, passed[-1], normal, loose)
 
 
 @jax.jit
@@ -141,7 +146,7 @@ def linearised(
     """`forces`, and their derivatives by the coefficients of the same contact: 3 (2H + 1) rows and columns.
 
     The derivatives run through the last pass alone and close by a solution of two equations a contact. Where that
-    pass only sticks but an earlier one slipped, they run through all passes, which is some ten times slower.
+    pass only sticks, or nearly so, but an earlier one slipped, they run through all passes, which is some ten times slower.
     """
     done = _chained(law, basis, coefficient)
     end, spectrum, here = np.asarray(done.end), np.asarray(done.spectrum), np.asarray(basis.value[-1])
@@ -151,7 +156,7 @@ def linearised(
     if np.any(done.loose):
         entered = np.asarray(_shaken(law, basis, coefficient))
     open_ = np.eye(2) - carry
-    unique = np.abs(np.linalg.det(open_)) > 1e-13
+    unique = (np.abs(np.linalg.det(open_)) > 1e-13) & ~np.asarray(done.loose)
     begin = entered.copy()
     begin[unique] = np.linalg.solve(open_[unique], moved[unique])
     slope = spectrum[..., :-2] + spectrum[..., -2:] @ begin[:, None]
