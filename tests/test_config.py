@@ -481,7 +481,8 @@ def test_describe_names_every_part():
 
 def test_describe_says_what_is_left_out_and_why():
     def said(**overrides: Any) -> tuple[str, ...]:
-        scene = load_scene(CONFIGS / "oscillator.yaml", {key.replace("__", "."): x for key, x in overrides.items()})
+        changes = {key.replace("__", "."): value for key, value in overrides.items()}
+        scene = load_scene(CONFIGS / "oscillator.yaml", changes)
         return {heading.title: heading.lines for heading in describe(scene)}["left out or simplified"]
 
     assert "sticks from start to end" in said(contacts__pad__preload=100)[0]

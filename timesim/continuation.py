@@ -184,8 +184,29 @@ class _Arc:
             y, before, stale = y + step, size, size > CHORD * before
         raise _FailureError
 
+    def forced(self, guess: Array, border: Array) -> _Point:
+        """The same where the residual is hardly smooth: derivatives anew each time, and patience with detours."""
+        y = guess
+        for count in range(MAX_FORCED):
+            r, matrix = self.bordered(y, border)
+            factors = _factorised(matrix)
+            if self.small(r, y):
+                return _Point(y, *_direction(factors), count)
+            step = lu_solve(factors, np.append(-r / self.x_unit, border @ (guess - y)), check_finite=False)
+            size = float(np.linalg.norm(step))
+            if not size < MAX_DETOUR:
+                break
+            y = y + step
+        raise _FailureError
+
     def settled(self, guess: Array, border: Array) -> _Point:
         """The same from a poor guess: corrections are halved until the residual falls."""
+        try:
+            return self._damped(guess, border)
+        except _FailureError:
+            return self.forced(guess, border)
+
+    def _damped(self, guess: Array, border: Array) -> _Point:
         y, (r, matrix) = guess, self.bordered(guess, border)
         for count in range(MAX_DAMPED):
             factors = _factorised(matrix)
@@ -206,6 +227,11 @@ class _Arc:
 # Corrections that fall by less than this ask for new derivatives.
 CHORD = 0.1
 MAX_DAMPED = 60
+MAX_FORCED = 30
+# Detour of Newton's method, in units of the solution, that leads nowhere.
+MAX_DETOUR = 10.0
+# Lengths of a leap over a place where the residual is not smooth, as shares of the longest step, tried in turn.
+LEAPS = (0.02, 0.06, 0.2, 0.6, 1.0)
 Factors = tuple[Array, NDArray[np.int32]]
 
 
@@ -335,6 +361,19 @@ class _Walk:
             if found.corrections > 4:
                 growth = min(growth, 0.7)
             return found, step, min(float(growth) * step, self.controls.max_step)
+        return self._leap(point)
+
+    def _leap(self, point: _Point) -> tuple[_Point, float, float] | None:
+        """Over a place where no short step succeeds; a point much farther than asked for is on another curve."""
+        for share in LEAPS:
+            step = share * self.controls.max_step
+            guess = point.y + step * point.tangent
+            try:
+                found = self.arc.forced(guess, point.tangent)
+            except _FailureError:
+                continue
+            if np.linalg.norm(found.y - guess) <= 4 * step:
+                return found, step, step
         return None
 
     def _taken(self, before: _Point, point: _Point, step: float) -> Ending | None:

@@ -116,7 +116,8 @@ def first_crossing(
         after = _edge_dip(node[0], part.h / NUM_NODES * falls, node[1])
         before = _edge_dip(node[-1], -part.h / NUM_NODES * rises, node[-2])
         dips += [_dip(node), after, jnp.where(before < NONE, 1 - before, NONE)]
-    return jnp.stack([_root(system, state, part, nodes), *(dip.min() for dip in dips)]).min()
+    newton = [1 - last / jnp.where(rate < 0, part.h * rate, -jnp.inf) for last, rate in zip(end, end_rate, strict=True)]
+    return jnp.stack([_root(system, state, part, nodes, newton), *(dip.min() for dip in dips)]).min()
 
 
 @apart
@@ -130,8 +131,15 @@ def _bracket(node: list[Array]) -> tuple[Array, Array, Array]:
     return right, low, high
 
 
-def _root(system: System, state: State, part: Segment, nodes: list[list[Array]]) -> Float[Array, ""]:
-    """First root of each contact's margins in their first bracket, by the Illinois rule; the least of them."""
+def _root(
+    system: System, state: State, part: Segment, nodes: list[list[Array]], newton: list[Array]
+) -> Float[Array, ""]:
+    """First root of each contact's margins in their first bracket, by the Illinois rule; the least of them.
+
+    In the last bracket it begins with Newton's step from the end of the step. A step tried again ends next to the
+    transition: where the margin falls steeply before it (stiff contacts, long implicit steps), secants alone would
+    creep there through thousands of tries.
+    """
     (right, low_a, high_a), (other, low_b, high_b) = (_bracket(node) for node in nodes)
     second = other < right
     right = jnp.where(second, other, right)
@@ -141,8 +149,10 @@ def _root(system: System, state: State, part: Segment, nodes: list[list[Array]])
     f_low = jnp.maximum(jnp.where(second, low_b, low_a), -1e-3 * f_high)
     low, high = (right - 1) / NUM_NODES, right / NUM_NODES
     side = jnp.zeros_like(low)
+    x = low - f_low * (high - low) / (f_high - f_low)
+    tangent = jnp.where(second, newton[1], newton[0])
+    x = jnp.where((right == NUM_NODES) & (tangent > low) & (tangent < 1), tangent, x)
     for _ in range(NUM_SECANTS):
-        x = low - f_low * (high - low) / (f_high - f_low)
         force, speed = margins_inside(system, state, part, x)
         f = jnp.where(second, speed, force)
         inside = f > 0
@@ -150,7 +160,7 @@ def _root(system: System, state: State, part: Segment, nodes: list[list[Array]])
         f_low = jnp.where(inside, f, jnp.where(side < 0, 0.5 * f_low, f_low))
         low, high = jnp.where(inside, x, low), jnp.where(inside, high, x)
         side = jnp.where(inside, 1.0, -1.0)
-    x = low - f_low * (high - low) / (f_high - f_low)
+        x = low - f_low * (high - low) / (f_high - f_low)
     return jnp.where(found, x, NONE).min()
 
 

@@ -93,7 +93,7 @@ def hbm_curve(
         controls: steps of the continuation.
         guess: modal displacement at `start` by its Fourier coefficients 1, cos, sin, ..., shape (2K + 1, M), of a
             sweep's result for instance: so isolated branches are reached. By default the linear response with the
-            contacts stuck, then without contacts, then under a load that grows from zero.
+            contacts stuck, absent or half as stiff, then under a load that grows from zero.
         stability: compute Floquet multipliers; without, only the sign of the determinant tells stable from unstable.
 
     Returns:
@@ -144,22 +144,22 @@ def contact_motion(balance: Balance, modal: Array) -> Array:
 
 def _guesses(balance: Balance, frequency: float, controls: Controls) -> Iterator[Array]:
     """Linear responses, one contact state after the other; the last is led there by a growing load."""
-    closed = np.array([contact.preload > 0 for contact in balance.model.contacts])
-    for held in (closed, np.ones_like(closed), np.zeros_like(closed)):
+    closed = np.array([contact.preload > 0 for contact in balance.model.contacts], dtype=float)
+    for held in (closed, np.ones_like(closed), np.zeros_like(closed), closed / 2):
         yield _held(balance, frequency, held)
     ramp = follow(_Ramp(balance, frequency), np.zeros(balance.num_unknowns), 0.0, 1.0, controls)
     if ramp.complete:
         yield ramp.x[-1]
 
 
-def _held(balance: Balance, frequency: float, held: NDArray[np.bool_]) -> Array:
-    """Linear response with some contacts stuck and the others absent."""
+def _held(balance: Balance, frequency: float, held: Array) -> Array:
+    """Linear response with each contact stuck (1), absent (0) or in between."""
     linear, size = balance.linear(frequency), 3 * balance.num_contacts
     stiffness = np.zeros((size, size))
     for i in np.flatnonzero(held):
         contact = balance.model.contacts[i]
-        stiffness[3 * i : 3 * i + 2, 3 * i : 3 * i + 2] = contact.tangential_stiffness
-        stiffness[3 * i + 2, 3 * i + 2] = contact.normal_stiffness
+        stiffness[3 * i : 3 * i + 2, 3 * i : 3 * i + 2] = held[i] * contact.tangential_stiffness
+        stiffness[3 * i + 2, 3 * i + 2] = held[i] * contact.normal_stiffness
     matrix = np.eye(size) + linear.flexibility @ (stiffness - balance.support)
     try:
         motion = np.linalg.solve(matrix, linear.free[..., None])[..., 0]

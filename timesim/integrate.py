@@ -363,34 +363,3 @@ def march_sections(
     kept = jnp.zeros((num_cycles, *sections(systems, start).shape))
     end, kept = jax.lax.while_loop(lambda carry: running(carry[0]).any(), body, (start, kept))
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), end), jnp.moveaxis(kept, -1, 0)
-
-
-@eqx.filter_jit
-def period_slope(
-    method: Method, control: Control, systems: System, start: Trajectory, directions: Point, cycles: int
-) -> tuple[Trajectory, Float[Array, "batch state"], Float[Array, "batch state"]]:
-    """State after a number of cycles and its derivative along one direction of the state before, for a batch.
-
-    The derivative goes through every transition exactly: the time of an event moves with the state, which the
-    Newton correction at its landing carries on (the saltation of the orbit).
-
-    Args:
-        method: the method.
-        control: its tolerances.
-        systems: the systems, batch first.
-        start: the trajectories, batch first, each at the start of a cycle.
-        directions: change of each start.
-        cycles: number of cycles.
-
-    Returns:
-        The trajectories, `section` at the end, and its derivative.
-    """
-
-    def end_of(point: Point) -> tuple[Array, Trajectory]:
-        rate = jax.vmap(field)(systems, start.state, jnp.zeros(start.time.shape), point)
-        now = eqx.tree_at(lambda t: (t.point, t.rate), start, (point, rate))
-        end, kept = march_sections(method, control, systems, now, cycles)
-        return kept[:, -1], end
-
-    value, slope, end = jax.jvp(end_of, (start.point,), (directions,), has_aux=True)
-    return end, value, slope

@@ -152,7 +152,7 @@ def _advance(method: object, solver: Solver, batch: list[March], slots: int) -> 
     stack = lambda *leaves: jnp.asarray(np.stack(leaves))  # noqa: E731
     systems, starts = (jax.tree.map(stack, *parts) for parts in zip(*((m.system, m.now) for m in filled), strict=True))
     control = solver.control(max(_stiffest(m.task) for m in batch))
-    ends, sections = march_sections(method, control, systems, starts, CYCLES_A_ROUND)  # type: ignore[arg-type]
+    ends, sections = march_sections(method, control, systems, starts, CYCLES_A_ROUND)
     ends, rows = jax.tree.map(np.asarray, ends), np.asarray(sections)
     for slot, march in enumerate(batch):
         march.now = jax.tree.map(lambda leaf, slot=slot: leaf[slot], ends)

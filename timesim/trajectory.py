@@ -139,7 +139,7 @@ class Frame:
         w = np.einsum("cax,ca->xc", self.axes, run.slip[live]) / scales.length
         nothing = Work(jnp.zeros(()), jnp.zeros(()), jnp.zeros(live.size)) if work else None
         point = Point(q, p, tuple(map(jnp.asarray, w)), nothing)
-        return begin(system, point, jnp.asarray(run.state[live]), jnp.asarray(first_step))  # type: ignore[arg-type]
+        return begin(system, point, jnp.asarray(run.state[live]), jnp.asarray(first_step))
 
     def _modal(self, x: np.ndarray, unit: float = 1.0) -> np.ndarray:
         whole = np.zeros((*x.shape[:-1], self.model.structure.num_modes))
