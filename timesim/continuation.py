@@ -49,7 +49,7 @@ class Controls:
 
     size: float
     first_step: float = 0.01
-    min_step: float = 1e-7
+    min_step: float = 1e-6
     max_step: float = 0.05
     max_points: int = 5000
     tolerance: float = 1e-9
@@ -364,17 +364,30 @@ class _Walk:
         return self._leap(point)
 
     def _leap(self, point: _Point) -> tuple[_Point, float, float] | None:
-        """Over a place where no short step succeeds; a point much farther than asked for is on another curve."""
+        """Over a place where no short step succeeds; a point much farther than asked for is on another curve.
+
+        The derivatives may mean little where it starts: after the tangent, a change of the parameter alone is tried,
+        the way it went before, with x a little larger or smaller.
+        """
+        ahead = self._ahead(point.y.size) * (1 if self._rising() else -1)
         for share in LEAPS:
             step = share * self.controls.max_step
-            guess = point.y + step * point.tangent
-            try:
-                found = self.arc.forced(guess, point.tangent)
-            except _FailureError:
-                continue
-            if np.linalg.norm(found.y - guess) <= 4 * step:
-                return found, step, step
+            guesses = [(point.y + step * point.tangent, point.tangent)]
+            for swell in (1 + step, 1 - step, 1 + 4 * step):
+                guesses.append((np.append(swell * point.y[:-1], point.y[-1] + step / 4 * np.sign(ahead[-1])), ahead))
+            for guess, border in guesses:
+                try:
+                    found = self.arc.forced(guess, border)
+                except _FailureError:
+                    continue
+                far = np.linalg.norm(found.y - point.y)
+                if far <= 8 * step and (found.y - point.y)[-1] * ahead[-1] > 0:
+                    return found, float(far), step
         return None
+
+    def _rising(self) -> bool:
+        """Whether the parameter last went towards the end of the range."""
+        return len(self.rows) < 2 or (self.rows[-1][1] - self.rows[-2][1]) * self.sign >= 0
 
     def _taken(self, before: _Point, point: _Point, step: float) -> Ending | None:
         """Keep a point, with the fold or the end of the range before it; how the curve ends, if it does."""

@@ -9,7 +9,7 @@ import timesim.jax_setup  # noqa: F401  isort: skip
 
 import abc
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax

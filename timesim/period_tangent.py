@@ -95,8 +95,8 @@ class _Chained(eqx.Module):
 
     Attributes:
         acts: the forces.
-        spectrum: Fourier coefficients of the derivatives of d by the coefficients of the motion and by d at the start.
-        end: the same derivatives of d at the end.
+        spectrum: Fourier coefficients of the derivatives of f by the coefficients of the motion and by d at the start.
+        end: the same derivatives of d at the end, d instead of f.
         normal: derivatives of the normal load.
         loose: whether a contact only sticks or creeps, at an offset that earlier passes gave it.
     """
@@ -115,6 +115,8 @@ def _chained(law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coeffi
     acts = summary(law, basis, motion, period)
     passed = _tangents(slopes(law, before_intervals(period), intervals_of(motion)), basis)
     spectrum = jnp.moveaxis(jnp.tensordot(basis.project, passed, 1), 0, 2)
+    stiffness = tuple(k[:, None, None] for k in law.stiffness)
+    spectrum = jnp.stack(product(stiffness, (spectrum[:, 0], spectrum[:, 1])), axis=1)
     touching = (normal_load(law, motion.v) > 0) * law.normal_stiffness
     normal = jnp.einsum("ak,kc,kb->cab", basis.project, touching, basis.value)
     offset = length(between(tuple(u[-1] for u in motion.u), period.begin))
@@ -146,7 +148,7 @@ def linearised(
     """`forces`, and their derivatives by the coefficients of the same contact: 3 (2H + 1) rows and columns.
 
     The derivatives run through the last pass alone and close by a solution of two equations a contact. Where that
-    pass only sticks, or nearly so, but an earlier one slipped, they run through all passes, which is some ten times slower.
+    pass only sticks, or nearly so, but an earlier one slipped, they run through all passes, some ten times slower.
     """
     done = _chained(law, basis, coefficient)
     end, spectrum, here = np.asarray(done.end), np.asarray(done.spectrum), np.asarray(basis.value[-1])
@@ -160,6 +162,5 @@ def linearised(
     begin = entered.copy()
     begin[unique] = np.linalg.solve(open_[unique], moved[unique])
     slope = spectrum[..., :-2] + spectrum[..., -2:] @ begin[:, None]
-    friction = product(tuple(np.asarray(k)[:, None, None] for k in law.stiffness), (slope[:, 0], slope[:, 1]))
     normal = np.concatenate([np.zeros((*done.normal.shape[:2], 2 * here.size)), done.normal], axis=2)
-    return done.acts, np.concatenate([*friction, normal], axis=1)
+    return done.acts, np.concatenate([slope[:, 0], slope[:, 1], normal], axis=1)

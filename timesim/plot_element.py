@@ -44,7 +44,7 @@ def force_path(data: "xarray.Dataset", ax: "matplotlib.axes.Axes | None" = None)
     ax.plot(first[:, 0], first[:, 1], color=PALE, linewidth=0.9, label="first cycle")
     size = np.hypot(*f.T)
     towards = np.divide(f, size[:, None], out=np.full_like(f, np.nan), where=size[:, None] > 0)
-    ax.plot(*(towards * limit[:, None]).T, color="black", linewidth=0.8, linestyle="--", label="limit μn along f")
+    ax.plot(*(towards * limit[:, None]).T, color="black", linewidth=0.8, linestyle="--", label="limit μn")
     state_curves(ax, f[:, 0], f[:, 1], state)
     _transition_circles(data, ax)
     ax.set(xlabel="f1 [force]", ylabel="f2 [force]")
@@ -57,7 +57,7 @@ def _transition_circles(data: "xarray.Dataset", ax: "matplotlib.axes.Axes") -> N
     circle = np.stack([np.cos(turn), np.sin(turn)])
     for number, (f, angles) in enumerate(_places(data)[:MAX_CIRCLES]):
         radius = np.hypot(*f)
-        label = None if number else "limit circle at a transition"
+        label = None if number else "limit circle there"
         ax.plot(*(radius * circle), color="0.55", linewidth=0.6, label=label)
         ax.plot(*f, "o", color="black", ms=4, label=None if number else "transition")
         x, y = (12 * (f / radius if radius > 0 else np.array([0.3, -0.95]))).tolist()
@@ -204,7 +204,7 @@ def _coefficient_label(name: str, tangent: str) -> str:
 
 
 def _path_figure(data: "xarray.Dataset") -> "matplotlib.figure.Figure":
-    made, grid = figure(width=7.8, height=5.6)
+    made, grid = figure(width=8.2, height=5.6)
     force_path(data, grid[0, 0])
     return _finished(made, data, "friction force in the contact plane, steady cycle")
 

@@ -226,9 +226,7 @@ def _measured(march: March, solver: Solver, period: int) -> Orbit:
         reason = str(error)
     slip, apart = shares / length
     amplitude = 0.5 * (high - low).reshape(-1, 3)
-    return Orbit(
-        _start_of(run), amplitude, period > 0, march.cycles + cycles, period, slip, apart, reason
-    )
+    return Orbit(_start_of(run), amplitude, period > 0, march.cycles + cycles, period, slip, apart, reason)
 
 
 def _time_in_states(steps: Steps) -> np.ndarray:
