@@ -79,7 +79,8 @@ def main() -> None:
     options = parser.parse_args()
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, numpy {np.__version__}\n")
     print(
-        "| case | points | curve [s] | and amplitudes, shares | and multipliers | ms a point |\n|---|---|---|---|---|---|"
+        "| case | points | curve [s] | and amplitudes, shares | and multipliers | ms a point |\n"
+        "|---|---|---|---|---|---|"
     )
     fine = replace(default_controls(), first_step=0.005, max_step=0.022)
     row("3 modes, 3 contacts, H = 7, N = 1024", chain(3, 3), Setting(7, 1024), fine, options.repeats)

@@ -193,6 +193,9 @@ class _Build:
             parent = getattr(self.file, above[0]) if above else self.file
             if parent is not None and getattr(parent, last) is None:
                 self.errors.append(RuleError((*above, last), f"is required for a {study.kind} study"))
+        if study.explicit_only and self.file.solver.method == "kvaerno5":
+            rule = f"must be an explicit method in an {study.kind} study"
+            self.errors.append(RuleError(("solver", "method"), rule, "tsit5 or dopri8, or an accuracy", "kvaerno5"))
         self.errors += [error.below("study") for error in study.problems(self.file.contacts, self.folder)]
 
     def check_names(self) -> None:

@@ -81,10 +81,15 @@ def _combined(point: Point | None, slopes: list[Point], weights: list[Array]) ->
 
 
 class Implicit(Method):
-    """A diffrax solver for stiff contacts, a step at a time; where its Newton iteration fails, the error says so."""
+    """A diffrax solver for stiff contacts, stepped one step at a time.
+
+    Where its Newton iteration fails the explicit method makes the step: a slip that begins at n = 0 looks the same at
+    every length of the step, so a shorter one would not help.
+    """
 
     order: int = eqx.field(static=True)
     solver: eqx.Module
+    fallback: Explicit
 
     def advance(self, field: Field, time: Float[Array, ""], point: Point, rate: Point, h: Float[Array, ""]) -> Advance:
         import diffrax
@@ -93,7 +98,8 @@ class Implicit(Method):
         start = self.solver.init(term, time, time + h, point, None)
         end, error, _, _, result = self.solver.step(term, time, time + h, point, None, start, made_jump=True)
         good = result == diffrax.RESULTS.successful
-        error = jax.tree.map(lambda e: jnp.where(good, e, jnp.inf), error)
+        implicit, explicit = (end, error), self.fallback.advance(field, time, point, rate, h)
+        end, error = jax.tree.map(lambda a, b: jnp.where(good, a, b), implicit, (explicit.point, explicit.error))
         return Advance(end, field(time + h, end), error)
 
 
@@ -127,8 +133,8 @@ def _kvaerno5(rtol: float, atol: float) -> Implicit:
     # The Newton iteration is to be a hundred times finer than the step, or its remainder shows up as noise. Where a
     # slip begins at n = 0 the Jacobian changes over any step, however short: diffrax's own VeryChord, which keeps it,
     # diverges there until the step is rounding (and takes 18 times as many steps elsewhere).
-    root_finder = optimistix.Newton(rtol=max(rtol * 1e-2, 1e-13), atol=max(atol * 1e-2, 1e-14))
-    return Implicit(order=5, solver=diffrax.Kvaerno5(root_finder=root_finder))
+    root_finder: Any = optimistix.Newton(rtol=max(rtol * 1e-2, 1e-13), atol=max(atol * 1e-2, 1e-14))
+    return Implicit(order=5, solver=diffrax.Kvaerno5(root_finder=root_finder), fallback=_explicit("tsit5"))
 
 
 NAMES = ("tsit5", "dopri5", "dopri8", "kvaerno5", "rk4")

@@ -26,6 +26,8 @@ class StudyKind(Section):
     """Keys that the scene must have."""
     uses_frequency: ClassVar[bool] = False
     """Whether ``excitation.frequency`` is the one it runs at."""
+    explicit_only: ClassVar[bool] = False
+    """Whether ``solver.method`` must be an explicit one."""
 
     def problems(self, contacts: Sequence[ContactSection], folder: Path) -> Iterator[RuleError]:
         """What is wrong with it in this scene, keys relative to the study; nothing by default."""
@@ -102,6 +104,7 @@ class ElementKind(StudyKind):
     """A study of one contact alone: it needs no structure, no points and no excitation."""
 
     requires: ClassVar[tuple[str, ...]] = ()
+    explicit_only: ClassVar[bool] = True
 
     contact: Name | None = None
     """Name of the contact; may be left out where there is only one."""
