@@ -37,8 +37,7 @@ class Trace:
     def sequence(self) -> list[tuple[int, int, int]]:
         """Contact, state before and after of each transition."""
         return [
-            (int(c), int(b), int(a))
-            for c, b, a in zip(self.log.contact, self.log.before, self.log.after, strict=True)
+            (int(c), int(b), int(a)) for c, b, a in zip(self.log.contact, self.log.before, self.log.after, strict=True)
         ]
 
     @property
@@ -68,9 +67,7 @@ def follow(run: Run) -> Trace:
         totals.add(steps, run.completed)
         logs.append(events(steps))
         count += steps.time.size
-    columns = (
-        np.concatenate([getattr(log, name) for log in logs]) for name in ("time", "contact", "before", "after")
-    )
+    columns = (np.concatenate([getattr(log, name) for log in logs]) for name in ("time", "contact", "before", "after"))
     return Trace(run, Events(*columns), totals, count)
 
 

@@ -115,7 +115,7 @@ def slip_speed(law: Law, e: Plane, motion: Motion) -> Scalar:
     if len(law.stiffness) == 1:
         return dot(e, motion.du) - cone_rate * law.compliance[0]
     ke = product(law.stiffness, e)
-    return (dot(ke, motion.du) - cone_rate) / jnp.maximum(dot(e, ke), 1e-300)
+    return (dot(ke, motion.du) - cone_rate) / jnp.maximum(dot(e, ke), 1e-150)
 
 
 def incipient_direction(law: Law, motion: Motion, iterations: int = 7) -> Plane:
@@ -127,7 +127,7 @@ def incipient_direction(law: Law, motion: Motion, iterations: int = 7) -> Plane:
     if len(law.stiffness) == 1:
         return scaled(1 / length(motion.du), motion.du)
     axes = _principal_axes(law)
-    stiff = tuple(jnp.maximum(dot(x, product(law.stiffness, x)), 1e-300) for x in axes)
+    stiff = tuple(jnp.maximum(dot(x, product(law.stiffness, x)), 1e-150) for x in axes)
     load = tuple(k * dot(x, motion.du) for k, x in zip(stiff, axes, strict=True))
     growth = law.friction * law.normal_stiffness * motion.dv
     s = jnp.maximum(*((jnp.abs(p) - growth) / k for p, k in zip(load, stiff, strict=True)))
@@ -137,7 +137,7 @@ def incipient_direction(law: Law, motion: Motion, iterations: int = 7) -> Plane:
         e = tuple(p / x for p, x in zip(load, below, strict=True))
         size = length(e)
         slope = sum(x * x * k / y for x, k, y in zip(e, stiff, below, strict=True))
-        s = s + (size - 1) * size**2 / jnp.maximum(slope, 1e-300)
+        s = s + (size - 1) * size**2 / jnp.maximum(slope, 1e-150)
     e = scaled(1 / size, e)
     return tuple(e[0] * x + e[1] * y for x, y in zip(*axes, strict=True))
 

@@ -155,8 +155,9 @@ def linearised(
     moved, carry = end[..., :-2], end[..., -2:]
     entered = np.zeros_like(moved)
     entered[:, 0, : here.size] = entered[:, 1, here.size : 2 * here.size] = here
-    if np.any(done.loose):
-        entered = np.asarray(_shaken(law, basis, coefficient))
+    for i in np.flatnonzero(done.loose):
+        own = jax.tree.map(lambda leaf, i=i: leaf[i : i + 1], law)
+        entered[i] = np.asarray(_shaken(own, basis, coefficient[i : i + 1]))[0]
     open_ = np.eye(2) - carry
     unique = (np.abs(np.linalg.det(open_)) > 1e-13) & ~np.asarray(done.loose)
     begin = entered.copy()
