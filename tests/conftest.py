@@ -10,7 +10,6 @@ CHECKED = (
     "timesim.history",
     "timesim.integrate",
     "timesim.method",
-    "timesim.model",
     "timesim.solver",
     "timesim.system",
     "timesim.trajectory",

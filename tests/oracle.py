@@ -239,10 +239,7 @@ def _shares(initial: np.ndarray, log: list[Transition], cycles: float) -> np.nda
 def _result(
     initial: np.ndarray, end: Instant, log: list[Transition], scaled: Scaled, length: float, frequency: float
 ) -> OracleResult:
-    slip = [
-        current_slip(int(end.state[c]), make_pad(c, end.motion, scaled, end.slip))
-        for c in range(initial.size)
-    ]
+    slip = [current_slip(int(end.state[c]), make_pad(c, end.motion, scaled, end.slip)) for c in range(initial.size)]
     table = np.array(log, dtype=float).reshape(-1, 4)
     contact, before, after = table[:, 1:].astype(int).T
     return OracleResult(
@@ -307,7 +304,5 @@ def simulate_plainly(model: Model, frequency: float, cycles: float, *, rtol: flo
         if len(conditions) == 1
         else dfx.Event(conditions, optx.Newton(1e-12, 1e-12), direction=[False] * len(conditions))
     )
-    advance = partial(
-        _advance, controls=_controls(rtol, 1e-2 * rtol, 1.0, 1e-3), event=event, solver=dfx.Dopri8()
-    )
+    advance = partial(_advance, controls=_controls(rtol, 1e-2 * rtol, 1.0, 1e-3), event=event, solver=dfx.Dopri8())
     return _integrate(model, frequency, cycles, advance, _switch_flagged, cycles)

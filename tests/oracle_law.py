@@ -62,9 +62,7 @@ def typical_length(model: Model, frequency: float) -> float:
     structure, load, start = model.structure, model.excitation, model.start
     inertia = structure.mass * (2 * np.pi * frequency * load.harmonic[:, None]) ** 2
     amplitude = np.hypot(load.cosine, load.sine) / np.maximum(structure.stiffness, inertia)
-    static = np.abs(load.constant) / np.maximum(
-        structure.stiffness, structure.mass * (2 * np.pi * frequency) ** 2
-    )
+    static = np.abs(load.constant) / np.maximum(structure.stiffness, structure.mass * (2 * np.pi * frequency) ** 2)
     begin = np.abs(start.displacement) + np.abs(start.velocity) / (2 * np.pi * frequency)
     return float(np.max(amplitude.sum(axis=0) + static + begin)) or 1.0
 
@@ -189,9 +187,7 @@ class Pad(NamedTuple):
 def make_pad(c: int, motion: Motion, p: Scaled, slip: np.ndarray) -> Pad:
     place, rate = p.shape[c] @ motion.displacement, p.shape[c] @ motion.velocity
     load, growth = p.preload[c] + p.normal[c] * place[2], p.normal[c] * rate[2]
-    return Pad(
-        p.friction[c], p.tangential[c], place[:2], rate[:2], load, growth, slip[c], float(motion.angle[c])
-    )
+    return Pad(p.friction[c], p.tangential[c], place[:2], rate[:2], load, growth, slip[c], float(motion.angle[c]))
 
 
 def _close(pad: Pad) -> tuple[int, np.ndarray, float]:

@@ -22,9 +22,7 @@ GENERATED_CYCLES = 12
 Numbers = Sequence[float] | np.ndarray
 
 
-def excitation(
-    frequency: float, cosine: Numbers, sine: Numbers, constant: Numbers | None = None
-) -> Excitation:
+def excitation(frequency: float, cosine: Numbers, sine: Numbers, constant: Numbers | None = None) -> Excitation:
     """Modal forces of the first harmonic."""
     cosines, sines = np.array([cosine], dtype=float), np.array([sine], dtype=float)
     rest = np.zeros(cosines.shape[1]) if constant is None else np.array(constant, dtype=float)
@@ -32,9 +30,7 @@ def excitation(
 
 
 def at_rest(num_modes: int, num_contacts: int) -> Start:
-    return Start(
-        np.zeros(num_modes), np.zeros(num_modes), np.zeros((num_contacts, 2)), np.full(num_contacts, -1)
-    )
+    return Start(np.zeros(num_modes), np.zeros(num_modes), np.zeros((num_contacts, 2)), np.full(num_contacts, -1))
 
 
 def structure(stiffness: Numbers, damping: Numbers, shape: Sequence[Sequence[float]]) -> Structure:
@@ -44,9 +40,7 @@ def structure(stiffness: Numbers, damping: Numbers, shape: Sequence[Sequence[flo
     return Structure(frequency, np.ones(len(stiffness)), np.array(damping, dtype=float), ("tip",), shapes)
 
 
-def pad(
-    friction: float, tangential: float, normal: float, preload: float, frame: np.ndarray | None = None
-) -> Contact:
+def pad(friction: float, tangential: float, normal: float, preload: float, frame: np.ndarray | None = None) -> Contact:
     axes = np.eye(3) if frame is None else frame
     return Contact("pad", "tip", GROUND, axes, friction, tangential * np.eye(2), normal, preload)
 
@@ -56,9 +50,7 @@ def oscillator(preload: float, frequency: float) -> Model:
     natural = np.array([0.9, 1.1])
     shape = [[1.0, 1.0, 0.8], [1.0, -1.0, 0.6]]
     body = structure((2 * np.pi * natural) ** 2, 2 * 0.02 * 2 * np.pi * natural, shape)
-    return Model(
-        body, (pad(0.5, 20.0, 20.0, preload),), excitation(frequency, [1.0, 1.0], [0.0, 0.0]), at_rest(2, 1)
-    )
+    return Model(body, (pad(0.5, 20.0, 20.0, preload),), excitation(frequency, [1.0, 1.0], [0.0, 0.0]), at_rest(2, 1))
 
 
 def circular(force: float, omega: float) -> Model:
@@ -144,9 +136,7 @@ def grazing_stop(part: float, stiffness: float) -> Model:
     response = 1.0 / (natural**2 - omega**2 + 1j * damping * omega)
     body = structure([natural**2], [damping], [[0, 0, 1]])
     stop = pad(0.0, 0.0, stiffness, -stiffness * part * abs(response))
-    start = Start(
-        np.array([response.real]), np.array([-omega * response.imag]), np.zeros((1, 2)), np.array([-1])
-    )
+    start = Start(np.array([response.real]), np.array([-omega * response.imag]), np.zeros((1, 2)), np.array([-1]))
     return Model(body, (stop,), excitation(1.0, [1.0], [0.0]), start)
 
 
@@ -159,13 +149,10 @@ def scene(path: Path) -> Model:
     contacts = tuple(_scene_contact(entry) for entry in tree["contacts"])
     drive = tree["excitation"]
     if "modal_force" in drive:
-        force = [
-            entry["amplitude"] * np.cos(np.deg2rad(entry["phase_deg"])) for entry in drive["modal_force"]
-        ]
+        force = [entry["amplitude"] * np.cos(np.deg2rad(entry["phase_deg"])) for entry in drive["modal_force"]]
     else:
         force = sum(
-            f["amplitude"] * np.array(f["direction"]) @ shape[points.index(f["point"])]
-            for f in drive["forces"]
+            f["amplitude"] * np.array(f["direction"]) @ shape[points.index(f["point"])] for f in drive["forces"]
         )
     body = Structure(frequency, mass, 2 * zeta * 2 * np.pi * frequency * mass, points, shape)
     load = excitation(drive["frequency"], force, np.zeros(len(modes)))
@@ -235,12 +222,9 @@ def generated_model(seed: int, num_modes: int, num_contacts: int) -> Model:
     mass, omega = unit_mass * rng.uniform(0.7, 1.4, num_modes), 2 * np.pi * natural
     stiffness = unit_mass * (2 * np.pi * base) ** 2
     points = tuple(f"p{i}" for i in range(num_contacts + 1))
-    body = Structure(
-        natural, mass, _damping(rng, mass, omega), points, rng.uniform(-1, 1, (len(points), 3, num_modes))
-    )
+    body = Structure(natural, mass, _damping(rng, mass, omega), points, rng.uniform(-1, 1, (len(points), 3, num_modes)))
     contacts = tuple(
-        _contact(rng, i, stiffness * 0.5, length, joined=i > 0 and rng.random() < 0.4)
-        for i in range(num_contacts)
+        _contact(rng, i, stiffness * 0.5, length, joined=i > 0 and rng.random() < 0.4) for i in range(num_contacts)
     )
     size = np.array([1.0, rng.choice([0.0, 0.3])])[:, None] * stiffness * length
     load = Excitation(

@@ -155,6 +155,7 @@ def test_event_loop_turns_with_the_frame():
     assert turned.dissipation == pytest.approx(base.dissipation, rel=1e-10)
 
 
+@pytest.mark.slow
 def test_two_ways_agree_on_sampled_motions():
     """The same spline in both; three harmonics, closing several times a cycle."""
     theta = np.arange(96) * CYCLE / 96

@@ -162,12 +162,17 @@ def test_no_touch_is_left_inside_a_step(part: float) -> None:
 
 
 def errors(solvers: list[Solver]) -> tuple[np.ndarray, np.ndarray]:
-    """Steps and error of the final state of six cycles of the oscillator, which slips, sticks and separates."""
-    model = oscillator(1.0, 1.1)
+    """Steps and error of the final state of six cycles of the oscillator, which slips and sticks.
+
+    Without separation: as n -> 0 the direction of slip turns without bound, which costs every method its order there
+    (rk4 is then of third order), though not its events.
+    """
+    model = oscillator(3.0, 1.39)
     true = simulate(model, 6, Solver("dopri8", 1e-13, 1e-15))
     traces = [simulate(model, 6, solver) for solver in solvers]
     assert all(trace.sequence == true.sequence for trace in traces)
-    assert {a for _, _, a in true.sequence} == {STICK, SLIP, SEPARATION}
+    assert {after for _, _, after in true.sequence} == {STICK, SLIP}
+    assert len(true.sequence) > 15
     return (
         np.array([trace.num_steps for trace in traces]),
         np.array([relative_error(trace.motion, true.motion) for trace in traces]),
@@ -191,7 +196,7 @@ def test_order_of_fixed_steps() -> None:
         ("tsit5", 5, np.geomspace(1e-5, 1e-10, 11)),
         ("dopri5", 5, np.geomspace(1e-5, 1e-10, 11)),
         ("dopri8", 8, np.geomspace(1e-6, 1e-11, 11)),
-        ("kvaerno5", 5, np.geomspace(1e-4, 1e-8, 9)),
+        ("kvaerno5", 5, np.geomspace(1e-5, 1e-9, 9)),
     ],
 )
 def test_order_of_adaptive_steps(name: str, expected: int, tolerances: np.ndarray) -> None:

@@ -35,9 +35,7 @@ def test_quartic_roots(roots):
 
 def test_quartic_of_lower_degree():
     np.testing.assert_allclose(trigonometric_roots([0.5, 1.0, 0.0]), np.array([2, 4]) * np.pi / 3, atol=1e-14)
-    np.testing.assert_allclose(
-        trigonometric_roots([0.5, 1.0, 1e-18j]), np.array([2, 4]) * np.pi / 3, atol=1e-14
-    )
+    np.testing.assert_allclose(trigonometric_roots([0.5, 1.0, 1e-18j]), np.array([2, 4]) * np.pi / 3, atol=1e-14)
     assert trigonometric_roots([1.0, 0.0, 0.0]).size == 0
 
 

@@ -57,9 +57,7 @@ def test_oscillator_of_table_1(case: str, preload: float, frequency: float, coun
     result = run(oscillator(preload, frequency), truth["cycles"])
     events = np.array(truth["events"])
     assert len(result.event_time) == truth["n_events"] == count
-    np.testing.assert_allclose(
-        np.r_[result.displacement, result.velocity], truth["state_end"], atol=2e-8, rtol=0
-    )
+    np.testing.assert_allclose(np.r_[result.displacement, result.velocity], truth["state_end"], atol=2e-8, rtol=0)
     np.testing.assert_allclose(result.event_time[: len(events)], events[:, 0], atol=1e-7, rtol=0)
     np.testing.assert_array_equal(result.event_from[: len(events)], events[:, 2])
     np.testing.assert_array_equal(result.state, truth["modes_end"])
@@ -73,9 +71,7 @@ def test_twenty_modes_and_three_contacts() -> None:
     first = slice(len(events))
     log = np.stack([result.event_contact[first], result.event_from[first], result.event_to[first]], axis=1)
     assert len(result.event_time) == truth["n_events"] == 328
-    np.testing.assert_allclose(
-        np.r_[result.displacement, result.velocity], truth["state_end"], atol=2e-9, rtol=0
-    )
+    np.testing.assert_allclose(np.r_[result.displacement, result.velocity], truth["state_end"], atol=2e-9, rtol=0)
     np.testing.assert_allclose(result.event_time[first], events[:, 0], atol=1e-8, rtol=0)
     np.testing.assert_array_equal(log, events[:, 1:])
 
@@ -317,9 +313,7 @@ def test_truth_of_the_earliest_event_trap() -> None:
     """The two masses do not know of each other, so each must move as in a pair of equals."""
     plain, true = earliest_event_trap()
     alone = [simulate(two_stops((gap, gap)), 1.0, 10) for gap in (0.021, 0.020)]
-    np.testing.assert_allclose(
-        true.displacement, [alone[0].displacement[0], alone[1].displacement[1]], atol=1e-10
-    )
+    np.testing.assert_allclose(true.displacement, [alone[0].displacement[0], alone[1].displacement[1]], atol=1e-10)
     for contact in (0, 1):
         times = true.event_time[true.event_contact == contact]
         own = alone[contact].event_time[alone[contact].event_contact == contact]

@@ -154,9 +154,7 @@ def test_an_orbit_wears_the_colours_of_its_states(run: xarray.Dataset) -> None:
     assert lines["slip"].get_linestyle() == "--"
     last = run.isel(time=slice(-STEPS // EVERY - 1, None)).sel(contact="stop")
     u = last.contact_displacement.values
-    drawn = np.unique(
-        np.round(np.concatenate([lines[name].get_xydata() for name in ("stick", "slip")]), 12), axis=0
-    )
+    drawn = np.unique(np.round(np.concatenate([lines[name].get_xydata() for name in ("stick", "slip")]), 12), axis=0)
     drawn = drawn[np.isfinite(drawn).all(axis=1)]
     assert len(drawn) == pytest.approx(len(u), abs=2)
     stuck = lines["stick"].get_xydata()[:-1]
@@ -192,10 +190,7 @@ def test_hysteresis_encloses_the_friction_energy(run: xarray.Dataset, tangent: s
     assert ax.get_xlabel() == f"u{number} [length]"
     assert ax.get_ylabel() == f"f{number} [force]"
     u, f = _curve(ax, "cycles before")
-    assert (
-        f.max()
-        == run.contact_force.sel(contact="pad", component=tangent).values[-3 * STEPS // EVERY - 1 :].max()
-    )
+    assert f.max() == run.contact_force.sel(contact="pad", component=tangent).values[-3 * STEPS // EVERY - 1 :].max()
     assert len(u) == 3 * STEPS // EVERY + 1
 
 
@@ -311,9 +306,7 @@ def test_an_exact_balance_needs_no_logarithm(run: xarray.Dataset) -> None:
 def test_all_pictures_of_a_run(run: xarray.Dataset, tmp_path: Path) -> None:
     files = plot.draw(run, tmp_path)
     names = ["displacement", "orbit", "hysteresis", "normal_load", "contact_states", "spectrum", "energy"]
-    assert (
-        [file.name for file in files] == [f"{name}.png" for name in names] == plot.picture_names("transient")
-    )
+    assert [file.name for file in files] == [f"{name}.png" for name in names] == plot.picture_names("transient")
     assert all(file.read_bytes().startswith(b"\x89PNG") for file in files)
     assert plot.draw(run.assign_attrs(study="tradeoff"), tmp_path / "missing") == []
 
@@ -328,9 +321,7 @@ def test_many_contacts_are_left_out_and_counted() -> None:
     assert figure is not None
     assert len(figure.axes) == 6
     assert "2 of 5 contacts not shown (the least active)" in _texts(figure)
-    assert (
-        figure.get_suptitle() == "Two pads\nfriction force against displacement, last cycles (incomplete run)"
-    )
+    assert figure.get_suptitle() == "Two pads\nfriction force against displacement, last cycles (incomplete run)"
     work = many.energy_friction.sum("cycle")
     shown = {ax.get_title(loc="right").split(",")[0] for ax in figure.axes}
     assert shown == set(many.contact.values[np.argsort(-work.values)[:3]])

@@ -82,9 +82,7 @@ def test_one_dimensional_constant_load():
 
 def test_one_dimensional_varying_load():
     crosswise = steady_cycle(contact(), table_motion(1, 0, 0.5, 90))
-    assert (crosswise.transition_angle_deg - 90).min() == pytest.approx(
-        np.degrees(np.arctan(0.15)), abs=1e-11
-    )
+    assert (crosswise.transition_angle_deg - 90).min() == pytest.approx(np.degrees(np.arctan(0.15)), abs=1e-11)
     in_phase = steady_cycle(contact(), table_motion(1, 0, 0.5, 0))
     slips = in_phase.transition_angle_deg[in_phase.transition_to == SLIP] - 90
     assert slips.min() == pytest.approx(np.degrees(np.arccos(0.25 / 1.15)), abs=1e-11)
@@ -326,9 +324,7 @@ def test_swapping_the_axes():
     swap = np.array([[0, 1], [1, 0]])
     for pad, m, cycle in random_cycles(21, True):
         moved = HarmonicMotion(m.B, m.A, m.D, -m.phi, m.psi - m.phi)
-        other = steady_cycle(
-            contact(swap @ pad.tangential_stiffness @ swap, pad.friction, 1.0, pad.preload), moved
-        )
+        other = steady_cycle(contact(swap @ pad.tangential_stiffness @ swap, pad.friction, 1.0, pad.preload), moved)
         assert_same(cycle, lambda t, c=cycle, m=m: swap @ c.force(t - m.phi), cycle.dissipation, other)
 
 
@@ -347,9 +343,7 @@ def test_turning_and_mirroring_an_isotropic_contact():
             shift = np.angle(first)
             moved = HarmonicMotion(abs(first), abs(second), m.D, np.angle(second) - shift, m.psi - shift)
             other = steady_cycle(pad, moved)
-            assert_same(
-                cycle, lambda t, c=cycle, q=matrix, s=shift: q @ c.force(t - s), cycle.dissipation, other
-            )
+            assert_same(cycle, lambda t, c=cycle, q=matrix, s=shift: q @ c.force(t - s), cycle.dissipation, other)
 
 
 @pytest.mark.parametrize("scale", [1e-9, 1e6])
@@ -374,9 +368,7 @@ def test_coefficients_rebuild_energy_and_harmonics():
         np.testing.assert_allclose(cycle.coefficients.f_c, turned.real, atol=1e-12)
         np.testing.assert_allclose(cycle.coefficients.f_s, -turned.imag, atol=1e-12)
         theta = (np.arange(4096) + 0.5) * CYCLE / 4096
-        sampled = (
-            np.fft.rfft(cycle.force(theta), axis=1)[:, :41] / 4096 * np.exp(-1j * np.arange(41) * theta[0])
-        )
+        sampled = np.fft.rfft(cycle.force(theta), axis=1)[:, :41] / 4096 * np.exp(-1j * np.arange(41) * theta[0])
         np.testing.assert_allclose(2 * sampled[:, 1:].T, cosine[1:] - 1j * sine[1:], atol=2e-6)
 
 
@@ -458,9 +450,7 @@ class Reference:
             z = np.concatenate([self.mu * self.n(t + near) * self.direction(t), z[2:]])
             t = t + near
         stop = parting - near if parting < end else end
-        run = solve_ivp(
-            self.rates, (t, stop), z, "DOP853", args=(True,), events=event, rtol=1e-12, atol=1e-14
-        )
+        run = solve_ivp(self.rates, (t, stop), z, "DOP853", args=(True,), events=event, rtol=1e-12, atol=1e-14)
         if run.t_events[0].size:
             return run.t_events[0][0], run.y_events[0][0], STICK
         return (

@@ -182,9 +182,7 @@ def test_a_full_disk_leaves_the_old_result(tmp_path: Path) -> None:
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
     try:
-        with pytest.raises(
-            StoreError, match=r"cannot be written: File too large; what was there is unchanged"
-        ):
+        with pytest.raises(StoreError, match=r"cannot be written: File too large; what was there is unchanged"):
             store.save(_record(method="rk4"), file)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)

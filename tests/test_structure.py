@@ -56,9 +56,7 @@ def test_chain_has_its_closed_form():
     assert np.array_equal(structure.mass, np.ones(6))
     assert np.allclose(structure.damping, 0.06 * omega, rtol=1e-14)
     modes = np.sin(np.outer(number, number) * np.pi / 7) * np.sqrt(2 / 7)
-    expected = modes * np.sign(
-        modes[np.argmax(np.abs(modes) >= np.abs(modes).max(axis=0) - 1e-9, axis=0), number - 1]
-    )
+    expected = modes * np.sign(modes[np.argmax(np.abs(modes) >= np.abs(modes).max(axis=0) - 1e-9, axis=0), number - 1])
     assert np.allclose(structure.shape[0, 0], expected[0], atol=1e-14)
     assert np.allclose(structure.shape[1, 2], expected[1], atol=1e-14)
     assert not np.any(structure.shape[0, 1:])
@@ -77,9 +75,7 @@ def test_blade_has_the_modes_written_out(name: str):
 
 def test_blade_has_all_its_modes():
     found = load_scene(DATA / "blade_matrices.yaml", ["structure.keep_modes=24"]).model().structure
-    assert np.allclose(
-        found.frequency, json.loads((DATA / "fe_modes.json").read_text())["cb_frequency_hz"], rtol=1e-9
-    )
+    assert np.allclose(found.frequency, json.loads((DATA / "fe_modes.json").read_text())["cb_frequency_hz"], rtol=1e-9)
 
 
 @settings(max_examples=40, deadline=None)
@@ -111,18 +107,14 @@ def test_proportional_damping_becomes_ratios_and_a_dashpot_stays_whole():
     whole = modal_structure(Matrices(base.mass, base.stiffness, dashpot), points=POINTS, keep_modes=3)
     assert whole.damping.shape == (3, 3)
     assert np.linalg.matrix_rank(whole.damping, tol=1e-12) == 1
-    rate = modal_structure(
-        Matrices(base.mass, base.stiffness, dashpot), points=POINTS, damping_ratio=[0, 1, 2, 3, 4]
-    )
+    rate = modal_structure(Matrices(base.mass, base.stiffness, dashpot), points=POINTS, damping_ratio=[0, 1, 2, 3, 4])
     assert np.allclose(rate.damping, 2 * np.arange(5) * rate.omega)
 
 
 def test_proportional_damping_of_the_stiff_blade_is_diagonal():
     data = np.load(DATA / "blade.npz")
     damping = 1e-7 * data["stiffness"] + 3 * data["mass"]
-    structure = modal_structure(
-        Matrices(data["mass"], data["stiffness"], damping), points=POINTS, keep_modes=12
-    )
+    structure = modal_structure(Matrices(data["mass"], data["stiffness"], damping), points=POINTS, keep_modes=12)
     assert structure.damping.shape == (12,)
 
 
@@ -146,13 +138,9 @@ def test_large_sparse_structure():
     with pytest.raises(RuleError, match="is required for a structure of 3000 rows"):
         modal_structure(sparse, points={"m": {"x": 0}}, damping_ratio=0)
     with pytest.raises(RuleError, match="no negative eigenvalue"):
-        modal_structure(
-            Matrices(sparse.mass, stiffness - 0.1 * sparse.mass), points={}, damping_ratio=0, keep_modes=2
-        )
+        modal_structure(Matrices(sparse.mass, stiffness - 0.1 * sparse.mass), points={}, damping_ratio=0, keep_modes=2)
     with pytest.raises(RuleError, match="positive definite"):
-        modal_structure(
-            Matrices(stiffness - sparse.mass, stiffness), points={}, damping_ratio=0, keep_modes=2
-        )
+        modal_structure(Matrices(stiffness - sparse.mass, stiffness), points={}, damping_ratio=0, keep_modes=2)
 
 
 @pytest.mark.parametrize("sparse", [False, True])
@@ -161,9 +149,7 @@ def test_mat_file(sparse: bool, names: tuple[str, ...], tmp_path: Path):
     base = chain(4)
     arrays = [base.mass, base.stiffness, 0.1 * base.stiffness]
     held = dict(zip(names, map(scipy.sparse.csc_array, arrays) if sparse else arrays, strict=True))
-    scipy.io.savemat(
-        tmp_path / "a.mat", held | {"notes": "left alone", "rows": np.array(["a", "b"], dtype=object)}
-    )
+    scipy.io.savemat(tmp_path / "a.mat", held | {"notes": "left alone", "rows": np.array(["a", "b"], dtype=object)})
     found = load_scene(files(tmp_path / "a.mat"))
     assert np.allclose(found.model().structure.damping, 0.02 * found.model().structure.omega)
     assert any("damping matrix in the file is not" in warning for warning in found.warnings())
