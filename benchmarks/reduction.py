@@ -1,8 +1,8 @@
 """What is gained by leaving out what a scene does not need?
 
-Run `python benchmarks/reduction.py`. Each scene with ``solver.reduce`` true and false, in turn: microseconds a cycle of the
-whole run, compiled before, median of several; the ratio; and the difference of the last state, which must be rounding
-or the solver's tolerance.
+Run `python benchmarks/reduction.py`. Each scene with ``solver.reduce`` true and false, in turn: microseconds a cycle
+of the whole run, compiled before, median of several; the ratio; and the difference of the last state, which must be
+rounding or the solver's tolerance.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""The event loop against the oracle, against plain events, against itself at other tolerances; and where it gives up."""
+"""The event loop against the oracle, plain events and itself at other tolerances; and where it gives up."""
 
 import gc
 from collections.abc import Callable

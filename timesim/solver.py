@@ -1,8 +1,8 @@
 """What a scene's ``solver`` section means in numbers: a method, its tolerances, its budget.
 
 The presets, each with the largest error of the last state that was measured for it, relative to the largest
-displacement and velocity (`python benchmarks/accuracy.py`): on the paper's oscillator, on a blade with two contacts, and
-on 20 modes up to 40 times the excitation with three contacts.
+displacement and velocity (`python benchmarks/accuracy.py`): on the paper's oscillator, on a blade with two contacts,
+and on 20 modes up to 40 times the excitation with three contacts.
 
 =========  ======  =====  ==========  ======  ========
 accuracy   method  rtol   oscillator  blade   20 modes
