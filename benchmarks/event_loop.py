@@ -205,9 +205,11 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--budget", type=float, default=5.0, help="seconds of timed runs for one contender")
     parser.add_argument("--no-oracle", action="store_true")
+    parser.add_argument("--problem", type=int, choices=range(len(PROBLEMS)), help="only this one")
     options = parser.parse_args()
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, numpy {np.__version__}")
-    for problem in PROBLEMS:
+    chosen = PROBLEMS if options.problem is None else PROBLEMS[options.problem : options.problem + 1]
+    for problem in chosen:
         contenders = scipy_rows(problem) + numba_rows(problem)
         if not options.no_oracle:
             contenders += oracle_rows(problem)
