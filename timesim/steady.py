@@ -176,15 +176,17 @@ def _period(sections: np.ndarray, tolerance: float) -> int:
     size = np.max(np.abs(sections), initial=0.0)
     if size == 0:
         return 1
+    half = CYCLES_A_ROUND // 2
     for period in PERIODS:
         change = np.max(np.abs(sections[period:] - sections[:-period]), axis=1) / size
         if change.size < CYCLES_A_ROUND:
             continue
-        half = CYCLES_A_ROUND // 2
         last, before = np.max(change[-half:]), np.max(change[-2 * half : -half])
         ratio = (last / before) ** (1 / half) if before > 0 else 0.0
         if last < REST or (ratio < 1 and last < tolerance and last * ratio / (1 - ratio) < tolerance):
-            return period
+            # An alternation below the tolerance is no doubling of the period.
+            steps = np.max(np.abs(np.diff(sections, axis=0)[-half:])) / size
+            return 1 if steps < tolerance else period
     return 0
 
 
