@@ -199,7 +199,7 @@ def _failed(march: March, solver: Solver) -> Orbit:
     model = march.task.model
     try:
         march.run.completed = march.cycles
-        march.run._judge(int(march.now.status), int(march.now.culprit))
+        march.run.judge(int(march.now.status), int(march.now.culprit))
         reason = "failed"
     except RunError as error:
         reason = str(error)

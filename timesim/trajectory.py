@@ -109,9 +109,14 @@ class Run:
             done, self.completed = int(now.cycle), self.completed - done + int(now.cycle)
             frame.store(now, self, origin, work)
             yield steps
-            self._judge(int(now.status), int(now.culprit))
+            self.judge(int(now.status), int(now.culprit))
 
-    def _judge(self, status: int, culprit: int) -> None:
+    def judge(self, status: int, culprit: int) -> None:
+        """Raise what a status of the loop means.
+
+        Raises:
+            RunError: the loop has ended early.
+        """
         if status == Status.RUNNING:
             return
         names = [self.model.contacts[i].name for i in self.reduction.live] or ["none"]
