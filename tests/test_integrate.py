@@ -41,7 +41,11 @@ def whole_damping(model: Model) -> Model:
     return replace(model, structure=replace(model.structure, damping=matrix))
 
 
-QUICK = ("2modes-1contacts", "3modes-2contacts")
+# All with K_u of the general form: two loops to compile, of four models each.
+QUICK = [
+    *(f"seed{seed}-2modes-1contacts" for seed in (2, 5, 6, 7)),
+    *(f"seed{seed}-3modes-2contacts" for seed in (0, 1, 2, 4)),
+]
 
 
 @cache
@@ -69,19 +73,19 @@ def agree(name: str) -> None:
     print(f"{name}: {len(told)} transitions, stick/slip/separation % {told_shares}")
 
 
-@pytest.mark.parametrize("name", [name for name in generated_models() if name.endswith(QUICK)])
+@pytest.mark.parametrize("name", QUICK)
 def test_generated_model(name: str) -> None:
     agree(name)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in generated_models() if not name.endswith(QUICK)])
+@pytest.mark.parametrize("name", [name for name in generated_models() if name not in QUICK])
 def test_larger_generated_model(name: str) -> None:
     agree(name)
 
 
 def test_generated_models_slip_and_separate() -> None:
-    results = [compared(name)[2] for name in generated_models() if name.endswith(QUICK)]
+    results = [compared(name)[2] for name in QUICK]
     assert all(map(slips, results))
     assert 3 * sum(map(separates, results)) >= len(results) >= 8
 
@@ -377,8 +381,9 @@ def test_interrupt_keeps_what_there_is() -> None:
 
 
 def test_a_failed_run_keeps_what_there_is() -> None:
+    changes = {"solver": {"accuracy": "standard", "max_steps": 70}, "study.record_last": 60}
     with pytest.warns(RuntimeWarning, match="the run is incomplete: at time .*max_steps"):
-        result = timesim.run(CONFIGS / "oscillator.yaml", {"solver": {"accuracy": "standard", "max_steps": 70}})
+        result = timesim.run(CONFIGS / "oscillator.yaml", changes)
     assert result.attrs["complete"] == 0
     assert "budget" in result.attrs["reason"]
     assert result.sizes["time"] > 1
