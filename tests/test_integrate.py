@@ -355,7 +355,7 @@ def test_what_is_judged(change: dict[str, float], status: Status) -> None:
 def test_what_a_message_says(status: Status) -> None:
     run = Run(oscillator(3.0, 1.39), [Phase(1.39, 5)], FINE)
     with pytest.raises(RunError, match=r"at time .* s, in cycle 1: .*'pad'") as caught:
-        run._judge(int(status), 0)
+        run.judge(int(status), 0)
     assert any(hint in str(caught.value) for hint in ("try", "ask for", "Raise", "Check"))
 
 
