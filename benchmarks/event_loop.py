@@ -119,14 +119,14 @@ def oracle_rows(problem: Problem) -> list[Contender]:
     return [Contender("oracle (diffrax events), rtol 1e-10", 1, run)]
 
 
-def timesim_rows(problem: Problem, batch: int) -> list[Contender]:
+def timesim_rows(problem: Problem, batch: int, methods: list[str]) -> list[Contender]:
     """The program's own entries at one batch size.
 
     The first of the batch is the problem itself, the others lie up to 1 % above it in frequency. At batch 1 also the
     whole run as a user has it: every step recorded and handed to the host.
     """
     rows = []
-    for method, rtol in TIMESIM_SOLVERS:
+    for method, rtol in ((m, r) for m, r in TIMESIM_SOLVERS if m in methods):
         solver = Solver(method, rtol, rtol * 1e-2)
         rows.append(Contender(f"timesim {method}, rtol {rtol:g}", batch, marched(problem, batch, solver)))
         if batch == 1:
@@ -205,6 +205,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--budget", type=float, default=5.0, help="seconds of timed runs for one contender")
     parser.add_argument("--no-oracle", action="store_true")
+    parser.add_argument("--methods", nargs="+", default=["tsit5", "dopri8"], help="of timesim")
     parser.add_argument("--problem", type=int, choices=range(len(PROBLEMS)), help="only this one")
     options = parser.parse_args()
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, numpy {np.__version__}")
@@ -214,7 +215,7 @@ def main() -> None:
         if not options.no_oracle:
             contenders += oracle_rows(problem)
         for batch in BATCHES:
-            contenders += timesim_rows(problem, batch)
+            contenders += timesim_rows(problem, batch, options.methods)
         rows = measure(problem, contenders, options.repeats, options.budget)
         print(table(problem, rows, reference(problem).num_events), flush=True)
 
