@@ -154,8 +154,9 @@ def _principal_axes(law: Law) -> tuple[Plane, Plane]:
 # error estimate sees noise, and a run into separation takes some ten steps more.
 UNDIRECTED = 10.0
 FORCE_FLOOR = 1e-13
-# Of the force scale: where n falls through less than this, the direction of a slip is rounding, and so is its speed.
-SEPARATING = 1e-8
+# Time [rad of the excitation] from n = 0 within which the direction of a slip is rounding, and so is its speed: a slip
+# that ends or begins there would stick for an instant. Not a share of n: it may be tiny for long under stiff contacts.
+SINGULAR = 3e-8
 
 
 def slip_direction(law: Law, motion: Motion, w: Plane) -> Plane:
@@ -207,9 +208,9 @@ def margins(law: Law, state: State, motion: Motion, w: Plane) -> tuple[Scalar, S
     n = normal_load(law, motion.v)
     cone = law.friction * n - length(product(law.stiffness, between(motion.u, w)))
     speed = slip_speed(law, slip_direction(law, motion, w), motion)
-    separating = (n < SEPARATING * force_scale(law)) & (law.normal_stiffness * motion.dv < 0)
+    singular = n < SINGULAR * jnp.abs(law.normal_stiffness * motion.dv)
     first = jnp.where(state == STICK, cone, jnp.where(state == SLIP, n, -n))
-    return first, jnp.where((state == SLIP) & (law.friction > 0) & ~separating, speed, 1.0)
+    return first, jnp.where((state == SLIP) & (law.friction > 0) & ~singular, speed, 1.0)
 
 
 def force_scale(law: Law) -> Scalar:
