@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from timesim.axis_section import axis_values
 from timesim.model import Excitation, Model
 from timesim.override import overridden
 from timesim.scene_rule import rule_errors
@@ -88,6 +89,21 @@ class Scene:
         """The same scene with other values; see `load_scene`."""
         return _scene(overridden(self.source, overrides))
 
+    def variant(self, values: Mapping[str, float]) -> Model:
+        """The model with other scalars, by key path as in a study's ``over``.
+
+        Raises:
+            SceneError: the scene cannot have these values.
+        """
+        return replace(self, source=overridden(self.source, values))._rebuilt()
+
+    def _rebuilt(self) -> Model:
+        try:
+            file = SceneFile.model_validate(self.source.data)
+        except ValidationError as error:
+            raise _scene_error(self.source, rule_errors(error)) from None
+        return Scene(self.source, file).model()
+
     def warnings(self) -> list[str]:
         """What is accepted but may not be meant."""
         return list(_warnings(self.file, self._model))
@@ -129,7 +145,24 @@ def _scene(source: SceneSource) -> Scene:
         raise _scene_error(source, empty)
     scene = Scene(source, file)
     scene._model  # noqa: B018  builds it, which finds what the sections cannot see
+    _check_over(scene)
     return scene
+
+
+def _check_over(scene: Scene) -> None:
+    """Each value of each axis must make a scene, the other axes left as they are."""
+    problems = []
+    for key, given in getattr(scene.file.study, "over", {}).items():
+        for value in axis_values(given):
+            try:
+                scene.variant({key: value})
+            except SceneError as error:
+                own = error.problems[0]
+                rule = f"{value:g}: {own.key} {own.rule}" if own.key != key else own.rule
+                problems.append(scene.source.problem(RuleError(("study", "over", key), rule, own.hint, value)))
+                break
+    if problems:
+        raise SceneError(problems)
 
 
 def _scene_error(source: SceneSource, errors: Sequence[RuleError]) -> SceneError:

@@ -13,11 +13,11 @@ import numpy as np
 from timesim import store
 from timesim.config import Scene
 from timesim.element_cycle import ElementCycle, Transition
+from timesim.element_section import Element
 from timesim.model import STATE_NAMES, Contact
 from timesim.motion import CYCLE, Motion
 from timesim.state_by_state import steady_cycle
 from timesim.study import Outcome, Progress, attributes
-from timesim.study_section import Element
 
 # Above these the two ways do not agree: transitions [rad], forces relative to the largest mu n.
 ANGLE, FORCE = 1e-6, 1e-8

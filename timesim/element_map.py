@@ -22,6 +22,7 @@ from timesim import store
 from timesim.config import Scene
 from timesim.contact_section import ContactSection
 from timesim.element_loop import offset
+from timesim.element_section import MAP_AXES, ElementMap
 from timesim.model import SEPARATION
 from timesim.prescribed import (
     FIRST_STEP,
@@ -39,7 +40,6 @@ from timesim.prescribed import (
 )
 from timesim.solver import Solver, solver_of
 from timesim.study import Outcome, Progress, attributes
-from timesim.study_section import MAP_AXES, ElementMap
 
 BATCH = 256
 MAX_CYCLES = 300

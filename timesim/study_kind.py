@@ -1,0 +1,28 @@
+"""What every study section of the scene file has: a base of its own, lest the sections import each other."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import ClassVar, Self
+
+from timesim.contact_section import ContactSection
+from timesim.scene_source import RuleError
+from timesim.section import Section
+
+
+class StudyKind(Section):
+    """What every study section has; `kind` is its tag."""
+
+    requires: ClassVar[tuple[str, ...]] = ("structure", "excitation")
+    """Keys that the scene must have."""
+    uses_frequency: ClassVar[bool] = False
+    """Whether ``excitation.frequency`` is the one it runs at."""
+    explicit_only: ClassVar[bool] = False
+    """Whether ``solver.method`` must be an explicit one."""
+
+    def problems(self, contacts: Sequence[ContactSection], folder: Path) -> Iterator[RuleError]:
+        """What is wrong with it in this scene, keys relative to the study; nothing by default."""
+        yield from ()
+
+    def absolute(self, folder: Path) -> Self:
+        """The same with paths that do not depend on the folder."""
+        return self

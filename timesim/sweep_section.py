@@ -1,0 +1,48 @@
+"""Studies of steady states over frequency, as the scene file writes them."""
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from timesim.axis_section import Frequencies, Over
+from timesim.section import Count, Positive, Section
+from timesim.study_kind import StudyKind
+
+
+class Settle(Section):
+    """When a motion counts as settled."""
+
+    tolerance: Annotated[Positive, Field(le=1e-2)] = 1e-8
+    """Of the state from cycle to cycle, relative to its largest entry, extrapolated to all cycles to come."""
+    max_cycles: Count = 2000
+    """Excitation cycles after which a point is given up as not settled."""
+
+
+class SweepKeys(StudyKind):
+    """What a study of steady states over frequency is told."""
+
+    requires: ClassVar[tuple[str, ...]] = ("structure", "excitation")
+
+    frequency: Frequencies
+    """{from, to, step} or {values: [...]} [Hz]."""
+    direction: Literal["up", "down", "both", "independent"] = "independent"
+    """up, down, both: the state is carried from one frequency to the next; independent: each starts anew."""
+    over: Over = Field(default_factory=dict)
+    """Further axes: scalars of the scene by their key, each with its values."""
+    settle: Settle = Settle()
+    """When a motion counts as settled."""
+
+    @property
+    def directions(self) -> tuple[str, ...]:
+        """Labels of the directions in the result."""
+        return ("up", "down") if self.direction == "both" else (self.direction,)
+
+
+class Sweep(SweepKeys):
+    """Steady states over frequency and any scalars of the scene."""
+
+    kind: Literal["sweep"]
+    periodic: Literal["march", "shoot"] = "march"
+    """How a periodic motion is found: marching until it settles, or Newton's method on the state after a period."""
+    refine: Positive | None = None
+    """Width [Hz] to which the frequency of a jump between two steps of a sweep is bisected; by default it is not."""
