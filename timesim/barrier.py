@@ -21,7 +21,13 @@ T = TypeVar("T")
 
 def apart(function: Callable[P, T]) -> Callable[P, T]:
     """The function as a call of its own, whose operations are not fused with those around it."""
-    compiled = jax.jit(function)
+
+    def inside(*args: P.args, **kwargs: P.kwargs) -> T:
+        # Calls made inside, such as every `jnp.where`, are functions too: they are to be inlined.
+        with set_xla_metadata(inlineable="true"):
+            return function(*args, **kwargs)
+
+    compiled = jax.jit(functools.wraps(function)(inside))
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:

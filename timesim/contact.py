@@ -46,7 +46,8 @@ class Law(eqx.Module):
 
     Attributes:
         friction: mu.
-        stiffness: K_u: (k,) where it is isotropic in every contact, else (k11, k12, k22).
+        stiffness: K_u: (k,) where it is isotropic in every contact, (k1, k2) along its principal axes, else
+            (k11, k12, k22).
         compliance: its inverse in the same form; zero for a frictionless stop without stiffness.
         normal_stiffness: k_v.
         preload: n0.
@@ -97,9 +98,11 @@ def length(a: Plane) -> Scalar:
 
 
 def product(matrix: tuple[Scalar, ...], a: Plane) -> Plane:
-    """A symmetric matrix of the plane times a vector; isotropic if it is one number."""
+    """A symmetric matrix of the plane times a vector; isotropic if it is one number, diagonal if it is two."""
     if len(matrix) == 1:
         return scaled(matrix[0], a)
+    if len(matrix) == 2:
+        return tuple(k * x for k, x in zip(matrix, a, strict=True))
     k11, k12, k22 = matrix
     return (k11 * a[0] + k12 * a[1], k12 * a[0] + k22 * a[1])
 
@@ -126,27 +129,37 @@ def incipient_direction(law: Law, motion: Motion, iterations: int = 7) -> Plane:
     """
     if len(law.stiffness) == 1:
         return scaled(1 / length(motion.du), motion.du)
-    axes = _principal_axes(law)
-    stiff = tuple(jnp.maximum(dot(x, product(law.stiffness, x)), 1e-150) for x in axes)
-    load = tuple(k * dot(x, motion.du) for k, x in zip(stiff, axes, strict=True))
-    growth = law.friction * law.normal_stiffness * motion.dv
-    s = jnp.maximum(*((jnp.abs(p) - growth) / k for p, k in zip(load, stiff, strict=True)))
-    for _ in range(iterations + 1):
-        below = tuple(growth + s * k for k in stiff)
-        below = tuple(jnp.where(x == 0, 1.0, x) for x in below)
-        e = tuple(p / x for p, x in zip(load, below, strict=True))
-        size = length(e)
-        slope = sum(x * x * k / y for x, k, y in zip(e, stiff, below, strict=True))
-        s = s + (size - 1) * size**2 / jnp.maximum(slope, 1e-150)
-    e = scaled(1 / size, e)
-    return tuple(e[0] * x + e[1] * y for x, y in zip(*axes, strict=True))
+    if len(law.stiffness) == 2:
+        return _solved(law, law.stiffness, motion.du, motion.dv, iterations)
+    c, s = _turn(law)
+    (k11, k12, k22), (x, y) = law.stiffness, motion.du
+    stiff = (k11 * c * c + 2 * k12 * c * s + k22 * s * s, k11 * s * s - 2 * k12 * c * s + k22 * c * c)
+    e = _solved(law, stiff, (c * x + s * y, c * y - s * x), motion.dv, iterations)
+    return (c * e[0] - s * e[1], s * e[0] + c * e[1])
 
 
-def _principal_axes(law: Law) -> tuple[Plane, Plane]:
+def _turn(law: Law) -> tuple[Scalar, Scalar]:
+    """Cosine and sine of the angle of the first principal axis of K_u."""
     k11, k12, k22 = law.stiffness
     angle = 0.5 * jnp.arctan2(2 * k12, k11 - k22)
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    return (c, s), (-s, c)
+    return jnp.cos(angle), jnp.sin(angle)
+
+
+def _solved(law: Law, stiff: tuple[Scalar, ...], du: Plane, dv: Scalar, iterations: int) -> Plane:
+    """The same along the principal axes of K_u."""
+    stiff = tuple(jnp.maximum(k, 1e-150) for k in stiff)
+    load = tuple(k * x for k, x in zip(stiff, du, strict=True))
+    growth = law.friction * law.normal_stiffness * dv
+    s = jnp.maximum(*((jnp.abs(p) - growth) / k for p, k in zip(load, stiff, strict=True)))
+    for _ in range(iterations + 1):
+        # Divisions are what it costs: one for each component, one for the step.
+        below = tuple(growth + s * k for k in stiff)
+        inverse = tuple(1 / jnp.where(x == 0, 1.0, x) for x in below)
+        e = tuple(p * x for p, x in zip(load, inverse, strict=True))
+        size = length(e)
+        slope = sum(x * x * k * y for x, k, y in zip(e, stiff, inverse, strict=True))
+        s = s + (size - 1) * size**2 / jnp.maximum(slope, 1e-150)
+    return scaled(1 / size, e)
 
 
 # Where |K_u (u - w)| is no larger than this many times its own departure from the cone, its direction means nothing:
@@ -171,7 +184,7 @@ def slip_direction(law: Law, motion: Motion, w: Plane) -> Plane:
         chosen = where(directed, scaled(jnp.where(n < 0, -1.0, 1.0), trial), motion.du)
         return scaled(1 / length(chosen), chosen)
     along = scaled(jnp.where(n < 0, -1.0, 1.0) / size, trial)
-    return where(directed, along, incipient_direction(law, motion, iterations=3))
+    return where(directed, along, incipient_direction(law, motion, iterations=1))
 
 
 class Reaction(eqx.Module):

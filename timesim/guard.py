@@ -31,13 +31,22 @@ Ends = tuple[Plane, Plane, Plane]
 
 
 class Segment(eqx.Module):
-    """A step as the contacts see it: relative motion with two derivatives, and slip with one, at both ends."""
+    """A step as the contacts see it.
+
+    Attributes:
+        start, end: relative motion at its ends with two derivatives.
+        slip_start, slip_end: slip there with one.
+        path: coefficients of the polynomial of each component of the motion, the normal one last.
+        slip: coefficients of that of each component of the slip.
+        h: length of the step.
+    """
 
     start: Ends
     end: Ends
-    jump: Plane
     slip_start: tuple[Plane, Plane]
     slip_end: tuple[Plane, Plane]
+    path: tuple[tuple[Array, ...], ...]
+    slip: tuple[tuple[Array, ...], ...]
     h: Float[Array, ""]
 
 
@@ -52,22 +61,19 @@ def segment(system: System, points: tuple[Point, Point], rates: tuple[Point, Poi
         agree = jnp.abs(smooth - difference) <= ROUNDING * (1 + jnp.abs(x1))
         return jnp.where((h < SHORT) & agree, smooth, difference)
 
-    jump = tuple(change(*row) for row in zip(*starts, *ends, strict=True))
-    return Segment(starts, ends, jump, slips[0], slips[1], h)
+    path = tuple(
+        hermite.quintic_coefficients(h, row[:3], row[3:], change(*row)) for row in zip(*starts, *ends, strict=True)
+    )
+    slip = tuple(hermite.cubic_coefficients(h, row[:2], row[2:]) for row in zip(*slips[0], *slips[1], strict=True))
+    return Segment(starts, ends, slips[0], slips[1], path, slip, h)
 
 
 @apart
 def margins_inside(system: System, state: State, part: Segment, x: Float[Array, "*#node #contact"]) -> Margins:
     """Margins on the dense output at fractions x of the step, made dimensionless by their scale."""
-    along = [
-        hermite.quintic(x, part.h, start, end, jump)
-        for start, end, jump in zip(zip(*part.start, strict=True), zip(*part.end, strict=True), part.jump, strict=True)
-    ]
-    value, rate = (tuple(column) for column in zip(*along, strict=True))
-    w = tuple(
-        hermite.cubic(x, part.h, start, end)
-        for start, end in zip(zip(*part.slip_start, strict=True), zip(*part.slip_end, strict=True), strict=True)
-    )
+    along = [hermite.evaluate(x, polynomial) for polynomial in part.path]
+    value, rate = tuple(u for u, _ in along), tuple(du / part.h for _, du in along)
+    w = tuple(hermite.evaluate(x, polynomial)[0] for polynomial in part.slip)
     moves = Motion(value[:-1], value[-1], rate[:-1], rate[-1])
     force, speed = margins(system.law, state, moves, w)
     return force / force_scale(system.law), speed

@@ -20,49 +20,22 @@ Sections 4.3 and 5 of the paper, whose scheme is ``harmonics=1``; T. M. Cameron 
 import timesim.jax_setup  # noqa: F401  isort: skip
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from timesim.contact import Law
+from timesim.hbm_setting import Setting, check_excitation
 from timesim.located_period import located_forces
 from timesim.model import Model
 from timesim.period import Basis, basis_of, forces
 from timesim.period_tangent import linearised
-from timesim.system import scales_of, system_of
+from timesim.system import Scales, contact_law, scales_of
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Transitions = Literal["sampled", "located"]
-MIN_SAMPLES = 16
-
-
-@dataclass(frozen=True)
-class Setting:
-    """How finely the balance is struck.
-
-    Attributes:
-        harmonics: H >= 1.
-        time_samples: N of a period, at least 4 H and 16.
-        transitions: `sampled` follows the law from sample to sample, with an error of second order in 1/N; `located`
-            finds every transition (slow, a reference).
-    """
-
-    harmonics: int = 9
-    time_samples: int = 1024
-    transitions: Transitions = "sampled"
-
-    def __post_init__(self) -> None:
-        if self.harmonics < 1:
-            raise ValueError(f"hbm: harmonics must be at least 1, not {self.harmonics}; 9 is the default")
-        least = max(4 * self.harmonics, MIN_SAMPLES)
-        if self.time_samples < least:
-            raise ValueError(
-                f"hbm: time_samples must be at least {least} for {self.harmonics} harmonics, "
-                f"not {self.time_samples}; 1024 is the default"
-            )
 
 
 def to_complex(coefficient: Array) -> Complex:
@@ -74,7 +47,7 @@ def to_complex(coefficient: Array) -> Complex:
 def to_real(phasor: NDArray[Any]) -> Array:
     """The inverse of `to_complex`."""
     waves = np.stack([phasor[..., 1:].real, -phasor[..., 1:].imag], axis=-1)
-    return np.concatenate([phasor[..., :1].real, waves.reshape(*phasor.shape[:-1], -1)], axis=-1)
+    return np.concatenate([phasor[..., :1].real, waves.reshape(*phasor.shape[:-1], 2 * waves.shape[-2])], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -103,17 +76,17 @@ class Balance:
     made flat.
     """
 
-    def __init__(self, model: Model, frequency: float, setting: Setting):
-        """For a model near a frequency [Hz], which sets the units.
+    def __init__(self, model: Model, frequency: float, setting: Setting, units: Scales | None = None):
+        """For a model near a frequency [Hz], which sets the units unless they are given.
 
         Raises:
-            ValueError: nothing is periodic, or harmonics are excited that are not balanced.
+            SettingError: nothing is periodic, or harmonics are excited that are not balanced.
         """
-        _check(model, setting)
+        check_excitation(model, setting.harmonics)
         self.model, self.setting = model, setting
-        scales = scales_of(model, frequency)
-        self.length, self.force = scales.length, scales.force
-        self.law: Law = system_of(model, frequency).law
+        self.units = scales_of(model, frequency) if units is None else units
+        self.length, self.force = self.units.length, self.units.force
+        self.law: Law = contact_law(model, self.units)
         self.basis: Basis = basis_of(setting.harmonics, setting.time_samples)
         structure, excited = model.structure, model.excitation
         root = np.sqrt(structure.mass)
@@ -182,8 +155,12 @@ class Balance:
 
     def contact_forces(self, x: Array) -> Array:
         """g, the force on body 1 in the axes of each contact, by its coefficients in units of `force`."""
+        return self._given(self.acts(x))
+
+    def acts(self, x: Array) -> Array:
+        """(f1, f2, n) of each contact by their coefficients in units of `force`, shape (C, 3, 2H + 1)."""
         sampled = forces(self.law, self.basis, jnp.asarray(self.coefficients(x))).coefficient
-        return self._given(self.placed(x, np.asarray(sampled)))
+        return self.placed(x, np.asarray(sampled))
 
     def placed(self, x: Array, sampled: Array) -> Array:
         """(f1, f2, n) with transitions as the setting wants them, from those found on the samples.
@@ -197,10 +174,14 @@ class Balance:
                 acts[i] = acts[i] if located is None else located / self.force
         return acts
 
+    def _rows(self, coefficient: Array) -> Array:
+        """All components of all contacts, shape (3C, 2H + 1)."""
+        return coefficient.reshape(3 * self.num_contacts, 2 * self.setting.harmonics + 1)
+
     def _balanced(self, x: Array, g: Array, linear: Linear) -> tuple[Complex, Complex]:
         """Forces at the contacts and the motion that they give, by phasor, shape (H + 1, 3C)."""
-        motion = to_complex(self.coefficients(x).reshape(3 * self.num_contacts, -1)).T * self.length
-        acting = to_complex(g.reshape(3 * self.num_contacts, -1)).T * self.force + motion @ self.support
+        motion = to_complex(self._rows(self.coefficients(x))).T * self.length
+        acting = to_complex(self._rows(g)).T * self.force + motion @ self.support
         return acting, linear.free + np.einsum("hij,hj->hi", linear.flexibility, acting)
 
     def value(self, x: Array, p: float) -> Array:
@@ -236,22 +217,6 @@ class Balance:
     def modes(self, x: Array, acts: Array, frequency: float) -> Complex:
         """Modal displacement by phasors, shape (H + 1, M), from the unknowns and (f1, f2, n) in units of `force`."""
         linear = self.linear(frequency)
-        acting, _ = self._balanced(x, self._given(acts.copy()), linear)
+        acting, _ = self._balanced(x, self._given(acts), linear)
         modal = linear.modal_free + np.einsum("hij,hj->hi", linear.modal, acting)
         return modal / np.sqrt(self.model.structure.mass)
-
-
-def _check(model: Model, setting: Setting) -> None:
-    excited = model.excitation
-    moving = np.any(excited.cosine != 0, axis=1) | np.any(excited.sine != 0, axis=1)
-    if not moving.any():
-        raise ValueError(
-            "hbm: the excitation has no periodic part, so there is no periodic response to balance; "
-            "give excitation.modal_force or excitation.forces an amplitude"
-        )
-    highest = int(excited.harmonic[moving].max())
-    if highest > setting.harmonics:
-        raise ValueError(
-            f"hbm: harmonic {highest} is excited but only {setting.harmonics} are balanced; "
-            f"set harmonics to at least {highest}"
-        )

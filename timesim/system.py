@@ -12,7 +12,9 @@ by the structure at rest, so only its change acts.
 
 import timesim.jax_setup  # noqa: F401  isort: skip
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,7 +23,7 @@ from jaxtyping import Array, Float
 
 from timesim.barrier import apart
 from timesim.contact import Law, Motion, Plane, Reaction, State, dot, reaction
-from timesim.model import Model
+from timesim.model import Contact, Model
 from timesim.reduction import Reduction, reduction_of, stuck_force, stuck_matrix
 
 
@@ -83,17 +85,10 @@ def excitation(system: System, time: Float[Array, ""]) -> Float[Array, " mode"]:
     return force
 
 
-# XLA on a CPU pays for each kernel: written out, a small product is fused with what uses it.
-WRITTEN_OUT = 0
-
-
 def times(matrix: Array, x: Float[Array, " column"]) -> Float[Array, " row"]:
     """A matrix times a vector; a modal matrix may be given by its diagonal."""
-    if matrix.ndim == 1:
-        return matrix * x
-    if 0 < matrix.size <= WRITTEN_OUT:
-        return sum(matrix[:, i] * x[i] for i in range(x.shape[0]))
-    return matrix @ x
+    # A sum of products is fused with what uses it; XLA's own product of matrices is not.
+    return matrix * x if matrix.ndim == 1 else (matrix * x).sum(axis=-1)
 
 
 def relative(system: System, x: Float[Array, " mode"]) -> tuple[Float[Array, " contact"], ...]:
@@ -198,10 +193,10 @@ def system_of(model: Model, frequency: float, phase: float = 0.0, reduction: Red
     if reduction.stuck.size or reduction.apart.size:
         constant = constant + stuck_force(reduction)
     shape = model.contact_shape[reduction.live][:, :, modes] * scales.mode[modes] / scales.length
-    if reduction.line is not None:
-        shape = np.stack([np.einsum("ca,cam->cm", reduction.line, shape[:, :2]), shape[:, 2]], axis=1)
+    axes = contact_axes(model, reduction)
+    shape = np.concatenate([np.einsum("cax,cam->cxm", axes, shape[:, :2]), shape[:, 2:]], axis=1)
     return System(
-        law=_law(model, reduction, scales),
+        law=_principal_law([model.contacts[i] for i in reduction.live], axes, scales),
         shape=tuple(jnp.asarray(shape[:, axis]) for axis in range(shape.shape[1])),
         stiffness=jnp.asarray(stiffness),
         damping=jnp.asarray(damping),
@@ -213,24 +208,49 @@ def system_of(model: Model, frequency: float, phase: float = 0.0, reduction: Red
     )
 
 
-def contact_law(model: Model, scales: Scales) -> Law:
-    """Parameters of all contacts of a model in given units."""
-    return _law(model, reduction_of(model, [1.0], reduce=False), scales)
+def contact_axes(model: Model, reduction: Reduction) -> np.ndarray:
+    """Axes of the loop in those of each live contact, as columns, shape (C, 2, 2), or (C, 2, 1) of straight motion.
 
-
-def _law(model: Model, reduction: Reduction, scales: Scales) -> Law:
-    contacts = [model.contacts[index] for index in reduction.live]
-    ratio = scales.length / scales.force
-    matrices = np.array([c.tangential_stiffness for c in contacts]).reshape(-1, 2, 2) * ratio
-    stiffness: tuple[np.ndarray, ...]
+    They are the principal axes of K_u, so that a whole matrix costs no more than two numbers.
+    """
     if reduction.line is not None:
-        stiffness = (np.einsum("ca,cab,cb->c", reduction.line, matrices, reduction.line),)
-    else:
-        stiffness = _components(matrices)
+        return reduction.line[:, :, None]
+    return np.array([_principal(model.contacts[i].tangential_stiffness) for i in reduction.live]).reshape(-1, 2, 2)
+
+
+def _principal(stiffness: np.ndarray) -> np.ndarray:
+    diagonal = stiffness[0, 1] == 0
+    return np.eye(2) if diagonal else np.linalg.eigh(stiffness)[1]
+
+
+def contact_law(model: Model, scales: Scales) -> Law:
+    """Parameters of all contacts of a model in given units, along the axes of the contacts."""
+    matrices = _matrices(model.contacts, scales)
+    inverse = np.array([np.linalg.inv(k) if k.any() else k for k in matrices]).reshape(-1, 2, 2)
+    return _law(model.contacts, scales, _components(matrices), _components(inverse))
+
+
+def _matrices(contacts: Sequence[Contact], scales: Scales) -> np.ndarray:
+    stiffness = np.array([contact.tangential_stiffness for contact in contacts]).reshape(-1, 2, 2)
+    return stiffness * (scales.length / scales.force)
+
+
+def _principal_law(contacts: Sequence[Contact], axes: np.ndarray, scales: Scales) -> Law:
+    """Parameters along the axes of the loop."""
+    stiffness = np.einsum("cax,cab,cbx->xc", axes, _matrices(contacts, scales), axes)
+    if np.all(stiffness == stiffness[0]):
+        stiffness = stiffness[:1]
+    return _law(
+        contacts, scales, stiffness, np.divide(1.0, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0)
+    )
+
+
+def _law(contacts: Sequence[Contact], scales: Scales, stiffness: Iterable[Any], compliance: Iterable[Any]) -> Law:
+    ratio = scales.length / scales.force
     return Law(
         friction=jnp.asarray([c.friction for c in contacts], dtype=float),
         stiffness=tuple(map(jnp.asarray, stiffness)),
-        compliance=tuple(map(jnp.asarray, _inverse(stiffness))),
+        compliance=tuple(map(jnp.asarray, compliance)),
         normal_stiffness=jnp.asarray([c.normal_stiffness * ratio for c in contacts], dtype=float),
         preload=jnp.asarray([c.preload / scales.force for c in contacts], dtype=float),
     )
@@ -240,14 +260,3 @@ def _components(matrices: np.ndarray) -> tuple[np.ndarray, ...]:
     """K_u as (k,) where every contact's is isotropic, else (k11, k12, k22)."""
     k11, k12, k22 = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
     return (k11,) if np.all(k12 == 0) and np.all(k11 == k22) else (k11, k12, k22)
-
-
-def _inverse(stiffness: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
-    """The inverse in the same form, zero where there is no stiffness."""
-    if len(stiffness) == 1:
-        (k,) = stiffness
-        return (np.divide(1.0, k, out=np.zeros_like(k), where=k > 0),)
-    k11, k12, k22 = stiffness
-    det = k11 * k22 - k12**2
-    inverse = np.divide(1.0, det, out=np.zeros_like(det), where=det > 0)
-    return k22 * inverse, -k12 * inverse, k11 * inverse

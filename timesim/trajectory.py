@@ -19,7 +19,7 @@ from timesim.integrate import Step as LoopStep
 from timesim.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.reduction import Reduction, reduction_of
 from timesim.solver import Solver
-from timesim.system import Point, Scales, System, Work, scales_of, system_of
+from timesim.system import Point, Scales, System, Work, contact_axes, scales_of, system_of
 
 BATCH = 512  # steps handed over at a time
 PERIOD = 2 * np.pi
@@ -132,9 +132,7 @@ class Frame:
     def __init__(self, model: Model, reduction: Reduction, frequency: float):
         self.model, self.reduction = model, reduction
         self.scales: Scales = scales_of(model, frequency)
-        lines = reduction.line
-        # Components along the axes of the contact of a unit along each axis that the loop knows: (live, 2, axes).
-        self.axes = np.tile(np.eye(2), (reduction.live.size, 1, 1)) if lines is None else lines[:, :, None]
+        self.axes = contact_axes(model, reduction)
 
     def begin(self, system: System, run: Run, first_step: float, *, work: bool = True) -> Trajectory:
         """The loop's trajectory from the present state of a run, with or without its energies."""
