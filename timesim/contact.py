@@ -21,7 +21,7 @@ all motion is straight. Everything is elementwise, which is what XLA fuses. Noth
 homogeneous, and the event loop uses it in dimensionless form.
 """
 
-import timesim.jax_setup  # noqa: F401  isort: skip
+from timesim.jax_setup import Leaf  # isort: skip
 
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     Scalar: TypeAlias = Array
     State: TypeAlias = Array
 else:
-    Scalar = Float[Array, "*#contact"]
-    State = Int[Array, "*#contact"]
+    Scalar = Float[Leaf, "*#contact"]
+    State = Int[Leaf, "*#contact"]
 Plane: TypeAlias = tuple[Scalar, ...]
 
 

@@ -3,6 +3,7 @@
 Plain numpy on the host, in the units of the scene, a batch of steps at a time; nothing grows but what is recorded.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -93,31 +94,39 @@ def extremes(steps: Steps, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         Two arrays of shape (N, X).
     """
-    ends: list[Any] = [tuple(part @ shape.T for part in side) for side in (steps.start, steps.end)]
-    h = steps.h[:, None]
+    start, end = (tuple(part @ shape.T for part in side) for side in (steps.start, steps.end))
+    return between(np.broadcast_to(steps.h[:, None], start[0].shape), start, end)
+
+
+def between(h: np.ndarray, start: Sequence[np.ndarray], end: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest value within steps of length h, from (value, rate, second derivative) at their ends.
+
+    All arrays have one shape, that of the two results.
+    """
     nodes = np.linspace(0.0, 1.0, PARTS + 1)
-    along = [hermite.quintic(x, h, ends[0], ends[1]) for x in nodes]
+    coefficients = hermite.quintic_coefficients(h, (start[0], start[1], start[2]), (end[0], end[1], end[2]))
+    along = [hermite.evaluate(x, coefficients) for x in nodes]
     values = np.stack([value for value, _ in along])
     low, high = values.min(axis=0), values.max(axis=0)
     rates = np.stack([rate for _, rate in along])
-    part, row, column = np.nonzero(rates[:-1] * rates[1:] < 0)
-    if row.size:
-        picked = [tuple(p[row, column] for p in side) for side in ends]
-        turning = _turning(nodes[part], nodes[part + 1], rates[part, row, column], steps.h[row], picked)
-        np.minimum.at(low, (row, column), turning)
-        np.maximum.at(high, (row, column), turning)
+    part, *where = np.nonzero(rates[:-1] * rates[1:] < 0)
+    if part.size:
+        place = tuple(where)
+        turning = _turning(nodes[part], nodes[part + 1], rates[part, *place], [c[place] for c in coefficients])
+        np.minimum.at(low, place, turning)
+        np.maximum.at(high, place, turning)
     return low, high
 
 
-def _turning(left: np.ndarray, right: np.ndarray, rate: np.ndarray, h: np.ndarray, ends: list) -> np.ndarray:
+def _turning(left: np.ndarray, right: np.ndarray, rate: np.ndarray, coefficients: Sequence[np.ndarray]) -> np.ndarray:
     """Value where the rate vanishes between left and right, by bisection: 30 halvings leave a rounding of the value."""
     sign = np.sign(rate)
     for _ in range(30):
         middle = 0.5 * (left + right)
-        _, rate = hermite.quintic(middle, h, ends[0], ends[1])
+        _, rate = hermite.evaluate(middle, tuple(coefficients))
         before = rate * sign > 0
         left, right = np.where(before, middle, left), np.where(before, right, middle)
-    return hermite.quintic(0.5 * (left + right), h, ends[0], ends[1])[0]
+    return np.asarray(hermite.evaluate(0.5 * (left + right), tuple(coefficients))[0])
 
 
 def stored_energy(model: Model, q: np.ndarray, p: np.ndarray, w: np.ndarray, state: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ pass through the transition exactly.
 A call advances by a number of cycles, or until its record of steps is full: memory does not grow with the cycles.
 """
 
-import timesim.jax_setup  # noqa: F401  isort: skip
+from timesim.jax_setup import Leaf  # isort: skip
 
 import enum
 from functools import partial
@@ -23,7 +23,6 @@ from timesim.barrier import apart
 from timesim.contact import State, force_scale, slip_at_transition, successor
 from timesim.guard import NONE, VIOLATED, Margins, end_margins, first_crossing, segment
 from timesim.method import Method
-from timesim.model import SEPARATION
 from timesim.system import Point, System, field, motion
 
 PERIOD = 2 * jnp.pi
@@ -55,12 +54,12 @@ class Control(eqx.Module):
         stiffest: highest circular frequency of the structure, in units of the excitation's.
     """
 
-    rtol: Float[Array, ""]
-    atol: Float[Array, ""]
-    longest: Float[Array, ""]
-    opening: Float[Array, ""]
-    budget: Int[Array, ""]
-    stiffest: Float[Array, ""]
+    rtol: Float[Leaf, ""]
+    atol: Float[Leaf, ""]
+    longest: Float[Leaf, ""]
+    opening: Float[Leaf, ""]
+    budget: Int[Leaf, ""]
+    stiffest: Float[Leaf, ""]
 
 
 class Trajectory(eqx.Module):
@@ -319,47 +318,3 @@ def march(
     count = jnp.zeros(cycles.shape, dtype=jnp.int64)
     end, count = jax.lax.while_loop(lambda carry: running(carry[0]).any(), body, (start, count))
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), end), count
-
-
-def section(system: System, now: Trajectory) -> Float[Array, " state"]:
-    """The state at the end of a cycle as one vector (q, q', w); w of a separated contact, which is u, counts as 0."""
-    apart = now.state == SEPARATION
-    return jnp.concatenate([now.point.q, now.point.p, *(jnp.where(apart, 0.0, w) for w in now.point.w)])
-
-
-@eqx.filter_jit
-def march_sections(
-    method: Method, control: Control, systems: System, start: Trajectory, num_cycles: int
-) -> tuple[Trajectory, Float[Array, "batch cycle state"]]:
-    """Advance a batch by a number of cycles and keep the state at the end of each.
-
-    Args:
-        method: the method.
-        control: its tolerances.
-        systems: the systems, batch first.
-        start: the trajectories, batch first, each at the start of a cycle.
-        num_cycles: the number of cycles.
-
-    Returns:
-        The trajectories, and `section` at the end of each cycle; 0 for cycles that a failed one has not reached.
-    """
-    attempt = jax.vmap(partial(try_step, method, control), in_axes=-1, out_axes=-1)
-    sections = jax.vmap(section, in_axes=-1, out_axes=-1)
-    systems, start = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), (systems, start))
-    start = eqx.tree_at(lambda t: t.cycle, start, jnp.zeros_like(start.cycle))
-    row = jnp.arange(num_cycles)[:, None]
-
-    def running(now: Trajectory) -> Array:
-        return (now.cycle < num_cycles) & (now.status == Status.RUNNING)
-
-    def body(carry: tuple) -> tuple:
-        now, kept = carry
-        moves = running(now)
-        new = attempt(systems, now)[0]
-        new = jax.tree.map(lambda a, b: jnp.where(moves, a, b), new, now)
-        ended = (row == now.cycle) & (new.cycle > now.cycle)
-        return new, jnp.where(ended[:, None], sections(systems, new), kept)
-
-    kept = jnp.zeros((num_cycles, *sections(systems, start).shape))
-    end, kept = jax.lax.while_loop(lambda carry: running(carry[0]).any(), body, (start, kept))
-    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), end), jnp.moveaxis(kept, -1, 0)

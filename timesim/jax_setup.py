@@ -6,6 +6,9 @@ Import this before anything else that imports JAX.
 import os
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
 
 # XLA runs a loop over small buffers as one compiled function, and any other as a sequence of kernels, each of which
 # costs more than the arithmetic in it. The event loop of one trajectory is 15 times faster as one function (measured;
@@ -17,6 +20,12 @@ if _LOOP_LIMIT not in os.environ.get("XLA_FLAGS", ""):
     )
 
 import jax  # noqa: E402
+
+if TYPE_CHECKING:
+    Leaf: TypeAlias = jax.Array
+else:
+    # What the host gives to a compiled function: made by numpy it costs no call of JAX.
+    Leaf = jax.Array | np.ndarray
 
 
 def cache_folder() -> Path | None:

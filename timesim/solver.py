@@ -17,7 +17,6 @@ import timesim.jax_setup  # noqa: F401  isort: skip
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from timesim.integrate import Control
@@ -52,10 +51,10 @@ class Solver:
         """Its numbers for the event loop; ``stiffest``: fastest rate of the stuck structure over the excitation's."""
         stiffest = max(stiffest, 1.0)
         return Control(
-            *(jnp.asarray(value, dtype=float) for value in (self.rtol, self.atol, self.longest)),
-            opening=jnp.asarray(self.first_step(stiffest), dtype=float),
-            budget=jnp.asarray(self.budget),
-            stiffest=jnp.asarray(stiffest, dtype=float),
+            *(np.asarray(value, dtype=float) for value in (self.rtol, self.atol, self.longest)),
+            opening=np.asarray(self.first_step(stiffest), dtype=float),
+            budget=np.asarray(self.budget),
+            stiffest=np.asarray(stiffest, dtype=float),
         )
 
     def first_step(self, stiffest: float) -> float:

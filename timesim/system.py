@@ -10,7 +10,7 @@ where ``g = (-f, -(n - max(n0, 0)))`` is the force on body 1 in the axes of the 
 by the structure at rest, so only its change acts.
 """
 
-import timesim.jax_setup  # noqa: F401  isort: skip
+from timesim.jax_setup import Leaf  # isort: skip
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -43,14 +43,14 @@ class System(eqx.Module):
     """
 
     law: Law
-    shape: tuple[Float[Array, "contact mode"], ...]
-    stiffness: Float[Array, " mode"] | Float[Array, "mode mode"]
-    damping: Float[Array, " mode"] | Float[Array, "mode mode"]
-    harmonic: Float[Array, " harmonic"]
-    cosine: Float[Array, "harmonic mode"]
-    sine: Float[Array, "harmonic mode"]
-    constant: Float[Array, " mode"]
-    phase: Float[Array, ""]
+    shape: tuple[Float[Leaf, "contact mode"], ...]
+    stiffness: Float[Leaf, " mode"] | Float[Leaf, "mode mode"]
+    damping: Float[Leaf, " mode"] | Float[Leaf, "mode mode"]
+    harmonic: Float[Leaf, " harmonic"]
+    cosine: Float[Leaf, "harmonic mode"]
+    sine: Float[Leaf, "harmonic mode"]
+    constant: Float[Leaf, " mode"]
+    phase: Float[Leaf, ""]
 
 
 class Work(eqx.Module):
@@ -70,8 +70,8 @@ class Point(eqx.Module):
         work: the energies since the start, or None where nobody asks for them.
     """
 
-    q: Float[Array, " mode"]
-    p: Float[Array, " mode"]
+    q: Float[Leaf, " mode"]
+    p: Float[Leaf, " mode"]
     w: Plane
     work: Work | None
 
@@ -197,14 +197,14 @@ def system_of(model: Model, frequency: float, phase: float = 0.0, reduction: Red
     shape = np.concatenate([np.einsum("cax,cam->cxm", axes, shape[:, :2]), shape[:, 2:]], axis=1)
     return System(
         law=_principal_law([model.contacts[i] for i in reduction.live], axes, scales),
-        shape=tuple(jnp.asarray(shape[:, axis]) for axis in range(shape.shape[1])),
-        stiffness=jnp.asarray(stiffness),
-        damping=jnp.asarray(damping),
-        harmonic=jnp.asarray(excited.harmonic, dtype=float),
-        cosine=jnp.asarray(excited.cosine[:, modes] / push),
-        sine=jnp.asarray(excited.sine[:, modes] / push),
-        constant=jnp.asarray(constant / push),
-        phase=jnp.asarray(phase, dtype=float),
+        shape=tuple(np.asarray(shape[:, axis]) for axis in range(shape.shape[1])),
+        stiffness=np.asarray(stiffness),
+        damping=np.asarray(damping),
+        harmonic=np.asarray(excited.harmonic, dtype=float),
+        cosine=np.asarray(excited.cosine[:, modes] / push),
+        sine=np.asarray(excited.sine[:, modes] / push),
+        constant=np.asarray(constant / push),
+        phase=np.asarray(phase, dtype=float),
     )
 
 
@@ -248,11 +248,11 @@ def _principal_law(contacts: Sequence[Contact], axes: np.ndarray, scales: Scales
 def _law(contacts: Sequence[Contact], scales: Scales, stiffness: Iterable[Any], compliance: Iterable[Any]) -> Law:
     ratio = scales.length / scales.force
     return Law(
-        friction=jnp.asarray([c.friction for c in contacts], dtype=float),
-        stiffness=tuple(map(jnp.asarray, stiffness)),
-        compliance=tuple(map(jnp.asarray, compliance)),
-        normal_stiffness=jnp.asarray([c.normal_stiffness * ratio for c in contacts], dtype=float),
-        preload=jnp.asarray([c.preload / scales.force for c in contacts], dtype=float),
+        friction=np.asarray([c.friction for c in contacts], dtype=float),
+        stiffness=tuple(map(np.asarray, stiffness)),
+        compliance=tuple(map(np.asarray, compliance)),
+        normal_stiffness=np.asarray([c.normal_stiffness * ratio for c in contacts], dtype=float),
+        preload=np.asarray([c.preload / scales.force for c in contacts], dtype=float),
     )
 
 

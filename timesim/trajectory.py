@@ -119,11 +119,15 @@ class Run:
         """
         if status == Status.RUNNING:
             return
-        names = [self.model.contacts[i].name for i in self.reduction.live] or ["none"]
-        message = MESSAGES[Status(status)].format(
-            contact=names[culprit], solver=self.solver.name, budget=self.solver.budget
-        )
+        message = message_of(self.model, self.reduction, self.solver, status, culprit)
         raise RunError(f"at time {self.time:.9g} s, in cycle {self.completed + 1}: {message}")
+
+
+def message_of(model: Model, reduction: Reduction, solver: Solver, status: int, culprit: int) -> str:
+    """What a status that has ended a trajectory means, and what to try."""
+    names = [model.contacts[i].name for i in reduction.live] or ["none"]
+    text = MESSAGES[Status(status)]
+    return text.format(contact=names[culprit], solver=solver.name, budget=solver.budget)
 
 
 class Frame:
@@ -136,13 +140,25 @@ class Frame:
 
     def begin(self, system: System, run: Run, first_step: float, *, work: bool = True) -> Trajectory:
         """The loop's trajectory from the present state of a run, with or without its energies."""
+        start = Start(run.displacement, run.velocity, run.slip, run.state)
+        point, state = self.point(start)
+        nothing = Work(jnp.zeros(()), jnp.zeros(()), jnp.zeros(state.size)) if work else None
+        point, state = jax.tree.map(jnp.asarray, (Point(point.q, point.p, point.w, nothing), state))
+        return begin(system, point, state, jnp.asarray(first_step))
+
+    def point(self, start: Start) -> tuple[Point, np.ndarray]:
+        """The loop's continuous state and contact states (C,) of a start whose contact states are known."""
         scales, modes, live = self.scales, self.reduction.modes, self.reduction.live
-        q = jnp.asarray(run.displacement[modes] / scales.mode[modes])
-        p = jnp.asarray(run.velocity[modes] / (scales.mode[modes] * scales.omega))
-        w = np.einsum("cax,ca->xc", self.axes, run.slip[live]) / scales.length
-        nothing = Work(jnp.zeros(()), jnp.zeros(()), jnp.zeros(live.size)) if work else None
-        point = Point(q, p, tuple(map(jnp.asarray, w)), nothing)
-        return begin(system, point, jnp.asarray(run.state[live]), jnp.asarray(first_step))
+        q = start.displacement[modes] / scales.mode[modes]
+        p = start.velocity[modes] / (scales.mode[modes] * scales.omega)
+        w = np.einsum("cax,ca->xc", self.axes, start.slip[live]) / scales.length
+        return Point(q, p, tuple(w), None), start.state[live]
+
+    def start(self, point: Point, state: np.ndarray, phase: float) -> Start:
+        """The inverse of `point`; what the loop does not know is as in the model's own start."""
+        q, p, w = np.asarray(point.q), np.asarray(point.p), tuple(map(np.asarray, point.w))
+        slip = self._slip(w, self.model.start.slip)
+        return Start(self._modal(q), self._modal(p, self.scales.omega), slip, self._states(np.asarray(state)), phase)
 
     def _modal(self, x: np.ndarray, unit: float = 1.0) -> np.ndarray:
         whole = np.zeros((*x.shape[:-1], self.model.structure.num_modes))
@@ -208,10 +224,9 @@ class Frame:
     def store(self, now: Trajectory, run: Run, origin: float, work: np.ndarray) -> None:
         """Write the loop's present state into a run."""
         now = jax.tree.map(np.asarray, now)
-        omega = self.scales.omega
-        run.displacement, run.velocity = self._modal(now.point.q), self._modal(now.point.p, omega)
-        run.slip = self._slip(now.point.w, self.model.start.slip)
-        run.state = self._states(now.state)
+        here, omega = self.start(now.point, now.state, run.phase), self.scales.omega
+        run.displacement, run.velocity = here.displacement, here.velocity
+        run.slip, run.state = here.slip, here.state
         run.time = origin + float(PERIOD * now.cycle + now.time) / omega
         if now.point.work is not None:
             run.work = self._work(now.point.work, work)

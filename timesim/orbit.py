@@ -1,0 +1,310 @@
+"""Lanes of a batch in the units of their scenes: marched through cycles, or recorded over a period and measured."""
+
+import timesim.jax_setup  # noqa: F401  isort: skip
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import jax
+import numpy as np
+
+from timesim.batch import Place, march_cycles, record_cycles, start_cycles
+from timesim.history import between
+from timesim.integrate import Control, Status, Step
+from timesim.model import SEPARATION, SLIP, STICK, Model, Start
+from timesim.reduction import Reduction
+from timesim.return_map import derivative
+from timesim.solver import Solver
+from timesim.system import Point, System, system_of
+from timesim.trajectory import Frame
+
+SIZES = (4, 32)  # of a batch: few, so that little is compiled
+CAPACITY = 256  # tries of a record
+ROOM = 256  # steps, of which a power of two times as many are made room for: few shapes, few compilations
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the loop is told of a lane: the leaves of its control and system, as arrays.
+
+    Modules of JAX take their time to be built and taken apart; a sweep has thousands of lanes.
+    """
+
+    leaves: tuple[np.ndarray, ...]
+    structure: Any
+
+    @classmethod
+    def of(cls, control: Control, system: System) -> Self:
+        """Taken apart."""
+        leaves, structure = jax.tree.flatten((control, system))
+        return cls(tuple(map(np.asarray, leaves)), structure)
+
+    @property
+    def shapes(self) -> tuple[tuple[int, ...], ...]:
+        """Shapes of all of it: lanes of one batch agree in them."""
+        return tuple(leaf.shape for leaf in self.leaves)
+
+
+@dataclass(frozen=True)
+class Lane:
+    """A trajectory at the start of a cycle.
+
+    Attributes:
+        model, reduction, frequency: what is simulated, at which frequency [Hz].
+        frame: between the units of the scene and the dimensionless form.
+        system: what is integrated.
+        told: the same and the control, as the loop gets them.
+        q, p, w, state: where the trajectory is, dimensionless; w by components.
+        phase: of the excitation at the start of a cycle [rad].
+        status, culprit: as in `timesim.integrate.Trajectory`.
+    """
+
+    model: Model
+    reduction: Reduction
+    frequency: float
+    frame: Frame
+    system: System
+    told: Told
+    q: np.ndarray
+    p: np.ndarray
+    w: tuple[np.ndarray, ...]
+    state: np.ndarray
+    phase: float
+    status: int = Status.RUNNING
+    culprit: int = 0
+
+    @classmethod
+    def begin(cls, model: Model, reduction: Reduction, frequency: float, solver: Solver, start: Start) -> Self:
+        """A lane at a frequency [Hz] from a start whose contact states are known."""
+        frame = Frame(model, reduction, frequency)
+        system = system_of(model, frequency, start.phase, reduction)
+        told = Told.of(solver.control(model.stuck_rate / frame.scales.omega), system)
+        point, state = frame.point(start)
+        w = tuple(map(np.asarray, point.w))
+        return cls(
+            model, reduction, frequency, frame, system, told, np.asarray(point.q), np.asarray(point.p), w, state,
+            start.phase,
+        )  # fmt: skip
+
+    def at(self, frequency: float, start: Start, solver: Solver) -> Self:
+        """The same scene at another frequency, from another start."""
+        return self.begin(self.model, self.reduction, frequency, solver, start)
+
+    @property
+    def apart(self) -> np.ndarray:
+        """Entries of `section` that belong to separated contacts."""
+        quiet = np.zeros(2 * self.q.size, dtype=bool)
+        return np.concatenate([quiet, np.tile(self.state == SEPARATION, len(self.w))])
+
+    @property
+    def section(self) -> np.ndarray:
+        """(q, q', w) as one vector; w of a separated contact, which is u, counts as 0."""
+        return np.where(self.apart, 0.0, np.concatenate([self.q, self.p, *self.w]))
+
+    def start(self) -> Start:
+        """The state in the units of the scene."""
+        return self.frame.start(Point(self.q, self.p, self.w, None), self.state, self.phase)
+
+    def moved(self, section: np.ndarray) -> "Lane | None":
+        """The lane at another place in the same contact states; None if the place does not allow them."""
+        size, contacts = self.q.size, self.state.size
+        q, p, rest = section[:size], section[size : 2 * size], section[2 * size :]
+        w = rest.reshape(len(self.w), contacts)
+        law = self.system.law
+        u = np.stack([axis @ q for axis in self.system.shape[:-1]]) if contacts else w
+        n = law.preload + law.normal_stiffness * (self.system.shape[-1] @ q)
+        force = np.stack([law.stiffness[i % len(law.stiffness)] * row for i, row in enumerate(u - w)])
+        size_of, limit = np.linalg.norm(force, axis=0), law.friction * n
+        stuck, slips = self.state == STICK, self.state == SLIP
+        open_ = self.state == SEPARATION
+        if np.any(open_ != (n <= 0)) or np.any(stuck & (size_of > limit)) or np.any(slips & (size_of <= 0)):
+            return None
+        on_cone = force * np.where(slips, limit / np.where(size_of > 0, size_of, 1.0), 1.0)
+        kept = np.stack([law.compliance[i % len(law.compliance)] * row for i, row in enumerate(on_cone)])
+        w = np.where(open_, u, np.where(slips, u - kept, w))
+        return replace(self, q=q, p=p, w=tuple(w))
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What a lane does over some cycles.
+
+    Attributes:
+        amplitude: (max - min) / 2 of each point along x, y, z, shape (P, 3).
+        band: smallest and largest amplitude of one cycle, shape (2, P, 3).
+        slip_share, separation_share: share of the time in these states, shape (C,).
+    """
+
+    amplitude: np.ndarray
+    band: np.ndarray
+    slip_share: np.ndarray
+    separation_share: np.ndarray
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Some cycles of a lane.
+
+    Attributes:
+        start, end: the lane at both ends.
+        cycles: how many.
+        complete: whether all of them were done.
+        steps: what it did, step by step.
+        slope: derivative of the state at the end, as `Lane.section`, by that at the start.
+    """
+
+    start: Lane
+    end: Lane
+    cycles: int
+    complete: bool
+    steps: Step
+    slope: np.ndarray
+
+    @property
+    def multipliers(self) -> np.ndarray:
+        """Floquet multipliers, largest first, those of offsets that nothing moves left out."""
+        moves = self._moves
+        found = np.linalg.eigvals(self.slope[np.ix_(moves, moves)])
+        return np.asarray(found[np.argsort(-np.abs(found))])
+
+    @property
+    def _moves(self) -> np.ndarray:
+        """Entries of the section but for the offsets of contacts that stick all along: these stay as they are."""
+        return ~np.all(self.slope == np.eye(len(self.slope)), axis=1)
+
+    def newton_step(self) -> np.ndarray:
+        """From the start of the cycles towards the place that they lead back to; offsets that are free are left."""
+        moves, change = self._moves, self.end.section - self.start.section
+        step = np.zeros_like(change)
+        matrix = np.eye(int(moves.sum())) - self.slope[np.ix_(moves, moves)]
+        step[moves] = np.linalg.lstsq(matrix, change[moves], rcond=1e-12)[0]
+        return step
+
+    def measure(self) -> Measure:
+        """Amplitudes, extremes found on the dense output, and shares of the states."""
+        lane, steps = self.start, self.steps
+        shape = _shape(lane)
+        ends = [
+            [part @ shape.T for part in (point.q, rate.q, rate.p)]
+            for point, rate in ((steps.start, steps.start_rate), (steps.end, steps.end_rate))
+        ]
+        low, high = between(np.broadcast_to(steps.h[:, None], ends[0][0].shape), *ends)
+        first = np.searchsorted(steps.cycle, np.arange(self.cycles))
+        least, most = np.minimum.reduceat(low, first), np.maximum.reduceat(high, first)
+        each, place = 0.5 * (most - least), (len(lane.model.structure.points), 3)
+        band = np.stack([each.min(axis=0), each.max(axis=0)]).reshape(2, *place)
+        amplitude = 0.5 * (most.max(axis=0) - least.min(axis=0)).reshape(place)
+        return Measure(amplitude, band, _share(lane, steps, SLIP), _share(lane, steps, SEPARATION))
+
+
+def _shape(lane: Lane) -> np.ndarray:
+    """Displacements in the units of the scene for a unit of each mode of the loop, shape (3P, M)."""
+    structure, modes = lane.model.structure, lane.reduction.modes
+    return structure.shape.reshape(-1, structure.num_modes)[:, modes] * lane.frame.scales.mode[modes]
+
+
+def _share(lane: Lane, steps: Step, state: int) -> np.ndarray:
+    shares = np.zeros(lane.model.num_contacts)
+    shares[lane.reduction.live] = steps.h @ (steps.state == state) / steps.h.sum()
+    shares[lane.reduction.apart] = float(state == SEPARATION)
+    return shares
+
+
+def _padded(lanes: Sequence[Lane]) -> list[Lane]:
+    """Lanes of a batch, the first repeated until it has one of the sizes."""
+    size = next(size for size in SIZES if size >= len(lanes))
+    return [*lanes, *([lanes[0]] * (size - len(lanes)))]
+
+
+def _batches(lanes: Sequence[Lane]) -> list[list[Lane]]:
+    return [list(lanes[first : first + SIZES[-1]]) for first in range(0, len(lanes), SIZES[-1])]
+
+
+def _stacked(lanes: Sequence[Lane]) -> tuple[Control, System, Place]:
+    leaves = [np.stack(rows) for rows in zip(*(lane.told.leaves for lane in lanes), strict=True)]
+    control, system = jax.tree.unflatten(lanes[0].told.structure, leaves)
+    first = lanes[0]
+    alone = jax.tree.structure(Place(Point(first.q, first.p, first.w, None), first.state))
+    rows = zip(*((lane.q, lane.p, *lane.w, lane.state) for lane in lanes), strict=True)
+    return control, system, jax.tree.unflatten(alone, list(map(np.stack, rows)))
+
+
+def _moved(lanes: Sequence[Lane], point: Point, state: Any, status: Any, culprit: Any) -> list[Lane]:
+    """The lanes at other places, given batch first."""
+    q, p, state, status, culprit = map(np.asarray, (point.q, point.p, state, status, culprit))
+    w = tuple(map(np.asarray, point.w))
+    return [
+        replace(
+            lane, q=q[i], p=p[i], w=tuple(x[i] for x in w), state=state[i], status=int(status[i]),
+            culprit=int(culprit[i]),
+        )
+        for i, lane in enumerate(lanes)
+    ]  # fmt: skip
+
+
+def march(lanes: Sequence[Lane], solver: Solver, num_cycles: int) -> list[tuple[Lane, np.ndarray]]:
+    """March lanes by a number of cycles: each at the end, and its sections at the end of each cycle it completed."""
+    done: list[tuple[Lane, np.ndarray]] = []
+    for batch in _batches(lanes):
+        ends = march_cycles(solver.method(), *_stacked(_padded(batch)), num_cycles)
+        sections, cycles = np.asarray(ends.sections), np.asarray(ends.cycles)
+        moved = _moved(batch, ends.place.point, ends.place.state, ends.status, ends.culprit)
+        done += [(lane, sections[i, : cycles[i]]) for i, lane in enumerate(moved)]
+    return done
+
+
+def record(lanes: Sequence[Lane], solver: Solver, num_cycles: int, most: int | None = None) -> list[Recorded]:
+    """March lanes by a number of cycles and keep their steps.
+
+    Args:
+        lanes: any number.
+        solver: method and tolerances.
+        num_cycles: how many cycles.
+        most: tries after which to give up; the budget of the solver by default.
+    """
+    done: list[Recorded] = []
+    for batch in _batches(lanes):
+        done += _recorded(batch, solver, num_cycles, most)
+    return done
+
+
+def _recorded(batch: list[Lane], solver: Solver, num_cycles: int, most: int | None) -> list[Recorded]:
+    method = solver.method()
+    controls, systems, places = _stacked(_padded(batch))
+    cycles = np.full(len(places.state), num_cycles)
+    now = start_cycles(controls, systems, places)
+    parts, flags, tries = [], [], 0
+    while tries < (most or np.inf):
+        now, steps, made, count = record_cycles(method, controls, systems, now, cycles, CAPACITY)
+        parts.append(jax.tree.map(lambda leaf, n=int(count): np.asarray(leaf)[:n], steps))
+        flags.append(np.asarray(made)[: int(count)])
+        tries += int(count)
+        if np.all((np.asarray(now.cycle) >= num_cycles) | (np.asarray(now.status) != Status.RUNNING)):
+            break
+    flag = np.concatenate(flags)
+    whole = jax.tree.map(lambda *leaves: np.moveaxis(np.concatenate(leaves), -1, 0), *parts)
+    steps_of = [jax.tree.map(lambda leaf, i=i: leaf[i][flag[:, i]], whole) for i in range(flag.shape[1])]
+    slopes = _slopes(method, systems, steps_of)
+    end = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), -1, 0), now)
+    moved = _moved(batch, end.point, end.state, end.status, end.culprit)
+    return [
+        Recorded(
+            lane, last, num_cycles, done >= num_cycles, steps, np.where(last.apart[:, None] | lane.apart, 0, slope)
+        )
+        for lane, last, done, steps, slope in zip(batch, moved, end.cycle, steps_of, slopes, strict=False)
+    ]
+
+
+def _slopes(method: Any, systems: System, steps_of: list[Step]) -> np.ndarray:
+    """`derivative` from the steps of each lane."""
+    count = np.array([steps.h.size for steps in steps_of])
+    room = ROOM * int(2 ** np.ceil(np.log2(max(count.max(), ROOM) / ROOM)))
+
+    def filled(*leaves: np.ndarray) -> np.ndarray:
+        whole = np.zeros((len(leaves), room, *leaves[0].shape[1:]), leaves[0].dtype)
+        for index, leaf in enumerate(leaves):
+            whole[index, : len(leaf)] = leaf
+        return whole
+
+    return np.asarray(derivative(method, systems, jax.tree.map(filled, *steps_of), count))
