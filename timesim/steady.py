@@ -1,8 +1,12 @@
-"""Steady states by marching: many scenes side by side until each repeats itself.
+"""Steady states of many scenes side by side: marched until they repeat, or found by shooting.
 
 A motion counts as settled when what is still missing, extrapolated from how fast the change from cycle to cycle falls,
 is below the tolerance: a slow drift changes little in a cycle and is yet far from rest. Motions that repeat after two
 or three cycles are recognised. Those that have settled make room for the next.
+
+Shooting marches until the motion is near a periodic one, then takes Newton's method on the state after a period, with
+the exact derivative of `timesim.return_map`. It goes back to marching where Newton's method does not take over at once,
+where it leaves the contact states, and where what it finds is unstable: it finds the motion that marching would.
 """
 
 import timesim.jax_setup  # noqa: F401  isort: skip
@@ -11,70 +15,110 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from timesim.history import Steps, extremes
-from timesim.integrate import Status, Trajectory, march_sections
-from timesim.model import SEPARATION, SLIP, Model, Start
+from timesim.integrate import Status
+from timesim.model import Model, Start
+from timesim.orbit import SIZES, Lane, Recorded, march, record
+from timesim.reduction import reduction_of
 from timesim.solver import Solver
-from timesim.system import System, system_of
-from timesim.trajectory import Frame, Phase, Run, RunError
+from timesim.trajectory import message_of, start_states
 
 CYCLES_A_ROUND = 8
-SLOTS = (4, 16, 64)  # sizes of a batch: few, so that little is compiled
 PERIODS = (1, 2, 3)
 UNSETTLED_CYCLES = 10  # over which the amplitude of a motion that has not settled is taken
+LEADS_NOWHERE = 3.0  # times the change of a cycle: a drift would have led much farther over two rounds
 REST = 1e-13  # a change this small is rounding
+FIRST_SHOT = 2 * CYCLES_A_ROUND  # cycles marched before the first attempt at shooting
+TAKES_OVER = 0.2  # Newton's method must shrink the change over a period to this share of what it was, or gives up
+REACH = 0.5  # of the state: a longer step of Newton's method leads elsewhere
+TRIES = 2048  # steps tried in a shot: more mean that it has gone wrong
+UNSTABLE = 1 + 1e-6
 
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class Task:
-    """A model, started from its own `Start`, to be marched at a frequency [Hz] until it settles."""
+    """A model, started from its own `Start`, at a frequency [Hz]."""
 
     model: Model
     frequency: float
 
 
 @dataclass(frozen=True)
+class Chain:
+    """A model and the frequencies [Hz] it visits one after the other; the motion is carried from each to the next."""
+
+    model: Model
+    frequencies: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class Orbit:
-    """Where a march has ended.
+    """The steady state at a frequency.
 
     Attributes:
-        end: the state at the end of a cycle, from which another march may start.
-        amplitude: (max - min) / 2 of each point along x, y, z over a period, shape (P, 3).
+        end: the state at the end of a cycle, from which another run may start.
+        amplitude: (max - min) / 2 of each point along x, y, z over a period, shape (P, 3); over the last ten cycles
+            where the motion has not settled.
+        band: smallest and largest amplitude of one of these cycles, shape (2, P, 3).
         settled: whether the motion repeats.
-        cycles: excitation cycles marched.
+        cycles: excitation cycles integrated.
         period: its period in excitation periods; 0 if it has not settled.
         slip_share, separation_share: share of the period in these states, shape (C,).
-        reason: why the march failed; None if it did not.
+        floquet: multipliers of the period, largest first, without those of offsets that nothing moves; NaN where the
+            motion has not settled.
+        reason: why it could not be computed; None if it was.
     """
 
     end: Start
     amplitude: np.ndarray
+    band: np.ndarray
     settled: bool
     cycles: int
     period: int
     slip_share: np.ndarray
     separation_share: np.ndarray
+    floquet: np.ndarray
     reason: str | None = None
 
 
-@dataclass
-class March:
-    """One task under way."""
+@dataclass(frozen=True)
+class Criterion:
+    """When a motion counts as settled, and how it is found.
 
-    index: int
-    task: Task
-    run: Run
-    frame: Frame
-    system: System
-    now: Trajectory
+    Attributes:
+        tolerance: of the state from cycle to cycle, relative to its largest entry.
+        max_cycles: budget at each frequency.
+        shoot: whether to take Newton's method.
+    """
+
+    tolerance: float = 1e-8
+    max_cycles: int = 2000
+    shoot: bool = False
+
+
+@dataclass
+class Search:
+    """The search for one steady state under way: a lane of a batch, and what is known of it."""
+
+    chain: int
+    place: int
+    lane: Lane
     sections: list[np.ndarray] = field(default_factory=list)
     cycles: int = 0
+    period: int | None = None
+    shot: "Shot | None" = None
+    next_shot: int = FIRST_SHOT
+
+
+@dataclass
+class Shot:
+    """Newton's method under way: the lane that is shot, and the size of the change over a period before."""
+
+    lane: Lane
+    change: float = np.inf
 
 
 def settle(
@@ -85,94 +129,143 @@ def settle(
     max_cycles: int = 2000,
     progress: Progress | None = None,
 ) -> list[Orbit]:
-    """March each task until it settles.
+    """March each task until it settles: `steady_states` of chains of one frequency."""
+    chains = [Chain(task.model, (task.frequency,)) for task in tasks]
+    return [orbit for (orbit,) in steady_states(chains, solver, Criterion(tolerance, max_cycles), progress)]
+
+
+def steady_states(
+    chains: Sequence[Chain],
+    solver: Solver,
+    criterion: Criterion | None = None,
+    progress: Progress | None = None,
+    *,
+    halted: Callable[[], bool] = lambda: False,
+) -> list[list[Orbit]]:
+    """The steady states of chains of frequencies.
 
     Args:
-        tasks: what to march.
+        chains: the first motion of each starts from the model's own `Start`.
         solver: method and tolerances.
-        tolerance: of the state from cycle to cycle, relative to its largest entry.
-        max_cycles: budget of each.
-        progress: called with the tasks done and their number.
+        criterion: when a motion counts as settled.
+        progress: called with the steady states found and their number.
+
+    Keyword Args:
+        halted: asked now and then; once it says so the work is given up.
 
     Returns:
-        The orbits in the order of the tasks.
+        The orbits of each chain in the order of its frequencies. After one that failed the chain starts anew.
+
+    Raises:
+        KeyboardInterrupt: the work was given up.
     """
-    pending = deque(_march(index, task, solver) for index, task in enumerate(tasks))
-    found: dict[int, Orbit] = {}
-    groups: dict[str, list[March]] = {}
-    for march in pending:
-        groups.setdefault(_shape_of(march.system), []).append(march)
+    criterion = criterion or Criterion()
+    found: list[list[Orbit]] = [[] for _ in chains]
+    total = sum(len(chain.frequencies) for chain in chains)
+    groups: dict[tuple[tuple[int, ...], ...], deque[Search]] = {}
+    for index, chain in enumerate(chains):
+        lane = first_lane(chain, solver)
+        groups.setdefault(lane.told.shapes, deque()).append(Search(index, 0, lane))
+    done = 0
     for group in groups.values():
-        for march, orbit in _settle_group(deque(group), solver, tolerance, max_cycles):
-            found[march.index] = orbit
+        for search, orbit in _settle_group(group, chains, solver, criterion):
+            found[search.chain].append(orbit)
+            done += 1
+            if halted():
+                raise KeyboardInterrupt
             if progress is not None:
-                progress(len(found), len(tasks))
-    return [found[index] for index in range(len(tasks))]
+                progress(done, total)
+    return found
 
 
-def _march(index: int, task: Task, solver: Solver) -> March:
-    run = Run(task.model, [Phase(task.frequency, 1)], solver)
-    frame = Frame(task.model, run.reduction, task.frequency)
-    system = system_of(task.model, task.frequency, run.phase, run.reduction)
-    now = frame.begin(system, run, solver.first_step(_stiffest(task)), work=False)
-    return March(index, task, run, frame, *jax.tree.map(np.asarray, (system, now)))
+def first_lane(chain: Chain, solver: Solver) -> Lane:
+    """The first frequency of a chain, from the start of its model."""
+    reduction = reduction_of(chain.model, chain.frequencies, reduce=solver.reduce)
+    return Lane.begin(chain.model, reduction, chain.frequencies[0], solver, begin_of(chain.model))
 
 
-def _stiffest(task: Task) -> float:
-    return task.model.stuck_rate / (2 * np.pi * task.frequency)
-
-
-def _shape_of(system: System) -> str:
-    return str(jax.tree.map(np.shape, system))
+def begin_of(model: Model) -> Start:
+    """The start of a model with the state of each contact."""
+    return replace(model.start, state=start_states(model))
 
 
 def _settle_group(
-    pending: deque[March], solver: Solver, tolerance: float, max_cycles: int
-) -> Iterator[tuple[March, Orbit]]:
-    method = solver.method()
-    active: list[March] = []
+    pending: deque[Search], chains: Sequence[Chain], solver: Solver, criterion: Criterion
+) -> Iterator[tuple[Search, Orbit]]:
+    active: list[Search] = []
     while pending or active:
-        slots = next((size for size in SLOTS if size >= len(pending) + len(active)), SLOTS[-1])
-        while pending and len(active) < slots:
+        while pending and len(active) < SIZES[-1]:
             active.append(pending.popleft())
-        _advance(method, solver, active, slots)
-        waiting = []
-        for march in active:
-            orbit = _judged(march, solver, tolerance, max_cycles)
+        going = []
+        for search, orbit in _round(active, solver, criterion):
             if orbit is None:
-                waiting.append(march)
-            else:
-                yield march, orbit
-        active = waiting
+                going.append(search)
+                continue
+            yield search, orbit
+            frequencies = chains[search.chain].frequencies
+            if search.place + 1 < len(frequencies):
+                start = orbit.end if orbit.reason is None else begin_of(chains[search.chain].model)
+                lane = search.lane.at(frequencies[search.place + 1], start, solver)
+                going.append(Search(search.chain, search.place + 1, lane))
+        active = going
 
 
-def _advance(method: object, solver: Solver, batch: list[March], slots: int) -> None:
-    """March a batch by a round; empty slots repeat its first member."""
-    filled = batch + [batch[0]] * (slots - len(batch))
-    stack = lambda *leaves: jnp.asarray(np.stack(leaves))  # noqa: E731
-    systems, starts = (jax.tree.map(stack, *parts) for parts in zip(*((m.system, m.now) for m in filled), strict=True))
-    control = solver.control(max(_stiffest(m.task) for m in batch))
-    ends, sections = march_sections(method, control, systems, starts, CYCLES_A_ROUND)
-    ends, rows = jax.tree.map(np.asarray, ends), np.asarray(sections)
-    for slot, march in enumerate(batch):
-        march.now = jax.tree.map(lambda leaf, slot=slot: leaf[slot], ends)
-        march.cycles += int(march.now.cycle)
-        march.sections = [*march.sections, *rows[slot, : int(march.now.cycle)]][-2 * CYCLES_A_ROUND :]
+def _round(active: Sequence[Search], solver: Solver, criterion: Criterion) -> list[tuple[Search, Orbit | None]]:
+    """Take each search a step further: march it, or shoot it once, and measure those that have settled."""
+    marching = [search for search in active if search.shot is None]
+    outcome: dict[int, Orbit | None] = {}
+    if marching:
+        _march(marching, solver)
+        for search in marching:
+            outcome[id(search)] = _after_march(search, solver, criterion)
+    shooting = [search for search in active if search.shot is not None]
+    for search, recorded in zip(shooting, record([_shot(s).lane for s in shooting], solver, 1, TRIES), strict=True):
+        outcome[id(search)] = _after_shot(search, recorded, solver, criterion)
+    ready = [search for search in marching if search.period is not None and outcome[id(search)] is None]
+    for cycles in sorted({_cycles_to_measure(search) for search in ready}):
+        same = [search for search in ready if _cycles_to_measure(search) == cycles]
+        for search, recorded in zip(same, record([s.lane for s in same], solver, cycles), strict=True):
+            outcome[id(search)] = _orbit(search, recorded, solver)
+    return [(search, outcome[id(search)]) for search in active]
 
 
-def _judged(march: March, solver: Solver, tolerance: float, max_cycles: int) -> Orbit | None:
-    """The orbit if the march is over."""
-    if int(march.now.status) != Status.RUNNING:
-        return _failed(march, solver)
-    period = _period(np.array(march.sections), tolerance)
-    if period == 0 and march.cycles < max_cycles:
-        return None
-    march.frame.store(march.now, march.run, 0.0, march.run.work)
-    return _measured(march, solver, period)
+def _shot(search: Search) -> Shot:
+    assert search.shot is not None
+    return search.shot
 
 
-def _period(sections: np.ndarray, tolerance: float) -> int:
-    """Period after which the sections repeat to the tolerance, extrapolated; 0 if they do not."""
+def _cycles_to_measure(search: Search) -> int:
+    return search.period or UNSETTLED_CYCLES
+
+
+def _march(searches: Sequence[Search], solver: Solver) -> None:
+    done = march([search.lane for search in searches], solver, CYCLES_A_ROUND)
+    for search, (lane, rows) in zip(searches, done, strict=True):
+        search.lane = lane
+        search.cycles += len(rows)
+        search.sections = [*search.sections, *rows][-2 * CYCLES_A_ROUND :]
+
+
+def _after_march(search: Search, solver: Solver, criterion: Criterion) -> Orbit | None:
+    """An orbit if the march has failed; else the search knows what comes next."""
+    if search.lane.status != Status.RUNNING:
+        return failed(search, solver)
+    period = period_of(np.array(search.sections), criterion.tolerance, solver.rtol)
+    if period or search.cycles >= criterion.max_cycles:
+        search.period = period
+    elif criterion.shoot and search.cycles >= search.next_shot:
+        search.shot = Shot(search.lane)
+    return None
+
+
+def period_of(sections: np.ndarray, tolerance: float, noise: float = 0.0) -> int:
+    """Period after which the sections repeat to the tolerance, extrapolated; 0 if they do not.
+
+    Args:
+        sections: the state at the end of consecutive cycles, shape (N, state).
+        tolerance: relative to the largest entry.
+        noise: tolerance of a step. Changes below it that go to and fro and lead nowhere are those of the step control.
+    """
     size = np.max(np.abs(sections), initial=0.0)
     if size == 0:
         return 1
@@ -183,6 +276,10 @@ def _period(sections: np.ndarray, tolerance: float) -> int:
             continue
         last, before = np.max(change[-half:]), np.max(change[-2 * half : -half])
         ratio = (last / before) ** (1 / half) if before > 0 else 0.0
+        if last < noise and len(sections) == 2 * CYCLES_A_ROUND:
+            led = np.max(np.abs(sections[-1] - sections[(len(sections) - 1) % period])) / size
+            ratio = 0.0 if led < LEADS_NOWHERE * last and before < LEADS_NOWHERE * last else ratio
+            tolerance = max(tolerance, noise) if ratio == 0 else tolerance
         if last < REST or (ratio < 1 and last < tolerance and last * ratio / (1 - ratio) < tolerance):
             # An alternation below the tolerance is no doubling of the period.
             steps = np.max(np.abs(np.diff(sections, axis=0)[-half:])) / size
@@ -190,46 +287,59 @@ def _period(sections: np.ndarray, tolerance: float) -> int:
     return 0
 
 
-def _start_of(run: Run) -> Start:
-    return Start(run.displacement, run.velocity, run.slip, run.state, run.phase)
+def _after_shot(search: Search, recorded: Recorded, solver: Solver, criterion: Criterion) -> Orbit | None:
+    """One iteration of Newton's method; the orbit once it has converged."""
+    shot, search.cycles = _shot(search), search.cycles + 1
+    search.shot = None
+    if not recorded.complete or not np.array_equal(recorded.end.state, shot.lane.state):
+        search.next_shot = search.cycles + CYCLES_A_ROUND
+        return None
+    here = shot.lane.section
+    change, size = recorded.end.section - here, max(float(np.max(np.abs(here), initial=0.0)), 1e-300)
+    step = recorded.newton_step()
+    if np.max(np.abs(step), initial=0.0) < criterion.tolerance * size:
+        if np.max(np.abs(recorded.multipliers), initial=0.0) > UNSTABLE:
+            search.next_shot = criterion.max_cycles
+            return None
+        search.period = 1
+        return _orbit(search, recorded, solver)
+    residual, reach = (float(np.max(np.abs(part), initial=0.0)) / size for part in (change, step))
+    moved = shot.lane.moved(here + step) if residual < TAKES_OVER * shot.change and reach < REACH else None
+    if moved is None:
+        search.next_shot = search.cycles + CYCLES_A_ROUND
+    else:
+        search.shot = Shot(moved, residual)
+    return None
 
 
-def _failed(march: March, solver: Solver) -> Orbit:
-    march.frame.store(march.now, march.run, 0.0, march.run.work)
-    model = march.task.model
-    try:
-        march.run.completed = march.cycles
-        march.run.judge(int(march.now.status), int(march.now.culprit))
-        reason = "failed"
-    except RunError as error:
-        reason = str(error)
+def _orbit(search: Search, recorded: Recorded, solver: Solver) -> Orbit:
+    if not recorded.complete:
+        search.lane = recorded.end
+        return failed(search, solver)
+    settled, measure = bool(search.period), recorded.measure()
+    return Orbit(
+        end=recorded.end.start(),
+        amplitude=measure.amplitude,
+        band=measure.band,
+        settled=settled,
+        cycles=search.cycles + recorded.cycles,
+        period=search.period or 0,
+        slip_share=measure.slip_share,
+        separation_share=measure.separation_share,
+        floquet=recorded.multipliers if settled else np.full_like(recorded.multipliers, np.nan),
+    )
+
+
+def failed(search: Search, solver: Solver) -> Orbit:
+    """The orbit of a search that a status has ended."""
+    lane = search.lane
+    reason = message_of(lane.model, lane.reduction, solver, lane.status, lane.culprit)
+    return without_orbit(lane.model, f"at {lane.frequency:g} Hz, in cycle {search.cycles + 1}: {reason}", search.cycles)
+
+
+def without_orbit(model: Model, reason: str, cycles: int = 0) -> Orbit:
+    """What stands for a steady state that could not be computed."""
     nothing = np.full(model.num_contacts, np.nan)
     amplitude = np.full((len(model.structure.points), 3), np.nan)
-    return Orbit(_start_of(march.run), amplitude, False, march.cycles, 0, nothing, nothing, reason)
-
-
-def _measured(march: March, solver: Solver, period: int) -> Orbit:
-    """One more period, recorded: amplitudes and shares of the states."""
-    model = replace(march.task.model, start=_start_of(march.run))
-    cycles = period or UNSETTLED_CYCLES
-    run = Run(model, [Phase(march.task.frequency, cycles)], replace(solver, reduce=False))
-    run.state = march.run.state
-    shape = model.structure.shape.reshape(-1, model.structure.num_modes)
-    low, high = np.full(len(shape), np.inf), np.full(len(shape), -np.inf)
-    shares, length = np.zeros((2, model.num_contacts)), 0.0
-    reason = None
-    try:
-        for steps in run.batches():
-            least, most = extremes(steps, shape)
-            low, high = np.minimum(low, least.min(axis=0)), np.maximum(high, most.max(axis=0))
-            shares += _time_in_states(steps)
-            length += float(steps.h.sum())
-    except RunError as error:
-        reason = str(error)
-    slip, apart = shares / length
-    amplitude = 0.5 * (high - low).reshape(-1, 3)
-    return Orbit(_start_of(run), amplitude, period > 0, march.cycles + cycles, period, slip, apart, reason)
-
-
-def _time_in_states(steps: Steps) -> np.ndarray:
-    return np.stack([steps.h @ (steps.state == state) for state in (SLIP, SEPARATION)])
+    band = np.stack([amplitude, amplitude])
+    return Orbit(model.start, amplitude, band, False, cycles, 0, nothing, nothing, np.full(1, np.nan), reason)
