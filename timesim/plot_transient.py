@@ -55,22 +55,30 @@ def displacement(
     part = data if cycles is None else data.isel(time=last_cycles(data, cycles))
     x = part.displacement.sel(point=point, axis=axis).values
     ax.plot(part.time.values, x, color=BLUE, linewidth=0.9, label="displacement")
-    if cycles is None and data.sizes["cycle"]:
+    if cycles is None:
         _envelope(data, ax, x, data.cycle_amplitude.sel(point=point, axis=axis).values)
     ax.set(xlabel="time [s]", ylabel=f"{point} {axis} [length]")
     return ax
 
 
 def _envelope(data: "xarray.Dataset", ax: "matplotlib.axes.Axes", x: np.ndarray, amplitude: np.ndarray) -> None:
-    start = data.cycle_start.values
-    edges = np.append(start, start[-1] + data.cycle_period.values[-1])
-    samples = np.searchsorted(data.time.values, edges - 1e-6 * data.cycle_period.values[0])
+    """Draw the amplitudes from time 0 on, where the run-up of a jump ends, and a line where the frequency changes."""
+    start, period = data.cycle_start.values, data.cycle_period.values
+    shown = start > -1e-6 * period
+    if not shown.any():
+        return
+    start, period, amplitude = start[shown], period[shown], amplitude[shown]
+    edges = np.append(start, start[-1] + period[-1])
+    samples = np.searchsorted(data.time.values, edges - 1e-6 * period[0])
     parts = [x[a : b + 1] for a, b in pairwise(samples)]
     recorded = next((number for number, part in enumerate(parts) if part.size > 1), len(parts))
     middle = np.array([(part.max() + part.min()) / 2 if part.size > 1 else np.nan for part in parts])
     middle[:recorded] = middle[recorded] if recorded < len(parts) else 0.0
     for sign, name in ((1, "± amplitude of the cycle"), (-1, None)):
         ax.stairs(middle + sign * amplitude, edges, baseline=None, color=VERMILION, label=name)
+    for number, change in enumerate(start[1:][np.abs(np.diff(period)) > 1e-6 * period[0]]):
+        label = None if number else "change of frequency"
+        ax.axvline(change, color="black", linewidth=1.0, linestyle=":", label=label)
 
 
 def orbit(

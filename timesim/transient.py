@@ -1,9 +1,14 @@
-"""The `transient` study: one run at one frequency, and what is recorded of it (section 5.2 of the paper)."""
+"""The studies `transient`, one run at one frequency, and `jump`, one through a schedule of frequencies.
+
+What is recorded of them is the same (sections 5.2 and 5.3 of the paper).
+"""
 
 import timesim.jax_setup  # noqa: F401  isort: skip
 
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 import jax
@@ -14,6 +19,7 @@ from timesim import store
 from timesim.config import Scene
 from timesim.contact import Motion, reaction
 from timesim.history import CycleTotals, Events, Samples, Steps, events, sample, stored_energy
+from timesim.jump_section import FrequencyPhase, Jump
 from timesim.model import SEPARATION, Model
 from timesim.solver import solver_of
 from timesim.study import Outcome, Progress, attributes
@@ -23,30 +29,74 @@ from timesim.trajectory import Phase, Run, RunError
 
 ROWS = 1024  # samples evaluated at a time: a fixed number, so that the law is compiled once
 
+LISTED = 12  # phases at most that the summary of a run lists
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is run and what of it is sampled.
+
+    Attributes:
+        phases: the whole schedule, the run-up included.
+        run_up: how many of them come before time 0.
+        first: cycle from which samples are kept, counted from 0.
+        samples_per_cycle: samples of a cycle.
+    """
+
+    phases: tuple[Phase, ...]
+    run_up: int
+    first: int
+    samples_per_cycle: int
+
+    def edges(self) -> np.ndarray:
+        """Time at the start of each phase and at the end of the last [s], exactly 0 after the run-up."""
+        ends = np.array([0.0, *accumulate(phase.cycles / phase.frequency for phase in self.phases)])
+        return ends - ends[self.run_up]
+
+    def sample_times(self) -> np.ndarray:
+        """Times of the samples [s], both ends of the recorded cycles included."""
+        edges, cycle, times = self.edges(), 0, []
+        for phase, start in zip(self.phases, edges, strict=False):
+            skipped = min(max(self.first - cycle, 0), phase.cycles)
+            ticks = np.arange(skipped * self.samples_per_cycle, phase.cycles * self.samples_per_cycle)
+            times.append(start + ticks / (phase.frequency * self.samples_per_cycle))
+            cycle += phase.cycles
+        return np.concatenate([*times, edges[-1:]])
+
+    def cycle_frequency(self) -> np.ndarray:
+        """Frequency of each cycle [Hz], shape (cycles,)."""
+        return np.repeat([phase.frequency for phase in self.phases], [phase.cycles for phase in self.phases])
+
+
+def plan_of(scene: Scene) -> Plan:
+    """What a transient or a jump runs and samples."""
+    study = scene.file.study
+    if isinstance(study, Jump):
+        before, recorded = _phases(study.run_up), _phases(study.phases)
+        first = sum(phase.cycles for phase in before)
+        return Plan(before + recorded, len(before), first, study.samples_per_cycle)
+    assert isinstance(study, Transient)
+    assert study.record_last is not None
+    frequency = scene.model().excitation.frequency
+    assert frequency is not None
+    return Plan((Phase(frequency, study.cycles),), 0, study.cycles - study.record_last, study.samples_per_cycle)
+
+
+def _phases(sections: Sequence[FrequencyPhase]) -> tuple[Phase, ...]:
+    return tuple(Phase(section.frequency, section.cycles) for section in sections)
+
 
 class Recorder:
     """Takes up the steps of a run: samples of the recorded cycles, all transitions, totals of every cycle."""
 
-    def __init__(self, run: Run, samples_per_cycle: int, first_recorded: int):
-        self.run, self.first = run, first_recorded
-        self.samples_per_cycle = samples_per_cycle
+    def __init__(self, run: Run, plan: Plan):
+        self.run, self.plan = run, plan
         now = (run.displacement, run.velocity, run.slip, run.state)
         self.totals = CycleTotals(run.model, float(stored_energy(run.model, *(part[None] for part in now))[0]))
         self.samples: list[Samples] = []
         self.events: list[Events] = []
-        self.times = self._grid()
+        self.times = plan.sample_times()
         self.taken = 0
-
-    def _grid(self) -> np.ndarray:
-        """Times of the samples, both ends of the recorded cycles included."""
-        start, cycle, grid = 0.0, 0, []
-        for phase in self.run.phases:
-            skipped = min(max(self.first - cycle, 0), phase.cycles)
-            count = (phase.cycles - skipped) * self.samples_per_cycle
-            ticks = skipped * self.samples_per_cycle + np.arange(count)
-            grid.append(start + ticks / (phase.frequency * self.samples_per_cycle))
-            start, cycle = start + phase.cycles / phase.frequency, cycle + phase.cycles
-        return np.concatenate([*grid, [start]])
 
     def add(self, steps: Steps) -> None:
         """Take up a batch of steps."""
@@ -109,17 +159,14 @@ def _force(law: Any, state: Any, x: Any, dx: Any, w: Any) -> Any:
 
 
 def study(scene: Scene, progress: Progress | None = None) -> Outcome:
-    """Run a transient scene; the result is marked incomplete where the run ended early."""
-    plan = scene.file.study
-    assert isinstance(plan, Transient)
-    frequency = scene.model().excitation.frequency
-    assert frequency is not None
-    run = Run(scene.model(), [Phase(frequency, plan.cycles)], solver_of(scene.file.solver))
-    assert plan.record_last is not None
-    recorder = Recorder(run, plan.samples_per_cycle, plan.cycles - plan.record_last)
+    """Run a scene of a transient or a jump; the result is marked incomplete where the run ended early."""
+    plan = plan_of(scene)
+    run = Run(scene.model(), plan.phases, solver_of(scene.file.solver))
+    run.time = float(plan.edges()[0])
+    recorder = Recorder(run, plan)
     reason, seconds = follow(run, recorder, progress)
     record = record_of(scene, run, recorder, seconds, reason)
-    return Outcome({"": record}, reason, tuple(summary(run, record)))
+    return Outcome({"": record}, reason, (*summary(run, record), *phase_summary(plan, record)))
 
 
 def summary(run: Run, record: store.Record) -> Iterator[str]:
@@ -131,6 +178,21 @@ def summary(run: Run, record: store.Record) -> Iterator[str]:
         largest = max(np.max(np.abs(found["energy_input"])), record.attrs["peak_stored_energy"])
         residual = np.max(np.abs(found["energy_residual"])) / largest if largest > 0 else 0.0
         yield f"energy balance of a cycle closes to {residual:.1e} of the larger of input and stored energy"
+
+
+def phase_summary(plan: Plan, record: store.Record) -> Iterator[str]:
+    """Of a schedule, the amplitude at the end of each phase of what moves most, unless the phases are too many."""
+    amplitude = record.variables["cycle_amplitude"][1]
+    if not 1 < len(plan.phases) <= LISTED or not amplitude.size:
+        return
+    _, point, axis = np.unravel_index(np.argmax(amplitude), amplitude.shape)
+    name = f"{record.coords['point'][point]} {record.coords['axis'][axis]}"
+    ends = np.cumsum([phase.cycles for phase in plan.phases])
+    for number, (phase, end) in enumerate(zip(plan.phases, ends, strict=True), 1 - plan.run_up):
+        if end <= len(amplitude):
+            which = f"phase {number}" if number > 0 else "run-up"
+            size = f"amplitude {amplitude[end - 1, point, axis]:.6g} of {name} at its end"
+            yield f"{which}: {phase.cycles} cycles at {phase.frequency:.6g} Hz, {size}"
 
 
 def follow(run: Run, recorder: Recorder, progress: Progress | None) -> tuple[str | None, float]:
@@ -171,6 +233,7 @@ def record_of(scene: Scene, run: Run, recorder: Recorder, seconds: float, reason
         "event_to": (("event",), log.after.astype(np.int8)),
         **final_variables(run),
         **cycle_variables(run, totals),
+        "cycle_frequency": (("cycle",), recorder.plan.cycle_frequency()[: len(totals.amplitude)]),
     }
     coords = {
         "time": samples.time,
