@@ -50,6 +50,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "cycle_amplitude": ("displacement amplitude of the cycle, (max - min)/2", "length"),
     "cycle_start": ("time at the start of the cycle", "s"),
     "cycle_period": ("length of the cycle", "s"),
+    "cycle_frequency": ("excitation frequency of the cycle", "Hz"),
     "final_modal_displacement": ("modal displacement at the end", "modal length"),
     "final_modal_velocity": ("modal velocity at the end", "modal length/s"),
     "final_slip": ("slip displacement w at the end", "length"),
@@ -68,6 +69,12 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "floquet_max": ("largest modulus of the Floquet multipliers", "1"),
     "slip_share": ("share of a period in slip", "1"),
     "separation_share": ("share of a period in separation", "1"),
+    "amplitude_band": ("smallest and largest amplitude of one of the cycles that were measured", "length"),
+    "band": ("end of the band of amplitudes", None),
+    "failure": ("why the point could not be computed; empty where it was", None),
+    "jump": ("number of the jump", None),
+    "jump_low": ("lower end of the step of frequency in which the motion jumps", "Hz"),
+    "jump_high": ("upper end of the step of frequency in which the motion jumps", "Hz"),
     # bistable
     "range": ("frequency at the ends of the range with two motions", "Hz"),
     "amplitude_upper": ("displacement amplitude of the larger motion at mid-range", "length"),
@@ -110,11 +117,19 @@ LABELS: dict[str, tuple[str, str | None]] = {
     # harmonic balance
     "stable": ("1 where the solution is stable", None),
     "fold": ("1 at a turning point of the branch", None),
-    "branch": ("number of the branch", None),
+    "branch": ("number of the branch: folds passed before", None),
+    "curve": ("number of the curve", None),
+    "closure": ("change of u - w over the period over what counts as closed", "1"),
+    "harmonics": ("harmonics balanced", "1"),
+    "time_samples": ("time samples of a period", "1"),
+    "change_with_harmonics": ("change of the amplitudes from the most harmonics; last: from the fewer before", "1"),
+    "change_with_samples": ("change of the amplitudes from the most samples; last: from the fewer before", "1"),
     "harmonic_amplitude": ("amplitude of the harmonic; harmonic 0: the signed mean", "length"),
     "harmonic_cos": ("cosine part of the harmonic; harmonic 0: the signed mean", "length"),
     "harmonic_sin": ("sine part of the harmonic", "length"),
     # compare
+    "found_by": ("time integration (sweep) or harmonic balance (hbm)", None),
+    "excitation_angle": ("phase angle of the excitation", "degree"),
     "relative_difference": ("(harmonic balance - sweep)/sweep of the amplitude", "1"),
 }
 

@@ -1,11 +1,11 @@
 """Studies of steady states over frequency, as the scene file writes them."""
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from timesim.axis_section import Frequencies, Over
-from timesim.section import Count, Positive, Section
+from timesim.section import Count, Positive, Section, refuse
 from timesim.study_kind import StudyKind
 
 
@@ -32,6 +32,17 @@ class SweepKeys(StudyKind):
     settle: Settle = Settle()
     """When a motion counts as settled."""
 
+    periodic: Literal["march", "shoot"] = "march"
+    """How a periodic motion is found: marching until it settles, or Newton's method on the state after a period."""
+    refine: Positive | None = None
+    """Width [Hz] to which the frequency of a jump between two steps of a sweep is bisected; by default it is not."""
+
+    @model_validator(mode="after")
+    def _jumps_need_a_direction(self) -> Self:
+        if self.refine is not None and self.direction == "independent":
+            raise refuse("needs a direction", key=("refine",), hint="set direction to up, down or both")
+        return self
+
     @property
     def directions(self) -> tuple[str, ...]:
         """Labels of the directions in the result."""
@@ -42,7 +53,3 @@ class Sweep(SweepKeys):
     """Steady states over frequency and any scalars of the scene."""
 
     kind: Literal["sweep"]
-    periodic: Literal["march", "shoot"] = "march"
-    """How a periodic motion is found: marching until it settles, or Newton's method on the state after a period."""
-    refine: Positive | None = None
-    """Width [Hz] to which the frequency of a jump between two steps of a sweep is bisected; by default it is not."""

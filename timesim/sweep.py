@@ -1,0 +1,338 @@
+"""The `sweep` study: steady states over frequency and any scalars of the scene, in chunks that are computed apart.
+
+What a chunk gives depends on nothing but its payload and the state that the chunk before it has ended with, so a sweep
+gives the same bits however its chunks are spread over threads or a cluster, and wherever it was interrupted.
+"""
+
+import timesim.jax_setup  # noqa: F401  isort: skip
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from timesim import store
+from timesim.axis_section import axis_values
+from timesim.campaign import Chunk, Means, Result, carry_through, halted
+from timesim.config import Scene
+from timesim.jump_search import Jump, jumps_of
+from timesim.model import Model, Start
+from timesim.scene_source import SceneError
+from timesim.solver import Solver, solver_of
+from timesim.steady import Chain, Criterion, Orbit, Task, settle, steady_states
+from timesim.study import Outcome, attributes
+from timesim.sweep_section import Sweep, SweepKeys
+
+POINTS_A_CHUNK = 128  # of independent points: their batch is kept full while some of them settle late
+CHAINS_A_CHUNK = 32
+STEPS_A_CHUNK = 16  # of a chain: what is lost at most when a sweep is interrupted
+LISTED = 5  # failed points that the summary names
+
+START = ("displacement", "velocity", "slip", "state")
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Work of one chunk: some chains of frequencies [Hz], begun anew or where the chunk before it has ended.
+
+    Attributes:
+        chains: what is to be found.
+        solver, criterion: how.
+        jumps: whether to look for jumps along the chains.
+        refine: width [Hz] to which the frequency of a jump is bisected; None leaves it at the step of the sweep.
+    """
+
+    chains: tuple[Chain, ...]
+    solver: Solver
+    criterion: Criterion
+    jumps: bool = False
+    refine: float | None = None
+
+
+def solve(segment: Segment, before: Result | None) -> Result:
+    """The steady states of a segment as arrays: chain first, then its frequencies."""
+    chains = list(segment.chains) if before is None else _continued(segment.chains, before)
+    orbits = steady_states(chains, segment.solver, segment.criterion, halted=halted)
+    rows = {name: np.array([[_value(o, name) for o in own] for own in orbits]) for name in COLUMNS}
+    ends = {f"end_{name}": np.array([getattr(own[-1].end, name) for own in orbits]) for name in START}
+    last = {"last_amplitude": rows["amplitude"][:, -1], "last_frequency": _last_frequency(chains)}
+    found = [
+        (index, *jump)
+        for index, (chain, own) in enumerate(zip(chains, orbits, strict=True))
+        for jump in (_jumps(segment, chain, own, before, index) if segment.jumps else ())
+    ]
+    return rows | ends | last | {"jumps": np.array(found, dtype=float).reshape(-1, 3)}
+
+
+COLUMNS = (
+    "amplitude", "band", "settled", "cycles", "period", "slip_share", "separation_share", "floquet_max", "reason",
+)  # fmt: skip
+
+
+def _value(orbit: Orbit, name: str) -> Any:
+    if name == "floquet_max":
+        return np.max(np.abs(orbit.floquet), initial=0.0)
+    return (orbit.reason or "") if name == "reason" else getattr(orbit, name)
+
+
+def _last_frequency(chains: Sequence[Chain]) -> np.ndarray:
+    return np.array([chain.frequencies[-1] for chain in chains])
+
+
+def _continued(chains: Sequence[Chain], before: Result) -> list[Chain]:
+    """Chains from where the segment before has ended; one whose last point failed starts anew."""
+    made = []
+    for index, chain in enumerate(chains):
+        if before["reason"][index, -1]:
+            made.append(chain)
+            continue
+        parts = [np.asarray(before[f"end_{name}"][index]) for name in START]
+        start = Start(parts[0], parts[1], parts[2], parts[3], chain.model.start.phase)
+        made.append(replace(chain, model=replace(chain.model, start=start)))
+    return made
+
+
+def _jumps(segment: Segment, chain: Chain, own: list[Orbit], before: Result | None, index: int) -> Iterator[Jump]:
+    """Jumps along a chain, that from the segment before included."""
+    frequencies, orbits = list(chain.frequencies), list(own)
+    if before is not None and not before["reason"][index, -1]:
+        earlier = replace(own[0], end=chain.model.start, amplitude=before["last_amplitude"][index], reason=None)
+        frequencies, orbits = [float(before["last_frequency"][index]), *frequencies], [earlier, *orbits]
+    yield from jumps_of(chain.model, frequencies, orbits, segment.solver, segment.criterion, segment.refine)
+
+
+# The study
+
+
+def study(scene: Scene, means: Means) -> Outcome:
+    """Run a sweep; points that fail are marked, named with their reason, and make the result incomplete."""
+    plan = scene.file.study
+    assert isinstance(plan, Sweep)
+    record, reason = sweep_record(scene, plan, means)
+    told = record.attrs
+    attrs = attributes(scene, told["method"], told["compile_seconds"], told["run_seconds"], reason)
+    return Outcome({"": replace(record, attrs=attrs)}, reason, tuple(summary(record)))
+
+
+def sweep_record(scene: Scene, plan: SweepKeys, means: Means) -> tuple[store.Record, str | None]:
+    """The steady states over the further axes, direction and frequency.
+
+    Returns:
+        The record, with `method`, `compile_seconds` and `run_seconds` as its attributes, and why it is incomplete; None
+        if every point was computed.
+    """
+    solver, grid = solver_of(scene.file.solver), Grid(scene, plan)
+    clock = time.perf_counter()
+    warm_up(grid.models, plan, solver)
+    compiling = time.perf_counter() - clock
+    chunks, places = grid.chunks(solver)
+    results, reason = carry_through(chunks, solve, means, identity=scene.resolved_yaml())
+    arrays, jumps = grid.gathered(results, places)
+    seconds = time.perf_counter() - clock - compiling
+    told = {"method": str(solver), "compile_seconds": compiling, "run_seconds": seconds}
+    record = grid.record(arrays, jumps, told)
+    return record, reason or failures(record)
+
+
+def warm_up(models: Sequence[Model | str], plan: SweepKeys, solver: Solver) -> None:
+    """Compile what the sweep needs, once, before threads ask for it side by side."""
+    model = next((item for item in models if isinstance(item, Model)), None)
+    if model is not None:
+        settle([Task(model, float(plan.frequency.values()[0]))], solver, tolerance=1e-2, max_cycles=1)
+
+
+def failures(record: store.Record) -> str | None:
+    """How many points failed, and the first of them with their reasons; None if none did."""
+    dims, reason = record.variables["failure"]
+    failed = np.argwhere(reason != "")
+    if not failed.size:
+        return None
+    named = []
+    for place in failed[:LISTED]:
+        where = ", ".join(f"{dim} {_shown(record.coords[dim][i])}" for dim, i in zip(dims, place, strict=True))
+        named.append(f"{where}: {reason[tuple(place)]}")
+    more = f"; and {len(failed) - LISTED} more, all in the variable failure" if len(failed) > LISTED else ""
+    return f"{len(failed)} of {reason.size} points failed: " + "; ".join(named) + more
+
+
+def _shown(value: Any) -> str:
+    return str(value) if isinstance(value, str | np.str_) else f"{value:.10g}"
+
+
+def summary(record: store.Record) -> Iterator[str]:
+    """What a user wants to know of a sweep at once."""
+    found = {name: array for name, (_, array) in record.variables.items()}
+    settled, period, done = found["settled"] == 1, found["period"], found["cycles"] > 0
+    yield (
+        f"{done.sum()} steady states by {record.attrs['method']} in {record.attrs['run_seconds']:.2f} s, "
+        f"{found['cycles'].sum()} cycles"
+    )
+    if np.any(period > 1):
+        yield f"{np.sum(period > 1)} of them repeat after more than one cycle (variable period)"
+    lost = done & ~settled & (found["failure"] == "")
+    if np.any(lost):
+        at = record.variables["settled"][0].index("frequency")
+        where = np.unique(record.coords["frequency"][np.nonzero(lost)[at]])
+        yield (
+            f"{lost.sum()} points did not settle in settle.max_cycles (settled = 0, with the band of their amplitude); "
+            f"between {where[0]:g} and {where[-1]:g} Hz"
+        )
+    for low, high in zip(*(found[f"jump_{end}"].ravel() for end in ("low", "high")), strict=True):
+        if np.isfinite(low):
+            yield f"the motion jumps between {low:.8g} and {high:.8g} Hz"
+
+
+Place = tuple[int, int, slice | int]
+"""Set of values, direction, and positions of the frequencies, for each chain of a chunk."""
+
+
+class Grid:
+    """The points of a sweep: sets of values of the further axes, directions, frequencies."""
+
+    def __init__(self, scene: Scene, plan: SweepKeys):
+        self.scene, self.plan = scene, plan
+        self.axes = {key: np.array(axis_values(given)) for key, given in plan.over.items()}
+        self.frequency = plan.frequency.values()
+        self.models = [
+            _variant(scene, dict(zip(self.axes, map(float, v), strict=True))) for v in product(*self.axes.values())
+        ]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Sets of values, directions, frequencies."""
+        return len(self.models), len(self.plan.directions), self.frequency.size
+
+    def chunks(self, solver: Solver) -> tuple[list[Chunk], dict[str, list[Place]]]:
+        """The work, and where the results of each chunk belong."""
+        settle_, chained = self.plan.settle, self.plan.direction != "independent"
+        criterion = Criterion(settle_.tolerance, settle_.max_cycles, self.plan.periodic == "shoot")
+        chunks: list[Chunk] = []
+        places: dict[str, list[Place]] = {}
+        for name, after, where in self._pieces(chained):
+            chains = tuple(Chain(self._model(v), tuple(self._visited(d, f))) for v, d, f in where)
+            size = sum(len(chain.frequencies) for chain in chains)
+            payload = Segment(chains, solver, criterion, chained, self.plan.refine)
+            chunks.append(Chunk(name, payload, after, size))
+            places[name] = where
+        return chunks, places
+
+    def _model(self, index: int) -> Model:
+        model = self.models[index]
+        assert isinstance(model, Model)
+        return model
+
+    def _visited(self, direction: int, where: slice | int) -> list[float]:
+        order = self.frequency[::-1] if self.plan.directions[direction] == "down" else self.frequency
+        return list(map(float, np.atleast_1d(order[where])))
+
+    def _pieces(self, chained: bool) -> Iterator[tuple[str, str | None, list[Place]]]:
+        good = [v for v, model in enumerate(self.models) if isinstance(model, Model)]
+        if not chained:
+            points: list[Place] = [(v, 0, f) for v in good for f in range(self.frequency.size)]
+            for number, part in enumerate(_parts(points, POINTS_A_CHUNK)):
+                yield f"points-{number:05d}", None, part
+            return
+        for number, chains in enumerate(_parts(list(product(good, range(len(self.plan.directions)))), CHAINS_A_CHUNK)):
+            after = None
+            for step in range(0, self.frequency.size, STEPS_A_CHUNK):
+                name = f"chains-{number:05d}-{step // STEPS_A_CHUNK:05d}"
+                yield name, after, [(v, d, slice(step, step + STEPS_A_CHUNK)) for v, d in chains]
+                after = name
+
+    def gathered(
+        self, results: Mapping[str, Result], places: Mapping[str, list[Place]]
+    ) -> tuple[dict[str, np.ndarray], list[tuple[int, int, float, float]]]:
+        """Columns on (set, direction, order of the sweep), and jumps as (set, direction, low, high)."""
+        arrays = self._blank()
+        jumps: list[tuple[int, int, float, float]] = []
+        for name, result in results.items():
+            for index, (v, d, f) in enumerate(places[name]):
+                for column in COLUMNS:
+                    value = result[column][index]
+                    arrays[column][v, d, f] = value if isinstance(f, slice) else value[0]
+            for index, low, high in result["jumps"]:
+                v, d, _ = places[name][int(index)]
+                jumps.append((v, d, low, high))
+        for d, direction in enumerate(self.plan.directions):
+            if direction == "down":
+                for array in arrays.values():
+                    array[:, d] = array[:, d, ::-1]
+        return arrays, jumps
+
+    def _blank(self) -> dict[str, np.ndarray]:
+        model = next((item for item in self.models if isinstance(item, Model)), None)
+        points, contacts = (len(model.structure.points), model.num_contacts) if model else (0, 0)
+        tails = {
+            "amplitude": (points, 3),
+            "band": (2, points, 3),
+            "slip_share": (contacts,),
+            "separation_share": (contacts,),
+        }
+        arrays = {name: np.full((*self.shape, *tails.get(name, ())), np.nan) for name in COLUMNS}
+        for name in ("settled", "cycles", "period"):
+            arrays[name] = np.zeros(self.shape, dtype=np.int32)
+        arrays["reason"] = np.full(self.shape, "", dtype=object)
+        for v, model_ in enumerate(self.models):
+            if isinstance(model_, str):
+                arrays["reason"][v] = model_
+        return arrays
+
+    def record(
+        self, arrays: Mapping[str, np.ndarray], jumps: Sequence[tuple[int, int, float, float]], attrs: Mapping[str, Any]
+    ) -> store.Record:
+        """The result file."""
+        model = next((item for item in self.models if isinstance(item, Model)), self.scene.model())
+        sizes = tuple(values.size for values in self.axes.values())
+        dims = (*self.axes, "direction", "frequency")
+        tails = {
+            "amplitude": ("point", "axis"),
+            "band": ("band", "point", "axis"),
+            "slip_share": ("contact",),
+            "separation_share": ("contact",),
+        }
+        names = {"band": "amplitude_band", "reason": "failure"}
+        variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
+        for name, array in arrays.items():
+            kept = array.astype(str) if name == "reason" else array
+            whole = kept.reshape(*sizes, *array.shape[1:])
+            variables[names.get(name, name)] = ((*dims, *tails.get(name, ())), whole)
+        for end, place in (("low", 2), ("high", 3)):
+            variables[f"jump_{end}"] = (
+                (*dims[:-1], "jump"),
+                self._jump_rows(jumps, place).reshape(*sizes, self.shape[1], -1),
+            )
+        coords = self.axes | {
+            "direction": np.array(self.plan.directions),
+            "frequency": self.frequency,
+            "point": np.array(model.structure.points),
+            "axis": np.array(["x", "y", "z"]),
+            "band": np.array(["smallest", "largest"]),
+            "contact": np.array([contact.name for contact in model.contacts], dtype=str),
+        }
+        return store.record(variables, coords, attrs)
+
+    def _jump_rows(self, jumps: Sequence[tuple[int, int, float, float]], place: int) -> np.ndarray:
+        """One end of the jumps of each chain, shape (sets, directions, jumps), NaN where a chain has fewer."""
+        rows: dict[tuple[int, int], list[float]] = {}
+        for jump in sorted(jumps, key=lambda item: item[2]):
+            rows.setdefault((jump[0], jump[1]), []).append(float(jump[place]))
+        table = np.full((*self.shape[:2], max(map(len, rows.values()), default=0)), np.nan)
+        for (v, d), values in rows.items():
+            table[v, d, : len(values)] = values
+        return table
+
+
+def _variant(scene: Scene, values: Mapping[str, float]) -> Model | str:
+    """The model with other scalars, or what is wrong with it."""
+    try:
+        return scene.variant(values) if values else scene.model()
+    except SceneError as error:
+        return str(error)
+
+
+def _parts(items: list[Any], size: int) -> Iterator[list[Any]]:
+    for first in range(0, len(items), size):
+        yield items[first : first + size]
