@@ -1,21 +1,35 @@
-"""Harmonic balance: what does a response curve cost, and how does that grow with harmonics, contacts and modes?
+"""Harmonic balance: what does a response curve cost, how does that grow, and what do others pay and find?
 
 A chain of masses under friction contacts, followed through its first resonance around which every contact slips and
 some separate. Times are CPU seconds after compilation, the least of the repeats; the Floquet multipliers are timed
 apart. Run it pinned to one core: ``taskset -c 0 python benchmarks/harmonic_balance.py``.
+
+``--quick``: the first line alone. ``--picture FILE``: the growth with harmonics, contacts and modes drawn as well.
+``--peaks``: instead, the peaks of the paper's nine preloads by harmonic balance and by time integration.
+``--pyharm PYTHON``: instead, a curve of the paper's oscillator by pyHarm beside ours; PYTHON has it installed.
 """
 
 import argparse
+import json
 import os
+import subprocess
 import time
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
+from timesim.config import load_scene
 from timesim.continuation import Controls, follow
-from timesim.hbm import Balance, Setting
-from timesim.hbm_curve import default_controls, described, hbm_curve
+from timesim.hbm import Balance
+from timesim.hbm_curve import default_controls, described, hbm_curve, solutions_at
+from timesim.hbm_setting import Setting
+from timesim.hbm_study import peak
 from timesim.model import GROUND, Contact, Excitation, Model, Start, Structure
+from timesim.solver import PRESETS
+from timesim.steady import Task, settle
 
 RANGE = (0.75, 1.3)
 
@@ -66,39 +80,155 @@ def seconds(model: Model, setting: Setting, controls: Controls, repeats: int) ->
     return curve.p.size, *best
 
 
-def row(name: str, model: Model, setting: Setting, controls: Controls, repeats: int) -> None:
+Row = tuple[int, float, float, float]
+
+
+def row(name: str, model: Model, setting: Setting, controls: Controls, repeats: int) -> Row:
     """Print one line of the table."""
     points, curve, whole, floquet = seconds(model, setting, controls, repeats)
     print(f"| {name} | {points} | {curve:.2f} | {whole:.2f} | {floquet:.2f} | {1e3 * curve / points:.2f} |", flush=True)
+    return points, curve, whole, floquet
+
+
+def growth(repeats: int) -> dict[str, list[tuple[int, float]]]:
+    """Milliseconds a point with multipliers against harmonics, contacts and modes."""
+    found: dict[str, list[tuple[int, float]]] = {"harmonics": [], "contacts": [], "modes": []}
+
+    def add(kind: str, number: int, name: str, model: Model, setting: Setting) -> None:
+        points, _, _, floquet = row(name, model, setting, default_controls(), repeats)
+        found[kind].append((number, 1e3 * floquet / points))
+
+    for harmonics in (1, 3, 5, 9, 15, 21):
+        add("harmonics", harmonics, f"50 modes, 5 contacts, H = {harmonics}", chain(50, 5), Setting(harmonics, 1024))
+    for count in (1, 2, 3, 8):
+        add("contacts", count, f"50 modes, {count} contacts, H = 9", chain(50, count), Setting(9, 1024))
+    for count in (3, 12, 50):
+        add("modes", count, f"{count} modes, 1 contact, H = 9", chain(count, 1), Setting(9, 1024))
+    return found
+
+
+def draw(found: dict[str, list[tuple[int, float]]], path: Path) -> None:
+    """The growth as a picture."""
+    from timesim.plot import SERIES, figure
+
+    made, grid = figure(1, 3, width=9.5, height=2.6, sharey=True)
+    told = {"harmonics": "50 modes, 5 contacts", "contacts": "50 modes, 9 harmonics", "modes": "1 contact, 9 harmonics"}
+    for ax, (kind, points), style in zip(grid[0], found.items(), SERIES, strict=False):
+        number, cost = zip(*points, strict=True)
+        ax.loglog(number, cost, marker=style.marker, color=style.colour, linestyle=style.line)
+        ax.set_xticks(number, [str(n) for n in number], minor=False)
+        ax.minorticks_off()
+        ax.set(xlabel=f"{kind} ({told[kind]})")
+    grid[0, 0].set_ylabel("ms a point")
+    grid[0, 0].set_yticks([2, 5, 10, 20, 50], ["2", "5", "10", "20", "50"])
+    grid[0, 0].set_ylim(2, 60)
+    made.suptitle("a point of a response curve by harmonic balance, Floquet multipliers included", fontsize=10)
+    made.savefig(path, dpi=110)
+
+
+PRELOADS = (-4, -1, 0, 1, 2, 3, 5, 10, 32)
+
+
+def oscillator(preload: float) -> Model:
+    """The paper's, from its scene."""
+    scene = Path(__file__).parents[1] / "configs" / "figure10.yaml"
+    return load_scene(scene).variant({"contacts.pad.preload": preload})
+
+
+def settled(model: Model, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Amplitude of tip x by time integration, and the largest share in slip or separation."""
+    orbits = settle([Task(model, float(f)) for f in frequency], PRESETS["standard"], tolerance=1e-8)
+    shares = [max(orbit.slip_share.max(), orbit.separation_share.max() % 1) for orbit in orbits]
+    return np.array([orbit.amplitude[0, 0] for orbit in orbits]), np.array(shares)
+
+
+def top(frequency: np.ndarray, amplitude: np.ndarray) -> tuple[float, float]:
+    """Place and height of the largest amplitude, by a polynomial of fourth degree."""
+    middle = frequency.mean()
+    fit = np.polynomial.Polynomial.fit(frequency - middle, amplitude, 4)
+    fine = np.linspace(frequency[0], frequency[-1], 20001)
+    values = fit(fine - middle)
+    return float(fine[np.argmax(values)]), float(values.max())
+
+
+def peaks() -> None:
+    """Largest amplitude of tip x from 0.8 to 1.65 Hz with 15 harmonics, and settled, both from 9 points about it."""
+    print("| n0 | harmonic balance | at [Hz] | time integration | at [Hz] | difference | share in slip or separation |")
+    print("|---|---|---|---|---|---|---|")
+    setting = Setting(15, 1024)
+    for preload in PRELOADS:
+        model = oscillator(preload)
+        curve = hbm_curve(model, 1.65, 0.8, setting=setting, stability=False)
+        frequency = peak(curve, 0, 0)[0] + 1e-3 * np.arange(-4, 5)
+        found = solutions_at(model, curve, frequency, setting=setting, stability=False)
+        balanced = np.array([found.amplitude[found.frequency == f, 0, 0].max() for f in frequency])
+        marched, share = settled(model, frequency)
+        (here, height), (there, truth) = top(frequency, balanced), top(frequency, marched)
+        line = f"| {preload} | {height:.6f} | {here:.5f} | {truth:.6f} | {there:.5f} | {height / truth - 1:+.1e} |"
+        print(f"{line} {share.max():.2f} |", flush=True)
+
+
+def beside_pyharm(python: str) -> None:
+    """A curve at n0 = 3, 9 harmonics and 512 samples, by both; errors against settled time integration."""
+    preload, span, setting = 3.0, (0.8, 1.65), Setting(9, 512)
+    model, script = oscillator(preload), Path(__file__).parent / "opponent_pyharm.py"
+    at = np.round(np.arange(1.32, 1.65, 0.01), 10)
+    exact, share = settled(model, at)
+    print(
+        f"n0 = {preload:g}, {at.size} frequencies from {at[0]:g} to {at[-1]:g} Hz, share of slip {share.min():.2f} up\n"
+    )
+    print("| who | setting | points | CPU s | largest error | at 1.39 Hz |")
+    print("|---|---|---|---|---|---|")
+
+    def line(who: str, told: str, frequency: np.ndarray, amplitude: np.ndarray, taken: float) -> None:
+        off = CubicSpline(frequency, amplitude)(at) / exact - 1
+        middle = off[np.argmin(np.abs(at - 1.39))]
+        print(
+            f"| {who} | {told} | {frequency.size} | {taken:.2f} | {np.abs(off).max():.1e} | {middle:+.1e} |", flush=True
+        )
+
+    for step in (1.0, 0.2, 0.05):
+        call = [python, str(script.resolve()), "--step", str(step), "--harmonics", str(setting.harmonics)]
+        call += ["--samples", str(setting.time_samples), "--preload", str(preload)]
+        with TemporaryDirectory() as folder:  # it leaves a folder of its own where it runs
+            done = subprocess.run(call, capture_output=True, text=True, check=True, cwd=folder)
+        said = json.loads(done.stdout.splitlines()[-1])
+        frequency, order = np.unique(said["frequency"], return_index=True)
+        line("pyHarm", f"ds_max {step:g}", frequency, np.array(said["amplitude"])[order], said["seconds"])
+    for step in (0.05, 0.02):
+        controls = replace(default_controls(), first_step=step / 5, max_step=step)
+        hbm_curve(model, *span[::-1], setting=setting, controls=controls)
+        t0 = time.process_time()
+        curve = hbm_curve(model, *span[::-1], setting=setting, controls=controls)
+        taken = time.process_time() - t0
+        frequency, order = np.unique(curve.frequency, return_index=True)
+        line("timesim", f"max_step {step:g}", frequency, curve.amplitude[order, 0, 0], taken)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--quick", action="store_true", help="the first line alone")
+    parser.add_argument("--picture", type=Path, help="draw the growth into this file")
+    parser.add_argument("--peaks", action="store_true", help="peaks of nine preloads by two methods")
+    parser.add_argument("--pyharm", metavar="PYTHON", help="a Python that has pyHarm-os installed")
     options = parser.parse_args()
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, numpy {np.__version__}\n")
+    if options.peaks:
+        return peaks()
+    if options.pyharm:
+        return beside_pyharm(options.pyharm)
     print(
         "| case | points | curve [s] | and amplitudes, shares | and multipliers | ms a point |\n"
         "|---|---|---|---|---|---|"
     )
     fine = replace(default_controls(), first_step=0.005, max_step=0.022)
     row("3 modes, 3 contacts, H = 7, N = 1024", chain(3, 3), Setting(7, 1024), fine, options.repeats)
-    if options.quick:
-        return
-    usual = default_controls()
-    for harmonics in (1, 3, 5, 9, 15, 21):
-        row(f"50 modes, 5 contacts, H = {harmonics}", chain(50, 5), Setting(harmonics, 1024), usual, options.repeats)
-    for num_contacts in (1, 2, 3, 8):
-        row(
-            f"50 modes, {num_contacts} contacts, H = 9",
-            chain(50, num_contacts),
-            Setting(9, 1024),
-            usual,
-            options.repeats,
-        )
-    for num_modes in (3, 12, 50):
-        row(f"{num_modes} modes, 1 contact, H = 9", chain(num_modes, 1), Setting(9, 1024), usual, options.repeats)
+    if not options.quick:
+        found = growth(options.repeats)
+        if options.picture:
+            draw(found, options.picture)
+    return None
 
 
 if __name__ == "__main__":

@@ -79,6 +79,23 @@ study:
   phi_deg: 90
 """
 
+JUMP = """\
+structure:
+  modes:
+    - {frequency: 0.9, damping_ratio: 0.02, mass: 1.0, shape: {tip: [1, 1, 0.8]}}
+excitation:
+  modal_force:
+    - {amplitude: 1.0}
+study:
+  kind: jump
+  run_up:
+    - {frequency: 0.8, cycles: 9}
+  phases:
+    - {frequency: 0.9, cycles: 5}
+    - {frequency: 0.95, cycles: 7}
+  samples_per_cycle: 100
+"""
+
 ELEMENT_MAP = """\
 contacts:
   - name: pad
@@ -92,6 +109,19 @@ study:
   B: [0, 1, 2]
   D: 0.5
 """
+
+HBM = (
+    BASE[: BASE.index("study:")]
+    + """\
+study:
+  kind: hbm
+  frequency: {from: 0.8, to: 1.65}
+  harmonics: 7
+  time_samples: 256
+  over: {contacts.pad.preload: [1, 2]}
+  continuation: {max_step: 0.1}
+"""
+)
 
 
 @dataclass(frozen=True)
@@ -124,6 +154,14 @@ def _element(key: str, old: str, new: str, rule: str, at: str = "") -> BadScene:
 
 def _map(key: str, old: str, new: str, rule: str, at: str = "") -> BadScene:
     return _base(key, old, new, rule, at, ELEMENT_MAP)
+
+
+def _jump(key: str, old: str, new: str, rule: str, at: str = "") -> BadScene:
+    return _base(key, old, new, rule, at, JUMP)
+
+
+def _hbm(key: str, old: str, new: str, rule: str, at: str = "") -> BadScene:
+    return _base(key, old, new, rule, at, HBM)
 
 
 _SLIP_SCENE = "initial:\n  modal_displacement: [0.5, 0.5]\n  slip: {pad: [0.0, 0.0]}\n"
@@ -356,4 +394,46 @@ BAD_SCENES = (
     _map("study.A.to", "to: 4", "to: -4", "must be larger than from", at="A: {from"),
     _map("study.A.num", "num: 5", "num: 1", "must be >= 2", at="A: {from"),
     _map("study.A.step", "num: 5", "num: 5, step: 1", "is no key here", at="A: {from"),
+    _jump("study.phases.0.frequency", "{frequency: 0.9, cycles: 5}", "{frequency: -0.9, cycles: 5}", "must be > 0"),
+    _jump("study.phases.1.cycles", "cycles: 7", "cycles: 0", "must be >= 1", at="cycles: 0"),
+    _jump("study.phases.1.cycles", "0.95, cycles: 7", "0.95", "is required", at="frequency: 0.95"),
+    _jump("study.phases.1.cycle", "cycles: 7", "cycle: 7", "did you mean cycles?", at="cycle: 7"),
+    _jump("study.run_up.0.cycles", "cycles: 9", "cycles: 9.5", "whole number", at="cycles: 9.5"),
+    _jump("study.runup", "run_up:", "runup:", "did you mean run_up?"),
+    BadScene(
+        "study.phases",
+        JUMP[: JUMP.index("  phases:")] + "  phases: []\n",
+        "phases: []",
+        "at least 1",
+    ),
+    BadScene("study.phases", JUMP[: JUMP.index("  phases:")], "study:", "is required"),
+    _hbm("study.harmonics", "harmonics: 7", "harmonics: 0", "must be >= 1", at="harmonics: 0"),
+    _hbm("study.harmonics", "harmonics: 7", "harmonics: 1", "harmonic 2 is excited", at="harmonics: 1"),
+    _hbm("study.time_samples", "time_samples: 256", "time_samples: 27", "must be at least 28 for 7 harmonics"),
+    _hbm("study.harmonic", "harmonics: 7", "harmonic: 7", "did you mean harmonics?", at="harmonic: 7"),
+    _hbm("study.frequency", "{from: 0.8, to: 1.65}", "1.4", "must be a mapping with from and to"),
+    _hbm("study.frequency.to", "to: 1.65}", "to: 0.8}", "must differ", at="frequency: {from: 0.8"),
+    _hbm("study.frequency.step", "to: 1.65}", "to: 1.65, step: 0.1}", "is no key here", at="frequency: {from: 0.8"),
+    _hbm("study.start", "harmonics: 7", "harmonics: 7\n  start: stuck", "'linear' or 'both_ends'", at="start: stuck"),
+    _hbm(
+        "study.start.from", "harmonics: 7", "harmonics: 7\n  start: {from: no.nc}", "no result file", at="start: {from"
+    ),
+    _hbm("study.over.contacts.pod.preload", "contacts.pad", "contacts.pod", "is no item of the list", at="over:"),
+    _hbm("study.continuation.max_stop", "max_step", "max_stop", "did you mean max_step?", at="continuation:"),
+    _hbm("study.continuation.min_step", "max_step: 0.1", "max_step: 1e-8", "at most first_step", at="continuation:"),
+    _hbm(
+        "study.along",
+        "harmonics: 7",
+        "harmonics: 7\n  along: {contacts.pad.preload: {from: 1, to: 2}, contacts.pad.friction: {from: 0.1, to: 0.2}}",
+        "must name one scalar, not 2",
+        at="along:",
+    ),
+    BadScene(
+        "excitation",
+        HBM[: HBM.index("excitation:")]
+        + "excitation:\n  constant_forces: [{point: tip, direction: [1, 0, 0], amplitude: 1}]\n"
+        + HBM[HBM.index("initial:") :],
+        "excitation:",
+        "no periodic part",
+    ),
 )

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from timesim.continuation import Controls, Ending, follow, solve
+from timesim.continuation import Controls, Ending, follow, follow_both_ways, solve
 
 CONTROLS = Controls(size=0.1)
 
@@ -117,6 +117,54 @@ def test_a_curve_that_comes_back_says_so():
     assert "turned back" in curve.message
     assert curve.p[curve.fold] == pytest.approx(1.0, abs=1e-9)
     assert curve.x[-1, 0] == pytest.approx(-1.0)
+
+
+class Isola:
+    """(x - 3)^2 + p^2 = 1: closed, so that no end of a wider range leads to it."""
+
+    def value(self, x, p):
+        return np.array([(x[0] - 3) ** 2 + p**2 - 1])
+
+    def linearised(self, x, p):
+        return self.value(x, p), np.array([[2 * (x[0] - 3)]]), np.array([2 * p])
+
+
+@pytest.mark.parametrize("start", [0.3, -0.8])
+def test_a_closed_curve_is_found_from_inside(start):
+    curve = follow_both_ways(Isola(), np.array([3.9]), start, (-2.0, 2.0), CONTROLS)
+    assert curve.ending is Ending.CLOSED
+    assert curve.complete
+    np.testing.assert_allclose(np.sort(curve.p[curve.fold]), [-1.0, 1.0], atol=1e-9)
+    assert curve.x.min() == pytest.approx(2.0, abs=5e-3)
+    np.testing.assert_allclose(curve.x[0], curve.x[-1], rtol=1e-6)
+    turned = np.unwrap(np.arctan2(curve.x[:, 0] - 3, curve.p))
+    assert abs(turned[-1] - turned[0]) == pytest.approx(2 * np.pi, rel=1e-5)
+
+
+@pytest.mark.parametrize(("start", "guess"), [(5.0, 2.3), (0.0, 0.01), (0.0, 1.7)])
+def test_from_inside_the_range_the_curve_is_the_same(start, guess):
+    curve = follow_both_ways(Cubic(), np.full(2, guess), start, (-10.0, 10.0), CONTROLS)
+    assert curve.complete
+    assert sorted([curve.p[0], curve.p[-1]]) == pytest.approx([-10.0, 10.0])
+    np.testing.assert_allclose(np.sort(curve.p[curve.fold]), [-2.0, 2.0], atol=1e-9)
+    assert set(curve.branch) == {0, 1, 2}
+    assert np.all(np.diff(curve.x[:, 0]) * np.sign(curve.x[-1, 0]) > 0)
+
+
+class Interrupted(Kink):
+    """Someone presses Ctrl-C on the way."""
+
+    def value(self, x, p):
+        if p > 0.2:
+            raise KeyboardInterrupt
+        return super().value(x, p)
+
+
+def test_an_interrupt_keeps_what_there_is():
+    curve = follow(Interrupted(), np.array([1.5]), -1.0, 1.0, CONTROLS)
+    assert curve.ending is Ending.INTERRUPTED
+    assert 0.1 < curve.p[-1] <= 0.2
+    assert not curve.complete
 
 
 def test_failure_keeps_what_there_is_and_says_where():

@@ -14,13 +14,16 @@ import systems
 
 from timesim.contact import Law
 from timesim.continuation import Controls, solve
-from timesim.hbm import Balance, Setting, to_complex, to_real
+from timesim.hbm import Balance, to_complex, to_real
 from timesim.hbm_curve import contact_motion, default_controls, half_range, hbm_curve, solutions_at
+from timesim.hbm_setting import Setting
 from timesim.hbm_stability import floquet_multipliers
 from timesim.located_period import located_forces, waves
 from timesim.model import Structure
 from timesim.period import MAX_PASSES, basis_of, forces
 from timesim.period_tangent import linearised
+from timesim.solver import PRESETS
+from timesim.steady import Task, settle
 
 TURN = 2 * np.pi
 # A, B, D and phase of the normal motion in degrees: u = (A cos, B cos(. + 90)), v = D cos(. + phase).
@@ -314,8 +317,34 @@ def test_multipliers_of_a_stuck_structure():
     stiffness = np.diag(body.stiffness) + 20 * shape.T @ shape
     state = np.block([[np.zeros((2, 2)), np.eye(2)], [-stiffness, -np.diag(body.damping)]])
     exact = np.append(np.exp(np.linalg.eigvals(state) / frequency), [1.0, 1.0])
-    found = floquet_multipliers(balance, solution[0], frequency, samples=512)
+    found = floquet_multipliers(balance, solution[0][None], np.array([frequency]), samples=512)[0]
     np.testing.assert_allclose(np.sort(np.abs(found)), np.sort(np.abs(exact)), rtol=1e-4)
+
+
+@pytest.mark.parametrize(("preload", "frequency"), [(-1.0, 0.97), (1.0, 1.2), (2.0, 1.3), (3.0, 1.39), (5.0, 1.52)])
+def test_multipliers_against_those_of_the_return_map(preload, frequency):
+    """Motions with slip or separation; the others are exact derivatives of the event loop."""
+    model = systems.oscillator(preload, frequency)
+    curve = hbm_curve(model, frequency, 1.001 * frequency, setting=Setting(15, 1024))
+    marched = settle([Task(model, frequency)], PRESETS["standard"])[0]
+    assert marched.settled
+    assert curve.slip_share[0, 0] > 0.05
+    np.testing.assert_allclose(curve.amplitude[0], marched.amplitude, rtol=1e-3)
+    exact = np.abs(marched.floquet[0])
+    assert 0.5 < exact < 0.9
+    assert curve.floquet_max[0] == pytest.approx(exact, abs=3e-2)
+    balance = Balance(model, frequency, Setting(15, 1024))
+    x = curve.contact_motion[:1].reshape(1, -1) / balance.length
+    fine = np.abs(floquet_multipliers(balance, x, curve.frequency[:1], samples=1024)[0])
+    np.testing.assert_allclose(fine[:4], np.abs(marched.floquet[:4]), atol=4e-3)
+
+
+def test_multipliers_of_a_whole_damping_matrix():
+    """Modes coupled by a damping matrix, and the same without its off-diagonal terms given as either form."""
+    model = systems.oscillator(-1.0, 0.97)
+    whole = replace(model, structure=replace(model.structure, damping=np.diag(model.structure.damping)))
+    found = [hbm_curve(m, 0.97, 0.971, setting=Setting(5, 256)).floquet_max for m in (model, whole)]
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
 
 
 def test_start_from_a_given_motion():
@@ -361,7 +390,10 @@ def test_phasors_and_coefficients():
         (lambda: hbm_curve(systems.oscillator(3.0, 1.0), 0.0, 1.0), "frequency.from must be a positive number"),
         (lambda: hbm_curve(systems.oscillator(3.0, 1.0), 1.0, 1.0), "must differ, not both 1.0"),
         (lambda: Balance(silent(), 1.0, Setting()), "no periodic part"),
-        (lambda: Balance(third_harmonic(), 1.0, Setting(2, 64)), "harmonic 3 is excited but only 2 are balanced"),
+        (
+            lambda: Balance(third_harmonic(), 1.0, Setting(2, 64)),
+            "harmonics must be at least 3, since harmonic 3 is excited, not 2",
+        ),
         (
             lambda: contact_motion(Balance(systems.oscillator(3.0, 1.0), 1.0, Setting(2, 64)), np.zeros((4, 2))),
             r"odd number of rows and 2 columns, not shape \(4, 2\)",

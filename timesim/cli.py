@@ -9,6 +9,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -40,32 +41,48 @@ def run(
     overrides: Overrides = None,
     plots: Annotated[bool, typer.Option("--plots/--no-plots", help="Draw pictures.")] = True,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a result that is there.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with a run that was cut off.")] = False,
+    cluster: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS|local", help="Run on a dask cluster, or on processes of this machine."),
+    ] = None,
 ) -> None:
     """Run a scene and write result.nc, scene.yaml and pictures."""
-    from timesim import plot, store
-    from timesim.study import carry_out
+    from timesim import checkpoint, plot, store
+    from timesim.campaign import Means, MeansError
+    from timesim.study import carry_out, check_means
 
     loaded = _loaded(scene, overrides)
     kind = loaded.file.study.kind
+    means = Means(folder=output, resume=resume, cluster=cluster, notice=_notice)
     try:
-        store.check_folder(output, force)
-        store.prepare_folder(output, loaded.resolved_yaml(), force, source=scene, stale=plot.picture_names(kind))
-    except store.StoreError as error:
+        check_means(kind, means)
+        if checkpoint.is_finished(output, loaded.resolved_yaml(), force=force, resume=resume):
+            print(f"the result in {output} is complete: there is nothing to resume")
+            return
+        _prepare(output, loaded, scene, force=force, resume=resume)
+    except (store.StoreError, MeansError) as error:
         _stop(2, str(error))
     for warning in loaded.warnings():
         print(f"warning: {warning}", file=sys.stderr)
-    with _terminated(), _progress(kind) as progress:
-        outcome = carry_out(loaded, progress)
+    try:
+        with _terminated(), _progress(kind) as progress:
+            outcome = carry_out(loaded, replace(means, progress=progress))
+    except (store.StoreError, MeansError) as error:
+        _stop(2, str(error))
     try:
         path = store.save_groups(outcome.groups, output / store.RESULT_NAME)
-        pictures = plot.draw(outcome.groups[""].dataset(), output) if plots else []
+        if outcome.reason is None:
+            checkpoint.clear(output)
+        pictures = plot.draw(store.whole(outcome.groups), output) if plots else []
     except store.StoreError as error:
         _stop(1, str(error))
     for line in outcome.summary:
         print(line)
     print(f"result: {path}" + (f" and {len(pictures)} pictures" if pictures else ""))
     if outcome.reason is not None:
-        _stop(1, f"incomplete: {outcome.reason}\nwhat was computed is in {path}, marked complete = 0")
+        hint = "; --resume goes on with it" if checkpoint.chunks_done(output) else ""
+        _stop(1, f"incomplete: {outcome.reason}\nwhat was computed is in {path}, marked complete = 0{hint}")
 
 
 @app.command()
@@ -96,7 +113,7 @@ def plot(
     from timesim import store
 
     try:
-        for path in pictures.draw(store.open_result(folder), folder):
+        for path in pictures.draw(store.whole(store.read(folder)), folder):
             print(path)
     except store.StoreError as error:
         _stop(2, str(error))
@@ -109,6 +126,20 @@ def _loaded(scene: Path, overrides: list[str] | None) -> Any:
         return load_scene(scene, overrides or ())
     except SceneError as error:
         _stop(2, str(error))
+
+
+def _prepare(output: Path, loaded: Any, scene: Path, *, force: bool, resume: bool) -> None:
+    from timesim import checkpoint, plot, store
+
+    store.check_folder(output, force or resume)
+    stale = plot.picture_names(loaded.file.study.kind)
+    store.prepare_folder(output, loaded.resolved_yaml(), force, source=scene, stale=stale, resume=resume)
+    if force:
+        checkpoint.clear(output)
+
+
+def _notice(text: str) -> None:
+    print(f"note: {text}", file=sys.stderr)
 
 
 @contextmanager

@@ -151,15 +151,17 @@ def _scene(source: SceneSource) -> Scene:
 
 def _check_over(scene: Scene) -> None:
     """Each value of each axis must make a scene, the other axes left as they are."""
-    problems = []
-    for key, given in getattr(scene.file.study, "over", {}).items():
-        for value in axis_values(given):
+    problems, study = [], scene.file.study
+    scalars = {("over", key): axis_values(given) for key, given in getattr(study, "over", {}).items()}
+    scalars |= {("along", key): ends.values() for key, ends in getattr(study, "along", {}).items()}
+    for (axis, key), values in scalars.items():
+        for value in values:
             try:
                 scene.variant({key: value})
             except SceneError as error:
                 own = error.problems[0]
                 rule = f"{value:g}: {own.key} {own.rule}" if own.key != key else own.rule
-                problems.append(scene.source.problem(RuleError(("study", "over", key), rule, own.hint, value)))
+                problems.append(scene.source.problem(RuleError(("study", axis, key), rule, own.hint, value)))
                 break
     if problems:
         raise SceneError(problems)
@@ -217,6 +219,7 @@ class _Build:
         model = Model(structure, contacts, excitation, rest_start(order.size, len(contacts)), notes)
         with self.under("initial"):
             model = replace(model, start=self.file.start(model, order, self.folder))
+        self.errors += self.file.study.fits(model)
         return model
 
     def check_study(self) -> None:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from timesim.arc import Arc, Array, Controls, FailureError, Point, Residual
 
-__all__ = ["Controls", "Curve", "Ending", "Residual", "follow", "solve"]
+__all__ = ["Controls", "Curve", "Ending", "Residual", "follow", "follow_both_ways", "joined", "solve"]
 
 # Lengths of a leap over a place where the residual is not smooth, as shares of the longest step, tried in turn.
 LEAPS = (0.02, 0.06, 0.2, 0.6, 1.0)
@@ -31,10 +31,17 @@ class Ending(Enum):
     """Why a curve ends; the value tells the user."""
 
     COMPLETE = "complete: the whole range was followed"
+    CLOSED = "complete: the curve is closed, it comes back to where it began"
     START = "no solution at the start"
     STEP = "Newton's method fails even at the smallest step; smaller min_step, or a smoother residual, may help"
     POINTS = "the largest number of points is reached; raise max_points or max_step"
     LEFT = "the curve turned back and left the range where it began; begin at the other end of the range"
+    INTERRUPTED = "interrupted"
+
+    @property
+    def complete(self) -> bool:
+        """Whether the whole range, or the whole of a closed curve, was followed."""
+        return self in (Ending.COMPLETE, Ending.CLOSED)
 
 
 @dataclass(frozen=True)
@@ -64,10 +71,18 @@ class Curve:
     @property
     def complete(self) -> bool:
         """Whether the whole range was followed."""
-        return self.ending is Ending.COMPLETE
+        return self.ending.complete
+
+    def point(self, i: int, p: float) -> "Curve":
+        """One of the solutions, said to be at another value of the parameter."""
+        arrays = ("x", "p", "fold", "branch", "determinant", "corrections")
+        parts = {name: getattr(self, name)[i : i + 1] for name in arrays}
+        return replace(self, **parts | {"p": np.array([p])})
 
 
-def follow(residual: Residual, guess: Array, start: float, stop: float, controls: Controls) -> Curve:
+def follow(
+    residual: Residual, guess: Array, start: float, stop: float, controls: Controls, *, behind: float | None = None
+) -> Curve:
     """Follow the solution near a guess from one value of the parameter to another, around folds.
 
     Args:
@@ -76,17 +91,47 @@ def follow(residual: Residual, guess: Array, start: float, stop: float, controls
         start, stop: range of the parameter; the curve begins at `start`, which may be the larger.
         controls: step lengths and tolerances.
 
+    Keyword Args:
+        behind: the other end of the range where the curve begins inside it; `start` by default. Such a curve may also
+            end there, or where it began.
+
     Returns:
         The curve; where it fails, what it has, with the reason and the place.
 
     Raises:
         ValueError: the range is empty or the guess is not a finite vector.
     """
-    if not np.isfinite([start, stop]).all() or start == stop:
+    behind = start if behind is None else behind
+    if not np.isfinite([start, stop, behind]).all() or stop in (start, behind):
         raise ValueError(f"continuation: the range must have two different finite ends, not {start} and {stop}")
     if guess.ndim != 1 or not np.isfinite(guess).all():
         raise ValueError(f"continuation: the guess must be a vector of finite numbers, not of shape {guess.shape}")
-    return _Walk(residual, controls, start, stop).run(guess)
+    return _Walk(residual, controls, start, stop, behind).run(guess)
+
+
+def follow_both_ways(
+    residual: Residual, guess: Array, start: float, ends: tuple[float, float], controls: Controls
+) -> Curve:
+    """Follow the solution near a guess inside a range to both sides: one curve, the second side's points reversed.
+
+    So a curve is found whole that no end of the range leads to; it may be closed. Arguments and errors as `follow`.
+    """
+    ahead = follow(residual, guess, start, ends[1], controls, behind=ends[0])
+    if ahead.ending in (Ending.START, Ending.CLOSED, Ending.INTERRUPTED):
+        return ahead
+    return joined(follow(residual, ahead.x[0], start, ends[0], controls, behind=ends[1]), ahead)
+
+
+def joined(back: Curve, ahead: Curve) -> Curve:
+    """One curve of two that begin at the same point: the first from its end to there, then the second."""
+    ending, message = next(
+        ((half.ending, half.message) for half in (back, ahead) if not half.complete), (ahead.ending, ahead.message)
+    )
+    parts = {
+        name: np.concatenate([getattr(back, name)[:0:-1], getattr(ahead, name)])
+        for name in ("x", "p", "fold", "determinant", "corrections")
+    }
+    return Curve(**parts, branch=np.cumsum(parts["fold"]) - parts["fold"], ending=ending, message=message)
 
 
 def solve(residual: Residual, guess: Array, p: float, controls: Controls) -> tuple[Array, int] | None:
@@ -104,9 +149,9 @@ def solve(residual: Residual, guess: Array, p: float, controls: Controls) -> tup
 class _Walk:
     """A curve on the way: its points in the units of the caller, and the step."""
 
-    def __init__(self, residual: Residual, controls: Controls, start: float, stop: float):
-        self.arc = Arc(residual, controls, abs(stop - start))
-        self.controls, self.start, self.stop = controls, start, stop
+    def __init__(self, residual: Residual, controls: Controls, start: float, stop: float, behind: float):
+        self.arc = Arc(residual, controls, abs(stop - behind))
+        self.controls, self.start, self.stop, self.behind = controls, start, stop, behind
         self.sign = float(np.sign(stop - start))
         self.points: list[Point] = []
         self.rows: list[tuple[Array, float, bool, int, int]] = []
@@ -121,6 +166,13 @@ class _Walk:
         except FailureError:
             return self._curve(Ending.START, self.start)
         self._keep(point)
+        try:
+            return self._onwards(point)
+        except KeyboardInterrupt:
+            return self._curve(Ending.INTERRUPTED, self.rows[-1][1])
+
+    def _onwards(self, point: Point) -> Curve:
+        """From the first point to the end."""
         step, ending = self.controls.first_step, None
         before: tuple[Point, float] | None = None
         while ending is None:
@@ -200,7 +252,13 @@ class _Walk:
             if fold is not None:
                 self._keep(fold)
         place = point.y[-1] * self.arc.p_unit
-        for end, ending, side in ((self.stop, Ending.COMPLETE, 1), (self.start, Ending.LEFT, -1)):
+        inside = self.behind != self.start
+        last = self._back(before, point) if inside else None
+        if last is not None:
+            self._keep(last)
+            return Ending.CLOSED
+        out = Ending.COMPLETE if inside else Ending.LEFT
+        for end, ending, side in ((self.stop, Ending.COMPLETE, 1), (self.behind, out, -1)):
             if side * self.sign * (place - end) >= 0:
                 last = self._landed(before, point, end)
                 if last is None:
@@ -209,6 +267,17 @@ class _Walk:
                 return ending
         self._keep(point)
         return Ending.POINTS if len(self.rows) >= self.controls.max_points else None
+
+    def _back(self, before: Point, point: Point) -> Point | None:
+        """The point where the curve began, if it comes through it again in the same direction."""
+        begin = self.start / self.arc.p_unit
+        if len(self.rows) < 4 or not (before.y[-1] - begin) * self.sign < 0 <= (point.y[-1] - begin) * self.sign:
+            return None
+        last = self._landed(before, point, self.start)
+        if last is None:
+            return None
+        first = self.rows[0][0] / self.arc.x_unit
+        return last if np.linalg.norm(last.y[:-1] - first) < SAME * np.linalg.norm(last.y[:-1]) else None
 
     def _landed(self, before: Point, point: Point, end: float) -> Point | None:
         """The point at an end of the range, between two others."""
@@ -261,6 +330,8 @@ class _Walk:
         )
 
 
+# Distance of two points that are one, relative to their size.
+SAME = 1e-5
 # Share of the parameter in the tangent at which a fold counts as met: its own error is of second order in it.
 FLAT = 1e-5
 MAX_BISECTIONS = 40

@@ -5,16 +5,18 @@ The balance is `timesim.hbm`, the way along the curve `timesim.continuation`.
 
 import timesim.jax_setup  # noqa: F401  isort: skip
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from timesim.continuation import Controls, Curve, Ending, follow, solve
-from timesim.hbm import Balance, Setting, to_real
+from timesim.continuation import Controls, Curve, Ending, follow, follow_both_ways, solve
+from timesim.hbm import Balance, to_real
+from timesim.hbm_setting import Setting
 from timesim.hbm_stability import BORDER, floquet_multipliers
 from timesim.model import Model
 from timesim.period import forces
@@ -32,6 +34,7 @@ class HbmCurve:
     """Periodic solutions along a curve; S solutions, P points, C contacts, harmonics 0 ... H, harmonic 0 the mean.
 
     Attributes:
+        parameter: what the curve was followed in, shape (S,): the frequency, or a scalar of the scene.
         frequency: of the excitation, shape (S,) [Hz].
         stable: whether disturbances die out, shape (S,).
         fold: whether the frequency turns here, shape (S,).
@@ -44,10 +47,11 @@ class HbmCurve:
         floquet_max: largest modulus of a Floquet multiplier, shape (S,); NaN where none was computed.
         closure: change of the elastic displacement over the period over what is tolerated, shape (S,); at most 1
             where the memory of every contact closed.
-        complete: whether the whole range was followed.
-        message: why and where it ended.
+        ending: why it ended.
+        message: the same with the place.
     """
 
+    parameter: Array
     frequency: Array
     stable: NDArray[np.bool_]
     fold: NDArray[np.bool_]
@@ -61,8 +65,24 @@ class HbmCurve:
     contact_force: Array
     floquet_max: Array
     closure: Array
-    complete: bool
+    ending: Ending
     message: str
+
+    @property
+    def complete(self) -> bool:
+        """Whether the whole range was followed."""
+        return self.ending.complete
+
+    def at(self, i: int) -> "HbmCurve":
+        """One of the solutions."""
+        found: dict[str, Any] = {name: getattr(self, name)[i : i + 1] for name in _arrays()}
+        return replace(self, **found)
+
+    @staticmethod
+    def joined(parts: Sequence["HbmCurve"]) -> "HbmCurve":
+        """The solutions of several curves, one after the other; the last tells how it ended."""
+        found: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _arrays()}
+        return replace(parts[-1], **found)
 
     @property
     def harmonic_amplitude(self) -> Array:
@@ -70,6 +90,10 @@ class HbmCurve:
         amplitude = np.hypot(self.harmonic_cos, self.harmonic_sin)
         amplitude[:, 0] = self.harmonic_cos[:, 0]
         return amplitude
+
+
+def _arrays() -> list[str]:
+    return [entry.name for entry in fields(HbmCurve) if entry.name not in ("ending", "message")]
 
 
 def hbm_curve(
@@ -80,6 +104,7 @@ def hbm_curve(
     setting: Setting | None = None,
     controls: Controls | None = None,
     guess: Array | None = None,
+    begin: float | None = None,
     stability: bool = True,
 ) -> HbmCurve:
     """Follow the periodic response of a model in frequency, around folds.
@@ -91,9 +116,11 @@ def hbm_curve(
     Keyword Args:
         setting: harmonics and time samples.
         controls: steps of the continuation.
-        guess: modal displacement at `start` by its Fourier coefficients 1, cos, sin, ..., shape (2K + 1, M), of a
-            sweep's result for instance: so isolated branches are reached. By default the linear response with the
+        guess: modal displacement at `begin` by its Fourier coefficients 1, cos, sin, ..., shape (2K + 1, M), of a
+            time integration for instance: so isolated branches are reached. By default the linear response with the
             contacts stuck, absent or half as stiff, then under a load that grows from zero.
+        begin: frequency [Hz] inside the range from which the curve is followed to both sides; by default it begins
+            at `start`.
         stability: compute Floquet multipliers; without, only the sign of the determinant tells stable from unstable.
 
     Returns:
@@ -105,9 +132,13 @@ def hbm_curve(
     _check_range(start, stop)
     balance = Balance(model, start, setting or Setting())
     controls = controls or default_controls()
-    guesses = [contact_motion(balance, guess)] if guess is not None else _guesses(balance, start, controls)
+    place = start if begin is None else begin
+    guesses = [contact_motion(balance, guess)] if guess is not None else first_guesses(balance, place, controls)
     for first in guesses:
-        curve = follow(balance, first, start, stop, controls)
+        if start < place < stop or stop < place < start:
+            curve = follow_both_ways(balance, first, place, (start, stop), controls)
+        else:
+            curve = follow(balance, first, start, stop, controls)
         if curve.ending is not Ending.START:
             break
     return described(balance, curve, stability=stability)
@@ -142,7 +173,7 @@ def contact_motion(balance: Balance, modal: Array) -> Array:
     return np.asarray((shape @ kept.T).ravel() / balance.length)
 
 
-def _guesses(balance: Balance, frequency: float, controls: Controls) -> Iterator[Array]:
+def first_guesses(balance: Balance, frequency: float, controls: Controls) -> Iterator[Array]:
     """Linear responses, one contact state after the other; the last is led there by a growing load."""
     closed = np.array([contact.preload > 0 for contact in balance.model.contacts], dtype=float)
     for held in (closed, np.ones_like(closed), np.zeros_like(closed), closed / 2):
@@ -183,42 +214,54 @@ class _Ramp:
         return r + (1 - p) * self.free, by_x, -self.free
 
 
-def solutions_at(model: Model, curve: HbmCurve, frequency: float, *, setting: Setting | None = None) -> HbmCurve:
-    """The solutions of a curve at one frequency [Hz], each solved for anew, in the order of the curve.
+def solutions_at(
+    model: Model,
+    curve: HbmCurve,
+    frequency: float | Array,
+    *,
+    setting: Setting | None = None,
+    stability: bool = True,
+) -> HbmCurve:
+    """The solutions of a curve at given frequencies, each solved for anew, in the order of these and of the curve.
 
     Args:
         model, curve: as given to and got from `hbm_curve`.
-        frequency: where [Hz]; outside the curve there are none.
+        frequency: where [Hz], one or several; outside the curve there are none.
 
     Keyword Args:
-        setting: as given to `hbm_curve`.
+        setting, stability: as given to `hbm_curve`.
     """
-    balance = Balance(model, frequency, setting or Setting())
+    wanted = np.atleast_1d(np.asarray(frequency, dtype=float))
+    balance = Balance(model, float(wanted[0]), setting or Setting())
     unknowns = curve.contact_motion.reshape(curve.frequency.size, -1) / balance.length
-    side = np.sign(curve.frequency - frequency)
-    crossed = np.flatnonzero(
-        (side[1:] * side[:-1] < 0) | (side[:-1] == 0) | (np.arange(1, side.size) == side.size - 1) & (side[1:] == 0)
-    )
-    x, determinant, branch = [], [], []
-    for i in crossed:
-        share = (frequency - curve.frequency[i]) / (curve.frequency[i + 1] - curve.frequency[i])
+    places = [(f, i) for f in wanted for i in crossings(curve.frequency, f)]
+    rows = []
+    for f, i in places:
+        share = (f - curve.frequency[i]) / (curve.frequency[i + 1] - curve.frequency[i])
         guess = unknowns[i] + share * (unknowns[i + 1] - unknowns[i])
-        solution = solve(balance, guess, frequency, default_controls())
+        solution = solve(balance, guess, float(f), default_controls())
         if solution is not None:
-            x.append(solution[0])
-            determinant.append(solution[1])
-            branch.append(curve.branch[i + 1])
+            rows.append((*solution, f, curve.branch[i + 1]))
+    x, determinant, p, branch = zip(*rows, strict=True) if rows else ((),) * 4
     found = Curve(
-        x=np.array(x).reshape(len(x), balance.num_unknowns),
-        p=np.full(len(x), float(frequency)),
-        fold=np.zeros(len(x), dtype=bool),
+        x=np.array(x).reshape(len(rows), balance.num_unknowns),
+        p=np.array(p, dtype=float),
+        fold=np.zeros(len(rows), dtype=bool),
         branch=np.array(branch, dtype=np.int64),
         determinant=np.array(determinant, dtype=np.int64),
-        corrections=np.zeros(len(x), dtype=np.int64),
-        ending=Ending.COMPLETE if len(x) == crossed.size else Ending.STEP,
-        message=f"{len(x)} of {crossed.size} solutions at {frequency:.10g} Hz",
+        corrections=np.zeros(len(rows), dtype=np.int64),
+        ending=Ending.COMPLETE if len(rows) == len(places) else Ending.STEP,
+        message=f"{len(rows)} of {len(places)} solutions at {wanted.size} frequencies",
     )
-    return described(balance, found)
+    return described(balance, found, stability=stability)
+
+
+def crossings(frequency: Array, place: float) -> NDArray[np.int64]:
+    """The points of a curve after which it passes a frequency."""
+    # An end of the range is met but for rounding.
+    side = np.where(np.isclose(frequency, place, rtol=1e-12, atol=0.0), 0.0, np.sign(frequency - place))
+    last = np.arange(1, side.size) == side.size - 1
+    return np.flatnonzero((side[1:] * side[:-1] < 0) | (side[:-1] == 0) | last & (side[1:] == 0))
 
 
 def described(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmCurve:
@@ -230,11 +273,12 @@ def described(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmC
     shape, points = balance.model.structure.shape, len(balance.model.structure.points)
     phasor = np.zeros((size, order, points, 3), complex)
     largest = np.full(size, np.nan)
+    if stability:
+        largest = np.abs(floquet_multipliers(balance, curve.x, curve.p)[:, 0])
     for i, (x, p) in enumerate(zip(curve.x, curve.p, strict=True)):
         phasor[i] = np.einsum("pam,hm->hpa", shape, balance.modes(x, acts[i], p))
-        if stability:
-            largest[i] = np.abs(floquet_multipliers(balance, x, p)[0])
     return HbmCurve(
+        parameter=curve.p,
         frequency=curve.p,
         stable=(curve.determinant > 0) & ~(largest > BORDER),
         fold=curve.fold,
@@ -248,7 +292,7 @@ def described(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmC
         contact_force=acts * balance.force,
         floquet_max=largest,
         closure=np.max(gap, axis=1, initial=0.0),
-        complete=curve.complete,
+        ending=curve.ending,
         message=curve.message,
     )
 

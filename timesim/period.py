@@ -20,7 +20,7 @@ the elastic displacement closes. In full stick this leaves the offset that such 
 
 import timesim.jax_setup  # noqa: F401  isort: skip
 
-from functools import partial
+from functools import lru_cache, partial
 
 import equinox as eqx
 import jax
@@ -63,6 +63,7 @@ class Basis(eqx.Module):
     project: Float[Array, "coefficient sample"]
 
 
+@lru_cache(maxsize=64)
 def basis_of(harmonics: int, time_samples: int) -> Basis:
     """The functions of H harmonics on N equal samples."""
     theta = 2 * np.pi * np.arange(1, time_samples + 1) / time_samples

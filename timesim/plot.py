@@ -53,14 +53,15 @@ STATE_STYLE = {
     SEPARATION: StateStyle(GREEN, (0, (1, 1)), "...."),
 }
 
-Picture = Callable[["xarray.Dataset"], "matplotlib.figure.Figure | None"]
+Picture = Callable[[Any], "matplotlib.figure.Figure | None"]
+"""Draws a result: a Dataset, or the DataTree of one with groups."""
 
 
-def draw(data: "xarray.Dataset", folder: Path | str) -> list[Path]:
+def draw(data: "xarray.Dataset | xarray.DataTree", folder: Path | str) -> list[Path]:
     """Write the pictures of a result into a folder as PNG, replacing earlier ones.
 
     Args:
-        data: the result, as `timesim.store.open_result` gives it.
+        data: the result, as `timesim.store.open_result` gives it; one with groups as `timesim.store.open_groups` does.
         folder: an existing folder.
 
     Returns:
@@ -86,13 +87,16 @@ def picture_names(study: str) -> list[str]:
 
 
 def _pictures(study: str) -> Mapping[str, Picture]:
-    from timesim import plot_element, plot_transient
+    from timesim import plot_compare, plot_element, plot_hbm, plot_jump, plot_sweep, plot_transient
 
     kinds = {
         "transient": plot_transient.PICTURES,
-        "jump": plot_transient.PICTURES,
+        "jump": plot_jump.PICTURES,
+        "sweep": plot_sweep.PICTURES,
         "element": plot_element.PICTURES,
         "element_map": plot_element.MAP_PICTURES,
+        "hbm": plot_hbm.PICTURES,
+        "compare": plot_compare.PICTURES,
     }
     return kinds.get(study, {})
 

@@ -180,9 +180,19 @@ def open_groups(path: Path | str) -> "xarray.DataTree":
     Raises:
         StoreError: no such file, not a result of timesim, or cut off.
     """
+    return tree(read(path))
+
+
+def tree(records: Mapping[str, Record]) -> "xarray.DataTree":
+    """Records by group name as a tree of Datasets in memory."""
     import xarray
 
-    return xarray.DataTree.from_dict({f"/{name}": made.dataset() for name, made in read(path).items()})
+    return xarray.DataTree.from_dict({f"/{name}": made.dataset() for name, made in records.items()})
+
+
+def whole(records: Mapping[str, Record]) -> "xarray.Dataset | xarray.DataTree":
+    """A result in memory: a Dataset, or a tree of them where it has groups."""
+    return records[""].dataset() if set(records) == {""} else tree(records)
 
 
 def read(path: Path | str) -> dict[str, Record]:
@@ -234,6 +244,7 @@ def prepare_folder(
     force: bool = False,
     source: Path | str | None = None,
     stale: Iterable[str] = (),
+    resume: bool = False,
 ) -> Path:
     """Make the folder of a run with the resolved scene in it; for when the scene is known to be good.
 
@@ -243,6 +254,7 @@ def prepare_folder(
         force: allow a folder with a result. The old result stays until `save` replaces it.
         source: file the scene was read from; never overwritten by a different text.
         stale: names of earlier pictures, removed under `force` since they show another run.
+        resume: allow a folder with a result of the same scene.
 
     Returns:
         The folder.
@@ -251,7 +263,7 @@ def prepare_folder(
         StoreError: a result is there and `force` is not given, the scene would overwrite another file of the
             user's, or the folder cannot be written.
     """
-    check_folder(folder, force)
+    check_folder(folder, force or resume)
     path, target = Path(folder), Path(folder) / SCENE_NAME
     _check_scene_file(target, scene, force, source)
     try:

@@ -1,29 +1,31 @@
 """What each ``study.kind`` runs. Loads the modules of a study only when it runs: checking a scene needs none of them.
 
-To add a study: its section in `timesim.study_section`, a module with a function ``study(scene, progress)`` named here,
-and its pictures in `timesim.plot`.
+To add a study: its section in `timesim.study_section`, a module with a function ``study(scene, progress)`` named here
+in `MODULES`, or one ``study(scene, means)`` in `CAMPAIGNS` if it works in chunks, and its pictures in `timesim.plot`.
 """
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from timesim.campaign import Means, MeansError, Progress
 from timesim.config import Scene, load_scene
-from timesim.store import Record
-
-if TYPE_CHECKING:
-    import xarray
+from timesim.store import Record, whole
 
 MODULES = {
     "transient": "timesim.transient",
+    "jump": "timesim.transient",
     "element": "timesim.element",
     "element_map": "timesim.element_map",
+    "hbm": "timesim.hbm_study",
 }
 
-Progress = Callable[[int, int], None]
+CAMPAIGNS = {"sweep": "timesim.sweep", "compare": "timesim.compare"}
+
+__all__ = ["CAMPAIGNS", "MODULES", "Outcome", "Progress", "attributes", "carry_out", "check_means", "run"]
 
 
 @dataclass(frozen=True)
@@ -41,35 +43,70 @@ class Outcome:
     summary: tuple[str, ...] = ()
 
 
-def carry_out(scene: Scene, progress: Progress | None = None) -> Outcome:
+def carry_out(scene: Scene, means: Means | None = None) -> Outcome:
     """Run the study of a scene.
 
     Args:
         scene: the scene.
-        progress: called with the units of work done and their number.
+        means: how; threads of this machine and no checkpoints by default.
+
+    Raises:
+        MeansError: the study cannot be carried out by these means.
+        StoreError: a checkpoint cannot be begun, or it is not of this scene.
     """
-    outcome: Outcome = import_module(MODULES[scene.file.study.kind]).study(scene, progress)
+    means, kind = means or Means(), scene.file.study.kind
+    check_means(kind, means)
+    in_chunks = kind in CAMPAIGNS
+    module = import_module(CAMPAIGNS[kind] if in_chunks else MODULES[kind])
+    outcome: Outcome = module.study(scene, means if in_chunks else means.progress)
     return outcome
 
 
-def run(scene: Scene | str | Path | Mapping[str, Any], overrides: Mapping[str, Any] | None = None) -> "xarray.Dataset":
+def check_means(kind: str, means: Means) -> None:
+    """Refuse means that make no difference to a kind of study.
+
+    Raises:
+        MeansError: naming what must be left out.
+    """
+    given = {"resume": means.resume, "cluster": means.cluster, "workers": means.workers}
+    useless = [name for name, value in given.items() if value]
+    if kind not in CAMPAIGNS and useless:
+        rule = f"a {kind} study is done in one go, not in chunks of points"
+        raise MeansError(f"{' and '.join(useless)}: {rule}; leave it out ({', '.join(CAMPAIGNS)} can use it)")
+
+
+def run(
+    scene: Scene | str | Path | Mapping[str, Any],
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    cluster: str | None = None,
+    workers: int | None = None,
+) -> Any:
     """Run a scene and return its result, as ``timesim run`` writes it.
 
     Args:
         scene: a scene, or what `timesim.load_scene` takes: a path, a mapping or the text of one.
         overrides: new values by key path.
 
+    Keyword Args:
+        cluster: address of a dask scheduler that a study in chunks of points is carried out on, or "local" for
+            processes of this machine (a script that asks for it starts below ``if __name__ == "__main__":``).
+        workers: threads, or processes of a local cluster; the processors of this machine by default.
+
     Returns:
-        The result; ``complete`` is 0 in its attributes if the run ended early, with the reason as a warning.
+        The result: an xarray Dataset, or a DataTree of a study with groups (`compare`). ``complete`` is 0 in its
+        attributes if the run ended early, with the reason as a warning.
 
     Raises:
         SceneError: the scene is wrong.
+        MeansError: the study cannot be carried out by these means.
     """
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
-    outcome = carry_out(loaded.with_overrides(overrides) if overrides else loaded)
+    means = Means(cluster=cluster, workers=workers)
+    outcome = carry_out(loaded.with_overrides(overrides) if overrides else loaded, means)
     if outcome.reason is not None:
         warnings.warn(f"the run is incomplete: {outcome.reason}", RuntimeWarning, stacklevel=2)
-    return outcome.groups[""].dataset()
+    return whole(outcome.groups)
 
 
 def attributes(scene: Scene, method: str, compiling: float, running: float, reason: str | None) -> dict[str, Any]:

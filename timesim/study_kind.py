@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 from timesim.contact_section import ContactSection
+from timesim.model import Model
 from timesim.scene_source import RuleError
 from timesim.section import Section
 
@@ -21,6 +22,10 @@ class StudyKind(Section):
 
     def problems(self, contacts: Sequence[ContactSection], folder: Path) -> Iterator[RuleError]:
         """What is wrong with it in this scene, keys relative to the study; nothing by default."""
+        yield from ()
+
+    def fits(self, model: Model) -> Iterator[RuleError]:
+        """What is wrong with it for this model, keys from the root of the scene; nothing by default."""
         yield from ()
 
     def absolute(self, folder: Path) -> Self:

@@ -8,6 +8,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from timesim.element_section import Element, ElementMap
+from timesim.hbm_section import Compare, Hbm
+from timesim.jump_section import Jump
 from timesim.section import Count, Section, Whole, nearest, refuse
 from timesim.study_kind import StudyKind
 from timesim.sweep_section import Sweep
@@ -37,7 +39,15 @@ class Transient(StudyKind):
         return self
 
 
-STUDIES = {"transient": Transient, "element": Element, "element_map": ElementMap, "sweep": Sweep}
+STUDIES = {
+    "transient": Transient,
+    "jump": Jump,
+    "element": Element,
+    "element_map": ElementMap,
+    "sweep": Sweep,
+    "hbm": Hbm,
+    "compare": Compare,
+}
 
 
 def _known_study(value: Any) -> Any:
@@ -57,9 +67,12 @@ def _study_kind(value: Any) -> str | None:
 
 StudySection = Annotated[
     Annotated[Transient, Tag("<transient>")]
+    | Annotated[Jump, Tag("<jump>")]
     | Annotated[Element, Tag("<element>")]
     | Annotated[ElementMap, Tag("<element_map>")]
-    | Annotated[Sweep, Tag("<sweep>")],
+    | Annotated[Sweep, Tag("<sweep>")]
+    | Annotated[Hbm, Tag("<hbm>")]
+    | Annotated[Compare, Tag("<compare>")],
     Discriminator(_study_kind, custom_error_type="rule", custom_error_message="must be a mapping of keys with a kind"),
     BeforeValidator(_known_study),
 ]

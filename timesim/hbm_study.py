@@ -1,0 +1,278 @@
+"""The `hbm` study: response curves by harmonic balance, one for each value of the scene's further axes."""
+
+import timesim.jax_setup  # noqa: F401  isort: skip
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from timesim import store
+from timesim.axis_section import axis_values
+from timesim.config import Scene
+from timesim.continuation import Controls, Ending
+from timesim.hbm_along import hbm_along
+from timesim.hbm_convergence import Convergence, Place, convergence
+from timesim.hbm_curve import HbmCurve, default_controls, hbm_curve
+from timesim.hbm_section import Compare, Hbm, ResultStart
+from timesim.hbm_setting import Setting
+from timesim.hbm_start import result_waves
+from timesim.model import Model
+from timesim.study import Outcome, Progress, attributes
+
+# Unknowns of two solutions that are one, relative to their size.
+SAME = 1e-5
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One curve of a study.
+
+    Attributes:
+        values: of the further axes.
+        model_at: the model for a value of the curve's parameter.
+        curve: the solutions.
+    """
+
+    values: Mapping[str, float]
+    model_at: Callable[[float], Model]
+    curve: HbmCurve
+
+    @property
+    def label(self) -> str:
+        """Which curve it is, in words; empty where there is one."""
+        return ", ".join(f"{key} = {value:g}" for key, value in self.values.items())
+
+
+def combinations(over: Mapping[str, Any]) -> list[dict[str, float]]:
+    """All combinations of the values of the axes, the last axis fastest."""
+    return [
+        dict(zip(over, values, strict=True)) for values in product(*(axis_values(given) for given in over.values()))
+    ]
+
+
+class Curves:
+    """The curves of a scene's study, one combination of values after the other."""
+
+    def __init__(self, scene: Scene, plan: Hbm | Compare):
+        self.scene, self.plan, self.setting = scene, plan, plan.setting()
+        self.pieces: list[Piece] = []
+        self.faults: list[str] = []
+
+    def run(self, progress: Progress | None = None) -> str | None:
+        """Follow all curves; why some are not whole, if any."""
+        wanted = combinations(self.plan.over)
+        try:
+            for count, values in enumerate(wanted):
+                for piece in self._followed(values):
+                    self._take(piece)
+                if progress is not None:
+                    progress(count + 1, len(wanted))
+        except KeyboardInterrupt:
+            self.faults.append(f"interrupted at curve {len(self.pieces) + 1}")
+        return "; ".join(self.faults) or None
+
+    def _take(self, piece: Piece) -> None:
+        self.pieces.append(piece)
+        if not piece.curve.complete:
+            self.faults.append((f"{piece.label}: " if piece.label else "") + piece.curve.message)
+        if piece.curve.ending is Ending.INTERRUPTED:
+            raise KeyboardInterrupt
+
+    def _followed(self, values: dict[str, float]) -> Iterator[Piece]:
+        model = self.scene.variant(values) if values else self.scene.model()
+        along: Mapping[str, Any] = getattr(self.plan, "along", {})
+        if along:
+            (key, ends), *_ = along.items()
+            model_at: Callable[[float], Model] = lambda p: self.scene.variant({**values, key: p})  # noqa: E731
+            first, last = ends.values()
+            guess = self._given()[0]
+            curve = hbm_along(model_at, self.plan.span()[0], first, last, guess=guess, **self._options())
+            yield Piece(values, model_at, curve)
+            return
+        for curve in self._in_frequency(model):
+            yield Piece(values, lambda _: model, curve)
+
+    def _in_frequency(self, model: Model) -> list[HbmCurve]:
+        first, last = self.plan.span()
+        guess, begin = self._given()
+        whole = hbm_curve(model, first, last, guess=guess, begin=begin, **self._options())
+        if self.plan.start != "both_ends" or whole.ending is Ending.INTERRUPTED:
+            return [whole]
+        back = hbm_curve(model, last, first, **self._options())
+        if _same(whole, -1, back, 0) and whole.complete:
+            return [whole]
+        return [back] if back.complete and _same(whole, 0, back, -1) else [whole, back]
+
+    def _given(self) -> tuple[np.ndarray | None, float | None]:
+        """A motion to start from, with its frequency [Hz]."""
+        if not isinstance(self.plan.start, ResultStart):
+            return None, None
+        waves = result_waves(self.scene.source.folder / Path(self.plan.start.source))
+        return waves.modal, waves.frequency
+
+    def _options(self) -> dict[str, Any]:
+        return {"setting": self.setting, "controls": controls_of(self.plan), "stability": self.plan.stability}
+
+
+def controls_of(plan: Hbm | Compare) -> Controls:
+    """Steps of the continuation as the scene wants them."""
+    asked = plan.continuation
+    assert asked.first_step is not None
+    steps = (asked.first_step, asked.min_step, asked.max_step, asked.max_points, asked.tolerance)
+    return Controls(default_controls().size, *steps)
+
+
+def _same(one: HbmCurve, i: int, other: HbmCurve, j: int) -> bool:
+    """Whether two curves share a solution at these positions."""
+    if not one.frequency.size or not other.frequency.size or not np.isclose(one.frequency[i], other.frequency[j]):
+        return False
+    x, y = one.contact_motion[i], other.contact_motion[j]
+    return bool(np.linalg.norm(x - y) <= SAME * np.linalg.norm(y))
+
+
+def warmed_up(scene: Scene, plan: Hbm | Compare, setting: Setting) -> float:
+    """Seconds that the first points of a curve took, most of them compilation."""
+    clock = time.perf_counter()
+    values = combinations(plan.over)[0]
+    model = scene.variant(values) if values else scene.model()
+    middle = plan.span()[0]
+    few = Controls(default_controls().size, max_points=2)
+    hbm_curve(model, middle, 1.001 * middle, setting=setting, controls=few, stability=plan.stability)
+    return time.perf_counter() - clock
+
+
+def study(scene: Scene, progress: Progress | None = None) -> Outcome:
+    """Run an hbm scene; the result is marked incomplete where a curve could not be followed to its end."""
+    plan = scene.file.study
+    assert isinstance(plan, Hbm)
+    record, curves, reason = followed(scene, plan, progress)
+    return Outcome({"": record}, reason, tuple(summary(record, curves)))
+
+
+def followed(
+    scene: Scene, plan: Hbm | Compare, progress: Progress | None = None
+) -> tuple[store.Record, Curves, str | None]:
+    """All curves of a scene: their record, the curves, and why some are not whole."""
+    curves = Curves(scene, plan)
+    compiling = warmed_up(scene, plan, curves.setting)
+    clock = time.perf_counter()
+    reason = curves.run(progress)
+    found = convergence(places(curves.pieces), curves.setting) if plan.convergence and reason is None else None
+    seconds = time.perf_counter() - clock
+    told = attributes(scene, str(curves.setting), compiling, seconds, reason)
+    return record_of(scene.model(), curves, told, found), curves, reason
+
+
+def places(pieces: Sequence[Piece], number: int = 6) -> list[Place]:
+    """Stable solutions with slip or separation, spread over all curves, and the largest of them."""
+    rows = [
+        (piece, i)
+        for piece in pieces
+        for i in np.flatnonzero(piece.curve.stable & (piece.curve.slip_share + piece.curve.separation_share > 0).any(1))
+    ]
+    if not rows:
+        return []
+    spread = set(np.linspace(0, len(rows) - 1, min(number, len(rows))).round().astype(int).tolist())
+    largest = int(np.argmax([piece.curve.amplitude[i].max() for piece, i in rows]))
+    found = []
+    for piece, i in (rows[k] for k in sorted(spread | {largest})):
+        curve = piece.curve
+        model = piece.model_at(float(curve.parameter[i]))
+        found.append(Place(model, float(curve.frequency[i]), curve.contact_motion[i], curve.amplitude[i]))
+    return found
+
+
+def record_of(model: Model, curves: Curves, told: dict[str, Any], found: Convergence | None = None) -> store.Record:
+    """The result file: all solutions, one curve after the other."""
+    pieces, points, contacts = curves.pieces, len(model.structure.points), model.num_contacts
+    order = curves.setting.harmonics + 1
+    shapes = {
+        "amplitude": (points, 3),
+        "harmonic_amplitude": (order, points, 3),
+        "harmonic_cos": (order, points, 3),
+        "harmonic_sin": (order, points, 3),
+        "slip_share": (contacts,),
+        "separation_share": (contacts,),
+    }
+    scalars = ("frequency", "stable", "fold", "branch", "floquet_max", "closure")
+    arrays = {name: _stacked(pieces, name, shapes.get(name, ())) for name in (*scalars, *shapes)}
+    for name in ("stable", "fold"):
+        arrays[name] = arrays[name].astype(np.int8)
+    arrays["branch"] = arrays["branch"].astype(np.int32)
+    counts = [piece.curve.frequency.size for piece in pieces]
+    arrays["curve"] = np.repeat(np.arange(len(pieces)), counts).astype(np.int32)
+    dims = {4: ("harmonic", "point", "axis"), 3: ("point", "axis"), 2: ("contact",), 1: ()}
+    variables = {name: (("solution", *dims[array.ndim]), array) for name, array in arrays.items()}
+    for key in curves.plan.over:
+        variables[key] = (("solution",), np.repeat([piece.values[key] for piece in pieces], counts))
+    for key in getattr(curves.plan, "along", {}):
+        variables[key] = (("solution",), _stacked(pieces, "parameter", ()))
+        told = told | {"along": key}
+    coords: dict[str, Any] = {
+        "harmonic": np.arange(order),
+        "point": np.array(model.structure.points),
+        "axis": np.array(["x", "y", "z"]),
+        "contact": np.array([contact.name for contact in model.contacts], dtype=str),
+    }
+    if found is not None:
+        coords |= {"harmonics": found.harmonics, "time_samples": found.time_samples}
+        variables["change_with_harmonics"] = (("harmonics",), found.with_harmonics)
+        variables["change_with_samples"] = (("time_samples",), found.with_samples)
+        told = told | {"convergence": "\n".join(found.told())}
+    return store.record(variables, coords, told)
+
+
+def _stacked(pieces: Sequence[Piece], name: str, shape: tuple[int, ...]) -> np.ndarray:
+    none = np.zeros((0, *shape))
+    return np.concatenate([none, *(np.asarray(getattr(piece.curve, name), dtype=float) for piece in pieces)])
+
+
+def summary(record: store.Record, curves: Curves) -> Iterator[str]:
+    """What a user wants to know of the curves at once."""
+    count, seconds = sum(piece.curve.frequency.size for piece in curves.pieces), record.attrs["run_seconds"]
+    yield f"{count} solutions on {len(curves.pieces)} curves by {curves.setting} in {seconds:.2f} s"
+    for piece in curves.pieces:
+        if piece.curve.frequency.size:
+            yield (f"{piece.label}: " if piece.label else "") + told(piece.curve, curves.scene.model())
+    if "convergence" in record.attrs:
+        yield from record.attrs["convergence"].split("\n")
+
+
+def told(curve: HbmCurve, model: Model) -> str:
+    """A curve in words: its peak, its folds, and how much of it slips and separates."""
+    point, axis = np.unravel_index(np.argmax(curve.amplitude.max(0)), curve.amplitude.shape[1:])
+    place, height = peak(curve, int(point), int(axis))
+    name = f"{model.structure.points[int(point)]} {'xyz'[int(axis)]}"
+    folds = ", ".join(f"{p:.6g}" for p in curve.parameter[curve.fold])
+    turning = f"folds at {folds}" if folds else "no fold"
+    unstable = int(np.sum(~curve.stable & ~curve.fold))
+    slip, apart = curve.slip_share.max(initial=0.0), curve.separation_share.max(initial=0.0)
+    states = f"at most {slip:.2f} of a period in slip, {apart:.2f} in separation"
+    if slip == apart == 0:
+        states = "full stick throughout, which says nothing of friction"
+    return f"peak {height:.5g} of {name} at {place:.6g}; {turning}; {unstable} unstable solutions; {states}"
+
+
+def peak(curve: HbmCurve, point: int, axis: int) -> tuple[float, float]:
+    """Parameter and height of the largest amplitude, by a parabola along the curve."""
+    height = curve.amplitude[:, point, axis]
+    i = int(np.argmax(height))
+    if not 0 < i < height.size - 1:
+        return float(curve.parameter[i]), float(height[i])
+    rows = slice(i - 1, i + 2)
+    motion = curve.contact_motion[rows].reshape(3, -1)
+    scales = np.ptp(curve.parameter), np.linalg.norm(motion[1]) or 1.0
+    steps = np.hypot(
+        np.diff(curve.parameter[rows]) / scales[0], np.linalg.norm(np.diff(motion, axis=0), axis=1) / scales[1]
+    )
+    s = np.array([-steps[0], 0.0, steps[1]])
+    bend, slope, middle = np.polyfit(s, height[rows], 2)
+    top = float(np.clip(-slope / (2 * bend), s[0], s[2])) if bend < 0 else 0.0
+    return float(np.polyval(np.polyfit(s, curve.parameter[rows], 2), top)), float(
+        np.polyval([bend, slope, middle], top)
+    )
