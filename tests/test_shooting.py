@@ -21,7 +21,7 @@ def chain(model):
     return Chain(model, (model.excitation.frequency,))
 
 
-def both_ways(models, solver=FINE, max_cycles=1500):
+def both_ways(models, solver=FINE, max_cycles=500):
     chains = [chain(model) for model in models]
     by_march = steady_states(chains, solver, Criterion(TOLERANCE, max_cycles))
     by_newton = steady_states(chains, solver, Criterion(TOLERANCE, max_cycles, shoot=True))
@@ -62,7 +62,7 @@ def test_shooting_finds_what_marching_finds():
 
 @pytest.mark.slow
 def test_shooting_finds_what_marching_finds_on_generated_scenes():
-    models = [generated_model(seed, 2, 1) for seed in range(60)] + [generated_model(seed, 3, 2) for seed in range(24)]
+    models = [generated_model(seed, 2, 1) for seed in range(48)] + [generated_model(seed, 3, 2) for seed in range(16)]
     compare(models, 30)
 
 

@@ -59,3 +59,13 @@ def test_periods_of_sequences():
     assert np.max(np.abs(np.diff(drift, axis=0))) < 1e-8
     assert period_of(drift, 1e-8) == 0
     assert period_of(still + (1e-6 * 0.3**cycles)[:, None], 1e-8) == 1
+
+
+def test_a_decaying_vibration_is_no_multiple_period():
+    """It nearly repeats after three cycles, by then within the tolerance; one that stays does repeat after three."""
+    cycles = np.arange(200)
+    free = np.stack([np.cos(2 * np.pi * cycles / 3), np.sin(2 * np.pi * cycles / 3)], axis=1)
+    decays = 1 + 0.9 ** cycles[:, None] * free
+    found = [period_of(decays[max(0, n - 16) : n], 1e-8) for n in range(16, 200)]
+    assert set(found) == {0, 1}
+    assert period_of(1 + 1e-3 * free[-16:], 1e-8) == 3

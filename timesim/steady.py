@@ -27,6 +27,7 @@ from timesim.trajectory import message_of, start_states
 CYCLES_A_ROUND = 8
 PERIODS = (1, 2, 3)
 UNSETTLED_CYCLES = 10  # over which the amplitude of a motion that has not settled is taken
+STILL_THERE = 0.99  # what is left of an alternation after half a round, if it is not one that decays
 LEADS_NOWHERE = 3.0  # times the change of a cycle: a drift would have led much farther over two rounds
 REST = 1e-13  # a change this small is rounding
 FIRST_SHOT = 2 * CYCLES_A_ROUND  # cycles marched before the first attempt at shooting
@@ -281,9 +282,11 @@ def period_of(sections: np.ndarray, tolerance: float, noise: float = 0.0) -> int
             ratio = 0.0 if led < LEADS_NOWHERE * last and before < LEADS_NOWHERE * last else ratio
             tolerance = max(tolerance, noise) if ratio == 0 else tolerance
         if last < REST or (ratio < 1 and last < tolerance and last * ratio / (1 - ratio) < tolerance):
-            # An alternation below the tolerance is no doubling of the period.
-            steps = np.max(np.abs(np.diff(sections, axis=0)[-half:])) / size
-            return 1 if steps < tolerance else period
+            steps = np.max(np.abs(np.diff(sections, axis=0)), axis=1) / size
+            if period == 1 or np.max(steps[-half:]) < tolerance:
+                return 1
+            if np.max(steps[-half:]) > STILL_THERE * np.max(steps[-2 * half : -half]):
+                return period  # else it nearly repeats while it decays, as a free vibration may
     return 0
 
 

@@ -20,6 +20,7 @@ from timesim.campaign import Chunk, Means, Result, carry_through, halted
 from timesim.config import Scene
 from timesim.jump_search import Jump, jumps_of
 from timesim.model import Model, Start
+from timesim.orbit import SIZES
 from timesim.scene_source import SceneError
 from timesim.solver import Solver, solver_of
 from timesim.steady import Chain, Criterion, Orbit, Task, settle, steady_states
@@ -27,7 +28,8 @@ from timesim.study import Outcome, attributes
 from timesim.sweep_section import Sweep, SweepKeys
 
 POINTS_A_CHUNK = 128  # of independent points: their batch is kept full while some of them settle late
-CHAINS_A_CHUNK = 32
+CHAINS_A_CHUNK = (4, 32)  # few chains are spread over the processors, many fill a batch
+MANY_CHAINS = 64
 STEPS_A_CHUNK = 16  # of a chain: what is lost at most when a sweep is interrupted
 LISTED = 5  # failed points that the summary names
 
@@ -125,10 +127,11 @@ def sweep_record(scene: Scene, plan: SweepKeys, means: Means) -> tuple[store.Rec
         if every point was computed.
     """
     solver, grid = solver_of(scene.file.solver), Grid(scene, plan)
-    clock = time.perf_counter()
-    warm_up(grid.models, plan, solver)
-    compiling = time.perf_counter() - clock
     chunks, places = grid.chunks(solver)
+    clock = time.perf_counter()
+    if means.cluster is None:
+        warm_up(chunks, solver)
+    compiling = time.perf_counter() - clock
     results, reason = carry_through(chunks, solve, means, identity=scene.resolved_yaml())
     arrays, jumps = grid.gathered(results, places)
     seconds = time.perf_counter() - clock - compiling
@@ -137,11 +140,12 @@ def sweep_record(scene: Scene, plan: SweepKeys, means: Means) -> tuple[store.Rec
     return record, reason or failures(record)
 
 
-def warm_up(models: Sequence[Model | str], plan: SweepKeys, solver: Solver) -> None:
-    """Compile what the sweep needs, once, before threads ask for it side by side."""
-    model = next((item for item in models if isinstance(item, Model)), None)
-    if model is not None:
-        settle([Task(model, float(plan.frequency.values()[0]))], solver, tolerance=1e-2, max_cycles=1)
+def warm_up(chunks: Sequence[Chunk], solver: Solver) -> None:
+    """Compile what the work needs, once, before threads ask for it side by side."""
+    sizes = sorted({min(len(chunk.payload.chains), SIZES[-1]) for chunk in chunks})
+    for size in {SIZES[0], *sizes[-1:]} if sizes else ():
+        model, frequencies = chunks[0].payload.chains[0].model, chunks[0].payload.chains[0].frequencies
+        settle([Task(model, frequencies[0])] * size, solver, tolerance=1e-2, max_cycles=1)
 
 
 def failures(record: store.Record) -> str | None:
@@ -235,7 +239,8 @@ class Grid:
             for number, part in enumerate(_parts(points, POINTS_A_CHUNK)):
                 yield f"points-{number:05d}", None, part
             return
-        for number, chains in enumerate(_parts(list(product(good, range(len(self.plan.directions)))), CHAINS_A_CHUNK)):
+        every = list(product(good, range(len(self.plan.directions))))
+        for number, chains in enumerate(_parts(every, CHAINS_A_CHUNK[len(every) > MANY_CHAINS])):
             after = None
             for step in range(0, self.frequency.size, STEPS_A_CHUNK):
                 name = f"chains-{number:05d}-{step // STEPS_A_CHUNK:05d}"
