@@ -5,8 +5,7 @@ import pytest
 from systems import oscillator
 
 from timesim.solver import PRESETS, Solver
-from timesim.steady import CYCLES_A_ROUND, Task, settle
-from timesim.steady import period_of
+from timesim.steady import CYCLES_A_ROUND, Task, period_of, settle
 
 SETTLED = {(3.0, 1.39): 0.15612878, (-1.0, 0.97): 0.28839155, (5.0, 1.52): 0.15680399}
 
