@@ -13,13 +13,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from timesim.contact import State
 from timesim.integrate import Control, Status, Step, Trajectory, begin, try_step
 from timesim.method import Method
 from timesim.model import SEPARATION
-from timesim.system import Point, System
+from timesim.system import Point, System, field
 
 
 class Place(eqx.Module):
@@ -33,12 +34,6 @@ def section(place: Place) -> Float[Array, " state"]:
     """A place as one vector (q, q', w); w of a separated contact, which is u, counts as 0."""
     apart = place.state == SEPARATION
     return jnp.concatenate([place.point.q, place.point.p, *(jnp.where(apart, 0.0, w) for w in place.point.w)])
-
-
-def _started(systems: System, controls: Control, places: Place) -> Trajectory:
-    """Trajectories at the start of a cycle, batch last."""
-    start = jax.vmap(begin, in_axes=-1, out_axes=-1)
-    return start(systems, places.point, places.state, controls.opening)
 
 
 def _last(tree: Any) -> Any:
@@ -70,7 +65,7 @@ class Ends(eqx.Module):
 def march_cycles(method: Method, controls: Control, systems: System, places: Place, num_cycles: int) -> Ends:
     """March a batch by a number of cycles and keep the state at the end of each."""
     controls, systems, places = _last((controls, systems, places))
-    start = _started(systems, controls, places)
+    start = jax.vmap(begin, in_axes=-1, out_axes=-1)(systems, places.point, places.state, controls.opening)
     attempt = jax.vmap(partial(try_step, method), in_axes=-1, out_axes=-1)
     sections = jax.vmap(lambda now: section(Place(now.point, now.state)), in_axes=-1, out_axes=-1)
     row = jnp.arange(num_cycles)[:, None]
@@ -91,10 +86,15 @@ def march_cycles(method: Method, controls: Control, systems: System, places: Pla
     return Ends(_first(Place(end.point, end.state)), jnp.moveaxis(kept, -1, 0), end.cycle, end.status, end.culprit)
 
 
-@eqx.filter_jit
-def start_cycles(controls: Control, systems: System, places: Place) -> Trajectory:
-    """Trajectories that `record_cycles` goes on from, batch last."""
-    return _started(*_last((systems, controls, places)))
+def at_start(places: Place, controls: Control) -> Trajectory:
+    """Trajectories at the start of a cycle, batch first, as `record_cycles` takes them; made without JAX."""
+    zero, one = np.zeros(len(places.state)), np.ones(len(places.state))
+    none = np.zeros(len(places.state), dtype=np.int64)
+    parts = (none, zero, places.point, places.point, places.state, np.asarray(controls.opening), one * np.inf)
+    alone = jax.tree.map(lambda leaf: leaf[0], (*parts, one, one, none, none, none, none))
+    leaves = jax.tree.leaves((*parts, one, one, none, none, none, none))
+    made: Trajectory = jax.tree.unflatten(jax.tree.structure(Trajectory(*alone)), leaves)
+    return made
 
 
 @eqx.filter_jit
@@ -106,14 +106,16 @@ def record_cycles(
     Args:
         method: the method.
         controls, systems: of each, batch first.
-        now: trajectories as `start_cycles` or an earlier call gives them, batch last.
+        now: trajectories as `at_start` or an earlier call gives them, batch first; their rates are found anew.
         cycles: how many each is to complete.
         capacity: tries that the record has room for.
 
     Returns:
         The trajectories, the steps (try first, batch last), which of them were made, and the number of tries.
     """
-    controls, systems = _last((controls, systems))
+    controls, systems, now = _last((controls, systems, now))
+    rate = jax.vmap(field, in_axes=-1, out_axes=-1)(systems, now.state, now.time, now.point)
+    now = eqx.tree_at(lambda t: t.rate, now, rate)
     attempt = jax.vmap(partial(try_step, method), in_axes=-1, out_axes=-1)
     blank = jax.eval_shape(attempt, controls, systems, now)[1]
     record = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), blank)
@@ -133,4 +135,5 @@ def record_cycles(
         return running(carry[0]).any() & (carry[3] < capacity)
 
     made = jnp.zeros((capacity, *cycles.shape), dtype=bool)
-    return jax.lax.while_loop(goes_on, body, (now, record, made, jnp.zeros((), dtype=jnp.int64)))
+    now, record, made, count = jax.lax.while_loop(goes_on, body, (now, record, made, jnp.zeros((), dtype=jnp.int64)))
+    return _first(now), record, made, count

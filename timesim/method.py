@@ -8,6 +8,7 @@ The explicit Runge-Kutta methods are unrolled from the tableaus of diffrax: XLA 
 import timesim.jax_setup  # noqa: F401  isort: skip
 
 import abc
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -140,6 +141,7 @@ def _kvaerno5(rtol: float, atol: float) -> Implicit:
 NAMES = ("tsit5", "dopri5", "dopri8", "kvaerno5", "rk4")
 
 
+@functools.cache
 def method_named(name: str, *, rtol: float = 1e-8, atol: float = 1e-10) -> Method:
     """The method of a scene file's ``solver.method``."""
     if name == "rk4":

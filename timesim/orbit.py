@@ -2,14 +2,15 @@
 
 import timesim.jax_setup  # noqa: F401  isort: skip
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from functools import cached_property
+from typing import Any, NamedTuple, Self
 
 import jax
 import numpy as np
 
-from timesim.batch import Place, march_cycles, record_cycles, start_cycles
+from timesim.batch import Place, at_start, march_cycles, record_cycles
 from timesim.history import between
 from timesim.integrate import Control, Status, Step
 from timesim.model import SEPARATION, SLIP, STICK, Model, Start
@@ -19,9 +20,8 @@ from timesim.solver import Solver
 from timesim.system import Point, System, system_of
 from timesim.trajectory import Frame
 
-SIZES = (4, 32)  # of a batch: few, so that little is compiled
+SIZES = (4, 16)  # of a batch: few, so that little is compiled
 CAPACITY = 256  # tries of a record
-ROOM = 256  # steps, of which a power of two times as many are made room for: few shapes, few compilations
 
 
 @dataclass(frozen=True)
@@ -142,6 +142,63 @@ class Measure:
     separation_share: np.ndarray
 
 
+class Path(NamedTuple):
+    """What is measured of the steps of a lane: cycle, length, states, and (q, q', q'') at both ends."""
+
+    cycle: np.ndarray
+    h: np.ndarray
+    state: np.ndarray
+    q0: np.ndarray
+    p0: np.ndarray
+    a0: np.ndarray
+    q1: np.ndarray
+    p1: np.ndarray
+    a1: np.ndarray
+
+
+PATH: dict[str, Callable[[Step], Any]] = {
+    "cycle": lambda step: step.cycle,
+    "h": lambda step: step.h,
+    "state": lambda step: step.state,
+    "q0": lambda step: step.start.q,
+    "p0": lambda step: step.start.p,
+    "a0": lambda step: step.start_rate.p,
+    "q1": lambda step: step.end.q,
+    "p1": lambda step: step.end.p,
+    "a1": lambda step: step.end_rate.p,
+}
+
+
+@dataclass
+class Tape:
+    """Record of a batch, as the loop leaves it: tries first, batch last; taken to the host when somebody measures.
+
+    Attributes:
+        steps: a part for each time that the record was full.
+        made: which tries became steps.
+        counts: tries of each part.
+    """
+
+    steps: list[Step]
+    made: list[Any]
+    counts: list[int]
+
+    def lane(self, index: int) -> Path:
+        """The steps of one lane."""
+        made = self._joined["made"][:, index]
+        return Path(**{name: part[made, ..., index] for name, part in self._joined.items() if name != "made"})
+
+    @cached_property
+    def _joined(self) -> dict[str, np.ndarray]:
+        def joined(pick: Callable[[Step], Any]) -> np.ndarray:
+            parts = [np.asarray(pick(part))[:count] for part, count in zip(self.steps, self.counts, strict=True)]
+            return np.concatenate(parts)
+
+        flags = [np.asarray(part)[:count] for part, count in zip(self.made, self.counts, strict=True)]
+        picked = {name: joined(pick) for name, pick in PATH.items()}
+        return {"made": np.concatenate(flags)} | picked
+
+
 @dataclass(frozen=True)
 class Recorded:
     """Some cycles of a lane.
@@ -150,7 +207,7 @@ class Recorded:
         start, end: the lane at both ends.
         cycles: how many.
         complete: whether all of them were done.
-        steps: what it did, step by step.
+        tape, index: what it did, step by step: its place in the record of its batch.
         slope: derivative of the state at the end, as `Lane.section`, by that at the start.
     """
 
@@ -158,7 +215,8 @@ class Recorded:
     end: Lane
     cycles: int
     complete: bool
-    steps: Step
+    tape: Tape
+    index: int
     slope: np.ndarray
 
     @property
@@ -183,13 +241,11 @@ class Recorded:
 
     def measure(self) -> Measure:
         """Amplitudes, extremes found on the dense output, and shares of the states."""
-        lane, steps = self.start, self.steps
+        lane, steps = self.start, self.tape.lane(self.index)
         shape = _shape(lane)
-        ends = [
-            [part @ shape.T for part in (point.q, rate.q, rate.p)]
-            for point, rate in ((steps.start, steps.start_rate), (steps.end, steps.end_rate))
-        ]
-        low, high = between(np.broadcast_to(steps.h[:, None], ends[0][0].shape), *ends)
+        start = [part @ shape.T for part in (steps.q0, steps.p0, steps.a0)]
+        end = [part @ shape.T for part in (steps.q1, steps.p1, steps.a1)]
+        low, high = between(np.broadcast_to(steps.h[:, None], start[0].shape), start, end)
         first = np.searchsorted(steps.cycle, np.arange(self.cycles))
         least, most = np.minimum.reduceat(low, first), np.maximum.reduceat(high, first)
         each, place = 0.5 * (most - least), (len(lane.model.structure.points), 3)
@@ -204,21 +260,21 @@ def _shape(lane: Lane) -> np.ndarray:
     return structure.shape.reshape(-1, structure.num_modes)[:, modes] * lane.frame.scales.mode[modes]
 
 
-def _share(lane: Lane, steps: Step, state: int) -> np.ndarray:
+def _share(lane: Lane, steps: Path, state: int) -> np.ndarray:
     shares = np.zeros(lane.model.num_contacts)
     shares[lane.reduction.live] = steps.h @ (steps.state == state) / steps.h.sum()
     shares[lane.reduction.apart] = float(state == SEPARATION)
     return shares
 
 
-def _padded(lanes: Sequence[Lane]) -> list[Lane]:
-    """Lanes of a batch, the first repeated until it has one of the sizes."""
-    size = next(size for size in SIZES if size >= len(lanes))
-    return [*lanes, *([lanes[0]] * (size - len(lanes)))]
+def _padded(lanes: Sequence[Lane], small: bool) -> list[Lane]:
+    """Lanes of a batch, the first repeated until it has its size."""
+    return [*lanes, *([lanes[0]] * (SIZES[not small] - len(lanes)))]
 
 
-def _batches(lanes: Sequence[Lane]) -> list[list[Lane]]:
-    return [list(lanes[first : first + SIZES[-1]]) for first in range(0, len(lanes), SIZES[-1])]
+def _batches(lanes: Sequence[Lane], small: bool) -> list[list[Lane]]:
+    size = SIZES[not small]
+    return [list(lanes[first : first + size]) for first in range(0, len(lanes), size)]
 
 
 def _stacked(lanes: Sequence[Lane]) -> tuple[Control, System, Place]:
@@ -243,18 +299,31 @@ def _moved(lanes: Sequence[Lane], point: Point, state: Any, status: Any, culprit
     ]  # fmt: skip
 
 
-def march(lanes: Sequence[Lane], solver: Solver, num_cycles: int) -> list[tuple[Lane, np.ndarray]]:
-    """March lanes by a number of cycles: each at the end, and its sections at the end of each cycle it completed."""
+def march(
+    lanes: Sequence[Lane], solver: Solver, num_cycles: int, *, small: bool = False
+) -> list[tuple[Lane, np.ndarray]]:
+    """March lanes by a number of cycles: each at the end, and its sections at the end of each cycle it completed.
+
+    Args:
+        lanes: any number.
+        solver: method and tolerances.
+        num_cycles: how many cycles.
+
+    Keyword Args:
+        small: in small batches.
+    """
     done: list[tuple[Lane, np.ndarray]] = []
-    for batch in _batches(lanes):
-        ends = march_cycles(solver.method(), *_stacked(_padded(batch)), num_cycles)
+    for batch in _batches(lanes, small):
+        ends = march_cycles(solver.method(), *_stacked(_padded(batch, small)), num_cycles)
         sections, cycles = np.asarray(ends.sections), np.asarray(ends.cycles)
         moved = _moved(batch, ends.place.point, ends.place.state, ends.status, ends.culprit)
         done += [(lane, sections[i, : cycles[i]]) for i, lane in enumerate(moved)]
     return done
 
 
-def record(lanes: Sequence[Lane], solver: Solver, num_cycles: int, most: int | None = None) -> list[Recorded]:
+def record(
+    lanes: Sequence[Lane], solver: Solver, num_cycles: int, most: int | None = None, *, small: bool = False
+) -> list[Recorded]:
     """March lanes by a number of cycles and keep their steps.
 
     Args:
@@ -262,49 +331,33 @@ def record(lanes: Sequence[Lane], solver: Solver, num_cycles: int, most: int | N
         solver: method and tolerances.
         num_cycles: how many cycles.
         most: tries after which to give up; the budget of the solver by default.
+
+    Keyword Args:
+        small: in small batches.
     """
     done: list[Recorded] = []
-    for batch in _batches(lanes):
-        done += _recorded(batch, solver, num_cycles, most)
+    for batch in _batches(lanes, small):
+        done += _recorded(batch, solver, num_cycles, most, small)
     return done
 
 
-def _recorded(batch: list[Lane], solver: Solver, num_cycles: int, most: int | None) -> list[Recorded]:
+def _recorded(batch: list[Lane], solver: Solver, num_cycles: int, most: int | None, small: bool) -> list[Recorded]:
     method = solver.method()
-    controls, systems, places = _stacked(_padded(batch))
+    controls, systems, places = _stacked(_padded(batch, small))
     cycles = np.full(len(places.state), num_cycles)
-    now = start_cycles(controls, systems, places)
-    parts, flags, tries = [], [], 0
-    while tries < (most or np.inf):
+    now = at_start(places, controls)
+    tape, slopes = Tape([], [], []), None
+    while sum(tape.counts) < (most or np.inf):
         now, steps, made, count = record_cycles(method, controls, systems, now, cycles, CAPACITY)
-        parts.append(jax.tree.map(lambda leaf, n=int(count): np.asarray(leaf)[:n], steps))
-        flags.append(np.asarray(made)[: int(count)])
-        tries += int(count)
+        slopes = derivative(method, systems, steps, made, count, slopes)
+        tape.steps.append(steps)
+        tape.made.append(made)
+        tape.counts.append(int(count))
         if np.all((np.asarray(now.cycle) >= num_cycles) | (np.asarray(now.status) != Status.RUNNING)):
             break
-    flag = np.concatenate(flags)
-    whole = jax.tree.map(lambda *leaves: np.moveaxis(np.concatenate(leaves), -1, 0), *parts)
-    steps_of = [jax.tree.map(lambda leaf, i=i: leaf[i][flag[:, i]], whole) for i in range(flag.shape[1])]
-    slopes = _slopes(method, systems, steps_of)
-    end = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), -1, 0), now)
-    moved = _moved(batch, end.point, end.state, end.status, end.culprit)
-    return [
-        Recorded(
-            lane, last, num_cycles, done >= num_cycles, steps, np.where(last.apart[:, None] | lane.apart, 0, slope)
-        )
-        for lane, last, done, steps, slope in zip(batch, moved, end.cycle, steps_of, slopes, strict=False)
-    ]
-
-
-def _slopes(method: Any, systems: System, steps_of: list[Step]) -> np.ndarray:
-    """`derivative` from the steps of each lane."""
-    count = np.array([steps.h.size for steps in steps_of])
-    room = ROOM * int(2 ** np.ceil(np.log2(max(count.max(), ROOM) / ROOM)))
-
-    def filled(*leaves: np.ndarray) -> np.ndarray:
-        whole = np.zeros((len(leaves), room, *leaves[0].shape[1:]), leaves[0].dtype)
-        for index, leaf in enumerate(leaves):
-            whole[index, : len(leaf)] = leaf
-        return whole
-
-    return np.asarray(derivative(method, systems, jax.tree.map(filled, *steps_of), count))
+    moved = _moved(batch, now.point, now.state, now.status, now.culprit)
+    found = []
+    for index, (lane, last, done) in enumerate(zip(batch, moved, np.asarray(now.cycle), strict=False)):
+        slope = np.where(last.apart[:, None] | lane.apart, 0.0, np.asarray(slopes)[index])
+        found.append(Recorded(lane, last, num_cycles, bool(done >= num_cycles), tape, index, slope))
+    return found

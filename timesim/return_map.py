@@ -18,7 +18,7 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from timesim.contact import margins
 from timesim.integrate import Step, transition
@@ -64,17 +64,28 @@ def _image(method: Method, system: System, step: Step, start: Float[Array, " sta
 
 @eqx.filter_jit
 def derivative(
-    method: Method, systems: System, steps: Step, count: Int[Array, " batch"]
+    method: Method,
+    systems: System,
+    steps: Step,
+    made: Bool[Array, "try batch"],
+    count: Int[Array, ""],
+    before: Float[Array, "batch state state"] | None = None,
 ) -> Float[Array, "batch state state"]:
     """Product over the steps of the derivative of each, of (q, q', w) in the order of `timesim.batch.section`.
 
     Args:
         method: the method that made the steps.
         systems: batch first.
-        steps: batch first, then the steps in order; what is beyond ``count`` is not used.
-        count: steps of each.
+        steps, made, count: a record as `timesim.batch.record_cycles` gives it: tries first, batch last.
+        before: the product up to the first of them; None at the start of a cycle.
     """
-    systems, steps = (jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), tree) for tree in (systems, steps))
+    systems = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), systems)
+
+    def on_cone(system: System, step: Step) -> Float[Array, "state state"]:
+        """Derivative of what the first step starts from: of a contact that slips, w is a place on the cone."""
+        quiet = jnp.zeros(step.state.shape, dtype=bool)
+        put = lambda y: _vector(transition(system, step.state, quiet, _point(y, step.start))[0])  # noqa: E731
+        return jax.jacfwd(put)(_vector(step.start))
 
     def push(system: System, step: Step, columns: Float[Array, "state state"]) -> Float[Array, "state state"]:
         _, image = jax.linearize(partial(_image, method, system, step), _vector(step.start))
@@ -84,15 +95,12 @@ def derivative(
         index, product = carry
         step = jax.tree.map(lambda rows: rows[index], steps)
         pushed = jax.vmap(push, in_axes=-1, out_axes=-1)(systems, step, product)
-        return index + 1, jnp.where(index < count, pushed, product)
+        return index + 1, jnp.where(made[index], pushed, product)
 
-    def on_cone(system: System, step: Step) -> Float[Array, "state state"]:
-        """Derivative of what the first step starts from: of a contact that slips, w is a place on the cone."""
-        quiet = jnp.zeros(step.state.shape, dtype=bool)
-        put = lambda y: _vector(transition(system, step.state, quiet, _point(y, step.start))[0])  # noqa: E731
-        return jax.jacfwd(put)(_vector(step.start))
-
-    first = jax.tree.map(lambda rows: rows[0], steps)
-    product = jax.vmap(on_cone, in_axes=-1, out_axes=-1)(systems, first)
-    _, product = jax.lax.while_loop(lambda c: c[0] < count.max(), body, (jnp.zeros((), dtype=jnp.int64), product))
+    if before is None:
+        first = jax.tree.map(lambda rows: rows[0], steps)
+        product = jax.vmap(on_cone, in_axes=-1, out_axes=-1)(systems, first)
+    else:
+        product = jnp.moveaxis(before, 0, -1)
+    _, product = jax.lax.while_loop(lambda c: c[0] < count, body, (jnp.zeros((), dtype=jnp.int64), product))
     return jnp.moveaxis(product, -1, 0)

@@ -25,9 +25,11 @@ from timesim.solver import Solver
 from timesim.trajectory import message_of, start_states
 
 CYCLES_A_ROUND = 8
+SIDE_BY_SIDE = 128  # searches that share batches, full ones as long as many are left
 PERIODS = (1, 2, 3)
 UNSETTLED_CYCLES = 10  # over which the amplitude of a motion that has not settled is taken
 STILL_THERE = 0.99  # what is left of an alternation after half a round, if it is not one that decays
+DOUBLED = 30.0  # times the tolerance: what goes to and fro by less may be a vibration that dies out in a beat
 LEADS_NOWHERE = 3.0  # times the change of a cycle: a drift would have led much farther over two rounds
 REST = 1e-13  # a change this small is rounding
 FIRST_SHOT = 2 * CYCLES_A_ROUND  # cycles marched before the first attempt at shooting
@@ -194,11 +196,12 @@ def _settle_group(
     pending: deque[Search], chains: Sequence[Chain], solver: Solver, criterion: Criterion
 ) -> Iterator[tuple[Search, Orbit]]:
     active: list[Search] = []
+    small = len(pending) <= SIZES[0]
     while pending or active:
-        while pending and len(active) < SIZES[-1]:
+        while pending and len(active) < SIDE_BY_SIDE:
             active.append(pending.popleft())
         going = []
-        for search, orbit in _round(active, solver, criterion):
+        for search, orbit in _round(active, solver, criterion, small):
             if orbit is None:
                 going.append(search)
                 continue
@@ -211,21 +214,25 @@ def _settle_group(
         active = going
 
 
-def _round(active: Sequence[Search], solver: Solver, criterion: Criterion) -> list[tuple[Search, Orbit | None]]:
+def _round(
+    active: Sequence[Search], solver: Solver, criterion: Criterion, small: bool
+) -> list[tuple[Search, Orbit | None]]:
     """Take each search a step further: march it, or shoot it once, and measure those that have settled."""
     marching = [search for search in active if search.shot is None]
     outcome: dict[int, Orbit | None] = {}
     if marching:
-        _march(marching, solver)
+        _march(marching, solver, small)
         for search in marching:
             outcome[id(search)] = _after_march(search, solver, criterion)
     shooting = [search for search in active if search.shot is not None]
-    for search, recorded in zip(shooting, record([_shot(s).lane for s in shooting], solver, 1, TRIES), strict=True):
+    shot = record([_shot(search).lane for search in shooting], solver, 1, TRIES, small=small)
+    for search, recorded in zip(shooting, shot, strict=True):
         outcome[id(search)] = _after_shot(search, recorded, solver, criterion)
     ready = [search for search in marching if search.period is not None and outcome[id(search)] is None]
     for cycles in sorted({_cycles_to_measure(search) for search in ready}):
         same = [search for search in ready if _cycles_to_measure(search) == cycles]
-        for search, recorded in zip(same, record([s.lane for s in same], solver, cycles), strict=True):
+        lanes = record([search.lane for search in same], solver, cycles, small=small)
+        for search, recorded in zip(same, lanes, strict=True):
             outcome[id(search)] = _orbit(search, recorded, solver)
     return [(search, outcome[id(search)]) for search in active]
 
@@ -239,8 +246,8 @@ def _cycles_to_measure(search: Search) -> int:
     return search.period or UNSETTLED_CYCLES
 
 
-def _march(searches: Sequence[Search], solver: Solver) -> None:
-    done = march([search.lane for search in searches], solver, CYCLES_A_ROUND)
+def _march(searches: Sequence[Search], solver: Solver, small: bool) -> None:
+    done = march([search.lane for search in searches], solver, CYCLES_A_ROUND, small=small)
     for search, (lane, rows) in zip(searches, done, strict=True):
         search.lane = lane
         search.cycles += len(rows)
@@ -283,9 +290,10 @@ def period_of(sections: np.ndarray, tolerance: float, noise: float = 0.0) -> int
             tolerance = max(tolerance, noise) if ratio == 0 else tolerance
         if last < REST or (ratio < 1 and last < tolerance and last * ratio / (1 - ratio) < tolerance):
             steps = np.max(np.abs(np.diff(sections, axis=0)), axis=1) / size
-            if period == 1 or np.max(steps[-half:]) < tolerance:
+            now, earlier = np.max(steps[-half:]), np.max(steps[-2 * half : -half])
+            if period == 1 or now < tolerance:
                 return 1
-            if np.max(steps[-half:]) > STILL_THERE * np.max(steps[-2 * half : -half]):
+            if now > DOUBLED * tolerance and now > STILL_THERE * earlier:
                 return period  # else it nearly repeats while it decays, as a free vibration may
     return 0
 

@@ -58,7 +58,7 @@ def solve(segment: Segment, before: Result | None) -> Result:
     """The steady states of a segment as arrays: chain first, then its frequencies."""
     chains = list(segment.chains) if before is None else _continued(segment.chains, before)
     orbits = steady_states(chains, segment.solver, segment.criterion, halted=halted)
-    rows = {name: np.array([[_value(o, name) for o in own] for own in orbits]) for name in COLUMNS}
+    rows = columns_of(orbits)
     ends = {f"end_{name}": np.array([getattr(own[-1].end, name) for own in orbits]) for name in START}
     last = {"last_amplitude": rows["amplitude"][:, -1], "last_frequency": _last_frequency(chains)}
     found = [
@@ -72,6 +72,11 @@ def solve(segment: Segment, before: Result | None) -> Result:
 COLUMNS = (
     "amplitude", "band", "settled", "cycles", "period", "slip_share", "separation_share", "floquet_max", "reason",
 )  # fmt: skip
+
+
+def columns_of(orbits: Sequence[Sequence[Orbit]]) -> dict[str, np.ndarray]:
+    """What a result tells of steady states, by chain and place along it."""
+    return {name: np.array([[_value(orbit, name) for orbit in own] for own in orbits]) for name in COLUMNS}
 
 
 def _value(orbit: Orbit, name: str) -> Any:
@@ -142,10 +147,10 @@ def sweep_record(scene: Scene, plan: SweepKeys, means: Means) -> tuple[store.Rec
 
 def warm_up(chunks: Sequence[Chunk], solver: Solver) -> None:
     """Compile what the work needs, once, before threads ask for it side by side."""
-    sizes = sorted({min(len(chunk.payload.chains), SIZES[-1]) for chunk in chunks})
-    for size in {SIZES[0], *sizes[-1:]} if sizes else ():
-        model, frequencies = chunks[0].payload.chains[0].model, chunks[0].payload.chains[0].frequencies
-        settle([Task(model, frequencies[0])] * size, solver, tolerance=1e-2, max_cycles=1)
+    sizes = {len(chunk.payload.chains) <= SIZES[0]: len(chunk.payload.chains) for chunk in chunks}
+    for size in sizes.values():
+        chain = chunks[0].payload.chains[0]
+        settle([Task(chain.model, chain.frequencies[0])] * size, solver, tolerance=1e-2, max_cycles=1)
 
 
 def failures(record: store.Record) -> str | None:
