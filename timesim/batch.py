@@ -91,7 +91,7 @@ def at_start(places: Place, controls: Control) -> Trajectory:
     zero, one = np.zeros(len(places.state)), np.ones(len(places.state))
     none = np.zeros(len(places.state), dtype=np.int64)
     parts = (none, zero, places.point, places.point, places.state, np.asarray(controls.opening), one * np.inf)
-    alone = jax.tree.map(lambda leaf: leaf[0], (*parts, one, one, none, none, none, none))
+    alone = jax.tree.map(lambda leaf: np.asarray(leaf[0]), (*parts, one, one, none, none, none, none))
     leaves = jax.tree.leaves((*parts, one, one, none, none, none, none))
     made: Trajectory = jax.tree.unflatten(jax.tree.structure(Trajectory(*alone)), leaves)
     return made

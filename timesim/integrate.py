@@ -80,19 +80,19 @@ class Trajectory(eqx.Module):
         culprit: contact of the last transition.
     """
 
-    cycle: Int[Array, ""]
-    time: Float[Array, ""]
+    cycle: Int[Leaf, ""]
+    time: Float[Leaf, ""]
     point: Point
     rate: Point
     state: State
-    length: Float[Array, ""]
-    limit: Float[Array, ""]
-    last_error: Float[Array, ""]
-    since: Float[Array, ""]
-    repeats: Int[Array, ""]
-    tried: Int[Array, ""]
-    status: Int[Array, ""]
-    culprit: Int[Array, ""]
+    length: Float[Leaf, ""]
+    limit: Float[Leaf, ""]
+    last_error: Float[Leaf, ""]
+    since: Float[Leaf, ""]
+    repeats: Int[Leaf, ""]
+    tried: Int[Leaf, ""]
+    status: Int[Leaf, ""]
+    culprit: Int[Leaf, ""]
 
 
 class Step(eqx.Module):

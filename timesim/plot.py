@@ -87,7 +87,7 @@ def picture_names(study: str) -> list[str]:
 
 
 def _pictures(study: str) -> Mapping[str, Picture]:
-    from timesim import plot_compare, plot_element, plot_hbm, plot_jump, plot_sweep, plot_transient
+    from timesim import plot_bistable, plot_compare, plot_element, plot_hbm, plot_jump, plot_sweep, plot_transient
 
     kinds = {
         "transient": plot_transient.PICTURES,
@@ -97,6 +97,7 @@ def _pictures(study: str) -> Mapping[str, Picture]:
         "element_map": plot_element.MAP_PICTURES,
         "hbm": plot_hbm.PICTURES,
         "compare": plot_compare.PICTURES,
+        "bistable": plot_bistable.PICTURES,
     }
     return kinds.get(study, {})
 

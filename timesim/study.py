@@ -23,7 +23,7 @@ MODULES = {
     "hbm": "timesim.hbm_study",
 }
 
-CAMPAIGNS = {"sweep": "timesim.sweep", "compare": "timesim.compare"}
+CAMPAIGNS = {"sweep": "timesim.sweep", "compare": "timesim.compare", "bistable": "timesim.bistable"}
 
 __all__ = ["CAMPAIGNS", "MODULES", "Outcome", "Progress", "attributes", "carry_out", "check_means", "run"]
 

@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
+from timesim.bistable_section import Bistable
 from timesim.element_section import Element, ElementMap
 from timesim.hbm_section import Compare, Hbm
 from timesim.jump_section import Jump
@@ -47,6 +48,7 @@ STUDIES = {
     "sweep": Sweep,
     "hbm": Hbm,
     "compare": Compare,
+    "bistable": Bistable,
 }
 
 
@@ -72,7 +74,8 @@ StudySection = Annotated[
     | Annotated[ElementMap, Tag("<element_map>")]
     | Annotated[Sweep, Tag("<sweep>")]
     | Annotated[Hbm, Tag("<hbm>")]
-    | Annotated[Compare, Tag("<compare>")],
+    | Annotated[Compare, Tag("<compare>")]
+    | Annotated[Bistable, Tag("<bistable>")],
     Discriminator(_study_kind, custom_error_type="rule", custom_error_message="must be a mapping of keys with a kind"),
     BeforeValidator(_known_study),
 ]
