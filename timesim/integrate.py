@@ -282,13 +282,16 @@ def advance(
     return jax.lax.while_loop(goes_on, body, (start, record, jnp.zeros((), dtype=jnp.int64)))
 
 
+SIDE_BY_SIDE = 32  # trajectories whose numbers stay in the nearest caches, also with many modes and contacts
+
+
 @eqx.filter_jit
 def march(
     method: Method, control: Control, systems: System, start: Trajectory, cycles: Int[Array, " batch"]
 ) -> tuple[Trajectory, Int[Array, " batch"]]:
     """Advance a batch until each has completed its number of cycles or ended early; nothing is recorded.
 
-    Inside, the batch is the last axis: the kernels run along it.
+    A large batch is marched a part after the other.
 
     Args:
         method: the method.
@@ -300,6 +303,24 @@ def march(
     Returns:
         The trajectories, and the number of transitions of each.
     """
+    size = cycles.shape[0]
+    if size <= SIDE_BY_SIDE:
+        return _march_together(method, control, systems, start, cycles)
+    lanes = (jnp.arange(-(-size // SIDE_BY_SIDE) * SIDE_BY_SIDE) % size).reshape(-1, SIDE_BY_SIDE)
+
+    def part(chosen: Int[Array, " part"]) -> tuple[Trajectory, Int[Array, " part"]]:
+        own = jax.tree.map(lambda leaf: leaf[chosen] if leaf.ndim else leaf, control)
+        return _march_together(method, own, *jax.tree.map(lambda leaf: leaf[chosen], (systems, start, cycles)))
+
+    done = jax.lax.map(part, lanes)
+    whole: tuple[Trajectory, Array] = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:size], done)
+    return whole
+
+
+def _march_together(
+    method: Method, control: Control, systems: System, start: Trajectory, cycles: Int[Array, " batch"]
+) -> tuple[Trajectory, Int[Array, " batch"]]:
+    """Inside, the batch is the last axis: the kernels run along it."""
     per_run = jax.tree.map(lambda leaf: -1 if leaf.ndim else None, control)
     attempt = jax.vmap(partial(try_step, method), in_axes=(per_run, -1, -1), out_axes=-1)
     systems, start = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), (systems, start))
