@@ -123,6 +123,45 @@ study:
 """
 )
 
+BISTABLE = (
+    BASE[: BASE.index("study:")]
+    + """\
+study:
+  kind: bistable
+  frequency: {from: 1.24, to: 1.27}
+  step: 0.01
+  width: 1e-4
+  starts: 5
+  over: {contacts.pad.preload: [1, 2]}
+"""
+)
+
+OPTIMUM = (
+    BASE[: BASE.index("study:")]
+    + """\
+study:
+  kind: optimum
+  along: {contacts.pad.preload: {from: 1, to: 5, num: 5}}
+  frequency: {from: 1.2, to: 1.6, step: 0.1}
+  accuracy: 0.01
+  point: tip
+  axis: x
+"""
+)
+
+SWEEP = (
+    BASE[: BASE.index("study:")]
+    + """\
+study:
+  kind: sweep
+  frequency: {from: 0.9, to: 1.1, step: 0.05}
+  direction: both
+  over: {contacts.pad.preload: [1, 2]}
+  settle: {tolerance: 1e-8, max_cycles: 500}
+  refine: 1e-3
+"""
+)
+
 
 @dataclass(frozen=True)
 class BadScene:
@@ -162,6 +201,18 @@ def _jump(key: str, old: str, new: str, rule: str, at: str = "") -> BadScene:
 
 def _hbm(key: str, old: str, new: str, rule: str, at: str = "") -> BadScene:
     return _base(key, old, new, rule, at, HBM)
+
+
+def _jumping(key: str, old: str, new: str, rule: str, at: str = "") -> BadScene:
+    return _base(key, old, new, rule, at, BISTABLE)
+
+
+def _least(key: str, old: str, new: str, rule: str, at: str = "") -> BadScene:
+    return _base(key, old, new, rule, at, OPTIMUM)
+
+
+def _sweep(key: str, old: str, new: str, rule: str, at: str = "") -> BadScene:
+    return _base(key, old, new, rule, at, SWEEP)
 
 
 _SLIP_SCENE = "initial:\n  modal_displacement: [0.5, 0.5]\n  slip: {pad: [0.0, 0.0]}\n"
@@ -407,6 +458,26 @@ BAD_SCENES = (
         "at least 1",
     ),
     BadScene("study.phases", JUMP[: JUMP.index("  phases:")], "study:", "is required"),
+    _sweep("study.frequency", "  frequency: {from: 0.9, to: 1.1, step: 0.05}\n", "", "is required", at="study:"),
+    _sweep("study.frequency.step", ", step: 0.05", "", "is required", at="frequency: {from"),
+    _sweep("study.frequency.step", "step: 0.05", "step: 1e-9", "at most 1000000 points", at="frequency: {from"),
+    _sweep("study.frequency.to", "to: 1.1", "to: 0.8", "must not be smaller than from", at="frequency: {from"),
+    _sweep("study.frequency.num", "step: 0.05", "step: 0.05, num: 5", "is no key here", at="frequency: {from"),
+    _sweep("study.frequency.from", "step: 0.05", "values: [1.0]", "excludes values", at="frequency: {from"),
+    _sweep("study.frequency.values", "{from: 0.9, to: 1.1, step: 0.05}", "{values: [1.0, 1.1, 1.0]}", "must differ"),
+    _sweep("study.frequency.values.1", "{from: 0.9, to: 1.1, step: 0.05}", "{values: [1.0, -1.1]}", "must be > 0"),
+    _sweep("study.direction", "direction: both", "direction: sideways", "'independent'"),
+    _sweep("study.refine", "direction: both", "direction: independent", "needs a direction", at="refine:"),
+    _sweep("study.periodic", "direction: both", "direction: both\n  periodic: shot", "did you mean shoot?", at="shot"),
+    _sweep("study.settle.tolerance", "tolerance: 1e-8", "tolerance: 0.1", "must be <= 0.01", at="settle:"),
+    _sweep("study.settle.max_cycles", "max_cycles: 500", "max_cycles: 0", "must be >= 1", at="settle:"),
+    _sweep("study.settle.cycles", "max_cycles: 500", "cycles: 500", "is no key here", at="settle:"),
+    _sweep("study.over.contacts.pad.preload", "[1, 2]", "[1, 2, 1]", "must differ from each other", at="over:"),
+    _sweep("study.over.solver.rtol", "contacts.pad.preload", "solver.rtol", "the key of a scalar", at="over:"),
+    _sweep(
+        "study.over.excitation.frequency", "contacts.pad.preload", "excitation.frequency", "axis of its own", "over:"
+    ),
+    _sweep("study.over.contacts.pad.preload.num", "[1, 2]", "{from: 1, to: 2, num: 1}", "must be >= 2", at="over:"),
     _hbm("study.harmonics", "harmonics: 7", "harmonics: 0", "must be >= 1", at="harmonics: 0"),
     _hbm("study.harmonics", "harmonics: 7", "harmonics: 1", "harmonic 2 is excited", at="harmonics: 1"),
     _hbm("study.time_samples", "time_samples: 256", "time_samples: 27", "must be at least 28 for 7 harmonics"),
@@ -436,4 +507,22 @@ BAD_SCENES = (
         "excitation:",
         "no periodic part",
     ),
+    _jumping("study.frequency.to", "to: 1.27}", "to: 1.2}", "larger than from", at="frequency: {from"),
+    _jumping("study.frequency.step", "to: 1.27}", "to: 1.27, step: 0.01}", "no key here", at="frequency: {from"),
+    _jumping("study.width", "width: 1e-4", "width: 0.02", "must be at most the step of the sweeps", at="width:"),
+    _jumping("study.width", "width: 1e-4", "width: 0", "must be > 0", at="width:"),
+    _jumping("study.step", "step: 0.01", "step: 0.02", "must be at most half of the range", at="step:"),
+    _jumping("study.starts", "starts: 5", "starts: -1", "must be >= 0", at="starts:"),
+    _jumping("study.harmonics", "starts: 5", "starts: 5\n  harmonics: 1", "harmonic 2 is", at="harmonics: 1"),
+    _jumping("study.time_samples", "starts: 5", "starts: 5\n  time_samples: 20", "must be at least 36", at="time_s"),
+    _jumping("study.over.contacts.pad.friction", "pad.preload: [1,", "pad.friction: [-1,", "must be >= 0", at="over:"),
+    _least("study.along", "{contacts.pad.preload: {from: 1, to: 5, num: 5}}", "{}", "must name one scalar, not 0"),
+    _least("study.along.contacts.pad.preload.num", "num: 5", "num: 2", "must be at least 3", at="along:"),
+    _least("study.along.contacts.pod.preload", "contacts.pad", "contacts.pod", "is no item of the list", at="along:"),
+    _least(
+        "study.along.contacts.pad.friction", "pad.preload: {from: 1", "pad.friction: {from: -1", ">= 0", at="along:"
+    ),
+    _least("study.accuracy", "accuracy: 0.01", "accuracy: 3", "must be at most half of the range", at="accuracy: 3"),
+    _least("study.point", "  point: tip\n  axis", "  point: top\n  axis", "did you mean tip?", at="point: top"),
+    _least("study.axis", "axis: x", "axis: w", "'x', 'y' or 'z'", at="axis: w"),
 )

@@ -157,8 +157,8 @@ def test_every_set_of_values_has_its_own_style() -> None:
     assert len({curve.style.colour for curve in nine}) == len({curve.style.marker for curve in nine}) == 9
     two = plot_sweep.curves(sweep({PRELOAD: [0, 1], FRICTION: [0.1, 0.3]}))
     assert [curve.label for curve in two][:2] == [
-        "pad preload 0, pad friction 0.1",
-        "pad preload 0, pad friction 0.3",
+        "0, 0.1",
+        "0, 0.3",
     ]
     assert two[2].where == {PRELOAD: 1, FRICTION: 0, "direction": 0}
     assert len({curve.style for curve in two}) == 4

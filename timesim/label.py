@@ -91,6 +91,13 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "start_amplitude": ("displacement amplitude of the motion that the start leads to", "length"),
     "offset_low": ("smallest slip displacement w over the starts; NaN where the contact does not stick", "length"),
     "offset_high": ("largest slip displacement w over the starts; NaN where the contact does not stick", "length"),
+    # optimum
+    "peak": ("largest displacement amplitude over the frequencies", "length"),
+    "peak_frequency": ("frequency of the largest displacement amplitude", "Hz"),
+    "peak_at_end": ("1 where the largest amplitude is at the first or last frequency", None),
+    "optimum": ("value of the scalar with the least peak", None),
+    "optimum_peak": ("least peak", "length"),
+    "optimum_frequency": ("frequency of the least peak", "Hz"),
     # element, element map
     "u": ("tangential relative displacement", "length"),
     "v": ("normal relative displacement", "length"),

@@ -87,7 +87,16 @@ def picture_names(study: str) -> list[str]:
 
 
 def _pictures(study: str) -> Mapping[str, Picture]:
-    from timesim import plot_bistable, plot_compare, plot_element, plot_hbm, plot_jump, plot_sweep, plot_transient
+    from timesim import (
+        plot_bistable,
+        plot_compare,
+        plot_element,
+        plot_hbm,
+        plot_jump,
+        plot_optimum,
+        plot_sweep,
+        plot_transient,
+    )
 
     kinds = {
         "transient": plot_transient.PICTURES,
@@ -98,6 +107,7 @@ def _pictures(study: str) -> Mapping[str, Picture]:
         "hbm": plot_hbm.PICTURES,
         "compare": plot_compare.PICTURES,
         "bistable": plot_bistable.PICTURES,
+        "optimum": plot_optimum.PICTURES,
     }
     return kinds.get(study, {})
 

@@ -1,8 +1,9 @@
 """Pictures of a sweep: response curves, shares of the contact states, peaks against a scalar, stability.
 
 ``f(data, ax=None) -> ax``, where `data` is the result of a sweep. Each set of values of the further axes has its
-colour; up and down are told apart by marker and line. Filled markers are settled motions, hollow ones are not;
-crosses at the foot are points that failed. `PICTURES` are the figures that a run writes.
+colour; up and down are told apart by marker and line. Filled markers are settled motions, hollow ones are not: a bar
+spans the amplitudes of their single cycles. Crosses at the foot are points that failed. `PICTURES` are the figures
+that a run writes.
 """
 
 from collections.abc import Iterator, Mapping
@@ -60,6 +61,7 @@ def response(
     amplitude = data.amplitude.sel(point=point, axis=axis)
     for curve in curves(data):
         _draw(ax, data, curve, amplitude.isel(curve.where).values)
+        _band(ax, data, curve, point, axis)
         for frequency in _jumps(data, curve):
             ax.axvline(frequency, color=curve.style.colour, linestyle=":", linewidth=1.0, label="jump")
     ax.set_ylim(bottom=0)
@@ -154,8 +156,6 @@ def curves(data: "xarray.Dataset", without: str | None = None) -> list[Curve]:
     made = []
     for look, chosen in zip(looks, (sets[i] for i in kept), strict=True):
         values = [f"{data[key].values[i]:.4g}" for key, i in zip(keys, chosen, strict=True)]
-        if len(keys) > 1:
-            values = [f"{spoken(key)} {value}" for key, value in zip(keys, values, strict=True)]
         for i, name in enumerate(names):
             line, marker = DIRECTIONS[name]
             colour = look.colour if keys else SERIES[i].colour
@@ -170,7 +170,7 @@ def styles(count: int, *, shades: bool = False) -> list[Series]:
     Shades stay apart in print where marker and line are taken by something else.
     """
     if count <= len(SERIES) and not shades:
-        return list(SERIES[:count])
+        return [style._replace(marker=marker) for style, marker in zip(SERIES[:count], MARKERS, strict=False)]
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
@@ -242,6 +242,17 @@ def _draw(ax: "matplotlib.axes.Axes", data: "xarray.Dataset", curve: Curve, y: n
         ax.plot(frequency[failed], np.full(failed.sum(), 0.015), "x", color=style.colour, ms=6, label="failed", **foot)
 
 
+def _band(ax: "matplotlib.axes.Axes", data: "xarray.Dataset", curve: Curve, point: str, axis: str) -> None:
+    """Of motions that have not settled, the amplitudes of their single cycles."""
+    if "amplitude_band" not in data:
+        return
+    low, high = data.amplitude_band.sel(point=point, axis=axis).isel(curve.where).transpose("band", ...).values
+    loose = (data.settled.isel(curve.where).values == 0) & np.isfinite(low)
+    if loose.any():
+        look: dict[str, Any] = {"color": curve.style.colour, "linewidth": 3.0, "alpha": 0.45}
+        ax.vlines(data.frequency.values[loose], low[loose], high[loose], **look)
+
+
 def _marks(
     ax: "matplotlib.axes.Axes", x: np.ndarray, y: np.ndarray, style: Series, hollow: np.ndarray, meaning: str
 ) -> None:
@@ -258,9 +269,12 @@ def legend(ax: "matplotlib.axes.Axes", data: "xarray.Dataset") -> None:
     """To the right of the axes: the colours of the values, the markers of the directions, and what marks mean."""
     handles = [*_value_handles(data), *_direction_handles(data), *_mark_handles(ax)]
     if handles:
-        keys = over_keys(data)
-        title = _titled(data, keys[0]) if len(keys) == 1 else None
-        ax.legend(handles=handles, title=title, title_fontsize=8, **BESIDE)
+        ax.legend(handles=handles, title=_names(data, over_keys(data)), title_fontsize=8, **BESIDE)
+
+
+def _names(data: "xarray.Dataset", keys: list[str]) -> str | None:
+    """What the values in a legend are, in their order; None if there are none."""
+    return ",\n".join(_titled(data, key) for key in keys) or None
 
 
 def _value_handles(data: "xarray.Dataset") -> Iterator["matplotlib.lines.Line2D"]:
@@ -300,7 +314,7 @@ def _handle(style: Series, label: str) -> "matplotlib.lines.Line2D":
 
 def _beside(rows: int, height: float) -> tuple["matplotlib.figure.Figure", np.ndarray]:
     """Axes one above the other with room for a legend on the right."""
-    return figure(rows, 1, width=9.0, height=height, gap=0.2, right=2.4, sharex=True)
+    return figure(rows, 1, width=9.0, height=height, gap=0.3, right=2.4, sharex=True)
 
 
 def _finished(
@@ -364,8 +378,8 @@ def _peak_figure(data: "xarray.Dataset") -> "matplotlib.figure.Figure | None":
         entries: dict[str, Any] = {}
         for handle, name in zip(*ax.get_legend_handles_labels(), strict=True):
             entries.setdefault(name, handle)
-        title = _titled(data, others[0]) if len(others) == 1 else None
-        ax.legend(handles=list(entries.values()), labels=list(entries), title=title, title_fontsize=8, **BESIDE)
+        names = {"labels": list(entries), "title": _names(data, others), "title_fontsize": 8}
+        ax.legend(handles=list(entries.values()), **names, **BESIDE)
     heading(made, data, "peak over the frequencies")
     return made
 

@@ -298,12 +298,17 @@ def period_of(sections: np.ndarray, tolerance: float, noise: float = 0.0) -> int
     return 0
 
 
+def _next_shot(search: Search) -> int:
+    """Cycle of the next attempt: later and later, for a motion that never repeats costs far more shot than marched."""
+    return search.cycles + max(CYCLES_A_ROUND, search.cycles // 2)
+
+
 def _after_shot(search: Search, recorded: Recorded, solver: Solver, criterion: Criterion) -> Orbit | None:
     """One iteration of Newton's method; the orbit once it has converged."""
     shot, search.cycles = _shot(search), search.cycles + 1
     search.shot = None
     if not recorded.complete or not np.array_equal(recorded.end.state, shot.lane.state):
-        search.next_shot = search.cycles + CYCLES_A_ROUND
+        search.next_shot = _next_shot(search)
         return None
     here = shot.lane.section
     change, size = recorded.end.section - here, max(float(np.max(np.abs(here), initial=0.0)), 1e-300)
@@ -317,7 +322,7 @@ def _after_shot(search: Search, recorded: Recorded, solver: Solver, criterion: C
     residual, reach = (float(np.max(np.abs(part), initial=0.0)) / size for part in (change, step))
     moved = shot.lane.moved(here + step) if residual < TAKES_OVER * shot.change and reach < REACH else None
     if moved is None:
-        search.next_shot = search.cycles + CYCLES_A_ROUND
+        search.next_shot = _next_shot(search)
     else:
         search.shot = Shot(moved, residual)
     return None

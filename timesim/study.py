@@ -23,7 +23,12 @@ MODULES = {
     "hbm": "timesim.hbm_study",
 }
 
-CAMPAIGNS = {"sweep": "timesim.sweep", "compare": "timesim.compare", "bistable": "timesim.bistable"}
+CAMPAIGNS = {
+    "sweep": "timesim.sweep",
+    "compare": "timesim.compare",
+    "bistable": "timesim.bistable",
+    "optimum": "timesim.optimum",
+}
 
 __all__ = ["CAMPAIGNS", "MODULES", "Outcome", "Progress", "attributes", "carry_out", "check_means", "run"]
 

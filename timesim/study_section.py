@@ -11,6 +11,7 @@ from timesim.bistable_section import Bistable
 from timesim.element_section import Element, ElementMap
 from timesim.hbm_section import Compare, Hbm
 from timesim.jump_section import Jump
+from timesim.optimum_section import Optimum
 from timesim.section import Count, Section, Whole, nearest, refuse
 from timesim.study_kind import StudyKind
 from timesim.sweep_section import Sweep
@@ -49,6 +50,7 @@ STUDIES = {
     "hbm": Hbm,
     "compare": Compare,
     "bistable": Bistable,
+    "optimum": Optimum,
 }
 
 
@@ -75,7 +77,8 @@ StudySection = Annotated[
     | Annotated[Sweep, Tag("<sweep>")]
     | Annotated[Hbm, Tag("<hbm>")]
     | Annotated[Compare, Tag("<compare>")]
-    | Annotated[Bistable, Tag("<bistable>")],
+    | Annotated[Bistable, Tag("<bistable>")]
+    | Annotated[Optimum, Tag("<optimum>")],
     Discriminator(_study_kind, custom_error_type="rule", custom_error_message="must be a mapping of keys with a kind"),
     BeforeValidator(_known_study),
 ]

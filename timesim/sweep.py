@@ -174,14 +174,14 @@ def _shown(value: Any) -> str:
 def summary(record: store.Record) -> Iterator[str]:
     """What a user wants to know of a sweep at once."""
     found = {name: array for name, (_, array) in record.variables.items()}
-    settled, period, done = found["settled"] == 1, found["period"], found["cycles"] > 0
+    settled, period, done = found["settled"] == 1, found["period"], (found["cycles"] > 0) & (found["failure"] == "")
     yield (
         f"{done.sum()} steady states by {record.attrs['method']} in {record.attrs['run_seconds']:.2f} s, "
         f"{found['cycles'].sum()} cycles"
     )
     if np.any(period > 1):
         yield f"{np.sum(period > 1)} of them repeat after more than one cycle (variable period)"
-    lost = done & ~settled & (found["failure"] == "")
+    lost = done & ~settled
     if np.any(lost):
         at = record.variables["settled"][0].index("frequency")
         where = np.unique(record.coords["frequency"][np.nonzero(lost)[at]])
