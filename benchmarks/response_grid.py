@@ -81,9 +81,7 @@ def main() -> None:
             for who, run in runs.items():
                 times[who].append(run()[:2])
     truth = amplitude["timesim, shooting"]
-    print(
-        "\n| who | whole process [s] | from the end of imports [s] | largest difference of amplitude |\n|---|---|---|---|"
-    )
+    print("\n| who | whole process [s] | from the end of imports [s] | largest difference |\n|---|---|---|---|")
     for who, taken in times.items():
         whole, inside = (statistics.median(column) for column in zip(*taken, strict=True))
         difference = np.nanmax(np.abs(amplitude[who] - truth) / truth.max(axis=1, keepdims=True))

@@ -478,7 +478,7 @@ BAD_SCENES = (
         "study.over.excitation.frequency", "contacts.pad.preload", "excitation.frequency", "axis of its own", "over:"
     ),
     _sweep("study.over.contacts.pad.preload.num", "[1, 2]", "{from: 1, to: 2, num: 1}", "must be >= 2", at="over:"),
-    _hbm("study.harmonics", "harmonics: 7", "harmonics: 0", "must be >= 1", at="harmonics: 0"),
+    _hbm("study.harmonics", "harmonics: 7", "harmonics: 0", ">= 1", at="harmonics: 0"),
     _hbm("study.harmonics", "harmonics: 7", "harmonics: 1", "harmonic 2 is excited", at="harmonics: 1"),
     _hbm("study.time_samples", "time_samples: 256", "time_samples: 27", "must be at least 28 for 7 harmonics"),
     _hbm("study.harmonic", "harmonics: 7", "harmonic: 7", "did you mean harmonics?", at="harmonic: 7"),

@@ -143,6 +143,16 @@ def test_what_is_not_settled_is_hollow_and_what_failed_is_marked() -> None:
     assert _legend(ax) == ["0", "0.2", "not settled", "period of several cycles", "failed"]
 
 
+def test_a_bar_spans_the_amplitudes_of_the_cycles_of_what_is_not_settled() -> None:
+    data = spoilt(sweep({PRELOAD: [0.0, 0.2]}))
+    band = xarray.concat([0.7 * data.amplitude, 0.9 * data.amplitude], "band").transpose(..., "band", "point", "axis")
+    ax = plot_sweep.response(data.assign(amplitude_band=band))
+    bars = [segment for shown in ax.collections for segment in shown.get_segments()]
+    assert len(bars) == 2
+    for bar, values in zip(bars, data.amplitude.sel(point="tip", axis="y").values[:, 0, 5], strict=True):
+        np.testing.assert_allclose(bar, [[FREQUENCY[5], 0.7 * values], [FREQUENCY[5], 0.9 * values]])
+
+
 def test_many_points_are_marked_now_and_then_but_unsettled_ones_always() -> None:
     data = sweep(frequency=np.linspace(0.8, 1.4, 200))
     data.settled[0, 1:4] = 0
@@ -156,10 +166,7 @@ def test_every_set_of_values_has_its_own_style() -> None:
     assert [curve.label for curve in nine] == [str(k) for k in range(9)]
     assert len({curve.style.colour for curve in nine}) == len({curve.style.marker for curve in nine}) == 9
     two = plot_sweep.curves(sweep({PRELOAD: [0, 1], FRICTION: [0.1, 0.3]}))
-    assert [curve.label for curve in two][:2] == [
-        "0, 0.1",
-        "0, 0.3",
-    ]
+    assert [curve.label for curve in two][:2] == ["0, 0.1", "0, 0.3"]
     assert two[2].where == {PRELOAD: 1, FRICTION: 0, "direction": 0}
     assert len({curve.style for curve in two}) == 4
 

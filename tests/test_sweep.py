@@ -18,6 +18,7 @@ import timesim
 from timesim import steady, sweep
 from timesim.cli import app
 
+DATA = Path(__file__).parent / "data"
 CONFIGS = Path(__file__).parents[1] / "configs"
 PRELOAD = "contacts.pad.preload"
 
@@ -521,3 +522,70 @@ def test_a_normal_load_that_varies() -> None:
         result = timesim.run(made | {"study": {"kind": "sweep", "frequency": hertz(mine)}})
         found = result.amplitude.values[0, :, 0, ::2]
         np.testing.assert_allclose(found, list(mine.values()), rtol=1e-6, atol=6e-7)
+
+
+# The blade: finite elements, two shroud contacts
+
+RIGHT = "contacts.right.preload"
+
+
+def blade(study: dict[str, Any], **overrides: Any) -> xarray.Dataset:
+    changes = {"study": {"kind": "sweep"} | study} | overrides
+    return timesim.run(str(CONFIGS / "blade_response.yaml"), changes)
+
+
+@pytest.mark.slow
+def test_blade_settled_amplitudes() -> None:
+    """Amplitudes of the tip in all three directions, and shares of states that were sampled 4000 times a cycle."""
+    truth = json.loads((DATA / "blade_truth.json").read_text())["cases"]
+    study = {"frequency": {"values": [640, 720]}, "over": {RIGHT: [3, 5]}, "settle": {"tolerance": 1e-8}}
+    result = blade(study).squeeze("direction")
+    for name, preload, frequency in (("separation_640Hz", 3, 640), ("slip_720Hz", 5, 720)):
+        true, found = truth[name], result.sel({RIGHT: preload, "frequency": frequency})
+        assert found.settled.item() == found.period.item() == 1
+        amplitude = found.amplitude.sel(point="tip").values
+        np.testing.assert_allclose(amplitude, true["steady_limit"]["amplitude"], rtol=2e-6)
+        for contact, (_, slip, apart) in true["steady"]["share_stick_slip_separation"].items():
+            assert found.slip_share.sel(contact=contact).item() == pytest.approx(slip, abs=1.1e-3)
+            assert found.separation_share.sel(contact=contact).item() == pytest.approx(apart, abs=1.1e-3)
+
+
+@pytest.mark.slow
+def test_blade_motions_that_never_repeat_are_told_apart() -> None:
+    """With a loose right contact: one motion of period 1, one of period 2, and two that repeat neither so nor so."""
+    study = {"frequency": {"values": [560, 640, 720, 760]}, "settle": {"tolerance": 1e-6, "max_cycles": 600}}
+    result = blade(study, **{RIGHT: 2.0}).squeeze("direction")
+    assert result.settled.values.tolist() == [0, 1, 1, 0]
+    assert result.period.values.tolist() == [0, 1, 2, 0]
+    assert result.attrs["complete"] == 1
+    low, high = result.amplitude_band.sel(point="tip", axis="y").values.T
+    width = (high - low) / high
+    assert width[1] == 0.0
+    assert 1e-3 < width[2] < 0.01
+    assert np.all(width[[0, 3]] > 0.03)
+    assert np.isnan(result.floquet_max.values).tolist() == [True, False, False, True]
+    assert np.all(result.floquet_max.values[1:3] < 1)
+
+
+@pytest.mark.slow
+def test_blade_shooting_finds_the_motions_that_marching_finds() -> None:
+    study = {"frequency": {"values": [640, 680, 720]}, "settle": {"tolerance": 1e-8}}
+    march, shoot = (blade(study | {"periodic": periodic}) for periodic in ("march", "shoot"))
+    np.testing.assert_allclose(shoot.amplitude, march.amplitude, rtol=2e-6)
+    np.testing.assert_allclose(shoot.floquet_max, march.floquet_max, atol=1e-6)
+    assert np.all(shoot.cycles < 0.5 * march.cycles)
+
+
+@pytest.mark.slow
+def test_two_contacts_of_which_one_joins_two_bodies() -> None:
+    result = timesim.run(str(CONFIGS / "two_contacts.yaml"))
+    assert result.settled.values.all()
+    assert result.sizes["jump"] == 1
+    up, down = result.jump_low.values[:, 0]
+    assert 1.45 < down < up < 1.52
+    between = (result.frequency > down) & (result.frequency < up)
+    shroud = result.sel(contact="shroud", frequency=between)
+    assert np.all(shroud.separation_share.sel(direction="up") < 0.9)
+    np.testing.assert_allclose(shroud.separation_share.sel(direction="down"), 1.0)
+    z = result.amplitude.sel(point="b", axis="z", frequency=between)
+    assert np.all(z.sel(direction="up") > 5 * z.sel(direction="down"))

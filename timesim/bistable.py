@@ -54,7 +54,9 @@ def study(scene: Scene, means: Ways) -> Outcome:
     running = time.perf_counter() - clock - compiling
     swept = found.sweep({"method": str(solver), "compile_seconds": compiling, "run_seconds": running})
     reasons, groups = [reason or failures(swept)], {"sweep": swept}
-    lines = [*found.summary(), *(line for line in sweep_summary(swept) if "jumps" not in line)]
+    _, *more = (line for line in sweep_summary(swept) if "jumps" not in line)
+    size = int(np.sum(swept.variables["cycles"][1] > 0))
+    lines = [*found.summary(), f"{size} steady states of both sweeps, and the search, in {running:.2f} s", *more]
     if plan.harmonics:
         balanced, hbm_reason = _balanced(scene, plan)
         groups["hbm"] = balanced

@@ -214,8 +214,7 @@ def _lost(
 def _merging(search: Search, direction: int, ends: tuple[float, float], orbits: tuple[Orbit, Orbit]) -> Loss:
     """Bisect a jump that is small beside the slope of the step: at its near side, and there alone, are two motions."""
     (near, far), (on, beyond) = ends, orbits
-    while abs(far - near) > search.width:
-        middle = 0.5 * (near + far)
+    while abs(far - near) > search.width and (middle := 0.5 * (near + far)) not in (near, far):
         (ahead,), (back,) = search.means.along(on.end, [middle]), search.means.along(beyond.end, [middle])
         if differ(ahead, back):
             near, on = middle, ahead
