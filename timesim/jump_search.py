@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from timesim.crew import halted
 from timesim.model import Model
 from timesim.solver import Solver
 from timesim.steady import Chain, Criterion, Orbit, steady_states
@@ -46,7 +47,8 @@ def jumps_of(
         solver, criterion: as those of the sweep.
         refine: width [Hz] to which each is bisected; None leaves it at the step of the sweep.
     """
-    for k in suspects(np.array([orbit.amplitude.ravel() for orbit in orbits])):
+    stands_out = STANDS_OUT if refine is None else 1.0  # a bisection tells a slope apart
+    for k in suspects(np.array([orbit.amplitude.ravel() for orbit in orbits]), stands_out):
         if refine is None:
             yield Jump(*sorted((frequencies[k], frequencies[k + 1])))
             continue
@@ -56,11 +58,12 @@ def jumps_of(
             yield Jump(*sorted(found[:2]))
 
 
-def suspects(amplitude: np.ndarray) -> np.ndarray:
+def suspects(amplitude: np.ndarray, stands_out: float = STANDS_OUT) -> np.ndarray:
     """Steps of a sweep over which the amplitude changes by far more than over those beside them.
 
     Args:
         amplitude: of all points along all axes, shape (F, X).
+        stands_out: how many times as much.
 
     Returns:
         Positions of the points before the steps.
@@ -72,7 +75,7 @@ def suspects(amplitude: np.ndarray) -> np.ndarray:
     around = np.concatenate([[np.nan], change, [np.nan]])
     beside = np.fmax(around[:-2], around[2:])
     with np.errstate(invalid="ignore"):
-        return np.flatnonzero((change > AT_LEAST) & (change > STANDS_OUT * beside))
+        return np.flatnonzero((change > AT_LEAST) & (change >= stands_out * beside))
 
 
 def bisect(
@@ -103,7 +106,7 @@ def bisect(
         if middle in (near, far):
             break
         started = replace(model, start=on.end)
-        (orbit,) = steady_states([Chain(started, (middle,))], solver, criterion)[0]
+        (orbit,) = steady_states([Chain(started, (middle,))], solver, criterion, halted=halted)[0]
         if orbit.reason is not None:
             return None
         if _distance(on, orbit) < _distance(beyond, orbit):
