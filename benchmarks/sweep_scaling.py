@@ -1,9 +1,10 @@
 """How much faster is a sweep on two threads than on one, and on a local dask cluster of one and two processes?
 
-The oscillator at n0 = 3, 768 points from 0.8 to 1.65 Hz, standard accuracy, each from rest: six chunks of points. All
-ways run in turn, twice, in one process; the quicker of both counts, so that compilation and the start of the worker
-processes' own compilation fall away only where they are kept (threads); a cluster is started anew for each run, as
-`timesim run --cluster local` does. The results are compared bit for bit.
+The oscillator at n0 = 3, 768 points from 0.8 to 1.65 Hz, standard accuracy, each from rest: six chunks of points. Every
+way is taken twice, in turn, and the quicker time counts. A cluster is started anew for each run, as by
+`timesim run --cluster local`: its time contains the start of the processes, their imports, and loading the compiled
+programs. The load of the machine is printed, for on a busy one the ratios mean little. Results are compared
+bit for bit.
 
     python benchmarks/sweep_scaling.py [points]
 """
