@@ -487,7 +487,7 @@ BAD_SCENES = (
     _hbm("study.frequency.step", "to: 1.65}", "to: 1.65, step: 0.1}", "is no key here", at="frequency: {from: 0.8"),
     _hbm("study.start", "harmonics: 7", "harmonics: 7\n  start: stuck", "'linear' or 'both_ends'", at="start: stuck"),
     _hbm(
-        "study.start.from", "harmonics: 7", "harmonics: 7\n  start: {from: no.nc}", "no result file", at="start: {from"
+        "study.start.from", "harmonics: 7", "harmonics: 7\n  start: {from: no.nc}", "does not exist", at="start: {from"
     ),
     _hbm("study.over.contacts.pod.preload", "contacts.pad", "contacts.pod", "is no item of the list", at="over:"),
     _hbm("study.continuation.max_stop", "max_step", "max_stop", "did you mean max_step?", at="continuation:"),

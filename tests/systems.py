@@ -53,6 +53,24 @@ def oscillator(preload: float, frequency: float) -> Model:
     return Model(body, (pad(0.5, 20.0, 20.0, preload),), excitation(frequency, [1.0, 1.0], [0.0, 0.0]), at_rest(2, 1))
 
 
+def oscillator_scene(preload: float, phase_deg: float = 0.0) -> dict[str, Any]:
+    """The same oscillator as a scene file writes it, without a study; the force on mode 2 has a phase."""
+    modes = [
+        {"frequency": 0.9, "damping_ratio": 0.02, "mass": 1.0, "shape": {"tip": [1, 1, 0.8]}},
+        {"frequency": 1.1, "damping_ratio": 0.02, "mass": 1.0, "shape": {"tip": [1, -1, 0.6]}},
+    ]
+    contact = {
+        "name": "pad",
+        "point": "tip",
+        "friction": 0.5,
+        "tangential_stiffness": 20.0,
+        "normal_stiffness": 20.0,
+        "preload": preload,
+    }
+    forces = [{"amplitude": 1.0}, {"amplitude": 1.0, "phase_deg": phase_deg}]
+    return {"structure": {"modes": modes}, "contacts": [contact], "excitation": {"modal_force": forces}}
+
+
 def circular(force: float, omega: float) -> Model:
     """Rotating force on a mass on a plane: in slip the steady motion is a circle, see `circular_radius`."""
     body = structure([1.0, 1.0], [0.02, 0.02], [[1, 0, 0], [0, 1, 0]])

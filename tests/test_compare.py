@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from systems import oscillator_scene
 from typer.testing import CliRunner
 
 import timesim
@@ -12,6 +13,7 @@ from timesim import compare, plot
 from timesim.cli import app
 from timesim.config import load_scene
 from timesim.store import open_groups
+from timesim.study import carry_out
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 PRELOADS = "study.over"
@@ -137,7 +139,7 @@ def plain_match(sweep: compare.Sweep, difference: float, missing: int = 0) -> co
 @pytest.fixture(scope="module")
 def curves():
     """Without any: the verdict only asks for the values."""
-    from timesim.hbm_study import Curves
+    from timesim.hbm_curves import Curves
 
     scene = load_scene(CONFIGS / "figure10.yaml", SHORT)
     return Curves(scene, scene.file.study)
@@ -150,6 +152,28 @@ def test_the_verdict_follows_the_difference(curves, size, word):
     assert lines[0].startswith(f"the methods {word}: 6 points")
     assert ("convergence" in lines[0]) == (size > 2e-3)
     assert len(lines) == 1
+
+
+def test_a_motion_that_no_curve_passes_begins_one():
+    """Both motions at a gap, in a range that the fold between them lies outside of: each sweep has its own curve."""
+    study = {
+        "kind": "compare",
+        "frequency": {"values": [0.9425, 0.944, 0.946]},
+        "direction": "both",
+        "harmonics": 7,
+        "time_samples": 512,
+    }
+    start = {"modal_displacement": [-0.2, -0.2]}  # leads to the larger motion at 0.9425 Hz, the smaller at 0.946
+    scene = load_scene(oscillator_scene(preload=-4.0) | {"study": study, "initial": start})
+    outcome = carry_out(scene)
+    assert outcome.reason is None
+    amplitude = outcome.groups["sweep"].dataset().amplitude.sel(point="tip", axis="x")
+    assert float(amplitude.max() / amplitude.min()) > 1.3
+    curves = outcome.groups["hbm"].dataset()
+    assert set(curves.curve.values) == {0, 1}
+    difference = outcome.groups[""].dataset().relative_difference
+    assert float(abs(difference).max()) < 2e-3
+    assert any("a curve of its own" in line for line in outcome.summary)
 
 
 def test_full_stick_proves_nothing(curves):

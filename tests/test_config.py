@@ -537,7 +537,7 @@ def test_json_schema_knows_the_keys():
     contact = schema["$defs"]["ContactSection"]
     assert not contact["additionalProperties"]
     assert contact["properties"]["normal_stiffness"]["minimum"] == 0
-    assert "from" in schema["$defs"]["ResultSection"]["properties"]
+    assert "from" in schema["$defs"]["InitialResult"]["properties"]
 
 
 # Whatever is written

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray
+from systems import oscillator_scene
 
 import timesim
 from timesim import hbm_convergence, plot, plot_hbm
@@ -16,28 +18,11 @@ from timesim.hbm_curve import hbm_curve, solutions_at
 from timesim.hbm_setting import Setting
 from timesim.hbm_start import waves_of
 from timesim.located_period import waves
+from timesim.store import save
 from timesim.study import carry_out
 
 CONFIGS = Path(__file__).parents[1] / "configs"
-BASE: dict[str, Any] = {
-    "structure": {
-        "modes": [
-            {"frequency": 0.9, "damping_ratio": 0.02, "mass": 1.0, "shape": {"tip": [1, 1, 0.8]}},
-            {"frequency": 1.1, "damping_ratio": 0.02, "mass": 1.0, "shape": {"tip": [1, -1, 0.6]}},
-        ]
-    },
-    "contacts": [
-        {
-            "name": "pad",
-            "point": "tip",
-            "friction": 0.5,
-            "tangential_stiffness": 20.0,
-            "normal_stiffness": 20.0,
-            "preload": -4.0,
-        }
-    ],
-    "excitation": {"modal_force": [{"amplitude": 1.0, "phase_deg": 0.0}] * 2},
-}
+BASE = oscillator_scene(preload=-4.0)
 
 
 def scene(**study: Any) -> dict[str, Any]:
@@ -145,6 +130,67 @@ def test_from_the_result_of_a_transient(tmp_path: Path):
     assert found.fold.values.sum() == 2
 
 
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sweep up inside the range of two motions, begun on the larger one."""
+    folder = tmp_path_factory.mktemp("swept")
+    frequency = {"values": [0.930, 0.936, 0.940, 0.9425, 0.944, 0.946]}
+    study = {"kind": "sweep", "frequency": frequency, "direction": "up", "over": {"contacts.pad.preload": [-4, -3.9]}}
+    return save(timesim.run(BASE | {"study": study}), folder / "result.nc")
+
+
+INSIDE = {"frequency": {"from": 0.9425, "to": 0.946}}
+
+
+def test_a_branch_of_its_own_is_begun_from_a_sweep(swept: Path):
+    """From 0.9425 to 0.946 Hz both motions live: no fold joins them, so either end leads to one of them only."""
+    alone = timesim.run(scene(start="both_ends", **INSIDE))
+    assert set(alone.curve.values) == {0}
+    outcome = carry_out(load_scene(scene(start={"from": str(swept), "at": {"contacts.pad.preload": -4}}, **INSIDE)))
+    (said,) = [line for line in outcome.summary if "a curve of its own" in line]
+    assert "0.9425 to 0.946 Hz" in said
+    found = outcome.groups[""].dataset()
+    assert found.attrs["complete"] == 1
+    assert set(found.curve.values) == {0, 1}
+    upper, lower = sorted((found.isel(solution=found.curve.values == number) for number in (0, 1)), key=_height)[::-1]
+    assert _height(upper) > 1.3 * _height(lower)
+    np.testing.assert_allclose(np.sort(upper.frequency.values[[0, -1]]), [0.9425, 0.946], rtol=1e-12)
+    sweep = timesim.open_result(swept).sel({"contacts.pad.preload": -4, "direction": "up"})
+    for frequency in (0.9425, 0.944, 0.946):
+        expected = float(sweep.amplitude.sel(frequency=frequency, point="tip", axis="x"))
+        order = np.argsort(upper.frequency.values)
+        here = np.interp(frequency, upper.frequency.values[order], upper.amplitude.values[order, 0, 0])
+        assert here == pytest.approx(expected, rel=3e-3)
+
+
+def _height(curve: xarray.Dataset) -> float:
+    return float(curve.amplitude.max())
+
+
+def test_what_the_curve_passes_begins_no_other(swept: Path):
+    found = timesim.run(scene(start={"from": str(swept)}, over={"contacts.pad.preload": [-4, -3.9]}))
+    assert np.unique(found.curve.values).tolist() == [0, 1]
+    assert np.unique(found["contacts.pad.preload"].values).tolist() == [-4, -3.9]
+
+
+@pytest.mark.parametrize(
+    ("at", "study", "said"),
+    [
+        ({"contacts.pad.preload": -2}, {}, "must be a contacts.pad.preload of the result (it has -4, -3.9)"),
+        ({}, {}, "must name the contacts.pad.preload"),
+        ({"frequencey": 0.944}, {}, "is no axis of the result (did you mean frequency?)"),
+        (
+            {"contacts.pad.preload": -4},
+            {"frequency": 0.944, "along": {"structure.modes.0.mass": {"from": 1.0, "to": 1.1}}},
+            "must be the result of a transient",
+        ),
+    ],
+)
+def test_a_point_that_the_sweep_has_not(swept: Path, at: dict, study: dict, said: str):
+    with pytest.raises(SceneError, match=re.escape(said)):
+        load_scene(scene(start={"from": str(swept), "at": at}, **study))
+
+
 def test_waves_of_samples():
     rng = np.random.default_rng(2)
     coefficient = rng.normal(size=(7, 2))
@@ -218,7 +264,7 @@ def test_no_start_is_told_and_the_other_curves_stay():
         ({"frequency": 1, "along": {"contacts.pod.preload": {"from": 1, "to": 2}}}, "pod is no item of the list"),
         ({"frequency": 1, "along": {"contacts.pad.friction": {"from": 1, "to": -2}}}, "must be >= 0"),
         ({"start": "left"}, "must be 'linear' or 'both_ends'"),
-        ({"start": {"from": "no/result.nc"}}, "no result file at"),
+        ({"start": {"from": "no/result.nc"}}, "does not exist"),
         ({"continuation": {"max_step": 1e-7}}, "must be at most first_step"),
         ({"continuation": {"max_points": 1}}, "must be >= 2"),
     ],

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray
 from scipy.integrate import solve_ivp
+from systems import oscillator_scene
 
 import timesim
 from timesim import plot, plot_jump, plot_transient, store
@@ -17,24 +18,7 @@ from timesim.study import carry_out
 FIGURE12 = Path(__file__).parents[1] / "configs" / "figure12.yaml"
 UPPER, LOWER = 0.4297, 0.2052  # amplitude of x on both branches at 0.9470 Hz, settled marches
 
-SHORT: dict[str, Any] = {
-    "structure": {
-        "modes": [
-            {"frequency": 0.9, "damping_ratio": 0.02, "mass": 1.0, "shape": {"tip": [1, 1, 0.8]}},
-            {"frequency": 1.1, "damping_ratio": 0.02, "mass": 1.0, "shape": {"tip": [1, -1, 0.6]}},
-        ]
-    },
-    "contacts": [
-        {
-            "name": "pad",
-            "point": "tip",
-            "friction": 0.5,
-            "tangential_stiffness": 20.0,
-            "normal_stiffness": 20.0,
-            "preload": 1.0,
-        }
-    ],
-    "excitation": {"modal_force": [{"amplitude": 1.0}, {"amplitude": 1.0, "phase_deg": 30.0}]},
+SHORT = oscillator_scene(preload=1.0, phase_deg=30.0) | {
     "solver": {"accuracy": "reference"},
     "study": {
         "kind": "jump",

@@ -12,35 +12,20 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
+from systems import oscillator_scene
 from typer.testing import CliRunner
 
 import timesim
 from timesim import steady, sweep
 from timesim.cli import app
+from timesim.config import SceneError, load_scene
+from timesim.store import save
 
 DATA = Path(__file__).parent / "data"
 CONFIGS = Path(__file__).parents[1] / "configs"
 PRELOAD = "contacts.pad.preload"
 
-OSCILLATOR: dict[str, Any] = {
-    "structure": {
-        "modes": [
-            {"frequency": 0.9, "damping_ratio": 0.02, "mass": 1.0, "shape": {"tip": [1, 1, 0.8]}},
-            {"frequency": 1.1, "damping_ratio": 0.02, "mass": 1.0, "shape": {"tip": [1, -1, 0.6]}},
-        ]
-    },
-    "contacts": [
-        {
-            "name": "pad",
-            "point": "tip",
-            "friction": 0.5,
-            "tangential_stiffness": 20.0,
-            "normal_stiffness": 20.0,
-            "preload": 3.0,
-        }
-    ],
-    "excitation": {"modal_force": [{"amplitude": 1.0}, {"amplitude": 1.0}]},
-}
+OSCILLATOR = oscillator_scene(preload=3.0)
 
 # Settled amplitudes of x by preload and frequency: marches with located events (DOP853, rtol 1e-12) until they repeat.
 SETTLED = {(3.0, 1.39): 0.15612878, (-1.0, 0.97): 0.28839155, (5.0, 1.52): 0.15680399}
@@ -590,3 +575,24 @@ def test_two_contacts_of_which_one_joins_two_bodies() -> None:
     np.testing.assert_allclose(shroud.separation_share.sel(direction="down"), 1.0)
     z = result.amplitude.sel(point="b", axis="z", frequency=between)
     assert np.all(z.sel(direction="up") > 5 * z.sel(direction="down"))
+
+
+def test_a_run_goes_on_from_a_point_of_a_sweep(tmp_path: Path):
+    """The state kept of a point is on its settled motion: a run from there repeats the amplitude at once."""
+    gap = [OSCILLATOR["contacts"][0] | {"preload": -4.0}]
+    swept = run({"frequency": {"values": [0.93, 0.94, 0.945]}, "direction": "both"}, contacts=gap)
+    path = save(swept, tmp_path / "result.nc")
+    for direction in ("up", "down"):
+        start = {"from": str(path), "at": {"frequency": 0.945, "direction": direction}}
+        force = OSCILLATOR["excitation"] | {"frequency": 0.945}
+        study = {"kind": "transient", "cycles": 2}
+        found = timesim.run(scene(study, contacts=gap, initial=start, excitation=force))
+        expected = swept.amplitude.sel(frequency=0.945, direction=direction)
+        np.testing.assert_allclose(found.cycle_amplitude.isel(cycle=0), expected, rtol=1e-7)
+        np.testing.assert_allclose(found.cycle_amplitude.isel(cycle=1), expected, rtol=1e-7)
+    for at, said in (
+        ({"frequency": 0.9, "direction": "up"}, "must be a frequency of the result"),
+        ({"frequency": 0.945}, "must name the direction of a point of the sweep"),
+    ):
+        with pytest.raises(SceneError, match=said):
+            load_scene(scene(study, contacts=gap, excitation=force, initial=start | {"at": at}))

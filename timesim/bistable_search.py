@@ -20,7 +20,7 @@ from timesim.jump_search import AT_LEAST, bisect
 from timesim.model import Model, Start
 from timesim.solver import Solver
 from timesim.steady import Chain, Criterion, Orbit, steady_states, without_orbit
-from timesim.sweep import COLUMNS, START, columns_of
+from timesim.sweep import COLUMNS, columns_of, end_of
 
 UP, DOWN = 0, 1
 SAME = 1e-3  # of the amplitude: motions that differ by less are one
@@ -61,30 +61,20 @@ def sweep_part(part: Part, before: Result | None) -> Result:
     chains = []
     for direction, frequencies in enumerate((part.up, part.down)):
         begun = before is not None and not before["reason"][direction, -1]
-        start = _start(before, direction, -1, model.start.phase) if before is not None and begun else model.start
+        start = end_of(before, (direction, -1), model.start.phase) if before is not None and begun else model.start
         chains.append(Chain(replace(model, start=start), frequencies))
     orbits = steady_states(chains, part.means.solver, part.means.criterion, halted=halted)
-    found = columns_of(orbits) | {f"end_{name}": _ends(orbits, name) for name in START}
-    found["frequency"] = np.array([part.up, part.down])
+    found = columns_of(orbits) | {"frequency": np.array([part.up, part.down])}
     if before is None:
         return found
     return {name: np.concatenate([before[name], array], axis=1) for name, array in found.items()}
-
-
-def _ends(orbits: Sequence[Sequence[Orbit]], name: str) -> np.ndarray:
-    return np.array([[getattr(orbit.end, name) for orbit in own] for own in orbits])
-
-
-def _start(result: Result, row: int, place: int, phase: float) -> Start:
-    displacement, velocity, slip, state = (np.asarray(result[f"end_{name}"][row, place]) for name in START)
-    return Start(displacement, velocity, slip, state, phase)
 
 
 def orbit_of(result: Result, row: int, place: int, phase: float) -> Orbit:
     """A steady state from the columns of a result; of its multipliers the largest only."""
     value = {name: result[name][row, place] for name in COLUMNS}
     return Orbit(
-        end=_start(result, row, place, phase),
+        end=end_of(result, (row, place), phase),
         amplitude=value["amplitude"],
         band=value["band"],
         settled=bool(value["settled"]),
@@ -327,7 +317,7 @@ def find(search: Search, before: Result | None) -> Result:
     model, size = search.means.model, len(found)
     motions = [[one.lower, one.upper] for one in found]
     blank = [[without_orbit(model, "none")] * 2] if not size else motions
-    rows = columns_of(blank) | {f"end_{name}": _ends(blank, name) for name in START}
+    rows = columns_of(blank)
     jumped = np.array([one.jumped for one in found]).reshape(size, 2, 2, len(model.structure.points), 3)
     return {name: array[:size] for name, array in rows.items()} | {
         "jumps": np.array(jumps, dtype=float).reshape(-1, 3),

@@ -24,6 +24,7 @@ __all__ = ["Chunk", "Means", "MeansError", "Progress", "Result", "Work", "carry_
 
 Progress = Callable[[int, int], None]
 
+INTERRUPTED = "interrupted"  # how the reason of a campaign that was given up begins
 LISTED = 4  # failed chunks that a reason names
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
@@ -137,7 +138,7 @@ class _Campaign:
                 with self.means.crew() as executor:
                     self._work_off(executor)
         except KeyboardInterrupt:
-            ended = "interrupted"
+            ended = INTERRUPTED
             with suppress(KeyboardInterrupt):
                 self._collect()
         except (StoreError, ConnectionError) as error:

@@ -16,13 +16,15 @@ import numpy as np
 
 from timesim import store
 from timesim.axis_section import axis_values
-from timesim.campaign import Means
+from timesim.campaign import INTERRUPTED, Means
 from timesim.compare_cycle import cycle_record
 from timesim.config import Scene
 from timesim.hbm_curve import HbmCurve, solutions_at
+from timesim.hbm_curves import Curves, combinations
 from timesim.hbm_section import Compare
-from timesim.hbm_study import Curves, combinations, followed
+from timesim.hbm_study import followed, left_out
 from timesim.hbm_study import summary as hbm_summary
+from timesim.result_state import held_in
 from timesim.solver import solver_of
 from timesim.study import Outcome, attributes
 from timesim.sweep import sweep_record
@@ -137,10 +139,11 @@ def study(scene: Scene, means: Means) -> Outcome:
     """Run a compare scene; marked incomplete where either method did not come to its end."""
     plan = scene.file.study
     assert isinstance(plan, Compare)
-    balanced, curves, hbm_reason = followed(scene, plan)
     clock = time.perf_counter()
     swept, sweep_reason = sweep_record(scene, plan, means)
     seconds = time.perf_counter() - clock
+    given_up = (sweep_reason or "").startswith(INTERRUPTED)
+    balanced, curves, hbm_reason = left_out(scene, plan) if given_up else followed(scene, plan, passing=held_in(swept))
     sweep = read_sweep(swept)
     match = matched(sweep, curves)
     faults = [f"{name}: {why}" for name, why in (("sweep", sweep_reason), ("hbm", hbm_reason)) if why]

@@ -11,17 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from timesim import store
+from timesim.cycle_motion import one_cycle
 from timesim.hbm import Array, Balance, Complex
 from timesim.hbm_curve import HbmCurve
 from timesim.hbm_setting import Setting
 from timesim.hbm_start import waves_of
-from timesim.history import Samples, sample
+from timesim.history import Samples
 from timesim.located_period import waves
 from timesim.model import SEPARATION, SLIP, Model, Start
 from timesim.period import Period, before_intervals, carried, closed_period, intervals_of, motion_of
 from timesim.solver import Solver
 from timesim.steady import Task, settle
-from timesim.trajectory import Phase, Run
 
 SAMPLES = 720
 METHODS = ("sweep", "hbm")
@@ -88,17 +88,7 @@ def _start(balance: Balance, coefficient: Array, modal: Complex, period: Period,
 def _marched(model: Model, start: Start, frequency: float, solver: Solver) -> Samples:
     """A cycle of the settled motion, both ends sampled."""
     orbit = settle([Task(replace(model, start=start), frequency)], solver)[0]
-    run = Run(replace(model, start=orbit.end), [Phase(frequency, 1)], replace(solver, reduce=False))
-    parts = list(run.batches())
-    steps = parts[0] if len(parts) == 1 else type(parts[0])(**_joined(parts))
-    return sample(steps, np.arange(SAMPLES + 1) / (frequency * SAMPLES))
-
-
-def _joined(parts: list) -> dict:
-    return {
-        name: jax.tree.map(lambda *rows: np.concatenate(rows), *(getattr(part, name) for part in parts))
-        for name in parts[0].__dataclass_fields__
-    }
+    return one_cycle(replace(model, start=orbit.end), frequency, solver, SAMPLES)
 
 
 def _states(balance: Balance, coefficient: Array) -> Array:

@@ -11,6 +11,7 @@ from timesim.contact_section import ContactSection
 from timesim.hbm_setting import Setting, SettingError, check_excitation
 from timesim.hbm_start import result_waves
 from timesim.model import Model
+from timesim.result_state import Held, ResultSection, held
 from timesim.scene_source import RuleError
 from timesim.section import Count, Number, Positive, Section, Text, Whole, nearest, refuse
 from timesim.store import StoreError
@@ -88,11 +89,12 @@ class Continuation(Section):
         return self
 
 
-class ResultStart(Section):
-    """The motion that a transient has settled to."""
+class ResultStart(ResultSection):
+    """The motion that a transient has settled to, or those of a sweep.
 
-    source: Text = Field(alias="from")
-    """Path of its result.nc, relative to the scene; the curve is followed to both sides of its frequency."""
+    From a transient's motion the curve is followed to both sides of its frequency. With a sweep the linear response is
+    followed first, then a curve from each of the points (those of `at`, if it is given) that no curve passes.
+    """
 
 
 def _start_kind(value: Any) -> str | None:
@@ -104,7 +106,7 @@ StartSection = Annotated[
     Discriminator(
         _start_kind,
         custom_error_type="rule",
-        custom_error_message="must be linear, both_ends, or a mapping with from: the result of a transient",
+        custom_error_message="must be linear, both_ends, or a mapping with from: the result of a transient or sweep",
     ),
 ]
 
@@ -123,7 +125,8 @@ class HbmKeys(StudyKind):
     stability: Annotated[bool, Strict()] = True
     """Floquet multipliers of every point; without, only folds tell stable from unstable."""
     start: StartSection = "linear"
-    """linear: the linear response with the contacts stuck or apart; both_ends: from both ends; or {from: result.nc}."""
+    """linear: the linear response with the contacts stuck or apart; both_ends: from both ends; or {from: result.nc},
+    a transient's motion, or a sweep's, which reach isolated branches."""
     continuation: Continuation = Continuation()
     """Steps along the curve."""
     convergence: Annotated[bool, Strict()] = False
@@ -153,14 +156,40 @@ class HbmKeys(StudyKind):
         """The result to start from is there."""
         if isinstance(self.start, ResultStart):
             try:
-                frequency = result_waves(folder / self.start.source).frequency
-            except (ValueError, StoreError) as error:
-                yield RuleError(("start", "from"), "must be the result of a transient", str(error), self.start.source)
-                return
-            low, high = sorted(self.span())
-            if not low * (1 - 1e-9) <= frequency <= high * (1 + 1e-9):
-                rule = f"must be at a frequency from {low:g} to {high:g} Hz"
-                yield RuleError(("start", "from"), rule, f"it is at {frequency:g} Hz", self.start.source)
+                found = held(folder / self.start.source)
+                yield from self._sweep_fits(found) if found.axes else self._transient_fits(folder)
+            except (RuleError, ValueError, StoreError) as error:
+                what = error.rule if isinstance(error, RuleError) else str(error)
+                yield RuleError(
+                    ("start", "from"), "must be the result of a transient or a sweep", what, self.start.source
+                )
+
+    def _transient_fits(self, folder: Path) -> Iterator[RuleError]:
+        assert isinstance(self.start, ResultStart)
+        frequency = result_waves(folder / self.start.source).frequency
+        low, high = sorted(self.span())
+        if not low * (1 - 1e-9) <= frequency <= high * (1 + 1e-9):
+            rule = f"must be at a frequency from {low:g} to {high:g} Hz"
+            yield RuleError(("start", "from"), rule, f"it is at {frequency:g} Hz", self.start.source)
+        if self.start.at:
+            yield RuleError(
+                ("start", "at"), "names a point of a sweep", "the result is that of a transient: leave it out"
+            )
+
+    def _sweep_fits(self, found: Held) -> Iterator[RuleError]:
+        assert isinstance(self.start, ResultStart)
+        if getattr(self, "along", {}):
+            rule = "must be the result of a transient where the curve runs along another scalar"
+            yield RuleError(("start", "from"), rule, "", self.start.source)
+            return
+        try:
+            free = {name for name, places in found.places(self.start.at).items() if len(places) > 1}
+        except RuleError as error:
+            yield error.below("start", "at")
+            return
+        for name in free - {"frequency", "direction"} - set(getattr(self, "over", {})):
+            hint = f"the sweep has an axis that is none of this study's `over`: which of its values, {name}: ...?"
+            yield RuleError(("start", "at"), f"must name the {name}", hint)
 
     def span(self) -> tuple[float, float]:
         """First and last frequency [Hz]."""
@@ -170,8 +199,7 @@ class HbmKeys(StudyKind):
         """The same with the result's path from the root."""
         if not isinstance(self.start, ResultStart):
             return self
-        moved = self.start.model_copy(update={"source": str((folder / self.start.source).absolute())})
-        return self.model_copy(update={"start": moved})
+        return self.model_copy(update={"start": self.start.absolute(folder)})
 
 
 def _frequency_kind(value: Any) -> str | None:

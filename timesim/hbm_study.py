@@ -3,136 +3,22 @@
 import timesim.jax_setup  # noqa: F401  isort: skip
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import product
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from timesim import store
-from timesim.axis_section import axis_values
 from timesim.config import Scene
-from timesim.continuation import Controls, Ending
-from timesim.hbm_along import hbm_along
+from timesim.continuation import Controls
 from timesim.hbm_convergence import Convergence, Place, convergence
 from timesim.hbm_curve import HbmCurve, default_controls, hbm_curve
-from timesim.hbm_section import Compare, Hbm, ResultStart
+from timesim.hbm_curves import Curves, Piece, combinations
+from timesim.hbm_section import Compare, Hbm
 from timesim.hbm_setting import Setting
-from timesim.hbm_start import result_waves
 from timesim.model import Model
+from timesim.result_state import Held
 from timesim.study import Outcome, Progress, attributes
-
-# Unknowns of two solutions that are one, relative to their size.
-SAME = 1e-5
-
-
-@dataclass(frozen=True)
-class Piece:
-    """One curve of a study.
-
-    Attributes:
-        values: of the further axes.
-        model_at: the model for a value of the curve's parameter.
-        curve: the solutions.
-    """
-
-    values: Mapping[str, float]
-    model_at: Callable[[float], Model]
-    curve: HbmCurve
-
-    @property
-    def label(self) -> str:
-        """Which curve it is, in words; empty where there is one."""
-        return ", ".join(f"{key} = {value:g}" for key, value in self.values.items())
-
-
-def combinations(over: Mapping[str, Any]) -> list[dict[str, float]]:
-    """All combinations of the values of the axes, the last axis fastest."""
-    return [
-        dict(zip(over, values, strict=True)) for values in product(*(axis_values(given) for given in over.values()))
-    ]
-
-
-class Curves:
-    """The curves of a scene's study, one combination of values after the other."""
-
-    def __init__(self, scene: Scene, plan: Hbm | Compare):
-        self.scene, self.plan, self.setting = scene, plan, plan.setting()
-        self.pieces: list[Piece] = []
-        self.faults: list[str] = []
-
-    def run(self, progress: Progress | None = None) -> str | None:
-        """Follow all curves; why some are not whole, if any."""
-        wanted = combinations(self.plan.over)
-        try:
-            for count, values in enumerate(wanted):
-                for piece in self._followed(values):
-                    self._take(piece)
-                if progress is not None:
-                    progress(count + 1, len(wanted))
-        except KeyboardInterrupt:
-            self.faults.append(f"interrupted at curve {len(self.pieces) + 1}")
-        return "; ".join(self.faults) or None
-
-    def _take(self, piece: Piece) -> None:
-        self.pieces.append(piece)
-        if not piece.curve.complete:
-            self.faults.append((f"{piece.label}: " if piece.label else "") + piece.curve.message)
-        if piece.curve.ending is Ending.INTERRUPTED:
-            raise KeyboardInterrupt
-
-    def _followed(self, values: dict[str, float]) -> Iterator[Piece]:
-        model = self.scene.variant(values) if values else self.scene.model()
-        along: Mapping[str, Any] = getattr(self.plan, "along", {})
-        if along:
-            (key, ends), *_ = along.items()
-            model_at: Callable[[float], Model] = lambda p: self.scene.variant({**values, key: p})  # noqa: E731
-            first, last = ends.values()
-            guess = self._given()[0]
-            curve = hbm_along(model_at, self.plan.span()[0], first, last, guess=guess, **self._options())
-            yield Piece(values, model_at, curve)
-            return
-        for curve in self._in_frequency(model):
-            yield Piece(values, lambda _: model, curve)
-
-    def _in_frequency(self, model: Model) -> list[HbmCurve]:
-        first, last = self.plan.span()
-        guess, begin = self._given()
-        whole = hbm_curve(model, first, last, guess=guess, begin=begin, **self._options())
-        if self.plan.start != "both_ends" or whole.ending is Ending.INTERRUPTED:
-            return [whole]
-        back = hbm_curve(model, last, first, **self._options())
-        if _same(whole, -1, back, 0) and whole.complete:
-            return [whole]
-        return [back] if back.complete and _same(whole, 0, back, -1) else [whole, back]
-
-    def _given(self) -> tuple[np.ndarray | None, float | None]:
-        """A motion to start from, with its frequency [Hz]."""
-        if not isinstance(self.plan.start, ResultStart):
-            return None, None
-        waves = result_waves(self.scene.source.folder / Path(self.plan.start.source))
-        return waves.modal, waves.frequency
-
-    def _options(self) -> dict[str, Any]:
-        return {"setting": self.setting, "controls": controls_of(self.plan), "stability": self.plan.stability}
-
-
-def controls_of(plan: Hbm | Compare) -> Controls:
-    """Steps of the continuation as the scene wants them."""
-    asked = plan.continuation
-    assert asked.first_step is not None
-    steps = (asked.first_step, asked.min_step, asked.max_step, asked.max_points, asked.tolerance)
-    return Controls(default_controls().size, *steps)
-
-
-def _same(one: HbmCurve, i: int, other: HbmCurve, j: int) -> bool:
-    """Whether two curves share a solution at these positions."""
-    if not one.frequency.size or not other.frequency.size or not np.isclose(one.frequency[i], other.frequency[j]):
-        return False
-    x, y = one.contact_motion[i], other.contact_motion[j]
-    return bool(np.linalg.norm(x - y) <= SAME * np.linalg.norm(y))
 
 
 def warmed_up(scene: Scene, plan: Hbm | Compare, setting: Setting) -> float:
@@ -155,17 +41,24 @@ def study(scene: Scene, progress: Progress | None = None) -> Outcome:
 
 
 def followed(
-    scene: Scene, plan: Hbm | Compare, progress: Progress | None = None
+    scene: Scene, plan: Hbm | Compare, progress: Progress | None = None, passing: Held | None = None
 ) -> tuple[store.Record, Curves, str | None]:
-    """All curves of a scene: their record, the curves, and why some are not whole."""
+    """All curves of a scene, those through the points of a sweep too: the record, they, and why some are not whole."""
     curves = Curves(scene, plan)
     compiling = warmed_up(scene, plan, curves.setting)
     clock = time.perf_counter()
-    reason = curves.run(progress)
+    reason = curves.run(progress, passing)
     found = convergence(places(curves.pieces), curves.setting) if plan.convergence and reason is None else None
     seconds = time.perf_counter() - clock
     told = attributes(scene, str(curves.setting), compiling, seconds, reason)
     return record_of(scene.model(), curves, told, found), curves, reason
+
+
+def left_out(scene: Scene, plan: Compare) -> tuple[store.Record, Curves, str | None]:
+    """The same where nothing is to be followed any more."""
+    curves, reason = Curves(scene, plan), "not begun"
+    told = attributes(scene, str(curves.setting), 0.0, 0.0, reason)
+    return record_of(scene.model(), curves, told), curves, reason
 
 
 def places(pieces: Sequence[Piece], number: int = 6) -> list[Place]:
@@ -236,6 +129,7 @@ def summary(record: store.Record, curves: Curves) -> Iterator[str]:
     """What a user wants to know of the curves at once."""
     count, seconds = sum(piece.curve.frequency.size for piece in curves.pieces), record.attrs["run_seconds"]
     yield f"{count} solutions on {len(curves.pieces)} curves by {curves.setting} in {seconds:.2f} s"
+    yield from curves.notes
     for piece in curves.pieces:
         if piece.curve.frequency.size:
             yield (f"{piece.label}: " if piece.label else "") + told(piece.curve, curves.scene.model())

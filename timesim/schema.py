@@ -16,6 +16,7 @@ from pydantic import Discriminator, Field, Strict, Tag, model_validator
 from timesim import model
 from timesim.contact_section import ContactSection
 from timesim.excitation_section import ExcitationSection
+from timesim.result_state import ResultSection
 from timesim.scene_source import RuleError
 from timesim.section import Count, Number, Pair, Section, Text, Whole, nearest, refuse
 from timesim.start import from_result, given_start, static_start
@@ -61,34 +62,27 @@ class StateSection(Section):
         return np.array(values)[order]
 
 
-class ResultSection(Section):
-    """A start from the end of another run."""
-
-    source: Text = Field(alias="from")
-    """Path of its result.nc, relative to the scene."""
+class InitialResult(ResultSection):
+    """A start from the end of another run, or from a point of a sweep."""
 
     def build(self, physics: model.Model, order: np.ndarray, folder: Path) -> model.Start:
-        """State, slip, contact states and phase at the end of that run."""
+        """State, slip, contact states and phase there."""
         try:
-            return from_result(physics, folder / self.source)
+            return from_result(physics, folder / self.source, self.at)
         except RuleError as error:
-            raise RuleError(("from",), error.rule, error.hint, self.source) from None
-
-    def absolute(self, folder: Path) -> Self:
-        """The same with a path that does not depend on the folder."""
-        return self.model_copy(update={"source": str(folder / self.source)})
+            raise (error if error.key else RuleError(("from",), error.rule, error.hint, self.source)) from None
 
 
 def _initial_kind(value: Any) -> str | None:
     if isinstance(value, dict | Section):
-        return "<from>" if isinstance(value, ResultSection) or "from" in dict(value) else "<state>"
+        return "<from>" if isinstance(value, InitialResult) or "from" in dict(value) else "<state>"
     return "<name>" if isinstance(value, str) else None
 
 
 InitialSection = Annotated[
     Annotated[Literal["rest", "static"], Tag("<name>")]
     | Annotated[StateSection, Tag("<state>")]
-    | Annotated[ResultSection, Tag("<from>")],
+    | Annotated[InitialResult, Tag("<from>")],
     Discriminator(
         _initial_kind,
         custom_error_type="rule",

@@ -4,13 +4,14 @@ A contact whose state is left at -1 is separated if its normal load is not posit
 ``w`` of a separated contact is its motion ``u``, and so is that of a frictionless one.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from timesim.model import SEPARATION, SLIP, STICK, Model, Start
+from timesim.result_state import STATE, Held, held
 from timesim.scene_source import RuleError
 
 CONE = 1e-9
@@ -132,30 +133,39 @@ def _equilibrium(physics: Model, closed: np.ndarray) -> tuple[np.ndarray, bool]:
     return solved / scale, bool(np.all(np.abs(loose) <= 1e-12 * np.linalg.norm(force / scale)))
 
 
-def from_result(physics: Model, path: Path) -> Start:
-    """The end of another run of a structure with as many modes and the same contacts.
+def from_result(physics: Model, path: Path, at: Mapping[str, float | str]) -> Start:
+    """The end of another run, or a point of a sweep, of a structure with as many modes and the same contacts.
 
     Raises:
-        RuleError: no such result, an unfinished one, one of another structure, or a state outside a cone.
+        RuleError: no such result, an unfinished one, one of another structure, no such point, or a state outside a
+            cone.
     """
-    final = _read_final(path)
-    names = [contact.name for contact in physics.contacts]
-    found = [name.decode() if isinstance(name, bytes) else str(name) for name in final.pop("contact", [])]
-    if sorted(found) != sorted(names):
+    found = held(path)
+    try:
+        chosen = found.one(at)
+    except RuleError as error:
+        raise error.below("at") from None
+    return start_of(physics, found, chosen)
+
+
+def start_of(physics: Model, found: Held, chosen: Mapping[str, np.ndarray]) -> Start:
+    """The start of a model from one of the states of a result.
+
+    Raises:
+        RuleError: the result is one of another structure, or the state lies outside a cone.
+    """
+    names, modes = [contact.name for contact in physics.contacts], physics.structure.num_modes
+    if sorted(found.contacts) != sorted(names):
         hint = f"the scene has {', '.join(names) or 'none'}"
-        raise RuleError((), f"has other contacts: {', '.join(found) or 'none'}", hint)
-    displacement, velocity = final["final_modal_displacement"], final["final_modal_velocity"]
-    if displacement.shape != velocity.shape or displacement.shape != (physics.structure.num_modes,):
-        raise RuleError((), f"has {displacement.size} modes, the scene has {physics.structure.num_modes}")
-    if not all(np.all(np.isfinite(value)) for value in final.values()):
+        raise RuleError((), f"has other contacts: {', '.join(found.contacts) or 'none'}", hint)
+    displacement, velocity, slip, state = (chosen[f"final_{name}"] for name in STATE)
+    if displacement.shape != velocity.shape or displacement.shape != (modes,):
+        raise RuleError((), f"has {displacement.size} modes, the scene has {modes}")
+    if not all(np.all(np.isfinite(value)) for value in (displacement, velocity, slip)):
         raise RuleError((), "holds a final state that is not finite")
-    rows = [found.index(name) for name in names]
-    slip, state = (
-        final["final_slip"].reshape(-1, 2)[rows],
-        final["final_contact_state"].astype(int).ravel()[rows],
-    )
-    phase = np.deg2rad(float(final["final_phase_deg"]))
-    return _continued(physics, Start(displacement, velocity, slip, state, phase))
+    rows = [found.contacts.index(name) for name in names]
+    slip, state = slip.reshape(-1, 2)[rows], state.astype(int).ravel()[rows]
+    return _continued(physics, Start(displacement, velocity, slip, state, found.phase))
 
 
 def _continued(physics: Model, start: Start) -> Start:
@@ -181,26 +191,3 @@ def _continued(physics: Model, start: Start) -> Start:
     slip = np.where(follows[:, None], loads.motion, start.slip + stretch)
     state = np.where(opened, SEPARATION, np.where(smooth, SLIP, np.where(closed_anew, STICK, start.state)))
     return Start(start.displacement, start.velocity, slip, state, start.phase)
-
-
-def _read_final(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise RuleError((), "is no file" if path.exists() else "does not exist")
-    import h5netcdf
-
-    try:
-        with h5netcdf.File(path, "r") as data:
-            complete = int(np.asarray(data.attrs.get("complete", 1)))
-            names = ("modal_displacement", "modal_velocity", "slip", "contact_state", "phase_deg")
-            wanted = [f"final_{name}" for name in names]
-            missing = [name for name in wanted if name not in data.variables]
-            final = {
-                name: np.asarray(data.variables[name][...]) for name in (*wanted, "contact") if name in data.variables
-            }
-    except Exception as error:  # a damaged file raises whatever HDF5 makes of it
-        raise RuleError((), f"cannot be read as NetCDF-4 ({' '.join(str(error).split())[:120]})") from None
-    if not complete:
-        raise RuleError((), "is the result of a run that was not finished (complete = 0)", "finish that run first")
-    if missing:
-        raise RuleError((), f"holds no final state ({missing[0]} is missing)", "a transient or a jump leaves one")
-    return final

@@ -33,7 +33,7 @@ MANY_CHAINS = 64
 STEPS_A_CHUNK = 16  # of a chain: what is lost at most when a sweep is interrupted
 LISTED = 5  # failed points that the summary names
 
-START = ("displacement", "velocity", "slip", "state")
+START = ("end_displacement", "end_velocity", "end_slip", "end_state")  # of a result, in the order of `Start`
 
 
 @dataclass(frozen=True)
@@ -59,18 +59,18 @@ def solve(segment: Segment, before: Result | None) -> Result:
     chains = list(segment.chains) if before is None else _continued(segment.chains, before)
     orbits = steady_states(chains, segment.solver, segment.criterion, halted=halted)
     rows = columns_of(orbits)
-    ends = {f"end_{name}": np.array([getattr(own[-1].end, name) for own in orbits]) for name in START}
     last = {"last_amplitude": rows["amplitude"][:, -1], "last_frequency": _last_frequency(chains)}
     found = [
         (index, *jump)
         for index, (chain, own) in enumerate(zip(chains, orbits, strict=True))
         for jump in (_jumps(segment, chain, own, before, index) if segment.jumps else ())
     ]
-    return rows | ends | last | {"jumps": np.array(found, dtype=float).reshape(-1, 3)}
+    return rows | last | {"jumps": np.array(found, dtype=float).reshape(-1, 3)}
 
 
 COLUMNS = (
     "amplitude", "band", "settled", "cycles", "period", "slip_share", "separation_share", "floquet_max", "reason",
+    "end_displacement", "end_velocity", "end_slip", "end_state",
 )  # fmt: skip
 
 
@@ -82,6 +82,8 @@ def columns_of(orbits: Sequence[Sequence[Orbit]]) -> dict[str, np.ndarray]:
 def _value(orbit: Orbit, name: str) -> Any:
     if name == "floquet_max":
         return np.max(np.abs(orbit.floquet), initial=0.0)
+    if name.startswith("end_"):
+        return getattr(orbit.end, name.removeprefix("end_"))
     return (orbit.reason or "") if name == "reason" else getattr(orbit, name)
 
 
@@ -96,10 +98,15 @@ def _continued(chains: Sequence[Chain], before: Result) -> list[Chain]:
         if before["reason"][index, -1]:
             made.append(chain)
             continue
-        parts = [np.asarray(before[f"end_{name}"][index]) for name in START]
-        start = Start(parts[0], parts[1], parts[2], parts[3], chain.model.start.phase)
+        start = end_of(before, (index, -1), chain.model.start.phase)
         made.append(replace(chain, model=replace(chain.model, start=start)))
     return made
+
+
+def end_of(result: Result, place: tuple[int, int], phase: float) -> Start:
+    """The state at the end of a cycle of one of the steady states, the excitation then at a phase [rad]."""
+    displacement, velocity, slip, state = (np.asarray(result[name][place]) for name in START)
+    return Start(displacement, velocity, slip, state, phase)
 
 
 def _jumps(segment: Segment, chain: Chain, own: list[Orbit], before: Result | None, index: int) -> Iterator[Jump]:
@@ -194,6 +201,26 @@ def summary(record: store.Record) -> Iterator[str]:
             yield f"the motion jumps between {low:.8g} and {high:.8g} Hz"
 
 
+# Dimensions of the columns after those of the sweep, and the names of some in the result file.
+TAILS = {
+    "amplitude": ("point", "axis"),
+    "band": ("band", "point", "axis"),
+    "slip_share": ("contact",),
+    "separation_share": ("contact",),
+    "end_displacement": ("mode",),
+    "end_velocity": ("mode",),
+    "end_slip": ("contact", "tangent"),
+    "end_state": ("contact",),
+}
+STORED = {
+    "band": "amplitude_band",
+    "reason": "failure",
+    "end_displacement": "final_modal_displacement",
+    "end_velocity": "final_modal_velocity",
+    "end_slip": "final_slip",
+    "end_state": "final_contact_state",
+}
+
 Place = tuple[int, int, slice | int]
 """Set of values, direction, and positions of the frequencies, for each chain of a chunk."""
 
@@ -266,6 +293,8 @@ class Grid:
             for index, low, high in result["jumps"]:
                 v, d, _ = places[name][int(index)]
                 jumps.append((v, d, low, high))
+        for name in START:
+            arrays[name][arrays["reason"] != ""] = -1 if name == "end_state" else np.nan
         for d, direction in enumerate(self.plan.directions):
             if direction == "down":
                 for array in arrays.values():
@@ -274,16 +303,12 @@ class Grid:
 
     def _blank(self) -> dict[str, np.ndarray]:
         model = next((item for item in self.models if isinstance(item, Model)), None)
-        points, contacts = (len(model.structure.points), model.num_contacts) if model else (0, 0)
-        tails = {
-            "amplitude": (points, 3),
-            "band": (2, points, 3),
-            "slip_share": (contacts,),
-            "separation_share": (contacts,),
-        }
-        arrays = {name: np.full((*self.shape, *tails.get(name, ())), np.nan) for name in COLUMNS}
+        sizes = _sizes(model)
+        tails = {name: tuple(sizes[dim] for dim in TAILS.get(name, ())) for name in COLUMNS}
+        arrays = {name: np.full((*self.shape, *tail), np.nan) for name, tail in tails.items()}
         for name in ("settled", "cycles", "period"):
             arrays[name] = np.zeros(self.shape, dtype=np.int32)
+        arrays["end_state"] = np.full((*self.shape, sizes["contact"]), -1, dtype=np.int8)
         arrays["reason"] = np.full(self.shape, "", dtype=object)
         for v, model_ in enumerate(self.models):
             if isinstance(model_, str):
@@ -297,18 +322,12 @@ class Grid:
         model = next((item for item in self.models if isinstance(item, Model)), self.scene.model())
         sizes = tuple(values.size for values in self.axes.values())
         dims = (*self.axes, "direction", "frequency")
-        tails = {
-            "amplitude": ("point", "axis"),
-            "band": ("band", "point", "axis"),
-            "slip_share": ("contact",),
-            "separation_share": ("contact",),
-        }
-        names = {"band": "amplitude_band", "reason": "failure"}
         variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
         for name, array in arrays.items():
             kept = array.astype(str) if name == "reason" else array
             whole = kept.reshape(*sizes, *array.shape[1:])
-            variables[names.get(name, name)] = ((*dims, *tails.get(name, ())), whole)
+            variables[STORED.get(name, name)] = ((*dims, *TAILS.get(name, ())), whole)
+        variables["final_phase_deg"] = ((), np.array(np.rad2deg(model.start.phase) % 360))
         for end, place in (("low", 2), ("high", 3)):
             variables[f"jump_{end}"] = (
                 (*dims[:-1], "jump"),
@@ -321,6 +340,8 @@ class Grid:
             "axis": np.array(["x", "y", "z"]),
             "band": np.array(["smallest", "largest"]),
             "contact": np.array([contact.name for contact in model.contacts], dtype=str),
+            "mode": np.arange(1, model.structure.num_modes + 1),
+            "tangent": np.array(["t1", "t2"]),
         }
         return store.record(variables, coords, attrs)
 
@@ -333,6 +354,12 @@ class Grid:
         for (v, d), values in rows.items():
             table[v, d, : len(values)] = values
         return table
+
+
+def _sizes(model: Model | None) -> dict[str, int]:
+    points, modes = (len(model.structure.points), model.structure.num_modes) if model else (0, 0)
+    contacts = model.num_contacts if model else 0
+    return {"point": points, "axis": 3, "band": 2, "contact": contacts, "mode": modes, "tangent": 2}
 
 
 def _variant(scene: Scene, values: Mapping[str, float]) -> Model | str:
