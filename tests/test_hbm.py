@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import systems
+from scipy.optimize import minimize
 
 from timesim.contact import Law
 from timesim.continuation import Controls, solve
@@ -20,10 +21,11 @@ from timesim.hbm_setting import Setting
 from timesim.hbm_stability import floquet_multipliers
 from timesim.located_period import located_forces, waves
 from timesim.model import Structure
-from timesim.period import MAX_PASSES, basis_of, forces
+from timesim.period import MAX_PASSES, basis_of, forces, motion_of
 from timesim.period_tangent import linearised
 from timesim.solver import PRESETS
 from timesim.steady import Task, settle
+from timesim.stuck_offset import acting, stuck_offset
 
 TURN = 2 * np.pi
 # A, B, D and phase of the normal motion in degrees: u = (A cos, B cos(. + 90)), v = D cos(. + phase).
@@ -132,21 +134,78 @@ def test_force_derivatives_against_differences(kind, preload):
     assert np.abs(whole).sum() == pytest.approx(np.abs(own).sum())
 
 
-def test_derivatives_where_the_first_pass_slips_and_the_next_ones_stick():
-    """Shaken down: slip at the start leaves an offset under which the contact sticks for ever."""
-    contact = element(np.eye(2), 1.0)
+@pytest.mark.parametrize("kind", STIFFNESS)
+def test_derivatives_where_no_slip_at_all_would_leave_the_cone(kind):
+    """w = 0 lies outside: the contact sticks with an offset, which follows the motion."""
+    contact = element(STIFFNESS[kind], 1.0)
     motion = np.zeros((1, 3, 3))
-    motion[0, 0] = 0.15, 0.2, 0.05
+    motion[0] = [0.15, 0.2, 0.05], [-0.3, 0.02, -0.1], [0.1, 0.2, -0.1]
     law, basis = law_of([contact]), basis_of(1, 128)
     acts, slope = linearised(law, basis, jnp.asarray(motion))
-    offset = acts.coefficient[0, 0, 0] - motion[0, 0, 0]
-    assert acts.slip[0] == 0
-    assert abs(offset) > 0.01
+    offset = acts.coefficient[0, :2, 0] - STIFFNESS[kind] @ motion[0, :2, 0]
+    assert acts.slip[0] == acts.separation[0] == 0
+    assert np.linalg.norm(offset) > 0.03
 
     def value(flat):
         return np.asarray(forces(law, basis, jnp.asarray(flat.reshape(motion.shape))).coefficient).ravel()
 
-    np.testing.assert_allclose(slope[0], differences(value, motion.ravel(), 1e-7), atol=1e-7)
+    np.testing.assert_allclose(slope[0], differences(value, motion.ravel(), 1e-6), atol=1e-7)
+
+
+def test_offset_where_little_room_is_left():
+    """|F cos + g| <= R (1 + cos / 2) leaves F - R/2 <= g <= 3R/2 - F: one offset where F reaches R, none beyond."""
+    law, basis = law_of([element(np.eye(2), 1.0)]), basis_of(1, 256)
+    for force, sticks, expected, within in ((0.9, 1, 0.15, 0.04), (0.999, 1, 0.15, 4e-4), (1.001, 0, 0.0, 0.0)):
+        motion = np.zeros((1, 3, 3))
+        motion[0, 0, 1], motion[0, 2, 1] = 0.3 * force, 0.5
+        found = stuck_offset(law, motion_of(basis, jnp.asarray(motion)))
+        assert found.sticks[0] == sticks
+        assert abs(float(found.force[0][0]) - expected) <= within
+        assert found.force[1][0] == pytest.approx(0, abs=1e-12)
+
+
+def test_a_contact_sticks_wherever_it_can():
+    """Against a search for the offset with which the force stays deepest in its cone, under motions in the plane."""
+    rng, law, basis = np.random.default_rng(11), law_of([element(STIFFNESS["general"], 1.0)]), basis_of(3, 128)
+    told = []
+    for scale in np.linspace(0.05, 0.35, 60):
+        y = rng.normal(size=(1, 3, 7)) * scale * np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.2, 0.2])
+        motion = motion_of(basis, jnp.asarray(y))
+        force, limit, _ = acting(law, motion)
+        path, limit = np.stack([np.asarray(f)[:, 0] for f in force]), np.asarray(limit)[:, 0]
+        if limit.min() <= 0:
+            continue
+
+        def excess(g, path=path, limit=limit):
+            return np.max(np.linalg.norm(path + np.reshape(g, (2, 1)), axis=0) - limit)
+
+        starts = (np.zeros(2), -path.mean(axis=1), -(path.max(axis=1) + path.min(axis=1)) / 2)
+        fine = {"xatol": 1e-9, "fatol": 1e-9}
+        best = min(minimize(excess, start, method="Nelder-Mead", options=fine).fun for start in starts)
+        found = stuck_offset(law, motion)
+        if abs(best) > 1e-4:
+            told.append(bool(found.sticks[0]))
+            assert told[-1] == (best < 0), best
+        if found.sticks[0]:
+            assert excess([float(f[0]) for f in found.force]) < 0
+    assert 10 < sum(told) < len(told) - 10
+
+
+@pytest.mark.parametrize("preload", [2.0, 5.0])
+def test_a_curve_from_the_stuck_end_passes_the_onset_of_slip(preload):
+    """From either end the same curve: the offset of the stuck part leads to the one with which slip begins."""
+    model, curves = systems.oscillator(preload, 1.0), []
+    for span in ((0.8, 1.65), (1.65, 0.8)):
+        curve = hbm_curve(model, *span, setting=Setting(7, 512), stability=False)
+        assert curve.complete
+        curves.append(curve)
+    there, back = curves
+    assert there.fold.sum() == back.fold.sum() == (2 if preload == 2.0 else 0)
+    slips = [np.sort(curve.frequency[(curve.slip_share > 0).any(axis=1)])[0] for curve in curves]
+    assert slips[0] == pytest.approx(slips[1], abs=2e-3)
+    for frequency in (0.9, 1.5):
+        ends = [solutions_at(model, c, frequency, setting=Setting(7, 512), stability=False) for c in curves]
+        np.testing.assert_allclose(ends[0].harmonic_amplitude[0, 1:], ends[1].harmonic_amplitude[0, 1:], atol=1e-8)
 
 
 def balanced_models():

@@ -14,8 +14,8 @@ over an interval ``e`` is turned towards it as light is by aberration, however s
 that is not isotropic is evaluated midway. Along a straight path the slip speed never falls, so slip ends at a sample,
 where its speed and the error so made vanish together.
 
-A contact enters the period from ``w = 0``, put on the cone where it would lie outside, and goes through it again until
-the elastic displacement closes. In full stick this leaves the offset that such a start gives.
+A contact that may stick all along does, with the offset of `timesim.stuck_offset`. Any other enters the period from
+``w = 0``, put on the cone where it would lie outside, and goes through it again until the elastic displacement closes.
 """
 
 import timesim.jax_setup  # noqa: F401  isort: skip
@@ -42,6 +42,7 @@ from timesim.contact import (
     scaled,
     where,
 )
+from timesim.stuck_offset import Offset, stuck_offset
 
 MAX_PASSES = 100
 # Change of d over a period, relative to the largest d, that counts as none; rounding adds to it with |u|.
@@ -226,12 +227,14 @@ class Period(eqx.Module):
         d: the same at the samples, shape (N, C).
         gap: change of d over the period over what is tolerated, at most 1 where it closed, shape (C,).
         passes: how often it was gone through.
+        held: which contacts stick all along, and the offset of their force.
     """
 
     begin: Plane
     d: Plane
     gap: Float[Array, " contact"]
     passes: Int[Array, ""]
+    held: Offset
 
 
 def through(law: Law, begin: Plane, intervals: Interval) -> tuple[Plane, Plane]:
@@ -258,11 +261,14 @@ class _Search(eqx.Module):
 def closed_period(law: Law, motion: Motion) -> Period:
     """Go through a periodic motion, shape (N, C), until d closes, at most `MAX_PASSES` times.
 
+    A contact that may stick all along enters with the offset of `timesim.stuck_offset` and does.
     From the third pass on the next one begins where the secant of the last two would close: slip maps the plane on a
     curve, so the change over a pass has one direction.
     """
     intervals = intervals_of(motion)
-    start = settled(law, tuple(u[-1] for u in motion.u), motion.v[-1])
+    held = stuck_offset(law, motion)
+    begin = tuple(u[-1] + c for u, c in zip(motion.u, product(law.compliance, held.force), strict=True))
+    start = settled(law, begin, motion.v[-1])
     reach = jnp.max(length(motion.u), axis=0)
 
     def again(search: _Search) -> _Search:
@@ -280,7 +286,7 @@ def closed_period(law: Law, motion: Motion) -> Period:
 
     first = _Search(start, start, start, motion.u, jnp.full_like(reach, jnp.inf), jnp.asarray(0))
     last = jax.lax.while_loop(lambda search: jnp.any(search.gap > 1) & (search.passes < MAX_PASSES), again, first)
-    return Period(last.begin, last.path, last.gap, last.passes)
+    return Period(last.begin, last.path, last.gap, last.passes, held)
 
 
 class Forces(eqx.Module):

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from numpy.typing import NDArray
 
-from timesim.contact import Law, Plane, Scalar, between, length, normal_load, product
+from timesim.contact import Law, Motion, Plane, Scalar, normal_load, product
 from timesim.period import (
     Basis,
     Forces,
@@ -28,6 +28,7 @@ from timesim.period import (
     motion_of,
     summary,
 )
+from timesim.stuck_offset import Offset, offset_slope
 
 
 class Slope(eqx.Module):
@@ -86,10 +87,6 @@ def _tangents(slope: Slope, basis: Basis) -> Float[Array, "sample contact 2 colu
     return jax.lax.scan(step, start, (slope, moved, bend_of(moved), value))[1]
 
 
-# A contact that slips for a smaller share of the period has not yet forgotten the passes before.
-CREEPING = 1e-5
-
-
 class _Chained(eqx.Module):
     """Forces, and the derivatives of the last pass.
 
@@ -98,14 +95,16 @@ class _Chained(eqx.Module):
         spectrum: Fourier coefficients of the derivatives of f by the coefficients of the motion and by d at the start.
         end: the same derivatives of d at the end, d instead of f.
         normal: derivatives of the normal load.
-        loose: whether a contact only sticks or creeps, at an offset that earlier passes gave it.
+        entered: derivatives of d where the period begins by the coefficients, of contacts that stick all along.
+        sticks: which ones do.
     """
 
     acts: Forces
     spectrum: Float[Array, "contact 2 coefficient column"]
     end: Float[Array, "contact 2 column"]
     normal: Float[Array, "contact coefficient coefficient"]
-    loose: Bool[Array, " contact"]
+    entered: Float[Array, "contact 2 column"]
+    sticks: Bool[Array, " contact"]
 
 
 @jax.jit
@@ -119,27 +118,24 @@ def _chained(law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coeffi
     spectrum = jnp.stack(product(stiffness, (spectrum[:, 0], spectrum[:, 1])), axis=1)
     touching = (normal_load(law, motion.v) > 0) * law.normal_stiffness
     normal = jnp.einsum("ak,kc,kb->cab", basis.project, touching, basis.value)
-    offset = length(between(tuple(u[-1] for u in motion.u), period.begin))
-    moved = offset > 1e-9 * jnp.max(length(period.d), axis=0)
-    loose = (acts.slip < CREEPING) & (acts.separation == 0) & moved
-    return _Chained(acts, spectrum, passed[-1], normal, loose)
+    entered = _entered(law, basis, motion, period.held)
+    return _Chained(acts, spectrum, passed[-1], normal, entered, period.held.sticks)
 
 
-@jax.jit
-def _shaken(
-    law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]
-) -> Float[Array, "contact 2 column"]:
-    """Derivatives of d at the start of the last pass through all passes before it."""
+def _entered(law: Law, basis: Basis, motion: Motion, held: Offset) -> Float[Array, "contact 2 column"]:
+    """Derivatives of d where the period begins by the coefficients, for contacts that stick all along."""
+    none = jnp.zeros_like(motion.v)
 
-    def begin(y: Float[Array, "contact 3 coefficient"]) -> Plane:
-        return closed_period(law, motion_of(basis, y)).begin
+    def along(row: Float[Array, " sample"]) -> Float[Array, "3 2 contact"]:
+        wave = jnp.broadcast_to(row[:, None], none.shape)
+        ways = ((wave, none, none), (none, wave, none), (none, none, wave))
+        seeds = (Motion((u1, u2), v, (), v) for u1, u2, v in ways)
+        changes = (product(law.compliance, offset_slope(law, held.force, motion, seed)) for seed in seeds)
+        return jnp.stack([jnp.stack(change) for change in changes])
 
-    def along(seed: Float[Array, "3 coefficient"]) -> Plane:
-        return jax.jvp(begin, (coefficient,), (jnp.broadcast_to(seed, coefficient.shape),))[1]
-
-    size = coefficient.shape[1] * coefficient.shape[2]
-    seeds = jnp.eye(size).reshape(size, *coefficient.shape[1:])
-    return jnp.stack(jax.vmap(along, out_axes=-1)(seeds), axis=1)
+    found = jnp.moveaxis(jax.lax.map(along, basis.value.T), (0, 1, 2, 3), (3, 2, 1, 0))
+    here = jnp.zeros((2, 3)).at[0, 0].set(1.0).at[1, 1].set(1.0)[..., None] * basis.value[-1]
+    return (found + here).reshape(*found.shape[:2], -1)
 
 
 def linearised(
@@ -147,21 +143,15 @@ def linearised(
 ) -> tuple[Forces, NDArray[np.float64]]:
     """`forces`, and their derivatives by the coefficients of the same contact: 3 (2H + 1) rows and columns.
 
-    The derivatives run through the last pass alone and close by a solution of two equations a contact. Where that
-    pass only sticks, or nearly so, but an earlier one slipped, they run through all passes, some ten times slower.
+    The derivatives run through the last pass alone and close by a solution of two equations a contact.
     """
     done = _chained(law, basis, coefficient)
-    end, spectrum, here = np.asarray(done.end), np.asarray(done.spectrum), np.asarray(basis.value[-1])
+    end, spectrum = np.asarray(done.end), np.asarray(done.spectrum)
     moved, carry = end[..., :-2], end[..., -2:]
-    entered = np.zeros_like(moved)
-    entered[:, 0, : here.size] = entered[:, 1, here.size : 2 * here.size] = here
-    for i in np.flatnonzero(done.loose):
-        own = jax.tree.map(lambda leaf, i=i: leaf[i : i + 1], law)
-        entered[i] = np.asarray(_shaken(own, basis, coefficient[i : i + 1]))[0]
     open_ = np.eye(2) - carry
-    unique = (np.abs(np.linalg.det(open_)) > 1e-13) & ~np.asarray(done.loose)
-    begin = entered.copy()
+    unique = (np.abs(np.linalg.det(open_)) > 1e-13) & ~np.asarray(done.sticks)
+    begin = np.array(done.entered)
     begin[unique] = np.linalg.solve(open_[unique], moved[unique])
     slope = spectrum[..., :-2] + spectrum[..., -2:] @ begin[:, None]
-    normal = np.concatenate([np.zeros((*done.normal.shape[:2], 2 * here.size)), done.normal], axis=2)
+    normal = np.concatenate([np.zeros((*done.normal.shape[:2], 2 * basis.value.shape[1])), done.normal], axis=2)
     return done.acts, np.concatenate([slope[:, 0], slope[:, 1], normal], axis=1)
