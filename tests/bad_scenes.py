@@ -513,6 +513,7 @@ BAD_SCENES = (
     _jumping("study.width", "width: 1e-4", "width: 0", "must be > 0", at="width:"),
     _jumping("study.step", "step: 0.01", "step: 0.02", "must be at most half of the range", at="step:"),
     _jumping("study.starts", "starts: 5", "starts: -1", "must be >= 0", at="starts:"),
+    _jumping("study.starts", "starts: 5", "starts: 7", "must be 0, or 5, 9, 13", at="starts:"),
     _jumping("study.harmonics", "starts: 5", "starts: 5\n  harmonics: 1", "harmonic 2 is", at="harmonics: 1"),
     _jumping("study.time_samples", "starts: 5", "starts: 5\n  time_samples: 20", "must be at least 36", at="time_s"),
     _jumping("study.over.contacts.pad.friction", "pad.preload: [1,", "pad.friction: [-1,", "must be >= 0", at="over:"),

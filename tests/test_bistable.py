@@ -21,6 +21,7 @@ from timesim.bistable_starts import ANOTHER, NONE, branch_of, offsets, placed, s
 from timesim.campaign import Means as Ways
 from timesim.cli import app
 from timesim.config import load_scene
+from timesim.jump_search import Stretch, narrowed
 from timesim.model import SEPARATION, STICK, Model, Start
 from timesim.solver import PRESETS
 from timesim.steady import Criterion, Orbit, without_orbit
@@ -146,7 +147,7 @@ def test_no_jump_is_a_result(tmp_path: Path):
 
 
 def test_resumed_it_is_the_same(tmp_path: Path):
-    given = [f"{key}={value}" for key, value in (QUICK | {"study.starts": "2", "study.harmonics": "0"}).items()]
+    given = [f"{key}={value}" for key, value in (QUICK | {"study.starts": "5", "study.harmonics": "0"}).items()]
     scene = load_scene(CONFIGS / "softening.yaml", given)
     notices: list[str] = []
     means = Ways(folder=tmp_path, notice=notices.append)
@@ -253,6 +254,23 @@ def test_a_jump_that_is_small_beside_the_slope(monkeypatch: pytest.MonkeyPatch):
     search, sweeps = toy_search(toy, monkeypatch), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
     (found,) = ranges(search, sweeps, list(losses(search, sweeps)))
     assert (found.low, found.high) == pytest.approx((1.43, 1.62), abs=1e-6)
+
+
+def test_a_slope_and_a_jump_in_one_step(monkeypatch: pytest.MonkeyPatch):
+    """Each half is looked at: the jump is narrowed down beside a slope that changes the amplitude more than it does."""
+    toy = two_branches(1.43, 1.62, rise=0.3, slope=8.0)
+    means = toy_search(toy, monkeypatch).means
+    for near, far, lost in ((1.5, 1.9, 1.62), (1.9, 1.3, 1.43)):
+        on = toy.orbit(0.0 if near < far else 1.0, near)
+        (beyond,) = toy.along(on.end, [far])
+        for width in (1.0, 1e-2, 1e-6):
+            step = Stretch(means.model, near, far, on, beyond, least=0.05)
+            ((_, jump),) = narrowed([step], means.solver, means.criterion, width)
+            low, high = sorted((jump.near, jump.far))
+            assert low <= lost <= high
+            assert high - low <= width
+        slope = Stretch(means.model, 1.1, 1.4, toy.orbit(0.0, 1.1), toy.orbit(0.0, 1.4), least=0.05)
+        assert narrowed([slope], means.solver, means.criterion, 1.0) == []
 
 
 def test_three_motions(monkeypatch: pytest.MonkeyPatch):

@@ -217,6 +217,27 @@ def test_a_slope_is_no_jump() -> None:
     np.testing.assert_array_equal(unrefined.amplitude, refined.amplitude)
 
 
+@pytest.mark.parametrize("width", [1e-3, 0.02])
+def test_a_linear_response_has_no_jump(width: float) -> None:
+    """However wide the steps are for the resonance, and the wanted width for the steps."""
+    apart = [OSCILLATOR["contacts"][0] | {"preload": -1e4}]
+    study = {"frequency": {"from": 0.8, "to": 1.2, "step": 0.02}, "direction": "both", "refine": width}
+    assert run(study, contacts=apart).sizes["jump"] == 0
+
+
+def test_a_jump_beside_a_slope_is_found() -> None:
+    """Up and down differ at one frequency of a coarse grid: each names the step, or the part of it, where it jumped."""
+    study = {"frequency": {"values": [0.86, 0.9, 0.946, 0.99]}, "over": {PRELOAD: [-4]}, "direction": "both"}
+    result = run(study | {"refine": 1e-3})
+    up, down = x(result)[0].values
+    assert up[2] > 1.5 * down[2]
+    (low_up, low_down), (high_up, high_down) = result.jump_low.values[0, :, 0], result.jump_high.values[0, :, 0]
+    assert 0.946 <= low_up <= GAP_UP[1]
+    assert GAP_UP[0] <= high_up <= 0.99
+    assert low_down <= GAP_DOWN[1]
+    assert high_down >= GAP_DOWN[0]
+
+
 # What goes wrong
 
 BUDGET = 88  # steps a cycle: enough for a contact that seldom switches

@@ -254,7 +254,8 @@ def _starts_told(label: str, model: Model, result: Result, k: int) -> Iterator[s
         spans = " and ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(low[side, i], high[side, i], strict=True))
         yield (
             f"{label}contact {model.contacts[i].name} sticks all the time on the {MOTIONS[side]} motion, "
-            f"and its offset is not unique: over the starts w is {spans}"
+            f"and its offset is not unique: over the starts w is {spans}. The end at which this motion is lost holds "
+            "for the offset that the sweep left it with"
         )
 
 
@@ -262,17 +263,12 @@ def folds(record: store.Record) -> Iterator[str]:
     """Folds of the balance, beside which the ends may be read."""
     frequency, fold = record.variables["frequency"][1], record.variables["fold"][1] > 0
     keys = [name for name in record.variables if "." in name]
-    moves = (record.variables["slip_share"][1] + record.variables["separation_share"][1]).max(axis=1, initial=0.0) > 0
-    sets: dict[str, tuple[list[float], list[float]]] = {}
+    sets: dict[str, list[float]] = {}
     for place in np.flatnonzero(fold):
         label = ", ".join(f"{key} {record.variables[key][1][place]:g}" for key in keys)
-        sets.setdefault(label, ([], []))[int(not moves[place])].append(float(frequency[place]))
-    for label, (turning, stuck) in list(sets.items())[:LISTED]:
+        sets.setdefault(label, []).append(float(frequency[place]))
+    for label, turning in list(sets.items())[:LISTED]:
         before = f"{label}: " if label else ""
-        if turning:
-            yield f"{before}folds of the balance at {', '.join(f'{place:.7g}' for place in sorted(turning))} Hz"
-        if stuck:
-            told = ", ".join(f"{place:.7g}" for place in sorted(stuck))
-            yield f"{before}the balance also turns back at {told} Hz, in full stick: an offset that is free, no jump"
+        yield f"{before}folds of the balance at {', '.join(f'{place:.7g}' for place in sorted(turning))} Hz"
     if not sets and frequency.size:
         yield "the branch of the balance has no fold"

@@ -3,8 +3,8 @@
 A sweep carries its motion along until it is gone and the motion jumps. Where both sweeps, up and down, are on different
 motions there are two: such a range begins where the downward sweep loses its motion, and ends where the upward one
 does. Where either jumps is looked for in every step over which the amplitude changes more than beside it, and in those
-after which the sweeps are at one; a bisection tells a jump from a slope, so a range far narrower than the step of the
-sweeps is found too.
+after which the sweeps are at one; halving the step tells a jump from a slope, so a range far narrower than the step of
+the sweeps is found too.
 """
 
 import timesim.jax_setup  # noqa: F401  isort: skip
@@ -16,11 +16,11 @@ from itertools import pairwise
 import numpy as np
 
 from timesim.campaign import Result, halted
-from timesim.jump_search import AT_LEAST, bisect
+from timesim.jump_search import AT_LEAST, Stretch, distance, narrowed
 from timesim.model import Model, Start
 from timesim.solver import Solver
 from timesim.steady import Chain, Criterion, Orbit, steady_states, without_orbit
-from timesim.sweep import COLUMNS, columns_of, end_of
+from timesim.sweep import columns_of, end_of, orbit_of
 
 UP, DOWN = 0, 1
 SAME = 1e-3  # of the amplitude: motions that differ by less are one
@@ -70,23 +70,6 @@ def sweep_part(part: Part, before: Result | None) -> Result:
     return {name: np.concatenate([before[name], array], axis=1) for name, array in found.items()}
 
 
-def orbit_of(result: Result, row: int, place: int, phase: float) -> Orbit:
-    """A steady state from the columns of a result; of its multipliers the largest only."""
-    value = {name: result[name][row, place] for name in COLUMNS}
-    return Orbit(
-        end=end_of(result, (row, place), phase),
-        amplitude=value["amplitude"],
-        band=value["band"],
-        settled=bool(value["settled"]),
-        cycles=int(value["cycles"]),
-        period=int(value["period"]),
-        slip_share=value["slip_share"],
-        separation_share=value["separation_share"],
-        floquet=np.array([value["floquet_max"]]),
-        reason=str(value["reason"]) or None,
-    )
-
-
 # Jumps
 
 
@@ -127,7 +110,7 @@ class Sweeps:
     @classmethod
     def of(cls, result: Result, phase: float) -> "Sweeps":
         """From the result of their last part."""
-        up, down = ([orbit_of(result, d, k, phase) for k in range(result["settled"].shape[1])] for d in (UP, DOWN))
+        up, down = ([orbit_of(result, (d, k), phase) for k in range(result["settled"].shape[1])] for d in (UP, DOWN))
         return cls(result["frequency"][UP], (up, down[::-1]))
 
     def amplitude(self, direction: int) -> np.ndarray:
@@ -189,16 +172,19 @@ def _lost(
 ) -> Loss | None:
     """Bisect a jump. A motion may be lost by the length of a step alone: it is led on from the end that was found."""
     means, limit = search.means, float(sweeps.frequency[-1 if direction == UP else 0])
-    found = bisect(means.model, ends, orbits, means.solver, means.criterion, search.width)
-    for _ in range(FURTHER):
-        if found is None:
+    least = AT_LEAST * np.nanmax(sweeps.amplitude(direction), initial=0.0)
+    step, loss = Stretch(means.model, *ends, *orbits, least), None
+    for _ in range(FURTHER + 1):
+        found = narrowed([step], means.solver, means.criterion, search.width)
+        if not found:
             return None
-        loss = Loss(direction, ends[0], *found)
+        jump = found[0][1]
+        loss = Loss(direction, ends[0], jump.near, jump.far, jump.on, jump.beyond)
         ahead = _ahead(search, loss, limit, abs(ends[1] - ends[0]) / WALK)
         if ahead is None:
-            return loss
-        found = bisect(means.model, ahead[:2], ahead[2:], means.solver, means.criterion, search.width)
-    return None if found is None else Loss(direction, ends[0], *found)
+            break
+        step = Stretch(means.model, *ahead, least)
+    return loss
 
 
 def _merging(search: Search, direction: int, ends: tuple[float, float], orbits: tuple[Orbit, Orbit]) -> Loss:
@@ -214,24 +200,20 @@ def _merging(search: Search, direction: int, ends: tuple[float, float], orbits: 
 
 
 def _ahead(search: Search, loss: Loss, limit: float, longest: float) -> tuple[float, float, Orbit, Orbit] | None:
-    """Where the motion is lost beyond the end that was found, as `bisect` takes it; None if it is lost at that end."""
+    """Where the motion is lost beyond the end that was found, as `Stretch` has it; None if it is lost at that end."""
     near, on, far = loss.near, loss.on, loss.far
     step = loss.far - loss.near
     while True:
         (orbit,) = search.means.along(on.end, [far])
         if orbit.reason is not None:
             return None
-        if _distance(orbit, on) > _distance(orbit, loss.beyond):
+        if distance(orbit, on) > distance(orbit, loss.beyond):
             return None if near == loss.near else (near, far, on, orbit)
         if far == limit:
             return None
         near, on = far, orbit
         step = np.sign(step) * min(2 * abs(step), longest)
         far = near + step if abs(step) < abs(limit - near) else limit
-
-
-def _distance(one: Orbit, other: Orbit) -> float:
-    return float(np.max(np.abs(one.amplitude - other.amplitude), initial=0.0))
 
 
 # Ranges

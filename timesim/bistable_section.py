@@ -51,7 +51,7 @@ class Bistable(StudyKind):
     periodic: Literal["march", "shoot"] = "march"
     """How a periodic motion is found: marching until it settles, or Newton's method on the state after a period."""
     starts: Annotated[Whole, Field(ge=0, le=101)] = 9
-    """Starts at mid-range, as many along each side of a square: sums of the two motions; 0 for none."""
+    """Starts at mid-range, as many along each side of a square: sums of the two motions; 5, 9, 13, ..., 0 for none."""
     harmonics: Annotated[Whole, Field(ge=0, le=1000)] = 9
     """Highest harmonic of the branch by harmonic balance that is drawn behind; 0 draws none."""
     time_samples: Annotated[Count, Field(le=10**6)] = 1024
@@ -65,6 +65,9 @@ class Bistable(StudyKind):
         step = self.step or span / STEPS
         if step > span / 2:
             raise refuse("must be at most half of the range of frequency", key=("step",), value=step)
+        if self.starts and (self.starts < 5 or self.starts % 4 != 1):
+            hint = "so rest and both motions are among the starts"
+            raise refuse("must be 0, or 5, 9, 13, ...", key=("starts",), value=self.starts, hint=hint)
         if self.width > step:
             raise refuse("must be at most the step of the sweeps", key=("width",), value=self.width)
         if span / step > MAX_POINTS:
@@ -99,6 +102,7 @@ class Bistable(StudyKind):
             over=self.over,
             settle=self.settle,
             periodic=self.periodic,
+            refine=self.width,
         )
 
     def balance(self) -> Hbm:

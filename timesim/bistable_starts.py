@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from timesim.bistable_search import SAME, Means, differ, orbit_of
+from timesim.bistable_search import SAME, Means, differ
 from timesim.campaign import Result, halted
 from timesim.model import SEPARATION, Model, Start
 from timesim.steady import Chain, Orbit, steady_states
+from timesim.sweep import orbit_of
 from timesim.trajectory import start_states
 
 SIDE = (-0.5, 1.5)
@@ -94,7 +95,7 @@ def explore(ensemble: Ensemble, before: Result | None) -> Result:
     means, num = ensemble.means, ensemble.num
     model, rows = means.model, []
     for place, (low, high) in enumerate(before["range"]):
-        motions = [orbit_of(before, place, side, model.start.phase) for side in (LOWER, UPPER)]
+        motions = [orbit_of(before, (place, side), model.start.phase) for side in (LOWER, UPPER)]
         starts = starts_between(model, motions, num)
         chains = [Chain(replace(model, start=start), (0.5 * (low + high),)) for start in starts]
         found = [own[0] for own in steady_states(chains, means.solver, means.criterion, halted=halted)]

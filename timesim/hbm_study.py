@@ -149,7 +149,17 @@ def told(curve: HbmCurve, model: Model) -> str:
     states = f"at most {slip:.2f} of a period in slip, {apart:.2f} in separation"
     if slip == apart == 0:
         states = "full stick throughout, which says nothing of friction"
-    return f"peak {height:.5g} of {name} at {place:.6g}; {turning}; {unstable} unstable solutions; {states}"
+    lost = [f"{curve.parameter[i]:.6g}" for i in np.flatnonzero(changes_of_stability(curve))]
+    also = f"; stability changes at {', '.join(lost)} without a fold" if lost else ""
+    return f"peak {height:.5g} of {name} at {place:.6g}; {turning}{also}; {unstable} unstable solutions; {states}"
+
+
+def changes_of_stability(curve: HbmCurve) -> np.ndarray:
+    """Solutions after which the curve gains or loses its stability though it does not turn, shape (S,)."""
+    stable, fold = curve.stable, curve.fold
+    found = np.zeros(stable.size, dtype=bool)
+    found[:-1] = (stable[1:] != stable[:-1]) & ~fold[1:] & ~fold[:-1]
+    return found
 
 
 def peak(curve: HbmCurve, point: int, axis: int) -> tuple[float, float]:

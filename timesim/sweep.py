@@ -18,7 +18,7 @@ from timesim import store
 from timesim.axis_section import axis_values
 from timesim.campaign import Chunk, Means, Result, carry_through, halted
 from timesim.config import Scene
-from timesim.jump_search import Jump, jumps_of
+from timesim.jump_search import Stretch, jumps_of, steps_of, suspects
 from timesim.model import Model, Start
 from timesim.orbit import SIZES
 from timesim.scene_source import SceneError
@@ -43,14 +43,12 @@ class Segment:
     Attributes:
         chains: what is to be found.
         solver, criterion: how.
-        jumps: whether to look for jumps along the chains.
-        refine: width [Hz] to which the frequency of a jump is bisected; None leaves it at the step of the sweep.
+        refine: width [Hz] to which jumps along the chains are narrowed down; None does not look for them.
     """
 
     chains: tuple[Chain, ...]
     solver: Solver
     criterion: Criterion
-    jumps: bool = False
     refine: float | None = None
 
 
@@ -59,13 +57,29 @@ def solve(segment: Segment, before: Result | None) -> Result:
     chains = list(segment.chains) if before is None else _continued(segment.chains, before)
     orbits = steady_states(chains, segment.solver, segment.criterion, halted=halted)
     rows = columns_of(orbits)
-    last = {"last_amplitude": rows["amplitude"][:, -1], "last_frequency": _last_frequency(chains)}
-    found = [
-        (index, *jump)
-        for index, (chain, own) in enumerate(zip(chains, orbits, strict=True))
-        for jump in (_jumps(segment, chain, own, before, index) if segment.jumps else ())
-    ]
-    return rows | last | {"jumps": np.array(found, dtype=float).reshape(-1, 3)}
+    jumps = [] if segment.refine is None else list(_jumps(segment, chains, orbits, before, segment.refine))
+    last = np.array([chain.frequencies[-1] for chain in chains])
+    return rows | {"last_frequency": last, "jumps": np.array(jumps, dtype=float).reshape(-1, 3)}
+
+
+def _jumps(
+    segment: Segment, chains: Sequence[Chain], orbits: Sequence[list[Orbit]], before: Result | None, width: float
+) -> Iterator[tuple[int, float, float]]:
+    """Jumps along the chains: position of the chain, low and high end."""
+    steps = [_steps(chain, own, before, index) for index, (chain, own) in enumerate(zip(chains, orbits, strict=True))]
+    where = [index for index, own in enumerate(steps) for _ in own]
+    every = [step for own in steps for step in own]
+    for step, jump in jumps_of(every, segment.solver, segment.criterion, width):
+        yield where[step], jump.low, jump.high
+
+
+def _steps(chain: Chain, own: list[Orbit], before: Result | None, index: int) -> list[Stretch]:
+    """Steps of a chain within which it may jump, that from the segment before included."""
+    frequencies, orbits = list(chain.frequencies), list(own)
+    if before is not None and not before["reason"][index, -1]:
+        frequencies.insert(0, float(before["last_frequency"][index]))
+        orbits.insert(0, orbit_of(before, (index, -1), chain.model.start.phase))
+    return steps_of(chain.model, frequencies, orbits)
 
 
 COLUMNS = (
@@ -87,10 +101,6 @@ def _value(orbit: Orbit, name: str) -> Any:
     return (orbit.reason or "") if name == "reason" else getattr(orbit, name)
 
 
-def _last_frequency(chains: Sequence[Chain]) -> np.ndarray:
-    return np.array([chain.frequencies[-1] for chain in chains])
-
-
 def _continued(chains: Sequence[Chain], before: Result) -> list[Chain]:
     """Chains from where the segment before has ended; one whose last point failed starts anew."""
     made = []
@@ -109,13 +119,21 @@ def end_of(result: Result, place: tuple[int, int], phase: float) -> Start:
     return Start(displacement, velocity, slip, state, phase)
 
 
-def _jumps(segment: Segment, chain: Chain, own: list[Orbit], before: Result | None, index: int) -> Iterator[Jump]:
-    """Jumps along a chain, that from the segment before included."""
-    frequencies, orbits = list(chain.frequencies), list(own)
-    if before is not None and not before["reason"][index, -1]:
-        earlier = replace(own[0], end=chain.model.start, amplitude=before["last_amplitude"][index], reason=None)
-        frequencies, orbits = [float(before["last_frequency"][index]), *frequencies], [earlier, *orbits]
-    yield from jumps_of(chain.model, frequencies, orbits, segment.solver, segment.criterion, segment.refine)
+def orbit_of(result: Result, place: tuple[int, int], phase: float) -> Orbit:
+    """A steady state from the columns of a result; of its multipliers the largest only."""
+    value = {name: result[name][place] for name in COLUMNS}
+    return Orbit(
+        end=end_of(result, place, phase),
+        amplitude=value["amplitude"],
+        band=value["band"],
+        settled=bool(value["settled"]),
+        cycles=int(value["cycles"]),
+        period=int(value["period"]),
+        slip_share=value["slip_share"],
+        separation_share=value["separation_share"],
+        floquet=np.array([value["floquet_max"]]),
+        reason=str(value["reason"]) or None,
+    )
 
 
 # The study
@@ -250,7 +268,7 @@ class Grid:
         for name, after, where in self._pieces(chained):
             chains = tuple(Chain(self._model(v), tuple(self._visited(d, f))) for v, d, f in where)
             size = sum(len(chain.frequencies) for chain in chains)
-            payload = Segment(chains, solver, criterion, chained, self.plan.refine)
+            payload = Segment(chains, solver, criterion, self.plan.refine)
             chunks.append(Chunk(name, payload, after, size))
             places[name] = where
         return chunks, places
@@ -293,6 +311,8 @@ class Grid:
             for index, low, high in result["jumps"]:
                 v, d, _ = places[name][int(index)]
                 jumps.append((v, d, low, high))
+        if self.plan.refine is None and self.plan.direction != "independent":
+            jumps += self._unrefined(arrays["amplitude"])
         for name in START:
             arrays[name][arrays["reason"] != ""] = -1 if name == "end_state" else np.nan
         for d, direction in enumerate(self.plan.directions):
@@ -300,6 +320,14 @@ class Grid:
                 for array in arrays.values():
                     array[:, d] = array[:, d, ::-1]
         return arrays, jumps
+
+    def _unrefined(self, amplitude: np.ndarray) -> Iterator[tuple[int, int, float, float]]:
+        """Steps that stand out, from the amplitudes in the order of the sweep."""
+        for v, d in product(range(self.shape[0]), range(self.shape[1])):
+            frequency = self._visited(d, slice(None))
+            for k in suspects(amplitude[v, d].reshape(self.frequency.size, -1)):
+                low, high = sorted(frequency[k : k + 2])
+                yield v, d, low, high
 
     def _blank(self) -> dict[str, np.ndarray]:
         model = next((item for item in self.models if isinstance(item, Model)), None)
