@@ -15,8 +15,9 @@ from scipy.optimize import minimize
 
 from timesim.contact import Law
 from timesim.continuation import Controls, solve
+from timesim.fourier import half_range
 from timesim.hbm import Balance, to_complex, to_real
-from timesim.hbm_curve import contact_motion, default_controls, half_range, hbm_curve, solutions_at
+from timesim.hbm_curve import contact_motion, default_controls, hbm_curve, solutions_at
 from timesim.hbm_setting import Setting
 from timesim.hbm_stability import floquet_multipliers
 from timesim.located_period import located_forces, waves

@@ -13,10 +13,10 @@ from systems import oscillator_scene
 import timesim
 from timesim import hbm_convergence, plot, plot_hbm
 from timesim.config import SceneError, load_scene
+from timesim.fourier import waves_of
 from timesim.hbm_convergence import Place, convergence, order_of
 from timesim.hbm_curve import hbm_curve, solutions_at
 from timesim.hbm_setting import Setting
-from timesim.hbm_start import waves_of
 from timesim.located_period import waves
 from timesim.store import save
 from timesim.study import carry_out

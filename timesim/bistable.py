@@ -55,7 +55,7 @@ def study(scene: Scene, means: Ways) -> Outcome:
     swept = found.sweep({"method": str(solver), "compile_seconds": compiling, "run_seconds": running})
     reasons, groups = [reason or failures(swept)], {"sweep": swept}
     _, *more = (line for line in sweep_summary(swept) if "jumps" not in line)
-    size = int(np.sum(swept.variables["cycles"][1] > 0))
+    size = int(np.isfinite(swept.variables["amplitude"][1]).all(axis=(-2, -1)).sum())
     lines = [*found.summary(), f"{size} steady states of both sweeps, and the search, in {running:.2f} s", *more]
     if plan.harmonics:
         balanced, hbm_reason = _balanced(scene, plan)

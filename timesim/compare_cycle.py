@@ -12,10 +12,10 @@ import numpy as np
 
 from timesim import store
 from timesim.cycle_motion import one_cycle
+from timesim.fourier import waves_of
 from timesim.hbm import Array, Balance, Complex
 from timesim.hbm_curve import HbmCurve
 from timesim.hbm_setting import Setting
-from timesim.hbm_start import waves_of
 from timesim.history import Samples
 from timesim.located_period import waves
 from timesim.model import SEPARATION, SLIP, Model, Start

@@ -7,7 +7,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 
-from timesim.hbm_start import waves_of
+from timesim.fourier import waves_of
 from timesim.history import Samples, sample
 from timesim.model import Model
 from timesim.solver import Solver

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from timesim.continuation import solve
+from timesim.fourier import half_range
 from timesim.hbm import Array, Balance
-from timesim.hbm_curve import default_controls, half_range
+from timesim.hbm_curve import default_controls
 from timesim.hbm_setting import MIN_SAMPLES, Setting
 from timesim.model import Model
 

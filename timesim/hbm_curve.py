@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from timesim.continuation import Controls, Curve, Ending, follow, follow_both_ways, solve
+from timesim.fourier import half_range
 from timesim.hbm import Balance, to_real
 from timesim.hbm_setting import Setting
 from timesim.hbm_stability import BORDER, floquet_multipliers
@@ -313,27 +314,3 @@ def _acts(balance: Balance, motion: Array) -> tuple[Array, Array, Array, Array]:
         return np.zeros_like(motion), none, none, none
     acts, slip, separation, gap = (np.concatenate(column) for column in zip(*rows, strict=True))
     return acts, slip, separation, gap
-
-
-def half_range(phasor: Complex) -> Array:
-    """(max - min) / 2 over a period of Re sum_h phasor_h exp(i h theta), h along axis 1: shape (S, H + 1, ...)."""
-    order = np.arange(phasor.shape[1])
-    num = 16 * order.size
-    grid = 2 * np.pi * np.arange(num) / num
-    turn = np.exp(1j * np.outer(grid, order))
-    values = np.einsum("kh,sh...->ks...", turn, phasor).real
-    ends = [_extreme(phasor, grid[pick(values, axis=0)], order, np.pi / num) for pick in (np.argmax, np.argmin)]
-    return (ends[0] - ends[1]) / 2
-
-
-def _extreme(phasor: Complex, theta: Array, order: NDArray[np.int64], reach: float) -> Array:
-    """Value where the derivative vanishes near theta, by Newton's method within reach."""
-    weights = np.moveaxis(phasor, 1, 0)
-    order = order.reshape(-1, *[1] * theta.ndim)
-    middle = theta
-    for _ in range(5):
-        wave = weights * np.exp(1j * order * theta)
-        slope, bend = (1j * order * wave).real.sum(0), -(order**2 * wave).real.sum(0)
-        step = np.divide(slope, bend, out=np.zeros_like(slope), where=bend != 0)
-        theta = np.clip(theta - step, middle - 2 * reach, middle + 2 * reach)
-    return np.asarray((weights * np.exp(1j * order * theta)).real.sum(0))

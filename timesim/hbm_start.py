@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from timesim.fourier import waves_of
 from timesim.store import read
 
 Array = NDArray[np.float64]
@@ -46,14 +47,3 @@ def result_waves(path: Path) -> Waves:
     if not np.isclose(arrays["cycle_start"][-1] + period, end, rtol=1e-6, atol=1e-6 * period):
         raise ValueError(f"result {path}: it does not end with a whole cycle")
     return Waves(1 / period, waves_of(arrays["modal_displacement"][rows], float(np.deg2rad(arrays["final_phase_deg"]))))
-
-
-def waves_of(samples: Array, phase: float) -> Array:
-    """Coefficients 1, cos, sin, ... of N equal samples of a period, the last at a phase [rad], shape (2K + 1, ...)."""
-    count = len(samples)
-    spectrum = np.fft.rfft(samples, axis=0)[: (count + 1) // 2] / count
-    order = np.arange(len(spectrum)).reshape(-1, *[1] * (samples.ndim - 1))
-    # The first sample lies one interval after the phase at which the last one does.
-    spectrum = spectrum * np.exp(-1j * order * (phase + 2 * np.pi / count))
-    waves = np.stack([2 * spectrum[1:].real, -2 * spectrum[1:].imag], axis=1)
-    return np.concatenate([spectrum[:1].real, waves.reshape(-1, *samples.shape[1:])])

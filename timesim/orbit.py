@@ -92,6 +92,12 @@ class Lane:
         return self.begin(self.model, self.reduction, frequency, solver, start)
 
     @property
+    def shape(self) -> np.ndarray:
+        """Displacements in the units of the scene for a unit of each mode of the loop, shape (3P, M)."""
+        structure, modes = self.model.structure, self.reduction.modes
+        return structure.shape.reshape(-1, structure.num_modes)[:, modes] * self.frame.scales.mode[modes]
+
+    @property
     def apart(self) -> np.ndarray:
         """Entries of `section` that belong to separated contacts."""
         quiet = np.zeros(2 * self.q.size, dtype=bool)
@@ -242,7 +248,7 @@ class Recorded:
     def measure(self) -> Measure:
         """Amplitudes, extremes found on the dense output, and shares of the states."""
         lane, steps = self.start, self.tape.lane(self.index)
-        shape = _shape(lane)
+        shape = lane.shape
         start = [part @ shape.T for part in (steps.q0, steps.p0, steps.a0)]
         end = [part @ shape.T for part in (steps.q1, steps.p1, steps.a1)]
         low, high = between(np.broadcast_to(steps.h[:, None], start[0].shape), start, end)
@@ -252,12 +258,6 @@ class Recorded:
         band = np.stack([each.min(axis=0), each.max(axis=0)]).reshape(2, *place)
         amplitude = 0.5 * (most.max(axis=0) - least.min(axis=0)).reshape(place)
         return Measure(amplitude, band, _share(lane, steps, SLIP), _share(lane, steps, SEPARATION))
-
-
-def _shape(lane: Lane) -> np.ndarray:
-    """Displacements in the units of the scene for a unit of each mode of the loop, shape (3P, M)."""
-    structure, modes = lane.model.structure, lane.reduction.modes
-    return structure.shape.reshape(-1, structure.num_modes)[:, modes] * lane.frame.scales.mode[modes]
 
 
 def _share(lane: Lane, steps: Path, state: int) -> np.ndarray:

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from timesim.integrate import Status
+from timesim.linear_orbit import linear_orbit
 from timesim.model import Model, Start
 from timesim.orbit import SIZES, Lane, Recorded, march, record
 from timesim.reduction import reduction_of
@@ -33,7 +34,7 @@ DOUBLED = 30.0  # times the tolerance: what goes to and fro by less may be a vib
 LEADS_NOWHERE = 3.0  # times the change of a cycle: a drift would have led much farther over two rounds
 REST = 1e-13  # a change this small is rounding
 FIRST_SHOT = 2 * CYCLES_A_ROUND  # cycles marched before the first attempt at shooting
-TAKES_OVER = 0.2  # Newton's method must shrink the change over a period to this share of what it was, or gives up
+TAKES_OVER = 0.3  # Newton's method must shrink the change over a period to this share of what it was, or gives up
 REACH = 0.5  # of the state: a longer step of Newton's method leads elsewhere
 TRIES = 2048  # steps tried in a shot: more mean that it has gone wrong
 UNSTABLE = 1 + 1e-6
@@ -67,7 +68,7 @@ class Orbit:
             where the motion has not settled.
         band: smallest and largest amplitude of one of these cycles, shape (2, P, 3).
         settled: whether the motion repeats.
-        cycles: excitation cycles integrated.
+        cycles: excitation cycles integrated; 0 where the scene is linear and needs none.
         period: its period in excitation periods; 0 if it has not settled.
         slip_share, separation_share: share of the period in these states, shape (C,).
         floquet: multipliers of the period, largest first, without those of offsets that nothing moves; NaN where the
@@ -143,6 +144,7 @@ def steady_states(
     criterion: Criterion | None = None,
     progress: Progress | None = None,
     *,
+    crowd: int = 0,
     halted: Callable[[], bool] = lambda: False,
 ) -> list[list[Orbit]]:
     """The steady states of chains of frequencies.
@@ -154,6 +156,7 @@ def steady_states(
         progress: called with the steady states found and their number.
 
     Keyword Args:
+        crowd: chains that the batches are sized for, where more are to follow; one size less is compiled.
         halted: asked now and then; once it says so the work is given up.
 
     Returns:
@@ -168,10 +171,15 @@ def steady_states(
     groups: dict[tuple[tuple[int, ...], ...], deque[Search]] = {}
     for index, chain in enumerate(chains):
         lane = first_lane(chain, solver)
-        groups.setdefault(lane.told.shapes, deque()).append(Search(index, 0, lane))
-    done = 0
+        linear = _linear_orbits(chain, lane, solver)
+        if linear is not None:
+            found[index] = linear
+        else:
+            groups.setdefault(lane.told.shapes, deque()).append(Search(index, 0, lane))
+    done = sum(map(len, found))
     for group in groups.values():
-        for search, orbit in _settle_group(group, chains, solver, criterion):
+        small = max(len(group), crowd) <= SIZES[0]
+        for search, orbit in _settle_group(group, chains, solver, criterion, small):
             found[search.chain].append(orbit)
             done += 1
             if halted():
@@ -179,6 +187,20 @@ def steady_states(
             if progress is not None:
                 progress(done, total)
     return found
+
+
+def _linear_orbits(chain: Chain, lane: Lane, solver: Solver) -> list[Orbit] | None:
+    """The steady states of a chain in which no contact is left to be modelled; None if it has to be marched."""
+    orbits = []
+    for frequency in chain.frequencies if not lane.state.size else ():
+        linear = linear_orbit(lane.at(frequency, begin_of(chain.model), solver))
+        if linear is None:
+            return None
+        amplitude, apart = linear.amplitude, np.zeros(chain.model.num_contacts)
+        apart[lane.reduction.apart] = 1.0
+        band, none = np.stack([amplitude, amplitude]), np.zeros_like(apart)
+        orbits.append(Orbit(linear.lane.start(), amplitude, band, True, 0, 1, none, apart, linear.multipliers))
+    return orbits or None
 
 
 def first_lane(chain: Chain, solver: Solver) -> Lane:
@@ -193,10 +215,9 @@ def begin_of(model: Model) -> Start:
 
 
 def _settle_group(
-    pending: deque[Search], chains: Sequence[Chain], solver: Solver, criterion: Criterion
+    pending: deque[Search], chains: Sequence[Chain], solver: Solver, criterion: Criterion, small: bool
 ) -> Iterator[tuple[Search, Orbit]]:
     active: list[Search] = []
-    small = len(pending) <= SIZES[0]
     while pending or active:
         while pending and len(active) < SIDE_BY_SIDE:
             active.append(pending.popleft())

@@ -20,10 +20,9 @@ from timesim.campaign import Chunk, Means, Result, carry_through, halted
 from timesim.config import Scene
 from timesim.jump_search import Stretch, jumps_of, steps_of, suspects
 from timesim.model import Model, Start
-from timesim.orbit import SIZES
 from timesim.scene_source import SceneError
 from timesim.solver import Solver, solver_of
-from timesim.steady import Chain, Criterion, Orbit, Task, settle, steady_states
+from timesim.steady import Chain, Criterion, Orbit, first_lane, steady_states
 from timesim.study import Outcome, attributes
 from timesim.sweep_section import Sweep, SweepKeys
 
@@ -44,18 +43,20 @@ class Segment:
         chains: what is to be found.
         solver, criterion: how.
         refine: width [Hz] to which jumps along the chains are narrowed down; None does not look for them.
+        crowd: chains of the largest segment, which the batches of all are sized for.
     """
 
     chains: tuple[Chain, ...]
     solver: Solver
     criterion: Criterion
     refine: float | None = None
+    crowd: int = 0
 
 
 def solve(segment: Segment, before: Result | None) -> Result:
     """The steady states of a segment as arrays: chain first, then its frequencies."""
     chains = list(segment.chains) if before is None else _continued(segment.chains, before)
-    orbits = steady_states(chains, segment.solver, segment.criterion, halted=halted)
+    orbits = steady_states(chains, segment.solver, segment.criterion, crowd=segment.crowd, halted=halted)
     rows = columns_of(orbits)
     jumps = [] if segment.refine is None else list(_jumps(segment, chains, orbits, before, segment.refine))
     last = np.array([chain.frequencies[-1] for chain in chains])
@@ -172,10 +173,13 @@ def sweep_record(scene: Scene, plan: SweepKeys, means: Means) -> tuple[store.Rec
 
 def warm_up(chunks: Sequence[Chunk], solver: Solver) -> None:
     """Compile what the work needs, once, before threads ask for it side by side."""
-    sizes = {len(chunk.payload.chains) <= SIZES[0]: len(chunk.payload.chains) for chunk in chunks}
-    for size in sizes.values():
-        chain = chunks[0].payload.chains[0]
-        settle([Task(chain.model, chain.frequencies[0])] * size, solver, tolerance=1e-2, max_cycles=1)
+    for chain in (chain for chunk in chunks for chain in chunk.payload.chains):
+        one = Chain(chain.model, chain.frequencies[:1])
+        lane = first_lane(one, solver)
+        if lane.state.size:
+            crowd = chunks[0].payload.crowd
+            steady_states([one], solver, Criterion(tolerance=1e-2, max_cycles=1), crowd=crowd)
+            return
 
 
 def failures(record: store.Record) -> str | None:
@@ -199,7 +203,7 @@ def _shown(value: Any) -> str:
 def summary(record: store.Record) -> Iterator[str]:
     """What a user wants to know of a sweep at once."""
     found = {name: array for name, (_, array) in record.variables.items()}
-    settled, period, done = found["settled"] == 1, found["period"], (found["cycles"] > 0) & (found["failure"] == "")
+    settled, period, done = found["settled"] == 1, found["period"], np.isfinite(found["amplitude"]).all(axis=(-2, -1))
     yield (
         f"{done.sum()} steady states by {record.attrs['method']} in {record.attrs['run_seconds']:.2f} s, "
         f"{found['cycles'].sum()} cycles"
@@ -265,10 +269,12 @@ class Grid:
         criterion = Criterion(settle_.tolerance, settle_.max_cycles, self.plan.periodic == "shoot")
         chunks: list[Chunk] = []
         places: dict[str, list[Place]] = {}
-        for name, after, where in self._pieces(chained):
+        pieces = list(self._pieces(chained))
+        crowd = max((len(where) for _, _, where in pieces), default=0)
+        for name, after, where in pieces:
             chains = tuple(Chain(self._model(v), tuple(self._visited(d, f))) for v, d, f in where)
             size = sum(len(chain.frequencies) for chain in chains)
-            payload = Segment(chains, solver, criterion, self.plan.refine)
+            payload = Segment(chains, solver, criterion, self.plan.refine, crowd)
             chunks.append(Chunk(name, payload, after, size))
             places[name] = where
         return chunks, places

@@ -1,0 +1,42 @@
+"""Periodic motions by their Fourier coefficients: from samples, and the range that they cover."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+def waves_of(samples: Array, phase: float) -> Array:
+    """Coefficients 1, cos, sin, ... of N equal samples of a period, the last at a phase [rad], shape (2K + 1, ...)."""
+    count = len(samples)
+    spectrum = np.fft.rfft(samples, axis=0)[: (count + 1) // 2] / count
+    order = np.arange(len(spectrum)).reshape(-1, *[1] * (samples.ndim - 1))
+    # The first sample lies one interval after the phase at which the last one does.
+    spectrum = spectrum * np.exp(-1j * order * (phase + 2 * np.pi / count))
+    waves = np.stack([2 * spectrum[1:].real, -2 * spectrum[1:].imag], axis=1)
+    return np.concatenate([spectrum[:1].real, waves.reshape(-1, *samples.shape[1:])])
+
+
+def half_range(phasor: Complex) -> Array:
+    """(max - min) / 2 over a period of Re sum_h phasor_h exp(i h theta), h along axis 1: shape (S, H + 1, ...)."""
+    order = np.arange(phasor.shape[1])
+    num = 16 * order.size
+    grid = 2 * np.pi * np.arange(num) / num
+    turn = np.exp(1j * np.outer(grid, order))
+    values = np.einsum("kh,sh...->ks...", turn, phasor).real
+    ends = [_extreme(phasor, grid[pick(values, axis=0)], order, np.pi / num) for pick in (np.argmax, np.argmin)]
+    return (ends[0] - ends[1]) / 2
+
+
+def _extreme(phasor: Complex, theta: Array, order: NDArray[np.int64], reach: float) -> Array:
+    """Value where the derivative vanishes near theta, by Newton's method within reach."""
+    weights = np.moveaxis(phasor, 1, 0)
+    order = order.reshape(-1, *[1] * theta.ndim)
+    middle = theta
+    for _ in range(5):
+        wave = weights * np.exp(1j * order * theta)
+        slope, bend = (1j * order * wave).real.sum(0), -(order**2 * wave).real.sum(0)
+        step = np.divide(slope, bend, out=np.zeros_like(slope), where=bend != 0)
+        theta = np.clip(theta - step, middle - 2 * reach, middle + 2 * reach)
+    return np.asarray((weights * np.exp(1j * order * theta)).real.sum(0))
