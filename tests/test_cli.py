@@ -70,8 +70,11 @@ def test_pictures_are_drawn_by_run_and_again_by_plot(tmp_path: Path):
     assert len(drawn) == 7
     for path in drawn:
         path.unlink()
-    assert call("plot", tmp_path)[0] == 0
-    assert sorted(tmp_path.glob("*.png")) == drawn
+    for given in (tmp_path, tmp_path / "result.nc"):
+        assert call("plot", given)[0] == 0
+        assert sorted(tmp_path.glob("*.png")) == drawn
+        for path in drawn:
+            path.unlink()
 
 
 def test_plot_of_no_result(tmp_path: Path):

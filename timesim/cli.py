@@ -106,17 +106,21 @@ def schema() -> None:
 
 @app.command()
 def plot(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run, or its result file.")],
 ) -> None:
     """Draw the pictures of a run again."""
     from timesim import plot as pictures
     from timesim import store
 
     try:
-        for path in pictures.draw(store.whole(store.read(folder)), folder):
-            print(path)
+        result = store.whole(store.read(folder))
     except store.StoreError as error:
         _stop(2, str(error))
+    try:
+        for path in pictures.draw(result, folder if folder.is_dir() else folder.parent):
+            print(path)
+    except store.StoreError as error:
+        _stop(1, str(error))
 
 
 def _loaded(scene: Path, overrides: list[str] | None) -> Any:
