@@ -234,7 +234,8 @@ def test_a_full_disk_ends_it_with_what_it_has(tmp_path: Path, monkeypatch: pytes
         patch.setattr(os, "fsync", full)
         results, reason = carried(chunks, means)
     assert reason is not None
-    assert "No space left on device" in reason
+    assert "No space left on device; " in reason
+    assert "unchanged" not in reason
     assert "points are missing" in reason
     assert 6 <= len(results) < 40
     assert len(list((tmp_path / "checkpoint").glob("*.npz"))) == 5
@@ -494,6 +495,37 @@ def test_a_run_cut_off_is_resumed_by_the_commands(fault: str, faulty: list[Any],
     faulty.clear()
     assert call(tmp_path / "run", "--force")[0] == 0
     assert sorted(path.name for path in (tmp_path / "run").iterdir()) == ["result.nc", "scene.yaml"]
+
+
+def test_a_result_that_cannot_be_saved_says_what_is_safe(
+    faulty: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    fsync = os.fsync
+
+    def full(handle: int) -> None:
+        if "result.nc" in os.readlink(f"/proc/self/fd/{handle}"):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", full)
+    status, _, error = call(tmp_path)
+    assert status == 1
+    assert "result.nc cannot be written: No space left on device; the 6 chunks done are safe in" in error
+    assert "--resume goes on with them" in error
+    assert "unchanged" not in error
+    monkeypatch.undo()
+    monkeypatch.setitem(study.CAMPAIGNS, "sweep", "toys")
+    assert call(tmp_path, "--resume")[0] == 0
+
+
+def test_resuming_is_advised_where_it_gets_further(tmp_path: Path):
+    means, _ = means_of(tmp_path)
+    carried(chains(2, 2), means)
+    assert not checkpoint.resuming_helps(tmp_path, "hbm: did not converge")
+    assert checkpoint.resuming_helps(tmp_path, "hbm: interrupted at curve 2")
+    (tmp_path / "checkpoint" / "c-1-1.npz").unlink()
+    assert checkpoint.resuming_helps(tmp_path, "hbm: did not converge")
+    assert not checkpoint.resuming_helps(tmp_path / "new", "interrupted")
 
 
 def test_resume_with_nothing_there_runs(faulty: list[Any], tmp_path: Path):

@@ -15,16 +15,15 @@ from queue import SimpleQueue
 
 from timesim import checkpoint
 from timesim.change import fingerprint
-from timesim.checkpoint import Checkpoint, Manifest
+from timesim.checkpoint import INTERRUPTED, Checkpoint, Manifest
 from timesim.cluster import processes
 from timesim.crew import Chunk, MeansError, Result, Work, halted, perform, threads
 from timesim.store import StoreError
 
-__all__ = ["Chunk", "Means", "MeansError", "Progress", "Result", "Work", "carry_through", "halted"]
+__all__ = ["INTERRUPTED", "Chunk", "Means", "MeansError", "Progress", "Result", "Work", "carry_through", "halted"]
 
 Progress = Callable[[int, int], None]
 
-INTERRUPTED = "interrupted"  # how the reason of a campaign that was given up begins
 LISTED = 4  # failed chunks that a reason names
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")

@@ -29,6 +29,8 @@ FOLDER_NAME = "checkpoint"
 MANIFEST_NAME = "manifest.json"
 LOCK_NAME = ".lock"
 
+INTERRUPTED = "interrupted"  # how the reason of a campaign that was given up begins
+
 _AGAIN = "choose another folder, or give --force to start anew"
 
 
@@ -228,6 +230,20 @@ def chunks_done(run_folder: Path | str) -> int:
     """Finished chunks of a run that is not finished."""
     folder = Path(run_folder) / FOLDER_NAME
     return len(list(folder.glob("*.npz"))) if (folder / MANIFEST_NAME).exists() else 0
+
+
+def resuming_helps(run_folder: Path | str, reason: str) -> bool:
+    """Whether a run that ended early for a reason would get further when it is resumed: chunks are missing, or it was
+    interrupted after them."""
+    root = Path(run_folder) / FOLDER_NAME
+    missing = [
+        name
+        for path in root.rglob(MANIFEST_NAME)
+        if (manifest := Manifest.read(path.parent))
+        for name in manifest.chunks
+        if not (path.parent / f"{name}.npz").exists()
+    ]
+    return bool(missing) or (INTERRUPTED in reason and chunks_done(run_folder) > 0)
 
 
 def _is_whole(folder: Path, scene: str) -> bool:

@@ -4,6 +4,7 @@ Figures are made without pyplot: cheaper to import, no global state. Contact sta
 (Okabe and Ito's palette) and, for print and the colour-blind, by line style of curves and hatching of bars.
 """
 
+import io
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from timesim.model import SEPARATION, SLIP, STATE_NAMES, STICK
+from timesim.store import write_whole
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -68,7 +70,7 @@ def draw(data: "xarray.Dataset | xarray.DataTree", folder: Path | str) -> list[P
         The files written, in order; none for a study that has no pictures, or a run that recorded nothing.
 
     Raises:
-        OSError: a file cannot be written.
+        StoreError: a file cannot be written.
     """
     written: list[Path] = []
     if data.sizes.get("time", 2) < 2:
@@ -76,8 +78,10 @@ def draw(data: "xarray.Dataset | xarray.DataTree", folder: Path | str) -> list[P
     for name, picture in _pictures(str(data.attrs["study"])).items():
         figure = picture(data)
         if figure is not None:
+            image = io.BytesIO()
+            figure.savefig(image, dpi=DPI, format="png")
             written.append(Path(folder) / f"{name}.png")
-            figure.savefig(written[-1], dpi=DPI)
+            write_whole(written[-1], image.getbuffer())
     return written
 
 

@@ -298,7 +298,8 @@ def write_whole(path: Path, content: bytes | memoryview) -> None:
                 os.unlink(temporary)
         if not isinstance(error, OSError):
             raise
-        raise StoreError(f"{path} cannot be written: {error.strerror or error}; what was there is unchanged") from error
+        kept = "; what was there is unchanged" if path.exists() else ""
+        raise StoreError(f"{path} cannot be written: {error.strerror or error}{kept}") from error
 
 
 def _umask() -> int:
