@@ -185,3 +185,8 @@ def test_light_commands_load_no_jax(arguments: tuple[str, ...]):
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stderr.strip() == "[]"
+
+
+def test_the_package_is_the_command_too():
+    found = subprocess.run([sys.executable, "-m", "timesim", "--help"], capture_output=True, text=True, check=True)
+    assert "python -m timesim [OPTIONS] COMMAND" in found.stdout
