@@ -411,8 +411,11 @@ def test_clusters_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(cluster, "PATIENCE", "0.2s")
     with pytest.raises(MeansError, match=r"tcp://127\.0\.0\.1:9 cannot be reached.*give the address"):
         carried(chains(1, 1), Means(cluster="tcp://127.0.0.1:9"))
-    with pytest.raises(MeansError, match=r"cluster a:b:c cannot be reached"):
-        carried(chains(1, 1), Means(cluster="a:b:c"))
+    for wrong, told in (("a:b:c", "give one as tcp://host:8786"), ("lokal", r"did you mean local\?"), ("host", "give")):
+        with pytest.raises(MeansError, match=f"cluster {wrong}: is no address of a scheduler; {told}"):
+            Means(cluster=wrong)
+    for address in ("local", "host:8786", "[::1]:8786", "tls://host:8786"):
+        Means(cluster=address)
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MeansError, match=r"pip install 'timesim\[cluster\]'"):
         carried(chains(1, 1), Means(cluster="local"))
@@ -552,3 +555,7 @@ def test_a_cluster_that_does_not_answer_is_status_2(faulty: list[Any], tmp_path:
     assert "cannot be reached" in error
     assert not (tmp_path / "result.nc").exists()
     assert call(tmp_path)[0] == 0
+    status, _, error = call(tmp_path / "new", "--cluster", "lokal")
+    assert status == 2
+    assert error == "cluster lokal: is no address of a scheduler; did you mean local?\n"
+    assert not (tmp_path / "new").exists()

@@ -16,7 +16,7 @@ from queue import SimpleQueue
 from timesim import checkpoint
 from timesim.change import fingerprint
 from timesim.checkpoint import INTERRUPTED, Checkpoint, Manifest
-from timesim.cluster import processes
+from timesim.cluster import check_address, processes
 from timesim.crew import Chunk, MeansError, Result, Work, halted, perform, threads
 from timesim.store import StoreError
 
@@ -56,6 +56,8 @@ class Means:
     def __post_init__(self) -> None:
         if self.workers is not None and self.workers < 1:
             raise MeansError(f"workers must be at least 1, not {self.workers}")
+        if self.cluster is not None:
+            check_address(self.cluster)
 
     def crew(self) -> AbstractContextManager[Executor]:
         """Those who do the work."""

@@ -54,8 +54,8 @@ def run(
 
     loaded = _loaded(scene, overrides)
     kind = loaded.file.study.kind
-    means = Means(folder=output, resume=resume, cluster=cluster, notice=_notice)
     try:
+        means = Means(folder=output, resume=resume, cluster=cluster, notice=_notice)
         check_means(kind, means)
         if checkpoint.is_finished(output, loaded.resolved_yaml(), force=force, resume=resume):
             print(f"the result in {output} is complete: there is nothing to resume")
