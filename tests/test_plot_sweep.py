@@ -51,6 +51,7 @@ def sweep(
         "floquet_max": (dims, np.full(shape, 0.8)),
         "slip_share": ((*dims, "contact"), slip),
         "separation_share": ((*dims, "contact"), 0.5 * slip),
+        "failure": (dims, np.full(shape, "", object)),
     }
     coords = {"direction": list(directions), "frequency": frequency, "point": POINTS, "axis": list("xyz")}
     base = dict.fromkeys(store.REQUIRED_ATTRIBUTES, "") | {"study": "sweep", "complete": 1, "title": "A spring"}
@@ -65,6 +66,7 @@ def spoilt(data: xarray.Dataset) -> xarray.Dataset:
     made.settled[..., 5] = 0
     made.period[..., 8] = 2
     made.settled[..., 20] = 0
+    made["failure"] = made.failure.where(made.frequency != made.frequency[20], "the budget of steps is spent")
     for name in ("amplitude", "slip_share", "separation_share", "floquet_max"):
         made[name].loc[{"frequency": made.frequency[20]}] = np.nan
     return made
@@ -205,8 +207,8 @@ def test_shares_of_the_states() -> None:
 def test_peaks_and_whether_they_lie_at_an_end() -> None:
     rows = np.array([[1, 3, 2], [5, 1, 2], [np.nan, 2, 4], [np.nan] * 3])
     largest, at_end = plot_sweep.peaks(rows)
-    assert largest == pytest.approx([3, 5, 4, np.nan], nan_ok=True)
-    assert at_end[:3].tolist() == [False, True, True]
+    assert largest == pytest.approx([3, 5, np.nan, np.nan], nan_ok=True)
+    assert at_end.tolist() == [False, True, False, False]
     assert not plot_sweep.peaks(rows[:, 1:2])[1].any()
 
 
@@ -219,9 +221,41 @@ def test_the_peak_against_a_scalar_in_its_order() -> None:
     assert line.get_ydata().tolist() == amplitude[[1, 2, 0, 3]].tolist()
     assert _lines(ax, "peak at an end of the frequencies")[0].get_xdata().tolist() == [5.0]
     (least,) = [line for line in ax.get_lines() if str(line.get_label()).startswith("least")]
-    assert least.get_label() == f"least: {amplitude[1]:.4g} at 0"
+    assert least.get_label() == f"least: {amplitude[1]:.4g} at 0, an end"
     assert ax.get_xlabel() == "pad preload [force]"
     assert ax.get_ylabel() == "peak amplitude of tip y [length]"
+
+
+def _stars(ax: Axes) -> list[str]:
+    return [str(line.get_label()) for line in ax.get_lines() if line.get_marker() == "*"]
+
+
+def test_a_least_peak_in_the_middle_and_one_star_for_both_directions() -> None:
+    data = sweep({PRELOAD: [0.0, 0.1, 0.2]}, ("up", "down"))
+    data.amplitude[1] *= 0.1
+    same = data.copy(deep=True)
+    same.amplitude[:, 1] = same.amplitude[:, 0]
+    (label,) = _stars(plot_sweep.peak(same))
+    assert label.startswith("least of up and down: ")
+    assert label.endswith(" at 0.1")
+    data.amplitude[:, 1] = 0.5 * data.amplitude[:, 0]
+    assert len(_stars(plot_sweep.peak(data))) == 2
+    figure = plot_sweep.PICTURES["peak"](same)
+    assert figure is not None
+    assert "of tip y, which moves most" in figure.get_suptitle()
+
+
+def test_points_that_a_run_did_not_come_to_are_neither_failed_nor_judged() -> None:
+    data = sweep({PRELOAD: [0.0, 0.1, 0.2]})
+    data.amplitude[2, :, 25:] = np.nan
+    data.settled[2, :, 25:] = 0
+    assert not _lines(plot_sweep.response(data), "failed")
+    ax = plot_sweep.peak(data)
+    assert np.isfinite(_lines(ax, "peak")[0].get_ydata()).tolist() == [True, True, False]
+    assert not _stars(ax)
+    figure = plot_sweep.PICTURES["peak"](data.assign_attrs(complete=0))
+    assert figure is not None
+    assert "1 peaks not shown: points are missing" in [text.get_text() for text in figure.texts]
 
 
 def test_the_peak_of_two_scalars_takes_one_along_and_one_by_colour() -> None:
@@ -256,6 +290,7 @@ def test_a_sweep_of_which_every_point_failed(tmp_path: Path) -> None:
     for name in ("amplitude", "slip_share", "separation_share", "floquet_max"):
         data[name][:] = np.nan
     data.settled[:] = 0
+    data["failure"] = data.failure.where(data.settled > 0, "no motion")
     assert [file.stem for file in plot.draw(data, tmp_path)] == ["response", "peak", "contact_states"]
     figure = plot_sweep.PICTURES["response"](data.assign_attrs(complete=0))
     assert figure is not None

@@ -2,8 +2,8 @@
 
 ``f(data, ax=None) -> ax``, where `data` is the result of a sweep. Each set of values of the further axes has its
 colour; up and down are told apart by marker and line. Filled markers are settled motions, hollow ones are not: a bar
-spans the amplitudes of their single cycles. Crosses at the foot are points that failed. `PICTURES` are the figures
-that a run writes.
+spans the amplitudes of their single cycles. Crosses at the foot are points that failed; nothing is drawn of those that
+a run did not come to. `PICTURES` are the figures that a run writes.
 """
 
 from collections.abc import Iterator, Mapping
@@ -105,7 +105,8 @@ def peak(
 ) -> "matplotlib.axes.Axes":
     """Largest amplitude over the frequencies against a scalar of the scene, by default that with most values.
 
-    A hollow marker is a maximum at the first or last frequency, which may lie outside of them. A star is the least.
+    A hollow marker is a maximum at the first or last frequency, which may lie outside of them. A value with points that
+    are missing has no peak. A star is the least, where no peak is missing.
     """
     ax = axes(ax)
     key = key or most_valued(data)
@@ -113,37 +114,42 @@ def peak(
     axis = axis or main_axis(data, point)
     amplitude, order = data.amplitude.sel(point=point, axis=axis), np.argsort(data[key].values)
     value = data[key].values[order]
+    least: dict[tuple[float, str], list[tuple[str, str]]] = {}
     for curve in curves(data, without=key):
         largest, at_end = peaks(amplitude.isel(curve.where).transpose(key, "frequency").values[order])
         style, told = curve.style, [curve.label] if curve.label else []
         name = ", ".join(told + ([curve.direction] if data.sizes["direction"] > 1 else []))
         ax.plot(value, largest, color=style.colour, linestyle=style.line, label=name or "peak")
         _marks(ax, value, largest, style, at_end, "peak at an end of the frequencies")
-        if np.isfinite(largest).any():
-            _least(ax, value, largest, style.colour)
+        if np.isfinite(largest).all():
+            place = int(np.argmin(largest))
+            least.setdefault((value[place], f"{largest[place]:.4g}"), []).append((name, style.colour))
+    for (x, y), found in least.items():
+        _star(ax, x, y, found, x in (value[0], value[-1]) and value.size > 1)
     ax.set_ylim(bottom=0)
     ax.set(xlabel=_titled(data, key), ylabel=f"peak amplitude of {short(point, 16)} {axis} [length]")
     return ax
 
 
-def _least(ax: "matplotlib.axes.Axes", value: np.ndarray, largest: np.ndarray, colour: str) -> None:
-    place = int(np.nanargmin(largest))
-    x, y = value[place], largest[place]
-    look: dict[str, Any] = {"color": colour, "markeredgecolor": "black", "ms": 10, "linestyle": "", "zorder": 4}
-    ax.plot(x, y, "*", label=f"least: {y:.4g} at {x:.4g}", **look)
+def _star(ax: "matplotlib.axes.Axes", x: float, y: str, found: list[tuple[str, str]], at_end: bool) -> None:
+    """The least peak, one star for all curves that have it at the same place."""
+    names, colours = zip(*found, strict=True)
+    of = f" of {' and '.join(names)}" if len(names) == 2 else f" of {len(names)} curves" if len(names) > 2 else ""
+    look: dict[str, Any] = {"color": colours[0], "markeredgecolor": "black", "ms": 10, "linestyle": "", "zorder": 4}
+    ax.plot(x, float(y), "*", label=f"least{of}: {y} at {x:.4g}" + (", an end" if at_end else ""), **look)
 
 
 def peaks(amplitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Largest entry of each row, NaN where it has none, and whether it is the first or last of several.
+    """Largest entry of each row, NaN where entries are missing, and whether it is the first or last of several.
 
     Args:
-        amplitude: over the last axis, the frequencies, shape (N, F); NaN where a point failed.
+        amplitude: over the last axis, the frequencies, shape (N, F); NaN where a point is missing.
     """
-    known = np.isfinite(amplitude)
-    place = np.argmax(np.where(known, amplitude, -np.inf), axis=1)
-    largest = np.where(known.any(axis=1), np.take_along_axis(amplitude, place[:, None], axis=1)[:, 0], np.nan)
+    known = np.isfinite(amplitude).all(axis=1)
+    place = np.argmax(np.where(known[:, None], amplitude, 0.0), axis=1)
+    largest = np.where(known, np.take_along_axis(amplitude, place[:, None], axis=1)[:, 0], np.nan)
     last = amplitude.shape[1] - 1
-    return largest, (last > 0) & ((place == 0) | (place == last))
+    return largest, known & (last > 0) & ((place == 0) | (place == last))
 
 
 def curves(data: "xarray.Dataset", without: str | None = None) -> list[Curve]:
@@ -227,10 +233,9 @@ def _jumps(data: "xarray.Dataset", curve: Curve) -> np.ndarray:
 
 
 def _draw(ax: "matplotlib.axes.Axes", data: "xarray.Dataset", curve: Curve, y: np.ndarray) -> None:
-    """A curve, hollow markers where it has not settled, crosses at the foot where there is nothing."""
+    """A curve, hollow markers where it has not settled, crosses at the foot where it failed."""
     frequency, settled = data.frequency.values, data.settled.isel(curve.where).values.astype(bool)
-    failed = ~np.isfinite(data.amplitude.isel(curve.where).values).any(axis=(-2, -1))
-    style = curve.style
+    failed, style = data.failure.isel(curve.where).values != "", curve.style
     ax.plot(frequency, y, color=style.colour, linestyle=style.line, linewidth=1.0, label="_" + curve.label)
     _marks(ax, frequency, y, style, ~settled & ~failed, "not settled")
     doubled = settled & (data.period.isel(curve.where).values > 1)
@@ -380,7 +385,10 @@ def _peak_figure(data: "xarray.Dataset") -> "matplotlib.figure.Figure | None":
             entries.setdefault(name, handle)
         names = {"labels": list(entries), "title": _names(data, others), "title_fontsize": 8}
         ax.legend(handles=list(entries.values()), **names, **BESIDE)
-    heading(made, data, "peak over the frequencies")
+    point = moving(data)[0]
+    what = f"peak over the frequencies of {short(point, 16)} {main_axis(data, point)}, which moves most"
+    missing = int(np.sum(~np.isfinite(data.amplitude.values).all(axis=(-2, -1)).all(axis=-1)))
+    heading(made, data, what, f"{missing} peaks not shown: points are missing" if missing else "")
     return made
 
 
