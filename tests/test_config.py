@@ -511,6 +511,17 @@ def test_nothing_moves_is_worth_a_warning():
     assert any("nothing will move" in warning for warning in load_scene(one_mass()).warnings())
 
 
+def test_a_force_that_acts_on_nothing_is_worth_a_warning():
+    forces = [{"point": "m", "direction": axis, "amplitude": 1} for axis in ([1, 0, 0], [0, 2, 0])]
+    excitation = {"forces": forces, "constant_forces": [forces[1]]}
+    assert load_scene(one_mass(excitation=excitation)).warnings() == [
+        f"excitation.{key} has no effect: no mode moves m along its direction"
+        for key in ("forces.1", "constant_forces.0")
+    ]
+    forces[1]["amplitude"] = 0
+    assert load_scene(one_mass(excitation=excitation)).warnings() == []
+
+
 def test_advised_method_follows_the_fastest_rate():
     model = load_scene(one_mass()).model()
     assert model.stuck_rate == pytest.approx(np.sqrt(K + 20))

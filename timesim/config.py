@@ -280,6 +280,8 @@ def _still_parts(file: SceneFile, model: Model) -> Iterator[str]:
     if not any(np.any(part) for part in (excitation.cosine, excitation.sine, excitation.constant)):
         moving = np.any(start.displacement) or np.any(start.velocity) or np.any(start.slip)
         yield "no force acts" if moving else "no force acts and the start is at rest: nothing will move"
+    for idle in file.excitation.without_effect(model.structure) if file.excitation else ():
+        yield f"excitation.{'.'.join(map(str, idle.key))} {idle.rule}"
     for contact, shape in zip(model.contacts, model.contact_shape, strict=True):
         if not np.any(shape):
             yield f"contacts.{contact.name} does not move in any mode"
