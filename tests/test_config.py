@@ -258,6 +258,25 @@ def test_with_overrides_starts_from_the_scene():
     assert (scene.model().contacts[0].preload, scene.model().contacts[0].friction) == (5, 0.25)
 
 
+def test_keys_of_over_hold_dots_themselves():
+    study = "study={kind: sweep, frequency: {from: 1, to: 2, step: 0.5}, direction: up, refine: 0.01}"
+    over = "study.over.contacts.pad.preload"
+    assert load_scene(BASE, [study, f"{over}=[1,2]"]).file.study.over == {"contacts.pad.preload": (1, 2)}
+    spread = load_scene(BASE, [study, f"{over}={{from: 1, to: 2, num: 3}}", f"{over}.num=5"]).file.study
+    assert spread.over["contacts.pad.preload"].num == 5
+    assert problems(BASE, study, f"{over[:-1]}=[1,2]")[0][0] == over[:-1]
+
+
+def test_null_takes_a_key_out():
+    study = "study={kind: sweep, frequency: {from: 1, to: 2, step: 0.5}, direction: up, refine: 0.01}"
+    scene = load_scene(BASE, [study, "study.refine=null", "study.settle.tolerance=null", "title=null"])
+    assert scene.file.study.refine is None
+    assert scene.file.title == ""
+    assert scene.resolved_yaml() == load_scene(BASE, [study.replace(", refine: 0.01", ""), "title=''"]).resolved_yaml()
+    assert problems(BASE, "structure.modes.0.frequency=null") == [("structure.modes.0.frequency", "is required")]
+    assert problems(BASE, "study.kind=null")[0][0] in ("study", "study.kind")
+
+
 def test_solver_defaults():
     def solver(text: str) -> Any:
         return load_scene(BASE.replace("  accuracy: standard", f"  {text}")).file.solver
@@ -549,6 +568,8 @@ def test_json_schema_knows_the_keys():
     assert not contact["additionalProperties"]
     assert contact["properties"]["normal_stiffness"]["minimum"] == 0
     assert "from" in schema["$defs"]["InitialResult"]["properties"]
+    assert "null" not in json.dumps(schema)
+    assert schema["$defs"]["ExcitationSection"]["properties"]["frequency"]["exclusiveMinimum"] == 0
 
 
 # Whatever is written
