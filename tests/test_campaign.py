@@ -215,8 +215,24 @@ def test_a_damaged_manifest_is_a_message(tmp_path: Path):
     carried(chains(1, 1), means)
     manifest = tmp_path / "checkpoint" / "manifest.json"
     manifest.write_bytes(manifest.read_bytes()[:-9])
-    with pytest.raises(StoreError, match=r"manifest.json cannot be read .* --force"):
+    with pytest.raises(StoreError, match=r"manifest.json cannot be read .*the 1 chunks beside it .* --force"):
         carried(chains(1, 1), replace(means, resume=True))
+
+
+def test_chunks_without_a_manifest_are_not_thrown_away(tmp_path: Path):
+    means, _ = means_of(tmp_path)
+    carried(chains(1, 3), means)
+    manifest = tmp_path / "checkpoint" / "manifest.json"
+    content = manifest.read_bytes()
+    manifest.unlink()
+    with pytest.raises(StoreError, match=r"holds 3 chunks but no manifest.json.* put it back, .* --force"):
+        carried(chains(1, 3), replace(means, resume=True))
+    with pytest.raises(StoreError, match=r"holds 3 chunks but no manifest\.json"):
+        checkpoint.is_finished(tmp_path, SCENE, force=False, resume=False)
+    assert not checkpoint.is_finished(tmp_path, SCENE, force=True, resume=False)
+    manifest.write_bytes(content)
+    results, reason = carried(chains(1, 3), replace(means, resume=True))
+    assert (len(results), reason) == (3, None)
 
 
 def test_a_full_disk_ends_it_with_what_it_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
