@@ -42,6 +42,22 @@ def test_bad_scene(bad: BadScene, tmp_path: Path):
         assert f"{path}:{bad.line}: {bad.key}: " in str(caught.value)
 
 
+def test_a_tab_and_the_keys_of_a_range():
+    with pytest.raises(SceneError, match=r":7: is no YAML.*use spaces, not tabs"):
+        load_scene(BASE.replace("      shape: {tip: [1, 1", "\tshape: {tip: [1, 1"))
+    study = "study={kind: sweep, frequency: {from: 1, to: 2, step: 0.5}}"
+    with pytest.raises(SceneError, match=r"preload\.step: 0\.5: is no key here \(known: from, to, num\)"):
+        load_scene(BASE, [study, "study.over.contacts.pad.preload={from: 1, to: 2, step: 0.5}"])
+
+
+def test_a_value_of_over_is_shown_once():
+    study = "study={kind: sweep, frequency: {from: 1, to: 2, step: 0.5}, over: {contacts.pad.normal_stiffness: [0]}}"
+    with pytest.raises(SceneError) as caught:
+        load_scene(BASE, [study, "contacts.pad.preload=-30"])
+    told = "override: study.over.contacts.pad.normal_stiffness: 0.0: contacts.pad.preload must be > 0 where"
+    assert str(caught.value).startswith(told)
+
+
 def test_zoo_is_diverse():
     assert len(BAD_SCENES) >= 45
     assert len({(bad.key, bad.rule) for bad in BAD_SCENES}) == len(BAD_SCENES)

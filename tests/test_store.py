@@ -1,10 +1,12 @@
 """Result files: what is written comes back, in xarray too; what cannot be written or read says so."""
 
+import os
 import re
 import resource
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -245,6 +247,16 @@ def test_a_file_in_the_way(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("")
     with pytest.raises(StoreError, match="runs is a file"):
         store.prepare_folder(tmp_path / "runs" / "first", "title: a\n")
+
+
+def test_a_file_system_that_is_read_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store.os, "access", lambda *_: False)
+    with pytest.raises(StoreError, match="no permission in"):
+        store.check_folder(tmp_path)
+    flags = SimpleNamespace(f_flag=os.ST_RDONLY)
+    monkeypatch.setattr(store.os, "statvfs", lambda _: flags)
+    with pytest.raises(StoreError, match=f"the file system of {tmp_path} is read-only"):
+        store.check_folder(tmp_path)
 
 
 def test_a_folder_that_cannot_be_made() -> None:

@@ -234,7 +234,9 @@ def check_folder(folder: Path | str, force: bool = False) -> None:
             if not part.is_dir():
                 raise StoreError(f"{path} cannot be a run folder: {part} is a file; choose another folder")
             if not os.access(part, os.W_OK | os.X_OK):
-                raise StoreError(f"{path} cannot be written: no permission in {part}; choose another folder")
+                read_only = os.statvfs(part).f_flag & os.ST_RDONLY
+                why = f"the file system of {part} is read-only" if read_only else f"no permission in {part}"
+                raise StoreError(f"{path} cannot be written: {why}; choose another folder")
             return
 
 
