@@ -525,6 +525,31 @@ def test_describe_says_what_is_left_out_and_why():
     assert said(contacts__pad__preload=100, solver__reduce=False) == ("nothing: solver.reduce is false",)
 
 
+def test_describe_counts_points_and_advises_at_the_lowest_frequency():
+    def report(*overrides: str) -> dict[str, tuple[str, ...]]:
+        return {heading.title: heading.lines for heading in describe(load_scene(BASE, overrides))}
+
+    sweep = "study={direction: both, frequency: {from: 1, to: 2, step: 0.5}, kind: sweep}"
+    found = report(sweep, f"study.over.contacts.pad.preload={[float(k) for k in range(9)]}")
+    _, study, points, *_ = found["scene"]
+    told = "direction both, frequency {from: 1.0, to: 2.0, step: 0.5}"
+    assert study.startswith(f"study: kind sweep, {told}, over {{contacts.pad.preload: [0.0, 1.0, 2.0, …, 8.0]}}, ")
+    assert points == "points: 3 frequencies x 9 values of contacts.pad.preload x 2 directions = 54 points"
+    (advice,) = found["advised method"]
+    assert advice.startswith("tsit5: ")
+    assert advice.endswith("(at 1 Hz, the lowest, where it asks most)")
+    assert "points: 3 frequencies" in report("study={kind: sweep, frequency: {values: [1, 2, 3]}}")["scene"]
+    ranges = report("study={kind: bistable, frequency: {from: 1, to: 2}, harmonics: 0}")
+    assert (
+        "points: 41 frequencies x 2 directions = 82 points in the sweeps, and the search for the ends"
+        in ranges["scene"]
+    )
+    assert "at 1 Hz" in ranges["advised method"][0]
+    jump = report("study={kind: jump, phases: [{frequency: 2, cycles: 3}, {frequency: 1.5, cycles: 3}]}")
+    assert "at 1.5 Hz" in jump["advised method"][0]
+    assert "advised method" not in report("study={kind: hbm, frequency: {from: 1, to: 2}, harmonics: 7}")
+
+
 def test_describe_contacts():
     def line(**changes: Any) -> str:
         return contact_line(load_scene(one_mass(contact=changes)).model().contacts[0])
