@@ -287,7 +287,7 @@ def test_harmonics_use_the_cycles_of_the_last_frequency(run: xarray.Dataset) -> 
 
 def test_energy_balance(run: xarray.Dataset) -> None:
     ax = plot_transient.energy(run)
-    assert _labels(ax) == ["input", "modal damping", "friction pad", "friction stop", "change of stored"]
+    assert _labels(ax) == ["input", "structural damping", "friction pad", "friction stop", "change of stored"]
     terms = {name: _curve(ax, name)[1] for name in _labels(ax)}
     assert terms.pop("input") == pytest.approx(sum(terms.values()))
     assert ax.get_ylabel() == "energy a cycle [force·length]"

@@ -187,10 +187,10 @@ def spectrum(data: "xarray.Dataset", ax: "matplotlib.axes.Axes | None" = None) -
 
 
 def energy(data: "xarray.Dataset", ax: "matplotlib.axes.Axes | None" = None) -> "matplotlib.axes.Axes":
-    """Energy balance of each cycle: input, modal damping, friction a contact, change of the stored energy."""
+    """Energy balance of each cycle: input, structural damping, friction a contact, change of the stored energy."""
     ax = axes(ax)
     cycle = data.cycle.values
-    terms = {"input": data.energy_input.values, "modal damping": data.energy_damping.values}
+    terms = {"input": data.energy_input.values, "structural damping": data.energy_damping.values}
     for name in busiest(data, MAX_CONTACTS):
         terms[f"friction {short(name, 16)}"] = data.energy_friction.sel(contact=name).values
     if data.sizes["contact"] > MAX_CONTACTS:
