@@ -102,12 +102,13 @@ def test_the_response_of_the_point_along_its_main_axis() -> None:
     assert plot_sweep.moving(data) == ["tip", "root"]
 
 
-def test_up_and_down_differ_by_marker_and_line_and_show_both_branches(both: xarray.Dataset) -> None:
+def test_up_and_down_differ_by_marker_and_show_both_branches(both: xarray.Dataset) -> None:
     ax = plot_sweep.response(both)
     up, down = _lines(ax, "_0.3")
-    assert (up.get_linestyle(), down.get_linestyle()) == ("-", "--")
-    assert up.get_color() == down.get_color()
-    assert [line.get_marker() for line in _lines(ax, "_settled")] == ["^", "v"]
+    assert (up.get_linestyle(), up.get_color()) == (down.get_linestyle(), down.get_color())
+    marked = _lines(ax, "_settled")
+    assert [line.get_marker() for line in marked] == ["^", "v"]
+    assert not set(marked[0].get_xdata()) & set(marked[1].get_xdata())
     gap = np.asarray(up.get_ydata()) - np.asarray(down.get_ydata())
     several = FREQUENCY[gap > 0.1]
     assert several.size >= 3
@@ -173,9 +174,10 @@ def test_every_set_of_values_has_its_own_style() -> None:
     assert len({curve.style for curve in two}) == 4
 
 
-def test_with_up_and_down_the_values_differ_in_lightness() -> None:
+def test_with_up_and_down_the_values_differ_in_lightness_and_line() -> None:
     shown = plot_sweep.curves(sweep({PRELOAD: [0.0, 0.1, 0.2]}, ("up", "down")))
     assert [(curve.label, curve.direction) for curve in shown][:3] == [("0", "up"), ("0", "down"), ("0.1", "up")]
+    assert [curve.style.line for curve in shown] == ["-", "-", "--", "--", "-.", "-."]
     lightness = [np.dot(to_rgb(curve.style.colour), (0.3, 0.6, 0.1)) for curve in shown]
     assert np.diff(lightness)[::2] == pytest.approx(0)
     assert np.all(np.diff(lightness)[1::2] > 0.15)
@@ -236,7 +238,7 @@ def test_a_least_peak_in_the_middle_and_one_star_for_both_directions() -> None:
     same = data.copy(deep=True)
     same.amplitude[:, 1] = same.amplitude[:, 0]
     (label,) = _stars(plot_sweep.peak(same))
-    assert label.startswith("least of up and down: ")
+    assert label.startswith("least of up and down:\n")
     assert label.endswith(" at 0.1")
     data.amplitude[:, 1] = 0.5 * data.amplitude[:, 0]
     assert len(_stars(plot_sweep.peak(data))) == 2
@@ -280,8 +282,10 @@ def test_stability_beside_its_limit() -> None:
 
 def test_all_pictures_of_a_sweep(both: xarray.Dataset, tmp_path: Path) -> None:
     assert plot.picture_names("sweep") == ["response.png", "peak.png", "contact_states.png", "stability.png"]
-    names = [file.stem for file in plot.draw(spoilt(sweep({PRELOAD: [0.0, 0.1, 0.2]})), tmp_path)]
+    data = sweep({PRELOAD: [0.0, 0.1, 0.2]})
+    names = [file.stem for file in plot.draw(data, tmp_path)]
     assert names == ["response", "peak", "contact_states", "stability"]
+    assert len(plot.draw(spoilt(data), tmp_path)) == 3
     assert len(plot.draw(both, tmp_path)) == 3
 
 
@@ -291,7 +295,7 @@ def test_a_sweep_of_which_every_point_failed(tmp_path: Path) -> None:
         data[name][:] = np.nan
     data.settled[:] = 0
     data["failure"] = data.failure.where(data.settled > 0, "no motion")
-    assert [file.stem for file in plot.draw(data, tmp_path)] == ["response", "peak", "contact_states"]
+    assert [file.stem for file in plot.draw(data, tmp_path)] == ["response", "contact_states"]
     figure = plot_sweep.PICTURES["response"](data.assign_attrs(complete=0))
     assert figure is not None
     assert figure.get_suptitle().endswith("(incomplete run)")

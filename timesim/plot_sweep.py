@@ -1,7 +1,7 @@
 """Pictures of a sweep: response curves, shares of the contact states, peaks against a scalar, stability.
 
 ``f(data, ax=None) -> ax``, where `data` is the result of a sweep. Each set of values of the further axes has its
-colour; up and down are told apart by marker and line. Filled markers are settled motions, hollow ones are not: a bar
+colour and line; up and down are told apart by marker. Filled markers are settled motions, hollow ones are not: a bar
 spans the amplitudes of their single cycles. Crosses at the foot are points that failed; nothing is drawn of those that
 a run did not come to. `PICTURES` are the figures that a run writes.
 """
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 OWN = ("direction", "frequency", "point", "axis")
 DIRECTIONS = {"up": ("-", "^"), "down": ("--", "v"), "independent": ("-", "o")}
-MARKERS = "osD^v<>phX"
+TURNS = {"^": 0, "v": 1}  # up and down are marked at different points, lest one cover the other
+MARKERS = "osD<>phXPd"
 MAX_CURVES = 12
 MAX_ROWS = 3
 MARKED = 45  # settled points of a curve that bear a marker; a curve of more has some of them marked
@@ -134,9 +135,9 @@ def peak(
 def _star(ax: "matplotlib.axes.Axes", x: float, y: str, found: list[tuple[str, str]], at_end: bool) -> None:
     """The least peak, one star for all curves that have it at the same place."""
     names, colours = zip(*found, strict=True)
-    of = f" of {' and '.join(names)}" if len(names) == 2 else f" of {len(names)} curves" if len(names) > 2 else ""
+    of = {1: ": ", 2: f" of {' and '.join(names)}:\n"}.get(len(names), f" of {len(names)} curves:\n")
     look: dict[str, Any] = {"color": colours[0], "markeredgecolor": "black", "ms": 10, "linestyle": "", "zorder": 4}
-    ax.plot(x, float(y), "*", label=f"least{of}: {y} at {x:.4g}" + (", an end" if at_end else ""), **look)
+    ax.plot(x, float(y), "*", label=f"least{of}{y} at {x:.4g}" + (", an end" if at_end else ""), **look)
 
 
 def peaks(amplitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -165,7 +166,11 @@ def curves(data: "xarray.Dataset", without: str | None = None) -> list[Curve]:
         for i, name in enumerate(names):
             line, marker = DIRECTIONS[name]
             colour = look.colour if keys else SERIES[i].colour
-            style = look if len(names) == 1 and keys else Series(colour, line, marker)
+            style = (
+                look._replace(marker=look.marker if len(names) == 1 else marker)
+                if keys
+                else Series(colour, line, marker)
+            )
             made.append(Curve(", ".join(values), dict(zip(keys, chosen, strict=True)) | {"direction": i}, name, style))
     return made
 
@@ -173,7 +178,7 @@ def curves(data: "xarray.Dataset", without: str | None = None) -> list[Curve]:
 def styles(count: int, *, shades: bool = False) -> list[Series]:
     """Styles of a number of curves: hues where they are few, else from dark to light in order, or always so.
 
-    Shades stay apart in print where marker and line are taken by something else.
+    Shades and lines stay apart in print where the marker is taken by something else.
     """
     if count <= len(SERIES) and not shades:
         return [style._replace(marker=marker) for style, marker in zip(SERIES[:count], MARKERS, strict=False)]
@@ -181,7 +186,8 @@ def styles(count: int, *, shades: bool = False) -> list[Series]:
     from matplotlib.colors import to_hex
 
     colours = [to_hex(colour) for colour in colormaps["viridis"](np.linspace(0.0, 0.86, count))]
-    return [Series(colour, SERIES[i % 4].line, MARKERS[i % len(MARKERS)]) for i, colour in enumerate(colours)]
+    lines = [style.line for style in SERIES]
+    return [Series(c, lines[i % len(lines)], MARKERS[i % len(MARKERS)]) for i, c in enumerate(colours)]
 
 
 def over_keys(data: "xarray.Dataset") -> list[str]:
@@ -263,7 +269,9 @@ def _marks(
 ) -> None:
     """Markers on a curve: filled, or hollow and all of them where told."""
     every = max(1, -(-x.size // MARKED))
-    filled = ~hollow & (np.arange(x.size) % every == 0)
+    if style.marker in TURNS and x.size > 1:
+        every = max(2, every)
+    filled = ~hollow & (np.arange(x.size) % every == TURNS.get(style.marker, 0) * (every // 2))
     look: dict[str, Any] = {"color": style.colour, "linestyle": "", "marker": style.marker}
     ax.plot(x[filled], y[filled], ms=3.5, label="_settled", **look)
     if hollow.any():
@@ -288,7 +296,7 @@ def _value_handles(data: "xarray.Dataset") -> Iterator["matplotlib.lines.Line2D"
     for curve in curves(data):
         if curve.label and curve.label not in seen:
             seen.add(curve.label)
-            yield _handle(curve.style._replace(marker="", line="-") if several else curve.style, curve.label)
+            yield _handle(curve.style._replace(marker="") if several else curve.style, curve.label)
 
 
 def _direction_handles(data: "xarray.Dataset") -> Iterator["matplotlib.lines.Line2D"]:
@@ -296,7 +304,7 @@ def _direction_handles(data: "xarray.Dataset") -> Iterator["matplotlib.lines.Lin
         if not curve.label:
             yield _handle(curve.style, curve.direction)
         elif data.sizes["direction"] > 1:
-            yield _handle(curve.style._replace(colour=NEUTRAL), curve.direction)
+            yield _handle(curve.style._replace(colour=NEUTRAL, line=""), curve.direction)
 
 
 def _mark_handles(ax: "matplotlib.axes.Axes") -> Iterator["matplotlib.lines.Line2D"]:
@@ -374,7 +382,8 @@ def _floquet_figure(data: "xarray.Dataset") -> "matplotlib.figure.Figure | None"
 
 def _peak_figure(data: "xarray.Dataset") -> "matplotlib.figure.Figure | None":
     keys = [key for key in over_keys(data) if data.sizes[key] >= FEW]
-    if not keys:
+    whole = np.isfinite(data.amplitude.values).all(axis=(-2, -1)).all(axis=-1)
+    if not keys or not whole.any():
         return None
     made, grid = figure(len(keys), 1, width=9.0, height=3.0, gap=0.7, right=2.4)
     for ax, key in zip(grid[:, 0], keys, strict=True):
@@ -387,8 +396,7 @@ def _peak_figure(data: "xarray.Dataset") -> "matplotlib.figure.Figure | None":
         ax.legend(handles=list(entries.values()), **names, **BESIDE)
     point = moving(data)[0]
     what = f"peak over the frequencies of {short(point, 16)} {main_axis(data, point)}, which moves most"
-    missing = int(np.sum(~np.isfinite(data.amplitude.values).all(axis=(-2, -1)).all(axis=-1)))
-    heading(made, data, what, f"{missing} peaks not shown: points are missing" if missing else "")
+    heading(made, data, what, "" if whole.all() else f"{np.sum(~whole)} peaks not shown: points are missing")
     return made
 
 
