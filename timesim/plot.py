@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9"
 DPI = 110
+MARGIN = 9  # pixels of white around what is drawn
 _HEAD, _FOOT = 0.68, 0.95
 
 
@@ -78,11 +79,26 @@ def draw(data: "xarray.Dataset | xarray.DataTree", folder: Path | str) -> list[P
     for name, picture in _pictures(str(data.attrs["study"])).items():
         figure = picture(data)
         if figure is not None:
-            image = io.BytesIO()
-            figure.savefig(image, dpi=DPI, format="png")
             written.append(Path(folder) / f"{name}.png")
-            write_whole(written[-1], image.getbuffer())
+            write_whole(written[-1], _png(figure))
     return written
+
+
+def _png(made: "matplotlib.figure.Figure") -> memoryview:
+    """A figure as an image, cut to what is drawn: room that was kept for a legend or a note may be empty."""
+    from matplotlib.image import imsave
+
+    made.set_dpi(DPI)
+    made.canvas.draw()
+    pixels = np.asarray(made.canvas.buffer_rgba())  # type: ignore[attr-defined]
+    drawn = pixels[..., :3].min(axis=2) < 255
+    cut = []
+    for filled in (drawn.any(axis=1), drawn.any(axis=0)):
+        found = np.flatnonzero(filled)
+        cut.append(slice(max(0, found[0] - MARGIN), found[-1] + 1 + MARGIN))
+    image = io.BytesIO()
+    imsave(image, pixels[cut[0], cut[1]], format="png", dpi=DPI)
+    return image.getbuffer()
 
 
 def picture_names(study: str) -> list[str]:
