@@ -472,7 +472,8 @@ BAD_SCENES = (
     _sweep("study.settle.tolerance", "tolerance: 1e-8", "tolerance: 0.1", "must be <= 0.01", at="settle:"),
     _sweep("study.settle.max_cycles", "max_cycles: 500", "max_cycles: 0", "must be >= 1", at="settle:"),
     _sweep("study.settle.cycles", "max_cycles: 500", "cycles: 500", "is no key here", at="settle:"),
-    _sweep("study.over.contacts.pad.preload", "[1, 2]", "[1, 2, 1]", "must differ from each other", at="over:"),
+    _sweep("study.over.contacts.pad.preload", "[1, 2]", "[1, 2, 1]", "differ from each other (1 stands", at="over:"),
+    _sweep("study.over.contacts.pad.point", "pad.preload", "pad.point", "is no number of the scene", at="over:"),
     _sweep("study.over.solver.rtol", "contacts.pad.preload", "solver.rtol", "the key of a scalar", at="over:"),
     _sweep(
         "study.over.excitation.frequency", "contacts.pad.preload", "excitation.frequency", "axis of its own", "over:"

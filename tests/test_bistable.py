@@ -21,6 +21,7 @@ from timesim.bistable_starts import ANOTHER, NONE, branch_of, offsets, placed, s
 from timesim.campaign import Means as Ways
 from timesim.cli import app
 from timesim.config import load_scene
+from timesim.hbm_curves import Curves
 from timesim.jump_search import Stretch, narrowed
 from timesim.model import SEPARATION, STICK, Model, Start
 from timesim.solver import PRESETS
@@ -144,6 +145,20 @@ def test_no_jump_is_a_result(tmp_path: Path):
     assert data["start_branch"].shape == (0, 5, 5)
     assert set(data.children) == {"sweep"}
     assert {path.name for path in tmp_path.glob("*.png")} == {"response.png"}
+
+
+def test_a_balance_that_comes_to_no_end_leaves_the_study_whole(monkeypatch: pytest.MonkeyPatch):
+    given = QUICK | {"study.frequency": "{from: 1.4, to: 1.45}", "study.starts": "0"}
+    scene = load_scene(CONFIGS / "softening.yaml", [f"{key}={value}" for key, value in given.items()])
+    told = ["the corrector did not converge"]
+    monkeypatch.setattr(Curves, "run", lambda *_: told[0])
+    outcome = carry_out(scene)
+    assert outcome.reason is None
+    assert outcome.groups[""].attrs["complete"] == 1
+    assert outcome.groups["hbm"].attrs["complete"] == 0
+    assert any("the balance behind is not whole: the corrector did not" in line for line in outcome.summary)
+    told[0] = "interrupted at curve 1"
+    assert carry_out(scene).reason == "hbm: interrupted at curve 1"
 
 
 def test_resumed_it_is_the_same(tmp_path: Path):

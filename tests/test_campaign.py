@@ -215,8 +215,24 @@ def test_a_damaged_manifest_is_a_message(tmp_path: Path):
     carried(chains(1, 1), means)
     manifest = tmp_path / "checkpoint" / "manifest.json"
     manifest.write_bytes(manifest.read_bytes()[:-9])
-    with pytest.raises(StoreError, match=r"manifest.json cannot be read .* --force"):
+    with pytest.raises(StoreError, match=r"manifest.json cannot be read .*the 1 chunks beside it .* --force"):
         carried(chains(1, 1), replace(means, resume=True))
+
+
+def test_chunks_without_a_manifest_are_not_thrown_away(tmp_path: Path):
+    means, _ = means_of(tmp_path)
+    carried(chains(1, 3), means)
+    manifest = tmp_path / "checkpoint" / "manifest.json"
+    content = manifest.read_bytes()
+    manifest.unlink()
+    with pytest.raises(StoreError, match=r"holds 3 chunks but no manifest.json.* put it back, .* --force"):
+        carried(chains(1, 3), replace(means, resume=True))
+    with pytest.raises(StoreError, match=r"holds 3 chunks but no manifest\.json"):
+        checkpoint.is_finished(tmp_path, SCENE, force=False, resume=False)
+    assert not checkpoint.is_finished(tmp_path, SCENE, force=True, resume=False)
+    manifest.write_bytes(content)
+    results, reason = carried(chains(1, 3), replace(means, resume=True))
+    assert (len(results), reason) == (3, None)
 
 
 def test_a_full_disk_ends_it_with_what_it_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -234,7 +250,8 @@ def test_a_full_disk_ends_it_with_what_it_has(tmp_path: Path, monkeypatch: pytes
         patch.setattr(os, "fsync", full)
         results, reason = carried(chunks, means)
     assert reason is not None
-    assert "No space left on device" in reason
+    assert "No space left on device; " in reason
+    assert "unchanged" not in reason
     assert "points are missing" in reason
     assert 6 <= len(results) < 40
     assert len(list((tmp_path / "checkpoint").glob("*.npz"))) == 5
@@ -410,8 +427,11 @@ def test_clusters_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(cluster, "PATIENCE", "0.2s")
     with pytest.raises(MeansError, match=r"tcp://127\.0\.0\.1:9 cannot be reached.*give the address"):
         carried(chains(1, 1), Means(cluster="tcp://127.0.0.1:9"))
-    with pytest.raises(MeansError, match=r"cluster a:b:c cannot be reached"):
-        carried(chains(1, 1), Means(cluster="a:b:c"))
+    for wrong, told in (("a:b:c", "give one as tcp://host:8786"), ("lokal", r"did you mean local\?"), ("host", "give")):
+        with pytest.raises(MeansError, match=f"cluster {wrong}: is no address of a scheduler; {told}"):
+            Means(cluster=wrong)
+    for address in ("local", "host:8786", "[::1]:8786", "tls://host:8786"):
+        Means(cluster=address)
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MeansError, match=r"pip install 'timesim\[cluster\]'"):
         carried(chains(1, 1), Means(cluster="local"))
@@ -496,6 +516,37 @@ def test_a_run_cut_off_is_resumed_by_the_commands(fault: str, faulty: list[Any],
     assert sorted(path.name for path in (tmp_path / "run").iterdir()) == ["result.nc", "scene.yaml"]
 
 
+def test_a_result_that_cannot_be_saved_says_what_is_safe(
+    faulty: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    fsync = os.fsync
+
+    def full(handle: int) -> None:
+        if "result.nc" in os.readlink(f"/proc/self/fd/{handle}"):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", full)
+    status, _, error = call(tmp_path)
+    assert status == 1
+    assert "result.nc cannot be written: No space left on device; the 6 chunks done are safe in" in error
+    assert "--resume goes on with them" in error
+    assert "unchanged" not in error
+    monkeypatch.undo()
+    monkeypatch.setitem(study.CAMPAIGNS, "sweep", "toys")
+    assert call(tmp_path, "--resume")[0] == 0
+
+
+def test_resuming_is_advised_where_it_gets_further(tmp_path: Path):
+    means, _ = means_of(tmp_path)
+    carried(chains(2, 2), means)
+    assert not checkpoint.resuming_helps(tmp_path, "hbm: did not converge")
+    assert checkpoint.resuming_helps(tmp_path, "hbm: interrupted at curve 2")
+    (tmp_path / "checkpoint" / "c-1-1.npz").unlink()
+    assert checkpoint.resuming_helps(tmp_path, "hbm: did not converge")
+    assert not checkpoint.resuming_helps(tmp_path / "new", "interrupted")
+
+
 def test_resume_with_nothing_there_runs(faulty: list[Any], tmp_path: Path):
     status, _, error = call(tmp_path / "new", "--resume")
     assert status == 0
@@ -520,3 +571,7 @@ def test_a_cluster_that_does_not_answer_is_status_2(faulty: list[Any], tmp_path:
     assert "cannot be reached" in error
     assert not (tmp_path / "result.nc").exists()
     assert call(tmp_path)[0] == 0
+    status, _, error = call(tmp_path / "new", "--cluster", "lokal")
+    assert status == 2
+    assert error == "cluster lokal: is no address of a scheduler; did you mean local?\n"
+    assert not (tmp_path / "new").exists()

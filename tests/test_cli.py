@@ -1,5 +1,6 @@
 """The commands as a user meets them: exit status, messages, and what is left on disk."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -70,8 +71,33 @@ def test_pictures_are_drawn_by_run_and_again_by_plot(tmp_path: Path):
     assert len(drawn) == 7
     for path in drawn:
         path.unlink()
-    assert call("plot", tmp_path)[0] == 0
-    assert sorted(tmp_path.glob("*.png")) == drawn
+    for given in (tmp_path, tmp_path / "result.nc"):
+        assert call("plot", given)[0] == 0
+        assert sorted(tmp_path.glob("*.png")) == drawn
+        for path in drawn:
+            path.unlink()
+
+
+def test_a_disk_that_is_full_when_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    fsync = os.fsync
+
+    def full(handle: int) -> None:
+        if ".png." in os.readlink(f"/proc/self/fd/{handle}"):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", full)
+    status, out, error = call("run", OSCILLATOR, "-o", tmp_path, *SHORT)
+    assert status == 1
+    assert "transitions" in out
+    assert f"result: {tmp_path / 'result.nc'}" in out
+    assert ".png cannot be written: No space left on device\n" in error
+    assert f"the result is saved; timesim plot {tmp_path} draws the pictures again" in error
+    assert timesim.open_result(tmp_path).attrs["complete"] == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["result.nc", "scene.yaml"]
+    status, _, error = call("plot", tmp_path)
+    assert status == 1
+    assert ".png cannot be written" in error
 
 
 def test_plot_of_no_result(tmp_path: Path):
@@ -159,3 +185,8 @@ def test_light_commands_load_no_jax(arguments: tuple[str, ...]):
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stderr.strip() == "[]"
+
+
+def test_the_package_is_the_command_too():
+    found = subprocess.run([sys.executable, "-m", "timesim", "--help"], capture_output=True, text=True, check=True)
+    assert "python -m timesim [OPTIONS] COMMAND" in found.stdout

@@ -9,7 +9,7 @@ from systems import oscillator_scene
 from typer.testing import CliRunner
 
 import timesim
-from timesim import compare, plot
+from timesim import compare, plot, plot_compare
 from timesim.cli import app
 from timesim.config import load_scene
 from timesim.store import open_groups
@@ -109,6 +109,14 @@ def test_pictures_are_drawn_by_run_and_again_by_plot(folder):
         (folder / "run" / name).unlink()
     assert CliRunner().invoke(app, ["plot", str(folder / "run")]).exit_code == 0
     assert sorted(path.name for path in (folder / "run").glob("*.png")) == drawn
+
+
+def test_pictures_name_what_they_show(result):
+    folds = result["hbm"].frequency.values[result["hbm"].fold.values > 0]
+    figure = plot_compare.PICTURES["difference"](result)
+    named = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    assert ("frequency of a fold" in named) == (folds.size > 0)
+    assert plot_compare.states(result).get_xlabel() == "phase of the excitation [degree]"
 
 
 def plain_sweep(**changes: Any) -> compare.Sweep:

@@ -42,6 +42,22 @@ def test_bad_scene(bad: BadScene, tmp_path: Path):
         assert f"{path}:{bad.line}: {bad.key}: " in str(caught.value)
 
 
+def test_a_tab_and_the_keys_of_a_range():
+    with pytest.raises(SceneError, match=r":7: is no YAML.*use spaces, not tabs"):
+        load_scene(BASE.replace("      shape: {tip: [1, 1", "\tshape: {tip: [1, 1"))
+    study = "study={kind: sweep, frequency: {from: 1, to: 2, step: 0.5}}"
+    with pytest.raises(SceneError, match=r"preload\.step: 0\.5: is no key here \(known: from, to, num\)"):
+        load_scene(BASE, [study, "study.over.contacts.pad.preload={from: 1, to: 2, step: 0.5}"])
+
+
+def test_a_value_of_over_is_shown_once():
+    study = "study={kind: sweep, frequency: {from: 1, to: 2, step: 0.5}, over: {contacts.pad.normal_stiffness: [0]}}"
+    with pytest.raises(SceneError) as caught:
+        load_scene(BASE, [study, "contacts.pad.preload=-30"])
+    told = "override: study.over.contacts.pad.normal_stiffness: 0.0: contacts.pad.preload must be > 0 where"
+    assert str(caught.value).startswith(told)
+
+
 def test_zoo_is_diverse():
     assert len(BAD_SCENES) >= 45
     assert len({(bad.key, bad.rule) for bad in BAD_SCENES}) == len(BAD_SCENES)
@@ -256,6 +272,25 @@ def test_resolved_scene_runs_from_anywhere(name: str, tmp_path: Path, monkeypatc
 def test_with_overrides_starts_from_the_scene():
     scene = load_scene(BASE, ["contacts.pad.preload=5"]).with_overrides({"contacts.pad.friction": 0.25})
     assert (scene.model().contacts[0].preload, scene.model().contacts[0].friction) == (5, 0.25)
+
+
+def test_keys_of_over_hold_dots_themselves():
+    study = "study={kind: sweep, frequency: {from: 1, to: 2, step: 0.5}, direction: up, refine: 0.01}"
+    over = "study.over.contacts.pad.preload"
+    assert load_scene(BASE, [study, f"{over}=[1,2]"]).file.study.over == {"contacts.pad.preload": (1, 2)}
+    spread = load_scene(BASE, [study, f"{over}={{from: 1, to: 2, num: 3}}", f"{over}.num=5"]).file.study
+    assert spread.over["contacts.pad.preload"].num == 5
+    assert problems(BASE, study, f"{over[:-1]}=[1,2]")[0][0] == over[:-1]
+
+
+def test_null_takes_a_key_out():
+    study = "study={kind: sweep, frequency: {from: 1, to: 2, step: 0.5}, direction: up, refine: 0.01}"
+    scene = load_scene(BASE, [study, "study.refine=null", "study.settle.tolerance=null", "title=null"])
+    assert scene.file.study.refine is None
+    assert scene.file.title == ""
+    assert scene.resolved_yaml() == load_scene(BASE, [study.replace(", refine: 0.01", ""), "title=''"]).resolved_yaml()
+    assert problems(BASE, "structure.modes.0.frequency=null") == [("structure.modes.0.frequency", "is required")]
+    assert problems(BASE, "study.kind=null")[0][0] in ("study", "study.kind")
 
 
 def test_solver_defaults():
@@ -490,6 +525,31 @@ def test_describe_says_what_is_left_out_and_why():
     assert said(contacts__pad__preload=100, solver__reduce=False) == ("nothing: solver.reduce is false",)
 
 
+def test_describe_counts_points_and_advises_at_the_lowest_frequency():
+    def report(*overrides: str) -> dict[str, tuple[str, ...]]:
+        return {heading.title: heading.lines for heading in describe(load_scene(BASE, overrides))}
+
+    sweep = "study={direction: both, frequency: {from: 1, to: 2, step: 0.5}, kind: sweep}"
+    found = report(sweep, f"study.over.contacts.pad.preload={[float(k) for k in range(9)]}")
+    _, study, points, *_ = found["scene"]
+    told = "direction both, frequency {from: 1.0, to: 2.0, step: 0.5}"
+    assert study.startswith(f"study: kind sweep, {told}, over {{contacts.pad.preload: [0.0, 1.0, 2.0, …, 8.0]}}, ")
+    assert points == "points: 3 frequencies x 9 values of contacts.pad.preload x 2 directions = 54 points"
+    (advice,) = found["advised method"]
+    assert advice.startswith("tsit5: ")
+    assert advice.endswith("(at 1 Hz, the lowest, where it asks most)")
+    assert "points: 3 frequencies" in report("study={kind: sweep, frequency: {values: [1, 2, 3]}}")["scene"]
+    ranges = report("study={kind: bistable, frequency: {from: 1, to: 2}, harmonics: 0}")
+    assert (
+        "points: 41 frequencies x 2 directions = 82 points in the sweeps, and the search for the ends"
+        in ranges["scene"]
+    )
+    assert "at 1 Hz" in ranges["advised method"][0]
+    jump = report("study={kind: jump, phases: [{frequency: 2, cycles: 3}, {frequency: 1.5, cycles: 3}]}")
+    assert "at 1.5 Hz" in jump["advised method"][0]
+    assert "advised method" not in report("study={kind: hbm, frequency: {from: 1, to: 2}, harmonics: 7}")
+
+
 def test_describe_contacts():
     def line(**changes: Any) -> str:
         return contact_line(load_scene(one_mass(contact=changes)).model().contacts[0])
@@ -509,6 +569,17 @@ def test_modes_far_above_the_excitation_are_worth_a_warning():
 
 def test_nothing_moves_is_worth_a_warning():
     assert any("nothing will move" in warning for warning in load_scene(one_mass()).warnings())
+
+
+def test_a_force_that_acts_on_nothing_is_worth_a_warning():
+    forces = [{"point": "m", "direction": axis, "amplitude": 1} for axis in ([1, 0, 0], [0, 2, 0])]
+    excitation = {"forces": forces, "constant_forces": [forces[1]]}
+    assert load_scene(one_mass(excitation=excitation)).warnings() == [
+        f"excitation.{key} has no effect: no mode moves m along its direction"
+        for key in ("forces.1", "constant_forces.0")
+    ]
+    forces[1]["amplitude"] = 0
+    assert load_scene(one_mass(excitation=excitation)).warnings() == []
 
 
 def test_advised_method_follows_the_fastest_rate():
@@ -538,6 +609,8 @@ def test_json_schema_knows_the_keys():
     assert not contact["additionalProperties"]
     assert contact["properties"]["normal_stiffness"]["minimum"] == 0
     assert "from" in schema["$defs"]["InitialResult"]["properties"]
+    assert "null" not in json.dumps(schema)
+    assert schema["$defs"]["ExcitationSection"]["properties"]["frequency"]["exclusiveMinimum"] == 0
 
 
 # Whatever is written

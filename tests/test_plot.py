@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import xarray
 from matplotlib.axes import Axes
+from matplotlib.image import imread
 
 from timesim import plot, plot_transient, store
 from timesim.model import SEPARATION, SLIP, STICK
@@ -147,7 +148,7 @@ def test_the_last_cycles_of_a_displacement(run: xarray.Dataset) -> None:
 
 def test_an_orbit_wears_the_colours_of_its_states(run: xarray.Dataset) -> None:
     ax = plot_transient.orbit(run, contact="stop")
-    assert set(_labels(ax)) == {"stick", "slip", "cycles before", "slider w"}
+    assert set(_labels(ax)) == {"stick", "slip", "slider w"}
     lines = {line.get_label(): line for line in ax.get_lines()}
     assert lines["stick"].get_color() == STATE_STYLE[STICK].colour
     assert lines["slip"].get_color() == STATE_STYLE[SLIP].colour
@@ -167,7 +168,7 @@ def test_an_orbit_wears_the_colours_of_its_states(run: xarray.Dataset) -> None:
 
 def test_a_slider_is_not_drawn_in_separation(run: xarray.Dataset) -> None:
     ax = plot_transient.orbit(run, contact="pad")
-    assert set(_labels(ax)) == {"slip", "separation", "cycles before", "slider w"}
+    assert set(_labels(ax)) == {"slip", "separation", "slider w"}
     last = run.contact_state.sel(contact="pad").values[-STEPS // EVERY - 1 :]
     assert np.isnan(_curve(ax, "slider w")[0]).sum() == (last == SEPARATION).sum() > 10
 
@@ -189,7 +190,7 @@ def test_hysteresis_encloses_the_friction_energy(run: xarray.Dataset, tangent: s
     number = tangent[1]
     assert ax.get_xlabel() == f"u{number} [length]"
     assert ax.get_ylabel() == f"f{number} [force]"
-    u, f = _curve(ax, "cycles before")
+    u, f = _curve(ax, "_cycles before")
     assert f.max() == run.contact_force.sel(contact="pad", component=tangent).values[-3 * STEPS // EVERY - 1 :].max()
     assert len(u) == 3 * STEPS // EVERY + 1
 
@@ -197,7 +198,7 @@ def test_hysteresis_encloses_the_friction_energy(run: xarray.Dataset, tangent: s
 def test_both_loops_together_enclose_the_friction_energy(run: xarray.Dataset) -> None:
     area = 0.0
     for tangent in ("t1", "t2"):
-        u, f = _curve(plot_transient.hysteresis(run, contact="pad", tangent=tangent), "cycles before")
+        u, f = _curve(plot_transient.hysteresis(run, contact="pad", tangent=tangent), "_cycles before")
         area += np.trapezoid(f, u) / 3
     assert area == pytest.approx(float(run.energy_friction.sel(contact="pad")[-1]), rel=1e-2)
 
@@ -287,7 +288,7 @@ def test_harmonics_use_the_cycles_of_the_last_frequency(run: xarray.Dataset) -> 
 
 def test_energy_balance(run: xarray.Dataset) -> None:
     ax = plot_transient.energy(run)
-    assert _labels(ax) == ["input", "modal damping", "friction pad", "friction stop", "change of stored"]
+    assert _labels(ax) == ["input", "structural damping", "friction pad", "friction stop", "change of stored"]
     terms = {name: _curve(ax, name)[1] for name in _labels(ax)}
     assert terms.pop("input") == pytest.approx(sum(terms.values()))
     assert ax.get_ylabel() == "energy a cycle [force·length]"
@@ -345,7 +346,53 @@ def test_one_legend_names_every_state_once(run: xarray.Dataset) -> None:
     (legend,) = figure.legends
     names = [text.get_text() for text in legend.get_texts()]
     assert names[:3] == ["stick", "slip", "separation"]
-    assert len(names) == len(set(names)) == 5
+    assert names[3:] == ["slider w"]
+
+
+def test_cycles_before_are_in_the_legend_where_they_are_seen(run: xarray.Dataset) -> None:
+    growing = run.contact_displacement.copy()
+    growing[:] = growing * np.linspace(0.5, 1.0, run.sizes["time"])[:, None, None]
+    for draw in (plot_transient.orbit, plot_transient.hysteresis):
+        assert "cycles before" in _labels(draw(run.assign(contact_displacement=growing)))
+        assert "cycles before" not in _labels(draw(run))
+
+
+def test_a_slider_that_stays_is_a_dot(run: xarray.Dataset) -> None:
+    stuck = run.assign(slip=0.0 * run.slip, contact_state=0 * run.contact_state)
+    (slider,) = [line for line in plot_transient.orbit(stuck).get_lines() if line.get_label() == "slider w"]
+    assert slider.get_marker() == "o"
+    assert np.asarray(slider.get_xdata()).tolist() == [0.0]
+    apart = run.assign(contact_state=0 * run.contact_state + SEPARATION)
+    assert "slider w" not in _labels(plot_transient.orbit(apart))
+
+
+def test_directions_that_do_not_move_have_no_hysteresis(run: xarray.Dataset) -> None:
+    still = {name: run[name].copy() for name in ("contact_displacement", "contact_force")}
+    still["contact_displacement"][:, 0, 1] = 0.1
+    still["contact_force"][:, 0, 1] = 0.0
+    draw = plot_transient.PICTURES["hysteresis"]
+    figure = draw(run.assign(still))
+    assert figure is not None
+    assert [ax.get_title(loc="right") for ax in figure.axes] == ["pad, t1", "stop, t1", "stop, t2"]
+    one = friction_run(1)
+    for name in still:
+        one[name][:, 0, 1] = 0.0
+    alone = draw(one)
+    assert alone is not None
+    assert len(alone.axes) == 1
+    frictionless = run.assign(still)
+    frictionless["contact_force"][:, 0, :2] = 0.0
+    figure = draw(frictionless)
+    assert figure is not None
+    assert [ax.get_title(loc="right") for ax in figure.axes] == ["stop, t1", "stop, t2"]
+
+
+def test_pictures_are_cut_to_what_is_drawn(run: xarray.Dataset, tmp_path: Path) -> None:
+    for file in plot.draw(run, tmp_path):
+        white = (imread(file)[..., :3] == 1).all(axis=2)
+        for edge in (white.all(axis=1), white.all(axis=0)):
+            ink = np.flatnonzero(~edge)
+            assert max(ink[0], edge.size - 1 - ink[-1]) <= plot.MARGIN
 
 
 def test_a_run_without_contacts(run: xarray.Dataset, tmp_path: Path) -> None:

@@ -51,6 +51,7 @@ def sweep(
         "floquet_max": (dims, np.full(shape, 0.8)),
         "slip_share": ((*dims, "contact"), slip),
         "separation_share": ((*dims, "contact"), 0.5 * slip),
+        "failure": (dims, np.full(shape, "", object)),
     }
     coords = {"direction": list(directions), "frequency": frequency, "point": POINTS, "axis": list("xyz")}
     base = dict.fromkeys(store.REQUIRED_ATTRIBUTES, "") | {"study": "sweep", "complete": 1, "title": "A spring"}
@@ -65,6 +66,7 @@ def spoilt(data: xarray.Dataset) -> xarray.Dataset:
     made.settled[..., 5] = 0
     made.period[..., 8] = 2
     made.settled[..., 20] = 0
+    made["failure"] = made.failure.where(made.frequency != made.frequency[20], "the budget of steps is spent")
     for name in ("amplitude", "slip_share", "separation_share", "floquet_max"):
         made[name].loc[{"frequency": made.frequency[20]}] = np.nan
     return made
@@ -100,12 +102,13 @@ def test_the_response_of_the_point_along_its_main_axis() -> None:
     assert plot_sweep.moving(data) == ["tip", "root"]
 
 
-def test_up_and_down_differ_by_marker_and_line_and_show_both_branches(both: xarray.Dataset) -> None:
+def test_up_and_down_differ_by_marker_and_show_both_branches(both: xarray.Dataset) -> None:
     ax = plot_sweep.response(both)
     up, down = _lines(ax, "_0.3")
-    assert (up.get_linestyle(), down.get_linestyle()) == ("-", "--")
-    assert up.get_color() == down.get_color()
-    assert [line.get_marker() for line in _lines(ax, "_settled")] == ["^", "v"]
+    assert (up.get_linestyle(), up.get_color()) == (down.get_linestyle(), down.get_color())
+    marked = _lines(ax, "_settled")
+    assert [line.get_marker() for line in marked] == ["^", "v"]
+    assert not set(marked[0].get_xdata()) & set(marked[1].get_xdata())
     gap = np.asarray(up.get_ydata()) - np.asarray(down.get_ydata())
     several = FREQUENCY[gap > 0.1]
     assert several.size >= 3
@@ -171,9 +174,10 @@ def test_every_set_of_values_has_its_own_style() -> None:
     assert len({curve.style for curve in two}) == 4
 
 
-def test_with_up_and_down_the_values_differ_in_lightness() -> None:
+def test_with_up_and_down_the_values_differ_in_lightness_and_line() -> None:
     shown = plot_sweep.curves(sweep({PRELOAD: [0.0, 0.1, 0.2]}, ("up", "down")))
     assert [(curve.label, curve.direction) for curve in shown][:3] == [("0", "up"), ("0", "down"), ("0.1", "up")]
+    assert [curve.style.line for curve in shown] == ["-", "-", "--", "--", "-.", "-."]
     lightness = [np.dot(to_rgb(curve.style.colour), (0.3, 0.6, 0.1)) for curve in shown]
     assert np.diff(lightness)[::2] == pytest.approx(0)
     assert np.all(np.diff(lightness)[1::2] > 0.15)
@@ -205,8 +209,8 @@ def test_shares_of_the_states() -> None:
 def test_peaks_and_whether_they_lie_at_an_end() -> None:
     rows = np.array([[1, 3, 2], [5, 1, 2], [np.nan, 2, 4], [np.nan] * 3])
     largest, at_end = plot_sweep.peaks(rows)
-    assert largest == pytest.approx([3, 5, 4, np.nan], nan_ok=True)
-    assert at_end[:3].tolist() == [False, True, True]
+    assert largest == pytest.approx([3, 5, np.nan, np.nan], nan_ok=True)
+    assert at_end.tolist() == [False, True, False, False]
     assert not plot_sweep.peaks(rows[:, 1:2])[1].any()
 
 
@@ -219,9 +223,41 @@ def test_the_peak_against_a_scalar_in_its_order() -> None:
     assert line.get_ydata().tolist() == amplitude[[1, 2, 0, 3]].tolist()
     assert _lines(ax, "peak at an end of the frequencies")[0].get_xdata().tolist() == [5.0]
     (least,) = [line for line in ax.get_lines() if str(line.get_label()).startswith("least")]
-    assert least.get_label() == f"least: {amplitude[1]:.4g} at 0"
+    assert least.get_label() == f"least: {amplitude[1]:.4g} at 0, an end"
     assert ax.get_xlabel() == "pad preload [force]"
     assert ax.get_ylabel() == "peak amplitude of tip y [length]"
+
+
+def _stars(ax: Axes) -> list[str]:
+    return [str(line.get_label()) for line in ax.get_lines() if line.get_marker() == "*"]
+
+
+def test_a_least_peak_in_the_middle_and_one_star_for_both_directions() -> None:
+    data = sweep({PRELOAD: [0.0, 0.1, 0.2]}, ("up", "down"))
+    data.amplitude[1] *= 0.1
+    same = data.copy(deep=True)
+    same.amplitude[:, 1] = same.amplitude[:, 0]
+    (label,) = _stars(plot_sweep.peak(same))
+    assert label.startswith("least of up and down:\n")
+    assert label.endswith(" at 0.1")
+    data.amplitude[:, 1] = 0.5 * data.amplitude[:, 0]
+    assert len(_stars(plot_sweep.peak(data))) == 2
+    figure = plot_sweep.PICTURES["peak"](same)
+    assert figure is not None
+    assert "of tip y, which moves most" in figure.get_suptitle()
+
+
+def test_points_that_a_run_did_not_come_to_are_neither_failed_nor_judged() -> None:
+    data = sweep({PRELOAD: [0.0, 0.1, 0.2]})
+    data.amplitude[2, :, 25:] = np.nan
+    data.settled[2, :, 25:] = 0
+    assert not _lines(plot_sweep.response(data), "failed")
+    ax = plot_sweep.peak(data)
+    assert np.isfinite(_lines(ax, "peak")[0].get_ydata()).tolist() == [True, True, False]
+    assert not _stars(ax)
+    figure = plot_sweep.PICTURES["peak"](data.assign_attrs(complete=0))
+    assert figure is not None
+    assert "1 peaks not shown: points are missing" in [text.get_text() for text in figure.texts]
 
 
 def test_the_peak_of_two_scalars_takes_one_along_and_one_by_colour() -> None:
@@ -246,8 +282,10 @@ def test_stability_beside_its_limit() -> None:
 
 def test_all_pictures_of_a_sweep(both: xarray.Dataset, tmp_path: Path) -> None:
     assert plot.picture_names("sweep") == ["response.png", "peak.png", "contact_states.png", "stability.png"]
-    names = [file.stem for file in plot.draw(spoilt(sweep({PRELOAD: [0.0, 0.1, 0.2]})), tmp_path)]
+    data = sweep({PRELOAD: [0.0, 0.1, 0.2]})
+    names = [file.stem for file in plot.draw(data, tmp_path)]
     assert names == ["response", "peak", "contact_states", "stability"]
+    assert len(plot.draw(spoilt(data), tmp_path)) == 3
     assert len(plot.draw(both, tmp_path)) == 3
 
 
@@ -256,7 +294,8 @@ def test_a_sweep_of_which_every_point_failed(tmp_path: Path) -> None:
     for name in ("amplitude", "slip_share", "separation_share", "floquet_max"):
         data[name][:] = np.nan
     data.settled[:] = 0
-    assert [file.stem for file in plot.draw(data, tmp_path)] == ["response", "peak", "contact_states"]
+    data["failure"] = data.failure.where(data.settled > 0, "no motion")
+    assert [file.stem for file in plot.draw(data, tmp_path)] == ["response", "contact_states"]
     figure = plot_sweep.PICTURES["response"](data.assign_attrs(complete=0))
     assert figure is not None
     assert figure.get_suptitle().endswith("(incomplete run)")

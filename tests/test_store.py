@@ -1,10 +1,12 @@
 """Result files: what is written comes back, in xarray too; what cannot be written or read says so."""
 
+import os
 import re
 import resource
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -156,6 +158,19 @@ def test_every_name_has_a_meaning_and_units_are_known() -> None:
     assert label.attributes("structure.modes.0.mass") == {"long_name": "scene value structure.modes.0.mass"}
 
 
+def test_flags_say_what_they_mean_and_are_of_the_type_of_their_variable(tmp_path: Path) -> None:
+    flags = {"settled": np.int32, "stable": np.int8, "range_cut": np.int32, "start_branch": np.int32}
+    variables = {name: (("jump",), np.array([-1, 0, 1], dtype=kind)) for name, kind in flags.items()}
+    result = store.record(variables, {}, ATTRS)
+    for data in (result.dataset(), store.open_result(store.save(result, tmp_path / "result.nc"))):
+        for name, kind in flags.items():
+            attrs = data[name].attrs
+            assert attrs["flag_values"].dtype == kind
+            assert len(attrs["flag_meanings"].split()) == len(attrs["flag_values"])
+        assert data.start_branch.attrs["flag_meanings"] == "none smaller larger another"
+        assert data.range_cut.attrs["flag_values"].tolist() == [-1, 0, 1]
+
+
 @pytest.mark.parametrize("keep", [0, 10, 0.5, 0.98])
 def test_a_cut_off_file_is_refused(tmp_path: Path, keep: float) -> None:
     file = store.save(_record(), tmp_path / "result.nc")
@@ -245,6 +260,16 @@ def test_a_file_in_the_way(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("")
     with pytest.raises(StoreError, match="runs is a file"):
         store.prepare_folder(tmp_path / "runs" / "first", "title: a\n")
+
+
+def test_a_file_system_that_is_read_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store.os, "access", lambda *_: False)
+    with pytest.raises(StoreError, match="no permission in"):
+        store.check_folder(tmp_path)
+    flags = SimpleNamespace(f_flag=os.ST_RDONLY)
+    monkeypatch.setattr(store.os, "statvfs", lambda _: flags)
+    with pytest.raises(StoreError, match=f"the file system of {tmp_path} is read-only"):
+        store.check_folder(tmp_path)
 
 
 def test_a_folder_that_cannot_be_made() -> None:

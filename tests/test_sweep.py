@@ -19,7 +19,7 @@ import timesim
 from timesim import steady, sweep
 from timesim.cli import app
 from timesim.config import SceneError, load_scene
-from timesim.store import save
+from timesim.store import read, save
 
 DATA = Path(__file__).parent / "data"
 CONFIGS = Path(__file__).parents[1] / "configs"
@@ -171,6 +171,16 @@ def test_jumps_are_found_and_bisected(both: xarray.Dataset) -> None:
         assert found[1] >= true[0]
 
 
+def test_a_jump_is_told_with_its_chain(both: xarray.Dataset, tmp_path: Path) -> None:
+    record = read(save(both, tmp_path / "result.nc"))[""]
+    told = [line for line in sweep.summary(record) if "jumps" in line]
+    ends = [f"{both.jump_low.values[0, d, 0]:.8g} and {both.jump_high.values[0, d, 0]:.8g} Hz" for d in (0, 1)]
+    assert told == [
+        f"{PRELOAD} -4, direction {way}: the motion jumps between {end}"
+        for way, end in zip(("up", "down"), ends, strict=True)
+    ]
+
+
 def test_the_motion_loses_its_stability_before_it_jumps(both: xarray.Dataset) -> None:
     largest = both.floquet_max.sel({PRELOAD: -4, "direction": "up"}).values[:10]
     assert np.all(np.diff(largest[3:]) > 0)
@@ -300,7 +310,8 @@ def test_what_does_not_settle_is_told_with_its_band(tmp_path: Path) -> None:
     status, out, _ = call(tmp_path / "run", json.dumps(scene(study)))
     result = timesim.open_result(tmp_path / "run")
     assert status == 0
-    assert "4 points did not settle in settle.max_cycles (settled = 0, with the band of their amplitude)" in out
+    assert "4 points did not settle in settle.max_cycles (settled = 0, with the band of their amplitude): " in out
+    assert f"{PRELOAD} -1: between 0.97 and 1.39 Hz; {PRELOAD} 3: between 0.97 and 1.39 Hz" in out
     assert result.attrs["complete"] == 1
     assert not result.settled.values.any()
     assert not result.period.values.any()

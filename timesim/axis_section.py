@@ -11,6 +11,16 @@ from timesim.section import Number, Positive, Section, Text, Whole, nearest, ref
 MAX_POINTS = 10**6
 
 
+def repeated(values: Sequence[float]) -> str:
+    """The first value that stands there again, in words; empty if all differ."""
+    seen: set[float] = set()
+    for value in values:
+        if value in seen:
+            return f"{value:.10g} stands twice"
+        seen.add(value)
+    return ""
+
+
 class Range(Section):
     """Equally spaced values, both ends included."""
 
@@ -69,8 +79,8 @@ class Frequencies(Section):
         if self.listed is not None:
             if given:
                 raise refuse("excludes values", key=(given[0],), hint="give from, to and step, or values")
-            if len(set(self.listed)) < len(self.listed):
-                raise refuse("must differ from each other", key=("values",))
+            if twice := repeated(self.listed):
+                raise refuse("must differ from each other", key=("values",), hint=twice)
             return self
         if missing := [key for key in spaced if key not in given]:
             raise refuse("is required", key=(missing[0],), hint="from, to and step, or values")
@@ -109,8 +119,8 @@ def _scalars(over: Mapping[str, Any]) -> Mapping[str, Any]:
             raise refuse("must be the key of a scalar of the scene", key=(key,), hint=nearest(part, OVER_PARTS))
         if key == "excitation.frequency":
             raise refuse("is an axis of its own", key=(key,), hint="use the study's frequency")
-        if len(set(values := axis_values(given))) < len(values):
-            raise refuse("must differ from each other", key=(key,))
+        if twice := repeated(axis_values(given)):
+            raise refuse("must differ from each other", key=(key,), hint=twice)
     return over
 
 

@@ -16,7 +16,7 @@ from timesim import store
 from timesim.bistable_search import UP, Means, Part, Search, find, sweep_part
 from timesim.bistable_section import Bistable
 from timesim.bistable_starts import ANOTHER, LOWER, NONE, UPPER, Ensemble, explore, shares, unique
-from timesim.campaign import Chunk, Result, carry_through
+from timesim.campaign import INTERRUPTED, Chunk, Result, carry_through
 from timesim.campaign import Means as Ways
 from timesim.config import Scene
 from timesim.hbm_study import followed
@@ -42,7 +42,11 @@ def work(payload: Payload, before: Result | None) -> Result:
 
 
 def study(scene: Scene, means: Ways) -> Outcome:
-    """Run a bistable scene. That no range is found is a result, no failure."""
+    """Run a bistable scene. That no range is found is a result, no failure.
+
+    The balance is only drawn behind the ranges: where it comes to no end the summary says so, and its group of the
+    result is marked, but the study is complete.
+    """
     plan = scene.file.study
     assert isinstance(plan, Bistable)
     solver, grid = solver_of(scene.file.solver), Grid(scene, plan.sweep())
@@ -62,8 +66,10 @@ def study(scene: Scene, means: Ways) -> Outcome:
         groups["hbm"] = balanced
         lines += folds(balanced)
         compiling, running = (compiling + balanced.attrs["compile_seconds"], running + balanced.attrs["run_seconds"])
-        hint = "; study.harmonics: 0 leaves the balance out"
-        reasons.append(f"hbm: {hbm_reason}{hint}" if hbm_reason else None)
+        if hbm_reason and INTERRUPTED in hbm_reason:
+            reasons.append(f"hbm: {hbm_reason}")
+        elif hbm_reason:
+            lines.append(f"the balance behind is not whole: {hbm_reason}; study.harmonics: 0 leaves it out")
     why = "; ".join(filter(None, reasons)) or None
     told = attributes(scene, str(solver), compiling, running, why)
     return Outcome({"": found.record(told), **groups}, why, tuple(lines))

@@ -88,6 +88,14 @@ class Bistable(StudyKind):
                 key = ("excitation",) if error.key == "excitation" else ("study", error.key)
                 yield RuleError(key, error.rule, error.hint, error.value)
 
+    def lowest_frequency(self) -> float:
+        """The lower end."""
+        return self.frequency.first
+
+    def points_told(self) -> str:
+        """Those of the sweeps."""
+        return f"{self.sweep().points_told()} in the sweeps, and the search for the ends"
+
     def sweep(self) -> Sweep:
         """The sweeps both ways."""
         assert self.step is not None

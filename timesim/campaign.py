@@ -15,16 +15,15 @@ from queue import SimpleQueue
 
 from timesim import checkpoint
 from timesim.change import fingerprint
-from timesim.checkpoint import Checkpoint, Manifest
-from timesim.cluster import processes
+from timesim.checkpoint import INTERRUPTED, Checkpoint, Manifest
+from timesim.cluster import check_address, processes
 from timesim.crew import Chunk, MeansError, Result, Work, halted, perform, threads
 from timesim.store import StoreError
 
-__all__ = ["Chunk", "Means", "MeansError", "Progress", "Result", "Work", "carry_through", "halted"]
+__all__ = ["INTERRUPTED", "Chunk", "Means", "MeansError", "Progress", "Result", "Work", "carry_through", "halted"]
 
 Progress = Callable[[int, int], None]
 
-INTERRUPTED = "interrupted"  # how the reason of a campaign that was given up begins
 LISTED = 4  # failed chunks that a reason names
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
@@ -57,6 +56,8 @@ class Means:
     def __post_init__(self) -> None:
         if self.workers is not None and self.workers < 1:
             raise MeansError(f"workers must be at least 1, not {self.workers}")
+        if self.cluster is not None:
+            check_address(self.cluster)
 
     def crew(self) -> AbstractContextManager[Executor]:
         """Those who do the work."""

@@ -1,7 +1,8 @@
 """What would be modelled, told before anything runs: the parts of a scene, warnings, the method advised."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
@@ -13,6 +14,7 @@ from timesim.scene_source import value_text
 
 REACH = 3.3
 """Largest |eigenvalue| times step at which an explicit fifth-order method stays stable on an oscillation."""
+LISTED = 6  # entries of a list that are all shown
 STIFF_STEPS = 20_000
 """Explicit steps of a cycle above which an implicit method is advised."""
 
@@ -51,8 +53,7 @@ def describe(scene: Scene) -> list[Heading]:
         headings.append(Heading("structure", tuple(_structure_lines(model))))
         headings.append(Heading("contacts", tuple(map(contact_line, model.contacts)) or ("none",)))
         headings.append(Heading("excitation", tuple(_excitation_lines(model))))
-        if (advice := advised_method(model)) is not None:
-            headings.append(Heading("advised method", (str(advice),)))
+        headings.append(Heading("advised method", tuple(_advice_lines(scene, model))))
         headings.append(Heading("left out or simplified", _left_out(scene, model)))
     else:
         headings.append(Heading("contacts", tuple(contact_line(item.build()) for item in scene.file.contacts)))
@@ -66,6 +67,14 @@ def _left_out(scene: Scene, model: Model) -> tuple[str, ...]:
     frequency = model.excitation.frequency if scene.file.study.uses_frequency else None
     findings = reduction_of(model, [] if frequency is None else [frequency]).findings
     return findings or ("nothing: every mode, contact and direction is needed",)
+
+
+def _advice_lines(scene: Scene, model: Model) -> Iterator[str]:
+    study = scene.file.study
+    frequency = model.excitation.frequency if study.uses_frequency else study.lowest_frequency()
+    if frequency is not None and (advice := advised_method(model, frequency)) is not None:
+        place = "" if study.uses_frequency else f" (at {frequency:g} Hz, the lowest, where it asks most)"
+        yield f"{advice}{place}"
 
 
 def advised_method(model: Model, frequency: float | None = None) -> Advice | None:
@@ -142,12 +151,26 @@ def _excitation_lines(model: Model) -> Iterator[str]:
 def _study_lines(scene: Scene) -> Iterator[str]:
     if scene.file.title:
         yield scene.file.title
-    yield f"study: {_keys(scene.file.study)}"
-    yield f"solver: {_keys(scene.file.solver)}"
-    initial = scene.file.initial
-    yield f"start: {initial if isinstance(initial, str) else _keys(initial)}"
+    written, initial = scene.source.data, scene.file.initial
+    yield f"study: {_keys(scene.file.study, ('kind', *written['study']))}"
+    if told := scene.file.study.points_told():
+        yield f"points: {told}"
+    yield f"solver: {_keys(scene.file.solver, written.get('solver', ()))}"
+    yield f"start: {initial if isinstance(initial, str) else _keys(initial, written['initial'])}"
 
 
-def _keys(section: BaseModel) -> str:
-    given = section.model_dump(by_alias=True, exclude_none=True)
-    return ", ".join(f"{key} {value_text(value)}" for key, value in given.items())
+def _keys(section: BaseModel, order: Iterable[str]) -> str:
+    """What a section holds, the keys that were written first and in their order."""
+    held = section.model_dump(by_alias=True, exclude_none=True)
+    keys = dict.fromkeys([key for key in order if key in held] + list(held))
+    return ", ".join(f"{key} {_brief(held[key])}" for key in keys)
+
+
+def _brief(value: Any) -> str:
+    """A value as YAML writes it, long lists without their middle."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key}: {_brief(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        items = [_brief(item) for item in (value if len(value) <= LISTED else (*value[:3], value[-1]))]
+        return "[" + ", ".join(items if len(value) <= LISTED else (*items[:3], "…", items[3])) + "]"
+    return value_text(value)

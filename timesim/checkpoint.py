@@ -29,6 +29,8 @@ FOLDER_NAME = "checkpoint"
 MANIFEST_NAME = "manifest.json"
 LOCK_NAME = ".lock"
 
+INTERRUPTED = "interrupted"  # how the reason of a campaign that was given up begins
+
 _AGAIN = "choose another folder, or give --force to start anew"
 
 
@@ -59,7 +61,8 @@ class Manifest:
         except FileNotFoundError:
             return None
         except (OSError, ValueError, TypeError) as error:
-            raise StoreError(f"{path} cannot be read ({error}), so nothing can be resumed; {_AGAIN}") from error
+            lost = f"so what the {_count(folder)} chunks beside it belong to is not known and nothing can be resumed"
+            raise StoreError(f"{path} cannot be read ({error}), {lost}; {_AGAIN}") from error
 
     def change(self, now: "Manifest") -> str | None:
         """What tells it from another, in words; None if nothing does."""
@@ -163,6 +166,8 @@ def _locked(folder: Path) -> filelock.BaseFileLock:
 
 def _taken_up(folder: Path, manifest: Manifest, resume: bool) -> bool:
     before = Manifest.read(folder) if resume else None
+    if resume:
+        _refuse_orphans(folder)
     if before is None:
         _empty(folder)
         write_whole(folder / MANIFEST_NAME, json.dumps(asdict(manifest)).encode())
@@ -170,6 +175,16 @@ def _taken_up(folder: Path, manifest: Manifest, resume: bool) -> bool:
     if change := before.change(manifest):
         raise StoreError(f"the checkpoint in {folder} {change}; run what it was begun with, {_AGAIN}")
     return True
+
+
+def _refuse_orphans(folder: Path) -> None:
+    if (count := _count(folder)) and not (folder / MANIFEST_NAME).exists():
+        lost = f"holds {count} chunks but no {MANIFEST_NAME}, which says what they belong to: they cannot be taken up"
+        raise StoreError(f"{folder} {lost}; put it back, {_AGAIN}")
+
+
+def _count(folder: Path) -> int:
+    return len(list(folder.glob("*.npz")))
 
 
 def clear(run_folder: Path | str) -> None:
@@ -218,7 +233,10 @@ def is_finished(run_folder: Path | str, scene: str, *, force: bool, resume: bool
         raise StoreError("force starts anew and resume goes on with what is there; give one of them")
     if resume:
         return _is_whole(folder, scene)
-    if not force and (done := chunks_done(folder)):
+    if force:
+        return False
+    _refuse_orphans(folder / FOLDER_NAME)
+    if done := chunks_done(folder):
         hint = "give --resume to go on, or --force to start anew"
         raise StoreError(f"{folder} holds a run that was cut off, {done} chunks done; {hint}")
     return False
@@ -227,7 +245,21 @@ def is_finished(run_folder: Path | str, scene: str, *, force: bool, resume: bool
 def chunks_done(run_folder: Path | str) -> int:
     """Finished chunks of a run that is not finished."""
     folder = Path(run_folder) / FOLDER_NAME
-    return len(list(folder.glob("*.npz"))) if (folder / MANIFEST_NAME).exists() else 0
+    return _count(folder) if (folder / MANIFEST_NAME).exists() else 0
+
+
+def resuming_helps(run_folder: Path | str, reason: str) -> bool:
+    """Whether a run that ended early for a reason would get further when it is resumed: chunks are missing, or it was
+    interrupted after them."""
+    root = Path(run_folder) / FOLDER_NAME
+    missing = [
+        name
+        for path in root.rglob(MANIFEST_NAME)
+        if (manifest := Manifest.read(path.parent))
+        for name in manifest.chunks
+        if not (path.parent / f"{name}.npz").exists()
+    ]
+    return bool(missing) or (INTERRUPTED in reason and chunks_done(run_folder) > 0)
 
 
 def _is_whole(folder: Path, scene: str) -> bool:

@@ -54,8 +54,8 @@ def run(
 
     loaded = _loaded(scene, overrides)
     kind = loaded.file.study.kind
-    means = Means(folder=output, resume=resume, cluster=cluster, notice=_notice)
     try:
+        means = Means(folder=output, resume=resume, cluster=cluster, notice=_notice)
         check_means(kind, means)
         if checkpoint.is_finished(output, loaded.resolved_yaml(), force=force, resume=resume):
             print(f"the result in {output} is complete: there is nothing to resume")
@@ -70,19 +70,27 @@ def run(
             outcome = carry_out(loaded, replace(means, progress=progress))
     except (store.StoreError, MeansError) as error:
         _stop(2, str(error))
-    try:
-        path = store.save_groups(outcome.groups, output / store.RESULT_NAME)
-        if outcome.reason is None:
-            checkpoint.clear(output)
-        pictures = plot.draw(store.whole(outcome.groups), output) if plots else []
-    except store.StoreError as error:
-        _stop(1, str(error))
     for line in outcome.summary:
         print(line)
+    try:
+        path = store.save_groups(outcome.groups, output / store.RESULT_NAME)
+    except store.StoreError as error:
+        _stop(1, f"{error}{_safe_chunks(output)}")
+    faults, pictures = [], []
+    try:
+        if outcome.reason is None:
+            checkpoint.clear(output)
+        else:
+            faults.append(_incomplete(outcome.reason, output, path))
+    except store.StoreError as error:
+        faults.append(str(error))
+    try:
+        pictures = plot.draw(store.whole(outcome.groups), output) if plots else []
+    except store.StoreError as error:
+        faults.append(f"{error}\nthe result is saved; timesim plot {output} draws the pictures again")
     print(f"result: {path}" + (f" and {len(pictures)} pictures" if pictures else ""))
-    if outcome.reason is not None:
-        hint = "; --resume goes on with it" if checkpoint.chunks_done(output) else ""
-        _stop(1, f"incomplete: {outcome.reason}\nwhat was computed is in {path}, marked complete = 0{hint}")
+    if faults:
+        _stop(1, "\n".join(faults))
 
 
 @app.command()
@@ -106,17 +114,21 @@ def schema() -> None:
 
 @app.command()
 def plot(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run, or its result file.")],
 ) -> None:
     """Draw the pictures of a run again."""
     from timesim import plot as pictures
     from timesim import store
 
     try:
-        for path in pictures.draw(store.whole(store.read(folder)), folder):
-            print(path)
+        result = store.whole(store.read(folder))
     except store.StoreError as error:
         _stop(2, str(error))
+    try:
+        for path in pictures.draw(result, folder if folder.is_dir() else folder.parent):
+            print(path)
+    except store.StoreError as error:
+        _stop(1, str(error))
 
 
 def _loaded(scene: Path, overrides: list[str] | None) -> Any:
@@ -136,6 +148,22 @@ def _prepare(output: Path, loaded: Any, scene: Path, *, force: bool, resume: boo
     store.prepare_folder(output, loaded.resolved_yaml(), force, source=scene, stale=stale, resume=resume)
     if force:
         checkpoint.clear(output)
+
+
+def _safe_chunks(output: Path) -> str:
+    """What is not lost although the result could not be saved."""
+    from timesim import checkpoint
+
+    done = checkpoint.chunks_done(output)
+    folder = output / checkpoint.FOLDER_NAME
+    return f"; the {done} chunks done are safe in {folder}, and --resume goes on with them" if done else ""
+
+
+def _incomplete(reason: str, output: Path, path: Path) -> str:
+    from timesim import checkpoint
+
+    hint = "; --resume goes on with it" if checkpoint.resuming_helps(output, reason) else ""
+    return f"incomplete: {reason}\nwhat was computed is in {path}, marked complete = 0{hint}"
 
 
 def _notice(text: str) -> None:

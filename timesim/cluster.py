@@ -1,9 +1,11 @@
 """Processes of a dask cluster as those who do the work: of this machine, or of many behind a scheduler."""
 
 import logging
+import re
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
+from difflib import get_close_matches
 from importlib.metadata import version
 from typing import Any
 
@@ -17,8 +19,22 @@ RETRIES = 2
 
 PATIENCE = "15s"  # for a scheduler that does not answer
 
+_ADDRESS = re.compile(r"[a-z]+://\S+|[^\s:/]+:[0-9]+|\[[0-9a-fA-F:.]+\]:[0-9]+")
+
 # Ctrl-C in a terminal reaches every process; the workers of this machine are ended by the one that has started them.
 _IGNORE_INTERRUPT = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+
+
+def check_address(cluster: str) -> None:
+    """Refuse what is neither `LOCAL` nor the address of a scheduler.
+
+    Raises:
+        MeansError: with what was meant.
+    """
+    if cluster != LOCAL and not _ADDRESS.fullmatch(cluster):
+        close = get_close_matches(cluster.lower(), [LOCAL], cutoff=0.6)
+        hint = f"did you mean {LOCAL}?" if close else f"give one as tcp://host:8786, or '{LOCAL}'"
+        raise MeansError(f"cluster {cluster}: is no address of a scheduler; {hint}")
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from timesim.axis_section import axis_values
 from timesim.model import Excitation, Model
 from timesim.override import overridden
-from timesim.scene_rule import rule_errors
+from timesim.scene_rule import NO_NUMBER, rule_errors
 from timesim.scene_source import (
     Key,
     Problem,
@@ -159,12 +159,18 @@ def _check_over(scene: Scene) -> None:
             try:
                 scene.variant({key: value})
             except SceneError as error:
-                own = error.problems[0]
-                rule = f"{value:g}: {own.key} {own.rule}" if own.key != key else own.rule
-                problems.append(scene.source.problem(RuleError(("study", axis, key), rule, own.hint, value)))
+                problems.append(scene.source.problem(_refused(error.problems[0], axis, key, value)))
                 break
     if problems:
         raise SceneError(problems)
+
+
+def _refused(own: Problem, axis: str, key: str, value: float) -> RuleError:
+    """What a variant is refused for, said of the axis that has asked for it."""
+    if own.key == key and own.rule in NO_NUMBER:
+        return RuleError(("study", axis, key), "is no number of the scene")
+    rule = own.rule if own.key == key else f"{own.key} {own.rule}"
+    return RuleError(("study", axis, key), rule, own.hint, value)
 
 
 def _scene_error(source: SceneSource, errors: Sequence[RuleError]) -> SceneError:
@@ -280,6 +286,8 @@ def _still_parts(file: SceneFile, model: Model) -> Iterator[str]:
     if not any(np.any(part) for part in (excitation.cosine, excitation.sine, excitation.constant)):
         moving = np.any(start.displacement) or np.any(start.velocity) or np.any(start.slip)
         yield "no force acts" if moving else "no force acts and the start is at rest: nothing will move"
+    for idle in file.excitation.without_effect(model.structure) if file.excitation else ():
+        yield f"excitation.{'.'.join(map(str, idle.key))} {idle.rule}"
     for contact, shape in zip(model.contacts, model.contact_shape, strict=True):
         if not np.any(shape):
             yield f"contacts.{contact.name} does not move in any mode"

@@ -8,6 +8,8 @@ from timesim import model
 from timesim.scene_source import RuleError
 from timesim.section import Count, Direction, Number, Positive, Section, Text, nearest, unit
 
+STILL = 1e-12  # of the largest entry of all mode shapes
+
 
 class ModalForce(Section):
     """A harmonic force on one mode: amplitude cos(2 pi f t + phase)."""
@@ -75,6 +77,21 @@ class ExcitationSection(Section):
             sine[row] -= s * pull
         constant = sum((self._pull(force, structure) for force in self.constant_forces), np.zeros(order.size))
         return model.Excitation(self.frequency, harmonic, cosine, sine, constant)
+
+    def without_effect(self, structure: model.Structure) -> list[RuleError]:
+        """Forces along directions in which no mode moves their point."""
+        return [
+            RuleError((key, i), f"has no effect: no mode moves {force.point} along its direction")
+            for key in ("forces", "constant_forces")
+            for i, force in enumerate(getattr(self, key))
+            if force.amplitude and not np.any(self._moves(force, structure))
+        ]
+
+    @staticmethod
+    def _moves(force: Force | ConstantForce, structure: model.Structure) -> np.ndarray:
+        """In which modes a force does work."""
+        shape = structure.shape[structure.points.index(force.point)]
+        return np.abs(unit(force.direction) @ shape) > STILL * np.abs(structure.shape).max()
 
     def _modal_forces(self, order: np.ndarray) -> list[ModalForce]:
         if self.modal_force is None:

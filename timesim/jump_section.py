@@ -32,3 +32,7 @@ class Jump(StudyKind):
     """Phases before these, at negative times: no samples of them are kept, but their transitions and amplitudes."""
     samples_per_cycle: Annotated[Whole, Field(ge=2)] = 200
     """Recorded samples of one cycle."""
+
+    def lowest_frequency(self) -> float:
+        """Of all phases."""
+        return min(phase.frequency for phase in (*self.run_up, *self.phases))

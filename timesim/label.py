@@ -57,7 +57,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "final_contact_state": ("contact state at the end", None),
     "final_phase_deg": ("phase of the excitation at the end", "degree"),
     "energy_input": ("work of the excitation in the cycle", "force*length"),
-    "energy_damping": ("energy lost to modal damping in the cycle", "force*length"),
+    "energy_damping": ("energy lost to structural damping in the cycle", "force*length"),
     "energy_stored_change": ("change of the stored energy over the cycle", "force*length"),
     "energy_residual": ("energy that the other terms of the cycle leave unexplained", "force*length"),
     "energy_friction": ("energy lost to friction in the cycle", "force*length"),
@@ -66,7 +66,11 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "settled": ("1 where the motion settled", None),
     "cycles": ("excitation cycles run", "1"),
     "period": ("period of the motion in excitation periods", "1"),
-    "floquet_max": ("largest modulus of the Floquet multipliers", "1"),
+    "floquet_max": (
+        "largest modulus of the Floquet multipliers; of a contact in full stick, whose offset is free, the balance "
+        "counts the multipliers 1, the time integration does not",
+        "1",
+    ),
     "slip_share": ("share of a period in slip", "1"),
     "separation_share": ("share of a period in separation", "1"),
     "amplitude_band": ("smallest and largest amplitude of one of the cycles that were measured", "length"),
@@ -138,7 +142,10 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "fold": ("1 at a turning point of the branch", None),
     "branch": ("number of the branch: folds passed before", None),
     "curve": ("number of the curve", None),
-    "closure": ("change of u - w over the period over what counts as closed", "1"),
+    "closure": (
+        "how far u - w of contacts is from repeating after a period, as a multiple of what is tolerated, at most 1",
+        "1",
+    ),
     "harmonics": ("harmonics balanced", "1"),
     "time_samples": ("time samples of a period", "1"),
     "change_with_harmonics": ("change of the amplitudes from the most harmonics; last: from the fewer before", "1"),
@@ -149,7 +156,10 @@ LABELS: dict[str, tuple[str, str | None]] = {
     # compare
     "found_by": ("time integration (sweep) or harmonic balance (hbm)", None),
     "excitation_angle": ("phase angle of the excitation", "degree"),
-    "relative_difference": ("(harmonic balance - sweep)/sweep of the amplitude", "1"),
+    "relative_difference": (
+        "(harmonic balance - sweep)/sweep of the amplitude; the values along its axes are those of the group sweep",
+        "1",
+    ),
 }
 
 # Units of the scene's own scalars, by the last part of their key: these become axes of a parameter study.
@@ -163,7 +173,18 @@ SCENE_UNITS = {
     "preload": "force",
 }
 
-STATE_FLAGS = {"flag_values": np.arange(3, dtype=np.int8), "flag_meanings": "stick slip separation"}
+STATE_FLAGS = {0: "stick", 1: "slip", 2: "separation"}
+YES_NO = {0: "no", 1: "yes"}
+FLAGS = {
+    "settled": YES_NO,
+    "stable": YES_NO,
+    "fold": YES_NO,
+    "peak_at_end": YES_NO,
+    "range_cut": {-1: "no_range", **YES_NO},
+    "range_settled": {-1: "no_range", **YES_NO},
+    "start_branch": {-1: "none", 0: "smaller", 1: "larger", 2: "another"},
+}
+"""Meaning of the values of a variable that counts nothing."""
 
 
 def attributes(name: str) -> dict[str, Any]:
@@ -179,4 +200,6 @@ def attributes(name: str) -> dict[str, Any]:
     else:
         long_name, units = LABELS[name]
     found = {"long_name": long_name} | ({} if units is None else {"units": units})
-    return found | (STATE_FLAGS if long_name.startswith("contact state") else {})
+    flags = STATE_FLAGS if long_name.startswith("contact state") else FLAGS.get(name, {})
+    values = {"flag_values": np.array(list(flags), dtype=np.int8), "flag_meanings": " ".join(flags.values())}
+    return found | (values if flags else {})

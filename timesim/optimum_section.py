@@ -10,7 +10,7 @@ from timesim.model import Model
 from timesim.scene_source import RuleError
 from timesim.section import Positive, Text, nearest, refuse
 from timesim.study_kind import StudyKind
-from timesim.sweep_section import Settle
+from timesim.sweep_section import Settle, product_told
 
 THOUSANDTH = 1e-3  # of the range: the accuracy where none is given
 FEWEST = 3  # values, one of which may be the least between two others
@@ -66,6 +66,15 @@ class Optimum(StudyKind):
         """The key of the scalar, and its range."""
         ((key, given),) = self.along.items()
         return key, given
+
+    def lowest_frequency(self) -> float:
+        """The first."""
+        return float(self.frequency.values()[0])
+
+    def points_told(self) -> str:
+        """Those of the first values."""
+        key, given = self.scalar
+        return f"{product_told(self.frequency.count, {key: given.num}, 2)}, and the search for the least"
 
     def fits(self, model: Model) -> Iterator[RuleError]:
         """The point is one of the structure's."""

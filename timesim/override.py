@@ -7,9 +7,12 @@ from typing import Any
 from timesim.scene_source import Key, Problem, RuleError, SceneError, SceneSource, parse, plain
 from timesim.section import nearest
 
+NAMED_BY_KEYS = {("study", "over"), ("study", "along"), ("study", "start", "at"), ("initial", "at")}
+"""Mappings of the scene whose keys are key paths."""
+
 
 def overridden(source: SceneSource, overrides: Mapping[str, Any] | Sequence[str]) -> SceneSource:
-    """The source with new values; a missing mapping on the way to a key is made.
+    """The source with new values; a missing mapping on the way to a key is made, and None takes a key out.
 
     Raises:
         SceneError: an override that is no assignment, or addresses nothing.
@@ -40,19 +43,38 @@ def _assignment(text: str) -> tuple[str, Any]:
 
 
 def _set(data: dict[str, Any], path: str, value: Any) -> Key:
-    """Set a value in place; the key path that it has now."""
-    parts = path.split(".")
+    """Set a value in place, or take the key out; the key path that it has now."""
     place: Any = data
     key: list[str | int] = []
-    for i, part in enumerate(parts):
+    rest: str | None = path
+    while rest is not None:
+        part, rest = _first(rest, place if tuple(key) in NAMED_BY_KEYS else None)
         step = _step(place, part)
         key.append(step)
-        if i == len(parts) - 1:
+        if value is None and isinstance(place, dict) and (rest is None or step not in place):
+            place.pop(step, None)
+            break
+        if rest is None:
             place[step] = value
         elif isinstance(place, dict) and step not in place:
             place[step] = {}
         place = place[step]
     return tuple(key)
+
+
+def _first(path: str, named: Any) -> tuple[str, str | None]:
+    """The first part of a path and the rest, None where there is none.
+
+    Args:
+        path: what is left of a key path.
+        named: the mapping it leads into if its keys are key paths themselves, else None.
+    """
+    if named is None:
+        part, dot, rest = path.partition(".")
+        return part, rest if dot else None
+    known = [key for key in named if path.startswith(f"{key}.")] if isinstance(named, dict) else []
+    part = max(known, key=len, default=path)
+    return part, path[len(part) + 1 :] or None
 
 
 def _step(place: Any, part: str) -> str | int:

@@ -4,6 +4,7 @@ Figures are made without pyplot: cheaper to import, no global state. Contact sta
 (Okabe and Ito's palette) and, for print and the colour-blind, by line style of curves and hatching of bars.
 """
 
+import io
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from timesim.model import SEPARATION, SLIP, STATE_NAMES, STICK
+from timesim.store import write_whole
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
 BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9"
 DPI = 110
+MARGIN = 9  # pixels of white around what is drawn
 _HEAD, _FOOT = 0.68, 0.95
 
 
@@ -68,7 +71,7 @@ def draw(data: "xarray.Dataset | xarray.DataTree", folder: Path | str) -> list[P
         The files written, in order; none for a study that has no pictures, or a run that recorded nothing.
 
     Raises:
-        OSError: a file cannot be written.
+        StoreError: a file cannot be written.
     """
     written: list[Path] = []
     if data.sizes.get("time", 2) < 2:
@@ -77,8 +80,25 @@ def draw(data: "xarray.Dataset | xarray.DataTree", folder: Path | str) -> list[P
         figure = picture(data)
         if figure is not None:
             written.append(Path(folder) / f"{name}.png")
-            figure.savefig(written[-1], dpi=DPI)
+            write_whole(written[-1], _png(figure))
     return written
+
+
+def _png(made: "matplotlib.figure.Figure") -> memoryview:
+    """A figure as an image, cut to what is drawn: room that was kept for a legend or a note may be empty."""
+    from matplotlib.image import imsave
+
+    made.set_dpi(DPI)
+    made.canvas.draw()
+    pixels = np.asarray(made.canvas.buffer_rgba())  # type: ignore[attr-defined]
+    drawn = pixels[..., :3].min(axis=2) < 255
+    cut = []
+    for filled in (drawn.any(axis=1), drawn.any(axis=0)):
+        found = np.flatnonzero(filled)
+        cut.append(slice(max(0, found[0] - MARGIN), found[-1] + 1 + MARGIN))
+    image = io.BytesIO()
+    imsave(image, pixels[cut[0], cut[1]], format="png", dpi=DPI)
+    return image.getbuffer()
 
 
 def picture_names(study: str) -> list[str]:

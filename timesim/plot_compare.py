@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 DIRECTIONS = {"up": "^", "down": "v", "independent": "o"}
 # Amplitudes of a point along an axis below this share of the largest do not count in the difference that is drawn.
 MINOR = 1e-3
+FOLD: dict[str, Any] = {"color": "0.6", "linewidth": 0.7, "linestyle": ":"}
 
 
 class Points(NamedTuple):
@@ -72,11 +73,15 @@ def difference(data: "xarray.DataTree", ax: "matplotlib.axes.Axes | None" = None
         x, marker = sweep.frequency.values, DIRECTIONS[points.direction]
         ax.plot(x[~still], y[~still], marker, color=points.colour, ms=3.5)
         ax.plot(x[still], y[still], marker, color=points.colour, ms=3, alpha=0.25)
-    for fold in data["hbm"].frequency.values[data["hbm"].fold.values > 0]:
-        ax.axvline(fold, color="0.6", linewidth=0.7, linestyle=":")
+    for fold in _folds(data):
+        ax.axvline(fold, **FOLD)
     ax.set_yscale("log")
     ax.set(xlabel="frequency [Hz]", ylabel="relative difference [1]")
     return ax
+
+
+def _folds(data: "xarray.DataTree") -> np.ndarray:
+    return data["hbm"].frequency.values[data["hbm"].fold.values > 0]
 
 
 def share(
@@ -118,6 +123,12 @@ def _handles(data: "xarray.DataTree", *, hollow: bool) -> list[Any]:
     return made
 
 
+def _fold_handles(data: "xarray.DataTree") -> list[Any]:
+    from matplotlib.lines import Line2D
+
+    return [Line2D([], [], label="frequency of a fold", **FOLD)] if _folds(data).size else []
+
+
 def _overlay_figure(data: "xarray.DataTree") -> "matplotlib.figure.Figure | None":
     hbm = data["hbm"].to_dataset()
     if not hbm.sizes["solution"]:
@@ -139,7 +150,7 @@ def _difference_figure(data: "xarray.DataTree") -> "matplotlib.figure.Figure | N
         share(data, ax, state=state)
     for ax in grid[:, 0]:
         ax.label_outer()
-    plot_hbm.legend(grid[0, 0], hbm, extra=_handles(data, hollow=False))
+    plot_hbm.legend(grid[0, 0], hbm, extra=[*_handles(data, hollow=False), *_fold_handles(data)])
     what = "difference of the amplitudes (pale: the contacts only stick or stay apart), and the shares of the states"
     return plot_hbm.finished(made, _titled(data, hbm), what)
 
@@ -188,7 +199,7 @@ def states(data: "xarray.DataTree", ax: "matplotlib.axes.Axes | None" = None) ->
             style = STATE_STYLE[int(state[a])]
             bars = ax.broken_barh([(angle[a], angle[b] - angle[a])], (row - 0.35, 0.7), facecolor=style.colour)
             bars.set(edgecolor="white", linewidth=0, hatch=style.hatch, label=STATE_NAMES[int(state[a])])
-    ax.set(xlim=(0, 360), ylim=(len(rows) - 0.4, -0.6))
+    ax.set(xlim=(0, 360), ylim=(len(rows) - 0.4, -0.6), xlabel="phase of the excitation [degree]")
     ax.set_xticks(range(0, 361, 60))
     ax.set_yticks(range(len(rows)), [f"{short(str(contact), 8)}, {method}" for contact, method in rows])
     ax.grid(False)

@@ -1,9 +1,9 @@
 """Pictures of a sweep: response curves, shares of the contact states, peaks against a scalar, stability.
 
 ``f(data, ax=None) -> ax``, where `data` is the result of a sweep. Each set of values of the further axes has its
-colour; up and down are told apart by marker and line. Filled markers are settled motions, hollow ones are not: a bar
-spans the amplitudes of their single cycles. Crosses at the foot are points that failed. `PICTURES` are the figures
-that a run writes.
+colour and line; up and down are told apart by marker. Filled markers are settled motions, hollow ones are not: a bar
+spans the amplitudes of their single cycles. Crosses at the foot are points that failed; nothing is drawn of those that
+a run did not come to. `PICTURES` are the figures that a run writes.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 OWN = ("direction", "frequency", "point", "axis")
 DIRECTIONS = {"up": ("-", "^"), "down": ("--", "v"), "independent": ("-", "o")}
-MARKERS = "osD^v<>phX"
+TURNS = {"^": 0, "v": 1}  # up and down are marked at different points, lest one cover the other
+MARKERS = "osD<>phXPd"
 MAX_CURVES = 12
 MAX_ROWS = 3
 MARKED = 45  # settled points of a curve that bear a marker; a curve of more has some of them marked
@@ -105,7 +106,8 @@ def peak(
 ) -> "matplotlib.axes.Axes":
     """Largest amplitude over the frequencies against a scalar of the scene, by default that with most values.
 
-    A hollow marker is a maximum at the first or last frequency, which may lie outside of them. A star is the least.
+    A hollow marker is a maximum at the first or last frequency, which may lie outside of them. A value with points that
+    are missing has no peak. A star is the least, where no peak is missing.
     """
     ax = axes(ax)
     key = key or most_valued(data)
@@ -113,37 +115,42 @@ def peak(
     axis = axis or main_axis(data, point)
     amplitude, order = data.amplitude.sel(point=point, axis=axis), np.argsort(data[key].values)
     value = data[key].values[order]
+    least: dict[tuple[float, str], list[tuple[str, str]]] = {}
     for curve in curves(data, without=key):
         largest, at_end = peaks(amplitude.isel(curve.where).transpose(key, "frequency").values[order])
         style, told = curve.style, [curve.label] if curve.label else []
         name = ", ".join(told + ([curve.direction] if data.sizes["direction"] > 1 else []))
         ax.plot(value, largest, color=style.colour, linestyle=style.line, label=name or "peak")
         _marks(ax, value, largest, style, at_end, "peak at an end of the frequencies")
-        if np.isfinite(largest).any():
-            _least(ax, value, largest, style.colour)
+        if np.isfinite(largest).all():
+            place = int(np.argmin(largest))
+            least.setdefault((value[place], f"{largest[place]:.4g}"), []).append((name, style.colour))
+    for (x, y), found in least.items():
+        _star(ax, x, y, found, x in (value[0], value[-1]) and value.size > 1)
     ax.set_ylim(bottom=0)
     ax.set(xlabel=_titled(data, key), ylabel=f"peak amplitude of {short(point, 16)} {axis} [length]")
     return ax
 
 
-def _least(ax: "matplotlib.axes.Axes", value: np.ndarray, largest: np.ndarray, colour: str) -> None:
-    place = int(np.nanargmin(largest))
-    x, y = value[place], largest[place]
-    look: dict[str, Any] = {"color": colour, "markeredgecolor": "black", "ms": 10, "linestyle": "", "zorder": 4}
-    ax.plot(x, y, "*", label=f"least: {y:.4g} at {x:.4g}", **look)
+def _star(ax: "matplotlib.axes.Axes", x: float, y: str, found: list[tuple[str, str]], at_end: bool) -> None:
+    """The least peak, one star for all curves that have it at the same place."""
+    names, colours = zip(*found, strict=True)
+    of = {1: ": ", 2: f" of {' and '.join(names)}:\n"}.get(len(names), f" of {len(names)} curves:\n")
+    look: dict[str, Any] = {"color": colours[0], "markeredgecolor": "black", "ms": 10, "linestyle": "", "zorder": 4}
+    ax.plot(x, float(y), "*", label=f"least{of}{y} at {x:.4g}" + (", an end" if at_end else ""), **look)
 
 
 def peaks(amplitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Largest entry of each row, NaN where it has none, and whether it is the first or last of several.
+    """Largest entry of each row, NaN where entries are missing, and whether it is the first or last of several.
 
     Args:
-        amplitude: over the last axis, the frequencies, shape (N, F); NaN where a point failed.
+        amplitude: over the last axis, the frequencies, shape (N, F); NaN where a point is missing.
     """
-    known = np.isfinite(amplitude)
-    place = np.argmax(np.where(known, amplitude, -np.inf), axis=1)
-    largest = np.where(known.any(axis=1), np.take_along_axis(amplitude, place[:, None], axis=1)[:, 0], np.nan)
+    known = np.isfinite(amplitude).all(axis=1)
+    place = np.argmax(np.where(known[:, None], amplitude, 0.0), axis=1)
+    largest = np.where(known, np.take_along_axis(amplitude, place[:, None], axis=1)[:, 0], np.nan)
     last = amplitude.shape[1] - 1
-    return largest, (last > 0) & ((place == 0) | (place == last))
+    return largest, known & (last > 0) & ((place == 0) | (place == last))
 
 
 def curves(data: "xarray.Dataset", without: str | None = None) -> list[Curve]:
@@ -159,7 +166,11 @@ def curves(data: "xarray.Dataset", without: str | None = None) -> list[Curve]:
         for i, name in enumerate(names):
             line, marker = DIRECTIONS[name]
             colour = look.colour if keys else SERIES[i].colour
-            style = look if len(names) == 1 and keys else Series(colour, line, marker)
+            style = (
+                look._replace(marker=look.marker if len(names) == 1 else marker)
+                if keys
+                else Series(colour, line, marker)
+            )
             made.append(Curve(", ".join(values), dict(zip(keys, chosen, strict=True)) | {"direction": i}, name, style))
     return made
 
@@ -167,7 +178,7 @@ def curves(data: "xarray.Dataset", without: str | None = None) -> list[Curve]:
 def styles(count: int, *, shades: bool = False) -> list[Series]:
     """Styles of a number of curves: hues where they are few, else from dark to light in order, or always so.
 
-    Shades stay apart in print where marker and line are taken by something else.
+    Shades and lines stay apart in print where the marker is taken by something else.
     """
     if count <= len(SERIES) and not shades:
         return [style._replace(marker=marker) for style, marker in zip(SERIES[:count], MARKERS, strict=False)]
@@ -175,7 +186,8 @@ def styles(count: int, *, shades: bool = False) -> list[Series]:
     from matplotlib.colors import to_hex
 
     colours = [to_hex(colour) for colour in colormaps["viridis"](np.linspace(0.0, 0.86, count))]
-    return [Series(colour, SERIES[i % 4].line, MARKERS[i % len(MARKERS)]) for i, colour in enumerate(colours)]
+    lines = [style.line for style in SERIES]
+    return [Series(c, lines[i % len(lines)], MARKERS[i % len(MARKERS)]) for i, c in enumerate(colours)]
 
 
 def over_keys(data: "xarray.Dataset") -> list[str]:
@@ -227,10 +239,9 @@ def _jumps(data: "xarray.Dataset", curve: Curve) -> np.ndarray:
 
 
 def _draw(ax: "matplotlib.axes.Axes", data: "xarray.Dataset", curve: Curve, y: np.ndarray) -> None:
-    """A curve, hollow markers where it has not settled, crosses at the foot where there is nothing."""
+    """A curve, hollow markers where it has not settled, crosses at the foot where it failed."""
     frequency, settled = data.frequency.values, data.settled.isel(curve.where).values.astype(bool)
-    failed = ~np.isfinite(data.amplitude.isel(curve.where).values).any(axis=(-2, -1))
-    style = curve.style
+    failed, style = data.failure.isel(curve.where).values != "", curve.style
     ax.plot(frequency, y, color=style.colour, linestyle=style.line, linewidth=1.0, label="_" + curve.label)
     _marks(ax, frequency, y, style, ~settled & ~failed, "not settled")
     doubled = settled & (data.period.isel(curve.where).values > 1)
@@ -258,7 +269,9 @@ def _marks(
 ) -> None:
     """Markers on a curve: filled, or hollow and all of them where told."""
     every = max(1, -(-x.size // MARKED))
-    filled = ~hollow & (np.arange(x.size) % every == 0)
+    if style.marker in TURNS and x.size > 1:
+        every = max(2, every)
+    filled = ~hollow & (np.arange(x.size) % every == TURNS.get(style.marker, 0) * (every // 2))
     look: dict[str, Any] = {"color": style.colour, "linestyle": "", "marker": style.marker}
     ax.plot(x[filled], y[filled], ms=3.5, label="_settled", **look)
     if hollow.any():
@@ -283,7 +296,7 @@ def _value_handles(data: "xarray.Dataset") -> Iterator["matplotlib.lines.Line2D"
     for curve in curves(data):
         if curve.label and curve.label not in seen:
             seen.add(curve.label)
-            yield _handle(curve.style._replace(marker="", line="-") if several else curve.style, curve.label)
+            yield _handle(curve.style._replace(marker="") if several else curve.style, curve.label)
 
 
 def _direction_handles(data: "xarray.Dataset") -> Iterator["matplotlib.lines.Line2D"]:
@@ -291,7 +304,7 @@ def _direction_handles(data: "xarray.Dataset") -> Iterator["matplotlib.lines.Lin
         if not curve.label:
             yield _handle(curve.style, curve.direction)
         elif data.sizes["direction"] > 1:
-            yield _handle(curve.style._replace(colour=NEUTRAL), curve.direction)
+            yield _handle(curve.style._replace(colour=NEUTRAL, line=""), curve.direction)
 
 
 def _mark_handles(ax: "matplotlib.axes.Axes") -> Iterator["matplotlib.lines.Line2D"]:
@@ -369,7 +382,8 @@ def _floquet_figure(data: "xarray.Dataset") -> "matplotlib.figure.Figure | None"
 
 def _peak_figure(data: "xarray.Dataset") -> "matplotlib.figure.Figure | None":
     keys = [key for key in over_keys(data) if data.sizes[key] >= FEW]
-    if not keys:
+    whole = np.isfinite(data.amplitude.values).all(axis=(-2, -1)).all(axis=-1)
+    if not keys or not whole.any():
         return None
     made, grid = figure(len(keys), 1, width=9.0, height=3.0, gap=0.7, right=2.4)
     for ax, key in zip(grid[:, 0], keys, strict=True):
@@ -380,7 +394,9 @@ def _peak_figure(data: "xarray.Dataset") -> "matplotlib.figure.Figure | None":
             entries.setdefault(name, handle)
         names = {"labels": list(entries), "title": _names(data, others), "title_fontsize": 8}
         ax.legend(handles=list(entries.values()), **names, **BESIDE)
-    heading(made, data, "peak over the frequencies")
+    point = moving(data)[0]
+    what = f"peak over the frequencies of {short(point, 16)} {main_axis(data, point)}, which moves most"
+    heading(made, data, what, "" if whole.all() else f"{np.sum(~whole)} peaks not shown: points are missing")
     return made
 
 

@@ -38,6 +38,7 @@ MAX_DISPLACEMENTS = 3
 MAX_CONTACTS = 3
 MAX_BARS = 12
 PALE = "0.7"
+CLOSE = 0.02  # of the size of a path: nearer than this nothing is told apart
 
 
 def displacement(
@@ -88,16 +89,37 @@ def orbit(
     ax = axes(ax)
     contact = contact or busiest(data, 1)[0]
     part = data.isel(time=last_cycles(data)).sel(contact=contact)
-    u, last = part.contact_displacement.values, last_cycles(part, 1)
-    ax.plot(u[:, 0], u[:, 1], color=PALE, linewidth=0.8, label="cycles before")
+    u, last = part.contact_displacement.values[:, :2], last_cycles(part, 1)
+    ax.plot(u[:, 0], u[:, 1], color=PALE, linewidth=0.8, label=_if_seen("cycles before", u, u[last]))
     state = part.contact_state.values[last]
     w = np.where(state[:, None] == SEPARATION, np.nan, part.slip.values[last])
-    ax.plot(w[:, 0], w[:, 1], color="black", linewidth=0.7, label="slider w")
+    _slider(ax, w, u[last])
     state_curves(ax, u[last, 0], u[last, 1], state)
     ax.set(xlabel="u1 [length]", ylabel="u2 [length]")
     ax.set_title(contact, fontsize=9, pad=4, loc="right")
     ax.set_aspect("equal", adjustable="datalim")
     return ax
+
+
+def _slider(ax: "matplotlib.axes.Axes", w: np.ndarray, u: np.ndarray) -> None:
+    """The slider's path; a dot where it stays, nothing where the contact is open all the time."""
+    known = w[~np.isnan(w).any(axis=1)]
+    if not known.size:
+        return
+    stays = np.ptp(known, axis=0).max() <= CLOSE * np.ptp(u, axis=0).max()
+    if stays:
+        ax.plot(*known[:1].T, "o", ms=3, color="black", zorder=4, label="slider w")
+    else:
+        ax.plot(w[:, 0], w[:, 1], color="black", linewidth=0.7, label=_if_seen("slider w", known, u))
+
+
+def _if_seen(label: str, path: np.ndarray, above: np.ndarray) -> str:
+    """The label of a path, hidden from legends where another path is drawn above all of it."""
+    size = np.maximum(np.ptp(path, axis=0), np.ptp(above, axis=0))
+    scale = np.where(size > 0, size, 1.0)
+    few, all_above = (part[:: 1 + len(part) // 500] / scale for part in (path, above))
+    apart = np.linalg.norm(few[:, None] - all_above, axis=-1).min(axis=1)
+    return label if apart.max() > CLOSE else f"_{label}"
 
 
 def hysteresis(
@@ -112,7 +134,8 @@ def hysteresis(
     contact = contact or busiest(data, 1)[0]
     part = data.isel(time=last_cycles(data)).sel(contact=contact, component=tangent)
     u, f, last = part.contact_displacement.values, part.contact_force.values, last_cycles(part, 1)
-    ax.plot(u, f, color=PALE, linewidth=0.8, label="cycles before")
+    both = np.stack([u, f], axis=1)
+    ax.plot(u, f, color=PALE, linewidth=0.8, label=_if_seen("cycles before", both, both[last]))
     state_curves(ax, u[last], f[last], part.contact_state.values[last])
     number = tangent.removeprefix("t")
     ax.set(xlabel=f"u{number} [length]", ylabel=f"f{number} [force]")
@@ -187,10 +210,10 @@ def spectrum(data: "xarray.Dataset", ax: "matplotlib.axes.Axes | None" = None) -
 
 
 def energy(data: "xarray.Dataset", ax: "matplotlib.axes.Axes | None" = None) -> "matplotlib.axes.Axes":
-    """Energy balance of each cycle: input, modal damping, friction a contact, change of the stored energy."""
+    """Energy balance of each cycle: input, structural damping, friction a contact, change of the stored energy."""
     ax = axes(ax)
     cycle = data.cycle.values
-    terms = {"input": data.energy_input.values, "modal damping": data.energy_damping.values}
+    terms = {"input": data.energy_input.values, "structural damping": data.energy_damping.values}
     for name in busiest(data, MAX_CONTACTS):
         terms[f"friction {short(name, 16)}"] = data.energy_friction.sel(contact=name).values
     if data.sizes["contact"] > MAX_CONTACTS:
@@ -320,11 +343,22 @@ def _hysteresis_figure(data: "xarray.Dataset") -> "matplotlib.figure.Figure | No
     contacts = busiest(data, MAX_CONTACTS)
     if not contacts:
         return None
-    made, grid = figure(len(contacts), 2, width=8.5, height=2.2, gap=0.7)
-    for row, contact in zip(grid, contacts, strict=True):
-        for ax, tangent in zip(row, ("t1", "t2"), strict=True):
+    rubbed = {contact: tangents for contact in contacts if (tangents := _tangents(data, contact))}
+    rubbed = rubbed or {contacts[0]: ["t1"]}
+    columns = max(map(len, rubbed.values()))
+    made, grid = figure(len(rubbed), columns, width=7.5 + 0.5 * columns, height=2.2, gap=0.7)
+    for row, (contact, tangents) in zip(grid, rubbed.items(), strict=True):
+        for ax, tangent in zip(row, tangents, strict=False):
             hysteresis(data, ax, contact=contact, tangent=tangent)
+        for ax in row[len(tangents) :]:
+            ax.remove()
     return _finished(made, data, "friction force against displacement", contacts)
+
+
+def _tangents(data: "xarray.Dataset", contact: str) -> list[str]:
+    """In-plane axes of a contact along which its friction force changes in the last cycles."""
+    span = np.ptp(data.contact_force.isel(time=last_cycles(data)).sel(contact=contact).values, axis=0)
+    return [name for name, own in zip(("t1", "t2"), span, strict=False) if own > 1e-9 * span.max()]
 
 
 def _normal_load_figure(data: "xarray.Dataset") -> "matplotlib.figure.Figure | None":

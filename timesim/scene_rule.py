@@ -30,6 +30,10 @@ RULES = {
 }
 
 
+NO_NUMBER = {RULES[kind] for kind in ("string_type", "bool_type", "tuple_type", "dict_type", "model_type")}
+"""Rules that a number breaks wherever it stands."""
+
+
 def rule_errors(found: ValidationError) -> list[RuleError]:
     """All that pydantic found; a required key is not missed where only its name is misspelt."""
     errors = [rule_error(details) for details in found.errors(include_url=False) if not _miscounted(details)]
@@ -103,7 +107,7 @@ def _below(kind: Any, part: str | int) -> Any:
                 return fields[part]
         elif isinstance(part, str) and Tag(part) in getattr(option, "__metadata__", ()):
             return option
-        elif get_origin(option) in (tuple, dict):
+        elif get_origin(option) in (tuple, dict) and not str(part).startswith("<"):
             return get_args(option)[0 if get_origin(option) is tuple else 1]
     return None
 

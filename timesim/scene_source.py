@@ -230,7 +230,8 @@ def parse(content: bytes | str) -> tuple[Any, dict[Key, int]]:
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         rule = " ".join(part for part in (error.context, error.problem) if part)
-        raise RuleError((), f"is no YAML: {rule}", line=mark.line + 1 if mark else None) from None
+        hint = "use spaces, not tabs" if "'\\t'" in rule else ""
+        raise RuleError((), f"is no YAML: {rule}", hint, line=mark.line + 1 if mark else None) from None
     except (YAMLError, ValueError) as error:
         raise RuleError((), f"is no YAML: {' '.join(str(error).split())}") from None
 

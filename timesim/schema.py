@@ -166,4 +166,15 @@ class SceneFile(Section):
 
 def json_schema() -> dict[str, Any]:
     """JSON Schema of the scene file, for editors."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **SceneFile.model_json_schema()}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_without_null(SceneFile.model_json_schema())}
+
+
+def _without_null(part: Any) -> Any:
+    """The same without the null that stands for an optional key, which a file leaves out."""
+    if isinstance(part, list):
+        return [_without_null(item) for item in part if item != {"type": "null"}]
+    if not isinstance(part, dict):
+        return part
+    made = {key: _without_null(item) for key, item in part.items() if key != "default" or item is not None}
+    (one,) = made.pop("anyOf") if len(made.get("anyOf", ())) == 1 else ({},)
+    return made | one

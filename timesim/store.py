@@ -59,8 +59,8 @@ class Record:
         """The same as an xarray Dataset in memory, every array with its `long_name` and `units`."""
         import xarray
 
-        labelled = {name: (dims, array, labels(name)) for name, (dims, array) in self.variables.items()}
-        coords = {name: ((name,), array, labels(name)) for name, array in self.coords.items()}
+        labelled = {name: (dims, array, _attributes(name, array)) for name, (dims, array) in self.variables.items()}
+        coords = {name: ((name,), array, _attributes(name, array)) for name, array in self.coords.items()}
         return xarray.Dataset(labelled, coords, dict(self.attrs))
 
 
@@ -234,7 +234,9 @@ def check_folder(folder: Path | str, force: bool = False) -> None:
             if not part.is_dir():
                 raise StoreError(f"{path} cannot be a run folder: {part} is a file; choose another folder")
             if not os.access(part, os.W_OK | os.X_OK):
-                raise StoreError(f"{path} cannot be written: no permission in {part}; choose another folder")
+                read_only = os.statvfs(part).f_flag & os.ST_RDONLY
+                why = f"the file system of {part} is read-only" if read_only else f"no permission in {part}"
+                raise StoreError(f"{path} cannot be written: {why}; choose another folder")
             return
 
 
@@ -298,7 +300,8 @@ def write_whole(path: Path, content: bytes | memoryview) -> None:
                 os.unlink(temporary)
         if not isinstance(error, OSError):
             raise
-        raise StoreError(f"{path} cannot be written: {error.strerror or error}; what was there is unchanged") from error
+        kept = "; what was there is unchanged" if path.exists() else ""
+        raise StoreError(f"{path} cannot be written: {error.strerror or error}{kept}") from error
 
 
 def _umask() -> int:
@@ -363,8 +366,15 @@ def _write_variable(group: Any, name: str, dims: tuple[str, ...], array: np.ndar
         pack = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
         options = pack if array.nbytes > _COMPRESS_ABOVE else {}
         variable = group.create_variable(name, dims, array.dtype, data=array, **options)
-    for key, value in labels(name).items():
+    for key, value in _attributes(name, array).items():
         variable.attrs[key] = value
+
+
+def _attributes(name: str, array: np.ndarray) -> dict[str, Any]:
+    """The labels of an array; its flags are of its own type, as the CF conventions ask."""
+    found = labels(name)
+    flags = {"flag_values": found["flag_values"].astype(array.dtype)} if "flag_values" in found else {}
+    return found | flags
 
 
 def _read_group(group: Any) -> Record:

@@ -28,6 +28,14 @@ class StudyKind(Section):
         """What is wrong with it for this model, keys from the root of the scene; nothing by default."""
         yield from ()
 
+    def lowest_frequency(self) -> float | None:
+        """Lowest of the frequencies that it runs at in time [Hz]; None if it names none."""
+        return None
+
+    def points_told(self) -> str:
+        """How many steady states it looks for, in words; empty where that is not what it does."""
+        return ""
+
     def absolute(self, folder: Path) -> Self:
         """The same with paths that do not depend on the folder."""
         return self

@@ -212,15 +212,32 @@ def summary(record: store.Record) -> Iterator[str]:
         yield f"{np.sum(period > 1)} of them repeat after more than one cycle (variable period)"
     lost = done & ~settled
     if np.any(lost):
-        at = record.variables["settled"][0].index("frequency")
-        where = np.unique(record.coords["frequency"][np.nonzero(lost)[at]])
         yield (
-            f"{lost.sum()} points did not settle in settle.max_cycles (settled = 0, with the band of their amplitude); "
-            f"between {where[0]:g} and {where[-1]:g} Hz"
+            f"{lost.sum()} points did not settle in settle.max_cycles (settled = 0, with the band of their amplitude): "
+            f"{_spans(record, lost)}"
         )
-    for low, high in zip(*(found[f"jump_{end}"].ravel() for end in ("low", "high")), strict=True):
-        if np.isfinite(low):
-            yield f"the motion jumps between {low:.8g} and {high:.8g} Hz"
+    for place in zip(*np.nonzero(np.isfinite(found["jump_low"])), strict=True):
+        low, high = (found[f"jump_{end}"][place] for end in ("low", "high"))
+        yield f"{_chain(record, place[:-1])}the motion jumps between {low:.8g} and {high:.8g} Hz"
+
+
+def _spans(record: store.Record, chosen: np.ndarray) -> str:
+    """From where to where points lie, for each chain that has some."""
+    spans = []
+    for place in map(tuple, np.argwhere(chosen.any(axis=-1))):
+        at = record.coords["frequency"][chosen[place]]
+        between = f"at {at[0]:g} Hz" if at.size == 1 else f"between {at[0]:g} and {at[-1]:g} Hz"
+        spans.append(_chain(record, place) + between)
+    more = f"; and in {len(spans) - LISTED} more rows of the result" if len(spans) > LISTED else ""
+    return "; ".join(spans[:LISTED]) + more
+
+
+def _chain(record: store.Record, place: Sequence[int]) -> str:
+    """What tells the points of a chain from those of others, with a colon; empty where there are no others."""
+    dims = record.variables["settled"][0][:-1]
+    named = [(dim, _shown(record.coords[dim][i])) for dim, i in zip(dims, place, strict=True)]
+    told = ", ".join(f"{dim} {value}" for dim, value in named if value != "independent")
+    return f"{told}: " if told else ""
 
 
 # Dimensions of the columns after those of the sweep, and the names of some in the result file.

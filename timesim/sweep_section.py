@@ -1,10 +1,12 @@
 """Studies of steady states over frequency, as the scene file writes them."""
 
+from collections.abc import Mapping
+from math import prod
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from timesim.axis_section import Frequencies, Over
+from timesim.axis_section import Frequencies, Over, axis_values
 from timesim.section import Count, Positive, Section, refuse
 from timesim.study_kind import StudyKind
 
@@ -16,6 +18,15 @@ class Settle(Section):
     """Of the state from cycle to cycle, relative to its largest entry, extrapolated to all cycles to come."""
     max_cycles: Count = 2000
     """Excitation cycles after which a point is given up as not settled."""
+
+
+def product_told(frequencies: int, over: Mapping[str, int], directions: int) -> str:
+    """A number of points and what makes it up."""
+    factors = [f"{frequencies} frequencies", *(f"{number} values of {key}" for key, number in over.items())]
+    total = frequencies * prod(over.values()) * directions
+    if directions > 1:
+        factors.append(f"{directions} directions")
+    return f"{' x '.join(factors)} = {total} points" if len(factors) > 1 else f"{total} frequencies"
 
 
 class SweepKeys(StudyKind):
@@ -42,6 +53,15 @@ class SweepKeys(StudyKind):
         if self.refine is not None and self.direction == "independent":
             raise refuse("needs a direction", key=("refine",), hint="set direction to up, down or both")
         return self
+
+    def lowest_frequency(self) -> float:
+        """The first."""
+        return float(self.frequency.values()[0])
+
+    def points_told(self) -> str:
+        """Frequencies, values of the further axes and directions."""
+        over = {key: len(axis_values(given)) for key, given in self.over.items()}
+        return product_told(self.frequency.count, over, len(self.directions))
 
     @property
     def directions(self) -> tuple[str, ...]:
