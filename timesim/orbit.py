@@ -267,13 +267,12 @@ def _share(lane: Lane, steps: Path, state: int) -> np.ndarray:
     return shares
 
 
-def _padded(lanes: Sequence[Lane], small: bool) -> list[Lane]:
+def _padded(lanes: Sequence[Lane], size: int) -> list[Lane]:
     """Lanes of a batch, the first repeated until it has its size."""
-    return [*lanes, *([lanes[0]] * (SIZES[not small] - len(lanes)))]
+    return [*lanes, *([lanes[0]] * (size - len(lanes)))]
 
 
-def _batches(lanes: Sequence[Lane], small: bool) -> list[list[Lane]]:
-    size = SIZES[not small]
+def _batches(lanes: Sequence[Lane], size: int) -> list[list[Lane]]:
     return [list(lanes[first : first + size]) for first in range(0, len(lanes), size)]
 
 
@@ -300,7 +299,7 @@ def _moved(lanes: Sequence[Lane], point: Point, state: Any, status: Any, culprit
 
 
 def march(
-    lanes: Sequence[Lane], solver: Solver, num_cycles: int, *, small: bool = False
+    lanes: Sequence[Lane], solver: Solver, num_cycles: int, *, size: int = SIZES[1]
 ) -> list[tuple[Lane, np.ndarray]]:
     """March lanes by a number of cycles: each at the end, and its sections at the end of each cycle it completed.
 
@@ -310,11 +309,11 @@ def march(
         num_cycles: how many cycles.
 
     Keyword Args:
-        small: in small batches.
+        size: of the batches.
     """
     done: list[tuple[Lane, np.ndarray]] = []
-    for batch in _batches(lanes, small):
-        ends = march_cycles(solver.method(), *_stacked(_padded(batch, small)), num_cycles)
+    for batch in _batches(lanes, size):
+        ends = march_cycles(solver.method(), *_stacked(_padded(batch, size)), num_cycles)
         sections, cycles = np.asarray(ends.sections), np.asarray(ends.cycles)
         moved = _moved(batch, ends.place.point, ends.place.state, ends.status, ends.culprit)
         done += [(lane, sections[i, : cycles[i]]) for i, lane in enumerate(moved)]
@@ -322,7 +321,7 @@ def march(
 
 
 def record(
-    lanes: Sequence[Lane], solver: Solver, num_cycles: int, most: int | None = None, *, small: bool = False
+    lanes: Sequence[Lane], solver: Solver, num_cycles: int, most: int | None = None, *, size: int = SIZES[1]
 ) -> list[Recorded]:
     """March lanes by a number of cycles and keep their steps.
 
@@ -333,17 +332,17 @@ def record(
         most: tries after which to give up; the budget of the solver by default.
 
     Keyword Args:
-        small: in small batches.
+        size: of the batches.
     """
     done: list[Recorded] = []
-    for batch in _batches(lanes, small):
-        done += _recorded(batch, solver, num_cycles, most, small)
+    for batch in _batches(lanes, size):
+        done += _recorded(batch, solver, num_cycles, most, size)
     return done
 
 
-def _recorded(batch: list[Lane], solver: Solver, num_cycles: int, most: int | None, small: bool) -> list[Recorded]:
+def _recorded(batch: list[Lane], solver: Solver, num_cycles: int, most: int | None, size: int) -> list[Recorded]:
     method = solver.method()
-    controls, systems, places = _stacked(_padded(batch, small))
+    controls, systems, places = _stacked(_padded(batch, size))
     cycles = np.full(len(places.state), num_cycles)
     now = at_start(places, controls)
     tape, slopes = Tape([], [], []), None

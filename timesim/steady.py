@@ -27,6 +27,7 @@ from timesim.trajectory import message_of, start_states
 
 CYCLES_A_ROUND = 8
 SIDE_BY_SIDE = 128  # searches that share batches, full ones as long as many are left
+LONELY = 256  # cycles of a last search after which it pays to compile the march for it alone
 PERIODS = (1, 2, 3)
 UNSETTLED_CYCLES = 10  # over which the amplitude of a motion that has not settled is taken
 STILL_THERE = 0.99  # what is left of an alternation after half a round, if it is not one that decays
@@ -178,8 +179,8 @@ def steady_states(
             groups.setdefault(lane.told.shapes, deque()).append(Search(index, 0, lane))
     done = sum(map(len, found))
     for group in groups.values():
-        small = max(len(group), crowd) <= SIZES[0]
-        for search, orbit in _settle_group(group, chains, solver, criterion, small):
+        size = SIZES[max(len(group), crowd) > SIZES[0]]
+        for search, orbit in _settle_group(group, chains, solver, criterion, size):
             found[search.chain].append(orbit)
             done += 1
             if halted():
@@ -215,14 +216,14 @@ def begin_of(model: Model) -> Start:
 
 
 def _settle_group(
-    pending: deque[Search], chains: Sequence[Chain], solver: Solver, criterion: Criterion, small: bool
+    pending: deque[Search], chains: Sequence[Chain], solver: Solver, criterion: Criterion, size: int
 ) -> Iterator[tuple[Search, Orbit]]:
     active: list[Search] = []
     while pending or active:
         while pending and len(active) < SIDE_BY_SIDE:
             active.append(pending.popleft())
         going = []
-        for search, orbit in _round(active, solver, criterion, small):
+        for search, orbit in _round(active, solver, criterion, size):
             if orbit is None:
                 going.append(search)
                 continue
@@ -236,23 +237,23 @@ def _settle_group(
 
 
 def _round(
-    active: Sequence[Search], solver: Solver, criterion: Criterion, small: bool
+    active: Sequence[Search], solver: Solver, criterion: Criterion, size: int
 ) -> list[tuple[Search, Orbit | None]]:
     """Take each search a step further: march it, or shoot it once, and measure those that have settled."""
     marching = [search for search in active if search.shot is None]
     outcome: dict[int, Orbit | None] = {}
     if marching:
-        _march(marching, solver, small)
+        _march(marching, solver, size)
         for search in marching:
             outcome[id(search)] = _after_march(search, solver, criterion)
     shooting = [search for search in active if search.shot is not None]
-    shot = record([_shot(search).lane for search in shooting], solver, 1, TRIES, small=small)
+    shot = record([_shot(search).lane for search in shooting], solver, 1, TRIES, size=size)
     for search, recorded in zip(shooting, shot, strict=True):
         outcome[id(search)] = _after_shot(search, recorded, solver, criterion)
     ready = [search for search in marching if search.period is not None and outcome[id(search)] is None]
     for cycles in sorted({_cycles_to_measure(search) for search in ready}):
         same = [search for search in ready if _cycles_to_measure(search) == cycles]
-        lanes = record([search.lane for search in same], solver, cycles, small=small)
+        lanes = record([search.lane for search in same], solver, cycles, size=size)
         for search, recorded in zip(same, lanes, strict=True):
             outcome[id(search)] = _orbit(search, recorded, solver)
     return [(search, outcome[id(search)]) for search in active]
@@ -267,8 +268,10 @@ def _cycles_to_measure(search: Search) -> int:
     return search.period or UNSETTLED_CYCLES
 
 
-def _march(searches: Sequence[Search], solver: Solver, small: bool) -> None:
-    done = march([search.lane for search in searches], solver, CYCLES_A_ROUND, small=small)
+def _march(searches: Sequence[Search], solver: Solver, size: int) -> None:
+    if len(searches) == 1 and searches[0].cycles > LONELY:
+        size = 1
+    done = march([search.lane for search in searches], solver, CYCLES_A_ROUND, size=size)
     for search, (lane, rows) in zip(searches, done, strict=True):
         search.lane = lane
         search.cycles += len(rows)
