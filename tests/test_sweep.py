@@ -9,9 +9,11 @@ import time
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 import xarray
+from scipy.integrate import solve_ivp
 from systems import oscillator_scene
 from typer.testing import CliRunner
 
@@ -19,6 +21,9 @@ import timesim
 from timesim import steady, sweep
 from timesim.cli import app
 from timesim.config import SceneError, load_scene
+from timesim.linear_orbit import linear_orbit
+from timesim.solver import solver_of
+from timesim.steady import Chain, first_lane
 from timesim.store import read, save
 
 DATA = Path(__file__).parent / "data"
@@ -103,7 +108,11 @@ def test_settled_amplitudes(three: xarray.Dataset) -> None:
     assert (three.period.values == 1).all()
     assert (three.failure.values == "").all()
     assert np.all((three.floquet_max.values > 0) & (three.floquet_max.values < 1))
-    assert np.all((three.cycles.values > 30) & (three.cycles.values < 400))
+    solved = three.cycles.values == 0  # n0 = 5 at 0.97 Hz: proven to stick, and linear
+    assert solved.sum() == 1
+    assert np.all(three.slip_share.values[solved] == 0)
+    assert np.all((three.cycles.values > 30) | solved)
+    assert np.all(three.cycles.values < 400)
 
 
 def test_bands_of_settled_motions_are_narrow_and_shares_are_parts(three: xarray.Dataset) -> None:
@@ -125,8 +134,91 @@ def test_marching_and_shooting_agree(three: xarray.Dataset) -> None:
     np.testing.assert_allclose(shoot.floquet_max, march.floquet_max, rtol=0, atol=1e-6)
     np.testing.assert_allclose(shoot.slip_share, march.slip_share, rtol=0, atol=1e-6)
     assert shoot.settled.values.all()
-    assert np.all(shoot.cycles.values < march.cycles.values)
+    assert np.all((shoot.cycles.values < march.cycles.values) | (march.cycles.values == 0))
     assert not np.array_equal(shoot.amplitude, march.amplitude)
+
+
+LINEAR: dict[str, Any] = {
+    "structure": {
+        "matrices": {
+            "mass": [[1.0, 0.0, 0.0], [0.0, 2.0, 0.1], [0.0, 0.1, 1.5]],
+            "stiffness": [[60.0, -20.0, 0.0], [-20.0, 50.0, 8.0], [0.0, 8.0, 90.0]],
+            "damping": [[1.2, -0.1, 0.0], [-0.1, 1.3, 0.2], [0.0, 0.2, 1.6]],
+            "points": {"a": {"x": 0}, "b": {"x": 1, "z": 2}},
+        }
+    },
+    "contacts": [
+        {
+            "name": "held",
+            "point": "b",
+            "friction": 0.5,
+            "tangential_stiffness": 30.0,
+            "normal_stiffness": 25.0,
+            "preload": 500.0,
+        },
+        {"name": "open", "point": "a", "against": "b", "normal": [1, 0, 0], "tangent": [0, 0, 1], "preload": -50.0}
+        | {"friction": 0.3, "tangential_stiffness": 10.0, "normal_stiffness": 10.0},
+    ],
+    "excitation": {
+        "forces": [
+            {"point": "a", "direction": [1, 0, 0], "amplitude": 2.0},
+            {"point": "b", "direction": [0, 0, 1], "amplitude": 0.8, "phase_deg": 40, "harmonic": 3},
+        ],
+        "constant_forces": [{"point": "b", "direction": [1, 0, 0], "amplitude": 0.5}],
+    },
+}
+
+
+def test_the_steady_state_of_a_linear_scene_against_integration() -> None:
+    """Two harmonics, a constant force, damping that the modes do not diagonalise, one contact stuck and one apart."""
+    scene_ = load_scene(LINEAR | {"study": {"kind": "sweep", "frequency": {"values": [0.9]}}})
+    solver = solver_of(scene_.file.solver)
+    lane = first_lane(Chain(scene_.model(), (0.9,)), solver)
+    found = linear_orbit(lane)
+    assert found is not None
+    system = jax.tree.map(np.asarray, found.lane.system)
+
+    def rate(t: float, y: np.ndarray) -> np.ndarray:
+        angle = system.harmonic[:, None] * (t + system.phase)
+        force = system.constant + (system.cosine * np.cos(angle) + system.sine * np.sin(angle)).sum(axis=0)
+        q, p = np.split(y, 2)
+        return np.concatenate([p, force - system.stiffness @ q - system.damping @ p])
+
+    begin = np.concatenate([found.lane.q, found.lane.p])
+    times = np.linspace(0, 2 * np.pi, 20001)
+    path = solve_ivp(rate, times[[0, -1]], begin, method="DOP853", rtol=1e-11, atol=1e-13, t_eval=times).y
+    np.testing.assert_allclose(path[:, -1], begin, atol=1e-9 * np.abs(begin).max())
+    x = found.lane.shape @ path[:3]
+    np.testing.assert_allclose(found.amplitude.ravel(), np.ptp(x, axis=1) / 2, atol=1e-6 * found.amplitude.max())
+    pushed = [solve_ivp(rate, (0, 2 * np.pi), begin + e, method="DOP853", rtol=1e-11, atol=1e-13) for e in np.eye(6)]
+    slope = np.stack([end.y[:, -1] - path[:, -1] for end in pushed], axis=1)
+    moduli = np.sort(np.abs(np.linalg.eigvals(slope)))[::-1]
+    np.testing.assert_allclose(np.abs(found.multipliers), moduli, atol=1e-7)
+
+
+def test_a_scene_that_is_linear_needs_no_march() -> None:
+    """Proven to stick: the closed form against a march that models the contact."""
+    held = [OSCILLATOR["contacts"][0] | {"preload": 60.0}]
+    study = {"frequency": {"values": [0.6, 0.9, 1.3]}, "settle": {"tolerance": 1e-9}}
+    solver = {"accuracy": "standard", "reduce": False}
+    marched, solved = run(study, contacts=held, solver=solver), run(study, contacts=held)
+    assert marched.cycles.values.min() > 10
+    assert np.all(solved.cycles.values == 0)
+    assert np.all(solved.settled.values == 1)
+    for name in ("amplitude", "final_modal_displacement", "final_modal_velocity"):
+        size = np.abs(marched[name].values).max()
+        np.testing.assert_allclose(solved[name], marched[name], rtol=0, atol=1e-6 * size, err_msg=name)
+    np.testing.assert_allclose(solved.floquet_max, marched.floquet_max, atol=1e-6)
+
+
+def test_an_undamped_scene_is_marched() -> None:
+    """Nothing dies out, so there is no steady state that every start leads to."""
+    modes = [{"frequency": 0.9, "damping_ratio": 0.0, "mass": 1.0, "shape": {"tip": [1, 0, 0]}}]
+    scene_ = {"structure": {"modes": modes}, "excitation": {"modal_force": [{"amplitude": 1.0}]}}
+    study = {"kind": "sweep", "frequency": {"values": [0.7]}, "settle": {"max_cycles": 40}}
+    result = timesim.run(scene_ | {"study": study})
+    assert result.settled.item() == 0
+    assert result.cycles.item() >= 40
 
 
 # Both directions, jumps

@@ -61,7 +61,7 @@ def study(scene: Scene, means: Ways) -> Outcome:
     _, *more = (line for line in sweep_summary(swept) if "jumps" not in line)
     size = int(np.isfinite(swept.variables["amplitude"][1]).all(axis=(-2, -1)).sum())
     lines = [*found.summary(), f"{size} steady states of both sweeps, and the search, in {running:.2f} s", *more]
-    if plan.harmonics:
+    if plan.harmonics and not (reason or "").startswith(INTERRUPTED):
         balanced, hbm_reason = _balanced(scene, plan)
         groups["hbm"] = balanced
         lines += folds(balanced)

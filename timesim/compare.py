@@ -44,7 +44,7 @@ class Sweep:
         settled: whether it repeats after one cycle, shape (V, D, F).
         doubled: whether it repeats after several, shape (V, D, F).
         linear: whether every contact sticks, or stays apart, all the time, shape (V, D, F).
-        slip, separation: largest share of a period over the contacts, shape (V, D, F).
+        slip, separation: largest share of a period over the contacts, each by itself, shape (V, D, F).
     """
 
     frequency: np.ndarray
@@ -232,7 +232,9 @@ def _judgement(sweep: Sweep, match: Match, curves: Curves, size: np.ndarray, jud
     advice = "" if worst <= AGREE else "; study.convergence: true tells whether more harmonics would help"
     values = ", ".join(f"{key} {value:g}" for key, value in combinations(curves.plan.over)[v].items())
     place = f"{sweep.frequency[f]:g} Hz" + (f" with {values}" if values else "")
-    shares = f"{sweep.slip[v, d, f]:.2f} of the cycle in slip, {sweep.separation[v, d, f]:.2f} in separation"
+    shares = (
+        f"a contact {sweep.slip[v, d, f]:.2f} of the cycle in slip, one {sweep.separation[v, d, f]:.2f} in separation"
+    )
     middle = f"median {np.median(size[judged]):.1e}, mean shares {sweep.slip[judged].mean():.2f} and "
     return (
         f"the methods {word}: {judged.sum()} points with slip, or contact for a part of the cycle, differ by at most "
