@@ -262,7 +262,7 @@ class Recorded:
 
 def _share(lane: Lane, steps: Path, state: int) -> np.ndarray:
     shares = np.zeros(lane.model.num_contacts)
-    shares[lane.reduction.live] = steps.h @ (steps.state == state) / steps.h.sum()
+    shares[lane.reduction.live] = np.minimum(steps.h @ (steps.state == state) / steps.h.sum(), 1.0)
     shares[lane.reduction.apart] = float(state == SEPARATION)
     return shares
 

@@ -27,7 +27,7 @@ from timesim.trajectory import message_of, start_states
 
 CYCLES_A_ROUND = 8
 SIDE_BY_SIDE = 128  # searches that share batches, full ones as long as many are left
-LONELY = 256  # cycles of a last search after which it pays to compile the march for it alone
+LONELY = 256  # cycles after which it pays to compile a march for each of the few searches that are left
 PERIODS = (1, 2, 3)
 UNSETTLED_CYCLES = 10  # over which the amplitude of a motion that has not settled is taken
 STILL_THERE = 0.99  # what is left of an alternation after half a round, if it is not one that decays
@@ -269,7 +269,7 @@ def _cycles_to_measure(search: Search) -> int:
 
 
 def _march(searches: Sequence[Search], solver: Solver, size: int) -> None:
-    if len(searches) == 1 and searches[0].cycles > LONELY:
+    if len(searches) <= SIZES[0] and min(search.cycles for search in searches) > LONELY:
         size = 1
     done = march([search.lane for search in searches], solver, CYCLES_A_ROUND, size=size)
     for search, (lane, rows) in zip(searches, done, strict=True):

@@ -125,9 +125,11 @@ class Run:
 
 def message_of(model: Model, reduction: Reduction, solver: Solver, status: int, culprit: int) -> str:
     """What a status that has ended a trajectory means, and what to try."""
-    names = [model.contacts[i].name for i in reduction.live] or ["none"]
     text = MESSAGES[Status(status)]
-    return text.format(contact=names[culprit], solver=solver.name, budget=solver.budget)
+    if not reduction.live.size:
+        return text.replace("; contact '{contact}' switched last", "").format(solver=solver.name, budget=solver.budget)
+    contact = model.contacts[reduction.live[culprit]].name
+    return text.format(contact=contact, solver=solver.name, budget=solver.budget)
 
 
 class Frame:
