@@ -113,7 +113,7 @@ class Start:
     phase: float = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Model:
     """A structure with contacts under excitation: all that a run needs to know of the physics."""
 

@@ -18,6 +18,7 @@ Plain numpy, so that a scene is checked without loading JAX.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -34,6 +35,8 @@ STRAIGHT = 1e-13
 """Share by which a motion may leave its line, or K_u turn it: rounding."""
 MARGIN = 1e-4
 """Share of the bound by which a contact must stay inside its state: more than the error of the bound."""
+RECENT = 16
+"""Models whose parts are remembered: a sweep asks for them at every frequency."""
 DIRECTIONS = 720
 """Directions of a contact plane that are tried; what lies between them is covered by a Lipschitz constant."""
 
@@ -129,7 +132,7 @@ def _constant_force(contact: Contact, slip: np.ndarray, *, stuck: bool) -> np.nd
     return np.array([0.0, 0.0, max(contact.preload, 0.0)])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Scene:
     """A model with unit modal masses.
 
@@ -158,6 +161,7 @@ class _Scene:
         return np.abs(self.constant) + np.abs(self.wave).sum(axis=0)
 
 
+@lru_cache(maxsize=RECENT)
 def _normalised(model: Model) -> _Scene:
     structure, load, start = model.structure, model.excitation, model.start
     root = np.sqrt(structure.mass)
@@ -196,6 +200,7 @@ class _Part:
     contacts: np.ndarray
 
 
+@lru_cache(maxsize=RECENT)
 def _parts(scene: _Scene) -> list[_Part]:
     num_contacts, _, num_modes = scene.shape.shape
     rate = np.sqrt(np.abs(np.diag(scene.damping)))

@@ -302,6 +302,9 @@ def period_of(sections: np.ndarray, tolerance: float, noise: float = 0.0) -> int
     if size == 0:
         return 1
     half = CYCLES_A_ROUND // 2
+    latest = [np.abs(sections[-1] - sections[-1 - period]).max() for period in PERIODS if period < len(sections)]
+    if min(latest, default=0.0) > max(tolerance, noise, REST) * size:
+        return 0  # found at once, as in most rounds
     for period in PERIODS:
         change = np.max(np.abs(sections[period:] - sections[:-period]), axis=1) / size
         if change.size < CYCLES_A_ROUND:
