@@ -191,6 +191,20 @@ def test_a_point_that_the_sweep_has_not(swept: Path, at: dict, study: dict, said
         load_scene(scene(start={"from": str(swept), "at": at}, **study))
 
 
+def test_a_sweep_of_another_structure(swept: Path):
+    other = scene(start={"from": str(swept), "at": {"contacts.pad.preload": -4}})
+    with pytest.raises(
+        SceneError, match=re.escape("must have the contacts of the scene, not pad (the scene has lining)")
+    ):
+        load_scene(other | {"contacts": [BASE["contacts"][0] | {"name": "lining"}]})
+    modes = [*BASE["structure"]["modes"], BASE["structure"]["modes"][1] | {"frequency": 2.0}]
+    force = {"modal_force": [{"amplitude": 1.0}] * 3}
+    more = other | {"structure": {"modes": modes}, "excitation": force}
+    outcome = carry_out(load_scene(more | {"study": more["study"] | INSIDE}))
+    assert outcome.reason is None
+    assert any("no curve is begun" in line and "has 2 modes, the scene has 3" in line for line in outcome.summary)
+
+
 def test_waves_of_samples():
     rng = np.random.default_rng(2)
     coefficient = rng.normal(size=(7, 2))

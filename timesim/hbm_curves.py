@@ -116,7 +116,11 @@ class Curves:
         while left:
             # From the middle of what is left: away from the folds at its ends.
             frequency, arrays = left.pop(len(left) // 2)
-            begun = replace(model, start=start_of(model, found, arrays))
+            try:
+                begun = replace(model, start=start_of(model, found, arrays))
+            except RuleError as error:
+                self.notes.append(f"no curve is begun from the sweep's point at {frequency:g} Hz: it {error.rule}")
+                continue
             guess = modal_waves(begun, frequency, solver_of(self.scene.file.solver))
             if self._known(model, own, frequency, guess):
                 continue

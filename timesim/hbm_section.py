@@ -157,7 +157,7 @@ class HbmKeys(StudyKind):
         if isinstance(self.start, ResultStart):
             try:
                 found = held(folder / self.start.source)
-                yield from self._sweep_fits(found) if found.axes else self._transient_fits(folder)
+                yield from self._sweep_fits(found, contacts) if found.axes else self._transient_fits(folder)
             except (RuleError, ValueError, StoreError) as error:
                 what = error.rule if isinstance(error, RuleError) else str(error)
                 yield RuleError(
@@ -176,8 +176,13 @@ class HbmKeys(StudyKind):
                 ("start", "at"), "names a point of a sweep", "the result is that of a transient: leave it out"
             )
 
-    def _sweep_fits(self, found: Held) -> Iterator[RuleError]:
+    def _sweep_fits(self, found: Held, contacts: Sequence[ContactSection]) -> Iterator[RuleError]:
         assert isinstance(self.start, ResultStart)
+        names = [contact.name for contact in contacts]
+        if sorted(names) != sorted(found.contacts):
+            rule = f"must have the contacts of the scene, not {', '.join(found.contacts) or 'none'}"
+            yield RuleError(("start", "from"), rule, f"the scene has {', '.join(names) or 'none'}", self.start.source)
+            return
         if getattr(self, "along", {}):
             rule = "must be the result of a transient where the curve runs along another scalar"
             yield RuleError(("start", "from"), rule, "", self.start.source)
