@@ -122,7 +122,21 @@ def narrowed(
             for (index, stretch), (orbit,) in zip(open_, middles, strict=True)
             for half in stretch.halves(orbit)
         ]
-    return sorted(found, key=lambda item: (item[0], abs(item[1].near - stretches[item[0]].near)))
+    return list(_joined(sorted(found, key=lambda item: (item[0], abs(item[1].near - stretches[item[0]].near)))))
+
+
+def _joined(found: Sequence[tuple[int, Stretch]]) -> Iterator[tuple[int, Stretch]]:
+    """Jumps that follow on each other made one: next to a fold a motion leaves so slowly that it is met on its way."""
+    last: tuple[int, Stretch] | None = None
+    for index, jump in found:
+        if last is not None and last[0] == index and last[1].far == jump.near:
+            last = index, replace(last[1], far=jump.far, beyond=jump.beyond)
+            continue
+        if last is not None:
+            yield last
+        last = index, jump
+    if last is not None:
+        yield last
 
 
 def jumps_of(
