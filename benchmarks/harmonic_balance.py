@@ -6,6 +6,7 @@ apart. Run it pinned to one core: ``taskset -c 0 python benchmarks/harmonic_bala
 
 ``--quick``: the first line alone. ``--picture FILE``: the growth with harmonics, contacts and modes drawn as well.
 ``--peaks``: instead, the peaks of the paper's nine preloads by harmonic balance and by time integration.
+``--folds``: instead, where its curves turn for 1 to 15 harmonics.
 ``--pyharm PYTHON``: instead, a curve of the paper's oscillator by pyHarm beside ours; PYTHON has it installed.
 """
 
@@ -168,6 +169,19 @@ def peaks() -> None:
         print(f"{line} {share.max():.2f} |", flush=True)
 
 
+def folds() -> None:
+    """Folds of the oscillator at n0 = -4 and 2 for growing numbers of harmonics, beside where the sweeps jump."""
+    print("| harmonics | n0 = -4, low [Hz] | high [Hz] | n0 = 2, low [Hz] | high [Hz] |")
+    print("|---|---|---|---|---|")
+    for harmonics in (1, 3, 9, 15):
+        cells = []
+        for preload, span in ((-4.0, (1.0, 0.92)), (2.0, (1.32, 1.2))):
+            curve = hbm_curve(oscillator(preload), *span, setting=Setting(harmonics, 1024), stability=False)
+            turning = np.sort(curve.frequency[curve.fold])
+            cells += [f"{place:.6f}" for place in turning] if turning.size == 2 else [f"{turning.size} folds", ""]
+        print(f"| {harmonics} | {' | '.join(cells)} |", flush=True)
+
+
 def beside_pyharm(python: str) -> None:
     """A curve at n0 = 3, 9 harmonics and 512 samples, by both; errors against settled time integration."""
     preload, span, setting = 3.0, (0.8, 1.65), Setting(9, 512)
@@ -211,9 +225,12 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="the first line alone")
     parser.add_argument("--picture", type=Path, help="draw the growth into this file")
     parser.add_argument("--peaks", action="store_true", help="peaks of nine preloads by two methods")
+    parser.add_argument("--folds", action="store_true", help="folds for 1, 3, 9 and 15 harmonics")
     parser.add_argument("--pyharm", metavar="PYTHON", help="a Python that has pyHarm-os installed")
     options = parser.parse_args()
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, numpy {np.__version__}\n")
+    if options.folds:
+        return folds()
     if options.peaks:
         return peaks()
     if options.pyharm:
