@@ -184,6 +184,21 @@ def test_a_motion_that_no_curve_passes_begins_one():
     assert any("a curve of its own" in line for line in outcome.summary)
 
 
+def test_jumps_of_the_sweeps_are_told_beside_the_folds():
+    study = {
+        "kind": "compare",
+        "frequency": {"values": [0.93, 0.944, 0.96]},
+        "direction": "both",
+        "refine": 1e-3,
+        "harmonics": 7,
+        "time_samples": 512,
+    }
+    said = carry_out(load_scene(oscillator_scene(preload=-4.0) | {"study": study})).summary
+    jumps = [line for line in said if "the motion jumps between" in line]
+    assert [line.split(":")[0] for line in jumps] == ["direction up", "direction down"]
+    assert any("folds at 0.947" in line for line in said)
+
+
 def test_full_stick_proves_nothing(curves):
     sweep = plain_sweep(linear=np.ones((2, 1, 3), bool))
     lines = list(compare.verdict(sweep, plain_match(sweep, 0.0), curves))

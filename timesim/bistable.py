@@ -25,8 +25,7 @@ from timesim.orbit import SIZES
 from timesim.solver import Solver, solver_of
 from timesim.steady import Criterion, Task, settle
 from timesim.study import Outcome, attributes
-from timesim.sweep import COLUMNS, STEPS_A_CHUNK, Grid, failures
-from timesim.sweep import summary as sweep_summary
+from timesim.sweep import COLUMNS, STEPS_A_CHUNK, Grid, failures, states_told
 
 LISTED = 12  # ranges that the summary names
 MOTIONS = ("lower", "upper")
@@ -58,7 +57,7 @@ def study(scene: Scene, means: Ways) -> Outcome:
     running = time.perf_counter() - clock - compiling
     swept = found.sweep({"method": str(solver), "compile_seconds": compiling, "run_seconds": running})
     reasons, groups = [reason or failures(swept)], {"sweep": swept}
-    _, *more = (line for line in sweep_summary(swept) if "jumps" not in line)
+    _, *more = states_told(swept)
     size = int(np.isfinite(swept.variables["amplitude"][1]).all(axis=(-2, -1)).sum())
     lines = [*found.summary(), f"{size} steady states of both sweeps, and the search, in {running:.2f} s", *more]
     if plan.harmonics and not (reason or "").startswith(INTERRUPTED):

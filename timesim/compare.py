@@ -27,7 +27,7 @@ from timesim.hbm_study import summary as hbm_summary
 from timesim.result_state import held_in
 from timesim.solver import solver_of
 from timesim.study import Outcome, attributes
-from timesim.sweep import sweep_record
+from timesim.sweep import jumps_told, sweep_record
 
 # Nearer to a fold than this share of its frequency a small error of either method moves the answer much.
 NEAR_FOLD = 1e-3
@@ -148,7 +148,7 @@ def study(scene: Scene, means: Means) -> Outcome:
     match = matched(sweep, curves)
     faults = [f"{name}: {why}" for name, why in (("sweep", sweep_reason), ("hbm", hbm_reason)) if why]
     reason = "; ".join(faults) or None
-    lines = list(verdict(sweep, match, curves))
+    lines = [*jumps_told(swept), *verdict(sweep, match, curves)]
     lines.append(
         f"time integration: {sweep.settled.size} points in {seconds:.2f} s; harmonic balance: "
         f"{balanced.variables['frequency'][1].size} solutions in {balanced.attrs['run_seconds']:.2f} s"

@@ -202,6 +202,12 @@ def _shown(value: Any) -> str:
 
 def summary(record: store.Record) -> Iterator[str]:
     """What a user wants to know of a sweep at once."""
+    yield from states_told(record)
+    yield from jumps_told(record)
+
+
+def states_told(record: store.Record) -> Iterator[str]:
+    """How many steady states there are, and which have not settled, in words."""
     found = {name: array for name, (_, array) in record.variables.items()}
     settled, period, done = found["settled"] == 1, found["period"], np.isfinite(found["amplitude"]).all(axis=(-2, -1))
     yield (
@@ -216,8 +222,13 @@ def summary(record: store.Record) -> Iterator[str]:
             f"{lost.sum()} points did not settle in settle.max_cycles (settled = 0, with the band of their amplitude): "
             f"{_spans(record, lost)}"
         )
-    for place in zip(*np.nonzero(np.isfinite(found["jump_low"])), strict=True):
-        low, high = (found[f"jump_{end}"][place] for end in ("low", "high"))
+
+
+def jumps_told(record: store.Record) -> Iterator[str]:
+    """The jumps of a sweep in words."""
+    found = {end: record.variables[f"jump_{end}"][1] for end in ("low", "high")}
+    for place in zip(*np.nonzero(np.isfinite(found["low"])), strict=True):
+        low, high = found["low"][place], found["high"][place]
         yield f"{_chain(record, place[:-1])}the motion jumps between {low:.8g} and {high:.8g} Hz"
 
 
