@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import CONFIGS, options, run_config
 from systems import oscillator
 from typer.testing import CliRunner
 
@@ -29,7 +30,6 @@ from timesim.steady import Criterion, Orbit, without_orbit
 from timesim.store import open_groups
 from timesim.study import carry_out
 
-CONFIGS = Path(__file__).parents[1] / "configs"
 QUICK = {
     "study.frequency": "{from: 1.24, to: 1.27}",
     "study.step": "0.01",  # twice as wide as the range
@@ -42,18 +42,9 @@ QUICK = {
 }
 
 
-def options(overrides: dict[str, str]) -> list[str]:
-    return [part for item in overrides.items() for part in ("--set", "=".join(item))]
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("bistable")
-    call = ["run", str(CONFIGS / "softening.yaml"), "-o", str(folder / "run"), *options(QUICK)]
-    done = CliRunner().invoke(app, call)
-    assert done.exit_code == 0, done.output
-    (folder / "said").write_text(done.stdout)
-    return folder
+    return run_config(tmp_path_factory.mktemp("bistable"), "softening.yaml", QUICK)
 
 
 @pytest.fixture(scope="module")

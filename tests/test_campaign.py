@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 import toys
+from commands import fill_disk
 from toys import SCENE, chains, digest, expected
 from typer.testing import CliRunner
 
@@ -519,14 +520,7 @@ def test_a_run_cut_off_is_resumed_by_the_commands(fault: str, faulty: list[Any],
 def test_a_result_that_cannot_be_saved_says_what_is_safe(
     faulty: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    fsync = os.fsync
-
-    def full(handle: int) -> None:
-        if "result.nc" in os.readlink(f"/proc/self/fd/{handle}"):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        fsync(handle)
-
-    monkeypatch.setattr(os, "fsync", full)
+    fill_disk(monkeypatch, "result.nc")
     status, _, error = call(tmp_path)
     assert status == 1
     assert "result.nc cannot be written: No space left on device; the 6 chunks done are safe in" in error

@@ -1,6 +1,5 @@
 """The commands as a user meets them: exit status, messages, and what is left on disk."""
 
-import errno
 import os
 import signal
 import subprocess
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bad_scenes import BAD_SCENES, BadScene
+from commands import fill_disk
 from typer.testing import CliRunner
 
 import timesim
@@ -79,14 +79,7 @@ def test_pictures_are_drawn_by_run_and_again_by_plot(tmp_path: Path):
 
 
 def test_a_disk_that_is_full_when_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    fsync = os.fsync
-
-    def full(handle: int) -> None:
-        if ".png." in os.readlink(f"/proc/self/fd/{handle}"):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        fsync(handle)
-
-    monkeypatch.setattr(os, "fsync", full)
+    fill_disk(monkeypatch, ".png.")
     status, out, error = call("run", OSCILLATOR, "-o", tmp_path, *SHORT)
     assert status == 1
     assert "transitions" in out

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commands import CONFIGS, run_config
 from systems import oscillator_scene
 from typer.testing import CliRunner
 
@@ -15,8 +16,6 @@ from timesim.config import load_scene
 from timesim.store import open_groups
 from timesim.study import carry_out
 
-CONFIGS = Path(__file__).parents[1] / "configs"
-PRELOADS = "study.over"
 SHORT: dict[str, Any] = {
     "study.frequency": {"values": [0.85, 0.9, 1.2, 1.42]},
     "study.over": {"contacts.pad.preload": [-4, 3]},
@@ -28,18 +27,7 @@ SHORT: dict[str, Any] = {
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Figure 10 at a few points, by the command."""
-    folder = tmp_path_factory.mktemp("compare")
-    overrides = [
-        "study.frequency={values: [0.85, 0.9, 1.2, 1.42]}",
-        "study.over={contacts.pad.preload: [-4, 3]}",
-        "study.harmonics=7",
-        "study.time_samples=512",
-    ]
-    options = [part for override in overrides for part in ("--set", override)]
-    done = CliRunner().invoke(app, ["run", str(CONFIGS / "figure10.yaml"), "-o", str(folder / "run"), *options])
-    assert done.exit_code == 0, done.output
-    (folder / "said").write_text(done.stdout)
-    return folder
+    return run_config(tmp_path_factory.mktemp("compare"), "figure10.yaml", SHORT)
 
 
 @pytest.fixture(scope="module")

@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commands import CONFIGS, run_config
 from systems import oscillator
-from typer.testing import CliRunner
 
 import timesim
 from timesim import optimum, plot, plot_optimum
 from timesim.campaign import Means
-from timesim.cli import app
 from timesim.config import load_scene
 from timesim.optimum import Peaks, Response, summary
 from timesim.solver import PRESETS
@@ -20,7 +19,6 @@ from timesim.steady import Criterion, Task, settle, without_orbit
 from timesim.store import open_result
 from timesim.study import carry_out
 
-CONFIGS = Path(__file__).parents[1] / "configs"
 KEY = "contacts.pad.preload"
 QUICK = {
     "study.along": "{contacts.pad.preload: {from: 3.2, to: 4.4, num: 4}}",
@@ -33,12 +31,7 @@ QUICK = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("optimum")
-    options = [part for item in QUICK.items() for part in ("--set", "=".join(item))]
-    done = CliRunner().invoke(app, ["run", str(CONFIGS / "preload.yaml"), "-o", str(folder / "run"), *options])
-    assert done.exit_code == 0, done.output
-    (folder / "said").write_text(done.stdout)
-    return folder
+    return run_config(tmp_path_factory.mktemp("optimum"), "preload.yaml", QUICK)
 
 
 @pytest.fixture(scope="module")
