@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from timesim.config import load_scene
-from timesim.history import events
-from timesim.model import Model
-from timesim.solver import PRESETS, Solver
-from timesim.trajectory import Phase, Run
+from timesim.engine.history import events
+from timesim.engine.solver import PRESETS, Solver
+from timesim.engine.trajectory import Phase, Run
+from timesim.model.model import Model
+from timesim.scene.resolution import load_scene
 
 DATA = Path(__file__).parents[1] / "tests" / "data"
 

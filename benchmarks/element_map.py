@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import simpson, solve_ivp
 
-from timesim.config import load_scene
-from timesim.element_map import March, elements_of
-from timesim.motion import HarmonicMotion
-from timesim.solver import solver_of
-from timesim.state_by_state import steady_cycle
+from timesim.element.motion import HarmonicMotion
+from timesim.element.state_by_state import steady_cycle
+from timesim.engine.solver import solver_of
+from timesim.scene.resolution import load_scene
+from timesim.study.element_map import March, elements_of
 
 SCENE = Path(__file__).parents[1] / "configs/figure7.yaml"
 STICK, SLIP, APART = 0, 1, 2

@@ -6,7 +6,7 @@ once before the timing, so compilation is not counted; then all of them run in t
 the median is shown.
 """
 
-import timesim.jax_setup  # noqa: F401  isort: skip
+import timesim.runtime  # noqa: F401  isort: skip
 
 import argparse
 import os
@@ -24,14 +24,14 @@ import opponents_numba
 import opponents_scipy
 from problems import MANY_CONTACTS_FREQUENCY, Run, error, many_contacts, oscillator
 
-from timesim.history import events
-from timesim.integrate import march
-from timesim.model import Model
-from timesim.reduction import reduction_of
-from timesim.solver import Solver
-from timesim.system import system_of
-from timesim.trajectory import Frame, Phase
-from timesim.trajectory import Run as Simulation
+from timesim.engine.event_loop import march
+from timesim.engine.history import events
+from timesim.engine.solver import Solver
+from timesim.engine.system import system_of
+from timesim.engine.trajectory import Frame, Phase
+from timesim.engine.trajectory import Run as Simulation
+from timesim.model.model import Model
+from timesim.model.reduction import reduction_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import oracle

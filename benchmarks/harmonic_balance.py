@@ -22,15 +22,15 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from timesim.config import load_scene
-from timesim.continuation import Controls, follow
-from timesim.hbm import Balance
-from timesim.hbm_curve import default_controls, described, hbm_curve, solutions_at
-from timesim.hbm_setting import Setting
-from timesim.hbm_study import peak
-from timesim.model import GROUND, Contact, Excitation, Model, Start, Structure
-from timesim.solver import PRESETS
-from timesim.steady import Task, settle
+from timesim.engine.solver import PRESETS
+from timesim.hbm.balance import Balance
+from timesim.hbm.continuation import Controls, follow
+from timesim.hbm.curve import default_controls, described, hbm_curve, solutions_at
+from timesim.hbm.setting import Setting
+from timesim.model.model import GROUND, Contact, Excitation, Model, Start, Structure
+from timesim.orbit.settling import Task, settle
+from timesim.scene.resolution import load_scene
+from timesim.study.hbm import peak
 
 RANGE = (0.75, 1.3)
 
@@ -110,7 +110,7 @@ def growth(repeats: int) -> dict[str, list[tuple[int, float]]]:
 
 def draw(found: dict[str, list[tuple[int, float]]], path: Path) -> None:
     """The growth as a picture."""
-    from timesim.plot import SERIES, figure
+    from timesim.picture.draw import SERIES, figure
 
     made, grid = figure(1, 3, width=9.5, height=2.6, sharey=True)
     told = {"harmonics": "50 modes, 5 contacts", "contacts": "50 modes, 9 harmonics", "modes": "1 contact, 9 harmonics"}

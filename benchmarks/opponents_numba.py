@@ -21,7 +21,7 @@ import numpy as np
 from numba import njit
 from problems import Event, Run
 
-from timesim.model import SEPARATION, SLIP, STICK, Model
+from timesim.model.model import SEPARATION, SLIP, STICK, Model
 
 GUARD = 1e-12
 # Located here, not at 0: a run at rest on a guard (n0 = 0) has no direction to slip in until it moves.

@@ -20,7 +20,7 @@ from problems import Event, Run
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from timesim.model import SEPARATION, SLIP, STICK, Contact, Model
+from timesim.model.model import SEPARATION, SLIP, STICK, Contact, Model
 
 GUARD = 1e-12
 MAX_EVENTS_AT_ONCE = 50

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from timesim.model import GROUND, Contact, Excitation, Model, Start, Structure
+from timesim.model.model import GROUND, Contact, Excitation, Model, Start, Structure
 
 Event = tuple[float, int, int, int]
 

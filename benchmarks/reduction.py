@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from timesim.config import load_scene
-from timesim.solver import PRESETS
-from timesim.trajectory import Phase, Run
+from timesim.engine.solver import PRESETS
+from timesim.engine.trajectory import Phase, Run
+from timesim.scene.resolution import load_scene
 
 ROOT = Path(__file__).parents[1]
 OSCILLATOR, MANY = ROOT / "configs" / "oscillator.yaml", ROOT / "tests" / "data" / "many_modes.yaml"

@@ -18,7 +18,7 @@ import numpy as np
 import opponents_numba
 from problems import oscillator
 
-from timesim import store
+from timesim.result import store
 
 PRELOADS = (-4.0, -1.0, 0.0, 1.0, 2.0, 3.0, 5.0, 10.0, 32.0)
 SCENE = Path(__file__).parents[1] / "configs" / "oscillator.yaml"

@@ -4,17 +4,17 @@ from jaxtyping import install_import_hook
 
 # The modules of the event loop; they are loaded here, before anything else loads them unchecked.
 CHECKED = (
-    "timesim.contact",
-    "timesim.guard",
-    "timesim.hermite",
-    "timesim.history",
-    "timesim.integrate",
-    "timesim.method",
-    "timesim.solver",
-    "timesim.system",
-    "timesim.trajectory",
+    "timesim.engine.contact",
+    "timesim.engine.guard",
+    "timesim.engine.dense_output",
+    "timesim.engine.history",
+    "timesim.engine.event_loop",
+    "timesim.engine.method",
+    "timesim.engine.solver",
+    "timesim.engine.system",
+    "timesim.engine.trajectory",
 )
 
 with install_import_hook(list(CHECKED), "beartype.beartype"):
-    import timesim.jax_setup  # isort: skip
-    import timesim.trajectory  # noqa: F401
+    import timesim.runtime  # isort: skip
+    import timesim.engine.trajectory  # noqa: F401

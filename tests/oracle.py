@@ -1,6 +1,6 @@
 """An independent oracle for time histories: diffrax's own `diffeqsolve` with one `Event`, leg after leg.
 
-It shares the data classes of `timesim.model` with the program under test and nothing else; the contact law
+It shares the data classes of `timesim.model.model` with the program under test and nothing else; the contact law
 is in `oracle_law`, what follows a transition and the loop are written here.
 
 A leg ends where the smallest margin over all contacts falls through ``-OFFSET``. The one scalar condition
@@ -35,8 +35,8 @@ from oracle_law import (
     typical_length,
 )
 
-import timesim.jax_setup  # noqa: F401  (double precision, before any array is made)
-from timesim.model import Model
+import timesim.runtime  # noqa: F401  (double precision, before any array is made)
+from timesim.model.model import Model
 
 # The root finder has one tolerance for time and value: times to 1e-14 cycles, margins to 2e-11, which the
 # rounding of a stiff contact still allows.

@@ -1,6 +1,6 @@
 """The contact law of the oracle, written a second time and in another formulation than the program's.
 
-Equations (the paper's 1 to 17, with the sign convention of `timesim.model`) in the dimensionless time ``tau
+Equations (the paper's 1 to 17, with the sign convention of `timesim.model.model`) in the dimensionless time ``tau
 = frequency t`` and lengths in units of `typical_length`; forces of a contact in units of its own, so that
 margins are of order one. Within a leg every contact keeps its state, so the vector field is smooth. In slip
 the force is ``f = mu n e(alpha)`` with the angle ``alpha`` integrated:
@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import brentq
 
-from timesim.model import SEPARATION, SLIP, STICK, Contact, Model
+from timesim.model.model import SEPARATION, SLIP, STICK, Contact, Model
 
 OFFSET = 1e-10
 TIE = 0.5 * OFFSET

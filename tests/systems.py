@@ -14,7 +14,7 @@ import numpy as np
 from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
-from timesim.model import GROUND, Contact, Excitation, Model, Start, Structure
+from timesim.model.model import GROUND, Contact, Excitation, Model, Start, Structure
 
 GENERATED_CYCLES = 12
 

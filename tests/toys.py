@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from timesim.campaign import Chunk, Means, carry_through, halted
-from timesim.config import Scene
-from timesim.store import record
-from timesim.study import Outcome, attributes
+from timesim.result.store import record
+from timesim.scene.resolution import Scene
+from timesim.study.campaign import Chunk, Means, carry_through, halted
+from timesim.study.outcome import Outcome, attributes
 
 SCENE = "title: toy\nstudy: {kind: sweep, frequency: {from: 0.8, to: 1.6, step: 0.1}}\n"
 

@@ -1,7 +1,8 @@
 """Event-driven time integration of structures with frictional contacts."""
 
-from timesim.config import Scene, SceneError, load_scene
-from timesim.store import open_result
-from timesim.study import run
+from timesim.fault import SceneError
+from timesim.result.store import open_result
+from timesim.scene.resolution import Scene, load_scene
+from timesim.study.registry import run
 
 __all__ = ["Scene", "SceneError", "load_scene", "open_result", "run"]

@@ -48,9 +48,10 @@ def run(
     ] = None,
 ) -> None:
     """Run a scene and write result.nc, scene.yaml and pictures."""
-    from timesim import checkpoint, plot, store
-    from timesim.campaign import Means, MeansError
-    from timesim.study import carry_out, check_means
+    from timesim.picture import draw as plot
+    from timesim.result import checkpoint, store
+    from timesim.study.campaign import Means, MeansError
+    from timesim.study.registry import carry_out, check_means
 
     loaded = _loaded(scene, overrides)
     kind = loaded.file.study.kind
@@ -96,7 +97,7 @@ def run(
 @app.command()
 def check(scene: SceneFile, overrides: Overrides = None) -> None:
     """Check a scene without running it, and say what would be modelled."""
-    from timesim.check import describe
+    from timesim.scene.report import describe
 
     for heading in describe(_loaded(scene, overrides)):
         print(f"{heading.title}:")
@@ -107,7 +108,7 @@ def check(scene: SceneFile, overrides: Overrides = None) -> None:
 @app.command()
 def schema() -> None:
     """Print the JSON Schema of the scene file, for editors."""
-    from timesim.config import json_schema
+    from timesim.scene.resolution import json_schema
 
     print(json.dumps(json_schema(), indent=2))
 
@@ -117,8 +118,8 @@ def plot(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run, or its result file.")],
 ) -> None:
     """Draw the pictures of a run again."""
-    from timesim import plot as pictures
-    from timesim import store
+    from timesim.picture import draw as pictures
+    from timesim.result import store
 
     try:
         result = store.whole(store.read(folder))
@@ -132,7 +133,8 @@ def plot(
 
 
 def _loaded(scene: Path, overrides: list[str] | None) -> Any:
-    from timesim.config import SceneError, load_scene
+    from timesim.fault import SceneError
+    from timesim.scene.resolution import load_scene
 
     try:
         return load_scene(scene, overrides or ())
@@ -141,7 +143,8 @@ def _loaded(scene: Path, overrides: list[str] | None) -> Any:
 
 
 def _prepare(output: Path, loaded: Any, scene: Path, *, force: bool, resume: bool) -> None:
-    from timesim import checkpoint, plot, store
+    from timesim.picture import draw as plot
+    from timesim.result import checkpoint, store
 
     store.check_folder(output, force or resume)
     stale = plot.picture_names(loaded.file.study.kind)
@@ -152,7 +155,7 @@ def _prepare(output: Path, loaded: Any, scene: Path, *, force: bool, resume: boo
 
 def _safe_chunks(output: Path) -> str:
     """What is not lost although the result could not be saved."""
-    from timesim import checkpoint
+    from timesim.result import checkpoint
 
     done = checkpoint.chunks_done(output)
     folder = output / checkpoint.FOLDER_NAME
@@ -160,7 +163,7 @@ def _safe_chunks(output: Path) -> str:
 
 
 def _incomplete(reason: str, output: Path, path: Path) -> str:
-    from timesim import checkpoint
+    from timesim.result import checkpoint
 
     hint = "; --resume goes on with it" if checkpoint.resuming_helps(output, reason) else ""
     return f"incomplete: {reason}\nwhat was computed is in {path}, marked complete = 0{hint}"

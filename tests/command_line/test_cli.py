@@ -1,0 +1,185 @@
+"""The commands as a user meets them: exit status, messages, and what is left on disk."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bad_scenes import BAD_SCENES, BadScene
+from commands import fill_disk
+from typer.testing import CliRunner
+
+import timesim
+from timesim.cli import app
+from timesim.engine import trajectory
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+OSCILLATOR = str(CONFIGS / "oscillator.yaml")
+SHORT = ("--set", "study.cycles=3", "--set", "study.record_last=2", "--set", "solver.accuracy=draft")
+
+TOO_FEW = "{method: rk4, max_steps: 205}"  # enough for a cycle without transitions
+
+
+def call(*args: object) -> tuple[int, str, str]:
+    found = CliRunner().invoke(app, [str(arg) for arg in args])
+    return found.exit_code, found.stdout, found.stderr
+
+
+@pytest.mark.parametrize("bad", BAD_SCENES, ids=lambda bad: f"{bad.key}: {bad.rule}")
+def test_a_bad_scene_is_refused_before_anything_runs(bad: BadScene, tmp_path: Path):
+    scene, folder = tmp_path / "scene.yaml", tmp_path / "run"
+    scene.write_text(bad.text)
+    status, _, error = call("run", scene, "-o", folder)
+    assert status == 2
+    assert bad.key in error or bad.rule in error
+    assert "Traceback" not in error
+    assert not folder.exists()
+
+
+def test_run_writes_a_result_that_opens_and_runs_again(tmp_path: Path):
+    status, out, _ = call("run", OSCILLATOR, "-o", tmp_path / "one", "--no-plots", *SHORT)
+    assert status == 0
+    assert "transitions" in out
+    first = timesim.open_result(tmp_path / "one")
+    assert first.attrs["complete"] == 1
+    assert first.sizes["time"] == 2 * 200 + 1
+    assert sorted(path.name for path in (tmp_path / "one").iterdir()) == ["result.nc", "scene.yaml"]
+    assert call("run", tmp_path / "one" / "scene.yaml", "-o", tmp_path / "two", "--no-plots")[0] == 0
+    second = timesim.open_result(tmp_path / "two")
+    np.testing.assert_array_equal(first["displacement"], second["displacement"])
+
+
+def test_an_existing_result_is_kept_without_force(tmp_path: Path):
+    assert call("run", OSCILLATOR, "-o", tmp_path, "--no-plots", *SHORT)[0] == 0
+    before = (tmp_path / "result.nc").read_bytes()
+    status, _, error = call("run", OSCILLATOR, "-o", tmp_path, "--no-plots", *SHORT)
+    assert status == 2
+    assert "--force" in error
+    assert (tmp_path / "result.nc").read_bytes() == before
+    assert call("run", OSCILLATOR, "-o", tmp_path, "--no-plots", "--force", *SHORT)[0] == 0
+
+
+def test_pictures_are_drawn_by_run_and_again_by_plot(tmp_path: Path):
+    status, out, _ = call("run", OSCILLATOR, "-o", tmp_path, *SHORT)
+    assert status == 0
+    drawn = sorted(tmp_path.glob("*.png"))
+    assert f"{len(drawn)} pictures" in out
+    assert len(drawn) == 7
+    for path in drawn:
+        path.unlink()
+    for given in (tmp_path, tmp_path / "result.nc"):
+        assert call("plot", given)[0] == 0
+        assert sorted(tmp_path.glob("*.png")) == drawn
+        for path in drawn:
+            path.unlink()
+
+
+def test_a_disk_that_is_full_when_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    fill_disk(monkeypatch, ".png.")
+    status, out, error = call("run", OSCILLATOR, "-o", tmp_path, *SHORT)
+    assert status == 1
+    assert "transitions" in out
+    assert f"result: {tmp_path / 'result.nc'}" in out
+    assert ".png cannot be written: No space left on device\n" in error
+    assert f"the result is saved; timesim plot {tmp_path} draws the pictures again" in error
+    assert timesim.open_result(tmp_path).attrs["complete"] == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["result.nc", "scene.yaml"]
+    status, _, error = call("plot", tmp_path)
+    assert status == 1
+    assert ".png cannot be written" in error
+
+
+def test_plot_of_no_result(tmp_path: Path):
+    status, _, error = call("plot", tmp_path)
+    assert status == 2
+    assert "no result file" in error
+
+
+def test_a_run_that_fails_saves_what_it_has(tmp_path: Path):
+    arguments = ("--set", "study.cycles=40", "--set", "study.record_last=40", "--set", f"solver={TOO_FEW}")
+    status, _, error = call("run", OSCILLATOR, "-o", tmp_path, "--no-plots", *arguments)
+    assert status == 1
+    assert "budget of 205 steps" in error
+    assert "'pad'" in error
+    assert "solver.max_steps" in error
+    result = timesim.open_result(tmp_path)
+    assert result.attrs["complete"] == 0
+    assert "budget" in result.attrs["reason"]
+    assert 0 < result.sizes["time"] < 40 * 200
+
+
+def test_from_python_a_failed_run_warns_and_returns_what_it_has():
+    with pytest.warns(RuntimeWarning, match="incomplete"):
+        result = timesim.run(OSCILLATOR, {"solver": {"method": "rk4", "max_steps": 205}})
+    assert result.attrs["complete"] == 0
+
+
+def test_a_run_taken_up_is_the_same_run(tmp_path: Path):
+    both = ("--no-plots", "--set", "solver.accuracy=draft", "--set", "study.record_last=1")
+    assert call("run", OSCILLATOR, "-o", tmp_path / "whole", *both, "--set", "study.cycles=7")[0] == 0
+    assert call("run", OSCILLATOR, "-o", tmp_path / "half", *both, "--set", "study.cycles=4")[0] == 0
+    taken_up = f"initial={{from: {tmp_path / 'half' / 'result.nc'}}}"
+    assert call("run", OSCILLATOR, "-o", tmp_path / "rest", *both, "--set", "study.cycles=3", "--set", taken_up)[0] == 0
+    whole, rest = timesim.open_result(tmp_path / "whole"), timesim.open_result(tmp_path / "rest")
+    for name in ("final_modal_displacement", "final_modal_velocity", "final_slip", "final_contact_state"):
+        np.testing.assert_allclose(whole[name], rest[name], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_saves_what_it_has(sent: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    calls, advance = [], trajectory.advance
+
+    def interrupted(*args: Any) -> Any:
+        calls.append(1)
+        if len(calls) == 3:
+            os.kill(os.getpid(), sent)
+        return advance(*args)
+
+    monkeypatch.setattr(trajectory, "advance", interrupted)
+    arguments = ("--set", "study.cycles=200", "--set", "study.record_last=200", "--set", "solver.accuracy=draft")
+    status, _, error = call("run", OSCILLATOR, "-o", tmp_path, "--no-plots", *arguments)
+    assert status == 1
+    assert "interrupted in cycle" in error
+    result = timesim.open_result(tmp_path)
+    assert result.attrs["complete"] == 0
+    assert 0 < result.sizes["cycle"] < 200
+    assert result["time"][-1] < 200 / 1.39
+
+
+def test_check_says_what_would_be_modelled():
+    status, out, _ = call("check", OSCILLATOR)
+    assert status == 0
+    assert "2 modes, 0.9 to 1.1 Hz" in out
+    assert "left out or simplified" in out
+    assert call("check", OSCILLATOR, "--set", "contacts.pad.friction=-1")[0] == 2
+
+
+def test_schema_is_json():
+    import json
+
+    status, out, _ = call("schema")
+    assert status == 0
+    assert "structure" in json.loads(out)["properties"]
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ("check", OSCILLATOR), ("schema",)])
+def test_light_commands_load_no_jax(arguments: tuple[str, ...]):
+    heavy = ("jax", "jaxlib", "diffrax", "equinox", "xarray", "matplotlib", "h5netcdf")
+    code = (
+        "import sys\n"
+        f"sys.argv = ['timesim', *{arguments!r}]\n"
+        "from timesim.cli import main\n"
+        "try:\n    main()\nexcept SystemExit as stop:\n    assert not stop.code\n"
+        f"print([n for n in {heavy!r} if n in sys.modules], file=sys.stderr)"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stderr.strip() == "[]"
+
+
+def test_the_package_is_the_command_too():
+    found = subprocess.run([sys.executable, "-m", "timesim", "--help"], capture_output=True, text=True, check=True)
+    assert "python -m timesim [OPTIONS] COMMAND" in found.stdout

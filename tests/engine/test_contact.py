@@ -1,0 +1,161 @@
+"""The contact law on its own: its rates, its directions, and what follows a transition."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from timesim.engine.contact import (
+    Law,
+    Motion,
+    dot,
+    incipient_direction,
+    length,
+    margins,
+    product,
+    reaction,
+    slip_at_transition,
+    slip_direction,
+    slip_speed,
+    successor,
+)
+from timesim.model.model import SEPARATION, SLIP, STICK
+
+RNG = np.random.default_rng(20)
+
+
+def law(stiffness: np.ndarray, *, friction: float = 0.4, normal: float = 1.3, preload: float = 0.7) -> Law:
+    """One contact with a full or isotropic K_u."""
+    one = lambda value: jnp.asarray([value], dtype=float)  # noqa: E731
+    inverse = np.linalg.inv(stiffness)
+    return Law(
+        friction=one(friction),
+        stiffness=tuple(one(stiffness[i, j]) for i, j in ((0, 0), (0, 1), (1, 1))),
+        compliance=tuple(one(inverse[i, j]) for i, j in ((0, 0), (0, 1), (1, 1))),
+        normal_stiffness=one(normal),
+        preload=one(preload),
+    )
+
+
+def plane(values: np.ndarray) -> tuple[jax.Array, jax.Array]:
+    return jnp.asarray(values[:1]), jnp.asarray(values[1:])
+
+
+def moving(u: np.ndarray, v: float, du: np.ndarray, dv: float) -> Motion:
+    return Motion(plane(u), jnp.asarray([v]), plane(du), jnp.asarray([dv]))
+
+
+def random_stiffness() -> np.ndarray:
+    a = RNG.normal(size=(2, 2))
+    return a @ a.T + 0.2 * np.eye(2)
+
+
+@pytest.mark.parametrize("case", range(20))
+def test_a_sliding_contact_stays_on_its_cone(case: int):
+    """d|f|^2/dt = 2 mu^2 n n' by (9), with the force K_u (u - w) and the slip rate of the law."""
+    stiffness, contact = random_stiffness(), None
+    contact = law(stiffness)
+    v, du, dv = RNG.uniform(0, 1), RNG.normal(size=2), RNG.normal()
+    n = 0.7 + 1.3 * v
+    e = np.array([np.cos(case), np.sin(case)])
+    w = RNG.normal(size=2)
+    u = w + np.linalg.solve(stiffness, 0.4 * n * e)
+    moves = moving(u, v, du, dv)
+    acts = reaction(contact, jnp.asarray([SLIP]), moves, plane(w))
+    f = np.concatenate(acts.f)
+    np.testing.assert_allclose(f, 0.4 * n * e, atol=1e-13)
+    df = stiffness @ (du - np.concatenate(acts.dw))
+    assert 2 * f @ df == pytest.approx(2 * 0.4**2 * n * 1.3 * dv, abs=1e-11)
+    # (9) as printed, times mu n.
+    c = (f @ stiffness @ du - 0.4**2 * n * 1.3 * dv) / (f @ stiffness @ f)
+    assert float(slip_speed(contact, plane(e), moves)[0]) == pytest.approx(c * 0.4 * n, rel=1e-11)
+
+
+@pytest.mark.parametrize("case", range(30))
+def test_the_incipient_direction_solves_its_equation(case: int):
+    stiffness = random_stiffness()
+    contact = law(stiffness)
+    du = RNG.normal(size=2)
+    # Below the rate at which it would stick, above and below zero.
+    dv = RNG.uniform(-2.0, 0.98) * np.linalg.norm(stiffness @ du) / (0.4 * 1.3)
+    moves = moving(np.zeros(2), 0.0, du, dv)
+    e = np.concatenate(incipient_direction(contact, moves))
+    assert np.linalg.norm(e) == pytest.approx(1, abs=1e-12)
+    s = float(slip_speed(contact, plane(e), moves)[0])
+    assert s >= 0
+    np.testing.assert_allclose((0.4 * 1.3 * dv) * e + s * stiffness @ e, stiffness @ du, atol=1e-9)
+
+
+def test_the_incipient_direction_of_isotropic_stiffness_is_that_of_the_velocity():
+    contact = law(2 * np.eye(2))
+    isotropic = Law(
+        contact.friction, contact.stiffness[:1], contact.compliance[:1], contact.normal_stiffness, contact.preload
+    )
+    moves = moving(np.zeros(2), 0.0, np.array([3.0, -4.0]), 0.1)
+    for each in (contact, isotropic):
+        np.testing.assert_allclose(np.concatenate(incipient_direction(each, moves)), [0.6, -0.8], atol=1e-13)
+
+
+def test_the_direction_goes_smoothly_through_separation():
+    """Beyond n = 0 the stretch points backwards; the direction of slip does not."""
+    contact = law(np.eye(2), normal=1.0, preload=0.0)
+    e = np.array([0.8, 0.6])
+    for v in (0.1, -0.1):
+        moves = moving(0.4 * v * e, v, np.array([1.0, 0.0]), -1.0)
+        np.testing.assert_allclose(np.concatenate(slip_direction(contact, moves, plane(np.zeros(2)))), e, atol=1e-13)
+
+
+# State, n, u', n' and the state that follows.
+FOLLOWS = [
+    (STICK, 1.0, (1.0, 0.0), 0.0, SLIP),
+    (STICK, 0.0, (1.0, 0.0), -1.0, SEPARATION),
+    (SLIP, 1.0, (0.0, 0.0), 1.0, STICK),
+    (SLIP, 0.0, (1.0, 0.0), -1.0, SEPARATION),
+    (SEPARATION, 0.0, (0.1, 0.0), 1.0, STICK),
+    (SEPARATION, 0.0, (1.0, 0.0), 1.0, SLIP),
+]
+
+
+@pytest.mark.parametrize(("state", "n", "du", "dn", "after"), FOLLOWS)
+def test_what_follows_a_transition(state: int, n: float, du: tuple[float, float], dn: float, after: int):
+    contact = law(np.eye(2), normal=1.0, preload=0.0)
+    moves = moving(np.zeros(2), n, np.array(du), dn)
+    assert int(successor(contact, jnp.asarray([state]), moves, tiny=jnp.asarray(1e-10))[0]) == after
+
+
+def test_slip_after_a_transition_lies_on_the_cone_or_under_the_contact():
+    contact = law(np.diag([2.0, 3.0]))
+    moves = moving(np.array([0.5, -0.2]), 0.3, np.array([1.0, 1.0]), 0.0)
+    w = plane(np.array([0.1, 0.1]))
+    stuck = slip_at_transition(contact, jnp.asarray([SLIP]), jnp.asarray([STICK]), moves, w)
+    f = product(contact.stiffness, (moves.u[0] - stuck[0], moves.u[1] - stuck[1]))
+    assert float(length(f)[0]) == pytest.approx(0.4 * (0.7 + 1.3 * 0.3))
+    for before, after in ((SEPARATION, STICK), (SEPARATION, SLIP), (SLIP, SEPARATION), (STICK, SEPARATION)):
+        apart = slip_at_transition(contact, jnp.asarray([before]), jnp.asarray([after]), moves, w)
+        np.testing.assert_array_equal(np.concatenate(apart), np.concatenate(moves.u))
+
+
+def test_margins_are_those_of_the_state():
+    contact = law(np.eye(2))
+    moves = moving(np.array([0.1, 0.0]), 0.2, np.array([1.0, 0.0]), 0.0)
+    w = plane(np.zeros(2))
+    n = 0.7 + 1.3 * 0.2
+    first = {
+        state: float(margins(contact, jnp.asarray([state]), moves, w)[0][0]) for state in (STICK, SLIP, SEPARATION)
+    }
+    assert first == {STICK: pytest.approx(0.4 * n - 0.1), SLIP: pytest.approx(n), SEPARATION: pytest.approx(-n)}
+    speeds = [float(margins(contact, jnp.asarray([state]), moves, w)[1][0]) for state in (STICK, SLIP)]
+    assert speeds == [1.0, pytest.approx(1.0)]
+
+
+def test_a_contact_at_rest_has_finite_derivatives():
+    """The length of a vector is not smooth at zero; its derivative must be zero there, and not a NaN."""
+    contact = law(np.eye(2))
+
+    def total(x: jax.Array) -> jax.Array:
+        moves = Motion((x, x), x, (x, x), x)
+        acts = reaction(contact, jnp.asarray([SLIP]), moves, (0 * x, 0 * x))
+        return dot(acts.f, acts.f)[0] + acts.dw[0][0]
+
+    _, slope = jax.jvp(total, (jnp.zeros(1),), (jnp.ones(1),))
+    assert np.isfinite(slope)

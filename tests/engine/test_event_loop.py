@@ -1,0 +1,433 @@
+"""The event loop against the oracle, plain events and itself at other tolerances; and where it gives up."""
+
+import gc
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+import systems
+from agreement.test_oracle import double_crossing_trap, earliest_event_trap, separates, slips
+from oracle import OracleResult
+from oracle import simulate as consult
+from simulation import FINE, Trace, relative_error, shares, simulate
+from systems import GENERATED_CYCLES, generated_models, oscillator
+
+import timesim
+from timesim.engine import dense_output as hermite
+from timesim.engine.event_loop import Status, judged
+from timesim.engine.solver import PRESETS, Solver
+from timesim.engine.system import system_of
+from timesim.engine.trajectory import BATCH, Frame, Phase, Run, RunError
+from timesim.model.model import SEPARATION, SLIP, STICK, Model
+from timesim.scene.resolution import load_scene
+from timesim.study.transient import study
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+SECONDS_TO_COMPILE = "/jax/core/compile/jaxpr_to_mlir_module_duration"
+
+
+# --- against the oracle ---
+
+
+def whole_damping(model: Model) -> Model:
+    """The same model with its damping as a matrix: models of one size then share their compiled loop."""
+    damping = model.structure.damping
+    matrix = np.diag(damping) if damping.ndim == 1 else damping
+    return replace(model, structure=replace(model.structure, damping=matrix))
+
+
+# All with K_u of the general form: two loops to compile, of four models each.
+QUICK = [
+    *(f"seed{seed}-2modes-1contacts" for seed in (2, 5, 6, 7)),
+    *(f"seed{seed}-3modes-2contacts" for seed in (0, 1, 2, 4)),
+]
+
+
+@cache
+def compared(name: str) -> tuple[Model, Trace, OracleResult]:
+    model = whole_damping(generated_models()[name])
+    assert model.excitation.frequency is not None
+    true = consult(model, model.excitation.frequency, GENERATED_CYCLES)
+    return model, simulate(model, GENERATED_CYCLES, FINE), true
+
+
+def agree(name: str) -> None:
+    model, trace, true = compared(name)
+    frequency = model.excitation.frequency
+    assert frequency is not None
+    assert relative_error(trace.run.displacement, true.displacement) < 1e-7
+    assert relative_error(trace.run.velocity, true.velocity) < 1e-7
+    told = list(zip(true.event_contact, true.event_from, true.event_to, strict=True))
+    assert trace.sequence == told
+    np.testing.assert_allclose(trace.log.time * frequency, true.event_time * frequency, atol=1e-7, rtol=0)
+    np.testing.assert_array_equal(trace.run.state, true.state)
+    share = shares(trace, (GENERATED_CYCLES - 1) / frequency)
+    np.testing.assert_allclose(share, true.share, atol=1e-6)
+    assert np.any((share[:, SLIP] >= 0.05) & (share[:, SLIP] <= 0.95))
+    told_shares = "; ".join("/".join(f"{100 * part:.0f}" for part in row) for row in share)
+    print(f"{name}: {len(told)} transitions, stick/slip/separation % {told_shares}")
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_generated_model(name: str) -> None:
+    agree(name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in generated_models() if name not in QUICK])
+def test_larger_generated_model(name: str) -> None:
+    agree(name)
+
+
+def test_generated_models_slip_and_separate() -> None:
+    results = [compared(name)[2] for name in QUICK]
+    assert all(map(slips, results))
+    assert 3 * sum(map(separates, results)) >= len(results) >= 8
+
+
+# --- the traps of plain events ---
+
+
+@pytest.mark.parametrize(
+    ("model", "cycles", "trap"),
+    [
+        (systems.two_stops((0.021, 0.020)), 10, earliest_event_trap),
+        (systems.grazing_stop(0.999, 1e3), 6, double_crossing_trap),
+    ],
+    ids=["earliest event", "double crossing"],
+)
+@pytest.mark.parametrize("accuracy", ["draft", "standard"])
+def test_where_plain_events_fail(
+    model: Model, cycles: int, trap: Callable[[], tuple[OracleResult, OracleResult]], accuracy: str
+) -> None:
+    plain, true = trap()
+    trace = simulate(model, cycles, PRESETS[accuracy])
+    assert len(plain.event_time) < len(true.event_time) == len(trace.log.time)
+    assert relative_error(plain.displacement, true.displacement) > 0.1
+    assert relative_error(trace.run.displacement, true.displacement) < {"draft": 1e-3, "standard": 1e-5}[accuracy]
+    np.testing.assert_array_equal(trace.log.contact, true.event_contact)
+    np.testing.assert_array_equal(trace.log.after, true.event_to)
+
+
+@pytest.mark.parametrize("part", [0.9, 0.99, 0.999, 0.9999, 0.99999, 0.999999])
+def test_contact_that_hardly_touches(part: float) -> None:
+    """The nearer the stop to the amplitude, the shorter the touch: to 4e-4 of a cycle."""
+    model = systems.grazing_stop(part, 1e3)
+    trace, fine = simulate(model, 3, PRESETS["draft"]), simulate(model, 3, FINE)
+    assert trace.sequence == fine.sequence
+    assert trace.sequence[:2] == [(0, SEPARATION, SLIP), (0, SLIP, SEPARATION)]
+
+
+def test_contact_just_out_of_reach() -> None:
+    trace = simulate(systems.grazing_stop(1 + 1e-9, 1e3), 3, replace(FINE, reduce=False))
+    assert trace.sequence == []
+    assert trace.amplitude[-1, 0, 2] == pytest.approx(trace.amplitude[0, 0, 2], rel=1e-9)
+
+
+def violation(model: Model, cycles: int, solver: Solver) -> float:
+    """Largest violation of a contact's own state on the dense output of all steps, over the scale of its force."""
+    frequency = model.excitation.frequency
+    assert frequency is not None
+    x, worst = np.linspace(0, 1, 101)[:, None, None], 0.0
+    shape, contacts = model.contact_shape, model.contacts
+    preload, normal = np.array([(c.preload, c.normal_stiffness) for c in contacts]).T
+    K = np.array([c.tangential_stiffness for c in contacts])
+    friction = np.array([c.friction for c in contacts])
+    for steps in Run(model, [Phase(frequency, cycles)], solver).batches():
+        q, _ = hermite.quintic(x, steps.h[:, None], steps.start, steps.end)
+        slips = zip(steps.slip_start, steps.slip_end, strict=True)
+        w = hermite.cubic(x[..., None], steps.h[:, None, None], *zip(*slips, strict=True))
+        moves = np.einsum("cam,xnm->xnca", shape, q)
+        n = preload + normal * moves[..., 2]
+        f = np.linalg.norm(np.einsum("cab,xncb->xnca", K, moves[..., :2] - w), axis=-1)
+        margin = np.select([steps.state == STICK, steps.state == SLIP], [friction * n - f, n], -n)
+        scale = np.abs(preload) + (normal + np.abs(K).sum(axis=(1, 2))) * np.abs(moves).max()
+        worst = max(worst, float((-margin / scale).max()))
+    return worst
+
+
+@pytest.mark.parametrize("preload", [3.0, -1.0])
+def test_no_state_is_left_inside_a_step(preload: float) -> None:
+    assert violation(oscillator(preload, 1.2), 20, PRESETS["draft"]) < 1e-9
+
+
+@pytest.mark.parametrize("part", [0.9999, 0.99999, 0.999999])
+def test_no_touch_is_left_inside_a_step(part: float) -> None:
+    """Also next to the ends of a step: one that stops just short of a touch is followed by one that begins with it."""
+    assert violation(systems.grazing_stop(part, 1e3), 10, PRESETS["draft"]) < 1e-9
+
+
+# --- order of the methods ---
+
+
+def errors(solvers: list[Solver]) -> tuple[np.ndarray, np.ndarray]:
+    """Steps and error of the final state of six cycles of the oscillator, which slips and sticks.
+
+    Without separation: as n -> 0 the direction of slip turns without bound, which costs every method its order there
+    (rk4 is then of third order), though not its events.
+    """
+    model = oscillator(3.0, 1.39)
+    true = simulate(model, 6, Solver("dopri8", 1e-13, 1e-15))
+    traces = [simulate(model, 6, solver) for solver in solvers]
+    assert all(trace.sequence == true.sequence for trace in traces)
+    assert {after for _, _, after in true.sequence} == {STICK, SLIP}
+    assert len(true.sequence) > 15
+    return (
+        np.array([trace.num_steps for trace in traces]),
+        np.array([relative_error(trace.motion, true.motion) for trace in traces]),
+    )
+
+
+def order(steps: np.ndarray, error: np.ndarray) -> float:
+    return float(-np.polyfit(np.log(steps), np.log(error), 1)[0])
+
+
+def test_order_of_fixed_steps() -> None:
+    steps = np.array([200, 400, 800])
+    _, error = errors([Solver("rk4", 1e-8, 1e-10, 2 * np.pi / count) for count in steps])
+    print("rk4", error)
+    assert order(steps, error) == pytest.approx(4, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected", "tolerances"),
+    [
+        ("tsit5", 5, np.geomspace(1e-5, 1e-10, 11)),
+        ("dopri5", 5, np.geomspace(1e-5, 1e-10, 11)),
+        ("dopri8", 8, np.geomspace(1e-6, 1e-11, 11)),
+        ("kvaerno5", 5, np.geomspace(1e-5, 1e-9, 9)),
+    ],
+)
+def test_order_of_adaptive_steps(name: str, expected: int, tolerances: np.ndarray) -> None:
+    steps, error = errors([Solver(name, rtol, 1e-2 * rtol) for rtol in tolerances])
+    print(name, steps, error, order(steps, error))
+    assert order(steps, error) > expected - 1
+    slope = np.polyfit(np.log(tolerances), np.log(error), 1)[0]
+    assert 0.7 < slope < 1.3
+
+
+# --- stiff contacts ---
+
+
+def stiff(stiffness: float) -> Model:
+    """The oscillator with a gap of 0.05 before a pad that is stiffer than its modes by far."""
+    model = oscillator(-1.0, 0.97)
+    hard = replace(
+        model.contacts[0],
+        tangential_stiffness=stiffness * np.eye(2),
+        normal_stiffness=stiffness,
+        preload=-0.05 * stiffness,
+    )
+    return replace(model, contacts=(hard,))
+
+
+@pytest.mark.parametrize("stiffness", [1e4, 1e6, 1e8])
+@pytest.mark.parametrize("rtol", [1e-4, 1e-6])
+def test_kvaerno5_on_stiff_contacts(stiffness: float, rtol: float) -> None:
+    """It steps over what an explicit method must follow, and agrees with it."""
+    model = stiff(stiffness)
+    trace = simulate(model, 4, Solver("kvaerno5", rtol, 1e-2 * rtol))
+    fine = simulate(model, 4, Solver("tsit5", 1e-8, 1e-10, budget=10_000_000))
+    assert trace.num_steps < 400
+    assert trace.sequence == fine.sequence
+    assert relative_error(trace.amplitude[-1], fine.amplitude[-1]) < 100 * rtol
+
+
+def test_kvaerno5_takes_the_steps_of_explicit_methods_where_nothing_is_stiff() -> None:
+    trace = simulate(oscillator(-1.0, 0.97), 6, Solver("kvaerno5", 1e-6, 1e-8))
+    true = simulate(oscillator(-1.0, 0.97), 6, FINE)
+    assert trace.num_steps < 600
+    assert trace.sequence == true.sequence
+    assert relative_error(trace.motion, true.motion) < 1e-5
+
+
+# --- parts of scenes that may be missing ---
+
+
+@pytest.mark.parametrize("reduce", [True, False])
+def test_no_contact_at_all(reduce: bool) -> None:
+    model = oscillator(3.0, 1.39)
+    free = replace(model, contacts=(), start=replace(model.start, slip=np.zeros((0, 2)), state=np.zeros(0, dtype=int)))
+    trace = simulate(free, 400, replace(FINE, reduce=reduce))
+    omega, body = 2 * np.pi * 1.39, model.structure
+    exact = (1 / (body.omega**2 - omega**2 + 2j * 0.02 * body.omega * omega)).real
+    np.testing.assert_allclose(trace.run.displacement, exact, rtol=1e-8)
+    assert trace.sequence == []
+
+
+def test_one_mode_on_a_frictionless_stop() -> None:
+    """A mass thrown against a stop without damping: half a period of the pair, then back with the same speed."""
+    body = systems.structure([1e-12], [0.0], [[0, 0, 1]])
+    start = replace(systems.at_rest(1, 1), displacement=np.array([0.0]), velocity=np.array([1.0]))
+    model = Model(body, (systems.pad(0.0, 0.0, 4.0, -8.0),), systems.excitation(0.2, [0.0], [0.0]), start)
+    trace = simulate(model, 1, FINE)
+    assert trace.sequence == [(0, SEPARATION, SLIP), (0, SLIP, SEPARATION)]
+    np.testing.assert_allclose(trace.log.time, [2.0, 2.0 + np.pi / 2], atol=1e-9)
+    assert trace.run.velocity[0] == pytest.approx(-1.0, abs=1e-9)
+
+
+def test_no_preload_at_rest() -> None:
+    """n0 = 0 and no motion: n = 0 starts apart, and the first transition is the one of a contact that closes."""
+    trace = simulate(oscillator(0.0, 1.1), 3, FINE)
+    true = consult(oscillator(0.0, 1.1), 1.1, 3)
+    assert trace.sequence[0][1] == SEPARATION
+    assert [entry[1:] for entry in trace.sequence] == list(zip(true.event_from, true.event_to, strict=True))
+    assert relative_error(trace.run.displacement, true.displacement) < 1e-8
+
+
+def test_a_run_may_be_cut_anywhere() -> None:
+    model = oscillator(-1.0, 0.97)
+    whole, first = simulate(model, 12), simulate(model, 5)
+    run = first.run
+    begin = replace(model.start, displacement=run.displacement, velocity=run.velocity, slip=run.slip, state=run.state)
+    rest = simulate(replace(model, start=begin), 7)
+    assert first.sequence + rest.sequence == whole.sequence
+    assert relative_error(rest.motion, whole.motion) < 1e-9
+
+
+def test_a_state_on_its_guard_may_start_a_run() -> None:
+    """From each transition on, at the instant of it and in the state after it."""
+    model = oscillator(3.0, 1.39)
+    omega, whole = 2 * np.pi * 1.39, simulate(model, 3)
+    run = Run(model, [Phase(1.39, 3)], FINE)
+    steps = next(iter(run.batches()))
+    for row in np.nonzero(np.any(steps.state != steps.state_after, axis=1))[0]:
+        time = steps.time[row] + steps.h[row]
+        begin = replace(
+            model.start,
+            displacement=steps.end[0][row],
+            velocity=steps.end[1][row],
+            slip=steps.slip_end[0][row],
+            state=steps.state_after[row],
+            phase=omega * time,
+        )
+        rest = simulate(replace(model, start=begin), 1)
+        later = whole.log.time[(whole.log.time > time + 1e-9) & (whole.log.time < time + 1 / 1.39)]
+        np.testing.assert_allclose(rest.log.time[: later.size] + time, later, atol=1e-8)
+
+
+# --- giving up ---
+
+
+def test_budget_spent() -> None:
+    run = Run(oscillator(3.0, 1.39), [Phase(1.39, 5)], replace(FINE, budget=150))
+    with pytest.raises(RunError, match=r"at time 0\.\d+ s, in cycle 1: the budget of 150 steps .*solver\.max_steps"):
+        list(run.batches())
+    assert 0 < run.time < 1 / 1.39
+    assert np.all(np.isfinite(run.displacement))
+
+
+def test_no_finite_state() -> None:
+    """A damping of the wrong sign: the motion grows until numbers end."""
+    model = oscillator(3.0, 1.39)
+    wild = replace(model, structure=replace(model.structure, damping=-1e3 * model.structure.damping))
+    run = Run(wild, [Phase(1.39, 100)], Solver("rk4", 1e-8, 1e-10, 2 * np.pi / 200, reduce=False))
+    with pytest.raises(RunError, match="contact 'pad'"):
+        list(run.batches())
+    assert run.completed < 100
+
+
+@pytest.mark.parametrize(
+    ("change", "status"),
+    [
+        ({"repeats": 101}, Status.ZENO),
+        ({"length": 1e-14}, Status.TOO_SHORT),
+        ({"tried": FINE.budget}, Status.BUDGET),
+        ({"time": 1.0}, Status.RUNNING),
+    ],
+)
+def test_what_is_judged(change: dict[str, float], status: Status) -> None:
+    model = oscillator(3.0, 1.39)
+    run = Run(model, [Phase(1.39, 5)], FINE)
+    frame = Frame(model, run.reduction, 1.39)
+    system = system_of(model, 1.39, 0.0, run.reduction)
+    now = frame.begin(system, run, 0.01)
+    moved = replace(now, **{key: jax.numpy.asarray(value, getattr(now, key).dtype) for key, value in change.items()})
+    assert int(judged(FINE.control(1.0), moved).status) == status
+
+
+@pytest.mark.parametrize("status", [Status.ZENO, Status.TOO_SHORT, Status.BUDGET, Status.NOT_FINITE])
+def test_what_a_message_says(status: Status) -> None:
+    run = Run(oscillator(3.0, 1.39), [Phase(1.39, 5)], FINE)
+    with pytest.raises(RunError, match=r"at time .* s, in cycle 1: .*'pad'") as caught:
+        run.judge(int(status), 0)
+    assert any(hint in str(caught.value) for hint in ("try", "ask for", "Raise", "Check"))
+
+
+def test_interrupt_keeps_what_there_is() -> None:
+    scene = load_scene(CONFIGS / "oscillator.yaml", {"study.record_last": 60})
+
+    def impatient(done: int, total: int) -> None:
+        if done >= 20:
+            raise KeyboardInterrupt
+
+    outcome = study(scene, impatient)
+    assert outcome.reason is not None
+    assert outcome.reason.startswith("interrupted in cycle")
+    result = outcome.groups[""].dataset()
+    whole = timesim.run(scene)
+    kept = result.sizes["cycle"]
+    assert 20 <= kept < 60
+    assert result.attrs["complete"] == 0
+    np.testing.assert_array_equal(result["cycle_amplitude"], whole["cycle_amplitude"][:kept])
+    count = result.sizes["event"]
+    np.testing.assert_array_equal(result["event_time"], whole["event_time"][:count])
+    assert np.all(np.isfinite(result["displacement"]))
+
+
+def test_a_failed_run_keeps_what_there_is() -> None:
+    changes = {"solver": {"accuracy": "standard", "max_steps": 70}, "study.record_last": 60}
+    with pytest.warns(RuntimeWarning, match="the run is incomplete: at time .*max_steps"):
+        result = timesim.run(CONFIGS / "oscillator.yaml", changes)
+    assert result.attrs["complete"] == 0
+    assert "budget" in result.attrs["reason"]
+    assert result.sizes["time"] > 1
+
+
+# --- one compilation, and memory that does not grow ---
+
+
+def compilations(work: Callable[[], Any]) -> int:
+    seen: list[str] = []
+    jax.monitoring.register_event_duration_secs_listener(listener := lambda name, seconds, **more: seen.append(name))
+    try:
+        work()
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listener)
+    return seen.count(SECONDS_TO_COMPILE)
+
+
+def test_nothing_compiles_anew() -> None:
+    """New parameters, frequencies, cycles, tolerances, starts: one compiled loop."""
+
+    def many() -> None:
+        for preload, frequency, cycles in ((3.0, 1.39, 2), (2.5, 1.2, 3), (-1.0, 0.97, 5), (0.0, 1.0, 1)):
+            simulate(oscillator(preload, frequency), cycles, FINE)
+            simulate(oscillator(preload, frequency), cycles, PRESETS["draft"])
+
+    fresh = compilations(lambda: simulate(oscillator(3.0, 1.39), 1, replace(FINE, name="dopri5")))
+    simulate(oscillator(3.0, 1.39), 1, FINE)
+    assert compilations(many) == 0
+    # That the count can see one: the loop of a method is compiled once at the most.
+    jax.clear_caches()
+    assert compilations(lambda: simulate(oscillator(3.0, 1.39), 1, FINE)) > 0
+    assert fresh >= 0
+
+
+def test_device_memory_does_not_grow() -> None:
+    def largest(cycles: int) -> int:
+        held = []
+        for steps in Run(oscillator(3.0, 1.39), [Phase(1.39, cycles)], FINE).batches():
+            assert steps.time.size <= BATCH
+            held.append(sum(array.nbytes for array in jax.live_arrays()))
+        return max(held)
+
+    gc.collect()
+    few = largest(20)
+    gc.collect()
+    assert largest(200) <= 1.1 * few

@@ -1,0 +1,222 @@
+"""Arc-length continuation on curves with closed forms, and how it fails."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from timesim.hbm.continuation import Controls, Ending, follow, follow_both_ways, solve
+
+CONTROLS = Controls(size=0.1)
+
+
+@dataclass
+class Cubic:
+    """x^3 - 3 x = p / unit, the second unknown a copy of the first: folds at p = +-2 unit."""
+
+    unit: float = 1.0
+    length: float = 1.0
+    places: list[float] = field(default_factory=list)
+
+    def value(self, x, p):
+        self.places.append(p)
+        y = x / self.length
+        return np.array([y[0] ** 3 - 3 * y[0] - p / self.unit, y[1] - y[0]]) * self.length
+
+    def linearised(self, x, p):
+        y = x[0] / self.length
+        return (
+            self.value(x, p),
+            np.array([[3 * y**2 - 3, 0.0], [-1.0, 1.0]]),
+            np.array([-self.length / self.unit, 0]),
+        )
+
+
+class Circle:
+    """x^2 + p^2 = 1: from p = 0 the curve turns at 1 and comes back."""
+
+    def value(self, x, p):
+        return np.array([x[0] ** 2 + p**2 - 1])
+
+    def linearised(self, x, p):
+        return self.value(x, p), np.array([[2 * x[0]]]), np.array([2 * p])
+
+
+class Kink:
+    """x = 1 + |p| / 2: the tangent turns at once."""
+
+    def value(self, x, p):
+        return np.array([x[0] - 1 - abs(p) / 2])
+
+    def linearised(self, x, p):
+        return self.value(x, p), np.eye(1), np.array([-0.5 if p > 0 else 0.5])
+
+
+class Wall:
+    """x = 0, as long as p stays below a half: beyond, there is no residual."""
+
+    def value(self, x, p):
+        return x.copy() if p < 0.5 else np.array([np.nan])
+
+    def linearised(self, x, p):
+        return self.value(x, p), np.eye(1), np.zeros(1)
+
+
+def test_both_folds_and_branches():
+    curve = follow(Cubic(), np.array([-3.0, -3.0]), -10.0, 10.0, CONTROLS)
+    assert curve.complete, curve.message
+    np.testing.assert_allclose(curve.p[curve.fold], [2.0, -2.0], atol=1e-9)
+    np.testing.assert_allclose(curve.x[curve.fold][:, 0], [-1.0, 1.0], atol=1e-4)
+    np.testing.assert_allclose(curve.x[:, 0] ** 3 - 3 * curve.x[:, 0], curve.p, atol=1e-7)
+    assert curve.p[0] == -10.0
+    assert curve.p[-1] == pytest.approx(10.0, abs=1e-12)
+    assert set(curve.branch) == {0, 1, 2}
+    middle = (curve.branch == 1) & ~curve.fold
+    assert np.all(np.abs(curve.x[middle, 0]) < 1)
+    np.testing.assert_array_equal(curve.determinant[~curve.fold], np.where(middle, -1, 1)[~curve.fold])
+
+
+def test_no_step_is_longer_than_allowed():
+    controls = Controls(size=0.1, max_step=0.02)
+    curve = follow(Circle(), np.array([1.0]), 0.0, 0.999, controls)
+    units = np.stack([curve.x[:, 0], curve.p / 0.999], axis=1)
+    assert np.linalg.norm(np.diff(units, axis=0), axis=1).max() < 0.025
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e6])
+def test_units_do_not_matter(scale):
+    plain = follow(Cubic(), np.array([-3.0, -3.0]), -10.0, 10.0, CONTROLS)
+    scaled = follow(
+        Cubic(unit=1 / scale, length=scale),
+        np.full(2, -3.0 * scale),
+        -10 / scale,
+        10 / scale,
+        Controls(size=0.1 * scale),
+    )
+    assert scaled.p.size == plain.p.size
+    np.testing.assert_allclose(scaled.p * scale, plain.p, rtol=1e-6, atol=1e-7)
+
+
+def test_either_direction():
+    back = follow(Cubic(), np.array([3.0, 3.0]), 10.0, -10.0, CONTROLS)
+    assert back.complete
+    np.testing.assert_allclose(back.p[back.fold], [-2.0, 2.0], atol=1e-9)
+
+
+def test_a_corner_is_passed():
+    curve = follow(Kink(), np.array([1.5]), -1.0, 1.0, CONTROLS)
+    assert curve.complete, curve.message
+    assert not curve.fold.any()
+    assert curve.p.size < 200
+
+
+def test_a_curve_that_comes_back_says_so():
+    curve = follow(Circle(), np.array([1.0]), 0.0, 2.0, CONTROLS)
+    assert curve.ending is Ending.LEFT
+    assert not curve.complete
+    assert "turned back" in curve.message
+    assert curve.p[curve.fold] == pytest.approx(1.0, abs=1e-9)
+    assert curve.x[-1, 0] == pytest.approx(-1.0)
+
+
+class Isola:
+    """(x - 3)^2 + p^2 = 1: closed, so that no end of a wider range leads to it."""
+
+    def value(self, x, p):
+        return np.array([(x[0] - 3) ** 2 + p**2 - 1])
+
+    def linearised(self, x, p):
+        return self.value(x, p), np.array([[2 * (x[0] - 3)]]), np.array([2 * p])
+
+
+@pytest.mark.parametrize("start", [0.3, -0.8])
+def test_a_closed_curve_is_found_from_inside(start):
+    curve = follow_both_ways(Isola(), np.array([3.9]), start, (-2.0, 2.0), CONTROLS)
+    assert curve.ending is Ending.CLOSED
+    assert curve.complete
+    np.testing.assert_allclose(np.sort(curve.p[curve.fold]), [-1.0, 1.0], atol=1e-9)
+    assert curve.x.min() == pytest.approx(2.0, abs=5e-3)
+    np.testing.assert_allclose(curve.x[0], curve.x[-1], rtol=1e-6)
+    turned = np.unwrap(np.arctan2(curve.x[:, 0] - 3, curve.p))
+    assert abs(turned[-1] - turned[0]) == pytest.approx(2 * np.pi, rel=1e-5)
+
+
+@pytest.mark.parametrize(("start", "guess"), [(5.0, 2.3), (0.0, 0.01), (0.0, 1.7)])
+def test_from_inside_the_range_the_curve_is_the_same(start, guess):
+    curve = follow_both_ways(Cubic(), np.full(2, guess), start, (-10.0, 10.0), CONTROLS)
+    assert curve.complete
+    assert sorted([curve.p[0], curve.p[-1]]) == pytest.approx([-10.0, 10.0])
+    np.testing.assert_allclose(np.sort(curve.p[curve.fold]), [-2.0, 2.0], atol=1e-9)
+    assert set(curve.branch) == {0, 1, 2}
+    assert np.all(np.diff(curve.x[:, 0]) * np.sign(curve.x[-1, 0]) > 0)
+
+
+class Interrupted(Kink):
+    """Someone presses Ctrl-C on the way."""
+
+    def value(self, x, p):
+        if p > 0.2:
+            raise KeyboardInterrupt
+        return super().value(x, p)
+
+
+def test_an_interrupt_keeps_what_there_is():
+    curve = follow(Interrupted(), np.array([1.5]), -1.0, 1.0, CONTROLS)
+    assert curve.ending is Ending.INTERRUPTED
+    assert 0.1 < curve.p[-1] <= 0.2
+    assert not curve.complete
+
+
+def test_failure_keeps_what_there_is_and_says_where():
+    curve = follow(Wall(), np.array([0.0]), 0.0, 1.0, CONTROLS)
+    assert curve.ending is Ending.STEP
+    assert 0.49 < curve.p[-1] < 0.5
+    assert f"{curve.p[-1]:.10g}" in curve.message
+    assert "min_step" in curve.message
+
+
+def test_no_solution_at_the_start():
+    curve = follow(Circle(), np.array([1.0]), 3.0, 4.0, CONTROLS)
+    assert curve.ending is Ending.START
+    assert curve.p.size == 0
+    assert "no solution at the start" in curve.message
+    assert "3" in curve.message
+
+
+def test_the_number_of_points_is_bounded():
+    curve = follow(Cubic(), np.array([-3.0, -3.0]), -10.0, 10.0, Controls(size=0.1, max_points=7))
+    assert curve.ending is Ending.POINTS
+    assert curve.p.size == 7
+    assert "max_points" in curve.message
+
+
+def test_solve_at_one_place():
+    solution = solve(Cubic(), np.array([2.5, 2.5]), 2.0, CONTROLS)
+    assert solution is not None
+    np.testing.assert_allclose(solution[0], 2.0, atol=1e-8)
+    assert solution[1] == 1
+    assert solve(Circle(), np.array([1.0]), 2.0, CONTROLS) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"size": 0.0}, "size and tolerance must be positive, not 0.0"),
+        ({"min_step": 0.1, "max_step": 0.01}, "not 0.1, 0.01, 0.01"),
+        ({"max_points": 1}, "max_points must be at least 2"),
+    ],
+)
+def test_wrong_controls_are_refused(change, said):
+    with pytest.raises(ValueError, match=said):
+        Controls(**{"size": 0.1, **change})
+
+
+@pytest.mark.parametrize(("start", "stop"), [(1.0, 1.0), (0.0, np.inf)])
+def test_a_range_needs_two_ends(start, stop):
+    with pytest.raises(ValueError, match="two different finite ends"):
+        follow(Circle(), np.array([1.0]), start, stop, CONTROLS)
+
+
+def test_a_guess_must_be_finite():
+    with pytest.raises(ValueError, match="finite numbers"):
+        follow(Circle(), np.array([np.nan]), 0.0, 1.0, CONTROLS)

@@ -1,0 +1,70 @@
+"""Settled motions by marching, against amplitudes computed independently (DOP853 with located events, rtol 1e-12)."""
+
+import numpy as np
+import pytest
+from systems import oscillator
+
+from timesim.engine.solver import PRESETS, Solver
+from timesim.orbit.settling import CYCLES_A_ROUND, Task, period_of, settle
+
+SETTLED = {(3.0, 1.39): 0.15612878, (-1.0, 0.97): 0.28839155, (5.0, 1.52): 0.15680399}
+
+
+@pytest.fixture(scope="module")
+def orbits():
+    tasks = [Task(oscillator(*case), case[1]) for case in SETTLED]
+    return settle(tasks, PRESETS["standard"])
+
+
+def test_settled_amplitudes(orbits):
+    for orbit, amplitude in zip(orbits, SETTLED.values(), strict=True):
+        assert orbit.settled
+        assert orbit.period == 1
+        assert orbit.reason is None
+        assert orbit.amplitude[0, 0] == pytest.approx(amplitude, rel=1e-6)
+
+
+def test_the_settled_motion_slips_and_separates(orbits):
+    slip = np.array([orbit.slip_share[0] for orbit in orbits])
+    apart = np.array([orbit.separation_share[0] for orbit in orbits])
+    assert np.all((slip > 0.05) & (slip < 0.95))
+    assert list(apart > 0.05) == [False, True, False]
+
+
+def test_what_has_not_settled_is_told_apart():
+    (orbit,) = settle([Task(oscillator(3.0, 1.39), 1.39)], PRESETS["standard"], max_cycles=CYCLES_A_ROUND)
+    assert not orbit.settled
+    assert orbit.period == 0
+    assert np.all(orbit.amplitude > 0)
+
+
+def test_a_march_that_fails_says_why():
+    solver = Solver("tsit5", 1e-7, 1e-9, budget=30)
+    (orbit,) = settle([Task(oscillator(3.0, 1.39), 1.39)], solver)
+    assert orbit.reason is not None
+    assert "budget of 30 steps" in orbit.reason
+    assert np.all(np.isnan(orbit.amplitude))
+
+
+def test_periods_of_sequences():
+    """A slow drift is not taken for rest, and two or three cycles for one period."""
+    cycles = np.arange(2 * CYCLES_A_ROUND)
+    still = np.ones((cycles.size, 3))
+    assert period_of(still, 1e-8) == 1
+    assert period_of(still + 1e-10 * (cycles % 2)[:, None], 1e-8) == 1
+    assert period_of(still + 0.1 * (cycles % 2)[:, None], 1e-8) == 2
+    assert period_of(still + 0.1 * (cycles % 3)[:, None], 1e-8) == 3
+    drift = still + (1e-6 * 0.999**cycles)[:, None]
+    assert np.max(np.abs(np.diff(drift, axis=0))) < 1e-8
+    assert period_of(drift, 1e-8) == 0
+    assert period_of(still + (1e-6 * 0.3**cycles)[:, None], 1e-8) == 1
+
+
+def test_a_decaying_vibration_is_no_multiple_period():
+    """It nearly repeats after three cycles, by then within the tolerance; one that stays does repeat after three."""
+    cycles = np.arange(200)
+    free = np.stack([np.cos(2 * np.pi * cycles / 3), np.sin(2 * np.pi * cycles / 3)], axis=1)
+    decays = 1 + 0.9 ** cycles[:, None] * free
+    found = [period_of(decays[max(0, n - 16) : n], 1e-8) for n in range(16, 200)]
+    assert set(found) == {0, 1}
+    assert period_of(1 + 1e-3 * free[-16:], 1e-8) == 3

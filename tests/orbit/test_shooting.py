@@ -1,0 +1,122 @@
+"""Steady states by shooting: against marching, and the exact derivative of the return map against differences."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from systems import generated_model, oscillator
+
+from timesim.engine.solver import PRESETS, Solver
+from timesim.model.model import SEPARATION
+from timesim.model.reduction import reduction_of
+from timesim.orbit.lane import Lane, march, record
+from timesim.orbit.settling import Chain, Criterion, begin_of, steady_states
+
+FINE = Solver("tsit5", 1e-9, 1e-11, reduce=False)
+FINEST = replace(PRESETS["reference"], reduce=False)
+TOLERANCE = 1e-10
+
+
+def chain(model):
+    return Chain(model, (model.excitation.frequency,))
+
+
+def both_ways(models, solver=FINE, max_cycles=500):
+    chains = [chain(model) for model in models]
+    by_march = steady_states(chains, solver, Criterion(TOLERANCE, max_cycles))
+    by_newton = steady_states(chains, solver, Criterion(TOLERANCE, max_cycles, shoot=True))
+    return [orbit for (orbit,) in by_march], [orbit for (orbit,) in by_newton]
+
+
+def partly(orbit):
+    """Slip for a part of the cycle; and separation for a part of it."""
+    slips = np.any((orbit.slip_share > 0.02) & (orbit.slip_share < 0.98))
+    return slips, slips and np.any((orbit.separation_share > 0.02) & (orbit.separation_share < 0.98))
+
+
+def compare(models, wanted):
+    """March and shooting agree on every motion that repeats and slips; at least so many, a third with separation."""
+    marched, shot = both_ways(models)
+    told = []
+    for number, (one, other) in enumerate(zip(marched, shot, strict=True)):
+        if not (one.settled and one.period == 1 and partly(one)[0]):
+            continue
+        told.append(partly(one)[1])
+        size = np.max(one.amplitude)
+        assert other.settled, number
+        np.testing.assert_allclose(other.amplitude, one.amplitude, atol=1e-7 * size, rtol=0, err_msg=str(number))
+        np.testing.assert_allclose(other.slip_share, one.slip_share, atol=1e-6, err_msg=str(number))
+        assert np.abs(other.floquet[0]) < 1
+        assert np.abs(other.floquet[0]) == pytest.approx(np.abs(one.floquet[0]), abs=1e-6)
+    print(f"{len(told)} motions slip for a part of the cycle, {sum(told)} of them also separate")
+    assert len(told) >= wanted
+    assert sum(told) >= wanted / 3
+    cycles = [sum(orbit.cycles for orbit in orbits) for orbits in (marched, shot)]
+    assert cycles[1] < cycles[0]
+
+
+def test_shooting_finds_what_marching_finds():
+    cases = [(3.0, 1.39), (-1.0, 0.97), (5.0, 1.52), (0.0, 0.97), (-4.0, 0.93), (1.0, 1.25)]
+    compare([oscillator(*case) for case in cases], 6)
+
+
+@pytest.mark.slow
+def test_shooting_finds_what_marching_finds_on_generated_scenes():
+    models = [generated_model(seed, 2, 1) for seed in range(48)] + [generated_model(seed, 3, 2) for seed in range(16)]
+    compare(models, 30)
+
+
+def settled_lane(model, solver=FINEST):
+    (orbit,) = steady_states([chain(model)], solver, Criterion(TOLERANCE, 1500, shoot=True))[0]
+    assert orbit.settled
+    everything = reduction_of(model, [model.excitation.frequency], reduce=False)
+    return Lane.begin(model, everything, model.excitation.frequency, solver, orbit.end), orbit
+
+
+def differences(lane, solver, reach=1e-5):
+    """Derivative of the state after a cycle by central differences, entries of separated contacts left out."""
+    here = lane.section
+    size = np.max(np.abs(here))
+    free = np.flatnonzero(~lane.apart)
+    lanes = [lane.moved(here + side * reach * size * np.eye(here.size)[i]) for i in free for side in (1, -1)]
+    assert None not in lanes
+    ends = [rows[-1] for _, rows in march(lanes, solver, 1)]
+    slope = np.zeros((here.size, here.size))
+    slope[:, free] = ((np.array(ends[::2]) - np.array(ends[1::2])) / (2 * reach * size)).T
+    return slope
+
+
+@pytest.mark.parametrize("case", [(-1.0, 0.97), (-4.0, 0.93), (3.0, 1.39), (0.5, 1.0)])
+def test_multipliers_are_those_of_the_return_map(case):
+    """Of motions that slip, stick and separate; in slip at the section the state on the cone is moved along it."""
+    lane, orbit = settled_lane(oscillator(*case))
+    assert partly(orbit)[0]
+    exact = record([lane], FINEST, 1)[0]
+    expected = np.linalg.eigvals(differences(lane, FINEST))
+    expected = expected[np.argsort(-np.abs(expected))]
+    found = np.zeros(expected.size, dtype=complex)
+    found[: exact.multipliers.size] = exact.multipliers
+    np.testing.assert_allclose(np.abs(found), np.abs(expected), atol=1e-6)
+    np.testing.assert_allclose(exact.slope, differences(lane, FINEST), atol=3e-6 * max(1, np.abs(exact.slope).max()))
+
+
+def test_a_stuck_offset_is_free_and_left_alone():
+    """In full stick the motion settles around any offset: no multiplier tells of it, and shooting does not move it."""
+    model = oscillator(64.0, 1.3)
+    offset = np.array([[0.02, -0.01]])
+    moved = replace(model, start=replace(begin_of(model), slip=offset))
+    orbits = [both_ways([m])[1][0] for m in (model, moved)]
+    assert all(orbit.settled and orbit.slip_share[0] == 0 for orbit in orbits)
+    np.testing.assert_allclose(orbits[1].end.slip, offset, atol=1e-12)
+    np.testing.assert_allclose(orbits[1].amplitude, orbits[0].amplitude, rtol=1e-7)
+    assert np.abs(orbits[1].floquet[0]) < 0.99
+
+
+def test_a_place_out_of_its_contact_state_is_refused():
+    model = oscillator(-4.0, 0.93)
+    lane, _ = settled_lane(model)
+    assert lane.state[0] == SEPARATION
+    far = lane.section.copy()
+    far[:2] += 100.0
+    assert lane.moved(far) is None
+    np.testing.assert_allclose(lane.moved(lane.section).section, lane.section)

@@ -1,0 +1,322 @@
+"""Pictures of a sweep of a hardening spring whose response is known: what they show, not merely that there are any."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.lines import Line2D
+
+from timesim.picture import draw as plot
+from timesim.picture import style
+from timesim.picture import sweep as plot_sweep
+from timesim.result import store
+
+PRELOAD, FRICTION = "contacts.pad.preload", "contacts.pad.friction"
+FREQUENCY = np.linspace(0.8, 1.4, 31)
+HARDENING, DAMPING = 0.1, 0.15
+POINTS, CONTACTS = ("tip", "root"), ("pad", "stop")
+
+
+def spring_amplitude(frequency: float, load: float, *, largest: bool) -> float:
+    """Amplitude a of ``((1 - f^2 + h a^2)^2 + (c f)^2) a^2 = load^2``, the largest or smallest solution."""
+    linear = 1 - frequency**2
+    roots = np.roots([HARDENING**2, 2 * HARDENING * linear, linear**2 + (DAMPING * frequency) ** 2, -(load**2)])
+    real = np.sort(roots[np.abs(roots.imag) < 1e-9].real)
+    return float(np.sqrt(real[-1 if largest else 0]))
+
+
+def sweep(
+    over: Mapping[str, Sequence[float]] | None = None,
+    directions: Sequence[str] = ("independent",),
+    frequency: np.ndarray = FREQUENCY,
+    **attrs: object,
+) -> xarray.Dataset:
+    """A result as a sweep leaves it: the load grows with the sum of the values of the further axes."""
+    over = over or {}
+    shape = (*map(len, over.values()), len(directions), frequency.size)
+    load = sum(np.meshgrid(*over.values(), indexing="ij"), np.zeros(shape[:-2])) if over else np.zeros(())
+    x = np.empty(shape)
+    for place in np.ndindex(*shape):
+        largest = directions[place[-2]] != "down"
+        x[place] = spring_amplitude(frequency[place[-1]], 0.2 + load[place[:-2]], largest=largest)
+    scale = np.array([[0.5, 1.0, 0.0], [0.0, 0.0, 0.25]])
+    slip = np.clip(np.stack([x, 0.5 * x], axis=-1), 0, 0.6)
+    dims = (*over, "direction", "frequency")
+    variables = {
+        "amplitude": ((*dims, "point", "axis"), x[..., None, None] * scale),
+        "settled": (dims, np.ones(shape, int)),
+        "cycles": (dims, np.full(shape, 100)),
+        "period": (dims, np.ones(shape, int)),
+        "floquet_max": (dims, np.full(shape, 0.8)),
+        "slip_share": ((*dims, "contact"), slip),
+        "separation_share": ((*dims, "contact"), 0.5 * slip),
+        "failure": (dims, np.full(shape, "", object)),
+    }
+    coords = {"direction": list(directions), "frequency": frequency, "point": POINTS, "axis": list("xyz")}
+    base = dict.fromkeys(store.REQUIRED_ATTRIBUTES, "") | {"study": "sweep", "complete": 1, "title": "A spring"}
+    return store.dataset(
+        variables, coords | {"contact": CONTACTS} | {k: list(v) for k, v in over.items()}, base | attrs
+    )
+
+
+def spoilt(data: xarray.Dataset) -> xarray.Dataset:
+    """The same with a point that has not settled, one of period 2, and one that failed."""
+    made = data.copy(deep=True)
+    made.settled[..., 5] = 0
+    made.period[..., 8] = 2
+    made.settled[..., 20] = 0
+    made["failure"] = made.failure.where(made.frequency != made.frequency[20], "the budget of steps is spent")
+    for name in ("amplitude", "slip_share", "separation_share", "floquet_max"):
+        made[name].loc[{"frequency": made.frequency[20]}] = np.nan
+    return made
+
+
+def _lines(ax: Axes, label: str) -> list[Line2D]:
+    return [line for line in ax.get_lines() if line.get_label() == label]
+
+
+def _legend(ax: Axes) -> list[str]:
+    legend = ax.get_legend()
+    assert legend is not None
+    return [text.get_text() for text in legend.get_texts()]
+
+
+@pytest.fixture(scope="module")
+def both() -> xarray.Dataset:
+    made = sweep({PRELOAD: [0.3]}, ("up", "down"))
+    at = np.array([[[1.39], [1.21]]])
+    dims = (PRELOAD, "direction", "jump")
+    return made.assign(jump_low=(dims, at - 1e-4), jump_high=(dims, at + 1e-4))
+
+
+def test_the_response_of_the_point_along_its_main_axis() -> None:
+    data = sweep()
+    ax = plot_sweep.response(data)
+    (line,) = _lines(ax, "_")
+    assert np.array_equal(line.get_xdata(), FREQUENCY)
+    assert np.array_equal(line.get_ydata(), data.amplitude.sel(point="tip", axis="y").values[0])
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("frequency [Hz]", "amplitude of tip y [length]")
+    assert plot_sweep.response(data, point="root").get_ylabel() == "amplitude of root z [length]"
+    assert plot_sweep.response(data, axis="x").get_ylabel() == "amplitude of tip x [length]"
+    assert plot_sweep.moving(data) == ["tip", "root"]
+
+
+def test_up_and_down_differ_by_marker_and_show_both_branches(both: xarray.Dataset) -> None:
+    ax = plot_sweep.response(both)
+    up, down = _lines(ax, "_0.3")
+    assert (up.get_linestyle(), up.get_color()) == (down.get_linestyle(), down.get_color())
+    marked = _lines(ax, "_settled")
+    assert [line.get_marker() for line in marked] == ["^", "v"]
+    assert not set(marked[0].get_xdata()) & set(marked[1].get_xdata())
+    gap = np.asarray(up.get_ydata()) - np.asarray(down.get_ydata())
+    several = FREQUENCY[gap > 0.1]
+    assert several.size >= 3
+    for frequency in several:
+        pair = [spring_amplitude(frequency, 0.5, largest=largest) for largest in (True, False)]
+        place = np.flatnonzero(frequency == FREQUENCY)[0]
+        assert [up.get_ydata()[place], down.get_ydata()[place]] == pytest.approx(pair)
+    assert [line.get_xdata()[0] for line in _lines(ax, "jump")] == [1.39, 1.21]
+    plot_sweep.legend(ax, both)
+    assert _legend(ax) == ["0.3", "up", "down", "jump"]
+    assert ax.get_legend().get_title().get_text() == "pad preload [force]"
+
+
+def test_without_further_axes_the_directions_have_colours() -> None:
+    data = sweep(directions=("up", "down"))
+    ax = plot_sweep.response(data)
+    assert [line.get_color() for line in _lines(ax, "_")] == [style.BLUE, style.VERMILION]
+    plot_sweep.legend(ax, data)
+    assert _legend(ax) == ["up", "down"]
+
+
+def test_what_is_not_settled_is_hollow_and_what_failed_is_marked() -> None:
+    data = spoilt(sweep({PRELOAD: [0.0, 0.2]}))
+    ax = plot_sweep.response(data)
+    for line in _lines(ax, "not settled"):
+        assert line.get_fillstyle() == "none"
+        assert line.get_xdata().tolist() == [FREQUENCY[5]]
+    assert len(_lines(ax, "not settled")) == len(_lines(ax, "failed")) == 2
+    assert all(line.get_xdata().tolist() == [FREQUENCY[20]] for line in _lines(ax, "failed"))
+    assert all(line.get_xdata().tolist() == [FREQUENCY[8]] for line in _lines(ax, "period of several cycles"))
+    for line in _lines(ax, "_settled"):
+        assert not {FREQUENCY[5]} & set(line.get_xdata())
+        assert line.get_fillstyle() == "full"
+    plot_sweep.legend(ax, data)
+    assert _legend(ax) == ["0", "0.2", "not settled", "period of several cycles", "failed"]
+
+
+def test_a_bar_spans_the_amplitudes_of_the_cycles_of_what_is_not_settled() -> None:
+    data = spoilt(sweep({PRELOAD: [0.0, 0.2]}))
+    band = xarray.concat([0.7 * data.amplitude, 0.9 * data.amplitude], "band").transpose(..., "band", "point", "axis")
+    ax = plot_sweep.response(data.assign(amplitude_band=band))
+    bars = [segment for shown in ax.collections for segment in shown.get_segments()]
+    assert len(bars) == 2
+    for bar, values in zip(bars, data.amplitude.sel(point="tip", axis="y").values[:, 0, 5], strict=True):
+        np.testing.assert_allclose(bar, [[FREQUENCY[5], 0.7 * values], [FREQUENCY[5], 0.9 * values]])
+
+
+def test_many_points_are_marked_now_and_then_but_unsettled_ones_always() -> None:
+    data = sweep(frequency=np.linspace(0.8, 1.4, 200))
+    data.settled[0, 1:4] = 0
+    ax = plot_sweep.response(data)
+    assert 30 <= len(_lines(ax, "_settled")[0].get_xdata()) <= plot_sweep.MARKED
+    assert len(_lines(ax, "not settled")[0].get_xdata()) == 3
+
+
+def test_every_set_of_values_has_its_own_style() -> None:
+    nine = plot_sweep.curves(sweep({PRELOAD: list(range(9))}))
+    assert [curve.label for curve in nine] == [str(k) for k in range(9)]
+    assert len({curve.style.colour for curve in nine}) == len({curve.style.marker for curve in nine}) == 9
+    two = plot_sweep.curves(sweep({PRELOAD: [0, 1], FRICTION: [0.1, 0.3]}))
+    assert [curve.label for curve in two][:2] == ["0, 0.1", "0, 0.3"]
+    assert two[2].where == {PRELOAD: 1, FRICTION: 0, "direction": 0}
+    assert len({curve.style for curve in two}) == 4
+
+
+def test_with_up_and_down_the_values_differ_in_lightness_and_line() -> None:
+    shown = plot_sweep.curves(sweep({PRELOAD: [0.0, 0.1, 0.2]}, ("up", "down")))
+    assert [(curve.label, curve.direction) for curve in shown][:3] == [("0", "up"), ("0", "down"), ("0.1", "up")]
+    assert [curve.style.line for curve in shown] == ["-", "-", "--", "--", "-.", "-."]
+    lightness = [np.dot(to_rgb(curve.style.colour), (0.3, 0.6, 0.1)) for curve in shown]
+    assert np.diff(lightness)[::2] == pytest.approx(0)
+    assert np.all(np.diff(lightness)[1::2] > 0.15)
+
+
+def test_too_many_curves_are_left_out_and_counted() -> None:
+    many = sweep({PRELOAD: np.linspace(0, 0.5, 40).tolist()}, frequency=np.array([0.9, 1.0]))
+    shown = plot_sweep.curves(many)
+    assert len(shown) == plot_sweep.MAX_CURVES
+    assert (shown[0].where[PRELOAD], shown[-1].where[PRELOAD]) == (0, 39)
+    figure = plot_sweep.PICTURES["response"](many)
+    assert figure is not None
+    assert "28 of 40 sets of values not shown" in [text.get_text() for text in figure.texts]
+
+
+def test_shares_of_the_states() -> None:
+    data = sweep({PRELOAD: [0.0, 0.3]})
+    for state in ("slip", "separation"):
+        ax = plot_sweep.share(data, contact="stop", state=state)
+        drawn = [line.get_ydata() for line in (*_lines(ax, "_0"), *_lines(ax, "_0.3"))]
+        assert np.array_equal(drawn, data[f"{state}_share"].sel(contact="stop").values[:, 0])
+        assert ax.get_ylabel() == f"share in {state} [1]"
+    figure = plot_sweep.PICTURES["contact_states"](data)
+    assert figure is not None
+    assert [ax.get_title(loc="right") for ax in figure.axes] == ["pad", "pad", "stop", "stop"]
+    assert plot_sweep.PICTURES["contact_states"](data.isel(contact=slice(0, 0))) is None
+
+
+def test_peaks_and_whether_they_lie_at_an_end() -> None:
+    rows = np.array([[1, 3, 2], [5, 1, 2], [np.nan, 2, 4], [np.nan] * 3])
+    largest, at_end = plot_sweep.peaks(rows)
+    assert largest == pytest.approx([3, 5, np.nan, np.nan], nan_ok=True)
+    assert at_end.tolist() == [False, True, False, False]
+    assert not plot_sweep.peaks(rows[:, 1:2])[1].any()
+
+
+def test_the_peak_against_a_scalar_in_its_order() -> None:
+    data = sweep({PRELOAD: [0.2, 0.0, 0.1, 5.0]})
+    ax = plot_sweep.peak(data)
+    (line,) = _lines(ax, "peak")
+    assert line.get_xdata().tolist() == [0.0, 0.1, 0.2, 5.0]
+    amplitude = data.amplitude.sel(point="tip", axis="y").max("frequency").values[:, 0]
+    assert line.get_ydata().tolist() == amplitude[[1, 2, 0, 3]].tolist()
+    assert _lines(ax, "peak at an end of the frequencies")[0].get_xdata().tolist() == [5.0]
+    (least,) = [line for line in ax.get_lines() if str(line.get_label()).startswith("least")]
+    assert least.get_label() == f"least: {amplitude[1]:.4g} at 0, an end"
+    assert ax.get_xlabel() == "pad preload [force]"
+    assert ax.get_ylabel() == "peak amplitude of tip y [length]"
+
+
+def _stars(ax: Axes) -> list[str]:
+    return [str(line.get_label()) for line in ax.get_lines() if line.get_marker() == "*"]
+
+
+def test_a_least_peak_in_the_middle_and_one_star_for_both_directions() -> None:
+    data = sweep({PRELOAD: [0.0, 0.1, 0.2]}, ("up", "down"))
+    data.amplitude[1] *= 0.1
+    same = data.copy(deep=True)
+    same.amplitude[:, 1] = same.amplitude[:, 0]
+    (label,) = _stars(plot_sweep.peak(same))
+    assert label.startswith("least of up and down:\n")
+    assert label.endswith(" at 0.1")
+    data.amplitude[:, 1] = 0.5 * data.amplitude[:, 0]
+    assert len(_stars(plot_sweep.peak(data))) == 2
+    figure = plot_sweep.PICTURES["peak"](same)
+    assert figure is not None
+    assert "of tip y, which moves most" in figure.get_suptitle()
+
+
+def test_points_that_a_run_did_not_come_to_are_neither_failed_nor_judged() -> None:
+    data = sweep({PRELOAD: [0.0, 0.1, 0.2]})
+    data.amplitude[2, :, 25:] = np.nan
+    data.settled[2, :, 25:] = 0
+    assert not _lines(plot_sweep.response(data), "failed")
+    ax = plot_sweep.peak(data)
+    assert np.isfinite(_lines(ax, "peak")[0].get_ydata()).tolist() == [True, True, False]
+    assert not _stars(ax)
+    figure = plot_sweep.PICTURES["peak"](data.assign_attrs(complete=0))
+    assert figure is not None
+    assert "1 peaks not shown: points are missing" in [text.get_text() for text in figure.texts]
+
+
+def test_the_peak_of_two_scalars_takes_one_along_and_one_by_colour() -> None:
+    data = sweep({FRICTION: [0.1, 0.3], PRELOAD: [0.0, 0.1, 0.2]})
+    assert plot_sweep.most_valued(data) == PRELOAD
+    ax = plot_sweep.peak(data)
+    assert [len(line.get_xdata()) for label in ("0.1", "0.3") for line in _lines(ax, label)] == [3, 3]
+    figure = plot_sweep.PICTURES["peak"](data)
+    assert figure is not None
+    assert [ax.get_xlabel() for ax in figure.axes] == ["pad preload [force]"]
+    assert figure.axes[0].get_legend().get_title().get_text() == "pad friction [1]"
+    assert plot_sweep.PICTURES["peak"](sweep({PRELOAD: [0.0, 0.1]})) is None
+
+
+def test_stability_beside_its_limit() -> None:
+    data = sweep()
+    ax = plot_sweep.floquet(data)
+    assert _lines(ax, "limit of stability")[0].get_ydata()[0] == 1.0
+    assert set(_lines(ax, "_")[0].get_ydata()) == {0.8}
+    assert plot_sweep.PICTURES["stability"](data.assign(floquet_max=np.nan * data.floquet_max)) is None
+
+
+def test_all_pictures_of_a_sweep(both: xarray.Dataset, tmp_path: Path) -> None:
+    assert plot.picture_names("sweep") == ["response.png", "peak.png", "contact_states.png", "stability.png"]
+    data = sweep({PRELOAD: [0.0, 0.1, 0.2]})
+    names = [file.stem for file in plot.draw(data, tmp_path)]
+    assert names == ["response", "peak", "contact_states", "stability"]
+    assert len(plot.draw(spoilt(data), tmp_path)) == 3
+    assert len(plot.draw(both, tmp_path)) == 3
+
+
+def test_a_sweep_of_which_every_point_failed(tmp_path: Path) -> None:
+    data = sweep({PRELOAD: [0.0, 0.1, 0.2]})
+    for name in ("amplitude", "slip_share", "separation_share", "floquet_max"):
+        data[name][:] = np.nan
+    data.settled[:] = 0
+    data["failure"] = data.failure.where(data.settled > 0, "no motion")
+    assert [file.stem for file in plot.draw(data, tmp_path)] == ["response", "contact_states"]
+    figure = plot_sweep.PICTURES["response"](data.assign_attrs(complete=0))
+    assert figure is not None
+    assert figure.get_suptitle().endswith("(incomplete run)")
+    assert "failed" in _legend(figure.axes[0])
+
+
+def test_a_sweep_of_one_frequency(tmp_path: Path) -> None:
+    data = sweep({PRELOAD: [0.0, 0.1, 0.2]}, frequency=np.array([1.0]))
+    assert len(plot.draw(data, tmp_path)) == 4
+    assert not _lines(plot_sweep.peak(data), "peak at an end of the frequencies")
+
+
+def test_many_points_of_the_structure_are_left_out_and_counted() -> None:
+    data = sweep()
+    amplitude = data.amplitude.values[..., :1, :] * np.arange(1, 6)[:, None]
+    many = data.drop_vars(["amplitude", "point"]).assign(amplitude=(data.amplitude.dims, amplitude))
+    many = many.assign_coords(point=[f"p{k}" for k in range(5)])
+    figure = plot_sweep.PICTURES["response"](many)
+    assert figure is not None
+    assert [ax.get_ylabel() for ax in figure.axes] == [f"amplitude of p{k} y [length]" for k in (4, 3, 2)]
+    assert "2 of 5 points not shown" in [text.get_text() for text in figure.texts]

@@ -1,0 +1,661 @@
+"""Scenes: what is read from a good one, and that every bad one is refused with its key, line and rule."""
+
+import contextlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import h5netcdf
+import numpy as np
+import pytest
+from bad_scenes import BAD_SCENES, BASE, MATRICES, BadScene
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from timesim.fault import RuleError, SceneError
+from timesim.model.model import SEPARATION, SLIP, STICK
+from timesim.scene.report import advised_method, contact_line, describe
+from timesim.scene.resolution import json_schema, load_scene
+from timesim.scene.text import MAX_BYTES, parse, yaml_text
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+def problems(source: Any, *overrides: str) -> list[tuple[str, str]]:
+    with pytest.raises(SceneError) as caught:
+        load_scene(source, overrides)
+    return [(problem.key, problem.rule) for problem in caught.value.problems]
+
+
+@pytest.mark.parametrize("bad", BAD_SCENES, ids=lambda bad: f"{bad.key}: {bad.rule}")
+def test_bad_scene(bad: BadScene, tmp_path: Path):
+    path = tmp_path / "scene.yaml"
+    path.write_text(bad.text)
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    (problem,) = caught.value.problems
+    assert bad.rule in f"{problem.rule} ({problem.hint})"
+    assert problem.line == bad.line
+    if "is no YAML" not in problem.rule:
+        assert problem.key == bad.key
+        assert f"{path}:{bad.line}: {bad.key}: " in str(caught.value)
+
+
+def test_a_tab_and_the_keys_of_a_range():
+    with pytest.raises(SceneError, match=r":7: is no YAML.*use spaces, not tabs"):
+        load_scene(BASE.replace("      shape: {tip: [1, 1", "\tshape: {tip: [1, 1"))
+    study = "study={kind: sweep, frequency: {from: 1, to: 2, step: 0.5}}"
+    with pytest.raises(SceneError, match=r"preload\.step: 0\.5: is no key here \(known: from, to, num\)"):
+        load_scene(BASE, [study, "study.over.contacts.pad.preload={from: 1, to: 2, step: 0.5}"])
+
+
+def test_a_value_of_over_is_shown_once():
+    study = "study={kind: sweep, frequency: {from: 1, to: 2, step: 0.5}, over: {contacts.pad.normal_stiffness: [0]}}"
+    with pytest.raises(SceneError) as caught:
+        load_scene(BASE, [study, "contacts.pad.preload=-30"])
+    told = "override: study.over.contacts.pad.normal_stiffness: 0.0: contacts.pad.preload must be > 0 where"
+    assert str(caught.value).startswith(told)
+
+
+def test_zoo_is_diverse():
+    assert len(BAD_SCENES) >= 45
+    assert len({(bad.key, bad.rule) for bad in BAD_SCENES}) == len(BAD_SCENES)
+
+
+def test_zoo_starts_from_good_scenes():
+    assert load_scene(BASE).model().num_contacts == 2
+    assert load_scene(MATRICES).model().structure.num_modes == 2
+
+
+def test_problems_come_together():
+    text = (
+        BASE.replace("mass: 1.0", "mass: -1.0")
+        .replace("friction: 0.5", "frictoin: 0.5")
+        .replace("cycles: 60", "cycles: 0")
+    )
+    found = [key for key, _ in problems(text)]
+    assert found == ["structure.modes.0.mass", "contacts.pad.frictoin", "study.cycles"]
+
+
+def test_problems_of_the_parts_together():
+    text = BASE.replace("point: rim\n", "point: ram\n").replace(
+        "{point: tip, direction: [1", "{point: tap, direction: [1"
+    )
+    assert [key for key, _ in problems(text)] == ["contacts.stop.point", "excitation.forces.0.point"]
+
+
+@pytest.mark.parametrize(
+    ("content", "line", "rule"),
+    [
+        (b"", 1, "is empty"),
+        (b"# nothing\n", 1, "is empty"),
+        (b"- 1\n", 1, "must be a mapping"),
+        (b"a: 1\nb: \xff\n", 2, "not UTF-8"),
+        ("a: 1\n".encode("utf-16"), 1, "not UTF-8"),
+        (b"a: 1\nb: [1, 2\nc: 3\n", 3, "is no YAML"),
+        (b"a: 1\n\tb: 2\n", 2, "is no YAML"),
+        (b"a: \x07\n", None, "is no YAML"),
+        (b"a: 1\nb: 2\na: 3\n", 3, "stands twice"),
+        (b"a: !!python/object/apply:os.system [x]\n", 1, "has the tag"),
+        (b"%YAML 1.1\n---\na: on\n", 1, "is YAML 1.1"),
+        (b"a: 1\n---\nb: 1\n", 2, "more than one document"),
+        (b"a:\n  ? [1, 2]\n  : 3\n", 2, "not plain text"),
+        (b"a: 1\nb: *c\n", 2, "no anchor"),
+        (b"a: &a\n  - *a\n", 2, "no anchor"),
+        (b"a: " + b"[" * 100_000, 1, "nested deeper"),
+        (b"#" * (MAX_BYTES + 1), None, "is larger than"),
+    ],
+)
+def test_text_that_is_no_scene(content: bytes, line: int | None, rule: str, tmp_path: Path):
+    path = tmp_path / "scene.yaml"
+    path.write_bytes(content)
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    (problem,) = caught.value.problems
+    assert rule in problem.rule
+    assert problem.line == line
+
+
+def test_alias_bomb_is_refused():
+    levels = [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 30)]
+    found = problems("\n".join(["a0: &a0 [x, x, x]", *levels, ""]))
+    assert "values, aliases written out" in found[0][1]
+
+
+def test_files_that_are_none(tmp_path: Path):
+    assert "no such file" in problems(tmp_path / "none.yaml")[0][1]
+    assert "cannot be read" in problems(tmp_path)[0][1]
+
+
+def test_numbers_and_text_of_yaml_1_2():
+    data, lines = parse("a: 2e6\nb: [on, yes, 1_0, 0x1F, '2', .5E3, -.inf]\nc: 010\nd: 1.\n")
+    assert data == {"a": 2e6, "b": ["on", "yes", "1_0", 31, "2", 500.0, -np.inf], "c": 10, "d": 1.0}
+    assert type(data["a"]) is float
+    assert lines["c",] == 3
+
+
+def test_anchors_are_shared_text_but_not_shared_values():
+    text = BASE.replace("shape: {tip: [1, 1, 0.8]", "shape: &s {tip: [1, 1, 0.8]").replace(
+        "shape: {tip: [1, -1, 0.6], rim: [1, 0, 0]}", "shape: *s"
+    )
+    shape = load_scene(text, {"structure.modes.1.shape.tip": [5, 5, 5]}).model().structure.shape
+    assert np.array_equal(shape[0], [[1, 5], [1, 5], [0.8, 5]])
+
+
+def test_modes_are_sorted_with_what_belongs_to_them():
+    text = BASE.replace("frequency: 0.9", "frequency: 1.9").replace(
+        "initial: rest", "initial: {modal_velocity: [1, 2]}"
+    )
+    model = load_scene(text, {"excitation.forces": []}).model()
+    assert np.array_equal(model.structure.frequency, [1.1, 1.9])
+    assert np.array_equal(model.structure.mass, [2, 1])
+    assert np.allclose(model.structure.damping, 4 * np.pi * np.array([0.03 * 1.1 * 2, 0.02 * 1.9]), rtol=1e-15)
+    assert np.array_equal(model.structure.shape[0], [[1, 1], [-1, 1], [0.6, 0.8]])
+    assert np.array_equal(model.start.velocity, [2, 1])
+    assert np.array_equal(model.excitation.cosine, [[0, 1]])
+    assert np.array_equal(model.excitation.sine, [[-1, 0]])
+
+
+def test_forces_add_up_by_harmonic():
+    forces = [
+        {"point": "tip", "direction": [0, 0, 4], "amplitude": 2, "harmonic": 3, "phase_deg": 180},
+        {"point": "tip", "direction": [3, 4, 0], "amplitude": 5, "phase_deg": 30},
+    ]
+    model = load_scene(BASE, {"excitation.forces": forces}).model()
+    excitation = model.excitation
+    assert np.array_equal(excitation.harmonic, [1, 3])
+    pull = np.array([3 + 4, 3 - 4])
+    assert np.allclose(excitation.cosine, [np.sqrt(0.75) * pull + [1, 0], -2 * np.array([0.8, 0.6])], rtol=1e-14)
+    assert np.allclose(excitation.sine, [-0.5 * pull - [0, 1], [0, 0]], rtol=1e-14)
+    assert np.allclose(excitation.constant, [0.4, 0.3], rtol=1e-15)
+
+
+def test_contact_defaults_and_frames():
+    contacts = [
+        {"name": "a", "point": "tip", "friction": 0.3, "tangential_stiffness": [1, 2], "normal_stiffness": 1},
+        {"name": "b", "point": "tip", "against": "rim", "normal": [0, 3, 0.1], "tangent": [1, 1, 0],
+         "friction": 0.3, "tangential_stiffness": [[2, 1], [1, 2]], "normal_stiffness": 0, "preload": 2},
+        {"name": "c", "point": "rim", "normal": [1e200, 0, 0], "friction": 0, "tangential_stiffness": 7,
+         "normal_stiffness": 1},
+    ]  # fmt: skip
+    scene = load_scene(BASE, {"contacts": contacts})
+    a, b, c = scene.model().contacts
+    assert np.array_equal(a.frame, np.eye(3))
+    assert (a.against, a.preload) == ("ground", 0)
+    assert np.array_equal(a.tangential_stiffness, np.diag([1, 2]))
+    assert np.allclose(b.frame @ b.frame.T, np.eye(3), atol=1e-15)
+    assert np.allclose(np.linalg.det(b.frame), 1)
+    assert np.allclose(b.frame[2] * np.hypot(3, 0.1), [0, 3, 0.1])
+    assert b.frame[0] @ [1, 1, 0] > 0
+    assert np.array_equal(c.frame, [[0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    assert not np.any(c.tangential_stiffness)
+    assert any("tangential_stiffness has no effect" in warning for warning in scene.warnings())
+    relative = scene.model().structure.shape[0] - scene.model().structure.shape[1]
+    assert np.allclose(scene.model().contact_shape[1], b.frame @ relative, rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("override", "value"),
+    [
+        ("contacts.pad.preload=5", 5.0),
+        ("contacts.0.preload=5", 5.0),
+        ({"contacts.pad.preload": np.float64(5)}, 5.0),
+        ("contacts.pad.preload=0x5", 5.0),
+    ],
+)
+def test_override(override: Any, value: float):
+    scene = load_scene(BASE, [override] if isinstance(override, str) else override)
+    assert scene.model().contacts[0].preload == value
+    assert load_scene(BASE).model().contacts[0].preload == 3
+
+
+def test_overrides_make_missing_sections_and_reach_into_lists():
+    scene = load_scene(
+        BASE.replace("solver:\n  accuracy: standard\n", ""),
+        ["solver.method=rk4", "structure.modes.1.shape.tip.2=9"],
+    )
+    assert (scene.file.solver.method, scene.file.solver.steps_per_cycle) == ("rk4", 200)
+    assert scene.model().structure.shape[0, 2, 1] == 9
+
+
+@pytest.mark.parametrize(
+    ("override", "key", "rule"),
+    [
+        ("contacts.pod.preload=5", "contacts.pod.preload", "pod is no item"),
+        ("structure.modes.2.mass=5", "structure.modes.2.mass", "2 is no item"),
+        ("contacts.pad.friction.x=1", "contacts.pad.friction.x", "has no keys"),
+        ("contacts..x=1", "contacts..x", "is no item"),
+        ("preload", "preload", "must be key.path=value"),
+        ("study.cycles=", "study.cycles", "must be key.path=value"),
+        ("study.cycles=[1", "study.cycles", "is no YAML"),
+        ("study.cycles=!x 3", "study.cycles", "has the tag"),
+        ("study.cycles=three", "study.cycles", "must be a whole number"),
+        ("contacts.pad.prelod=3", "contacts.pad.prelod", "is no key"),
+    ],
+)
+def test_bad_override(override: str, key: str, rule: str):
+    with pytest.raises(SceneError) as caught:
+        load_scene(BASE, [override])
+    (problem,) = caught.value.problems
+    assert (problem.file, problem.line, problem.key) == ("override", None, key)
+    assert rule in problem.rule
+
+
+def test_mapping_is_a_scene():
+    data = parse(BASE)[0]
+    data["structure"]["modes"][0]["shape"]["tip"] = np.array([1.0, 1.0, 0.8])
+    assert load_scene(data).resolved_yaml() == load_scene(BASE).resolved_yaml()
+    assert load_scene(data).path is None
+    data["title"] = object()
+    assert problems(data) == [("title", "must be text, a number, a list or a mapping, not object")]
+    data["title"] = data
+    assert "nested deeper" in problems(data)[0][1]
+
+
+@pytest.mark.parametrize("name", ["oscillator.yaml", "blade.yaml"])
+def test_resolved_scene_runs_from_anywhere(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(CONFIGS.parent)
+    scene = load_scene(Path("configs") / name, ["study.record_last=3"])
+    assert scene.path == Path("configs") / name
+    resolved = scene.resolved_yaml()
+    (tmp_path / "scene.yaml").write_text(resolved)
+    monkeypatch.chdir(tmp_path)
+    again = load_scene("scene.yaml")
+    assert again.file.study.record_last == 3
+    assert again.file == load_scene(resolved).file
+    assert again.resolved_yaml() == resolved
+    assert np.array_equal(again.model().structure.shape, scene.model().structure.shape)
+    assert again.file.solver.accuracy == "standard"
+
+
+def test_with_overrides_starts_from_the_scene():
+    scene = load_scene(BASE, ["contacts.pad.preload=5"]).with_overrides({"contacts.pad.friction": 0.25})
+    assert (scene.model().contacts[0].preload, scene.model().contacts[0].friction) == (5, 0.25)
+
+
+def test_keys_of_over_hold_dots_themselves():
+    study = "study={kind: sweep, frequency: {from: 1, to: 2, step: 0.5}, direction: up, refine: 0.01}"
+    over = "study.over.contacts.pad.preload"
+    assert load_scene(BASE, [study, f"{over}=[1,2]"]).file.study.over == {"contacts.pad.preload": (1, 2)}
+    spread = load_scene(BASE, [study, f"{over}={{from: 1, to: 2, num: 3}}", f"{over}.num=5"]).file.study
+    assert spread.over["contacts.pad.preload"].num == 5
+    assert problems(BASE, study, f"{over[:-1]}=[1,2]")[0][0] == over[:-1]
+
+
+def test_null_takes_a_key_out():
+    study = "study={kind: sweep, frequency: {from: 1, to: 2, step: 0.5}, direction: up, refine: 0.01}"
+    scene = load_scene(BASE, [study, "study.refine=null", "study.settle.tolerance=null", "title=null"])
+    assert scene.file.study.refine is None
+    assert scene.file.title == ""
+    assert scene.resolved_yaml() == load_scene(BASE, [study.replace(", refine: 0.01", ""), "title=''"]).resolved_yaml()
+    assert problems(BASE, "structure.modes.0.frequency=null") == [("structure.modes.0.frequency", "is required")]
+    assert problems(BASE, "study.kind=null")[0][0] in ("study", "study.kind")
+
+
+def test_solver_defaults():
+    def solver(text: str) -> Any:
+        return load_scene(BASE.replace("  accuracy: standard", f"  {text}")).file.solver
+
+    assert (solver("reduce: false").accuracy, solver("reduce: false").reduce) == ("standard", False)
+    assert (solver("method: tsit5").rtol, solver("method: tsit5").atol) == (1e-8, 1e-10)
+    assert solver("{method: kvaerno5, rtol: 1e-6}").atol == pytest.approx(1e-8)
+    assert solver("{method: rk4}").steps_per_cycle == 200
+    assert solver("max_steps: 2e3").max_steps == 2000
+
+
+# Starts
+
+
+def one_mass(**changes: Any) -> dict[str, Any]:
+    """A mass on springs k = (2 pi)^2 along x and z, with a contact below."""
+    modes = [{"frequency": 1, "damping_ratio": 0, "mass": 1, "shape": {"m": axis}} for axis in ([1, 0, 0], [0, 0, 1])]
+    contact = {"name": "c", "point": "m", "friction": 0.5, "tangential_stiffness": 10, "normal_stiffness": 20}
+    return {
+        "structure": {"modes": modes},
+        "contacts": [contact | changes.pop("contact", {})],
+        "excitation": {"frequency": 1, **changes.pop("excitation", {})},
+        "study": {"kind": "transient", "cycles": 1},
+        **changes,
+    }
+
+
+def push(*vector: float) -> dict[str, Any]:
+    return {"constant_forces": [{"point": "m", "direction": vector, "amplitude": float(np.linalg.norm(vector))}]}
+
+
+K = (2 * np.pi) ** 2
+
+
+@pytest.mark.parametrize(
+    ("preload", "force", "state", "displacement"),
+    [
+        (0.0, (1, 0, 4), STICK, (1 / (K + 10), 4 / (K + 20))),
+        (0.0, (1, 0, -4), SEPARATION, (1 / K, -4 / K)),
+        (3.0, (0.5, 0, -1), STICK, (0.5 / (K + 10), -1 / (K + 20))),
+        (3.0, (0, 0, -20), SEPARATION, (0, (-20 + 3) / K)),
+        (-1.0, (0, 0, 5), STICK, (0, (5 + 1) / (K + 20))),
+        (-1.0, (0, 0, 1), SEPARATION, (0, 1 / K)),
+    ],
+)
+def test_static_start(preload: float, force: tuple[float, ...], state: int, displacement: tuple[float, float]):
+    scene = load_scene(one_mass(contact={"preload": preload}, excitation=push(*force), initial="static"))
+    start = scene.model().start
+    assert np.allclose(start.displacement, displacement, rtol=1e-13, atol=1e-15)
+    assert start.state.tolist() == [state]
+    assert np.allclose(start.slip, [[displacement[0] * (state == SEPARATION), 0]], atol=1e-15)
+
+
+def test_static_start_of_a_frictionless_stop_slides():
+    contact = {"friction": 0, "tangential_stiffness": 0, "preload": 1}
+    start = load_scene(one_mass(contact=contact, excitation=push(3, 0, 0), initial="static")).model().start
+    assert start.state.tolist() == [SLIP]
+    assert np.allclose(start.slip, [[3 / K, 0]])
+
+
+def test_static_start_held_by_a_contact_alone():
+    scene = one_mass(excitation=push(0, 0, 5), initial="static", contact={"preload": -1})
+    scene["structure"]["modes"][1]["frequency"] = 0
+    assert np.allclose(load_scene(scene).model().start.displacement, [6 / 20, 0])
+    scene["excitation"] = {"frequency": 1, **push(0, 0, -5)}
+    assert "nothing holds" in problems(scene)[0][1]
+
+
+def test_static_start_of_many_contacts_is_consistent():
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        modes = [
+            {
+                "frequency": 1 + i,
+                "damping_ratio": 0,
+                "mass": 1,
+                "shape": {f"p{j}": rng.normal(size=3) for j in range(5)},
+            }
+            for i in range(6)
+        ]
+        contacts = [
+            {"name": f"c{j}", "point": f"p{j}", "friction": 1e6, "tangential_stiffness": 30,
+             "normal_stiffness": 40, "preload": rng.normal()} for j in range(5)
+        ]  # fmt: skip
+        force = {"point": "p0", "direction": rng.normal(size=3), "amplitude": 30}
+        scene = one_mass(structure={"modes": modes}, contacts=contacts, initial="static")
+        scene["excitation"]["constant_forces"] = [force]
+        model = load_scene(scene).model()
+        motion = model.contact_shape @ model.start.displacement
+        force = model.excitation.constant - model.structure.stiffness * model.start.displacement
+        for contact, shape, (u1, u2, v), slip, state in zip(
+            model.contacts, model.contact_shape, motion, model.start.slip, model.start.state, strict=True
+        ):
+            normal = max(0.0, contact.preload + contact.normal_stiffness * v)
+            assert (state == SEPARATION) == (normal == 0)
+            friction = contact.tangential_stiffness @ ([u1, u2] - slip)
+            force = force - shape.T @ [*friction, normal - max(contact.preload, 0)]
+        assert np.abs(force).max() < 1e-11
+
+
+def test_given_start_opens_a_contact_and_says_what_has_no_effect():
+    initial = {"modal_displacement": [0.1, -0.2], "slip": {"c": [0.3, 0]}}
+    scene = load_scene(one_mass(contact={"preload": 1}, initial=initial))
+    start = scene.model().start
+    assert np.allclose(start.slip, [[0.1, 0]])
+    assert any("initial.slip.c has no effect" in warning for warning in scene.warnings())
+    assert start.state.tolist() == [-1]
+
+
+@pytest.mark.parametrize(("share", "accepted"), [(1 - 1e-12, True), (1 + 1e-10, True), (1 + 1e-8, False)])
+def test_given_start_on_the_cone(share: float, accepted: bool):
+    slip = 0.5 * 2.0 / 10 * share
+    scene = one_mass(contact={"preload": 2}, initial={"slip": {"c": [slip, 0]}})
+    if accepted:
+        assert load_scene(scene).model().start.slip[0, 0] == slip
+    else:
+        assert "outside its friction cone" in problems(scene)[0][1]
+
+
+def write_result(path: Path, **changes: Any) -> Path:
+    values = {
+        "final_modal_displacement": ("mode", [0.01, 0.02]),
+        "final_modal_velocity": ("mode", [0.3, 0.4]),
+        "final_slip": (("contact", "tangent"), [[0.002, 0.0]]),
+        "final_contact_state": ("contact", [0]),
+        "final_phase_deg": ((), 90.0),
+    } | changes.pop("values", {})
+    with h5netcdf.File(path, "w") as file:
+        file.dimensions = {"mode": 2, "contact": 1, "tangent": 2} | changes.pop("dimensions", {})
+        file.attrs["complete"] = changes.pop("complete", 1)
+        names = file.create_variable("contact", ("contact",), dtype=h5netcdf.core.h5py.string_dtype())
+        names[...] = changes.pop("names", ["c"])
+        for name, (dimensions, value) in values.items():
+            array = np.asarray(value)
+            file.create_variable(name, (dimensions,) if isinstance(dimensions, str) else dimensions, data=array)
+    return path
+
+
+def test_start_from_a_result(tmp_path: Path):
+    write_result(tmp_path / "result.nc")
+    (tmp_path / "scene.yaml").write_text(yaml_text(one_mass(contact={"preload": 2}, initial={"from": "result.nc"})))
+    scene = load_scene(tmp_path / "scene.yaml")
+    start = scene.model().start
+    assert np.array_equal(start.displacement, [0.01, 0.02])
+    assert np.array_equal(start.velocity, [0.3, 0.4])
+    assert np.array_equal(start.slip, [[0.002, 0]])
+    assert start.state.tolist() == [STICK]
+    assert start.phase == pytest.approx(np.pi / 2)
+    assert str(tmp_path / "result.nc") in scene.resolved_yaml()
+
+
+@pytest.mark.parametrize(
+    ("contact", "values", "state", "slip"),
+    [
+        ({"preload": -2}, {}, SEPARATION, 0.01),
+        ({"preload": 2}, {"final_contact_state": ("contact", [2])}, STICK, 0.01),
+        ({"preload": 2, "friction": 0}, {}, SLIP, 0.01),
+        ({"preload": -0.4}, {"final_contact_state": ("contact", [2])}, SEPARATION, 0.01),
+        # on the cone but for the tolerance of that run: n = 2 + 20 * 0.02, mu n = 1.2
+        (
+            {"preload": 2},
+            {"final_slip": (("contact", "tangent"), [[0.01 - 0.12 * (1 + 5e-7), 0]])},
+            STICK,
+            0.01 - 0.12,
+        ),
+    ],
+)
+def test_start_from_a_result_of_other_parameters(tmp_path: Path, contact: Any, values: Any, state: int, slip: float):
+    path = write_result(tmp_path / "result.nc", values=values)
+    start = load_scene(one_mass(contact=contact, initial={"from": path})).model().start
+    assert start.state.tolist() == [state]
+    assert np.allclose(start.slip, [[slip, 0]], rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("changes", "rule"),
+    [
+        ({"complete": 0}, "not finished"),
+        ({"names": ["d"]}, "has other contacts: d"),
+        ({"values": {"final_slip": (("contact", "tangent"), [[0.5, 0.0]])}}, "outside its friction cone"),
+        ({"values": {"final_modal_velocity": ("mode", [np.nan, 0])}}, "not finite"),
+        (
+            {
+                "dimensions": {"mode": 1},
+                "values": {
+                    "final_modal_displacement": ("mode", [0.0]),
+                    "final_modal_velocity": ("mode", [0.0]),
+                },
+            },
+            "has 1 modes",
+        ),
+    ],
+)
+def test_result_that_no_start_is(tmp_path: Path, changes: Any, rule: str):
+    path = write_result(tmp_path / "result.nc", **changes)
+    ((key, found),) = problems(one_mass(contact={"preload": 2}, initial={"from": str(path)}))
+    assert key == "initial.from"
+    assert rule in found
+
+
+def test_files_that_no_result_are(tmp_path: Path):
+    path = tmp_path / "result.nc"
+    path.write_bytes(b"nothing")
+    assert "cannot be read as NetCDF-4" in problems(one_mass(initial={"from": str(path)}))[0][1]
+    with h5netcdf.File(path, "w") as file:
+        file.attrs["complete"] = 1
+    assert "holds no final state" in problems(one_mass(initial={"from": str(path)}))[0][1]
+
+
+# What check says
+
+
+def test_describe_names_every_part():
+    scene = load_scene(CONFIGS / "oscillator.yaml")
+    report = {heading.title: heading.lines for heading in describe(scene)}
+    assert report["structure"] == ("2 modes, 0.9 to 1.1 Hz", "damping ratio 0.02", "points: tip")
+    assert "same tangential stiffness" in report["left out or simplified"][0]
+    assert "preload 3" in report["contacts"][0]
+    assert "warnings" not in report
+
+
+def test_describe_says_what_is_left_out_and_why():
+    def said(**overrides: Any) -> tuple[str, ...]:
+        changes = {key.replace("__", "."): value for key, value in overrides.items()}
+        scene = load_scene(CONFIGS / "oscillator.yaml", changes)
+        return {heading.title: heading.lines for heading in describe(scene)}["left out or simplified"]
+
+    assert "sticks from start to end" in said(contacts__pad__preload=100)[0]
+    assert "never touches" in said(contacts__pad__preload=-40)[0]
+    assert said(contacts__pad__preload=100, solver__reduce=False) == ("nothing: solver.reduce is false",)
+
+
+def test_describe_counts_points_and_advises_at_the_lowest_frequency():
+    def report(*overrides: str) -> dict[str, tuple[str, ...]]:
+        return {heading.title: heading.lines for heading in describe(load_scene(BASE, overrides))}
+
+    sweep = "study={direction: both, frequency: {from: 1, to: 2, step: 0.5}, kind: sweep}"
+    found = report(sweep, f"study.over.contacts.pad.preload={[float(k) for k in range(9)]}")
+    _, study, points, *_ = found["scene"]
+    told = "direction both, frequency {from: 1.0, to: 2.0, step: 0.5}"
+    assert study.startswith(f"study: kind sweep, {told}, over {{contacts.pad.preload: [0.0, 1.0, 2.0, …, 8.0]}}, ")
+    assert points == "points: 3 frequencies x 9 values of contacts.pad.preload x 2 directions = 54 points"
+    (advice,) = found["advised method"]
+    assert advice.startswith("tsit5: ")
+    assert advice.endswith("(at 1 Hz, the lowest, where it asks most)")
+    assert "points: 3 frequencies" in report("study={kind: sweep, frequency: {values: [1, 2, 3]}}")["scene"]
+    ranges = report("study={kind: bistable, frequency: {from: 1, to: 2}, harmonics: 0}")
+    assert (
+        "points: 41 frequencies x 2 directions = 82 points in the sweeps, and the search for the ends"
+        in ranges["scene"]
+    )
+    assert "at 1 Hz" in ranges["advised method"][0]
+    jump = report("study={kind: jump, phases: [{frequency: 2, cycles: 3}, {frequency: 1.5, cycles: 3}]}")
+    assert "at 1.5 Hz" in jump["advised method"][0]
+    assert "advised method" not in report("study={kind: hbm, frequency: {from: 1, to: 2}, harmonics: 7}")
+
+
+def test_describe_contacts():
+    def line(**changes: Any) -> str:
+        return contact_line(load_scene(one_mass(contact=changes)).model().contacts[0])
+
+    assert "gap 0.1" in line(preload=-2)
+    assert "frictionless stop" in line(friction=0, tangential_stiffness=0)
+    assert "constant normal load 4" in line(normal_stiffness=0, preload=4)
+    assert "[[1, 0], [0, 2]]" in line(tangential_stiffness=[1, 2])
+
+
+def test_modes_far_above_the_excitation_are_worth_a_warning():
+    assert load_scene(CONFIGS / "blade.yaml").warnings() == []
+    (warning,) = load_scene(CONFIGS / "blade.yaml", ["structure.keep_modes=24"]).warnings()
+    assert "330695 Hz" in warning
+    assert "keep_modes" in warning
+
+
+def test_nothing_moves_is_worth_a_warning():
+    assert any("nothing will move" in warning for warning in load_scene(one_mass()).warnings())
+
+
+def test_a_force_that_acts_on_nothing_is_worth_a_warning():
+    forces = [{"point": "m", "direction": axis, "amplitude": 1} for axis in ([1, 0, 0], [0, 2, 0])]
+    excitation = {"forces": forces, "constant_forces": [forces[1]]}
+    assert load_scene(one_mass(excitation=excitation)).warnings() == [
+        f"excitation.{key} has no effect: no mode moves m along its direction"
+        for key in ("forces.1", "constant_forces.0")
+    ]
+    forces[1]["amplitude"] = 0
+    assert load_scene(one_mass(excitation=excitation)).warnings() == []
+
+
+def test_advised_method_follows_the_fastest_rate():
+    model = load_scene(one_mass()).model()
+    assert model.stuck_rate == pytest.approx(np.sqrt(K + 20))
+    assert advised_method(model).steps_per_cycle == pytest.approx(np.sqrt(K + 20) / 3.3)
+    assert advised_method(model).method == "tsit5"
+    stiff = load_scene(one_mass(contact={"normal_stiffness": 1e10})).model()
+    assert advised_method(stiff).method == "kvaerno5"
+
+
+def test_check_loads_no_jax():
+    code = (
+        "import sys; from timesim.scene.resolution import load_scene; from timesim.scene.report import describe;"
+        f"describe(load_scene({str(CONFIGS / 'oscillator.yaml')!r}));"
+        "heavy = ('jax', 'diffrax', 'equinox', 'xarray', 'matplotlib');"
+        "print([name for name in sys.modules if name.split('.')[0] in heavy])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
+
+
+def test_json_schema_knows_the_keys():
+    schema = json.loads(json.dumps(json_schema()))
+    assert set(schema["properties"]) == set(parse(BASE)[0])
+    contact = schema["$defs"]["ContactSection"]
+    assert not contact["additionalProperties"]
+    assert contact["properties"]["normal_stiffness"]["minimum"] == 0
+    assert "from" in schema["$defs"]["InitialResult"]["properties"]
+    assert "null" not in json.dumps(schema)
+    assert schema["$defs"]["ExcitationSection"]["properties"]["frequency"]["exclusiveMinimum"] == 0
+
+
+# Whatever is written
+
+
+SCALARS = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=20))
+VALUES = st.recursive(
+    SCALARS,
+    lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=8), inner, max_size=3)),
+    max_leaves=8,
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.dictionaries(st.text(max_size=12), VALUES, max_size=4))
+def test_written_yaml_reads_back(data: dict[str, Any]):
+    data = json.loads(json.dumps(data).replace("\\ud", "\\u0d"))
+    read, _ = parse(yaml_text(data) or "{}")
+    assert repr(read) == repr(data)
+
+
+def leaves(data: Any, key: tuple[str, ...] = ()) -> list[str]:
+    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    found = [name for part, value in items for name in leaves(value, (*key, str(part)))]
+    return [".".join(key), *found] if key else found
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.sampled_from(leaves(parse(BASE)[0]) + leaves(parse(MATRICES)[0])),
+    VALUES,
+    st.sampled_from([BASE, MATRICES]),
+)
+def test_any_value_at_any_key_is_accepted_or_refused_by_name(key: str, value: Any, base: str):
+    refused: list[Any] = []
+    try:
+        load_scene(base, {key: value})
+    except SceneError as error:
+        refused = error.problems
+    assert all(problem.rule and "\n" not in str(problem) for problem in refused)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.text(alphabet="ab:-[]{}&*!|>'\"# \n\t%,?1.e", max_size=60))
+def test_any_text_is_read_or_refused(text: str):
+    with contextlib.suppress(RuleError):
+        parse(text)

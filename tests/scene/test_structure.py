@@ -1,0 +1,312 @@
+"""Modes from matrices: against the modes written out, against closed forms, and files that are wrong."""
+
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+import scipy.linalg
+import scipy.sparse
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from timesim.fault import RuleError, SceneError
+from timesim.model.matrices import Matrices, modal_structure
+from timesim.scene.resolution import load_scene
+
+DATA = Path(__file__).parents[1] / "data"
+
+
+def chain(n: int, damping: Any = None) -> Matrices:
+    """n unit masses between n + 1 unit springs: omega_k = 2 sin(k pi / (2 n + 2))."""
+    stiffness = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    return Matrices(np.eye(n), stiffness, damping)
+
+
+POINTS = {"first": {"x": 0}, "second": {"z": 1}}
+
+
+def scene(structure: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "structure": structure,
+        "excitation": {"frequency": 1},
+        "study": {"kind": "transient", "cycles": 1},
+    }
+
+
+def files(path: Any, **changes: Any) -> dict[str, Any]:
+    return scene({"file": path, "damping_ratio": 0.01, "points": POINTS, **changes})
+
+
+def refusal(source: dict[str, Any]) -> tuple[str, str]:
+    with pytest.raises(SceneError) as caught:
+        load_scene(source)
+    (problem,) = caught.value.problems
+    return problem.key, f"{problem.rule} ({problem.hint})"
+
+
+def test_chain_has_its_closed_form():
+    structure = modal_structure(chain(6), points=POINTS, damping_ratio=0.03)
+    number = np.arange(1, 7)
+    omega = 2 * np.sin(number * np.pi / 14)
+    assert np.allclose(structure.omega, omega, rtol=1e-14)
+    assert np.array_equal(structure.mass, np.ones(6))
+    assert np.allclose(structure.damping, 0.06 * omega, rtol=1e-14)
+    modes = np.sin(np.outer(number, number) * np.pi / 7) * np.sqrt(2 / 7)
+    expected = modes * np.sign(modes[np.argmax(np.abs(modes) >= np.abs(modes).max(axis=0) - 1e-9, axis=0), number - 1])
+    assert np.allclose(structure.shape[0, 0], expected[0], atol=1e-14)
+    assert np.allclose(structure.shape[1, 2], expected[1], atol=1e-14)
+    assert not np.any(structure.shape[0, 1:])
+
+
+@pytest.mark.parametrize("name", ["blade.npz", "blade.mat"])
+def test_blade_has_the_modes_written_out(name: str):
+    written = load_scene(DATA / "blade_modes.yaml").model().structure
+    found = load_scene(DATA / "blade_matrices.yaml", {"structure.file": name}).model().structure
+    assert np.allclose(found.frequency, written.frequency, rtol=1e-9)
+    assert found.points == written.points
+    sign = np.sign(np.sum(found.shape * written.shape, axis=(0, 1)))
+    assert np.allclose(found.shape * sign, written.shape, rtol=1e-7, atol=1e-7)
+    assert np.allclose(found.damping, written.damping, rtol=1e-9)
+
+
+def test_blade_has_all_its_modes():
+    found = load_scene(DATA / "blade_matrices.yaml", ["structure.keep_modes=24"]).model().structure
+    assert np.allclose(found.frequency, json.loads((DATA / "fe_modes.json").read_text())["cb_frequency_hz"], rtol=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(2, 7))
+def test_modes_solve_the_eigenproblem(seed: int, n: int):
+    rng = np.random.default_rng(seed)
+    a, b, c = rng.normal(size=(3, n, n))
+    mass, stiffness, damping = a @ a.T + n * np.eye(n), b @ b.T, c @ c.T
+    points = {f"p{i}": {"y": i} for i in range(n)}
+    structure = modal_structure(Matrices(mass, stiffness, damping), points=points)
+    modes = structure.shape[:, 1]
+    assert np.allclose(modes.T @ mass @ modes, np.eye(n), atol=1e-11)
+    scale = np.abs(stiffness).max()
+    assert np.allclose(stiffness @ modes, mass @ modes * structure.omega**2, atol=1e-11 * scale)
+    assert np.all(np.diff(structure.frequency) >= 0)
+    assert structure.damping.shape == (n, n)
+    assert np.allclose(structure.damping, modes.T @ damping @ modes, atol=1e-11)
+    assert np.all(modes[np.argmax(np.abs(modes), axis=0), np.arange(n)] > 0)
+
+
+def test_proportional_damping_becomes_ratios_and_a_dashpot_stays_whole():
+    base = chain(5)
+    proportional = modal_structure(
+        Matrices(base.mass, base.stiffness, 0.1 * base.stiffness + 0.2 * base.mass), points=POINTS
+    )
+    assert np.allclose(proportional.damping, 0.1 * proportional.omega**2 + 0.2, rtol=1e-12)
+    dashpot = np.zeros((5, 5))
+    dashpot[1, 1] = 0.3
+    whole = modal_structure(Matrices(base.mass, base.stiffness, dashpot), points=POINTS, keep_modes=3)
+    assert whole.damping.shape == (3, 3)
+    assert np.linalg.matrix_rank(whole.damping, tol=1e-12) == 1
+    rate = modal_structure(Matrices(base.mass, base.stiffness, dashpot), points=POINTS, damping_ratio=[0, 1, 2, 3, 4])
+    assert np.allclose(rate.damping, 2 * np.arange(5) * rate.omega)
+
+
+def test_proportional_damping_of_the_stiff_blade_is_diagonal():
+    data = np.load(DATA / "blade.npz")
+    damping = 1e-7 * data["stiffness"] + 3 * data["mass"]
+    structure = modal_structure(Matrices(data["mass"], data["stiffness"], damping), points=POINTS, keep_modes=12)
+    assert structure.damping.shape == (12,)
+
+
+def test_free_body_has_frequency_zero():
+    stiffness = np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
+    structure = modal_structure(Matrices(np.diag([1.0, 2, 1]), stiffness), points=POINTS, damping_ratio=0.01)
+    assert structure.frequency[0] == 0
+    assert structure.damping[0] == 0
+    assert np.all(structure.frequency[1:] > 0.1)
+
+
+def test_large_sparse_structure():
+    n, keep = 3000, 7
+    off = np.full(n - 1, -1.0)
+    stiffness = scipy.sparse.diags_array([off, np.full(n, 2.0), off], offsets=[-1, 0, 1])
+    sparse = Matrices(scipy.sparse.eye_array(n), stiffness, 0.01 * stiffness)
+    structure = modal_structure(sparse, points={"m": {"x": n // 3}}, keep_modes=keep)
+    omega = 2 * np.sin(np.arange(1, keep + 1) * np.pi / (2 * n + 2))
+    assert np.allclose(structure.omega, omega, rtol=1e-6)
+    assert np.allclose(structure.damping, 0.01 * structure.omega**2, rtol=1e-5)
+    with pytest.raises(RuleError, match="is required for a structure of 3000 rows"):
+        modal_structure(sparse, points={"m": {"x": 0}}, damping_ratio=0)
+    with pytest.raises(RuleError, match="no negative eigenvalue"):
+        modal_structure(Matrices(sparse.mass, stiffness - 0.1 * sparse.mass), points={}, damping_ratio=0, keep_modes=2)
+    with pytest.raises(RuleError, match="positive definite"):
+        modal_structure(Matrices(stiffness - sparse.mass, stiffness), points={}, damping_ratio=0, keep_modes=2)
+
+
+@pytest.mark.parametrize("sparse", [False, True])
+@pytest.mark.parametrize("names", [("mass", "stiffness", "damping"), ("M", "K", "C")])
+def test_mat_file(sparse: bool, names: tuple[str, ...], tmp_path: Path):
+    base = chain(4)
+    arrays = [base.mass, base.stiffness, 0.1 * base.stiffness]
+    held = dict(zip(names, map(scipy.sparse.csc_array, arrays) if sparse else arrays, strict=True))
+    scipy.io.savemat(tmp_path / "a.mat", held | {"notes": "left alone", "rows": np.array(["a", "b"], dtype=object)})
+    found = load_scene(files(tmp_path / "a.mat"))
+    assert np.allclose(found.model().structure.damping, 0.02 * found.model().structure.omega)
+    assert any("damping matrix in the file is not" in warning for warning in found.warnings())
+    source = files(tmp_path / "a.mat")
+    del source["structure"]["damping_ratio"]
+    structure = load_scene(source).model().structure
+    assert np.allclose(structure.damping, 0.1 * structure.omega**2)
+
+
+def test_matrix_market_and_sparse_npz(tmp_path: Path):
+    base = chain(4)
+    scipy.io.mmwrite(tmp_path / "m.mtx", scipy.sparse.coo_array(base.mass))
+    scipy.io.mmwrite(tmp_path / "k.mtx", base.stiffness)
+    scipy.sparse.save_npz(tmp_path / "c.npz", scipy.sparse.csr_array(0.1 * base.stiffness))
+    source = files({"mass": "m.mtx", "stiffness": "k.mtx", "damping": "c.npz"})
+    del source["structure"]["damping_ratio"]
+    path = tmp_path / "scene.yaml"
+    path.write_text(json.dumps(source))
+    loaded = load_scene(path)
+    structure = loaded.model().structure
+    assert np.allclose(structure.damping, 0.1 * structure.omega**2)
+    again = load_scene(loaded.resolved_yaml())
+    assert np.array_equal(again.model().structure.damping, structure.damping)
+
+
+def test_both_names_are_worth_a_warning(tmp_path: Path):
+    base = chain(3)
+    np.savez(tmp_path / "a.npz", mass=base.mass, M=np.eye(2), K=base.stiffness)
+    loaded = load_scene(files(tmp_path / "a.npz"))
+    assert loaded.model().structure.num_modes == 3
+    assert any("M is left alone" in warning for warning in loaded.warnings())
+
+
+def good(path: Path, **changes: Any) -> Path:
+    base = chain(3)
+    np.savez(path, **({"mass": base.mass, "stiffness": base.stiffness} | changes))
+    return path
+
+
+def truncated(path: Path) -> Path:
+    path.write_bytes(good(path).read_bytes()[:-100])
+    return path
+
+
+def damaged(path: Path) -> Path:
+    content = bytearray(good(path).read_bytes())
+    content[len(content) // 4 : len(content) // 2] = b"\xff" * (len(content) // 2 - len(content) // 4)
+    path.write_bytes(content)
+    return path
+
+
+def truncated_member(path: Path) -> Path:
+    with zipfile.ZipFile(good(path)) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content[:100])
+    return path
+
+
+def single(path: Path) -> Path:
+    with path.open("wb") as stream:
+        np.save(stream, np.eye(3))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("write", "rule"),
+    [
+        (lambda path: path, "does not exist"),
+        (lambda path: (path.mkdir(), path)[1], "is no file"),
+        (lambda path: (path.write_bytes(b""), path)[1], "no whole .npz"),
+        (lambda path: (path.write_bytes(b"not an archive"), path)[1], "no whole .npz"),
+        (truncated, "no whole .npz"),
+        (damaged, "cannot be read"),
+        (truncated_member, "cannot be read"),
+        (single, "no whole .npz"),
+        (lambda path: good(path, mass=np.array([[1, None], [None, 1]], dtype=object)), "pickled"),
+        (lambda path: good(path, mass=np.eye(3)[:2]), "must be square, not 2 x 3"),
+        (lambda path: good(path, mass=np.ones(3)), "must be square, not 3"),
+        (lambda path: good(path, mass=np.zeros((0, 0))), "must be square, not 0 x 0"),
+        (lambda path: good(path, mass=np.eye(4)), "must be 4 x 4 like the mass matrix, not 3 x 3"),
+        (lambda path: good(path, mass=np.diag([1.0, np.nan, 1])), "must be finite"),
+        (lambda path: good(path, mass=np.eye(3) * 1j), "real numbers"),
+        (lambda path: good(path, mass=np.array([["a"]])), "real numbers"),
+        (lambda path: good(path, mass=np.diag([1.0, 0, 1])), "positive definite"),
+        (lambda path: good(path, stiffness=np.triu(chain(3).stiffness)), "must be symmetric"),
+        (lambda path: good(path, stiffness=-np.eye(3)), "no negative eigenvalue"),
+    ],
+)
+def test_npz_that_is_wrong(write: Any, rule: str, tmp_path: Path):
+    key, found = refusal(files(write(tmp_path / "a.npz")))
+    assert key == "structure.file"
+    assert rule in found
+
+
+def test_npz_without_the_keys(tmp_path: Path):
+    np.savez(tmp_path / "a.npz", mas=np.eye(3), K=np.eye(3))
+    assert refusal(files(tmp_path / "a.npz")) == (
+        "structure.file",
+        "holds neither mass nor M (it holds K, mas)",
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "rule"),
+    [
+        (None, "holds neither stiffness nor K (it holds mass)"),
+        (b"", "cannot be read"),
+        (b"MATLAB 5.0 MAT-file" + b" " * 200, "cannot be read"),
+        (
+            b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"\x89HDF\r\n\x1a\n" + bytes(500),
+            "is a MATLAB 7.3 file",
+        ),
+    ],
+)
+def test_mat_that_is_wrong(content: bytes | None, rule: str, tmp_path: Path):
+    scipy.io.savemat(tmp_path / "a.mat", {"mass": np.eye(3)})
+    if content is not None:
+        (tmp_path / "a.mat").write_bytes(content)
+    key, found = refusal(files(tmp_path / "a.mat"))
+    assert key == "structure.file"
+    assert rule in found
+
+
+def test_mat_cut_off_anywhere_is_refused(tmp_path: Path):
+    content = (DATA / "blade.mat").read_bytes()
+    for size in range(0, len(content) // 2, len(content) // 20):
+        (tmp_path / "a.mat").write_bytes(content[:size])
+        assert refusal(files(tmp_path / "a.mat"))[0] == "structure.file"
+
+
+def test_cell_array_is_no_matrix(tmp_path: Path):
+    scipy.io.savemat(tmp_path / "a.mat", {"mass": np.array([1, "b"], dtype=object), "stiffness": np.eye(2)})
+    assert "real numbers" in refusal(files(tmp_path / "a.mat"))[1]
+
+
+@pytest.mark.parametrize(
+    ("content", "rule"),
+    [
+        ("%%MatrixMarket matrix coordinate real general\n2 2 2\n1 1 1\n", "cannot be read"),
+        ("nothing", "cannot be read"),
+        ("%%MatrixMarket matrix coordinate real general\n2 3 1\n1 1 1\n", "must be square, not 2 x 3"),
+        ("%%MatrixMarket matrix coordinate complex general\n1 1 1\n1 1 1 1\n", "real numbers"),
+    ],
+)
+def test_matrix_market_that_is_wrong(content: str, rule: str, tmp_path: Path):
+    (tmp_path / "m.mtx").write_text(content)
+    scipy.io.mmwrite(tmp_path / "k.mtx", np.eye(2))
+    key, found = refusal(files({"mass": tmp_path / "m.mtx", "stiffness": tmp_path / "k.mtx"}))
+    assert key == "structure.file.mass"
+    assert rule in found
+
+
+def test_other_kinds_of_file_are_refused(tmp_path: Path):
+    assert "must be a .npz or .mat file" in refusal(files("a.mtx"))[1]
+    (tmp_path / "m.npy").write_bytes(b"")
+    key, found = refusal(files({"mass": tmp_path / "m.npy", "stiffness": "k.mtx"}))
+    assert key == "structure.file.mass"
+    assert "must be a .mtx file" in found

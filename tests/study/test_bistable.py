@@ -1,0 +1,449 @@
+"""Responses that jump: both ends found without being told where, which start leads where, offsets that are free.
+
+The ends on the paper's oscillator were computed independently, settled for 800 cycles a step: at a preload of 2 the
+lower motion lives to 1.2560 Hz and is gone at 1.2561, the upper one to 1.2511 and is gone at 1.2510; with a gap of
+0.2 the upper motion lives to 0.9472 Hz, the lower one to 0.9416.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import CONFIGS, options, run_config
+from systems import oscillator
+from typer.testing import CliRunner
+
+import timesim
+from timesim.cli import app
+from timesim.engine.solver import PRESETS
+from timesim.model.model import SEPARATION, STICK, Model, Start
+from timesim.orbit.basin import ANOTHER, NONE, branch_of, offsets, placed, starts_between, unique
+from timesim.orbit.jump import Stretch, narrowed
+from timesim.orbit.settling import Criterion, Orbit, without_orbit
+from timesim.orbit.two_motions import DOWN, UP, Means, Search, Sweeps, differ, losses, ranges, suspect_steps
+from timesim.picture import bistable as plot_bistable
+from timesim.picture import draw as plot
+from timesim.result.store import open_groups
+from timesim.scene.resolution import load_scene
+from timesim.study.campaign import Means as Ways
+from timesim.study.hbm_curves import Curves
+from timesim.study.registry import carry_out
+
+QUICK = {
+    "study.frequency": "{from: 1.24, to: 1.27}",
+    "study.step": "0.01",  # twice as wide as the range
+    "study.width": "2e-4",
+    "study.starts": "5",
+    "study.harmonics": "5",
+    "study.time_samples": "256",
+    "study.settle": "{tolerance: 1e-6, max_cycles: 1500}",
+    "solver.accuracy": "draft",
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return run_config(tmp_path_factory.mktemp("bistable"), "softening.yaml", QUICK)
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path):
+    return open_groups(folder / "run")
+
+
+def test_both_ends_are_found_by_steps_wider_than_the_range(result):
+    (low, high), *rest = result["range"].values
+    assert not rest
+    assert low == pytest.approx(1.2510586, abs=3e-4)
+    assert high == pytest.approx(1.2560812, abs=3e-4)
+    assert result["range_cut"].values.tolist() == [[0, 0]]
+
+
+def test_the_motions_at_mid_range(result):
+    lower, upper = (result[f"amplitude_{name}"].sel(point="tip", axis="x").values[0] for name in ("lower", "upper"))
+    assert lower == pytest.approx(0.12886, rel=5e-3)
+    assert upper == pytest.approx(0.27898, rel=5e-3)
+    shares = result["slip_share"].sel(contact="pad").values[0]
+    assert np.all((shares > 0.05) & (shares < 0.95))
+    assert np.all(result["floquet_max"].values < 1)
+
+
+def test_each_end_is_a_jump_to_the_other_motion(result):
+    x = {name: result[name].sel(point="tip", axis="x") for name in ("jump_from", "jump_to")}
+    before, after = (x[name].values[0] for name in ("jump_from", "jump_to"))
+    assert before[0] > 0.2 > after[0]
+    assert before[1] < 0.2 < after[1]
+    sweep = result["sweep"].to_dataset()
+    ends = np.array([sweep.jump_low.values.ravel(), sweep.jump_high.values.ravel()])
+    assert np.all(ends[1] - ends[0] <= 2e-4)
+    assert sorted(ends.mean(axis=0)) == pytest.approx(result["range"].values[0].tolist(), abs=2e-4)
+
+
+def test_each_start_leads_to_one_of_the_motions(result):
+    branch = result["start_branch"].isel(jump=0)
+    at = {(a, b): int(branch.sel(share_lower=a, share_upper=b)) for a in (0, 1) for b in (0, 1)}
+    assert at[1, 0] == 0
+    assert at[0, 1] == 1
+    assert at[0, 0] == 0
+    assert set(np.unique(branch)) == {0, 1}
+    amplitude = result["start_amplitude"].isel(jump=0).sel(point="tip", axis="x").values
+    motions = [float(result[f"amplitude_{name}"].sel(point="tip", axis="x")[0]) for name in ("lower", "upper")]
+    np.testing.assert_allclose(amplitude, np.array(motions)[branch.values], rtol=1e-3)
+
+
+def test_the_branch_behind_turns_where_the_sweeps_jump(result):
+    hbm = result["hbm"].to_dataset()
+    assert sorted(hbm.frequency.values[hbm.fold.values > 0]) == pytest.approx([1.25106, 1.25608], abs=5e-4)
+    assert (hbm.stable.values == 0).any()
+
+
+def test_what_is_said(folder):
+    said = (folder / "said").read_text()
+    for words in (
+        "two motions from 1.25",
+        "of 25 starts",
+        "rest leads to the smaller motion",
+        "folds of the balance at",
+    ):
+        assert words in said
+    assert (folder / "run" / "ranges.png").exists()
+
+
+def test_the_pictures_show_the_ranges(result):
+    assert plot.picture_names("bistable") == ["response.png", "ranges.png", "starts.png", "existence.png"]
+    (place,) = plot_bistable.places(result)
+    ax = plot_bistable.response(result, near=place, point="tip", axis="x")
+    assert ax.get_xlim()[0] < place.low < place.high < ax.get_xlim()[1]
+    stars = [line for line in ax.get_lines() if line.get_marker() == "*"]
+    assert [float(np.asarray(line.get_ydata())[0]) for line in stars] == pytest.approx([0.1289, 0.2790], rel=1e-2)
+    diamonds = [line for line in ax.get_lines() if line.get_marker() == "D"]
+    assert np.asarray(diamonds[0].get_xdata()).size == 2
+    square = plot_bistable.starts(result)
+    (mesh,) = square.collections
+    np.testing.assert_array_equal(np.asarray(mesh.get_array()).ravel(), result["start_branch"].values.ravel())
+    assert plot_bistable.PICTURES["existence"](result) is None
+
+
+def test_no_jump_is_a_result(tmp_path: Path):
+    given = QUICK | {"study.frequency": "{from: 1.4, to: 1.45}", "study.harmonics": "0"}
+    call = ["run", str(CONFIGS / "softening.yaml"), "-o", str(tmp_path), *options(given)]
+    done = CliRunner().invoke(app, call)
+    assert done.exit_code == 0, done.output
+    assert "no range with two motions was found from 1.4 to 1.45 Hz" in done.stdout
+    data = open_groups(tmp_path)
+    assert data["range"].shape == (0, 2)
+    assert data["start_branch"].shape == (0, 5, 5)
+    assert set(data.children) == {"sweep"}
+    assert {path.name for path in tmp_path.glob("*.png")} == {"response.png"}
+
+
+def test_a_balance_that_comes_to_no_end_leaves_the_study_whole(monkeypatch: pytest.MonkeyPatch):
+    given = QUICK | {"study.frequency": "{from: 1.4, to: 1.45}", "study.starts": "0"}
+    scene = load_scene(CONFIGS / "softening.yaml", [f"{key}={value}" for key, value in given.items()])
+    told = ["the corrector did not converge"]
+    monkeypatch.setattr(Curves, "run", lambda *_: told[0])
+    outcome = carry_out(scene)
+    assert outcome.reason is None
+    assert outcome.groups[""].attrs["complete"] == 1
+    assert outcome.groups["hbm"].attrs["complete"] == 0
+    assert any("the balance behind is not whole: the corrector did not" in line for line in outcome.summary)
+    told[0] = "interrupted at curve 1"
+    assert carry_out(scene).reason == "hbm: interrupted at curve 1"
+
+
+def test_resumed_it_is_the_same(tmp_path: Path):
+    given = [f"{key}={value}" for key, value in (QUICK | {"study.starts": "5", "study.harmonics": "0"}).items()]
+    scene = load_scene(CONFIGS / "softening.yaml", given)
+    notices: list[str] = []
+    means = Ways(folder=tmp_path, notice=notices.append)
+    whole = carry_out(scene, means)
+    (tmp_path / "checkpoint" / "00000-starts.npz").unlink()
+    (tmp_path / "checkpoint" / "00000-ends.npz").unlink()
+    again = carry_out(scene, replace(means, resume=True))
+    assert notices == [f"1 of 3 chunks are taken up from {tmp_path / 'checkpoint'}"]
+    assert again.reason is whole.reason is None
+    for group in ("", "sweep"):
+        for name, (dims, array) in whole.groups[group].variables.items():
+            assert again.groups[group].variables[name][0] == dims
+            np.testing.assert_array_equal(again.groups[group].variables[name][1], array)
+
+
+# The search, on motions that are known: two branches that live to given frequencies
+
+
+class Branches:
+    """Motions 0, 1, ... that live from `low` to `high` each; one that is lost gives way to the next that is there."""
+
+    def __init__(self, *spans: tuple[float, float], rise: float = 1.0, slope: float = 0.1):
+        self.spans, self.rise, self.slope = spans, rise, slope
+
+    def orbit(self, branch: float, frequency: float) -> Orbit:
+        number = int(branch)
+        while not self.spans[number][0] <= frequency <= self.spans[number][1]:
+            number += 1 if frequency > self.spans[number][1] else -1
+        amplitude = np.full((1, 3), 1 + self.rise * number + self.slope * (frequency - 1) ** 3)
+        end = Start(np.full(2, float(number)), np.zeros(2), np.zeros((1, 2)), np.full(1, STICK))
+        return replace(
+            without_orbit(oscillator(2.0, 1.0), "", 8), end=end, amplitude=amplitude, band=np.stack([amplitude] * 2),
+            settled=True, period=1, slip_share=np.zeros(1), separation_share=np.zeros(1), reason=None,
+        )  # fmt: skip
+
+    def along(self, start: Start, frequencies: Sequence[float]) -> list[Orbit]:
+        found, branch = [], start.displacement[0]
+        for frequency in frequencies:
+            found.append(self.orbit(branch, frequency))
+            branch = found[-1].end.displacement[0]
+        return found
+
+
+def two_branches(low: float, high: float, **shape: float) -> Branches:
+    """A small motion (0) that lives up to `high`, and a large one (1) that lives down to `low`."""
+    return Branches((-np.inf, high), (low, np.inf), **shape)
+
+
+class ToyMeans(Means):
+    """Means whose motions are known."""
+
+    def __init__(self, toy: Branches):
+        super().__init__(oscillator(2.0, 1.0), PRESETS["draft"], Criterion())
+        object.__setattr__(self, "toy", toy)
+
+    def along(self, start: Start, frequencies: Sequence[float]) -> list[Orbit]:
+        return self.toy.along(start, frequencies)
+
+
+def toy_search(toy: Branches, monkeypatch: pytest.MonkeyPatch) -> Search:
+    """A search in which the bisection marches along the known motions."""
+
+    def states(chains, solver, criterion, progress=None, **_):
+        return [toy.along(chain.model.start, chain.frequencies) for chain in chains]
+
+    monkeypatch.setattr("timesim.orbit.jump.steady_states", states)
+    return Search(ToyMeans(toy), 1e-6)
+
+
+def toy_sweeps(toy: Branches, frequency: np.ndarray) -> Sweeps:
+    up, down = toy.along(toy.orbit(0, 0.0).end, frequency), toy.along(toy.orbit(0, 9.0).end, frequency[::-1])
+    return Sweeps(frequency, (up, down[::-1]))
+
+
+@pytest.mark.parametrize("num", [5, 6, 21, 200])
+def test_ranges_of_known_motions(num: int, monkeypatch: pytest.MonkeyPatch):
+    toy = two_branches(1.43, 1.52)
+    search, sweeps = toy_search(toy, monkeypatch), toy_sweeps(toy, np.linspace(1.0, 2.0, num))
+    lost = list(losses(search, sweeps))
+    assert [loss.direction for loss in lost] == [UP, DOWN]
+    (found,) = ranges(search, sweeps, lost)
+    assert (found.low, found.high) == pytest.approx((1.43, 1.52), abs=1e-6)
+    assert found.low >= 1.43
+    assert found.high <= 1.52
+    assert found.cut == (False, False)
+    assert (found.lower.end.displacement[0], found.upper.end.displacement[0]) == (0, 1)
+
+
+def test_a_motion_lost_by_a_long_step_is_led_on(monkeypatch: pytest.MonkeyPatch):
+    """The sweep up leaves the small motion three steps too early; its end is found all the same."""
+    toy = two_branches(1.23, 1.52)
+    search, sweeps = toy_search(toy, monkeypatch), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    early = [
+        toy.orbit(1.0, f) if f > 1.36 else orbit for f, orbit in zip(sweeps.frequency, sweeps.orbits[UP], strict=True)
+    ]
+    sweeps = replace(sweeps, orbits=(early, sweeps.orbits[DOWN]))
+    lost = list(losses(search, sweeps))
+    (found,) = ranges(search, sweeps, lost)
+    assert (found.low, found.high) == pytest.approx((1.23, 1.52), abs=1e-6)
+
+
+def test_a_jump_that_is_small_beside_the_slope(monkeypatch: pytest.MonkeyPatch):
+    toy = two_branches(1.43, 1.62, rise=0.05, slope=8.0)
+    search, sweeps = toy_search(toy, monkeypatch), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    (found,) = ranges(search, sweeps, list(losses(search, sweeps)))
+    assert (found.low, found.high) == pytest.approx((1.43, 1.62), abs=1e-6)
+
+
+def test_a_slope_and_a_jump_in_one_step(monkeypatch: pytest.MonkeyPatch):
+    """Each half is looked at: the jump is narrowed down beside a slope that changes the amplitude more than it does."""
+    toy = two_branches(1.43, 1.62, rise=0.3, slope=8.0)
+    means = toy_search(toy, monkeypatch).means
+    for near, far, lost in ((1.5, 1.9, 1.62), (1.9, 1.3, 1.43)):
+        on = toy.orbit(0.0 if near < far else 1.0, near)
+        (beyond,) = toy.along(on.end, [far])
+        for width in (1.0, 1e-2, 1e-6):
+            step = Stretch(means.model, near, far, on, beyond, least=0.05)
+            ((_, jump),) = narrowed([step], means.solver, means.criterion, width)
+            low, high = sorted((jump.near, jump.far))
+            assert low <= lost <= high
+            assert high - low <= width
+        slope = Stretch(means.model, 1.1, 1.4, toy.orbit(0.0, 1.1), toy.orbit(0.0, 1.4), least=0.05)
+        assert narrowed([slope], means.solver, means.criterion, 1.0) == []
+
+
+def test_three_motions(monkeypatch: pytest.MonkeyPatch):
+    """Between jumps each sweep stays on one motion: a range is told for each pair."""
+    toy = Branches((-np.inf, 1.503), (1.217, 1.524), (1.441, np.inf))
+    search, sweeps = toy_search(toy, monkeypatch), toy_sweeps(toy, np.linspace(1.0, 2.0, 101))
+    found = list(ranges(search, sweeps, list(losses(search, sweeps))))
+    ends = [(1.217, 1.441), (1.441, 1.503), (1.503, 1.524)]
+    np.testing.assert_allclose([(one.low, one.high) for one in found], ends, atol=1e-6)
+    pairs = [(one.lower.end.displacement[0], one.upper.end.displacement[0]) for one in found]
+    assert pairs == [(0, 1), (0, 2), (1, 2)]
+
+
+def test_a_range_that_the_search_cuts(monkeypatch: pytest.MonkeyPatch):
+    toy = two_branches(0.9, 1.52)
+    search, sweeps = toy_search(toy, monkeypatch), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    (found,) = ranges(search, sweeps, list(losses(search, sweeps)))
+    assert found.cut == (True, False)
+    assert found.low == 1.0
+    assert np.isnan(found.jumped[0]).all()
+    assert np.isfinite(found.jumped[1]).all()
+
+
+def test_points_that_failed_do_not_hide_the_jumps(monkeypatch: pytest.MonkeyPatch):
+    toy = two_branches(1.23, 1.52)
+    search, sweeps = toy_search(toy, monkeypatch), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    sweeps.orbits[UP][2] = without_orbit(oscillator(2.0, 1.0), "it broke")
+    sweeps.orbits[DOWN][7] = without_orbit(oscillator(2.0, 1.0), "it broke")
+    (found,) = ranges(search, sweeps, list(losses(search, sweeps)))
+    assert (found.low, found.high) == pytest.approx((1.23, 1.52), abs=1e-6)
+
+
+def test_a_slope_is_no_jump(monkeypatch: pytest.MonkeyPatch):
+    toy = two_branches(9.0, 9.0)
+    toy.orbit = lambda branch, f: replace(
+        Branches.orbit(toy, 0, f), amplitude=np.full((1, 3), np.arctan(40 * (f - 1.5)) + 2)
+    )
+    search, sweeps = toy_search(toy, monkeypatch), toy_sweeps(toy, np.linspace(1.0, 2.0, 11))
+    assert suspect_steps(sweeps, UP).size > 0
+    assert list(losses(search, sweeps)) == []
+
+
+def test_motions_that_have_not_settled_differ_only_beyond_their_bands():
+    toy = two_branches(1.0, 2.0)
+    one, other = toy.orbit(0, 1.5), toy.orbit(1, 1.5)
+    assert differ(one, other)
+    assert not differ(one, one)
+    wide = replace(other, settled=False, band=np.stack([other.amplitude - 1.1, other.amplitude]))
+    assert not differ(one, wide)
+    assert not differ(one, replace(other, reason="failed"))
+
+
+# Starts
+
+
+def forces_of(model: Model, start: Start) -> tuple[float, float]:
+    """|f| and mu n of the only contact."""
+    u = model.contact_shape[0] @ start.displacement
+    contact = model.contacts[0]
+    force = contact.tangential_stiffness @ (u[:2] - start.slip[0])
+    return float(np.linalg.norm(force)), contact.friction * max(contact.preload + contact.normal_stiffness * u[2], 0.0)
+
+
+def test_starts_stay_in_the_cone():
+    model, random = oscillator(2.0, 1.25), np.random.default_rng(3)
+    states = set()
+    for _ in range(60):
+        displacement, slip = random.normal(scale=0.15, size=2), random.normal(scale=0.1, size=(1, 2))
+        start = placed(model, displacement, np.zeros(2), slip, random.uniform(-0.9, 0.9, (1, 2)))
+        force, limit = forces_of(model, start)
+        states.add(int(start.state[0]))
+        assert force <= limit
+        if start.state[0] == SEPARATION:
+            np.testing.assert_allclose(start.slip[0], model.contact_shape[0, :2] @ displacement)
+    assert states == {STICK, SEPARATION}
+    kept = placed(model, np.array([0.01, 0.0]), np.zeros(2), np.array([[0.02, 0.01]]))
+    np.testing.assert_array_equal(kept.slip, [[0.02, 0.01]])
+
+
+def test_the_motions_and_rest_are_among_the_starts():
+    model = oscillator(2.0, 1.25)
+    base = two_branches(1.0, 2.0).orbit(0, 1.5)
+    ends = [
+        Start(np.array(d), np.array([0.1, 0.2]), np.zeros((1, 2)), np.zeros(1)) for d in ([0.01, 0.02], [-0.02, 0.01])
+    ]
+    starts = starts_between(model, [replace(base, end=end) for end in ends], 5)
+    assert len(starts) == 25
+    for place, displacement in ((1 * 5 + 1, [0, 0]), (3 * 5 + 1, [0.01, 0.02]), (1 * 5 + 3, [-0.02, 0.01])):
+        np.testing.assert_allclose(starts[place].displacement, displacement, atol=1e-15)
+        np.testing.assert_array_equal(starts[place].slip, 0)
+    # The contact sticks in both motions: elsewhere it is pulled aside.
+    assert len({tuple(start.slip[0].round(9)) for start in starts}) > 8
+
+
+def test_offsets_of_a_contact_that_sticks():
+    base = two_branches(1.0, 2.0).orbit(0, 1.5)
+    orbits = [replace(base, end=replace(base.end, slip=np.array([[w, -w]]))) for w in (0.1, 0.3, -0.2)]
+    ((low, high),) = offsets(orbits)
+    np.testing.assert_allclose((low, high), [[-0.2, -0.3], [0.3, 0.2]])
+    assert not unique(low, high, 1.0).any()
+    ((low, high),) = offsets([replace(orbit, slip_share=np.array([0.1])) for orbit in orbits])
+    assert np.isnan([low, high]).all()
+    assert unique(low, high, 1.0).all()
+
+
+def test_where_a_start_has_led():
+    toy = two_branches(1.0, 2.0)
+    motions = [toy.orbit(0, 1.5), toy.orbit(1, 1.5)]
+    assert [branch_of(orbit, motions) for orbit in motions] == [0, 1]
+    assert branch_of(replace(motions[0], settled=False), motions) == NONE
+    assert branch_of(replace(motions[0], amplitude=3 * motions[0].amplitude), motions) == ANOTHER
+
+
+# Longer
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "ends"), [("bistable", (0.9416, 0.9472)), ("softening", (1.2511, 1.2560))])
+@pytest.mark.parametrize("periodic", ["march", "shoot"])
+def test_the_ends_on_the_papers_oscillator(name: str, ends: tuple[float, float], periodic: str):
+    given = {"study.frequency": {"from": 0.8, "to": 1.65}, "study.starts": 0, "study.periodic": periodic}
+    data = timesim.run(CONFIGS / f"{name}.yaml", given)
+    (found,) = data["range"].values
+    assert found == pytest.approx(ends, abs=1e-4)
+    hbm = data["hbm"].to_dataset()
+    turning = hbm.frequency.values[(hbm.fold.values > 0) & (hbm.slip_share.values[:, 0] > 0)]
+    assert sorted(turning) == pytest.approx(found.tolist(), abs=2e-5)
+
+
+@pytest.mark.slow
+def test_ranges_over_a_scalar():
+    given = {
+        "study.frequency": {"from": 1.2, "to": 1.35},
+        "study.over": {"contacts.pad.preload": [1.5, 2.0, 2.5]},
+        "study.starts": 0,
+        "study.width": 1e-4,
+    }
+    data = timesim.run(CONFIGS / "softening.yaml", given)
+    ends = data["range"].sel({"contacts.pad.preload": [1.5, 2.0, 2.5]}).values[:, 0]
+    assert np.isnan(ends[0]).all()
+    np.testing.assert_allclose(ends[1:], [[1.25106, 1.25608], [1.30658, 1.31081]], atol=1.1e-4)
+    assert plot_bistable.PICTURES["existence"](data) is not None
+
+
+CLAMP = """\
+title: the oscillator of Table 1, and a mode of its own held by a contact that always sticks
+structure:
+  modes:
+    - {frequency: 0.9, damping_ratio: 0.02, mass: 1.0, shape: {tip: [1, 1, 0.8], root: [0, 0, 0]}}
+    - {frequency: 1.1, damping_ratio: 0.02, mass: 1.0, shape: {tip: [1, -1, 0.6], root: [0, 0, 0]}}
+    - {frequency: 3.0, damping_ratio: 0.02, mass: 1.0, shape: {tip: [0, 0, 0], root: [1, 0.5, 0.2]}}
+contacts:
+  - {name: pad, point: tip, friction: 0.5, tangential_stiffness: 20.0, normal_stiffness: 20.0, preload: 2.0}
+  - {name: clamp, point: root, friction: 0.5, tangential_stiffness: 20.0, normal_stiffness: 20.0, preload: 8.0}
+excitation: {modal_force: [{amplitude: 1.0}, {amplitude: 1.0}, {amplitude: 1.0}]}
+solver: {accuracy: draft}
+study: {kind: bistable, frequency: {from: 1.245, to: 1.265}, step: 0.005, width: 2.0e-4, starts: 5, harmonics: 0}
+"""
+
+
+@pytest.mark.slow
+def test_offsets_that_are_not_unique():
+    data = timesim.run(CLAMP)
+    low, high = (data[name].isel(jump=0) for name in ("offset_low", "offset_high"))
+    assert np.isnan(low.sel(contact="pad")).all()
+    spread = (high - low).sel(contact="clamp").values
+    assert np.all(spread > 0.1)
+    # Half the preload, over the stiffness: no offset is held that would leave the cone.
+    assert float(abs(high.sel(contact="clamp")).max()) < 0.5 * (8.0 + 20 * 0.1) / 20 + 0.1

@@ -1,0 +1,573 @@
+"""Campaigns: chains of chunks on threads and on processes, and that nothing is lost whatever happens to them."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import toys
+from commands import fill_disk
+from toys import SCENE, chains, digest, expected
+from typer.testing import CliRunner
+
+import timesim
+from timesim.cli import app
+from timesim.result import checkpoint, store
+from timesim.result.change import fingerprint
+from timesim.result.store import StoreError
+from timesim.study import campaign, cluster
+from timesim.study import registry as study
+from timesim.study.campaign import Chunk, Means, MeansError, carry_through
+
+
+def carried(
+    chunks: list[Chunk], means: Means, identity: str = SCENE, **stage: str
+) -> tuple[dict[str, Any], str | None]:
+    return carry_through(chunks, toys.work, means, identity=identity, **stage)
+
+
+def means_of(folder: Path, **others: Any) -> tuple[Means, list[str]]:
+    """Two threads with checkpoints, and the notices they give."""
+    notices: list[str] = []
+    return Means(folder=folder, workers=2, notice=notices.append, **others), notices
+
+
+def calls(log: Path) -> Counter[str]:
+    return Counter(log.read_text().split()) if log.exists() else Counter()
+
+
+@pytest.mark.parametrize("workers", [1, 2, 7])
+def test_chains_give_the_same_whoever_does_the_work(workers: int):
+    shown: list[tuple[int, int]] = []
+    chunks = chains(4, 3)
+    results, reason = carried(chunks, Means(lambda *now: shown.append(now), workers=workers))
+    assert reason is None
+    assert digest(results) == digest(expected(chunks))
+    assert shown == [(2 * (i + 1), 24) for i in range(12)]
+
+
+def test_threads_work_side_by_side():
+    meeting = threading.Barrier(3, timeout=20)
+    results, reason = carry_through(
+        [Chunk(f"c{i}", i) for i in range(3)],
+        lambda i, before: {"i": np.array([i, meeting.wait()])},
+        Means(workers=3),
+        identity="",
+    )
+    assert reason is None
+    assert sorted(int(result["i"][1]) for result in results.values()) == [0, 1, 2]
+
+
+def test_nothing_to_do():
+    assert carried([], Means()) == ({}, None)
+
+
+def test_what_fails_is_named_and_the_others_go_on():
+    chunks = chains(3, 3, faults={"c-1-1": "raise"})
+    results, reason = carried(chunks, Means(workers=2))
+    left = [chunk for chunk in chunks if chunk.name not in ("c-1-1", "c-1-2")]
+    assert digest(results) == digest(expected(left))
+    assert reason == ("1 of 9 chunks failed: c-1-1: ArithmeticError: c-1-1 has no solution; 4 of 18 points are missing")
+
+
+def test_of_many_failures_the_first_are_named():
+    chunks = chains(9, 1, faults={f"c-{i}-0": "raise" for i in range(9)})
+    results, reason = carried(chunks, Means(workers=1))
+    assert results == {}
+    assert reason is not None
+    assert "c-3-0: Arith" in reason
+    assert "c-4-0" not in reason
+    assert "and 5 more" in reason
+
+
+@pytest.mark.parametrize("fault", ["interrupt", "halt"])
+def test_an_interrupt_keeps_what_is_done(fault: str, tmp_path: Path):
+    log = tmp_path / "log"
+    chunks = chains(3, 8, seconds=0.01, log=log, faults={"c-1-4": fault})
+    means, _ = means_of(tmp_path)
+    results, reason = carried(chunks, means)
+    assert reason is not None
+    assert reason.startswith("interrupted; ")
+    assert 0 < len(results) < len(chunks)
+    assert ("c-1-4" in results) == (fault == "interrupt")
+    whole = expected(chunks)
+    assert digest(results) == digest({name: whole[name] for name in results})
+    kept = {path.stem for path in (tmp_path / "checkpoint").glob("*.npz")}
+    assert kept == set(results)
+    before = calls(log)
+    clean = [replace(chunk, payload=replace(chunk.payload, fault="")) for chunk in chunks]
+    manifest = checkpoint.Manifest(SCENE, {chunk.name: fingerprint(chunk) for chunk in clean})
+    store.write_whole(tmp_path / "checkpoint" / "manifest.json", manifest_text(manifest))
+    rest, reason = carried(clean, replace(means, resume=True))
+    assert reason is None
+    assert digest(rest) == digest(whole)
+    assert all(calls(log)[name] == before[name] for name in results)
+
+
+def manifest_text(manifest: checkpoint.Manifest) -> bytes:
+    import json
+    from dataclasses import asdict
+
+    return json.dumps(asdict(manifest)).encode()
+
+
+def test_resumed_bit_for_bit(tmp_path: Path):
+    log = tmp_path / "log"
+    chunks = chains(3, 4, log=log)
+    means, notices = means_of(tmp_path)
+    whole, _ = carried(chunks, means)
+    for name in ("c-0-3", "c-1-1", "c-2-0"):
+        (tmp_path / "checkpoint" / f"{name}.npz").unlink()
+    before = calls(log)
+    again, reason = carried(chunks, replace(means, resume=True))
+    assert reason is None
+    assert digest(again) == digest(whole) == digest(expected(chunks))
+    assert calls(log) - before == Counter(["c-0-3", "c-1-1", "c-2-0"])
+    assert notices == [f"9 of 12 chunks are taken up from {tmp_path / 'checkpoint'}"]
+    checkpoint.clear(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["log"]
+
+
+def test_without_resume_it_starts_anew(tmp_path: Path):
+    log = tmp_path / "log"
+    means, notices = means_of(tmp_path)
+    for repeat in (1, 2):
+        carried(chains(1, 3, log=log), means)
+        assert set(calls(log).values()) == {repeat}
+    assert notices == []
+
+
+def test_nothing_to_resume_is_said(tmp_path: Path):
+    means, notices = means_of(tmp_path, resume=True)
+    assert carried(chains(1, 2), means)[1] is None
+    assert notices == [f"there is nothing to resume in {tmp_path}: it starts from the beginning"]
+
+
+@pytest.mark.parametrize(
+    ("chunks", "identity", "told"),
+    [
+        (chains(2, 2), SCENE.replace("1.6", "1.7"), "another scene: study.frequency.to was 1.6, is 1.7"),
+        (chains(2, 2), SCENE.replace("title: toy\n", ""), "another scene: title was toy, is not given"),
+        (chains(2, 2), f"{SCENE}# why", "another scene: 'nothing' was there, now '# why'"),
+        (chains(2, 3), SCENE, "other chunks: 'c-1-0' was there, now 'c-0-2'"),
+        (chains(2, 2, seconds=1.0), SCENE, "other data, such as a file of matrices that has changed: see chunk c-0-0"),
+    ],
+)
+def test_a_changed_scene_is_named_and_not_resumed(chunks: list[Chunk], identity: str, told: str, tmp_path: Path):
+    means, _ = means_of(tmp_path)
+    carried(chains(2, 2), means)
+    before = {path: path.read_bytes() for path in (tmp_path / "checkpoint").iterdir()}
+    with pytest.raises(StoreError) as caught:
+        carried(chunks, replace(means, resume=True), identity)
+    assert told in str(caught.value)
+    assert "--force" in str(caught.value)
+    assert {path: path.read_bytes() for path in (tmp_path / "checkpoint").iterdir()} == before
+
+
+def test_another_version_is_named_and_not_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    means, _ = means_of(tmp_path)
+    carried(chains(1, 1), means)
+    monkeypatch.setattr(checkpoint, "version", lambda name: "99.0")
+    with pytest.raises(StoreError, match=r"was begun by timesim \S+, this is 99\.0"):
+        carried(chains(1, 1), replace(means, resume=True))
+
+
+@pytest.mark.parametrize("damage", [lambda content: content[:-40], lambda content: b"", lambda content: b"PK" * 99])
+def test_a_damaged_chunk_is_named_and_computed_again(damage: Any, tmp_path: Path):
+    log = tmp_path / "log"
+    chunks = chains(2, 2, log=log)
+    means, notices = means_of(tmp_path)
+    whole, _ = carried(chunks, means)
+    file = tmp_path / "checkpoint" / "c-0-0.npz"
+    content = file.read_bytes()
+    file.write_bytes(damage(content))
+    again, reason = carried(chunks, replace(means, resume=True))
+    assert reason is None
+    assert digest(again) == digest(whole)
+    assert calls(log) == Counter({"c-0-0": 2, "c-0-1": 1, "c-1-0": 1, "c-1-1": 1})
+    assert f"{file} is damaged or cut off" in notices[0]
+    assert file.read_bytes() == content
+
+
+def test_a_flipped_bit_is_found(tmp_path: Path):
+    means, notices = means_of(tmp_path)
+    chunks = chains(1, 1)
+    whole, _ = carried(chunks, means)
+    file = tmp_path / "checkpoint" / "c-0-0.npz"
+    content = bytearray(file.read_bytes())
+    place = content.index(whole["c-0-0"]["x"].tobytes())
+    content[place + 3] ^= 1
+    file.write_bytes(content)
+    again, _ = carried(chunks, replace(means, resume=True))
+    assert digest(again) == digest(whole)
+    assert "CRC" in notices[0]
+
+
+def test_a_damaged_manifest_is_a_message(tmp_path: Path):
+    means, _ = means_of(tmp_path)
+    carried(chains(1, 1), means)
+    manifest = tmp_path / "checkpoint" / "manifest.json"
+    manifest.write_bytes(manifest.read_bytes()[:-9])
+    with pytest.raises(StoreError, match=r"manifest.json cannot be read .*the 1 chunks beside it .* --force"):
+        carried(chains(1, 1), replace(means, resume=True))
+
+
+def test_chunks_without_a_manifest_are_not_thrown_away(tmp_path: Path):
+    means, _ = means_of(tmp_path)
+    carried(chains(1, 3), means)
+    manifest = tmp_path / "checkpoint" / "manifest.json"
+    content = manifest.read_bytes()
+    manifest.unlink()
+    with pytest.raises(StoreError, match=r"holds 3 chunks but no manifest.json.* put it back, .* --force"):
+        carried(chains(1, 3), replace(means, resume=True))
+    with pytest.raises(StoreError, match=r"holds 3 chunks but no manifest\.json"):
+        checkpoint.is_finished(tmp_path, SCENE, force=False, resume=False)
+    assert not checkpoint.is_finished(tmp_path, SCENE, force=True, resume=False)
+    manifest.write_bytes(content)
+    results, reason = carried(chains(1, 3), replace(means, resume=True))
+    assert (len(results), reason) == (3, None)
+
+
+def test_a_full_disk_ends_it_with_what_it_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    chunks = chains(2, 20)
+    fsync, written = os.fsync, []
+
+    def full(handle: int) -> None:
+        written.append(handle)
+        if len(written) > 6:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(handle)
+
+    means, _ = means_of(tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        results, reason = carried(chunks, means)
+    assert reason is not None
+    assert "No space left on device; " in reason
+    assert "unchanged" not in reason
+    assert "points are missing" in reason
+    assert 6 <= len(results) < 40
+    assert len(list((tmp_path / "checkpoint").glob("*.npz"))) == 5
+    assert not list((tmp_path / "checkpoint").glob("*.part"))
+    again, reason = carried(chunks, replace(means, resume=True))
+    assert reason is None
+    assert digest(again) == digest(expected(chunks))
+
+
+def test_a_folder_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "file").touch()
+    means, _ = means_of(tmp_path / "file")
+    with pytest.raises(StoreError, match="cannot be made: Not a directory"):
+        carried(chains(1, 1), means)
+
+    def refused(*_: Any, **__: Any) -> None:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(store.tempfile, "mkstemp", refused)
+    means, _ = means_of(tmp_path)
+    with pytest.raises(StoreError, match=r"manifest.json cannot be written: Permission denied"):
+        carried(chains(1, 1), means)
+
+
+def test_two_runs_do_not_work_in_one_folder(tmp_path: Path):
+    means, _ = means_of(tmp_path)
+
+    def second(now: int, number: int) -> None:
+        with pytest.raises(StoreError, match="another run is at work"):
+            carried(chains(1, 1), replace(means, resume=True))
+        with pytest.raises(StoreError, match="another run is at work"):
+            checkpoint.clear(tmp_path)
+
+    assert carried(chains(1, 1), replace(means, progress=second))[1] is None
+
+
+def test_stages_of_a_study_keep_apart(tmp_path: Path):
+    log = tmp_path / "log"
+    means, _ = means_of(tmp_path)
+    for resume in (False, True):
+        for stage in ("", "bisect"):
+            assert carried(chains(1, 2, log=log), replace(means, resume=resume), stage=stage)[1] is None
+    assert calls(log) == Counter({"c-0-0": 2, "c-0-1": 2})
+    (tmp_path / "checkpoint" / "notes.txt").write_text("the user's own")
+    checkpoint.clear(tmp_path)
+    assert [path.name for path in (tmp_path / "checkpoint").iterdir()] == ["notes.txt"]
+
+
+def test_arrays_of_objects_are_refused(tmp_path: Path):
+    kept, begun = checkpoint.begin(tmp_path, checkpoint.Manifest(SCENE, {}), resume=False)
+    assert not begun
+    with pytest.raises(StoreError, match="chunk a, 'x': not an array of numbers or text"):
+        kept.save("a", {"x": np.array([{}])})
+    kept.close()
+    assert not list((tmp_path / "checkpoint").glob("*a.npz*"))
+
+
+@pytest.mark.parametrize(
+    ("chunks", "told"),
+    [
+        ([Chunk("a", 1), Chunk("a", 2)], "unique"),
+        ([Chunk("../a", 1)], "'../a'"),
+        ([Chunk(".a", 1)], "'.a'"),
+        ([Chunk("a", 1, "b"), Chunk("b", 1)], "a comes after 'b', which must be a chunk above it"),
+    ],
+)
+def test_chunks_that_make_no_sense(chunks: list[Chunk], told: str):
+    with pytest.raises(ValueError, match=told):
+        carried(chunks, Means())
+
+
+def test_fingerprints_tell_data_apart_and_nothing_else():
+    array = np.arange(4.0)
+    same = [(array, array), (array, array.copy()), [np.arange(4.0), np.arange(4.0)]]
+    assert len({fingerprint(pair) for pair in same}) == 1
+    other = [(array, array + 1e-16), (array, array.astype(int)), (array, array.reshape(2, 2)), (array,), (array, 0.0)]
+    found = [fingerprint(pair) for pair in (*other[1:], (array, np.nextafter(array, 9)), same[0])]
+    assert len(set(found)) == len(found)
+    assert fingerprint({"a": ["b"]}) != fingerprint({"a": "b"})
+    assert fingerprint("ab", "c") != fingerprint("a", "bc")
+
+
+def process(folder: Path, resume: str) -> subprocess.Popen[str]:
+    command = [sys.executable, str(Path(toys.__file__)), str(folder), resume]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+
+
+def test_killed_at_random_moments_it_goes_on(tmp_path: Path):
+    random = np.random.default_rng(7)
+    log = tmp_path / "log.txt"
+    for attempt in range(10):
+        kept = {path.stem for path in (tmp_path / "checkpoint").glob("*.npz")}
+        before = calls(log)
+        with process(tmp_path, "resume" if attempt else "anew") as run:
+            assert run.stdout is not None
+            assert run.stdout.readline() == "begun\n"
+            time.sleep(random.uniform(0.0, 0.12))
+            run.send_signal(signal.SIGKILL)
+        assert run.returncode == -signal.SIGKILL
+        assert not kept & set(calls(log) - before)
+    with process(tmp_path, "resume") as run:
+        said, _ = run.communicate()
+    assert said.split() == ["begun", "None", digest(expected(chains(5, 16)))]
+    assert sum(calls(log).values()) > 80
+
+
+# Processes of a dask cluster
+
+
+@pytest.fixture(scope="module")
+def scheduler() -> Any:
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50) as own:
+        yield own.scheduler_address
+
+
+def test_on_a_cluster_with_a_worker_killed_nothing_is_lost(scheduler: str, tmp_path: Path):
+    log = tmp_path / "log"
+    chunks = chains(3, 3, log=log, faults={"c-1-1": "kill", "c-2-0": "raise"})
+    means, _ = means_of(tmp_path, cluster=scheduler)
+    results, reason = carried(chunks, means)
+    assert Path(f"{log}.killed").exists()
+    assert digest(results) == digest(expected(chunks[:6]))
+    assert reason is not None
+    assert "c-2-0: ArithmeticError: c-2-0 has no solution; 6 of 18 points are missing" in reason
+    assert calls(log)["c-2-0"] == 1 + cluster.RETRIES
+    assert {path.stem for path in (tmp_path / "checkpoint").glob("*.npz")} == set(results)
+    kept = calls(log)
+    assert digest(carried(chunks, replace(means, resume=True, cluster=None))[0]) == digest(results)
+    assert calls(log) - kept == Counter({"c-2-0": 1})
+
+
+def test_an_interrupt_leaves_the_cluster_at_once(scheduler: str, tmp_path: Path):
+    chunks = [*chains(1, 3), replace(chains(2, 1, seconds=600.0)[1], after="c-0-1")]
+    means, _ = means_of(tmp_path, cluster=scheduler)
+
+    def interrupt(done: int, number: int) -> None:
+        if done == 6:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    results, reason = carried(chunks, replace(means, progress=interrupt))
+    assert reason == "interrupted; 2 of 8 points are missing"
+    assert list(results) == ["c-0-0", "c-0-1", "c-0-2"]
+    assert {path.stem for path in (tmp_path / "checkpoint").glob("*.npz")} == set(results)
+
+
+def test_processes_of_this_machine():
+    chunks = chains(2, 2)
+    results, reason = carried(chunks, Means(cluster="local", workers=1))
+    assert reason is None
+    assert digest(results) == digest(expected(chunks))
+
+
+def test_a_cluster_that_is_lost(monkeypatch: pytest.MonkeyPatch):
+
+    class Lost(ThreadPoolExecutor):
+        def submit(self, *args: Any, **kwargs: Any) -> Any:
+            future = super().submit(*args, **kwargs)
+            future.result()
+            other: Any = type(future)()
+            other.cancel()
+            other.set_running_or_notify_cancel()
+            return other
+
+    monkeypatch.setattr(campaign, "processes", lambda *_: Lost(1))
+    results, reason = carried(chains(1, 2), Means(cluster="tcp://there:1"))
+    assert results == {}
+    assert reason == "the connection to the cluster tcp://there:1 is lost; 4 of 4 points are missing"
+
+
+def test_clusters_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(cluster, "PATIENCE", "0.2s")
+    with pytest.raises(MeansError, match=r"tcp://127\.0\.0\.1:9 cannot be reached.*give the address"):
+        carried(chains(1, 1), Means(cluster="tcp://127.0.0.1:9"))
+    for wrong, told in (("a:b:c", "give one as tcp://host:8786"), ("lokal", r"did you mean local\?"), ("host", "give")):
+        with pytest.raises(MeansError, match=f"cluster {wrong}: is no address of a scheduler; {told}"):
+            Means(cluster=wrong)
+    for address in ("local", "host:8786", "[::1]:8786", "tls://host:8786"):
+        Means(cluster=address)
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MeansError, match=r"pip install 'timesim\[cluster\]'"):
+        carried(chains(1, 1), Means(cluster="local"))
+    with pytest.raises(MeansError, match="workers must be at least 1, not 0"):
+        Means(workers=0)
+
+
+@pytest.mark.parametrize(
+    ("found", "told"),
+    [
+        ({}, "has no workers"),
+        ({"tcp://w:1": "0.0.1"}, "worker tcp://w:1 has timesim 0.0.1"),
+        ({"tcp://w:1": ModuleNotFoundError("timesim")}, "worker tcp://w:1 has no timesim"),
+    ],
+)
+def test_workers_that_would_do_other_work(found: dict[str, Any], told: str):
+    class Client:
+        def run(self, *_: Any, **__: Any) -> dict[str, Any]:
+            return found
+
+    with pytest.raises(MeansError, match=told):
+        cluster._check_workers(Client(), "tcp://there:1")
+
+
+# The commands
+
+OSCILLATOR = str(Path(__file__).parents[2] / "configs" / "oscillator.yaml")
+TOY_SWEEP = "study={kind: sweep, frequency: {from: 1.0, to: 1.5, step: 0.1}}"
+
+
+@pytest.fixture
+def faulty(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Makes toys of sweeps; the list says what goes wrong."""
+    monkeypatch.setitem(study.CAMPAIGNS, "sweep", "toys")
+    monkeypatch.setattr(toys, "FAULTY", [])
+    return toys.FAULTY
+
+
+def call(folder: Path, *options: str, scene: str = TOY_SWEEP) -> tuple[int, str, str]:
+    arguments = ["run", OSCILLATOR, "-o", str(folder), "--no-plots", "--set", scene, *options]
+    found = CliRunner().invoke(app, arguments)
+    return found.exit_code, found.stdout, found.stderr
+
+
+def test_a_whole_run_leaves_no_checkpoint(faulty: list[Any], tmp_path: Path):
+    assert call(tmp_path)[0] == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["result.nc", "scene.yaml"]
+    before = (tmp_path / "result.nc").read_bytes()
+    status, out, _ = call(tmp_path, "--resume")
+    assert status == 0
+    assert "complete: there is nothing to resume" in out
+    status, _, error = call(tmp_path, "--resume", scene=TOY_SWEEP.replace("1.5", "1.6"))
+    assert status == 2
+    assert "study.frequency.to was 1.5, is 1.6" in error
+    assert (tmp_path / "result.nc").read_bytes() == before
+
+
+@pytest.mark.parametrize("fault", ["interrupt", "raise"])
+def test_a_run_cut_off_is_resumed_by_the_commands(fault: str, faulty: list[Any], tmp_path: Path):
+    assert call(tmp_path / "whole")[0] == 0
+    whole = store.open_result(tmp_path / "whole")
+    faulty[:] = [fault, 3]
+    status, _, error = call(tmp_path / "run")
+    assert status == 1
+    assert "points are missing" in error
+    assert "--resume" in error
+    assert np.isnan(store.open_result(tmp_path / "run")["cycles"]).any()
+    status, _, error = call(tmp_path / "run")
+    assert status == 2
+    assert "chunks done; give --resume to go on, or --force to start anew" in error
+    status, _, error = call(tmp_path / "run", "--resume", scene=TOY_SWEEP.replace("1.5", "1.4"))
+    assert status == 2
+    assert "study.frequency.to was 1.5, is 1.4" in error
+    assert call(tmp_path / "run", "--resume", "--force")[0] == 2
+    status, _, error = call(tmp_path / "run", "--resume")
+    assert "of 6 chunks are taken up" in error
+    assert status == (1 if fault == "raise" else 0)
+    if status == 0:
+        np.testing.assert_array_equal(store.open_result(tmp_path / "run")["cycles"], whole["cycles"])
+    faulty.clear()
+    assert call(tmp_path / "run", "--force")[0] == 0
+    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == ["result.nc", "scene.yaml"]
+
+
+def test_a_result_that_cannot_be_saved_says_what_is_safe(
+    faulty: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    fill_disk(monkeypatch, "result.nc")
+    status, _, error = call(tmp_path)
+    assert status == 1
+    assert "result.nc cannot be written: No space left on device; the 6 chunks done are safe in" in error
+    assert "--resume goes on with them" in error
+    assert "unchanged" not in error
+    monkeypatch.undo()
+    monkeypatch.setitem(study.CAMPAIGNS, "sweep", "toys")
+    assert call(tmp_path, "--resume")[0] == 0
+
+
+def test_resuming_is_advised_where_it_gets_further(tmp_path: Path):
+    means, _ = means_of(tmp_path)
+    carried(chains(2, 2), means)
+    assert not checkpoint.resuming_helps(tmp_path, "hbm: did not converge")
+    assert checkpoint.resuming_helps(tmp_path, "hbm: interrupted at curve 2")
+    (tmp_path / "checkpoint" / "c-1-1.npz").unlink()
+    assert checkpoint.resuming_helps(tmp_path, "hbm: did not converge")
+    assert not checkpoint.resuming_helps(tmp_path / "new", "interrupted")
+
+
+def test_resume_with_nothing_there_runs(faulty: list[Any], tmp_path: Path):
+    status, _, error = call(tmp_path / "new", "--resume")
+    assert status == 0
+    assert "nothing to resume" in error
+
+
+@pytest.mark.parametrize(("option", "name"), [(("--resume",), "resume"), (("--cluster", "local"), "cluster")])
+def test_a_study_in_one_go_refuses_them(option: tuple[str, ...], name: str, tmp_path: Path):
+    status, _, error = call(tmp_path / "run", *option, scene="study.cycles=60")
+    assert status == 2
+    assert f"{name}: a transient study is done in one go" in error
+    assert "leave it out" in error
+    assert not (tmp_path / "run").exists()
+    with pytest.raises(MeansError, match="workers: a transient study"):
+        timesim.run(OSCILLATOR, workers=2)
+
+
+def test_a_cluster_that_does_not_answer_is_status_2(faulty: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(cluster, "PATIENCE", "0.2s")
+    status, _, error = call(tmp_path, "--cluster", "tcp://127.0.0.1:9")
+    assert status == 2
+    assert "cannot be reached" in error
+    assert not (tmp_path / "result.nc").exists()
+    assert call(tmp_path)[0] == 0
+    status, _, error = call(tmp_path / "new", "--cluster", "lokal")
+    assert status == 2
+    assert error == "cluster lokal: is no address of a scheduler; did you mean local?\n"
+    assert not (tmp_path / "new").exists()

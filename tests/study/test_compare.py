@@ -1,0 +1,250 @@
+"""Two methods on one scene: the study that sets them side by side, and what it shows of the paper's oscillator."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import CONFIGS, run_config
+from systems import oscillator_scene
+from typer.testing import CliRunner
+
+import timesim
+from timesim.cli import app
+from timesim.picture import compare as plot_compare
+from timesim.picture import draw as plot
+from timesim.result.store import open_groups
+from timesim.scene.resolution import load_scene
+from timesim.study import compare
+from timesim.study.registry import carry_out
+
+SHORT: dict[str, Any] = {
+    "study.frequency": {"values": [0.85, 0.9, 1.2, 1.42]},
+    "study.over": {"contacts.pad.preload": [-4, 3]},
+    "study.harmonics": 7,
+    "study.time_samples": 512,
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Figure 10 at a few points, by the command."""
+    return run_config(tmp_path_factory.mktemp("compare"), "figure10.yaml", SHORT)
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path):
+    return open_groups(folder / "run")
+
+
+def test_the_result_has_both_methods_and_their_difference(result):
+    assert result.attrs["complete"] == 1
+    assert set(result.children) == {"sweep", "hbm", "cycle"}
+    sweep, difference = result["sweep"].amplitude, result["relative_difference"]
+    assert difference.dims == sweep.dims == ("contacts.pad.preload", "direction", "frequency", "point", "axis")
+    assert difference.shape == sweep.shape
+    assert result["sweep"].direction.values.tolist() == ["independent"]
+    assert result["sweep"].settled.values.all()
+    assert result["hbm"].frequency.dims == ("solution",)
+    assert "7 harmonics" in result.attrs["method"]
+    assert "tsit5" in result.attrs["method"]
+
+
+def test_both_agree_where_the_contact_slips_or_opens(result):
+    slip, apart = (result["sweep"][f"{name}_share"].values[..., 0] for name in ("slip", "separation"))
+    telling = (slip > 0) | ((apart > 0) & (apart < 1))
+    size = np.abs(result["relative_difference"].values).max(axis=(-2, -1))
+    assert telling.sum() == 3
+    print(np.c_[slip[telling], apart[telling], size[telling]])
+    assert slip[telling].min() > 0.05
+    assert 1e-7 < size[telling].max() < 2e-3
+    assert size[~telling].max() < 1e-6
+
+
+def test_the_command_tells_the_verdict(folder, result):
+    said = (folder / "said").read_text()
+    verdict = result.attrs["verdict"]
+    for line in verdict.splitlines():
+        assert line in said
+    assert "the methods agree: 3 points with slip, or contact for a part of the cycle" in verdict
+    assert "of the cycle in slip" in verdict
+    assert "at 5 points every contact sticks, or stays apart, all the time" in verdict
+    assert "proves nothing" in verdict
+    assert "harmonic balance: " in verdict.splitlines()[-1]
+    assert "time integration: 8 points in" in verdict
+
+
+def test_a_cycle_by_both_methods(result):
+    cycle = result["cycle"].to_dataset()
+    x = cycle.displacement
+    assert x.dims == ("found_by", "excitation_angle", "point", "axis")
+    size = float(np.abs(x).max())
+    np.testing.assert_allclose(x.sel(found_by="hbm"), x.sel(found_by="sweep"), atol=2e-3 * size)
+    assert float(np.abs(x.sel(found_by="hbm") - x.sel(found_by="sweep")).max()) > 1e-9 * size
+    same = cycle.contact_state.sel(found_by="hbm").values == cycle.contact_state.sel(found_by="sweep").values
+    assert same.mean() > 0.97
+    assert np.unique(cycle.contact_state).size >= 2
+    height = cycle.harmonic_amplitude
+    np.testing.assert_allclose(height.sel(found_by="hbm"), height.sel(found_by="sweep"), atol=2e-3 * size)
+    # The first harmonic is that of the samples, whichever way it was found.
+    angle = np.deg2rad(cycle.excitation_angle.values)
+    first = 2 * np.abs(np.exp(-1j * angle) @ x.sel(found_by="sweep", point="tip", axis="x").values) / angle.size
+    assert height.sel(found_by="sweep", point="tip", axis="x", harmonic=1) == pytest.approx(first, rel=1e-9)
+
+
+def test_pictures_are_drawn_by_run_and_again_by_plot(folder):
+    drawn = sorted(path.name for path in (folder / "run").glob("*.png"))
+    assert drawn == sorted(plot.picture_names("compare"))
+    for name in drawn:
+        (folder / "run" / name).unlink()
+    assert CliRunner().invoke(app, ["plot", str(folder / "run")]).exit_code == 0
+    assert sorted(path.name for path in (folder / "run").glob("*.png")) == drawn
+
+
+def test_pictures_name_what_they_show(result):
+    folds = result["hbm"].frequency.values[result["hbm"].fold.values > 0]
+    figure = plot_compare.PICTURES["difference"](result)
+    named = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    assert ("frequency of a fold" in named) == (folds.size > 0)
+    assert plot_compare.states(result).get_xlabel() == "phase of the excitation [degree]"
+
+
+def plain_sweep(**changes: Any) -> compare.Sweep:
+    """Two values, one direction, three frequencies; every motion of amplitude 1 along x."""
+    shape = (2, 1, 3)
+    amplitude = np.zeros((*shape, 1, 3))
+    amplitude[..., 0] = 1.0
+    given: dict[str, Any] = {
+        "frequency": np.array([1.0, 2.0, 3.0]),
+        "amplitude": amplitude,
+        "settled": np.ones(shape, bool),
+        "doubled": np.zeros(shape, bool),
+        "linear": np.zeros(shape, bool),
+        "slip": np.full(shape, 0.4),
+        "separation": np.full(shape, 0.1),
+    }
+    return compare.Sweep(**given | changes)
+
+
+def plain_match(sweep: compare.Sweep, difference: float, missing: int = 0) -> compare.Match:
+    off = np.full(sweep.amplitude.shape, np.nan)
+    off[..., 0] = difference
+    solution = np.zeros(sweep.settled.shape, int)
+    solution.ravel()[:missing] = -1
+    return compare.Match(sweep.amplitude * (1 + difference), off, np.zeros((2, 3), bool), solution, [None, None])
+
+
+@pytest.fixture(scope="module")
+def curves():
+    """Without any: the verdict only asks for the values."""
+    from timesim.study.hbm_curves import Curves
+
+    scene = load_scene(CONFIGS / "figure10.yaml", SHORT)
+    return Curves(scene, scene.file.study)
+
+
+@pytest.mark.parametrize(("size", "word"), [(1e-4, "agree"), (1e-2, "nearly agree"), (0.1, "differ")])
+def test_the_verdict_follows_the_difference(curves, size, word):
+    sweep = plain_sweep()
+    lines = list(compare.verdict(sweep, plain_match(sweep, size), curves))
+    assert lines[0].startswith(f"the methods {word}: 6 points")
+    assert ("convergence" in lines[0]) == (size > 2e-3)
+    assert len(lines) == 1
+
+
+def test_a_motion_that_no_curve_passes_begins_one():
+    """Both motions at a gap, in a range that the fold between them lies outside of: each sweep has its own curve."""
+    study = {
+        "kind": "compare",
+        "frequency": {"values": [0.9425, 0.944, 0.946]},
+        "direction": "both",
+        "harmonics": 7,
+        "time_samples": 512,
+    }
+    start = {"modal_displacement": [-0.2, -0.2]}  # leads to the larger motion at 0.9425 Hz, the smaller at 0.946
+    scene = load_scene(oscillator_scene(preload=-4.0) | {"study": study, "initial": start})
+    outcome = carry_out(scene)
+    assert outcome.reason is None
+    amplitude = outcome.groups["sweep"].dataset().amplitude.sel(point="tip", axis="x")
+    assert float(amplitude.max() / amplitude.min()) > 1.3
+    curves = outcome.groups["hbm"].dataset()
+    assert set(curves.curve.values) == {0, 1}
+    difference = outcome.groups[""].dataset().relative_difference
+    assert float(abs(difference).max()) < 2e-3
+    assert any("a curve of its own" in line for line in outcome.summary)
+
+
+def test_jumps_of_the_sweeps_are_told_beside_the_folds():
+    study = {
+        "kind": "compare",
+        "frequency": {"values": [0.93, 0.944, 0.96]},
+        "direction": "both",
+        "refine": 1e-3,
+        "harmonics": 7,
+        "time_samples": 512,
+    }
+    said = carry_out(load_scene(oscillator_scene(preload=-4.0) | {"study": study})).summary
+    jumps = [line for line in said if "the motion jumps between" in line]
+    assert [line.split(":")[0] for line in jumps] == ["direction up", "direction down"]
+    assert any("folds at 0.947" in line for line in said)
+
+
+def test_full_stick_proves_nothing(curves):
+    sweep = plain_sweep(linear=np.ones((2, 1, 3), bool))
+    lines = list(compare.verdict(sweep, plain_match(sweep, 0.0), curves))
+    assert "nothing is proven" in lines[0]
+    assert "at 6 points every contact sticks" in lines[1]
+
+
+def test_points_without_an_answer_are_named(curves):
+    settled = np.ones((2, 1, 3), bool)
+    settled[1, 0, 2] = False
+    doubled = np.zeros((2, 1, 3), bool)
+    doubled[1, 0, 1], settled[1, 0, 1] = True, False
+    sweep = plain_sweep(settled=settled, doubled=doubled)
+    text = "\n".join(compare.verdict(sweep, plain_match(sweep, 1e-5, missing=2), curves))
+    assert "2 points have no stable solution of the balance: contacts.pad.preload -4 at 1 to 2 Hz" in text
+    assert "1 points repeat after several cycles, which the balance cannot show: contacts.pad.preload 3 at 2 Hz" in text
+    assert "1 points did not settle and are left out: contacts.pad.preload 3 at 3 Hz" in text
+
+
+def test_the_sweep_carries_its_state():
+    """Between the jumps of figure 11 each direction has its own motion; the balance has both, and a third unstable."""
+    given = {"study.frequency": {"from": 0.94, "to": 0.95, "step": 0.0025}, "study.convergence": False}
+    found = timesim.run(CONFIGS / "figure11.yaml", given | {"study.harmonics": 7})
+    assert found.attrs["complete"] == 1
+    x = found["sweep"].amplitude.sel(point="tip", axis="x").sel(frequency=0.945, method="nearest")
+    up, down = float(x.sel(direction="up")), float(x.sel(direction="down"))
+    assert up > 1.5 * down
+    size = np.abs(found["relative_difference"].values)
+    assert np.nanmax(size) < 2e-3
+    assert np.isfinite(size).all()
+    folds = found["hbm"].frequency.values[found["hbm"].fold.values == 1]
+    np.testing.assert_allclose(np.sort(folds), [0.9416, 0.9472], atol=2e-4)
+    assert (found["hbm"].stable.values[found["hbm"].fold.values == 0] == 0).any()
+
+
+@pytest.mark.slow
+def test_figure_10_point_by_point():
+    """The errors of the balance at figure 10's points fall with its harmonics; 15 leave less than 2e-3."""
+    frequencies = np.round(np.arange(0.82, 1.66, 0.04), 10).tolist()
+    worst = {}
+    for harmonics in (1, 3, 7, 15):
+        given = {"study.frequency": {"values": frequencies}, "study.harmonics": harmonics}
+        given |= {"study.start": "both_ends", "study.stability": False}
+        with np.errstate(all="ignore"):
+            found = timesim.run(CONFIGS / "figure10.yaml", given)
+        sweep = found["sweep"].to_dataset()
+        slip, apart = (sweep[f"{name}_share"].values[..., 0] for name in ("slip", "separation"))
+        size = np.nanmax(np.abs(found["relative_difference"].values), axis=(-2, -1))
+        folds = found["hbm"].frequency.values[found["hbm"].fold.values == 1]
+        clear = (np.abs(np.subtract.outer(frequencies, folds)) > 1e-3).all(axis=1)
+        telling = ((slip > 0) | ((apart > 0) & (apart < 1))) & (sweep.settled.values == 1) & clear
+        assert telling.sum() > 60
+        worst[harmonics] = float(np.nanmax(size[telling]))
+        shares = f"{slip[telling].mean():.2f} in slip, {apart[telling].mean():.2f} in separation"
+        print(f"{harmonics} harmonics: {telling.sum()} points, {shares}: at most {worst[harmonics]:.1e}")
+        assert np.isfinite(size[telling]).all()
+    assert worst[1] > 3 * worst[3] > 9 * worst[7]
+    assert worst[15] < worst[7]
+    assert worst[15] < 2e-3

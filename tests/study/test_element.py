@@ -1,0 +1,441 @@
+"""A contact under prescribed motion: two independent ways against each other, studies, pictures, bad motions."""
+
+import json
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from timesim.cli import app
+from timesim.element.loop import difference, loop_cycle
+from timesim.element.motion import CYCLE, HarmonicMotion, SplineMotion
+from timesim.element.prescribed import harmonic_elements
+from timesim.element.state_by_state import steady_cycle
+from timesim.engine.solver import solver_of
+from timesim.fault import SceneError
+from timesim.model.model import SEPARATION, SLIP, STICK, Contact
+from timesim.result.store import open_result
+from timesim.scene.resolution import load_scene
+from timesim.study.element_map import March, elements_of, limits
+from timesim.study.registry import run
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+TABLE = json.loads((Path(__file__).parents[1] / "data/element_motions.json").read_text())["cases"]
+FULL = np.array([[1.5, 0.4], [0.4, 0.8]])
+PAD = {"name": "pad", "friction": 0.3, "tangential_stiffness": 1.0, "normal_stiffness": 1.0, "preload": 1.0}
+
+
+def contact(stiffness=1.0, friction=0.3, normal=1.0, preload=1.0):
+    K = stiffness * np.eye(2) if np.isscalar(stiffness) else np.asarray(stiffness, float)
+    return Contact("pad", "", "ground", np.eye(3), friction, K, normal, preload)
+
+
+def random_pair(rng, full):
+    """A contact and a motion that mostly slip for part of the cycle; many of them separate."""
+    A, B = rng.uniform(0.3, 2.0), rng.choice([0.0, 0.02, 0.3, 1.0]) * rng.uniform(0.3, 2.0)
+    D, preload = rng.choice([0.0, 0.5, 1.5]), rng.choice([1.0, 1.0, 0.0, -0.4])
+    D = max(D, 0.9) if preload <= 0 else D
+    turn, ratio = rng.uniform(0, np.pi), rng.uniform(1.0, 4.0)
+    axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    K = axes @ np.diag([1.0, ratio if full else 1.0]) @ axes.T
+    phi, psi = rng.uniform(0, CYCLE, 2)
+    K = (K + K.T) / 2 if full else np.eye(2)
+    return contact(K, rng.uniform(0.2, 1.0), 1.0, preload), HarmonicMotion(A, B, D, phi, psi)
+
+
+def states(cycle):
+    return [(item.before, item.after) for item in cycle.transitions]
+
+
+def shares(cycle):
+    """States that last for more than rounding."""
+    return {stay.state for stay in cycle.stays if stay.stop > stay.start + 1e-9}
+
+
+def compare(pad, motion):
+    """Both ways, checked against each other."""
+    cycle, other = steady_cycle(pad, motion), loop_cycle(pad, motion)
+    found = difference(cycle, other)
+    assert cycle.periodic
+    assert found.settled
+    assert found.same_sequence
+    assert found.angle < 1e-8
+    assert found.coefficient < 1e-8
+    assert found.dissipation < 1e-8
+    assert cycle.work == pytest.approx(cycle.dissipation, abs=1e-10)
+    return cycle, other
+
+
+# The two ways ----------------------------------------------------------------------------------------
+
+
+def test_two_ways_agree_on_200_random_motions():
+    """State by state and the event loop: all transitions, and the coefficients to 1e-8."""
+    rng = np.random.default_rng(2024)
+    seen, partly, parted, creeping = {False: Counter(), True: Counter()}, 0, 0, 0
+    for number in range(200):
+        full = number % 2 == 1
+        cycle, other = compare(*random_pair(rng, full))
+        seen[full].update(states(other))
+        partly += SLIP in shares(cycle) and len(shares(cycle)) > 1
+        parted += SEPARATION in shares(cycle) and len(shares(cycle)) > 1
+        creeping += other.num_cycles > 20
+    print(f"{partly} slip for part of the cycle only, {parted} separate, {creeping} take more than 20 cycles: {seen}")
+    assert partly >= 150
+    assert parted >= 60
+    every = {(STICK, SLIP), (SLIP, STICK), (SLIP, SEPARATION), (SEPARATION, STICK), (SEPARATION, SLIP)}
+    assert all(set(counted) >= every for counted in seen.values())
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_stick_to_separation_where_both_guards_vanish(full):
+    """Straight motion in phase with v along a principal axis: |f| and mu n reach zero at once."""
+    K = FULL if full else np.eye(2)
+    _, axes = np.linalg.eigh(K)
+    A, B = 0.2 * np.abs(axes[:, 1]) if full else (0.3, 0.0)
+    cycle, other = compare(contact(K, 0.5), HarmonicMotion(A, B, 2.0))
+    assert set(states(cycle)) == set(states(other)) == {(STICK, SEPARATION), (SEPARATION, STICK)}
+    np.testing.assert_allclose(sorted(cycle.transition_angle_deg), [210.0, 330.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_table_by_both_ways(name):
+    case = TABLE[name]
+    A, B, D, phase = case["motion"]
+    cycle, other = compare(contact(), HarmonicMotion(A, B, D, np.pi / 2, np.radians(phase)))
+    expected = sorted(case["transitions"])
+    for found in (cycle.transitions, other.transitions):
+        turned = sorted([(np.degrees(t.angle) - 90 + 1e-7) % 360 - 1e-7, t.before, t.after] for t in found)
+        assert [item[1:] for item in turned] == [item[1:] for item in expected]
+        np.testing.assert_allclose([t[0] for t in turned], [t[0] for t in expected], rtol=0, atol=1e-6)
+    # In the table u1 = A cos t and u2 = B cos(t + 90 degrees): f_s goes with the cosine, f_c against the sine.
+    cosine, sine = np.array([case["force_1"], case["force_2"]]).T
+    for found in (cycle.coefficients, other):
+        np.testing.assert_allclose(found.f_b, case["mean"], rtol=0, atol=1e-8)
+        np.testing.assert_allclose(found.f_s[0], cosine[0], rtol=0, atol=1e-8)
+        np.testing.assert_allclose(found.f_c[0], -sine[0], rtol=0, atol=1e-8)
+        np.testing.assert_allclose(found.f_s[1], -sine[1], rtol=0, atol=1e-8)
+        np.testing.assert_allclose(found.f_c[1], -cosine[1], rtol=0, atol=1e-8)
+    assert other.dissipation == pytest.approx(case["dissipation"], abs=1e-9)
+    assert cycle.dissipation == pytest.approx(case["dissipation"], abs=1e-9)
+
+
+def test_event_loop_has_the_symmetries_of_the_law():
+    """Scaling, another start of the angle, swapped axes and a turned frame, in the event loop alone."""
+    rng = np.random.default_rng(17)
+    for number in range(6):
+        pad, motion = random_pair(rng, number % 2 == 1)
+        base = loop_cycle(pad, motion)
+        K, load = pad.tangential_stiffness, (pad.friction, pad.normal_stiffness, pad.preload)
+        large = HarmonicMotion(1e6 * motion.A, 1e6 * motion.B, 1e6 * motion.D, motion.phi, motion.psi)
+        scaled = loop_cycle(contact(1e-9 * K, load[0], 1e-9 * load[1], 1e-3 * load[2]), large)
+        np.testing.assert_allclose(np.array([scaled.f_s, scaled.f_c]) * 1e3, [base.f_s, base.f_c], atol=1e-9)
+        assert scaled.dissipation == pytest.approx(1e3 * base.dissipation, rel=1e-9, abs=1e-9)
+        swap = np.array([[0.0, 1.0], [1.0, 0.0]])
+        swapped = HarmonicMotion(motion.B, motion.A, motion.D, -motion.phi, motion.psi - motion.phi)
+        other = loop_cycle(contact(swap @ K @ swap, *load), swapped)
+        # The swapped motion starts elsewhere on the cycle: only its phase differs.
+        np.testing.assert_allclose(other.f_s[::-1], base.f_s, atol=1e-9)
+        np.testing.assert_allclose(other.f_c[::-1], base.f_c, atol=1e-9)
+        assert other.dissipation == pytest.approx(base.dissipation, abs=1e-9)
+        angles = [np.array([t.angle for t in c.transitions]) for c in (base, other)]
+        turned = np.sort((angles[0] + motion.phi + 1e-9) % CYCLE)
+        np.testing.assert_allclose(turned, np.sort((angles[1] + 1e-9) % CYCLE), atol=1e-8)
+
+
+def test_event_loop_turns_with_the_frame():
+    """Isotropic K_u: a straight motion along any direction has the force of the same motion along t1."""
+    base = loop_cycle(contact(), HarmonicMotion(1.0, 0.0, 0.5, 0.0, 1.0))
+    turned = loop_cycle(contact(), HarmonicMotion(0.6, 0.8, 0.5, 0.0, 1.0))
+    np.testing.assert_allclose(turned.f_s, base.f_s[0] * np.array([0.6, 0.8]), atol=1e-10)
+    np.testing.assert_allclose(turned.f_b, base.f_b[0] * np.array([0.6, 0.8]), atol=1e-10)
+    assert turned.dissipation == pytest.approx(base.dissipation, rel=1e-10)
+
+
+@pytest.mark.slow
+def test_two_ways_agree_on_sampled_motions():
+    """The same spline in both; three harmonics, closing several times a cycle."""
+    theta = np.arange(96) * CYCLE / 96
+    u1, u2 = np.sin(theta) + 0.2 * np.sin(3 * theta), 0.4 * np.cos(2 * theta)
+    for v in (0.5 * np.cos(theta), 0.9 * np.sin(3 * theta) + 0.4 * np.cos(theta)):
+        for K in (1.0, FULL):
+            cycle, _ = compare(contact(K, preload=0.6), SplineMotion(np.stack([u1, u2, v], axis=1)))
+            assert len(cycle.transitions) >= 2
+
+
+def test_difference_sees_a_wrong_result():
+    pad, motion = contact(), HarmonicMotion(1.0, 0.2, 1.3, 1.0, 2.0)
+    cycle, other = steady_cycle(pad, motion), loop_cycle(pad, motion)
+    stiffer = steady_cycle(contact(1.0 + 1e-5), motion)
+    assert difference(cycle, other).angle < 1e-10 < 1e-7 < difference(stiffer, other).angle
+    assert difference(stiffer, other).coefficient > 1e-7
+    assert not difference(steady_cycle(contact(preload=5.0), motion), other).same_sequence
+
+
+# The studies -----------------------------------------------------------------------------------------
+
+
+def scene(study, **pad):
+    return {"contacts": [PAD | pad], "study": study}
+
+
+def element(**keys):
+    return {"kind": "element", "cross_check": False} | keys
+
+
+def test_element_result():
+    plan = element(A=1.0, B=0.2, phi_deg=60, D=0.3, psi_deg=150, harmonics=5, principal_axes=True)
+    data = run(scene(plan | {"cross_check": True}))
+    cycle = steady_cycle(contact(), HarmonicMotion(1.0, 0.2, 0.3, np.pi / 3, 5 * np.pi / 6))
+    np.testing.assert_allclose(data.f_s, cycle.coefficients.f_s)
+    np.testing.assert_allclose(data.effective_stiffness, cycle.coefficients.f_s / [1.0, 0.2])
+    np.testing.assert_allclose(data.transition_angle_deg, cycle.transition_angle_deg)
+    assert float(data.dissipation) == pytest.approx(float(data.friction_work), abs=1e-12)
+    assert data.attrs["complete"] == 1
+    assert data.attrs["cross_check_angle_deg"] < 1e-8
+    assert data.sizes["harmonic"] == 6
+    assert data.force.dims == ("angle", "tangent")
+    # The loop area is the sum over the axes of pi f_c (amplitude), along whatever axes.
+    for prefix, amplitude in (("", data.attrs["amplitude"]), ("principal_", data.principal_amplitude.values)):
+        area = np.pi * np.sum(data[f"{prefix}f_c"].values * np.abs(amplitude))
+        assert area == pytest.approx(float(data.dissipation), rel=1e-9)
+    expected = np.hypot(*data.force.values.T) <= 0.3 * data.normal_load.values + 1e-12
+    assert expected.all()
+
+
+def test_full_stick_says_that_its_offset_is_free():
+    data = run(scene(element(A=0.1, B=0.1, phi_deg=90)))
+    assert data.attrs["offset_free"] == 1
+    np.testing.assert_allclose(data.effective_stiffness, 1.0, atol=1e-14)
+    assert data.sizes["event"] == 0
+
+
+def test_no_contact_gives_zero():
+    data = run(scene(element(D=0.4), preload=-0.5))
+    assert (float(data.dissipation), data.attrs["touches"]) == (0.0, 0)
+    assert not data.force.values.any()
+    assert np.isnan(data.effective_stiffness.values).all()
+
+
+def test_disagreement_marks_the_result_incomplete(monkeypatch):
+    from timesim.element import loop as element_loop
+
+    honest = element_loop.loop_cycle
+    monkeypatch.setattr(element_loop, "loop_cycle", lambda pad, motion: honest(contact(1.001), motion))
+    with pytest.warns(RuntimeWarning, match="differ by"):
+        data = run(scene(element(A=1.0, B=0.2, phi_deg=60, cross_check=True)))
+    assert data.attrs["complete"] == 0
+
+
+def test_motion_from_a_file(tmp_path):
+    theta = np.arange(240) * CYCLE / 240
+    rows = np.stack([np.sin(theta), 0.2 * np.sin(theta + 1), 1.3 * np.sin(theta + 2)], axis=1)
+    np.savetxt(tmp_path / "motion.csv", rows, delimiter=",", header="u1,u2,v", comments="")
+    np.savez(tmp_path / "motion.npz", u=rows[:, :2], v=rows[:, 2])
+    exact = run(scene(element(A=1.0, B=0.2, phi_deg=np.degrees(1), D=1.3, psi_deg=np.degrees(2))))
+    for name in ("motion.csv", "motion.npz"):
+        path = tmp_path / "scene.yaml"
+        text = json.dumps(scene(element(motion=name)), indent=1)
+        path.write_text(text)
+        loaded = load_scene(path)
+        data = run(loaded)
+        np.testing.assert_allclose(data.f_s, exact.f_s, atol=1e-9)
+        np.testing.assert_allclose(data.transition_angle_deg, exact.transition_angle_deg, atol=1e-5)
+        assert str(tmp_path / name) in loaded.resolved_yaml()
+
+
+def test_motion_from_a_result(tmp_path):
+    """The motion of a point of a settled run gives the forces that the run had there."""
+    source = load_scene(CONFIGS / "oscillator.yaml", ["study.cycles=150", "study.record_last=2"])
+    from timesim.result.store import save_groups
+    from timesim.study.registry import carry_out
+
+    before = carry_out(source).groups
+    save_groups(before, tmp_path / "result.nc")
+    pad = {"friction": 0.5, "tangential_stiffness": 20.0, "normal_stiffness": 20.0, "preload": 3.0}
+    motion = {"from": str(tmp_path / "result.nc"), "point": "tip"}
+    data = run(scene(element(motion=motion, samples=400), **pad))
+    recorded = before[""].dataset().contact_force.values[-201:-1, 0]
+    # Both at equal angles of the cycle; the offset of a stuck contact is that of its own start.
+    np.testing.assert_allclose(data.normal_load.values[::2], recorded[:, 2], atol=1e-6)
+    np.testing.assert_allclose(data.force.values[::2], recorded[:, :2], atol=2e-4)
+
+
+def test_element_map_against_single_elements():
+    for pad, study in (
+        ({}, {"A": {"from": 0, "to": 1.5, "num": 6}, "B": [0.0, 0.3, 1.0], "D": 0.5, "psi_deg": 45}),
+        ({"preload": -0.4}, {"A": [0.5, 1.0], "psi_deg": [0, 100, 200], "B": 0.3, "D": 1.2}),
+        ({}, {"A": 1.0, "B": 0.2, "D": 0.4, "preload": [0.5, 2.0, 9.0], "friction": [0.1, 0.6]}),
+    ):
+        loaded = load_scene(scene({"kind": "element_map"} | study, **pad))
+        data = run(loaded)
+        assert data.settled.all()
+        first, second = data.dissipation.dims
+        keys = {"a": "A", "b": "B"}
+        for one in data[first].values:
+            for two in data[second].values:
+                values = {key: x for key, x in study.items() if np.isscalar(x)}
+                values |= {keys.get(first, first): float(one), keys.get(second, second): float(two)}
+                law = {key: values.pop(key) for key in ("preload", "friction") if key in values}
+                single = run(scene(element(**{"phi_deg": 90.0} | values), **pad | law))
+                found = data.sel({first: one, second: two})
+                for name in ("f_s", "f_c") if single.attrs["offset_free"] else ("f_b", "f_s", "f_c"):
+                    np.testing.assert_allclose(found[name], single[name], atol=1e-6)
+                np.testing.assert_allclose(found.dissipation, single.dissipation, atol=1e-6)
+
+
+def test_map_carries_creep_to_its_limit():
+    """Circles just within reach of the cone: cycles of ever smaller slips."""
+    study = {"kind": "element_map", "A": [0.38, 0.5], "B": [0.2, 0.26], "D": 0.0}
+    data = run(scene(study, friction=0.4))
+    assert data.settled.all()
+    assert int(data.cycles.max()) < 100
+
+
+def test_limits_of_sequences():
+    n = np.arange(1, 5)[:, None]
+    geometric = np.array([2.0, -1.0]) + 0.8**n * np.array([0.3, 0.4])
+    turning = np.stack([np.cos(n[:, 0]), np.sin(n[:, 0])], axis=1)
+    found, leads = limits(np.stack([geometric, turning]))
+    assert leads.tolist() == [True, False]
+    np.testing.assert_allclose(found[0], [2.0, -1.0], atol=1e-12)
+
+
+@pytest.mark.slow
+def test_map_batches_do_not_matter(monkeypatch):
+    from timesim.study import element_map
+
+    loaded = load_scene(scene({"kind": "element_map", "A": [0.5, 1.0, 1.5], "B": [0.1, 0.2, 0.3], "D": 0.5}))
+    plan = loaded.file.study
+    elements, phase = elements_of(plan, plan.chosen(loaded.file.contacts))
+    whole = March(elements, phase, solver_of(loaded.file.solver)).run()
+    monkeypatch.setattr(element_map, "BATCH", 4)
+    parts = March(elements, phase, solver_of(loaded.file.solver)).run()
+    np.testing.assert_allclose(parts.f_s, whole.f_s, atol=1e-12)
+    np.testing.assert_array_equal(parts.cycles, whole.cycles)
+
+
+def test_elements_that_never_touch_are_zero():
+    phasor = np.array([[1.0, 0.5j, 0.3], [1.0, 0.5j, 1.5]])
+    elements = harmonic_elements(0.3, 1.0, -0.5, np.eye(2), phasor)
+    found = March(
+        elements, np.array([[0.0, np.pi / 2]] * 2), solver_of(load_scene(scene(element(A=1))).file.solver)
+    ).run()
+    assert (found.dissipation[0], found.transitions[0]) == (0.0, 0)
+    assert found.dissipation[1] > 0
+
+
+# Scenes, commands, pictures --------------------------------------------------------------------------
+
+FIGURES = ("figure4", "figure5", "figure6a", "figure6b", "figure6c", "figure6d")
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_scenes_of_the_figures(name):
+    data = run(load_scene(CONFIGS / f"{name}.yaml", ["study.cross_check=false"]))
+    order = np.argsort(data.transition_angle_deg.values)
+    to = data.transition_to.values[order].tolist()
+    parts = SEPARATION in to
+    assert parts == (name in ("figure5", "figure6d"))
+    assert {STICK, SLIP} <= set(to)
+    if name == "figure5":
+        start = to.index(SEPARATION)
+        assert to[start + 1 :] + to[: start + 1] == [SLIP, STICK, SLIP, SEPARATION]
+    if name == "figure6a":
+        force = data.force.values
+        np.testing.assert_allclose(force[:360], -force[360:], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["figure7", "figure8"])
+def test_scenes_of_the_maps(name, tmp_path):
+    few = ["study.A.num=5", "study.B.num=5"]
+    data = run(load_scene(CONFIGS / f"{name}.yaml", few))
+    assert data.f_s.shape == (5, 5, 2)
+    assert data.settled.all()
+    assert (data.dissipation.values[1:, 1:] > 0).all()
+    # Straight motion: nothing happens across it.
+    np.testing.assert_allclose(data.f_c.sel(b=0.0, tangent="t2"), 0.0, atol=1e-9)
+
+
+def test_command_writes_result_and_pictures(tmp_path):
+    runner = CliRunner()
+    done = runner.invoke(app, ["run", str(CONFIGS / "figure5.yaml"), "-o", str(tmp_path / "a")])
+    assert done.exit_code == 0, done.output
+    assert "slip→separation" in done.output
+    assert "the event loop agrees" in done.output
+    assert {path.name for path in (tmp_path / "a").glob("*.png")} == {"force_path.png", "hysteresis.png", "cycle.png"}
+    assert open_result(tmp_path / "a").attrs["study"] == "element"
+    few = ["--set", "study.A.num=5", "--set", "study.B.num=4"]
+    done = runner.invoke(app, ["run", str(CONFIGS / "figure7.yaml"), "-o", str(tmp_path / "b"), *few])
+    assert done.exit_code == 0, done.output
+    assert {path.name for path in (tmp_path / "b").glob("*.png")} == {"surfaces.png", "contours.png"}
+    again = runner.invoke(app, ["run", str(tmp_path / "a/scene.yaml"), "-o", str(tmp_path / "c"), "--no-plots"])
+    assert again.exit_code == 0, again.output
+
+
+def test_pictures_of_cycles_without_transitions(tmp_path):
+    from timesim.picture.draw import draw
+
+    for plan in (element(A=0.1), element(A=1.0, B=1.0, phi_deg=90), element(D=0.3)):
+        assert len(draw(run(scene(plan)), tmp_path)) == 3
+
+
+def test_check_loads_no_jax():
+    code = (
+        "import sys; from timesim.scene.report import describe; from timesim.scene.resolution import load_scene;"
+        f"[describe(load_scene({str(CONFIGS)!r} + '/' + name)) for name in ('figure4.yaml', 'figure7.yaml')];"
+        "sys.exit('jax' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# Motions that mean nothing ---------------------------------------------------------------------------
+
+
+def bad_motion(tmp_path, rows):
+    np.savetxt(tmp_path / "motion.csv", rows, delimiter=",", header="u1,u2,v", comments="")
+    path = tmp_path / "scene.yaml"
+    path.write_text(json.dumps(scene(element(motion="motion.csv")), indent=1))
+    return path
+
+
+def test_file_with_a_jump_or_too_few_samples_is_refused(tmp_path):
+    theta = np.arange(100) * CYCLE / 100
+    smooth = np.stack([np.sin(theta), np.cos(theta), 0 * theta], axis=1)
+    jump = smooth.copy()
+    jump[50:, 0] += 0.7
+    for rows, rule in ((jump, "u1 jumps"), (smooth[:10], "at least"), (smooth[:60], "jumps")):
+        path = bad_motion(tmp_path, rows)
+        with pytest.raises(SceneError, match=rule):
+            load_scene(path)
+        refused = CliRunner().invoke(app, ["run", str(path), "-o", str(tmp_path / "out")])
+        assert refused.exit_code == 2
+        assert "study.motion" in refused.output
+        assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("study", "pad", "key"),
+    [
+        (element(A=1.0), {"normal_stiffness": 0.0, "preload": 0.0}, "contacts.pad.preload"),
+        (element(motion="none.csv"), {}, "study.motion"),
+        (element(A=1.0, motion="none.csv"), {}, "study.A"),
+        (element(), {}, "study"),
+        (element(A=-1.0), {}, "study.A"),
+        (element(A=1.0, contact="pod"), {}, "study.contact"),
+        ({"kind": "element_map", "A": [1, 2]}, {}, "study"),
+        ({"kind": "element_map", "A": [2, 1], "B": [1, 2]}, {}, "study.A"),
+        ({"kind": "element_map", "A": {"from": 1, "to": 0, "num": 5}, "B": [1, 2]}, {}, "study.A.to"),
+        ({"kind": "element_map", "A": [1, 2], "normal_stiffness": [0, 1]}, {"preload": -1.0}, "study.normal_stiffness"),
+    ],
+)
+def test_scenes_that_mean_nothing_are_refused(study, pad, key, tmp_path):
+    path = tmp_path / "scene.yaml"
+    path.write_text(json.dumps(scene(study, **pad), indent=1))
+    refused = CliRunner().invoke(app, ["run", str(path), "-o", str(tmp_path / "out")])
+    assert refused.exit_code == 2
+    assert f": {key}: " in refused.output

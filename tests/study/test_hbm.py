@@ -1,0 +1,383 @@
+"""The study of response curves by harmonic balance: what it computes, what it writes, and how it fails."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray
+from systems import oscillator_scene
+
+import timesim
+from timesim.fault import SceneError
+from timesim.hbm import convergence as hbm_convergence
+from timesim.hbm.convergence import Place, convergence, order_of
+from timesim.hbm.curve import hbm_curve, solutions_at
+from timesim.hbm.located import waves
+from timesim.hbm.setting import Setting
+from timesim.orbit.fourier import waves_of
+from timesim.picture import draw as plot
+from timesim.picture import hbm as plot_hbm
+from timesim.result.store import save
+from timesim.scene.resolution import load_scene
+from timesim.study.registry import carry_out
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+BASE = oscillator_scene(preload=-4.0)
+
+
+def scene(**study: Any) -> dict[str, Any]:
+    given = {"kind": "hbm", "frequency": {"from": 1.0, "to": 0.92}, "harmonics": 5, "time_samples": 512}
+    return BASE | {"study": given | study}
+
+
+@pytest.fixture(scope="module")
+def curves():
+    return timesim.run(scene(over={"contacts.pad.preload": [-4, -3]}))
+
+
+def test_the_result_has_its_variables(curves):
+    assert curves.attrs["complete"] == 1
+    assert "5 harmonics" in curves.attrs["method"]
+    dims = {
+        "frequency": ("solution",),
+        "stable": ("solution",),
+        "fold": ("solution",),
+        "branch": ("solution",),
+        "curve": ("solution",),
+        "floquet_max": ("solution",),
+        "contacts.pad.preload": ("solution",),
+        "amplitude": ("solution", "point", "axis"),
+        "harmonic_amplitude": ("solution", "harmonic", "point", "axis"),
+        "harmonic_cos": ("solution", "harmonic", "point", "axis"),
+        "harmonic_sin": ("solution", "harmonic", "point", "axis"),
+        "slip_share": ("solution", "contact"),
+        "separation_share": ("solution", "contact"),
+    }
+    for name, expected in dims.items():
+        assert curves[name].dims == expected, name
+        assert curves[name].attrs["long_name"], name
+    assert curves.harmonic.values.tolist() == [0, 1, 2, 3, 4, 5]
+    assert set(np.unique(curves.stable)) <= {0, 1}
+    assert np.all(curves.closure.values <= 1)
+
+
+def test_each_value_has_its_curve(curves):
+    assert set(curves["contacts.pad.preload"].values) == {-4.0, -3.0}
+    for number, preload in ((0, -4.0), (1, -3.0)):
+        part = curves.isel(solution=curves.curve.values == number)
+        assert set(part["contacts.pad.preload"].values) == {preload}
+        assert part.frequency.values[0] == 1.0
+        assert part.frequency.values[-1] == pytest.approx(0.92)
+    part = curves.isel(solution=curves.curve.values == 0)
+    folds = part.frequency.values[part.fold.values == 1]
+    np.testing.assert_allclose(np.sort(folds), [0.9416, 0.9472], atol=2e-4)
+    assert part.slip_share.values.max() > 0.1
+    inner = part.fold.values == 0
+    np.testing.assert_array_equal(part.stable.values[inner] == 0, (part.branch.values == 1)[inner])
+
+
+def test_harmonics_make_the_amplitude(curves):
+    """The motion of the Fourier coefficients has the amplitude that is told."""
+    angle = np.linspace(0, 2 * np.pi, 2001)[:, None, None]
+    for i in (0, 30, curves.sizes["solution"] - 1):
+        cos, sin = (curves[f"harmonic_{name}"].values[i, :, 0] for name in ("cos", "sin"))
+        order = np.arange(6)[:, None]
+        x = (cos * np.cos(order * angle) + sin * np.sin(order * angle)).sum(axis=1)
+        np.testing.assert_allclose(np.ptp(x, axis=0) / 2, curves.amplitude.values[i, 0], rtol=1e-5)
+
+
+def test_from_both_ends_the_same_curve_is_told_once(curves):
+    both = timesim.run(scene(start="both_ends"))
+    assert both.attrs["complete"] == 1
+    assert both.sizes["solution"] == np.sum(curves.curve.values == 0)
+    assert set(both.curve.values) == {0}
+
+
+def test_both_ends_reach_what_one_end_does_not():
+    """Few points, so that neither end reaches the other: both pieces are there, and the run says so."""
+    outcome = carry_out(load_scene(scene(start="both_ends", continuation={"max_points": 12})))
+    assert outcome.reason is not None
+    assert outcome.reason.count("max_points") == 2
+    record = outcome.groups[""]
+    frequency, curve = record.variables["frequency"][1], record.variables["curve"][1]
+    assert np.bincount(curve).tolist() == [12, 12]
+    assert frequency[0] == 1.0
+    assert frequency[12] == pytest.approx(0.92)
+    assert record.attrs["complete"] == 0
+
+
+def test_from_the_result_of_a_transient(tmp_path: Path):
+    """The upper motion at 0.947 Hz, to which a sweep up leads; the curve goes to both sides of it and is the same."""
+    from typer.testing import CliRunner
+
+    from timesim.cli import app
+
+    run_up = BASE | {
+        "excitation": BASE["excitation"] | {"frequency": 0.945},
+        "study": {"kind": "transient", "cycles": 150, "record_last": 2, "samples_per_cycle": 128},
+    }
+    upper = tmp_path / "scene.yaml"
+    upper.write_text(load_scene(run_up).resolved_yaml())
+    assert CliRunner().invoke(app, ["run", str(upper), "-o", str(tmp_path / "run"), "--no-plots"]).exit_code == 0
+    transient = timesim.open_result(tmp_path / "run")
+    settled = float(transient.cycle_amplitude.sel(point="tip", axis="x")[-1])
+    found = timesim.run(scene(start={"from": str(tmp_path / "run" / "result.nc")}))
+    assert found.attrs["complete"] == 1
+    np.testing.assert_allclose(np.sort(found.frequency.values[[0, -1]]), [0.92, 1.0], rtol=1e-9)
+    begin = np.flatnonzero(np.isclose(found.frequency.values, 0.945, rtol=1e-9))
+    errors = np.abs(found.amplitude.values[begin, 0, 0] / settled - 1)
+    assert errors.min() < 3e-3
+    assert found.fold.values.sum() == 2
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sweep up inside the range of two motions, begun on the larger one."""
+    folder = tmp_path_factory.mktemp("swept")
+    frequency = {"values": [0.930, 0.936, 0.940, 0.9425, 0.944, 0.946]}
+    study = {"kind": "sweep", "frequency": frequency, "direction": "up", "over": {"contacts.pad.preload": [-4, -3.9]}}
+    return save(timesim.run(BASE | {"study": study}), folder / "result.nc")
+
+
+INSIDE = {"frequency": {"from": 0.9425, "to": 0.946}}
+
+
+def test_a_branch_of_its_own_is_begun_from_a_sweep(swept: Path):
+    """From 0.9425 to 0.946 Hz both motions live: no fold joins them, so either end leads to one of them only."""
+    alone = timesim.run(scene(start="both_ends", **INSIDE))
+    assert set(alone.curve.values) == {0}
+    outcome = carry_out(load_scene(scene(start={"from": str(swept), "at": {"contacts.pad.preload": -4}}, **INSIDE)))
+    (said,) = [line for line in outcome.summary if "a curve of its own" in line]
+    assert "0.9425 to 0.946 Hz" in said
+    found = outcome.groups[""].dataset()
+    assert found.attrs["complete"] == 1
+    assert set(found.curve.values) == {0, 1}
+    upper, lower = sorted((found.isel(solution=found.curve.values == number) for number in (0, 1)), key=_height)[::-1]
+    assert _height(upper) > 1.3 * _height(lower)
+    np.testing.assert_allclose(np.sort(upper.frequency.values[[0, -1]]), [0.9425, 0.946], rtol=1e-12)
+    sweep = timesim.open_result(swept).sel({"contacts.pad.preload": -4, "direction": "up"})
+    for frequency in (0.9425, 0.944, 0.946):
+        expected = float(sweep.amplitude.sel(frequency=frequency, point="tip", axis="x"))
+        order = np.argsort(upper.frequency.values)
+        here = np.interp(frequency, upper.frequency.values[order], upper.amplitude.values[order, 0, 0])
+        assert here == pytest.approx(expected, rel=3e-3)
+
+
+def _height(curve: xarray.Dataset) -> float:
+    return float(curve.amplitude.max())
+
+
+def test_what_the_curve_passes_begins_no_other(swept: Path):
+    found = timesim.run(scene(start={"from": str(swept)}, over={"contacts.pad.preload": [-4, -3.9]}))
+    assert np.unique(found.curve.values).tolist() == [0, 1]
+    assert np.unique(found["contacts.pad.preload"].values).tolist() == [-4, -3.9]
+
+
+@pytest.mark.parametrize(
+    ("at", "study", "said"),
+    [
+        ({"contacts.pad.preload": -2}, {}, "must be a contacts.pad.preload of the result (it has -4, -3.9)"),
+        ({}, {}, "must name the contacts.pad.preload"),
+        ({"frequencey": 0.944}, {}, "is no axis of the result (did you mean frequency?)"),
+        (
+            {"contacts.pad.preload": -4},
+            {"frequency": 0.944, "along": {"structure.modes.0.mass": {"from": 1.0, "to": 1.1}}},
+            "must be the result of a transient",
+        ),
+    ],
+)
+def test_a_point_that_the_sweep_has_not(swept: Path, at: dict, study: dict, said: str):
+    with pytest.raises(SceneError, match=re.escape(said)):
+        load_scene(scene(start={"from": str(swept), "at": at}, **study))
+
+
+def test_a_sweep_of_another_structure(swept: Path):
+    other = scene(start={"from": str(swept), "at": {"contacts.pad.preload": -4}})
+    with pytest.raises(
+        SceneError, match=re.escape("must have the contacts of the scene, not pad (the scene has lining)")
+    ):
+        load_scene(other | {"contacts": [BASE["contacts"][0] | {"name": "lining"}]})
+    modes = [*BASE["structure"]["modes"], BASE["structure"]["modes"][1] | {"frequency": 2.0}]
+    force = {"modal_force": [{"amplitude": 1.0}] * 3}
+    more = other | {"structure": {"modes": modes}, "excitation": force}
+    outcome = carry_out(load_scene(more | {"study": more["study"] | INSIDE}))
+    assert outcome.reason is None
+    assert any("no curve is begun" in line and "has 2 modes, the scene has 3" in line for line in outcome.summary)
+
+
+def test_waves_of_samples():
+    rng = np.random.default_rng(2)
+    coefficient = rng.normal(size=(7, 2))
+    phase, count = 0.7, 40
+    theta = phase + 2 * np.pi * np.arange(1, count + 1) / count
+    found = waves_of(waves(theta, 7) @ coefficient, phase)
+    np.testing.assert_allclose(found[:7], coefficient, atol=1e-13)
+    np.testing.assert_allclose(found[7:], 0, atol=1e-13)
+
+
+def test_along_a_scalar():
+    """The preload at 0.947 Hz, from the open gap to the fold and back on the unstable branch; points solved anew."""
+    given = scene(frequency=0.947, along={"contacts.pad.preload": {"from": 0, "to": -4}}, start="linear")
+    found = timesim.run(given)
+    assert found.attrs["complete"] == 1
+    preload = found["contacts.pad.preload"].values
+    assert preload[0] == 0
+    assert preload[-1] == pytest.approx(-4)
+    assert set(found.frequency.values) == {0.947}
+    plain = load_scene(scene())
+    for i in np.linspace(0, preload.size - 1, 4).astype(int):
+        if found.fold.values[i]:
+            continue
+        model = plain.variant({"contacts.pad.preload": float(preload[i])})
+        curve = hbm_curve(model, 1.0, 0.92, setting=Setting(5, 512), stability=False)
+        same = solutions_at(model, curve, 0.947, setting=Setting(5, 512)).amplitude[:, 0, 0]
+        assert np.min(np.abs(same / found.amplitude.values[i, 0, 0] - 1)) < 1e-6
+    assert found.slip_share.values.max() > 0.2
+
+
+def test_a_curve_along_a_scalar_that_turns_back_says_so():
+    given = scene(frequency=0.947, along={"contacts.pad.preload": {"from": -4, "to": 3}})
+    with pytest.warns(RuntimeWarning, match="turned back and left the range"):
+        found = timesim.run(given)
+    assert found.attrs["complete"] == 0
+    assert found.fold.values.sum() == 1
+    assert found["contacts.pad.preload"].values[-1] == pytest.approx(-4)
+    assert found.amplitude.values[0, 0, 0] == pytest.approx(0.2052, abs=1e-4)
+
+
+def test_points_that_run_out_leave_a_partial_result():
+    with pytest.warns(RuntimeWarning, match=r"contacts.pad.preload = -3.*max_points"):
+        found = timesim.run(scene(over={"contacts.pad.preload": [-4, -3]}, continuation={"max_points": 30}))
+    assert found.attrs["complete"] == 0
+    assert np.bincount(found.curve.values).tolist() == [30, 30]
+
+
+def test_no_start_is_told_and_the_other_curves_stay():
+    """Undamped and free at its natural frequency the structure has no periodic response; damped it has."""
+    mode = {"frequency": 1.0, "damping_ratio": 0.0, "mass": 1.0, "shape": {"tip": [1, 0, 0]}}
+    free = scene(frequency={"from": 1.0, "to": 1.2}, over={"structure.modes.0.damping_ratio": [0.0, 0.01]})
+    free |= {"structure": {"modes": [mode]}, "excitation": {"modal_force": [{"amplitude": 1.0}]}}
+    free["contacts"] = [BASE["contacts"][0] | {"preload": -1e6}]
+    with np.errstate(all="ignore"):
+        outcome = carry_out(load_scene(free))
+    assert outcome.reason is not None
+    assert "structure.modes.0.damping_ratio = 0: continuation at 1" in outcome.reason
+    assert "no solution at the start" in outcome.reason
+    assert set(outcome.groups[""].variables["structure.modes.0.damping_ratio"][1]) == {0.01}
+
+
+@pytest.mark.parametrize(
+    ("study", "said"),
+    [
+        ({"harmonics": 0}, "study.harmonics: 0: must be >= 1"),
+        ({"time_samples": 19, "harmonics": 5}, "study.time_samples: 19: must be at least 20 for 5 harmonics"),
+        ({"frequency": 1.0}, "must be a mapping with from and to"),
+        ({"frequency": {"from": 1, "to": 1}}, "must differ from `from`"),
+        ({"along": {"contacts.pad.preload": {"from": 1, "to": 2}}}, "must be a number where the curve runs along"),
+        ({"frequency": 1, "along": {"pad.preload": {"from": 1, "to": 2}}}, "must be the key of a scalar of the scene"),
+        ({"frequency": 1, "along": {"contacts.pod.preload": {"from": 1, "to": 2}}}, "pod is no item of the list"),
+        ({"frequency": 1, "along": {"contacts.pad.friction": {"from": 1, "to": -2}}}, "must be >= 0"),
+        ({"start": "left"}, "must be 'linear' or 'both_ends'"),
+        ({"start": {"from": "no/result.nc"}}, "does not exist"),
+        ({"continuation": {"max_step": 1e-7}}, "must be at most first_step"),
+        ({"continuation": {"max_points": 1}}, "must be >= 2"),
+    ],
+)
+def test_what_cannot_be_balanced_is_refused(study, said):
+    with pytest.raises(SceneError, match=re.escape(said)):
+        load_scene(scene(**study))
+
+
+def test_a_scene_with_nothing_periodic_is_refused():
+    still = scene() | {"excitation": {"constant_forces": [{"point": "tip", "direction": [1, 0, 0], "amplitude": 1}]}}
+    with pytest.raises(SceneError, match=r"excitation.*no periodic part"):
+        load_scene(still)
+
+
+def test_a_harmonic_that_is_excited_must_be_balanced():
+    force = {"point": "tip", "direction": [1, 0, 0], "amplitude": 1, "harmonic": 7}
+    with pytest.raises(SceneError, match="must be at least 7, since harmonic 7 is excited"):
+        load_scene(scene() | {"excitation": {"forces": [force]}})
+
+
+def test_convergence_tells_orders_and_enough(monkeypatch: pytest.MonkeyPatch):
+    """Harmonics and samples at two solutions; the samples are of second order."""
+    model = load_scene(scene()).model()
+    curve = hbm_curve(model, 0.93, 0.9, setting=Setting(9, 256), stability=False)
+    places = [Place(model, float(curve.frequency[i]), curve.contact_motion[i], curve.amplitude[i]) for i in (0, -1)]
+    monkeypatch.setattr(hbm_convergence, "HARMONICS", (1, 5))
+    monkeypatch.setattr(hbm_convergence, "MAX_DOUBLINGS", 11)
+    found = convergence(places, Setting(9, 256))
+    changes = dict(zip(found.harmonics[:-1], found.with_harmonics[:-1], strict=True))
+    assert changes[1] > 5 * changes[5] > 0
+    assert found.harmonics.tolist() == [1, 5, 9]
+    assert found.time_samples.tolist() == [64, 128, 256, 512, 1024, 2048]
+    assert order_of(found.time_samples, found.with_samples) == pytest.approx(2.0, abs=0.4)
+    assert found.with_samples[-1] < 1e-4
+    text = "\n".join(found.told())
+    assert "harmonics 1: " in text
+    assert "time samples 64: " in text
+    assert re.search(r"order [12]\.\d", text)
+
+
+def test_convergence_of_full_stick_says_that_it_says_nothing():
+    assert "nothing" in convergence([], Setting(3, 64)).told()[0]
+
+
+def test_order_of_changes_with_a_known_order():
+    numbers = 2.0 ** np.arange(3, 9)
+    changes = numbers**-1.5
+    changes[-1] = 1e-9
+    assert order_of(numbers, changes) == pytest.approx(1.5)
+    assert np.isnan(order_of(numbers, np.zeros(6)))
+
+
+def test_pictures(curves, tmp_path: Path):
+    written = plot.draw(curves, tmp_path)
+    assert [path.name for path in written] == plot.picture_names("hbm")
+    ax = plot_hbm.response(curves)
+    lines = [(line.get_linestyle(), line.get_xdata().size) for line in ax.get_lines()]
+    assert sum(style == "--" for style, _ in lines) == int(np.unique(curves.curve.values[curves.fold.values == 1]).size)
+    drawn = sum(size for style, size in lines if style != "None")
+    assert drawn >= curves.sizes["solution"]
+    marks = [line for line in ax.get_lines() if line.get_marker() == "D"]
+    folds = np.concatenate([line.get_xdata() for line in marks])
+    np.testing.assert_array_equal(folds, curves.frequency.values[curves.fold.values == 1])
+
+
+def test_pictures_of_an_empty_result(curves, tmp_path: Path):
+    assert plot.draw(curves.isel(solution=slice(0)), tmp_path) == []
+
+
+def test_stretches_overlap_at_the_fold():
+    stable, fold = np.array([1, 1, 0, 0, 0, 1], bool), np.array([0, 0, 1, 0, 1, 0], bool)
+    parts = plot_hbm.stretches(stable, fold)
+    assert [(part.start, part.stop, firm) for part, firm in parts] == [(0, 3, True), (2, 5, False), (4, 6, True)]
+
+
+@pytest.mark.parametrize("harmonics", [1, 3, 9, 15])
+@pytest.mark.parametrize(
+    ("preload", "span", "folds"), [(-4.0, (1.0, 0.92), (0.9416, 0.9472)), (2.0, (1.32, 1.2), (1.2511, 1.2560))]
+)
+@pytest.mark.slow
+def test_folds_against_sweeps_in_time(harmonics, preload, span, folds):
+    """The jumps of time-domain sweeps, 800 cycles a step of 1e-4 Hz: with 3 harmonics and more within their step."""
+    given = scene(frequency={"from": span[0], "to": span[1]}, harmonics=harmonics, time_samples=1024)
+    found = timesim.run(given, {"contacts.pad.preload": preload})
+    places = np.sort(found.frequency.values[found.fold.values == 1])
+    print(f"preload {preload:g}, {harmonics} harmonics: folds {places}, {found.slip_share.values.max():.2f} slip")
+    assert places.size == 2
+    assert found.slip_share.values.max() > 0.2
+    np.testing.assert_allclose(places, folds, atol={1: 8e-3, 3: 1e-3}.get(harmonics, 1.5e-4))
+
+
+def test_the_model_of_the_sections_is_the_plain_one():
+    """A scene's own curve and that of the model in Python."""
+    model = load_scene(scene()).model()
+    curve = hbm_curve(model, 1.0, 0.92, setting=Setting(5, 512))
+    found = timesim.run(scene())
+    np.testing.assert_allclose(found.amplitude.values, curve.amplitude, rtol=1e-9)
+    assert replace(curve, message="").complete

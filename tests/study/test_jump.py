@@ -1,0 +1,227 @@
+"""The study `jump`: figure 12 of the paper, continuous phase, the run-up, starts from its result, its pictures."""
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray
+from scipy.integrate import solve_ivp
+from systems import oscillator_scene
+
+import timesim
+from timesim.picture import draw as plot
+from timesim.picture import jump as plot_jump
+from timesim.picture import transient as plot_transient
+from timesim.result import store
+from timesim.scene.resolution import load_scene
+from timesim.study.registry import carry_out
+
+FIGURE12 = Path(__file__).parents[2] / "configs" / "figure12.yaml"
+UPPER, LOWER = 0.4297, 0.2052  # amplitude of x on both branches at 0.9470 Hz, settled marches
+
+SHORT = oscillator_scene(preload=1.0, phase_deg=30.0) | {
+    "solver": {"accuracy": "reference"},
+    "study": {
+        "kind": "jump",
+        "run_up": [{"frequency": 0.7, "cycles": 2}, {"frequency": 1.1, "cycles": 3}],
+        "phases": [{"frequency": 1.1, "cycles": 1}, {"frequency": 1.6, "cycles": 2}, {"frequency": 0.9, "cycles": 1}],
+        "samples_per_cycle": 20,
+    },
+}
+RUN_UP_END = 2 / 0.7 + 3 / 1.1
+
+
+def scene(**study: Any) -> dict[str, Any]:
+    made = copy.deepcopy(SHORT)
+    made["study"] |= study
+    return made
+
+
+def linear_amplitude(frequency: float) -> np.ndarray:
+    """Amplitude of the tip of figure 12 along x, y, z while the gap stays open."""
+    omega, natural = 2 * np.pi * frequency, 2 * np.pi * np.array([0.9, 1.1])
+    q = 1 / (natural**2 - omega**2 + 2j * 0.02 * natural * omega)
+    return np.abs(np.array([[1, 1], [1, -1], [0.8, 0.6]]) @ q)
+
+
+@pytest.fixture(scope="module")
+def figure12() -> xarray.Dataset:
+    return timesim.run(FIGURE12)
+
+
+@pytest.fixture(scope="module")
+def short() -> xarray.Dataset:
+    return timesim.run(SHORT)
+
+
+def test_figure_12_upper_branch_jump_and_stays_below(figure12: xarray.Dataset) -> None:
+    assert figure12.attrs["complete"] == 1
+    x = figure12.cycle_amplitude.sel(point="tip", axis="x").values
+    ends = [part.end for part in plot_jump.stretches(figure12)]
+    assert [part.frequency for part in plot_jump.stretches(figure12)] == [0.93, 0.945, 0.947, 0.947, 0.948, 0.947]
+    assert np.diff([0, *ends]).tolist() == [60, 100, 300, 50, 120, 50]
+    before, first, second, third = (x[end - 1] for end in ends[2:])
+    assert before == pytest.approx(UPPER, abs=1e-4)
+    assert first == pytest.approx(UPPER, abs=1e-4)
+    assert second == pytest.approx(linear_amplitude(0.948)[0], rel=0.01)
+    assert third == pytest.approx(LOWER, abs=1e-4)
+    assert np.all(x[ends[3] : ends[3] + 40] > 0.35)  # the jump takes its time
+
+
+def test_the_lower_branch_is_the_open_gap(figure12: xarray.Dataset) -> None:
+    third = figure12.cycle_amplitude.sel(point="tip").values[-1]
+    assert third == pytest.approx(linear_amplitude(0.947), rel=1e-4)
+    assert linear_amplitude(0.947)[0] == pytest.approx(LOWER, abs=5e-5)
+    last_event = float(figure12.event_time[-1])
+    start_of_third = float(figure12.cycle_start[-50])
+    assert start_of_third - 60 < last_event < start_of_third
+    settled = timesim.run(FIGURE12, {"study.phases.1.cycles": 400, "study.samples_per_cycle": 2})
+    assert settled.cycle_amplitude.sel(point="tip").values[-51] == pytest.approx(linear_amplitude(0.948), rel=1e-6)
+
+
+def test_times_of_the_schedule(short: xarray.Dataset) -> None:
+    time = short.time.values
+    assert time[0] == 0.0
+    assert time.size == 4 * 20 + 1
+    assert np.diff(time) == pytest.approx(np.repeat(1 / (20 * np.array([1.1, 1.6, 0.9])), [20, 40, 20]))
+    assert short.cycle.values.tolist() == list(range(1, 10))
+    assert short.cycle_frequency.values.tolist() == [0.7, 0.7, 1.1, 1.1, 1.1, 1.1, 1.6, 1.6, 0.9]
+    assert short.cycle_period.values * short.cycle_frequency.values == pytest.approx(1)
+    assert short.cycle_start.values[0] == pytest.approx(-RUN_UP_END)
+    assert short.cycle_start.values[5] == pytest.approx(0, abs=1e-12)
+    assert short.event_time.values[0] < 0 < short.event_time.values[-1]
+    assert np.all(np.diff(short.event_time.values) >= 0)
+    assert short.cycle_frequency.attrs["units"] == "Hz"
+
+
+def test_a_run_up_is_as_other_phases_but_for_its_samples(short: xarray.Dataset) -> None:
+    whole = timesim.run(scene(run_up=[], phases=[*SHORT["study"]["run_up"], *SHORT["study"]["phases"]]))
+    skipped = 5 * 20
+    assert whole.time.values[skipped:] == pytest.approx(short.time.values + RUN_UP_END)
+    assert np.abs(whole.displacement.values[skipped:] - short.displacement.values).max() < 1e-12
+    assert np.abs(whole.cycle_amplitude.values - short.cycle_amplitude.values).max() < 1e-12
+    assert whole.event_time.values == pytest.approx(short.event_time.values + RUN_UP_END, abs=1e-9)
+    assert whole.event_to.values.tolist() == short.event_to.values.tolist()
+
+
+def test_the_phase_of_the_excitation_is_continuous() -> None:
+    """Against a march of the modal equations whose force follows the integral of the frequency."""
+    free = scene() | {"contacts": []}
+    free["excitation"] = {"forces": [{"point": "tip", "direction": [1, 0, 0], "amplitude": 1.0, "harmonic": 2}]}
+    result = timesim.run(free)
+    parts = [(0.7, 2), (1.1, 4), (1.6, 2), (0.9, 1)]
+    natural, state, time = 2 * np.pi * np.array([0.9, 1.1]), np.zeros(4), -RUN_UP_END
+    for frequency, cycles in parts:
+
+        def rate(t: float, y: np.ndarray, start: float = time, frequency: float = frequency) -> np.ndarray:
+            force = np.cos(2 * 2 * np.pi * frequency * (t - start))
+            return np.concatenate([y[2:], force - natural**2 * y[:2] - 0.04 * natural * y[2:]])
+
+        end = time + cycles / frequency
+        inside = (result.time.values > time) & (result.time.values < end)
+        found = solve_ivp(
+            rate, (time, end), state, "DOP853", [*result.time.values[inside], end], rtol=1e-11, atol=1e-13
+        )
+        expected = found.y[:2].sum(axis=0)[:-1]
+        assert result.displacement.sel(point="tip", axis="x").values[inside] == pytest.approx(expected, abs=1e-8)
+        state, time = found.y[:, -1], end
+    assert result.final_modal_velocity.values == pytest.approx(state[2:], abs=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["jump", "transient"])
+def test_another_run_goes_on_from_a_jump(short: xarray.Dataset, tmp_path: Path, kind: str) -> None:
+    begun = carry_out(load_scene(scene(phases=SHORT["study"]["phases"][:2])))
+    path = store.save_groups(begun.groups, tmp_path / "result.nc")
+    rest = scene(run_up=[], phases=SHORT["study"]["phases"][2:]) | {"initial": {"from": str(path)}}
+    if kind == "transient":
+        rest["excitation"] = rest["excitation"] | {"frequency": 0.9}
+        rest["study"] = {"kind": "transient", "cycles": 1, "samples_per_cycle": 20}
+    went_on = timesim.run(rest)
+    assert went_on.displacement.values == pytest.approx(short.displacement.values[-21:], abs=1e-8)
+    assert went_on.final_slip.values == pytest.approx(short.final_slip.values, abs=1e-8)
+    assert float(went_on.final_phase_deg) == pytest.approx(0, abs=1e-9)
+
+
+def test_the_energies_of_every_cycle_balance(short: xarray.Dataset) -> None:
+    assert short.energy_residual.size == 9
+    assert np.abs(short.energy_residual).max() < 1e-8 * short.attrs["peak_stored_energy"]
+
+
+def test_a_run_that_fails_in_its_run_up_keeps_what_it_has(tmp_path: Path) -> None:
+    outcome = carry_out(load_scene(SHORT | {"solver": {"method": "tsit5", "max_steps": 12}}))
+    assert outcome.reason is not None
+    assert "budget of 12 steps" in outcome.reason
+    assert "at time -" in outcome.reason
+    result = store.open_result(store.save_groups(outcome.groups, tmp_path / "result.nc"))
+    assert result.attrs["complete"] == 0
+    assert result.sizes["time"] == 0
+    assert plot.draw(result, tmp_path) == []
+
+
+def test_the_summary_tells_the_amplitude_of_each_phase() -> None:
+    lines = carry_out(load_scene(SHORT)).summary
+    assert [line.split(":")[0] for line in lines[-5:]] == ["run-up", "run-up", "phase 1", "phase 2", "phase 3"]
+    assert "2 cycles at 1.6 Hz, amplitude" in lines[-2]
+
+
+def test_the_resolved_scene_runs_again_and_an_unused_frequency_is_told() -> None:
+    loaded = load_scene(SHORT)
+    assert load_scene(loaded.resolved_yaml()).file == loaded.file
+    told = load_scene(SHORT, {"excitation.frequency": 1.0}).warnings()
+    assert any("excitation.frequency is not used" in line for line in told)
+
+
+def test_stretches_part_equal_frequencies_at_time_zero(short: xarray.Dataset) -> None:
+    expected = [(0, 2, 0.7, True), (2, 5, 1.1, True), (5, 6, 1.1, False), (6, 8, 1.6, False), (8, 9, 0.9, False)]
+    assert plot_jump.stretches(short) == expected
+    assert plot_jump.stretches(short.isel(cycle=slice(0, 0))) == []
+
+
+def test_the_envelope_over_the_schedule(short: xarray.Dataset) -> None:
+    ax = plot_jump.envelope(short)
+    curves = {line.get_label(): line for line in ax.get_lines()}
+    assert set(curves) >= {"tip x", "tip y", "tip z"}
+    assert np.array_equal(curves["tip x"].get_ydata(), short.cycle_amplitude.sel(point="tip", axis="x"))
+    assert [line.get_xdata()[0] for line in ax.get_lines()[3:]] == [2.5, 5.5, 6.5, 8.5]
+    (shaded,) = ax.patches
+    assert (shaded.get_x(), shaded.get_width(), shaded.get_label()) == (0.5, 5.0, "run-up")
+
+
+def test_the_frequency_over_the_schedule(short: xarray.Dataset) -> None:
+    ax = plot_jump.frequency(short)
+    steps = ax.patches[0].get_data()
+    assert steps.values.tolist() == [0.7, 1.1, 1.1, 1.6, 0.9]
+    assert steps.edges.tolist() == [0.5, 2.5, 5.5, 6.5, 8.5, 9.5]
+    assert [text.get_text().strip() for text in ax.texts] == ["0.7", "1.1", "1.1", "1.6", "0.9"]
+
+
+def test_the_path_joins_the_ends_of_the_phases(figure12: xarray.Dataset) -> None:
+    ax = plot_jump.path(figure12, point="tip", axis="x")
+    curves = {line.get_label(): line for line in ax.get_lines()}
+    assert len(curves["a cycle"].get_xdata()) == 220
+    f, a = curves["end of a phase"].get_data()
+    assert f.tolist() == [0.947, 0.948, 0.947]
+    assert a == pytest.approx([UPPER, linear_amplitude(0.948)[0], LOWER], rel=0.01)
+    assert curves["end of the run-up"].get_ydata()[0] == pytest.approx(UPPER, abs=1e-4)
+    assert [text.get_text() for text in ax.texts if text.get_text()] == ["1", "2", "3"]
+    assert len(ax.texts) == 5  # two arrows: the end of the run-up is where phase 1 ends
+
+
+def test_displacement_leaves_the_run_up_out(short: xarray.Dataset) -> None:
+    ax = plot_transient.displacement(short, point="tip", axis="x")
+    edges = ax.patches[0].get_data().edges
+    assert edges == pytest.approx([0, 1 / 1.1, 1 / 1.1 + 1 / 1.6, 1 / 1.1 + 2 / 1.6, 1 / 1.1 + 2 / 1.6 + 1 / 0.9])
+    changes = [line.get_xdata()[0] for line in ax.get_lines()[1:]]
+    assert changes == pytest.approx([edges[1], edges[3]])
+
+
+def test_all_pictures_of_a_jump(short: xarray.Dataset, tmp_path: Path) -> None:
+    names = [file.name for file in plot.draw(short, tmp_path)]
+    assert names == plot.picture_names("jump")
+    assert names[:3] == ["displacement.png", "envelope.png", "path.png"]
+    begun = short.isel(cycle=slice(0, 5), time=slice(0, 3)).assign_attrs(complete=0)
+    assert len(plot.draw(begun, tmp_path)) == len(names) - 1
+    nothing = short.isel(cycle=slice(0, 0), time=slice(0, 3)).assign_attrs(complete=0)
+    assert len(plot.draw(nothing, tmp_path)) == len(names) - 1

@@ -1,0 +1,161 @@
+"""The preload of least peak response: found to the wanted accuracy, and the search on peaks that are known."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import CONFIGS, run_config
+from systems import oscillator
+
+import timesim
+from timesim.engine.solver import PRESETS
+from timesim.orbit.settling import Criterion, Task, settle, without_orbit
+from timesim.picture import draw as plot
+from timesim.picture import optimum as plot_optimum
+from timesim.result.store import open_result
+from timesim.scene.resolution import load_scene
+from timesim.study import optimum
+from timesim.study.campaign import Means
+from timesim.study.optimum import Peaks, Response, summary
+from timesim.study.registry import carry_out
+
+KEY = "contacts.pad.preload"
+QUICK = {
+    "study.along": "{contacts.pad.preload: {from: 3.2, to: 4.4, num: 4}}",
+    "study.frequency": "{from: 1.36, to: 1.56, step: 0.05}",
+    "study.accuracy": "0.05",
+    "study.settle": "{tolerance: 1e-6, max_cycles: 1000}",
+    "solver.accuracy": "draft",
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return run_config(tmp_path_factory.mktemp("optimum"), "preload.yaml", QUICK)
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path):
+    return open_result(folder / "run")
+
+
+def test_the_preload_of_least_peak(result):
+    assert float(result["optimum"]) == pytest.approx(3.648, abs=0.05)
+    assert float(result["optimum_peak"]) == pytest.approx(0.139481, rel=2e-4)
+    assert float(result["optimum_frequency"]) == pytest.approx(1.4615, abs=5e-3)
+    assert float(result["peak"].min()) == float(result["optimum_peak"])
+
+
+def test_what_is_beside_it_is_not_smaller(result):
+    values, best = result[KEY].values, float(result["optimum"])
+    assert np.all(np.diff(values) > 0)
+    for value in (best - 0.05, best + 0.05):
+        assert np.min(np.abs(values - value)) < 1e-12
+    assert float(result["optimum_peak"]) <= result["peak"].values.min()
+
+
+def test_a_peak_lies_between_the_points_of_the_sweep(result):
+    largest = result["amplitude"].sel(point="tip", axis="x").max(("direction", "frequency")).values
+    assert np.all(result["peak"].values >= largest)
+    assert np.max(result["peak"].values / largest - 1) > 1e-3
+    place = np.argmin(np.abs(result[KEY].values - 3.6))
+    value, frequency = float(result[KEY][place]), float(result["peak_frequency"][place])
+    (orbit,) = settle([Task(oscillator(value, frequency), frequency)], PRESETS["standard"])
+    assert float(result["peak"][place]) == pytest.approx(orbit.amplitude[0, 0], rel=1e-4)
+
+
+def test_what_is_said_and_drawn(folder, result):
+    said = (folder / "said").read_text()
+    assert f"at {KEY} = {float(result['optimum']):.6g}" in said
+    assert "an accuracy away the peak is not smaller" in said
+    assert {path.name for path in (folder / "run").glob("*.png")} == set(plot.picture_names("optimum"))
+    ax = plot_optimum.peak(result)
+    (star,) = [line for line in ax.get_lines() if line.get_marker() == "*"]
+    assert np.ravel(star.get_xydata()).tolist() == [float(result["optimum"]), float(result["optimum_peak"])]
+    curves = plot_optimum.responses(result).get_lines()
+    assert any("the least" in str(line.get_label()) for line in curves)
+
+
+def test_an_optimum_at_the_end_of_the_range(tmp_path: Path):
+    given = QUICK | {"study.along": "{contacts.pad.preload: {from: 5.0, to: 5.4, num: 3}}"}
+    scene = load_scene(CONFIGS / "preload.yaml", [f"{key}={value}" for key, value in given.items()])
+    means = Means(folder=tmp_path, notice=lambda text: None)
+    outcome = carry_out(scene, means)
+    assert outcome.reason is None
+    assert any("at an end of the range" in line for line in outcome.summary)
+    record = outcome.groups[""]
+    assert float(record.variables["optimum"][1]) == 5.0
+    (tmp_path / "checkpoint" / "value-00001.npz").unlink()
+    (tmp_path / "checkpoint" / "search-001" / "value-00000.npz").unlink()
+    again = carry_out(scene, replace(means, resume=True)).groups[""]
+    for name, (_, array) in record.variables.items():
+        np.testing.assert_array_equal(again.variables[name][1], array)
+
+
+# The search, on peaks that are known
+
+
+class Known(Peaks):
+    """Peaks by a formula; `computed` are the values asked for."""
+
+    def __init__(self, formula, **given: Any):
+        keys = {"study.along": {KEY: {"from": 0.0, "to": 10.0, "num": 11}}, "study.accuracy": 1e-3}
+        super().__init__(load_scene(CONFIGS / "preload.yaml", keys | given), Means())
+        self.formula, self.computed = formula, []
+
+    def take(self, values: list[float], stage: str) -> None:
+        for value in values:
+            self.computed.append(value)
+            reason = np.array([["", "it broke"]] if np.isnan(self.formula(value)) else [["", ""]])
+            self.results[value] = {
+                "peak": np.array(self.formula(value)), "reason": reason, "peak_at_end": np.array(0),
+                "peak_frequency": np.array(1.0), "peak_settled": np.array(1), "cycles": np.zeros((1, 2), int),
+            }  # fmt: skip
+
+
+@pytest.mark.parametrize("best", [3.64836, 0.5, 9.9996, 7.0])
+@pytest.mark.parametrize("power", [1, 2, 4])
+def test_the_least_is_found_to_the_accuracy(best: float, power: int):
+    peaks = Known(lambda value: 0.1 + abs(value - best) ** power)
+    peaks.first()
+    peaks.search()
+    # A flat minimum is known no better than its peaks differ by more than those of the time integration do.
+    assert abs(peaks.least() - best) < (1e-3 if power < 4 else 3e-2)
+    assert len(peaks.computed) < 45
+    assert len(set(peaks.computed)) == len(peaks.computed)
+
+
+def test_the_least_of_two_valleys_counts():
+    peaks = Known(lambda value: min(1 + (value - 2.2) ** 2, 0.9 + (value - 7.3) ** 2))
+    peaks.first()
+    peaks.search()
+    assert peaks.least() == pytest.approx(7.3, abs=1e-3)
+
+
+def test_a_value_without_a_motion_is_named():
+    peaks = Known(lambda value: np.nan if 3.1 < value < 3.9 else (value - 3.5) ** 2)
+    peaks.first()
+    with pytest.raises(
+        optimum._LostError, match=r"no steady state was found at contacts.pad.preload = 3\.\d+: it broke"
+    ):
+        peaks.search()
+    assert any("least peak 0.25" in line for line in summary(peaks, found=False))
+
+
+def test_the_size_of_a_response():
+    model = oscillator(3.0, 1.4)
+    amplitude = np.array([[0.1, 0.3, 0.2]])
+    orbit = replace(without_orbit(model, ""), amplitude=amplitude, reason=None)
+    for point, axis, size in ((None, None, 0.3), ("tip", "x", 0.1), ("tip", None, 0.3), (None, "z", 0.2)):
+        assert Response(model, (1.4,), PRESETS["draft"], Criterion(), point, axis).size(orbit) == size
+
+
+@pytest.mark.slow
+def test_the_preload_of_the_papers_oscillator():
+    data = timesim.run(CONFIGS / "preload.yaml")
+    assert float(data["optimum"]) == pytest.approx(3.64836, abs=1e-3)
+    assert float(data["optimum_peak"]) == pytest.approx(0.1394811526, rel=1e-6)
+    for preload, peak in ((3.0, 0.156), (5.0, 0.157)):
+        assert float(data["peak"].sel({KEY: preload})) == pytest.approx(peak, abs=5e-4)

@@ -1,0 +1,172 @@
+"""Way (b) to the steady cycle of a contact: the event loop, marched from the start until a cycle repeats.
+
+It shares the law with `timesim.element.state_by_state`, and nothing else: no closed form, no angle of slip, another
+integration, other integrals. What both find must agree.
+"""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from timesim.element.cycle import ElementCycle, Transition
+from timesim.element.motion import CYCLE, Motion
+from timesim.element.prescribed import (
+    FIRST_STEP,
+    WEAK,
+    Elements,
+    coefficients,
+    collected,
+    control_of,
+    drive_of,
+    law_of,
+    method_of,
+    record_cycle,
+    single_element,
+    system_of,
+)
+from timesim.engine.event_loop import Step
+from timesim.engine.solver import Solver
+from timesim.model.model import SEPARATION, Contact
+
+FINE = Solver("tsit5", 1e-12, 1e-12)
+MAX_CYCLES = 1000
+# Change of f from cycle to cycle, relative to the largest mu n, that is rounding; a larger one that falls no
+# further is so too, up to the second number.
+ROUNDING, REPEATS = 1e-14, 1e-11
+
+
+@dataclass(frozen=True)
+class LoopCycle:
+    """The steady cycle by the event loop.
+
+    Attributes:
+        transitions: of the cycle, angles in [0, 2 pi).
+        f_b, f_s, f_c: coefficients of (19), each of shape (2,) [force].
+        dissipation: work of friction in the cycle [force length].
+        num_cycles: cycles marched, this one included.
+        residual: change of the friction force over the cycle, relative to the largest mu n.
+    """
+
+    transitions: tuple[Transition, ...]
+    f_b: np.ndarray
+    f_s: np.ndarray
+    f_c: np.ndarray
+    dissipation: float
+    num_cycles: int
+    residual: float
+
+    @property
+    def periodic(self) -> bool:
+        """Whether the cycle repeats to rounding."""
+        return self.residual <= REPEATS
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far the two ways are apart.
+
+    Attributes:
+        same_sequence: whether the states follow one another alike.
+        angle: largest difference of a transition [rad]; nan where the sequences differ.
+        coefficient: largest difference of a coefficient of (19) relative to the largest mu n, f_b left out where
+            the offset is free.
+        dissipation: difference of the dissipation relative to mu n times the size of the motion.
+        settled: whether the event loop came to a cycle that repeats.
+    """
+
+    same_sequence: bool
+    angle: float
+    coefficient: float
+    dissipation: float
+    settled: bool
+
+
+def offset(elements: Elements, slip: np.ndarray, state: np.ndarray) -> np.ndarray:
+    """Friction force at θ = 0 of a given w, relative to the largest mu n, shape (N, 2)."""
+    elastic = np.einsum("nij,nj->ni", elements.stiffness, elements.start[:, :2] - slip)
+    return np.where(state[:, None] == SEPARATION, 0.0, elastic / elements.force[:, None])
+
+
+def loop_cycle(contact: Contact, motion: Motion, *, solver: Solver = FINE, max_cycles: int = MAX_CYCLES) -> LoopCycle:
+    """March a contact through the prescribed motion by the event loop until its cycle repeats.
+
+    Args:
+        contact: friction, K_u, k_v and n0 are used; its points and frame are not.
+        motion: the relative motion over one cycle.
+
+    Keyword Args:
+        solver: method and tolerances; an explicit method.
+        max_cycles: bound of the march; `LoopCycle.periodic` says whether it sufficed.
+
+    Raises:
+        RuntimeError: the loop ended early.
+    """
+    elements = single_element(contact, motion)
+    unit = elements.length[0]
+    drive, acceleration = drive_of(motion, unit * WEAK)
+    method, control = method_of(solver, drive), control_of(solver)
+    (system, carriers) = jax.tree.map(
+        lambda leaf: leaf[0], (system_of(law_of(elements, elements.isotropic), acceleration), elements.carriers)
+    )
+    state, slip, before = elements.start_state, elements.start[:, :2], np.inf
+    force = offset(elements, slip, state)
+    for cycle in range(1, max_cycles + 1):
+        start = (jnp.asarray(slip[0] / unit), jnp.asarray(state[0]), jnp.asarray(FIRST_STEP))
+        end, steps, count = record_cycle(method, control, system, carriers, *start)
+        found = collected(elements, jax.tree.map(lambda leaf: leaf[None], end))
+        if not found.good[0] or int(end.cycle) != 1:
+            raise RuntimeError(f"the event loop ended early in cycle {cycle}, with status {int(end.status)}")
+        reached = offset(elements, found.slip, found.state)
+        residual, force = float(np.hypot(*(reached - force)[0])), reached
+        settled = residual <= ROUNDING or (residual <= REPEATS and residual > before / 2)
+        same, slip, state, before = found.state[0] == state[0], found.slip, found.state, residual
+        if settled and same:
+            break
+    b, s, c = coefficients(motion.phase[None], found)
+    log = transitions(steps, int(count))
+    return LoopCycle(log, b[0], s[0], c[0], float(found.dissipation[0]), cycle, residual)
+
+
+def transitions(steps: Step, count: int) -> tuple[Transition, ...]:
+    """Transitions of recorded steps."""
+    before, after = (np.asarray(part)[:count, 0] for part in (steps.state, steps.state_after))
+    angle = (np.asarray(steps.time) + np.asarray(steps.h))[:count]
+    return tuple(
+        Transition(float(angle[i] % CYCLE), int(before[i]), int(after[i])) for i in np.flatnonzero(before != after)
+    )
+
+
+def difference(cycle: ElementCycle, other: LoopCycle) -> Difference:
+    """How far two results for the same contact and motion are apart."""
+    ours, theirs = (sorted(c.transitions, key=lambda item: item.angle) for c in (cycle, other))
+    # One right at the seam may stand at either end of the list.
+    turns = range(-1, 2) if len(ours) == len(theirs) else ()
+    options = [
+        max((abs(_apart(a.angle, b.angle)) for a, b in zip(ours, _rolled(theirs, turn), strict=True)), default=0.0)
+        for turn in turns
+        if [(a.before, a.after) for a in ours] == [(b.before, b.after) for b in _rolled(theirs, turn)]
+    ]
+    found = cycle.coefficients
+    pairs = [(found.f_s, other.f_s), (found.f_c, other.f_c)]
+    pairs += [] if cycle.offset_free else [(found.f_b, other.f_b)]
+    load = cycle.largest_limit or 1.0
+    reach = np.hypot(*cycle.motion.amplitude) or 1.0
+    return Difference(
+        bool(options),
+        min(options, default=np.nan),
+        max(float(np.abs(a - b).max()) for a, b in pairs) / load,
+        abs(cycle.dissipation - other.dissipation) / (load * reach),
+        other.periodic,
+    )
+
+
+def _apart(a: float, b: float) -> float:
+    return (a - b + np.pi) % CYCLE - np.pi
+
+
+def _rolled(items: list[Transition], turn: int) -> list[Transition]:
+    return items[turn:] + items[:turn]

@@ -1,0 +1,277 @@
+"""The state-by-state simulation of a contact under prescribed motion (sections 3 and 4 of the paper).
+
+From theta = 0 with f = 0 the states follow one another: stick ends where the trial force leaves its cone
+(section 3.1, closed form) or with the contact, slip where its speed falls to zero (12) or with the contact
+(13), separation where the normal load rises (14), then by (15) to (17). Cycle after cycle, until the friction
+force repeats to rounding. The symbols are those of `timesim.element.slip_path`; forces act on body 2, so f does the
+work it takes from the motion.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from timesim.element.cycle import PERIODIC, ElementCycle, Stay, Transition
+from timesim.element.motion import CYCLE, Array, Motion
+from timesim.element.slip_path import Law, SlipPath, constant_path, contact_direction, integrate_slip
+from timesim.model.model import SEPARATION, SLIP, STICK, Contact
+
+MAX_CYCLES = 1000
+# Change of f from cycle to cycle that ends the march; so does one up to `PERIODIC` that falls no further.
+ROUNDING = 1e-14
+MAX_TRANSITIONS = 400
+# Cycles after which the march is carried on to its limit, if it converges geometrically.
+MIN_FORCES = 7
+# A transition so near the end of the cycle [rad] belongs to the start of the next.
+SEAM = 1e-11
+
+
+@dataclass(frozen=True)
+class Phase:
+    """What the contact is about to do at an angle.
+
+    Attributes:
+        state: `STICK`, `SLIP` or `SEPARATION`.
+        leave, to: angle of the next transition [rad] and the state after it; in slip that of the separation,
+            which sticking may forestall.
+        slip: w in stick, shape (2,) [length].
+        direction: of the friction force, in slip [rad].
+        separation: angle at which this contact interval ends [rad]; inf if never.
+    """
+
+    state: int
+    leave: float
+    to: int
+    slip: Array
+    direction: float = 0.0
+    separation: float = np.inf
+
+
+def steady_cycle(contact: Contact, motion: Motion, *, max_cycles: int = MAX_CYCLES) -> ElementCycle:
+    """March a contact through the prescribed motion, state by state, until its cycle repeats to rounding.
+
+    Args:
+        contact: friction, K_u, k_v and n0 are used; its points and frame are not.
+        motion: the relative motion over one cycle.
+
+    Keyword Args:
+        max_cycles: bound of the march; `ElementCycle.periodic` says whether it sufficed.
+
+    Raises:
+        ValueError: there is no contact to speak of, or K_u and friction do not go together.
+        RuntimeError: a slip could not be integrated, or the states change without end.
+    """
+    law = _law(contact)
+    march = March(law, motion)
+    phase = march.begin()
+    forces, history = [march.force(phase, 0.0)], []
+    before, reach, best = np.inf, 1.0, np.inf
+    for cycle in range(1, max_cycles + 1):
+        state = phase.state
+        stays, transitions, phase = march.cycle(phase)
+        history += [replace(item, angle=item.angle + CYCLE * (cycle - 1)) for item in transitions]
+        forces.append(march.force(phase, 0.0))
+        residual = float(np.hypot(*(forces[-1] - forces[-2]))) / (march.largest or 1.0)
+        # A transition right at theta = 0 shows at the end of the first cycle only, as another state.
+        settled = residual <= ROUNDING or (residual <= PERIODIC and residual > before / 2)
+        if settled and (phase.state == state or before <= PERIODIC):
+            break
+        before = residual
+        limit = _limit_of(forces) if len(forces) >= MIN_FORCES else None
+        if limit is not None:
+            # Beyond the limit other slips may push it back, again and again: go less far then.
+            reach, best = min(1.0, 2 * reach) if residual < (1 - reach / 2) * best else reach / 2, residual
+            phase = march.moved(phase, forces[-1] + reach * (limit - forces[-1]))
+            forces = [march.force(phase, 0.0)]
+    return ElementCycle(law, motion, tuple(stays), tuple(transitions), cycle, residual, tuple(history))
+
+
+def _limit_of(forces: list[Array]) -> Array | None:
+    """Limit of a slowly converging sequence; None where it is not seen to be one.
+
+    The changes fall by a ratio r (Aitken), or like a power of the cycle number, where r rises by q (1 - r)^2
+    a cycle: so does a contact that creeps towards full stick.
+    """
+    first, second, third = np.diff(np.array(forces[-4:]), axis=0)
+    before, ratio = (second @ first) / (first @ first), (third @ second) / (second @ second)
+    aligned = np.hypot(*(third - ratio * second)) <= 0.1 * np.hypot(*third)
+    if not aligned or not 0.2 < ratio < 1.0 or abs(ratio - before) > 0.2 * (1 - ratio):
+        return None
+    rise = min((ratio - before) / (1 - ratio) ** 2, 0.8)
+    rise = rise if rise > 0.4 else 0.0
+    return forces[-1] + third * ratio / (1 - ratio) / (1 - rise)
+
+
+def _law(contact: Contact) -> Law:
+    K = np.asarray(contact.tangential_stiffness, float)
+    where = f"contact {contact.name}"
+    if contact.normal_stiffness < 0 or contact.friction < 0:
+        raise ValueError(
+            f"{where}: friction and normal stiffness must not be negative, "
+            f"not {contact.friction} and {contact.normal_stiffness}"
+        )
+    if contact.normal_stiffness == 0 and contact.preload <= 0:
+        raise ValueError(
+            f"{where}: without normal stiffness the preload must be positive, not {contact.preload}: "
+            "there would never be contact"
+        )
+    if not np.array_equal(K, K.T) or (contact.friction > 0 and np.linalg.eigvalsh(K)[0] <= 0):
+        raise ValueError(
+            f"{where}: the tangential stiffness must be symmetric and positive definite, or zero together "
+            f"with friction 0, not {K.tolist()}"
+        )
+    return Law(K, contact.friction, contact.normal_stiffness, contact.preload)
+
+
+class March:
+    """The rules by which one state follows another, for one contact and one motion."""
+
+    def __init__(self, law: Law, motion: Motion):
+        self.law, self.motion = law, motion
+        extremes, _ = motion.crossings(np.array([0.0, 0.0, 1.0]), 0.0, rate=True)
+        y, _ = motion.evaluate(np.append(extremes, 0.0))
+        self.largest = float(law.limit(y, y)[0].max())
+        self.load_floor = 1e-14 * (abs(law.preload) + law.normal_stiffness * np.abs(y[2]).max())
+        angles, rising = motion.crossings(np.array([0.0, 0.0, law.normal_stiffness]), law.preload)
+        self.closings, self.openings = angles[rising], angles[~rising]
+        self.trial = np.zeros((3, 3))
+        self.trial[:2, :2] = law.stiffness
+        self.trial[2, 2] = law.friction * law.normal_stiffness
+        self.straight_stops = self._straight_stops()
+        # After a separation a cycle repeats the one before to the last bit.
+        self._paths: dict[tuple[float, float, float], SlipPath] = {}
+
+    def _straight_stops(self) -> tuple[Array, Array, Array] | None:
+        """Straight motion along a principal axis of K_u: the axis, where slip along and against it stops."""
+        line = self.motion.line
+        if self.law.frictionless or line is None:
+            return None
+        pull = self.law.stiffness @ line
+        along = float(line @ pull)
+        if np.hypot(*(pull - along * line)) > 1e-14 * along:
+            return None
+        stops = []
+        for sign in (1.0, -1.0):
+            weights = np.append(sign * along * line, -self.trial[2, 2])
+            angles, rising = self.motion.crossings(weights, 0.0, rate=True)
+            stops.append(angles[~rising])
+        return line, stops[0], stops[1]
+
+    def begin(self) -> Phase:
+        """The start at theta = 0: f = 0, stuck if n > 0, else separated."""
+        y, _ = self.motion.evaluate(0.0)
+        load = self.law.preload + self.law.normal_stiffness * y[2]
+        if load <= self.load_floor:
+            return Phase(SEPARATION, _next(self.closings, 0.0, SEAM), STICK, np.zeros(2))
+        opening = _next(self.openings, 0.0)
+        if self.law.frictionless:
+            return Phase(SLIP, opening, SEPARATION, y[:2], 0.0, opening)
+        return self._stuck(0.0, y[:2], opening, on_cone=False)
+
+    def _separated(self, theta: float) -> Phase:
+        return Phase(SEPARATION, _next(self.closings, theta), STICK, np.zeros(2))
+
+    def _stuck(self, theta: float, slip: Array, separation: float, *, on_cone: bool) -> Phase:
+        offset = np.append(-self.law.stiffness @ slip, self.law.friction * self.law.preload)
+        leave, to = self.motion.cone_exit(self.trial, offset, theta, on_cone=on_cone), SLIP
+        # Where the cone and n = 0 are met at once the force only touches the cone, and `leave` is later.
+        if separation <= leave:
+            leave, to = separation, SEPARATION
+        return Phase(STICK, leave, to, slip, 0.0, separation)
+
+    def _touching(self, theta: float) -> Phase:
+        """Re-contact: stick if |K_u u'| < mu n' (15), else slip (17)."""
+        y, dy = self.motion.evaluate(theta)
+        separation = _next(self.openings, theta)
+        if np.hypot(*(self.law.stiffness @ dy[:2])) < self.law.limit(y, dy)[1]:
+            return self._stuck(theta, y[:2], separation, on_cone=True)
+        direction = 0.0 if self.law.frictionless else contact_direction(self.law, dy)[0]
+        return Phase(SLIP, separation, SEPARATION, np.zeros(2), direction, separation)
+
+    def _sliding(self, theta: float, phase: Phase) -> Phase:
+        force = self.force(phase, theta)
+        return replace(
+            phase,
+            state=SLIP,
+            leave=phase.separation,
+            to=SEPARATION,
+            direction=float(np.arctan2(force[1], force[0])),
+        )
+
+    def _stopped(self, theta: float, phase: Phase) -> Phase:
+        slip = self.motion.evaluate(theta)[0][:2] - self.law.compliance @ self.force(phase, theta)
+        return self._stuck(theta, slip, phase.separation, on_cone=True)
+
+    def force(self, phase: Phase, theta: float) -> Array:
+        """Friction force at an angle, shape (2,) [force]."""
+        y, dy = self.motion.evaluate(theta)
+        if phase.state == STICK:
+            return self.law.stiffness @ (y[:2] - phase.slip)
+        if phase.state == SEPARATION:
+            return np.zeros(2)
+        return self.law.limit(y, dy)[0] * np.array([np.cos(phase.direction), np.sin(phase.direction)])
+
+    def moved(self, phase: Phase, force: Array) -> Phase:
+        """The phase at theta = 0 with another friction force, at most mu n."""
+        y, dy = self.motion.evaluate(0.0)
+        if phase.state == SLIP:
+            return replace(phase, direction=float(np.arctan2(force[1], force[0])))
+        excess = np.hypot(*force) / float(self.law.limit(y, dy)[0])
+        slip = y[:2] - self.law.compliance @ (force / max(excess, 1.0))
+        return self._stuck(0.0, slip, phase.separation, on_cone=False)
+
+    def _slide(self, theta: float, phase: Phase, end: float) -> SlipPath:
+        """Slip from an angle up to `end` at most: in closed form where the direction cannot change."""
+        if self.law.frictionless:
+            return constant_path(0.0, theta, end, False)
+        if self.straight_stops is None:
+            key = (theta, phase.direction, end)
+            if key not in self._paths:
+                self._paths[key] = integrate_slip(self.law, self.motion, phase.direction, theta, end, self.largest)
+            return self._paths[key]
+        line, forward, backward = self.straight_stops
+        along = line @ [np.cos(phase.direction), np.sin(phase.direction)] > 0
+        stop = _next(forward if along else backward, theta, SEAM)
+        return constant_path(phase.direction, theta, min(stop, end), stop < end)
+
+    def cycle(self, phase: Phase) -> tuple[list[Stay], list[Transition], Phase]:
+        """One cycle from theta = 0: its stays and transitions, and the phase in which the next one begins."""
+        stays: list[Stay] = []
+        transitions: list[Transition] = []
+        theta = 0.0
+        for _ in range(MAX_TRANSITIONS):
+            inside = phase.leave < CYCLE - SEAM
+            stop = max(theta, min(phase.leave, CYCLE)) if inside else CYCLE
+            path = self._slide(theta, phase, stop) if phase.state == SLIP and stop > theta else None
+            stuck = path is not None and path.stuck and path.stop < CYCLE - SEAM
+            if path is not None:
+                stop = path.stop if stuck else stop
+                phase = replace(phase, direction=path.final)
+            stays.append(Stay(phase.state, theta, stop, phase.slip, path))
+            if not (stuck or inside):
+                return stays, transitions, _rewound(phase)
+            following = self._stopped(stop, phase) if stuck else self._follow(stop, phase)
+            transitions.append(Transition(float(stop), phase.state, following.state))
+            phase, theta = following, stop
+        raise RuntimeError(
+            f"element: more than {MAX_TRANSITIONS} transitions in a cycle, the last at {np.degrees(theta):.9g} degrees"
+        )
+
+    def _follow(self, theta: float, phase: Phase) -> Phase:
+        if phase.state == SEPARATION:
+            return self._touching(theta)
+        return self._separated(theta) if phase.to == SEPARATION else self._sliding(theta, phase)
+
+
+def _next(angles: Array, theta: float, slack: float = 0.0) -> float:
+    """First of the angles after theta, going round, or inf; one within `slack` before it is met at once."""
+    if angles.size == 0:
+        return np.inf
+    ahead = (angles - theta + slack) % CYCLE - slack
+    return float(theta + max(ahead.min(), 0.0))
+
+
+def _rewound(phase: Phase) -> Phase:
+    """The phase at the end of a cycle as the next one counts its angles."""
+    direction = (phase.direction + np.pi) % CYCLE - np.pi
+    return replace(phase, leave=phase.leave - CYCLE, separation=phase.separation - CYCLE, direction=direction)

@@ -1,0 +1,37 @@
+"""Functions that XLA compiles apart.
+
+XLA on a CPU fuses elementwise operations into the kernels of everything that uses them, and computes them again in
+each: left alone, every stage of a Runge-Kutta step is evaluated anew for every later one. `optimization_barrier` is
+removed before fusion; a call that may not be inlined is not. Measured on the oscillator of two modes, 256 at a time:
+see benchmarks/README.md.
+"""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+import functools
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+import jax
+from jax.experimental.xla_metadata import set_xla_metadata
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def apart(function: Callable[P, T]) -> Callable[P, T]:
+    """The function as a call of its own, whose operations are not fused with those around it."""
+
+    def inside(*args: P.args, **kwargs: P.kwargs) -> T:
+        # Calls made inside, such as every `jnp.where`, are functions too: they are to be inlined.
+        with set_xla_metadata(inlineable="true"):
+            return function(*args, **kwargs)
+
+    compiled = jax.jit(functools.wraps(function)(inside))
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        with set_xla_metadata(inlineable="false"):
+            return compiled(*args, **kwargs)
+
+    return call

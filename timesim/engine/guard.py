@@ -1,0 +1,189 @@
+"""Where inside a step the first transition lies.
+
+Every contact's margins are followed over the step on its dense output, at several points and not only at the end: two
+crossings within a step would cancel there. What is found is a proposal; the event loop steps to it again, and only
+there, on the solution itself, decides.
+"""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from timesim.engine import dense_output as hermite
+from timesim.engine.barrier import apart
+from timesim.engine.contact import Motion, Plane, State, force_scale, margins
+from timesim.engine.system import Point, System, relative
+
+NUM_NODES = 6
+VIOLATED = 1e-12  # of the margin's own scale: below it a margin is rounding
+NUM_SECANTS = 3
+SHORT = 1e-3  # in shorter steps the change of displacement is better had from the velocities than as a difference
+# They must agree with it: in an implicit step of stiff contacts they need not, and where the dense output ends beside
+# the solution, a step that overshoots is cut shorter without end.
+ROUNDING = 1e-13
+NONE = 2.0  # a fraction beyond the step
+
+Margins = tuple[Float[Array, "*node contact"], Float[Array, "*node contact"]]
+Ends = tuple[Plane, Plane, Plane]
+
+
+class Segment(eqx.Module):
+    """A step as the contacts see it.
+
+    Attributes:
+        start, end: relative motion at its ends with two derivatives.
+        slip_start, slip_end: slip there with one.
+        path: coefficients of the polynomial of each component of the motion, the normal one last.
+        slip: coefficients of that of each component of the slip.
+        h: length of the step.
+    """
+
+    start: Ends
+    end: Ends
+    slip_start: tuple[Plane, Plane]
+    slip_end: tuple[Plane, Plane]
+    path: tuple[tuple[Array, ...], ...]
+    slip: tuple[tuple[Array, ...], ...]
+    h: Float[Array, ""]
+
+
+@apart
+def segment(system: System, points: tuple[Point, Point], rates: tuple[Point, Point], h: Float[Array, ""]) -> Segment:
+    """The contacts' view of a step."""
+    starts, ends = (tuple(relative(system, x) for x in (y.q, y.p, dy.p)) for y, dy in zip(points, rates, strict=True))
+    slips = [(y.w, dy.w) for y, dy in zip(points, rates, strict=True)]
+
+    def change(x0: Array, v0: Array, a0: Array, x1: Array, v1: Array, a1: Array) -> Array:
+        smooth, difference = h * (0.5 * (v0 + v1) + h / 12 * (a0 - a1)), x1 - x0
+        agree = jnp.abs(smooth - difference) <= ROUNDING * (1 + jnp.abs(x1))
+        return jnp.where((h < SHORT) & agree, smooth, difference)
+
+    path = tuple(
+        hermite.quintic_coefficients(h, row[:3], row[3:], change(*row)) for row in zip(*starts, *ends, strict=True)
+    )
+    slip = tuple(hermite.cubic_coefficients(h, row[:2], row[2:]) for row in zip(*slips[0], *slips[1], strict=True))
+    return Segment(starts, ends, slips[0], slips[1], path, slip, h)
+
+
+@apart
+def margins_inside(system: System, state: State, part: Segment, x: Float[Array, "*#node #contact"]) -> Margins:
+    """Margins on the dense output at fractions x of the step, made dimensionless by their scale."""
+    along = [hermite.evaluate(x, polynomial) for polynomial in part.path]
+    value, rate = tuple(u for u, _ in along), tuple(du / part.h for _, du in along)
+    w = tuple(hermite.evaluate(x, polynomial)[0] for polynomial in part.slip)
+    moves = Motion(value[:-1], value[-1], rate[:-1], rate[-1])
+    force, speed = margins(system.law, state, moves, w)
+    return force / force_scale(system.law), speed
+
+
+def _margins_at(system: System, state: State, ends: Ends, slip: tuple[Plane, Plane]) -> tuple[Margins, Margins]:
+    def at(x: Plane, dx: Plane, w: Plane) -> Margins:
+        force, speed = margins(system.law, state, Motion(x[:-1], x[-1], dx[:-1], dx[-1]), w)
+        return force / force_scale(system.law), speed
+
+    (x, dx, ddx), (w, dw) = ends, slip
+    return jax.jvp(at, (x, dx, w), (dx, ddx, dw))
+
+
+def end_margins(system: System, state: State, part: Segment) -> tuple[Margins, Margins]:
+    """Margins at the end of the step and their exact rates."""
+    return _margins_at(system, state, part.end, part.slip_end)
+
+
+def first_crossing(
+    system: System,
+    state: State,
+    part: Segment,
+    end: Margins,
+    end_rate: Margins,
+    spared: tuple[Bool[Array, " contact"], ...],
+) -> Float[Array, ""]:
+    """Fraction of the step at which the first margin falls through zero, `NONE` where none does.
+
+    Also a margin that only dips below zero between two nodes is proposed, judged by a parabola through three of them,
+    and next to an end by the rate there: a step that stops just short of a dip is followed by one that begins with it.
+    To end a step there needlessly does no harm.
+
+    Args:
+        system: the system.
+        state: states of the contacts during the step.
+        part: the step.
+        end, end_rate: margins at its end and their rates.
+        spared: margins that are allowed to be negative at the end, because their transition is taken there.
+    """
+    if state.shape[0] == 0:
+        return jnp.asarray(NONE)
+    inner = margins_inside(system, state, part, jnp.arange(NUM_NODES)[:, None] / NUM_NODES)
+    _, start_rate = _margins_at(system, state, part.start, part.slip_start)
+    nodes, dips = [], []
+    for margin, last, spare, falls, rises in zip(inner, end, spared, start_rate, end_rate, strict=True):
+        # A step starts on a guard after each transition: what is there is rounding, and no crossing.
+        first = [jnp.maximum(margin[0], 0.0), *(margin[i] for i in range(1, NUM_NODES))]
+        node = [*first, jnp.where(spare, jnp.maximum(last, 0.0), last)]
+        nodes.append(node)
+        after = _edge_dip(node[0], part.h / NUM_NODES * falls, node[1])
+        before = _edge_dip(node[-1], -part.h / NUM_NODES * rises, node[-2])
+        dips += [_dip(node), after, jnp.where(before < NONE, 1 - before, NONE)]
+    return jnp.stack([_root(system, state, part, nodes), *(dip.min() for dip in dips)]).min()
+
+
+@apart
+def _bracket(node: list[Array]) -> tuple[Array, Array, Array]:
+    """Right end of the first bracket (in nodes; beyond the step if none), and the values at its ends."""
+    right, low, high = jnp.full(node[0].shape, NONE * NUM_NODES), node[0], node[0]
+    for i in range(NUM_NODES, 0, -1):
+        below = node[i] < -VIOLATED
+        right = jnp.where(below, i, right)
+        low, high = jnp.where(below, node[i - 1], low), jnp.where(below, node[i], high)
+    return right, low, high
+
+
+def _root(system: System, state: State, part: Segment, nodes: list[list[Array]]) -> Float[Array, ""]:
+    """First root of each contact's margins in their first bracket, by the Illinois rule; the least of them."""
+    (right, low_a, high_a), (other, low_b, high_b) = (_bracket(node) for node in nodes)
+    second = other < right
+    right = jnp.where(second, other, right)
+    found = right <= NUM_NODES
+    f_high = jnp.minimum(jnp.where(second, high_b, high_a), -VIOLATED)
+    # A left value that is rounding would draw every secant to the left end, and the event would re-fire for ever.
+    f_low = jnp.maximum(jnp.where(second, low_b, low_a), -1e-3 * f_high)
+    low, high = (right - 1) / NUM_NODES, right / NUM_NODES
+    side = jnp.zeros_like(low)
+    for _ in range(NUM_SECANTS):
+        x = low - f_low * (high - low) / (f_high - f_low)
+        force, speed = margins_inside(system, state, part, x)
+        f = jnp.where(second, speed, force)
+        inside = f > 0
+        f_high = jnp.where(inside, jnp.where(side > 0, 0.5 * f_high, f_high), jnp.minimum(f, -1e-300))
+        f_low = jnp.where(inside, f, jnp.where(side < 0, 0.5 * f_low, f_low))
+        low, high = jnp.where(inside, x, low), jnp.where(inside, high, x)
+        side = jnp.where(inside, 1.0, -1.0)
+    x = low - f_low * (high - low) / (f_high - f_low)
+    return jnp.where(found, x, NONE).min()
+
+
+@apart
+def _dip(node: list[Array]) -> Float[Array, " contact"]:
+    """First interior minimum below zero of the parabolas through three nodes at a time."""
+    first = jnp.full(node[0].shape, NONE)
+    for i in range(NUM_NODES - 1, 0, -1):
+        left, middle, right = node[i - 1 : i + 2]
+        curvature, slope = left - 2 * middle + right, right - left
+        lowest = middle * curvature - slope**2 / 8 < -VIOLATED * curvature
+        inside = (middle <= left) & (middle <= right) & (middle >= -VIOLATED) & (left > 0) & (curvature > 0)
+        where = (i - 0.5 * slope / jnp.where(curvature > 0, curvature, 1.0)) / NUM_NODES
+        first = jnp.where(inside & lowest, where, first)
+    return first
+
+
+@apart
+def _edge_dip(edge: Array, slope: Array, next_node: Array) -> Float[Array, " contact"]:
+    """Minimum below zero of the parabola from an end of the step, with its slope there, to the node next to it."""
+    curvature = next_node - edge - slope
+    inside = (slope < 0) & (-slope < 2 * curvature) & (edge >= 0) & (next_node >= -VIOLATED)
+    lowest = edge * curvature - 0.25 * slope**2 < -VIOLATED * curvature
+    where = -0.5 * slope / jnp.where(inside, curvature, 1.0) / NUM_NODES
+    return jnp.where(inside & lowest, where, NONE)

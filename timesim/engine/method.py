@@ -1,0 +1,149 @@
+"""One step of an integration method, behind one interface.
+
+A method advances the continuous state over a step in which every contact keeps its state, and says how large its
+error is. It gives the rate at the end of the step as well: with it the step has a dense output (`dense_output`).
+The explicit Runge-Kutta methods are unrolled from the tableaus of diffrax: XLA on a CPU pays for each kernel.
+"""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+import abc
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from timesim.engine.barrier import apart
+from timesim.engine.system import Point
+
+Field = Callable[[Float[Array, ""], Point], Point]
+
+
+class Advance(NamedTuple):
+    """State and rate at the end of a step, and the estimated error (None: the step is fixed)."""
+
+    point: Point
+    rate: Point
+    error: Point | None
+
+
+class Method(eqx.Module):
+    """A one-step method.
+
+    Attributes:
+        order: order of the solution that is carried on.
+    """
+
+    order: eqx.AbstractVar[int]
+
+    @abc.abstractmethod
+    def advance(self, field: Field, time: Float[Array, ""], point: Point, rate: Point, h: Float[Array, ""]) -> Advance:
+        """A step of length h from a point with its rate there."""
+
+
+class Explicit(Method):
+    """An explicit Runge-Kutta method with an embedded error estimate."""
+
+    order: int = eqx.field(static=True)
+    nodes: tuple[float, ...] = eqx.field(static=True)
+    stages: tuple[tuple[float, ...], ...] = eqx.field(static=True)
+    weights: tuple[float, ...] = eqx.field(static=True)
+    error_weights: tuple[float, ...] = eqx.field(static=True)
+
+    def advance(self, field: Field, time: Float[Array, ""], point: Point, rate: Point, h: Float[Array, ""]) -> Advance:
+        slopes = [rate]
+        for node, row in zip(self.nodes, self.stages, strict=True):
+            slopes.append(field(time + node * h, moved(point, slopes, row, h)))
+        end = moved(point, slopes, self.weights, h)
+        first_same_as_last = self.nodes[-1] == 1 and self.stages[-1] == self.weights[:-1]
+        end_rate = slopes[-1] if first_same_as_last else field(time + h, end)
+        error = moved(None, slopes, self.error_weights, h) if any(self.error_weights) else None
+        return Advance(end, end_rate, error)
+
+
+def moved(point: Point | None, slopes: list[Point], weights: tuple[float, ...], h: Float[Array, ""]) -> Point:
+    """point + h sum(weights * slopes), terms of weight zero left out."""
+    terms = [(weight, slope) for weight, slope in zip(weights, slopes, strict=False) if weight != 0]
+    return _combined(point, [slope for _, slope in terms], [h * weight for weight, _ in terms])
+
+
+@apart
+def _combined(point: Point | None, slopes: list[Point], weights: list[Array]) -> Point:
+    def combine(*leaves: Array) -> Array:
+        return sum(weight * leaf for weight, leaf in zip(weights, leaves, strict=True))
+
+    step = jax.tree.map(combine, *slopes)
+    return step if point is None else jax.tree.map(jnp.add, point, step)
+
+
+class Implicit(Method):
+    """A diffrax solver for stiff contacts, stepped one step at a time.
+
+    Where its Newton iteration fails the explicit method makes the step: a slip that begins at n = 0 looks the same at
+    every length of the step, so a shorter one would not help.
+    """
+
+    order: int = eqx.field(static=True)
+    solver: eqx.Module
+    fallback: Explicit
+
+    def advance(self, field: Field, time: Float[Array, ""], point: Point, rate: Point, h: Float[Array, ""]) -> Advance:
+        import diffrax
+
+        term = diffrax.ODETerm(lambda t, y, args: field(t, y))
+        start = self.solver.init(term, time, time + h, point, None)
+        end, error, _, _, result = self.solver.step(term, time, time + h, point, None, start, made_jump=True)
+        good = result == diffrax.RESULTS.successful
+        implicit, explicit = (end, error), self.fallback.advance(field, time, point, rate, h)
+        end, error = jax.tree.map(lambda a, b: jnp.where(good, a, b), implicit, (explicit.point, explicit.error))
+        return Advance(end, field(time + h, end), error)
+
+
+RK4 = Explicit(
+    order=4,
+    nodes=(0.5, 0.5, 1.0),
+    stages=((0.5,), (0.0, 0.5), (0.0, 0.0, 1.0)),
+    weights=(1 / 6, 1 / 3, 1 / 3, 1 / 6),
+    error_weights=(0.0, 0.0, 0.0, 0.0),
+)
+
+
+def _explicit(name: str) -> Explicit:
+    import diffrax
+
+    solver = {"tsit5": diffrax.Tsit5, "dopri5": diffrax.Dopri5, "dopri8": diffrax.Dopri8}[name]
+    tableau = solver.tableau
+    return Explicit(
+        order=solver().order(None),
+        nodes=tuple(np.asarray(tableau.c, dtype=float).tolist()),
+        stages=tuple(tuple(np.asarray(row, dtype=float).tolist()) for row in tableau.a_lower),
+        weights=tuple(np.asarray(tableau.b_sol, dtype=float).tolist()),
+        error_weights=tuple(np.asarray(tableau.b_error, dtype=float).tolist()),
+    )
+
+
+def _kvaerno5(rtol: float, atol: float) -> Implicit:
+    import diffrax
+    import optimistix
+
+    # The Newton iteration is to be a hundred times finer than the step, or its remainder shows up as noise. Where a
+    # slip begins at n = 0 the Jacobian changes over any step, however short: diffrax's own VeryChord, which keeps it,
+    # diverges there until the step is rounding (and takes 18 times as many steps elsewhere).
+    root_finder: Any = optimistix.Newton(rtol=max(rtol * 1e-2, 1e-13), atol=max(atol * 1e-2, 1e-14))
+    return Implicit(order=5, solver=diffrax.Kvaerno5(root_finder=root_finder), fallback=_explicit("tsit5"))
+
+
+NAMES = ("tsit5", "dopri5", "dopri8", "kvaerno5", "rk4")
+
+
+@functools.cache
+def method_named(name: str, *, rtol: float = 1e-8, atol: float = 1e-10) -> Method:
+    """The method of a scene file's ``solver.method``."""
+    if name == "rk4":
+        return RK4
+    return _kvaerno5(rtol, atol) if name == "kvaerno5" else _explicit(name)

@@ -1,0 +1,254 @@
+"""A run of one trajectory: from a model to steps in the units of the scene, through the dimensionless event loop.
+
+The compiled loop hands over its steps a batch at a time, so device memory does not grow with the cycles.
+"""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from timesim.engine.event_loop import Status, Trajectory, advance, begin
+from timesim.engine.event_loop import Step as LoopStep
+from timesim.engine.history import Steps
+from timesim.engine.solver import Solver
+from timesim.engine.system import Point, Scales, System, Work, contact_axes, scales_of, system_of
+from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
+from timesim.model.reduction import Reduction, reduction_of
+
+BATCH = 512  # steps handed over at a time
+PERIOD = 2 * np.pi
+
+MESSAGES = {
+    Status.ZENO: "contact '{contact}' switches its state over and over without time passing (Zeno-like accumulation); "
+    "smooth the scene (a little damping in its modes, softer contacts) or ask for solver.accuracy: reference",
+    Status.TOO_SHORT: "the step fell below rounding; contact '{contact}' switched last. The problem is too stiff for "
+    "{solver}: try solver.method: kvaerno5, fewer modes (structure.keep_modes), or a larger rtol",
+    Status.BUDGET: "the budget of {budget} steps a cycle is spent; contact '{contact}' switched last. Raise "
+    "solver.max_steps, keep fewer modes (structure.keep_modes), or try solver.method: kvaerno5",
+    Status.NOT_FINITE: "the state is no longer finite; contact '{contact}' switched last. Check the scene for negative "
+    "damping or forces that are far too large, and try a smaller rtol",
+}
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A number of cycles at one frequency [Hz]."""
+
+    frequency: float
+    cycles: int
+
+
+class RunError(Exception):
+    """A run that ended early: the message says when, why and what to try."""
+
+
+@dataclass
+class Run:
+    """A trajectory under way; iterate over `batches` to advance it.
+
+    Attributes:
+        model: what is simulated.
+        phases: the schedule; the phase of the excitation is continuous across its changes.
+        solver: method and tolerances.
+        displacement, velocity, slip, state: the present state, in the units of the scene.
+        phase: phase of the excitation at the start of a cycle [rad].
+        time: time since the start [s].
+        completed: cycles completed.
+        compile_seconds: time spent in the first call of each compiled loop, most of it compilation.
+    """
+
+    model: Model
+    phases: Sequence[Phase]
+    solver: Solver
+
+    def __post_init__(self) -> None:
+        frequencies = sorted({phase.frequency for phase in self.phases})
+        self.reduction = reduction_of(self.model, frequencies, reduce=self.solver.reduce)
+        start = self.model.start
+        self.displacement, self.velocity = start.displacement.copy(), start.velocity.copy()
+        self.slip, self.state = start.slip.copy(), start_states(self.model)
+        self.phase, self.time, self.completed = start.phase, 0.0, 0
+        self.compile_seconds = 0.0
+        self.work = np.zeros(2 + self.model.num_contacts)
+
+    @property
+    def num_cycles(self) -> int:
+        """Cycles of the whole schedule."""
+        return sum(phase.cycles for phase in self.phases)
+
+    def batches(self) -> Iterator[Steps]:
+        """Advance through the schedule, a batch of steps at a time.
+
+        Raises:
+            RunError: the loop ended early; what was yielded before is valid.
+        """
+        for phase in self.phases:
+            yield from self._through(phase)
+
+    def _through(self, phase: Phase) -> Iterator[Steps]:
+        frame = Frame(self.model, self.reduction, phase.frequency)
+        system = system_of(self.model, phase.frequency, self.phase, self.reduction)
+        stiffest = self.model.stuck_rate / frame.scales.omega
+        method, control = self.solver.method(), self.solver.control(stiffest)
+        now = frame.begin(system, self, self.solver.first_step(stiffest))
+        done, work, origin = 0, self.work.copy(), self.time
+        while done < phase.cycles:
+            clock = time.perf_counter()
+            first = self.compile_seconds == 0.0
+            now, record, count = advance(method, control, system, now, jnp.asarray(phase.cycles), BATCH)
+            loop = first_rows(record, int(count))
+            if first:
+                self.compile_seconds = time.perf_counter() - clock
+            steps = frame.steps(loop, self.completed - done, origin, work)
+            done, self.completed = int(now.cycle), self.completed - done + int(now.cycle)
+            frame.store(now, self, origin, work)
+            yield steps
+            self.judge(int(now.status), int(now.culprit))
+
+    def judge(self, status: int, culprit: int) -> None:
+        """Raise what a status of the loop means.
+
+        Raises:
+            RunError: the loop has ended early.
+        """
+        if status == Status.RUNNING:
+            return
+        message = message_of(self.model, self.reduction, self.solver, status, culprit)
+        raise RunError(f"at time {self.time:.9g} s, in cycle {self.completed + 1}: {message}")
+
+
+def message_of(model: Model, reduction: Reduction, solver: Solver, status: int, culprit: int) -> str:
+    """What a status that has ended a trajectory means, and what to try."""
+    text = MESSAGES[Status(status)]
+    if not reduction.live.size:
+        return text.replace("; contact '{contact}' switched last", "").format(solver=solver.name, budget=solver.budget)
+    contact = model.contacts[reduction.live[culprit]].name
+    return text.format(contact=contact, solver=solver.name, budget=solver.budget)
+
+
+class Frame:
+    """Between the dimensionless form at one frequency, reduced, and the units of the whole scene."""
+
+    def __init__(self, model: Model, reduction: Reduction, frequency: float):
+        self.model, self.reduction = model, reduction
+        self.scales: Scales = scales_of(model, frequency)
+        self.axes = contact_axes(model, reduction)
+
+    def begin(self, system: System, run: Run, first_step: float, *, work: bool = True) -> Trajectory:
+        """The loop's trajectory from the present state of a run, with or without its energies."""
+        start = Start(run.displacement, run.velocity, run.slip, run.state)
+        point, state = self.point(start)
+        nothing = Work(jnp.zeros(()), jnp.zeros(()), jnp.zeros(state.size)) if work else None
+        point, state = jax.tree.map(jnp.asarray, (Point(point.q, point.p, point.w, nothing), state))
+        return begin(system, point, state, jnp.asarray(first_step))
+
+    def point(self, start: Start) -> tuple[Point, np.ndarray]:
+        """The loop's continuous state and contact states (C,) of a start whose contact states are known."""
+        scales, modes, live = self.scales, self.reduction.modes, self.reduction.live
+        q = start.displacement[modes] / scales.mode[modes]
+        p = start.velocity[modes] / (scales.mode[modes] * scales.omega)
+        w = np.einsum("cax,ca->xc", self.axes, start.slip[live]) / scales.length
+        return Point(q, p, tuple(w), None), start.state[live]
+
+    def start(self, point: Point, state: np.ndarray, phase: float) -> Start:
+        """The inverse of `point`; what the loop does not know is as in the model's own start."""
+        q, p, w = np.asarray(point.q), np.asarray(point.p), tuple(map(np.asarray, point.w))
+        slip = self._slip(w, self.model.start.slip)
+        return Start(self._modal(q), self._modal(p, self.scales.omega), slip, self._states(np.asarray(state)), phase)
+
+    def _modal(self, x: np.ndarray, unit: float = 1.0) -> np.ndarray:
+        whole = np.zeros((*x.shape[:-1], self.model.structure.num_modes))
+        modes = self.reduction.modes
+        whole[..., modes] = x * (self.scales.mode[modes] * unit)
+        return whole
+
+    def _slip(self, w: Sequence[np.ndarray], fill: np.ndarray, unit: float = 1.0) -> np.ndarray:
+        stacked = np.stack(w, axis=-1) if len(w) else np.zeros((*w[0].shape, 0))
+        whole = np.broadcast_to(fill, (*stacked.shape[:-2], self.model.num_contacts, 2)).copy()
+        live = self.reduction.live
+        whole[..., live, :] = np.einsum("cax,...cx->...ca", self.axes, stacked) * (self.scales.length * unit)
+        return whole
+
+    def _states(self, state: np.ndarray) -> np.ndarray:
+        whole = np.full((*state.shape[:-1], self.model.num_contacts), STICK)
+        whole[..., self.reduction.apart] = SEPARATION
+        whole[..., self.reduction.live] = state
+        return whole
+
+    def steps(self, loop: LoopStep, before: int, origin: float, work: np.ndarray) -> Steps:
+        """Steps of the loop in the units of the scene.
+
+        Args:
+            loop: the steps.
+            before: cycles completed before the loop's count began.
+            origin: time at that moment [s].
+            work: energies until then.
+        """
+        omega = self.scales.omega
+        ends = [
+            (self._modal(y.q), self._modal(y.p, omega), self._modal(dy.p, omega**2))
+            for y, dy in ((loop.start, loop.start_rate), (loop.end, loop.end_rate))
+        ]
+        none = np.zeros((self.model.num_contacts, 2))
+        slips = [
+            (self._slip(y.w, self.model.start.slip), self._slip(dy.w, none, omega))
+            for y, dy in ((loop.start, loop.start_rate), (loop.end, loop.end_rate))
+        ]
+        assert loop.end.work is not None
+        done = self._work(loop.end.work, work)
+        return Steps(
+            cycle=loop.cycle + before,
+            time=origin + (PERIOD * loop.cycle + loop.time) / omega,
+            h=loop.h / omega,
+            start=ends[0],
+            end=ends[1],
+            slip_start=slips[0],
+            slip_end=slips[1],
+            state=self._states(loop.state),
+            state_after=self._states(loop.state_after),
+            input=done[..., 0],
+            damping=done[..., 1],
+            friction=done[..., 2:],
+        )
+
+    def _work(self, made: Work, before: np.ndarray) -> np.ndarray:
+        friction = np.zeros((*np.shape(made.input), self.model.num_contacts))
+        friction[..., self.reduction.live] = made.friction
+        modal = np.stack([np.asarray(made.input), np.asarray(made.damping)], axis=-1)
+        return before + np.concatenate([modal, friction], axis=-1) * self.scales.energy
+
+    def store(self, now: Trajectory, run: Run, origin: float, work: np.ndarray) -> None:
+        """Write the loop's present state into a run."""
+        now = jax.tree.map(np.asarray, now)
+        here, omega = self.start(now.point, now.state, run.phase), self.scales.omega
+        run.displacement, run.velocity = here.displacement, here.velocity
+        run.slip, run.state = here.slip, here.state
+        run.time = origin + float(PERIOD * now.cycle + now.time) / omega
+        if now.point.work is not None:
+            run.work = self._work(now.point.work, work)
+
+
+def first_rows(record: LoopStep, count: int) -> LoopStep:
+    """The filled part of a record, on the host."""
+    return jax.tree.map(lambda rows: np.asarray(rows)[:count], record)
+
+
+def start_states(model: Model) -> np.ndarray:
+    """State of each contact at the start, shape (C,): as given, else separated where n <= 0, else stuck.
+
+    A frictionless contact that touches counts as slipping.
+    """
+    start: Start = model.start
+    states = start.state.copy()
+    for index in np.nonzero(states < 0)[0]:
+        contact = model.contacts[index]
+        v = model.contact_shape[index, 2] @ start.displacement
+        closed = contact.preload + contact.normal_stiffness * v > 0
+        states[index] = (STICK if contact.friction > 0 else SLIP) if closed else SEPARATION
+    return states

@@ -1,0 +1,74 @@
+"""What can be wrong with a scene, and where: faults of a section, and problems as a user reads them."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any
+
+Key = tuple[str | int, ...]
+
+
+class RuleError(Exception):
+    """One thing wrong with a scene, where it is found; `SceneSource.problem` makes it a `Problem` with file and line.
+
+    Attributes:
+        key: path of the key, relative to the section that found it.
+        rule: what is allowed.
+        hint: what to do, or "".
+        value: the value refused; None if there is none to show.
+        line: line of the file where that is known better than by the key.
+    """
+
+    def __init__(self, key: Key, rule: str, hint: str = "", value: Any = None, line: int | None = None):
+        super().__init__(rule)
+        self.key, self.rule, self.hint, self.value, self.line = key, rule, hint, value, line
+
+    def below(self, *prefix: str | int) -> "RuleError":
+        """The same fault, seen from the section above."""
+        return RuleError((*prefix, *self.key), self.rule, self.hint, self.value, self.line)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing wrong with a scene, as the user is told.
+
+    Attributes:
+        file: the file, or what stands for it ("override", "scene").
+        line: line of the file, from 1; None where there is no file.
+        key: dotted path of the key, as ``--set`` writes it; "" for the whole file.
+        value: the value refused, as text; None if there is none.
+        rule: what is allowed.
+        hint: what to do, or "".
+    """
+
+    file: str
+    line: int | None
+    key: str
+    value: str | None
+    rule: str
+    hint: str = ""
+
+    def __str__(self) -> str:
+        place = self.file if self.line is None else f"{self.file}:{self.line}"
+        parts = [place, self.key, self.value, self.rule]
+        text = ": ".join(part for part in parts if part)
+        text = f"{text} ({self.hint})" if self.hint else text
+        return "".join(letter if letter.isprintable() else " " for letter in text)
+
+
+class SceneError(Exception):
+    """A scene that cannot be run. The message lists every problem, a line each.
+
+    Attributes:
+        problems: what is wrong, in the order of the file.
+    """
+
+    def __init__(self, problems: Sequence[Problem]):
+        self.problems = list(problems)
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+
+def nearest(word: str, known: Collection[str]) -> str:
+    """A hint: the known word that is meant, or all of them."""
+    close = get_close_matches(word, list(known), n=1, cutoff=0.6) if isinstance(word, str) else []
+    return f"did you mean {close[0]}?" if close else f"known: {', '.join(known) or 'none'}"

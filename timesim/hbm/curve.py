@@ -1,0 +1,316 @@
+"""Response curves by harmonic balance: starts, the curve, its folds and stability, and what the points do.
+
+The balance is `timesim.hbm.balance`, the way along the curve `timesim.hbm.continuation`.
+"""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from timesim.hbm.balance import Balance, to_real
+from timesim.hbm.continuation import Controls, Curve, Ending, follow, follow_both_ways, solve
+from timesim.hbm.period import forces
+from timesim.hbm.setting import Setting
+from timesim.hbm.stability import BORDER, floquet_multipliers
+from timesim.model.model import Model
+from timesim.orbit.fourier import half_range
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+# A solution this small, in the scene's own unit of length, is measured by it and not by its own size.
+SMALL = 0.1
+# Points whose forces are evaluated together; a number of its own, lest every curve compile anew.
+TOGETHER = 16
+
+
+@dataclass(frozen=True)
+class HbmCurve:
+    """Periodic solutions along a curve; S solutions, P points, C contacts, harmonics 0 ... H, harmonic 0 the mean.
+
+    Attributes:
+        parameter: what the curve was followed in, shape (S,): the frequency, or a scalar of the scene.
+        frequency: of the excitation, shape (S,) [Hz].
+        stable: whether disturbances die out, shape (S,).
+        fold: whether the frequency turns here, shape (S,).
+        branch: folds passed before, shape (S,).
+        amplitude: (max - min) / 2 of the continuous motion along x, y, z, shape (S, P, 3) [length].
+        harmonic_cos, harmonic_sin: Fourier coefficients, shape (S, H + 1, P, 3) [length].
+        slip_share, separation_share: of the period, shape (S, C).
+        contact_motion: Fourier coefficients 1, cos, sin, ... of (u1, u2, v), shape (S, C, 3, 2H + 1) [length].
+        contact_force: of (f1, f2, n), shape (S, C, 3, 2H + 1) [force].
+        floquet_max: largest modulus of a Floquet multiplier, shape (S,); NaN where none was computed.
+        closure: change of the elastic displacement over the period over what is tolerated, shape (S,); at most 1
+            where the memory of every contact closed.
+        ending: why it ended.
+        message: the same with the place.
+    """
+
+    parameter: Array
+    frequency: Array
+    stable: NDArray[np.bool_]
+    fold: NDArray[np.bool_]
+    branch: NDArray[np.int64]
+    amplitude: Array
+    harmonic_cos: Array
+    harmonic_sin: Array
+    slip_share: Array
+    separation_share: Array
+    contact_motion: Array
+    contact_force: Array
+    floquet_max: Array
+    closure: Array
+    ending: Ending
+    message: str
+
+    @property
+    def complete(self) -> bool:
+        """Whether the whole range was followed."""
+        return self.ending.complete
+
+    def at(self, i: int) -> "HbmCurve":
+        """One of the solutions."""
+        found: dict[str, Any] = {name: getattr(self, name)[i : i + 1] for name in _arrays()}
+        return replace(self, **found)
+
+    @staticmethod
+    def joined(parts: Sequence["HbmCurve"]) -> "HbmCurve":
+        """The solutions of several curves, one after the other; the last tells how it ended."""
+        found: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _arrays()}
+        return replace(parts[-1], **found)
+
+    @property
+    def harmonic_amplitude(self) -> Array:
+        """Amplitude of each harmonic, shape (S, H + 1, P, 3); harmonic 0 is the signed mean [length]."""
+        amplitude = np.hypot(self.harmonic_cos, self.harmonic_sin)
+        amplitude[:, 0] = self.harmonic_cos[:, 0]
+        return amplitude
+
+
+def _arrays() -> list[str]:
+    return [entry.name for entry in fields(HbmCurve) if entry.name not in ("ending", "message")]
+
+
+def hbm_curve(
+    model: Model,
+    start: float,
+    stop: float,
+    *,
+    setting: Setting | None = None,
+    controls: Controls | None = None,
+    guess: Array | None = None,
+    begin: float | None = None,
+    stability: bool = True,
+) -> HbmCurve:
+    """Follow the periodic response of a model in frequency, around folds.
+
+    Args:
+        model: what moves; a frequency of its excitation is not used.
+        start, stop: range [Hz]; the curve begins at `start`, which may be the larger.
+
+    Keyword Args:
+        setting: harmonics and time samples.
+        controls: steps of the continuation.
+        guess: modal displacement at `begin` by its Fourier coefficients 1, cos, sin, ..., shape (2K + 1, M), of a
+            time integration for instance: so isolated branches are reached. By default the linear response with the
+            contacts stuck, absent or half as stiff, then under a load that grows from zero.
+        begin: frequency [Hz] inside the range from which the curve is followed to both sides; by default it begins
+            at `start`.
+        stability: compute Floquet multipliers; without, only the sign of the determinant tells stable from unstable.
+
+    Returns:
+        The curve; where it fails, what it has, with the reason and the place in `message`.
+
+    Raises:
+        ValueError: the range, the setting or the excitation does not allow a balance.
+    """
+    _check_range(start, stop)
+    balance = Balance(model, start, setting or Setting())
+    controls = controls or default_controls()
+    place = start if begin is None else begin
+    guesses = [contact_motion(balance, guess)] if guess is not None else first_guesses(balance, place, controls)
+    for first in guesses:
+        if start < place < stop or stop < place < start:
+            curve = follow_both_ways(balance, first, place, (start, stop), controls)
+        else:
+            curve = follow(balance, first, start, stop, controls)
+        if curve.ending is not Ending.START:
+            break
+    return described(balance, curve, stability=stability)
+
+
+def default_controls() -> Controls:
+    """Steps for curves in the units of `Balance`."""
+    return Controls(size=SMALL)
+
+
+def _check_range(start: float, stop: float) -> None:
+    for name, value in (("from", start), ("to", stop)):
+        if not np.isfinite(value) or value <= 0:
+            raise ValueError(f"hbm: frequency.{name} must be a positive number of Hz, not {value}")
+    if start == stop:
+        raise ValueError(
+            f"hbm: frequency.from and frequency.to must differ, not both {start}; use a sweep for one point"
+        )
+
+
+def contact_motion(balance: Balance, modal: Array) -> Array:
+    """Unknowns of a balance from modal Fourier coefficients 1, cos, sin, ..., shape (2K + 1, M)."""
+    if modal.ndim != 2 or modal.shape[0] % 2 == 0 or modal.shape[1] != balance.model.structure.num_modes:
+        raise ValueError(
+            "hbm: the guess must hold 1, cos, sin, ... of each mode, an odd number of rows and "
+            f"{balance.model.structure.num_modes} columns, not shape {modal.shape}"
+        )
+    size = 2 * balance.setting.harmonics + 1
+    kept = np.zeros((size, modal.shape[1]))
+    kept[: min(size, len(modal))] = modal[:size]
+    shape = balance.model.contact_shape.reshape(3 * balance.num_contacts, -1)
+    return np.asarray((shape @ kept.T).ravel() / balance.length)
+
+
+def first_guesses(balance: Balance, frequency: float, controls: Controls) -> Iterator[Array]:
+    """Linear responses, one contact state after the other; the last is led there by a growing load."""
+    closed = np.array([contact.preload > 0 for contact in balance.model.contacts], dtype=float)
+    for held in (closed, np.ones_like(closed), np.zeros_like(closed), closed / 2):
+        yield _held(balance, frequency, held)
+    ramp = follow(_Ramp(balance, frequency), np.zeros(balance.num_unknowns), 0.0, 1.0, controls)
+    if ramp.complete:
+        yield ramp.x[-1]
+
+
+def _held(balance: Balance, frequency: float, held: Array) -> Array:
+    """Linear response with each contact stuck (1), absent (0) or in between."""
+    linear, size = balance.linear(frequency), 3 * balance.num_contacts
+    stiffness = np.zeros((size, size))
+    for i in np.flatnonzero(held):
+        contact = balance.model.contacts[i]
+        stiffness[3 * i : 3 * i + 2, 3 * i : 3 * i + 2] = held[i] * contact.tangential_stiffness
+        stiffness[3 * i + 2, 3 * i + 2] = held[i] * contact.normal_stiffness
+    matrix = np.eye(size) + linear.flexibility @ (stiffness - balance.support)
+    try:
+        motion = np.linalg.solve(matrix, linear.free[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        motion = np.zeros_like(linear.free)
+    return np.nan_to_num(to_real(motion.T).ravel() / balance.length, posinf=0.0, neginf=0.0)
+
+
+class _Ramp:
+    """A balance at one frequency under p times its excitation."""
+
+    def __init__(self, balance: Balance, frequency: float):
+        self.balance, self.frequency = balance, frequency
+        self.free = to_real(balance.linear(frequency).free.T).ravel() / balance.length
+
+    def value(self, x: Array, p: float) -> Array:
+        return self.balance.value(x, self.frequency) + (1 - p) * self.free
+
+    def linearised(self, x: Array, p: float) -> tuple[Array, Array, Array]:
+        r, by_x, _ = self.balance.linearised(x, self.frequency)
+        return r + (1 - p) * self.free, by_x, -self.free
+
+
+def solutions_at(
+    model: Model,
+    curve: HbmCurve,
+    frequency: float | Array,
+    *,
+    setting: Setting | None = None,
+    stability: bool = True,
+) -> HbmCurve:
+    """The solutions of a curve at given frequencies, each solved for anew, in the order of these and of the curve.
+
+    Args:
+        model, curve: as given to and got from `hbm_curve`.
+        frequency: where [Hz], one or several; outside the curve there are none.
+
+    Keyword Args:
+        setting, stability: as given to `hbm_curve`.
+    """
+    wanted = np.atleast_1d(np.asarray(frequency, dtype=float))
+    balance = Balance(model, float(wanted[0]), setting or Setting())
+    unknowns = curve.contact_motion.reshape(curve.frequency.size, -1) / balance.length
+    places = [(f, i) for f in wanted for i in crossings(curve.frequency, f)]
+    rows = []
+    for f, i in places:
+        share = (f - curve.frequency[i]) / (curve.frequency[i + 1] - curve.frequency[i])
+        guess = unknowns[i] + share * (unknowns[i + 1] - unknowns[i])
+        solution = solve(balance, guess, float(f), default_controls())
+        if solution is not None:
+            rows.append((*solution, f, curve.branch[i + 1]))
+    x, determinant, p, branch = zip(*rows, strict=True) if rows else ((),) * 4
+    found = Curve(
+        x=np.array(x).reshape(len(rows), balance.num_unknowns),
+        p=np.array(p, dtype=float),
+        fold=np.zeros(len(rows), dtype=bool),
+        branch=np.array(branch, dtype=np.int64),
+        determinant=np.array(determinant, dtype=np.int64),
+        corrections=np.zeros(len(rows), dtype=np.int64),
+        ending=Ending.COMPLETE if len(rows) == len(places) else Ending.STEP,
+        message=f"{len(rows)} of {len(places)} solutions at {wanted.size} frequencies",
+    )
+    return described(balance, found, stability=stability)
+
+
+def crossings(frequency: Array, place: float) -> NDArray[np.int64]:
+    """The points of a curve after which it passes a frequency."""
+    # An end of the range is met but for rounding.
+    side = np.where(np.isclose(frequency, place, rtol=1e-12, atol=0.0), 0.0, np.sign(frequency - place))
+    last = np.arange(1, side.size) == side.size - 1
+    return np.flatnonzero((side[1:] * side[:-1] < 0) | (side[:-1] == 0) | last & (side[1:] == 0))
+
+
+def described(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmCurve:
+    """What the points of a curve do, in the units of the scene."""
+    size, order = curve.p.size, balance.setting.harmonics + 1
+    motion = balance.coefficients(curve.x) if size else np.zeros((0, balance.num_contacts, 3, 2 * order - 1))
+    acts, slip, separation, gap = _acts(balance, motion)
+    acts = np.array([balance.placed(x, own) for x, own in zip(curve.x, acts, strict=True)]).reshape(acts.shape)
+    shape, points = balance.model.structure.shape, len(balance.model.structure.points)
+    phasor = np.zeros((size, order, points, 3), complex)
+    largest = np.full(size, np.nan)
+    if stability:
+        largest = np.abs(floquet_multipliers(balance, curve.x, curve.p)[:, 0])
+    for i, (x, p) in enumerate(zip(curve.x, curve.p, strict=True)):
+        phasor[i] = np.einsum("pam,hm->hpa", shape, balance.modes(x, acts[i], p))
+    return HbmCurve(
+        parameter=curve.p,
+        frequency=curve.p,
+        stable=(curve.determinant > 0) & ~(largest > BORDER),
+        fold=curve.fold,
+        branch=curve.branch,
+        amplitude=half_range(phasor),
+        harmonic_cos=phasor.real,
+        harmonic_sin=-phasor.imag,
+        slip_share=slip,
+        separation_share=separation,
+        contact_motion=motion * balance.length,
+        contact_force=acts * balance.force,
+        floquet_max=largest,
+        closure=np.max(gap, axis=1, initial=0.0),
+        ending=curve.ending,
+        message=curve.message,
+    )
+
+
+def _acts(balance: Balance, motion: Array) -> tuple[Array, Array, Array, Array]:
+    """Coefficients of (f1, f2, n), shares of slip and separation, and closure gaps, of all points of a curve."""
+    size, num_contacts = len(motion), balance.num_contacts
+    law = jax.tree.map(lambda leaf: jnp.tile(leaf, TOGETHER), balance.law)
+    rows: list[tuple[Array, ...]] = []
+    for first in range(0, size, TOGETHER):
+        part = motion[first : first + TOGETHER]
+        padded = np.concatenate([part, np.repeat(part[-1:], TOGETHER - len(part), axis=0)])
+        done = forces(law, balance.basis, jnp.asarray(padded.reshape(TOGETHER * num_contacts, *part.shape[2:])))
+        each = (done.coefficient, done.slip, done.separation, done.gap)
+        rows.append(tuple(np.asarray(x).reshape(TOGETHER, num_contacts, *x.shape[1:])[: len(part)] for x in each))
+    if not rows:
+        none = np.zeros((0, num_contacts))
+        return np.zeros_like(motion), none, none, none
+    acts, slip, separation, gap = (np.concatenate(column) for column in zip(*rows, strict=True))
+    return acts, slip, separation, gap

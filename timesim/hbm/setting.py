@@ -1,0 +1,65 @@
+"""How finely a harmonic balance is struck, and what excitations allow one. Checks of a scene use it: no JAX here."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from timesim.model.model import Model
+
+Transitions = Literal["sampled", "located"]
+MIN_SAMPLES = 16
+
+
+class SettingError(ValueError):
+    """A balance that cannot be struck: which key, the rule that it breaks, its value and what to do."""
+
+    def __init__(self, key: str, rule: str, value: object, hint: str):
+        super().__init__(f"hbm: {key} {rule}{'' if value is None else f', not {value}'}; {hint}")
+        self.key, self.rule, self.value, self.hint = key, rule, value, hint
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How finely the balance is struck.
+
+    Attributes:
+        harmonics: H >= 1.
+        time_samples: N of a period, at least 4 H and 16.
+        transitions: `sampled` follows the law from sample to sample, with an error of second order in 1/N; `located`
+            finds every transition (slow, a reference).
+    """
+
+    harmonics: int = 9
+    time_samples: int = 1024
+    transitions: Transitions = "sampled"
+
+    def __post_init__(self) -> None:
+        if self.harmonics < 1:
+            raise SettingError("harmonics", "must be at least 1", self.harmonics, "9 is the default")
+        least = max(4 * self.harmonics, MIN_SAMPLES)
+        if self.time_samples < least:
+            rule = f"must be at least {least} for {self.harmonics} harmonics"
+            raise SettingError("time_samples", rule, self.time_samples, "1024 is the default")
+
+    def __str__(self) -> str:
+        found = " with located transitions" if self.transitions == "located" else ""
+        return f"harmonic balance, {self.harmonics} harmonics, {self.time_samples} time samples{found}"
+
+
+def check_excitation(model: Model, harmonics: int) -> None:
+    """Refuse an excitation without a periodic part, or with harmonics that are not balanced.
+
+    Raises:
+        SettingError: with what to do.
+    """
+    excited = model.excitation
+    moving = np.any(excited.cosine != 0, axis=1) | np.any(excited.sine != 0, axis=1)
+    if not moving.any():
+        rule = "has no periodic part, so there is no periodic response to balance"
+        hint = "give excitation.modal_force or excitation.forces an amplitude"
+        raise SettingError("excitation", rule, None, hint)
+    highest = int(excited.harmonic[moving].max())
+    if highest > harmonics:
+        rule = f"must be at least {highest}, since harmonic {highest} is excited"
+        raise SettingError("harmonics", rule, harmonics, f"set harmonics to at least {highest}")

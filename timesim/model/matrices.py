@@ -1,0 +1,337 @@
+"""Modes from matrices: files of mass, stiffness and damping, and the eigenproblem ``K phi = omega^2 M phi``.
+
+The modes are mass-normalised (``phi^T M phi = 1``), each with its largest entry positive. A damping matrix
+``C`` becomes ``phi^T C phi``: its diagonal where the modes diagonalise it, else the whole of it (Rayleigh
+damping and its kin are diagonal, Caughey and O'Kelly 1965; a dashpot between two masses is not).
+
+SciPy is loaded only when there are matrices to read or to solve.
+"""
+
+import warnings
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from timesim.fault import RuleError
+from timesim.model.model import Structure
+
+ARRAYS = {"mass": "M", "stiffness": "K", "damping": "C"}
+AXES = "xyz"
+MAX_DENSE = 2000
+SYMMETRY = 1e-9
+"""Largest difference of mirrored entries, as a share of the largest entry, that counts as rounding."""
+NEGATIVE = 1e-10
+"""Eigenvalues down to minus this share of the largest are rounding of a free body's zero."""
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """Matrices of one structure, dense or sparse, shape (N, N); damping None where there is none."""
+
+    mass: Any
+    stiffness: Any
+    damping: Any = None
+    notes: tuple[str, ...] = ()
+
+
+def read_matrices(source: Path | Mapping[str, Path]) -> Matrices:
+    """Read mass, stiffness and, if it is there, damping.
+
+    Args:
+        source: a .npz or .mat file that holds them all by name, or a file (.mtx, .npz) for each.
+
+    Raises:
+        RuleError: a file that cannot be read, lacks a matrix, or holds something else under its name.
+    """
+    if isinstance(source, Mapping):
+        return Matrices(**{name: _read_single(path, name) for name, path in source.items()})
+    readers = {".npz": _read_npz, ".mat": _read_mat}
+    if source.suffix.lower() not in readers:
+        hint = "for Matrix Market write file: {mass: m.mtx, stiffness: k.mtx}"
+        raise RuleError((), "must be a .npz or .mat file", hint, str(source))
+    _check_present(source)
+    found = readers[source.suffix.lower()](source)
+    names = {name: next((key for key in (name, short) if key in found), None) for name, short in ARRAYS.items()}
+    for name in ("mass", "stiffness"):
+        if names[name] is None:
+            rule = f"holds neither {name} nor {ARRAYS[name]}"
+            raise RuleError((), rule, f"it holds {', '.join(sorted(found)) or 'nothing'}", str(source))
+    arrays = {name: _numeric(found[key], f"{key} in {source.name}") for name, key in names.items() if key}
+    spare = [short for name, short in ARRAYS.items() if name in found and short in found]
+    notes = [
+        f"{source.name} holds {short} besides the array of the full name; {short} is left alone" for short in spare
+    ]
+    return Matrices(**arrays, notes=tuple(notes))
+
+
+def _check_present(path: Path) -> None:
+    if not path.is_file():
+        raise RuleError(
+            (),
+            "is no file" if path.exists() else "does not exist",
+            "paths start at the scene's folder",
+            str(path),
+        )
+
+
+def _read_npz(path: Path) -> dict[str, Any]:
+    wanted = [*ARRAYS, *ARRAYS.values()]
+    if not zipfile.is_zipfile(path):
+        raise RuleError((), "is no whole .npz archive", "it may be truncated; write it again", str(path))
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
+            return {key: archive[key] if key in wanted else None for key in archive.files}
+    except Exception as error:  # a damaged archive raises whatever its bytes lead zlib and numpy into
+        if "pickle" not in str(error):
+            raise _unreadable(path, error) from None
+        hint = "save plain numeric arrays, sparse ones as .mat or .mtx"
+        raise RuleError((), "holds pickled objects", hint, str(path)) from None
+
+
+def _read_mat(path: Path) -> dict[str, Any]:
+    import scipy.io
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            names = [entry[0] for entry in scipy.io.whosmat(path)]
+            wanted = [name for name in names if name in ARRAYS or name in ARRAYS.values()]
+            held = scipy.io.loadmat(path, variable_names=wanted)
+            return {name: held.get(name) for name in names}
+    except NotImplementedError:
+        raise RuleError((), "is a MATLAB 7.3 file", "save it with save(..., '-v7')", str(path)) from None
+    except Exception as error:  # a damaged .mat raises whatever its bytes lead scipy into, zlib.error among them
+        raise _unreadable(path, error) from None
+
+
+def _read_single(path: Path, name: str) -> Any:
+    _check_present(path)
+    if path.suffix.lower() not in (".mtx", ".npz"):
+        raise RuleError((name,), "must be a .mtx file, or a .npz file of scipy.sparse.save_npz", value=str(path))
+    import scipy.io
+    import scipy.sparse
+
+    read = scipy.io.mmread if path.suffix.lower() == ".mtx" else scipy.sparse.load_npz
+    try:
+        matrix = read(path)
+    except Exception as error:  # the same as for .mat
+        raise _unreadable(path, error).below(name) from None
+    try:
+        return _numeric(matrix, path.name)
+    except RuleError as error:
+        raise error.below(name) from None
+
+
+def _unreadable(path: Path, error: Exception) -> RuleError:
+    reason = " ".join(str(error).split())[:200]
+    return RuleError(
+        (),
+        f"cannot be read ({reason or type(error).__name__})",
+        "the file may be truncated; write it again",
+        str(path),
+    )
+
+
+def _numeric(matrix: Any, name: str) -> Any:
+    """The matrix as float64, dense or CSC, after a look at what it is."""
+    sparse = hasattr(matrix, "tocsc")
+    matrix = matrix.tocsc() if sparse else np.asarray(matrix)
+    if matrix.dtype.kind not in "fiu":
+        raise RuleError((), f"{name} must hold real numbers, not {matrix.dtype}")
+    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] == 0:
+        raise RuleError((), f"{name} must be square, not {' x '.join(map(str, matrix.shape))}")
+    matrix = matrix.astype(np.float64)
+    if not np.all(np.isfinite(matrix.data if sparse else matrix)):
+        raise RuleError((), f"{name} must be finite, without NaN")
+    return matrix
+
+
+def modal_structure(
+    matrices: Matrices,
+    *,
+    points: Mapping[str, Mapping[str, int]],
+    damping_ratio: float | Sequence[float] | None = None,
+    keep_modes: int | None = None,
+) -> Structure:
+    """The lowest modes of a structure, with their shapes at the points.
+
+    Args:
+        matrices: mass, stiffness and damping; rows are degrees of freedom.
+        points: the row of each axis a point moves along.
+        damping_ratio: of every mode, or one a mode kept; rules over a damping matrix.
+        keep_modes: how many of the lowest modes; all by default.
+
+    Raises:
+        RuleError: matrices that no structure has, or a point, a count or a length that does not fit them.
+    """
+    mass = _symmetric(matrices.mass, "mass")
+    stiffness = _symmetric(matrices.stiffness, "stiffness")
+    _check_sizes(mass.shape[0], stiffness, matrices.damping, points, keep_modes)
+    num_modes = keep_modes or mass.shape[0]
+    squared, modes = _eigenmodes(mass, stiffness, num_modes)
+    modes = modes * _signs(modes)
+    omega = np.sqrt(squared)
+    if damping_ratio is not None:
+        damping = 2 * _ratios(damping_ratio, num_modes) * omega
+    elif matrices.damping is not None:
+        damping = _modal_damping(_symmetric(matrices.damping, "damping"), modes)
+    else:
+        raise RuleError(
+            ("damping_ratio",), "is required where there is no damping matrix", "0 for an undamped structure"
+        )
+    shape = np.zeros((len(points), 3, num_modes))
+    for point, rows in zip(shape, points.values(), strict=True):
+        for axis, row in rows.items():
+            point[AXES.index(axis)] = modes[row]
+    return Structure(omega / (2 * np.pi), np.ones(num_modes), damping, tuple(points), shape)
+
+
+def _symmetric(matrix: Any, name: str) -> Any:
+    try:
+        matrix = _numeric(matrix, f"the {name} matrix")
+    except RuleError as error:
+        raise error.below(name) from None
+    difference, largest = abs(matrix - matrix.T).max(), abs(matrix).max()
+    if difference > SYMMETRY * largest:
+        raise RuleError(
+            (name,),
+            f"the {name} matrix must be symmetric",
+            f"mirrored entries differ by up to {difference:.3g}",
+        )
+    return (matrix + matrix.T) / 2
+
+
+def _check_sizes(
+    rows: int, stiffness: Any, damping: Any, points: Mapping[str, Mapping[str, int]], keep_modes: int | None
+) -> None:
+    for name, matrix in (("stiffness", stiffness), ("damping", damping)):
+        if matrix is not None and matrix.shape != (rows, rows):
+            size = " x ".join(map(str, matrix.shape))
+            raise RuleError((name,), f"the {name} matrix must be {rows} x {rows} like the mass matrix, not {size}")
+    for point, axes in points.items():
+        for axis, row in axes.items():
+            if row >= rows:
+                raise RuleError(("points", point, axis), f"must be a row from 0 to {rows - 1}", value=row)
+    if keep_modes is not None and keep_modes > rows:
+        raise RuleError(("keep_modes",), f"must be at most {rows}, the number of rows", value=keep_modes)
+    if keep_modes is None and rows > MAX_DENSE:
+        raise RuleError(
+            ("keep_modes",), f"is required for a structure of {rows} rows", "say how many of the lowest modes"
+        )
+
+
+def _ratios(ratio: float | Sequence[float], num_modes: int) -> np.ndarray:
+    values = np.atleast_1d(np.asarray(ratio, dtype=np.float64))
+    if np.ndim(ratio) and values.size != num_modes:
+        raise RuleError(
+            ("damping_ratio",),
+            f"must be one number, or one for each of the {num_modes} modes kept",
+            value=ratio,
+        )
+    return np.broadcast_to(values, num_modes).copy()
+
+
+def _signs(modes: np.ndarray) -> np.ndarray:
+    """Signs that make the largest entry of each mode positive; of equal entries the first counts."""
+    size = np.abs(modes)
+    largest = np.argmax(size >= size.max(axis=0) * (1 - 1e-9), axis=0)
+    return np.sign(modes[largest, np.arange(modes.shape[1])])
+
+
+def _eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest eigenvalues ``omega^2``, shape (M,), and mass-normalised modes, shape (N, M)."""
+    if mass.shape[0] <= MAX_DENSE:
+        squared, modes = _dense_eigenmodes(_dense(mass), _dense(stiffness))
+    else:
+        squared, modes = _sparse_eigenmodes(mass, stiffness, num_modes)
+    largest, smallest = np.abs(squared).max(), squared.min()
+    if smallest < -NEGATIVE * largest:
+        hint = f"its lowest eigenvalue is omega^2 = {smallest:.6g}"
+        raise RuleError(("stiffness",), "the stiffness matrix must have no negative eigenvalue", hint)
+    squared = np.where(squared < 1e-15 * mass.shape[0] * largest, 0.0, squared)
+    return squared[:num_modes], modes[:, :num_modes]
+
+
+def _dense(matrix: Any) -> np.ndarray:
+    return np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix)
+
+
+def _dense_eigenmodes(mass: np.ndarray, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    import scipy.linalg
+
+    try:
+        squared, modes = scipy.linalg.eigh(stiffness, mass)
+    except np.linalg.LinAlgError:
+        raise _indefinite_mass() from None
+    if scipy.linalg.eigvalsh(mass / _outer_root(np.diag(mass)))[0] < 1e-13:
+        raise _indefinite_mass()
+    return squared, modes
+
+
+def _outer_root(diagonal: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.outer(diagonal, diagonal))
+
+
+def _indefinite_mass() -> RuleError:
+    return RuleError(
+        ("mass",),
+        "the mass matrix must be positive definite",
+        "a row without mass must be condensed out first",
+    )
+
+
+def _sparse_eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Lanczos about a shift just below zero; Sylvester's law of inertia says that no mode is left out."""
+    import scipy.sparse as sparse
+    from scipy.sparse.linalg import eigsh
+
+    mass, stiffness = sparse.csc_matrix(mass), sparse.csc_matrix(stiffness)
+    if np.any(mass.diagonal() <= 0) or _num_negative(mass):
+        raise _indefinite_mass()
+    scale = float(np.max(np.abs(stiffness.diagonal()) / mass.diagonal()))
+    shift = -NEGATIVE * scale
+    if _num_negative(stiffness - shift * mass):
+        raise RuleError(("stiffness",), "the stiffness matrix must have no negative eigenvalue")
+    size = min(mass.shape[0] - 1, num_modes + 1)
+    squared, modes = eigsh(stiffness, size, mass, sigma=shift, v0=np.ones(mass.shape[0]), tol=0)
+    order = np.argsort(squared)
+    squared, modes = squared[order], modes[:, order]
+    below = (squared[num_modes - 1] + squared[min(num_modes, size - 1)]) / 2
+    expected = int(np.sum(squared < below))
+    if num_modes < size and (found := _num_negative(stiffness - below * mass)) != expected:
+        hint = f"{found} lie below omega^2 = {below:.6g}, {expected} were found; try another keep_modes"
+        raise RuleError(("keep_modes",), "the eigenvalue solver missed modes", hint, num_modes)
+    return np.where(np.abs(squared) < -2 * shift, np.maximum(squared, 0), squared)[:num_modes], modes[:, :num_modes]
+
+
+def _num_negative(matrix: Any) -> int:
+    """Number of negative eigenvalues of a sparse symmetric matrix, from the signs of its L D L^T pivots."""
+    from scipy.sparse.linalg import splu
+
+    options = {"SymmetricMode": True}
+    try:
+        factor = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    except RuntimeError:  # exactly singular
+        return 1
+    return int(np.sum(factor.U.diagonal() < 0))
+
+
+def _modal_damping(damping: Any, modes: np.ndarray) -> np.ndarray:
+    """Modal damping, shape (M,) where the modes diagonalise it, else (M, M)."""
+    modal = modes.T @ (damping @ modes)
+    modal = (modal + modal.T) / 2
+    values = np.linalg.eigvalsh(modal)
+    if values[0] < -NEGATIVE * max(values[-1], 0.0) or (values[-1] <= 0 and values[0] < 0):
+        raise RuleError(
+            ("damping",),
+            "the damping matrix must have no negative eigenvalue",
+            f"in the modes kept: {values[0]:.6g}",
+        )
+    rounding = np.abs(modes).T @ (abs(damping) @ np.abs(modes)) * np.finfo(float).eps * 10 * modes.shape[0]
+    diagonal = np.clip(np.diag(modal), 0, None)
+    coupling = np.abs(modal - np.diag(np.diag(modal)))
+    return diagonal if np.all(coupling <= rounding + 1e-10 * _outer_root(diagonal)) else modal

@@ -1,0 +1,155 @@
+"""What a scene says, in numbers: structure, contacts, excitation and start, in the units of the scene.
+
+Plain numpy, so that a scene can be read and checked without loading JAX. The dimensionless form that the
+event loop integrates is made from it in `timesim.engine.system`.
+
+Notation (the paper's section 2, with the sign convention of this package): modal displacement ``q``, point
+displacement ``x = sum_i shape_i q_i``; in the frame of a contact the relative motion of body 1 with respect to
+body 2 is ``(u1, u2, v)``, and ``v`` grows as the bodies press together.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+STICK, SLIP, SEPARATION = 0, 1, 2
+STATE_NAMES = ("stick", "slip", "separation")
+GROUND = "ground"
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A linear structure by its modes, frequency ascending.
+
+    Attributes:
+        frequency: natural frequencies [Hz], shape (M,).
+        mass: modal masses, shape (M,).
+        damping: modal viscous damping, either ``2 zeta omega m`` a mode, shape (M,), or the whole matrix
+            [force / modal velocity], shape (M, M), where the modes do not diagonalise it.
+        points: names of the points.
+        shape: displacement of each point along x, y, z for a unit of each mode, shape (P, 3, M).
+    """
+
+    frequency: np.ndarray
+    mass: np.ndarray
+    damping: np.ndarray
+    points: tuple[str, ...]
+    shape: np.ndarray
+
+    @property
+    def num_modes(self) -> int:
+        return self.frequency.size
+
+    @property
+    def omega(self) -> np.ndarray:
+        """Natural circular frequencies [rad/time], shape (M,)."""
+        return 2 * np.pi * self.frequency
+
+    @property
+    def stiffness(self) -> np.ndarray:
+        """Modal stiffness ``m omega^2``, shape (M,)."""
+        return self.mass * self.omega**2
+
+
+@dataclass(frozen=True)
+class Contact:
+    """One frictional contact between a point and the ground or another point (equations 1 to 5).
+
+    Attributes:
+        name: how results and messages call it.
+        point: point of body 1.
+        against: point of body 2, or `GROUND`.
+        frame: rows t1, t2, normal: rotates x, y, z into the contact's axes, shape (3, 3).
+        friction: coefficient of friction.
+        tangential_stiffness: K_u, symmetric positive definite, or zero together with friction 0, shape (2, 2).
+        normal_stiffness: k_v.
+        preload: n0; negative is a gap of ``-n0 / k_v``.
+    """
+
+    name: str
+    point: str
+    against: str
+    frame: np.ndarray
+    friction: float
+    tangential_stiffness: np.ndarray
+    normal_stiffness: float
+    preload: float
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """Modal forces ``sum_h cosine_h cos(h theta) + sine_h sin(h theta) + constant``, theta the base phase.
+
+    Attributes:
+        frequency: base frequency [Hz], None where the study sets it.
+        harmonic: the multiples of the base frequency that occur, ascending integers >= 1, shape (H,).
+        cosine, sine: modal force amplitudes at these multiples, shape (H, M).
+        constant: constant modal force, shape (M,).
+    """
+
+    frequency: float | None
+    harmonic: np.ndarray
+    cosine: np.ndarray
+    sine: np.ndarray
+    constant: np.ndarray
+
+
+@dataclass(frozen=True)
+class Start:
+    """State at the start of a run.
+
+    Attributes:
+        displacement, velocity: modal displacement and velocity, shape (M,).
+        slip: w of each contact (t1, t2), shape (C, 2).
+        state: state of each contact, shape (C,); -1 where it follows from the motion: separated if n <= 0,
+            else stuck.
+        phase: phase of the excitation [rad].
+    """
+
+    displacement: np.ndarray
+    velocity: np.ndarray
+    slip: np.ndarray
+    state: np.ndarray
+    phase: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A structure with contacts under excitation: all that a run needs to know of the physics."""
+
+    structure: Structure
+    contacts: tuple[Contact, ...]
+    excitation: Excitation
+    start: Start
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def num_contacts(self) -> int:
+        return len(self.contacts)
+
+    @property
+    def contact_shape(self) -> np.ndarray:
+        """Relative motion (u1, u2, v) of each contact for a unit of each mode, shape (C, 3, M)."""
+        if not self.contacts:
+            return np.zeros((0, 3, self.structure.num_modes))
+        return np.stack([self._relative_shape(contact) for contact in self.contacts])
+
+    @property
+    def stuck_rate(self) -> float:
+        """Fastest rate with every contact stuck [rad/time]: the highest circular frequency, or decay."""
+        root = np.sqrt(self.structure.mass)
+        stiffness = np.diag(self.structure.omega**2)
+        for contact, shape in zip(self.contacts, self.contact_shape / root, strict=True):
+            stiffness += shape[:2].T @ contact.tangential_stiffness @ shape[:2]
+            stiffness += contact.normal_stiffness * np.outer(shape[2], shape[2])
+        damping = self.structure.damping
+        damping = np.diag(damping) if damping.ndim == 1 else damping
+        decay = np.linalg.eigvalsh(damping / np.outer(root, root))[-1]
+        return float(max(np.sqrt(np.linalg.eigvalsh(stiffness)[-1]), decay))
+
+    def _relative_shape(self, contact: Contact) -> np.ndarray:
+        points, shape = self.structure.points, self.structure.shape
+        relative = shape[points.index(contact.point)]
+        if contact.against != GROUND:
+            relative = relative - shape[points.index(contact.against)]
+        return contact.frame @ relative

@@ -1,0 +1,380 @@
+"""What a run need not model: found before it from the scene itself, by proof, never by a guess.
+
+1. Modes that nothing moves. Modes and contacts hang together through the rows B of the contacts and through
+   damping that the modes do not diagonalise; a connected part without a contact that no force and no start
+   value moves stays at rest.
+2. Contacts that never change their state. While every contact of a part keeps the state it starts in (stuck
+   on its start slip, or apart), the part is linear, with the springs of its stuck contacts in its
+   stiffness. If a bound on that motion over all time (`timesim.model.linear_bound`) leaves every contact strictly
+   inside its state, ``e . f - mu n < 0`` for every direction e of its plane or ``n0 + k_v v < 0``, no
+   contact is ever the first to leave, and the linear motion is the exact one. The bound may fail where the
+   contacts would in fact keep their states; it never holds where they would not. A part that fails stays
+   live as a whole.
+3. Straight motion. Where the tangential rows of B of a live contact have rank one, along an eigenvector of
+   K_u, and the slip starts on that line, u, w and f stay on it.
+
+Plain numpy, so that a scene is checked without loading JAX.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.sparse.csgraph import connected_components
+
+from timesim.model.linear_bound import Envelope, Oscillation, envelopes
+from timesim.model.model import SEPARATION, SLIP, STICK, Contact, Model, Structure
+
+COUPLED = 1e-14
+"""Share of the largest entry of a contact's rows, or of the damping, below which an entry is rounding."""
+STILL = 1e-13
+"""A mode that moves less than this share of the scene's own scale is left out."""
+STRAIGHT = 1e-13
+"""Share by which a motion may leave its line, or K_u turn it: rounding."""
+MARGIN = 1e-4
+"""Share of the bound by which a contact must stay inside its state: more than the error of the bound."""
+RECENT = 16
+"""Models whose parts are remembered: a sweep asks for them at every frequency."""
+DIRECTIONS = 720
+"""Directions of a contact plane that are tried; what lies between them is covered by a Lipschitz constant."""
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """What remains of a model.
+
+    Attributes:
+        model: the original.
+        modes: modes kept, ascending; never none of all, shape (K,).
+        live: contacts that remain in the event loop, ascending, shape (L,).
+        stuck: contacts proven to stick from start to end with w their start slip.
+        apart: contacts proven never to touch.
+        line: unit vector of the contact plane along which each live contact moves, shape (L, 2), where all
+            of them move straight (a frictionless one counts as straight); else None.
+        findings: what is left out or simplified, and why; sentences.
+    """
+
+    model: Model
+    modes: np.ndarray
+    live: np.ndarray
+    stuck: np.ndarray
+    apart: np.ndarray
+    line: np.ndarray | None
+    findings: tuple[str, ...]
+
+
+def reduction_of(model: Model, frequencies: Sequence[float], *, reduce: bool = True) -> Reduction:
+    """Find what need not be modelled.
+
+    Args:
+        model: all that the scene says.
+        frequencies: base frequencies that the run visits [Hz], in any order. With exactly one the bounds of
+            contact forces use the response at it; else they hold for every schedule, and are much wider.
+        reduce: False keeps everything.
+    """
+    every, none = np.arange(model.num_contacts), np.arange(0)
+    if not reduce:
+        return Reduction(model, np.arange(model.structure.num_modes), every, none, none, None, ())
+    scene = _normalised(model)
+    parts = _parts(scene)
+    modes, left_out = _kept_modes(scene, parts, max(frequencies, default=0.0))
+    visited = set(frequencies)
+    omega = 2 * np.pi * visited.pop() if len(visited) == 1 else None
+    margins: dict[int, float] = {}
+    for part in parts:
+        margins |= _proof(scene, part, omega)
+    live = np.array([c for c in every if c not in margins], dtype=int)
+    stuck = np.array([c for c in sorted(margins) if scene.state[c] == STICK], dtype=int)
+    apart = np.array([c for c in sorted(margins) if scene.state[c] == SEPARATION], dtype=int)
+    line = _line(scene, modes, live)
+    findings = (
+        *left_out,
+        *(_proven(model.contacts[c], margins[c], stuck=scene.state[c] == STICK) for c in sorted(margins)),
+        *(() if line is None else _straight(model, live, line)),
+        *(text for c in live for text in _simplified(model.contacts[c], scene.shape[c], line is not None)),
+    )
+    return Reduction(model, modes, live, stuck, apart, line, findings)
+
+
+def stuck_matrix(reduction: Reduction) -> np.ndarray:
+    """Modal stiffness ``B^T diag(K_u, k_v) B`` of the stuck contacts, in the kept modes, shape (K, K)."""
+    shape = reduction.model.contact_shape[:, :, reduction.modes]
+    matrix = np.zeros((reduction.modes.size, reduction.modes.size))
+    for c in reduction.stuck:
+        matrix += shape[c].T @ _springs(reduction.model.contacts[c]) @ shape[c]
+    return 0.5 * (matrix + matrix.T)
+
+
+def stuck_force(reduction: Reduction) -> np.ndarray:
+    """Constant modal force of the contacts left out, in the kept modes, shape (K,).
+
+    A stuck contact acts on body 1 by ``(-K_u (u - w0), -(n - max(n0, 0)))``; its constant part is
+    ``(K_u w0, -min(n0, 0))``. One that is apart acts by ``(0, max(n0, 0))``: the preload that
+    the structure carries at rest, and now no longer.
+    """
+    shape = reduction.model.contact_shape[:, :, reduction.modes]
+    force = np.zeros(reduction.modes.size)
+    for c in (*reduction.stuck, *reduction.apart):
+        contact, slip = reduction.model.contacts[c], reduction.model.start.slip[c]
+        force += shape[c].T @ _constant_force(contact, slip, stuck=c in reduction.stuck)
+    return force
+
+
+def _springs(contact: Contact) -> np.ndarray:
+    return block_diag(contact.tangential_stiffness, contact.normal_stiffness)
+
+
+def _constant_force(contact: Contact, slip: np.ndarray, *, stuck: bool) -> np.ndarray:
+    if stuck:
+        return np.append(contact.tangential_stiffness @ slip, -min(contact.preload, 0.0))
+    return np.array([0.0, 0.0, max(contact.preload, 0.0)])
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """A model with unit modal masses.
+
+    Attributes:
+        model: the model.
+        damping: D, shape (M, M).
+        shape: B, entries that are rounding set to zero, shape (C, 3, M).
+        wave: force amplitudes P, ``Re(P exp(i h theta))`` a harmonic, shape (H, M).
+        constant: constant forces, shape (M,).
+        displacement, velocity: start, shape (M,).
+        state: state in which each contact starts, shape (C,).
+    """
+
+    model: Model
+    damping: np.ndarray
+    shape: np.ndarray
+    wave: np.ndarray
+    constant: np.ndarray
+    displacement: np.ndarray
+    velocity: np.ndarray
+    state: np.ndarray
+
+    @property
+    def force(self) -> np.ndarray:
+        """Largest force on each mode, shape (M,)."""
+        return np.abs(self.constant) + np.abs(self.wave).sum(axis=0)
+
+
+@lru_cache(maxsize=RECENT)
+def _normalised(model: Model) -> _Scene:
+    structure, load, start = model.structure, model.excitation, model.start
+    root = np.sqrt(structure.mass)
+    damping = structure.damping
+    damping = np.diag(damping) if damping.ndim == 1 else damping
+    shape = model.contact_shape / root
+    shape[np.abs(shape) <= COUPLED * np.abs(shape).max(axis=(1, 2), keepdims=True, initial=0.0)] = 0.0
+    return _Scene(
+        model,
+        damping / np.outer(root, root),
+        shape,
+        (load.cosine - 1j * load.sine) / root,
+        load.constant / root,
+        start.displacement * root,
+        start.velocity * root,
+        _start_state(model),
+    )
+
+
+def _start_state(model: Model) -> np.ndarray:
+    """State of each contact at the start; where it is left open it follows from the normal load."""
+    state = np.array(model.start.state, dtype=int).reshape(-1)
+    approach = model.contact_shape[:, 2] @ model.start.displacement
+    for c, contact in enumerate(model.contacts):
+        if state[c] < 0:
+            closed = contact.preload + contact.normal_stiffness * approach[c] > 0
+            state[c] = SEPARATION if not closed else STICK if contact.friction > 0 else SLIP
+    return state
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Modes and contacts that hang together and act on nothing else."""
+
+    modes: np.ndarray
+    contacts: np.ndarray
+
+
+@lru_cache(maxsize=RECENT)
+def _parts(scene: _Scene) -> list[_Part]:
+    num_contacts, _, num_modes = scene.shape.shape
+    rate = np.sqrt(np.abs(np.diag(scene.damping)))
+    damped = np.abs(scene.damping) > COUPLED * np.outer(rate, rate)
+    touched = np.any(scene.shape != 0, axis=1)
+    graph = np.block([[damped, touched.T], [touched, np.zeros((num_contacts, num_contacts), dtype=bool)]])
+    count, label = connected_components(graph, directed=False)
+    of_mode, of_contact = label[:num_modes], label[num_modes:]
+    return [_Part(np.flatnonzero(of_mode == k), np.flatnonzero(of_contact == k)) for k in range(count)]
+
+
+def _kept_modes(scene: _Scene, parts: list[_Part], frequency: float) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Modes that something moves, and a sentence about those that nothing does."""
+    structure = scene.model.structure
+    floor = np.maximum(structure.omega, 2 * np.pi * frequency)
+    floor = np.where(floor > 0, floor, 1.0)
+    start = np.hypot(scene.displacement, scene.velocity / floor)
+    scale = float(np.max(np.maximum(scene.force / floor**2, start), initial=0.0))
+    reach = _reach(scene)
+    moved = np.zeros(structure.num_modes, dtype=bool)
+    for part in parts:
+        allowed = STILL * scale if part.modes.size == 1 else 0.0
+        moved[part.modes] = part.contacts.size > 0 or np.any(reach[part.modes] > allowed)
+    moved[0] |= not np.any(moved)
+    still = np.flatnonzero(~moved)
+    if not still.size:
+        return np.flatnonzero(moved), ()
+    share = float(np.max(reach[still])) / (scale or 1.0)
+    return np.flatnonzero(moved), (_left_out(structure, still, share),)
+
+
+def _reach(scene: _Scene) -> np.ndarray:
+    """Bound on the motion of each mode by itself under any force of its size at any frequency, shape (M,).
+
+    The integral of the absolute value of its impulse response is
+    ``coth(pi zeta / (2 sqrt(1 - zeta^2))) / omega^2``, or ``1 / omega^2`` from zeta = 1 on; infinite without
+    damping or stiffness.
+    """
+    omega, decay = scene.model.structure.omega, np.diag(scene.damping)
+    reach = np.zeros(omega.size)
+    for i in np.flatnonzero((scene.force > 0) | (scene.displacement != 0) | (scene.velocity != 0)):
+        if omega[i] == 0 or decay[i] <= 0:
+            reach[i] = np.inf
+            continue
+        zeta = decay[i] / (2 * omega[i])
+        rings = 1 / np.tanh(np.pi * zeta / (2 * np.sqrt(1 - zeta**2))) if zeta < 1 else 1.0
+        free = np.hypot(scene.displacement[i], scene.velocity[i] / omega[i])
+        reach[i] = scene.force[i] * rings / omega[i] ** 2 + free
+    return reach
+
+
+def _proof(scene: _Scene, part: _Part, omega: float | None) -> dict[int, float]:
+    """Margin of each contact of a part if none of them ever changes its state; else nothing.
+
+    Args:
+        scene: the scene.
+        part: modes and contacts that hang together.
+        omega: circular frequency of the excitation, None where it changes.
+    """
+    if not part.contacts.size or np.any(scene.state[part.contacts] == SLIP):
+        return {}
+    contacts = [scene.model.contacts[c] for c in part.contacts]
+    shape = scene.shape[np.ix_(part.contacts, np.arange(3), part.modes)]
+    slip = scene.model.start.slip[part.contacts]
+    output = np.array([_springs(contact) @ own for contact, own in zip(contacts, shape, strict=True)])
+    offset = np.array([[*(-c.tangential_stiffness @ w), c.preload] for c, w in zip(contacts, slip, strict=True)])
+    bounds = envelopes(_kept_states(scene, part, shape, output), output, offset, omega)
+    margins = {
+        int(c): max((_margin(bound, contact, int(scene.state[c])) for bound in own), default=-np.inf)
+        for c, contact, own in zip(part.contacts, contacts, bounds, strict=True)
+    }
+    return margins if min(margins.values()) > 0 else {}
+
+
+def _kept_states(scene: _Scene, part: _Part, shape: np.ndarray, output: np.ndarray) -> Oscillation:
+    """The linear system that a part is while every contact keeps the state it starts in."""
+    stiffness = np.diag(scene.model.structure.omega[part.modes] ** 2)
+    force = scene.constant[part.modes]
+    for row, c in enumerate(part.contacts):
+        stuck = bool(scene.state[c] == STICK)
+        contact, slip = scene.model.contacts[c], scene.model.start.slip[c]
+        force = force + shape[row].T @ _constant_force(contact, slip, stuck=stuck)
+        stiffness = stiffness + stuck * (shape[row].T @ output[row])
+    return Oscillation(
+        stiffness,
+        scene.damping[np.ix_(part.modes, part.modes)],
+        scene.model.excitation.harmonic,
+        scene.wave[:, part.modes],
+        force,
+        scene.displacement[part.modes],
+        scene.velocity[part.modes],
+    )
+
+
+def _margin(envelope: Envelope, contact: Contact, state: int) -> float:
+    """How far [force] a contact at least stays from the end of its state; positive: the state never ends."""
+    if state == SEPARATION:
+        highest = float(envelope.highest(np.array([[0.0, 0.0, 1.0]]))[0])
+        return -highest - MARGIN * envelope.size(slice(2, 3))
+    angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    cone = np.stack([np.cos(angle), np.sin(angle), np.full(DIRECTIONS, -contact.friction)], axis=1)
+    tangential = envelope.size(slice(0, 2))
+    between = tangential * np.pi / DIRECTIONS
+    rounding = MARGIN * (tangential + contact.friction * envelope.size(slice(2, 3)))
+    return -float(envelope.highest(cone).max()) - between - rounding
+
+
+def _line(scene: _Scene, modes: np.ndarray, live: np.ndarray) -> np.ndarray | None:
+    """Direction in which each live contact moves, shape (L, 2); None if one of them moves in its plane."""
+    line = np.zeros((live.size, 2))
+    for row, c in enumerate(live):
+        direction = _direction(scene, int(c), modes)
+        if direction is None:
+            return None
+        line[row] = direction
+    return line
+
+
+def _direction(scene: _Scene, c: int, modes: np.ndarray) -> np.ndarray | None:
+    contact, slip = scene.model.contacts[c], scene.model.start.slip[c]
+    if contact.friction == 0:
+        return np.array([1.0, 0.0])
+    # A contact that starts apart takes its slip from its motion.
+    own = np.zeros(2) if scene.state[c] == SEPARATION else slip
+    vectors, values, _ = np.linalg.svd(scene.shape[c, :2][:, modes])
+    if not np.any(values):
+        vectors, values, _ = np.linalg.svd(own[:, None]) if np.any(own) else (np.eye(2), np.zeros(2), None)
+        vectors = np.linalg.eigh(contact.tangential_stiffness)[1] if not np.any(values) else vectors
+    along, across = vectors.T
+    K = contact.tangential_stiffness
+    straight = (
+        values[1:].max(initial=0.0) <= STRAIGHT * values[0]
+        and abs(across @ K @ along) <= STRAIGHT * (along @ K @ along)
+        and abs(across @ own) <= STRAIGHT * np.linalg.norm(own)
+    )
+    return along * np.sign(along[np.argmax(np.abs(along))]) if straight else None
+
+
+def _proven(contact: Contact, margin: float, *, stuck: bool) -> str:
+    if stuck:
+        reason = f"|f| stays more than {margin:.3g} below friction times normal load (preload {contact.preload:g})"
+        return f"contact {contact.name} sticks from start to end and is taken into the structure: {reason}"
+    start = f"gap {-contact.preload / contact.normal_stiffness:g}"
+    start = start if contact.preload < 0 else f"preload {contact.preload:g}"
+    reason = f"it stays open by more than {margin / contact.normal_stiffness:.3g} ({start})"
+    return f"contact {contact.name} never touches and is left out: {reason}"
+
+
+def _left_out(structure: Structure, still: np.ndarray, share: float) -> str:
+    names = ", ".join(f"{i + 1} ({structure.frequency[i]:.6g} Hz)" for i in still)
+    noun, verb, them = ("mode", "is", "it") if still.size == 1 else ("modes", "are", "them")
+    size = f", beyond {share:.1g} of the scene's scale" if share > 0 else ""
+    return f"{noun} {names} {verb} left out: no force, contact or start value moves {them}{size}"
+
+
+def _straight(model: Model, live: np.ndarray, line: np.ndarray) -> Iterator[str]:
+    for c, (first, second) in zip(live, line, strict=True):
+        if model.contacts[c].friction > 0:
+            where = f"along ({first:.6g}, {second:.6g}) of its plane"
+            name = model.contacts[c].name
+            yield f"contact {name} moves straight {where}: one tangential component is modelled"
+
+
+def _simplified(contact: Contact, shape: np.ndarray, straight: bool) -> Iterator[str]:
+    """What the contact law itself makes simpler in a live contact."""
+    name, K = contact.name, contact.tangential_stiffness
+    if contact.friction == 0:
+        yield f"contact {name} is a frictionless stop: no friction force and no slip are modelled"
+        return
+    if not straight and K[0, 0] == K[1, 1] and K[0, 1] == 0:
+        direction = "slip begins along the velocity, without an equation for its direction"
+        yield f"contact {name} has the same tangential stiffness {K[0, 0]:g} in all directions: {direction}"
+    if contact.normal_stiffness == 0:
+        yield f"contact {name} has the constant normal load {contact.preload:g}: it never separates"
+    elif not np.any(shape[2]) and contact.preload > 0:
+        reason = "no mode moves it along its normal"
+        yield f"contact {name} keeps the normal load {contact.preload:g}: {reason}, so it never separates"

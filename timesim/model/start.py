@@ -1,0 +1,193 @@
+"""The state a run starts from: at rest, in equilibrium, as given, or where another run ended.
+
+A contact whose state is left at -1 is separated if its normal load is not positive, else stuck; the slip
+``w`` of a separated contact is its motion ``u``, and so is that of a frictionless one.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from timesim.fault import RuleError
+from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
+from timesim.result.state import STATE, Held, held
+
+CONE = 1e-9
+"""Share by which |f| may exceed mu n in a start: rounding."""
+RESULT_CONE = 1e-6
+"""The same where another run ended: its own tolerance. Such a slip is set back onto the cone."""
+MAX_STATES = 200
+
+
+@dataclass(frozen=True)
+class _Loads:
+    """Motion u (C, 2), friction force f (C, 2) of stuck contacts and normal load n (C,), not cut off at 0."""
+
+    motion: np.ndarray
+    force: np.ndarray
+    normal: np.ndarray
+    limit: np.ndarray
+
+
+def _loads(physics: Model, displacement: np.ndarray, slip: np.ndarray) -> _Loads:
+    relative = physics.contact_shape @ displacement
+    K = np.array([contact.tangential_stiffness for contact in physics.contacts]).reshape(-1, 2, 2)
+    stiffness, preload, friction = _contact_numbers(physics)
+    normal = preload + stiffness * relative[:, 2]
+    motion = relative[:, :2]
+    force = np.einsum("cij,cj->ci", K, motion - slip)
+    return _Loads(motion, force, normal, friction * np.maximum(normal, 0.0))
+
+
+def _contact_numbers(physics: Model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rows = [(contact.normal_stiffness, contact.preload, contact.friction) for contact in physics.contacts]
+    normal_stiffness, preload, friction = np.array(rows, dtype=np.float64).reshape(-1, 3).T
+    return normal_stiffness, preload, friction
+
+
+def _follows(physics: Model, loads: _Loads) -> np.ndarray:
+    """Contacts whose slip is their motion: separated ones and frictionless ones, shape (C,)."""
+    return (loads.normal <= 0) | (_contact_numbers(physics)[2] == 0)
+
+
+def rest_start(num_modes: int, num_contacts: int) -> Start:
+    """No displacement, no velocity, no slip."""
+    zero = np.zeros(num_modes)
+    return Start(zero, zero.copy(), np.zeros((num_contacts, 2)), np.full(num_contacts, -1))
+
+
+def given_start(physics: Model, displacement: np.ndarray, velocity: np.ndarray, slip: np.ndarray) -> Start:
+    """The state as given; contact states follow from it.
+
+    Raises:
+        RuleError: a contact's friction force would lie outside its cone.
+    """
+    loads = _loads(physics, displacement, slip)
+    follows = _follows(physics, loads)
+    slip = np.where(follows[:, None], loads.motion, slip)
+    _check_cone(physics, loads, ~follows, ("slip",), "give the slip that the contact has in this state")
+    return Start(displacement, velocity, slip, np.full(physics.num_contacts, -1))
+
+
+def _check_cone(physics: Model, loads: _Loads, holds: np.ndarray, key: tuple[str, ...], hint: str) -> None:
+    size = np.linalg.norm(loads.force, axis=1)
+    for i in np.flatnonzero(holds & (size > loads.limit * (1 + CONE))):
+        name = physics.contacts[i].name
+        cone = f"|f| = {size[i]:.6g} > mu n = {loads.limit[i]:.6g}"
+        rule = f"contact {name} would start outside its friction cone: {cone}"
+        raise RuleError((*key, name) if key else (), rule, hint)
+
+
+def static_start(physics: Model) -> Start:
+    """Equilibrium under the constant forces: each contact open, or stuck from w = 0, as it comes out.
+
+    Solves ``m omega^2 q = p + sum B^T g`` for an assumed set of closed contacts, and changes the set until it
+    agrees with the normal loads: all that disagree at once; after a set comes back, the first of them only.
+
+    Raises:
+        RuleError: no set agrees, a free motion is held by nothing, or a contact leaves its cone.
+    """
+    closed = np.array([contact.preload > 0 for contact in physics.contacts], dtype=bool)
+    seen: set[bytes] = set()
+    for _ in range(MAX_STATES):
+        displacement, held = _equilibrium(physics, closed)
+        loads = _loads(physics, displacement, np.zeros((physics.num_contacts, 2)))
+        wrong = np.flatnonzero((loads.normal > 0) != closed)
+        if not wrong.size:
+            break
+        change = wrong[:1] if closed.tobytes() in seen else wrong
+        seen.add(closed.tobytes())
+        closed[change] = ~closed[change]
+    else:
+        raise RuleError((), "finds no equilibrium: the contacts open and close in turn", "start from rest")
+    if not held:
+        raise RuleError((), "finds no equilibrium: nothing holds a mode of frequency 0", "start from rest")
+    follows = _follows(physics, loads)
+    hint = "the equilibrium slips: reduce the constant forces, or start from rest or a settled result"
+    _check_cone(physics, loads, ~follows, (), hint)
+    slip = np.where(follows[:, None], loads.motion, 0.0)
+    state = np.where(loads.normal <= 0, SEPARATION, np.where(follows, SLIP, STICK))
+    return Start(displacement, np.zeros_like(displacement), slip, state)
+
+
+def _equilibrium(physics: Model, closed: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Displacement with the contacts closed as told, and whether nothing loose is pushed."""
+    matrix = np.diag(physics.structure.stiffness)
+    force = physics.excitation.constant.copy()
+    for contact, shape, is_closed in zip(physics.contacts, physics.contact_shape, closed, strict=True):
+        carried = max(contact.preload, 0.0)
+        if not is_closed:
+            force += shape[2] * carried
+            continue
+        matrix += shape[:2].T @ contact.tangential_stiffness @ shape[:2]
+        matrix += contact.normal_stiffness * np.outer(shape[2], shape[2])
+        force -= shape[2] * (contact.preload - carried)
+    scale = np.sqrt(np.diag(matrix))
+    scale = np.where(scale > 0, scale, np.sqrt(physics.structure.mass))
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    loose = vectors[:, values <= 1e-12].T @ (force / scale)
+    # A loose body is moved far along the force, which closes what can stop it.
+    solved = (vectors / np.maximum(values, 1e-9)) @ (vectors.T @ (force / scale))
+    return solved / scale, bool(np.all(np.abs(loose) <= 1e-12 * np.linalg.norm(force / scale)))
+
+
+def from_result(physics: Model, path: Path, at: Mapping[str, float | str]) -> Start:
+    """The end of another run, or a point of a sweep, of a structure with as many modes and the same contacts.
+
+    Raises:
+        RuleError: no such result, an unfinished one, one of another structure, no such point, or a state outside a
+            cone.
+    """
+    found = held(path)
+    try:
+        chosen = found.one(at)
+    except RuleError as error:
+        raise error.below("at") from None
+    return start_of(physics, found, chosen)
+
+
+def start_of(physics: Model, found: Held, chosen: Mapping[str, np.ndarray]) -> Start:
+    """The start of a model from one of the states of a result.
+
+    Raises:
+        RuleError: the result is one of another structure, or the state lies outside a cone.
+    """
+    names, modes = [contact.name for contact in physics.contacts], physics.structure.num_modes
+    if sorted(found.contacts) != sorted(names):
+        hint = f"the scene has {', '.join(names) or 'none'}"
+        raise RuleError((), f"has other contacts: {', '.join(found.contacts) or 'none'}", hint)
+    displacement, velocity, slip, state = (chosen[f"final_{name}"] for name in STATE)
+    if displacement.shape != velocity.shape or displacement.shape != (modes,):
+        raise RuleError((), f"has {displacement.size} modes, the scene has {modes}")
+    if not all(np.all(np.isfinite(value)) for value in (displacement, velocity, slip)):
+        raise RuleError((), "holds a final state that is not finite")
+    rows = [found.contacts.index(name) for name in names]
+    slip, state = slip.reshape(-1, 2)[rows], state.astype(int).ravel()[rows]
+    return _continued(physics, Start(displacement, velocity, slip, state, found.phase))
+
+
+def _continued(physics: Model, start: Start) -> Start:
+    """The start made to agree with the scene: a contact opened or closed since, a cone left by rounding."""
+    loads = _loads(physics, start.displacement, start.slip)
+    smooth = _contact_numbers(physics)[2] == 0
+    preload = _contact_numbers(physics)[1]
+    rounding = CONE * (np.abs(preload) + np.abs(loads.normal - preload))
+    opened = (loads.normal <= 0) | ((start.state == SEPARATION) & (loads.normal <= rounding))
+    closed_anew = (start.state == SEPARATION) & ~opened
+    follows = opened | closed_anew | smooth
+    size = np.where(follows, 0.0, np.linalg.norm(loads.force, axis=1))
+    outside = size > loads.limit
+    _check_cone(
+        physics,
+        loads,
+        outside & (size > loads.limit * (1 + RESULT_CONE)),
+        (),
+        "its friction or preload was higher",
+    )
+    back = np.where(outside, 1 - loads.limit / np.where(size > 0, size, 1.0), 0.0)
+    stretch = (loads.motion - start.slip) * back[:, None]
+    slip = np.where(follows[:, None], loads.motion, start.slip + stretch)
+    state = np.where(opened, SEPARATION, np.where(smooth, SLIP, np.where(closed_anew, STICK, start.state)))
+    return Start(start.displacement, start.velocity, slip, state, start.phase)

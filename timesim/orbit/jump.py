@@ -1,0 +1,197 @@
+"""Jumps along a sweep: where the motion leaves the branch that it was on, and at what frequency exactly.
+
+A step over which the amplitude changes is halved again and again, the motion carried from the near end to the middle,
+and so is each half over which it still changes. Over a slope the change shrinks with the stretch; a jump stays what it
+is, and is narrowed down to the wanted width. Where slope and jump share a step both are seen for what they are.
+"""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from timesim.engine.solver import Solver
+from timesim.model.model import Model
+from timesim.orbit.settling import Chain, Criterion, Orbit, steady_states
+from timesim.study.worker import halted
+
+STANDS_OUT = 4.0  # a jump changes the amplitude by so many times what the steps beside it do,
+AT_LEAST = 0.03  # and by this share of it; where no step is halved, of the largest of all amplitudes
+STAYS = 0.5  # of the change remains of a jump,
+HALVINGS = 3  # over so many halvings: of a slope an eighth does
+EVEN = 0.6  # a slope has no more of the change than this in either half
+GENTLE = 10.0  # change, over the least that is a jump, of a slope that is known by its first halving
+
+
+class Jump(NamedTuple):
+    """Frequencies [Hz] between which the motion jumps, ascending."""
+
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Frequencies over which the amplitude changes.
+
+    Attributes:
+        model: the scene.
+        near, far: ends, in the direction of the sweep [Hz].
+        on, beyond: the motions there.
+        least: change of amplitude below which nothing is called a jump.
+        before: changes over the stretches that this one is a part of, the longest first.
+        whole: whether it cannot be halved any more.
+    """
+
+    model: Model
+    near: float
+    far: float
+    on: Orbit
+    beyond: Orbit
+    least: float
+    before: tuple[float, ...] = ()
+    whole: bool = False
+
+    @property
+    def change(self) -> float:
+        """Of the amplitude, the largest of all points and axes."""
+        return distance(self.on, self.beyond)
+
+    @property
+    def middle(self) -> float:
+        """Frequency between the ends [Hz]."""
+        return 0.5 * (self.near + self.far)
+
+    def jumps(self, width: float) -> bool | None:
+        """Whether the motion jumps within it, if that can be told and its width [Hz] is the wanted one."""
+        if self.whole or self.middle in (self.near, self.far):
+            return True
+        if not self.change > self.least:
+            return False
+        narrow = abs(self.far - self.near) <= width and len(self.before) >= HALVINGS
+        return True if narrow and self.change > STAYS * self.before[-HALVINGS] else None
+
+    def halves(self, orbit: Orbit) -> "Iterator[Stretch]":
+        """Both halves, from the motion carried to the middle; it itself where that could not be computed.
+
+        None where the change is small and even: a slope.
+        """
+        if orbit.reason is not None:
+            yield replace(self, whole=True)
+            return
+        parts = distance(self.on, orbit), distance(orbit, self.beyond)
+        if max(parts) < EVEN * self.change < EVEN * GENTLE * self.least:
+            return
+        before = (*self.before, self.change)
+        yield replace(self, far=self.middle, beyond=orbit, before=before)
+        yield replace(self, near=self.middle, on=orbit, before=before)
+
+
+def distance(one: Orbit, other: Orbit) -> float:
+    """How much the amplitudes of two motions differ, the largest of all points and axes.
+
+    By less where one has not settled: its amplitude may be any in its band.
+    """
+    loose = sum(orbit.band[1] - orbit.band[0] for orbit in (one, other) if not orbit.settled)
+    return float(np.max(np.abs(one.amplitude - other.amplitude) - loose, initial=0.0))
+
+
+def narrowed(
+    stretches: Sequence[Stretch], solver: Solver, criterion: Criterion, width: float
+) -> list[tuple[int, Stretch]]:
+    """The jumps within stretches, with the position of each: as narrow as is wanted, or as tells them from slopes.
+
+    Args:
+        stretches: where to look.
+        solver, criterion: as those of the sweep.
+        width: wanted of each jump [Hz].
+    """
+    found: list[tuple[int, Stretch]] = []
+    left = list(enumerate(stretches))
+    while left:
+        told = [(index, stretch, stretch.jumps(width)) for index, stretch in left]
+        found += [(index, stretch) for index, stretch, jumps in told if jumps]
+        open_ = [(index, stretch) for index, stretch, jumps in told if jumps is None]
+        chains = [Chain(replace(part.model, start=part.on.end), (part.middle,)) for _, part in open_]
+        middles = steady_states(chains, solver, criterion, halted=halted) if chains else []
+        left = [
+            (index, half)
+            for (index, stretch), (orbit,) in zip(open_, middles, strict=True)
+            for half in stretch.halves(orbit)
+        ]
+    return list(_joined(sorted(found, key=lambda item: (item[0], abs(item[1].near - stretches[item[0]].near)))))
+
+
+def _joined(found: Sequence[tuple[int, Stretch]]) -> Iterator[tuple[int, Stretch]]:
+    """Jumps that follow on each other made one: next to a fold a motion leaves so slowly that it is met on its way."""
+    last: tuple[int, Stretch] | None = None
+    for index, jump in found:
+        if last is not None and last[0] == index and last[1].far == jump.near:
+            last = index, replace(last[1], far=jump.far, beyond=jump.beyond)
+            continue
+        if last is not None:
+            yield last
+        last = index, jump
+    if last is not None:
+        yield last
+
+
+def jumps_of(
+    stretches: Sequence[Stretch], solver: Solver, criterion: Criterion, width: float
+) -> Iterator[tuple[int, Jump]]:
+    """The jumps within the steps of sweeps, with the position of the step; arguments as `narrowed`.
+
+    A motion that small steps would carry to the end of its step is lost by the length of the step alone: then the jump
+    is the step.
+    """
+    found = narrowed(stretches, solver, criterion, width)
+    ends = [(index, jump) for index, jump in found if jump.far == stretches[index].far and not jump.whole]
+    chains = [Chain(replace(jump.model, start=jump.on.end), (jump.far,)) for _, jump in ends]
+    carried = steady_states(chains, solver, criterion, halted=halted) if chains else []
+    by_length = {
+        index
+        for (index, jump), (orbit,) in zip(ends, carried, strict=True)
+        if orbit.reason is None and distance(jump.on, orbit) < STAYS * jump.change
+    }
+    for index, jump in found:
+        step = stretches[index] if index in by_length and jump.far == stretches[index].far else jump
+        yield index, Jump(*sorted((step.near, step.far)))
+
+
+def steps_of(model: Model, frequencies: Sequence[float], orbits: Sequence[Orbit]) -> list[Stretch]:
+    """The steps of a sweep over which the amplitude changes.
+
+    Args:
+        model: the scene.
+        frequencies: in the order of the sweep [Hz].
+        orbits: at them.
+    """
+    found = []
+    for near, far, on, beyond in zip(frequencies, frequencies[1:], orbits, orbits[1:], strict=False):
+        size = max(float(np.nanmax(orbit.amplitude, initial=0.0)) for orbit in (on, beyond))
+        step = Stretch(model, near, far, on, beyond, AT_LEAST * size)
+        if on.reason is None and beyond.reason is None and step.change > step.least:
+            found.append(step)
+    return found
+
+
+def suspects(amplitude: np.ndarray) -> np.ndarray:
+    """Steps of a sweep over which the amplitude changes by far more than over those beside them.
+
+    Args:
+        amplitude: of all points along all axes, shape (F, X).
+
+    Returns:
+        Positions of the points before the steps.
+    """
+    if len(amplitude) < 3:
+        return np.zeros(0, dtype=int)
+    largest = np.nanmax(np.abs(amplitude), initial=1e-300)
+    change = np.max(np.abs(np.diff(amplitude, axis=0)), axis=1, initial=0.0) / largest
+    around = np.concatenate([[np.nan], change, [np.nan]])
+    beside = np.fmax(around[:-2], around[2:])
+    with np.errstate(invalid="ignore"):
+        return np.flatnonzero((change > AT_LEAST) & (change >= STANDS_OUT * beside))

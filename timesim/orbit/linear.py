@@ -1,0 +1,71 @@
+"""The steady state of a scene that is linear: no contact is left in it, so it needs no march.
+
+With the contacts that a reduction has proven to stick taken into the stiffness, a lane is
+
+    q'' + D q' + K q = p_0 + sum_h Re(p_h exp(i h (t + phase)))
+
+whose steady state is ``q_h = (K - h^2 + i h D)^-1 p_h``; it is reached from any start if all eigenvalues decay.
+"""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from timesim.engine.system import System
+from timesim.orbit.fourier import half_range
+from timesim.orbit.lane import Lane
+
+
+@dataclass(frozen=True)
+class LinearOrbit:
+    """A steady state.
+
+    Attributes:
+        lane: at the start of a cycle of it.
+        amplitude: (max - min) / 2 of each point along x, y, z, shape (P, 3).
+        multipliers: of the excitation's period, largest first.
+    """
+
+    lane: Lane
+    amplitude: np.ndarray
+    multipliers: np.ndarray
+
+
+def linear_orbit(lane: Lane) -> LinearOrbit | None:
+    """The steady state of a lane without a contact in it; None if it has contacts, or not all of its motions decay."""
+    system = lane.system
+    if lane.state.size:
+        return None
+    rates = np.linalg.eigvals(_first_order(system))
+    if not np.all(rates.real < 0):
+        return None
+    phasor = _phasors(system)
+    turn = np.exp(1j * np.arange(len(phasor)) * float(system.phase))[:, None]
+    q, p = ((turn * phasor).real.sum(axis=0), (1j * np.arange(len(phasor))[:, None] * turn * phasor).real.sum(axis=0))
+    shape, points = lane.shape, len(lane.model.structure.points)
+    amplitude = half_range((phasor @ shape.T)[None])[0].reshape(points, 3)
+    multipliers = np.exp(2 * np.pi * rates)
+    return LinearOrbit(replace(lane, q=q, p=p), amplitude, multipliers[np.argsort(-np.abs(multipliers))])
+
+
+def _full(matrix: np.ndarray) -> np.ndarray:
+    return np.diag(matrix) if matrix.ndim == 1 else matrix
+
+
+def _first_order(system: System) -> np.ndarray:
+    """Matrix of (q, q')' without excitation."""
+    K, D = _full(np.asarray(system.stiffness)), _full(np.asarray(system.damping))
+    return np.block([[np.zeros_like(K), np.eye(len(K))], [-K, -D]])
+
+
+def _phasors(system: System) -> np.ndarray:
+    """Response by harmonic 0, 1, ... of the excitation, the highest one last, shape (H + 1, M)."""
+    K, D = _full(np.asarray(system.stiffness)), _full(np.asarray(system.damping))
+    order = np.asarray(system.harmonic).astype(int)
+    force = np.zeros((order.max(initial=0) + 1, len(K)), complex)
+    np.add.at(force, order, np.asarray(system.cosine) - 1j * np.asarray(system.sine))
+    force[0] += np.asarray(system.constant)
+    h = np.arange(len(force))[:, None, None]
+    return np.linalg.solve(K - h**2 * np.eye(len(K)) + 1j * h * D, force[..., None])[..., 0]

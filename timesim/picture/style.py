@@ -1,0 +1,173 @@
+"""How every picture looks: figures, margins, colours, and what tells contact states apart.
+
+Figures are made without pyplot: cheaper to import, no global state. Contact states are told apart by colour
+(Okabe and Ito's palette) and, for print and the colour-blind, by line style of curves and hatching of bars.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from timesim.model.model import SEPARATION, SLIP, STATE_NAMES, STICK
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.figure
+    import xarray
+
+BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9"
+_HEAD, _FOOT = 0.68, 0.95
+
+
+class Series(NamedTuple):
+    """How one of several curves is drawn."""
+
+    colour: str
+    line: Any
+    marker: str
+
+
+class StateStyle(NamedTuple):
+    """How a contact state is drawn."""
+
+    colour: str
+    line: Any
+    hatch: str
+
+
+SERIES = (
+    Series(BLUE, "-", "o"),
+    Series(VERMILION, "--", "s"),
+    Series(GREEN, "-.", "D"),
+    Series(PURPLE, ":", "^"),
+    Series(ORANGE, (0, (5, 1, 1, 1)), "v"),
+    Series(SKY, (0, (8, 2)), "x"),
+    Series("0.5", (0, (3, 3)), "+"),
+)
+STATE_STYLE = {
+    STICK: StateStyle(BLUE, "-", ""),
+    SLIP: StateStyle(VERMILION, (0, (3, 1)), "////"),
+    SEPARATION: StateStyle(GREEN, (0, (1, 1)), "...."),
+}
+
+
+Picture = Callable[[Any], "matplotlib.figure.Figure | None"]
+"""Draws a result: a Dataset, or the DataTree of one with groups."""
+
+
+def axes(ax: "matplotlib.axes.Axes | None" = None) -> "matplotlib.axes.Axes":
+    """The axes given, or those of a new figure."""
+    return figure()[1][0, 0] if ax is None else ax
+
+
+def figure(
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    width: float = 7.0,
+    height: float = 3.0,
+    gap: float = 0.25,
+    left: float = 0.9,
+    right: float = 0.2,
+    **options: Any,
+) -> tuple["matplotlib.figure.Figure", np.ndarray]:
+    """A figure that needs no display, and its axes, between a heading and a foot with room for a legend.
+
+    Margins are fixed, since a computed layout takes as long as all the drawing (measured).
+
+    Args:
+        rows, columns: of axes.
+        width: of the figure [inch].
+        height, gap: of a row of axes, and between rows [inch].
+        left, right: margins [inch].
+        options: of `matplotlib.figure.Figure.subplots`.
+
+    Returns:
+        The figure and its axes, shape (rows, columns).
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    tall = _HEAD + rows * height + (rows - 1) * gap + _FOOT
+    made = Figure(figsize=(width, tall))
+    FigureCanvasAgg(made)
+    edges = {
+        "left": left / width,
+        "right": 1 - right / width,
+        "top": 1 - _HEAD / tall,
+        "bottom": _FOOT / tall,
+    }
+    between = 0.8 / ((width - left - right - (columns - 1) * 0.8) / columns)
+    made.subplots_adjust(hspace=gap / height, wspace=between, **edges)
+    grid = made.subplots(rows, columns, squeeze=False, **options)
+    for ax in grid.flat:
+        ax.locator_params(nbins=6)
+        ax.ticklabel_format(useOffset=False, scilimits=(-3, 4))
+        ax.tick_params(labelsize=8)
+        ax.grid(True, color="0.9", linewidth=0.6)
+        ax.set_axisbelow(True)
+    return made, grid
+
+
+def heading(made: "matplotlib.figure.Figure", data: "xarray.Dataset", what: str, left_out: str = "") -> None:
+    """Title of a figure: the scene's own and what is shown; at the foot what did not find room."""
+    title = short(str(data.attrs.get("title") or ""), 90)
+    unfinished = "" if int(data.attrs["complete"]) else " (incomplete run)"
+    tall = made.get_figheight()
+    made.suptitle((f"{title}\n" if title else "") + what + unfinished, fontsize=10, y=1 - 0.08 / tall, va="top")
+    if left_out:
+        made.text(0.99, 0.04 / tall, left_out, fontsize=7, color="0.35", ha="right", va="bottom")
+
+
+def short(name: str, length: int = 24) -> str:
+    """The name, cut to a number of characters where it is longer."""
+    return name if len(name) <= length else name[: length - 1] + "…"
+
+
+def state_curves(ax: "matplotlib.axes.Axes", x: np.ndarray, y: np.ndarray, state: np.ndarray) -> None:
+    """Draw a curve in the styles of its states, one artist for each state that occurs.
+
+    Args:
+        ax: axes to draw on.
+        x, y: the curve, shape (T,).
+        state: contact state from each sample to the next, shape (T,).
+    """
+    gapped = [np.append(values, np.nan) for values in (x, y)]
+    for number, style in STATE_STYLE.items():
+        pieces = _pieces(state == number)
+        if pieces.size:
+            ax.plot(
+                *(values[pieces] for values in gapped),
+                color=style.colour,
+                linestyle=style.line,
+                linewidth=1.6,
+                label=STATE_NAMES[number],
+            )
+
+
+def _pieces(inside: np.ndarray) -> np.ndarray:
+    """Positions of the samples of each run, the sample that ends it, and -1 for a gap after it."""
+    runs = np.flatnonzero(np.diff(inside, prepend=False, append=False)).reshape(-1, 2)
+    last = inside.size - 1
+    return np.concatenate([np.empty(0, int), *(np.append(np.arange(a, min(b, last) + 1), -1) for a, b in runs)])
+
+
+def shared_legend(made: "matplotlib.figure.Figure") -> None:
+    """One legend for all axes of a figure, at its foot, each label once, the states first."""
+    entries: dict[str, Any] = {}
+    for ax in made.axes:
+        for handle, name in zip(*ax.get_legend_handles_labels(), strict=True):
+            entries.setdefault(name, handle)
+    if entries:
+        order = sorted(entries, key=lambda name: STATE_NAMES.index(name) if name in STATE_NAMES else 9)
+        handles = [entries[name] for name in order]
+        place = (0.5, 0.16 / made.get_figheight())
+        made.legend(
+            handles=handles,
+            labels=order,
+            loc="lower center",
+            bbox_to_anchor=place,
+            ncols=len(order),
+            fontsize=8,
+        )

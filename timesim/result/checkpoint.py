@@ -1,0 +1,275 @@
+"""What a campaign has done so far, kept in the run folder: a file for each chunk and a manifest of what they belong to.
+
+    FOLDER/checkpoint/manifest.json        scene, version, and a fingerprint of every chunk
+    FOLDER/checkpoint/NAME.npz             result of a chunk
+    FOLDER/checkpoint/STAGE/…              the same of a later stage of the study
+
+Every file appears whole or not at all, the manifest before the chunks, and it is the first that goes: whatever the
+moment a run is killed at, what is found afterwards is right.
+"""
+
+import io
+import json
+import zipfile
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Self
+
+import filelock
+import numpy as np
+
+from timesim.result.change import first_difference, named_differences
+from timesim.result.store import RESULT_NAME, StoreError, read, write_whole
+from timesim.study.worker import Result
+
+FOLDER_NAME = "checkpoint"
+MANIFEST_NAME = "manifest.json"
+LOCK_NAME = ".lock"
+
+INTERRUPTED = "interrupted"  # how the reason of a campaign that was given up begins
+
+_AGAIN = "choose another folder, or give --force to start anew"
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What the chunks of a checkpoint belong to.
+
+    Attributes:
+        identity: the resolved scene.
+        chunks: fingerprint of each chunk by its name.
+        timesim: version that does the work.
+    """
+
+    identity: str
+    chunks: Mapping[str, str]
+    timesim: str = field(default_factory=lambda: version("timesim"))
+
+    @classmethod
+    def read(cls, folder: Path) -> Self | None:
+        """The manifest in a folder; None if there is none.
+
+        Raises:
+            StoreError: it cannot be read.
+        """
+        path = folder / MANIFEST_NAME
+        try:
+            return cls(**json.loads(path.read_text()))
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, TypeError) as error:
+            lost = f"so what the {_count(folder)} chunks beside it belong to is not known and nothing can be resumed"
+            raise StoreError(f"{path} cannot be read ({error}), {lost}; {_AGAIN}") from error
+
+    def change(self, now: "Manifest") -> str | None:
+        """What tells it from another, in words; None if nothing does."""
+        if self.identity != now.identity:
+            return f"is of another scene: {named_differences(self.identity, now.identity)}"
+        if self.timesim != now.timesim:
+            return f"was begun by timesim {self.timesim}, this is {now.timesim}"
+        if list(self.chunks) != list(now.chunks):
+            return f"is cut into other chunks: {first_difference(list(self.chunks), list(now.chunks))}"
+        other = [name for name, found in now.chunks.items() if found != self.chunks[name]]
+        if other:
+            return f"was begun with other data, such as a file of matrices that has changed: see chunk {other[0]}"
+        return None
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """The finished chunks of a campaign, on disk."""
+
+    folder: Path
+    lock: filelock.BaseFileLock
+    # An interrupt reaches the main thread alone: what another one writes is never cut off by it.
+    writer: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "timesim-checkpoint"))
+
+    def save(self, name: str, result: Result) -> None:
+        """Keep the result of a chunk.
+
+        Raises:
+            StoreError: the disk is full, the folder is gone or may not be written, or an array holds objects.
+        """
+        self.writer.submit(self._write, name, result).result()
+
+    def _write(self, name: str, result: Result) -> None:
+        image = io.BytesIO()
+        try:
+            with zipfile.ZipFile(image, "w") as archive:
+                for key, array in result.items():
+                    with archive.open(f"{key}.npy", "w", force_zip64=True) as stream:
+                        np.lib.format.write_array(stream, array, allow_pickle=False)
+        except ValueError as error:
+            raise StoreError(f"chunk {name}, '{key}': not an array of numbers or text: {error}") from error
+        write_whole(self.folder / f"{name}.npz", image.getbuffer())
+
+    def load(self, name: str) -> Result | None:
+        """The result of a chunk; None if it is not finished.
+
+        Raises:
+            StoreError: its file is damaged.
+        """
+        path = self.folder / f"{name}.npz"
+        try:
+            # Read here: numpy leaves a file open that it cannot read.
+            with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as arrays:
+                return {key: arrays[key] for key in arrays.files}
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, AttributeError) as error:
+            raise StoreError(f"{path} is damaged or cut off ({error})") from error
+
+    def close(self) -> None:
+        """Let another run take it up."""
+        self.writer.shutdown()
+        self.lock.release()
+
+
+def begin(run_folder: Path, manifest: Manifest, *, resume: bool, stage: str = "") -> tuple[Checkpoint, bool]:
+    """The checkpoint of a campaign, and whether there is something in it to take up.
+
+    Args:
+        run_folder: folder of the run.
+        manifest: what the chunks belong to.
+
+    Keyword Args:
+        resume: take up what is there; otherwise it is removed.
+        stage: name of a later stage of the same study.
+
+    Raises:
+        StoreError: what is there belongs to something else or is being worked on, or the folder cannot be written.
+    """
+    folder = run_folder / FOLDER_NAME / stage
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = _locked(folder)
+    except OSError as error:
+        raise StoreError(f"checkpoint folder {folder} cannot be made: {error.strerror or error}") from error
+    try:
+        return Checkpoint(folder, lock), _taken_up(folder, manifest, resume)
+    except BaseException:
+        lock.release()
+        raise
+
+
+def _locked(folder: Path) -> filelock.BaseFileLock:
+    lock = filelock.FileLock(folder / LOCK_NAME)
+    try:
+        lock.acquire(blocking=False)
+    except filelock.Timeout:
+        raise StoreError(f"another run is at work in {folder}; wait for it, or choose another folder") from None
+    return lock
+
+
+def _taken_up(folder: Path, manifest: Manifest, resume: bool) -> bool:
+    before = Manifest.read(folder) if resume else None
+    if resume:
+        _refuse_orphans(folder)
+    if before is None:
+        _empty(folder)
+        write_whole(folder / MANIFEST_NAME, json.dumps(asdict(manifest)).encode())
+        return False
+    if change := before.change(manifest):
+        raise StoreError(f"the checkpoint in {folder} {change}; run what it was begun with, {_AGAIN}")
+    return True
+
+
+def _refuse_orphans(folder: Path) -> None:
+    if (count := _count(folder)) and not (folder / MANIFEST_NAME).exists():
+        lost = f"holds {count} chunks but no {MANIFEST_NAME}, which says what they belong to: they cannot be taken up"
+        raise StoreError(f"{folder} {lost}; put it back, {_AGAIN}")
+
+
+def _count(folder: Path) -> int:
+    return len(list(folder.glob("*.npz")))
+
+
+def clear(run_folder: Path | str) -> None:
+    """Remove the checkpoint of a run whose result is saved, or that is to start anew.
+
+    Raises:
+        StoreError: it may not be removed, or another run is at work in it.
+    """
+    root = Path(run_folder) / FOLDER_NAME
+    if not root.is_dir():
+        return
+    try:
+        for folder in (*sorted(path.parent for path in root.glob(f"*/{LOCK_NAME}")), root):
+            with _locked(folder):
+                _empty(folder)
+                (folder / LOCK_NAME).unlink(missing_ok=True)
+            if not any(folder.iterdir()):
+                folder.rmdir()
+    except OSError as error:
+        raise StoreError(f"checkpoint folder {root} cannot be removed: {error.strerror or error}") from error
+
+
+def _empty(folder: Path) -> None:
+    (folder / MANIFEST_NAME).unlink(missing_ok=True)
+    for pattern in ("*.npz", ".*.part"):
+        for path in folder.glob(pattern):
+            path.unlink(missing_ok=True)
+
+
+def is_finished(run_folder: Path | str, scene: str, *, force: bool, resume: bool) -> bool:
+    """Whether a run folder holds the whole result already; refuses one that holds something else.
+
+    Args:
+        run_folder: folder of the run; need not exist.
+        scene: the resolved scene.
+
+    Keyword Args:
+        force: what is there may be overwritten.
+        resume: what is there is to be taken up.
+
+    Raises:
+        StoreError: the folder holds an unfinished run and neither is given, or a run of another scene is to be resumed.
+    """
+    folder = Path(run_folder)
+    if force and resume:
+        raise StoreError("force starts anew and resume goes on with what is there; give one of them")
+    if resume:
+        return _is_whole(folder, scene)
+    if force:
+        return False
+    _refuse_orphans(folder / FOLDER_NAME)
+    if done := chunks_done(folder):
+        hint = "give --resume to go on, or --force to start anew"
+        raise StoreError(f"{folder} holds a run that was cut off, {done} chunks done; {hint}")
+    return False
+
+
+def chunks_done(run_folder: Path | str) -> int:
+    """Finished chunks of a run that is not finished."""
+    folder = Path(run_folder) / FOLDER_NAME
+    return _count(folder) if (folder / MANIFEST_NAME).exists() else 0
+
+
+def resuming_helps(run_folder: Path | str, reason: str) -> bool:
+    """Whether a run that ended early for a reason would get further when it is resumed: chunks are missing, or it was
+    interrupted after them."""
+    root = Path(run_folder) / FOLDER_NAME
+    missing = [
+        name
+        for path in root.rglob(MANIFEST_NAME)
+        if (manifest := Manifest.read(path.parent))
+        for name in manifest.chunks
+        if not (path.parent / f"{name}.npz").exists()
+    ]
+    return bool(missing) or (INTERRUPTED in reason and chunks_done(run_folder) > 0)
+
+
+def _is_whole(folder: Path, scene: str) -> bool:
+    """Whether the result of this scene is complete, where a run is to be resumed."""
+    held = {}
+    if (folder / RESULT_NAME).exists():
+        held = dict(read(folder)[""].attrs)
+    manifest = Manifest.read(folder / FOLDER_NAME)
+    for path, begun in ((RESULT_NAME, held.get("scene")), (FOLDER_NAME, manifest.identity if manifest else None)):
+        if begun is not None and begun != scene:
+            change = named_differences(begun, scene)
+            raise StoreError(f"{folder / path} is of another scene: {change}; run what it was begun with, {_AGAIN}")
+    return bool(held.get("complete"))

@@ -1,0 +1,178 @@
+"""States that results hold: the end of a run, or the end of a cycle at each point of a sweep."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from pydantic import Field
+
+from timesim.fault import RuleError, nearest
+from timesim.result.store import RESULT_NAME, Record
+from timesim.scene.section import Number, Section, Text
+
+STATE = ("modal_displacement", "modal_velocity", "slip", "contact_state")
+POINT = ("amplitude", "settled", "period", "slip_share", "separation_share", "failure")
+SAME = 1e-9  # share of a value by which one asked for may differ from one of the axis
+
+
+class ResultSection(Section):
+    """The motion that another run has led to."""
+
+    source: Text = Field(alias="from")
+    """Path of its result.nc, relative to the scene."""
+    at: dict[Text, Number | Text] = Field(default_factory=dict)
+    """Of a sweep: which point, by its axes: {frequency: 0.945, direction: up, contacts.pad.preload: -4}."""
+
+    def absolute(self, folder: Path) -> Self:
+        """The same with a path that does not depend on the folder."""
+        return self.model_copy(update={"source": str((folder / self.source).absolute())})
+
+
+@dataclass(frozen=True)
+class Held:
+    """What is read of a result.
+
+    Attributes:
+        contacts: their names.
+        arrays: `final_...` of every state, and of a sweep what is known of its points, axes of the sweep first.
+        axes: the values along these axes; empty for a run.
+        phase: of the excitation in all these states [rad].
+    """
+
+    contacts: tuple[str, ...]
+    arrays: Mapping[str, np.ndarray]
+    axes: Mapping[str, np.ndarray]
+    phase: float
+
+    def at(self, place: tuple[int, ...]) -> dict[str, np.ndarray]:
+        """The arrays of one of the states."""
+        return {name: array[place] for name, array in self.arrays.items()}
+
+    def places(self, asked: Mapping[str, float | str]) -> dict[str, Sequence[int]]:
+        """Positions along each axis: one where it is asked for, else all.
+
+        Raises:
+            RuleError: no such axis, or no such value along it; the key is that of the axis.
+        """
+        for name, value in asked.items():
+            if name not in self.axes:
+                hint = nearest(name, list(self.axes)) if self.axes else "the result is that of one run, not a sweep"
+                raise RuleError((name,), "is no axis of the result", hint, value)
+        return {
+            name: (_position(name, values, asked[name]),) if name in asked else range(len(values))
+            for name, values in self.axes.items()
+        }
+
+    def one(self, asked: Mapping[str, float | str]) -> dict[str, np.ndarray]:
+        """The arrays of the one state that is asked for.
+
+        Raises:
+            RuleError: there is none, or more than one.
+        """
+        places = self.places(asked)
+        for name, positions in places.items():
+            if len(positions) > 1:
+                raise RuleError((), f"must name the {name} of a point of the sweep", _listed(self.axes[name]))
+        found = self.at(tuple(positions[0] for positions in places.values()))
+        if reason := str(found.get("failure", "")):
+            raise RuleError((), f"names a point that could not be computed: {reason}", "take another")
+        return found
+
+
+SweepPoint = tuple[float, dict[str, np.ndarray]]
+"""Frequency [Hz], and the arrays of a point."""
+
+
+def settled_points(found: Held, asked: Mapping[str, float | str]) -> Iterator[SweepPoint]:
+    """Points of a sweep with slip, or contact for a part of the cycle, that repeat each cycle.
+
+    Args:
+        found: a sweep.
+        asked: values along some of its axes; the others are taken whole.
+
+    Raises:
+        RuleError: no such axis, or no such value along it.
+    """
+    for place in product(*found.places(asked).values()):
+        point = found.at(place)
+        if str(point["failure"]) or point["settled"] != 1 or point["period"] != 1:
+            continue
+        slip, apart = point["slip_share"], point["separation_share"]
+        if np.any(slip > 0) or np.any((apart > 0) & (apart < 1 - SAME)):
+            yield float(found.axes["frequency"][place[-1]]), point
+
+
+def held_in(record: Record) -> Held:
+    """The states in the record of a sweep."""
+    dims = record.variables[f"final_{STATE[0]}"][0][:-1]
+    names = (*(f"final_{name}" for name in STATE), *POINT)
+    arrays = {name: record.variables[name][1] for name in names}
+    phase = float(np.deg2rad(record.variables["final_phase_deg"][1]))
+    return Held(tuple(map(str, record.coords["contact"])), arrays, {name: record.coords[name] for name in dims}, phase)
+
+
+def _position(name: str, values: np.ndarray, value: float | str) -> int:
+    if values.dtype.kind in "US" or isinstance(value, str):
+        same = values.astype(str) == str(value)
+    else:
+        same = np.isclose(values, value, rtol=SAME, atol=SAME * np.ptp(values))
+    if not same.any():
+        raise RuleError((name,), f"must be a {name} of the result", _listed(values, value), value)
+    return int(np.argmax(same))
+
+
+def _listed(values: np.ndarray, near: float | str | None = None) -> str:
+    """Values of an axis in words: all, or the range and those next to a value."""
+    told = [str(value) if values.dtype.kind in "US" else f"{value:.10g}" for value in values]
+    if len(told) <= 12:
+        return f"it has {', '.join(told)}"
+    next_to = ""
+    if near is not None and not isinstance(near, str):
+        close = np.sort(np.argsort(np.abs(values - near))[:2])
+        next_to = f", next to it {' and '.join(told[i] for i in close)}"
+    return f"it has {len(told)} from {told[0]} to {told[-1]}{next_to}"
+
+
+def held(path: Path) -> Held:
+    """The states of a result; of one with groups, those of its sweep.
+
+    Args:
+        path: result file, or the folder of a run.
+
+    Raises:
+        RuleError: no such file, none of a finished run, or one that holds no state.
+    """
+    path = path / RESULT_NAME if path.is_dir() else path
+    if not path.is_file():
+        raise RuleError((), "does not exist")
+    import h5netcdf
+
+    try:
+        with h5netcdf.File(path, "r", decode_vlen_strings=True) as data:
+            complete = int(np.asarray(data.attrs.get("complete", 1)))
+            group = data.groups.get("sweep", data)
+            first = f"final_{STATE[0]}"
+            if first not in group.variables:
+                hint = "a transient, a jump or a sweep leaves one"
+                raise RuleError((), f"holds no final state ({first} is missing)", hint)
+            dims = group.variables[first].dimensions[:-1]
+            names = [f"final_{name}" for name in STATE] + (list(POINT) if dims else [])
+            arrays = {name: _loaded(group.variables[name]) for name in names}
+            axes = {name: _loaded(group.variables[name]) for name in dims}
+            contacts = tuple(map(str, _loaded(group.variables["contact"]))) if "contact" in group.variables else ()
+            phase = float(np.deg2rad(_loaded(group.variables["final_phase_deg"])))
+    except RuleError:
+        raise
+    except Exception as error:  # a damaged file raises whatever HDF5 makes of it
+        raise RuleError((), f"cannot be read as NetCDF-4 ({' '.join(str(error).split())[:120]})") from None
+    if not complete and not axes:
+        raise RuleError((), "is the result of a run that was not finished (complete = 0)", "finish that run first")
+    return Held(contacts, arrays, axes, phase)
+
+
+def _loaded(variable: Any) -> np.ndarray:
+    values = np.asarray(variable[...])
+    return values.astype(str) if values.dtype.kind == "O" else values

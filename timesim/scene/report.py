@@ -1,0 +1,176 @@
+"""What would be modelled, told before anything runs: the parts of a scene, warnings, the method advised."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from timesim.model.model import GROUND, Contact, Model
+from timesim.model.reduction import reduction_of
+from timesim.scene.resolution import Scene
+from timesim.scene.text import value_text
+
+REACH = 3.3
+"""Largest |eigenvalue| times step at which an explicit fifth-order method stays stable on an oscillation."""
+LISTED = 6  # entries of a list that are all shown
+STIFF_STEPS = 20_000
+"""Explicit steps of a cycle above which an implicit method is advised."""
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading of the report and the lines below it."""
+
+    title: str
+    lines: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Advice:
+    """The method advised for a scene.
+
+    Attributes:
+        method: tsit5 or kvaerno5.
+        steps_per_cycle: steps that stability alone asks of an explicit method.
+    """
+
+    method: str
+    steps_per_cycle: float
+
+    def __str__(self) -> str:
+        steps = f"stability asks about {self.steps_per_cycle:.3g} explicit steps a cycle"
+        bound = f"more than {STIFF_STEPS}" if self.method == "kvaerno5" else f"not above {STIFF_STEPS}"
+        return f"{self.method}: {steps}, {bound}"
+
+
+def describe(scene: Scene) -> list[Heading]:
+    """What ``timesim check`` prints of a scene: what is modelled, what is left out and why, and warnings."""
+    headings = [Heading("scene", tuple(_study_lines(scene)))]
+    if scene.file.structure is not None:
+        model = scene.model()
+        headings.append(Heading("structure", tuple(_structure_lines(model))))
+        headings.append(Heading("contacts", tuple(map(contact_line, model.contacts)) or ("none",)))
+        headings.append(Heading("excitation", tuple(_excitation_lines(model))))
+        headings.append(Heading("advised method", tuple(_advice_lines(scene, model))))
+        headings.append(Heading("left out or simplified", _left_out(scene, model)))
+    else:
+        headings.append(Heading("contacts", tuple(contact_line(item.build()) for item in scene.file.contacts)))
+    headings.append(Heading("warnings", tuple(scene.warnings())))
+    return [heading for heading in headings if heading.lines]
+
+
+def _left_out(scene: Scene, model: Model) -> tuple[str, ...]:
+    if not scene.file.solver.reduce:
+        return ("nothing: solver.reduce is false",)
+    frequency = model.excitation.frequency if scene.file.study.uses_frequency else None
+    findings = reduction_of(model, [] if frequency is None else [frequency]).findings
+    return findings or ("nothing: every mode, contact and direction is needed",)
+
+
+def _advice_lines(scene: Scene, model: Model) -> Iterator[str]:
+    study = scene.file.study
+    frequency = model.excitation.frequency if study.uses_frequency else study.lowest_frequency()
+    if frequency is not None and (advice := advised_method(model, frequency)) is not None:
+        place = "" if study.uses_frequency else f" (at {frequency:g} Hz, the lowest, where it asks most)"
+        yield f"{advice}{place}"
+
+
+def advised_method(model: Model, frequency: float | None = None) -> Advice | None:
+    """Explicit unless stability would ask for very many steps; None where no frequency is known.
+
+    Args:
+        model: what is modelled.
+        frequency: base frequency of the excitation [Hz], the scene's own by default.
+    """
+    frequency = frequency or model.excitation.frequency
+    if frequency is None:
+        return None
+    steps = model.stuck_rate / (REACH * frequency)
+    return Advice("kvaerno5" if steps > STIFF_STEPS else "tsit5", steps)
+
+
+def contact_line(contact: Contact) -> str:
+    """One contact in words: where, of what kind, its stiffness and its preload or gap."""
+    partner = "the ground" if contact.against == GROUND else contact.against
+    place = [f"{contact.point} against {partner}"] if contact.point else []
+    return f"{contact.name}: {', '.join([*place, *_contact_parts(contact)])}"
+
+
+def _contact_parts(contact: Contact) -> Iterator[str]:
+    K = contact.tangential_stiffness
+    if contact.friction == 0:
+        yield "frictionless stop"
+    else:
+        isotropic = K[0, 0] == K[1, 1] and K[0, 1] == 0
+        yield f"friction {contact.friction:g}"
+        yield f"tangential stiffness {K[0, 0]:g}" if isotropic else f"tangential stiffness {_rows(K)}"
+    if contact.normal_stiffness == 0:
+        yield f"constant normal load {contact.preload:g}"
+        return
+    yield f"normal stiffness {contact.normal_stiffness:g}"
+    gap = -contact.preload / contact.normal_stiffness
+    yield f"gap {gap:g}" if contact.preload < 0 else f"preload {contact.preload:g}"
+
+
+def _rows(matrix: np.ndarray) -> str:
+    return "[" + ", ".join(f"[{', '.join(f'{entry:g}' for entry in row)}]" for row in matrix) + "]"
+
+
+def _structure_lines(model: Model) -> Iterator[str]:
+    frequency = model.structure.frequency
+    count = "1 mode" if frequency.size == 1 else f"{frequency.size} modes"
+    span = f"{frequency[0]:.6g} Hz" if frequency.size == 1 else f"{frequency[0]:.6g} to {frequency[-1]:.6g} Hz"
+    yield f"{count}, {span}"
+    whole = model.structure.damping.ndim == 2
+    yield "damping: a whole matrix, which the modes do not diagonalise" if whole else _damping_line(model)
+    yield f"points: {', '.join(model.structure.points)}"
+
+
+def _damping_line(model: Model) -> str:
+    structure = model.structure
+    moving = structure.frequency > 0
+    if not np.any(structure.damping):
+        return "damping: none"
+    ratio = structure.damping[moving] / (2 * structure.mass * structure.omega)[moving]
+    low, high = ratio.min(), ratio.max()
+    return f"damping ratio {low:.4g}" + ("" if np.isclose(low, high, rtol=1e-9) else f" to {high:.4g}")
+
+
+def _excitation_lines(model: Model) -> Iterator[str]:
+    excitation = model.excitation
+    frequency = "set by the study" if excitation.frequency is None else f"{excitation.frequency:g} Hz"
+    acting = np.any(excitation.cosine, axis=1) | np.any(excitation.sine, axis=1)
+    harmonics = ", ".join(map(str, excitation.harmonic[acting])) or "none"
+    yield f"frequency {frequency}, harmonics {harmonics}"
+    if np.any(excitation.constant):
+        yield "constant forces"
+
+
+def _study_lines(scene: Scene) -> Iterator[str]:
+    if scene.file.title:
+        yield scene.file.title
+    written, initial = scene.source.data, scene.file.initial
+    yield f"study: {_keys(scene.file.study, ('kind', *written['study']))}"
+    if told := scene.file.study.points_told():
+        yield f"points: {told}"
+    yield f"solver: {_keys(scene.file.solver, written.get('solver', ()))}"
+    yield f"start: {initial if isinstance(initial, str) else _keys(initial, written['initial'])}"
+
+
+def _keys(section: BaseModel, order: Iterable[str]) -> str:
+    """What a section holds, the keys that were written first and in their order."""
+    held = section.model_dump(by_alias=True, exclude_none=True)
+    keys = dict.fromkeys([key for key in order if key in held] + list(held))
+    return ", ".join(f"{key} {_brief(held[key])}" for key in keys)
+
+
+def _brief(value: Any) -> str:
+    """A value as YAML writes it, long lists without their middle."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key}: {_brief(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        items = [_brief(item) for item in (value if len(value) <= LISTED else (*value[:3], value[-1]))]
+        return "[" + ", ".join(items if len(value) <= LISTED else (*items[:3], "…", items[3])) + "]"
+    return value_text(value)

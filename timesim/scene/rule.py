@@ -1,0 +1,122 @@
+"""What pydantic found wrong with a scene, in the words of this program."""
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Annotated, Any, get_args, get_origin
+
+from pydantic import Tag, ValidationError
+
+from timesim.fault import RuleError, nearest
+from timesim.scene.file import SceneFile
+from timesim.scene.section import Section
+
+RULES = {
+    "missing": "is required",
+    "extra_forbidden": "is no key here",
+    "float_type": "must be a number",
+    "finite_number": "must be finite",
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "string_type": "must be text",
+    "bool_type": "must be true or false",
+    "tuple_type": "must be a list",
+    "dict_type": "must be a mapping of keys",
+    "model_type": "must be a mapping of keys",
+    "model_attributes_type": "must be a mapping of keys",
+    "literal_error": "must be {expected}",
+    "greater_than": "must be > {gt:g}",
+    "greater_than_equal": "must be >= {ge:g}",
+    "less_than": "must be < {lt:g}",
+    "less_than_equal": "must be <= {le:g}",
+}
+
+
+NO_NUMBER = {RULES[kind] for kind in ("string_type", "bool_type", "tuple_type", "dict_type", "model_type")}
+"""Rules that a number breaks wherever it stands."""
+
+
+def rule_errors(found: ValidationError) -> list[RuleError]:
+    """All that pydantic found; a required key is not missed where only its name is misspelt."""
+    errors = [rule_error(details) for details in found.errors(include_url=False) if not _miscounted(details)]
+    meant = [(*error.key[:-1], error.hint) for error in errors if error.rule == RULES["extra_forbidden"]]
+    return [
+        error
+        for error in errors
+        if error.rule != RULES["missing"] or (*error.key[:-1], f"did you mean {error.key[-1]}?") not in meant
+    ]
+
+
+def _miscounted(details: Any) -> bool:
+    """Whether a list is only short of entries that are refused themselves: pydantic does not count those."""
+    return details["type"] == "too_short" and len(details["input"]) >= details["ctx"]["min_length"]
+
+
+def rule_error(details: Any) -> RuleError:
+    """One of pydantic's error details, as the rule it breaks and the key as the file has it."""
+    context, kind = details.get("ctx", {}), details["type"]
+    located = [part for part in details["loc"] if part != "[key]" and not str(part).startswith("<")]
+    key, value = (*located, *context.get("key", ())), details["input"]
+    if kind == "rule":
+        rule = context.get("rule", details["msg"])
+        return RuleError(key, rule, context.get("hint", ""), _shown(context, value))
+    if kind in ("too_short", "too_long"):
+        return RuleError(key, _length_rule(context), value=value)
+    rule = RULES.get(kind, details["msg"]).format(**context)
+    hint = _hint(kind, details["loc"], value, context)
+    return RuleError(key, rule, hint, None if kind == "missing" else value)
+
+
+def _shown(context: Mapping[str, Any], value: Any) -> Any:
+    if "rule" in context and context["value"] is not None:
+        return context["value"]
+    return None if context.get("key") or isinstance(value, Section | dict) else value
+
+
+def _length_rule(context: Mapping[str, Any]) -> str:
+    bound, actual = context.get("min_length", context.get("max_length")), context["actual_length"]
+    number = {1: "at least 1 entry", 2: "2 entries", 3: "3 entries"}[bound]
+    return f"must have {number}, not {actual}"
+
+
+def _hint(kind: str, location: Sequence[str | int], value: Any, context: Mapping[str, Any]) -> str:
+    if kind == "extra_forbidden":
+        return nearest(str(location[-1]), _keys_at(location[:-1]))
+    if kind == "literal_error":
+        close = nearest(value, str(context["expected"]).replace(" or ", ", ").replace("'", "").split(", "))
+        return close if close.startswith("did") else ""
+    if kind == "string_type" and isinstance(value, int | float):
+        return "put it in quotes"
+    if kind == "float_type" and isinstance(value, str):
+        return "without quotes and unit, with a point for the decimals"
+    return ""
+
+
+def _keys_at(location: Sequence[str | int]) -> Collection[str]:
+    """Keys that the section at a place of the tree allows."""
+    kind: Any = SceneFile
+    for part in location:
+        kind = _below(kind, part)
+    sections = [item for item in _options(kind) if isinstance(item, type) and issubclass(item, Section)]
+    return [field.alias or name for section in sections[:1] for name, field in section.model_fields.items()]
+
+
+def _below(kind: Any, part: str | int) -> Any:
+    for option in _options(kind):
+        if isinstance(option, type) and issubclass(option, Section):
+            fields = {field.alias or name: field.annotation for name, field in option.model_fields.items()}
+            if part in fields:
+                return fields[part]
+        elif isinstance(part, str) and Tag(part) in getattr(option, "__metadata__", ()):
+            return option
+        elif get_origin(option) in (tuple, dict) and not str(part).startswith("<"):
+            return get_args(option)[0 if get_origin(option) is tuple else 1]
+    return None
+
+
+def _options(kind: Any) -> list[Any]:
+    """Members of a union, however wrapped; a tagged one stays wrapped beside what it holds."""
+    if get_origin(kind) is Annotated:
+        inner = _options(get_args(kind)[0])
+        return [kind, *inner] if any(isinstance(item, Tag) for item in kind.__metadata__) else inner
+    if get_origin(kind) in (tuple, dict) or isinstance(kind, type):
+        return [kind]
+    return [option for member in get_args(kind) for option in _options(member)]

@@ -1,0 +1,248 @@
+"""Sections of the scene file that describe a structure: by modes, by matrices written out, or by files."""
+
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from timesim.fault import RuleError
+from timesim.model import model
+from timesim.model.matrices import Matrices, modal_structure, read_matrices
+from timesim.scene.section import Count, Matrix, Name, NotNegative, Positive, Row, Section, Text, Vector, refuse
+
+
+class Mode(Section):
+    """One mode: natural frequency, damping, modal mass and its displacement of each point."""
+
+    frequency: NotNegative
+    """Natural frequency [Hz]; 0 for a free motion."""
+    damping_ratio: NotNegative
+    """Share of critical damping; above 1 the mode creeps back without oscillating."""
+    mass: Positive
+    """Modal mass."""
+    shape: Annotated[dict[Name, Vector], Field(min_length=1)]
+    """Displacement along x, y, z of each point for a unit of the mode."""
+
+
+class ModalSection(Section):
+    """A structure by its modes."""
+
+    modes: Annotated[tuple[Mode, ...], Field(min_length=1)]
+    """The modes, in any order; forces and starting states of the scene follow this order."""
+
+    @model_validator(mode="after")
+    def _same_points(self) -> Self:
+        first = set(self.modes[0].shape)
+        for i, mode in enumerate(self.modes):
+            if odd := first ^ set(mode.shape):
+                hint = f"only one of modes 0 and {i} names {', '.join(sorted(odd))}"
+                rule = "must name the same points in every mode"
+                raise refuse(rule, key=("modes", i, "shape"), hint=hint)
+        return self
+
+    @property
+    def point_names(self) -> tuple[str, ...]:
+        """Names of the points."""
+        return tuple(self.modes[0].shape)
+
+    def build(self, folder: Path) -> tuple[model.Structure, np.ndarray, tuple[str, ...]]:
+        """The structure, the scene's index of each of its modes, and notes."""
+        frequency, ratio, mass = (
+            np.array([getattr(mode, key) for mode in self.modes]) for key in ("frequency", "damping_ratio", "mass")
+        )
+        shape = np.array([[mode.shape[point] for point in self.point_names] for mode in self.modes])
+        order = np.argsort(frequency, kind="stable")
+        damping = 2 * ratio * 2 * np.pi * frequency * mass
+        shape = np.moveaxis(shape[order], 0, -1)
+        return (
+            model.Structure(frequency[order], mass[order], damping[order], self.point_names, shape),
+            order,
+            (),
+        )
+
+
+class PointRows(Section):
+    """Rows of the matrices that are a point's motion along x, y, z; along a missing axis it does not move."""
+
+    x: Row | None = None
+    y: Row | None = None
+    z: Row | None = None
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Self:
+        if not self.rows():
+            raise refuse("must name a row for at least one of x, y, z")
+        if len(set(self.rows().values())) < len(self.rows()):
+            raise refuse("must name a different row for each axis")
+        return self
+
+    def rows(self) -> dict[str, int]:
+        """Row of each axis along which the point moves."""
+        return {axis: row for axis, row in (("x", self.x), ("y", self.y), ("z", self.z)) if row is not None}
+
+
+Points = Annotated[dict[Name, PointRows], Field(min_length=1)]
+
+
+def _number_or_list(value: Any) -> str | None:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return "<number>" if is_number else "<list>" if isinstance(value, list | tuple) else None
+
+
+Ratio = Annotated[
+    Annotated[NotNegative, Tag("<number>")]
+    | Annotated[Annotated[tuple[NotNegative, ...], Field(min_length=1)], Tag("<list>")],
+    Discriminator(
+        _number_or_list,
+        custom_error_type="rule",
+        custom_error_message="must be a number, or a list of one a mode",
+    ),
+]
+
+
+class InlineMatrices(Section):
+    """Matrices written out in the scene, with the damping and the points."""
+
+    mass: Matrix
+    """Mass matrix, symmetric positive definite."""
+    stiffness: Matrix
+    """Stiffness matrix, symmetric."""
+    damping: Matrix | None = None
+    """Viscous damping matrix, symmetric."""
+    damping_ratio: Ratio | None = None
+    """Share of critical damping of every mode, or one a mode; in place of the matrix."""
+    points: Points
+    """Row of each axis of each point, from 0."""
+
+    @model_validator(mode="after")
+    def _one_damping(self) -> Self:
+        if self.damping is not None and self.damping_ratio is not None:
+            raise refuse("excludes damping", key=("damping_ratio",), hint="give one of the two")
+        return self
+
+
+class MatrixSection(Section):
+    """A structure by its matrices."""
+
+    matrices: InlineMatrices
+    keep_modes: Count | None = None
+    """How many of the lowest modes; all by default."""
+
+    @property
+    def point_names(self) -> tuple[str, ...]:
+        """Names of the points."""
+        return tuple(self.matrices.points)
+
+    def build(self, folder: Path) -> tuple[model.Structure, np.ndarray, tuple[str, ...]]:
+        """The structure, the scene's index of each of its modes, and notes."""
+        mass, stiffness, damping = (self._array(key) for key in ("mass", "stiffness", "damping"))
+        try:
+            structure = _modal_structure(self.matrices, Matrices(mass, stiffness, damping), self.keep_modes)
+        except RuleError as error:
+            raise (error if error.key == ("keep_modes",) else error.below("matrices")) from None
+        return structure, np.arange(structure.num_modes), ()
+
+    def _array(self, key: str) -> np.ndarray | None:
+        if (rows := getattr(self.matrices, key)) is None:
+            return None
+        if len({len(row) for row in rows}) > 1:
+            raise RuleError(("matrices", key), "must have rows of one length")
+        return np.array(rows, dtype=np.float64)
+
+
+def _modal_structure(source: Any, matrices: Matrices, keep_modes: int | None) -> model.Structure:
+    points = {name: point.rows() for name, point in source.points.items()}
+    return modal_structure(matrices, points=points, damping_ratio=source.damping_ratio, keep_modes=keep_modes)
+
+
+class MatrixFiles(Section):
+    """A file for each matrix: Matrix Market (.mtx), or .npz as scipy.sparse.save_npz writes it."""
+
+    mass: Text
+    stiffness: Text
+    damping: Text | None = None
+
+
+def _file_kind(value: Any) -> str | None:
+    return "<file>" if isinstance(value, str) else "<files>" if isinstance(value, dict | MatrixFiles) else None
+
+
+class FileSection(Section):
+    """A structure by the matrices in a file."""
+
+    file: Annotated[
+        Annotated[Text, Tag("<file>")] | Annotated[MatrixFiles, Tag("<files>")],
+        Discriminator(
+            _file_kind,
+            custom_error_type="rule",
+            custom_error_message="must be a .npz or .mat file, or paths of mass, stiffness, damping",
+        ),
+    ]
+    """A .npz or .mat file with mass, stiffness, damping (or M, K, C), or a file for each."""
+    damping_ratio: Ratio | None = None
+    """Share of critical damping of every mode, or one a mode; rules over a damping matrix in the file."""
+    points: Points
+    """Row of each axis of each point, from 0."""
+    keep_modes: Count | None = None
+    """How many of the lowest modes; all by default."""
+
+    @property
+    def point_names(self) -> tuple[str, ...]:
+        """Names of the points."""
+        return tuple(self.points)
+
+    def build(self, folder: Path) -> tuple[model.Structure, np.ndarray, tuple[str, ...]]:
+        """The structure, the scene's index of each of its modes, and notes."""
+        try:
+            matrices = read_matrices(self._paths(folder))
+        except RuleError as error:
+            raise error.below("file") from None
+        try:
+            structure = _modal_structure(self, matrices, self.keep_modes)
+        except RuleError as error:
+            raise self._placed(error) from None
+        notes = matrices.notes
+        if self.damping_ratio is not None and matrices.damping is not None:
+            notes = (*notes, "structure.damping_ratio is used; the damping matrix in the file is not")
+        return structure, np.arange(structure.num_modes), notes
+
+    def _placed(self, error: RuleError) -> RuleError:
+        if error.key[0] not in ("mass", "stiffness", "damping"):
+            return error
+        key = ("file",) if isinstance(self.file, str) else ("file", *error.key)
+        value = self.file if isinstance(self.file, str) else getattr(self.file, str(error.key[0]))
+        return RuleError(key, error.rule, error.hint, value)
+
+    def _paths(self, folder: Path) -> Path | dict[str, Path]:
+        if isinstance(self.file, str):
+            return folder / self.file
+        return {key: folder / path for key, path in self.file.model_dump(exclude_none=True).items()}
+
+    def absolute(self, folder: Path) -> Self:
+        """The same with paths that do not depend on the folder."""
+        paths = self._paths(folder)
+        if isinstance(paths, Path):
+            return self.model_copy(update={"file": str(paths)})
+        return self.model_copy(update={"file": MatrixFiles(**{key: str(path) for key, path in paths.items()})})
+
+
+STRUCTURES = ("modes", "matrices", "file")
+
+
+def _structure_kind(value: Any) -> str | None:
+    given = value if isinstance(value, dict) else vars(value) if isinstance(value, Section) else ()
+    kinds = [kind for kind in STRUCTURES if kind in given]
+    return f"<{kinds[0]}>" if len(kinds) == 1 else None
+
+
+StructureSection = Annotated[
+    Annotated[ModalSection, Tag("<modes>")]
+    | Annotated[MatrixSection, Tag("<matrices>")]
+    | Annotated[FileSection, Tag("<file>")],
+    Discriminator(
+        _structure_kind,
+        custom_error_type="rule",
+        custom_error_message="must be a mapping with exactly one of the keys modes, matrices, file",
+    ),
+]

@@ -1,0 +1,279 @@
+"""The `bistable` study: where a response has two steady motions, which start leads to which, and the branch behind.
+
+For each set of values of the further axes: parts of both sweeps one after the other, then the ends of the ranges, then
+the ensemble of starts. Each is a chunk of its own, so that an interrupted study is taken up where it was.
+"""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from timesim.engine.solver import Solver, solver_of
+from timesim.model.model import Model
+from timesim.orbit.basin import ANOTHER, LOWER, NONE, UPPER, Ensemble, explore, shares, unique
+from timesim.orbit.lane import SIZES
+from timesim.orbit.settling import Criterion, Task, settle
+from timesim.orbit.two_motions import UP, Means, Part, Search, find, sweep_part
+from timesim.result import store
+from timesim.scene.bistable import Bistable
+from timesim.scene.resolution import Scene
+from timesim.study.campaign import INTERRUPTED, Chunk, Result, carry_through
+from timesim.study.campaign import Means as Ways
+from timesim.study.hbm import followed
+from timesim.study.outcome import Outcome, attributes
+from timesim.study.sweep import COLUMNS, STEPS_A_CHUNK, Grid, failures, states_told
+
+LISTED = 12  # ranges that the summary names
+MOTIONS = ("lower", "upper")
+
+Payload = Part | Search | Ensemble
+
+
+def work(payload: Payload, before: Result | None) -> Result:
+    """What a chunk gives; `Work` of the campaign."""
+    if isinstance(payload, Part):
+        return sweep_part(payload, before)
+    return find(payload, before) if isinstance(payload, Search) else explore(payload, before)
+
+
+def study(scene: Scene, means: Ways) -> Outcome:
+    """Run a bistable scene. That no range is found is a result, no failure.
+
+    The balance is only drawn behind the ranges: where it comes to no end the summary says so, and its group of the
+    result is marked, but the study is complete.
+    """
+    plan = scene.file.study
+    assert isinstance(plan, Bistable)
+    solver, grid = solver_of(scene.file.solver), Grid(scene, plan.sweep())
+    clock = time.perf_counter()
+    warm_up(grid, plan, solver)
+    compiling = time.perf_counter() - clock
+    results, reason = carry_through(chunks(grid, plan, solver), work, means, identity=scene.resolved_yaml())
+    found = Found(grid, plan, results)
+    running = time.perf_counter() - clock - compiling
+    swept = found.sweep({"method": str(solver), "compile_seconds": compiling, "run_seconds": running})
+    reasons, groups = [reason or failures(swept)], {"sweep": swept}
+    _, *more = states_told(swept)
+    size = int(np.isfinite(swept.variables["amplitude"][1]).all(axis=(-2, -1)).sum())
+    lines = [*found.summary(), f"{size} steady states of both sweeps, and the search, in {running:.2f} s", *more]
+    if plan.harmonics and not (reason or "").startswith(INTERRUPTED):
+        balanced, hbm_reason = _balanced(scene, plan)
+        groups["hbm"] = balanced
+        lines += folds(balanced)
+        compiling, running = (compiling + balanced.attrs["compile_seconds"], running + balanced.attrs["run_seconds"])
+        if hbm_reason and INTERRUPTED in hbm_reason:
+            reasons.append(f"hbm: {hbm_reason}")
+        elif hbm_reason:
+            lines.append(f"the balance behind is not whole: {hbm_reason}; study.harmonics: 0 leaves it out")
+    why = "; ".join(filter(None, reasons)) or None
+    told = attributes(scene, str(solver), compiling, running, why)
+    return Outcome({"": found.record(told), **groups}, why, tuple(lines))
+
+
+def _balanced(scene: Scene, plan: Bistable) -> tuple[store.Record, str | None]:
+    record, _, reason = followed(scene, plan.balance())
+    return record, reason
+
+
+def warm_up(grid: Grid, plan: Bistable, solver: Solver) -> None:
+    """Compile what the work needs, once, before threads ask for it side by side."""
+    models = [item for item in grid.models if isinstance(item, Model)]
+    for size in SIZES if plan.starts**2 > SIZES[0] else SIZES[:1]:
+        for model in models[:1]:
+            task = Task(model, float(grid.frequency[0]))
+            settle([task] * size, solver, tolerance=1e-2, max_cycles=1)
+
+
+def chunks(grid: Grid, plan: Bistable, solver: Solver) -> list[Chunk]:
+    """All the work: of each set of values parts of the sweeps, the ends, the starts."""
+    criterion = Criterion(plan.settle.tolerance, plan.settle.max_cycles, plan.periodic == "shoot")
+    up = tuple(map(float, grid.frequency))
+    made = []
+    for v, model in enumerate(grid.models):
+        if not isinstance(model, Model):
+            continue
+        means, after = Means(model, solver, criterion), None
+        for first in range(0, len(up), STEPS_A_CHUNK):
+            rows = slice(first, first + STEPS_A_CHUNK)
+            part = Part(means, up[rows], up[::-1][rows])
+            name = f"{v:05d}-sweep-{first // STEPS_A_CHUNK:05d}"
+            made.append(Chunk(name, part, after, 2 * len(part.up)))
+            after = name
+        made.append(Chunk(f"{v:05d}-ends", Search(means, plan.width), after, len(up)))
+        if plan.starts:
+            made.append(Chunk(f"{v:05d}-starts", Ensemble(means, plan.starts), f"{v:05d}-ends", plan.starts**2))
+    return made
+
+
+class Found:
+    """What the chunks have given, put together."""
+
+    def __init__(self, grid: Grid, plan: Bistable, results: Mapping[str, Result]):
+        self.grid, self.plan, self.results = grid, plan, results
+        self.whole = [self._last(v) for v in range(len(grid.models))]
+        self.count = max((len(result["range"]) for result in self.whole if result), default=0)
+
+    def _last(self, v: int) -> Result | None:
+        """The result of the last chunk of a set of values that knows its ranges."""
+        names = (f"{v:05d}-starts", f"{v:05d}-ends")
+        return next((self.results[name] for name in names if name in self.results), None)
+
+    def sweep(self, told: Mapping[str, Any]) -> store.Record:
+        """Both sweeps as the `sweep` study writes them, their jumps bisected."""
+        swept: dict[str, Result] = {}
+        places: dict[str, Any] = {}
+        for name, result in self.results.items():
+            if "-sweep-" not in name:
+                continue
+            v = int(name.split("-")[0])
+            done = self.whole[v]
+            jumps = np.zeros((0, 3)) if done is None else done["jumps"]
+            key, size = f"{v:05d}", result["settled"].shape[1]
+            # The last part holds those before it.
+            swept[key] = {column: result[column] for column in COLUMNS} | {"jumps": jumps}
+            places[key] = [(v, direction, slice(0, size)) for direction in (UP, 1 - UP)]
+        return self.grid.record(*self.grid.gathered(swept, places), told)
+
+    def record(self, told: Mapping[str, Any]) -> store.Record:
+        """The root of the result file."""
+        model = next((item for item in self.grid.models if isinstance(item, Model)), self.grid.scene.model())
+        points, contacts, num = len(model.structure.points), model.num_contacts, self.plan.starts
+        spot = ("point", "axis")
+        tails: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
+            "range": (("end",), (2,)),
+            "range_cut": (("end",), (2,)),
+            "range_settled": (("end",), (2,)),
+            "jump_from": (("end", *spot), (2, points, 3)),
+            "jump_to": (("end", *spot), (2, points, 3)),
+            "amplitude_lower": (spot, (points, 3)),
+            "amplitude_upper": (spot, (points, 3)),
+            "floquet_max": (("motion",), (2,)),
+            "slip_share": (("motion", "contact"), (2, contacts)),
+            "separation_share": (("motion", "contact"), (2, contacts)),
+        }
+        if num:
+            side = ("share_lower", "share_upper")
+            free = (("motion", "contact", "tangent"), (2, contacts, 2))
+            tails |= {
+                "start_branch": (side, (num, num)),
+                "start_cycles": (side, (num, num)),
+                "start_amplitude": ((*side, *spot), (num, num, points, 3)),
+                "offset_low": free,
+                "offset_high": free,
+            }
+        sizes = tuple(values.size for values in self.grid.axes.values())
+        variables = {}
+        for name, (dims, shape) in tails.items():
+            table = self._table(name, shape)
+            variables[name] = ((*self.grid.axes, "jump", *dims), table.reshape(*sizes, self.count, *shape))
+        coords: dict[str, Any] = {
+            **self.grid.axes,
+            "end": np.array(["low", "high"]),
+            "motion": np.array(MOTIONS),
+            "point": np.array(model.structure.points),
+            "axis": np.array(["x", "y", "z"]),
+            "contact": np.array([contact.name for contact in model.contacts], dtype=str),
+        }
+        if num:
+            coords |= {"share_lower": shares(num), "share_upper": shares(num), "tangent": np.array(["t1", "t2"])}
+        return store.record(variables, coords, told)
+
+    def _table(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
+        """A quantity of all ranges, shape (sets, ranges, ...); NaN, and of whole numbers -1, where there are fewer."""
+        whole = name in ("range_cut", "range_settled", "start_branch", "start_cycles")
+        table = np.full(
+            (len(self.whole), self.count, *shape), -1 if whole else np.nan, dtype=np.int32 if whole else float
+        )
+        for v, result in enumerate(self.whole):
+            if result is None:
+                continue
+            side = {"amplitude_lower": LOWER, "amplitude_upper": UPPER}.get(name)
+            rows = result["amplitude"][:, side] if side is not None else result.get(name)
+            if rows is not None:
+                table[v, : len(rows)] = rows
+        return table
+
+    def summary(self) -> Iterator[str]:
+        """The ranges in words."""
+        lines = [line for v, result in enumerate(self.whole) if result for line in self._told(v, result)]
+        if not lines and any(result is not None for result in self.whole):
+            span = self.plan.frequency
+            yield (
+                f"no range with two motions was found from {span.first:g} to {span.to:g} Hz: both sweeps are on one "
+                f"motion at all {self.grid.frequency.size} frequencies, and no jump is left when a step is bisected"
+            )
+        yield from lines[:LISTED]
+        if len(lines) > LISTED:
+            yield f"and {len(lines) - LISTED} more lines, all of it in the result file"
+
+    def _told(self, v: int, result: Result) -> Iterator[str]:
+        index = np.unravel_index(v, tuple(values.size for values in self.grid.axes.values())) if self.grid.axes else ()
+        values = [f"{key} {values[i]:g}" for (key, values), i in zip(self.grid.axes.items(), index, strict=True)]
+        label = ", ".join(values) + ": " if values else ""
+        model = self.grid.models[v]
+        assert isinstance(model, Model)
+        for k, (low, high) in enumerate(result["range"]):
+            pair = result["amplitude"][k]
+            point, axis = np.unravel_index(np.argmax(pair[UPPER]), pair[UPPER].shape)
+            name = f"{model.structure.points[int(point)]} {'xyz'[int(axis)]}"
+            one, other = pair[:, point, axis]
+            yield (
+                f"{label}two motions from {low:.8g} to {high:.8g} Hz (each end to {self.plan.width:g} Hz): "
+                f"amplitude of {name} {one:.6g} or {other:.6g} at {0.5 * (low + high):.6g} Hz"
+            )
+            for end, cut in zip(("low", "high"), result["range_cut"][k], strict=True):
+                if cut:
+                    yield f"{label}the {end} end of it is that of the search, not of the range: widen frequency"
+            if not result["range_settled"][k].all():
+                yield (
+                    f"{label}next to an end of it the motion had not settled after settle.max_cycles, "
+                    "which may move that end by some of the width"
+                )
+            if "start_branch" in result:
+                yield from _starts_told(label, model, result, k)
+
+
+def _starts_told(label: str, model: Model, result: Result, k: int) -> Iterator[str]:
+    branch = result["start_branch"][k]
+    count = {side: int(np.sum(branch == side)) for side in (LOWER, UPPER, ANOTHER, NONE)}
+    others = (f", {count[ANOTHER]} to another motion" if count[ANOTHER] else "") + (
+        f", {count[NONE]} did not settle" if count[NONE] else ""
+    )
+    yield (
+        f"{label}of {branch.size} starts {count[LOWER]} lead to the smaller motion, "
+        f"{count[UPPER]} to the larger{others}"
+    )
+    at_rest = np.isclose(shares(len(branch)), 0.0)
+    if at_rest.any():
+        rest = int(np.argmax(at_rest))
+        led = {LOWER: "the smaller motion", UPPER: "the larger motion", ANOTHER: "another motion"}
+        yield f"{label}rest leads to {led.get(int(branch[rest, rest]), 'no settled motion')}"
+    low, high = result["offset_low"][k], result["offset_high"][k]
+    size = float(np.max(result["amplitude"][k]))
+    free = ~unique(low, high, size)
+    for side, i in np.argwhere(free.any(axis=-1)).tolist():
+        spans = " and ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(low[side, i], high[side, i], strict=True))
+        yield (
+            f"{label}contact {model.contacts[i].name} sticks all the time on the {MOTIONS[side]} motion, "
+            f"and its offset is not unique: over the starts w is {spans}. The end at which this motion is lost holds "
+            "for the offset that the sweep left it with"
+        )
+
+
+def folds(record: store.Record) -> Iterator[str]:
+    """Folds of the balance, beside which the ends may be read."""
+    frequency, fold = record.variables["frequency"][1], record.variables["fold"][1] > 0
+    keys = [name for name in record.variables if "." in name]
+    sets: dict[str, list[float]] = {}
+    for place in np.flatnonzero(fold):
+        label = ", ".join(f"{key} {record.variables[key][1][place]:g}" for key in keys)
+        sets.setdefault(label, []).append(float(frequency[place]))
+    for label, turning in list(sets.items())[:LISTED]:
+        before = f"{label}: " if label else ""
+        yield f"{before}folds of the balance at {', '.join(f'{place:.7g}' for place in sorted(turning))} Hz"
+    if not sets and frequency.size:
+        yield "the branch of the balance has no fold"

@@ -1,0 +1,226 @@
+"""Many chunks of work: on threads or a cluster, some after others, with checkpoints, so that nothing is lost.
+
+Knows no physics. A chunk's payload and the result of the chunk it comes after determine its result, so a campaign gives
+the same whoever does the work, in whatever order, and however often it is interrupted and taken up again.
+"""
+
+import re
+import warnings
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, Future
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from queue import SimpleQueue
+
+from timesim.result import checkpoint
+from timesim.result.change import fingerprint
+from timesim.result.checkpoint import INTERRUPTED, Checkpoint, Manifest
+from timesim.result.store import StoreError
+from timesim.study.cluster import check_address, processes
+from timesim.study.worker import Chunk, MeansError, Result, Work, halted, perform, threads
+
+__all__ = ["INTERRUPTED", "Chunk", "Means", "MeansError", "Progress", "Result", "Work", "carry_through", "halted"]
+
+Progress = Callable[[int, int], None]
+
+LISTED = 4  # failed chunks that a reason names
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
+
+
+def _warned(text: str) -> None:
+    warnings.warn(text, RuntimeWarning, stacklevel=3)
+
+
+@dataclass(frozen=True)
+class Means:
+    """How a study is carried out.
+
+    Attributes:
+        progress: called with the points done and their number.
+        folder: run folder; checkpoints are kept in it while the study runs.
+        resume: take up the checkpoints that are there.
+        cluster: address of a dask scheduler, or "local" for processes of this machine; None for threads.
+        workers: threads, or processes of a local cluster; the processors of this machine by default.
+        notice: called with what a user should know at once, such as a checkpoint that is damaged.
+    """
+
+    progress: Progress | None = None
+    folder: Path | None = None
+    resume: bool = False
+    cluster: str | None = None
+    workers: int | None = None
+    notice: Callable[[str], None] = _warned
+
+    def __post_init__(self) -> None:
+        if self.workers is not None and self.workers < 1:
+            raise MeansError(f"workers must be at least 1, not {self.workers}")
+        if self.cluster is not None:
+            check_address(self.cluster)
+
+    def crew(self) -> AbstractContextManager[Executor]:
+        """Those who do the work."""
+        return threads(self.workers) if self.cluster is None else processes(self.cluster, self.workers)
+
+
+def carry_through(
+    chunks: Sequence[Chunk], work: Work, means: Means, *, identity: str, stage: str = ""
+) -> tuple[dict[str, Result], str | None]:
+    """Do the work of all chunks.
+
+    Interrupted, it waits for the threads to finish their chunks, and keeps them; work that takes long asks `halted`. A
+    chunk that fails is left out, with all that come after it, and the others go on. Where a checkpoint cannot be
+    written no further chunk begins.
+
+    Args:
+        chunks: each one below the chunk that it comes after.
+        work: gives the result of a chunk: `timesim.study.worker.Work`.
+        means: how it is carried out.
+
+    Keyword Args:
+        identity: what the chunks belong to: the resolved scene. A checkpoint of another one is not taken up.
+        stage: tells apart the campaigns of a study that has several, good as the name of a folder.
+
+    Returns:
+        Results by the chunk's name, in the order of the chunks, and why some are missing; None if none is.
+
+    Raises:
+        ValueError: two chunks of one name, a name that no file can have, or a chunk that comes after none above it.
+        StoreError: the checkpoint belongs to another scene or cannot be made; nothing was run.
+        MeansError: the cluster cannot be used; nothing was run.
+    """
+    _check(chunks)
+    if means.folder is None:
+        return _Campaign(chunks, work, means, None).outcome(False)
+    manifest = Manifest(identity, {chunk.name: fingerprint(chunk) for chunk in chunks})
+    kept, begun = checkpoint.begin(means.folder, manifest, resume=means.resume, stage=stage)
+    try:
+        if means.resume and not begun and not stage:
+            means.notice(f"there is nothing to resume in {means.folder}: it starts from the beginning")
+        return _Campaign(chunks, work, means, kept).outcome(begun)
+    finally:
+        kept.close()
+
+
+def _check(chunks: Sequence[Chunk]) -> None:
+    above: set[str] = set()
+    for chunk in chunks:
+        if chunk.name in above or not _NAME.fullmatch(chunk.name):
+            raise ValueError(f"name of a chunk must be unique and good as the name of a file, not {chunk.name!r}")
+        if chunk.after is not None and chunk.after not in above:
+            raise ValueError(f"chunk {chunk.name} comes after {chunk.after!r}, which must be a chunk above it")
+        above.add(chunk.name)
+
+
+class _Campaign:
+    """Chunks on their way: what is done, what has failed, what is being worked on."""
+
+    def __init__(self, chunks: Sequence[Chunk], work: Work, means: Means, kept: Checkpoint | None):
+        self.chunks, self.work, self.means, self.kept = chunks, work, means, kept
+        self.following: dict[str | None, list[Chunk]] = {}
+        for chunk in chunks:
+            self.following.setdefault(chunk.after, []).append(chunk)
+        self.total = sum(chunk.size for chunk in chunks)
+        self.points = 0
+        self.results: dict[str, Result] = {}
+        self.failed: dict[str, str] = {}
+        self.saved: set[str] = set()
+        self.running: dict[Future[Result], Chunk] = {}
+        self.arrived: SimpleQueue[Future[Result]] = SimpleQueue()
+
+    def outcome(self, begun: bool) -> tuple[dict[str, Result], str | None]:
+        """Do what is not done yet, and tell what has come of it all."""
+        ended = None
+        try:
+            if begun:
+                self._take_up()
+            if len(self.results) < len(self.chunks):
+                with self.means.crew() as executor:
+                    self._work_off(executor)
+        except KeyboardInterrupt:
+            ended = INTERRUPTED
+            with suppress(KeyboardInterrupt):
+                self._collect()
+        except (StoreError, ConnectionError) as error:
+            ended = str(error)
+            self._collect()
+        done = {chunk.name: self.results[chunk.name] for chunk in self.chunks if chunk.name in self.results}
+        return done, self._reason(ended)
+
+    def _take_up(self) -> None:
+        assert self.kept is not None
+        for chunk in self.chunks:
+            try:
+                result = self.kept.load(chunk.name)
+            except StoreError as error:
+                self.means.notice(f"{error}: it is computed again")
+                continue
+            if result is not None:
+                self.saved.add(chunk.name)
+                self._count(chunk, result)
+        self.means.notice(f"{len(self.saved)} of {len(self.chunks)} chunks are taken up from {self.kept.folder}")
+
+    def _work_off(self, executor: Executor) -> None:
+        for chunk in self.chunks:
+            if chunk.name not in self.results and (chunk.after is None or chunk.after in self.results):
+                self._begin(executor, chunk)
+        while self.running:
+            chunk = self._arrival(self.arrived.get())
+            if chunk.name in self.results:
+                for follower in self.following.get(chunk.name, ()):
+                    if follower.name not in self.results:
+                        self._begin(executor, follower)
+                self._keep(chunk.name)
+
+    def _begin(self, executor: Executor, chunk: Chunk) -> None:
+        before = None if chunk.after is None else self.results[chunk.after]
+        future = executor.submit(perform, self.work, chunk, before)
+        self.running[future] = chunk
+        future.add_done_callback(self.arrived.put)
+
+    def _arrival(self, future: Future[Result]) -> Chunk:
+        """Take in what has become of a chunk."""
+        chunk = self.running[future]
+        if future.cancelled():
+            raise ConnectionError(f"the connection to the cluster {self.means.cluster} is lost")
+        error = future.exception()
+        if isinstance(error, KeyboardInterrupt):
+            raise error
+        if error is None:
+            self._count(chunk, future.result())
+        else:
+            self.failed[chunk.name] = f"{type(error).__name__}: {error}"
+        del self.running[future]
+        return chunk
+
+    def _count(self, chunk: Chunk, result: Result) -> None:
+        self.results[chunk.name] = result
+        self.points += chunk.size
+        if self.means.progress is not None:
+            self.means.progress(self.points, self.total)
+
+    def _keep(self, name: str) -> None:
+        if self.kept is not None and name not in self.saved:
+            self.kept.save(name, self.results[name])
+            self.saved.add(name)
+
+    def _collect(self) -> None:
+        """Take in what was finished while the interrupt was dealt with."""
+        for future, chunk in self.running.items():
+            if future.done() and not future.cancelled() and future.exception() is None:
+                self.results[chunk.name] = future.result()
+        with suppress(StoreError):
+            for name in self.results:
+                self._keep(name)
+
+    def _reason(self, ended: str | None) -> str | None:
+        """Why results are missing."""
+        missing = [chunk for chunk in self.chunks if chunk.name not in self.results]
+        if not missing:
+            return None
+        told = [f"{name}: {why}" for name, why in self.failed.items()]
+        more = f"; and {len(told) - LISTED} more" if len(told) > LISTED else ""
+        failed = f"{len(told)} of {len(self.chunks)} chunks failed: {'; '.join(told[:LISTED])}{more}" if told else None
+        points = sum(chunk.size for chunk in missing)
+        return "; ".join(filter(None, (ended, failed, f"{points} of {self.total} points are missing")))

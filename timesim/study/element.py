@@ -1,0 +1,210 @@
+"""The `element` study: one contact under prescribed motion (sections 2 to 4 of the paper, figures 3 to 6).
+
+The result is that of `state_by_state`. Unless told otherwise the event loop computes it again, and a result on
+which the two do not agree is marked incomplete.
+"""
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from timesim.element.cycle import ElementCycle, Transition
+from timesim.element.motion import CYCLE, Motion
+from timesim.element.state_by_state import steady_cycle
+from timesim.model.model import STATE_NAMES, Contact
+from timesim.result import store
+from timesim.scene.element import Element
+from timesim.scene.resolution import Scene
+from timesim.study.campaign import Progress
+from timesim.study.outcome import Outcome, attributes
+
+# Above these the two ways do not agree: transitions [rad], forces relative to the largest mu n.
+ANGLE, FORCE = 1e-6, 1e-8
+METHOD = "state by state"
+
+
+def study(scene: Scene, progress: Progress | None = None) -> Outcome:
+    """Run an element scene; marked incomplete where no cycle repeats, or where the event loop disagrees."""
+    plan = scene.file.study
+    assert isinstance(plan, Element)
+    section = plan.chosen(scene.file.contacts)
+    contact, motion = section.build(), plan.build_motion(scene.source.folder, section)
+    clock = time.perf_counter()
+    cycle = steady_cycle(contact, motion)
+    reason = None if cycle.periodic else _unsettled(cycle)
+    compared: dict[str, float] = {}
+    if plan.cross_check:
+        compared, doubt = _cross_check(contact, motion, cycle)
+        reason = reason or doubt
+    seconds = time.perf_counter() - clock
+    if progress is not None:
+        progress(1, 1)
+    record = record_of(scene, plan, contact, cycle, compared, seconds, reason)
+    return Outcome({"": record}, reason, tuple(summary(cycle, compared)))
+
+
+def _unsettled(cycle: ElementCycle) -> str:
+    return (
+        f"after {cycle.num_cycles} cycles the friction force still changes by {cycle.residual:.1e} of the largest mu n "
+        "from cycle to cycle; change a parameter a little"
+    )
+
+
+def _cross_check(contact: Contact, motion: Motion, cycle: ElementCycle) -> tuple[dict[str, float], str | None]:
+    """What the event loop finds beside it, and why that is no confirmation, if it is none."""
+    from timesim.element.loop import difference, loop_cycle
+
+    try:
+        other = loop_cycle(contact, motion)
+    except RuntimeError as error:
+        return {}, f"the cross check failed: {error}; cross_check: false leaves it out"
+    found = difference(cycle, other)
+    told = {
+        "cross_check_cycles": other.num_cycles,
+        "cross_check_angle_deg": float(np.degrees(found.angle)),
+        "cross_check_coefficients": found.coefficient,
+        "cross_check_dissipation": found.dissipation,
+    }
+    if not found.settled:
+        return told, f"the cross check did not settle in {other.num_cycles} cycles; cross_check: false leaves it out"
+    if not found.same_sequence:
+        paths = [" ".join(_arrow(item) for item in c.transitions) or "none" for c in (cycle, other)]
+        return told, f"state by state finds the transitions {paths[0]}, the event loop {paths[1]}"
+    if found.angle > ANGLE or max(found.coefficient, found.dissipation) > FORCE:
+        return told, (
+            f"state by state and the event loop differ by {np.degrees(found.angle):.1e} degree and by "
+            f"{max(found.coefficient, found.dissipation):.1e} of the largest mu n"
+        )
+    return told, None
+
+
+def _arrow(item: Transition) -> str:
+    return f"{STATE_NAMES[item.before]}→{STATE_NAMES[item.after]}"
+
+
+def summary(cycle: ElementCycle, compared: dict[str, float]) -> Iterator[str]:
+    """What a user wants to know at once."""
+    if not cycle.touches:
+        yield "the bodies never touch: every force is zero"
+        return
+    angles = ", ".join(f"{_arrow(t)} {np.degrees(t.angle):.6f}°" for t in cycle.transitions)
+    states = {stay.state for stay in cycle.stays if stay.stop > stay.start}
+    yield f"transitions: {angles or 'none, ' + ' and '.join(STATE_NAMES[s] for s in sorted(states)) + ' all the cycle'}"
+    yield f"steady to {cycle.residual:.1e} of the largest mu n, found in {cycle.num_cycles} cycles"
+    if cycle.offset_free:
+        yield "full stick: w, and with it f_b, may keep another offset; here that of a start with f = 0"
+    yield f"dissipation {cycle.dissipation:.9g} a cycle (loop area), {cycle.work:.9g} (work of slip)"
+    if "cross_check_angle_deg" in compared:
+        yield (
+            f"the event loop agrees to {compared['cross_check_angle_deg']:.1e}° in the transitions and "
+            f"{compared['cross_check_coefficients']:.1e} of the largest mu n in the coefficients"
+        )
+
+
+def record_of(
+    scene: Scene,
+    plan: Element,
+    contact: Contact,
+    cycle: ElementCycle,
+    compared: dict[str, float],
+    seconds: float,
+    reason: str | None,
+) -> store.Record:
+    """The result file."""
+    told = attributes(scene, METHOD, 0.0, seconds, reason) | compared | motion_attributes(contact, cycle.motion)
+    facts = {
+        "cycles": cycle.num_cycles,
+        "residual": cycle.residual,
+        "offset_free": int(cycle.offset_free),
+        "touches": int(cycle.touches),
+    }
+    theta = np.arange(plan.samples) * CYCLE / plan.samples
+    variables = cycle_variables(cycle, theta) | coefficient_variables(cycle, plan)
+    coords = {
+        "angle": np.degrees(theta),
+        "tangent": np.array(["t1", "t2"]),
+        "harmonic": np.arange(plan.harmonics + 1),
+    }
+    return store.record(variables, coords, told | facts)
+
+
+def motion_attributes(contact: Contact, motion: Motion) -> dict[str, Any]:
+    """Contact and motion in numbers, for pictures and readers of the file."""
+    return {
+        "contact": contact.name,
+        "friction": contact.friction,
+        "normal_stiffness": contact.normal_stiffness,
+        "preload": contact.preload,
+        "amplitude": motion.amplitude,
+        "phase_deg": np.degrees(motion.phase),
+    }
+
+
+Variables = dict[str, tuple[tuple[str, ...], np.ndarray]]
+
+
+def cycle_variables(cycle: ElementCycle, theta: np.ndarray) -> Variables:
+    """The cycle over the angle, its transitions, the first cycle from the start with f = 0."""
+    motion = cycle.motion.evaluate(theta)[0]
+    first = steady_cycle_start(cycle)
+    return {
+        "u": (("angle", "tangent"), motion[:2].T),
+        "v": (("angle",), motion[2]),
+        "force": (("angle", "tangent"), cycle.force(theta).T),
+        "normal_load": (("angle",), cycle.normal_load(theta)),
+        "slip": (("angle", "tangent"), cycle.slip(theta).T),
+        "state": (("angle",), cycle.state(theta).astype(np.int8)),
+        "first_force": (("angle", "tangent"), first.force(theta).T),
+        "transition_angle_deg": (("event",), cycle.transition_angle_deg),
+        "transition_from": (("event",), cycle.transition_from.astype(np.int8)),
+        "transition_to": (("event",), cycle.transition_to.astype(np.int8)),
+        "transition_force": (("event", "tangent"), _at_transitions(cycle)),
+        "history_angle_deg": (("run_event",), np.degrees([item.angle for item in cycle.history])),
+        "history_from": (("run_event",), np.array([item.before for item in cycle.history], np.int8)),
+        "history_to": (("run_event",), np.array([item.after for item in cycle.history], np.int8)),
+    }
+
+
+def steady_cycle_start(cycle: ElementCycle) -> ElementCycle:
+    """The first cycle of the march to a steady one."""
+    law = cycle.law
+    frame = np.eye(3)
+    contact = Contact("", "", "", frame, law.friction, law.stiffness, law.normal_stiffness, law.preload)
+    return steady_cycle(contact, cycle.motion, max_cycles=1)
+
+
+def _at_transitions(cycle: ElementCycle) -> np.ndarray:
+    return cycle.force(np.array([item.angle for item in cycle.transitions])).T.reshape(-1, 2)
+
+
+def coefficient_variables(cycle: ElementCycle, plan: Element) -> Variables:
+    """Fourier coefficients, energy, stiffness and damping."""
+    along = (("tangent",),)
+    found = cycle.coefficients
+    cosine, sine = cycle.harmonics(plan.harmonics)
+    made: Variables = {
+        "f_b": (*along, found.f_b),
+        "f_s": (*along, found.f_s),
+        "f_c": (*along, found.f_c),
+        "effective_stiffness": (*along, found.effective_stiffness),
+        "effective_damping": (*along, found.effective_damping),
+        "force_cos": (("harmonic", "tangent"), cosine),
+        "force_sin": (("harmonic", "tangent"), sine),
+        "dissipation": ((), np.array(cycle.dissipation)),
+        "friction_work": ((), np.array(cycle.work)),
+    }
+    if not plan.principal_axes:
+        return made
+    found = cycle.principal_coefficients
+    return made | {
+        "principal_f_b": (("principal",), found.f_b),
+        "principal_f_s": (("principal",), found.f_s),
+        "principal_f_c": (("principal",), found.f_c),
+        "principal_effective_stiffness": (("principal",), found.effective_stiffness),
+        "principal_effective_damping": (("principal",), found.effective_damping),
+        "principal_amplitude": (("principal",), found.amplitude),
+        "principal_phase_deg": (("principal",), np.degrees(found.phase)),
+        "principal_direction": (("principal", "tangent"), found.axes),
+    }

@@ -1,0 +1,244 @@
+"""The `element_map` study: Fourier coefficients of a contact over two of its parameters (figures 7 and 8 of the paper).
+
+Every pair of values is a contact of its own in the event loop, under the prescribed motion. All march a cycle at a
+time, in batches of like stiffness on all cores, until their cycle repeats; those that creep are carried on to their
+limit.
+"""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from timesim.element.loop import offset
+from timesim.element.prescribed import (
+    FIRST_STEP,
+    Collected,
+    Elements,
+    Turn,
+    coefficients,
+    collected,
+    control_of,
+    harmonic_elements,
+    law_of,
+    march_cycle,
+    method_of,
+    system_of,
+)
+from timesim.engine.solver import Solver, solver_of
+from timesim.model.model import SEPARATION
+from timesim.result import store
+from timesim.scene.contact import ContactSection
+from timesim.scene.element import MAP_AXES, ElementMap
+from timesim.scene.resolution import Scene
+from timesim.study.campaign import Progress
+from timesim.study.outcome import Outcome, attributes
+
+BATCH = 256
+MAX_CYCLES = 300
+# Change of f from cycle to cycle, relative to the largest mu n, that ends the march, as a share of the solver's rtol.
+SETTLED = 0.1
+# Cycles at an end of which the changes tell where they lead.
+HISTORY = 6
+
+
+@dataclass(frozen=True)
+class Map:
+    """What was found of N elements.
+
+    Attributes:
+        f_b, f_s, f_c: coefficients of (19), shape (N, 2) [force].
+        dissipation: shape (N,) [force length].
+        transitions: in the cycle, shape (N,).
+        cycles: cycles marched, shape (N,).
+        settled: whether the cycle repeats, shape (N,).
+    """
+
+    f_b: np.ndarray
+    f_s: np.ndarray
+    f_c: np.ndarray
+    dissipation: np.ndarray
+    transitions: np.ndarray
+    cycles: np.ndarray
+    settled: np.ndarray
+
+
+class March:
+    """All elements on their way to a steady cycle."""
+
+    def __init__(self, elements: Elements, phase: np.ndarray, solver: Solver):
+        self.elements, self.phase = elements, phase
+        self.method, self.control = method_of(solver, Turn()), control_of(solver)
+        self.tolerance = SETTLED * solver.rtol
+        self.isotropic = elements.isotropic
+        count = elements.size
+        self.slip, self.state = elements.start[:, :2].copy(), elements.start_state.copy()
+        self.forces = np.full((count, 4, 2), np.nan)
+        self.forces[:, -1] = offset(elements, self.slip, self.state)
+        self.since = np.zeros(count, dtype=int)
+        self.reach, self.best = np.ones(count), np.full(count, np.inf)
+        pairs, numbers = np.full((count, 2), np.nan), np.full(count, np.nan)
+        whole, no = np.zeros(count, dtype=int), np.zeros(count, dtype=bool)
+        self.found = Map(pairs, pairs.copy(), pairs.copy(), numbers, whole, whole.copy(), no)
+
+    def run(self, progress: Progress | None = None, max_cycles: int = MAX_CYCLES) -> Map:
+        """March until every cycle repeats, or has been tried often enough."""
+        # What the force does to the slip within a cycle sets the steps; those alike share a batch.
+        stiffness = np.linalg.norm(self.elements.stiffness, axis=(1, 2)) * self.elements.length
+        swing = np.hypot(self.elements.start[:, 2], self.elements.rate[:, 2])
+        least = self.elements.preload - self.elements.normal_stiffness * swing
+        load = np.maximum(least * self.elements.friction, 0.02 * self.elements.force)
+        waiting = np.argsort(stiffness / load)
+        done = self.elements.size
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            for cycle in range(1, max_cycles + 1):
+                batches = [waiting[i : i + BATCH] for i in range(0, waiting.size, BATCH)]
+                keep = np.concatenate(list(pool.map(partial(self._cycle, cycle), batches)))
+                waiting = waiting[keep]
+                if progress is not None:
+                    progress(done - waiting.size, done)
+                if not waiting.size:
+                    break
+        return self.found
+
+    def _cycle(self, cycle: int, rows: np.ndarray) -> np.ndarray:
+        """One cycle of a batch; which of its elements must go on."""
+        full = np.concatenate([rows, np.repeat(rows[:1], BATCH - rows.size)])
+        elements = self.elements.pick(full)
+        w = jnp.asarray(self.slip[full] / elements.length[:, None])
+        system = system_of(law_of(elements, self.isotropic))
+        step = jnp.asarray(FIRST_STEP)
+        end, count = march_cycle(
+            self.method, self.control, system, elements.carriers, w, jnp.asarray(self.state[full]), step
+        )
+        made = collected(elements, jax.block_until_ready(end))
+        made = Collected(**{name: getattr(made, name)[: rows.size] for name in made.__dataclass_fields__})
+        self._take(cycle, rows, made, np.asarray(count)[: rows.size])
+        return self._judge(rows, made)
+
+    def _take(self, cycle: int, rows: np.ndarray, made: Collected, count: np.ndarray) -> None:
+        """Write what a cycle amounts to."""
+        found = self.found
+        good = made.good
+        for array, values in zip((found.f_b, found.f_s, found.f_c), coefficients(self.phase[rows], made), strict=True):
+            array[rows] = np.where(good[:, None], values, np.nan)
+        found.dissipation[rows] = np.where(good, made.dissipation, np.nan)
+        found.transitions[rows], found.cycles[rows] = count, cycle
+
+    def _judge(self, rows: np.ndarray, made: Collected) -> np.ndarray:
+        """Take over the state after a cycle, carried to its limit where it leads to one; which go on."""
+        elements = self.elements.pick(rows)
+        force = offset(elements, made.slip, made.state)
+        history = np.concatenate([self.forces[rows, 1:], force[:, None]], axis=1)
+        change = np.hypot(*np.moveaxis(np.diff(history, axis=1), -1, 0))
+        same = (made.state == self.state[rows]) | (change[:, -2] <= self.tolerance)
+        before = np.where(np.isfinite(change[:, -2]), change[:, -2], np.inf)
+        ratio = np.minimum(change[:, -1] / np.where(before > 0, before, np.inf), 0.999)
+        left = change[:, -1] * np.maximum(ratio / (1 - ratio), 1.0)
+        rounding = change[:, -1] <= 1e-13
+        settled = same & (rounding | (left <= self.tolerance)) & made.good
+        self.slip[rows], self.state[rows] = made.slip, made.state
+        self.forces[rows], self.since[rows] = history, self.since[rows] + 1
+        self.found.settled[rows] = settled
+        self._leap(rows[~settled & (self.since[rows] >= HISTORY) & (made.state != SEPARATION)])
+        return ~settled & made.good
+
+    def _leap(self, rows: np.ndarray) -> None:
+        """Carry the friction force at θ = 0 to the limit that its last changes lead to."""
+        limit, leads = limits(self.forces[rows])
+        rows, limit = rows[leads], limit[leads]
+        residual = np.hypot(*(self.forces[rows, -1] - self.forces[rows, -2]).T)
+        # Beyond the limit other slips may push it back, again and again: go less far then.
+        better = residual < (1 - self.reach[rows] / 2) * self.best[rows]
+        self.reach[rows] = np.where(better, np.minimum(1.0, 2 * self.reach[rows]), self.reach[rows] / 2)
+        self.best[rows] = residual
+        last = self.forces[rows, -1]
+        force = last + self.reach[rows, None] * (limit - last)
+        elements = self.elements.pick(rows)
+        load = elements.friction * (elements.preload + elements.normal_stiffness * elements.start[:, 2])
+        excess = np.hypot(*force.T) * elements.force / load
+        force /= np.maximum(excess, 1.0)[:, None]
+        elastic = np.linalg.solve(elements.stiffness, (force * elements.force[:, None])[..., None])[..., 0]
+        self.slip[rows] = elements.start[:, :2] - elastic
+        self.forces[rows] = np.nan
+        self.forces[rows, -1], self.since[rows] = force, 0
+
+
+def limits(forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Limits of slowly converging sequences by their last four terms, shape (N, 4, 2), and which have one.
+
+    The changes fall by a ratio r (Aitken), or like a power of the cycle number, where r rises by q (1 - r)^2 a cycle.
+    """
+    first, second, third = np.moveaxis(np.diff(forces, axis=1), 1, 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        before = np.sum(second * first, axis=1) / np.sum(first * first, axis=1)
+        ratio = np.sum(third * second, axis=1) / np.sum(second * second, axis=1)
+        aligned = np.hypot(*(third - ratio[:, None] * second).T) <= 0.1 * np.hypot(*third.T)
+        leads = aligned & (ratio > 0.2) & (ratio < 1) & (np.abs(ratio - before) <= 0.2 * (1 - ratio))
+        rise = np.minimum((ratio - before) / (1 - ratio) ** 2, 0.8)
+        rise = np.where(rise > 0.4, rise, 0.0)
+        far = third * (ratio / (1 - ratio) / (1 - rise))[:, None]
+    return np.where(leads[:, None], forces[:, -1] + far, 0.0), leads
+
+
+def elements_of(plan: ElementMap, section: ContactSection) -> tuple[Elements, np.ndarray]:
+    """All points of the map, the second axis fastest, and the phases of u1 and u2 there, shape (N, 2) [rad]."""
+    axes = plan.axes()
+    grid = dict(zip(axes, np.meshgrid(*axes.values(), indexing="ij"), strict=True))
+    count = int(np.prod([values.size for values in axes.values()]))
+    contact = section.build()
+
+    def value(key: str) -> np.ndarray:
+        if key in grid:
+            return grid[key].ravel()
+        given = getattr(plan, key)
+        return np.full(count, getattr(contact, key) if given is None else given, dtype=float)
+
+    turn: Callable[[str], np.ndarray] = lambda key: np.exp(1j * np.deg2rad(value(key)))  # noqa: E731
+    phasor = np.stack([value("A") + 0j, value("B") * turn("phi_deg"), value("D") * turn("psi_deg")], axis=1)
+    numbers = (value("friction"), value("normal_stiffness"), value("preload"))
+    phase = np.stack([np.zeros(count), np.deg2rad(value("phi_deg"))], axis=1)
+    return harmonic_elements(*numbers, contact.tangential_stiffness, phasor), phase
+
+
+def study(scene: Scene, progress: Progress | None = None) -> Outcome:
+    """Run an element_map scene; marked incomplete where the event loop ended early."""
+    plan, solver = scene.file.study, solver_of(scene.file.solver)
+    assert isinstance(plan, ElementMap)
+    section = plan.chosen(scene.file.contacts)
+    elements, phase = elements_of(plan, section)
+    clock = time.perf_counter()
+    March(elements.pick(np.arange(1)), phase[:1], solver).run(max_cycles=1)
+    compiled = time.perf_counter()
+    found = March(elements, phase, solver).run(progress)
+    seconds = time.perf_counter() - compiled
+    number = int(np.sum(~found.settled))
+    lost = int(np.sum(np.isnan(found.dissipation)))
+    reason = f"the event loop ended early at {lost} of {elements.size} points, NaN in the result" if lost else None
+    axes = plan.axes()
+    names = tuple(MAP_AXES[key] for key in axes)
+    shape = tuple(values.size for values in axes.values())
+    variables = {
+        **{name: ((*names, "tangent"), getattr(found, name).reshape(*shape, 2)) for name in ("f_b", "f_s", "f_c")},
+        **{
+            name: (names, getattr(found, name).reshape(shape))
+            for name in ("dissipation", "transitions", "cycles", "settled")
+        },
+    }
+    coords = {MAP_AXES[key]: values for key, values in axes.items()} | {"tangent": np.array(["t1", "t2"])}
+    told = attributes(scene, str(solver), compiled - clock, seconds, reason)
+    record = store.record(variables, coords, told | {"contact": section.name})
+    lines = (
+        f"{elements.size} points by {solver} in {seconds:.2f} s, after {compiled - clock:.1f} s of compilation",
+        f"cycles to the steady one: {np.median(found.cycles):.0f} in the median, {found.cycles.max()} at most",
+        *([f"{number} points still creep after {MAX_CYCLES} cycles (settled = 0)"] if number else []),
+    )
+    return Outcome({"": record}, reason, lines)

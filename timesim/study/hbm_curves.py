@@ -1,0 +1,237 @@
+"""The curves of a study by harmonic balance, one or several for each value of the scene's further axes."""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from timesim.engine.solver import solver_of
+from timesim.fault import RuleError
+from timesim.hbm.along import hbm_along
+from timesim.hbm.balance import Balance
+from timesim.hbm.continuation import Controls, Ending, solve
+from timesim.hbm.curve import HbmCurve, contact_motion, crossings, default_controls, hbm_curve, solutions_at
+from timesim.model.model import Model
+from timesim.model.start import start_of
+from timesim.orbit.cycle import modal_waves
+from timesim.result.state import Held, SweepPoint, held, settled_points
+from timesim.result.waves import result_waves
+from timesim.scene.axis import axis_values
+from timesim.scene.hbm import Compare, Hbm, ResultStart
+from timesim.scene.resolution import Scene
+from timesim.study.campaign import Progress
+
+# Unknowns of two solutions that are one, relative to their size.
+SAME = 1e-5
+# Difference of amplitudes, relative to the largest, up to which a curve passes through a point.
+NEAR = 0.05
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One curve of a study.
+
+    Attributes:
+        values: of the further axes.
+        model_at: the model for a value of the curve's parameter.
+        curve: the solutions.
+    """
+
+    values: Mapping[str, float]
+    model_at: Callable[[float], Model]
+    curve: HbmCurve
+
+    @property
+    def label(self) -> str:
+        """Which curve it is, in words; empty where there is one."""
+        return ", ".join(f"{key} = {value:g}" for key, value in self.values.items())
+
+
+def combinations(over: Mapping[str, Any]) -> list[dict[str, float]]:
+    """All combinations of the values of the axes, the last axis fastest."""
+    return [
+        dict(zip(over, values, strict=True)) for values in product(*(axis_values(given) for given in over.values()))
+    ]
+
+
+class Curves:
+    """The curves of a scene's study, one combination of values after the other."""
+
+    def __init__(self, scene: Scene, plan: Hbm | Compare):
+        self.scene, self.plan, self.setting = scene, plan, plan.setting()
+        self.pieces: list[Piece] = []
+        self.faults: list[str] = []
+        self.notes: list[str] = []
+
+    def run(self, progress: Progress | None = None, passing: Held | None = None) -> str | None:
+        """Follow all curves.
+
+        Args:
+            progress: called with the curves followed and their number.
+            passing: a sweep whose settled points are to be passed, beside that of the plan's start.
+
+        Returns:
+            Why some curves are not whole, if any.
+        """
+        wanted = combinations(self.plan.over)
+        sweeps = [sweep for sweep in (self._sweep(), passing and (passing, {})) if sweep]
+        try:
+            for count, values in enumerate(wanted):
+                for piece in self._followed(values):
+                    self._take(piece)
+                for sweep in sweeps:
+                    self._pass(values, *sweep)
+                if progress is not None:
+                    progress(count + 1, len(wanted))
+        except KeyboardInterrupt:
+            self.faults.append(f"interrupted at curve {len(self.pieces) + 1}")
+        return "; ".join(self.faults) or None
+
+    def _pass(self, values: dict[str, float], found: Held, asked: Mapping[str, float | str]) -> None:
+        """Follow a curve from each settled point of a sweep that no other curve passes: an isolated branch, it may be.
+
+        Points without slip or part-time contact are left alone: there the motion is linear.
+        """
+        own = {key: value for key, value in values.items() if key in found.axes}
+        try:
+            points = list(settled_points(found, own | dict(asked)))
+        except RuleError:
+            return  # the sweep was not made for these values
+        for piece in self._isolated(values, found, points):
+            self.notes.append(_begun(piece))
+            self._take(piece)
+
+    def _isolated(self, values: dict[str, float], found: Held, points: list[SweepPoint]) -> Iterator[Piece]:
+        """Curves from the points of a sweep that none of those with these values passes."""
+        model, (first, last) = self._model(values), self.plan.span()
+        low, high = sorted((first, last))
+        own = [piece.curve for piece in self.pieces if piece.values == values]
+        left = [point for point in points if low < point[0] < high]
+        left = [point for point in left if not any(_passes(curve, point) for curve in own)]
+        while left:
+            # From the middle of what is left: away from the folds at its ends.
+            frequency, arrays = left.pop(len(left) // 2)
+            try:
+                begun = replace(model, start=start_of(model, found, arrays))
+            except RuleError as error:
+                self.notes.append(f"no curve is begun from the sweep's point at {frequency:g} Hz: it {error.rule}")
+                continue
+            guess = modal_waves(begun, frequency, solver_of(self.scene.file.solver))
+            if self._known(model, own, frequency, guess):
+                continue
+            curve = hbm_curve(model, first, last, guess=guess, begin=frequency, **self._options())
+            own.append(curve)
+            left = [point for point in left if not _passes(curve, point)]
+            yield Piece(values, lambda _: model, curve)
+
+    def _known(self, model: Model, curves: list[HbmCurve], frequency: float, guess: np.ndarray) -> bool:
+        """Whether a motion leads to a solution that is on one of the curves, or to none."""
+        balance = Balance(model, frequency, self.setting)
+        solution = solve(balance, contact_motion(balance, guess), frequency, default_controls())
+        if solution is None:
+            return True
+        # Not the mean: it may hold the offset of a contact that sticks, which is free.
+        waves = balance.coefficients(solution[0])[..., 1:] * balance.length
+        return any(
+            np.linalg.norm(known[..., 1:] - waves) <= SAME * np.linalg.norm(waves)
+            for curve in curves
+            for known in solutions_at(model, curve, frequency, setting=self.setting, stability=False).contact_motion
+        )
+
+    def _take(self, piece: Piece) -> None:
+        self.pieces.append(piece)
+        if not piece.curve.complete:
+            self.faults.append((f"{piece.label}: " if piece.label else "") + piece.curve.message)
+        if piece.curve.ending is Ending.INTERRUPTED:
+            raise KeyboardInterrupt
+
+    def _model(self, values: Mapping[str, float]) -> Model:
+        return self.scene.variant(values) if values else self.scene.model()
+
+    def _followed(self, values: dict[str, float]) -> Iterator[Piece]:
+        model = self._model(values)
+        along: Mapping[str, Any] = getattr(self.plan, "along", {})
+        if along:
+            (key, ends), *_ = along.items()
+            model_at: Callable[[float], Model] = lambda p: self.scene.variant({**values, key: p})  # noqa: E731
+            first, last = ends.values()
+            guess = self._given()[0]
+            curve = hbm_along(model_at, self.plan.span()[0], first, last, guess=guess, **self._options())
+            yield Piece(values, model_at, curve)
+            return
+        for curve in self._in_frequency(model):
+            yield Piece(values, lambda _: model, curve)
+
+    def _in_frequency(self, model: Model) -> list[HbmCurve]:
+        first, last = self.plan.span()
+        guess, begin = self._given()
+        whole = hbm_curve(model, first, last, guess=guess, begin=begin, **self._options())
+        if self.plan.start != "both_ends" or whole.ending is Ending.INTERRUPTED:
+            return [whole]
+        back = hbm_curve(model, last, first, **self._options())
+        if _same(whole, -1, back, 0) and whole.complete:
+            return [whole]
+        return [back] if back.complete and _same(whole, 0, back, -1) else [whole, back]
+
+    def _given(self) -> tuple[np.ndarray | None, float | None]:
+        """A transient's motion to start from, with its frequency [Hz]."""
+        if not isinstance(self.plan.start, ResultStart) or self._sweep() is not None:
+            return None, None
+        waves = result_waves(self._path(self.plan.start))
+        return waves.modal, waves.frequency
+
+    def _sweep(self) -> tuple[Held, Mapping[str, float | str]] | None:
+        """A sweep whose points are to be passed, and which of them."""
+        if not isinstance(self.plan.start, ResultStart):
+            return None
+        found = held(self._path(self.plan.start))
+        return (found, self.plan.start.at) if found.axes else None
+
+    def _path(self, start: ResultStart) -> Path:
+        return self.scene.source.folder / Path(start.source)
+
+    def _options(self) -> dict[str, Any]:
+        return {"setting": self.setting, "controls": controls_of(self.plan), "stability": self.plan.stability}
+
+
+def controls_of(plan: Hbm | Compare) -> Controls:
+    """Steps of the continuation as the scene wants them."""
+    asked = plan.continuation
+    assert asked.first_step is not None
+    steps = (asked.first_step, asked.min_step, asked.max_step, asked.max_points, asked.tolerance)
+    return Controls(default_controls().size, *steps)
+
+
+def _begun(piece: Piece) -> str:
+    """A curve that a point of a sweep has led to, in words."""
+    at = f"{piece.label}: " if piece.label else ""
+    low, high = piece.curve.frequency.min(), piece.curve.frequency.max()
+    way = "closed, " if piece.curve.ending is Ending.CLOSED else ""
+    return (
+        f"{at}a curve of its own, {way}{low:.6g} to {high:.6g} Hz, begun from points of the sweep that no other passes"
+    )
+
+
+def _passes(curve: HbmCurve, point: SweepPoint) -> bool:
+    """Whether a curve passes through a point of a sweep, its amplitudes taken straight between its solutions."""
+    frequency, arrays = point
+    amplitude = arrays["amplitude"]
+    for i in crossings(curve.frequency, frequency):
+        share = (frequency - curve.frequency[i]) / (curve.frequency[i + 1] - curve.frequency[i])
+        here = curve.amplitude[i] + share * (curve.amplitude[i + 1] - curve.amplitude[i])
+        if np.max(np.abs(here - amplitude)) <= NEAR * np.max(amplitude):
+            return True
+    return False
+
+
+def _same(one: HbmCurve, i: int, other: HbmCurve, j: int) -> bool:
+    """Whether two curves share a solution at these positions."""
+    if not one.frequency.size or not other.frequency.size or not np.isclose(one.frequency[i], other.frequency[j]):
+        return False
+    x, y = one.contact_motion[i], other.contact_motion[j]
+    return bool(np.linalg.norm(x - y) <= SAME * np.linalg.norm(y))

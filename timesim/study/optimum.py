@@ -1,0 +1,283 @@
+"""The `optimum` study: the peak of the response over frequency against a scalar, and the value where it is least.
+
+For each value both sweeps are made, up and down, so that the larger of two motions counts; about the largest points of
+both the peak is sought between the frequencies of the sweep. Then the value of least peak is sought between those
+beside the least one by bounded minimisation [1]_, and it is made sure that no value an accuracy away has a smaller one.
+
+.. [1] R. P. Brent, *Algorithms for Minimization Without Derivatives*, Prentice-Hall (1973), chapter 5.
+"""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from timesim.engine.solver import Solver, solver_of
+from timesim.fault import SceneError
+from timesim.model.model import Model
+from timesim.orbit.settling import Chain, Criterion, Orbit, Task, settle, steady_states
+from timesim.result import store
+from timesim.scene.optimum import Optimum
+from timesim.scene.resolution import Scene
+from timesim.study.campaign import Chunk, Means, Result, carry_through, halted
+from timesim.study.outcome import Outcome, attributes
+from timesim.study.sweep import columns_of
+
+NEARLY = 0.9  # of the largest: other maxima that may be larger between the points of the sweep
+FINE = 1e-3  # of a step of the sweep: the frequency of a peak, whose height depends on it in second order only
+TIE = 1e-7  # of a peak: smaller differences are those of the time integration
+CHECKS = 6  # times that a smaller peak beside the optimum is followed
+COLUMNS = ("amplitude", "settled", "cycles", "reason")
+
+
+@dataclass(frozen=True)
+class Response:
+    """One value of the scalar: a scene, its frequencies [Hz], and whose amplitude counts; None: the largest."""
+
+    model: Model
+    frequencies: tuple[float, ...]
+    solver: Solver
+    criterion: Criterion
+    point: str | None
+    axis: str | None
+
+    def size(self, orbit: Orbit) -> float:
+        """The amplitude that counts; NaN where the point failed."""
+        points = self.model.structure.points
+        rows = slice(None) if self.point is None else slice(points.index(self.point), points.index(self.point) + 1)
+        columns = slice(None) if self.axis is None else slice("xyz".index(self.axis), "xyz".index(self.axis) + 1)
+        return float(np.max(orbit.amplitude[rows, columns]))
+
+
+class _LostError(Exception):
+    """The search cannot go on, with the reason."""
+
+
+def respond(response: Response, before: Result | None) -> Result:
+    """Both sweeps of a scene and their peak."""
+    model, up = response.model, response.frequencies
+    chains = [Chain(model, up), Chain(model, up[::-1])]
+    orbits = steady_states(chains, response.solver, response.criterion, halted=halted)
+    orbits[1] = orbits[1][::-1]
+    found = columns_of(orbits)
+    height, frequency, at_end, settled = _peak(response, orbits)
+    peak = {"peak": height, "peak_frequency": frequency, "peak_at_end": int(at_end), "peak_settled": int(settled)}
+    return {name: found[name] for name in COLUMNS} | {name: np.array(value) for name, value in peak.items()}
+
+
+def _peak(response: Response, orbits: list[list[Orbit]]) -> tuple[float, float, bool, bool]:
+    """Height and frequency of the largest amplitude, whether it is at an end of the sweep, and whether it settled."""
+    size = np.array([[response.size(orbit) for orbit in own] for own in orbits])
+    if not np.isfinite(size).any():
+        return np.nan, np.nan, False, False
+    known = np.where(np.isfinite(size), size, -np.inf)
+    best = (-np.inf, np.nan, False, False)
+    last = size.shape[1] - 1
+    for d, i in np.argwhere(known >= NEARLY * known.max()).tolist():
+        if known[d, i] < known[d, max(i - 1, 0) : i + 2].max():
+            continue
+        frequency, at_end = response.frequencies[i], last > 0 and i in (0, last)
+        best = max(best, (size[d, i], frequency, at_end, orbits[d][i].settled))
+        if d == 1 and np.isclose(size[0, i], size[1, i], rtol=1e-6):
+            continue
+        if 0 < i < last:
+            best = max(best, (*_refined(response, orbits[d][i], i), False, orbits[d][i].settled))
+    return best
+
+
+def _refined(response: Response, orbit: Orbit, i: int) -> tuple[float, float]:
+    """Height and frequency of the peak between the neighbours of a point of the sweep, its motion carried along."""
+    low, high = response.frequencies[i - 1], response.frequencies[i + 1]
+    model = replace(response.model, start=orbit.end)
+    seen: list[tuple[float, float]] = []
+
+    def fall(frequency: float) -> float:
+        chain = Chain(model, (float(frequency),))
+        ((there,),) = steady_states([chain], response.solver, response.criterion, halted=halted)
+        size = response.size(there)
+        seen.append((size if np.isfinite(size) else -np.inf, float(frequency)))
+        return -seen[-1][0]
+
+    minimize_scalar(fall, bounds=(low, high), method="bounded", options={"xatol": FINE * (high - low) / 2})
+    return max(seen)
+
+
+class Peaks:
+    """The peaks known so far, by the value of the scalar; each further one is a stage of the campaign."""
+
+    def __init__(self, scene: Scene, means: Means):
+        plan = scene.file.study
+        assert isinstance(plan, Optimum)
+        self.scene, self.plan, self.means = scene, plan, means
+        self.key, self.range = plan.scalar
+        self.solver = solver_of(scene.file.solver)
+        self.frequency = plan.frequency.values()
+        self.results: dict[float, Result] = {}
+        self.stages = 0
+
+    def response(self, value: float) -> Response:
+        """What is to be computed for a value."""
+        settle_ = self.plan.settle
+        criterion = Criterion(settle_.tolerance, settle_.max_cycles, self.plan.periodic == "shoot")
+        frequencies = tuple(map(float, self.frequency))
+        model = self.scene.variant({self.key: value})
+        return Response(model, frequencies, self.solver, criterion, self.plan.point, self.plan.axis)
+
+    def take(self, values: list[float], stage: str) -> None:
+        """Compute the peaks at values.
+
+        Raises:
+            _LostError: some are missing, with the reason.
+        """
+        try:
+            chunks = [
+                Chunk(f"value-{k:05d}", self.response(value), None, 2 * self.frequency.size)
+                for k, value in enumerate(values)
+            ]
+        except SceneError as error:
+            raise _LostError(str(error)) from None
+        identity = self.scene.resolved_yaml()
+        results, reason = carry_through(chunks, respond, self.means, identity=identity, stage=stage)
+        for chunk, value in zip(chunks, values, strict=True):
+            if chunk.name in results:
+                self.results[value] = results[chunk.name]
+        if reason is not None:
+            raise _LostError(reason)
+
+    def at(self, value: float) -> float:
+        """The peak at a value.
+
+        Raises:
+            _LostError: it cannot be computed.
+        """
+        value = float(value)
+        if value not in self.results:
+            self.stages += 1
+            self.take([value], f"search-{self.stages:03d}")
+        height = float(self.results[value]["peak"])
+        if not np.isfinite(height):
+            raise _LostError(f"no steady state was found at {self.key} = {value:g}: {self.failure(value)}")
+        return height
+
+    def failure(self, value: float) -> str:
+        """The first failure at a value; empty if there is none."""
+        return next((str(text) for text in self.results[value]["reason"].ravel() if text), "")
+
+    def first(self) -> None:
+        """The values of the range."""
+        self.take(list(map(float, self.range.values())), "")
+
+    def least(self) -> float:
+        """The value of the least peak known."""
+        known = {value: float(result["peak"]) for value, result in self.results.items()}
+        return min((value for value in known if np.isfinite(known[value])), key=lambda value: known[value])
+
+    def search(self) -> None:
+        """Look for the value of least peak between those beside the least one; then beside that, to the accuracy."""
+        grid = sorted(self.results)
+        place = grid.index(self.least())
+        low, high = grid[max(place - 1, 0)], grid[min(place + 1, len(grid) - 1)]
+        accuracy = self.plan.accuracy
+        assert accuracy is not None
+        if high - low > accuracy:
+            minimize_scalar(self.at, bounds=(low, high), method="bounded", options={"xatol": accuracy / 2})
+        for _ in range(CHECKS):
+            here = self.least()
+            for value in (here - accuracy, here + accuracy):
+                if self.range.first <= value <= self.range.to:
+                    self.at(value)
+            if self.at(self.least()) >= (1 - TIE) * self.at(here):
+                return
+        raise _LostError(f"the peak still falls beside {self.key} = {self.least():g}; give a larger accuracy")
+
+
+def study(scene: Scene, means: Means) -> Outcome:
+    """Run an optimum scene; incomplete where the least peak was not found, or points of a sweep failed."""
+    peaks, reason = Peaks(scene, means), None
+    clock = time.perf_counter()
+    settle([Task(scene.model(), float(peaks.frequency[0]))], peaks.solver, tolerance=1e-2, max_cycles=1)
+    compiling = time.perf_counter() - clock
+    try:
+        peaks.first()
+        peaks.search()
+    except _LostError as lost:
+        reason = str(lost)
+    reason = reason or failures(peaks)
+    seconds = time.perf_counter() - clock - compiling
+    told = attributes(scene, str(peaks.solver), compiling, seconds, reason)
+    told |= {name: value for name, value in (("point", peaks.plan.point), ("axis", peaks.plan.axis)) if value}
+    return Outcome({"": record_of(peaks, told)}, reason, tuple(summary(peaks, found=reason is None)))
+
+
+def failures(peaks: Peaks) -> str | None:
+    """How many points failed, and the first of them; None if none did."""
+    failed = [value for value in sorted(peaks.results) if peaks.failure(value)]
+    if not failed:
+        return None
+    count = sum(int(np.sum(peaks.results[value]["reason"] != "")) for value in failed)
+    return f"{count} points failed; the first at {peaks.key} = {failed[0]:g}: {peaks.failure(failed[0])}"
+
+
+def record_of(peaks: Peaks, told: Mapping[str, Any]) -> store.Record:
+    """The result file: all values that were looked at, ascending, and the best of them."""
+    values = sorted(peaks.results)
+    structure = peaks.scene.model().structure
+    shape, points = (len(values), 2, peaks.frequency.size), len(structure.points)
+
+    def column(name: str, *own: int) -> np.ndarray:
+        return np.array([peaks.results[value][name] for value in values]).reshape(len(values), *own)
+
+    key, grid = peaks.key, (peaks.key, "direction", "frequency")
+    best = peaks.results[peaks.least()] if _any_peak(peaks) else None
+    variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {
+        "peak": ((key,), column("peak")),
+        "peak_frequency": ((key,), column("peak_frequency")),
+        "peak_at_end": ((key,), column("peak_at_end")),
+        "optimum": ((), np.array(peaks.least() if best else np.nan)),
+        "optimum_peak": ((), np.array(best["peak"] if best else np.nan)),
+        "optimum_frequency": ((), np.array(best["peak_frequency"] if best else np.nan)),
+        "amplitude": ((*grid, "point", "axis"), column("amplitude", *shape[1:], points, 3)),
+        "settled": (grid, column("settled", *shape[1:]).astype(np.int8)),
+        "cycles": (grid, column("cycles", *shape[1:]).astype(np.int32)),
+        "failure": (grid, column("reason", *shape[1:]).astype(str)),
+    }
+    coords = {
+        key: np.array(values),
+        "direction": np.array(["up", "down"]),
+        "frequency": peaks.frequency,
+        "point": np.array(structure.points),
+        "axis": np.array(["x", "y", "z"]),
+    }
+    return store.record(variables, coords, told)
+
+
+def _any_peak(peaks: Peaks) -> bool:
+    return any(np.isfinite(result["peak"]) for result in peaks.results.values())
+
+
+def summary(peaks: Peaks, *, found: bool) -> Iterator[str]:
+    """The optimum in words."""
+    cycles = sum(int(np.sum(result["cycles"])) for result in peaks.results.values())
+    yield f"{len(peaks.results)} values of {peaks.key}, {peaks.frequency.size} frequencies up and down, {cycles} cycles"
+    if not _any_peak(peaks):
+        return
+    best = peaks.least()
+    result = peaks.results[best]
+    height, frequency = float(result["peak"]), float(result["peak_frequency"])
+    yield f"least peak {height:.7g} at {peaks.key} = {best:.6g}, at {frequency:.6g} Hz"
+    accuracy = peaks.plan.accuracy or 0.0
+    beside = {v: float(peaks.results[v]["peak"]) for v in (best - accuracy, best + accuracy) if v in peaks.results}
+    if found and beside:
+        told = " and ".join(f"{value:.7g} at {v:.6g}" for v, value in beside.items())
+        yield f"an accuracy away the peak is not smaller: {told}"
+    if best in (peaks.range.first, peaks.range.to):
+        yield f"it is at an end of the range of {peaks.key}, so beyond it the peak may be smaller still"
+    if int(result["peak_at_end"]):
+        yield "its peak is at an end of frequency, so beyond it the response may be larger"
+    if not int(result["peak_settled"]):
+        yield "its motion had not settled in settle.max_cycles"

@@ -1,0 +1,39 @@
+"""What a study has computed, and the attributes that every result file bears."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any
+
+from timesim.result.store import Record
+from timesim.scene.resolution import Scene
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a study has computed.
+
+    Attributes:
+        groups: the records of the result file by group, ``""`` the root.
+        reason: why the run ended early; None if it is complete.
+        summary: what a user wants to know at once, a line each.
+    """
+
+    groups: Mapping[str, Record]
+    reason: str | None
+    summary: tuple[str, ...] = ()
+
+
+def attributes(scene: Scene, method: str, compiling: float, running: float, reason: str | None) -> dict[str, Any]:
+    """Attributes of every result file; ``reason``: why the run ended early, None if it is complete."""
+    told = {
+        "timesim_version": version("timesim"),
+        "scene": scene.resolved_yaml(),
+        "title": scene.file.title,
+        "study": scene.file.study.kind,
+        "complete": int(reason is None),
+        "method": method,
+        "compile_seconds": compiling,
+        "run_seconds": running,
+    }
+    return told if reason is None else told | {"reason": reason}

@@ -1,0 +1,283 @@
+"""The studies `transient`, one run at one frequency, and `jump`, one through a schedule of frequencies.
+
+What is recorded of them is the same (sections 5.2 and 5.3 of the paper).
+"""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from timesim.engine.contact import Motion, reaction
+from timesim.engine.history import CycleTotals, Events, Samples, Steps, events, sample, stored_energy
+from timesim.engine.solver import solver_of
+from timesim.engine.system import contact_law, scales_of
+from timesim.engine.trajectory import Phase, Run, RunError
+from timesim.model.model import SEPARATION, Model
+from timesim.result import store
+from timesim.scene.jump import FrequencyPhase, Jump
+from timesim.scene.resolution import Scene
+from timesim.scene.studies import Transient
+from timesim.study.campaign import Progress
+from timesim.study.outcome import Outcome, attributes
+
+ROWS = 1024  # samples evaluated at a time: a fixed number, so that the law is compiled once
+
+LISTED = 12  # phases at most that the summary of a run lists
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is run and what of it is sampled.
+
+    Attributes:
+        phases: the whole schedule, the run-up included.
+        run_up: how many of them come before time 0.
+        first: cycle from which samples are kept, counted from 0.
+        samples_per_cycle: samples of a cycle.
+    """
+
+    phases: tuple[Phase, ...]
+    run_up: int
+    first: int
+    samples_per_cycle: int
+
+    def edges(self) -> np.ndarray:
+        """Time at the start of each phase and at the end of the last [s], exactly 0 after the run-up."""
+        ends = np.array([0.0, *accumulate(phase.cycles / phase.frequency for phase in self.phases)])
+        return ends - ends[self.run_up]
+
+    def sample_times(self) -> np.ndarray:
+        """Times of the samples [s], both ends of the recorded cycles included."""
+        edges, cycle, times = self.edges(), 0, []
+        for phase, start in zip(self.phases, edges, strict=False):
+            skipped = min(max(self.first - cycle, 0), phase.cycles)
+            ticks = np.arange(skipped * self.samples_per_cycle, phase.cycles * self.samples_per_cycle)
+            times.append(start + ticks / (phase.frequency * self.samples_per_cycle))
+            cycle += phase.cycles
+        return np.concatenate([*times, edges[-1:]])
+
+    def cycle_frequency(self) -> np.ndarray:
+        """Frequency of each cycle [Hz], shape (cycles,)."""
+        return np.repeat([phase.frequency for phase in self.phases], [phase.cycles for phase in self.phases])
+
+
+def plan_of(scene: Scene) -> Plan:
+    """What a transient or a jump runs and samples."""
+    study = scene.file.study
+    if isinstance(study, Jump):
+        before, recorded = _phases(study.run_up), _phases(study.phases)
+        first = sum(phase.cycles for phase in before)
+        return Plan(before + recorded, len(before), first, study.samples_per_cycle)
+    assert isinstance(study, Transient)
+    assert study.record_last is not None
+    frequency = scene.model().excitation.frequency
+    assert frequency is not None
+    return Plan((Phase(frequency, study.cycles),), 0, study.cycles - study.record_last, study.samples_per_cycle)
+
+
+def _phases(sections: Sequence[FrequencyPhase]) -> tuple[Phase, ...]:
+    return tuple(Phase(section.frequency, section.cycles) for section in sections)
+
+
+class Recorder:
+    """Takes up the steps of a run: samples of the recorded cycles, all transitions, totals of every cycle."""
+
+    def __init__(self, run: Run, plan: Plan):
+        self.run, self.plan = run, plan
+        now = (run.displacement, run.velocity, run.slip, run.state)
+        self.totals = CycleTotals(run.model, float(stored_energy(run.model, *(part[None] for part in now))[0]))
+        self.samples: list[Samples] = []
+        self.events: list[Events] = []
+        self.times = plan.sample_times()
+        self.taken = 0
+
+    def add(self, steps: Steps) -> None:
+        """Take up a batch of steps."""
+        if steps.time.size == 0:
+            return
+        self.totals.add(steps, self.run.completed)
+        self.events.append(events(steps))
+        end = steps.time[-1] + steps.h[-1]
+        finished = self.run.completed == self.run.num_cycles
+        upto = self.times.size if finished else int(np.searchsorted(self.times, end * (1 - 1e-13), side="left"))
+        if upto > self.taken:
+            self.samples.append(sample(steps, self.times[self.taken : upto]))
+            self.taken = upto
+
+    def joined_samples(self) -> Samples:
+        """All samples."""
+        return _joined(Samples, self.samples, self.run.model)
+
+    def joined_events(self) -> Events:
+        """All transitions."""
+        return _joined(Events, self.events, self.run.model)
+
+
+def _joined(kind: Any, parts: Sequence[Any], model: Model) -> Any:
+    """One record from many; with none, an empty one."""
+    if not parts:
+        m, c = model.structure.num_modes, model.num_contacts
+        shapes = {"q": (0, m), "p": (0, m), "w": (0, c, 2), "state": (0, c)}
+        return kind(**{name: np.zeros(shapes.get(name, (0,))) for name in kind.__dataclass_fields__})
+    return kind(*(np.concatenate([getattr(part, name) for part in parts]) for name in kind.__dataclass_fields__))
+
+
+def contact_forces(model: Model, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+    """Force (f1, f2, n) on the contacts and their relative motion (u1, u2, v), each of shape (N, C, 3)."""
+    x, dx = (np.einsum("cam,nm->nca", model.contact_shape, y) for y in (samples.q, samples.p))
+    if not model.contacts:
+        return x, x
+    scales = scales_of(model, 1.0)
+    law = contact_law(model, scales)
+    force = np.zeros_like(x)
+    for begin in range(0, x.shape[0], ROWS):
+        rows = slice(begin, begin + ROWS)
+        parts = (
+            x[rows] / scales.length,
+            dx[rows] / (scales.length * scales.omega),
+            samples.w[rows] / scales.length,
+        )
+        missing = ROWS - parts[0].shape[0]
+        padded = [np.pad(part, ((0, missing), (0, 0), (0, 0))) for part in parts]
+        state = np.pad(samples.state[rows], ((0, missing), (0, 0)))
+        force[rows] = np.asarray(_force(law, state, *padded))[: ROWS - missing] * scales.force
+    return force, x
+
+
+@jax.jit
+def _force(law: Any, state: Any, x: Any, dx: Any, w: Any) -> Any:
+    moves = Motion((x[..., 0], x[..., 1]), x[..., 2], (dx[..., 0], dx[..., 1]), dx[..., 2])
+    acts = reaction(law, state, moves, (w[..., 0], w[..., 1]))
+    return jnp.stack([*acts.f, acts.n], axis=-1)
+
+
+def study(scene: Scene, progress: Progress | None = None) -> Outcome:
+    """Run a scene of a transient or a jump; the result is marked incomplete where the run ended early."""
+    plan = plan_of(scene)
+    run = Run(scene.model(), plan.phases, solver_of(scene.file.solver))
+    run.time = float(plan.edges()[0])
+    recorder = Recorder(run, plan)
+    reason, seconds = follow(run, recorder, progress)
+    record = record_of(scene, run, recorder, seconds, reason)
+    return Outcome({"": record}, reason, (*summary(run, record), *phase_summary(plan, record)))
+
+
+def summary(run: Run, record: store.Record) -> Iterator[str]:
+    """What a user wants to know of a run at once."""
+    found = {name: array for name, (_, array) in record.variables.items()}
+    count = record.attrs["run_seconds"]
+    yield f"{run.completed} cycles by {run.solver} in {count:.2f} s, {found['event_time'].size} transitions"
+    if run.completed:
+        largest = max(np.max(np.abs(found["energy_input"])), record.attrs["peak_stored_energy"])
+        residual = np.max(np.abs(found["energy_residual"])) / largest if largest > 0 else 0.0
+        yield f"energy balance of a cycle closes to {residual:.1e} of the larger of input and stored energy"
+
+
+def phase_summary(plan: Plan, record: store.Record) -> Iterator[str]:
+    """Of a schedule, the amplitude at the end of each phase of what moves most, unless the phases are too many."""
+    amplitude = record.variables["cycle_amplitude"][1]
+    if not 1 < len(plan.phases) <= LISTED or not amplitude.size:
+        return
+    _, point, axis = np.unravel_index(np.argmax(amplitude), amplitude.shape)
+    name = f"{record.coords['point'][point]} {record.coords['axis'][axis]}"
+    ends = np.cumsum([phase.cycles for phase in plan.phases])
+    for number, (phase, end) in enumerate(zip(plan.phases, ends, strict=True), 1 - plan.run_up):
+        if end <= len(amplitude):
+            which = f"phase {number}" if number > 0 else "run-up"
+            size = f"amplitude {amplitude[end - 1, point, axis]:.6g} of {name} at its end"
+            yield f"{which}: {phase.cycles} cycles at {phase.frequency:.6g} Hz, {size}"
+
+
+def follow(run: Run, recorder: Recorder, progress: Progress | None) -> tuple[str | None, float]:
+    """Advance a run to its end; why it ended early, if it did, and the seconds that it took."""
+    clock = time.perf_counter()
+    reason = None
+    try:
+        for steps in run.batches():
+            recorder.add(steps)
+            if progress is not None:
+                progress(run.completed, run.num_cycles)
+    except RunError as error:
+        reason = str(error)
+    except KeyboardInterrupt:
+        reason = f"interrupted in cycle {run.completed + 1} of {run.num_cycles}"
+    return reason, time.perf_counter() - clock
+
+
+def record_of(scene: Scene, run: Run, recorder: Recorder, seconds: float, reason: str | None) -> store.Record:
+    """The result file of a run."""
+    model = run.model
+    samples, log, totals = recorder.joined_samples(), recorder.joined_events(), recorder.totals
+    force, motion = contact_forces(model, samples)
+    shape = model.structure.shape
+    free = (samples.state == SEPARATION) | np.array([c.friction == 0 for c in model.contacts], dtype=bool)
+    variables = {
+        "displacement": (("time", "point", "axis"), np.einsum("pam,nm->npa", shape, samples.q)),
+        "velocity": (("time", "point", "axis"), np.einsum("pam,nm->npa", shape, samples.p)),
+        "modal_displacement": (("time", "mode"), samples.q),
+        "modal_velocity": (("time", "mode"), samples.p),
+        "contact_force": (("time", "contact", "component"), force),
+        "contact_displacement": (("time", "contact", "component"), motion),
+        "contact_state": (("time", "contact"), samples.state.astype(np.int8)),
+        "slip": (("time", "contact", "tangent"), np.where(free[..., None], motion[..., :2], samples.w)),
+        "event_time": (("event",), log.time),
+        "event_contact": (("event",), log.contact.astype(np.int32)),
+        "event_from": (("event",), log.before.astype(np.int8)),
+        "event_to": (("event",), log.after.astype(np.int8)),
+        **final_variables(run),
+        **cycle_variables(run, totals),
+        "cycle_frequency": (("cycle",), recorder.plan.cycle_frequency()[: len(totals.amplitude)]),
+    }
+    coords = {
+        "time": samples.time,
+        "point": np.array(model.structure.points),
+        "axis": np.array(["x", "y", "z"]),
+        "mode": np.arange(1, model.structure.num_modes + 1),
+        "contact": np.array([contact.name for contact in model.contacts], dtype=str),
+        "component": np.array(["t1", "t2", "n"]),
+        "tangent": np.array(["t1", "t2"]),
+        "cycle": np.arange(1, len(totals.amplitude) + 1),
+    }
+    told = attributes(scene, str(run.solver), run.compile_seconds, seconds, reason)
+    return store.record(variables, coords, told | {"peak_stored_energy": totals.peak})
+
+
+def final_variables(run: Run) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """State at the very end, from which another run may start."""
+    model = run.model
+    u = np.einsum("cam,m->ca", model.contact_shape[:, :2], run.displacement)
+    free = (run.state == SEPARATION) | np.array([c.friction == 0 for c in model.contacts], dtype=bool)
+    return {
+        "final_modal_displacement": (("mode",), run.displacement),
+        "final_modal_velocity": (("mode",), run.velocity),
+        "final_slip": (("contact", "tangent"), np.where(free[:, None], u, run.slip)),
+        "final_contact_state": (("contact",), run.state.astype(np.int8)),
+        "final_phase_deg": ((), np.array(np.rad2deg(run.phase) % 360.0)),
+    }
+
+
+def cycle_variables(run: Run, totals: CycleTotals) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """Amplitude and energies of each cycle; every term is the integral of its own force."""
+    model, count = run.model, len(totals.amplitude)
+    work = np.diff(np.array([np.zeros(2 + model.num_contacts), *totals.work]), axis=0)
+    stored = np.diff(np.array([totals.initial, *totals.stored]))
+    friction = work[:, 2:]
+    amplitude = np.array(totals.amplitude).reshape(count, len(model.structure.points), 3)
+    return {
+        "cycle_amplitude": (("cycle", "point", "axis"), amplitude),
+        "cycle_start": (("cycle",), np.array(totals.start[:count])),
+        "cycle_period": (("cycle",), np.array(totals.end) - np.array(totals.start[:count])),
+        "energy_input": (("cycle",), work[:, 0]),
+        "energy_damping": (("cycle",), work[:, 1]),
+        "energy_friction": (("cycle", "contact"), friction),
+        "energy_stored_change": (("cycle",), stored),
+        "energy_residual": (("cycle",), work[:, 0] - work[:, 1] - friction.sum(axis=1) - stored),
+    }
