@@ -141,7 +141,7 @@ def test_a_missing_attribute_is_refused(tmp_path: Path, name: str) -> None:
 
 
 def test_wrong_arrays_are_refused() -> None:
-    with pytest.raises(StoreError, match=r"'displacment'.*timesim\.label"):
+    with pytest.raises(StoreError, match=r"'displacment'.*timesim\.result\.label"):
         store.record({"displacment": (("time",), np.zeros(5))}, COORDS, ATTRS)
     with pytest.raises(StoreError, match=r"4 values along 'time', elsewhere 5"):
         store.record({"energy_input": (("time",), np.zeros(4))}, COORDS, ATTRS)
