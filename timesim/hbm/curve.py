@@ -250,7 +250,6 @@ def solutions_at(
         fold=np.zeros(len(rows), dtype=bool),
         branch=np.array(branch, dtype=np.int64),
         determinant=np.array(determinant, dtype=np.int64),
-        corrections=np.zeros(len(rows), dtype=np.int64),
         ending=Ending.COMPLETE if len(rows) == len(places) else Ending.STEP,
         message=f"{len(rows)} of {len(places)} solutions at {wanted.size} frequencies",
     )
