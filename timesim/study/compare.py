@@ -14,8 +14,8 @@ from itertools import product
 
 import numpy as np
 
-from timesim.engine.solver import solver_of
 from timesim.hbm.curve import HbmCurve, solutions_at
+from timesim.orbit.share import switches
 from timesim.result import store
 from timesim.result.state import held_in
 from timesim.scene.axis import axis_values
@@ -70,7 +70,7 @@ def read_sweep(record: store.Record) -> Sweep:
         amplitude=array("amplitude", 4),
         settled=settled & (period == 1),
         doubled=settled & (period > 1),
-        linear=((slip == 0) & ((apart == 0) | (apart > 1 - 1e-9))).all(axis=-1),
+        linear=np.logical_not(switches(slip, apart).any(axis=-1)),
         slip=slip.max(axis=-1, initial=0.0),
         separation=apart.max(axis=-1, initial=0.0),
     )
@@ -155,7 +155,7 @@ def study(scene: Scene, means: Means) -> Outcome:
     )
     told = attributes(
         scene,
-        f"{solver_of(scene.file.solver)}; {curves.setting}",
+        f"{scene.solver()}; {curves.setting}",
         balanced.attrs["compile_seconds"] + swept.attrs["compile_seconds"],
         seconds + balanced.attrs["run_seconds"],
         reason,
@@ -177,7 +177,7 @@ def study(scene: Scene, means: Means) -> Outcome:
         assert found is not None
         model = scene.variant(values) if values else scene.model()
         one = found.at(int(match.solution[v, d, f]))
-        groups["cycle"] = cycle_record(model, one, curves.setting, solver_of(scene.file.solver), values)
+        groups["cycle"] = cycle_record(model, one, curves.setting, scene.solver(), values)
     return Outcome(groups, reason, (*hbm_summary(balanced, curves), *lines))
 
 
