@@ -19,7 +19,7 @@ from timesim.hbm.continuation import Controls, solve
 from timesim.hbm.curve import contact_motion, default_controls, hbm_curve, solutions_at
 from timesim.hbm.located import located_forces, waves
 from timesim.hbm.period import MAX_PASSES, basis_of, forces, motion_of
-from timesim.hbm.setting import Setting
+from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import floquet_multipliers
 from timesim.hbm.stuck_offset import acting, stuck_offset
 from timesim.hbm.tangent import linearised
@@ -197,7 +197,7 @@ def test_a_curve_from_the_stuck_end_passes_the_onset_of_slip(preload):
     """From either end the same curve: the offset of the stuck part leads to the one with which slip begins."""
     model, curves = systems.oscillator(preload, 1.0), []
     for span in ((0.8, 1.65), (1.65, 0.8)):
-        curve = hbm_curve(model, *span, setting=Setting(7, 512), stability=False)
+        curve = hbm_curve(model, *span, scheme=Scheme(7, 512), stability=False)
         assert curve.complete
         curves.append(curve)
     there, back = curves
@@ -205,7 +205,7 @@ def test_a_curve_from_the_stuck_end_passes_the_onset_of_slip(preload):
     slips = [np.sort(curve.frequency[(curve.slip_share > 0).any(axis=1)])[0] for curve in curves]
     assert slips[0] == pytest.approx(slips[1], abs=2e-3)
     for frequency in (0.9, 1.5):
-        ends = [solutions_at(model, c, frequency, setting=Setting(7, 512), stability=False) for c in curves]
+        ends = [solutions_at(model, c, frequency, scheme=Scheme(7, 512), stability=False) for c in curves]
         np.testing.assert_allclose(ends[0].harmonic_amplitude[0, 1:], ends[1].harmonic_amplitude[0, 1:], atol=1e-8)
 
 
@@ -220,7 +220,7 @@ def test_residual_derivatives_against_differences(name):
     """Among the models are whole damping matrices, general K_u, stops, constant loads and higher harmonics."""
     model = balanced_models()[name]
     frequency = model.excitation.frequency
-    balance = Balance(model, frequency, Setting(3, 128))
+    balance = Balance(model, frequency, Scheme(3, 128))
     x = 0.7 * np.random.default_rng(5).normal(size=balance.num_unknowns)
     r, by_x, by_p = balance.linearised(x, frequency)
     np.testing.assert_allclose(r, balance.value(x, frequency), atol=1e-12)
@@ -236,7 +236,7 @@ def test_residual_derivatives_against_differences(name):
 def test_modes_of_frequency_zero():
     """A free mode gives the limit of a soft one."""
     soft, free = (oscillating_free(stiffness) for stiffness in (1e-7, 0.0))
-    values = [hbm_curve(m, 1.1 / TURN, 1.2 / TURN, setting=Setting(3, 256)) for m in (soft, free)]
+    values = [hbm_curve(m, 1.1 / TURN, 1.2 / TURN, scheme=Scheme(3, 256)) for m in (soft, free)]
     assert all(v.complete for v in values)
     assert values[0].slip_share.max() > 0.2
     np.testing.assert_allclose(values[1].amplitude[-1], values[0].amplitude[-1], rtol=1e-5)
@@ -250,13 +250,13 @@ def oscillating_free(stiffness):
 
 @pytest.fixture(scope="module")
 def circle():
-    return hbm_curve(systems.circular(0.5, 1.0), 0.8 / TURN, 1.5 / TURN, setting=Setting(1, 1024))
+    return hbm_curve(systems.circular(0.5, 1.0), 0.8 / TURN, 1.5 / TURN, scheme=Scheme(1, 1024))
 
 
 @pytest.mark.parametrize("omega", [0.8, 1.0, 1.1, 1.2, 1.3, 1.5])
 def test_circular_motion_is_exact_but_for_the_samples(circle, omega):
     assert circle.complete
-    point = solutions_at(systems.circular(0.5, 1.0), circle, omega / TURN, setting=Setting(1, 1024))
+    point = solutions_at(systems.circular(0.5, 1.0), circle, omega / TURN, scheme=Scheme(1, 1024))
     radius = systems.circular_radius(0.5, omega)
     np.testing.assert_allclose(point.amplitude[0, 0, :2], radius, rtol=1e-6)
     assert point.slip_share[0, 0] == pytest.approx(1)
@@ -266,7 +266,7 @@ def test_circular_motion_is_exact_but_for_the_samples(circle, omega):
 
 def test_circular_motion_with_located_transitions():
     model, omega = systems.circular(0.5, 1.2), 1.2
-    balance = Balance(model, omega / TURN, Setting(1, 256, "located"))
+    balance = Balance(model, omega / TURN, Scheme(1, 256, "located"))
     radius = systems.circular_radius(0.5, omega)
     guess = np.array([0.0, 0.9, 0.0, 0.0, 0.0, 0.9, 0.0, 0.0, 0.0]) * radius / balance.length
     solution = solve(balance, guess, omega / TURN, replace(default_controls(), tolerance=1e-11))
@@ -277,21 +277,21 @@ def test_circular_motion_with_located_transitions():
 
 @pytest.fixture(scope="module")
 def fine():
-    return Setting(15, 4096)
+    return Scheme(15, 4096)
 
 
 def test_jenkins_element(fine):
-    curve = hbm_curve(systems.jenkins(1.2), 0.8 / TURN, 1.4 / TURN, setting=fine, stability=False)
+    curve = hbm_curve(systems.jenkins(1.2), 0.8 / TURN, 1.4 / TURN, scheme=fine, stability=False)
     reference = {0.8: 0.435696, 1.0: 6.210084, 1.1: 2.344364, 1.2: 1.360174, 1.3: 0.965336, 1.4: 0.745879}
     for omega, amplitude in reference.items():
-        point = solutions_at(systems.jenkins(1.2), curve, omega / TURN, setting=fine)
+        point = solutions_at(systems.jenkins(1.2), curve, omega / TURN, scheme=fine)
         assert point.amplitude[0, 0, 0] == pytest.approx(amplitude, rel=2e-6, abs=5e-7)
         assert point.slip_share[0, 0] > 0.3
 
 
 @pytest.fixture(scope="module")
 def jump(fine):
-    return hbm_curve(systems.inclined(1.2), 1.2 / TURN, 1.4 / TURN, setting=fine)
+    return hbm_curve(systems.inclined(1.2), 1.2 / TURN, 1.4 / TURN, scheme=fine)
 
 
 def test_folds_of_the_inclined_contact(jump):
@@ -315,7 +315,7 @@ def test_folds_of_the_inclined_contact(jump):
     ],
 )
 def test_all_solutions_at_one_frequency(jump, fine, omega, amplitudes):
-    points = solutions_at(systems.inclined(1.2), jump, omega / TURN, setting=fine)
+    points = solutions_at(systems.inclined(1.2), jump, omega / TURN, scheme=fine)
     np.testing.assert_allclose(points.amplitude[:, 0, 0], amplitudes, rtol=2e-6, atol=5e-7)
     np.testing.assert_array_equal(points.stable, [True, False, True][: len(amplitudes)])
     unstable = points.floquet_max > 1.001
@@ -328,7 +328,7 @@ def test_all_solutions_at_one_frequency(jump, fine, omega, amplitudes):
 )
 def test_two_degrees_under_variable_load(force, omega, tangential, normal):
     model = systems.two_degrees(force, omega)
-    curve = hbm_curve(model, omega / TURN, 1.01 * omega / TURN, setting=Setting(8, 1024), stability=False)
+    curve = hbm_curve(model, omega / TURN, 1.01 * omega / TURN, scheme=Scheme(8, 1024), stability=False)
     assert curve.amplitude[0, 0, 0] == pytest.approx(tangential, rel=2e-6)
     assert curve.amplitude[0, 0, 2] == pytest.approx(normal, abs=1e-6)
     assert curve.harmonic_amplitude[0, 0, 0, 2] * 21 == pytest.approx(100 * 21 / 42, rel=1e-9)
@@ -343,11 +343,11 @@ def test_two_degrees_under_variable_load(force, omega, tangential, normal):
 )
 def test_jumps_of_the_oscillator(preload, span, folds, at, amplitudes):
     """Folds where the time-domain sweeps jump, to their step of 1e-4 Hz, and the amplitudes of both branches."""
-    model, setting = systems.oscillator(preload, 1.0), Setting(9, 1024)
-    curve = hbm_curve(model, *span, setting=setting)
+    model, scheme = systems.oscillator(preload, 1.0), Scheme(9, 1024)
+    curve = hbm_curve(model, *span, scheme=scheme)
     assert curve.complete
     np.testing.assert_allclose(np.sort(curve.frequency[curve.fold]), np.sort(folds), atol=1e-4)
-    points = solutions_at(model, curve, at, setting=setting)
+    points = solutions_at(model, curve, at, scheme=scheme)
     np.testing.assert_allclose(np.sort(points.amplitude[points.stable, 0, 0]), np.sort(amplitudes), atol=1e-4)
     assert points.stable.sum() == 2
     assert points.stable.size == 3
@@ -359,7 +359,7 @@ def test_jumps_of_the_oscillator(preload, span, folds, at, amplitudes):
 def test_harmonics_lead_to_the_settled_response(preload, frequency, amplitude):
     model, errors = systems.oscillator(preload, frequency), []
     for harmonics in (1, 5, 15):
-        curve = hbm_curve(model, frequency, 1.001 * frequency, setting=Setting(harmonics, 1024), stability=False)
+        curve = hbm_curve(model, frequency, 1.001 * frequency, scheme=Scheme(harmonics, 1024), stability=False)
         assert curve.slip_share[0, 0] > 0.05
         errors.append(abs(curve.amplitude[0, 0, 0] / amplitude - 1))
     assert errors[0] > 1e-3
@@ -370,7 +370,7 @@ def test_harmonics_lead_to_the_settled_response(preload, frequency, amplitude):
 def test_multipliers_of_a_stuck_structure():
     """Exponentials of the eigenvalues, and two that are 1 for the slip that nothing moves."""
     model, frequency = systems.oscillator(32.0, 1.0), 1.2
-    balance = Balance(model, frequency, Setting(1, 64))
+    balance = Balance(model, frequency, Scheme(1, 64))
     solution = solve(balance, np.zeros(9), frequency, default_controls())
     assert solution is not None
     body, shape = model.structure, model.contact_shape[0]
@@ -385,7 +385,7 @@ def test_multipliers_of_a_stuck_structure():
 def test_multipliers_against_those_of_the_return_map(preload, frequency):
     """Motions with slip or separation; the others are exact derivatives of the event loop."""
     model = systems.oscillator(preload, frequency)
-    curve = hbm_curve(model, frequency, 1.001 * frequency, setting=Setting(15, 1024))
+    curve = hbm_curve(model, frequency, 1.001 * frequency, scheme=Scheme(15, 1024))
     marched = settle([Task(model, frequency)], PRESETS["standard"])[0]
     assert marched.settled
     assert curve.slip_share[0, 0] > 0.05
@@ -393,7 +393,7 @@ def test_multipliers_against_those_of_the_return_map(preload, frequency):
     exact = np.abs(marched.floquet[0])
     assert 0.5 < exact < 0.9
     assert curve.floquet_max[0] == pytest.approx(exact, abs=3e-2)
-    balance = Balance(model, frequency, Setting(15, 1024))
+    balance = Balance(model, frequency, Scheme(15, 1024))
     x = curve.contact_motion[:1].reshape(1, -1) / balance.length
     fine = np.abs(floquet_multipliers(balance, x, curve.frequency[:1], samples=1024)[0])
     np.testing.assert_allclose(fine[:4], np.abs(marched.floquet[:4]), atol=4e-3)
@@ -403,15 +403,15 @@ def test_multipliers_of_a_whole_damping_matrix():
     """Modes coupled by a damping matrix, and the same without its off-diagonal terms given as either form."""
     model = systems.oscillator(-1.0, 0.97)
     whole = replace(model, structure=replace(model.structure, damping=np.diag(model.structure.damping)))
-    found = [hbm_curve(m, 0.97, 0.971, setting=Setting(5, 256)).floquet_max for m in (model, whole)]
+    found = [hbm_curve(m, 0.97, 0.971, scheme=Scheme(5, 256)).floquet_max for m in (model, whole)]
     np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
 
 
 def test_start_from_a_given_motion():
     """The upper solution at 0.947 Hz, which neither linear response leads to."""
-    model, setting = systems.oscillator(-4.0, 1.0), Setting(5, 512)
-    full = hbm_curve(model, 1.0, 0.92, setting=setting, stability=False)
-    upper = solutions_at(model, full, 0.947, setting=setting)
+    model, scheme = systems.oscillator(-4.0, 1.0), Scheme(5, 512)
+    full = hbm_curve(model, 1.0, 0.92, scheme=scheme, stability=False)
+    upper = solutions_at(model, full, 0.947, scheme=scheme)
     assert upper.frequency.size == 3
     shape = model.structure.shape[0, :2]
     best = np.argmax(upper.amplitude[:, 0, 0])
@@ -422,7 +422,7 @@ def test_start_from_a_given_motion():
         ]
     )
     guess = waves_of @ np.linalg.inv(shape).T
-    alone = hbm_curve(model, 0.947, 0.946, setting=setting, guess=guess, stability=False)
+    alone = hbm_curve(model, 0.947, 0.946, scheme=scheme, guess=guess, stability=False)
     assert alone.amplitude[0, 0, 0] == pytest.approx(upper.amplitude[best, 0, 0], rel=1e-7)
 
 
@@ -445,17 +445,17 @@ def test_phasors_and_coefficients():
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda: Setting(harmonics=0), "harmonics must be at least 1, not 0"),
-        (lambda: Setting(harmonics=9, time_samples=20), "time_samples must be at least 36 for 9 harmonics, not 20"),
+        (lambda: Scheme(harmonics=0), "harmonics must be at least 1, not 0"),
+        (lambda: Scheme(harmonics=9, time_samples=20), "time_samples must be at least 36 for 9 harmonics, not 20"),
         (lambda: hbm_curve(systems.oscillator(3.0, 1.0), 0.0, 1.0), "frequency.from must be a positive number"),
         (lambda: hbm_curve(systems.oscillator(3.0, 1.0), 1.0, 1.0), "must differ, not both 1.0"),
-        (lambda: Balance(silent(), 1.0, Setting()), "no periodic part"),
+        (lambda: Balance(silent(), 1.0, Scheme()), "no periodic part"),
         (
-            lambda: Balance(third_harmonic(), 1.0, Setting(2, 64)),
+            lambda: Balance(third_harmonic(), 1.0, Scheme(2, 64)),
             "harmonics must be at least 3, since harmonic 3 is excited, not 2",
         ),
         (
-            lambda: contact_motion(Balance(systems.oscillator(3.0, 1.0), 1.0, Setting(2, 64)), np.zeros((4, 2))),
+            lambda: contact_motion(Balance(systems.oscillator(3.0, 1.0), 1.0, Scheme(2, 64)), np.zeros((4, 2))),
             r"odd number of rows and 2 columns, not shape \(4, 2\)",
         ),
     ],
@@ -477,7 +477,7 @@ def third_harmonic():
 
 def test_an_incomplete_curve_says_where_it_ended():
     controls = Controls(size=0.1, max_points=5)
-    curve = hbm_curve(systems.circular(0.5, 1.0), 0.8 / TURN, 1.5 / TURN, setting=Setting(1, 1024), controls=controls)
+    curve = hbm_curve(systems.circular(0.5, 1.0), 0.8 / TURN, 1.5 / TURN, scheme=Scheme(1, 1024), controls=controls)
     assert not curve.complete
     assert curve.frequency.size == 5
     assert f"{curve.frequency[-1]:.10g}" in curve.message
@@ -490,7 +490,7 @@ def test_no_start_gives_an_empty_curve_with_the_reason():
     body = Structure(model.structure.frequency, np.ones(1), np.zeros(1), ("tip",), model.structure.shape)
     apart = replace(model, structure=body, contacts=(systems.pad(0.3, 1.0, 1.0, -1e9),))
     with np.errstate(all="ignore"):
-        curve = hbm_curve(apart, 1.0 / TURN, 1.2 / TURN, setting=Setting(1, 64))
+        curve = hbm_curve(apart, 1.0 / TURN, 1.2 / TURN, scheme=Scheme(1, 64))
     assert curve.frequency.size == 0
     assert not curve.complete
     assert "no solution at the start" in curve.message

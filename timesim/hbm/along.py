@@ -16,7 +16,7 @@ from timesim.engine.system import scales_of
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.continuation import Controls, Ending, follow
 from timesim.hbm.curve import HbmCurve, contact_motion, default_controls, described, first_guesses
-from timesim.hbm.setting import Setting
+from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
 
 # Difference of the scalar for its derivative, as a share of the range.
@@ -29,14 +29,14 @@ class AlongBalance:
     Beyond the range, where there may be no model, it goes on straight.
     """
 
-    def __init__(self, model_at: Callable[[float], Model], frequency: float, setting: Setting, ends: Array):
-        self.model_at, self.frequency, self.setting = model_at, frequency, setting
+    def __init__(self, model_at: Callable[[float], Model], frequency: float, scheme: Scheme, ends: Array):
+        self.model_at, self.frequency, self.scheme = model_at, frequency, scheme
         self.low, self.high = float(ends.min()), float(ends.max())
         self.units = scales_of(model_at(float(ends[0])), frequency)
         self.balance = lru_cache(maxsize=8)(self._balance)
 
     def _balance(self, p: float) -> Balance:
-        return Balance(self.model_at(p), self.frequency, self.setting, self.units)
+        return Balance(self.model_at(p), self.frequency, self.scheme, self.units)
 
     def value(self, x: Array, p: float) -> Array:
         """r in units of length."""
@@ -64,7 +64,7 @@ def hbm_along(
     start: float,
     stop: float,
     *,
-    setting: Setting | None = None,
+    scheme: Scheme | None = None,
     controls: Controls | None = None,
     guess: Array | None = None,
     stability: bool = True,
@@ -77,15 +77,15 @@ def hbm_along(
         start, stop: range of the scalar; the curve begins at `start`.
 
     Keyword Args:
-        setting, controls, guess, stability: as in `timesim.hbm.curve.hbm_curve`.
+        scheme, controls, guess, stability: as in `timesim.hbm.curve.hbm_curve`.
 
     Returns:
         The curve; its `parameter` is the scalar.
 
     Raises:
-        ValueError: the range, the setting or the excitation does not allow a balance.
+        ValueError: the range, the scheme or the excitation does not allow a balance.
     """
-    residual = AlongBalance(model_at, frequency, setting or Setting(), np.array([start, stop]))
+    residual = AlongBalance(model_at, frequency, scheme or Scheme(), np.array([start, stop]))
     controls, balance = controls or default_controls(), residual.balance(start)
     guesses = [contact_motion(balance, guess)] if guess is not None else first_guesses(balance, frequency, controls)
     for first in guesses:

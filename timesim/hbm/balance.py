@@ -30,7 +30,7 @@ from timesim.engine.contact import Law
 from timesim.engine.system import Scales, contact_law, scales_of
 from timesim.hbm.located import located_forces
 from timesim.hbm.period import Basis, basis_of, forces
-from timesim.hbm.setting import Setting, check_excitation
+from timesim.hbm.scheme import Scheme, check_excitation
 from timesim.hbm.tangent import linearised
 from timesim.model.model import Model
 
@@ -76,24 +76,24 @@ class Balance:
     made flat.
     """
 
-    def __init__(self, model: Model, frequency: float, setting: Setting, units: Scales | None = None):
+    def __init__(self, model: Model, frequency: float, scheme: Scheme, units: Scales | None = None):
         """For a model near a frequency [Hz], which sets the units unless they are given.
 
         Raises:
-            SettingError: nothing is periodic, or harmonics are excited that are not balanced.
+            BalanceError: nothing is periodic, or harmonics are excited that are not balanced.
         """
-        check_excitation(model, setting.harmonics)
-        self.model, self.setting = model, setting
+        check_excitation(model, scheme.harmonics)
+        self.model, self.scheme = model, scheme
         self.units = scales_of(model, frequency) if units is None else units
         self.length, self.force = self.units.length, self.units.force
         self.law: Law = contact_law(model, self.units)
-        self.basis: Basis = basis_of(setting.harmonics, setting.time_samples)
+        self.basis: Basis = basis_of(scheme.harmonics, scheme.time_samples)
         structure, excited = model.structure, model.excitation
         root = np.sqrt(structure.mass)
         self.shape = model.contact_shape.reshape(-1, root.size) / root
-        self.load = np.zeros((setting.harmonics + 1, root.size), complex)
+        self.load = np.zeros((scheme.harmonics + 1, root.size), complex)
         self.load[0] = excited.constant / root
-        kept = excited.harmonic <= setting.harmonics
+        kept = excited.harmonic <= scheme.harmonics
         self.load[excited.harmonic[kept]] = (excited.cosine - 1j * excited.sine)[kept] / root
         self.damping = structure.damping / (np.outer(root, root) if structure.damping.ndim == 2 else root**2)
         self.support = self._support()
@@ -117,7 +117,7 @@ class Balance:
         Raises:
             numpy.linalg.LinAlgError: it is singular there.
         """
-        omega, order = 2 * np.pi * frequency, np.arange(self.setting.harmonics + 1)[:, None]
+        omega, order = 2 * np.pi * frequency, np.arange(self.scheme.harmonics + 1)[:, None]
         # Columns: unit forces at the contacts, then the excitation.
         columns = np.broadcast_to(self.shape.T, (order.size, *self.shape.T.shape))
         right = np.concatenate([columns, self.load[:, :, None]], axis=2)
@@ -141,11 +141,11 @@ class Balance:
 
     @property
     def num_unknowns(self) -> int:
-        return 3 * self.num_contacts * (2 * self.setting.harmonics + 1)
+        return 3 * self.num_contacts * (2 * self.scheme.harmonics + 1)
 
     def coefficients(self, x: Array) -> Array:
         """The unknowns by contact, component and coefficient, shape (..., C, 3, 2H + 1)."""
-        return x.reshape(*x.shape[:-1], self.num_contacts, 3, 2 * self.setting.harmonics + 1)
+        return x.reshape(*x.shape[:-1], self.num_contacts, 3, 2 * self.scheme.harmonics + 1)
 
     def _given(self, acts: Array) -> Array:
         """g from (f1, f2, n), in units of force."""
@@ -163,12 +163,12 @@ class Balance:
         return self.placed(x, np.asarray(sampled))
 
     def placed(self, x: Array, sampled: Array) -> Array:
-        """(f1, f2, n) with transitions as the setting wants them, from those found on the samples.
+        """(f1, f2, n) with transitions as the scheme wants them, from those found on the samples.
 
         In full stick, where the offset is free, they stay what they are.
         """
         acts = np.array(sampled)
-        if self.setting.transitions == "located":
+        if self.scheme.transitions == "located":
             for i, contact in enumerate(self.model.contacts):
                 located = located_forces(contact, self.length * self.coefficients(x)[i])
                 acts[i] = acts[i] if located is None else located / self.force
@@ -176,7 +176,7 @@ class Balance:
 
     def _rows(self, coefficient: Array) -> Array:
         """All components of all contacts, shape (3C, 2H + 1)."""
-        return coefficient.reshape(3 * self.num_contacts, 2 * self.setting.harmonics + 1)
+        return coefficient.reshape(3 * self.num_contacts, 2 * self.scheme.harmonics + 1)
 
     def _balanced(self, x: Array, g: Array, linear: Linear) -> tuple[Complex, Complex]:
         """Forces at the contacts and the motion that they give, by phasor, shape (H + 1, 3C)."""
@@ -202,7 +202,7 @@ class Balance:
 
     def _matrix(self, flexibility: Complex, slope: Array) -> Array:
         """Derivatives of F g by the unknowns, from those of (f1, f2, n) of each contact by its own."""
-        size, rows = 2 * self.setting.harmonics + 1, 3 * self.num_contacts
+        size, rows = 2 * self.scheme.harmonics + 1, 3 * self.num_contacts
         matrix = np.empty((rows, size, rows * size))
         for i, block in enumerate(slope):
             own = slice(3 * i, 3 * i + 3)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from timesim.hbm.balance import Balance, to_real
 from timesim.hbm.continuation import Controls, Curve, Ending, follow, follow_both_ways, solve
 from timesim.hbm.period import forces
-from timesim.hbm.setting import Setting
+from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import BORDER, floquet_multipliers
 from timesim.model.model import Model
 from timesim.orbit.fourier import half_range
@@ -102,7 +102,7 @@ def hbm_curve(
     start: float,
     stop: float,
     *,
-    setting: Setting | None = None,
+    scheme: Scheme | None = None,
     controls: Controls | None = None,
     guess: Array | None = None,
     begin: float | None = None,
@@ -115,7 +115,7 @@ def hbm_curve(
         start, stop: range [Hz]; the curve begins at `start`, which may be the larger.
 
     Keyword Args:
-        setting: harmonics and time samples.
+        scheme: harmonics and time samples.
         controls: steps of the continuation.
         guess: modal displacement at `begin` by its Fourier coefficients 1, cos, sin, ..., shape (2K + 1, M), of a
             time integration for instance: so isolated branches are reached. By default the linear response with the
@@ -128,10 +128,10 @@ def hbm_curve(
         The curve; where it fails, what it has, with the reason and the place in `message`.
 
     Raises:
-        ValueError: the range, the setting or the excitation does not allow a balance.
+        ValueError: the range, the scheme or the excitation does not allow a balance.
     """
     _check_range(start, stop)
-    balance = Balance(model, start, setting or Setting())
+    balance = Balance(model, start, scheme or Scheme())
     controls = controls or default_controls()
     place = start if begin is None else begin
     guesses = [contact_motion(balance, guess)] if guess is not None else first_guesses(balance, place, controls)
@@ -167,7 +167,7 @@ def contact_motion(balance: Balance, modal: Array) -> Array:
             "hbm: the guess must hold 1, cos, sin, ... of each mode, an odd number of rows and "
             f"{balance.model.structure.num_modes} columns, not shape {modal.shape}"
         )
-    size = 2 * balance.setting.harmonics + 1
+    size = 2 * balance.scheme.harmonics + 1
     kept = np.zeros((size, modal.shape[1]))
     kept[: min(size, len(modal))] = modal[:size]
     shape = balance.model.contact_shape.reshape(3 * balance.num_contacts, -1)
@@ -220,7 +220,7 @@ def solutions_at(
     curve: HbmCurve,
     frequency: float | Array,
     *,
-    setting: Setting | None = None,
+    scheme: Scheme | None = None,
     stability: bool = True,
 ) -> HbmCurve:
     """The solutions of a curve at given frequencies, each solved for anew, in the order of these and of the curve.
@@ -230,10 +230,10 @@ def solutions_at(
         frequency: where [Hz], one or several; outside the curve there are none.
 
     Keyword Args:
-        setting, stability: as given to `hbm_curve`.
+        scheme, stability: as given to `hbm_curve`.
     """
     wanted = np.atleast_1d(np.asarray(frequency, dtype=float))
-    balance = Balance(model, float(wanted[0]), setting or Setting())
+    balance = Balance(model, float(wanted[0]), scheme or Scheme())
     unknowns = curve.contact_motion.reshape(curve.frequency.size, -1) / balance.length
     places = [(f, i) for f in wanted for i in crossings(curve.frequency, f)]
     rows = []
@@ -266,7 +266,7 @@ def crossings(frequency: Array, place: float) -> NDArray[np.int64]:
 
 def described(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmCurve:
     """What the points of a curve do, in the units of the scene."""
-    size, order = curve.p.size, balance.setting.harmonics + 1
+    size, order = curve.p.size, balance.scheme.harmonics + 1
     motion = balance.coefficients(curve.x) if size else np.zeros((0, balance.num_contacts, 3, 2 * order - 1))
     acts, slip, separation, gap = _acts(balance, motion)
     acts = np.array([balance.placed(x, own) for x, own in zip(curve.x, acts, strict=True)]).reshape(acts.shape)

@@ -80,7 +80,7 @@ def _linearised(balance: Balance, coefficient: Array, samples: int) -> list[Arra
     Shapes (S, N, C, 2, 2), (S, N, C, 2, 3), (S, N, C, 2) and (S, N, C).
     """
     law = jax.tree.map(lambda leaf: jnp.tile(leaf, TOGETHER), balance.law)
-    basis, rows = basis_of(balance.setting.harmonics, samples), []
+    basis, rows = basis_of(balance.scheme.harmonics, samples), []
     for first in range(0, len(coefficient), TOGETHER):
         part = coefficient[first : first + TOGETHER]
         padded = np.concatenate([part, np.repeat(part[-1:], TOGETHER - len(part), axis=0)])

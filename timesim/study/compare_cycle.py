@@ -15,7 +15,7 @@ from timesim.hbm.balance import Array, Balance, Complex
 from timesim.hbm.curve import HbmCurve
 from timesim.hbm.located import waves
 from timesim.hbm.period import Period, before_intervals, carried, closed_period, intervals_of, motion_of
-from timesim.hbm.setting import Setting
+from timesim.hbm.scheme import Scheme
 from timesim.model.model import SEPARATION, SLIP, Model, Start
 from timesim.model.solver import Solver
 from timesim.orbit.cycle import one_cycle
@@ -28,18 +28,18 @@ METHODS = ("sweep", "hbm")
 
 
 def cycle_record(
-    model: Model, solution: HbmCurve, setting: Setting, solver: Solver, values: Mapping[str, float]
+    model: Model, solution: HbmCurve, scheme: Scheme, solver: Solver, values: Mapping[str, float]
 ) -> store.Record:
     """A cycle by time integration, started from the solution and settled, and by harmonic balance.
 
     Args:
         model: the model.
         solution: one stable solution.
-        setting, solver: of both methods.
+        scheme, solver: of both methods.
         values: of the further axes, for the attributes.
     """
     frequency = float(solution.frequency[0])
-    balance = Balance(model, frequency, setting)
+    balance = Balance(model, frequency, scheme)
     coefficient = solution.contact_motion[0] / balance.length
     acts = solution.contact_force[0] / balance.force
     modal = balance.modes(coefficient.ravel(), acts, frequency)
@@ -47,7 +47,7 @@ def cycle_record(
     marched = _marched(model, _start(balance, coefficient, modal, period, frequency), frequency, solver)
     angle = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
     q = np.einsum("kh,hm->km", np.exp(1j * np.outer(angle, np.arange(len(modal)))), modal).real
-    shape, order = model.structure.shape, setting.harmonics + 1
+    shape, order = model.structure.shape, scheme.harmonics + 1
     x = np.stack([np.einsum("pam,km->kpa", shape, motion) for motion in (marched.q[:-1], q)])
     # The samples end where the phase is that of the last of them, one interval before a whole turn.
     found = np.stack([waves_of(motion, -2 * np.pi / SAMPLES)[: 2 * order - 1] for motion in x])

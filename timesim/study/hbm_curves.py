@@ -62,7 +62,7 @@ class Curves:
     """The curves of a scene's study, one combination of values after the other."""
 
     def __init__(self, scene: Scene, plan: Hbm | Compare):
-        self.scene, self.plan, self.setting = scene, plan, plan.setting()
+        self.scene, self.plan, self.scheme = scene, plan, plan.scheme()
         self.pieces: list[Piece] = []
         self.faults: list[str] = []
         self.notes: list[str] = []
@@ -130,7 +130,7 @@ class Curves:
 
     def _known(self, model: Model, curves: list[HbmCurve], frequency: float, guess: np.ndarray) -> bool:
         """Whether a motion leads to a solution that is on one of the curves, or to none."""
-        balance = Balance(model, frequency, self.setting)
+        balance = Balance(model, frequency, self.scheme)
         solution = solve(balance, contact_motion(balance, guess), frequency, default_controls())
         if solution is None:
             return True
@@ -139,7 +139,7 @@ class Curves:
         return any(
             np.linalg.norm(known[..., 1:] - waves) <= SAME * np.linalg.norm(waves)
             for curve in curves
-            for known in solutions_at(model, curve, frequency, setting=self.setting, stability=False).contact_motion
+            for known in solutions_at(model, curve, frequency, scheme=self.scheme, stability=False).contact_motion
         )
 
     def _take(self, piece: Piece) -> None:
@@ -195,7 +195,7 @@ class Curves:
         return self.scene.source.folder / Path(start.source)
 
     def _options(self) -> dict[str, Any]:
-        return {"setting": self.setting, "controls": controls_of(self.plan), "stability": self.plan.stability}
+        return {"scheme": self.scheme, "controls": controls_of(self.plan), "stability": self.plan.stability}
 
 
 def controls_of(plan: Hbm | Compare) -> Controls:
