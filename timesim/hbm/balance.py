@@ -9,11 +9,11 @@ With the flexibility F_h of the structure at its contacts the unknowns are those
 
     r = y_h - y_h,free - F_h(Omega) g_h(y) = 0
 
-however many modes there are. The forces follow y through the law of `timesim.hbm.period` on equal time samples
+however many modes there are. The forces follow from y on equal time samples by the law of `timesim.hbm.period`
 (alternating frequency/time); their derivatives are exact for that law, and so is the matrix of Newton's method.
 
-Sections 4.3 and 5 of the paper, whose scheme is ``harmonics=1``; T. M. Cameron and J. H. Griffin, J. Appl. Mech. 56
-(1989) 149 for the alternation; M. Krack and J. Gross, Harmonic Balance for Nonlinear Vibration Problems (Springer
+Sections 4.3 and 5 of the paper, whose scheme is ``harmonics=1``. T. M. Cameron and J. H. Griffin, J. Appl. Mech. 56
+(1989) 149, for the alternation; M. Krack and J. Gross, Harmonic Balance for Nonlinear Vibration Problems (Springer
 2019).
 """
 
@@ -28,8 +28,9 @@ from numpy.typing import NDArray
 
 from timesim.engine.contact import Law
 from timesim.engine.system import Scales, contact_law, scales_of
+from timesim.hbm.corrector import NoSolutionError
 from timesim.hbm.located import located_forces
-from timesim.hbm.period import Basis, basis_of, forces
+from timesim.hbm.period import Basis, basis_of, contact_forces
 from timesim.hbm.scheme import Scheme, check_excitation
 from timesim.hbm.tangent import linearised
 from timesim.model.model import Model
@@ -51,12 +52,12 @@ def to_real(phasor: NDArray[Any]) -> Array:
 
 
 @dataclass(frozen=True)
-class Linear:
-    """The structure alone, at one frequency; h = 0 ... H first.
+class LinearResponse:
+    """Response of the structure without its contacts at one frequency; h = 0 ... H first.
 
     Attributes:
-        modal_free, modal: response of the mass-normalised modes to the excitation, shape (H + 1, M), and to unit forces
-            at the contacts, shape (H + 1, M, 3C).
+        modal_free, modal: of the mass-normalised modes to the excitation, shape (H + 1, M), and to unit forces at the
+            contacts, shape (H + 1, M, 3C).
         free, flexibility: the same at the contacts, shapes (H + 1, 3C) and (H + 1, 3C, 3C).
         free_slope, flexibility_slope: their derivatives by Omega.
     """
@@ -103,7 +104,10 @@ class Balance:
         return self.model.num_contacts
 
     def _support(self) -> Array:
-        """Contact stiffness lent to the structure, shape (3C, 3C), lest modes of frequency zero make it singular."""
+        """Stiffness added to the structure at its contacts, shape (3C, 3C), and taken from their forces again.
+
+        Without it modes of frequency zero make the structure singular.
+        """
         support = np.zeros((3 * self.num_contacts, 3 * self.num_contacts))
         if self.damping.ndim == 2 or np.any(self.model.structure.omega == 0):
             for i, contact in enumerate(self.model.contacts):
@@ -111,7 +115,7 @@ class Balance:
                 support[3 * i + 2, 3 * i + 2] = contact.normal_stiffness
         return support
 
-    def linear(self, frequency: float) -> Linear:
+    def linear(self, frequency: float) -> LinearResponse:
         """Response of the structure at a frequency [Hz].
 
         Raises:
@@ -135,7 +139,7 @@ class Balance:
             response = np.linalg.solve(dynamic, right)
             change = np.linalg.solve(dynamic, (2 * order**2 * omega * one - 1j * order * damping) @ response)
         here, there = self.shape @ response, self.shape @ change
-        return Linear(
+        return LinearResponse(
             response[..., -1], response[..., :-1], here[..., -1], here[..., :-1], there[..., -1], there[..., :-1]
         )
 
@@ -147,54 +151,55 @@ class Balance:
         """The unknowns by contact, component and coefficient, shape (..., C, 3, 2H + 1)."""
         return x.reshape(*x.shape[:-1], self.num_contacts, 3, 2 * self.scheme.harmonics + 1)
 
-    def _given(self, acts: Array) -> Array:
-        """g from (f1, f2, n), in units of force."""
-        g = -acts
-        g[:, 2, 0] += np.maximum(np.asarray(self.law.preload), 0.0)
-        return g
-
     def contact_forces(self, x: Array) -> Array:
-        """g, the force on body 1 in the axes of each contact, by its coefficients in units of `force`."""
-        return self._given(self.acts(x))
-
-    def acts(self, x: Array) -> Array:
         """(f1, f2, n) of each contact by their coefficients in units of `force`, shape (C, 3, 2H + 1)."""
-        sampled = forces(self.law, self.basis, jnp.asarray(self.coefficients(x))).coefficient
-        return self.placed(x, np.asarray(sampled))
+        sampled = contact_forces(self.law, self.basis, jnp.asarray(self.coefficients(x))).coefficient
+        return self.as_scheme_wants(x, np.asarray(sampled))
 
-    def placed(self, x: Array, sampled: Array) -> Array:
-        """(f1, f2, n) with transitions as the scheme wants them, from those found on the samples.
+    def as_scheme_wants(self, x: Array, sampled: Array) -> Array:
+        """(f1, f2, n) from those on the samples: with located transitions, if the scheme asks for them.
 
         In full stick, where the offset is free, they stay what they are.
+
+        Raises:
+            NoSolutionError: a transition cannot be located.
         """
-        acts = np.array(sampled)
+        forces = np.array(sampled)
         if self.scheme.transitions == "located":
             for i, contact in enumerate(self.model.contacts):
-                located = located_forces(contact, self.length * self.coefficients(x)[i])
-                acts[i] = acts[i] if located is None else located / self.force
-        return acts
+                try:
+                    located = located_forces(contact, self.length * self.coefficients(x)[i])
+                except RuntimeError as error:
+                    raise NoSolutionError(f"contact {contact.name}: {error}") from None
+                forces[i] = forces[i] if located is None else located / self.force
+        return forces
+
+    def _on_body_1(self, forces: Array) -> Array:
+        """g from (f1, f2, n), in units of force."""
+        g = -forces
+        g[:, 2, 0] += np.maximum(np.asarray(self.law.preload), 0.0)
+        return g
 
     def _rows(self, coefficient: Array) -> Array:
         """All components of all contacts, shape (3C, 2H + 1)."""
         return coefficient.reshape(3 * self.num_contacts, 2 * self.scheme.harmonics + 1)
 
-    def _balanced(self, x: Array, g: Array, linear: Linear) -> tuple[Complex, Complex]:
-        """Forces at the contacts and the motion that they give, by phasor, shape (H + 1, 3C)."""
+    def _response(self, x: Array, forces: Array, linear: LinearResponse) -> tuple[Complex, Complex]:
+        """Forces on the supported structure and the motion of the contacts that they give, by phasor, (H + 1, 3C)."""
         motion = to_complex(self._rows(self.coefficients(x))).T * self.length
-        acting = to_complex(self._rows(g)).T * self.force + motion @ self.support
+        acting = to_complex(self._rows(self._on_body_1(forces))).T * self.force + motion @ self.support
         return acting, linear.free + np.einsum("hij,hj->hi", linear.flexibility, acting)
 
     def value(self, x: Array, p: float) -> Array:
         """r in units of `length`."""
-        _, motion = self._balanced(x, self.contact_forces(x), self.linear(p))
+        _, motion = self._response(x, self.contact_forces(x), self.linear(p))
         return x - to_real(motion.T).ravel() / self.length
 
     def linearised(self, x: Array, p: float) -> tuple[Array, Array, Array]:
         """r, and its derivatives by the unknowns and by the frequency."""
-        acts, slope = linearised(self.law, self.basis, jnp.asarray(self.coefficients(x)))
-        g = self._given(self.placed(x, np.asarray(acts.coefficient)))
+        sampled, slope = linearised(self.law, self.basis, jnp.asarray(self.coefficients(x)))
         linear = self.linear(p)
-        acting, motion = self._balanced(x, g, linear)
+        acting, motion = self._response(x, self.as_scheme_wants(x, np.asarray(sampled.coefficient)), linear)
         by_p = linear.free_slope + np.einsum("hij,hj->hi", linear.flexibility_slope, acting)
         matrix = np.eye(x.size) - self._matrix(linear.flexibility, np.asarray(slope))
         r = x - to_real(motion.T).ravel() / self.length
@@ -214,9 +219,9 @@ class Balance:
             matrix[:, :, 3 * size * i : 3 * size * (i + 1)] = to_real(motion.transpose(1, 2, 0)).swapaxes(1, 2)
         return matrix.reshape(rows * size, rows * size)
 
-    def modes(self, x: Array, acts: Array, frequency: float) -> Complex:
+    def modes(self, x: Array, forces: Array, frequency: float) -> Complex:
         """Modal displacement by phasors, shape (H + 1, M), from the unknowns and (f1, f2, n) in units of `force`."""
         linear = self.linear(frequency)
-        acting, _ = self._balanced(x, self._given(acts), linear)
+        acting, _ = self._response(x, forces, linear)
         modal = linear.modal_free + np.einsum("hij,hj->hi", linear.modal, acting)
         return modal / np.sqrt(self.model.structure.mass)
