@@ -24,7 +24,7 @@ from scipy.interpolate import CubicSpline
 
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, follow
-from timesim.hbm.curve import default_controls, described, hbm_curve, solutions_at
+from timesim.hbm.curve import default_controls, evaluated, hbm_curve, solutions_at
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import GROUND, Contact, Excitation, Model, Start, Structure
 from timesim.model.solver import PRESETS
@@ -61,15 +61,15 @@ def seconds(model: Model, scheme: Scheme, controls: Controls, repeats: int) -> t
     balance = Balance(model, RANGE[0], scheme)
     guess = hbm_curve(model, *RANGE, scheme=scheme, controls=replace(controls, max_points=2), stability=False)
     first = guess.contact_motion[0].ravel() / balance.length
-    described(balance, follow(balance, first, *RANGE, replace(controls, max_points=3)))
+    evaluated(balance, follow(balance, first, *RANGE, replace(controls, max_points=3)))
     best = np.full(3, np.inf)
     for _ in range(repeats):
         t0 = time.process_time()
         curve = follow(balance, first, *RANGE, controls)
         t1 = time.process_time()
-        done = described(balance, curve, stability=False)
+        done = evaluated(balance, curve, stability=False)
         t2 = time.process_time()
-        described(balance, curve, stability=True)
+        evaluated(balance, curve, stability=True)
         t3 = time.process_time()
         best = np.minimum(best, [t1 - t0, t2 - t0, t3 - t1 + t1 - t0])
     if not done.complete:

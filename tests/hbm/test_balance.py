@@ -16,9 +16,10 @@ from scipy.optimize import minimize
 from timesim.engine.contact import Law
 from timesim.hbm.balance import Balance, to_complex, to_real
 from timesim.hbm.continuation import Controls, solve
-from timesim.hbm.curve import contact_motion, default_controls, hbm_curve, solutions_at
+from timesim.hbm.curve import default_controls, hbm_curve, solutions_at
+from timesim.hbm.first_guess import unknowns_of_modes
 from timesim.hbm.located import located_forces, waves
-from timesim.hbm.period import MAX_PASSES, basis_of, forces, motion_of
+from timesim.hbm.period import MAX_PASSES, basis_of, contact_forces, motion_of
 from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import floquet_multipliers
 from timesim.hbm.stuck_offset import acting, stuck_offset
@@ -81,8 +82,8 @@ def test_law_through_a_period_is_of_second_order(name, kind):
     motions, exacts = shifted(motion), shifted(exact)
     errors, law = [], law_of([contact] * len(motions))
     for num in numbers:
-        done = forces(law, basis_of(3, int(num)), jnp.asarray(motions))
-        assert np.max(done.gap) <= 1
+        done = contact_forces(law, basis_of(3, int(num)), jnp.asarray(motions))
+        assert np.max(done.closure) <= 1
         assert 1 <= done.passes < MAX_PASSES
         errors.append(np.sqrt(np.mean((np.asarray(done.coefficient) - exacts) ** 2)))
     order = -np.polyfit(np.log(numbers), np.log(errors), 1)[0]
@@ -94,18 +95,15 @@ def test_slip_under_constant_load_is_of_third_order():
     contact, motion = element(np.eye(2)), prescribed(MOTIONS["ellipse"])
     exact = located_forces(contact, motion)
     numbers = np.array([64, 128, 256])
-    errors = [
-        np.abs(
-            np.asarray(forces(law_of([contact]), basis_of(1, int(n)), jnp.asarray(motion[None])).coefficient[0]) - exact
-        ).max()
-        for n in numbers
-    ]
+    law = law_of([contact])
+    found = (contact_forces(law, basis_of(1, int(n)), jnp.asarray(motion[None])) for n in numbers)
+    errors = [np.abs(np.asarray(done.coefficient[0]) - exact).max() for done in found]
     assert -np.polyfit(np.log(numbers), np.log(errors), 1)[0] > 2.8, errors
 
 
 def test_full_stick_starts_from_no_slip():
     motion = prescribed((0.1, 0.05, 0.2, 30.0))
-    done = forces(law_of([element(np.eye(2))]), basis_of(1, 64), jnp.asarray(motion[None]))
+    done = contact_forces(law_of([element(np.eye(2))]), basis_of(1, 64), jnp.asarray(motion[None]))
     expected = motion.copy()
     expected[2, 0] += 1.0
     np.testing.assert_allclose(done.coefficient[0], expected, atol=1e-14)
@@ -127,7 +125,7 @@ def test_force_derivatives_against_differences(kind, preload):
     assert np.max(acts.slip) > 0.2
 
     def value(flat):
-        return np.asarray(forces(law, basis, jnp.asarray(flat.reshape(y.shape))).coefficient).ravel()
+        return np.asarray(contact_forces(law, basis, jnp.asarray(flat.reshape(y.shape))).coefficient).ravel()
 
     whole = differences(value, y.ravel(), 1e-6).reshape(3, 15, 3, 15)
     own = np.stack([whole[i, :, i] for i in range(3)])
@@ -148,7 +146,7 @@ def test_derivatives_where_no_slip_at_all_would_leave_the_cone(kind):
     assert np.linalg.norm(offset) > 0.03
 
     def value(flat):
-        return np.asarray(forces(law, basis, jnp.asarray(flat.reshape(motion.shape))).coefficient).ravel()
+        return np.asarray(contact_forces(law, basis, jnp.asarray(flat.reshape(motion.shape))).coefficient).ravel()
 
     np.testing.assert_allclose(slope[0], differences(value, motion.ravel(), 1e-6), atol=1e-7)
 
@@ -455,7 +453,7 @@ def test_phasors_and_coefficients():
             "harmonics must be at least 3, since harmonic 3 is excited, not 2",
         ),
         (
-            lambda: contact_motion(Balance(systems.oscillator(3.0, 1.0), 1.0, Scheme(2, 64)), np.zeros((4, 2))),
+            lambda: unknowns_of_modes(Balance(systems.oscillator(3.0, 1.0), 1.0, Scheme(2, 64)), np.zeros((4, 2))),
             r"odd number of rows and 2 columns, not shape \(4, 2\)",
         ),
     ],

@@ -15,7 +15,8 @@ import numpy as np
 from timesim.engine.system import scales_of
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.continuation import Controls, Ending, follow
-from timesim.hbm.curve import HbmCurve, contact_motion, default_controls, described, first_guesses
+from timesim.hbm.curve import HbmCurve, default_controls, evaluated
+from timesim.hbm.first_guess import first_guesses, unknowns_of_modes
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
 
@@ -87,15 +88,15 @@ def hbm_along(
     """
     residual = AlongBalance(model_at, frequency, scheme or Scheme(), np.array([start, stop]))
     controls, balance = controls or default_controls(), residual.balance(start)
-    guesses = [contact_motion(balance, guess)] if guess is not None else first_guesses(balance, frequency, controls)
+    guesses = [unknowns_of_modes(balance, guess)] if guess is not None else first_guesses(balance, frequency, controls)
     for first in guesses:
         curve = follow(residual, first, start, stop, controls)
         if curve.ending is not Ending.START:
             break
     rows = [
-        described(residual.balance(float(p)), curve.point(i, frequency), stability=stability)
+        evaluated(residual.balance(float(p)), curve.point(i, frequency), stability=stability)
         for i, p in enumerate(curve.p)
     ]
     if not rows:
-        return described(balance, curve, stability=False)
+        return evaluated(balance, curve, stability=False)
     return replace(HbmCurve.joined(rows), parameter=curve.p)

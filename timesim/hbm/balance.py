@@ -19,9 +19,11 @@ Sections 4.3 and 5 of the paper, whose scheme is ``harmonics=1``. T. M. Cameron 
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +39,8 @@ from timesim.model.model import Model
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+# Solutions whose contacts are evaluated together: a fixed number, so that not every curve compiles anew.
+BATCH = 16
 
 
 def to_complex(coefficient: Array) -> Complex:
@@ -116,11 +120,7 @@ class Balance:
         return support
 
     def linear(self, frequency: float) -> LinearResponse:
-        """Response of the structure at a frequency [Hz].
-
-        Raises:
-            numpy.linalg.LinAlgError: it is singular there.
-        """
+        """Response of the structure at a frequency [Hz]; not finite where it is singular."""
         omega, order = 2 * np.pi * frequency, np.arange(self.scheme.harmonics + 1)[:, None]
         # Columns: unit forces at the contacts, then the excitation.
         columns = np.broadcast_to(self.shape.T, (order.size, *self.shape.T.shape))
@@ -136,7 +136,10 @@ class Balance:
             held = np.diag(stiffness) + self.shape.T @ self.support @ self.shape
             order, one = order[:, :, None], np.eye(stiffness.size)
             dynamic = held - (order * omega) ** 2 * one + 1j * order * omega * damping
-            response = np.linalg.solve(dynamic, right)
+            try:
+                response = np.linalg.solve(dynamic, right)
+            except np.linalg.LinAlgError:
+                response, dynamic = np.full_like(right, np.nan), one
             change = np.linalg.solve(dynamic, (2 * order**2 * omega * one - 1j * order * damping) @ response)
         here, there = self.shape @ response, self.shape @ change
         return LinearResponse(
@@ -154,10 +157,10 @@ class Balance:
     def contact_forces(self, x: Array) -> Array:
         """(f1, f2, n) of each contact by their coefficients in units of `force`, shape (C, 3, 2H + 1)."""
         sampled = contact_forces(self.law, self.basis, jnp.asarray(self.coefficients(x))).coefficient
-        return self.as_scheme_wants(x, np.asarray(sampled))
+        return self.refined_forces(x, np.asarray(sampled))
 
-    def as_scheme_wants(self, x: Array, sampled: Array) -> Array:
-        """(f1, f2, n) from those on the samples: with located transitions, if the scheme asks for them.
+    def refined_forces(self, x: Array, sampled: Array) -> Array:
+        """(f1, f2, n) with located transitions, if the scheme asks for them, else as found on the samples.
 
         In full stick, where the offset is free, they stay what they are.
 
@@ -199,7 +202,7 @@ class Balance:
         """r, and its derivatives by the unknowns and by the frequency."""
         sampled, slope = linearised(self.law, self.basis, jnp.asarray(self.coefficients(x)))
         linear = self.linear(p)
-        acting, motion = self._response(x, self.as_scheme_wants(x, np.asarray(sampled.coefficient)), linear)
+        acting, motion = self._response(x, self.refined_forces(x, np.asarray(sampled.coefficient)), linear)
         by_p = linear.free_slope + np.einsum("hij,hj->hi", linear.flexibility_slope, acting)
         matrix = np.eye(x.size) - self._matrix(linear.flexibility, np.asarray(slope))
         r = x - to_real(motion.T).ravel() / self.length
@@ -225,3 +228,24 @@ class Balance:
         acting, _ = self._response(x, forces, linear)
         modal = linear.modal_free + np.einsum("hij,hj->hi", linear.modal, acting)
         return modal / np.sqrt(self.model.structure.mass)
+
+
+def batched(evaluate: Callable[[Law, Array], Sequence[Any]], balance: Balance, motion: Array) -> list[Array]:
+    """Arrays of a function of the law and the motion of contacts, for many solutions.
+
+    Args:
+        evaluate: gives arrays with one row a contact.
+        balance: the equations solved.
+        motion: Fourier coefficients of (u1, u2, v) in units, shape (S, C, 3, 2H + 1).
+
+    Returns:
+        arrays, shape (S, C, ...).
+    """
+    law = jax.tree.map(lambda leaf: jnp.tile(leaf, BATCH), balance.law)
+    parts = []
+    for first in range(0, max(len(motion), 1), BATCH):
+        part = motion[first : first + BATCH]
+        rows = np.resize(part, (BATCH, *motion.shape[1:])).reshape(-1, *motion.shape[2:])
+        arrays = map(np.asarray, evaluate(law, rows))
+        parts.append([array.reshape(BATCH, -1, *array.shape[1:])[: len(part)] for array in arrays])
+    return [np.concatenate(column) for column in zip(*parts, strict=True)]

@@ -142,5 +142,5 @@ def amplitude(place: Place, scheme: Scheme) -> Array:
     found = solve(balance, guess.ravel() / balance.length, place.frequency, default_controls())
     if found is None:
         return np.full_like(place.amplitude, np.nan)
-    modal = balance.modes(found[0], balance.acts(found[0]), place.frequency)
+    modal = balance.modes(found[0], balance.contact_forces(found[0]), place.frequency)
     return half_range(np.einsum("pam,hm->hpa", place.model.structure.shape, modal)[None])[0]

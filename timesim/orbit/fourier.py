@@ -5,6 +5,10 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+# Samples of the motion, of the highest harmonic, among which an extreme is looked for before Newton's method.
+SAMPLES_PER_WAVE = 16
+# Samples of all motions held at a time, a complex number each.
+MAX_ENTRIES = 2**20
 
 
 def waves_of(samples: Array, phase: float) -> Array:
@@ -21,12 +25,19 @@ def waves_of(samples: Array, phase: float) -> Array:
 def half_range(phasor: Complex) -> Array:
     """(max - min) / 2 over a period of Re sum_h phasor_h exp(i h theta), h along axis 1: shape (S, H + 1, ...)."""
     order = np.arange(phasor.shape[1])
-    num = 16 * order.size
-    grid = 2 * np.pi * np.arange(num) / num
-    turn = np.exp(1j * np.outer(grid, order))
+    angle = 2 * np.pi * np.arange(SAMPLES_PER_WAVE * order.size) / (SAMPLES_PER_WAVE * order.size)
+    turn = np.exp(1j * np.outer(angle, order))
+    count = max(1, MAX_ENTRIES // max(1, angle.size * phasor[:1, 0].size))
+    parts = [phasor[first : first + count] for first in range(0, max(len(phasor), 1), count)]
+    return np.concatenate([_half_range(part, turn, angle, order) for part in parts])
+
+
+def _half_range(phasor: Complex, turn: Complex, angle: Array, order: NDArray[np.int64]) -> Array:
     values = np.einsum("kh,sh...->ks...", turn, phasor).real
-    ends = [_extreme(phasor, grid[pick(values, axis=0)], order, np.pi / num) for pick in (np.argmax, np.argmin)]
-    return (ends[0] - ends[1]) / 2
+    highest, lowest = (
+        _extreme(phasor, angle[pick(values, axis=0)], order, np.pi / angle.size) for pick in (np.argmax, np.argmin)
+    )
+    return (highest - lowest) / 2
 
 
 def _extreme(phasor: Complex, theta: Array, order: NDArray[np.int64], reach: float) -> Array:
@@ -36,7 +47,7 @@ def _extreme(phasor: Complex, theta: Array, order: NDArray[np.int64], reach: flo
     middle = theta
     for _ in range(5):
         wave = weights * np.exp(1j * order * theta)
-        slope, bend = (1j * order * wave).real.sum(0), -(order**2 * wave).real.sum(0)
-        step = np.divide(slope, bend, out=np.zeros_like(slope), where=bend != 0)
+        slope, curvature = (1j * order * wave).real.sum(0), -(order**2 * wave).real.sum(0)
+        step = np.divide(slope, curvature, out=np.zeros_like(slope), where=curvature != 0)
         theta = np.clip(theta - step, middle - 2 * reach, middle + 2 * reach)
     return np.asarray((weights * np.exp(1j * order * theta)).real.sum(0))

@@ -4,9 +4,7 @@ import timesim.runtime  # noqa: F401  isort: skip
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -14,7 +12,7 @@ from timesim.engine.history import Samples
 from timesim.hbm.balance import Array, Balance, Complex
 from timesim.hbm.curve import HbmCurve
 from timesim.hbm.located import waves
-from timesim.hbm.period import Period, before_intervals, carried, closed_period, intervals_of, motion_of
+from timesim.hbm.period import ClosedPeriod, closed_period, ends_of, motion_of
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import SEPARATION, SLIP, Model, Start
 from timesim.model.solver import Solver
@@ -72,14 +70,14 @@ def cycle_record(
     return store.record(variables, coords, {"place": place})
 
 
-def _period(balance: Balance, coefficient: Array) -> Period:
+def _period(balance: Balance, coefficient: Array) -> ClosedPeriod:
     return closed_period(balance.law, motion_of(balance.basis, jnp.asarray(coefficient)))
 
 
-def _start(balance: Balance, coefficient: Array, modal: Complex, period: Period, frequency: float) -> Start:
+def _start(balance: Balance, coefficient: Array, modal: Complex, period: ClosedPeriod, frequency: float) -> Start:
     """State of the solution at phase 0."""
     here = coefficient @ waves(np.zeros(1), coefficient.shape[2])[0]
-    elastic = np.stack([np.asarray(part) for part in period.begin], axis=1)
+    elastic = np.stack([np.asarray(part) for part in period.start], axis=1)
     speed = (1j * np.arange(len(modal))[:, None] * 2 * np.pi * frequency * modal).real.sum(axis=0)
     slip = (here[:, :2] - elastic) * balance.length
     return Start(modal.real.sum(axis=0), speed, slip, np.full(balance.num_contacts, -1))
@@ -94,10 +92,8 @@ def _marched(model: Model, start: Start, frequency: float, solver: Solver) -> Sa
 def _states(balance: Balance, coefficient: Array) -> Array:
     """State of each contact over most of each interval of the balance's own samples, at the angles of the record."""
     motion = motion_of(balance.basis, jnp.asarray(coefficient))
-    stay = jax.vmap(partial(carried, balance.law))(
-        before_intervals(closed_period(balance.law, motion)), intervals_of(motion)
-    )
-    shares = np.stack([1 - stay.slip - stay.separation, stay.slip, stay.separation])
+    ends = ends_of(balance.law, motion, closed_period(balance.law, motion))
+    shares = np.stack([1 - ends.slip - ends.separation, ends.slip, ends.separation])
     states = np.argmax(shares, axis=0)
     assert (SLIP, SEPARATION) == (1, 2)
     return states[np.arange(SAMPLES) * len(states) // SAMPLES]

@@ -14,7 +14,8 @@ from timesim.fault import RuleError
 from timesim.hbm.along import hbm_along
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, Ending, solve
-from timesim.hbm.curve import HbmCurve, contact_motion, crossings, default_controls, hbm_curve, solutions_at
+from timesim.hbm.curve import HbmCurve, crossings, default_controls, hbm_curve, solutions_at
+from timesim.hbm.first_guess import unknowns_of_modes
 from timesim.model.model import Model
 from timesim.model.start import start_of
 from timesim.orbit.cycle import modal_waves
@@ -131,7 +132,7 @@ class Curves:
     def _known(self, model: Model, curves: list[HbmCurve], frequency: float, guess: np.ndarray) -> bool:
         """Whether a motion leads to a solution that is on one of the curves, or to none."""
         balance = Balance(model, frequency, self.scheme)
-        solution = solve(balance, contact_motion(balance, guess), frequency, default_controls())
+        solution = solve(balance, unknowns_of_modes(balance, guess), frequency, default_controls())
         if solution is None:
             return True
         # Not the mean: it may hold the offset of a contact that sticks, which is free.
