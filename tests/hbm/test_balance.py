@@ -14,19 +14,19 @@ import systems
 from scipy.optimize import minimize
 
 from timesim.engine.contact import Law
-from timesim.hbm.balance import Balance, to_complex, to_real
+from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, solve
 from timesim.hbm.curve import default_controls, hbm_curve, solutions_at
 from timesim.hbm.first_guess import unknowns_of_modes
-from timesim.hbm.located import located_forces, waves
+from timesim.hbm.located import located_forces
 from timesim.hbm.period import MAX_PASSES, basis_of, contact_forces, motion_of
 from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import floquet_multipliers
-from timesim.hbm.stuck_offset import acting, stuck_offset
+from timesim.hbm.stuck_offset import stuck_offset, without_slip
 from timesim.hbm.tangent import linearised
 from timesim.model.model import Structure
 from timesim.model.solver import PRESETS
-from timesim.orbit.fourier import half_range
+from timesim.orbit.fourier import fourier_basis, half_range, to_coefficients, to_phasors
 from timesim.orbit.settling import Task, settle
 
 TURN = 2 * np.pi
@@ -69,7 +69,7 @@ def law_of(contacts):
 def shifted(coefficient, num_shifts=6):
     """The same cycle begun at other angles within a sample, so that the samples meet transitions in many ways."""
     turn = np.exp(1j * np.outer(0.37 * np.arange(num_shifts), np.arange(coefficient.shape[-1] // 2 + 1)))
-    return to_real(to_complex(coefficient) * turn[:, None])
+    return to_coefficients(to_phasors(coefficient) * turn[:, None])
 
 
 @pytest.mark.parametrize("kind", STIFFNESS)
@@ -170,7 +170,7 @@ def test_a_contact_sticks_wherever_it_can():
     for scale in np.linspace(0.05, 0.35, 60):
         y = rng.normal(size=(1, 3, 7)) * scale * np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.2, 0.2])
         motion = motion_of(basis, jnp.asarray(y))
-        force, limit, _ = acting(law, motion)
+        force, limit, _ = without_slip(law, motion)
         path, limit = np.stack([np.asarray(f)[:, 0] for f in force]), np.asarray(limit)[:, 0]
         if limit.min() <= 0:
             continue
@@ -434,10 +434,10 @@ def test_half_range_is_that_of_the_continuous_motion():
 
 def test_phasors_and_coefficients():
     coefficient = np.random.default_rng(1).normal(size=(2, 3, 9))
-    np.testing.assert_array_equal(to_real(to_complex(coefficient)), coefficient)
+    np.testing.assert_array_equal(to_coefficients(to_phasors(coefficient)), coefficient)
     theta = np.linspace(0, TURN, 7)
-    expected = (to_complex(coefficient) @ np.exp(1j * np.outer(np.arange(5), theta))).real
-    np.testing.assert_allclose(coefficient @ waves(theta, 9).T, expected, atol=1e-13)
+    expected = (to_phasors(coefficient) @ np.exp(1j * np.outer(np.arange(5), theta))).real
+    np.testing.assert_allclose(coefficient @ fourier_basis(theta, 9).T, expected, atol=1e-13)
 
 
 @pytest.mark.parametrize(

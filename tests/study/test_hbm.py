@@ -15,9 +15,8 @@ from timesim.fault import SceneError
 from timesim.hbm import convergence as hbm_convergence
 from timesim.hbm.convergence import Place, convergence, order_of
 from timesim.hbm.curve import hbm_curve, solutions_at
-from timesim.hbm.located import waves
 from timesim.hbm.scheme import Scheme
-from timesim.orbit.fourier import waves_of
+from timesim.orbit.fourier import fourier_basis, fourier_coefficients
 from timesim.picture import draw as plot
 from timesim.picture import hbm as plot_hbm
 from timesim.result.store import save
@@ -213,7 +212,7 @@ def test_waves_of_samples():
     coefficient = rng.normal(size=(7, 2))
     phase, count = 0.7, 40
     theta = phase + 2 * np.pi * np.arange(1, count + 1) / count
-    found = waves_of(waves(theta, 7) @ coefficient, phase)
+    found = fourier_coefficients(fourier_basis(theta, 7) @ coefficient, phase)
     np.testing.assert_allclose(found[:7], coefficient, atol=1e-13)
     np.testing.assert_allclose(found[7:], 0, atol=1e-13)
 

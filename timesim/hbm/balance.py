@@ -36,23 +36,12 @@ from timesim.hbm.period import Basis, basis_of, contact_forces
 from timesim.hbm.scheme import Scheme, check_excitation
 from timesim.hbm.tangent import linearised
 from timesim.model.model import Model
+from timesim.orbit.fourier import to_coefficients, to_phasors
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 # Solutions whose contacts are evaluated together: a fixed number, so that not every curve compiles anew.
 BATCH = 16
-
-
-def to_complex(coefficient: Array) -> Complex:
-    """Phasors a_h - i b_h of a_0, a_1, b_1, ...: the last axis (2H + 1) becomes H + 1."""
-    first = coefficient[..., :1].astype(complex)
-    return np.concatenate([first, coefficient[..., 1::2] - 1j * coefficient[..., 2::2]], axis=-1)
-
-
-def to_real(phasor: NDArray[Any]) -> Array:
-    """The inverse of `to_complex`."""
-    waves = np.stack([phasor[..., 1:].real, -phasor[..., 1:].imag], axis=-1)
-    return np.concatenate([phasor[..., :1].real, waves.reshape(*phasor.shape[:-1], 2 * waves.shape[-2])], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -189,14 +178,14 @@ class Balance:
 
     def _response(self, x: Array, forces: Array, linear: LinearResponse) -> tuple[Complex, Complex]:
         """Forces on the supported structure and the motion of the contacts that they give, by phasor, (H + 1, 3C)."""
-        motion = to_complex(self._rows(self.coefficients(x))).T * self.length
-        acting = to_complex(self._rows(self._on_body_1(forces))).T * self.force + motion @ self.support
+        motion = to_phasors(self._rows(self.coefficients(x))).T * self.length
+        acting = to_phasors(self._rows(self._on_body_1(forces))).T * self.force + motion @ self.support
         return acting, linear.free + np.einsum("hij,hj->hi", linear.flexibility, acting)
 
     def value(self, x: Array, p: float) -> Array:
         """r in units of `length`."""
         _, motion = self._response(x, self.contact_forces(x), self.linear(p))
-        return x - to_real(motion.T).ravel() / self.length
+        return x - to_coefficients(motion.T).ravel() / self.length
 
     def linearised(self, x: Array, p: float) -> tuple[Array, Array, Array]:
         """r, and its derivatives by the unknowns and by the frequency."""
@@ -205,8 +194,8 @@ class Balance:
         acting, motion = self._response(x, self.refined_forces(x, np.asarray(sampled.coefficient)), linear)
         by_p = linear.free_slope + np.einsum("hij,hj->hi", linear.flexibility_slope, acting)
         matrix = np.eye(x.size) - self._matrix(linear.flexibility, np.asarray(slope))
-        r = x - to_real(motion.T).ravel() / self.length
-        return r, matrix, to_real(by_p.T).ravel() * (-2 * np.pi / self.length)
+        r = x - to_coefficients(motion.T).ravel() / self.length
+        return r, matrix, to_coefficients(by_p.T).ravel() * (-2 * np.pi / self.length)
 
     def _matrix(self, flexibility: Complex, slope: Array) -> Array:
         """Derivatives of F g by the unknowns, from those of (f1, f2, n) of each contact by its own."""
@@ -217,9 +206,9 @@ class Balance:
             stiffness = -block * (self.force / self.length)
             if self.support.any():
                 stiffness = stiffness + np.kron(self.support[own, own], np.eye(size))
-            force = to_complex(stiffness.reshape(3, size, -1).swapaxes(1, 2)).transpose(2, 0, 1)
+            force = to_phasors(stiffness.reshape(3, size, -1).swapaxes(1, 2)).transpose(2, 0, 1)
             motion = flexibility[:, :, own] @ force
-            matrix[:, :, 3 * size * i : 3 * size * (i + 1)] = to_real(motion.transpose(1, 2, 0)).swapaxes(1, 2)
+            matrix[:, :, 3 * size * i : 3 * size * (i + 1)] = to_coefficients(motion.transpose(1, 2, 0)).swapaxes(1, 2)
         return matrix.reshape(rows * size, rows * size)
 
     def modes(self, x: Array, forces: Array, frequency: float) -> Complex:

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from timesim.hbm.balance import Array, Balance, to_real
+from timesim.hbm.balance import Array, Balance
 from timesim.hbm.continuation import Controls, follow
+from timesim.orbit.fourier import to_coefficients
 
 
 def unknowns_of_modes(balance: Balance, modal: Array) -> Array:
@@ -48,7 +49,7 @@ def _linear_guess(balance: Balance, frequency: float, stuck: Array) -> Array:
         motion = np.linalg.solve(matrix, linear.free[..., None])[..., 0]
     except np.linalg.LinAlgError:
         motion = np.zeros_like(linear.free)
-    return np.nan_to_num(to_real(motion.T).ravel() / balance.length, posinf=0.0, neginf=0.0)
+    return np.nan_to_num(to_coefficients(motion.T).ravel() / balance.length, posinf=0.0, neginf=0.0)
 
 
 class _LoadRamp:
@@ -56,7 +57,7 @@ class _LoadRamp:
 
     def __init__(self, balance: Balance, frequency: float):
         self.balance, self.frequency = balance, frequency
-        self.free = to_real(balance.linear(frequency).free.T).ravel() / balance.length
+        self.free = to_coefficients(balance.linear(frequency).free.T).ravel() / balance.length
 
     def value(self, x: Array, p: float) -> Array:
         return self.balance.value(x, self.frequency) + (1 - p) * self.free

@@ -44,6 +44,7 @@ from timesim.engine.contact import (
     where,
 )
 from timesim.hbm.stuck_offset import Offset, stuck_offset
+from timesim.orbit.fourier import fourier_basis
 
 MAX_PASSES = 100
 # Change of d over a period, relative to the largest d, that counts as none; rounding adds to it with |u|.
@@ -71,9 +72,7 @@ class Basis(eqx.Module):
 def basis_of(harmonics: int, time_samples: int) -> Basis:
     """The functions of H harmonics on N equal samples."""
     theta = 2 * np.pi * np.arange(1, time_samples + 1) / time_samples
-    angle = np.outer(theta, np.arange(1, harmonics + 1))
-    waves = np.stack([np.cos(angle), np.sin(angle)], axis=2).reshape(time_samples, -1)
-    value = np.concatenate([np.ones((time_samples, 1)), waves], axis=1)
+    value = fourier_basis(theta, 2 * harmonics + 1)
     weight = np.append(1.0, np.full(2 * harmonics, 2.0)) / time_samples
     return Basis(jnp.asarray(value), jnp.asarray(weight[:, None] * value.T))
 

@@ -1,11 +1,14 @@
 """Stability of periodic solutions: Floquet multipliers of the linearised contact law.
 
 Over one sample interval the modes move exactly for a contact force that varies linearly, and the law of
-`hbm.period`, linearised about the solution, gives that force from the motion and from the elastic displacement d of
-the contacts. The product of these maps over the period takes a disturbance of (q, q', d) to the next one. The memory
-of the contacts is therefore a part of the state; the transitions need no jumps of their own, since the contact force
-is continuous through all of them and their shift is in the derivatives of an interval. What is not captured are
-disturbances so large that states occur which the solution does not have: full stick that a small push would free.
+`timesim.hbm.period`, linearised about the solution, gives that force from the motion and from the elastic displacement
+d of the contacts. The product of these maps over the period is the monodromy matrix of (q, q', d), whose eigenvalues
+are the multipliers. The memory of the contacts is therefore a part of the state; transitions need no saltation, since
+the contact force is continuous through all of them and the derivatives of an interval hold their shift. Disturbances
+so large that the contacts take on states which the solution does not have are beyond a linearisation: a small push
+may free a contact that sticks all along.
+
+G. Floquet (1883); A. H. Nayfeh and B. Balachandran, Applied Nonlinear Dynamics (Wiley 1995), chapter 3.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip

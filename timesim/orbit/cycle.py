@@ -11,7 +11,7 @@ from timesim.engine.history import Samples, sample
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import Model
 from timesim.model.solver import Solver
-from timesim.orbit.fourier import waves_of
+from timesim.orbit.fourier import fourier_coefficients
 
 SAMPLES = 1024
 
@@ -29,4 +29,4 @@ def one_cycle(model: Model, frequency: float, solver: Solver, num: int) -> Sampl
 
 def modal_waves(model: Model, frequency: float, solver: Solver) -> np.ndarray:
     """Modal displacement of that cycle by 1, cos, sin, ... of the excitation's phase, shape (2K + 1, M)."""
-    return waves_of(one_cycle(model, frequency, solver, SAMPLES).q[1:], model.start.phase)
+    return fourier_coefficients(one_cycle(model, frequency, solver, SAMPLES).q[1:], model.start.phase)

@@ -1,4 +1,9 @@
-"""Periodic motions by their Fourier coefficients: from samples, and the range that they cover."""
+"""Periodic motions by their Fourier coefficients, those of 1, cos, sin, ..., cos H theta, sin H theta.
+
+The phasor of harmonic h is ``a_h - i b_h`` for the coefficients a_h of cos h theta and b_h of sin h theta.
+"""
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +16,34 @@ SAMPLES_PER_WAVE = 16
 MAX_ENTRIES = 2**20
 
 
-def waves_of(samples: Array, phase: float) -> Array:
-    """Coefficients 1, cos, sin, ... of N equal samples of a period, the last at a phase [rad], shape (2K + 1, ...)."""
+def fourier_basis(theta: Array, num_coefficients: int) -> Array:
+    """1, cos, sin, ..., cos H theta, sin H theta, shape (..., 2H + 1)."""
+    angle = np.multiply.outer(theta, np.arange(1, num_coefficients // 2 + 1))
+    pairs = np.stack([np.cos(angle), np.sin(angle)], axis=-1).reshape(*theta.shape, -1)
+    return np.concatenate([np.ones((*theta.shape, 1)), pairs], axis=-1)
+
+
+def to_phasors(coefficient: Array) -> Complex:
+    """Phasors of a motion by its coefficients: the last axis (2H + 1) becomes H + 1."""
+    mean = coefficient[..., :1].astype(complex)
+    return np.concatenate([mean, coefficient[..., 1::2] - 1j * coefficient[..., 2::2]], axis=-1)
+
+
+def to_coefficients(phasor: NDArray[Any]) -> Array:
+    """The inverse of `to_phasors`."""
+    pairs = np.stack([phasor[..., 1:].real, -phasor[..., 1:].imag], axis=-1)
+    return np.concatenate([phasor[..., :1].real, pairs.reshape(*phasor.shape[:-1], 2 * pairs.shape[-2])], axis=-1)
+
+
+def fourier_coefficients(samples: Array, phase: float) -> Array:
+    """Coefficients of N equal samples of a period, the last at a phase [rad], shape (2K + 1, ...)."""
     count = len(samples)
     spectrum = np.fft.rfft(samples, axis=0)[: (count + 1) // 2] / count
     order = np.arange(len(spectrum)).reshape(-1, *[1] * (samples.ndim - 1))
     # The first sample lies one interval after the phase at which the last one does.
     spectrum = spectrum * np.exp(-1j * order * (phase + 2 * np.pi / count))
-    waves = np.stack([2 * spectrum[1:].real, -2 * spectrum[1:].imag], axis=1)
-    return np.concatenate([spectrum[:1].real, waves.reshape(-1, *samples.shape[1:])])
+    pairs = np.stack([2 * spectrum[1:].real, -2 * spectrum[1:].imag], axis=1)
+    return np.concatenate([spectrum[:1].real, pairs.reshape(-1, *samples.shape[1:])])
 
 
 def half_range(phasor: Complex) -> Array:

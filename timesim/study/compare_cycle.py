@@ -11,13 +11,12 @@ import numpy as np
 from timesim.engine.history import Samples
 from timesim.hbm.balance import Array, Balance, Complex
 from timesim.hbm.curve import HbmCurve
-from timesim.hbm.located import waves
 from timesim.hbm.period import ClosedPeriod, closed_period, ends_of, motion_of
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import SEPARATION, SLIP, Model, Start
 from timesim.model.solver import Solver
 from timesim.orbit.cycle import one_cycle
-from timesim.orbit.fourier import waves_of
+from timesim.orbit.fourier import fourier_basis, fourier_coefficients
 from timesim.orbit.settling import Task, settle
 from timesim.result import store
 
@@ -48,7 +47,7 @@ def cycle_record(
     shape, order = model.structure.shape, scheme.harmonics + 1
     x = np.stack([np.einsum("pam,km->kpa", shape, motion) for motion in (marched.q[:-1], q)])
     # The samples end where the phase is that of the last of them, one interval before a whole turn.
-    found = np.stack([waves_of(motion, -2 * np.pi / SAMPLES)[: 2 * order - 1] for motion in x])
+    found = np.stack([fourier_coefficients(motion, -2 * np.pi / SAMPLES)[: 2 * order - 1] for motion in x])
     height = np.concatenate([found[:, :1], np.hypot(found[:, 1::2], found[:, 2::2])], axis=1)
     variables = {
         "displacement": (("found_by", "excitation_angle", "point", "axis"), x),
@@ -76,7 +75,7 @@ def _period(balance: Balance, coefficient: Array) -> ClosedPeriod:
 
 def _start(balance: Balance, coefficient: Array, modal: Complex, period: ClosedPeriod, frequency: float) -> Start:
     """State of the solution at phase 0."""
-    here = coefficient @ waves(np.zeros(1), coefficient.shape[2])[0]
+    here = coefficient @ fourier_basis(np.zeros(1), coefficient.shape[2])[0]
     elastic = np.stack([np.asarray(part) for part in period.start], axis=1)
     speed = (1j * np.arange(len(modal))[:, None] * 2 * np.pi * frequency * modal).real.sum(axis=0)
     slip = (here[:, :2] - elastic) * balance.length
