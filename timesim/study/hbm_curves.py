@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from timesim.fault import RuleError
-from timesim.hbm.along import hbm_along
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, Ending, solve
 from timesim.hbm.curve import HbmCurve, crossings, default_controls, hbm_curve, solutions_at
 from timesim.hbm.first_guess import unknowns_of_modes
+from timesim.hbm.parameter import parameter_curve
 from timesim.model.model import Model
 from timesim.model.start import start_of
 from timesim.orbit.cycle import modal_waves
@@ -161,7 +161,7 @@ class Curves:
             model_at: Callable[[float], Model] = lambda p: self.scene.variant({**values, key: p})  # noqa: E731
             first, last = ends.values()
             guess = self._given()[0]
-            curve = hbm_along(model_at, self.plan.span()[0], first, last, guess=guess, **self._options())
+            curve = parameter_curve(model_at, self.plan.span()[0], first, last, guess=guess, **self._options())
             yield Piece(values, model_at, curve)
             return
         for curve in self._in_frequency(model):

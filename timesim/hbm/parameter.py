@@ -1,4 +1,4 @@
-"""Harmonic balance at one frequency along any scalar of the scene.
+"""Harmonic balance at one frequency, followed in any scalar of the scene.
 
 The model is built anew at each value. The derivative by the scalar is a difference of second order: it only directs the
 steps of the continuation, and the solutions do not depend on it.
@@ -24,15 +24,15 @@ from timesim.model.model import Model
 DIFFERENCE = 1e-5
 
 
-class AlongBalance:
+class ParameterBalance:
     """The balance at one frequency as a residual in a scalar p; the unknowns are those of `Balance`.
 
-    Beyond the range, where there may be no model, it goes on straight.
+    Beyond the range, where there may be no model, it is extrapolated straight.
     """
 
-    def __init__(self, model_at: Callable[[float], Model], frequency: float, scheme: Scheme, ends: Array):
+    def __init__(self, model_at: Callable[[float], Model], frequency: float, scheme: Scheme, ends: tuple[float, float]):
         self.model_at, self.frequency, self.scheme = model_at, frequency, scheme
-        self.low, self.high = float(ends.min()), float(ends.max())
+        self.low, self.high = sorted(map(float, ends))
         self.units = scales_of(model_at(float(ends[0])), frequency)
         self.balance = lru_cache(maxsize=8)(self._balance)
 
@@ -59,7 +59,7 @@ class AlongBalance:
         return (high - low) / (2 * step) + (high - 2 * here + low) * ((p - middle) / step**2)
 
 
-def hbm_along(
+def parameter_curve(
     model_at: Callable[[float], Model],
     frequency: float,
     start: float,
@@ -86,17 +86,17 @@ def hbm_along(
     Raises:
         ValueError: the range, the scheme or the excitation does not allow a balance.
     """
-    residual = AlongBalance(model_at, frequency, scheme or Scheme(), np.array([start, stop]))
+    residual = ParameterBalance(model_at, frequency, scheme or Scheme(), (start, stop))
     controls, balance = controls or default_controls(), residual.balance(start)
     guesses = [unknowns_of_modes(balance, guess)] if guess is not None else first_guesses(balance, frequency, controls)
     for first in guesses:
         curve = follow(residual, first, start, stop, controls)
         if curve.ending is not Ending.START:
             break
-    rows = [
+    if not curve.p.size:
+        return evaluated(balance, curve, stability=False)
+    points = [
         evaluated(residual.balance(float(p)), curve.point(i, frequency), stability=stability)
         for i, p in enumerate(curve.p)
     ]
-    if not rows:
-        return evaluated(balance, curve, stability=False)
-    return replace(HbmCurve.joined(rows), parameter=curve.p)
+    return replace(HbmCurve.joined(points), parameter=curve.p)
