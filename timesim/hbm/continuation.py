@@ -323,22 +323,27 @@ class _PathTracker:
             return None
 
     def _fold(self, before: CurvePoint, step: _Step) -> CurvePoint | None:
-        """Where the tangent's share of the parameter vanishes on the arc of a step; None if no point of it is found."""
+        """Where the tangent's share of the parameter changes its sign on the arc of a step; None if no point is found.
+
+        The share jumps through zero where the residual is not smooth.
+        """
         length = float((step.point.y - before.y) @ before.tangent)
         ends = {0.0: float(before.tangent[-1]), length: float(step.point.tangent[-1])}
-        points: list[CurvePoint] = []
+        points: dict[float, CurvePoint] = {}
 
         def share(s: float) -> float:
             if s in ends:
                 return ends[s]
             guess = before.y + s * before.tangent
-            points.append(self.corrector.simplified_newton(guess, before.tangent, fresh=True))
-            value = float(points[-1].tangent[-1])
+            points[s] = self.corrector.simplified_newton(guess, before.tangent, fresh=True)
+            value = float(points[s].tangent[-1])
             return value if abs(value) > FLAT else 0.0
 
         with suppress(NoSolutionError):
-            brentq(share, 0.0, length, xtol=1e-3 * FLAT * step.length, disp=False)
-        return min(points, key=lambda point: abs(point.tangent[-1]), default=None)
+            root = brentq(share, 0.0, length, xtol=1e-3 * FLAT * step.length, disp=False)
+            if root in points:
+                return points[root]
+        return min(points.values(), key=lambda point: abs(point.tangent[-1]), default=None)
 
 
 def _predicted(point: CurvePoint, before: tuple[CurvePoint, float] | None, length: float) -> Array:

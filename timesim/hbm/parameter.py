@@ -10,8 +10,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
-import numpy as np
-
 from timesim.engine.system import scales_of
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.continuation import Controls, Ending, follow
