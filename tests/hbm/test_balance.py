@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import systems
 
+from timesim.element import state_by_state
 from timesim.hbm.balance import Balance
-from timesim.hbm.continuation import Controls, solve
+from timesim.hbm.continuation import Controls, Ending, solve
 from timesim.hbm.curve import default_controls, hbm_curve, solutions_at
 from timesim.hbm.first_guess import unknowns_of_modes
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Structure
-from timesim.orbit.fourier import fourier_basis, half_range, to_coefficients, to_phasors
 
 TURN = 2 * np.pi
 
@@ -65,6 +65,49 @@ def test_residual_derivatives_against_differences(name):
     step = 1e-6 * frequency
     slope = (balance.value(x, frequency + step) - balance.value(x, frequency - step)) / (2 * step)
     np.testing.assert_allclose(by_p / np.abs(by_p).max(), slope / np.abs(by_p).max(), atol=1e-7)
+
+
+def with_modal_mass(model, mass):
+    """The same structure with other modal masses: shapes and modal forces grow with their roots."""
+    body, load = model.structure, model.excitation
+    root = np.sqrt(mass / body.mass)
+    damping = body.damping * (np.outer(root, root) if body.damping.ndim == 2 else root**2)
+    structure = replace(body, mass=np.asarray(mass), damping=damping, shape=body.shape * root)
+    loads = {name: getattr(load, name) * root for name in ("cosine", "sine", "constant")}
+    return replace(model, structure=structure, excitation=replace(load, **loads))
+
+
+@pytest.mark.parametrize("coupling", [0.0, 0.5])
+def test_modal_mass_is_a_matter_of_normalisation(coupling):
+    """Curve, multipliers and a curve begun from modal coefficients are those of unit masses."""
+    model, scheme, mass = systems.oscillator(-1.0, 0.97), Scheme(5, 256), np.array([4.0, 0.3])
+    if coupling:
+        damping = np.diag(model.structure.damping)
+        damping[0, 1] = damping[1, 0] = coupling * np.sqrt(np.prod(model.structure.damping))
+        model = replace(model, structure=replace(model.structure, damping=damping))
+    plain, scaled = (hbm_curve(m, 0.96, 1.0, scheme=scheme) for m in (model, with_modal_mass(model, mass)))
+    assert plain.slip_share.max() > 0.3
+    names = ("amplitude", "harmonic_cos", "harmonic_sin", "contact_force", "floquet_max", "slip_share")
+    for name in names:
+        np.testing.assert_allclose(getattr(scaled, name), getattr(plain, name), rtol=1e-7, atol=1e-9, err_msg=name)
+
+    guess = np.linalg.solve(model.structure.shape[0, :2], plain.harmonic_cos[0, 1, 0, :2])
+    guesses = (np.stack([0 * guess, guess, 0 * guess]) / np.sqrt(m) for m in (np.ones(2), mass))
+    unknowns = [
+        unknowns_of_modes(Balance(m, 0.96, scheme), guess)
+        for m, guess in zip((model, with_modal_mass(model, mass)), guesses, strict=True)
+    ]
+    np.testing.assert_allclose(unknowns[1], unknowns[0], rtol=1e-9)
+
+
+def test_a_structure_that_is_singular_at_its_own_frequency_has_no_response():
+    """Undamped modes, as a matrix: one of them is not touched by the contact and meets its natural frequency."""
+    model = systems.two_stops((1.0, 1.0))
+    body = replace(model.structure, damping=np.zeros((2, 2)), frequency=np.array([1.0, 0.8]))
+    free = replace(model, structure=body, contacts=model.contacts[1:])
+    with np.errstate(all="ignore"):
+        curve = hbm_curve(free, 1.0, 1.1, scheme=Scheme(3, 64))
+    assert curve.ending is Ending.START
 
 
 def test_modes_of_frequency_zero():
@@ -220,22 +263,6 @@ def test_start_from_a_given_motion():
     assert alone.amplitude[0, 0, 0] == pytest.approx(upper.amplitude[best, 0, 0], rel=1e-7)
 
 
-def test_half_range_is_that_of_the_continuous_motion():
-    rng = np.random.default_rng(0)
-    phasor = rng.normal(size=(3, 6, 2, 3)) + 1j * rng.normal(size=(3, 6, 2, 3))
-    theta = np.linspace(0, TURN, 20001)
-    values = np.einsum("kh,sh...->ks...", np.exp(1j * np.outer(theta, np.arange(6))), phasor).real
-    np.testing.assert_allclose(half_range(phasor), (values.max(0) - values.min(0)) / 2, rtol=1e-6)
-
-
-def test_phasors_and_coefficients():
-    coefficient = np.random.default_rng(1).normal(size=(2, 3, 9))
-    np.testing.assert_array_equal(to_coefficients(to_phasors(coefficient)), coefficient)
-    theta = np.linspace(0, TURN, 7)
-    expected = (to_phasors(coefficient) @ np.exp(1j * np.outer(np.arange(5), theta))).real
-    np.testing.assert_allclose(coefficient @ fourier_basis(theta, 9).T, expected, atol=1e-13)
-
-
 @pytest.mark.parametrize(
     ("call", "said"),
     [
@@ -288,3 +315,13 @@ def test_no_start_gives_an_empty_curve_with_the_reason():
     assert curve.frequency.size == 0
     assert not curve.complete
     assert "no solution at the start" in curve.message
+
+
+def test_too_many_transitions_end_a_curve_with_the_reason(monkeypatch: pytest.MonkeyPatch):
+    model, scheme = systems.circular(0.5, 1.0), Scheme(1, 64, "located")
+    monkeypatch.setattr(state_by_state, "MAX_TRANSITIONS", 0)
+    curve = hbm_curve(model, 0.8 / TURN, 0.9 / TURN, scheme=scheme)
+    assert curve.ending is Ending.START
+    assert curve.frequency.size == 0
+    assert "no solution at the start (contact pad: " in curve.message
+    assert "more than 0 transitions" in curve.message

@@ -16,7 +16,6 @@ from timesim.hbm import convergence as hbm_convergence
 from timesim.hbm.convergence import Place, convergence, order_of
 from timesim.hbm.curve import hbm_curve, solutions_at
 from timesim.hbm.scheme import Scheme
-from timesim.orbit.fourier import fourier_basis, fourier_coefficients
 from timesim.picture import draw as plot
 from timesim.picture import hbm as plot_hbm
 from timesim.result.store import save
@@ -205,16 +204,6 @@ def test_a_sweep_of_another_structure(swept: Path):
     outcome = carry_out(load_scene(more | {"study": more["study"] | INSIDE}))
     assert outcome.reason is None
     assert any("no curve is begun" in line and "has 2 modes, the scene has 3" in line for line in outcome.summary)
-
-
-def test_waves_of_samples():
-    rng = np.random.default_rng(2)
-    coefficient = rng.normal(size=(7, 2))
-    phase, count = 0.7, 40
-    theta = phase + 2 * np.pi * np.arange(1, count + 1) / count
-    found = fourier_coefficients(fourier_basis(theta, 7) @ coefficient, phase)
-    np.testing.assert_allclose(found[:7], coefficient, atol=1e-13)
-    np.testing.assert_allclose(found[7:], 0, atol=1e-13)
 
 
 def test_along_a_scalar():
