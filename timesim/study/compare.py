@@ -15,6 +15,7 @@ from itertools import product
 import numpy as np
 
 from timesim.hbm.curve import HbmCurve, solutions_at
+from timesim.orbit.share import switches
 from timesim.result import store
 from timesim.result.state import held_in
 from timesim.scene.axis import axis_values
@@ -69,7 +70,7 @@ def read_sweep(record: store.Record) -> Sweep:
         amplitude=array("amplitude", 4),
         settled=settled & (period == 1),
         doubled=settled & (period > 1),
-        linear=((slip == 0) & ((apart == 0) | (apart > 1 - 1e-9))).all(axis=-1),
+        linear=np.logical_not(switches(slip, apart).any(axis=-1)),
         slip=slip.max(axis=-1, initial=0.0),
         separation=apart.max(axis=-1, initial=0.0),
     )
