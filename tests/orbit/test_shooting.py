@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from systems import generated_model, oscillator
 
-from timesim.engine.solver import PRESETS, Solver
 from timesim.model.model import SEPARATION
 from timesim.model.reduction import reduction_of
+from timesim.model.solver import PRESETS, Solver
 from timesim.orbit.lane import Lane, march, record
 from timesim.orbit.settling import Chain, Criterion, begin_of, steady_states
 

@@ -144,7 +144,7 @@ def test_wrong_arrays_are_refused() -> None:
         dataset({"displacment": (("time",), np.zeros(5))}, COORDS, ATTRS)
     with pytest.raises(ValueError, match=r"'time': length . on .* and length"):
         dataset({"energy_input": (("time",), np.zeros(4))}, COORDS, ATTRS)
-    with pytest.raises(ValueError, match="energy_input.*Could not convert"):
+    with pytest.raises(ValueError, match=r"energy_input.*Could not convert"):
         dataset({"energy_input": (("time",), np.zeros((5, 2)))}, COORDS, ATTRS)
 
 

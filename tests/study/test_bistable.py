@@ -17,8 +17,8 @@ from typer.testing import CliRunner
 
 import timesim
 from timesim.cli import app
-from timesim.engine.solver import PRESETS
 from timesim.model.model import SEPARATION, STICK, Model, Start
+from timesim.model.solver import PRESETS
 from timesim.orbit.basin import ANOTHER, NONE, branch_of, offsets, placed, starts_between, unique
 from timesim.orbit.jump import Stretch, narrowed
 from timesim.orbit.settling import Criterion, Orbit, without_orbit

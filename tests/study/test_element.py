@@ -15,7 +15,6 @@ from timesim.element.loop import difference, loop_cycle
 from timesim.element.motion import CYCLE, HarmonicMotion, SplineMotion
 from timesim.element.prescribed import harmonic_elements
 from timesim.element.state_by_state import steady_cycle
-from timesim.engine.solver import solver_of
 from timesim.fault import SceneError
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact
 from timesim.result.netcdf import open_result
@@ -312,9 +311,9 @@ def test_map_batches_do_not_matter(monkeypatch):
     loaded = load_scene(scene({"kind": "element_map", "A": [0.5, 1.0, 1.5], "B": [0.1, 0.2, 0.3], "D": 0.5}))
     plan = loaded.file.study
     elements, phase = elements_of(plan, plan.chosen(loaded.file.contacts))
-    whole = March(elements, phase, solver_of(loaded.file.solver)).run()
+    whole = March(elements, phase, loaded.solver()).run()
     monkeypatch.setattr(element_map, "BATCH", 4)
-    parts = March(elements, phase, solver_of(loaded.file.solver)).run()
+    parts = March(elements, phase, loaded.solver()).run()
     np.testing.assert_allclose(parts.f_s, whole.f_s, atol=1e-12)
     np.testing.assert_array_equal(parts.cycles, whole.cycles)
 
@@ -322,9 +321,7 @@ def test_map_batches_do_not_matter(monkeypatch):
 def test_elements_that_never_touch_are_zero():
     phasor = np.array([[1.0, 0.5j, 0.3], [1.0, 0.5j, 1.5]])
     elements = harmonic_elements(0.3, 1.0, -0.5, np.eye(2), phasor)
-    found = March(
-        elements, np.array([[0.0, np.pi / 2]] * 2), solver_of(load_scene(scene(element(A=1))).file.solver)
-    ).run()
+    found = March(elements, np.array([[0.0, np.pi / 2]] * 2), load_scene(scene(element(A=1))).solver()).run()
     assert (found.dissipation[0], found.transitions[0]) == (0.0, 0)
     assert found.dissipation[1] > 0
 

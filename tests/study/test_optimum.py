@@ -10,7 +10,7 @@ from commands import CONFIGS, run_config
 from systems import oscillator
 
 import timesim
-from timesim.engine.solver import PRESETS
+from timesim.model.solver import PRESETS
 from timesim.orbit.settling import Criterion, Task, settle, without_orbit
 from timesim.picture import draw as plot
 from timesim.picture import optimum as plot_optimum

@@ -29,9 +29,10 @@ from timesim.element.motion import CYCLE, HarmonicMotion, Motion, SplineMotion
 from timesim.engine.contact import Law
 from timesim.engine.event_loop import Control, Status, Step, Trajectory, advance, begin, march
 from timesim.engine.method import Advance, Explicit, Field, Method, method_named, moved
-from timesim.engine.solver import Solver
+from timesim.engine.solver import step_control
 from timesim.engine.system import Point, System, Work
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact
+from timesim.model.solver import Solver
 
 WEAK = 1e-8
 NUM_CARRIERS, NUM_MODES = 3, 7
@@ -269,7 +270,7 @@ def system_of(law: Law, acceleration: tuple[np.ndarray, np.ndarray, np.ndarray] 
 
 def control_of(solver: Solver) -> Control:
     """Tolerances of the loop: relative ones count from the scale of the motion, not from that of the carriers."""
-    control = solver.control(1.0)
+    control = step_control(solver, 1.0)
     return eqx.tree_at(lambda c: c.rtol, control, control.rtol * WEAK)
 
 

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from timesim.engine.solver import Solver
 from timesim.model.model import Model
+from timesim.model.solver import Solver
 from timesim.orbit.settling import Chain, Criterion, Orbit, steady_states
 from timesim.study.worker import halted
 

@@ -18,10 +18,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from timesim.engine.event_loop import Status
-from timesim.engine.solver import Solver
 from timesim.engine.trajectory import message_of, start_states
 from timesim.model.model import Model, Start
 from timesim.model.reduction import reduction_of
+from timesim.model.solver import Solver
 from timesim.orbit.lane import SIZES, Lane, Recorded, march, record
 from timesim.orbit.linear import linear_orbit
 

@@ -15,8 +15,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from timesim.engine.solver import Solver
 from timesim.model.model import Model, Start
+from timesim.model.solver import Solver
 from timesim.orbit.jump import AT_LEAST, Stretch, distance, narrowed
 from timesim.orbit.settling import Chain, Criterion, Orbit, steady_states, without_orbit
 from timesim.study.campaign import Result, halted

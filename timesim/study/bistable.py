@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from xarray import Dataset
 
-from timesim.engine.solver import Solver, solver_of
 from timesim.model.model import Model
+from timesim.model.solver import Solver
 from timesim.orbit.basin import ANOTHER, LOWER, NONE, UPPER, Ensemble, explore, shares, unique
 from timesim.orbit.lane import SIZES
 from timesim.orbit.settling import Criterion, Task, settle
@@ -49,7 +49,7 @@ def study(scene: Scene, means: Ways) -> Outcome:
     """
     plan = scene.file.study
     assert isinstance(plan, Bistable)
-    solver, grid = solver_of(scene.file.solver), Grid(scene, plan.sweep())
+    solver, grid = scene.solver(), Grid(scene, plan.sweep())
     clock = time.perf_counter()
     warm_up(grid, plan, solver)
     compiling = time.perf_counter() - clock

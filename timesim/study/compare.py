@@ -15,7 +15,6 @@ from itertools import product
 import numpy as np
 from xarray import Dataset
 
-from timesim.engine.solver import solver_of
 from timesim.hbm.curve import HbmCurve, solutions_at
 from timesim.result.dataset import dataset
 from timesim.result.state import held_in
@@ -156,7 +155,7 @@ def study(scene: Scene, means: Means) -> Outcome:
     )
     told = attributes(
         scene,
-        f"{solver_of(scene.file.solver)}; {curves.setting}",
+        f"{scene.solver()}; {curves.setting}",
         balanced.attrs["compile_seconds"] + swept.attrs["compile_seconds"],
         seconds + balanced.attrs["run_seconds"],
         reason,
@@ -178,7 +177,7 @@ def study(scene: Scene, means: Means) -> Outcome:
         assert found is not None
         model = scene.variant(values) if values else scene.model()
         one = found.at(int(match.solution[v, d, f]))
-        groups["cycle"] = cycle_record(model, one, curves.setting, solver_of(scene.file.solver), values)
+        groups["cycle"] = cycle_record(model, one, curves.setting, scene.solver(), values)
     return Outcome(groups, reason, (*hbm_summary(balanced, curves), *lines))
 
 

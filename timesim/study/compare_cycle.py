@@ -12,13 +12,13 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.engine.history import Samples
-from timesim.engine.solver import Solver
 from timesim.hbm.balance import Array, Balance, Complex
 from timesim.hbm.curve import HbmCurve
 from timesim.hbm.located import waves
 from timesim.hbm.period import Period, before_intervals, carried, closed_period, intervals_of, motion_of
 from timesim.hbm.setting import Setting
 from timesim.model.model import SEPARATION, SLIP, Model, Start
+from timesim.model.solver import Solver
 from timesim.orbit.cycle import one_cycle
 from timesim.orbit.fourier import waves_of
 from timesim.orbit.settling import Task, settle

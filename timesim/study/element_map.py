@@ -33,8 +33,8 @@ from timesim.element.prescribed import (
     method_of,
     system_of,
 )
-from timesim.engine.solver import Solver, solver_of
 from timesim.model.model import SEPARATION
+from timesim.model.solver import Solver
 from timesim.result.dataset import dataset
 from timesim.scene.contact import ContactSection
 from timesim.scene.element import MAP_AXES, ElementMap
@@ -211,7 +211,7 @@ def elements_of(plan: ElementMap, section: ContactSection) -> tuple[Elements, np
 
 def study(scene: Scene, progress: Progress | None = None) -> Outcome:
     """Run an element_map scene; marked incomplete where the event loop ended early."""
-    plan, solver = scene.file.study, solver_of(scene.file.solver)
+    plan, solver = scene.file.study, scene.solver()
     assert isinstance(plan, ElementMap)
     section = plan.chosen(scene.file.contacts)
     elements, phase = elements_of(plan, section)

@@ -18,9 +18,9 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from xarray import Dataset
 
-from timesim.engine.solver import Solver, solver_of
 from timesim.fault import SceneError
 from timesim.model.model import Model
+from timesim.model.solver import Solver
 from timesim.orbit.settling import Chain, Criterion, Orbit, Task, settle, steady_states
 from timesim.result.dataset import dataset
 from timesim.scene.optimum import Optimum
@@ -116,7 +116,7 @@ class Peaks:
         assert isinstance(plan, Optimum)
         self.scene, self.plan, self.means = scene, plan, means
         self.key, self.range = plan.scalar
-        self.solver = solver_of(scene.file.solver)
+        self.solver = scene.solver()
         self.frequency = plan.frequency.values()
         self.results: dict[float, Result] = {}
         self.stages = 0

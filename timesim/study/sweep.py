@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from xarray import Dataset
 
-from timesim.engine.solver import Solver, solver_of
 from timesim.fault import SceneError
 from timesim.model.model import Model, Start
+from timesim.model.solver import Solver
 from timesim.orbit.jump import Stretch, jumps_of, steps_of, suspects
 from timesim.orbit.settling import Chain, Criterion, Orbit, first_lane, steady_states
 from timesim.result.dataset import dataset
@@ -158,7 +158,7 @@ def sweep_record(scene: Scene, plan: SweepKeys, means: Means) -> tuple[Dataset, 
         The record, with `method`, `compile_seconds` and `run_seconds` as its attributes, and why it is incomplete; None
         if every point was computed.
     """
-    solver, grid = solver_of(scene.file.solver), Grid(scene, plan)
+    solver, grid = scene.solver(), Grid(scene, plan)
     chunks, places = grid.chunks(solver)
     clock = time.perf_counter()
     if means.cluster is None:

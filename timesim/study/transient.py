@@ -18,7 +18,6 @@ from xarray import Dataset
 
 from timesim.engine.contact import Motion, reaction
 from timesim.engine.history import CycleTotals, Events, Samples, Steps, events, sample, stored_energy
-from timesim.engine.solver import solver_of
 from timesim.engine.system import contact_law, scales_of
 from timesim.engine.trajectory import Phase, Run, RunError
 from timesim.model.model import SEPARATION, Model
@@ -163,7 +162,7 @@ def _force(law: Any, state: Any, x: Any, dx: Any, w: Any) -> Any:
 def study(scene: Scene, progress: Progress | None = None) -> Outcome:
     """Run a scene of a transient or a jump; the result is marked incomplete where the run ended early."""
     plan = plan_of(scene)
-    run = Run(scene.model(), plan.phases, solver_of(scene.file.solver))
+    run = Run(scene.model(), plan.phases, scene.solver())
     run.time = float(plan.edges()[0])
     recorder = Recorder(run, plan)
     reason, seconds = follow(run, recorder, progress)
