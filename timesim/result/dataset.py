@@ -31,12 +31,16 @@ def dataset(variables: Variables, coords: Mapping[str, Any], attrs: Mapping[str,
     """
     import xarray
 
-    along = {name: given if isinstance(given, tuple) else ((name,), given) for name, given in coords.items()}
+    along = {name: given if _has_dims(given) else ((name,), given) for name, given in coords.items()}
     return xarray.Dataset(
         {name: _labelled(name, *given) for name, given in variables.items()},
         {name: _labelled(name, *given) for name, given in along.items()},
         {name: int(value) if isinstance(value, bool | np.bool_) else value for name, value in attrs.items()},
     )
+
+
+def _has_dims(given: Any) -> bool:
+    return isinstance(given, tuple) and len(given) > 1 and isinstance(given[0], tuple)
 
 
 def _labelled(
