@@ -18,10 +18,10 @@ from typer.testing import CliRunner
 import timesim
 from timesim.cli import app
 from timesim.model.model import SEPARATION, STICK, Model, Start
-from timesim.model.solver import PRESETS
+from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.basin import ANOTHER, NONE, branch_of, offsets, placed, starts_between, unique
 from timesim.orbit.jump import Stretch, narrowed
-from timesim.orbit.settling import Criterion, Orbit, without_orbit
+from timesim.orbit.settling import Orbit, without_orbit
 from timesim.orbit.two_motions import DOWN, UP, Means, Search, Sweeps, differ, losses, ranges, suspect_steps
 from timesim.picture import bistable as plot_bistable
 from timesim.picture import draw as plot

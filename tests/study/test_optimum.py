@@ -10,8 +10,8 @@ from commands import CONFIGS, run_config
 from systems import oscillator
 
 import timesim
-from timesim.model.solver import PRESETS
-from timesim.orbit.settling import Criterion, Task, settle, without_orbit
+from timesim.model.solver import PRESETS, Criterion
+from timesim.orbit.settling import Task, settle, without_orbit
 from timesim.picture import draw as plot
 from timesim.picture import optimum as plot_optimum
 from timesim.result.netcdf import open_result

@@ -31,7 +31,8 @@ from timesim.engine.event_loop import Control, Status, Step, Trajectory, advance
 from timesim.engine.method import Advance, Explicit, Field, Method, method_named, moved
 from timesim.engine.solver import step_control
 from timesim.engine.system import Point, System, Work
-from timesim.model.model import SEPARATION, SLIP, STICK, Contact
+from timesim.model.contact_state import contact_state
+from timesim.model.model import SEPARATION, Contact
 from timesim.model.solver import Solver
 
 WEAK = 1e-8
@@ -176,7 +177,7 @@ class Elements:
         stiffness = self.normal_stiffness
         load = self.preload + stiffness * self.start[:, 2]
         floor = 1e-14 * (np.abs(self.preload) + stiffness * np.hypot(self.start[:, 2], self.rate[:, 2]))
-        return np.where(load > floor, np.where(self.friction > 0, STICK, SLIP), SEPARATION)
+        return contact_state(load, self.friction, SEPARATION, rounding=floor)
 
     @property
     def carriers(self) -> tuple[Array, Array]:

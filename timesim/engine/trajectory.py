@@ -18,7 +18,8 @@ from timesim.engine.event_loop import Step as LoopStep
 from timesim.engine.history import Steps
 from timesim.engine.solver import step_control, step_method
 from timesim.engine.system import Point, Scales, System, Work, contact_axes, scales_of, system_of
-from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
+from timesim.model.contact_state import start_states
+from timesim.model.model import SEPARATION, STICK, Model, Start
 from timesim.model.reduction import Reduction, reduction_of
 from timesim.model.solver import Solver
 
@@ -238,18 +239,3 @@ class Frame:
 def first_rows(record: LoopStep, count: int) -> LoopStep:
     """The filled part of a record, on the host."""
     return jax.tree.map(lambda rows: np.asarray(rows)[:count], record)
-
-
-def start_states(model: Model) -> np.ndarray:
-    """State of each contact at the start, shape (C,): as given, else separated where n <= 0, else stuck.
-
-    A frictionless contact that touches counts as slipping.
-    """
-    start: Start = model.start
-    states = start.state.copy()
-    for index in np.nonzero(states < 0)[0]:
-        contact = model.contacts[index]
-        v = model.contact_shape[index, 2] @ start.displacement
-        closed = contact.preload + contact.normal_stiffness * v > 0
-        states[index] = (STICK if contact.friction > 0 else SLIP) if closed else SEPARATION
-    return states

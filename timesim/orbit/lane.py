@@ -20,6 +20,7 @@ from timesim.model.reduction import Reduction
 from timesim.model.solver import Solver
 from timesim.orbit.batch import Place, at_start, march_cycles, record_cycles
 from timesim.orbit.monodromy import derivative
+from timesim.orbit.share import share
 
 SIZES = (4, 16)  # of a batch: few, so that little is compiled
 CAPACITY = 256  # tries of a record
@@ -263,7 +264,7 @@ class Recorded:
 
 def _share(lane: Lane, steps: Path, state: int) -> np.ndarray:
     shares = np.zeros(lane.model.num_contacts)
-    shares[lane.reduction.live] = np.minimum(steps.h @ (steps.state == state) / steps.h.sum(), 1.0)
+    shares[lane.reduction.live] = share(steps.h, steps.state == state)
     shares[lane.reduction.apart] = float(state == SEPARATION)
     return shares
 

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from timesim.fault import RuleError, nearest
+from timesim.orbit.share import switches
 from timesim.result.netcdf import RESULT_NAME
 from timesim.scene.section import Number, Section, Text
 
@@ -103,8 +104,7 @@ def settled_points(found: Held, asked: Mapping[str, float | str]) -> Iterator[Sw
         point = found.at(place)
         if str(point["failure"]) or point["settled"] != 1 or point["period"] != 1:
             continue
-        slip, apart = point["slip_share"], point["separation_share"]
-        if np.any(slip > 0) or np.any((apart > 0) & (apart < 1 - SAME)):
+        if switches(point["slip_share"], point["separation_share"]).any():
             yield float(found.axes["frequency"][place[-1]]), point
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.hbm.curve import HbmCurve, solutions_at
+from timesim.orbit.share import switches
 from timesim.result.dataset import dataset
 from timesim.result.state import held_in
 from timesim.scene.axis import axis_values
@@ -70,7 +71,7 @@ def read_sweep(record: Dataset) -> Sweep:
         amplitude=array("amplitude", 4),
         settled=settled & (period == 1),
         doubled=settled & (period > 1),
-        linear=((slip == 0) & ((apart == 0) | (apart > 1 - 1e-9))).all(axis=-1),
+        linear=np.logical_not(switches(slip, apart).any(axis=-1)),
         slip=slip.max(axis=-1, initial=0.0),
         separation=apart.max(axis=-1, initial=0.0),
     )

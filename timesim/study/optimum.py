@@ -20,8 +20,8 @@ from xarray import Dataset
 
 from timesim.fault import SceneError
 from timesim.model.model import Model
-from timesim.model.solver import Solver
-from timesim.orbit.settling import Chain, Criterion, Orbit, Task, settle, steady_states
+from timesim.model.solver import Criterion, Solver
+from timesim.orbit.settling import Chain, Orbit, Task, settle, steady_states
 from timesim.result.dataset import dataset
 from timesim.scene.optimum import Optimum
 from timesim.scene.resolution import Scene

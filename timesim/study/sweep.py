@@ -17,9 +17,9 @@ from xarray import Dataset
 
 from timesim.fault import SceneError
 from timesim.model.model import Model, Start
-from timesim.model.solver import Solver
+from timesim.model.solver import Criterion, Solver
 from timesim.orbit.jump import Stretch, jumps_of, steps_of, suspects
-from timesim.orbit.settling import Chain, Criterion, Orbit, first_lane, steady_states
+from timesim.orbit.settling import Chain, Orbit, first_lane, steady_states
 from timesim.result.dataset import dataset
 from timesim.scene.axis import axis_values
 from timesim.scene.resolution import Scene
