@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
+from xarray import Dataset
 
 from timesim.engine.history import Samples
 from timesim.hbm.balance import Array, Balance, Complex
@@ -18,7 +19,7 @@ from timesim.model.solver import Solver
 from timesim.orbit.cycle import one_cycle
 from timesim.orbit.fourier import fourier_basis, fourier_coefficients
 from timesim.orbit.settling import Task, settle
-from timesim.result import store
+from timesim.result.dataset import dataset
 
 SAMPLES = 720
 METHODS = ("sweep", "hbm")
@@ -26,7 +27,7 @@ METHODS = ("sweep", "hbm")
 
 def cycle_record(
     model: Model, solution: HbmCurve, scheme: Scheme, solver: Solver, values: Mapping[str, float]
-) -> store.Record:
+) -> Dataset:
     """A cycle by time integration, started from the solution and settled, and by harmonic balance.
 
     Args:
@@ -66,7 +67,7 @@ def cycle_record(
         "contact": np.array([contact.name for contact in model.contacts], dtype=str),
     }
     place = ", ".join([f"{frequency:g} Hz", *(f"{key} {value:g}" for key, value in values.items())])
-    return store.record(variables, coords, {"place": place})
+    return dataset(variables, coords, {"place": place})
 
 
 def _period(balance: Balance, coefficient: Array) -> ClosedPeriod:
