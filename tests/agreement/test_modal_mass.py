@@ -15,7 +15,6 @@ import xarray
 from commands import CONFIGS
 from simulation import FINE, simulate
 from systems import at_rest, excitation, generated_model, oscillator, oscillator_scene, pad, structure
-from timesim.hbm.scheme import Scheme
 from typer.testing import CliRunner
 
 import timesim
@@ -23,6 +22,7 @@ from timesim.cli import app
 from timesim.engine.history import stored_energy
 from timesim.engine.system import scales_of, system_of
 from timesim.hbm.curve import hbm_curve
+from timesim.hbm.scheme import Scheme
 from timesim.model.model import Contact, Model, Start
 from timesim.model.reduction import reduction_of
 from timesim.model.start import static_start

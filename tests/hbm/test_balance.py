@@ -15,7 +15,7 @@ from timesim.element import state_by_state
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, Ending, solve
 from timesim.hbm.curve import default_controls, hbm_curve, solutions_at
-from timesim.hbm.first_guess import unknowns_of_modes
+from timesim.hbm.first_guess import first_guesses, unknowns_of_modes
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Structure
 
@@ -67,37 +67,19 @@ def test_residual_derivatives_against_differences(name):
     np.testing.assert_allclose(by_p / np.abs(by_p).max(), slope / np.abs(by_p).max(), atol=1e-7)
 
 
-def with_modal_mass(model, mass):
-    """The same structure with other modal masses: shapes and modal forces grow with their roots."""
-    body, load = model.structure, model.excitation
-    root = np.sqrt(mass / body.mass)
-    damping = body.damping * (np.outer(root, root) if body.damping.ndim == 2 else root**2)
-    structure = replace(body, mass=np.asarray(mass), damping=damping, shape=body.shape * root)
-    loads = {name: getattr(load, name) * root for name in ("cosine", "sine", "constant")}
-    return replace(model, structure=structure, excitation=replace(load, **loads))
-
-
 @pytest.mark.parametrize("coupling", [0.0, 0.5])
-def test_modal_mass_is_a_matter_of_normalisation(coupling):
-    """Curve, multipliers and a curve begun from modal coefficients are those of unit masses."""
-    model, scheme, mass = systems.oscillator(-1.0, 0.97), Scheme(5, 256), np.array([4.0, 0.3])
-    if coupling:
-        damping = np.diag(model.structure.damping)
-        damping[0, 1] = damping[1, 0] = coupling * np.sqrt(np.prod(model.structure.damping))
-        model = replace(model, structure=replace(model.structure, damping=damping))
-    plain, scaled = (hbm_curve(m, 0.96, 1.0, scheme=scheme) for m in (model, with_modal_mass(model, mass)))
-    assert plain.slip_share.max() > 0.3
-    names = ("amplitude", "harmonic_cos", "harmonic_sin", "contact_force", "floquet_max", "slip_share")
-    for name in names:
-        np.testing.assert_allclose(getattr(scaled, name), getattr(plain, name), rtol=1e-7, atol=1e-9, err_msg=name)
-
-    guess = np.linalg.solve(model.structure.shape[0, :2], plain.harmonic_cos[0, 1, 0, :2])
-    guesses = (np.stack([0 * guess, guess, 0 * guess]) / np.sqrt(m) for m in (np.ones(2), mass))
-    unknowns = [
-        unknowns_of_modes(Balance(m, 0.96, scheme), guess)
-        for m, guess in zip((model, with_modal_mass(model, mass)), guesses, strict=True)
-    ]
-    np.testing.assert_allclose(unknowns[1], unknowns[0], rtol=1e-9)
+def test_modes_of_any_mass_lead_back_to_the_motion_of_the_contacts(coupling):
+    """Modal displacements of a solution, taken as a guess, are its unknowns; the shapes go with the masses."""
+    model = systems.oscillator(-1.0, 0.97)
+    body, mass = model.structure, np.array([4.0, 0.3])
+    damping = np.diag(body.damping * mass)
+    damping[0, 1] = damping[1, 0] = coupling * np.sqrt(damping[0, 0] * damping[1, 1])
+    heavy = replace(model, structure=replace(body, mass=mass, damping=damping))
+    balance = Balance(heavy, 0.97, Scheme(5, 256))
+    solution = solve(balance, next(first_guesses(balance, 0.97, default_controls())), 0.97, default_controls())
+    assert solution is not None
+    modal = balance.modes(solution[0], balance.contact_forces(solution[0]), 0.97)
+    np.testing.assert_allclose(unknowns_of_modes(balance, to_coefficients(modal.T).T), solution[0], atol=1e-8)
 
 
 def test_a_structure_that_is_singular_at_its_own_frequency_has_no_response():
