@@ -18,6 +18,7 @@ from timesim.hbm.curve import default_controls, hbm_curve, solutions_at
 from timesim.hbm.first_guess import first_guesses, unknowns_of_modes
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Structure
+from timesim.orbit.fourier import to_coefficients
 
 TURN = 2 * np.pi
 
