@@ -18,7 +18,7 @@ from timesim.hbm.first_guess import unknowns_of_modes
 from timesim.hbm.parameter import parameter_curve
 from timesim.model.model import Model
 from timesim.model.start import start_of
-from timesim.orbit.cycle import modal_waves
+from timesim.orbit.cycle import modal_coefficients
 from timesim.result.state import Held, SweepPoint, held, settled_points
 from timesim.result.waves import result_waves
 from timesim.scene.axis import axis_values
@@ -121,7 +121,7 @@ class Curves:
             except RuleError as error:
                 self.notes.append(f"no curve is begun from the sweep's point at {frequency:g} Hz: it {error.rule}")
                 continue
-            guess = modal_waves(begun, frequency, self.scene.solver())
+            guess = modal_coefficients(begun, frequency, self.scene.solver())
             if self._known(model, own, frequency, guess):
                 continue
             curve = hbm_curve(model, first, last, guess=guess, begin=frequency, **self._options())
