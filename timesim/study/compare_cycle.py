@@ -19,6 +19,7 @@ from timesim.model.solver import Solver
 from timesim.orbit.cycle import one_cycle
 from timesim.orbit.fourier import fourier_basis, fourier_coefficients
 from timesim.orbit.settling import Task, settle
+from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 
 SAMPLES = 720
@@ -58,14 +59,7 @@ def cycle_record(
         ),
         "harmonic_amplitude": (("found_by", "harmonic", "point", "axis"), height),
     }
-    coords = {
-        "found_by": np.array(METHODS),
-        "excitation_angle": np.rad2deg(angle),
-        "harmonic": np.arange(order),
-        "point": np.array(model.structure.points),
-        "axis": np.array(["x", "y", "z"]),
-        "contact": np.array([contact.name for contact in model.contacts], dtype=str),
-    }
+    coords = {"found_by": np.array(METHODS), "excitation_angle": np.rad2deg(angle)} | coordinates(variables, model)
     place = ", ".join([f"{frequency:g} Hz", *(f"{key} {value:g}" for key, value in values.items())])
     return dataset(variables, coords, {"place": place})
 

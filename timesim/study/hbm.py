@@ -14,6 +14,7 @@ from timesim.hbm.convergence import Convergence, Place, convergence
 from timesim.hbm.curve import HbmCurve, default_controls, hbm_curve
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
+from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.result.state import Held
 from timesim.scene.hbm import Compare, Hbm
@@ -108,12 +109,7 @@ def record_of(model: Model, curves: Curves, told: dict[str, Any], found: Converg
     for key in getattr(curves.plan, "along", {}):
         variables[key] = (("solution",), _stacked(pieces, "parameter", ()))
         told = told | {"along": key}
-    coords: dict[str, Any] = {
-        "harmonic": np.arange(order),
-        "point": np.array(model.structure.points),
-        "axis": np.array(["x", "y", "z"]),
-        "contact": np.array([contact.name for contact in model.contacts], dtype=str),
-    }
+    coords = coordinates(variables, model)
     if found is not None:
         coords |= {"harmonics": found.harmonics, "time_samples": found.time_samples}
         variables["change_with_harmonics"] = (("harmonics",), found.with_harmonics)
