@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from timesim.model.model import STATE_NAMES
-from timesim.orbit.share import switches
+from timesim.orbit.steady_state import switches
 from timesim.picture import hbm as plot_hbm
 from timesim.picture.style import SERIES, STATE_STYLE, Picture, axes, figure, heading, shared_legend, short
 

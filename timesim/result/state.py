@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from timesim.fault import RuleError, nearest
-from timesim.orbit.share import switches
+from timesim.orbit.steady_state import switches
 from timesim.result.netcdf import RESULT_NAME
 from timesim.scene.section import Number, Section, Text
 
