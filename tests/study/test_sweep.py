@@ -23,7 +23,7 @@ from timesim.fault import SceneError
 from timesim.orbit import settling as steady
 from timesim.orbit.linear import linear_orbit
 from timesim.orbit.settling import Chain, first_lane
-from timesim.result.store import read, save
+from timesim.result.netcdf import read, save
 from timesim.scene.resolution import load_scene
 from timesim.study import sweep
 

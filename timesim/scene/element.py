@@ -140,8 +140,8 @@ class Element(ElementSection):
             from timesim.element.motion import HarmonicMotion
 
             return HarmonicMotion(self.A, self.B, self.D, np.deg2rad(self.phi_deg), np.deg2rad(self.psi_deg))
+        from timesim.result.file import StoreError
         from timesim.result.motion import read_motion, read_result_motion
-        from timesim.result.store import StoreError
 
         given = self.motion
         try:

@@ -10,7 +10,7 @@ from timesim.fault import Key, RuleError
 from timesim.hbm.setting import Setting, SettingError, check_excitation
 from timesim.model.model import Model
 from timesim.result.state import Held, held
-from timesim.result.store import StoreError
+from timesim.result.file import StoreError
 from timesim.result.waves import Waves, result_waves
 from timesim.scene.contact import ContactSection
 from timesim.scene.integration import ResultSection
