@@ -13,12 +13,12 @@ from matplotlib.axes import Axes
 from matplotlib.image import imread
 
 from timesim.model.model import SEPARATION, SLIP, STICK
-from timesim.picture import draw as plot
 from timesim.picture import style
 from timesim.picture import transient as plot_transient
 from timesim.picture.style import STATE_STYLE
 from timesim.result.dataset import dataset
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES
+from timesim.study import registry as plot
 
 FREQUENCY, CYCLES, STEPS, EVERY = 2.0, 12, 1000, 5
 STIFFNESS, NORMAL_STIFFNESS, FRICTION = 20.0, 25.0, 0.5

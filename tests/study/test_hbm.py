@@ -18,11 +18,10 @@ from timesim.hbm.curve import hbm_curve, solutions_at
 from timesim.hbm.located import waves
 from timesim.hbm.setting import Setting
 from timesim.orbit.fourier import waves_of
-from timesim.picture import draw as plot
 from timesim.picture import hbm as plot_hbm
 from timesim.result.netcdf import save
-from timesim.scene.resolution import load_scene
-from timesim.study.registry import carry_out
+from timesim.study import registry as plot
+from timesim.study.registry import carry_out, load_scene
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 BASE = oscillator_scene(preload=-4.0)

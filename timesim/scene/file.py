@@ -52,9 +52,10 @@ def _file_type(kinds: tuple[tuple[str, type[StudySection]], ...]) -> type[SceneF
 
     def known(value: Any) -> Any:
         if isinstance(value, dict) and (kind := value.get("kind")) not in names:
+            told = f"one of {', '.join(names)}"
             if "kind" not in value:
-                raise refuse("is required", key=("kind",), hint=f"one of {', '.join(names)}")
-            raise refuse(f"must be one of {', '.join(names)}", key=("kind",), hint=nearest(kind, names), value=kind)
+                raise refuse("is required", key=("kind",), hint=told)
+            raise refuse(f"must be {told}", key=("kind",), hint=nearest(str(kind), names), value=kind)
         return value
 
     members = reduce(or_, [Annotated[section, Tag(f"<{name}>")] for name, section in kinds])

@@ -9,13 +9,24 @@ from pydantic import Field, Tag, model_validator
 from timesim.fault import Key, RuleError
 from timesim.hbm.setting import Setting, SettingError, check_excitation
 from timesim.model.model import Model
-from timesim.result.state import Held, held
 from timesim.result.file import StoreError
+from timesim.result.state import Held, held
 from timesim.result.waves import Waves, result_waves
 from timesim.scene.contact import ContactSection
 from timesim.scene.integration import ResultSection
 from timesim.scene.section import Count, Number, Positive, Section, Switch, Whole, by_form, refuse
-from timesim.scene.study import AlongOne, Axes, Context, Over, Scalar, StudySection, SweepPlan, SweepSection, axes_of, placed
+from timesim.scene.study import (
+    AlongOne,
+    Axes,
+    Context,
+    Over,
+    Scalar,
+    StudySection,
+    SweepPlan,
+    SweepSection,
+    axes_of,
+    placed,
+)
 
 
 @dataclass(frozen=True)
@@ -173,9 +184,7 @@ class BalanceSection(StudySection):
         """The excitation must be periodic, and its harmonics balanced."""
         return excitation_problems(model, self.harmonics)
 
-    def balance(
-        self, context: Context, span: tuple[float, float], over: Axes, along: Along | None = None
-    ) -> HbmPlan:
+    def balance(self, context: Context, span: tuple[float, float], over: Axes, along: Along | None = None) -> HbmPlan:
         """The balance in numbers.
 
         Raises:
@@ -213,7 +222,8 @@ class BalanceSection(StudySection):
             return None, (states, at)
         low, high = sorted(span)
         if not low * (1 - 1e-9) <= motion.frequency <= high * (1 + 1e-9):
-            raise self._refused(f"must be at a frequency from {low:g} to {high:g} Hz", f"it is at {motion.frequency:g} Hz")
+            rule = f"must be at a frequency from {low:g} to {high:g} Hz"
+            raise self._refused(rule, f"it is at {motion.frequency:g} Hz")
         if at:
             hint = "the result is that of a transient: leave it out"
             raise RuleError(("start", "at"), "names a point of a sweep", hint)

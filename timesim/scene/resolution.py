@@ -153,7 +153,7 @@ def _scene(source: SceneSource, tree: type[SceneFile]) -> Scene:
 def _check_combinations(scene: Scene) -> None:
     """Every combination of the values that the study varies must make a scene."""
     axes = {str(place[-1]): values for place, values in scene.file.study.varied().items()}
-    for values in combinations(axes):
+    for values in combinations(axes) if axes else ():
         try:
             scene.variant(values)
         except SceneError as error:
@@ -293,7 +293,9 @@ class _Build:
         names = [contact.name for contact in self.file.contacts]
         for i, name in enumerate(names):
             if name in names[:i]:
-                self.errors.append(RuleError(("contacts", i, "name"), "must differ from the other contacts'", value=name))
+                self.errors.append(
+                    RuleError(("contacts", i, "name"), "must differ from the other contacts'", value=name)
+                )
 
     def check_points(self, points: Sequence[str]) -> None:
         for i, contact in enumerate(self.file.contacts):

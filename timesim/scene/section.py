@@ -1,7 +1,6 @@
 """What the sections of a scene file are made of: their base class, and the kinds of value that their keys take."""
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np

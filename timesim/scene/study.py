@@ -179,6 +179,11 @@ class SweepPlan:
     criterion: Criterion
     refine: float | None
 
+    @property
+    def chained(self) -> bool:
+        """Whether the motion is carried along."""
+        return self.directions != ("independent",)
+
 
 def points_in_words(frequencies: int, axes: Axes, directions: int) -> str:
     """The number of points of a sweep, with what makes it up."""

@@ -18,29 +18,26 @@ class Schedule:
     """What is run, and what of it is sampled.
 
     Attributes:
-        frequency: of each phase of the run [Hz], the run-up included.
-        cycles: of each phase.
+        phases: frequency [Hz] and cycles of each phase of the run, the run-up included.
         run_up: how many phases come before time 0.
         first: cycle from which samples are kept, counted from 0.
         samples_per_cycle: samples of a cycle.
     """
 
-    frequency: tuple[float, ...]
-    cycles: tuple[int, ...]
+    phases: tuple[tuple[float, int], ...]
     run_up: int
     first: int
     samples_per_cycle: int
 
     def edges(self) -> np.ndarray:
         """Time at the start of each phase and at the end of the last [s], exactly 0 after the run-up."""
-        lengths = (cycles / frequency for cycles, frequency in zip(self.cycles, self.frequency, strict=True))
-        ends = np.array([0.0, *accumulate(lengths)])
+        ends = np.array([0.0, *accumulate(cycles / frequency for frequency, cycles in self.phases)])
         return ends - ends[self.run_up]
 
     def sample_times(self) -> np.ndarray:
         """Times of the samples [s], both ends of the recorded cycles included."""
         edges, cycle, times = self.edges(), 0, []
-        for frequency, cycles, start in zip(self.frequency, self.cycles, edges[:-1], strict=True):
+        for (frequency, cycles), start in zip(self.phases, edges[:-1], strict=True):
             skipped = min(max(self.first - cycle, 0), cycles)
             ticks = np.arange(skipped * self.samples_per_cycle, cycles * self.samples_per_cycle)
             times.append(start + ticks / (frequency * self.samples_per_cycle))
@@ -49,7 +46,8 @@ class Schedule:
 
     def cycle_frequency(self) -> np.ndarray:
         """Frequency of each cycle [Hz], shape (cycles,)."""
-        return np.repeat(self.frequency, self.cycles)
+        frequency, cycles = zip(*self.phases, strict=True)
+        return np.repeat(frequency, cycles)
 
 
 class Transient(StudySection):
@@ -75,8 +73,9 @@ class Transient(StudySection):
 
     def plan(self, context: Context) -> Schedule:
         """One phase, of which the last cycles are sampled."""
+        assert context.frequency is not None
         first = self.cycles - (self.record_last or self.cycles)
-        return Schedule((context.frequency or 0.0,), (self.cycles,), 0, first, self.samples_per_cycle)
+        return Schedule(((context.frequency, self.cycles),), 0, first, self.samples_per_cycle)
 
 
 class FrequencyPhase(Section):
@@ -101,9 +100,9 @@ class Jump(StudySection):
 
     def plan(self, context: Context) -> Schedule:
         """All phases; those after the run-up are sampled."""
-        phases, before = (*self.run_up, *self.phases), sum(phase.cycles for phase in self.run_up)
-        frequency, cycles = (tuple(getattr(phase, key) for phase in phases) for key in ("frequency", "cycles"))
-        return Schedule(frequency, cycles, len(self.run_up), before, self.samples_per_cycle)
+        phases = tuple((phase.frequency, phase.cycles) for phase in (*self.run_up, *self.phases))
+        before = sum(phase.cycles for phase in self.run_up)
+        return Schedule(phases, len(self.run_up), before, self.samples_per_cycle)
 
     def lowest_frequency(self) -> float:
         """Of all phases."""
