@@ -373,7 +373,7 @@ def test_command_writes_result_and_pictures(tmp_path):
 
 
 def test_pictures_of_cycles_without_transitions(tmp_path):
-    from timesim.picture.draw import draw
+    from timesim.study.registry import draw
 
     for plan in (element(A=0.1), element(A=1.0, B=1.0, phi_deg=90), element(D=0.3)):
         assert len(draw(run(scene(plan)), tmp_path)) == 3

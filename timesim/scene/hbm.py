@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, Tag, model_validator
 
 from timesim.fault import Key, RuleError
-from timesim.hbm.setting import Setting, SettingError, check_excitation
+from timesim.hbm.scheme import BalanceError, Scheme, check_excitation
 from timesim.model.model import Model
 from timesim.result.file import StoreError
 from timesim.result.state import Held, held
@@ -54,7 +54,7 @@ class HbmPlan:
     """Response curves by harmonic balance.
 
     Attributes:
-        setting: what is balanced.
+        scheme: what is balanced.
         span: first and last frequency of the curves [Hz].
         over: the further axes, a curve or several for each combination of values.
         along: the scalar that the curves run along at the frequency `span[0]`; None: they run along the frequency.
@@ -66,7 +66,7 @@ class HbmPlan:
         passing: states of a sweep that curves are to pass too, and which of them, by axis.
     """
 
-    setting: Setting
+    scheme: Scheme
     span: tuple[float, float]
     over: Axes
     along: Along | None = None
@@ -139,11 +139,11 @@ StartSection = Annotated[
 ]
 
 
-def balanced(harmonics: int, time_samples: int, located: bool = False) -> Setting:
+def balanced(harmonics: int, time_samples: int, located: bool = False) -> Scheme:
     """What is balanced, in numbers; a validator's error where that is too coarse."""
     try:
-        return Setting(harmonics, time_samples, "located" if located else "sampled")
-    except SettingError as error:
+        return Scheme(harmonics, time_samples, "located" if located else "sampled")
+    except BalanceError as error:
         raise refuse(error.rule, key=(error.key,), value=error.value, hint=error.hint) from None
 
 
@@ -151,7 +151,7 @@ def excitation_problems(model: Model, harmonics: int) -> Iterator[RuleError]:
     """Why an excitation cannot be balanced, keys from the root of the scene."""
     try:
         check_excitation(model, harmonics)
-    except SettingError as error:
+    except BalanceError as error:
         key = ("excitation",) if error.key == "excitation" else ("study", error.key)
         yield RuleError(key, error.rule, error.hint, error.value)
 
@@ -192,7 +192,7 @@ class BalanceSection(StudySection):
         """
         motion, passing = self._begin(context, span, over, along)
         return HbmPlan(
-            setting=balanced(self.harmonics, self.time_samples, self.located),
+            scheme=balanced(self.harmonics, self.time_samples, self.located),
             span=span,
             over=over,
             along=along,

@@ -35,6 +35,7 @@ from timesim.element.prescribed import (
 )
 from timesim.model.model import SEPARATION
 from timesim.model.solver import Solver
+from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.element import MAP_AXES, MapPlan
 from timesim.scene.resolution import Scene
@@ -225,7 +226,7 @@ def study(scene: Scene, means: Means) -> Outcome:
             for name in ("dissipation", "transitions", "cycles", "settled")
         },
     }
-    coords = {MAP_AXES[key]: np.array(plan.values[key]) for key in plan.axes} | {"tangent": np.array(["t1", "t2"])}
+    coords = {MAP_AXES[key]: np.array(plan.values[key]) for key in plan.axes} | coordinates(variables)
     told = attributes(scene, str(solver), compiled - clock, seconds, reason)
     record = dataset(variables, coords, told | {"contact": plan.contact.name})
     lines = (
