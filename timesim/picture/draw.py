@@ -45,11 +45,13 @@ def write(data: "xarray.Dataset | xarray.DataTree", folder: Path | str, pictures
 
 def _png(made: "matplotlib.figure.Figure") -> memoryview:
     """A figure as an image, cut to what is drawn: room that was kept for a legend or a note may be empty."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.image import imsave
 
     made.set_dpi(DPI)
-    made.canvas.draw()
-    pixels = np.asarray(made.canvas.buffer_rgba())  # type: ignore[attr-defined]
+    canvas = FigureCanvasAgg(made)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())
     drawn = pixels[..., :3].min(axis=2) < 255
     cut = []
     for filled in (drawn.any(axis=1), drawn.any(axis=0)):

@@ -25,6 +25,8 @@ from timesim.model.model import GROUND
 
 MAX_POINTS = 10**6
 """Most points of one study along its own axes: a result of more would not fit into memory."""
+LARGEST = 1e100
+"""Largest size of a number: energies and products of stiffnesses, its square and more, must not overflow."""
 
 
 def refuse(rule: str, *, key: Key = (), hint: str = "", value: Any = None) -> PydanticCustomError:
@@ -86,9 +88,10 @@ def _from_root(path: str, info: SerializationInfo) -> str:
     return path if folder is None else str((folder / path).absolute())
 
 
-Number = Annotated[float, Strict(), AllowInfNan(False)]
-Positive = Annotated[Number, Field(gt=0)]
-NotNegative = Annotated[Number, Field(ge=0)]
+Finite = Annotated[float, Strict(), AllowInfNan(False)]
+Number = Annotated[Finite, Field(ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[Finite, Field(gt=0, le=LARGEST)]
+NotNegative = Annotated[Finite, Field(ge=0, le=LARGEST)]
 Whole = Annotated[int, Strict(), BeforeValidator(_whole), Field(le=10**9)]
 Count = Annotated[Whole, Field(ge=1)]
 Row = Annotated[Whole, Field(ge=0)]
@@ -99,7 +102,7 @@ FilePath = Annotated[str, Strict(), PlainSerializer(_from_root)]
 """Path relative to the scene; written from the root where the context of the dump names a `folder`."""
 Pair = Annotated[tuple[Number, ...], Field(min_length=2, max_length=2)]
 Vector = Annotated[tuple[Number, ...], Field(min_length=3, max_length=3)]
-Direction = Annotated[Vector, AfterValidator(_direction)]
+Direction = Annotated[tuple[Finite, ...], Field(min_length=3, max_length=3), AfterValidator(_direction)]
 Matrix = Annotated[tuple[Annotated[tuple[Number, ...], Field(min_length=1)], ...], Field(min_length=1)]
 Matrix2 = Annotated[tuple[Pair, ...], Field(min_length=2, max_length=2)]
 

