@@ -16,7 +16,7 @@ from xarray import Dataset
 from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
 from timesim.orbit.basin import ANOTHER, LOWER, NONE, UPPER, Ensemble, explore, shares, unique
-from timesim.orbit.lane import SIZES
+from timesim.orbit.batch import SIZES
 from timesim.orbit.settling import Task, settle
 from timesim.orbit.two_motions import UP, Means, Part, Search, find, sweep_part
 from timesim.result.coordinate import coordinates

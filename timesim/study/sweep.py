@@ -178,7 +178,7 @@ def warm_up(chunks: Sequence[Chunk], solver: Solver) -> None:
     for chain in (chain for chunk in chunks for chain in chunk.payload.chains):
         one = Chain(chain.model, chain.frequencies[:1])
         lane = first_lane(one, solver)
-        if lane.state.size:
+        if lane.here.state.size:
             crowd = chunks[0].payload.crowd
             steady_states([one], solver, Criterion(tolerance=1e-2, max_cycles=1), crowd=crowd)
             return
