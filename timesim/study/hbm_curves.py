@@ -16,9 +16,8 @@ from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, Ending, solve
 from timesim.hbm.curve import HbmCurve, contact_motion, crossings, default_controls, hbm_curve, solutions_at
 from timesim.model.model import Model
-from timesim.model.start import start_of
 from timesim.orbit.cycle import modal_waves
-from timesim.result.state import Held, SweepPoint, held, settled_points
+from timesim.result.state import Held, SweepPoint, held, settled_points, start_of
 from timesim.result.waves import result_waves
 from timesim.scene.axis import axis_values
 from timesim.scene.hbm import Compare, Hbm, ResultStart
