@@ -13,7 +13,7 @@ import pytest
 import systems
 from scipy.optimize import minimize
 
-from timesim.engine.contact import Law
+from timesim.engine.contact import ConeLaw
 from timesim.hbm.balance import Balance, to_complex, to_real
 from timesim.hbm.continuation import Controls, solve
 from timesim.hbm.curve import contact_motion, default_controls, hbm_curve, solutions_at
@@ -62,7 +62,7 @@ def law_of(contacts):
     compliance = (1 / k11,) if plain else (k22 / det, -k12 / det, k11 / det)
     each = [np.array([getattr(c, name) for c in contacts]) for name in ("friction", "normal_stiffness", "preload")]
     friction, normal, preload = map(jnp.asarray, each)
-    return Law(friction, tuple(map(jnp.asarray, stiffness)), tuple(map(jnp.asarray, compliance)), normal, preload)
+    return ConeLaw(friction, tuple(map(jnp.asarray, stiffness)), tuple(map(jnp.asarray, compliance)), normal, preload)
 
 
 def shifted(coefficient, num_shifts=6):

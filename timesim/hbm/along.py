@@ -12,12 +12,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from timesim.engine.system import scales_of
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.continuation import Controls, Ending, follow
 from timesim.hbm.curve import HbmCurve, contact_motion, default_controls, described, first_guesses
 from timesim.hbm.setting import Setting
 from timesim.model.model import Model
+from timesim.model.scales import scales_of
 
 # Difference of the scalar for its derivative, as a share of the range.
 DIFFERENCE = 1e-5

@@ -26,13 +26,13 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from timesim.engine.contact import Law
-from timesim.engine.system import Scales, contact_law, scales_of
+from timesim.engine.contact import ConeLaw
 from timesim.hbm.located import located_forces
 from timesim.hbm.period import Basis, basis_of, forces
 from timesim.hbm.setting import Setting, check_excitation
 from timesim.hbm.tangent import linearised
 from timesim.model.model import Model
+from timesim.model.scales import Scales, scales_of
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -86,7 +86,7 @@ class Balance:
         self.model, self.setting = model, setting
         self.units = scales_of(model, frequency) if units is None else units
         self.length, self.force = self.units.length, self.units.force
-        self.law: Law = contact_law(model, self.units)
+        self.law: ConeLaw = ConeLaw.of(model.contacts, self.units)
         self.basis: Basis = basis_of(setting.harmonics, setting.time_samples)
         structure, excited = model.structure, model.excitation
         root = np.sqrt(structure.mass)

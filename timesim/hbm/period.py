@@ -28,20 +28,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from timesim.engine.contact import (
-    Law,
-    Motion,
-    Plane,
-    Scalar,
-    between,
-    dot,
-    incipient_direction,
-    length,
-    normal_load,
-    product,
-    scaled,
-    where,
-)
+from timesim.engine.contact import ConeLaw, incipient_direction, normal_load
+from timesim.engine.contact_law import Motion, Plane, Scalar, dot, length, minus, product, scaled, where
 from timesim.hbm.stuck_offset import Offset, stuck_offset
 
 MAX_PASSES = 100
@@ -119,11 +107,11 @@ def _turned_by(e: Plane, z: Plane) -> Plane:
     return tuple((2 * decay * x + share * y) / norm for x, y in zip(e, z, strict=True))
 
 
-def _pull(law: Law, e: Plane, growth: Scalar) -> tuple[Scalar, Plane]:
+def _pull(law: ConeLaw, e: Plane, growth: Scalar) -> tuple[Scalar, Plane]:
     """z mu n = weight (u' - drift), without the isotropic part of C in the drift, which turns nothing."""
     ce = product(law.compliance, e)
     trace = law.compliance[0] + law.compliance[2]
-    return 1 / (trace - dot(e, ce)), scaled(growth, between(ce, scaled(trace / 2, e)))
+    return 1 / (trace - dot(e, ce)), scaled(growth, minus(ce, scaled(trace / 2, e)))
 
 
 def _veered(e: Plane, z: Plane, dz: Plane) -> Plane:
@@ -138,15 +126,15 @@ def _veered(e: Plane, z: Plane, dz: Plane) -> Plane:
     return scaled(1 / jnp.sqrt(1 + angle**2), turned)
 
 
-def _turned(law: Law, e: Plane, interval: Interval, growth: Scalar, span: Scalar, rest: Scalar) -> Plane:
+def _turned(law: ConeLaw, e: Plane, interval: Interval, growth: Scalar, span: Scalar, rest: Scalar) -> Plane:
     """Direction of slip over the `rest` of an interval; `span` is the integral of 1 / (mu n) over it."""
     if len(law.stiffness) == 1:
         z = scaled(span, product(law.stiffness, interval.change))
         return _veered(_turned_by(e, z), z, scaled(span * rest, product(law.stiffness, interval.bend)))
     weight, bare = _pull(law, e, growth)
-    middle = _turned_by(e, scaled(span / 2 * weight, between(interval.change, bare)))
+    middle = _turned_by(e, scaled(span / 2 * weight, minus(interval.change, bare)))
     weight, bare = _pull(law, middle, growth)
-    z = scaled(span * weight, between(interval.change, bare))
+    z = scaled(span * weight, minus(interval.change, bare))
     return _veered(_turned_by(e, z), z, scaled(span * rest * weight, interval.bend))
 
 
@@ -168,7 +156,7 @@ def _cone_exit(rise: Scalar, half_slope: Scalar, start: Scalar) -> Scalar:
     return jnp.clip(jnp.where(ahead, early, late), 0.0, 1.0)
 
 
-def carried(law: Law, d: Plane, interval: Interval) -> Stay:
+def carried(law: ConeLaw, d: Plane, interval: Interval) -> Stay:
     """One interval of the law from the elastic displacement at its start."""
     load0, load1 = normal_load(law, interval.v0), normal_load(law, interval.v1)
     limit0, limit1 = law.friction * load0, law.friction * load1
@@ -185,7 +173,7 @@ def carried(law: Law, d: Plane, interval: Interval) -> Stay:
     return Stay(d, slip, first + 1 - last)
 
 
-def _in_contact(law: Law, d: Plane, interval: Interval, limit0: Scalar, limit1: Scalar) -> tuple[Plane, Scalar]:
+def _in_contact(law: ConeLaw, d: Plane, interval: Interval, limit0: Scalar, limit1: Scalar) -> tuple[Plane, Scalar]:
     """From contact to contact: d at the end, and where along the interval slip began (1 in stick)."""
     growth = limit1 - limit0
     force, pull = product(law.stiffness, d), product(law.stiffness, interval.change)
@@ -202,7 +190,7 @@ def _in_contact(law: Law, d: Plane, interval: Interval, limit0: Scalar, limit1: 
 
 
 def _touching(
-    law: Law, interval: Interval, root: Scalar, limit0: Scalar, limit1: Scalar
+    law: ConeLaw, interval: Interval, root: Scalar, limit0: Scalar, limit1: Scalar
 ) -> tuple[Plane, Bool[Array, "*contact"]]:
     """From separation to contact at `root`: d at the end, and whether it sticks (15) or slips in one direction (17)."""
     rates = Motion(interval.change, interval.v1, interval.change, interval.v1 - interval.v0)
@@ -212,7 +200,7 @@ def _touching(
     return where(grips, scaled(1 - root, interval.change), slid), grips
 
 
-def settled(law: Law, d: Plane, v: Scalar) -> Plane:
+def settled(law: ConeLaw, d: Plane, v: Scalar) -> Plane:
     """An elastic displacement, shortened to the cone where its force lies outside; zero in separation."""
     limit = law.friction * jnp.maximum(normal_load(law, v), 0.0)
     force = length(product(law.stiffness, d))
@@ -237,7 +225,7 @@ class Period(eqx.Module):
     held: Offset
 
 
-def through(law: Law, begin: Plane, intervals: Interval) -> tuple[Plane, Plane]:
+def through(law: ConeLaw, begin: Plane, intervals: Interval) -> tuple[Plane, Plane]:
     """One pass: d at the end and at every sample."""
 
     def step(d: Plane, interval: Interval) -> tuple[Plane, Plane]:
@@ -258,7 +246,7 @@ class _Search(eqx.Module):
     passes: Scalar
 
 
-def closed_period(law: Law, motion: Motion) -> Period:
+def closed_period(law: ConeLaw, motion: Motion) -> Period:
     """Go through a periodic motion, shape (N, C), until d closes, at most `MAX_PASSES` times.
 
     A contact that may stick all along enters with the offset of `timesim.hbm.stuck_offset` and does.
@@ -274,14 +262,14 @@ def closed_period(law: Law, motion: Motion) -> Period:
     def again(search: _Search) -> _Search:
         begin = search.following
         end, path = through(law, begin, intervals)
-        change, before = between(end, begin), between(search.end, search.begin)
+        change, before = minus(end, begin), minus(search.end, search.begin)
         tolerated = CLOSED * jnp.max(length(path), axis=0) + ROUNDING * reach
         gap = length(change) / jnp.maximum(tolerated, 1e-300)
-        bend = between(change, before)
+        bend = minus(change, before)
         ratio = dot(change, bend) / jnp.maximum(dot(bend, bend), 1e-300)
         usable = (search.passes >= 2) & (dot(change, change) < dot(before, before))
-        leap = scaled(jnp.where(usable, ratio, 0.0), between(end, search.end))
-        following = settled(law, between(end, leap), motion.v[-1])
+        leap = scaled(jnp.where(usable, ratio, 0.0), minus(end, search.end))
+        following = settled(law, minus(end, leap), motion.v[-1])
         return _Search(following, begin, end, path, gap, search.passes + 1)
 
     first = _Search(start, start, start, motion.u, jnp.full_like(reach, jnp.inf), jnp.asarray(0))
@@ -318,13 +306,13 @@ def before_intervals(period: Period) -> Plane:
 
 
 @jax.jit
-def forces(law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> Forces:
+def forces(law: ConeLaw, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> Forces:
     """Contact forces of a motion given by its Fourier coefficients (u1, u2, v)."""
     motion = motion_of(basis, coefficient)
     return summary(law, basis, motion, closed_period(law, motion))
 
 
-def summary(law: Law, basis: Basis, motion: Motion, period: Period) -> Forces:
+def summary(law: ConeLaw, basis: Basis, motion: Motion, period: Period) -> Forces:
     """Forces and shares of a closed period."""
     stay = jax.vmap(partial(carried, law))(before_intervals(period), intervals_of(motion))
     load = jnp.maximum(normal_load(law, motion.v), 0.0)

@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from numpy.typing import NDArray
 
-from timesim.engine.contact import Law, Motion, Plane, Scalar, normal_load, product
+from timesim.engine.contact import ConeLaw, normal_load
+from timesim.engine.contact_law import Motion, Plane, Scalar, product
 from timesim.hbm.period import (
     Basis,
     Forces,
@@ -47,7 +48,7 @@ class Slope(eqx.Module):
     load: Float[Array, "sample contact 2"]
 
 
-def slopes(law: Law, before: Plane, intervals: Interval) -> Slope:
+def slopes(law: ConeLaw, before: Plane, intervals: Interval) -> Slope:
     """Local derivatives of the law, from the elastic displacement at the start of each interval."""
 
     def end(d1: Scalar, d2: Scalar, c1: Scalar, c2: Scalar, b1: Scalar, b2: Scalar, *v: Scalar) -> Plane:
@@ -108,7 +109,7 @@ class _Chained(eqx.Module):
 
 
 @jax.jit
-def _chained(law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> _Chained:
+def _chained(law: ConeLaw, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> _Chained:
     motion = motion_of(basis, coefficient)
     period = closed_period(law, motion)
     acts = summary(law, basis, motion, period)
@@ -122,7 +123,7 @@ def _chained(law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coeffi
     return _Chained(acts, spectrum, passed[-1], normal, entered, period.held.sticks)
 
 
-def _entered(law: Law, basis: Basis, motion: Motion, held: Offset) -> Float[Array, "contact 2 column"]:
+def _entered(law: ConeLaw, basis: Basis, motion: Motion, held: Offset) -> Float[Array, "contact 2 column"]:
     """Derivatives of d where the period begins by the coefficients, for contacts that stick all along."""
     none = jnp.zeros_like(motion.v)
 
@@ -139,7 +140,7 @@ def _entered(law: Law, basis: Basis, motion: Motion, held: Offset) -> Float[Arra
 
 
 def linearised(
-    law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]
+    law: ConeLaw, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]
 ) -> tuple[Forces, NDArray[np.float64]]:
     """`forces`, and their derivatives by the coefficients of the same contact: 3 (2H + 1) rows and columns.
 

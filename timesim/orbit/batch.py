@@ -16,10 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from timesim.engine.contact import State
-from timesim.engine.event_loop import Control, Status, Step, Trajectory, begin, try_step
+from timesim.engine.contact_law import State
 from timesim.engine.method import Method
-from timesim.engine.system import Point, System, field
+from timesim.engine.solver import Control
+from timesim.engine.step import Status, Step, Trajectory, begin, try_step
+from timesim.engine.system import Point, System
 from timesim.model.model import SEPARATION
 
 
@@ -114,7 +115,7 @@ def record_cycles(
         The trajectories, the steps (try first, batch last), which of them were made, and the number of tries.
     """
     controls, systems, now = _last((controls, systems, now))
-    rate = jax.vmap(field, in_axes=-1, out_axes=-1)(systems, now.state, now.time, now.point)
+    rate = jax.vmap(System.field, in_axes=-1, out_axes=-1)(systems, now.state, now.time, now.point)
     now = eqx.tree_at(lambda t: t.rate, now, rate)
     attempt = jax.vmap(partial(try_step, method), in_axes=-1, out_axes=-1)
     blank = jax.eval_shape(attempt, controls, systems, now)[1]

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple, Self
 import jax
 import numpy as np
 
-from timesim.engine.event_loop import Control, Status, Step
 from timesim.engine.history import between
-from timesim.engine.solver import step_control, step_method
+from timesim.engine.solver import Control, step_control, step_method
+from timesim.engine.step import Status, Step
 from timesim.engine.system import Point, System, system_of
 from timesim.engine.trajectory import Frame
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
@@ -58,7 +58,7 @@ class Lane:
         told: the same and the control, as the loop gets them.
         q, p, w, state: where the trajectory is, dimensionless; w by components.
         phase: of the excitation at the start of a cycle [rad].
-        status, culprit: as in `timesim.engine.event_loop.Trajectory`.
+        status, culprit: as in `timesim.engine.step.Trajectory`.
     """
 
     model: Model
