@@ -6,7 +6,6 @@ from jaxtyping import install_import_hook
 CHECKED = (
     "timesim.engine.contact_law",
     "timesim.engine.contact",
-    "timesim.engine.dynamics",
     "timesim.engine.guard",
     "timesim.engine.dense_output",
     "timesim.engine.history",

@@ -128,9 +128,7 @@ def test_margins_are_those_of_the_state():
     moves = moving(np.array([0.1, 0.0]), 0.2, np.array([1.0, 0.0]), 0.0)
     w = plane(np.zeros(2))
     n = 0.7 + 1.3 * 0.2
-    first = {
-        state: float(contact.margins(jnp.asarray([state]), moves, w)[0][0]) for state in (STICK, SLIP, SEPARATION)
-    }
+    first = {state: float(contact.margins(jnp.asarray([state]), moves, w)[0][0]) for state in (STICK, SLIP, SEPARATION)}
     assert first == {STICK: pytest.approx(0.4 * n - 0.1), SLIP: pytest.approx(n), SEPARATION: pytest.approx(-n)}
     speeds = [float(contact.margins(jnp.asarray([state]), moves, w)[1][0]) for state in (STICK, SLIP)]
     assert speeds == [1.0, pytest.approx(1.0)]

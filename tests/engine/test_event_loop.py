@@ -370,7 +370,7 @@ def test_interrupt_keeps_what_there_is() -> None:
     outcome = study(scene, impatient)
     assert outcome.reason is not None
     assert outcome.reason.startswith("interrupted in cycle")
-    result = outcome.groups[""].dataset()
+    result = outcome.groups[""]
     whole = timesim.run(scene)
     kept = result.sizes["cycle"]
     assert 20 <= kept < 60

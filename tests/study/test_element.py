@@ -17,7 +17,7 @@ from timesim.element.prescribed import harmonic_elements
 from timesim.element.state_by_state import steady_cycle
 from timesim.fault import SceneError
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact
-from timesim.result.store import open_result
+from timesim.result.netcdf import open_result
 from timesim.scene.resolution import load_scene
 from timesim.study.element_map import March, elements_of, limits
 from timesim.study.registry import run
@@ -250,15 +250,15 @@ def test_motion_from_a_file(tmp_path):
 def test_motion_from_a_result(tmp_path):
     """The motion of a point of a settled run gives the forces that the run had there."""
     source = load_scene(CONFIGS / "oscillator.yaml", ["study.cycles=150", "study.record_last=2"])
-    from timesim.result.store import save_groups
+    from timesim.result.netcdf import save
     from timesim.study.registry import carry_out
 
     before = carry_out(source).groups
-    save_groups(before, tmp_path / "result.nc")
+    save(before, tmp_path / "result.nc")
     pad = {"friction": 0.5, "tangential_stiffness": 20.0, "normal_stiffness": 20.0, "preload": 3.0}
     motion = {"from": str(tmp_path / "result.nc"), "point": "tip"}
     data = run(scene(element(motion=motion, samples=400), **pad))
-    recorded = before[""].dataset().contact_force.values[-201:-1, 0]
+    recorded = before[""].contact_force.values[-201:-1, 0]
     # Both at equal angles of the cycle; the offset of a stuck contact is that of its own start.
     np.testing.assert_allclose(data.normal_load.values[::2], recorded[:, 2], atol=1e-6)
     np.testing.assert_allclose(data.force.values[::2], recorded[:, :2], atol=2e-4)

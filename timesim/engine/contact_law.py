@@ -1,15 +1,15 @@
-"""What a contact law is to the event loop, and the vectors of the contact plane in which it is written.
+"""What the event loop asks of a contact law and of the system in which it acts; vectors of the contact plane.
 
 A vector of the contact plane is a tuple of its components, each an array over the contacts: two of them, or one where
-all motion is straight. Everything is elementwise, which is what XLA fuses. Nothing here knows units: the event loop
-uses a law in dimensionless form.
+all motion is straight. A law is elementwise, which is what XLA fuses. Nothing here knows units: the event loop uses
+the dimensionless form, in which time is an angle and a cycle has length 2 pi.
 """
 
 from timesim.runtime import Leaf  # isort: skip
 
 import abc
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Self, TypeAlias
+from typing import TYPE_CHECKING, Self, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -26,6 +26,8 @@ else:
     Scalar = Float[Leaf, "*#contact"]
     State = Int[Leaf, "*#contact"]
 Plane: TypeAlias = tuple[Scalar, ...]
+Path: TypeAlias = tuple[Plane, Plane, Plane]
+P = TypeVar("P", bound="ContinuousState")
 
 
 class Motion(eqx.Module):
@@ -115,6 +117,50 @@ class ContactLaw(eqx.Module):
             slip: w, shape (N, 2).
             state: shape (N,).
         """
+
+
+class ContinuousState(eqx.Module):
+    """Where a trajectory is in its continuous state, or the rate of that, or its error over a step.
+
+    Attributes:
+        w: slip of the contacts.
+    """
+
+    w: eqx.AbstractVar[Plane]
+
+    @abc.abstractmethod
+    def size(self) -> Float[Array, ""]:
+        """Largest coordinate: what a relative tolerance is relative to."""
+
+    @abc.abstractmethod
+    def error(self) -> Float[Array, ""]:
+        """Largest entry of an error that the step control looks at."""
+
+    @abc.abstractmethod
+    def finite(self) -> Bool[Array, ""]:
+        """Whether every coordinate is a number."""
+
+
+class Dynamics(eqx.Module):
+    """A system with contacts.
+
+    Attributes:
+        law: the law of its contacts.
+    """
+
+    law: eqx.AbstractVar[ContactLaw]
+
+    @abc.abstractmethod
+    def field(self, state: State, time: Float[Array, ""], point: P) -> P:
+        """Rate of the continuous state, every contact keeping its own."""
+
+    @abc.abstractmethod
+    def motion(self, point: P) -> Motion:
+        """Relative motion of the contacts and its rates."""
+
+    @abc.abstractmethod
+    def path(self, point: P, rate: P) -> Path:
+        """Relative motion of the contacts, normal last, with two derivatives; ``rate`` is that of the point."""
 
 
 def dot(a: Plane, b: Plane) -> Scalar:

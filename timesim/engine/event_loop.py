@@ -12,9 +12,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from timesim.engine.dynamics import Dynamics
+from timesim.engine.contact_law import Dynamics
+from timesim.engine.lanes import advance_lanes, batch_first, batch_last, over_lanes
 from timesim.engine.method import Method
-from timesim.engine.step import Control, Status, Step, Trajectory, try_step
+from timesim.engine.solver import Control
+from timesim.engine.step import Status, Step, Trajectory, try_step
 
 
 @eqx.filter_jit
@@ -80,22 +82,15 @@ def march(
 def _march_together(
     method: Method, control: Control, dynamics: Dynamics, start: Trajectory, cycles: Int[Array, " batch"]
 ) -> tuple[Trajectory, Int[Array, " batch"]]:
-    """Inside, the batch is the last axis: the kernels run along it."""
     per_run = jax.tree.map(lambda leaf: -1 if leaf.ndim else None, control)
-    attempt = jax.vmap(partial(try_step, method), in_axes=(per_run, -1, -1), out_axes=-1)
-    dynamics, start = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), (dynamics, start))
+    dynamics, start = batch_last((dynamics, start))
+    attempt = partial(over_lanes(partial(try_step, method), in_axes=(per_run, -1, -1)), control, dynamics)
 
     def running(now: Trajectory) -> Array:
         return (now.cycle < cycles) & (now.status == Status.RUNNING)
 
-    def body(carry: tuple) -> tuple:
-        now, count = carry
-        moves = running(now)
-        new, step, accepted = attempt(control, dynamics, now)
-        switched = (step.state != step.state_after).sum(axis=0)
-        count = count + jnp.where(moves & accepted, switched, 0)
-        return jax.tree.map(lambda a, b: jnp.where(moves, a, b), new, now), count
+    def counted(count: Array, moves: Array, before: Trajectory, after: Trajectory, step: Step, done: Array) -> Array:
+        return count + jnp.where(moves & done, (step.state != step.state_after).sum(axis=0), 0)
 
-    count = jnp.zeros(cycles.shape, dtype=jnp.int64)
-    end, count = jax.lax.while_loop(lambda carry: running(carry[0]).any(), body, (start, count))
-    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), end), count
+    end, count = advance_lanes(attempt, running, start, jnp.zeros(cycles.shape, dtype=jnp.int64), counted)
+    return batch_first(end), count

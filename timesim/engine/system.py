@@ -16,8 +16,18 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from timesim.engine.barrier import apart
-from timesim.engine.contact_law import ContactLaw, Motion, Plane, Reaction, Scalar, State, dot
-from timesim.engine.dynamics import ContinuousState, Dynamics, Path
+from timesim.engine.contact_law import (
+    ContactLaw,
+    ContinuousState,
+    Dynamics,
+    Motion,
+    Path,
+    Plane,
+    Reaction,
+    Scalar,
+    State,
+    dot,
+)
 from timesim.engine.laws import law_class
 from timesim.model.model import Model
 from timesim.model.reduction import Reduction, reduction_of, stuck_force, stuck_matrix

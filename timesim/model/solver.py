@@ -1,4 +1,4 @@
-"""The numbers of an integration: a method by name, its tolerances and its budget of steps.
+"""The numbers of an integration: a method with its tolerances, and when a motion counts as settled.
 
 The presets, each with the largest error of the last state that was measured for it, relative to the largest
 displacement and velocity (`python benchmarks/accuracy.py`): on the paper's oscillator, on a blade with two contacts,
@@ -56,3 +56,18 @@ PRESETS = {
     "standard": Solver("tsit5", 1e-7, 1e-9),
     "reference": Solver("dopri8", 1e-11, 1e-13),
 }
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """When a motion counts as settled, and how it is sought.
+
+    Attributes:
+        tolerance: of the state from cycle to cycle, relative to its largest entry.
+        max_cycles: budget at each frequency.
+        shoot: whether to try Newton's method on the state after a period.
+    """
+
+    tolerance: float = 1e-8
+    max_cycles: int = 2000
+    shoot: bool = False

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from timesim.model.model import STATE_NAMES
+from timesim.orbit.share import switches
 from timesim.picture import hbm as plot_hbm
 from timesim.picture.style import SERIES, STATE_STYLE, Picture, axes, figure, heading, shared_legend, short
 
@@ -66,8 +67,7 @@ def difference(data: "xarray.DataTree", ax: "matplotlib.axes.Axes | None" = None
     moved = sweep.amplitude
     counts = moved > MINOR * moved.max(("point", "axis"))
     size = abs(data["relative_difference"].where(counts.values)).max(("point", "axis"))
-    apart = sweep.separation_share
-    linear = ((sweep.slip_share == 0) & ((apart == 0) | (apart > 1 - 1e-9))).all("contact")
+    linear = ~switches(sweep.slip_share, sweep.separation_share).any("contact")
     for points in _points(data):
         y, still = size.isel(points.where).values, linear.isel(points.where).values
         x, marker = sweep.frequency.values, DIRECTIONS[points.direction]

@@ -9,6 +9,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from xarray import Dataset
 
 from timesim.engine.history import Samples
 from timesim.hbm.balance import Array, Balance, Complex
@@ -21,7 +22,8 @@ from timesim.model.solver import Solver
 from timesim.orbit.cycle import one_cycle
 from timesim.orbit.fourier import waves_of
 from timesim.orbit.settling import Task, settle
-from timesim.result import store
+from timesim.result.coordinate import coordinates
+from timesim.result.dataset import dataset
 
 SAMPLES = 720
 METHODS = ("sweep", "hbm")
@@ -29,7 +31,7 @@ METHODS = ("sweep", "hbm")
 
 def cycle_record(
     model: Model, solution: HbmCurve, setting: Setting, solver: Solver, values: Mapping[str, float]
-) -> store.Record:
+) -> Dataset:
     """A cycle by time integration, started from the solution and settled, and by harmonic balance.
 
     Args:
@@ -60,16 +62,9 @@ def cycle_record(
         ),
         "harmonic_amplitude": (("found_by", "harmonic", "point", "axis"), height),
     }
-    coords = {
-        "found_by": np.array(METHODS),
-        "excitation_angle": np.rad2deg(angle),
-        "harmonic": np.arange(order),
-        "point": np.array(model.structure.points),
-        "axis": np.array(["x", "y", "z"]),
-        "contact": np.array([contact.name for contact in model.contacts], dtype=str),
-    }
+    coords = {"found_by": np.array(METHODS), "excitation_angle": np.rad2deg(angle)} | coordinates(variables, model)
     place = ", ".join([f"{frequency:g} Hz", *(f"{key} {value:g}" for key, value in values.items())])
-    return store.record(variables, coords, {"place": place})
+    return dataset(variables, coords, {"place": place})
 
 
 def _period(balance: Balance, coefficient: Array) -> Period:

@@ -9,12 +9,14 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from xarray import Dataset
 
 from timesim.element.cycle import ElementCycle, Transition
 from timesim.element.motion import CYCLE, Motion
 from timesim.element.state_by_state import steady_cycle
 from timesim.model.model import STATE_NAMES, Contact
-from timesim.result import store
+from timesim.result.coordinate import coordinates
+from timesim.result.dataset import dataset
 from timesim.scene.element import Element
 from timesim.scene.resolution import Scene
 from timesim.study.campaign import Progress
@@ -111,7 +113,7 @@ def record_of(
     compared: dict[str, float],
     seconds: float,
     reason: str | None,
-) -> store.Record:
+) -> Dataset:
     """The result file."""
     told = attributes(scene, METHOD, 0.0, seconds, reason) | compared | motion_attributes(contact, cycle.motion)
     facts = {
@@ -122,12 +124,8 @@ def record_of(
     }
     theta = np.arange(plan.samples) * CYCLE / plan.samples
     variables = cycle_variables(cycle, theta) | coefficient_variables(cycle, plan)
-    coords = {
-        "angle": np.degrees(theta),
-        "tangent": np.array(["t1", "t2"]),
-        "harmonic": np.arange(plan.harmonics + 1),
-    }
-    return store.record(variables, coords, told | facts)
+    coords = {"angle": np.degrees(theta)} | coordinates(variables)
+    return dataset(variables, coords, told | facts)
 
 
 def motion_attributes(contact: Contact, motion: Motion) -> dict[str, Any]:

@@ -35,7 +35,8 @@ from timesim.element.prescribed import (
 )
 from timesim.model.model import SEPARATION
 from timesim.model.solver import Solver
-from timesim.result import store
+from timesim.result.coordinate import coordinates
+from timesim.result.dataset import dataset
 from timesim.scene.contact import ContactSection
 from timesim.scene.element import MAP_AXES, ElementMap
 from timesim.scene.resolution import Scene
@@ -233,9 +234,9 @@ def study(scene: Scene, progress: Progress | None = None) -> Outcome:
             for name in ("dissipation", "transitions", "cycles", "settled")
         },
     }
-    coords = {MAP_AXES[key]: values for key, values in axes.items()} | {"tangent": np.array(["t1", "t2"])}
+    coords = {MAP_AXES[key]: values for key, values in axes.items()} | coordinates(variables)
     told = attributes(scene, str(solver), compiled - clock, seconds, reason)
-    record = store.record(variables, coords, told | {"contact": section.name})
+    record = dataset(variables, coords, told | {"contact": section.name})
     lines = (
         f"{elements.size} points by {solver} in {seconds:.2f} s, after {compiled - clock:.1f} s of compilation",
         f"cycles to the steady one: {np.median(found.cycles):.0f} in the median, {found.cycles.max()} at most",

@@ -16,12 +16,14 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from xarray import Dataset
 
 from timesim.fault import SceneError
 from timesim.model.model import Model
-from timesim.model.solver import Solver
-from timesim.orbit.settling import Chain, Criterion, Orbit, Task, settle, steady_states
-from timesim.result import store
+from timesim.model.solver import Criterion, Solver
+from timesim.orbit.settling import Chain, Orbit, Task, settle, steady_states
+from timesim.result.coordinate import coordinates
+from timesim.result.dataset import dataset
 from timesim.scene.optimum import Optimum
 from timesim.scene.resolution import Scene
 from timesim.study.campaign import Chunk, Means, Result, carry_through, halted
@@ -223,11 +225,11 @@ def failures(peaks: Peaks) -> str | None:
     return f"{count} points failed; the first at {peaks.key} = {failed[0]:g}: {peaks.failure(failed[0])}"
 
 
-def record_of(peaks: Peaks, told: Mapping[str, Any]) -> store.Record:
+def record_of(peaks: Peaks, told: Mapping[str, Any]) -> Dataset:
     """The result file: all values that were looked at, ascending, and the best of them."""
     values = sorted(peaks.results)
-    structure = peaks.scene.model().structure
-    shape, points = (len(values), 2, peaks.frequency.size), len(structure.points)
+    model = peaks.scene.model()
+    shape, points = (len(values), 2, peaks.frequency.size), len(model.structure.points)
 
     def column(name: str, *own: int) -> np.ndarray:
         return np.array([peaks.results[value][name] for value in values]).reshape(len(values), *own)
@@ -246,14 +248,8 @@ def record_of(peaks: Peaks, told: Mapping[str, Any]) -> store.Record:
         "cycles": (grid, column("cycles", *shape[1:]).astype(np.int32)),
         "failure": (grid, column("reason", *shape[1:]).astype(str)),
     }
-    coords = {
-        key: np.array(values),
-        "direction": np.array(["up", "down"]),
-        "frequency": peaks.frequency,
-        "point": np.array(structure.points),
-        "axis": np.array(["x", "y", "z"]),
-    }
-    return store.record(variables, coords, told)
+    coords = {key: np.array(values), "direction": np.array(["up", "down"]), "frequency": peaks.frequency}
+    return dataset(variables, coords | coordinates(variables, model), told)
 
 
 def _any_peak(peaks: Peaks) -> bool:
