@@ -20,7 +20,6 @@ ends a slip before it.
 import timesim.runtime  # noqa: F401  isort: skip
 
 from collections.abc import Sequence
-from typing import Self
 
 import jax.numpy as jnp
 import numpy as np
@@ -69,7 +68,7 @@ class ConeLaw(ContactLaw):
     preload: Scalar
 
     @classmethod
-    def of(cls, contacts: Sequence[Contact], scales: Scales, axes: np.ndarray | None = None) -> Self:
+    def of(cls, contacts: Sequence[Contact], scales: Scales, axes: np.ndarray | None = None) -> "ConeLaw":
         ratio = scales.length / scales.force
         stiffness = np.array([contact.tangential_stiffness for contact in contacts]).reshape(-1, 2, 2) * ratio
         rows = [(c.friction, c.normal_stiffness * ratio, c.preload / scales.force) for c in contacts]

@@ -9,7 +9,7 @@ from timesim.runtime import Leaf  # isort: skip
 
 import abc
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Self, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -69,7 +69,7 @@ class ContactLaw(eqx.Module):
 
     @classmethod
     @abc.abstractmethod
-    def of(cls, contacts: Sequence[Contact], scales: Scales, axes: np.ndarray | None = None) -> Self:
+    def of(cls, contacts: Sequence[Contact], scales: Scales, axes: np.ndarray | None = None) -> "ContactLaw":
         """The law of some contacts, its parameters numpy arrays.
 
         Args:

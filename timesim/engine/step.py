@@ -11,7 +11,7 @@ from timesim.runtime import Leaf  # isort: skip
 
 import enum
 from functools import partial
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -39,7 +39,7 @@ class Status(enum.IntEnum):
     reason: str
     advice: str
 
-    def __new__(cls, value: int, reason: str = "", advice: str = "") -> Self:
+    def __new__(cls, value: int, reason: str = "", advice: str = "") -> "Status":
         member = int.__new__(cls, value)
         member._value_, member.reason, member.advice = value, reason, advice
         return member
