@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from timesim.orbit.fourier import waves_of
+from timesim.orbit.fourier import fourier_coefficients
 from timesim.result.last_cycle import last_cycle
 
 Array = NDArray[np.float64]
@@ -39,4 +39,4 @@ def result_waves(path: Path) -> Waves:
     if rows[-1] < data.sizes["time"] - 1:
         raise ValueError(f"result {path}: it does not end with a whole cycle")
     motion, phase = data["modal_displacement"].values[rows[1:]], float(np.deg2rad(data["final_phase_deg"].values))
-    return Waves(1 / data["cycle_period"].values[-1], waves_of(motion, phase))
+    return Waves(1 / data["cycle_period"].values[-1], fourier_coefficients(motion, phase))
