@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from timesim.engine.history import events
-from timesim.engine.solver import PRESETS, Solver
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import Model
+from timesim.model.solver import PRESETS, Solver
 from timesim.scene.resolution import load_scene
 
 DATA = Path(__file__).parents[1] / "tests" / "data"

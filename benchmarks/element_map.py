@@ -19,7 +19,6 @@ from scipy.integrate import simpson, solve_ivp
 
 from timesim.element.motion import HarmonicMotion
 from timesim.element.state_by_state import steady_cycle
-from timesim.engine.solver import solver_of
 from timesim.scene.resolution import load_scene
 from timesim.study.element_map import March, elements_of
 
@@ -123,7 +122,7 @@ def main() -> None:
     plan = scene.file.study
     section = plan.chosen(scene.file.contacts)
     elements, phase = elements_of(plan, section)
-    solver = solver_of(scene.file.solver)
+    solver = scene.solver()
     contact = section.build()
     clock = time.perf_counter()
     March(elements.pick(np.arange(1)), phase[:1], solver).run(max_cycles=1)

@@ -26,12 +26,13 @@ from problems import MANY_CONTACTS_FREQUENCY, Run, error, many_contacts, oscilla
 
 from timesim.engine.event_loop import march
 from timesim.engine.history import events
-from timesim.engine.solver import Solver
+from timesim.engine.solver import step_control, step_method
 from timesim.engine.system import system_of
 from timesim.engine.trajectory import Frame, Phase
 from timesim.engine.trajectory import Run as Simulation
 from timesim.model.model import Model
 from timesim.model.reduction import reduction_of
+from timesim.model.solver import Solver
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import oracle
@@ -149,7 +150,7 @@ def marched(problem: Problem, batch: int, solver: Solver) -> Callable[[], Run]:
     cycles = jnp.full(batch, problem.cycles)
 
     def run() -> Run:
-        end, count = march(solver.method(), solver.control(stiffest), systems, starts, cycles)
+        end, count = march(step_method(solver), step_control(solver, stiffest), systems, starts, cycles)
         assert int(jnp.max(end.status)) == 0
         frames[0].store(jax.tree.map(lambda leaf: leaf[0], end), start, 0.0, start.work)
         return Run(start.displacement, start.velocity, start.slip, start.state, int(count[0]), [])

@@ -22,12 +22,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from timesim.engine.solver import PRESETS
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, follow
 from timesim.hbm.curve import default_controls, described, hbm_curve, solutions_at
 from timesim.hbm.setting import Setting
 from timesim.model.model import GROUND, Contact, Excitation, Model, Start, Structure
+from timesim.model.solver import PRESETS
 from timesim.orbit.settling import Task, settle
 from timesim.scene.resolution import load_scene
 from timesim.study.hbm import peak

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from timesim.engine.solver import PRESETS
 from timesim.engine.trajectory import Phase, Run
+from timesim.model.solver import PRESETS
 from timesim.scene.resolution import load_scene
 
 ROOT = Path(__file__).parents[1]

@@ -18,7 +18,7 @@ import numpy as np
 import opponents_numba
 from problems import oscillator
 
-from timesim.result import store
+from timesim.result.netcdf import open_result
 
 PRELOADS = (-4.0, -1.0, 0.0, 1.0, 2.0, 3.0, 5.0, 10.0, 32.0)
 SCENE = Path(__file__).parents[1] / "configs" / "oscillator.yaml"
@@ -43,7 +43,7 @@ def sweep(periodic: str, folder: Path) -> tuple[float, float, np.ndarray]:
     start = time.perf_counter()
     subprocess.run([*command, "--set", study], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     whole = time.perf_counter() - start
-    data = store.open_result(folder)
+    data = open_result(folder)
     inside = data.attrs["compile_seconds"] + data.attrs["run_seconds"]
     return whole, inside, data.amplitude.sel(point="tip", axis="x").isel(direction=0).values
 

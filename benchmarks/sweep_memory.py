@@ -29,7 +29,7 @@ def measure(points: int, folder: str) -> dict[str, float]:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     outcome = carry_out(scene, Means(folder=Path(folder)))
     record = outcome.groups[""]
-    found = {name: array for name, (_, array) in record.variables.items()}
+    found = {str(name): array.values for name, array in record.data_vars.items()}
     used = resource.getrusage(resource.RUSAGE_SELF)
     assert outcome.reason is None
     assert found["settled"].size == points

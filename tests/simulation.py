@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from timesim.engine.history import CycleTotals, Events, events, stored_energy
-from timesim.engine.solver import PRESETS, Solver
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import SLIP, Model
+from timesim.model.solver import PRESETS, Solver
 
 FINE = Solver("tsit5", 1e-10, 1e-12)
 REFERENCE = PRESETS["reference"]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from timesim.result.store import record
+from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.study.campaign import Chunk, Means, carry_through, halted
 from timesim.study.outcome import Outcome, attributes
@@ -107,7 +107,7 @@ def study(scene: Scene, means: Means) -> Outcome:
     results, reason = carry_through(chunks, work, means, identity=scene.resolved_yaml())
     values = [float(results[chunk.name]["first"]) if chunk.name in results else np.nan for chunk in chunks]
     about = attributes(scene, "toy", 0.0, 0.0, reason)
-    made = record({"cycles": (("frequency",), np.array(values))}, {"frequency": frequency}, about)
+    made = dataset({"cycles": (("frequency",), np.array(values))}, {"frequency": frequency}, about)
     return Outcome({"": made}, reason)
 
 

@@ -1,7 +1,7 @@
 """Event-driven time integration of structures with frictional contacts."""
 
 from timesim.fault import SceneError
-from timesim.result.store import open_result
+from timesim.result.netcdf import open_result
 from timesim.scene.resolution import Scene, load_scene
 from timesim.study.registry import run
 

@@ -49,7 +49,8 @@ def run(
 ) -> None:
     """Run a scene and write result.nc, scene.yaml and pictures."""
     from timesim.picture import draw as plot
-    from timesim.result import checkpoint, store
+    from timesim.result import checkpoint, netcdf
+    from timesim.result.file import StoreError
     from timesim.study.campaign import Means, MeansError
     from timesim.study.registry import carry_out, check_means
 
@@ -62,20 +63,20 @@ def run(
             print(f"the result in {output} is complete: there is nothing to resume")
             return
         _prepare(output, loaded, scene, force=force, resume=resume)
-    except (store.StoreError, MeansError) as error:
+    except (StoreError, MeansError) as error:
         _stop(2, str(error))
     for warning in loaded.warnings():
         print(f"warning: {warning}", file=sys.stderr)
     try:
         with _terminated(), _progress(kind) as progress:
             outcome = carry_out(loaded, replace(means, progress=progress))
-    except (store.StoreError, MeansError) as error:
+    except (StoreError, MeansError) as error:
         _stop(2, str(error))
     for line in outcome.summary:
         print(line)
     try:
-        path = store.save_groups(outcome.groups, output / store.RESULT_NAME)
-    except store.StoreError as error:
+        path = netcdf.save(outcome.groups, output / netcdf.RESULT_NAME)
+    except StoreError as error:
         _stop(1, f"{error}{_safe_chunks(output)}")
     faults, pictures = [], []
     try:
@@ -83,11 +84,11 @@ def run(
             checkpoint.clear(output)
         else:
             faults.append(_incomplete(outcome.reason, output, path))
-    except store.StoreError as error:
+    except StoreError as error:
         faults.append(str(error))
     try:
-        pictures = plot.draw(store.whole(outcome.groups), output) if plots else []
-    except store.StoreError as error:
+        pictures = plot.draw(netcdf.joined(outcome.groups), output) if plots else []
+    except StoreError as error:
         faults.append(f"{error}\nthe result is saved; timesim plot {output} draws the pictures again")
     print(f"result: {path}" + (f" and {len(pictures)} pictures" if pictures else ""))
     if faults:
@@ -119,16 +120,17 @@ def plot(
 ) -> None:
     """Draw the pictures of a run again."""
     from timesim.picture import draw as pictures
-    from timesim.result import store
+    from timesim.result.file import StoreError
+    from timesim.result.netcdf import open_result
 
     try:
-        result = store.whole(store.read(folder))
-    except store.StoreError as error:
+        result = open_result(folder)
+    except StoreError as error:
         _stop(2, str(error))
     try:
         for path in pictures.draw(result, folder if folder.is_dir() else folder.parent):
             print(path)
-    except store.StoreError as error:
+    except StoreError as error:
         _stop(1, str(error))
 
 
@@ -144,11 +146,12 @@ def _loaded(scene: Path, overrides: list[str] | None) -> Any:
 
 def _prepare(output: Path, loaded: Any, scene: Path, *, force: bool, resume: bool) -> None:
     from timesim.picture import draw as plot
-    from timesim.result import checkpoint, store
+    from timesim.result import checkpoint
+    from timesim.result.folder import check_folder, prepare_folder
 
-    store.check_folder(output, force or resume)
+    check_folder(output, force or resume)
     stale = plot.picture_names(loaded.file.study.kind)
-    store.prepare_folder(output, loaded.resolved_yaml(), force, source=scene, stale=stale, resume=resume)
+    prepare_folder(output, loaded.resolved_yaml(), force, source=scene, stale=stale, resume=resume)
     if force:
         checkpoint.clear(output)
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from simulation import REFERENCE, Trace, simulate
 from systems import oscillator
 
-from timesim.engine.solver import PRESETS, Solver
 from timesim.model.model import Contact, Excitation, Model, Start, Structure
+from timesim.model.solver import PRESETS, Solver
 
 CYCLES = 8
 FINE = Solver("tsit5", 1e-10, 1e-12, reduce=False)

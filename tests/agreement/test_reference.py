@@ -22,9 +22,9 @@ from systems import (
     two_degrees,
 )
 
-from timesim.engine.solver import PRESETS
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import STATE_NAMES, Model
+from timesim.model.solver import PRESETS
 from timesim.scene.report import advised_method
 from timesim.scene.resolution import load_scene
 

@@ -20,10 +20,11 @@ from systems import GENERATED_CYCLES, generated_models, oscillator
 import timesim
 from timesim.engine import dense_output as hermite
 from timesim.engine.event_loop import Status, judged
-from timesim.engine.solver import PRESETS, Solver
+from timesim.engine.solver import step_control
 from timesim.engine.system import system_of
 from timesim.engine.trajectory import BATCH, Frame, Phase, Run, RunError
 from timesim.model.model import SEPARATION, SLIP, STICK, Model
+from timesim.model.solver import PRESETS, Solver
 from timesim.scene.resolution import load_scene
 from timesim.study.transient import study
 
@@ -348,7 +349,7 @@ def test_what_is_judged(change: dict[str, float], status: Status) -> None:
     system = system_of(model, 1.39, 0.0, run.reduction)
     now = frame.begin(system, run, 0.01)
     moved = replace(now, **{key: jax.numpy.asarray(value, getattr(now, key).dtype) for key, value in change.items()})
-    assert int(judged(FINE.control(1.0), moved).status) == status
+    assert int(judged(step_control(FINE, 1.0), moved).status) == status
 
 
 @pytest.mark.parametrize("status", [Status.ZENO, Status.TOO_SHORT, Status.BUDGET, Status.NOT_FINITE])
@@ -369,7 +370,7 @@ def test_interrupt_keeps_what_there_is() -> None:
     outcome = study(scene, impatient)
     assert outcome.reason is not None
     assert outcome.reason.startswith("interrupted in cycle")
-    result = outcome.groups[""].dataset()
+    result = outcome.groups[""]
     whole = timesim.run(scene)
     kept = result.sizes["cycle"]
     assert 20 <= kept < 60

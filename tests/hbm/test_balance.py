@@ -14,7 +14,6 @@ import systems
 from scipy.optimize import minimize
 
 from timesim.engine.contact import Law
-from timesim.engine.solver import PRESETS
 from timesim.hbm.balance import Balance, to_complex, to_real
 from timesim.hbm.continuation import Controls, solve
 from timesim.hbm.curve import contact_motion, default_controls, hbm_curve, solutions_at
@@ -25,6 +24,7 @@ from timesim.hbm.stability import floquet_multipliers
 from timesim.hbm.stuck_offset import acting, stuck_offset
 from timesim.hbm.tangent import linearised
 from timesim.model.model import Structure
+from timesim.model.solver import PRESETS
 from timesim.orbit.fourier import half_range
 from timesim.orbit.settling import Task, settle
 

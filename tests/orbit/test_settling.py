@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from systems import oscillator
 
-from timesim.engine.solver import PRESETS, Solver
+from timesim.model.solver import PRESETS, Solver
 from timesim.orbit.settling import CYCLES_A_ROUND, Task, period_of, settle
 
 SETTLED = {(3.0, 1.39): 0.15612878, (-1.0, 0.97): 0.28839155, (5.0, 1.52): 0.15680399}

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from systems import generated_model, oscillator
 
-from timesim.engine.solver import PRESETS, Solver
 from timesim.model.model import SEPARATION
 from timesim.model.reduction import reduction_of
+from timesim.model.solver import PRESETS, Criterion, Solver
 from timesim.orbit.lane import Lane, march, record
-from timesim.orbit.settling import Chain, Criterion, begin_of, steady_states
+from timesim.orbit.settling import Chain, begin_of, steady_states
 
 FINE = Solver("tsit5", 1e-9, 1e-11, reduce=False)
 FINEST = replace(PRESETS["reference"], reduce=False)

@@ -18,7 +18,8 @@ from timesim.picture import draw as plot
 from timesim.picture import style
 from timesim.picture import transient as plot_transient
 from timesim.picture.style import STATE_STYLE
-from timesim.result import store
+from timesim.result.dataset import dataset
+from timesim.result.netcdf import REQUIRED_ATTRIBUTES
 
 FREQUENCY, CYCLES, STEPS, EVERY = 2.0, 12, 1000, 5
 STIFFNESS, NORMAL_STIFFNESS, FRICTION = 20.0, 25.0, 0.5
@@ -92,12 +93,12 @@ def friction_run(num_contacts: int = 2, record_last: int = CYCLES, **attrs: obje
         "tangent": ["t1", "t2"],
         "cycle": np.arange(1, CYCLES + 1),
     }
-    base = dict.fromkeys(store.REQUIRED_ATTRIBUTES, "") | {
+    base = dict.fromkeys(REQUIRED_ATTRIBUTES, "") | {
         "study": "transient",
         "complete": 1,
         "title": "Two pads",
     }
-    return store.dataset(variables, coords, base | attrs)
+    return dataset(variables, coords, base | attrs)
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,8 @@ from timesim.picture import draw as plot
 from timesim.picture import style
 from timesim.picture import sweep as plot_sweep
 from timesim.picture.choice import MAX_CURVES, main_axes
-from timesim.result import store
+from timesim.result.dataset import dataset
+from timesim.result.netcdf import REQUIRED_ATTRIBUTES
 
 PRELOAD, FRICTION = "contacts.pad.preload", "contacts.pad.friction"
 FREQUENCY = np.linspace(0.8, 1.4, 31)
@@ -58,10 +59,8 @@ def sweep(
         "failure": (dims, np.full(shape, "", object)),
     }
     coords = {"direction": list(directions), "frequency": frequency, "point": POINTS, "axis": list("xyz")}
-    base = dict.fromkeys(store.REQUIRED_ATTRIBUTES, "") | {"study": "sweep", "complete": 1, "title": "A spring"}
-    return store.dataset(
-        variables, coords | {"contact": CONTACTS} | {k: list(v) for k, v in over.items()}, base | attrs
-    )
+    base = dict.fromkeys(REQUIRED_ATTRIBUTES, "") | {"study": "sweep", "complete": 1, "title": "A spring"}
+    return dataset(variables, coords | {"contact": CONTACTS} | {k: list(v) for k, v in over.items()}, base | attrs)
 
 
 def spoilt(data: xarray.Dataset) -> xarray.Dataset:

@@ -17,15 +17,15 @@ from typer.testing import CliRunner
 
 import timesim
 from timesim.cli import app
-from timesim.engine.solver import PRESETS
 from timesim.model.model import SEPARATION, STICK, Model, Start
+from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.basin import ANOTHER, NONE, branch_of, offsets, placed, starts_between, unique
 from timesim.orbit.jump import Stretch, narrowed
-from timesim.orbit.settling import Criterion, Orbit, without_orbit
+from timesim.orbit.settling import Orbit, without_orbit
 from timesim.orbit.two_motions import DOWN, UP, Means, Search, Sweeps, differ, losses, ranges, suspect_steps
 from timesim.picture import bistable as plot_bistable
 from timesim.picture import draw as plot
-from timesim.result.store import open_groups
+from timesim.result.netcdf import open_result
 from timesim.scene.resolution import load_scene
 from timesim.study.campaign import Means as Ways
 from timesim.study.hbm_curves import Curves
@@ -50,7 +50,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def result(folder: Path):
-    return open_groups(folder / "run")
+    return open_result(folder / "run")
 
 
 def test_both_ends_are_found_by_steps_wider_than_the_range(result):
@@ -132,7 +132,7 @@ def test_no_jump_is_a_result(tmp_path: Path):
     done = CliRunner().invoke(app, call)
     assert done.exit_code == 0, done.output
     assert "no range with two motions was found from 1.4 to 1.45 Hz" in done.stdout
-    data = open_groups(tmp_path)
+    data = open_result(tmp_path)
     assert data["range"].shape == (0, 2)
     assert data["start_branch"].shape == (0, 5, 5)
     assert set(data.children) == {"sweep"}
@@ -165,9 +165,9 @@ def test_resumed_it_is_the_same(tmp_path: Path):
     assert notices == [f"1 of 3 chunks are taken up from {tmp_path / 'checkpoint'}"]
     assert again.reason is whole.reason is None
     for group in ("", "sweep"):
-        for name, (dims, array) in whole.groups[group].variables.items():
-            assert again.groups[group].variables[name][0] == dims
-            np.testing.assert_array_equal(again.groups[group].variables[name][1], array)
+        for name, array in whole.groups[group].variables.items():
+            assert again.groups[group][name].dims == array.dims
+            np.testing.assert_array_equal(again.groups[group][name], array)
 
 
 # The search, on motions that are known: two branches that live to given frequencies

@@ -22,9 +22,10 @@ from typer.testing import CliRunner
 
 import timesim
 from timesim.cli import app
-from timesim.result import checkpoint, store
+from timesim.result import checkpoint, file
 from timesim.result.change import fingerprint
-from timesim.result.store import StoreError
+from timesim.result.file import StoreError
+from timesim.result.netcdf import open_result
 from timesim.study import campaign, cluster
 from timesim.study import registry as study
 from timesim.study.campaign import Chunk, Means, MeansError, carry_through
@@ -107,7 +108,7 @@ def test_an_interrupt_keeps_what_is_done(fault: str, tmp_path: Path):
     before = calls(log)
     clean = [replace(chunk, payload=replace(chunk.payload, fault="")) for chunk in chunks]
     manifest = checkpoint.Manifest(SCENE, {chunk.name: fingerprint(chunk) for chunk in clean})
-    store.write_whole(tmp_path / "checkpoint" / "manifest.json", manifest_text(manifest))
+    file.write_whole(tmp_path / "checkpoint" / "manifest.json", manifest_text(manifest))
     rest, reason = carried(clean, replace(means, resume=True))
     assert reason is None
     assert digest(rest) == digest(whole)
@@ -273,7 +274,7 @@ def test_a_folder_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.Mon
     def refused(*_: Any, **__: Any) -> None:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
-    monkeypatch.setattr(store.tempfile, "mkstemp", refused)
+    monkeypatch.setattr(file, "open", refused, raising=False)
     means, _ = means_of(tmp_path)
     with pytest.raises(StoreError, match=r"manifest.json cannot be written: Permission denied"):
         carried(chains(1, 1), means)
@@ -495,13 +496,13 @@ def test_a_whole_run_leaves_no_checkpoint(faulty: list[Any], tmp_path: Path):
 @pytest.mark.parametrize("fault", ["interrupt", "raise"])
 def test_a_run_cut_off_is_resumed_by_the_commands(fault: str, faulty: list[Any], tmp_path: Path):
     assert call(tmp_path / "whole")[0] == 0
-    whole = store.open_result(tmp_path / "whole")
+    whole = open_result(tmp_path / "whole")
     faulty[:] = [fault, 3]
     status, _, error = call(tmp_path / "run")
     assert status == 1
     assert "points are missing" in error
     assert "--resume" in error
-    assert np.isnan(store.open_result(tmp_path / "run")["cycles"]).any()
+    assert np.isnan(open_result(tmp_path / "run")["cycles"]).any()
     status, _, error = call(tmp_path / "run")
     assert status == 2
     assert "chunks done; give --resume to go on, or --force to start anew" in error
@@ -513,7 +514,7 @@ def test_a_run_cut_off_is_resumed_by_the_commands(fault: str, faulty: list[Any],
     assert "of 6 chunks are taken up" in error
     assert status == (1 if fault == "raise" else 0)
     if status == 0:
-        np.testing.assert_array_equal(store.open_result(tmp_path / "run")["cycles"], whole["cycles"])
+        np.testing.assert_array_equal(open_result(tmp_path / "run")["cycles"], whole["cycles"])
     faulty.clear()
     assert call(tmp_path / "run", "--force")[0] == 0
     assert sorted(path.name for path in (tmp_path / "run").iterdir()) == ["result.nc", "scene.yaml"]

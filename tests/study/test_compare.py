@@ -13,7 +13,7 @@ import timesim
 from timesim.cli import app
 from timesim.picture import compare as plot_compare
 from timesim.picture import draw as plot
-from timesim.result.store import open_groups
+from timesim.result.netcdf import open_result
 from timesim.scene.resolution import load_scene
 from timesim.study import compare
 from timesim.study.registry import carry_out
@@ -34,7 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def result(folder: Path):
-    return open_groups(folder / "run")
+    return open_result(folder / "run")
 
 
 def test_the_result_has_both_methods_and_their_difference(result):
@@ -165,11 +165,11 @@ def test_a_motion_that_no_curve_passes_begins_one():
     scene = load_scene(oscillator_scene(preload=-4.0) | {"study": study, "initial": start})
     outcome = carry_out(scene)
     assert outcome.reason is None
-    amplitude = outcome.groups["sweep"].dataset().amplitude.sel(point="tip", axis="x")
+    amplitude = outcome.groups["sweep"].amplitude.sel(point="tip", axis="x")
     assert float(amplitude.max() / amplitude.min()) > 1.3
-    curves = outcome.groups["hbm"].dataset()
+    curves = outcome.groups["hbm"]
     assert set(curves.curve.values) == {0, 1}
-    difference = outcome.groups[""].dataset().relative_difference
+    difference = outcome.groups[""].relative_difference
     assert float(abs(difference).max()) < 2e-3
     assert any("a curve of its own" in line for line in outcome.summary)
 

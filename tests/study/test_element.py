@@ -15,10 +15,9 @@ from timesim.element.loop import difference, loop_cycle
 from timesim.element.motion import CYCLE, HarmonicMotion, SplineMotion
 from timesim.element.prescribed import harmonic_elements
 from timesim.element.state_by_state import steady_cycle
-from timesim.engine.solver import solver_of
 from timesim.fault import SceneError
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact
-from timesim.result.store import open_result
+from timesim.result.netcdf import open_result
 from timesim.scene.resolution import load_scene
 from timesim.study.element_map import March, elements_of, limits
 from timesim.study.registry import run
@@ -251,15 +250,15 @@ def test_motion_from_a_file(tmp_path):
 def test_motion_from_a_result(tmp_path):
     """The motion of a point of a settled run gives the forces that the run had there."""
     source = load_scene(CONFIGS / "oscillator.yaml", ["study.cycles=150", "study.record_last=2"])
-    from timesim.result.store import save_groups
+    from timesim.result.netcdf import save
     from timesim.study.registry import carry_out
 
     before = carry_out(source).groups
-    save_groups(before, tmp_path / "result.nc")
+    save(before, tmp_path / "result.nc")
     pad = {"friction": 0.5, "tangential_stiffness": 20.0, "normal_stiffness": 20.0, "preload": 3.0}
     motion = {"from": str(tmp_path / "result.nc"), "point": "tip"}
     data = run(scene(element(motion=motion, samples=400), **pad))
-    recorded = before[""].dataset().contact_force.values[-201:-1, 0]
+    recorded = before[""].contact_force.values[-201:-1, 0]
     # Both at equal angles of the cycle; the offset of a stuck contact is that of its own start.
     np.testing.assert_allclose(data.normal_load.values[::2], recorded[:, 2], atol=1e-6)
     np.testing.assert_allclose(data.force.values[::2], recorded[:, :2], atol=2e-4)
@@ -312,9 +311,9 @@ def test_map_batches_do_not_matter(monkeypatch):
     loaded = load_scene(scene({"kind": "element_map", "A": [0.5, 1.0, 1.5], "B": [0.1, 0.2, 0.3], "D": 0.5}))
     plan = loaded.file.study
     elements, phase = elements_of(plan, plan.chosen(loaded.file.contacts))
-    whole = March(elements, phase, solver_of(loaded.file.solver)).run()
+    whole = March(elements, phase, loaded.solver()).run()
     monkeypatch.setattr(element_map, "BATCH", 4)
-    parts = March(elements, phase, solver_of(loaded.file.solver)).run()
+    parts = March(elements, phase, loaded.solver()).run()
     np.testing.assert_allclose(parts.f_s, whole.f_s, atol=1e-12)
     np.testing.assert_array_equal(parts.cycles, whole.cycles)
 
@@ -322,9 +321,7 @@ def test_map_batches_do_not_matter(monkeypatch):
 def test_elements_that_never_touch_are_zero():
     phasor = np.array([[1.0, 0.5j, 0.3], [1.0, 0.5j, 1.5]])
     elements = harmonic_elements(0.3, 1.0, -0.5, np.eye(2), phasor)
-    found = March(
-        elements, np.array([[0.0, np.pi / 2]] * 2), solver_of(load_scene(scene(element(A=1))).file.solver)
-    ).run()
+    found = March(elements, np.array([[0.0, np.pi / 2]] * 2), load_scene(scene(element(A=1))).solver()).run()
     assert (found.dissipation[0], found.transitions[0]) == (0.0, 0)
     assert found.dissipation[1] > 0
 

@@ -21,7 +21,7 @@ from timesim.orbit.fourier import waves_of
 from timesim.picture import draw as plot
 from timesim.picture import hbm as plot_hbm
 from timesim.picture.response import stable_parts
-from timesim.result.store import save
+from timesim.result.netcdf import save
 from timesim.scene.resolution import load_scene
 from timesim.study.registry import carry_out
 
@@ -103,7 +103,7 @@ def test_both_ends_reach_what_one_end_does_not():
     assert outcome.reason is not None
     assert outcome.reason.count("max_points") == 2
     record = outcome.groups[""]
-    frequency, curve = record.variables["frequency"][1], record.variables["curve"][1]
+    frequency, curve = record["frequency"].values, record["curve"].values
     assert np.bincount(curve).tolist() == [12, 12]
     assert frequency[0] == 1.0
     assert frequency[12] == pytest.approx(0.92)
@@ -153,7 +153,7 @@ def test_a_branch_of_its_own_is_begun_from_a_sweep(swept: Path):
     outcome = carry_out(load_scene(scene(start={"from": str(swept), "at": {"contacts.pad.preload": -4}}, **INSIDE)))
     (said,) = [line for line in outcome.summary if "a curve of its own" in line]
     assert "0.9425 to 0.946 Hz" in said
-    found = outcome.groups[""].dataset()
+    found = outcome.groups[""]
     assert found.attrs["complete"] == 1
     assert set(found.curve.values) == {0, 1}
     upper, lower = sorted((found.isel(solution=found.curve.values == number) for number in (0, 1)), key=_height)[::-1]
@@ -267,7 +267,7 @@ def test_no_start_is_told_and_the_other_curves_stay():
     assert outcome.reason is not None
     assert "structure.modes.0.damping_ratio = 0: continuation at 1" in outcome.reason
     assert "no solution at the start" in outcome.reason
-    assert set(outcome.groups[""].variables["structure.modes.0.damping_ratio"][1]) == {0.01}
+    assert set(outcome.groups[""]["structure.modes.0.damping_ratio"].values) == {0.01}
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ import timesim
 from timesim.picture import draw as plot
 from timesim.picture import jump as plot_jump
 from timesim.picture import transient as plot_transient
-from timesim.result import store
+from timesim.result import netcdf
 from timesim.scene.resolution import load_scene
 from timesim.study.registry import carry_out
 
@@ -133,7 +133,7 @@ def test_the_phase_of_the_excitation_is_continuous() -> None:
 @pytest.mark.parametrize("kind", ["jump", "transient"])
 def test_another_run_goes_on_from_a_jump(short: xarray.Dataset, tmp_path: Path, kind: str) -> None:
     begun = carry_out(load_scene(scene(phases=SHORT["study"]["phases"][:2])))
-    path = store.save_groups(begun.groups, tmp_path / "result.nc")
+    path = netcdf.save(begun.groups, tmp_path / "result.nc")
     rest = scene(run_up=[], phases=SHORT["study"]["phases"][2:]) | {"initial": {"from": str(path)}}
     if kind == "transient":
         rest["excitation"] = rest["excitation"] | {"frequency": 0.9}
@@ -154,7 +154,7 @@ def test_a_run_that_fails_in_its_run_up_keeps_what_it_has(tmp_path: Path) -> Non
     assert outcome.reason is not None
     assert "budget of 12 steps" in outcome.reason
     assert "at time -" in outcome.reason
-    result = store.open_result(store.save_groups(outcome.groups, tmp_path / "result.nc"))
+    result = netcdf.open_result(netcdf.save(outcome.groups, tmp_path / "result.nc"))
     assert result.attrs["complete"] == 0
     assert result.sizes["time"] == 0
     assert plot.draw(result, tmp_path) == []

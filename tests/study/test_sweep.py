@@ -19,12 +19,11 @@ from typer.testing import CliRunner
 
 import timesim
 from timesim.cli import app
-from timesim.engine.solver import solver_of
 from timesim.fault import SceneError
 from timesim.orbit import settling as steady
 from timesim.orbit.linear import linear_orbit
 from timesim.orbit.settling import Chain, first_lane
-from timesim.result.store import read, save
+from timesim.result.netcdf import read, save
 from timesim.scene.resolution import load_scene
 from timesim.study import sweep
 
@@ -174,7 +173,7 @@ LINEAR: dict[str, Any] = {
 def test_the_steady_state_of_a_linear_scene_against_integration() -> None:
     """Two harmonics, a constant force, damping that the modes do not diagonalise, one contact stuck and one apart."""
     scene_ = load_scene(LINEAR | {"study": {"kind": "sweep", "frequency": {"values": [0.9]}}})
-    solver = solver_of(scene_.file.solver)
+    solver = scene_.solver()
     lane = first_lane(Chain(scene_.model(), (0.9,)), solver)
     found = linear_orbit(lane)
     assert found is not None
@@ -453,7 +452,7 @@ BOUNCES = [0.3, 0.6]
 )
 def test_workers_make_no_difference(study: dict[str, Any]) -> None:
     grid = sweep.Grid(timesim.load_scene(scene(study)), timesim.load_scene(scene(study)).file.study)
-    assert len(grid.chunks(sweep.solver_of(grid.scene.file.solver))[0]) == 2
+    assert len(grid.chunks(grid.scene.solver())[0]) == 2
     same(run(study, workers=1, solver={"accuracy": "draft"}), run(study, workers=2, solver={"accuracy": "draft"}))
 
 

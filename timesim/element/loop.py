@@ -29,8 +29,8 @@ from timesim.element.prescribed import (
     system_of,
 )
 from timesim.engine.event_loop import Step
-from timesim.engine.solver import Solver
 from timesim.model.model import SEPARATION, Contact
+from timesim.model.solver import Solver
 
 FINE = Solver("tsit5", 1e-12, 1e-12)
 MAX_CYCLES = 1000

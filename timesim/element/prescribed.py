@@ -29,9 +29,11 @@ from timesim.element.motion import CYCLE, HarmonicMotion, Motion, SplineMotion
 from timesim.engine.contact import Law
 from timesim.engine.event_loop import Control, Status, Step, Trajectory, advance, begin, march
 from timesim.engine.method import Advance, Explicit, Field, Method, method_named, moved
-from timesim.engine.solver import Solver
+from timesim.engine.solver import step_control
 from timesim.engine.system import Point, System, Work
-from timesim.model.model import SEPARATION, SLIP, STICK, Contact
+from timesim.model.contact_state import contact_state
+from timesim.model.model import SEPARATION, Contact
+from timesim.model.solver import Solver
 
 WEAK = 1e-8
 NUM_CARRIERS, NUM_MODES = 3, 7
@@ -175,7 +177,7 @@ class Elements:
         stiffness = self.normal_stiffness
         load = self.preload + stiffness * self.start[:, 2]
         floor = 1e-14 * (np.abs(self.preload) + stiffness * np.hypot(self.start[:, 2], self.rate[:, 2]))
-        return np.where(load > floor, np.where(self.friction > 0, STICK, SLIP), SEPARATION)
+        return contact_state(load, self.friction, SEPARATION, rounding=floor)
 
     @property
     def carriers(self) -> tuple[Array, Array]:
@@ -269,7 +271,7 @@ def system_of(law: Law, acceleration: tuple[np.ndarray, np.ndarray, np.ndarray] 
 
 def control_of(solver: Solver) -> Control:
     """Tolerances of the loop: relative ones count from the scale of the motion, not from that of the carriers."""
-    control = solver.control(1.0)
+    control = step_control(solver, 1.0)
     return eqx.tree_at(lambda c: c.rtol, control, control.rtol * WEAK)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from timesim.element.cycle import PERIODIC, ElementCycle, Stay, Transition
 from timesim.element.motion import CYCLE, Array, Motion
 from timesim.element.slip_path import Law, SlipPath, constant_path, contact_direction, integrate_slip
+from timesim.model.contact_state import contact_state
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact
 
 MAX_CYCLES = 1000
@@ -161,10 +162,11 @@ class March:
         """The start at theta = 0: f = 0, stuck if n > 0, else separated."""
         y, _ = self.motion.evaluate(0.0)
         load = self.law.preload + self.law.normal_stiffness * y[2]
-        if load <= self.load_floor:
+        state = contact_state(load, self.law.friction, SEPARATION, rounding=self.load_floor)
+        if state == SEPARATION:
             return Phase(SEPARATION, _next(self.closings, 0.0, SEAM), STICK, np.zeros(2))
         opening = _next(self.openings, 0.0)
-        if self.law.frictionless:
+        if state == SLIP:
             return Phase(SLIP, opening, SEPARATION, y[:2], 0.0, opening)
         return self._stuck(0.0, y[:2], opening, on_cone=False)
 

@@ -16,10 +16,12 @@ import numpy as np
 from timesim.engine.event_loop import Status, Trajectory, advance, begin
 from timesim.engine.event_loop import Step as LoopStep
 from timesim.engine.history import Steps
-from timesim.engine.solver import Solver
+from timesim.engine.solver import step_control, step_method
 from timesim.engine.system import Point, Scales, System, Work, contact_axes, scales_of, system_of
-from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
+from timesim.model.contact_state import start_states
+from timesim.model.model import SEPARATION, STICK, Model, Start
 from timesim.model.reduction import Reduction, reduction_of
+from timesim.model.solver import Solver
 
 BATCH = 512  # steps handed over at a time
 PERIOD = 2 * np.pi
@@ -95,7 +97,7 @@ class Run:
         frame = Frame(self.model, self.reduction, phase.frequency)
         system = system_of(self.model, phase.frequency, self.phase, self.reduction)
         stiffest = self.model.stuck_rate / frame.scales.omega
-        method, control = self.solver.method(), self.solver.control(stiffest)
+        method, control = step_method(self.solver), step_control(self.solver, stiffest)
         now = frame.begin(system, self, self.solver.first_step(stiffest))
         done, work, origin = 0, self.work.copy(), self.time
         while done < phase.cycles:
@@ -237,18 +239,3 @@ class Frame:
 def first_rows(record: LoopStep, count: int) -> LoopStep:
     """The filled part of a record, on the host."""
     return jax.tree.map(lambda rows: np.asarray(rows)[:count], record)
-
-
-def start_states(model: Model) -> np.ndarray:
-    """State of each contact at the start, shape (C,): as given, else separated where n <= 0, else stuck.
-
-    A frictionless contact that touches counts as slipping.
-    """
-    start: Start = model.start
-    states = start.state.copy()
-    for index in np.nonzero(states < 0)[0]:
-        contact = model.contacts[index]
-        v = model.contact_shape[index, 2] @ start.displacement
-        closed = contact.preload + contact.normal_stiffness * v > 0
-        states[index] = (STICK if contact.friction > 0 else SLIP) if closed else SEPARATION
-    return states

@@ -128,6 +128,26 @@ class Model:
         return len(self.contacts)
 
     @property
+    def friction(self) -> np.ndarray:
+        """mu of each contact, shape (C,)."""
+        return np.array([contact.friction for contact in self.contacts], dtype=float)
+
+    @property
+    def tangential_stiffness(self) -> np.ndarray:
+        """K_u of each contact, shape (C, 2, 2)."""
+        return np.array([contact.tangential_stiffness for contact in self.contacts], dtype=float).reshape(-1, 2, 2)
+
+    @property
+    def normal_stiffness(self) -> np.ndarray:
+        """k_v of each contact, shape (C,)."""
+        return np.array([contact.normal_stiffness for contact in self.contacts], dtype=float)
+
+    @property
+    def preload(self) -> np.ndarray:
+        """n0 of each contact, shape (C,)."""
+        return np.array([contact.preload for contact in self.contacts], dtype=float)
+
+    @property
     def contact_shape(self) -> np.ndarray:
         """Relative motion (u1, u2, v) of each contact for a unit of each mode, shape (C, 3, M)."""
         if not self.contacts:

@@ -24,6 +24,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.sparse.csgraph import connected_components
 
+from timesim.model.contact_state import start_states
 from timesim.model.linear_bound import Envelope, Oscillation, envelopes
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact, Model, Structure
 
@@ -177,19 +178,8 @@ def _normalised(model: Model) -> _Scene:
         load.constant / root,
         start.displacement * root,
         start.velocity * root,
-        _start_state(model),
+        start_states(model),
     )
-
-
-def _start_state(model: Model) -> np.ndarray:
-    """State of each contact at the start; where it is left open it follows from the normal load."""
-    state = np.array(model.start.state, dtype=int).reshape(-1)
-    approach = model.contact_shape[:, 2] @ model.start.displacement
-    for c, contact in enumerate(model.contacts):
-        if state[c] < 0:
-            closed = contact.preload + contact.normal_stiffness * approach[c] > 0
-            state[c] = SEPARATION if not closed else STICK if contact.friction > 0 else SLIP
-    return state
 
 
 @dataclass(frozen=True)

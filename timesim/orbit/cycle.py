@@ -8,9 +8,9 @@ import jax
 import numpy as np
 
 from timesim.engine.history import Samples, sample
-from timesim.engine.solver import Solver
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import Model
+from timesim.model.solver import Solver
 from timesim.orbit.fourier import waves_of
 
 SAMPLES = 1024

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from timesim.engine.solver import Solver
 from timesim.model.model import Model
-from timesim.orbit.settling import Chain, Criterion, Orbit, steady_states
+from timesim.model.solver import Criterion, Solver
+from timesim.orbit.settling import Chain, Orbit, steady_states
 from timesim.study.worker import halted
 
 STANDS_OUT = 4.0  # a jump changes the amplitude by so many times what the steps beside it do,

@@ -12,13 +12,15 @@ import numpy as np
 
 from timesim.engine.event_loop import Control, Status, Step
 from timesim.engine.history import between
-from timesim.engine.solver import Solver
+from timesim.engine.solver import step_control, step_method
 from timesim.engine.system import Point, System, system_of
 from timesim.engine.trajectory import Frame
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.reduction import Reduction
+from timesim.model.solver import Solver
 from timesim.orbit.batch import Place, at_start, march_cycles, record_cycles
 from timesim.orbit.monodromy import derivative
+from timesim.orbit.share import share
 
 SIZES = (4, 16)  # of a batch: few, so that little is compiled
 CAPACITY = 256  # tries of a record
@@ -79,7 +81,7 @@ class Lane:
         """A lane at a frequency [Hz] from a start whose contact states are known."""
         frame = Frame(model, reduction, frequency)
         system = system_of(model, frequency, start.phase, reduction)
-        told = Told.of(solver.control(model.stuck_rate / frame.scales.omega), system)
+        told = Told.of(step_control(solver, model.stuck_rate / frame.scales.omega), system)
         point, state = frame.point(start)
         w = tuple(map(np.asarray, point.w))
         return cls(
@@ -262,7 +264,7 @@ class Recorded:
 
 def _share(lane: Lane, steps: Path, state: int) -> np.ndarray:
     shares = np.zeros(lane.model.num_contacts)
-    shares[lane.reduction.live] = np.minimum(steps.h @ (steps.state == state) / steps.h.sum(), 1.0)
+    shares[lane.reduction.live] = share(steps.h, steps.state == state)
     shares[lane.reduction.apart] = float(state == SEPARATION)
     return shares
 
@@ -313,7 +315,7 @@ def march(
     """
     done: list[tuple[Lane, np.ndarray]] = []
     for batch in _batches(lanes, size):
-        ends = march_cycles(solver.method(), *_stacked(_padded(batch, size)), num_cycles)
+        ends = march_cycles(step_method(solver), *_stacked(_padded(batch, size)), num_cycles)
         sections, cycles = np.asarray(ends.sections), np.asarray(ends.cycles)
         moved = _moved(batch, ends.place.point, ends.place.state, ends.status, ends.culprit)
         done += [(lane, sections[i, : cycles[i]]) for i, lane in enumerate(moved)]
@@ -341,7 +343,7 @@ def record(
 
 
 def _recorded(batch: list[Lane], solver: Solver, num_cycles: int, most: int | None, size: int) -> list[Recorded]:
-    method = solver.method()
+    method = step_method(solver)
     controls, systems, places = _stacked(_padded(batch, size))
     cycles = np.full(len(places.state), num_cycles)
     now = at_start(places, controls)

@@ -18,10 +18,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from timesim.engine.event_loop import Status
-from timesim.engine.solver import Solver
 from timesim.engine.trajectory import message_of, start_states
 from timesim.model.model import Model, Start
 from timesim.model.reduction import reduction_of
+from timesim.model.solver import Criterion, Solver
 from timesim.orbit.lane import SIZES, Lane, Recorded, march, record
 from timesim.orbit.linear import linear_orbit
 
@@ -87,21 +87,6 @@ class Orbit:
     separation_share: np.ndarray
     floquet: np.ndarray
     reason: str | None = None
-
-
-@dataclass(frozen=True)
-class Criterion:
-    """When a motion counts as settled, and how it is found.
-
-    Attributes:
-        tolerance: of the state from cycle to cycle, relative to its largest entry.
-        max_cycles: budget at each frequency.
-        shoot: whether to take Newton's method.
-    """
-
-    tolerance: float = 1e-8
-    max_cycles: int = 2000
-    shoot: bool = False
 
 
 @dataclass

@@ -15,10 +15,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from timesim.engine.solver import Solver
 from timesim.model.model import Model, Start
+from timesim.model.solver import Criterion, Solver
 from timesim.orbit.jump import AT_LEAST, Stretch, distance, narrowed
-from timesim.orbit.settling import Chain, Criterion, Orbit, steady_states, without_orbit
+from timesim.orbit.settling import Chain, Orbit, steady_states, without_orbit
 from timesim.study.campaign import Result, halted
 from timesim.study.sweep import columns_of, end_of, orbit_of
 

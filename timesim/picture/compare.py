@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from timesim.orbit.share import switches
 from timesim.picture import hbm as balance
 from timesim.picture.choice import MAX_ROWS, motion, motions
 from timesim.picture.response import DIRECTIONS, finish, over_keys, stacked, values_label
@@ -67,8 +68,7 @@ def difference(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
     ax, (hbm, sweep) = axes(ax), _groups(data)
     counts = sweep.amplitude > MINOR * sweep.amplitude.max(("point", "axis"))
     size = abs(data["relative_difference"].where(counts.values)).max(("point", "axis"))
-    apart = sweep.separation_share
-    linear = ((sweep.slip_share == 0) & ((apart == 0) | (apart > 1 - 1e-9))).all("contact")
+    linear = ~switches(sweep.slip_share, sweep.separation_share).any("contact")
     for points in _points(hbm, sweep):
         x, y, pale = sweep.frequency.values, size.isel(points.where).values, linear.isel(points.where).values
         ax.plot(x[~pale], y[~pale], ms=3.5, **points.look)

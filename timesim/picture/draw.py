@@ -9,7 +9,7 @@ import numpy as np
 
 from timesim.picture import bistable, compare, element, element_map, hbm, jump, optimum, sweep, transient
 from timesim.picture.style import Picture
-from timesim.result.store import write_whole
+from timesim.result.file import write_whole
 
 if TYPE_CHECKING:
     import matplotlib.figure

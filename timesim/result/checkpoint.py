@@ -22,7 +22,8 @@ import filelock
 import numpy as np
 
 from timesim.result.change import first_difference, named_differences
-from timesim.result.store import RESULT_NAME, StoreError, read, write_whole
+from timesim.result.file import StoreError, write_whole
+from timesim.result.netcdf import RESULT_NAME, read
 from timesim.study.worker import Result
 
 FOLDER_NAME = "checkpoint"

@@ -188,17 +188,16 @@ FLAGS = {
 
 
 def attributes(name: str) -> dict[str, Any]:
-    """`long_name` and `units` of a variable or coordinate, and the meaning of flags.
+    """`long_name` and `units` of a variable or coordinate, and the meaning of flags; empty for a name not listed.
 
     A name with a dot is the key of a scalar in the scene, such as ``contacts.pad.preload``.
-
-    Raises:
-        KeyError: no result holds a variable of this name.
     """
     if "." in name:
         long_name, units = f"scene value {name}", SCENE_UNITS.get(name.rsplit(".", 1)[1])
-    else:
+    elif name in LABELS:
         long_name, units = LABELS[name]
+    else:
+        return {}
     found = {"long_name": long_name} | ({} if units is None else {"units": units})
     flags = STATE_FLAGS if long_name.startswith("contact state") else FLAGS.get(name, {})
     values = {"flag_values": np.array(list(flags), dtype=np.int8), "flag_meanings": " ".join(flags.values())}

@@ -66,10 +66,10 @@ def read_result_motion(path: str | Path, point: str, against: str, frame: Array)
 
 def _recorded(path: Path) -> dict[str, Array]:
     """What a transient's result holds of the motion of its points."""
-    from timesim.result.store import read
+    from timesim.result.netcdf import read
 
     root = read(path)[""]
-    arrays = {name: array for name, (_, array) in root.variables.items()} | dict(root.coords)
+    arrays = {str(name): array.values for name, array in root.variables.items()}
     needed = ("displacement", "point", "time", "cycle_start", "cycle_period")
     if missing := [name for name in needed if name not in arrays]:
         raise ValueError(f"result {path}: no {', '.join(missing)}; give the result of a transient")

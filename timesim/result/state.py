@@ -4,14 +4,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from pydantic import Field
 
 from timesim.fault import RuleError, nearest
-from timesim.result.store import RESULT_NAME, Record
+from timesim.orbit.share import switches
+from timesim.result.netcdf import RESULT_NAME
 from timesim.scene.section import Number, Section, Text
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 STATE = ("modal_displacement", "modal_velocity", "slip", "contact_state")
 POINT = ("amplitude", "settled", "period", "slip_share", "separation_share", "failure")
@@ -100,18 +104,25 @@ def settled_points(found: Held, asked: Mapping[str, float | str]) -> Iterator[Sw
         point = found.at(place)
         if str(point["failure"]) or point["settled"] != 1 or point["period"] != 1:
             continue
-        slip, apart = point["slip_share"], point["separation_share"]
-        if np.any(slip > 0) or np.any((apart > 0) & (apart < 1 - SAME)):
+        if switches(point["slip_share"], point["separation_share"]).any():
             yield float(found.axes["frequency"][place[-1]]), point
 
 
-def held_in(record: Record) -> Held:
-    """The states in the record of a sweep."""
-    dims = record.variables[f"final_{STATE[0]}"][0][:-1]
-    names = (*(f"final_{name}" for name in STATE), *POINT)
-    arrays = {name: record.variables[name][1] for name in names}
-    phase = float(np.deg2rad(record.variables["final_phase_deg"][1]))
-    return Held(tuple(map(str, record.coords["contact"])), arrays, {name: record.coords[name] for name in dims}, phase)
+def held_in(data: "Dataset") -> Held:
+    """The states in a result; of one run, or of the points of a sweep.
+
+    Raises:
+        RuleError: it holds none.
+    """
+    first = f"final_{STATE[0]}"
+    if first not in data:
+        raise RuleError((), f"holds no final state ({first} is missing)", "a transient, a jump or a sweep leaves one")
+    dims = tuple(map(str, data[first].dims[:-1]))
+    names = [f"final_{name}" for name in STATE] + (list(POINT) if dims else [])
+    contacts = tuple(map(str, data["contact"].values)) if "contact" in data else ()
+    phase = float(np.deg2rad(data["final_phase_deg"].values))
+    arrays, axes = ({name: data[name].values for name in own} for own in (names, dims))
+    return Held(contacts, arrays, axes, phase)
 
 
 def _position(name: str, values: np.ndarray, value: float | str) -> int:
@@ -148,31 +159,16 @@ def held(path: Path) -> Held:
     path = path / RESULT_NAME if path.is_dir() else path
     if not path.is_file():
         raise RuleError((), "does not exist")
-    import h5netcdf
+    import xarray
 
     try:
-        with h5netcdf.File(path, "r", decode_vlen_strings=True) as data:
-            complete = int(np.asarray(data.attrs.get("complete", 1)))
-            group = data.groups.get("sweep", data)
-            first = f"final_{STATE[0]}"
-            if first not in group.variables:
-                hint = "a transient, a jump or a sweep leaves one"
-                raise RuleError((), f"holds no final state ({first} is missing)", hint)
-            dims = group.variables[first].dimensions[:-1]
-            names = [f"final_{name}" for name in STATE] + (list(POINT) if dims else [])
-            arrays = {name: _loaded(group.variables[name]) for name in names}
-            axes = {name: _loaded(group.variables[name]) for name in dims}
-            contacts = tuple(map(str, _loaded(group.variables["contact"]))) if "contact" in group.variables else ()
-            phase = float(np.deg2rad(_loaded(group.variables["final_phase_deg"])))
+        groups = xarray.open_groups(path, engine="h5netcdf")
+        with groups["/"] as root, groups.get("/sweep", root) as data:
+            found, complete = held_in(data), int(root.attrs.get("complete", 1))
     except RuleError:
         raise
     except Exception as error:  # a damaged file raises whatever HDF5 makes of it
         raise RuleError((), f"cannot be read as NetCDF-4 ({' '.join(str(error).split())[:120]})") from None
-    if not complete and not axes:
+    if not complete and not found.axes:
         raise RuleError((), "is the result of a run that was not finished (complete = 0)", "finish that run first")
-    return Held(contacts, arrays, axes, phase)
-
-
-def _loaded(variable: Any) -> np.ndarray:
-    values = np.asarray(variable[...])
-    return values.astype(str) if values.dtype.kind == "O" else values
+    return found

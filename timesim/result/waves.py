@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from timesim.orbit.fourier import waves_of
-from timesim.result.store import read
+from timesim.result.netcdf import read
 
 Array = NDArray[np.float64]
 NEEDED = ("time", "modal_displacement", "cycle_start", "cycle_period", "final_phase_deg")
@@ -37,7 +37,7 @@ def result_waves(path: Path) -> Waves:
         StoreError: the file is no result.
     """
     root = read(path)[""]
-    arrays = {name: array for name, (_, array) in root.variables.items()} | dict(root.coords)
+    arrays = {str(name): array.values for name, array in root.variables.items()}
     if missing := [name for name in NEEDED if name not in arrays]:
         raise ValueError(f"result {path}: no {', '.join(missing)}; give the result of a transient")
     if not arrays["cycle_start"].size or arrays["time"].size < 3:

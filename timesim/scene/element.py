@@ -121,8 +121,8 @@ class Element(ElementKind):
 
         if self.motion is None:
             return HarmonicMotion(self.A, self.B, self.D, np.deg2rad(self.phi_deg), np.deg2rad(self.psi_deg))
+        from timesim.result.file import StoreError
         from timesim.result.motion import read_motion
-        from timesim.result.store import StoreError
 
         try:
             if isinstance(self.motion, PointMotion):

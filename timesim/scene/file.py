@@ -7,6 +7,7 @@ consistent system of units.
 The sections of the studies are in `timesim.scene.studies`.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -15,6 +16,7 @@ from pydantic import Discriminator, Field, Strict, Tag, model_validator
 
 from timesim.fault import RuleError, nearest
 from timesim.model import model
+from timesim.model.solver import PRESETS, Solver
 from timesim.model.start import from_result, given_start, static_start
 from timesim.result.state import ResultSection
 from timesim.scene.contact import ContactSection
@@ -142,6 +144,18 @@ class SolverSection(Section):
                 hint = f"here {'method is ' + self.method if self.method else 'an accuracy rules'}"
                 raise refuse(f"goes with method {owner} only", key=(key,), hint=hint, value=getattr(self, key))
         return self
+
+    def build(self) -> Solver:
+        """The method in numbers."""
+        if self.steps_per_cycle is not None:
+            numbers = Solver("rk4", 1e-8, 1e-10, longest=2 * np.pi / self.steps_per_cycle)
+        elif self.method is not None:
+            assert self.rtol is not None
+            assert self.atol is not None
+            numbers = Solver(self.method, self.rtol, self.atol)
+        else:
+            numbers = PRESETS[str(self.accuracy)]
+        return replace(numbers, budget=self.max_steps, reduce=self.reduce)
 
 
 class SceneFile(Section):

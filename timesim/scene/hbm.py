@@ -9,8 +9,8 @@ from pydantic import AfterValidator, Discriminator, Field, Strict, Tag, model_va
 from timesim.fault import RuleError, nearest
 from timesim.hbm.setting import Setting, SettingError, check_excitation
 from timesim.model.model import Model
+from timesim.result.file import StoreError
 from timesim.result.state import Held, ResultSection, held
-from timesim.result.store import StoreError
 from timesim.result.waves import result_waves
 from timesim.scene.axis import OVER_PARTS, Over
 from timesim.scene.contact import ContactSection

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from timesim.fault import Key, Problem, RuleError, SceneError
 from timesim.model.model import Excitation, Model
+from timesim.model.solver import Solver
 from timesim.model.start import rest_start
 from timesim.scene.axis import axis_values
 from timesim.scene.file import SceneFile, json_schema
@@ -54,6 +55,10 @@ class Scene:
         if self._model is None:
             raise SceneError([self.source.problem(RuleError(("structure",), "is required for a model"))])
         return self._model
+
+    def solver(self) -> Solver:
+        """How it is integrated, in numbers."""
+        return self.file.solver.build()
 
     @cached_property
     def _model(self) -> Model | None:

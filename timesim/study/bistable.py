@@ -11,14 +11,15 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+from xarray import Dataset
 
-from timesim.engine.solver import Solver, solver_of
 from timesim.model.model import Model
+from timesim.model.solver import Criterion, Solver
 from timesim.orbit.basin import ANOTHER, LOWER, NONE, UPPER, Ensemble, explore, shares, unique
 from timesim.orbit.lane import SIZES
-from timesim.orbit.settling import Criterion, Task, settle
+from timesim.orbit.settling import Task, settle
 from timesim.orbit.two_motions import UP, Means, Part, Search, find, sweep_part
-from timesim.result import store
+from timesim.result.dataset import dataset
 from timesim.scene.bistable import Bistable
 from timesim.scene.resolution import Scene
 from timesim.study.campaign import INTERRUPTED, Chunk, Result, carry_through
@@ -48,7 +49,7 @@ def study(scene: Scene, means: Ways) -> Outcome:
     """
     plan = scene.file.study
     assert isinstance(plan, Bistable)
-    solver, grid = solver_of(scene.file.solver), Grid(scene, plan.sweep())
+    solver, grid = scene.solver(), Grid(scene, plan.sweep())
     clock = time.perf_counter()
     warm_up(grid, plan, solver)
     compiling = time.perf_counter() - clock
@@ -58,7 +59,7 @@ def study(scene: Scene, means: Ways) -> Outcome:
     swept = found.sweep({"method": str(solver), "compile_seconds": compiling, "run_seconds": running})
     reasons, groups = [reason or failures(swept)], {"sweep": swept}
     _, *more = states_told(swept)
-    size = int(np.isfinite(swept.variables["amplitude"][1]).all(axis=(-2, -1)).sum())
+    size = int(np.isfinite(swept["amplitude"].values).all(axis=(-2, -1)).sum())
     lines = [*found.summary(), f"{size} steady states of both sweeps, and the search, in {running:.2f} s", *more]
     if plan.harmonics and not (reason or "").startswith(INTERRUPTED):
         balanced, hbm_reason = _balanced(scene, plan)
@@ -74,7 +75,7 @@ def study(scene: Scene, means: Ways) -> Outcome:
     return Outcome({"": found.record(told), **groups}, why, tuple(lines))
 
 
-def _balanced(scene: Scene, plan: Bistable) -> tuple[store.Record, str | None]:
+def _balanced(scene: Scene, plan: Bistable) -> tuple[Dataset, str | None]:
     record, _, reason = followed(scene, plan.balance())
     return record, reason
 
@@ -122,7 +123,7 @@ class Found:
         names = (f"{v:05d}-starts", f"{v:05d}-ends")
         return next((self.results[name] for name in names if name in self.results), None)
 
-    def sweep(self, told: Mapping[str, Any]) -> store.Record:
+    def sweep(self, told: Mapping[str, Any]) -> Dataset:
         """Both sweeps as the `sweep` study writes them, their jumps bisected."""
         swept: dict[str, Result] = {}
         places: dict[str, Any] = {}
@@ -138,7 +139,7 @@ class Found:
             places[key] = [(v, direction, slice(0, size)) for direction in (UP, 1 - UP)]
         return self.grid.record(*self.grid.gathered(swept, places), told)
 
-    def record(self, told: Mapping[str, Any]) -> store.Record:
+    def record(self, told: Mapping[str, Any]) -> Dataset:
         """The root of the result file."""
         model = next((item for item in self.grid.models if isinstance(item, Model)), self.grid.scene.model())
         points, contacts, num = len(model.structure.points), model.num_contacts, self.plan.starts
@@ -180,7 +181,7 @@ class Found:
         }
         if num:
             coords |= {"share_lower": shares(num), "share_upper": shares(num), "tangent": np.array(["t1", "t2"])}
-        return store.record(variables, coords, told)
+        return dataset(variables, coords, told)
 
     def _table(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
         """A quantity of all ranges, shape (sets, ranges, ...); NaN, and of whole numbers -1, where there are fewer."""
@@ -264,13 +265,13 @@ def _starts_told(label: str, model: Model, result: Result, k: int) -> Iterator[s
         )
 
 
-def folds(record: store.Record) -> Iterator[str]:
+def folds(record: Dataset) -> Iterator[str]:
     """Folds of the balance, beside which the ends may be read."""
-    frequency, fold = record.variables["frequency"][1], record.variables["fold"][1] > 0
-    keys = [name for name in record.variables if "." in name]
+    frequency, fold = record["frequency"].values, record["fold"].values > 0
+    keys = [name for name in map(str, record.data_vars) if "." in name]
     sets: dict[str, list[float]] = {}
     for place in np.flatnonzero(fold):
-        label = ", ".join(f"{key} {record.variables[key][1][place]:g}" for key in keys)
+        label = ", ".join(f"{key} {record[key].values[place]:g}" for key in keys)
         sets.setdefault(label, []).append(float(frequency[place]))
     for label, turning in list(sets.items())[:LISTED]:
         before = f"{label}: " if label else ""

@@ -16,7 +16,7 @@ from queue import SimpleQueue
 from timesim.result import checkpoint
 from timesim.result.change import fingerprint
 from timesim.result.checkpoint import INTERRUPTED, Checkpoint, Manifest
-from timesim.result.store import StoreError
+from timesim.result.file import StoreError
 from timesim.study.cluster import check_address, processes
 from timesim.study.worker import Chunk, MeansError, Result, Work, halted, perform, threads
 

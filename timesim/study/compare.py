@@ -13,10 +13,11 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from xarray import Dataset
 
-from timesim.engine.solver import solver_of
 from timesim.hbm.curve import HbmCurve, solutions_at
-from timesim.result import store
+from timesim.orbit.share import switches
+from timesim.result.dataset import dataset
 from timesim.result.state import held_in
 from timesim.scene.axis import axis_values
 from timesim.scene.hbm import Compare
@@ -56,21 +57,21 @@ class Sweep:
     separation: np.ndarray
 
 
-def read_sweep(record: store.Record) -> Sweep:
+def read_sweep(record: Dataset) -> Sweep:
     """From the record of a sweep."""
 
     def array(name: str, own: int) -> np.ndarray:
-        values = record.variables[name][1]
+        values = record[name].values
         return values.reshape(-1, *values.shape[values.ndim - own :])
 
     period, settled = array("period", 2), array("settled", 2) > 0
     slip, apart = array("slip_share", 3), array("separation_share", 3)
     return Sweep(
-        frequency=record.coords["frequency"],
+        frequency=record["frequency"].values,
         amplitude=array("amplitude", 4),
         settled=settled & (period == 1),
         doubled=settled & (period > 1),
-        linear=((slip == 0) & ((apart == 0) | (apart > 1 - 1e-9))).all(axis=-1),
+        linear=np.logical_not(switches(slip, apart).any(axis=-1)),
         slip=slip.max(axis=-1, initial=0.0),
         separation=apart.max(axis=-1, initial=0.0),
     )
@@ -151,21 +152,21 @@ def study(scene: Scene, means: Means) -> Outcome:
     lines = [*jumps_told(swept), *verdict(sweep, match, curves)]
     lines.append(
         f"time integration: {sweep.settled.size} points in {seconds:.2f} s; harmonic balance: "
-        f"{balanced.variables['frequency'][1].size} solutions in {balanced.attrs['run_seconds']:.2f} s"
+        f"{balanced['frequency'].size} solutions in {balanced.attrs['run_seconds']:.2f} s"
     )
     told = attributes(
         scene,
-        f"{solver_of(scene.file.solver)}; {curves.setting}",
+        f"{scene.solver()}; {curves.setting}",
         balanced.attrs["compile_seconds"] + swept.attrs["compile_seconds"],
         seconds + balanced.attrs["run_seconds"],
         reason,
     )
-    dims = swept.variables["amplitude"][0]
-    coords = {name: swept.coords[name] for name in ("direction", "point", "axis")}
-    shape = swept.variables["amplitude"][1].shape
+    dims = tuple(map(str, swept["amplitude"].dims))
+    coords = {name: swept[name].values for name in ("direction", "point", "axis")}
+    shape = swept["amplitude"].shape
     root = {"relative_difference": (dims, match.difference.reshape(shape))}
     groups = {
-        "": store.record(root, coords, told | {"verdict": "\n".join(lines)}),
+        "": dataset(root, coords, told | {"verdict": "\n".join(lines)}),
         "sweep": swept,
         "hbm": balanced,
     }
@@ -177,7 +178,7 @@ def study(scene: Scene, means: Means) -> Outcome:
         assert found is not None
         model = scene.variant(values) if values else scene.model()
         one = found.at(int(match.solution[v, d, f]))
-        groups["cycle"] = cycle_record(model, one, curves.setting, solver_of(scene.file.solver), values)
+        groups["cycle"] = cycle_record(model, one, curves.setting, scene.solver(), values)
     return Outcome(groups, reason, (*hbm_summary(balanced, curves), *lines))
 
 

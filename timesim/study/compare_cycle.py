@@ -9,19 +9,20 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from xarray import Dataset
 
 from timesim.engine.history import Samples
-from timesim.engine.solver import Solver
 from timesim.hbm.balance import Array, Balance, Complex
 from timesim.hbm.curve import HbmCurve
 from timesim.hbm.located import waves
 from timesim.hbm.period import Period, before_intervals, carried, closed_period, intervals_of, motion_of
 from timesim.hbm.setting import Setting
 from timesim.model.model import SEPARATION, SLIP, Model, Start
+from timesim.model.solver import Solver
 from timesim.orbit.cycle import one_cycle
 from timesim.orbit.fourier import waves_of
 from timesim.orbit.settling import Task, settle
-from timesim.result import store
+from timesim.result.dataset import dataset
 
 SAMPLES = 720
 METHODS = ("sweep", "hbm")
@@ -29,7 +30,7 @@ METHODS = ("sweep", "hbm")
 
 def cycle_record(
     model: Model, solution: HbmCurve, setting: Setting, solver: Solver, values: Mapping[str, float]
-) -> store.Record:
+) -> Dataset:
     """A cycle by time integration, started from the solution and settled, and by harmonic balance.
 
     Args:
@@ -69,7 +70,7 @@ def cycle_record(
         "contact": np.array([contact.name for contact in model.contacts], dtype=str),
     }
     place = ", ".join([f"{frequency:g} Hz", *(f"{key} {value:g}" for key, value in values.items())])
-    return store.record(variables, coords, {"place": place})
+    return dataset(variables, coords, {"place": place})
 
 
 def _period(balance: Balance, coefficient: Array) -> Period:

@@ -9,12 +9,13 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from xarray import Dataset
 
 from timesim.element.cycle import ElementCycle, Transition
 from timesim.element.motion import CYCLE, Motion
 from timesim.element.state_by_state import steady_cycle
 from timesim.model.model import STATE_NAMES, Contact
-from timesim.result import store
+from timesim.result.dataset import dataset
 from timesim.scene.element import Element
 from timesim.scene.resolution import Scene
 from timesim.study.campaign import Progress
@@ -111,7 +112,7 @@ def record_of(
     compared: dict[str, float],
     seconds: float,
     reason: str | None,
-) -> store.Record:
+) -> Dataset:
     """The result file."""
     told = attributes(scene, METHOD, 0.0, seconds, reason) | compared | motion_attributes(contact, cycle.motion)
     facts = {
@@ -127,7 +128,7 @@ def record_of(
         "tangent": np.array(["t1", "t2"]),
         "harmonic": np.arange(plan.harmonics + 1),
     }
-    return store.record(variables, coords, told | facts)
+    return dataset(variables, coords, told | facts)
 
 
 def motion_attributes(contact: Contact, motion: Motion) -> dict[str, Any]:

@@ -33,9 +33,9 @@ from timesim.element.prescribed import (
     method_of,
     system_of,
 )
-from timesim.engine.solver import Solver, solver_of
 from timesim.model.model import SEPARATION
-from timesim.result import store
+from timesim.model.solver import Solver
+from timesim.result.dataset import dataset
 from timesim.scene.contact import ContactSection
 from timesim.scene.element import MAP_AXES, ElementMap
 from timesim.scene.resolution import Scene
@@ -211,7 +211,7 @@ def elements_of(plan: ElementMap, section: ContactSection) -> tuple[Elements, np
 
 def study(scene: Scene, progress: Progress | None = None) -> Outcome:
     """Run an element_map scene; marked incomplete where the event loop ended early."""
-    plan, solver = scene.file.study, solver_of(scene.file.solver)
+    plan, solver = scene.file.study, scene.solver()
     assert isinstance(plan, ElementMap)
     section = plan.chosen(scene.file.contacts)
     elements, phase = elements_of(plan, section)
@@ -235,7 +235,7 @@ def study(scene: Scene, progress: Progress | None = None) -> Outcome:
     }
     coords = {MAP_AXES[key]: values for key, values in axes.items()} | {"tangent": np.array(["t1", "t2"])}
     told = attributes(scene, str(solver), compiled - clock, seconds, reason)
-    record = store.record(variables, coords, told | {"contact": section.name})
+    record = dataset(variables, coords, told | {"contact": section.name})
     lines = (
         f"{elements.size} points by {solver} in {seconds:.2f} s, after {compiled - clock:.1f} s of compilation",
         f"cycles to the steady one: {np.median(found.cycles):.0f} in the median, {found.cycles.max()} at most",

@@ -7,13 +7,14 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from xarray import Dataset
 
 from timesim.hbm.continuation import Controls
 from timesim.hbm.convergence import Convergence, Place, convergence
 from timesim.hbm.curve import HbmCurve, default_controls, hbm_curve
 from timesim.hbm.setting import Setting
 from timesim.model.model import Model
-from timesim.result import store
+from timesim.result.dataset import dataset
 from timesim.result.state import Held
 from timesim.scene.hbm import Compare, Hbm
 from timesim.scene.resolution import Scene
@@ -43,7 +44,7 @@ def study(scene: Scene, progress: Progress | None = None) -> Outcome:
 
 def followed(
     scene: Scene, plan: Hbm | Compare, progress: Progress | None = None, passing: Held | None = None
-) -> tuple[store.Record, Curves, str | None]:
+) -> tuple[Dataset, Curves, str | None]:
     """All curves of a scene, those through the points of a sweep too: the record, they, and why some are not whole."""
     curves = Curves(scene, plan)
     compiling = warmed_up(scene, plan, curves.setting)
@@ -55,7 +56,7 @@ def followed(
     return record_of(scene.model(), curves, told, found), curves, reason
 
 
-def left_out(scene: Scene, plan: Compare) -> tuple[store.Record, Curves, str | None]:
+def left_out(scene: Scene, plan: Compare) -> tuple[Dataset, Curves, str | None]:
     """The same where nothing is to be followed any more."""
     curves, reason = Curves(scene, plan), "not begun"
     told = attributes(scene, str(curves.setting), 0.0, 0.0, reason)
@@ -81,7 +82,7 @@ def places(pieces: Sequence[Piece], number: int = 6) -> list[Place]:
     return found
 
 
-def record_of(model: Model, curves: Curves, told: dict[str, Any], found: Convergence | None = None) -> store.Record:
+def record_of(model: Model, curves: Curves, told: dict[str, Any], found: Convergence | None = None) -> Dataset:
     """The result file: all solutions, one curve after the other."""
     pieces, points, contacts = curves.pieces, len(model.structure.points), model.num_contacts
     order = curves.setting.harmonics + 1
@@ -118,7 +119,7 @@ def record_of(model: Model, curves: Curves, told: dict[str, Any], found: Converg
         variables["change_with_harmonics"] = (("harmonics",), found.with_harmonics)
         variables["change_with_samples"] = (("time_samples",), found.with_samples)
         told = told | {"convergence": "\n".join(found.told())}
-    return store.record(variables, coords, told)
+    return dataset(variables, coords, told)
 
 
 def _stacked(pieces: Sequence[Piece], name: str, shape: tuple[int, ...]) -> np.ndarray:
@@ -126,7 +127,7 @@ def _stacked(pieces: Sequence[Piece], name: str, shape: tuple[int, ...]) -> np.n
     return np.concatenate([none, *(np.asarray(getattr(piece.curve, name), dtype=float) for piece in pieces)])
 
 
-def summary(record: store.Record, curves: Curves) -> Iterator[str]:
+def summary(record: Dataset, curves: Curves) -> Iterator[str]:
     """What a user wants to know of the curves at once."""
     count, seconds = sum(piece.curve.frequency.size for piece in curves.pieces), record.attrs["run_seconds"]
     yield f"{count} solutions on {len(curves.pieces)} curves by {curves.setting} in {seconds:.2f} s"

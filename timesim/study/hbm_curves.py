@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from timesim.engine.solver import solver_of
 from timesim.fault import RuleError
 from timesim.hbm.along import hbm_along
 from timesim.hbm.balance import Balance
@@ -121,7 +120,7 @@ class Curves:
             except RuleError as error:
                 self.notes.append(f"no curve is begun from the sweep's point at {frequency:g} Hz: it {error.rule}")
                 continue
-            guess = modal_waves(begun, frequency, solver_of(self.scene.file.solver))
+            guess = modal_waves(begun, frequency, self.scene.solver())
             if self._known(model, own, frequency, guess):
                 continue
             curve = hbm_curve(model, first, last, guess=guess, begin=frequency, **self._options())

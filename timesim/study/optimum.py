@@ -16,12 +16,13 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from xarray import Dataset
 
-from timesim.engine.solver import Solver, solver_of
 from timesim.fault import SceneError
 from timesim.model.model import Model
-from timesim.orbit.settling import Chain, Criterion, Orbit, Task, settle, steady_states
-from timesim.result import store
+from timesim.model.solver import Criterion, Solver
+from timesim.orbit.settling import Chain, Orbit, Task, settle, steady_states
+from timesim.result.dataset import dataset
 from timesim.scene.optimum import Optimum
 from timesim.scene.resolution import Scene
 from timesim.study.campaign import Chunk, Means, Result, carry_through, halted
@@ -115,7 +116,7 @@ class Peaks:
         assert isinstance(plan, Optimum)
         self.scene, self.plan, self.means = scene, plan, means
         self.key, self.range = plan.scalar
-        self.solver = solver_of(scene.file.solver)
+        self.solver = scene.solver()
         self.frequency = plan.frequency.values()
         self.results: dict[float, Result] = {}
         self.stages = 0
@@ -223,7 +224,7 @@ def failures(peaks: Peaks) -> str | None:
     return f"{count} points failed; the first at {peaks.key} = {failed[0]:g}: {peaks.failure(failed[0])}"
 
 
-def record_of(peaks: Peaks, told: Mapping[str, Any]) -> store.Record:
+def record_of(peaks: Peaks, told: Mapping[str, Any]) -> Dataset:
     """The result file: all values that were looked at, ascending, and the best of them."""
     values = sorted(peaks.results)
     structure = peaks.scene.model().structure
@@ -253,7 +254,7 @@ def record_of(peaks: Peaks, told: Mapping[str, Any]) -> store.Record:
         "point": np.array(structure.points),
         "axis": np.array(["x", "y", "z"]),
     }
-    return store.record(variables, coords, told)
+    return dataset(variables, coords, told)
 
 
 def _any_peak(peaks: Peaks) -> bool:

@@ -3,10 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from timesim.result.store import Record
 from timesim.scene.resolution import Scene
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 
 @dataclass(frozen=True)
@@ -14,12 +16,12 @@ class Outcome:
     """What a study has computed.
 
     Attributes:
-        groups: the records of the result file by group, ``""`` the root.
+        groups: the Datasets of the result file by group, ``""`` the root.
         reason: why the run ended early; None if it is complete.
         summary: what a user wants to know at once, a line each.
     """
 
-    groups: Mapping[str, Record]
+    groups: "Mapping[str, Dataset]"
     reason: str | None
     summary: tuple[str, ...] = ()
 

@@ -10,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from timesim.result.store import whole
+from timesim.result.netcdf import joined
 from timesim.scene.resolution import Scene, load_scene
 from timesim.study.campaign import Means, MeansError
 from timesim.study.outcome import Outcome
@@ -94,4 +94,4 @@ def run(
     outcome = carry_out(loaded.with_overrides(overrides) if overrides else loaded, means)
     if outcome.reason is not None:
         warnings.warn(f"the run is incomplete: {outcome.reason}", RuntimeWarning, stacklevel=2)
-    return whole(outcome.groups)
+    return joined(outcome.groups)

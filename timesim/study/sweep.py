@@ -13,13 +13,14 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from xarray import Dataset
 
-from timesim.engine.solver import Solver, solver_of
 from timesim.fault import SceneError
 from timesim.model.model import Model, Start
+from timesim.model.solver import Criterion, Solver
 from timesim.orbit.jump import Stretch, jumps_of, steps_of, suspects
-from timesim.orbit.settling import Chain, Criterion, Orbit, first_lane, steady_states
-from timesim.result import store
+from timesim.orbit.settling import Chain, Orbit, first_lane, steady_states
+from timesim.result.dataset import dataset
 from timesim.scene.axis import axis_values
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import Sweep, SweepKeys
@@ -147,17 +148,17 @@ def study(scene: Scene, means: Means) -> Outcome:
     record, reason = sweep_record(scene, plan, means)
     told = record.attrs
     attrs = attributes(scene, told["method"], told["compile_seconds"], told["run_seconds"], reason)
-    return Outcome({"": replace(record, attrs=attrs)}, reason, tuple(summary(record)))
+    return Outcome({"": record.assign_attrs(attrs)}, reason, tuple(summary(record)))
 
 
-def sweep_record(scene: Scene, plan: SweepKeys, means: Means) -> tuple[store.Record, str | None]:
+def sweep_record(scene: Scene, plan: SweepKeys, means: Means) -> tuple[Dataset, str | None]:
     """The steady states over the further axes, direction and frequency.
 
     Returns:
         The record, with `method`, `compile_seconds` and `run_seconds` as its attributes, and why it is incomplete; None
         if every point was computed.
     """
-    solver, grid = solver_of(scene.file.solver), Grid(scene, plan)
+    solver, grid = scene.solver(), Grid(scene, plan)
     chunks, places = grid.chunks(solver)
     clock = time.perf_counter()
     if means.cluster is None:
@@ -182,15 +183,15 @@ def warm_up(chunks: Sequence[Chunk], solver: Solver) -> None:
             return
 
 
-def failures(record: store.Record) -> str | None:
+def failures(record: Dataset) -> str | None:
     """How many points failed, and the first of them with their reasons; None if none did."""
-    dims, reason = record.variables["failure"]
+    dims, reason = record["failure"].dims, record["failure"].values
     failed = np.argwhere(reason != "")
     if not failed.size:
         return None
     named = []
     for place in failed[:LISTED]:
-        where = ", ".join(f"{dim} {_shown(record.coords[dim][i])}" for dim, i in zip(dims, place, strict=True))
+        where = ", ".join(f"{dim} {_shown(record[dim].values[i])}" for dim, i in zip(dims, place, strict=True))
         named.append(f"{where}: {reason[tuple(place)]}")
     more = f"; and {len(failed) - LISTED} more, all in the variable failure" if len(failed) > LISTED else ""
     return f"{len(failed)} of {reason.size} points failed: " + "; ".join(named) + more
@@ -200,15 +201,15 @@ def _shown(value: Any) -> str:
     return str(value) if isinstance(value, str | np.str_) else f"{value:.10g}"
 
 
-def summary(record: store.Record) -> Iterator[str]:
+def summary(record: Dataset) -> Iterator[str]:
     """What a user wants to know of a sweep at once."""
     yield from states_told(record)
     yield from jumps_told(record)
 
 
-def states_told(record: store.Record) -> Iterator[str]:
+def states_told(record: Dataset) -> Iterator[str]:
     """How many steady states there are, and which have not settled, in words."""
-    found = {name: array for name, (_, array) in record.variables.items()}
+    found = {str(name): array.values for name, array in record.data_vars.items()}
     settled, period, done = found["settled"] == 1, found["period"], np.isfinite(found["amplitude"]).all(axis=(-2, -1))
     yield (
         f"{done.sum()} steady states by {record.attrs['method']} in {record.attrs['run_seconds']:.2f} s, "
@@ -224,29 +225,29 @@ def states_told(record: store.Record) -> Iterator[str]:
         )
 
 
-def jumps_told(record: store.Record) -> Iterator[str]:
+def jumps_told(record: Dataset) -> Iterator[str]:
     """The jumps of a sweep in words."""
-    found = {end: record.variables[f"jump_{end}"][1] for end in ("low", "high")}
+    found = {end: record[f"jump_{end}"].values for end in ("low", "high")}
     for place in zip(*np.nonzero(np.isfinite(found["low"])), strict=True):
         low, high = found["low"][place], found["high"][place]
         yield f"{_chain(record, place[:-1])}the motion jumps between {low:.8g} and {high:.8g} Hz"
 
 
-def _spans(record: store.Record, chosen: np.ndarray) -> str:
+def _spans(record: Dataset, chosen: np.ndarray) -> str:
     """From where to where points lie, for each chain that has some."""
     spans = []
     for place in map(tuple, np.argwhere(chosen.any(axis=-1))):
-        at = record.coords["frequency"][chosen[place]]
+        at = record["frequency"].values[chosen[place]]
         between = f"at {at[0]:g} Hz" if at.size == 1 else f"between {at[0]:g} and {at[-1]:g} Hz"
         spans.append(_chain(record, place) + between)
     more = f"; and in {len(spans) - LISTED} more rows of the result" if len(spans) > LISTED else ""
     return "; ".join(spans[:LISTED]) + more
 
 
-def _chain(record: store.Record, place: Sequence[int]) -> str:
+def _chain(record: Dataset, place: Sequence[int]) -> str:
     """What tells the points of a chain from those of others, with a colon; empty where there are no others."""
-    dims = record.variables["settled"][0][:-1]
-    named = [(dim, _shown(record.coords[dim][i])) for dim, i in zip(dims, place, strict=True)]
+    dims = record["settled"].dims[:-1]
+    named = [(dim, _shown(record[dim].values[i])) for dim, i in zip(dims, place, strict=True)]
     told = ", ".join(f"{dim} {value}" for dim, value in named if value != "independent")
     return f"{told}: " if told else ""
 
@@ -379,7 +380,7 @@ class Grid:
 
     def record(
         self, arrays: Mapping[str, np.ndarray], jumps: Sequence[tuple[int, int, float, float]], attrs: Mapping[str, Any]
-    ) -> store.Record:
+    ) -> Dataset:
         """The result file."""
         model = next((item for item in self.models if isinstance(item, Model)), self.scene.model())
         sizes = tuple(values.size for values in self.axes.values())
@@ -405,7 +406,7 @@ class Grid:
             "mode": np.arange(1, model.structure.num_modes + 1),
             "tangent": np.array(["t1", "t2"]),
         }
-        return store.record(variables, coords, attrs)
+        return dataset(variables, coords, attrs)
 
     def _jump_rows(self, jumps: Sequence[tuple[int, int, float, float]], place: int) -> np.ndarray:
         """One end of the jumps of each chain, shape (sets, directions, jumps), NaN where a chain has fewer."""

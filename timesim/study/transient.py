@@ -14,14 +14,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from xarray import Dataset
 
 from timesim.engine.contact import Motion, reaction
 from timesim.engine.history import CycleTotals, Events, Samples, Steps, events, sample, stored_energy
-from timesim.engine.solver import solver_of
 from timesim.engine.system import contact_law, scales_of
 from timesim.engine.trajectory import Phase, Run, RunError
 from timesim.model.model import SEPARATION, Model
-from timesim.result import store
+from timesim.result.dataset import dataset
 from timesim.scene.jump import FrequencyPhase, Jump
 from timesim.scene.resolution import Scene
 from timesim.scene.studies import Transient
@@ -162,7 +162,7 @@ def _force(law: Any, state: Any, x: Any, dx: Any, w: Any) -> Any:
 def study(scene: Scene, progress: Progress | None = None) -> Outcome:
     """Run a scene of a transient or a jump; the result is marked incomplete where the run ended early."""
     plan = plan_of(scene)
-    run = Run(scene.model(), plan.phases, solver_of(scene.file.solver))
+    run = Run(scene.model(), plan.phases, scene.solver())
     run.time = float(plan.edges()[0])
     recorder = Recorder(run, plan)
     reason, seconds = follow(run, recorder, progress)
@@ -170,9 +170,9 @@ def study(scene: Scene, progress: Progress | None = None) -> Outcome:
     return Outcome({"": record}, reason, (*summary(run, record), *phase_summary(plan, record)))
 
 
-def summary(run: Run, record: store.Record) -> Iterator[str]:
+def summary(run: Run, record: Dataset) -> Iterator[str]:
     """What a user wants to know of a run at once."""
-    found = {name: array for name, (_, array) in record.variables.items()}
+    found = {str(name): array.values for name, array in record.data_vars.items()}
     count = record.attrs["run_seconds"]
     yield f"{run.completed} cycles by {run.solver} in {count:.2f} s, {found['event_time'].size} transitions"
     if run.completed:
@@ -181,13 +181,13 @@ def summary(run: Run, record: store.Record) -> Iterator[str]:
         yield f"energy balance of a cycle closes to {residual:.1e} of the larger of input and stored energy"
 
 
-def phase_summary(plan: Plan, record: store.Record) -> Iterator[str]:
+def phase_summary(plan: Plan, record: Dataset) -> Iterator[str]:
     """Of a schedule, the amplitude at the end of each phase of what moves most, unless the phases are too many."""
-    amplitude = record.variables["cycle_amplitude"][1]
+    amplitude = record["cycle_amplitude"].values
     if not 1 < len(plan.phases) <= LISTED or not amplitude.size:
         return
     _, point, axis = np.unravel_index(np.argmax(amplitude), amplitude.shape)
-    name = f"{record.coords['point'][point]} {record.coords['axis'][axis]}"
+    name = f"{record['point'].values[point]} {record['axis'].values[axis]}"
     ends = np.cumsum([phase.cycles for phase in plan.phases])
     for number, (phase, end) in enumerate(zip(plan.phases, ends, strict=True), 1 - plan.run_up):
         if end <= len(amplitude):
@@ -212,7 +212,7 @@ def follow(run: Run, recorder: Recorder, progress: Progress | None) -> tuple[str
     return reason, time.perf_counter() - clock
 
 
-def record_of(scene: Scene, run: Run, recorder: Recorder, seconds: float, reason: str | None) -> store.Record:
+def record_of(scene: Scene, run: Run, recorder: Recorder, seconds: float, reason: str | None) -> Dataset:
     """The result file of a run."""
     model = run.model
     samples, log, totals = recorder.joined_samples(), recorder.joined_events(), recorder.totals
@@ -247,7 +247,7 @@ def record_of(scene: Scene, run: Run, recorder: Recorder, seconds: float, reason
         "cycle": np.arange(1, len(totals.amplitude) + 1),
     }
     told = attributes(scene, str(run.solver), run.compile_seconds, seconds, reason)
-    return store.record(variables, coords, told | {"peak_stored_energy": totals.peak})
+    return dataset(variables, coords, told | {"peak_stored_energy": totals.peak})
 
 
 def final_variables(run: Run) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:

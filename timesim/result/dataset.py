@@ -1,0 +1,59 @@
+"""The result of a study in memory: an xarray Dataset whose every variable bears its meaning and units."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from timesim.result import label
+from timesim.result.file import StoreError
+
+if TYPE_CHECKING:
+    import xarray
+
+Dims = tuple[str, ...]
+Variables = Mapping[str, tuple[Dims, np.ndarray] | tuple[Dims, np.ndarray, Mapping[str, Any]]]
+
+
+def dataset(variables: Variables, coords: Mapping[str, Any], attrs: Mapping[str, Any]) -> "xarray.Dataset":
+    """Dataset with the labels of `timesim.result.label`; flags become integers.
+
+    Args:
+        variables: ``{name: (dimensions, array)}``, or with a third item: attributes. A name that
+            `timesim.result.label` does not list needs a ``long_name`` of its own there. A dimension may
+            have length 0.
+        coords: ``{dimension: values}``, or the same as for `variables`.
+        attrs: attributes of the whole result.
+
+    Raises:
+        StoreError: a variable has no ``long_name``.
+        ValueError: an array does not fit its dimensions.
+    """
+    import xarray
+
+    along = {name: given if _has_dims(given) else ((name,), given) for name, given in coords.items()}
+    return xarray.Dataset(
+        {name: _labelled(name, *given) for name, given in variables.items()},
+        {name: _labelled(name, *given) for name, given in along.items()},
+        {name: int(value) if isinstance(value, bool | np.bool_) else value for name, value in attrs.items()},
+    )
+
+
+def _has_dims(given: Any) -> bool:
+    return isinstance(given, tuple) and len(given) > 1 and isinstance(given[0], tuple)
+
+
+def _labelled(
+    name: str, dims: Dims, values: Any, own: Mapping[str, Any] | None = None
+) -> tuple[Dims, np.ndarray, dict[str, Any]]:
+    array = np.asarray(values)
+    if array.dtype.kind == "b":
+        array = array.astype(np.int8)
+    elif array.dtype.kind in "OT":
+        array = array.astype(object).astype(str)
+    attrs = {**label.attributes(name), **(own or {})}
+    if "long_name" not in attrs:
+        raise StoreError(f"variable '{name}': give it a long_name of its own, or a line in timesim.result.label")
+    if "flag_values" in attrs:  # of the variable's own type, as the CF conventions ask
+        attrs["flag_values"] = np.asarray(attrs["flag_values"]).astype(array.dtype)
+    return dims, array, attrs

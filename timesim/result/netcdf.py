@@ -1,0 +1,119 @@
+"""Result files: NetCDF-4, read and written by xarray."""
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from timesim.result.file import StoreError, write_whole
+
+if TYPE_CHECKING:
+    import xarray
+
+RESULT_NAME = "result.nc"
+REQUIRED_ATTRIBUTES = (
+    "timesim_version",
+    "scene",
+    "study",
+    "complete",
+    "method",
+    "compile_seconds",
+    "run_seconds",
+)
+
+_COMPRESS_ABOVE = 64 * 1024  # bytes of an array
+_COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+
+
+def save(result: "xarray.Dataset | Mapping[str, xarray.Dataset]", path: Path | str) -> Path:
+    """Write a result file; an interrupted or failed write leaves what was there before.
+
+    Args:
+        result: a Dataset, or Datasets by the name of their group, ``""`` the root, which bears
+            `REQUIRED_ATTRIBUTES`.
+        path: file to write; its folder must exist.
+
+    Returns:
+        The path of the file.
+
+    Raises:
+        StoreError: an attribute is missing, or the file cannot be written.
+    """
+    import xarray
+
+    groups = {"": result} if isinstance(result, xarray.Dataset) else result
+    missing = [name for name in REQUIRED_ATTRIBUTES if "" not in groups or name not in groups[""].attrs]
+    if missing:
+        raise StoreError(f"result file {path}: attribute missing: {', '.join(missing)}")
+    write_whole(Path(path), _content(groups))
+    return Path(path)
+
+
+def open_result(path: Path | str) -> "xarray.Dataset | xarray.DataTree":
+    """Result of a run in memory; the file is closed again.
+
+    Args:
+        path: result file, or the folder of a run.
+
+    Returns:
+        A Dataset, or a DataTree of a result with groups. A coordinate of the tree's root hides a variable of that
+        name in a group from ``tree[group]``, not from ``tree[group].to_dataset(inherit=False)``.
+
+    Raises:
+        StoreError: no such file, not a result of timesim, or cut off.
+    """
+    return joined(read(path))
+
+
+def joined(groups: "Mapping[str, xarray.Dataset]") -> "xarray.Dataset | xarray.DataTree":
+    """Datasets by the name of their group as one: the root alone, or a tree."""
+    import xarray
+
+    if set(groups) == {""}:
+        return groups[""]
+    return xarray.DataTree.from_dict({f"/{name}": data for name, data in groups.items()})
+
+
+def read(path: Path | str) -> "dict[str, xarray.Dataset]":
+    """Datasets of a result by the name of their group, ``""`` the root.
+
+    Args:
+        path: result file, or the folder of a run.
+
+    Raises:
+        StoreError: no such file, not a result of timesim, or cut off.
+    """
+    import xarray
+
+    file = Path(path) / RESULT_NAME if Path(path).is_dir() else Path(path)
+    if not file.is_file():
+        raise StoreError(f"no result file at {file}; give a file or the folder of a finished run")
+    try:
+        groups = {}
+        for name, data in xarray.open_groups(file, engine="h5netcdf").items():
+            with data:
+                groups[name.strip("/")] = data.load()
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+        raise StoreError(f"{file} cannot be read as a result file (cut off or not NetCDF-4): {error}") from error
+    missing = [name for name in REQUIRED_ATTRIBUTES if name not in groups[""].attrs]
+    if missing:
+        raise StoreError(f"{file} is not a result of timesim: it has no attribute {', '.join(missing)}")
+    return groups
+
+
+def _content(groups: "Mapping[str, xarray.Dataset]") -> memoryview:
+    """The bytes of a file. Written to memory first: HDF5 reports a full disk late, and not always as an error."""
+    import h5netcdf
+    from xarray.backends import H5NetCDFStore
+
+    image = io.BytesIO()
+    with h5netcdf.File(image, "w") as file:
+        for name, data in groups.items():
+            target = H5NetCDFStore(file.create_group(name) if name else file)
+            data.dump_to_store(target, encoding={key: _encoding(array) for key, array in data.variables.items()})
+    return image.getbuffer()
+
+
+def _encoding(variable: "xarray.Variable") -> dict[str, object]:
+    numbers = variable.dtype.kind not in "UO"
+    return {"_FillValue": None} | (_COMPRESSION if numbers and variable.nbytes > _COMPRESS_ABOVE else {})
