@@ -24,8 +24,8 @@ from scipy.interpolate import CubicSpline
 
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, follow
-from timesim.hbm.curve import default_controls, described, hbm_curve, solutions_at
-from timesim.hbm.setting import Setting
+from timesim.hbm.curve import default_controls, evaluated, hbm_curve, solutions_at
+from timesim.hbm.scheme import Scheme
 from timesim.model.model import GROUND, Contact, Excitation, Model, Start, Structure
 from timesim.model.solver import PRESETS
 from timesim.orbit.settling import Task, settle
@@ -56,20 +56,20 @@ def chain(num_modes: int, num_contacts: int) -> Model:
     return Model(body, contacts, load, rest)
 
 
-def seconds(model: Model, setting: Setting, controls: Controls, repeats: int) -> tuple[int, float, float, float]:
+def seconds(model: Model, scheme: Scheme, controls: Controls, repeats: int) -> tuple[int, float, float, float]:
     """Points, and CPU seconds of the curve, of the whole result, and of the result with multipliers."""
-    balance = Balance(model, RANGE[0], setting)
-    guess = hbm_curve(model, *RANGE, setting=setting, controls=replace(controls, max_points=2), stability=False)
+    balance = Balance(model, RANGE[0], scheme)
+    guess = hbm_curve(model, *RANGE, scheme=scheme, controls=replace(controls, max_points=2), stability=False)
     first = guess.contact_motion[0].ravel() / balance.length
-    described(balance, follow(balance, first, *RANGE, replace(controls, max_points=3)))
+    evaluated(balance, follow(balance, first, *RANGE, replace(controls, max_points=3)))
     best = np.full(3, np.inf)
     for _ in range(repeats):
         t0 = time.process_time()
         curve = follow(balance, first, *RANGE, controls)
         t1 = time.process_time()
-        done = described(balance, curve, stability=False)
+        done = evaluated(balance, curve, stability=False)
         t2 = time.process_time()
-        described(balance, curve, stability=True)
+        evaluated(balance, curve, stability=True)
         t3 = time.process_time()
         best = np.minimum(best, [t1 - t0, t2 - t0, t3 - t1 + t1 - t0])
     if not done.complete:
@@ -84,9 +84,9 @@ def seconds(model: Model, setting: Setting, controls: Controls, repeats: int) ->
 Row = tuple[int, float, float, float]
 
 
-def row(name: str, model: Model, setting: Setting, controls: Controls, repeats: int) -> Row:
+def row(name: str, model: Model, scheme: Scheme, controls: Controls, repeats: int) -> Row:
     """Print one line of the table."""
-    points, curve, whole, floquet = seconds(model, setting, controls, repeats)
+    points, curve, whole, floquet = seconds(model, scheme, controls, repeats)
     print(f"| {name} | {points} | {curve:.2f} | {whole:.2f} | {floquet:.2f} | {1e3 * curve / points:.2f} |", flush=True)
     return points, curve, whole, floquet
 
@@ -95,16 +95,16 @@ def growth(repeats: int) -> dict[str, list[tuple[int, float]]]:
     """Milliseconds a point with multipliers against harmonics, contacts and modes."""
     found: dict[str, list[tuple[int, float]]] = {"harmonics": [], "contacts": [], "modes": []}
 
-    def add(kind: str, number: int, name: str, model: Model, setting: Setting) -> None:
-        points, _, _, floquet = row(name, model, setting, default_controls(), repeats)
+    def add(kind: str, number: int, name: str, model: Model, scheme: Scheme) -> None:
+        points, _, _, floquet = row(name, model, scheme, default_controls(), repeats)
         found[kind].append((number, 1e3 * floquet / points))
 
     for harmonics in (1, 3, 5, 9, 15, 21):
-        add("harmonics", harmonics, f"50 modes, 5 contacts, H = {harmonics}", chain(50, 5), Setting(harmonics, 1024))
+        add("harmonics", harmonics, f"50 modes, 5 contacts, H = {harmonics}", chain(50, 5), Scheme(harmonics, 1024))
     for count in (1, 2, 3, 8):
-        add("contacts", count, f"50 modes, {count} contacts, H = 9", chain(50, count), Setting(9, 1024))
+        add("contacts", count, f"50 modes, {count} contacts, H = 9", chain(50, count), Scheme(9, 1024))
     for count in (3, 12, 50):
-        add("modes", count, f"{count} modes, 1 contact, H = 9", chain(count, 1), Setting(9, 1024))
+        add("modes", count, f"{count} modes, 1 contact, H = 9", chain(count, 1), Scheme(9, 1024))
     return found
 
 
@@ -156,12 +156,12 @@ def peaks() -> None:
     """Largest amplitude of tip x from 0.8 to 1.65 Hz with 15 harmonics, and settled, both from 9 points about it."""
     print("| n0 | harmonic balance | at [Hz] | time integration | at [Hz] | difference | share in slip or separation |")
     print("|---|---|---|---|---|---|---|")
-    setting = Setting(15, 1024)
+    scheme = Scheme(15, 1024)
     for preload in PRELOADS:
         model = oscillator(preload)
-        curve = hbm_curve(model, 1.65, 0.8, setting=setting, stability=False)
+        curve = hbm_curve(model, 1.65, 0.8, scheme=scheme, stability=False)
         frequency = peak(curve, 0, 0)[0] + 1e-3 * np.arange(-4, 5)
-        found = solutions_at(model, curve, frequency, setting=setting, stability=False)
+        found = solutions_at(model, curve, frequency, scheme=scheme, stability=False)
         balanced = np.array([found.amplitude[found.frequency == f, 0, 0].max() for f in frequency])
         marched, share = settled(model, frequency)
         (here, height), (there, truth) = top(frequency, balanced), top(frequency, marched)
@@ -176,7 +176,7 @@ def folds() -> None:
     for harmonics in (1, 3, 9, 15):
         cells = []
         for preload, span in ((-4.0, (1.0, 0.92)), (2.0, (1.32, 1.2))):
-            curve = hbm_curve(oscillator(preload), *span, setting=Setting(harmonics, 1024), stability=False)
+            curve = hbm_curve(oscillator(preload), *span, scheme=Scheme(harmonics, 1024), stability=False)
             turning = np.sort(curve.frequency[curve.fold])
             cells += [f"{place:.6f}" for place in turning] if turning.size == 2 else [f"{turning.size} folds", ""]
         print(f"| {harmonics} | {' | '.join(cells)} |", flush=True)
@@ -184,7 +184,7 @@ def folds() -> None:
 
 def beside_pyharm(python: str) -> None:
     """A curve at n0 = 3, 9 harmonics and 512 samples, by both; errors against settled time integration."""
-    preload, span, setting = 3.0, (0.8, 1.65), Setting(9, 512)
+    preload, span, scheme = 3.0, (0.8, 1.65), Scheme(9, 512)
     model, script = oscillator(preload), Path(__file__).parent / "opponent_pyharm.py"
     at = np.round(np.arange(1.32, 1.65, 0.01), 10)
     exact, share = settled(model, at)
@@ -202,8 +202,8 @@ def beside_pyharm(python: str) -> None:
         )
 
     for step in (1.0, 0.2, 0.05):
-        call = [python, str(script.resolve()), "--step", str(step), "--harmonics", str(setting.harmonics)]
-        call += ["--samples", str(setting.time_samples), "--preload", str(preload)]
+        call = [python, str(script.resolve()), "--step", str(step), "--harmonics", str(scheme.harmonics)]
+        call += ["--samples", str(scheme.time_samples), "--preload", str(preload)]
         with TemporaryDirectory() as folder:  # it leaves a folder of its own where it runs
             done = subprocess.run(call, capture_output=True, text=True, check=True, cwd=folder)
         said = json.loads(done.stdout.splitlines()[-1])
@@ -211,9 +211,9 @@ def beside_pyharm(python: str) -> None:
         line("pyHarm", f"ds_max {step:g}", frequency, np.array(said["amplitude"])[order], said["seconds"])
     for step in (0.05, 0.02):
         controls = replace(default_controls(), first_step=step / 5, max_step=step)
-        hbm_curve(model, *span[::-1], setting=setting, controls=controls)
+        hbm_curve(model, *span[::-1], scheme=scheme, controls=controls)
         t0 = time.process_time()
-        curve = hbm_curve(model, *span[::-1], setting=setting, controls=controls)
+        curve = hbm_curve(model, *span[::-1], scheme=scheme, controls=controls)
         taken = time.process_time() - t0
         frequency, order = np.unique(curve.frequency, return_index=True)
         line("timesim", f"max_step {step:g}", frequency, curve.amplitude[order, 0, 0], taken)
@@ -240,7 +240,7 @@ def main() -> None:
         "|---|---|---|---|---|---|"
     )
     fine = replace(default_controls(), first_step=0.005, max_step=0.022)
-    row("3 modes, 3 contacts, H = 7, N = 1024", chain(3, 3), Setting(7, 1024), fine, options.repeats)
+    row("3 modes, 3 contacts, H = 7, N = 1024", chain(3, 3), Scheme(7, 1024), fine, options.repeats)
     if not options.quick:
         found = growth(options.repeats)
         if options.picture:

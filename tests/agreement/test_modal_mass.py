@@ -22,7 +22,7 @@ from timesim.cli import app
 from timesim.engine.history import stored_energy
 from timesim.engine.system import scales_of, system_of
 from timesim.hbm.curve import hbm_curve
-from timesim.hbm.setting import Setting
+from timesim.hbm.scheme import Scheme
 from timesim.model.model import Contact, Model, Start
 from timesim.model.reduction import reduction_of
 from timesim.model.start import static_start
@@ -348,8 +348,8 @@ def test_a_run_with_coupled_damping() -> None:
 
 @pytest.mark.parametrize("model", [COUPLED, free(oscillator(1.0, 1.1))], ids=["coupled", "free"])
 def test_the_balance_with_coupled_damping(model: Model) -> None:
-    setting = Setting(3, 64)
-    one, other = (hbm_curve(item, 1.3, 1.15, setting=setting) for item in (model, rescaled(model)))
+    scheme = Scheme(3, 64)
+    one, other = (hbm_curve(item, 1.3, 1.15, scheme=scheme) for item in (model, rescaled(model)))
     assert one.complete
     assert one.slip_share.max() > 0.05
     for name in ("frequency", "amplitude", "harmonic_cos", "harmonic_sin", "slip_share", "floquet_max", "stable"):

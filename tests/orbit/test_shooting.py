@@ -9,7 +9,8 @@ from systems import generated_model, oscillator
 from timesim.model.model import SEPARATION
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import PRESETS, Criterion, Solver
-from timesim.orbit.lane import Lane, march, record
+from timesim.orbit.batch import march, record
+from timesim.orbit.lane import Lane
 from timesim.orbit.settling import Chain, begin_of, steady_states
 
 FINE = Solver("tsit5", 1e-9, 1e-11, reduce=False)
@@ -75,7 +76,7 @@ def settled_lane(model, solver=FINEST):
 
 def differences(lane, solver, reach=1e-5):
     """Derivative of the state after a cycle by central differences, entries of separated contacts left out."""
-    here = lane.section
+    here = lane.vector
     size = np.max(np.abs(here))
     free = np.flatnonzero(~lane.apart)
     lanes = [lane.moved(here + side * reach * size * np.eye(here.size)[i]) for i in free for side in (1, -1)]
@@ -115,8 +116,8 @@ def test_a_stuck_offset_is_free_and_left_alone():
 def test_a_place_out_of_its_contact_state_is_refused():
     model = oscillator(-4.0, 0.93)
     lane, _ = settled_lane(model)
-    assert lane.state[0] == SEPARATION
-    far = lane.section.copy()
+    assert lane.here.state[0] == SEPARATION
+    far = lane.vector.copy()
     far[:2] += 100.0
     assert lane.moved(far) is None
-    np.testing.assert_allclose(lane.moved(lane.section).section, lane.section)
+    np.testing.assert_allclose(lane.moved(lane.vector).vector, lane.vector)

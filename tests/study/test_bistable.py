@@ -8,6 +8,7 @@ lower motion lives to 1.2560 Hz and is gone at 1.2561, the upper one to 1.2511 a
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,8 +26,9 @@ from timesim.orbit.settling import Orbit, without_orbit
 from timesim.orbit.two_motions import DOWN, UP, Means, Search, Sweeps, differ, losses, ranges, suspect_steps
 from timesim.picture import bistable as plot_bistable
 from timesim.picture import draw as plot
-from timesim.result.netcdf import open_result
+from timesim.result.netcdf import open_result, save
 from timesim.scene.resolution import load_scene
+from timesim.study import bistable
 from timesim.study.campaign import Means as Ways
 from timesim.study.hbm_curves import Curves
 from timesim.study.registry import carry_out
@@ -137,6 +139,25 @@ def test_no_jump_is_a_result(tmp_path: Path):
     assert data["start_branch"].shape == (0, 5, 5)
     assert set(data.children) == {"sweep"}
     assert {path.name for path in tmp_path.glob("*.png")} == {"response.png"}
+
+
+@pytest.mark.parametrize("num", [0, 3])
+def test_more_jumps_than_ranges_or_fewer(num: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A tree of Datasets shares its dimensions: both must have room along `jump`."""
+    found = bistable.find
+
+    def with_jumps(*given: Any) -> Any:
+        return {**found(*given), "jumps": np.tile([0, 1.25, 1.26], (num, 1))}
+
+    monkeypatch.setattr(bistable, "find", with_jumps)
+    overrides = QUICK | {"study.starts": "0", "study.harmonics": "0"}
+    outcome = carry_out(load_scene(CONFIGS / "softening.yaml", [f"{k}={v}" for k, v in overrides.items()]))
+    data = open_result(save(outcome.groups, tmp_path / "result.nc"))
+    assert data["range"].shape == (max(num, 1), 2)
+    assert np.isfinite(data["range"]).all(axis=1).sum() == 1
+    assert data["sweep"].jump_low.dims == ("direction", "jump")
+    assert np.isfinite(data["sweep"].jump_low).sum() == num
+    assert data["range_cut"].dtype.kind == "i"
 
 
 def test_a_balance_that_comes_to_no_end_leaves_the_study_whole(monkeypatch: pytest.MonkeyPatch):

@@ -15,9 +15,7 @@ from timesim.fault import SceneError
 from timesim.hbm import convergence as hbm_convergence
 from timesim.hbm.convergence import Place, convergence, order_of
 from timesim.hbm.curve import hbm_curve, solutions_at
-from timesim.hbm.located import waves
-from timesim.hbm.setting import Setting
-from timesim.orbit.fourier import waves_of
+from timesim.hbm.scheme import Scheme
 from timesim.picture import draw as plot
 from timesim.picture import hbm as plot_hbm
 from timesim.picture.response import stable_parts
@@ -209,16 +207,6 @@ def test_a_sweep_of_another_structure(swept: Path):
     assert any("no curve is begun" in line and "has 2 modes, the scene has 3" in line for line in outcome.summary)
 
 
-def test_waves_of_samples():
-    rng = np.random.default_rng(2)
-    coefficient = rng.normal(size=(7, 2))
-    phase, count = 0.7, 40
-    theta = phase + 2 * np.pi * np.arange(1, count + 1) / count
-    found = waves_of(waves(theta, 7) @ coefficient, phase)
-    np.testing.assert_allclose(found[:7], coefficient, atol=1e-13)
-    np.testing.assert_allclose(found[7:], 0, atol=1e-13)
-
-
 def test_along_a_scalar():
     """The preload at 0.947 Hz, from the open gap to the fold and back on the unstable branch; points solved anew."""
     given = scene(frequency=0.947, along={"contacts.pad.preload": {"from": 0, "to": -4}}, start="linear")
@@ -233,8 +221,8 @@ def test_along_a_scalar():
         if found.fold.values[i]:
             continue
         model = plain.variant({"contacts.pad.preload": float(preload[i])})
-        curve = hbm_curve(model, 1.0, 0.92, setting=Setting(5, 512), stability=False)
-        same = solutions_at(model, curve, 0.947, setting=Setting(5, 512)).amplitude[:, 0, 0]
+        curve = hbm_curve(model, 1.0, 0.92, scheme=Scheme(5, 512), stability=False)
+        same = solutions_at(model, curve, 0.947, scheme=Scheme(5, 512)).amplitude[:, 0, 0]
         assert np.min(np.abs(same / found.amplitude.values[i, 0, 0] - 1)) < 1e-6
     assert found.slip_share.values.max() > 0.2
 
@@ -307,11 +295,11 @@ def test_a_harmonic_that_is_excited_must_be_balanced():
 def test_convergence_tells_orders_and_enough(monkeypatch: pytest.MonkeyPatch):
     """Harmonics and samples at two solutions; the samples are of second order."""
     model = load_scene(scene()).model()
-    curve = hbm_curve(model, 0.93, 0.9, setting=Setting(9, 256), stability=False)
+    curve = hbm_curve(model, 0.93, 0.9, scheme=Scheme(9, 256), stability=False)
     places = [Place(model, float(curve.frequency[i]), curve.contact_motion[i], curve.amplitude[i]) for i in (0, -1)]
     monkeypatch.setattr(hbm_convergence, "HARMONICS", (1, 5))
     monkeypatch.setattr(hbm_convergence, "MAX_DOUBLINGS", 11)
-    found = convergence(places, Setting(9, 256))
+    found = convergence(places, Scheme(9, 256))
     changes = dict(zip(found.harmonics[:-1], found.with_harmonics[:-1], strict=True))
     assert changes[1] > 5 * changes[5] > 0
     assert found.harmonics.tolist() == [1, 5, 9]
@@ -325,7 +313,7 @@ def test_convergence_tells_orders_and_enough(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_convergence_of_full_stick_says_that_it_says_nothing():
-    assert "nothing" in convergence([], Setting(3, 64)).told()[0]
+    assert "nothing" in convergence([], Scheme(3, 64)).told()[0]
 
 
 def test_order_of_changes_with_a_known_order():
@@ -378,7 +366,7 @@ def test_folds_against_sweeps_in_time(harmonics, preload, span, folds):
 def test_the_model_of_the_sections_is_the_plain_one():
     """A scene's own curve and that of the model in Python."""
     model = load_scene(scene()).model()
-    curve = hbm_curve(model, 1.0, 0.92, setting=Setting(5, 512))
+    curve = hbm_curve(model, 1.0, 0.92, scheme=Scheme(5, 512))
     found = timesim.run(scene())
     np.testing.assert_allclose(found.amplitude.values, curve.amplitude, rtol=1e-9)
     assert replace(curve, message="").complete

@@ -185,7 +185,7 @@ def test_the_steady_state_of_a_linear_scene_against_integration() -> None:
         q, p = np.split(y, 2)
         return np.concatenate([p, force - system.stiffness @ q - system.damping @ p])
 
-    begin = np.concatenate([found.lane.q, found.lane.p])
+    begin = np.concatenate([found.lane.here.point.q, found.lane.here.point.p])
     times = np.linspace(0, 2 * np.pi, 20001)
     path = solve_ivp(rate, times[[0, -1]], begin, method="DOP853", rtol=1e-11, atol=1e-13, t_eval=times).y
     np.testing.assert_allclose(path[:, -1], begin, atol=1e-9 * np.abs(begin).max())

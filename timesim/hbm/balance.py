@@ -9,54 +9,48 @@ With the flexibility F_h of the structure at its contacts the unknowns are those
 
     r = y_h - y_h,free - F_h(Omega) g_h(y) = 0
 
-however many modes there are. The forces follow y through the law of `timesim.hbm.period` on equal time samples
+however many modes there are. The forces follow from y on equal time samples by the law of `timesim.hbm.period`
 (alternating frequency/time); their derivatives are exact for that law, and so is the matrix of Newton's method.
 
-Sections 4.3 and 5 of the paper, whose scheme is ``harmonics=1``; T. M. Cameron and J. H. Griffin, J. Appl. Mech. 56
-(1989) 149 for the alternation; M. Krack and J. Gross, Harmonic Balance for Nonlinear Vibration Problems (Springer
+Sections 4.3 and 5 of the paper, whose scheme is ``harmonics=1``. T. M. Cameron and J. H. Griffin, J. Appl. Mech. 56
+(1989) 149, for the alternation; M. Krack and J. Gross, Harmonic Balance for Nonlinear Vibration Problems (Springer
 2019).
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from timesim.engine.contact import Law
 from timesim.engine.system import Scales, contact_law, scales_of
+from timesim.hbm.corrector import NoSolutionError
 from timesim.hbm.located import located_forces
-from timesim.hbm.period import Basis, basis_of, forces
-from timesim.hbm.setting import Setting, check_excitation
+from timesim.hbm.period import Basis, basis_of, contact_forces
+from timesim.hbm.scheme import Scheme, check_excitation
 from timesim.hbm.tangent import linearised
 from timesim.model.model import Model
+from timesim.orbit.fourier import to_coefficients, to_phasors
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
-
-def to_complex(coefficient: Array) -> Complex:
-    """Phasors a_h - i b_h of a_0, a_1, b_1, ...: the last axis (2H + 1) becomes H + 1."""
-    first = coefficient[..., :1].astype(complex)
-    return np.concatenate([first, coefficient[..., 1::2] - 1j * coefficient[..., 2::2]], axis=-1)
-
-
-def to_real(phasor: NDArray[Any]) -> Array:
-    """The inverse of `to_complex`."""
-    waves = np.stack([phasor[..., 1:].real, -phasor[..., 1:].imag], axis=-1)
-    return np.concatenate([phasor[..., :1].real, waves.reshape(*phasor.shape[:-1], 2 * waves.shape[-2])], axis=-1)
+# Solutions whose contacts are evaluated together: a fixed number, so that not every curve compiles anew.
+BATCH = 16
 
 
 @dataclass(frozen=True)
-class Linear:
-    """The structure alone, at one frequency; h = 0 ... H first.
+class LinearResponse:
+    """Response of the structure without its contacts at one frequency; h = 0 ... H first.
 
     Attributes:
-        modal_free, modal: response of the mass-normalised modes to the excitation, shape (H + 1, M), and to unit forces
-            at the contacts, shape (H + 1, M, 3C).
+        modal_free, modal: of the mass-normalised modes to the excitation, shape (H + 1, M), and to unit forces at the
+            contacts, shape (H + 1, M, 3C).
         free, flexibility: the same at the contacts, shapes (H + 1, 3C) and (H + 1, 3C, 3C).
         free_slope, flexibility_slope: their derivatives by Omega.
     """
@@ -76,24 +70,24 @@ class Balance:
     made flat.
     """
 
-    def __init__(self, model: Model, frequency: float, setting: Setting, units: Scales | None = None):
+    def __init__(self, model: Model, frequency: float, scheme: Scheme, units: Scales | None = None):
         """For a model near a frequency [Hz], which sets the units unless they are given.
 
         Raises:
-            SettingError: nothing is periodic, or harmonics are excited that are not balanced.
+            BalanceError: nothing is periodic, or harmonics are excited that are not balanced.
         """
-        check_excitation(model, setting.harmonics)
-        self.model, self.setting = model, setting
+        check_excitation(model, scheme.harmonics)
+        self.model, self.scheme = model, scheme
         self.units = scales_of(model, frequency) if units is None else units
         self.length, self.force = self.units.length, self.units.force
         self.law: Law = contact_law(model, self.units)
-        self.basis: Basis = basis_of(setting.harmonics, setting.time_samples)
+        self.basis: Basis = basis_of(scheme.harmonics, scheme.time_samples)
         structure, excited = model.structure, model.excitation
         root = np.sqrt(structure.mass)
         self.shape = model.contact_shape.reshape(-1, root.size) / root
-        self.load = np.zeros((setting.harmonics + 1, root.size), complex)
+        self.load = np.zeros((scheme.harmonics + 1, root.size), complex)
         self.load[0] = excited.constant / root
-        kept = excited.harmonic <= setting.harmonics
+        kept = excited.harmonic <= scheme.harmonics
         self.load[excited.harmonic[kept]] = (excited.cosine - 1j * excited.sine)[kept] / root
         self.damping = structure.damping / (np.outer(root, root) if structure.damping.ndim == 2 else root**2)
         self.support = self._support()
@@ -103,7 +97,10 @@ class Balance:
         return self.model.num_contacts
 
     def _support(self) -> Array:
-        """Contact stiffness lent to the structure, shape (3C, 3C), lest modes of frequency zero make it singular."""
+        """Stiffness added to the structure at its contacts, shape (3C, 3C), and taken from their forces again.
+
+        Without it modes of frequency zero make the structure singular.
+        """
         support = np.zeros((3 * self.num_contacts, 3 * self.num_contacts))
         if self.damping.ndim == 2 or np.any(self.model.structure.omega == 0):
             for i, contact in enumerate(self.model.contacts):
@@ -111,13 +108,9 @@ class Balance:
                 support[3 * i + 2, 3 * i + 2] = contact.normal_stiffness
         return support
 
-    def linear(self, frequency: float) -> Linear:
-        """Response of the structure at a frequency [Hz].
-
-        Raises:
-            numpy.linalg.LinAlgError: it is singular there.
-        """
-        omega, order = 2 * np.pi * frequency, np.arange(self.setting.harmonics + 1)[:, None]
+    def linear(self, frequency: float) -> LinearResponse:
+        """Response of the structure at a frequency [Hz]; not finite where it is singular."""
+        omega, order = 2 * np.pi * frequency, np.arange(self.scheme.harmonics + 1)[:, None]
         # Columns: unit forces at the contacts, then the excitation.
         columns = np.broadcast_to(self.shape.T, (order.size, *self.shape.T.shape))
         right = np.concatenate([columns, self.load[:, :, None]], axis=2)
@@ -132,91 +125,116 @@ class Balance:
             held = np.diag(stiffness) + self.shape.T @ self.support @ self.shape
             order, one = order[:, :, None], np.eye(stiffness.size)
             dynamic = held - (order * omega) ** 2 * one + 1j * order * omega * damping
-            response = np.linalg.solve(dynamic, right)
+            try:
+                response = np.linalg.solve(dynamic, right)
+            except np.linalg.LinAlgError:
+                response, dynamic = np.full_like(right, np.nan), one
             change = np.linalg.solve(dynamic, (2 * order**2 * omega * one - 1j * order * damping) @ response)
         here, there = self.shape @ response, self.shape @ change
-        return Linear(
+        return LinearResponse(
             response[..., -1], response[..., :-1], here[..., -1], here[..., :-1], there[..., -1], there[..., :-1]
         )
 
     @property
     def num_unknowns(self) -> int:
-        return 3 * self.num_contacts * (2 * self.setting.harmonics + 1)
+        return 3 * self.num_contacts * (2 * self.scheme.harmonics + 1)
 
     def coefficients(self, x: Array) -> Array:
         """The unknowns by contact, component and coefficient, shape (..., C, 3, 2H + 1)."""
-        return x.reshape(*x.shape[:-1], self.num_contacts, 3, 2 * self.setting.harmonics + 1)
+        return x.reshape(*x.shape[:-1], self.num_contacts, 3, 2 * self.scheme.harmonics + 1)
 
-    def _given(self, acts: Array) -> Array:
+    def contact_forces(self, x: Array) -> Array:
+        """(f1, f2, n) of each contact by their coefficients in units of `force`, shape (C, 3, 2H + 1)."""
+        sampled = contact_forces(self.law, self.basis, jnp.asarray(self.coefficients(x))).coefficient
+        return self.refined_forces(x, np.asarray(sampled))
+
+    def refined_forces(self, x: Array, sampled: Array) -> Array:
+        """(f1, f2, n) with located transitions, if the scheme asks for them, else as found on the samples.
+
+        In full stick, where the offset is free, they stay what they are.
+
+        Raises:
+            NoSolutionError: a transition cannot be located.
+        """
+        forces = np.array(sampled)
+        if self.scheme.transitions == "located":
+            for i, contact in enumerate(self.model.contacts):
+                try:
+                    located = located_forces(contact, self.length * self.coefficients(x)[i])
+                except RuntimeError as error:
+                    raise NoSolutionError(f"contact {contact.name}: {error}") from None
+                forces[i] = forces[i] if located is None else located / self.force
+        return forces
+
+    def _on_body_1(self, forces: Array) -> Array:
         """g from (f1, f2, n), in units of force."""
-        g = -acts
+        g = -forces
         g[:, 2, 0] += np.maximum(np.asarray(self.law.preload), 0.0)
         return g
 
-    def contact_forces(self, x: Array) -> Array:
-        """g, the force on body 1 in the axes of each contact, by its coefficients in units of `force`."""
-        return self._given(self.acts(x))
-
-    def acts(self, x: Array) -> Array:
-        """(f1, f2, n) of each contact by their coefficients in units of `force`, shape (C, 3, 2H + 1)."""
-        sampled = forces(self.law, self.basis, jnp.asarray(self.coefficients(x))).coefficient
-        return self.placed(x, np.asarray(sampled))
-
-    def placed(self, x: Array, sampled: Array) -> Array:
-        """(f1, f2, n) with transitions as the setting wants them, from those found on the samples.
-
-        In full stick, where the offset is free, they stay what they are.
-        """
-        acts = np.array(sampled)
-        if self.setting.transitions == "located":
-            for i, contact in enumerate(self.model.contacts):
-                located = located_forces(contact, self.length * self.coefficients(x)[i])
-                acts[i] = acts[i] if located is None else located / self.force
-        return acts
-
     def _rows(self, coefficient: Array) -> Array:
         """All components of all contacts, shape (3C, 2H + 1)."""
-        return coefficient.reshape(3 * self.num_contacts, 2 * self.setting.harmonics + 1)
+        return coefficient.reshape(3 * self.num_contacts, 2 * self.scheme.harmonics + 1)
 
-    def _balanced(self, x: Array, g: Array, linear: Linear) -> tuple[Complex, Complex]:
-        """Forces at the contacts and the motion that they give, by phasor, shape (H + 1, 3C)."""
-        motion = to_complex(self._rows(self.coefficients(x))).T * self.length
-        acting = to_complex(self._rows(g)).T * self.force + motion @ self.support
+    def _response(self, x: Array, forces: Array, linear: LinearResponse) -> tuple[Complex, Complex]:
+        """Forces on the supported structure and the motion of the contacts that they give, by phasor, (H + 1, 3C)."""
+        motion = to_phasors(self._rows(self.coefficients(x))).T * self.length
+        acting = to_phasors(self._rows(self._on_body_1(forces))).T * self.force + motion @ self.support
         return acting, linear.free + np.einsum("hij,hj->hi", linear.flexibility, acting)
 
     def value(self, x: Array, p: float) -> Array:
         """r in units of `length`."""
-        _, motion = self._balanced(x, self.contact_forces(x), self.linear(p))
-        return x - to_real(motion.T).ravel() / self.length
+        _, motion = self._response(x, self.contact_forces(x), self.linear(p))
+        return x - to_coefficients(motion.T).ravel() / self.length
 
     def linearised(self, x: Array, p: float) -> tuple[Array, Array, Array]:
         """r, and its derivatives by the unknowns and by the frequency."""
-        acts, slope = linearised(self.law, self.basis, jnp.asarray(self.coefficients(x)))
-        g = self._given(self.placed(x, np.asarray(acts.coefficient)))
+        sampled, slope = linearised(self.law, self.basis, jnp.asarray(self.coefficients(x)))
         linear = self.linear(p)
-        acting, motion = self._balanced(x, g, linear)
+        acting, motion = self._response(x, self.refined_forces(x, np.asarray(sampled.coefficient)), linear)
         by_p = linear.free_slope + np.einsum("hij,hj->hi", linear.flexibility_slope, acting)
         matrix = np.eye(x.size) - self._matrix(linear.flexibility, np.asarray(slope))
-        r = x - to_real(motion.T).ravel() / self.length
-        return r, matrix, to_real(by_p.T).ravel() * (-2 * np.pi / self.length)
+        r = x - to_coefficients(motion.T).ravel() / self.length
+        return r, matrix, to_coefficients(by_p.T).ravel() * (-2 * np.pi / self.length)
 
     def _matrix(self, flexibility: Complex, slope: Array) -> Array:
         """Derivatives of F g by the unknowns, from those of (f1, f2, n) of each contact by its own."""
-        size, rows = 2 * self.setting.harmonics + 1, 3 * self.num_contacts
+        size, rows = 2 * self.scheme.harmonics + 1, 3 * self.num_contacts
         matrix = np.empty((rows, size, rows * size))
         for i, block in enumerate(slope):
             own = slice(3 * i, 3 * i + 3)
             stiffness = -block * (self.force / self.length)
             if self.support.any():
                 stiffness = stiffness + np.kron(self.support[own, own], np.eye(size))
-            force = to_complex(stiffness.reshape(3, size, -1).swapaxes(1, 2)).transpose(2, 0, 1)
+            force = to_phasors(stiffness.reshape(3, size, -1).swapaxes(1, 2)).transpose(2, 0, 1)
             motion = flexibility[:, :, own] @ force
-            matrix[:, :, 3 * size * i : 3 * size * (i + 1)] = to_real(motion.transpose(1, 2, 0)).swapaxes(1, 2)
+            matrix[:, :, 3 * size * i : 3 * size * (i + 1)] = to_coefficients(motion.transpose(1, 2, 0)).swapaxes(1, 2)
         return matrix.reshape(rows * size, rows * size)
 
-    def modes(self, x: Array, acts: Array, frequency: float) -> Complex:
+    def modes(self, x: Array, forces: Array, frequency: float) -> Complex:
         """Modal displacement by phasors, shape (H + 1, M), from the unknowns and (f1, f2, n) in units of `force`."""
         linear = self.linear(frequency)
-        acting, _ = self._balanced(x, self._given(acts), linear)
+        acting, _ = self._response(x, forces, linear)
         modal = linear.modal_free + np.einsum("hij,hj->hi", linear.modal, acting)
         return modal / np.sqrt(self.model.structure.mass)
+
+
+def batched(evaluate: Callable[[Law, Array], Sequence[Any]], balance: Balance, motion: Array) -> list[Array]:
+    """Arrays of a function of the law and the motion of contacts, for many solutions.
+
+    Args:
+        evaluate: gives arrays with one row a contact.
+        balance: the equations solved.
+        motion: Fourier coefficients of (u1, u2, v) in units, shape (S, C, 3, 2H + 1).
+
+    Returns:
+        arrays, shape (S, C, ...).
+    """
+    law = jax.tree.map(lambda leaf: jnp.tile(leaf, BATCH), balance.law)
+    parts = []
+    for first in range(0, max(len(motion), 1), BATCH):
+        part = motion[first : first + BATCH]
+        rows = np.resize(part, (BATCH, *motion.shape[1:])).reshape(-1, *motion.shape[2:])
+        arrays = map(np.asarray, evaluate(law, rows))
+        parts.append([array.reshape(BATCH, -1, *array.shape[1:])[: len(part)] for array in arrays])
+    return [np.concatenate(column) for column in zip(*parts, strict=True)]

@@ -15,7 +15,7 @@ import numpy as np
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.continuation import solve
 from timesim.hbm.curve import default_controls
-from timesim.hbm.setting import MIN_SAMPLES, Setting
+from timesim.hbm.scheme import MIN_SAMPLES, Scheme
 from timesim.model.model import Model
 from timesim.orbit.fourier import half_range
 
@@ -40,7 +40,7 @@ class Convergence:
     """The answer against harmonics and samples.
 
     Attributes:
-        setting: that of the study.
+        scheme: that of the study.
         count: solutions looked at.
         harmonics, with_harmonics: numbers of harmonics, and the change from the last of them; the last entry is the
             change from the one before.
@@ -48,7 +48,7 @@ class Convergence:
         lost: how many of the solutions a number of harmonics, or of samples, does not have, by name.
     """
 
-    setting: Setting
+    scheme: Scheme
     count: int
     harmonics: Array
     with_harmonics: Array
@@ -83,39 +83,39 @@ def order_of(numbers: Array, changes: Array) -> float:
     return float(-np.polyfit(np.log(numbers[:-1][usable]), np.log(changes[:-1][usable]), 1)[0])
 
 
-def convergence(places: Sequence[Place], setting: Setting) -> Convergence:
+def convergence(places: Sequence[Place], scheme: Scheme) -> Convergence:
     """Refine harmonics and samples at given solutions.
 
     Args:
-        places: the solutions, found with `setting`.
-        setting: of the study.
+        places: the solutions, found with `scheme`.
+        scheme: of the study.
     """
-    least = max(4 * setting.harmonics, MIN_SAMPLES)
+    least = max(4 * scheme.harmonics, MIN_SAMPLES)
     samples = [2**k for k in range(4, MAX_DOUBLINGS + 1) if 2**k >= least]
-    enough = max(setting.time_samples, 4 * max(HARMONICS))
-    harmonics = sorted({*HARMONICS, setting.harmonics})
+    enough = max(scheme.time_samples, 4 * max(HARMONICS))
+    harmonics = sorted({*HARMONICS, scheme.harmonics})
     highest = max((int(place.model.excitation.harmonic.max()) for place in places), default=1)
     by_harmonics = _refined(
-        places, [h for h in harmonics if h >= highest], lambda h: replace(setting, harmonics=h, time_samples=enough)
+        places, [h for h in harmonics if h >= highest], lambda h: replace(scheme, harmonics=h, time_samples=enough)
     )
-    by_samples = _refined(places, samples, lambda n: replace(setting, time_samples=n))
+    by_samples = _refined(places, samples, lambda n: replace(scheme, time_samples=n))
     lost = {
         f"{int(number)} {name}": int(count)
         for (numbers, _, counts), name in ((by_harmonics, "harmonics"), (by_samples, "samples"))
         for number, count in zip(numbers, counts, strict=True)
         if count
     }
-    return Convergence(setting, len(places), *by_harmonics[:2], *by_samples[:2], lost)
+    return Convergence(scheme, len(places), *by_harmonics[:2], *by_samples[:2], lost)
 
 
 def _refined(
-    places: Sequence[Place], numbers: Sequence[int], setting_of: Callable[[int], Setting]
+    places: Sequence[Place], numbers: Sequence[int], scheme_of: Callable[[int], Scheme]
 ) -> tuple[Array, Array, Array]:
     """Numbers tried, the change from the last of them, and how many places have no solution."""
     answers: list[Array] = []
     moves = [np.inf]
     for number in numbers if places else numbers[:1]:
-        answers.append(np.array([amplitude(place, setting_of(number)) for place in places]))
+        answers.append(np.array([amplitude(place, scheme_of(number)) for place in places]))
         if len(answers) > 1:
             moves.append(_change(places, answers[-2], answers[-1]))
         if max(moves[-2:]) < ENOUGH:
@@ -132,15 +132,15 @@ def _change(places: Sequence[Place], one: Array, other: Array) -> float:
     return float(np.max(change[np.isfinite(change)], initial=0.0))
 
 
-def amplitude(place: Place, setting: Setting) -> Array:
-    """Amplitudes at a place as another setting finds them, shape (P, 3); NaN where it finds no solution."""
-    balance = Balance(place.model, place.frequency, setting)
-    size = 2 * setting.harmonics + 1
+def amplitude(place: Place, scheme: Scheme) -> Array:
+    """Amplitudes at a place as another scheme finds them, shape (P, 3); NaN where it finds no solution."""
+    balance = Balance(place.model, place.frequency, scheme)
+    size = 2 * scheme.harmonics + 1
     guess = np.zeros((*place.motion.shape[:2], size))
     kept = min(size, place.motion.shape[2])
     guess[..., :kept] = place.motion[..., :kept]
     found = solve(balance, guess.ravel() / balance.length, place.frequency, default_controls())
     if found is None:
         return np.full_like(place.amplitude, np.nan)
-    modal = balance.modes(found[0], balance.acts(found[0]), place.frequency)
+    modal = balance.modes(found[0], balance.contact_forces(found[0]), place.frequency)
     return half_range(np.einsum("pam,hm->hpa", place.model.structure.shape, modal)[None])[0]

@@ -1,20 +1,36 @@
-"""Newton's method on a plane across a curve of solutions: a point and the tangent there.
+"""Newton's method for one point of a curve of solutions ``r(x, p) = 0``, on a plane that cuts the curve.
 
-The part of `timesim.hbm.continuation` that finds one point. Both x and p are measured in units.
+With y = (x, p), each in units of its own, a solution is sought on the plane through a guess y0 with the normal b,
+
+    r(y) = 0,    b . (y - y0) = 0
+
+The Jacobian of both together, dr/dy bordered by the row b, is regular at a fold as well, where dr/dx is not (Keller
+1977). From its LU factors follow the tangent t of the curve, ``dr/dy t = 0, b . t = 1``, and, by Cramer's rule, the
+sign of det dr/dx, which changes at a fold.
 """
 
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lapack, lu_solve
 
 Array = NDArray[np.float64]
+Factors = tuple[Array, NDArray[np.int32]]
+
+# A Newton step that is longer than this share of the one before asks for new derivatives.
+CONTRACTION = 0.1
+MAX_DAMPED, MAX_FULL = 60, 30  # iterations
+# A Newton step this long, in units of the solution, leads nowhere.
+MAX_STEP = 10.0
 
 
 class Residual(Protocol):
-    """A system of as many equations as unknowns."""
+    """A system of as many equations as unknowns.
+
+    Either method may raise `NoSolutionError` where it cannot be evaluated; the message says why.
+    """
 
     def value(self, x: Array, p: float) -> Array:
         """r, shape (n,)."""
@@ -32,7 +48,7 @@ class Controls:
         first_step, min_step, max_step: length of arc of a step.
         max_points: points after which the curve is given up.
         tolerance: norm of the residual at a solution, relative to the size of x.
-        max_newton: corrections of one point.
+        max_newton: iterations for one point.
         turn: turn of the tangent over a step at which the step is neither lengthened nor shortened [rad].
     """
 
@@ -61,146 +77,145 @@ class Controls:
 
 
 @dataclass(frozen=True)
-class Point:
-    """A solution y = (x, p) in units, its unit tangent, and how it was found."""
+class CurvePoint:
+    """A solution y = (x, p) in units, with the unit tangent, the sign of det dr/dx and the iterations that it took."""
 
     y: Array
     tangent: Array
     determinant: int
-    corrections: int
-    fold: bool = False
+    iterations: int
 
 
-class FailureError(Exception):
-    """Newton's method did not converge."""
+class NoSolutionError(Exception):
+    """Newton's method does not converge; the message names the cause where the residual knows one."""
 
 
-class Arc:
-    """The residual in units: y = (x / x_unit, p / p_unit)."""
+class Corrector:
+    """Newton's method for a residual in units, y = (x / x_unit, p / p_unit)."""
 
-    def __init__(self, residual: Residual, controls: Controls, p_unit: float):
+    def __init__(self, residual: Residual, controls: Controls, p_unit: float, x: Array):
+        """For solutions about as large as x."""
         self.residual, self.controls, self.p_unit = residual, controls, p_unit
-        self.x_unit = controls.size
+        self.x_unit = max(controls.size, float(np.linalg.norm(x)))
 
-    def resized(self, point: Point) -> Point:
-        """The point, measured by its own size."""
-        x = point.y[:-1] * self.x_unit
+    def in_units(self, x: Array, p: float) -> Array:
+        """y of a point."""
+        return np.append(x / self.x_unit, p / self.p_unit)
+
+    def unscaled(self, y: Array) -> tuple[Array, float]:
+        """x and p of a point."""
+        return y[:-1] * self.x_unit, float(y[-1] * self.p_unit)
+
+    def rescaled(self, point: CurvePoint) -> CurvePoint:
+        """The point with x measured by its own size from now on."""
+        x, y_p = point.y[:-1] * self.x_unit, point.y[-1]
         tangent = np.append(point.tangent[:-1] * self.x_unit, point.tangent[-1])
         self.x_unit = max(self.controls.size, float(np.linalg.norm(x)))
         tangent[:-1] /= self.x_unit
-        y = np.append(x / self.x_unit, point.y[-1])
-        return Point(y, tangent / np.linalg.norm(tangent), point.determinant, point.corrections, point.fold)
+        y, tangent = np.append(x / self.x_unit, y_p), tangent / np.linalg.norm(tangent)
+        return CurvePoint(y, tangent, point.determinant, point.iterations)
 
-    def small(self, r: Array, y: Array) -> bool:
-        size = max(self.controls.size, float(np.linalg.norm(y[:-1])) * self.x_unit)
-        return bool(np.linalg.norm(r) <= self.controls.tolerance * size)
+    def simplified_newton(self, guess: Array, normal: Array, *, fresh: bool = False) -> CurvePoint:
+        """Solution near a good guess on the plane through it; its tangent points to the side of the normal.
 
-    def value(self, y: Array) -> Array:
-        return self.residual.value(y[:-1] * self.x_unit, float(y[-1] * self.p_unit))
+        Derivatives are kept as long as the steps contract fast with them; `fresh` evaluates them anew at the solution,
+        for an exact tangent.
 
-    def bordered(self, y: Array, border: Array) -> tuple[Array, Array]:
-        """r, and the derivatives of r / x_unit with `border` as the last row."""
-        r, by_x, by_p = self.residual.linearised(y[:-1] * self.x_unit, float(y[-1] * self.p_unit))
-        matrix = np.empty((y.size, y.size))
-        matrix[:-1, :-1] = by_x
-        matrix[:-1, -1] = by_p * (self.p_unit / self.x_unit)
-        matrix[-1] = border
-        if not np.isfinite(matrix).all():
-            raise FailureError
-        return r, matrix
-
-    def corrected(self, guess: Array, border: Array, *, exact: bool = False) -> Point:
-        """Solution on the plane through the guess with normal `border`, and its tangent, on the side of `border`.
-
-        The derivatives are those at the guess as long as they make the corrections fall fast; with `exact` they are
-        taken anew at the solution.
+        Raises:
+            NoSolutionError: the steps grow, or there are too many.
         """
-        y, before, stale = guess, np.inf, True
+        y, before, outdated = guess, np.inf, True
         for count in range(self.controls.max_newton + 1):
-            if stale:
-                r, matrix = self.bordered(y, border)
-                factors = _factorised(matrix)
+            if outdated:
+                r, factors = self._bordered(y, normal)
             else:
-                r = self.value(y)
-            if self.small(r, y):
-                if exact and count:
-                    factors = _factorised(self.bordered(y, border)[1])
-                return Point(y, *_direction(factors), count)
-            step = lu_solve(factors, np.append(-r / self.x_unit, border @ (guess - y)), check_finite=False)
+                r = self._value(y)
+            if self._vanishes(r, y):
+                if fresh and count:
+                    factors = self._bordered(y, normal)[1]
+                return CurvePoint(y, *_tangent(factors), count)
+            step = self._step(factors, r, normal @ (guess - y))
             size = float(np.linalg.norm(step))
             if not np.isfinite(size) or size > 2 * before:
                 break
-            y, before, stale = y + step, size, size > CHORD * before
-        raise FailureError
+            y, before, outdated = y + step, size, size > CONTRACTION * before
+        raise NoSolutionError
 
-    def forced(self, guess: Array, border: Array) -> Point:
-        """The same where the residual is hardly smooth: derivatives anew each time, and patience with detours."""
+    def full_newton(self, guess: Array, normal: Array) -> CurvePoint:
+        """The same where the residual is hardly smooth: new derivatives at each step, and steps may grow.
+
+        Raises:
+            NoSolutionError: a step is far too long, or there are too many.
+        """
         y = guess
-        for count in range(MAX_FORCED):
-            r, matrix = self.bordered(y, border)
-            factors = _factorised(matrix)
-            if self.small(r, y):
-                return Point(y, *_direction(factors), count)
-            step = lu_solve(factors, np.append(-r / self.x_unit, border @ (guess - y)), check_finite=False)
-            size = float(np.linalg.norm(step))
-            if not size < MAX_DETOUR:
+        for count in range(MAX_FULL):
+            r, factors = self._bordered(y, normal)
+            if self._vanishes(r, y):
+                return CurvePoint(y, *_tangent(factors), count)
+            step = self._step(factors, r, normal @ (guess - y))
+            if not float(np.linalg.norm(step)) < MAX_STEP:
                 break
             y = y + step
-        raise FailureError
+        raise NoSolutionError
 
-    def settled(self, guess: Array, border: Array) -> Point:
-        """The same from a poor guess: corrections are halved until the residual falls."""
+    def damped_newton(self, guess: Array, normal: Array) -> CurvePoint:
+        """The same from a poor guess: steps are halved until the residual falls, or else taken in full.
+
+        Raises:
+            NoSolutionError: neither leads to a solution.
+        """
         try:
-            return self._damped(guess, border)
-        except FailureError:
-            return self.forced(guess, border)
+            return self._damped_newton(guess, normal)
+        except NoSolutionError:
+            return self.full_newton(guess, normal)
 
-    def _damped(self, guess: Array, border: Array) -> Point:
-        y, (r, matrix) = guess, self.bordered(guess, border)
+    def _damped_newton(self, guess: Array, normal: Array) -> CurvePoint:
+        y, (r, factors) = guess, self._bordered(guess, normal)
         for count in range(MAX_DAMPED):
-            factors = _factorised(matrix)
-            if self.small(r, y):
-                return Point(y, *_direction(factors), count)
-            step = lu_solve(factors, np.append(-r / self.x_unit, 0.0), check_finite=False)
+            if self._vanishes(r, y):
+                return CurvePoint(y, *_tangent(factors), count)
+            step = self._step(factors, r, 0.0)
             for share in 0.5 ** np.arange(12):
-                tried = self.value(y + share * step)
-                if np.linalg.norm(tried) < (1 - 0.1 * share) * np.linalg.norm(r):
+                trial = self._value(y + share * step)
+                if np.linalg.norm(trial) < (1 - 0.1 * share) * np.linalg.norm(r):
                     break
             else:
-                raise FailureError
+                raise NoSolutionError
             y = y + share * step
-            r, matrix = self.bordered(y, border)
-        raise FailureError
+            r, factors = self._bordered(y, normal)
+        raise NoSolutionError
+
+    def _vanishes(self, r: Array, y: Array) -> bool:
+        size = max(self.controls.size, float(np.linalg.norm(y[:-1])) * self.x_unit)
+        return bool(np.linalg.norm(r) <= self.controls.tolerance * size)
+
+    def _value(self, y: Array) -> Array:
+        return self.residual.value(*self.unscaled(y))
+
+    def _bordered(self, y: Array, normal: Array) -> tuple[Array, Factors]:
+        """r, and the LU factors of the derivatives of r / x_unit by y with `normal` as the last row."""
+        r, by_x, by_p = self.residual.linearised(*self.unscaled(y))
+        matrix = np.empty((y.size, y.size))
+        matrix[:-1, :-1] = by_x
+        matrix[:-1, -1] = by_p * (self.p_unit / self.x_unit)
+        matrix[-1] = normal
+        if not np.isfinite(matrix).all():
+            raise NoSolutionError
+        lu, pivots, singular = lapack.dgetrf(matrix)
+        if singular:
+            raise NoSolutionError
+        return r, (lu, pivots)
+
+    def _step(self, factors: Factors, r: Array, off_plane: ArrayLike) -> Array:
+        return np.asarray(lu_solve(factors, np.append(-r / self.x_unit, off_plane), check_finite=False))
 
 
-# Corrections that fall by less than this ask for new derivatives.
-CHORD = 0.1
-MAX_DAMPED = 60
-MAX_FORCED = 30
-# Detour of Newton's method, in units of the solution, that leads nowhere.
-MAX_DETOUR = 10.0
-Factors = tuple[Array, NDArray[np.int32]]
-
-
-def _factorised(matrix: Array) -> Factors:
-    """LU factors of a bordered matrix.
-
-    Raises:
-        FailureError: it is singular.
-    """
-    factors = lapack.dgetrf(matrix)
-    if factors[2] != 0:
-        raise FailureError
-    return factors[0], factors[1]
-
-
-def _direction(factors: Factors) -> tuple[Array, int]:
-    """Unit tangent from the factors of a bordered matrix, and the sign of det dr/dx, by Cramer's rule."""
+def _tangent(factors: Factors) -> tuple[Array, int]:
+    """Unit tangent, and the sign of det dr/dx: t_p is its ratio to the determinant of the bordered matrix."""
     lu, pivots = factors
     last = np.zeros(len(lu))
     last[-1] = 1.0
     tangent = lu_solve(factors, last, check_finite=False)
-    swaps = np.count_nonzero(pivots != np.arange(pivots.size))
-    negative = np.count_nonzero(np.diag(lu) < 0) + swaps
-    sign = int(np.sign(tangent[-1])) * (-1) ** int(negative)
+    num_negative = np.count_nonzero(np.diag(lu) < 0) + np.count_nonzero(pivots != np.arange(pivots.size))
+    sign = int(np.sign(tangent[-1])) * (-1) ** int(num_negative)
     return tangent / np.linalg.norm(tangent), sign

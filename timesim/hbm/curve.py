@@ -5,29 +5,27 @@ The balance is `timesim.hbm.balance`, the way along the curve `timesim.hbm.conti
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from timesim.hbm.balance import Balance, to_real
+from timesim.engine.contact import Law
+from timesim.hbm.balance import Balance, batched
 from timesim.hbm.continuation import Controls, Curve, Ending, follow, follow_both_ways, solve
-from timesim.hbm.period import forces
-from timesim.hbm.setting import Setting
+from timesim.hbm.first_guess import first_guesses, unknowns_of_modes
+from timesim.hbm.period import contact_forces
+from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import BORDER, floquet_multipliers
 from timesim.model.model import Model
 from timesim.orbit.fourier import half_range
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 # A solution this small, in the scene's own unit of length, is measured by it and not by its own size.
 SMALL = 0.1
-# Points whose forces are evaluated together; a number of its own, lest every curve compile anew.
-TOGETHER = 16
 
 
 @dataclass(frozen=True)
@@ -102,7 +100,7 @@ def hbm_curve(
     start: float,
     stop: float,
     *,
-    setting: Setting | None = None,
+    scheme: Scheme | None = None,
     controls: Controls | None = None,
     guess: Array | None = None,
     begin: float | None = None,
@@ -115,7 +113,7 @@ def hbm_curve(
         start, stop: range [Hz]; the curve begins at `start`, which may be the larger.
 
     Keyword Args:
-        setting: harmonics and time samples.
+        scheme: harmonics and time samples.
         controls: steps of the continuation.
         guess: modal displacement at `begin` by its Fourier coefficients 1, cos, sin, ..., shape (2K + 1, M), of a
             time integration for instance: so isolated branches are reached. By default the linear response with the
@@ -128,13 +126,13 @@ def hbm_curve(
         The curve; where it fails, what it has, with the reason and the place in `message`.
 
     Raises:
-        ValueError: the range, the setting or the excitation does not allow a balance.
+        ValueError: the range, the scheme or the excitation does not allow a balance.
     """
     _check_range(start, stop)
-    balance = Balance(model, start, setting or Setting())
+    balance = Balance(model, start, scheme or Scheme())
     controls = controls or default_controls()
     place = start if begin is None else begin
-    guesses = [contact_motion(balance, guess)] if guess is not None else first_guesses(balance, place, controls)
+    guesses = [unknowns_of_modes(balance, guess)] if guess is not None else first_guesses(balance, place, controls)
     for first in guesses:
         if start < place < stop or stop < place < start:
             curve = follow_both_ways(balance, first, place, (start, stop), controls)
@@ -142,7 +140,7 @@ def hbm_curve(
             curve = follow(balance, first, start, stop, controls)
         if curve.ending is not Ending.START:
             break
-    return described(balance, curve, stability=stability)
+    return evaluated(balance, curve, stability=stability)
 
 
 def default_controls() -> Controls:
@@ -160,67 +158,12 @@ def _check_range(start: float, stop: float) -> None:
         )
 
 
-def contact_motion(balance: Balance, modal: Array) -> Array:
-    """Unknowns of a balance from modal Fourier coefficients 1, cos, sin, ..., shape (2K + 1, M)."""
-    if modal.ndim != 2 or modal.shape[0] % 2 == 0 or modal.shape[1] != balance.model.structure.num_modes:
-        raise ValueError(
-            "hbm: the guess must hold 1, cos, sin, ... of each mode, an odd number of rows and "
-            f"{balance.model.structure.num_modes} columns, not shape {modal.shape}"
-        )
-    size = 2 * balance.setting.harmonics + 1
-    kept = np.zeros((size, modal.shape[1]))
-    kept[: min(size, len(modal))] = modal[:size]
-    shape = balance.model.contact_shape.reshape(3 * balance.num_contacts, -1)
-    return np.asarray((shape @ kept.T).ravel() / balance.length)
-
-
-def first_guesses(balance: Balance, frequency: float, controls: Controls) -> Iterator[Array]:
-    """Linear responses, one contact state after the other; the last is led there by a growing load."""
-    closed = np.array([contact.preload > 0 for contact in balance.model.contacts], dtype=float)
-    for held in (closed, np.ones_like(closed), np.zeros_like(closed), closed / 2):
-        yield _held(balance, frequency, held)
-    ramp = follow(_Ramp(balance, frequency), np.zeros(balance.num_unknowns), 0.0, 1.0, controls)
-    if ramp.complete:
-        yield ramp.x[-1]
-
-
-def _held(balance: Balance, frequency: float, held: Array) -> Array:
-    """Linear response with each contact stuck (1), absent (0) or in between."""
-    linear, size = balance.linear(frequency), 3 * balance.num_contacts
-    stiffness = np.zeros((size, size))
-    for i in np.flatnonzero(held):
-        contact = balance.model.contacts[i]
-        stiffness[3 * i : 3 * i + 2, 3 * i : 3 * i + 2] = held[i] * contact.tangential_stiffness
-        stiffness[3 * i + 2, 3 * i + 2] = held[i] * contact.normal_stiffness
-    matrix = np.eye(size) + linear.flexibility @ (stiffness - balance.support)
-    try:
-        motion = np.linalg.solve(matrix, linear.free[..., None])[..., 0]
-    except np.linalg.LinAlgError:
-        motion = np.zeros_like(linear.free)
-    return np.nan_to_num(to_real(motion.T).ravel() / balance.length, posinf=0.0, neginf=0.0)
-
-
-class _Ramp:
-    """A balance at one frequency under p times its excitation."""
-
-    def __init__(self, balance: Balance, frequency: float):
-        self.balance, self.frequency = balance, frequency
-        self.free = to_real(balance.linear(frequency).free.T).ravel() / balance.length
-
-    def value(self, x: Array, p: float) -> Array:
-        return self.balance.value(x, self.frequency) + (1 - p) * self.free
-
-    def linearised(self, x: Array, p: float) -> tuple[Array, Array, Array]:
-        r, by_x, _ = self.balance.linearised(x, self.frequency)
-        return r + (1 - p) * self.free, by_x, -self.free
-
-
 def solutions_at(
     model: Model,
     curve: HbmCurve,
     frequency: float | Array,
     *,
-    setting: Setting | None = None,
+    scheme: Scheme | None = None,
     stability: bool = True,
 ) -> HbmCurve:
     """The solutions of a curve at given frequencies, each solved for anew, in the order of these and of the curve.
@@ -230,11 +173,11 @@ def solutions_at(
         frequency: where [Hz], one or several; outside the curve there are none.
 
     Keyword Args:
-        setting, stability: as given to `hbm_curve`.
+        scheme, stability: as given to `hbm_curve`.
     """
     wanted = np.atleast_1d(np.asarray(frequency, dtype=float))
-    balance = Balance(model, float(wanted[0]), setting or Setting())
-    unknowns = curve.contact_motion.reshape(curve.frequency.size, -1) / balance.length
+    balance = Balance(model, float(wanted[0]), scheme or Scheme())
+    unknowns = curve.contact_motion.reshape(curve.frequency.size, balance.num_unknowns) / balance.length
     places = [(f, i) for f in wanted for i in crossings(curve.frequency, f)]
     rows = []
     for f, i in places:
@@ -250,11 +193,10 @@ def solutions_at(
         fold=np.zeros(len(rows), dtype=bool),
         branch=np.array(branch, dtype=np.int64),
         determinant=np.array(determinant, dtype=np.int64),
-        corrections=np.zeros(len(rows), dtype=np.int64),
         ending=Ending.COMPLETE if len(rows) == len(places) else Ending.STEP,
         message=f"{len(rows)} of {len(places)} solutions at {wanted.size} frequencies",
     )
-    return described(balance, found, stability=stability)
+    return evaluated(balance, found, stability=stability)
 
 
 def crossings(frequency: Array, place: float) -> NDArray[np.int64]:
@@ -265,19 +207,24 @@ def crossings(frequency: Array, place: float) -> NDArray[np.int64]:
     return np.flatnonzero((side[1:] * side[:-1] < 0) | (side[:-1] == 0) | last & (side[1:] == 0))
 
 
-def described(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmCurve:
-    """What the points of a curve do, in the units of the scene."""
-    size, order = curve.p.size, balance.setting.harmonics + 1
-    motion = balance.coefficients(curve.x) if size else np.zeros((0, balance.num_contacts, 3, 2 * order - 1))
-    acts, slip, separation, gap = _acts(balance, motion)
-    acts = np.array([balance.placed(x, own) for x, own in zip(curve.x, acts, strict=True)]).reshape(acts.shape)
-    shape, points = balance.model.structure.shape, len(balance.model.structure.points)
-    phasor = np.zeros((size, order, points, 3), complex)
+def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmCurve:
+    """Motion, contact states and stability of the solutions of a balance, in the units of the scene."""
+    size, order = curve.p.size, balance.scheme.harmonics + 1
+    motion = balance.coefficients(curve.x)
+
+    def contacts(law: Law, coefficient: Array) -> tuple[Any, ...]:
+        done = contact_forces(law, balance.basis, jnp.asarray(coefficient))
+        return done.coefficient, done.slip, done.separation, done.closure
+
+    sampled, slip, separation, closure = batched(contacts, balance, motion)
+    forces = np.array([balance.refined_forces(x, own) for x, own in zip(curve.x, sampled, strict=True)])
+    shape = balance.model.structure.shape
+    phasor = np.zeros((size, order, *shape.shape[:2]), complex)
+    for i, (x, p) in enumerate(zip(curve.x, curve.p, strict=True)):
+        phasor[i] = np.einsum("pam,hm->hpa", shape, balance.modes(x, forces[i], p))
     largest = np.full(size, np.nan)
     if stability:
         largest = np.abs(floquet_multipliers(balance, curve.x, curve.p)[:, 0])
-    for i, (x, p) in enumerate(zip(curve.x, curve.p, strict=True)):
-        phasor[i] = np.einsum("pam,hm->hpa", shape, balance.modes(x, acts[i], p))
     return HbmCurve(
         parameter=curve.p,
         frequency=curve.p,
@@ -290,27 +237,9 @@ def described(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmC
         slip_share=slip,
         separation_share=separation,
         contact_motion=motion * balance.length,
-        contact_force=acts * balance.force,
+        contact_force=forces.reshape(motion.shape) * balance.force,
         floquet_max=largest,
-        closure=np.max(gap, axis=1, initial=0.0),
+        closure=np.max(closure, axis=1, initial=0.0),
         ending=curve.ending,
         message=curve.message,
     )
-
-
-def _acts(balance: Balance, motion: Array) -> tuple[Array, Array, Array, Array]:
-    """Coefficients of (f1, f2, n), shares of slip and separation, and closure gaps, of all points of a curve."""
-    size, num_contacts = len(motion), balance.num_contacts
-    law = jax.tree.map(lambda leaf: jnp.tile(leaf, TOGETHER), balance.law)
-    rows: list[tuple[Array, ...]] = []
-    for first in range(0, size, TOGETHER):
-        part = motion[first : first + TOGETHER]
-        padded = np.concatenate([part, np.repeat(part[-1:], TOGETHER - len(part), axis=0)])
-        done = forces(law, balance.basis, jnp.asarray(padded.reshape(TOGETHER * num_contacts, *part.shape[2:])))
-        each = (done.coefficient, done.slip, done.separation, done.gap)
-        rows.append(tuple(np.asarray(x).reshape(TOGETHER, num_contacts, *x.shape[1:])[: len(part)] for x in each))
-    if not rows:
-        none = np.zeros((0, num_contacts))
-        return np.zeros_like(motion), none, none, none
-    acts, slip, separation, gap = (np.concatenate(column) for column in zip(*rows, strict=True))
-    return acts, slip, separation, gap

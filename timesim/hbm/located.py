@@ -1,6 +1,6 @@
 """Contact forces through one period with every transition located: a reference for `timesim.hbm.period`.
 
-The state-by-state march of `timesim.element.state_by_state` along a motion given by its Fourier coefficients.
+The state-by-state simulation of `timesim.element` along a motion given by its Fourier coefficients.
 """
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from timesim.element.motion import CYCLE, SplineMotion
 from timesim.element.state_by_state import steady_cycle
 from timesim.model.model import Contact
+from timesim.orbit.fourier import fourier_basis
 
 Array = NDArray[np.float64]
 # The spline through the samples errs by less than 1e-11 of the highest harmonic.
@@ -17,19 +18,12 @@ SAMPLES_PER_WAVE = 128
 GAUSS_NODES, GAUSS_WEIGHTS = legendre.leggauss(16)
 
 
-def waves(theta: Array, num_coefficients: int) -> Array:
-    """1, cos, sin, ..., cos H theta, sin H theta, shape (..., 2H + 1)."""
-    angle = np.multiply.outer(theta, np.arange(1, num_coefficients // 2 + 1))
-    pairs = np.stack([np.cos(angle), np.sin(angle)], axis=-1).reshape(*theta.shape, -1)
-    return np.concatenate([np.ones((*theta.shape, 1)), pairs], axis=-1)
-
-
 def located_forces(contact: Contact, motion: Array) -> Array | None:
     """Fourier coefficients of (f1, f2, n) for those of (u1, u2, v).
 
     Args:
         contact: the contact.
-        motion: coefficients of 1, cos, sin, ..., shape (3, 2H + 1) [length].
+        motion: coefficients, shape (3, 2H + 1) [length].
 
     Returns:
         coefficients, shape (3, 2H + 1) [force]; None in full stick, where the mean force is not unique.
@@ -40,15 +34,15 @@ def located_forces(contact: Contact, motion: Array) -> Array | None:
     size = motion.shape[1]
     num_samples = SAMPLES_PER_WAVE * max(1, size // 2)
     theta = np.arange(num_samples) * CYCLE / num_samples
-    spline = SplineMotion(waves(theta, size) @ motion.T)
+    spline = SplineMotion(fourier_basis(theta, size) @ motion.T)
     cycle = steady_cycle(contact, spline)
     if cycle.offset_free:
         return None
     cosine, sine = cycle.harmonics(size // 2)
-    acts = np.empty_like(motion)
-    acts[:2, 0], acts[:2, 1::2], acts[:2, 2::2] = cosine[0], cosine[1:].T, sine[1:].T
-    acts[2] = _normal_load(contact, spline, motion[2])
-    return acts
+    forces = np.empty_like(motion)
+    forces[:2, 0], forces[:2, 1::2], forces[:2, 2::2] = cosine[0], cosine[1:].T, sine[1:].T
+    forces[2] = _normal_load(contact, spline, motion[2])
+    return forces
 
 
 def _normal_load(contact: Contact, spline: SplineMotion, v: Array) -> Array:
@@ -57,7 +51,7 @@ def _normal_load(contact: Contact, spline: SplineMotion, v: Array) -> Array:
     edges = np.unique(np.concatenate([roots, np.linspace(0.0, CYCLE, 2 * v.size + 1)]))
     half = np.diff(edges)[:, None] / 2
     theta = (edges[:-1, None] + half * (GAUSS_NODES + 1)).ravel()
-    basis = waves(theta, v.size)
+    basis = fourier_basis(theta, v.size)
     load = np.maximum(contact.preload + contact.normal_stiffness * (basis @ v), 0.0)
     coefficient = ((half * GAUSS_WEIGHTS).ravel() * load) @ basis / np.pi
     coefficient[0] /= 2

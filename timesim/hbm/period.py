@@ -10,12 +10,13 @@ friction force ``f = K_u d`` and primes for rates along the interval,
     separation  d = 0; n = 0 is reached at the root of a linear function, and slip starts along the incipient direction
 
 where ``e_t`` is normal to ``e``. For an isotropic K_u the direction of slip follows in closed form: ``z = K_u u'``, and
-over an interval ``e`` is turned towards it as light is by aberration, however small n is. For others the part of C
-that is not isotropic is evaluated midway. Along a straight path the slip speed never falls, so slip ends at a sample,
-where its speed and the error so made vanish together.
+over an interval ``e`` turns towards it without further error, however small n is. For others the part of C that is not
+isotropic is evaluated midway. Along a straight path the slip speed never falls, so slip ends at a sample, where its
+speed and the error of doing so vanish together.
 
-A contact that may stick all along does, with the offset of `timesim.hbm.stuck_offset`. Any other enters the period from
-``w = 0``, put on the cone where it would lie outside, and goes through it again until the elastic displacement closes.
+A contact that can stick all along does, with the offset of `timesim.hbm.stuck_offset`. Any other enters the period from
+``w = 0``, put on the cone where it would lie outside, and passes through it again and again until the elastic
+displacement at its end is that at its start.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
@@ -43,11 +44,14 @@ from timesim.engine.contact import (
     where,
 )
 from timesim.hbm.stuck_offset import Offset, stuck_offset
+from timesim.orbit.fourier import fourier_basis
 
 MAX_PASSES = 100
 # Change of d over a period, relative to the largest d, that counts as none; rounding adds to it with |u|.
 CLOSED = 1e-12
 ROUNDING = 1e-14
+# An interval that slips but for less than this share of it slips all along: the time at which slip begins is rounded.
+WHOLE = 1 - 1e-9
 # Excess of |f|^2 over (mu n)^2, relative, that is no slip: what a contact left at rest on its cone shows by rounding.
 GRAZING = 1e-11
 
@@ -68,15 +72,13 @@ class Basis(eqx.Module):
 def basis_of(harmonics: int, time_samples: int) -> Basis:
     """The functions of H harmonics on N equal samples."""
     theta = 2 * np.pi * np.arange(1, time_samples + 1) / time_samples
-    angle = np.outer(theta, np.arange(1, harmonics + 1))
-    waves = np.stack([np.cos(angle), np.sin(angle)], axis=2).reshape(time_samples, -1)
-    value = np.concatenate([np.ones((time_samples, 1)), waves], axis=1)
+    value = fourier_basis(theta, 2 * harmonics + 1)
     weight = np.append(1.0, np.full(2 * harmonics, 2.0)) / time_samples
     return Basis(jnp.asarray(value), jnp.asarray(weight[:, None] * value.T))
 
 
 class Interval(eqx.Module):
-    """Motion from one sample to the next: change of u, how this changes itself, and v at both ends."""
+    """Motion from one sample to the next: change of u, the change of this change, and v at both ends."""
 
     change: Plane
     bend: Plane
@@ -84,7 +86,7 @@ class Interval(eqx.Module):
     v1: Scalar
 
 
-class Stay(eqx.Module):
+class IntervalEnd(eqx.Module):
     """Elastic displacement at the end of an interval, and the shares of it spent in slip and in separation."""
 
     d: Plane
@@ -104,7 +106,7 @@ def change_of(u: Array) -> Array:
 
 
 def bend_of(change: Array) -> Array:
-    """How much the change from sample to sample changes itself over an interval."""
+    """The change over an interval of the change from sample to sample."""
     return (jnp.roll(change, -1, axis=0) - jnp.roll(change, 1, axis=0)) / 2
 
 
@@ -168,8 +170,8 @@ def _cone_exit(rise: Scalar, half_slope: Scalar, start: Scalar) -> Scalar:
     return jnp.clip(jnp.where(ahead, early, late), 0.0, 1.0)
 
 
-def carried(law: Law, d: Plane, interval: Interval) -> Stay:
-    """One interval of the law from the elastic displacement at its start."""
+def advance(law: Law, d: Plane, interval: Interval) -> IntervalEnd:
+    """The law over one interval, from the elastic displacement at its start."""
     load0, load1 = normal_load(law, interval.v0), normal_load(law, interval.v1)
     limit0, limit1 = law.friction * load0, law.friction * load1
     root = load0 / jnp.where(load0 == load1, 1.0, load0 - load1)
@@ -182,7 +184,7 @@ def carried(law: Law, d: Plane, interval: Interval) -> Stay:
     first = jnp.where(was, 0.0, jnp.where(stays, root, 1.0))
     last = jnp.where(was & ~stays, root, 1.0)
     slip = jnp.maximum(last - jnp.where(rubs, jnp.maximum(leave, first), first), 0.0)
-    return Stay(d, slip, first + 1 - last)
+    return IntervalEnd(d, slip, first + 1 - last)
 
 
 def _in_contact(law: Law, d: Plane, interval: Interval, limit0: Scalar, limit1: Scalar) -> tuple[Plane, Scalar]:
@@ -212,97 +214,96 @@ def _touching(
     return where(grips, scaled(1 - root, interval.change), slid), grips
 
 
-def settled(law: Law, d: Plane, v: Scalar) -> Plane:
+def onto_cone(law: Law, d: Plane, v: Scalar) -> Plane:
     """An elastic displacement, shortened to the cone where its force lies outside; zero in separation."""
     limit = law.friction * jnp.maximum(normal_load(law, v), 0.0)
     force = length(product(law.stiffness, d))
     return scaled(jnp.where(force > limit, limit / force, jnp.where(law.friction > 0, 1.0, 0.0)), d)
 
 
-class Period(eqx.Module):
-    """A period that closes.
+class ClosedPeriod(eqx.Module):
+    """A period at whose end the elastic displacement is that at its start.
 
     Attributes:
-        begin: elastic displacement where it begins, shape (C,).
+        start: elastic displacement at the start, shape (C,).
         d: the same at the samples, shape (N, C).
-        gap: change of d over the period over what is tolerated, at most 1 where it closed, shape (C,).
-        passes: how often it was gone through.
-        held: which contacts stick all along, and the offset of their force.
+        closure: change of d over the period over the tolerated one, at most 1 where it closed, shape (C,).
+        passes: through the period.
+        stuck: which contacts stick all along, and the offset of their force.
     """
 
-    begin: Plane
+    start: Plane
     d: Plane
-    gap: Float[Array, " contact"]
+    closure: Float[Array, " contact"]
     passes: Int[Array, ""]
-    held: Offset
+    stuck: Offset
 
 
-def through(law: Law, begin: Plane, intervals: Interval) -> tuple[Plane, Plane]:
-    """One pass: d at the end and at every sample."""
+def one_pass(law: Law, start: Plane, intervals: Interval) -> tuple[Plane, Plane]:
+    """Through the period: d at its end and at every sample."""
 
     def step(d: Plane, interval: Interval) -> tuple[Plane, Plane]:
-        d = carried(law, d, interval).d
+        d = advance(law, d, interval).d
         return d, d
 
-    return jax.lax.scan(step, begin, intervals)
+    return jax.lax.scan(step, start, intervals)
 
 
-class _Search(eqx.Module):
-    """Passes so far: where the next one begins, and begin, end and path of the last one."""
+class _Passes(eqx.Module):
+    """Passes so far: where the next one starts, and start, end and path of the last one."""
 
-    following: Plane
-    begin: Plane
+    next_start: Plane
+    start: Plane
     end: Plane
     path: Plane
-    gap: Scalar
-    passes: Scalar
+    closure: Scalar
+    count: Scalar
 
 
-def closed_period(law: Law, motion: Motion) -> Period:
-    """Go through a periodic motion, shape (N, C), until d closes, at most `MAX_PASSES` times.
+def closed_period(law: Law, motion: Motion) -> ClosedPeriod:
+    """Pass through a periodic motion, shape (N, C), until d closes, at most `MAX_PASSES` times.
 
-    A contact that may stick all along enters with the offset of `timesim.hbm.stuck_offset` and does.
-    From the third pass on the next one begins where the secant of the last two would close: slip maps the plane on a
-    curve, so the change over a pass has one direction.
+    A contact that can stick all along enters with the offset of `timesim.hbm.stuck_offset` and does. The others are
+    accelerated from the third pass on (D. G. Anderson, J. ACM 12 (1965) 547, with one pass remembered): slip maps the
+    plane on a curve, so the change over a pass has one direction.
     """
     intervals = intervals_of(motion)
-    held = stuck_offset(law, motion)
-    begin = tuple(u[-1] + c for u, c in zip(motion.u, product(law.compliance, held.force), strict=True))
-    start = settled(law, begin, motion.v[-1])
+    stuck = stuck_offset(law, motion)
+    elastic = tuple(u[-1] + c for u, c in zip(motion.u, product(law.compliance, stuck.force), strict=True))
+    first_start = onto_cone(law, elastic, motion.v[-1])
     reach = jnp.max(length(motion.u), axis=0)
 
-    def again(search: _Search) -> _Search:
-        begin = search.following
-        end, path = through(law, begin, intervals)
-        change, before = between(end, begin), between(search.end, search.begin)
+    def again(last: _Passes) -> _Passes:
+        start = last.next_start
+        end, path = one_pass(law, start, intervals)
+        change, before = between(end, start), between(last.end, last.start)
         tolerated = CLOSED * jnp.max(length(path), axis=0) + ROUNDING * reach
-        gap = length(change) / jnp.maximum(tolerated, 1e-300)
+        closure = length(change) / jnp.maximum(tolerated, 1e-300)
         bend = between(change, before)
         ratio = dot(change, bend) / jnp.maximum(dot(bend, bend), 1e-300)
-        usable = (search.passes >= 2) & (dot(change, change) < dot(before, before))
-        leap = scaled(jnp.where(usable, ratio, 0.0), between(end, search.end))
-        following = settled(law, between(end, leap), motion.v[-1])
-        return _Search(following, begin, end, path, gap, search.passes + 1)
+        usable = (last.count >= 2) & (dot(change, change) < dot(before, before))
+        leap = scaled(jnp.where(usable, ratio, 0.0), between(end, last.end))
+        next_start = onto_cone(law, between(end, leap), motion.v[-1])
+        return _Passes(next_start, start, end, path, closure, last.count + 1)
 
-    first = _Search(start, start, start, motion.u, jnp.full_like(reach, jnp.inf), jnp.asarray(0))
-    last = jax.lax.while_loop(lambda search: jnp.any(search.gap > 1) & (search.passes < MAX_PASSES), again, first)
-    return Period(last.begin, last.path, last.gap, last.passes, held)
+    none = _Passes(first_start, first_start, first_start, motion.u, jnp.full_like(reach, jnp.inf), jnp.asarray(0))
+    last = jax.lax.while_loop(lambda last: jnp.any(last.closure > 1) & (last.count < MAX_PASSES), again, none)
+    return ClosedPeriod(last.start, last.path, last.closure, last.count, stuck)
 
 
-class Forces(eqx.Module):
+class ContactForces(eqx.Module):
     """What the contacts do over a period.
 
     Attributes:
         coefficient: of (f1, f2, n), n not less the preload, shape (C, 3, 2H + 1).
         slip, separation: shares of the period, shape (C,).
-        gap: as in `Period`, shape (C,).
-        passes: as in `Period`.
+        closure, passes: as in `ClosedPeriod`.
     """
 
     coefficient: Float[Array, "contact 3 coefficient"]
     slip: Float[Array, " contact"]
     separation: Float[Array, " contact"]
-    gap: Float[Array, " contact"]
+    closure: Float[Array, " contact"]
     passes: Int[Array, ""]
 
 
@@ -312,23 +313,32 @@ def motion_of(basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) 
     return Motion((u1, u2), v, (), v)
 
 
-def before_intervals(period: Period) -> Plane:
+def starts_of(period: ClosedPeriod) -> Plane:
     """Elastic displacement at the start of each interval."""
-    return tuple(jnp.concatenate([b[None], d[:-1]]) for b, d in zip(period.begin, period.d, strict=True))
+    return tuple(jnp.concatenate([b[None], d[:-1]]) for b, d in zip(period.start, period.d, strict=True))
+
+
+def ends_of(law: Law, motion: Motion, period: ClosedPeriod) -> IntervalEnd:
+    """All intervals, shape (N, C)."""
+    return jax.vmap(partial(advance, law))(starts_of(period), intervals_of(motion))
 
 
 @jax.jit
-def forces(law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> Forces:
+def contact_forces(law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> ContactForces:
     """Contact forces of a motion given by its Fourier coefficients (u1, u2, v)."""
     motion = motion_of(basis, coefficient)
-    return summary(law, basis, motion, closed_period(law, motion))
+    return forces_of(law, basis, motion, closed_period(law, motion))
 
 
-def summary(law: Law, basis: Basis, motion: Motion, period: Period) -> Forces:
+def forces_of(law: Law, basis: Basis, motion: Motion, period: ClosedPeriod) -> ContactForces:
     """Forces and shares of a closed period."""
-    stay = jax.vmap(partial(carried, law))(before_intervals(period), intervals_of(motion))
+    ends = ends_of(law, motion, period)
     load = jnp.maximum(normal_load(law, motion.v), 0.0)
     samples = jnp.stack([*product(law.stiffness, period.d), load], axis=2)
     coefficient = jnp.moveaxis(jnp.tensordot(basis.project, samples, 1), 0, 2)
-    shares = (jnp.mean(share, axis=0) for share in (stay.slip, stay.separation))
-    return Forces(coefficient, *shares, period.gap, period.passes)
+    return ContactForces(coefficient, _share(ends.slip), _share(ends.separation), period.closure, period.passes)
+
+
+def _share(part: Float[Array, "sample contact"]) -> Float[Array, " contact"]:
+    """Share of the period; exactly 1 where it is the whole of every interval."""
+    return jnp.where(jnp.all(part > WHOLE, axis=0), 1.0, jnp.mean(part, axis=0))

@@ -1,11 +1,14 @@
 """Stability of periodic solutions: Floquet multipliers of the linearised contact law.
 
 Over one sample interval the modes move exactly for a contact force that varies linearly, and the law of
-`hbm.period`, linearised about the solution, gives that force from the motion and from the elastic displacement d of
-the contacts. The product of these maps over the period takes a disturbance of (q, q', d) to the next one. The memory
-of the contacts is therefore a part of the state; the transitions need no jumps of their own, since the contact force
-is continuous through all of them and their shift is in the derivatives of an interval. What is not captured are
-disturbances so large that states occur which the solution does not have: full stick that a small push would free.
+`timesim.hbm.period`, linearised about the solution, gives that force from the motion and from the elastic displacement
+d of the contacts. The product of these maps over the period is the monodromy matrix of (q, q', d), whose eigenvalues
+are the multipliers. The memory of the contacts is therefore a part of the state; transitions need no saltation, since
+the contact force is continuous through all of them and the derivatives of an interval hold their shift. Disturbances
+so large that the contacts take on states which the solution does not have are beyond a linearisation: a small push
+may free a contact that sticks all along.
+
+G. Floquet (1883); A. H. Nayfeh and B. Balachandran, Applied Nonlinear Dynamics (Wiley 1995), chapter 3.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
@@ -15,24 +18,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array as Traced
 from jaxtyping import Float
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from timesim.engine.contact import Law, normal_load
-from timesim.hbm.balance import Balance
-from timesim.hbm.period import Basis, basis_of, before_intervals, closed_period, intervals_of, motion_of
-from timesim.hbm.tangent import Slope, slopes
-
-Array = NDArray[np.float64]
+from timesim.hbm.balance import Array, Balance, batched
+from timesim.hbm.period import Basis, basis_of, closed_period, intervals_of, motion_of, starts_of
+from timesim.hbm.tangent import Slope, interval_slopes
 
 # Multipliers beyond this count as unstable: those of an undamped structure lie on the circle, give or take the error
 # of the samples.
 BORDER = 1 + 1e-3
 # With so many the largest multiplier errs by at most 2e-2 on the paper's oscillator in slip and separation (measured).
 SAMPLES = 128
-# Points whose law is linearised together, a number of its own lest every curve compile anew; entries of the maps of
-# the intervals held at a time.
-TOGETHER = 16
+# Entries of the maps of the intervals held at a time.
 MAX_ENTRIES = 2_000_000
 
 
@@ -71,7 +69,7 @@ def _slopes(
     motion = motion_of(basis, coefficient)
     period = closed_period(law, motion)
     touching = (normal_load(law, motion.v) > 0) * law.normal_stiffness
-    return slopes(law, before_intervals(period), intervals_of(motion)), touching
+    return interval_slopes(law, starts_of(period), intervals_of(motion)), touching
 
 
 def _linearised(balance: Balance, coefficient: Array, samples: int) -> list[Array]:
@@ -79,16 +77,13 @@ def _linearised(balance: Balance, coefficient: Array, samples: int) -> list[Arra
 
     Shapes (S, N, C, 2, 2), (S, N, C, 2, 3), (S, N, C, 2) and (S, N, C).
     """
-    law = jax.tree.map(lambda leaf: jnp.tile(leaf, TOGETHER), balance.law)
-    basis, rows = basis_of(balance.setting.harmonics, samples), []
-    for first in range(0, len(coefficient), TOGETHER):
-        part = coefficient[first : first + TOGETHER]
-        padded = np.concatenate([part, np.repeat(part[-1:], TOGETHER - len(part), axis=0)])
-        slope, touching = _slopes(law, basis, padded.reshape(-1, *padded.shape[2:]))
-        found = [np.asarray(leaf) for leaf in (slope.carry, slope.change, slope.load, touching)]
-        shaped = (leaf.reshape(samples, TOGETHER, -1, *leaf.shape[2:]).swapaxes(0, 1) for leaf in found)
-        rows.append([leaf[: len(part)] for leaf in shaped])
-    return [np.concatenate(column) for column in zip(*rows, strict=True)]
+    basis = basis_of(balance.scheme.harmonics, samples)
+
+    def local(law: Law, rows: Array) -> list[Array]:
+        slope, touching = _slopes(law, basis, jnp.asarray(rows))
+        return [np.asarray(leaf).swapaxes(0, 1) for leaf in (slope.carry, slope.change, slope.load, touching)]
+
+    return [array.swapaxes(1, 2) for array in batched(local, balance, coefficient)]
 
 
 def _steps(balance: Balance, frequency: Array, samples: int) -> tuple[Array, Array, Array]:

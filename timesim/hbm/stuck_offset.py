@@ -1,14 +1,14 @@
 """The elastic displacement of a contact that sticks all along a periodic motion.
 
 Such a contact may keep any slip w for which its friction force stays inside the cone, so its mean force is free. Here
-the offset g of the force, ``f = K_u u + g``, is the least of
+the offset g of the force, ``f = K_u u + g``, minimises
 
     |g|^2 / (2 R^2) + mean_t phi(|K_u u_t + g|^2 / (mu n_t)^2),   R = mean_t mu n_t,
 
-where ``phi`` vanishes up to 1/2 and grows beyond all bounds towards 1. So w is 0 where that leaves room in the cone;
-where the cone narrows the offset moves, smoothly, to the one that is left when slip becomes unavoidable, so a curve
-goes on there. The function is convex: Newton's method finds its least, first for cones that are wider by s, which goes
-to 0 if any offset is admissible.
+where the barrier ``phi`` vanishes up to 1/2 and grows beyond all bounds towards 1. So w is 0 where that leaves room in
+the cone; where the cone narrows the offset moves, smoothly, to the one that is left when slip becomes unavoidable, so
+that a curve goes on there. The function is convex. It is minimised by Newton's method, first for cones widened by s,
+which goes to 0 if any offset is admissible (S. Boyd and L. Vandenberghe, Convex Optimization (2004), section 11.4).
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
@@ -22,11 +22,11 @@ from timesim.engine.contact import Law, Motion, Plane, Scalar, normal_load, prod
 
 MAX_ITERATIONS = 60
 CONVERGED = 1e-12  # change of g that counts as none, relative to R
-# Room left in the widened cones, and change of g, relative to how much they are wider: below them the cones cannot be
-# narrowed to what they are.
+# Room left in the widened cones, and change of g, relative to the widening: below them the cones cannot be narrowed
+# to what they are.
 NO_ROOM, AT_REST = 0.02, 0.1
 FREE = 0.5
-SLIGHT = 0.01  # weight of |g|^2 as long as the cones are wider
+SLIGHT = 0.01  # weight of |g|^2 as long as the cones are widened
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.5**0.5, 0.5**0.5), (0.5**0.5, -(0.5**0.5)))
 
 
@@ -37,12 +37,12 @@ class Offset(eqx.Module):
     sticks: Bool[Array, " contact"]
 
 
-class _Search(eqx.Module):
-    """Offset so far, how much the cones are wider, and whether more is to be done."""
+class _Iterate(eqx.Module):
+    """Offset and widening of the cones so far, whether it still moves, and whether it has been found."""
 
     g: Plane
-    wider: Scalar
-    going: Bool[Array, " contact"]
+    widening: Scalar
+    moves: Bool[Array, " contact"]
     found: Bool[Array, " contact"]
     count: Scalar
 
@@ -52,44 +52,43 @@ def _phi(ratio: Scalar) -> Scalar:
     return -jnp.log1p(-jnp.minimum(z, 1 - 1e-15)) - z - z**2 / 2
 
 
-def _least(g: Plane, force: Plane, limit: Scalar, unit: Scalar, pull: Scalar) -> Scalar:
-    """The function whose least is sought, of each contact; `pull` weighs |g|^2."""
+def _objective(g: Plane, force: Plane, limit: Scalar, unit: Scalar, weight: Scalar) -> Scalar:
+    """The function that the offset of each contact minimises; `weight` is that of |g|^2."""
     square = sum((f + x) ** 2 for f, x in zip(force, g, strict=True))
-    return pull * sum(x**2 for x in g) / (2 * unit**2) + jnp.mean(_phi(square / limit**2), axis=0)
+    return weight * sum(x**2 for x in g) / (2 * unit**2) + jnp.mean(_phi(square / limit**2), axis=0)
 
 
-def _slope(g: Plane, force: Plane, limit: Scalar, unit: Scalar, pull: Scalar) -> Plane:
-    """Its gradient in units of 1 / unit, from which derivatives by the motion follow as well."""
-    return tuple(unit * x for x in jax.grad(lambda g: jnp.sum(_least(g, force, limit, unit, pull)))(g))
+def _gradient(g: Plane, force: Plane, limit: Scalar, unit: Scalar, weight: Scalar) -> Plane:
+    """Gradient in units of 1 / unit, from which derivatives by the motion follow as well."""
+    return tuple(unit * x for x in jax.grad(lambda g: jnp.sum(_objective(g, force, limit, unit, weight)))(g))
 
 
-def _bend(g: Plane, force: Plane, limit: Scalar, unit: Scalar, pull: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+def _hessian(g: Plane, force: Plane, limit: Scalar, unit: Scalar, weight: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     """Second derivatives (11, 12, 22) in units of 1 / unit^2."""
     first, second = (
-        jax.jvp(lambda g: _slope(g, force, limit, unit, pull), (g,), (seed,))[1]
+        jax.jvp(lambda g: _gradient(g, force, limit, unit, weight), (g,), (seed,))[1]
         for seed in ((unit, jnp.zeros_like(unit)), (jnp.zeros_like(unit), unit))
     )
     return first[0], first[1], second[1]
 
 
-def _solved(bend: tuple[Scalar, Scalar, Scalar], right: Plane, unit: Scalar) -> Plane:
-    """Change of g from a change of the gradient."""
-    (a, b, c), (x, y) = bend, right
+def _change_of(hessian: tuple[Scalar, Scalar, Scalar], gradient: Plane, unit: Scalar) -> Plane:
+    """Change of g that changes the gradient by a given vector."""
+    (a, b, c), (x, y) = hessian, gradient
     scale = unit / (a * c - b * b)
     return scale * (c * x - b * y), scale * (a * y - b * x)
 
 
-def _newton(g: Plane, force: Plane, limit: Scalar, unit: Scalar, pull: Scalar) -> Plane:
-    """Change of g."""
-    slope = _slope(g, force, limit, unit, pull)
-    return _solved(_bend(g, force, limit, unit, pull), tuple(-x for x in slope), unit)
+def _newton_step(g: Plane, force: Plane, limit: Scalar, unit: Scalar, weight: Scalar) -> Plane:
+    gradient = _gradient(g, force, limit, unit, weight)
+    return _change_of(_hessian(g, force, limit, unit, weight), tuple(-x for x in gradient), unit)
 
 
 def _size(force: Plane) -> Scalar:
     return jnp.sqrt(sum(f**2 for f in force))
 
 
-def _reach(g: Plane, step: Plane, force: Plane, limit: Scalar) -> Scalar:
+def _share_to_cone(g: Plane, step: Plane, force: Plane, limit: Scalar) -> Scalar:
     """Share of a step after which the first force is on its cone."""
     here = tuple(f + x for f, x in zip(force, g, strict=True))
     a = sum(s**2 for s in step)
@@ -98,7 +97,7 @@ def _reach(g: Plane, step: Plane, force: Plane, limit: Scalar) -> Scalar:
     return jnp.min(room / (b + jnp.sqrt(b**2 + a * room) + 1e-300), axis=0)
 
 
-def acting(law: Law, motion: Motion) -> tuple[Plane, Scalar, Scalar]:
+def without_slip(law: Law, motion: Motion) -> tuple[Plane, Scalar, Scalar]:
     """Friction force for w = 0 and its limit at the samples, shape (N, C), and the mean limit."""
     force = product(law.stiffness, motion.u)
     limit = law.friction * normal_load(law, motion.v)
@@ -114,46 +113,45 @@ def _must_slip(force: Plane, limit: Scalar) -> Bool[Array, " contact"]:
 
 def stuck_offset(law: Law, motion: Motion) -> Offset:
     """The offset with which each contact only sticks under a periodic motion, shape (N, C); 0 where there is none."""
-    force, limit, unit = acting(law, motion)
+    force, limit, unit = without_slip(law, motion)
     none = (jnp.zeros_like(unit),) * 2
     square = sum(f**2 for f in force)
     room = jnp.min(limit, axis=0) > 0
     at_once = room & (jnp.max(square - FREE * limit**2, axis=0) <= 0)
 
-    def widening(g: Plane) -> Scalar:
+    def least_widening(g: Plane) -> Scalar:
         """By how much the cones must at least be wider."""
         return jnp.max(_size(tuple(f + x for f, x in zip(force, g, strict=True))) - limit, axis=0)
 
-    def again(search: _Search) -> _Search:
-        wide = limit + search.wider
-        pull = jnp.where(search.wider == 0, 1.0, SLIGHT)
-        step = _newton(search.g, force, wide, unit, pull)
-        share = jnp.where(search.going, jnp.minimum(1.0, 0.9 * _reach(search.g, step, force, wide)), 0.0)
-        g = tuple(x + share * s for x, s in zip(search.g, step, strict=True))
-        least, change, inside = widening(g), share * _size(step), search.wider == 0
+    def again(now: _Iterate) -> _Iterate:
+        wide = limit + now.widening
+        weight = jnp.where(now.widening == 0, 1.0, SLIGHT)
+        step = _newton_step(now.g, force, wide, unit, weight)
+        share = jnp.where(now.moves, jnp.minimum(1.0, 0.9 * _share_to_cone(now.g, step, force, wide)), 0.0)
+        g = tuple(x + share * s for x, s in zip(now.g, step, strict=True))
+        least, change, inside = least_widening(g), share * _size(step), now.widening == 0
         found = inside & (change < CONVERGED * unit)
-        stopped = (search.wider - least < NO_ROOM * search.wider) & (change < AT_REST * search.wider)
-        wider = jnp.where((least < 0) | inside, 0.0, (search.wider + least) / 2)
-        going = search.going & ~found & ~(stopped & ~inside)
-        return _Search(g, wider, going, search.found | (search.going & found), search.count + 1)
+        stopped = (now.widening - least < NO_ROOM * now.widening) & (change < AT_REST * now.widening)
+        widening = jnp.where((least < 0) | inside, 0.0, (now.widening + least) / 2)
+        moves = now.moves & ~found & ~(stopped & ~inside)
+        return _Iterate(g, widening, moves, now.found | (now.moves & found), now.count + 1)
 
     middle = tuple(-(jnp.max(f, axis=0) + jnp.min(f, axis=0)) / 2 for f in force)
-    begin = tuple(jnp.where(widening(none) < 0, 0.0, x) for x in middle)
-    least = widening(begin)
+    begin = tuple(jnp.where(least_widening(none) < 0, 0.0, x) for x in middle)
+    least = least_widening(begin)
     start = jnp.where(least < 0, 0.0, least + 0.1 * unit)
-    first = _Search(begin, start, room & ~at_once & ~_must_slip(force, limit), at_once, jnp.asarray(0))
-    last = jax.lax.while_loop(lambda s: jnp.any(s.going) & (s.count < MAX_ITERATIONS), again, first)
+    first = _Iterate(begin, start, room & ~at_once & ~_must_slip(force, limit), at_once, jnp.asarray(0))
+    last = jax.lax.while_loop(lambda now: jnp.any(now.moves) & (now.count < MAX_ITERATIONS), again, first)
     return Offset(tuple(jnp.where(last.found, x, 0.0) for x in last.g), last.found)
 
 
 def offset_slope(law: Law, g: Plane, motion: Motion, along: Motion) -> Plane:
     """Change of the offset of a contact that sticks, when the motion changes along another one."""
-
     one = jnp.ones_like(g[0])
 
-    def slope(u: Plane, v: Scalar) -> Plane:
-        return _slope(g, *acting(law, Motion(u, v, (), v)), one)
+    def gradient(u: Plane, v: Scalar) -> Plane:
+        return _gradient(g, *without_slip(law, Motion(u, v, (), v)), one)
 
-    change = jax.jvp(slope, (motion.u, motion.v), (along.u, along.v))[1]
-    here = acting(law, motion)
-    return _solved(_bend(g, *here, one), tuple(-x for x in change), here[2])
+    change = jax.jvp(gradient, (motion.u, motion.v), (along.u, along.v))[1]
+    here = without_slip(law, motion)
+    return _change_of(_hessian(g, *here, one), tuple(-x for x in change), here[2])

@@ -1,8 +1,8 @@
 """Derivatives of the contact forces of a period by the Fourier coefficients of the motion.
 
-Each interval of the law has 16 local derivatives, found by forward differentiation of `period.carried`; they
-are chained through the period, which closes by a solution of two equations a contact. All coefficients together cost
-some three passes of the law: differentiating the passes themselves would cost one for every coefficient.
+The law over one interval, `period.advance`, has 16 derivatives a contact, by forward differentiation. They are chained
+through the period; that d at its end is that at its start gives two linear equations a contact. All coefficients
+together cost some three passes of the law: differentiating the passes themselves would cost one for every coefficient.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from timesim.engine.contact import Law, Motion, Plane, Scalar, normal_load, product
 from timesim.hbm.period import (
     Basis,
-    Forces,
+    ContactForces,
     Interval,
-    before_intervals,
+    advance,
     bend_of,
-    carried,
     change_of,
     closed_period,
+    forces_of,
     intervals_of,
     motion_of,
-    summary,
+    starts_of,
 )
 from timesim.hbm.stuck_offset import Offset, offset_slope
 
@@ -47,22 +47,22 @@ class Slope(eqx.Module):
     load: Float[Array, "sample contact 2"]
 
 
-def slopes(law: Law, before: Plane, intervals: Interval) -> Slope:
-    """Local derivatives of the law, from the elastic displacement at the start of each interval."""
+def interval_slopes(law: Law, starts: Plane, intervals: Interval) -> Slope:
+    """Derivatives of the law over each interval, from the elastic displacement at its start."""
 
     def end(d1: Scalar, d2: Scalar, c1: Scalar, c2: Scalar, b1: Scalar, b2: Scalar, *v: Scalar) -> Plane:
-        return carried(law, (d1, d2), Interval((c1, c2), (b1, b2), *v)).d
+        return advance(law, (d1, d2), Interval((c1, c2), (b1, b2), *v)).d
 
-    def at(place: tuple[Scalar, ...]) -> Float[Array, "8 2 contact"]:
+    def at(arguments: tuple[Scalar, ...]) -> Float[Array, "8 2 contact"]:
         def along(seed: Float[Array, " 8"]) -> Plane:
-            seeds = (jnp.broadcast_to(x, y.shape) for x, y in zip(seed, place, strict=True))
-            return jax.jvp(end, place, tuple(seeds))[1]
+            seeds = (jnp.broadcast_to(x, y.shape) for x, y in zip(seed, arguments, strict=True))
+            return jax.jvp(end, arguments, tuple(seeds))[1]
 
-        return jnp.stack(jax.vmap(along)(jnp.eye(len(place))), axis=1)
+        return jnp.stack(jax.vmap(along)(jnp.eye(len(arguments))), axis=1)
 
     # One sample after the other: as one array XLA computes the law anew for every derivative (13 ms, not 0.9).
-    place = (*before, *intervals.change, *intervals.bend, intervals.v0, intervals.v1)
-    slope = jax.lax.map(at, place).transpose(0, 3, 2, 1)
+    arguments = (*starts, *intervals.change, *intervals.bend, intervals.v0, intervals.v1)
+    slope = jax.lax.map(at, arguments).transpose(0, 3, 2, 1)
     by_start, by_end = slope[..., 6], slope[..., 7]
     change = jnp.concatenate([slope[..., 2:4], -by_start[..., None]], axis=3)
     return Slope(slope[..., :2], change, slope[..., 4:6], by_start + by_end)
@@ -82,76 +82,76 @@ def _tangents(slope: Slope, basis: Basis) -> Float[Array, "sample contact 2 colu
         x = local.carry[..., :1] * x[:, None, 0] + local.carry[..., 1:] * x[:, None, 1] + source
         return x, x
 
-    begin = jnp.concatenate([jnp.zeros((2, size)), jnp.eye(2)], axis=1)
-    start = jnp.broadcast_to(begin, (num_contacts, *begin.shape))
+    seed = jnp.concatenate([jnp.zeros((2, size)), jnp.eye(2)], axis=1)
+    start = jnp.broadcast_to(seed, (num_contacts, *seed.shape))
     return jax.lax.scan(step, start, (slope, moved, bend_of(moved), value))[1]
 
 
-class _Chained(eqx.Module):
-    """Forces, and the derivatives of the last pass.
+class _LastPass(eqx.Module):
+    """Forces, and the derivatives of the last pass by the coefficients of the motion and, last, by d at its start.
 
     Attributes:
-        acts: the forces.
-        spectrum: Fourier coefficients of the derivatives of f by the coefficients of the motion and by d at the start.
-        end: the same derivatives of d at the end, d instead of f.
-        normal: derivatives of the normal load.
-        entered: derivatives of d where the period begins by the coefficients, of contacts that stick all along.
+        forces: the forces.
+        spectrum: derivatives of the Fourier coefficients of f.
+        end: derivatives of d at the end.
+        normal: derivatives of the coefficients of the normal load by those of v.
+        stuck_start: derivatives of d at the start, by the coefficients alone, of contacts that stick all along.
         sticks: which ones do.
     """
 
-    acts: Forces
+    forces: ContactForces
     spectrum: Float[Array, "contact 2 coefficient column"]
     end: Float[Array, "contact 2 column"]
     normal: Float[Array, "contact coefficient coefficient"]
-    entered: Float[Array, "contact 2 column"]
+    stuck_start: Float[Array, "contact 2 column"]
     sticks: Bool[Array, " contact"]
 
 
 @jax.jit
-def _chained(law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> _Chained:
+def _last_pass(law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> _LastPass:
     motion = motion_of(basis, coefficient)
     period = closed_period(law, motion)
-    acts = summary(law, basis, motion, period)
-    passed = _tangents(slopes(law, before_intervals(period), intervals_of(motion)), basis)
-    spectrum = jnp.moveaxis(jnp.tensordot(basis.project, passed, 1), 0, 2)
+    forces = forces_of(law, basis, motion, period)
+    tangents = _tangents(interval_slopes(law, starts_of(period), intervals_of(motion)), basis)
+    spectrum = jnp.moveaxis(jnp.tensordot(basis.project, tangents, 1), 0, 2)
     stiffness = tuple(k[:, None, None] for k in law.stiffness)
     spectrum = jnp.stack(product(stiffness, (spectrum[:, 0], spectrum[:, 1])), axis=1)
     touching = (normal_load(law, motion.v) > 0) * law.normal_stiffness
     normal = jnp.einsum("ak,kc,kb->cab", basis.project, touching, basis.value)
-    entered = _entered(law, basis, motion, period.held)
-    return _Chained(acts, spectrum, passed[-1], normal, entered, period.held.sticks)
+    stuck_start = _stuck_start(law, basis, motion, period.stuck)
+    return _LastPass(forces, spectrum, tangents[-1], normal, stuck_start, period.stuck.sticks)
 
 
-def _entered(law: Law, basis: Basis, motion: Motion, held: Offset) -> Float[Array, "contact 2 column"]:
-    """Derivatives of d where the period begins by the coefficients, for contacts that stick all along."""
+def _stuck_start(law: Law, basis: Basis, motion: Motion, stuck: Offset) -> Float[Array, "contact 2 column"]:
+    """Derivatives of d at the start of the period by the coefficients, for contacts that stick all along."""
     none = jnp.zeros_like(motion.v)
 
     def along(row: Float[Array, " sample"]) -> Float[Array, "3 2 contact"]:
         wave = jnp.broadcast_to(row[:, None], none.shape)
-        ways = ((wave, none, none), (none, wave, none), (none, none, wave))
-        seeds = (Motion((u1, u2), v, (), v) for u1, u2, v in ways)
-        changes = (product(law.compliance, offset_slope(law, held.force, motion, seed)) for seed in seeds)
+        components = ((wave, none, none), (none, wave, none), (none, none, wave))
+        seeds = (Motion((u1, u2), v, (), v) for u1, u2, v in components)
+        changes = (product(law.compliance, offset_slope(law, stuck.force, motion, seed)) for seed in seeds)
         return jnp.stack([jnp.stack(change) for change in changes])
 
-    found = jnp.moveaxis(jax.lax.map(along, basis.value.T), (0, 1, 2, 3), (3, 2, 1, 0))
-    here = jnp.zeros((2, 3)).at[0, 0].set(1.0).at[1, 1].set(1.0)[..., None] * basis.value[-1]
-    return (found + here).reshape(*found.shape[:2], -1)
+    by_offset = jnp.moveaxis(jax.lax.map(along, basis.value.T), (0, 1, 2, 3), (3, 2, 1, 0))
+    by_motion = jnp.zeros((2, 3)).at[0, 0].set(1.0).at[1, 1].set(1.0)[..., None] * basis.value[-1]
+    return (by_offset + by_motion).reshape(*by_offset.shape[:2], -1)
 
 
 def linearised(
     law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]
-) -> tuple[Forces, NDArray[np.float64]]:
-    """`forces`, and their derivatives by the coefficients of the same contact: 3 (2H + 1) rows and columns.
+) -> tuple[ContactForces, NDArray[np.float64]]:
+    """`contact_forces`, and their derivatives by the coefficients of the same contact: 3 (2H + 1) rows and columns.
 
-    The derivatives run through the last pass alone and close by a solution of two equations a contact.
+    With d at the end of the last pass e(y, d0) and d0 = e, ``(1 - de/dd0) dd0/dy = de/dy`` closes the period.
     """
-    done = _chained(law, basis, coefficient)
-    end, spectrum = np.asarray(done.end), np.asarray(done.spectrum)
-    moved, carry = end[..., :-2], end[..., -2:]
-    open_ = np.eye(2) - carry
-    unique = (np.abs(np.linalg.det(open_)) > 1e-13) & ~np.asarray(done.sticks)
-    begin = np.array(done.entered)
-    begin[unique] = np.linalg.solve(open_[unique], moved[unique])
-    slope = spectrum[..., :-2] + spectrum[..., -2:] @ begin[:, None]
-    normal = np.concatenate([np.zeros((*done.normal.shape[:2], 2 * basis.value.shape[1])), done.normal], axis=2)
-    return done.acts, np.concatenate([slope[:, 0], slope[:, 1], normal], axis=1)
+    last = _last_pass(law, basis, coefficient)
+    end, spectrum = np.asarray(last.end), np.asarray(last.spectrum)
+    by_motion, by_start = end[..., :-2], end[..., -2:]
+    change = np.eye(2) - by_start
+    unique = (np.abs(np.linalg.det(change)) > 1e-13) & ~np.asarray(last.sticks)
+    start = np.array(last.stuck_start)
+    start[unique] = np.linalg.solve(change[unique], by_motion[unique])
+    slope = spectrum[..., :-2] + spectrum[..., -2:] @ start[:, None]
+    normal = np.concatenate([np.zeros((*last.normal.shape[:2], 2 * basis.value.shape[1])), last.normal], axis=2)
+    return last.forces, np.concatenate([slope[:, 0], slope[:, 1], normal], axis=1)

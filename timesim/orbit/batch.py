@@ -1,12 +1,12 @@
-"""Many trajectories side by side through whole cycles: marched with the state at each cycle's end, or recorded.
+"""Trajectories side by side through whole cycles: marched with the state at each cycle's end, or recorded.
 
-A trajectory starts each cycle from its state alone (the step control forgets at a cycle's end), so a batch is made of
-states, and what one makes of a cycle does not depend on its neighbours. Inside, the batch is the last axis: the kernels
-run along it. Arguments and results have it first.
+A trajectory starts each cycle from its state alone (the step control forgets at a cycle's end), so what one makes of a
+cycle does not depend on its neighbours.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -14,126 +14,174 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
-from timesim.engine.contact import State
-from timesim.engine.event_loop import Control, Status, Step, Trajectory, begin, try_step
+from timesim.engine.event_loop import Control, Status, Trajectory, begin, try_step
+from timesim.engine.lanes import advance_lanes, batch_first, batch_last, over_lanes
 from timesim.engine.method import Method
-from timesim.engine.system import Point, System, field
-from timesim.model.model import SEPARATION
+from timesim.engine.solver import step_method
+from timesim.engine.system import System, field
+from timesim.model.solver import Solver
+from timesim.orbit.lane import Lane, Record, Recorded
+from timesim.orbit.monodromy import HybridState, Tries, derivative, state_vector
+
+SIZES = (4, 16)  # of a batch: few, so that little is compiled
+CAPACITY = 256  # tries of one call that records
 
 
-class Place(eqx.Module):
-    """Where trajectories are at the start of a cycle: continuous state and contact states."""
-
-    point: Point
-    state: State
-
-
-def section(place: Place) -> Float[Array, " state"]:
-    """A place as one vector (q, q', w); w of a separated contact, which is u, counts as 0."""
-    apart = place.state == SEPARATION
-    return jnp.concatenate([place.point.q, place.point.p, *(jnp.where(apart, 0.0, w) for w in place.point.w)])
-
-
-def _last(tree: Any) -> Any:
-    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), tree)
-
-
-def _first(tree: Any) -> Any:
-    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), tree)
-
-
-class Ends(eqx.Module):
-    """What marching has led to.
+class Marched(eqx.Module):
+    """Where marching has led to.
 
     Attributes:
-        place: at the end.
-        sections: `section` at the end of each cycle, (batch, cycle, state); 0 for cycles not reached.
+        end: where the trajectories are.
+        returns: `state_vector` at the end of each cycle, (batch, cycle, state); 0 for cycles not reached.
         cycles: completed.
         status, culprit: as in `Trajectory`.
     """
 
-    place: Place
-    sections: Float[Array, "batch cycle state"]
+    end: HybridState
+    returns: Float[Array, "batch cycle state"]
     cycles: Int[Array, " batch"]
     status: Int[Array, " batch"]
     culprit: Int[Array, " batch"]
 
 
+def _unfinished(now: Trajectory, cycles: Any) -> Any:
+    return (now.cycle < cycles) & (now.status == Status.RUNNING)
+
+
 @eqx.filter_jit
-def march_cycles(method: Method, controls: Control, systems: System, places: Place, num_cycles: int) -> Ends:
+def march_cycles(method: Method, controls: Control, systems: System, starts: HybridState, num_cycles: int) -> Marched:
     """March a batch by a number of cycles and keep the state at the end of each."""
-    controls, systems, places = _last((controls, systems, places))
-    start = jax.vmap(begin, in_axes=-1, out_axes=-1)(systems, places.point, places.state, controls.opening)
-    attempt = jax.vmap(partial(try_step, method), in_axes=-1, out_axes=-1)
-    sections = jax.vmap(lambda now: section(Place(now.point, now.state)), in_axes=-1, out_axes=-1)
+    controls, systems, starts = batch_last((controls, systems, starts))
+    now = over_lanes(begin)(systems, starts.point, starts.state, controls.opening)
+    attempt = partial(over_lanes(partial(try_step, method)), controls, systems)
+    vectors = over_lanes(lambda now: state_vector(now.point, now.state))
     row = jnp.arange(num_cycles)[:, None]
 
-    def running(now: Trajectory) -> Bool[Array, " batch"]:
-        return (now.cycle < num_cycles) & (now.status == Status.RUNNING)
+    def keep(returns: Array, _: Array, before: Trajectory, after: Trajectory, *step: Any) -> Array:
+        ended = (row == before.cycle) & (after.cycle > before.cycle)
+        return jnp.where(ended[:, None], vectors(after), returns)
 
-    def body(carry: tuple) -> tuple:
-        now, kept = carry
-        moves = running(now)
-        new = attempt(controls, systems, now)[0]
-        new = jax.tree.map(lambda a, b: jnp.where(moves, a, b), new, now)
-        ended = (row == now.cycle) & (new.cycle > now.cycle)
-        return new, jnp.where(ended[:, None], sections(new), kept)
-
-    kept = jnp.zeros((num_cycles, *sections(start).shape))
-    end, kept = jax.lax.while_loop(lambda carry: running(carry[0]).any(), body, (start, kept))
-    return Ends(_first(Place(end.point, end.state)), jnp.moveaxis(kept, -1, 0), end.cycle, end.status, end.culprit)
-
-
-def at_start(places: Place, controls: Control) -> Trajectory:
-    """Trajectories at the start of a cycle, batch first, as `record_cycles` takes them; made without JAX."""
-    zero, one = np.zeros(len(places.state)), np.ones(len(places.state))
-    none = np.zeros(len(places.state), dtype=np.int64)
-    parts = (none, zero, places.point, places.point, places.state, np.asarray(controls.opening), one * np.inf)
-    alone = jax.tree.map(lambda leaf: np.asarray(leaf[0]), (*parts, one, one, none, none, none, none))
-    leaves = jax.tree.leaves((*parts, one, one, none, none, none, none))
-    made: Trajectory = jax.tree.unflatten(jax.tree.structure(Trajectory(*alone)), leaves)
-    return made
+    returns = jnp.zeros((num_cycles, *vectors(now).shape))
+    end, returns = advance_lanes(attempt, partial(_unfinished, cycles=num_cycles), now, returns, keep)
+    here = batch_first(HybridState(end.point, end.state))
+    return Marched(here, jnp.moveaxis(returns, -1, 0), end.cycle, end.status, end.culprit)
 
 
 @eqx.filter_jit
 def record_cycles(
     method: Method, controls: Control, systems: System, now: Trajectory, cycles: Int[Array, " batch"], capacity: int
-) -> tuple[Trajectory, Step, Bool[Array, "try batch"], Int[Array, ""]]:
+) -> tuple[Trajectory, Tries]:
     """Advance a batch, all steps kept, until each has completed its cycles or the record is full.
 
     Args:
         method: the method.
         controls, systems: of each, batch first.
-        now: trajectories as `at_start` or an earlier call gives them, batch first; their rates are found anew.
+        now: trajectories as `Lane.at_start` or an earlier call gives them, batch first; their rates are computed anew.
         cycles: how many each is to complete.
         capacity: tries that the record has room for.
 
     Returns:
-        The trajectories, the steps (try first, batch last), which of them were made, and the number of tries.
+        the trajectories, batch first, and the tries.
     """
-    controls, systems, now = _last((controls, systems, now))
-    rate = jax.vmap(field, in_axes=-1, out_axes=-1)(systems, now.state, now.time, now.point)
+    controls, systems, now = batch_last((controls, systems, now))
+    rate = over_lanes(field)(systems, now.state, now.time, now.point)
     now = eqx.tree_at(lambda t: t.rate, now, rate)
-    attempt = jax.vmap(partial(try_step, method), in_axes=-1, out_axes=-1)
-    blank = jax.eval_shape(attempt, controls, systems, now)[1]
-    record = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), blank)
+    attempt = partial(over_lanes(partial(try_step, method)), controls, systems)
+    blank = jax.eval_shape(attempt, now)[1]
+    rows = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), blank)
+    none = Tries(rows, jnp.zeros((capacity, *cycles.shape), dtype=bool), jnp.zeros((), dtype=jnp.int64))
 
-    def running(now: Trajectory) -> Bool[Array, " batch"]:
-        return (now.cycle < cycles) & (now.status == Status.RUNNING)
+    def keep(tries: Tries, moves: Array, before: Trajectory, after: Trajectory, step: Any, accepted: Array) -> Tries:
+        count = tries.count
+        rows = jax.tree.map(lambda rows, row: rows.at[count].set(row), tries.step, step)
+        return Tries(rows, tries.accepted.at[count].set(moves & accepted), count + 1)
 
-    def body(carry: tuple) -> tuple:
-        now, record, made, count = carry
-        moves = running(now)
-        new, step, accepted = attempt(controls, systems, now)
-        record = jax.tree.map(lambda rows, row: rows.at[count].set(row), record, step)
-        made = made.at[count].set(moves & accepted)
-        return jax.tree.map(lambda a, b: jnp.where(moves, a, b), new, now), record, made, count + 1
+    running = partial(_unfinished, cycles=cycles)
+    end, tries = advance_lanes(attempt, running, now, none, keep, lambda tries: tries.count < capacity)
+    return batch_first(end), tries
 
-    def goes_on(carry: tuple) -> Bool[Array, ""]:
-        return running(carry[0]).any() & (carry[3] < capacity)
 
-    made = jnp.zeros((capacity, *cycles.shape), dtype=bool)
-    now, record, made, count = jax.lax.while_loop(goes_on, body, (now, record, made, jnp.zeros((), dtype=jnp.int64)))
-    return _first(now), record, made, count
+def march(
+    lanes: Sequence[Lane], solver: Solver, num_cycles: int, *, size: int = SIZES[1]
+) -> list[tuple[Lane, np.ndarray]]:
+    """March lanes by a number of cycles: each at the end, and its state vector at the end of each completed cycle.
+
+    Args:
+        lanes: any number.
+        solver: method and tolerances.
+        num_cycles: how many cycles.
+
+    Keyword Args:
+        size: of the batches.
+    """
+    done: list[tuple[Lane, np.ndarray]] = []
+    for batch in _batches(lanes, size):
+        problem = _stacked([(lane.control, lane.system, lane.here) for lane in _padded(batch, size)])
+        result = _on_host(march_cycles(step_method(solver), *problem, num_cycles))
+        for i, lane in enumerate(batch):
+            own = _entry(result, i)
+            done.append((lane.after(own.end, own.status, own.culprit), own.returns[: own.cycles]))
+    return done
+
+
+def record(
+    lanes: Sequence[Lane], solver: Solver, num_cycles: int, most: int | None = None, *, size: int = SIZES[1]
+) -> list[Recorded]:
+    """March lanes by a number of cycles and keep their steps.
+
+    Args:
+        lanes: any number.
+        solver: method and tolerances.
+        num_cycles: how many cycles.
+        most: tries after which to give up; the budget of the solver by default.
+
+    Keyword Args:
+        size: of the batches.
+    """
+    return [one for batch in _batches(lanes, size) for one in _recorded(batch, solver, num_cycles, most, size)]
+
+
+def _recorded(batch: list[Lane], solver: Solver, num_cycles: int, most: int | None, size: int) -> list[Recorded]:
+    method = step_method(solver)
+    controls, systems, now = _stacked([(lane.control, lane.system, lane.at_start()) for lane in _padded(batch, size)])
+    cycles, slopes = np.full(size, num_cycles), None
+    parts: list[Tries] = []
+    while sum(int(part.count) for part in parts) < (most or np.inf):
+        now, tries = record_cycles(method, controls, systems, now, cycles, CAPACITY)
+        slopes = derivative(method, systems, tries, slopes)
+        parts.append(tries)
+        if not _unfinished(_on_host(now), num_cycles).any():
+            break
+    whole, now, slopes = Record(parts), _on_host(now), np.asarray(slopes)
+    found = []
+    for i, lane in enumerate(batch):
+        own = _entry(now, i)
+        end = lane.after(HybridState(own.point, own.state), own.status, own.culprit)
+        slope = np.where(end.apart[:, None] | lane.apart, 0.0, slopes[i])
+        found.append(Recorded(lane, end, num_cycles, bool(own.cycle >= num_cycles), whole, i, slope))
+    return found
+
+
+def _batches(lanes: Sequence[Lane], size: int) -> list[list[Lane]]:
+    return [list(lanes[first : first + size]) for first in range(0, len(lanes), size)]
+
+
+def _padded(lanes: Sequence[Lane], size: int) -> list[Lane]:
+    """Lanes of a batch, the first repeated until it has its size."""
+    return [*lanes, *([lanes[0]] * (size - len(lanes)))]
+
+
+def _stacked(trees: Sequence[Any]) -> Any:
+    """Trees of one structure as one, batch first."""
+    return jax.tree.map(lambda *rows: np.stack(rows), *trees)
+
+
+def _entry(tree: Any, index: int) -> Any:
+    """One of a batch."""
+    return jax.tree.map(lambda leaf: leaf[index], tree)
+
+
+def _on_host(tree: Any) -> Any:
+    return jax.tree.map(np.asarray, tree)

@@ -2,16 +2,16 @@
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import jax
 import numpy as np
 
-from timesim.engine.history import Samples, sample
+from timesim.engine.history import Samples, Steps, sample
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import Model
 from timesim.model.solver import Solver
-from timesim.orbit.fourier import waves_of
+from timesim.orbit.fourier import fourier_coefficients
 
 SAMPLES = 1024
 
@@ -20,13 +20,13 @@ def one_cycle(model: Model, frequency: float, solver: Solver, num: int) -> Sampl
     """A cycle from the start of a model at a frequency [Hz], at num + 1 equal times, both ends among them."""
     run = Run(model, [Phase(frequency, 1)], replace(solver, reduce=False))
     parts = list(run.batches())
-    steps = type(parts[0])(**{
-        name: jax.tree.map(lambda *rows: np.concatenate(rows), *(getattr(part, name) for part in parts))
-        for name in parts[0].__dataclass_fields__
-    })  # fmt: skip
-    return sample(steps, np.arange(num + 1) / (frequency * num))
+    joined = {
+        field.name: jax.tree.map(lambda *rows: np.concatenate(rows), *(getattr(part, field.name) for part in parts))
+        for field in fields(Steps)
+    }
+    return sample(Steps(**joined), np.arange(num + 1) / (frequency * num))
 
 
-def modal_waves(model: Model, frequency: float, solver: Solver) -> np.ndarray:
+def modal_coefficients(model: Model, frequency: float, solver: Solver) -> np.ndarray:
     """Modal displacement of that cycle by 1, cos, sin, ... of the excitation's phase, shape (2K + 1, M)."""
-    return waves_of(one_cycle(model, frequency, solver, SAMPLES).q[1:], model.start.phase)
+    return fourier_coefficients(one_cycle(model, frequency, solver, SAMPLES).q[1:], model.start.phase)

@@ -1,32 +1,67 @@
-"""Periodic motions by their Fourier coefficients: from samples, and the range that they cover."""
+"""Periodic motions by their Fourier coefficients, those of 1, cos, sin, ..., cos H theta, sin H theta.
+
+The phasor of harmonic h is ``a_h - i b_h`` for the coefficients a_h of cos h theta and b_h of sin h theta.
+"""
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+# Samples of the motion, of the highest harmonic, among which an extreme is looked for before Newton's method.
+SAMPLES_PER_WAVE = 16
+# Samples of all motions held at a time, a complex number each.
+MAX_ENTRIES = 2**20
 
 
-def waves_of(samples: Array, phase: float) -> Array:
-    """Coefficients 1, cos, sin, ... of N equal samples of a period, the last at a phase [rad], shape (2K + 1, ...)."""
+def fourier_basis(theta: Array, num_coefficients: int) -> Array:
+    """1, cos, sin, ..., cos H theta, sin H theta, shape (..., 2H + 1)."""
+    angle = np.multiply.outer(theta, np.arange(1, num_coefficients // 2 + 1))
+    pairs = np.stack([np.cos(angle), np.sin(angle)], axis=-1).reshape(*theta.shape, -1)
+    return np.concatenate([np.ones((*theta.shape, 1)), pairs], axis=-1)
+
+
+def to_phasors(coefficient: Array) -> Complex:
+    """Phasors of a motion by its coefficients: the last axis (2H + 1) becomes H + 1."""
+    mean = coefficient[..., :1].astype(complex)
+    return np.concatenate([mean, coefficient[..., 1::2] - 1j * coefficient[..., 2::2]], axis=-1)
+
+
+def to_coefficients(phasor: NDArray[Any]) -> Array:
+    """The inverse of `to_phasors`."""
+    pairs = np.stack([phasor[..., 1:].real, -phasor[..., 1:].imag], axis=-1)
+    return np.concatenate([phasor[..., :1].real, pairs.reshape(*phasor.shape[:-1], 2 * pairs.shape[-2])], axis=-1)
+
+
+def fourier_coefficients(samples: Array, phase: float) -> Array:
+    """Coefficients of N equal samples of a period, the last at a phase [rad], shape (2K + 1, ...)."""
     count = len(samples)
     spectrum = np.fft.rfft(samples, axis=0)[: (count + 1) // 2] / count
     order = np.arange(len(spectrum)).reshape(-1, *[1] * (samples.ndim - 1))
     # The first sample lies one interval after the phase at which the last one does.
     spectrum = spectrum * np.exp(-1j * order * (phase + 2 * np.pi / count))
-    waves = np.stack([2 * spectrum[1:].real, -2 * spectrum[1:].imag], axis=1)
-    return np.concatenate([spectrum[:1].real, waves.reshape(-1, *samples.shape[1:])])
+    pairs = np.stack([2 * spectrum[1:].real, -2 * spectrum[1:].imag], axis=1)
+    return np.concatenate([spectrum[:1].real, pairs.reshape(-1, *samples.shape[1:])])
 
 
 def half_range(phasor: Complex) -> Array:
     """(max - min) / 2 over a period of Re sum_h phasor_h exp(i h theta), h along axis 1: shape (S, H + 1, ...)."""
     order = np.arange(phasor.shape[1])
-    num = 16 * order.size
-    grid = 2 * np.pi * np.arange(num) / num
-    turn = np.exp(1j * np.outer(grid, order))
+    angle = 2 * np.pi * np.arange(SAMPLES_PER_WAVE * order.size) / (SAMPLES_PER_WAVE * order.size)
+    turn = np.exp(1j * np.outer(angle, order))
+    count = max(1, MAX_ENTRIES // max(1, angle.size * phasor[:1, 0].size))
+    parts = [phasor[first : first + count] for first in range(0, max(len(phasor), 1), count)]
+    return np.concatenate([_half_range(part, turn, angle, order) for part in parts])
+
+
+def _half_range(phasor: Complex, turn: Complex, angle: Array, order: NDArray[np.int64]) -> Array:
     values = np.einsum("kh,sh...->ks...", turn, phasor).real
-    ends = [_extreme(phasor, grid[pick(values, axis=0)], order, np.pi / num) for pick in (np.argmax, np.argmin)]
-    return (ends[0] - ends[1]) / 2
+    highest, lowest = (
+        _extreme(phasor, angle[pick(values, axis=0)], order, np.pi / angle.size) for pick in (np.argmax, np.argmin)
+    )
+    return (highest - lowest) / 2
 
 
 def _extreme(phasor: Complex, theta: Array, order: NDArray[np.int64], reach: float) -> Array:
@@ -36,7 +71,7 @@ def _extreme(phasor: Complex, theta: Array, order: NDArray[np.int64], reach: flo
     middle = theta
     for _ in range(5):
         wave = weights * np.exp(1j * order * theta)
-        slope, bend = (1j * order * wave).real.sum(0), -(order**2 * wave).real.sum(0)
-        step = np.divide(slope, bend, out=np.zeros_like(slope), where=bend != 0)
+        slope, curvature = (1j * order * wave).real.sum(0), -(order**2 * wave).real.sum(0)
+        step = np.divide(slope, curvature, out=np.zeros_like(slope), where=curvature != 0)
         theta = np.clip(theta - step, middle - 2 * reach, middle + 2 * reach)
     return np.asarray((weights * np.exp(1j * order * theta)).real.sum(0))

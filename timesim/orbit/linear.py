@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from timesim.engine.system import System
+from timesim.engine.system import Point, System
 from timesim.orbit.fourier import half_range
 from timesim.orbit.lane import Lane
+from timesim.orbit.monodromy import HybridState
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,8 @@ class LinearOrbit:
 def linear_orbit(lane: Lane) -> LinearOrbit | None:
     """The steady state of a lane without a contact in it; None if it has contacts, or not all of its motions decay."""
     system = lane.system
-    if lane.state.size:
+    here = lane.here
+    if here.state.size:
         return None
     rates = np.linalg.eigvals(_first_order(system))
     if not np.all(rates.real < 0):
@@ -47,7 +49,8 @@ def linear_orbit(lane: Lane) -> LinearOrbit | None:
     shape, points = lane.shape, len(lane.model.structure.points)
     amplitude = half_range((phasor @ shape.T)[None])[0].reshape(points, 3)
     multipliers = np.exp(2 * np.pi * rates)
-    return LinearOrbit(replace(lane, q=q, p=p), amplitude, multipliers[np.argsort(-np.abs(multipliers))])
+    there = replace(lane, here=HybridState(Point(q, p, here.point.w, None), here.state))
+    return LinearOrbit(there, amplitude, multipliers[np.argsort(-np.abs(multipliers))])
 
 
 def _full(matrix: np.ndarray) -> np.ndarray:

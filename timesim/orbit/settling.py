@@ -22,7 +22,8 @@ from timesim.engine.trajectory import message_of, start_states
 from timesim.model.model import Model, Start
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import Criterion, Solver
-from timesim.orbit.lane import SIZES, Lane, Recorded, march, record
+from timesim.orbit.batch import SIZES, march, record
+from timesim.orbit.lane import Lane, Recorded
 from timesim.orbit.linear import linear_orbit
 
 CYCLES_A_ROUND = 8
@@ -161,7 +162,7 @@ def steady_states(
         if linear is not None:
             found[index] = linear
         else:
-            groups.setdefault(lane.told.shapes, deque()).append(Search(index, 0, lane))
+            groups.setdefault(lane.shapes, deque()).append(Search(index, 0, lane))
     done = sum(map(len, found))
     for group in groups.values():
         size = SIZES[max(len(group), crowd) > SIZES[0]]
@@ -178,7 +179,7 @@ def steady_states(
 def _linear_orbits(chain: Chain, lane: Lane, solver: Solver) -> list[Orbit] | None:
     """The steady states of a chain in which no contact is left to be modelled; None if it has to be marched."""
     orbits = []
-    for frequency in chain.frequencies if not lane.state.size else ():
+    for frequency in chain.frequencies if not lane.here.state.size else ():
         linear = linear_orbit(lane.at(frequency, begin_of(chain.model), solver))
         if linear is None:
             return None
@@ -319,11 +320,11 @@ def _after_shot(search: Search, recorded: Recorded, solver: Solver, criterion: C
     """One iteration of Newton's method; the orbit once it has converged."""
     shot, search.cycles = _shot(search), search.cycles + 1
     search.shot = None
-    if not recorded.complete or not np.array_equal(recorded.end.state, shot.lane.state):
+    if not recorded.complete or not np.array_equal(recorded.end.here.state, shot.lane.here.state):
         search.next_shot = _next_shot(search)
         return None
-    here = shot.lane.section
-    change, size = recorded.end.section - here, max(float(np.max(np.abs(here), initial=0.0)), 1e-300)
+    here = shot.lane.vector
+    change, size = recorded.end.vector - here, max(float(np.max(np.abs(here), initial=0.0)), 1e-300)
     step = recorded.newton_step()
     if np.max(np.abs(step), initial=0.0) < criterion.tolerance * size:
         if np.max(np.abs(recorded.multipliers), initial=0.0) > UNSTABLE:

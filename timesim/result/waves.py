@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from timesim.orbit.fourier import waves_of
+from timesim.orbit.fourier import fourier_coefficients
 from timesim.result.netcdf import read
 
 Array = NDArray[np.float64]
@@ -46,4 +46,7 @@ def result_waves(path: Path) -> Waves:
     rows = arrays["time"] > end - period * (1 - 1e-6)
     if not np.isclose(arrays["cycle_start"][-1] + period, end, rtol=1e-6, atol=1e-6 * period):
         raise ValueError(f"result {path}: it does not end with a whole cycle")
-    return Waves(1 / period, waves_of(arrays["modal_displacement"][rows], float(np.deg2rad(arrays["final_phase_deg"]))))
+    return Waves(
+        1 / period,
+        fourier_coefficients(arrays["modal_displacement"][rows], float(np.deg2rad(arrays["final_phase_deg"]))),
+    )

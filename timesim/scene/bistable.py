@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from timesim.fault import RuleError
-from timesim.hbm.setting import SettingError, check_excitation
+from timesim.hbm.scheme import BalanceError, check_excitation
 from timesim.model.model import Model
 from timesim.scene.axis import MAX_POINTS, Frequencies, Over
 from timesim.scene.hbm import FrequencyRange, Hbm
@@ -74,8 +74,8 @@ class Bistable(StudyKind):
             raise refuse(f"must leave at most {MAX_POINTS} points", key=("step",), value=step)
         if self.harmonics:
             try:
-                self.balance().setting()
-            except SettingError as error:
+                self.balance().scheme()
+            except BalanceError as error:
                 raise refuse(error.rule, key=(error.key,), value=error.value, hint=error.hint) from None
         return self
 
@@ -84,7 +84,7 @@ class Bistable(StudyKind):
         if self.harmonics:
             try:
                 check_excitation(model, self.harmonics)
-            except SettingError as error:
+            except BalanceError as error:
                 key = ("excitation",) if error.key == "excitation" else ("study", error.key)
                 yield RuleError(key, error.rule, error.hint, error.value)
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, Discriminator, Field, Strict, Tag, model_validator
 
 from timesim.fault import RuleError, nearest
-from timesim.hbm.setting import Setting, SettingError, check_excitation
+from timesim.hbm.scheme import BalanceError, Scheme, check_excitation
 from timesim.model.model import Model
 from timesim.result.file import StoreError
 from timesim.result.state import Held, ResultSection, held
@@ -135,20 +135,20 @@ class HbmKeys(StudyKind):
     @model_validator(mode="after")
     def _fine_enough(self) -> Self:
         try:
-            self.setting()
-        except SettingError as error:
+            self.scheme()
+        except BalanceError as error:
             raise refuse(error.rule, key=(error.key,), value=error.value, hint=error.hint) from None
         return self
 
-    def setting(self) -> Setting:
+    def scheme(self) -> Scheme:
         """Harmonics and samples in numbers."""
-        return Setting(self.harmonics, self.time_samples, "located" if self.located else "sampled")
+        return Scheme(self.harmonics, self.time_samples, "located" if self.located else "sampled")
 
     def fits(self, model: Model) -> Iterator[RuleError]:
         """The excitation is periodic, and its harmonics are balanced."""
         try:
             check_excitation(model, self.harmonics)
-        except SettingError as error:
+        except BalanceError as error:
             key = ("excitation",) if error.key == "excitation" else ("study", error.key)
             yield RuleError(key, error.rule, error.hint, error.value)
 

@@ -16,9 +16,10 @@ from xarray import Dataset
 from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
 from timesim.orbit.basin import ANOTHER, LOWER, NONE, UPPER, Ensemble, explore, shares, unique
-from timesim.orbit.lane import SIZES
+from timesim.orbit.batch import SIZES
 from timesim.orbit.settling import Task, settle
 from timesim.orbit.two_motions import UP, Means, Part, Search, find, sweep_part
+from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.bistable import Bistable
 from timesim.scene.resolution import Scene
@@ -137,7 +138,10 @@ class Found:
             # The last part holds those before it.
             swept[key] = {column: result[column] for column in COLUMNS} | {"jumps": jumps}
             places[key] = [(v, direction, slice(0, size)) for direction in (UP, 1 - UP)]
-        return self.grid.record(*self.grid.gathered(swept, places), told)
+        data = self.grid.record(*self.grid.gathered(swept, places), told)
+        # The groups of a tree share their dimensions: ranges and jumps have as many places.
+        self.count = max(self.count, data.sizes["jump"])
+        return data.pad(jump=(0, self.count - data.sizes["jump"]))
 
     def record(self, told: Mapping[str, Any]) -> Dataset:
         """The root of the result file."""
@@ -171,16 +175,9 @@ class Found:
         for name, (dims, shape) in tails.items():
             table = self._table(name, shape)
             variables[name] = ((*self.grid.axes, "jump", *dims), table.reshape(*sizes, self.count, *shape))
-        coords: dict[str, Any] = {
-            **self.grid.axes,
-            "end": np.array(["low", "high"]),
-            "motion": np.array(MOTIONS),
-            "point": np.array(model.structure.points),
-            "axis": np.array(["x", "y", "z"]),
-            "contact": np.array([contact.name for contact in model.contacts], dtype=str),
-        }
+        coords = self.grid.axes | coordinates(variables, model)
         if num:
-            coords |= {"share_lower": shares(num), "share_upper": shares(num), "tangent": np.array(["t1", "t2"])}
+            coords |= {"share_lower": shares(num), "share_upper": shares(num)}
         return dataset(variables, coords, told)
 
     def _table(self, name: str, shape: tuple[int, ...]) -> np.ndarray:

@@ -111,9 +111,9 @@ def matched(sweep: Sweep, curves: Curves) -> Match:
         folds = np.concatenate([np.zeros(0), *(piece.curve.frequency[piece.curve.fold] for piece in pieces)])
         apart = np.abs(sweep.frequency[:, None] - folds)
         near_fold[v] = (apart < NEAR_FOLD * sweep.frequency[:, None]).any(axis=1)
-        stability, setting = curves.plan.stability, curves.setting
+        stability, scheme = curves.plan.stability, curves.scheme
         parts = [
-            solutions_at(piece.model_at(0.0), piece.curve, sweep.frequency, setting=setting, stability=stability)
+            solutions_at(piece.model_at(0.0), piece.curve, sweep.frequency, scheme=scheme, stability=stability)
             for piece in pieces
         ]
         found = HbmCurve.joined(parts) if parts else None
@@ -156,7 +156,7 @@ def study(scene: Scene, means: Means) -> Outcome:
     )
     told = attributes(
         scene,
-        f"{scene.solver()}; {curves.setting}",
+        f"{scene.solver()}; {curves.scheme}",
         balanced.attrs["compile_seconds"] + swept.attrs["compile_seconds"],
         seconds + balanced.attrs["run_seconds"],
         reason,
@@ -178,7 +178,7 @@ def study(scene: Scene, means: Means) -> Outcome:
         assert found is not None
         model = scene.variant(values) if values else scene.model()
         one = found.at(int(match.solution[v, d, f]))
-        groups["cycle"] = cycle_record(model, one, curves.setting, scene.solver(), values)
+        groups["cycle"] = cycle_record(model, one, curves.scheme, scene.solver(), values)
     return Outcome(groups, reason, (*hbm_summary(balanced, curves), *lines))
 
 

@@ -15,6 +15,7 @@ from timesim.element.cycle import ElementCycle, Transition
 from timesim.element.motion import CYCLE, Motion
 from timesim.element.state_by_state import steady_cycle
 from timesim.model.model import STATE_NAMES, Contact
+from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.element import Element
 from timesim.scene.resolution import Scene
@@ -123,11 +124,7 @@ def record_of(
     }
     theta = np.arange(plan.samples) * CYCLE / plan.samples
     variables = cycle_variables(cycle, theta) | coefficient_variables(cycle, plan)
-    coords = {
-        "angle": np.degrees(theta),
-        "tangent": np.array(["t1", "t2"]),
-        "harmonic": np.arange(plan.harmonics + 1),
-    }
+    coords = {"angle": np.degrees(theta)} | coordinates(variables)
     return dataset(variables, coords, told | facts)
 
 

@@ -35,6 +35,7 @@ from timesim.element.prescribed import (
 )
 from timesim.model.model import SEPARATION
 from timesim.model.solver import Solver
+from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.contact import ContactSection
 from timesim.scene.element import MAP_AXES, ElementMap
@@ -233,7 +234,7 @@ def study(scene: Scene, progress: Progress | None = None) -> Outcome:
             for name in ("dissipation", "transitions", "cycles", "settled")
         },
     }
-    coords = {MAP_AXES[key]: values for key, values in axes.items()} | {"tangent": np.array(["t1", "t2"])}
+    coords = {MAP_AXES[key]: values for key, values in axes.items()} | coordinates(variables)
     told = attributes(scene, str(solver), compiled - clock, seconds, reason)
     record = dataset(variables, coords, told | {"contact": section.name})
     lines = (

@@ -12,8 +12,9 @@ from xarray import Dataset
 from timesim.hbm.continuation import Controls
 from timesim.hbm.convergence import Convergence, Place, convergence
 from timesim.hbm.curve import HbmCurve, default_controls, hbm_curve
-from timesim.hbm.setting import Setting
+from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
+from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.result.state import Held
 from timesim.scene.hbm import Compare, Hbm
@@ -23,14 +24,14 @@ from timesim.study.hbm_curves import Curves, Piece, combinations
 from timesim.study.outcome import Outcome, attributes
 
 
-def warmed_up(scene: Scene, plan: Hbm | Compare, setting: Setting) -> float:
+def warmed_up(scene: Scene, plan: Hbm | Compare, scheme: Scheme) -> float:
     """Seconds that the first points of a curve took, most of them compilation."""
     clock = time.perf_counter()
     values = combinations(plan.over)[0]
     model = scene.variant(values) if values else scene.model()
     middle = plan.span()[0]
     few = Controls(default_controls().size, max_points=2)
-    hbm_curve(model, middle, 1.001 * middle, setting=setting, controls=few, stability=plan.stability)
+    hbm_curve(model, middle, 1.001 * middle, scheme=scheme, controls=few, stability=plan.stability)
     return time.perf_counter() - clock
 
 
@@ -47,19 +48,19 @@ def followed(
 ) -> tuple[Dataset, Curves, str | None]:
     """All curves of a scene, those through the points of a sweep too: the record, they, and why some are not whole."""
     curves = Curves(scene, plan)
-    compiling = warmed_up(scene, plan, curves.setting)
+    compiling = warmed_up(scene, plan, curves.scheme)
     clock = time.perf_counter()
     reason = curves.run(progress, passing)
-    found = convergence(places(curves.pieces), curves.setting) if plan.convergence and reason is None else None
+    found = convergence(places(curves.pieces), curves.scheme) if plan.convergence and reason is None else None
     seconds = time.perf_counter() - clock
-    told = attributes(scene, str(curves.setting), compiling, seconds, reason)
+    told = attributes(scene, str(curves.scheme), compiling, seconds, reason)
     return record_of(scene.model(), curves, told, found), curves, reason
 
 
 def left_out(scene: Scene, plan: Compare) -> tuple[Dataset, Curves, str | None]:
     """The same where nothing is to be followed any more."""
     curves, reason = Curves(scene, plan), "not begun"
-    told = attributes(scene, str(curves.setting), 0.0, 0.0, reason)
+    told = attributes(scene, str(curves.scheme), 0.0, 0.0, reason)
     return record_of(scene.model(), curves, told), curves, reason
 
 
@@ -85,7 +86,7 @@ def places(pieces: Sequence[Piece], number: int = 6) -> list[Place]:
 def record_of(model: Model, curves: Curves, told: dict[str, Any], found: Convergence | None = None) -> Dataset:
     """The result file: all solutions, one curve after the other."""
     pieces, points, contacts = curves.pieces, len(model.structure.points), model.num_contacts
-    order = curves.setting.harmonics + 1
+    order = curves.scheme.harmonics + 1
     shapes = {
         "amplitude": (points, 3),
         "harmonic_amplitude": (order, points, 3),
@@ -108,12 +109,7 @@ def record_of(model: Model, curves: Curves, told: dict[str, Any], found: Converg
     for key in getattr(curves.plan, "along", {}):
         variables[key] = (("solution",), _stacked(pieces, "parameter", ()))
         told = told | {"along": key}
-    coords: dict[str, Any] = {
-        "harmonic": np.arange(order),
-        "point": np.array(model.structure.points),
-        "axis": np.array(["x", "y", "z"]),
-        "contact": np.array([contact.name for contact in model.contacts], dtype=str),
-    }
+    coords = coordinates(variables, model)
     if found is not None:
         coords |= {"harmonics": found.harmonics, "time_samples": found.time_samples}
         variables["change_with_harmonics"] = (("harmonics",), found.with_harmonics)
@@ -130,7 +126,7 @@ def _stacked(pieces: Sequence[Piece], name: str, shape: tuple[int, ...]) -> np.n
 def summary(record: Dataset, curves: Curves) -> Iterator[str]:
     """What a user wants to know of the curves at once."""
     count, seconds = sum(piece.curve.frequency.size for piece in curves.pieces), record.attrs["run_seconds"]
-    yield f"{count} solutions on {len(curves.pieces)} curves by {curves.setting} in {seconds:.2f} s"
+    yield f"{count} solutions on {len(curves.pieces)} curves by {curves.scheme} in {seconds:.2f} s"
     yield from curves.notes
     for piece in curves.pieces:
         if piece.curve.frequency.size:

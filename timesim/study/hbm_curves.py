@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from timesim.fault import RuleError
-from timesim.hbm.along import hbm_along
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, Ending, solve
-from timesim.hbm.curve import HbmCurve, contact_motion, crossings, default_controls, hbm_curve, solutions_at
+from timesim.hbm.curve import HbmCurve, crossings, default_controls, hbm_curve, solutions_at
+from timesim.hbm.first_guess import unknowns_of_modes
+from timesim.hbm.parameter import parameter_curve
 from timesim.model.model import Model
 from timesim.model.start import start_of
-from timesim.orbit.cycle import modal_waves
+from timesim.orbit.cycle import modal_coefficients
 from timesim.result.state import Held, SweepPoint, held, settled_points
 from timesim.result.waves import result_waves
 from timesim.scene.axis import axis_values
@@ -62,7 +63,7 @@ class Curves:
     """The curves of a scene's study, one combination of values after the other."""
 
     def __init__(self, scene: Scene, plan: Hbm | Compare):
-        self.scene, self.plan, self.setting = scene, plan, plan.setting()
+        self.scene, self.plan, self.scheme = scene, plan, plan.scheme()
         self.pieces: list[Piece] = []
         self.faults: list[str] = []
         self.notes: list[str] = []
@@ -120,7 +121,7 @@ class Curves:
             except RuleError as error:
                 self.notes.append(f"no curve is begun from the sweep's point at {frequency:g} Hz: it {error.rule}")
                 continue
-            guess = modal_waves(begun, frequency, self.scene.solver())
+            guess = modal_coefficients(begun, frequency, self.scene.solver())
             if self._known(model, own, frequency, guess):
                 continue
             curve = hbm_curve(model, first, last, guess=guess, begin=frequency, **self._options())
@@ -130,8 +131,8 @@ class Curves:
 
     def _known(self, model: Model, curves: list[HbmCurve], frequency: float, guess: np.ndarray) -> bool:
         """Whether a motion leads to a solution that is on one of the curves, or to none."""
-        balance = Balance(model, frequency, self.setting)
-        solution = solve(balance, contact_motion(balance, guess), frequency, default_controls())
+        balance = Balance(model, frequency, self.scheme)
+        solution = solve(balance, unknowns_of_modes(balance, guess), frequency, default_controls())
         if solution is None:
             return True
         # Not the mean: it may hold the offset of a contact that sticks, which is free.
@@ -139,7 +140,7 @@ class Curves:
         return any(
             np.linalg.norm(known[..., 1:] - waves) <= SAME * np.linalg.norm(waves)
             for curve in curves
-            for known in solutions_at(model, curve, frequency, setting=self.setting, stability=False).contact_motion
+            for known in solutions_at(model, curve, frequency, scheme=self.scheme, stability=False).contact_motion
         )
 
     def _take(self, piece: Piece) -> None:
@@ -160,7 +161,7 @@ class Curves:
             model_at: Callable[[float], Model] = lambda p: self.scene.variant({**values, key: p})  # noqa: E731
             first, last = ends.values()
             guess = self._given()[0]
-            curve = hbm_along(model_at, self.plan.span()[0], first, last, guess=guess, **self._options())
+            curve = parameter_curve(model_at, self.plan.span()[0], first, last, guess=guess, **self._options())
             yield Piece(values, model_at, curve)
             return
         for curve in self._in_frequency(model):
@@ -195,7 +196,7 @@ class Curves:
         return self.scene.source.folder / Path(start.source)
 
     def _options(self) -> dict[str, Any]:
-        return {"setting": self.setting, "controls": controls_of(self.plan), "stability": self.plan.stability}
+        return {"scheme": self.scheme, "controls": controls_of(self.plan), "stability": self.plan.stability}
 
 
 def controls_of(plan: Hbm | Compare) -> Controls:

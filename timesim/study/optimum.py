@@ -22,6 +22,7 @@ from timesim.fault import SceneError
 from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
 from timesim.orbit.settling import Chain, Orbit, Task, settle, steady_states
+from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.optimum import Optimum
 from timesim.scene.resolution import Scene
@@ -227,8 +228,8 @@ def failures(peaks: Peaks) -> str | None:
 def record_of(peaks: Peaks, told: Mapping[str, Any]) -> Dataset:
     """The result file: all values that were looked at, ascending, and the best of them."""
     values = sorted(peaks.results)
-    structure = peaks.scene.model().structure
-    shape, points = (len(values), 2, peaks.frequency.size), len(structure.points)
+    model = peaks.scene.model()
+    shape, points = (len(values), 2, peaks.frequency.size), len(model.structure.points)
 
     def column(name: str, *own: int) -> np.ndarray:
         return np.array([peaks.results[value][name] for value in values]).reshape(len(values), *own)
@@ -247,14 +248,8 @@ def record_of(peaks: Peaks, told: Mapping[str, Any]) -> Dataset:
         "cycles": (grid, column("cycles", *shape[1:]).astype(np.int32)),
         "failure": (grid, column("reason", *shape[1:]).astype(str)),
     }
-    coords = {
-        key: np.array(values),
-        "direction": np.array(["up", "down"]),
-        "frequency": peaks.frequency,
-        "point": np.array(structure.points),
-        "axis": np.array(["x", "y", "z"]),
-    }
-    return dataset(variables, coords, told)
+    coords = {key: np.array(values), "direction": np.array(["up", "down"]), "frequency": peaks.frequency}
+    return dataset(variables, coords | coordinates(variables, model), told)
 
 
 def _any_peak(peaks: Peaks) -> bool:

@@ -20,6 +20,7 @@ from timesim.model.model import Model, Start
 from timesim.model.solver import Criterion, Solver
 from timesim.orbit.jump import Stretch, jumps_of, steps_of, suspects
 from timesim.orbit.settling import Chain, Orbit, first_lane, steady_states
+from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.axis import axis_values
 from timesim.scene.resolution import Scene
@@ -177,7 +178,7 @@ def warm_up(chunks: Sequence[Chunk], solver: Solver) -> None:
     for chain in (chain for chunk in chunks for chain in chunk.payload.chains):
         one = Chain(chain.model, chain.frequencies[:1])
         lane = first_lane(one, solver)
-        if lane.state.size:
+        if lane.here.state.size:
             crowd = chunks[0].payload.crowd
             steady_states([one], solver, Criterion(tolerance=1e-2, max_cycles=1), crowd=crowd)
             return
@@ -396,17 +397,8 @@ class Grid:
                 (*dims[:-1], "jump"),
                 self._jump_rows(jumps, place).reshape(*sizes, self.shape[1], -1),
             )
-        coords = self.axes | {
-            "direction": np.array(self.plan.directions),
-            "frequency": self.frequency,
-            "point": np.array(model.structure.points),
-            "axis": np.array(["x", "y", "z"]),
-            "band": np.array(["smallest", "largest"]),
-            "contact": np.array([contact.name for contact in model.contacts], dtype=str),
-            "mode": np.arange(1, model.structure.num_modes + 1),
-            "tangent": np.array(["t1", "t2"]),
-        }
-        return dataset(variables, coords, attrs)
+        coords = self.axes | {"direction": np.array(self.plan.directions), "frequency": self.frequency}
+        return dataset(variables, coords | coordinates(variables, model), attrs)
 
     def _jump_rows(self, jumps: Sequence[tuple[int, int, float, float]], place: int) -> np.ndarray:
         """One end of the jumps of each chain, shape (sets, directions, jumps), NaN where a chain has fewer."""

@@ -21,6 +21,7 @@ from timesim.engine.history import CycleTotals, Events, Samples, Steps, events, 
 from timesim.engine.system import contact_law, scales_of
 from timesim.engine.trajectory import Phase, Run, RunError
 from timesim.model.model import SEPARATION, Model
+from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.jump import FrequencyPhase, Jump
 from timesim.scene.resolution import Scene
@@ -236,16 +237,7 @@ def record_of(scene: Scene, run: Run, recorder: Recorder, seconds: float, reason
         **cycle_variables(run, totals),
         "cycle_frequency": (("cycle",), recorder.plan.cycle_frequency()[: len(totals.amplitude)]),
     }
-    coords = {
-        "time": samples.time,
-        "point": np.array(model.structure.points),
-        "axis": np.array(["x", "y", "z"]),
-        "mode": np.arange(1, model.structure.num_modes + 1),
-        "contact": np.array([contact.name for contact in model.contacts], dtype=str),
-        "component": np.array(["t1", "t2", "n"]),
-        "tangent": np.array(["t1", "t2"]),
-        "cycle": np.arange(1, len(totals.amplitude) + 1),
-    }
+    coords = {"time": samples.time} | coordinates(variables, model)
     told = attributes(scene, str(run.solver), run.compile_seconds, seconds, reason)
     return dataset(variables, coords, told | {"peak_stored_energy": totals.peak})
 

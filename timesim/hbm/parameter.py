@@ -1,4 +1,4 @@
-"""Harmonic balance at one frequency along any scalar of the scene.
+"""Harmonic balance at one frequency, followed in any scalar of the scene.
 
 The model is built anew at each value. The derivative by the scalar is a difference of second order: it only directs the
 steps of the continuation, and the solutions do not depend on it.
@@ -10,33 +10,32 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
-import numpy as np
-
 from timesim.engine.system import scales_of
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.continuation import Controls, Ending, follow
-from timesim.hbm.curve import HbmCurve, contact_motion, default_controls, described, first_guesses
-from timesim.hbm.setting import Setting
+from timesim.hbm.curve import HbmCurve, default_controls, evaluated
+from timesim.hbm.first_guess import first_guesses, unknowns_of_modes
+from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
 
 # Difference of the scalar for its derivative, as a share of the range.
 DIFFERENCE = 1e-5
 
 
-class AlongBalance:
+class ParameterBalance:
     """The balance at one frequency as a residual in a scalar p; the unknowns are those of `Balance`.
 
-    Beyond the range, where there may be no model, it goes on straight.
+    Beyond the range, where there may be no model, it is extrapolated straight.
     """
 
-    def __init__(self, model_at: Callable[[float], Model], frequency: float, setting: Setting, ends: Array):
-        self.model_at, self.frequency, self.setting = model_at, frequency, setting
-        self.low, self.high = float(ends.min()), float(ends.max())
+    def __init__(self, model_at: Callable[[float], Model], frequency: float, scheme: Scheme, ends: tuple[float, float]):
+        self.model_at, self.frequency, self.scheme = model_at, frequency, scheme
+        self.low, self.high = sorted(map(float, ends))
         self.units = scales_of(model_at(float(ends[0])), frequency)
         self.balance = lru_cache(maxsize=8)(self._balance)
 
     def _balance(self, p: float) -> Balance:
-        return Balance(self.model_at(p), self.frequency, self.setting, self.units)
+        return Balance(self.model_at(p), self.frequency, self.scheme, self.units)
 
     def value(self, x: Array, p: float) -> Array:
         """r in units of length."""
@@ -58,13 +57,13 @@ class AlongBalance:
         return (high - low) / (2 * step) + (high - 2 * here + low) * ((p - middle) / step**2)
 
 
-def hbm_along(
+def parameter_curve(
     model_at: Callable[[float], Model],
     frequency: float,
     start: float,
     stop: float,
     *,
-    setting: Setting | None = None,
+    scheme: Scheme | None = None,
     controls: Controls | None = None,
     guess: Array | None = None,
     stability: bool = True,
@@ -77,25 +76,25 @@ def hbm_along(
         start, stop: range of the scalar; the curve begins at `start`.
 
     Keyword Args:
-        setting, controls, guess, stability: as in `timesim.hbm.curve.hbm_curve`.
+        scheme, controls, guess, stability: as in `timesim.hbm.curve.hbm_curve`.
 
     Returns:
         The curve; its `parameter` is the scalar.
 
     Raises:
-        ValueError: the range, the setting or the excitation does not allow a balance.
+        ValueError: the range, the scheme or the excitation does not allow a balance.
     """
-    residual = AlongBalance(model_at, frequency, setting or Setting(), np.array([start, stop]))
+    residual = ParameterBalance(model_at, frequency, scheme or Scheme(), (start, stop))
     controls, balance = controls or default_controls(), residual.balance(start)
-    guesses = [contact_motion(balance, guess)] if guess is not None else first_guesses(balance, frequency, controls)
+    guesses = [unknowns_of_modes(balance, guess)] if guess is not None else first_guesses(balance, frequency, controls)
     for first in guesses:
         curve = follow(residual, first, start, stop, controls)
         if curve.ending is not Ending.START:
             break
-    rows = [
-        described(residual.balance(float(p)), curve.point(i, frequency), stability=stability)
+    if not curve.p.size:
+        return evaluated(balance, curve, stability=False)
+    points = [
+        evaluated(residual.balance(float(p)), curve.point(i, frequency), stability=stability)
         for i, p in enumerate(curve.p)
     ]
-    if not rows:
-        return described(balance, curve, stability=False)
-    return replace(HbmCurve.joined(rows), parameter=curve.p)
+    return replace(HbmCurve.joined(points), parameter=curve.p)

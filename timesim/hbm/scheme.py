@@ -1,4 +1,4 @@
-"""How finely a harmonic balance is struck, and what excitations allow one. Checks of a scene use it: no JAX here."""
+"""Numerical scheme of a harmonic balance, and what excitations allow one. Checks of a scene use it: no JAX here."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -11,8 +11,8 @@ Transitions = Literal["sampled", "located"]
 MIN_SAMPLES = 16
 
 
-class SettingError(ValueError):
-    """A balance that cannot be struck: which key, the rule that it breaks, its value and what to do."""
+class BalanceError(ValueError):
+    """A balance that cannot be set up: the key, the rule that it breaks, its value and what to do."""
 
     def __init__(self, key: str, rule: str, value: object, hint: str):
         super().__init__(f"hbm: {key} {rule}{'' if value is None else f', not {value}'}; {hint}")
@@ -20,14 +20,14 @@ class SettingError(ValueError):
 
 
 @dataclass(frozen=True)
-class Setting:
-    """How finely the balance is struck.
+class Scheme:
+    """Numerical scheme of a balance.
 
     Attributes:
-        harmonics: H >= 1.
-        time_samples: N of a period, at least 4 H and 16.
+        harmonics: H >= 1, the highest one balanced.
+        time_samples: N, samples of a period at which contact forces are evaluated, at least 4 H and 16.
         transitions: `sampled` follows the law from sample to sample, with an error of second order in 1/N; `located`
-            finds every transition (slow, a reference).
+            locates every transition (slow, a reference).
     """
 
     harmonics: int = 9
@@ -36,30 +36,30 @@ class Setting:
 
     def __post_init__(self) -> None:
         if self.harmonics < 1:
-            raise SettingError("harmonics", "must be at least 1", self.harmonics, "9 is the default")
+            raise BalanceError("harmonics", "must be at least 1", self.harmonics, "9 is the default")
         least = max(4 * self.harmonics, MIN_SAMPLES)
         if self.time_samples < least:
             rule = f"must be at least {least} for {self.harmonics} harmonics"
-            raise SettingError("time_samples", rule, self.time_samples, "1024 is the default")
+            raise BalanceError("time_samples", rule, self.time_samples, "1024 is the default")
 
     def __str__(self) -> str:
-        found = " with located transitions" if self.transitions == "located" else ""
-        return f"harmonic balance, {self.harmonics} harmonics, {self.time_samples} time samples{found}"
+        located = " with located transitions" if self.transitions == "located" else ""
+        return f"harmonic balance, {self.harmonics} harmonics, {self.time_samples} time samples{located}"
 
 
 def check_excitation(model: Model, harmonics: int) -> None:
     """Refuse an excitation without a periodic part, or with harmonics that are not balanced.
 
     Raises:
-        SettingError: with what to do.
+        BalanceError: with what to do.
     """
     excited = model.excitation
     moving = np.any(excited.cosine != 0, axis=1) | np.any(excited.sine != 0, axis=1)
     if not moving.any():
         rule = "has no periodic part, so there is no periodic response to balance"
         hint = "give excitation.modal_force or excitation.forces an amplitude"
-        raise SettingError("excitation", rule, None, hint)
+        raise BalanceError("excitation", rule, None, hint)
     highest = int(excited.harmonic[moving].max())
     if highest > harmonics:
         rule = f"must be at least {highest}, since harmonic {highest} is excited"
-        raise SettingError("harmonics", rule, harmonics, f"set harmonics to at least {highest}")
+        raise BalanceError("harmonics", rule, harmonics, f"set harmonics to at least {highest}")

@@ -1,0 +1,211 @@
+"""The contact law through a period, on samples and with located transitions, and its derivatives."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import systems
+from scipy.optimize import minimize
+
+from timesim.element.motion import CYCLE, SplineMotion
+from timesim.element.state_by_state import steady_cycle
+from timesim.engine.contact import Law
+from timesim.hbm.located import located_forces
+from timesim.hbm.period import MAX_PASSES, basis_of, contact_forces, motion_of
+from timesim.hbm.stuck_offset import stuck_offset, without_slip
+from timesim.hbm.tangent import linearised
+from timesim.orbit.fourier import fourier_basis, to_coefficients, to_phasors
+
+# A, B, D and phase of the normal motion in degrees: u = (A cos, B cos(. + 90)), v = D cos(. + phase).
+MOTIONS = {
+    "ellipse": (1.0, 0.5, 0.0, 0.0),
+    "stick and slip": (0.6, 0.1, 0.0, 0.0),
+    "variable load": (1.0, 0.5, 0.5, 45.0),
+    "separation": (1.0, 0.5, 1.5, 45.0),
+    "straight": (1.0, 0.0, 1.5, 45.0),
+}
+STIFFNESS = {"isotropic": np.eye(2), "general": np.array([[1.0, 0.3], [0.3, 0.6]])}
+
+
+def prescribed(motion, num_harmonics=1):
+    A, B, D, phase = motion
+    coefficient = np.zeros((3, 2 * num_harmonics + 1))
+    turn = np.radians(phase)
+    coefficient[:, 1] = A, 0.0, D * np.cos(turn)
+    coefficient[:, 2] = 0.0, -B, -D * np.sin(turn)
+    return coefficient
+
+
+def element(matrix, preload=1.0):
+    return replace(systems.pad(0.3, 1.0, 1.0, preload), tangential_stiffness=matrix)
+
+
+def law_of(contacts):
+    matrices = np.array([c.tangential_stiffness for c in contacts])
+    k11, k12, k22 = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    plain = np.all(k12 == 0) and np.all(k11 == k22)
+    stiffness = (k11,) if plain else (k11, k12, k22)
+    det = k11 * k22 - k12**2
+    compliance = (1 / k11,) if plain else (k22 / det, -k12 / det, k11 / det)
+    each = [np.array([getattr(c, name) for c in contacts]) for name in ("friction", "normal_stiffness", "preload")]
+    friction, normal, preload = map(jnp.asarray, each)
+    return Law(friction, tuple(map(jnp.asarray, stiffness)), tuple(map(jnp.asarray, compliance)), normal, preload)
+
+
+def shifted(coefficient, num_shifts=6):
+    """The same cycle begun at other angles within a sample, so that the samples meet transitions in many ways."""
+    turn = np.exp(1j * np.outer(0.37 * np.arange(num_shifts), np.arange(coefficient.shape[-1] // 2 + 1)))
+    return to_coefficients(to_phasors(coefficient) * turn[:, None])
+
+
+@pytest.mark.parametrize("kind", STIFFNESS)
+@pytest.mark.parametrize("name", MOTIONS)
+def test_law_through_a_period_is_of_second_order(name, kind):
+    contact, motion = element(STIFFNESS[kind]), prescribed(MOTIONS[name], 3)
+    exact = located_forces(contact, motion)
+    assert exact is not None
+    numbers = np.array([64, 128, 256, 512, 1024, 2048, 4096])
+    motions, exacts = shifted(motion), shifted(exact)
+    errors, law = [], law_of([contact] * len(motions))
+    for num in numbers:
+        done = contact_forces(law, basis_of(3, int(num)), jnp.asarray(motions))
+        assert np.max(done.closure) <= 1
+        assert 1 <= done.passes < MAX_PASSES
+        errors.append(np.sqrt(np.mean((np.asarray(done.coefficient) - exacts) ** 2)))
+    order = -np.polyfit(np.log(numbers), np.log(errors), 1)[0]
+    assert order > 1.85, errors
+    assert errors[4] < 2e-6
+
+
+def test_slip_under_constant_load_is_of_third_order():
+    contact, motion = element(np.eye(2)), prescribed(MOTIONS["ellipse"])
+    exact = located_forces(contact, motion)
+    numbers = np.array([64, 128, 256])
+    law = law_of([contact])
+    found = (contact_forces(law, basis_of(1, int(n)), jnp.asarray(motion[None])) for n in numbers)
+    errors = [np.abs(np.asarray(done.coefficient[0]) - exact).max() for done in found]
+    assert -np.polyfit(np.log(numbers), np.log(errors), 1)[0] > 2.8, errors
+
+
+def test_full_stick_starts_from_no_slip():
+    motion = prescribed((0.1, 0.05, 0.2, 30.0))
+    done = contact_forces(law_of([element(np.eye(2))]), basis_of(1, 64), jnp.asarray(motion[None]))
+    expected = motion.copy()
+    expected[2, 0] += 1.0
+    np.testing.assert_allclose(done.coefficient[0], expected, atol=1e-14)
+    assert done.slip[0] == done.separation[0] == 0
+
+
+def differences(value, x, step):
+    return np.array([(value(x + step * e) - value(x - step * e)) / (2 * step) for e in np.eye(x.size)]).T
+
+
+@pytest.mark.parametrize("kind", STIFFNESS)
+@pytest.mark.parametrize("preload", [1.0, 0.3, -0.3])
+def test_force_derivatives_against_differences(kind, preload):
+    rng = np.random.default_rng(3)
+    contacts = [element(STIFFNESS[kind], preload)] * 3
+    law, basis = law_of(contacts), basis_of(2, 128)
+    y = rng.normal(size=(3, 3, 5)) * np.array([1.0, 1.0, 1.0, 0.2, 0.2])
+    acts, slope = linearised(law, basis, jnp.asarray(y))
+    assert np.max(acts.slip) > 0.2
+
+    def value(flat):
+        return np.asarray(contact_forces(law, basis, jnp.asarray(flat.reshape(y.shape))).coefficient).ravel()
+
+    whole = differences(value, y.ravel(), 1e-6).reshape(3, 15, 3, 15)
+    own = np.stack([whole[i, :, i] for i in range(3)])
+    np.testing.assert_allclose(slope, own, atol=2e-8)
+    assert np.abs(whole).sum() == pytest.approx(np.abs(own).sum())
+
+
+@pytest.mark.parametrize("kind", STIFFNESS)
+def test_derivatives_where_no_slip_at_all_would_leave_the_cone(kind):
+    """w = 0 lies outside: the contact sticks with an offset, which follows the motion."""
+    contact = element(STIFFNESS[kind], 1.0)
+    motion = np.zeros((1, 3, 3))
+    motion[0] = [0.15, 0.2, 0.05], [-0.3, 0.02, -0.1], [0.1, 0.2, -0.1]
+    law, basis = law_of([contact]), basis_of(1, 128)
+    acts, slope = linearised(law, basis, jnp.asarray(motion))
+    offset = acts.coefficient[0, :2, 0] - STIFFNESS[kind] @ motion[0, :2, 0]
+    assert acts.slip[0] == acts.separation[0] == 0
+    assert np.linalg.norm(offset) > 0.03
+
+    def value(flat):
+        return np.asarray(contact_forces(law, basis, jnp.asarray(flat.reshape(motion.shape))).coefficient).ravel()
+
+    np.testing.assert_allclose(slope[0], differences(value, motion.ravel(), 1e-6), atol=1e-7)
+
+
+def test_offset_where_little_room_is_left():
+    """|F cos + g| <= R (1 + cos / 2) leaves F - R/2 <= g <= 3R/2 - F: one offset where F reaches R, none beyond."""
+    law, basis = law_of([element(np.eye(2), 1.0)]), basis_of(1, 256)
+    for force, sticks, expected, within in ((0.9, 1, 0.15, 0.04), (0.999, 1, 0.15, 4e-4), (1.001, 0, 0.0, 0.0)):
+        motion = np.zeros((1, 3, 3))
+        motion[0, 0, 1], motion[0, 2, 1] = 0.3 * force, 0.5
+        found = stuck_offset(law, motion_of(basis, jnp.asarray(motion)))
+        assert found.sticks[0] == sticks
+        assert abs(float(found.force[0][0]) - expected) <= within
+        assert found.force[1][0] == pytest.approx(0, abs=1e-12)
+
+
+def test_a_contact_sticks_wherever_it_can():
+    """Against a search for the offset with which the force stays deepest in its cone, under motions in the plane."""
+    rng, law, basis = np.random.default_rng(11), law_of([element(STIFFNESS["general"], 1.0)]), basis_of(3, 128)
+    told = []
+    for scale in np.linspace(0.05, 0.35, 60):
+        y = rng.normal(size=(1, 3, 7)) * scale * np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.2, 0.2])
+        motion = motion_of(basis, jnp.asarray(y))
+        force, limit, _ = without_slip(law, motion)
+        path, limit = np.stack([np.asarray(f)[:, 0] for f in force]), np.asarray(limit)[:, 0]
+        if limit.min() <= 0:
+            continue
+
+        def excess(g, path=path, limit=limit):
+            return np.max(np.linalg.norm(path + np.reshape(g, (2, 1)), axis=0) - limit)
+
+        starts = (np.zeros(2), -path.mean(axis=1), -(path.max(axis=1) + path.min(axis=1)) / 2)
+        fine = {"xatol": 1e-9, "fatol": 1e-9}
+        best = min(minimize(excess, start, method="Nelder-Mead", options=fine).fun for start in starts)
+        found = stuck_offset(law, motion)
+        if abs(best) > 1e-4:
+            told.append(bool(found.sticks[0]))
+            assert told[-1] == (best < 0), best
+        if found.sticks[0]:
+            assert excess([float(f[0]) for f in found.force]) < 0
+    assert 10 < sum(told) < len(told) - 10
+
+
+def turned(coefficient, angle):
+    """The same cycle begun later by an angle [rad]."""
+    turn = np.exp(1j * angle * np.arange(coefficient.shape[-1] // 2 + 1))
+    return to_coefficients(to_phasors(coefficient) * turn)
+
+
+@pytest.mark.parametrize("kind", STIFFNESS)
+@pytest.mark.parametrize(
+    ("motion", "changes"),
+    [
+        ((0.8, 0.1, 1.2, 180.0), {(0, 1), (1, 0), (1, 2), (2, 1)}),
+        ((0.6, 0.1, 1.5, 45.0), {(0, 1), (1, 2), (2, 0)}),
+    ],
+)
+def test_a_contact_that_changes_its_state_at_the_start_of_the_period(motion, changes, kind):
+    """Each transition in turn lies at the first sample, give or take rounding: forces and shares turn with it."""
+    contact, motion = element(STIFFNESS[kind]), prescribed(motion, 3)
+    theta = CYCLE * np.arange(768) / 768
+    cycle = steady_cycle(contact, SplineMotion(fourier_basis(theta, 7) @ motion.T))
+    kinds = {(transition.before, transition.after) for transition in cycle.transitions}
+    assert kinds == changes
+    exact, num = located_forces(contact, motion), 256
+    angles = np.array([item.angle + shift for item in cycle.transitions for shift in (-1e-13, 0.0, 1e-13)])
+    motions = jnp.asarray([turned(motion, angle) for angle in angles])
+    done = contact_forces(law_of([contact] * angles.size), basis_of(3, num), motions)
+    assert np.max(done.closure) <= 1
+    errors = np.asarray(done.coefficient) - [turned(exact, angle) for angle in angles]
+    assert np.abs(errors).max() < 5e-5
+    shares = [sum(stay.stop - stay.start for stay in cycle.stays if stay.state == state) for state in (1, 2)]
+    # Slip ends at a sample; the other transitions are located.
+    np.testing.assert_allclose(done.slip, shares[0] / CYCLE, atol=1 / num)
+    np.testing.assert_allclose(done.separation, shares[1] / CYCLE, atol=1e-2 / num)

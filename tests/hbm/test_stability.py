@@ -1,0 +1,105 @@
+"""Floquet multipliers of solutions by harmonic balance, against closed forms and the return map of time integration."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import systems
+from scipy.optimize import linear_sum_assignment
+from simulation import FINE
+
+from timesim.hbm.balance import Balance
+from timesim.hbm.continuation import solve
+from timesim.hbm.curve import default_controls, hbm_curve
+from timesim.hbm.scheme import Scheme
+from timesim.hbm.stability import floquet_multipliers
+from timesim.model.solver import PRESETS
+from timesim.orbit.batch import march
+from timesim.orbit.settling import Chain, Task, first_lane, settle
+
+
+def test_multipliers_of_a_stuck_structure():
+    """Exponentials of the eigenvalues, and two that are 1 for the slip that nothing moves."""
+    model, frequency = systems.oscillator(32.0, 1.0), 1.2
+    balance = Balance(model, frequency, Scheme(1, 64))
+    solution = solve(balance, np.zeros(9), frequency, default_controls())
+    assert solution is not None
+    body, shape = model.structure, model.contact_shape[0]
+    stiffness = np.diag(body.stiffness) + 20 * shape.T @ shape
+    state = np.block([[np.zeros((2, 2)), np.eye(2)], [-stiffness, -np.diag(body.damping)]])
+    exact = np.append(np.exp(np.linalg.eigvals(state) / frequency), [1.0, 1.0])
+    found = floquet_multipliers(balance, solution[0][None], np.array([frequency]), samples=512)[0]
+    np.testing.assert_allclose(np.sort(np.abs(found)), np.sort(np.abs(exact)), rtol=1e-4)
+
+
+@pytest.mark.parametrize(("preload", "frequency"), [(-1.0, 0.97), (1.0, 1.2), (2.0, 1.3), (3.0, 1.39), (5.0, 1.52)])
+def test_multipliers_against_those_of_the_return_map(preload, frequency):
+    """Motions with slip or separation; the others are exact derivatives of the event loop."""
+    model = systems.oscillator(preload, frequency)
+    curve = hbm_curve(model, frequency, 1.001 * frequency, scheme=Scheme(15, 1024))
+    marched = settle([Task(model, frequency)], PRESETS["standard"])[0]
+    assert marched.settled
+    assert curve.slip_share[0, 0] > 0.05
+    np.testing.assert_allclose(curve.amplitude[0], marched.amplitude, rtol=1e-3)
+    exact = np.abs(marched.floquet[0])
+    assert 0.5 < exact < 0.9
+    assert curve.floquet_max[0] == pytest.approx(exact, abs=3e-2)
+    balance = Balance(model, frequency, Scheme(15, 1024))
+    x = curve.contact_motion[:1].reshape(1, -1) / balance.length
+    fine = np.abs(floquet_multipliers(balance, x, curve.frequency[:1], samples=1024)[0])
+    np.testing.assert_allclose(fine[:4], np.abs(marched.floquet[:4]), atol=4e-3)
+
+
+def coupled(preload, frequency, share=0.9):
+    """The oscillator with its modes coupled by the damping; `share` of what makes the matrix singular."""
+    model = systems.oscillator(preload, frequency)
+    damping = np.diag(model.structure.damping)
+    damping[0, 1] = damping[1, 0] = share * np.sqrt(np.prod(model.structure.damping))
+    return replace(model, structure=replace(model.structure, damping=damping))
+
+
+def return_map_multipliers(model, frequency, start):
+    """Eigenvalues of the derivative of the state after a cycle by that before it, by central differences."""
+    lane = first_lane(Chain(replace(model, start=start), (frequency,)), FINE)
+    state = lane.vector
+    step = 1e-5 * np.abs(state).max()
+    lanes = [lane.moved(state + sign * step * e) for e in np.eye(state.size) for sign in (1, -1)]
+    ends = np.array([end.vector for end, _ in march(lanes, FINE, 1)])
+    return np.linalg.eigvals((ends[::2] - ends[1::2]).T / (2 * step))
+
+
+def paired(found, expected):
+    """The multipliers in the order of those expected."""
+    rows, columns = linear_sum_assignment(np.abs(np.subtract.outer(expected, found)))
+    assert rows.tolist() == list(range(len(expected)))
+    return found[columns]
+
+
+@pytest.mark.parametrize(("preload", "frequency"), [(-1.0, 0.97), (2.0, 1.3), (3.0, 1.39)])
+def test_modes_coupled_by_damping(preload, frequency):
+    """Response and complex multipliers against time integration; without the coupling both are quite different."""
+    model, scheme = coupled(preload, frequency), Scheme(15, 1024)
+    curve = hbm_curve(model, frequency, 1.001 * frequency, scheme=scheme)
+    marched = settle([Task(model, frequency)], FINE, tolerance=1e-11)[0]
+    assert curve.slip_share[0, 0] > 0.2
+    np.testing.assert_allclose(curve.amplitude[0], marched.amplitude, rtol=5e-5)
+    balance = Balance(model, frequency, scheme)
+    x = curve.contact_motion[:1].reshape(1, -1) / balance.length
+    found = floquet_multipliers(balance, x, curve.frequency[:1], samples=1024)[0]
+    exact = return_map_multipliers(model, frequency, marched.end)
+    np.testing.assert_allclose(paired(marched.floquet, exact), exact, atol=1e-5)
+    np.testing.assert_allclose(paired(found, exact), exact, atol=3e-3)
+    assert curve.floquet_max[0] == pytest.approx(np.abs(exact).max(), abs=3e-2)
+
+    plain = coupled(preload, frequency, 0.0)
+    other = hbm_curve(plain, frequency, 1.001 * frequency, scheme=scheme)
+    assert abs(other.amplitude[0, 0, 0] / curve.amplitude[0, 0, 0] - 1) > 0.1
+    x = other.contact_motion[:1].reshape(1, -1) / balance.length
+    loose = floquet_multipliers(Balance(plain, frequency, scheme), x, other.frequency[:1], samples=1024)[0]
+    assert np.abs(paired(loose, exact) - exact).max() > 0.05
+
+
+def test_a_diagonal_damping_matrix_is_that_of_modes_left_apart():
+    model = systems.oscillator(-1.0, 0.97)
+    found = [hbm_curve(m, 0.97, 0.971, scheme=Scheme(5, 256)).floquet_max for m in (model, coupled(-1.0, 0.97, 0.0))]
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9)

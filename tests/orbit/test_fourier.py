@@ -1,0 +1,49 @@
+"""Fourier coefficients of periodic motions, and the range that a motion covers."""
+
+import tracemalloc
+
+import numpy as np
+
+from timesim.orbit.fourier import fourier_basis, fourier_coefficients, half_range, to_coefficients, to_phasors
+
+TURN = 2 * np.pi
+
+
+def test_half_range_is_that_of_the_continuous_motion():
+    rng = np.random.default_rng(0)
+    phasor = rng.normal(size=(3, 6, 2, 3)) + 1j * rng.normal(size=(3, 6, 2, 3))
+    theta = np.linspace(0, TURN, 20001)
+    values = np.einsum("kh,sh...->ks...", np.exp(1j * np.outer(theta, np.arange(6))), phasor).real
+    np.testing.assert_allclose(half_range(phasor), (values.max(0) - values.min(0)) / 2, rtol=1e-6)
+
+
+def test_phasors_and_coefficients():
+    coefficient = np.random.default_rng(1).normal(size=(2, 3, 9))
+    np.testing.assert_array_equal(to_coefficients(to_phasors(coefficient)), coefficient)
+    theta = np.linspace(0, TURN, 7)
+    expected = (to_phasors(coefficient) @ np.exp(1j * np.outer(np.arange(5), theta))).real
+    np.testing.assert_allclose(coefficient @ fourier_basis(theta, 9).T, expected, atol=1e-13)
+
+
+def test_coefficients_of_samples():
+    rng = np.random.default_rng(2)
+    coefficient = rng.normal(size=(7, 2))
+    phase, count = 0.7, 40
+    theta = phase + 2 * np.pi * np.arange(1, count + 1) / count
+    found = fourier_coefficients(fourier_basis(theta, 7) @ coefficient, phase)
+    np.testing.assert_allclose(found[:7], coefficient, atol=1e-13)
+    np.testing.assert_allclose(found[7:], 0, atol=1e-13)
+
+
+def test_amplitudes_of_a_long_curve_take_little_memory():
+    """1,000 solutions of 100 harmonics, whose samples as one array would take 78 MB, and more in the making."""
+    phasor = np.zeros((1000, 101, 1, 3), complex)
+    phasor[:, 1] = 1.0
+    phasor[:, 100] = 0.01 * np.exp(1j * np.linspace(0, 6, 1000))[:, None, None]
+    tracemalloc.start()
+    found = half_range(phasor)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 60e6
+    alone = [half_range(phasor[i : i + 1])[0] for i in (0, 500, 999)]
+    np.testing.assert_array_equal(found[[0, 500, 999]], alone)

@@ -1,0 +1,73 @@
+"""Many trajectories side by side: each goes on until it is done, and then waits for the others.
+
+Inside, the batch is the last axis: the kernels run along it. Arguments and results have it first.
+"""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+Lanes = TypeVar("Lanes")
+Kept = TypeVar("Kept")
+Tree = TypeVar("Tree")
+
+
+def batch_last(tree: Tree) -> Tree:
+    """The batch moved from the first axis of each leaf to the last."""
+    moved: Tree = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), tree)
+    return moved
+
+
+def batch_first(tree: Tree) -> Tree:
+    """The batch moved from the last axis of each leaf to the first."""
+    moved: Tree = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), tree)
+    return moved
+
+
+def over_lanes(function: Callable[..., Any], in_axes: Any = -1) -> Callable[..., Any]:
+    """The function of one trajectory for a batch of them."""
+    return jax.vmap(function, in_axes=in_axes, out_axes=-1)
+
+
+def advance_lanes(
+    attempt: Callable[[Lanes], tuple[Any, ...]],
+    running: Callable[[Lanes], Bool[Array, " batch"]],
+    start: Lanes,
+    kept: Kept,
+    keep: Callable[..., Kept],
+    has_room: Callable[[Kept], Bool[Array, ""]] | None = None,
+) -> tuple[Lanes, Kept]:
+    """Advance a batch until none of it is running, or what is kept has no more room.
+
+    Args:
+        attempt: tries a step of every trajectory: the trajectories after it, and what else is known of the step.
+        running: which trajectories go on.
+        start: the trajectories.
+        kept: what is kept of the steps at the start.
+        keep: ``keep(kept, running, before, after, *step)``: what is kept after a step. Trajectories that wait have not
+            taken it: they are the same before and after.
+        has_room: whether what is kept can take up another step; always by default.
+
+    Returns:
+        the trajectories and what is kept at the end.
+    """
+
+    def goes_on(carry: tuple[Lanes, Kept]) -> Bool[Array, ""]:
+        now, kept = carry
+        some = running(now).any()
+        return some if has_room is None else some & has_room(kept)
+
+    def body(carry: tuple[Lanes, Kept]) -> tuple[Lanes, Kept]:
+        now, kept = carry
+        moves = running(now)
+        tried, *step = attempt(now)
+        after = jax.tree.map(lambda new, old: jnp.where(moves, new, old), tried, now)
+        return after, keep(kept, moves, now, after, *step)
+
+    end: tuple[Lanes, Kept] = jax.lax.while_loop(goes_on, body, (start, kept))
+    return end

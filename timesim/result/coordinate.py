@@ -1,0 +1,36 @@
+"""Values along the dimensions that mean the same in every result."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from timesim.model.model import Model
+
+NAMES = {
+    "axis": ("x", "y", "z"),
+    "component": ("t1", "t2", "n"),
+    "tangent": ("t1", "t2"),
+    "band": ("smallest", "largest"),
+    "end": ("low", "high"),
+    "motion": ("lower", "upper"),
+}
+
+FIRST = {"mode": 1, "cycle": 1, "harmonic": 0}
+"""First number along the dimensions that are counted."""
+
+
+def coordinates(variables: Mapping[str, tuple[Any, ...]], model: Model | None = None) -> dict[str, np.ndarray]:
+    """Coordinates of those dimensions of variables that the model determines, or that are the same everywhere.
+
+    Args:
+        variables: ``{name: (dimensions, array)}``.
+        model: gives the names of points and contacts.
+    """
+    sizes = {dim: size for dims, array, *_ in variables.values() for dim, size in zip(dims, array.shape, strict=True)}
+    along: dict[str, np.ndarray] = {dim: np.array(names) for dim, names in NAMES.items()}
+    along |= {dim: first + np.arange(sizes.get(dim, 0)) for dim, first in FIRST.items()}
+    if model is not None:
+        along["point"] = np.array(model.structure.points, dtype=str)
+        along["contact"] = np.array([contact.name for contact in model.contacts], dtype=str)
+    return {dim: values for dim, values in along.items() if dim in sizes}
