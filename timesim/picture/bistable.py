@@ -182,7 +182,7 @@ def _range(data: "DataTree", ax: "Axes", item: Range, point: str, axis: str, *, 
             ax.annotate("", (frequency, after), (frequency, before), arrowprops=arrow, zorder=5)
             ax.plot([], [], color="black", marker=r"$\downarrow$", linestyle="", ms=9, label="jump")
     star: dict[str, Any] = {"markeredgecolor": "black", "linestyle": "", "ms": 11, "zorder": 6}
-    for name, words, colour in (("upper", "larger", VERMILION), ("lower", "smaller", BLUE)) if middle else ():
+    for name, words, colour in (("lower", "smaller", BLUE), ("upper", "larger", VERMILION)) if middle else ():
         value = float(here[f"amplitude_{name}"])
         ax.plot(0.5 * (item.low + item.high), value, "*", color=colour, label=f"{words} motion", **star)
 
