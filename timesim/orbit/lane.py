@@ -10,9 +10,9 @@ from typing import Self
 import jax
 import numpy as np
 
-from timesim.engine.event_loop import Control, Status, Step, Trajectory
 from timesim.engine.history import between
-from timesim.engine.solver import step_control
+from timesim.engine.solver import Control, step_control
+from timesim.engine.step import Status, Step, Trajectory
 from timesim.engine.system import Point, System, system_of
 from timesim.engine.trajectory import Frame
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
@@ -32,7 +32,7 @@ class Lane:
         system, control: what is integrated, and how, as the loop takes them.
         here: where the trajectory is, dimensionless.
         phase: of the excitation at the start of a cycle [rad].
-        status, culprit: as in `timesim.engine.event_loop.Trajectory`.
+        status, culprit: as in `timesim.engine.step.Trajectory`.
     """
 
     model: Model
