@@ -19,8 +19,8 @@ from systems import GENERATED_CYCLES, generated_models, oscillator
 
 import timesim
 from timesim.engine import dense_output as hermite
-from timesim.engine.event_loop import Status, judged
 from timesim.engine.solver import step_control
+from timesim.engine.step import Status, judged
 from timesim.engine.system import system_of
 from timesim.engine.trajectory import BATCH, Frame, Phase, Run, RunError
 from timesim.model.model import SEPARATION, SLIP, STICK, Model

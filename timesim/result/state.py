@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from timesim.fault import RuleError, nearest
+from timesim.model.model import Model, Start
+from timesim.model.start import resumed_start
 from timesim.orbit.share import switches
 from timesim.result.netcdf import RESULT_NAME
 
@@ -157,3 +159,13 @@ def held(path: Path) -> Held:
     if not complete and not found.axes:
         raise RuleError((), "is the result of a run that was not finished (complete = 0)", "finish that run first")
     return found
+
+
+def start_of(physics: Model, found: Held, chosen: Mapping[str, np.ndarray]) -> Start:
+    """One of the states of a result as the start of a model.
+
+    Raises:
+        RuleError: the result is one of another structure, or the state lies outside a cone.
+    """
+    displacement, velocity, slip, state = (chosen[f"final_{name}"] for name in STATE)
+    return resumed_start(physics, Start(displacement, velocity, slip, state, found.phase), found.contacts)

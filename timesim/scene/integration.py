@@ -11,8 +11,8 @@ from pydantic import Field, Tag, model_validator
 from timesim.fault import RuleError, nearest
 from timesim.model.model import Model, Start
 from timesim.model.solver import PRESETS, Solver
-from timesim.model.start import given_start, start_of, static_start
-from timesim.result.state import Held, held
+from timesim.model.start import given_start, static_start
+from timesim.result.state import Held, held, start_of
 from timesim.scene.section import Count, FilePath, Number, Pair, Section, Switch, Text, Whole, by_form, form, refuse
 
 

@@ -15,9 +15,8 @@ from timesim.hbm.curve import HbmCurve, crossings, default_controls, hbm_curve, 
 from timesim.hbm.first_guess import unknowns_of_modes
 from timesim.hbm.parameter import parameter_curve
 from timesim.model.model import Model
-from timesim.model.start import start_of
 from timesim.orbit.cycle import modal_coefficients
-from timesim.result.state import Held, SweepPoint, settled_points
+from timesim.result.state import Held, SweepPoint, settled_points, start_of
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
 from timesim.scene.study import combinations

@@ -56,7 +56,7 @@ STUDIES = {
         "timesim.scene.element:Element", "timesim.study.element:study", "timesim.picture.element:PICTURES"
     ),
     "element_map": Study(
-        "timesim.scene.element:ElementMap", "timesim.study.element_map:study", "timesim.picture.element:MAP_PICTURES"
+        "timesim.scene.element:ElementMap", "timesim.study.element_map:study", "timesim.picture.element_map:PICTURES"
     ),
     "sweep": Study(
         "timesim.scene.sweep:Sweep", "timesim.study.sweep:study", "timesim.picture.sweep:PICTURES", in_chunks=True

@@ -14,11 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from xarray import Dataset
 
-from timesim.engine.contact import Motion, reaction
+from timesim.engine.contact_law import ContactLaw, Motion
 from timesim.engine.history import CycleTotals, Events, Samples, Steps, events, sample, stored_energy
-from timesim.engine.system import contact_law, scales_of
+from timesim.engine.laws import law_class
 from timesim.engine.trajectory import Phase, Run, RunError
 from timesim.model.model import SEPARATION, Model
+from timesim.model.scales import scales_of
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
@@ -80,7 +81,7 @@ def contact_forces(model: Model, samples: Samples) -> tuple[np.ndarray, np.ndarr
     if not model.contacts:
         return x, x
     scales = scales_of(model, 1.0)
-    law = contact_law(model, scales)
+    law = law_class(model.contacts).of(model.contacts, scales)
     force = np.zeros_like(x)
     for begin in range(0, x.shape[0], ROWS):
         rows = slice(begin, begin + ROWS)
@@ -97,9 +98,9 @@ def contact_forces(model: Model, samples: Samples) -> tuple[np.ndarray, np.ndarr
 
 
 @jax.jit
-def _force(law: Any, state: Any, x: Any, dx: Any, w: Any) -> Any:
+def _force(law: ContactLaw, state: Any, x: Any, dx: Any, w: Any) -> Any:
     moves = Motion((x[..., 0], x[..., 1]), x[..., 2], (dx[..., 0], dx[..., 1]), dx[..., 2])
-    acts = reaction(law, state, moves, (w[..., 0], w[..., 1]))
+    acts = law.reaction(state, moves, (w[..., 0], w[..., 1]))
     return jnp.stack([*acts.f, acts.n], axis=-1)
 
 
