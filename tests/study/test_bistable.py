@@ -115,7 +115,7 @@ def test_what_is_said(folder):
 
 def test_the_pictures_show_the_ranges(result):
     assert plot.picture_names("bistable") == ["response.png", "ranges.png", "starts.png", "existence.png"]
-    (place,) = plot_bistable.places(result)
+    (place,) = plot_bistable.ranges(result)
     ax = plot_bistable.response(result, near=place, point="tip", axis="x")
     assert ax.get_xlim()[0] < place.low < place.high < ax.get_xlim()[1]
     stars = [line for line in ax.get_lines() if line.get_marker() == "*"]

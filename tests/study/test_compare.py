@@ -106,7 +106,7 @@ def test_pictures_name_what_they_show(result):
     figure = plot_compare.PICTURES["difference"](result)
     named = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     assert ("frequency of a fold" in named) == (folds.size > 0)
-    assert plot_compare.states(result).get_xlabel() == "phase of the excitation [degree]"
+    assert plot_compare.contact_states(result).get_xlabel() == "phase of the excitation [degree]"
 
 
 def plain_sweep(**changes: Any) -> compare.Sweep:

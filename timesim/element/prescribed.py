@@ -32,7 +32,7 @@ from timesim.engine.method import Advance, Explicit, Field, Method, method_named
 from timesim.engine.solver import Control, step_control
 from timesim.engine.step import Status, Step, Trajectory, begin
 from timesim.engine.system import Point, System, Work
-from timesim.model.contact_state import contact_state
+from timesim.model.contact_state import contact_state, require_cone
 from timesim.model.model import SEPARATION, Contact
 from timesim.model.solver import Solver
 
@@ -212,6 +212,7 @@ def harmonic_elements(
 
 def single_element(contact: Contact, motion: Motion) -> Elements:
     """One contact under any motion."""
+    require_cone([contact], "prescribed motion")
     extremes, _ = motion.crossings(np.array([0.0, 0.0, 1.0]), 0.0, rate=True)
     angles = np.linspace(0.0, CYCLE, 721)
     v = motion.evaluate(np.append(extremes, 0.0))[0][2]

@@ -34,6 +34,7 @@ from timesim.hbm.located import located_forces
 from timesim.hbm.period import Basis, basis_of, contact_forces
 from timesim.hbm.scheme import Scheme, check_excitation
 from timesim.hbm.tangent import linearised
+from timesim.model.contact_state import require_cone
 from timesim.model.model import Model
 from timesim.model.scales import Scales, scales_of
 from timesim.orbit.fourier import to_coefficients, to_phasors
@@ -75,7 +76,9 @@ class Balance:
 
         Raises:
             BalanceError: nothing is periodic, or harmonics are excited that are not balanced.
+            ValueError: a contact obeys another law than the cone.
         """
+        require_cone(model.contacts, "harmonic balance")
         check_excitation(model, scheme.harmonics)
         self.model, self.scheme = model, scheme
         self.units = scales_of(model, frequency) if units is None else units

@@ -10,6 +10,7 @@ from typing import Self
 import jax
 import numpy as np
 
+from timesim.engine.contact import ConeLaw
 from timesim.engine.history import between
 from timesim.engine.solver import Control, step_control
 from timesim.engine.step import Status, Step, Trajectory
@@ -100,8 +101,10 @@ class Lane:
         return self.frame.start(self.here.point, self.here.state, self.phase)
 
     def moved(self, vector: np.ndarray) -> "Lane | None":
-        """The lane at another state vector in the same contact states; None if the place does not allow them."""
+        """The lane at another state vector in the same contact states; None if the place or the law does not allow it."""
         point, state, law = point_of(vector, self.here.point), self.here.state, self.system.law
+        if not isinstance(law, ConeLaw):
+            return None
         w = np.stack(point.w)
         u = np.stack([axis @ point.q for axis in self.system.shape[:-1]]) if state.size else w
         n = law.preload + law.normal_stiffness * (self.system.shape[-1] @ point.q)

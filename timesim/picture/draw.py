@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from timesim.picture import bistable, compare, element, hbm, jump, optimum, sweep, transient
+from timesim.picture import bistable, compare, element, element_map, hbm, jump, optimum, sweep, transient
 from timesim.picture.style import Picture
 from timesim.result.file import write_whole
 
@@ -24,7 +24,7 @@ PICTURES: Mapping[str, Mapping[str, Picture]] = {
     "jump": jump.PICTURES,
     "sweep": sweep.PICTURES,
     "element": element.PICTURES,
-    "element_map": element.MAP_PICTURES,
+    "element_map": element_map.PICTURES,
     "hbm": hbm.PICTURES,
     "compare": compare.PICTURES,
     "bistable": bistable.PICTURES,

@@ -10,6 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from timesim.fault import RuleError, nearest
+from timesim.model.model import Model, Start
+from timesim.model.start import resumed_start
 from timesim.orbit.share import switches
 from timesim.result.netcdf import RESULT_NAME
 from timesim.scene.section import Number, Section, Text
@@ -172,3 +174,28 @@ def held(path: Path) -> Held:
     if not complete and not found.axes:
         raise RuleError((), "is the result of a run that was not finished (complete = 0)", "finish that run first")
     return found
+
+
+def from_result(physics: Model, path: Path, at: Mapping[str, float | str]) -> Start:
+    """The end of another run, or a point of a sweep, as the start of a model.
+
+    Raises:
+        RuleError: no such result, an unfinished one, one of another structure, no such point, or a state outside a
+            cone.
+    """
+    found = held(path)
+    try:
+        chosen = found.one(at)
+    except RuleError as error:
+        raise error.below("at") from None
+    return start_of(physics, found, chosen)
+
+
+def start_of(physics: Model, found: Held, chosen: Mapping[str, np.ndarray]) -> Start:
+    """One of the states of a result as the start of a model.
+
+    Raises:
+        RuleError: the result is one of another structure, or the state lies outside a cone.
+    """
+    displacement, velocity, slip, state = (chosen[f"final_{name}"] for name in STATE)
+    return resumed_start(physics, Start(displacement, velocity, slip, state, found.phase), found.contacts)

@@ -17,8 +17,8 @@ from pydantic import Discriminator, Field, Strict, Tag, model_validator
 from timesim.fault import RuleError, nearest
 from timesim.model import model
 from timesim.model.solver import PRESETS, Solver
-from timesim.model.start import from_result, given_start, static_start
-from timesim.result.state import ResultSection
+from timesim.model.start import given_start, static_start
+from timesim.result.state import ResultSection, from_result
 from timesim.scene.contact import ContactSection
 from timesim.scene.excitation import ExcitationSection
 from timesim.scene.section import Count, Number, Pair, Section, Text, Whole, refuse

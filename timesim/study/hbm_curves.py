@@ -17,9 +17,8 @@ from timesim.hbm.curve import HbmCurve, crossings, default_controls, hbm_curve, 
 from timesim.hbm.first_guess import unknowns_of_modes
 from timesim.hbm.parameter import parameter_curve
 from timesim.model.model import Model
-from timesim.model.start import start_of
 from timesim.orbit.cycle import modal_coefficients
-from timesim.result.state import Held, SweepPoint, held, settled_points
+from timesim.result.state import Held, SweepPoint, held, settled_points, start_of
 from timesim.result.waves import result_waves
 from timesim.scene.axis import axis_values
 from timesim.scene.hbm import Compare, Hbm, ResultStart
