@@ -154,7 +154,8 @@ def _check_combinations(scene: Scene) -> None:
     """Combinations of the values that the study varies must make scenes: all, or for each value at least one."""
     study = scene.file.study
     axes = {str(place[-1]): values for place, values in study.varied().items()}
-    failures, good = [], set()
+    failures: list[tuple[dict[str, float], Problem]] = []
+    good: set[tuple[str, float]] = set()
     for values in combinations(axes) if axes else ():
         try:
             scene.variant(values)
