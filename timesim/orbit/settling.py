@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from timesim.engine.event_loop import Status
+from timesim.engine.step import Status
 from timesim.engine.trajectory import message_of
 from timesim.model.contact_state import start_states
 from timesim.model.model import Model, Start
