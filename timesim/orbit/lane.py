@@ -101,7 +101,7 @@ class Lane:
         return self.frame.start(self.here.point, self.here.state, self.phase)
 
     def moved(self, vector: np.ndarray) -> "Lane | None":
-        """The lane at another state vector in the same contact states; None if the place or the law does not allow it."""
+        """The lane at another state vector in the same contact states; None if place or law do not allow it."""
         point, state, law = point_of(vector, self.here.point), self.here.state, self.system.law
         if not isinstance(law, ConeLaw):
             return None
