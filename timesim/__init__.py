@@ -5,9 +5,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from timesim.fault import SceneError
-    from timesim.result.netcdf import open_result
-    from timesim.result.netcdf import open_result as open
-    from timesim.scene.resolution import Scene
     from timesim.notebook import (
         contact,
         follow,
@@ -21,6 +18,9 @@ if TYPE_CHECKING:
         sweep,
         system,
     )
+    from timesim.result.netcdf import open_result
+    from timesim.result.netcdf import open_result as open
+    from timesim.scene.resolution import Scene
     from timesim.study.registry import load_scene, run
 
 __all__ = [
