@@ -17,8 +17,9 @@ from timesim.element.prescribed import harmonic_elements
 from timesim.element.state_by_state import steady_cycle
 from timesim.fault import SceneError
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact
+from timesim.orbit.extrapolation import limits
 from timesim.result.netcdf import open_result
-from timesim.study.element_map import March, elements_of, limits
+from timesim.study.element_map import March, elements_of
 from timesim.study.registry import load_scene, run
 
 CONFIGS = Path(__file__).parents[2] / "configs"
