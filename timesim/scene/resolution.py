@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from timesim.fault import Key, Problem, RuleError, SceneError
-from timesim.model.model import Contact, Excitation, Model, Structure
+from timesim.model.model import CONE, Contact, Excitation, Model, Structure
 from timesim.model.solver import Solver
 from timesim.model.start import rest_start
 from timesim.scene.file import NO_NUMBER, Kinds, SceneFile, SceneParts, file_type, rule_errors
@@ -261,7 +261,7 @@ class _Build:
             changed: names of sections.
         """
         file, given = self.file, {} if known is None else dict(vars(known))
-        self.check_names()
+        self.check_contacts()
         if file.structure is None:
             return None
         self.check_points(file.structure.point_names)
@@ -297,8 +297,18 @@ class _Build:
         self.errors += self.file.study.problems(model)
         return model
 
-    def check_names(self) -> None:
+    def check_contacts(self) -> None:
+        """Names differ, and all contacts obey one law, which the study knows."""
         names = [contact.name for contact in self.file.contacts]
+        laws = [CONE if contact.law is None else contact.law.name for contact in self.file.contacts]
+        study, initial = self.file.study, self.file.initial
+        for i, law in enumerate(laws):
+            if law != laws[0]:
+                rule = f"must be the same for all contacts, that of {names[0]} is {laws[0]}"
+                self.errors.append(RuleError(("contacts", i, "law"), rule, value=law))
+            elif law != CONE and (study.cone_only or initial == "static"):
+                whose = f"in {study.kind} studies" if study.cone_only else "where initial is static"
+                self.errors.append(RuleError(("contacts", i, "law"), f"must be {CONE} {whose}", value=law))
         for i, name in enumerate(names):
             if name in names[:i]:
                 self.errors.append(
@@ -323,7 +333,7 @@ def _warnings(file: SceneFile, model: Model | None) -> Iterator[str]:
     if frequency is not None and not file.study.uses_frequency:
         yield f"excitation.frequency is not used: the frequencies of the {file.study.kind} study rule"
     for contact in file.contacts:
-        if contact.friction == 0 and np.any(contact.stiffness_matrix()):
+        if contact.idle_stiffness and np.any(contact.stiffness_matrix()):
             yield f"contacts.{contact.name}.tangential_stiffness has no effect without friction"
     if model is None:
         return
