@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from timesim.fault import Key, Problem, RuleError, SceneError
+from timesim.fault import Problem, RuleError, SceneError
 from timesim.model.model import CONE, Contact, Excitation, Model, Structure
 from timesim.model.solver import Solver
 from timesim.model.start import rest_start
 from timesim.scene.file import NO_NUMBER, Kinds, SceneFile, SceneParts, file_type, rule_errors
 from timesim.scene.integration import EndOfRun, InitialResult, start
-from timesim.scene.source import SceneSource, overridden, read
+from timesim.scene.source import SceneSource, empty_values, overridden, read
 from timesim.scene.study import PARTS, Context, combinations
 from timesim.scene.text import yaml_text
 
@@ -120,24 +120,12 @@ class Scene:
 def load_scene(
     source: str | Path | Mapping[str, Any], overrides: Mapping[str, Any] | Sequence[str] = (), *, kinds: Kinds
 ) -> Scene:
-    """Read, check and build a scene.
-
-    Args:
-        source: path of a scene file, the text of one (of several lines), or the same as a mapping.
-        overrides: new values by key path, ``{"contacts.pad.preload": 5}`` or ``["contacts.pad.preload=5"]``;
-            items of a list go by their name or by their index from 0.
-
-    Keyword Args:
-        kinds: the section of each kind of study.
-
-    Raises:
-        SceneError: all that is wrong with the scene, each with file, line, key path, value and rule.
-    """
+    """Read, check and build a scene of one of these kinds of study; see `timesim.load_scene`."""
     return _scene(overridden(read(source), overrides), file_type(kinds))
 
 
 def _scene(source: SceneSource, tree: type[SceneFile]) -> Scene:
-    empty = list(_empty_values(source.data))
+    empty = list(empty_values(source.data))
     try:
         file = tree.model_validate(source.data)
     except ValidationError as error:
@@ -190,14 +178,6 @@ def _scene_error(source: SceneSource, errors: Sequence[RuleError]) -> SceneError
     first = {error.key: error for error in reversed(errors)}
     problems = [source.problem(error) for error in first.values()]
     return SceneError(sorted(problems, key=lambda problem: (problem.line or 0, problem.key)))
-
-
-def _empty_values(data: Any, key: Key = ()) -> Iterator[RuleError]:
-    if data is None:
-        yield RuleError(key, "has no value", "give one, or leave the key out")
-    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
-    for part, value in items:
-        yield from _empty_values(value, (*key, part))
 
 
 # What only the whole scene tells

@@ -1,6 +1,6 @@
 """The source of a scene: its plain data, the line of every key, and new values by key path."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -101,6 +101,15 @@ def _from_text(content: bytes | str, name: str, folder: Path) -> SceneSource:
     except RuleError as fault:
         raise SceneError([source.problem(fault)]) from None
     return replace(source, data=value, lines=lines)
+
+
+def empty_values(data: Any, key: Key = ()) -> Iterator[RuleError]:
+    """Keys without a value."""
+    if data is None:
+        yield RuleError(key, "has no value", "give one, or leave the key out")
+    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for part, value in items:
+        yield from empty_values(value, (*key, part))
 
 
 # New values, as ``--set`` and ``over`` write them
