@@ -302,6 +302,12 @@ def test_energy_balance(run: xarray.Dataset) -> None:
     assert _curve(residual, "|residual|")[1] == pytest.approx(np.abs(run.energy_residual.values))
 
 
+def test_many_cycles_are_marked_now_and_then(run: xarray.Dataset) -> None:
+    many = run.isel(cycle=np.arange(600) % CYCLES).assign_coords(cycle=np.arange(1, 601))
+    for ax in (plot_transient.energy(many), plot_transient.energy_residual(many)):
+        assert all(600 / line.get_markevery() <= plot_transient.MARKED for line in ax.get_lines())
+
+
 def test_an_exact_balance_needs_no_logarithm(run: xarray.Dataset) -> None:
     zero = xarray.zeros_like(run.energy_residual)
     ax = plot_transient.energy_residual(run.assign(energy_residual=zero, energy_input=zero))
@@ -407,7 +413,8 @@ def test_a_run_without_contacts(run: xarray.Dataset, tmp_path: Path) -> None:
 
 def test_a_run_that_failed_early(run: xarray.Dataset, tmp_path: Path) -> None:
     begun = run.isel(cycle=slice(0, 0), time=slice(0, 40)).assign_attrs(complete=0)
-    assert len(plot.draw(begun, tmp_path)) == 7
+    shown = ["displacement", "orbit", "hysteresis", "normal_load", "contact_states"]
+    assert [file.stem for file in plot.draw(begun, tmp_path)] == shown
     assert plot.draw(begun.isel(time=slice(0, 0)), tmp_path) == []
 
 

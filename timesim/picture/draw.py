@@ -62,7 +62,9 @@ def _png(made: "matplotlib.figure.Figure") -> memoryview:
     from matplotlib.image import imsave
 
     made.set_dpi(DPI)
-    made.canvas.draw()
+    # Where the faces of a surface differ in size, matplotlib projects memory too that it has never set.
+    with np.errstate(over="ignore"):
+        made.canvas.draw()
     pixels = np.asarray(made.canvas.buffer_rgba())  # type: ignore[attr-defined]
     drawn = pixels[..., :3].min(axis=2) < 255
     cut = []
