@@ -144,7 +144,7 @@ def test_surfaces_whatever_is_in_memory(monkeypatch: pytest.MonkeyPatch, tmp_pat
             array.fill(1e308)
         return array
 
-    data = _map(np.add.outer(np.arange(8.0), np.arange(8.0)))
+    data = _map(1e-3 * np.add.outer(np.arange(8.0), np.arange(8.0)))
     monkeypatch.setattr(np, "empty", garbage)
     assert [path.stem for path in draw.draw(data, tmp_path)] == ["surfaces", "contours"]
 
