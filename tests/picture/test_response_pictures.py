@@ -146,7 +146,7 @@ def test_surfaces_whatever_is_in_memory(monkeypatch: pytest.MonkeyPatch, tmp_pat
 
     data = _map(1e-3 * np.add.outer(np.arange(8.0), np.arange(8.0)))
     monkeypatch.setattr(np, "empty", garbage)
-    assert [path.stem for path in draw.draw(data, tmp_path)] == ["surfaces", "contours"]
+    assert [path.stem for path in draw.write(data, tmp_path, element_map.PICTURES)] == ["surfaces", "contours"]
 
 
 def test_a_coefficient_that_is_the_same_everywhere_is_a_number() -> None:

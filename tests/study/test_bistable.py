@@ -25,13 +25,12 @@ from timesim.orbit.jump import Stretch, narrowed
 from timesim.orbit.settling import Orbit, without_orbit
 from timesim.orbit.two_motions import DOWN, UP, Means, Search, Sweeps, differ, losses, ranges, suspect_steps
 from timesim.picture import bistable as plot_bistable
-from timesim.picture import draw as plot
 from timesim.result.netcdf import open_result, save
-from timesim.scene.resolution import load_scene
 from timesim.study import bistable
+from timesim.study import registry as plot
 from timesim.study.campaign import Means as Ways
 from timesim.study.hbm_curves import Curves
-from timesim.study.registry import carry_out
+from timesim.study.registry import carry_out, load_scene
 
 QUICK = {
     "study.frequency": "{from: 1.24, to: 1.27}",
