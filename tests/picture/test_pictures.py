@@ -1,7 +1,9 @@
 """Pictures of a transient: what they show, not merely that there are any."""
 
+import gc
 import subprocess
 import sys
+import weakref
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,13 +12,14 @@ import numpy as np
 import pytest
 import xarray
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from timesim.model.model import SEPARATION, SLIP, STICK
 from timesim.picture import contact as plot_contact
 from timesim.picture import style
 from timesim.picture import transient as plot_transient
-from timesim.picture.draw import MARGIN
+from timesim.picture.draw import MARGIN, write
 from timesim.picture.style import STATE_STYLE
 from timesim.result.dataset import dataset
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES
@@ -433,3 +436,20 @@ def test_pictures_need_no_pyplot(tmp_path: Path) -> None:
         "assert not {'matplotlib.pyplot', 'jax', 'xarray'} & set(sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.png")], check=True, timeout=60)
+
+
+def test_figures_go_with_their_last_reference(run: xarray.Dataset, tmp_path: Path) -> None:
+    drawn = []
+
+    def kept(picture: style.Picture) -> style.Picture:
+        def draw(data: xarray.Dataset) -> Figure | None:
+            figure = picture(data)
+            drawn.append(weakref.ref(figure))
+            return figure
+
+        return draw
+
+    write(run, tmp_path, {name: kept(picture) for name, picture in plot_transient.PICTURES.items()})
+    gc.collect()
+    assert len(drawn) == 7
+    assert not any(figure() for figure in drawn)
