@@ -13,7 +13,21 @@ PACKAGE = ROOT / "timesim"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 
 # From the bottom to the top: a part may import those before it.
-ORDER = ("fault", "runtime", "model", "engine", "orbit", "element", "hbm", "result", "scene", "picture", "study", "cli")
+ORDER = (
+    "fault",
+    "runtime",
+    "model",
+    "engine",
+    "orbit",
+    "element",
+    "hbm",
+    "result",
+    "scene",
+    "picture",
+    "study",
+    "notebook",
+    "cli",
+)
 RIM = ("timesim", "timesim.__main__")
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.hbm.curve import HbmCurve, solutions_at
-from timesim.orbit.share import switches
+from timesim.orbit.steady_state import switches
 from timesim.result.dataset import dataset
 from timesim.result.state import held_in
 from timesim.scene.hbm import ComparePlan
