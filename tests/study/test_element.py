@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 
 from timesim.cli import app
 from timesim.element.cycle import Transition
+from timesim.element.elements import harmonic_elements
 from timesim.element.loop import difference, loop_cycle
 from timesim.element.motion import CYCLE, HarmonicMotion, SplineMotion
-from timesim.element.prescribed import harmonic_elements
 from timesim.element.state_by_state import steady_cycle
 from timesim.fault import SceneError
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact
