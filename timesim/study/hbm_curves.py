@@ -1,7 +1,5 @@
 """The curves of a study by harmonic balance, one or several for each value of the scene's further axes."""
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
