@@ -242,6 +242,20 @@ def test_disagreement_marks_the_result_incomplete(monkeypatch):
     assert data.attrs["complete"] == 0
 
 
+def test_states_that_change_without_end_make_the_result_incomplete(monkeypatch, tmp_path):
+    from timesim.element import state_by_state
+
+    monkeypatch.setattr(state_by_state, "MAX_TRANSITIONS", 2)
+    path = tmp_path / "scene.yaml"
+    path.write_text(json.dumps(scene(element(A=1.0, B=0.2, phi_deg=60)), indent=1))
+    done = CliRunner().invoke(app, ["run", str(path), "-o", str(tmp_path / "out")])
+    assert done.exit_code == 1, done.output
+    assert "more than 2 transitions in a cycle" in " ".join(done.output.split())
+    data = open_result(tmp_path / "out")
+    assert data.attrs["complete"] == 0
+    assert "change a parameter a little" in data.attrs["reason"]
+
+
 def test_motion_from_a_file(tmp_path):
     theta = np.arange(240) * CYCLE / 240
     rows = np.stack([np.sin(theta), 0.2 * np.sin(theta + 1), 1.3 * np.sin(theta + 2)], axis=1)
