@@ -1,4 +1,4 @@
-"""What would be modelled, told before anything runs: the parts of a scene, warnings, the method advised."""
+"""What `timesim check` says of a scene: what would be modelled, what is left out, warnings, the method advised."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass

@@ -169,8 +169,9 @@ def _refused(scene: Scene, values: Mapping[str, float], problem: Problem) -> Rul
                 return RuleError(places[key], "is no number of the scene")
             rule = own.rule if own.key == key else f"{own.key} {own.rule}"
             return RuleError(places[key], rule, own.hint, value)
-    told = ", ".join(f"{key} = {value:g}" for key, value in values.items())
-    return RuleError(("study", "over"), f"cannot hold {told} together: {problem.key} {problem.rule}", problem.hint)
+    all_values = ", ".join(f"{key} = {value:g}" for key, value in values.items())
+    rule = f"cannot hold {all_values} together: {problem.key} {problem.rule}"
+    return RuleError(("study", "over"), rule, problem.hint)
 
 
 def _scene_error(source: SceneSource, errors: Sequence[RuleError]) -> SceneError:

@@ -119,7 +119,7 @@ NAMED_BY_KEYS = {("study", "over"), ("study", "along"), ("study", "start", "at")
 
 
 def overridden(source: SceneSource, overrides: Mapping[str, Any] | Sequence[str]) -> SceneSource:
-    """The source with new values; a missing mapping on the way to a key is made, and None takes a key out.
+    """The source with new values; mappings that are missing on the way to a key are added, and None takes a key out.
 
     Raises:
         SceneError: an override that is no assignment, or addresses nothing.
