@@ -1,9 +1,8 @@
-"""An ensemble of starts where a response has two motions: which of them leads to which, and what stays free.
+"""Basins of attraction where a response has two motions, seen by an ensemble of starts; offsets that are not unique.
 
-The starts are sums of the two motions with rest as origin: a times the smaller one plus b times the larger one, so
-(0, 0) is rest, (1, 0) and (0, 1) are the motions themselves. A slip that a contact cannot have is set back onto its
-friction cone. A contact that sticks all the time keeps the offset that it was left with: such offsets are not unique,
-and what they range over is seen if the starts have different ones, so those of such contacts are given some.
+A start is a times the smaller motion plus b times the larger one: (0, 0) is rest, (1, 0) and (0, 1) are the motions. A
+slip that a contact cannot have is set back onto its friction cone. A contact that sticks throughout keeps the offset
+that it is left with, so offsets are not unique: such contacts start with different ones, which shows their range.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,9 +15,9 @@ from timesim.model.model import Model, Start
 from timesim.orbit.settling import Chain, SteadyStates
 from timesim.orbit.steady_state import SAME, Columns, Orbit, differ, orbit_of
 
-SIDE = (-0.5, 1.5)
+SIDE = (-0.5, 1.5)  # shares of a motion at the ends of a side of the ensemble
 PULL = 1 / (SIDE[1] * (SIDE[1] - 1))  # the farthest starts pull a contact to the edge of its cone
-INSIDE = 1 - 1e-12
+INSIDE = 1 - 1e-12  # share of the limit on which a force outside its cone is put: within rounding it would be outside
 LOWER, UPPER, ANOTHER, NONE = 0, 1, 2, -1
 
 
@@ -30,7 +29,7 @@ def shares(num: int) -> np.ndarray:
 def placed(
     model: Model, displacement: np.ndarray, velocity: np.ndarray, slip: np.ndarray, pull: np.ndarray | None = None
 ) -> Start:
-    """A start with the slip set back onto the friction cones; that of a separated contact is its motion.
+    """A start with the slip set back onto the friction cones; a slip that follows the motion is the motion.
 
     Args:
         model: the scene; displacement, velocity, slip: the state.
@@ -48,7 +47,6 @@ def placed(
         aside = np.zeros(2) if pull is None else pull[i] * limit
         force = contact.tangential_stiffness @ (u - slip[i]) + aside
         size = float(np.linalg.norm(force))
-        # Within rounding of the cone a start would count as outside of it.
         share = min(1.0, INSIDE * limit / size) if size else 1.0
         if share < 1 or aside.any():
             kept[i] = u - np.linalg.solve(contact.tangential_stiffness, share * force)

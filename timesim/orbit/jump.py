@@ -1,8 +1,8 @@
-"""Jumps along a sweep: where the motion leaves the branch that it was on, and at what frequency exactly.
+"""Jumps along a sweep: at which frequency the motion leaves its branch.
 
-A step over which the amplitude changes is halved again and again, the motion carried from the near end to the middle,
-and so is each half over which it still changes. Over a slope the change shrinks with the stretch; a jump stays what it
-is, and is narrowed down to the wanted width. Where slope and jump share a step both are seen for what they are.
+A step over which the amplitude changes is halved, the motion carried from the near end to the middle, and so is each
+half over which it still changes. Over a slope the change shrinks with the length; over a jump it stays. So a jump is
+narrowed down to the wanted width, also where it shares a step with a slope.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,12 +15,11 @@ from timesim.model.model import Model
 from timesim.orbit.settling import Chain, SteadyStates
 from timesim.orbit.steady_state import Orbit, distance
 
-STANDS_OUT = 4.0  # a jump changes the amplitude by so many times what the steps beside it do,
-AT_LEAST = 0.03  # and by this share of it; where no step is halved, of the largest of all amplitudes
-STAYS = 0.5  # of the change remains of a jump,
-HALVINGS = 3  # over so many halvings: of a slope an eighth does
-EVEN = 0.6  # a slope has no more of the change than this in either half
-GENTLE = 10.0  # change, over the least that is a jump, of a slope that is known by its first halving
+STANDS_OUT = 4.0  # change of the amplitude over a jump, as a multiple of that over the steps beside it
+AT_LEAST = 0.03  # least change over a jump, as a share of the amplitude; of the largest where no step is halved
+STAYS, HALVINGS = 0.5, 3  # share of the change that a jump keeps over so many halvings; a slope keeps an eighth
+EVEN = 0.6  # largest share of the change in one half of a slope
+GENTLE = 10.0  # change, as a multiple of the least, up to which an even change is a slope at the first halving
 
 
 class Jump(NamedTuple):
@@ -54,7 +53,7 @@ class Stretch:
 
     @property
     def change(self) -> float:
-        """Of the amplitude, the largest of all points and axes."""
+        """Change of the amplitude, the largest of all points and axes."""
         return distance(self.on, self.beyond)
 
     @property
@@ -63,7 +62,7 @@ class Stretch:
         return 0.5 * (self.near + self.far)
 
     def jumps(self, width: float) -> bool | None:
-        """Whether the motion jumps within it, if that can be told and its width [Hz] is the wanted one."""
+        """Whether the motion jumps within it; None as long as it must be halved to tell, or to be as narrow [Hz]."""
         if self.whole or self.middle in (self.near, self.far):
             return True
         if not self.change > self.least:
@@ -72,9 +71,9 @@ class Stretch:
         return True if narrow and self.change > STAYS * self.before[-HALVINGS] else None
 
     def halves(self, orbit: Orbit) -> "Iterator[Stretch]":
-        """Both halves, from the motion carried to the middle; it itself where that could not be computed.
+        """Both halves, given the motion carried to the middle; none of a slope, where the change is small and even.
 
-        None where the change is small and even: a slope.
+        Where the motion at the middle could not be computed, the stretch cannot be halved.
         """
         if orbit.reason is not None:
             yield replace(self, whole=True)
@@ -88,7 +87,7 @@ class Stretch:
 
 
 def narrowed(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -> list[tuple[int, Stretch]]:
-    """The jumps within stretches, with the position of each: as narrow as is wanted, or as tells them from slopes.
+    """The jumps within stretches, each with the position of its stretch: as narrow as wanted, or narrower.
 
     Args:
         stretches: where to look.
@@ -112,7 +111,7 @@ def narrowed(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -
 
 
 def _joined(jumps: Sequence[tuple[int, Stretch]]) -> list[tuple[int, Stretch]]:
-    """Jumps that follow on each other as one: next to a fold a motion leaves so slowly that it is met on its way."""
+    """Adjacent jumps as one: next to a fold a motion leaves so slowly that it is met on its way."""
     joined: list[tuple[int, Stretch]] = []
     for index, jump in jumps:
         if joined and joined[-1][0] == index and joined[-1][1].far == jump.near:
@@ -123,13 +122,13 @@ def _joined(jumps: Sequence[tuple[int, Stretch]]) -> list[tuple[int, Stretch]]:
 
 
 def jumps_of(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -> Iterator[tuple[int, Jump]]:
-    """The jumps within the steps of sweeps, with the position of the step; arguments as `narrowed`.
+    """The jumps within the steps of sweeps, each with the position of its step; arguments as `narrowed`.
 
-    A motion that small steps would carry to the end of its step is lost by the length of the step alone: then the jump
-    is the step.
+    A motion that smaller steps would have carried to the end of the step is lost by the length of the step alone: then
+    the jump is the whole step.
     """
-    found = narrowed(stretches, steady, width)
-    ends = [(index, jump) for index, jump in found if jump.far == stretches[index].far and not jump.whole]
+    jumps = narrowed(stretches, steady, width)
+    ends = [(index, jump) for index, jump in jumps if jump.far == stretches[index].far and not jump.whole]
     chains = [Chain(replace(jump.model, start=jump.on.end), (jump.far,)) for _, jump in ends]
     carried = steady(chains) if chains else []
     by_length = {
@@ -137,7 +136,7 @@ def jumps_of(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -
         for (index, jump), (orbit,) in zip(ends, carried, strict=True)
         if orbit.reason is None and distance(jump.on, orbit) < STAYS * jump.change
     }
-    for index, jump in found:
+    for index, jump in jumps:
         step = stretches[index] if index in by_length and jump.far == stretches[index].far else jump
         yield index, Jump(*sorted((step.near, step.far)))
 
@@ -150,13 +149,13 @@ def steps_of(model: Model, frequencies: Sequence[float], orbits: Sequence[Orbit]
         frequencies: in the order of the sweep [Hz].
         orbits: at them.
     """
-    found = []
+    steps = []
     for near, far, on, beyond in zip(frequencies, frequencies[1:], orbits, orbits[1:], strict=False):
         size = max(float(np.nanmax(orbit.amplitude, initial=0.0)) for orbit in (on, beyond))
         step = Stretch(model, near, far, on, beyond, AT_LEAST * size)
         if on.reason is None and beyond.reason is None and step.change > step.least:
-            found.append(step)
-    return found
+            steps.append(step)
+    return steps
 
 
 def suspects(amplitude: np.ndarray) -> np.ndarray:

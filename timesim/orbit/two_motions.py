@@ -1,10 +1,10 @@
 """Ranges of frequency with two steady motions: both sweeps, each jump bisected, and the motions at mid-range.
 
-A sweep carries its motion along until it is gone and the motion jumps. Where both sweeps, up and down, are on different
-motions there are two: such a range begins where the downward sweep loses its motion, and ends where the upward one
-does. Where either jumps is looked for in every step over which the amplitude changes more than beside it, and in those
-after which the sweeps are at one; halving the step tells a jump from a slope, so a range far narrower than the step of
-the sweeps is found too.
+A sweep carries its motion along until the motion is gone, at a fold or where it loses its stability, and jumps. Where
+the sweeps up and down are on different motions there are two: such a range begins where the downward sweep loses its
+motion, and ends where the upward one does. A jump is sought in every step over which the amplitude changes more than
+over the steps beside it, and in those after which both sweeps are on one motion. Halving the step tells a jump from a
+slope, so ranges far narrower than the step of the sweeps show too.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,9 +19,9 @@ from timesim.orbit.settling import Chain, SteadyStates
 from timesim.orbit.steady_state import Columns, Orbit, columns_of, differ, distance, orbit_of, without_orbit
 
 UP, DOWN = 0, 1
-WALK = 4  # steps from the nearest motion that is known to mid-range
+WALK = 4  # least number of steps in which a motion is carried to mid-range, and parts of a step of the sweeps
 BOTH = 2  # ends of a range
-FURTHER = 6  # times that an end is sought again where the motion was lost by too long a step only
+FURTHER = 6  # times that a motion is followed on where it was lost by the length of a step alone
 
 
 @dataclass(frozen=True)
@@ -94,19 +94,20 @@ class Sweeps:
 
 def suspect_steps(sweeps: Sweeps, direction: int) -> np.ndarray:
     """Steps in which a sweep may jump: positions of the lower point of each."""
-    found = set(merging_steps(sweeps, direction))
+    suspects = set(merging_steps(sweeps, direction))
     amplitude = sweeps.amplitude(direction)
     change = np.max(np.abs(np.diff(amplitude, axis=0)), axis=1, initial=0.0)
     known = np.nan_to_num(np.concatenate([[0.0], change, [0.0]]))
     large = AT_LEAST * np.nanmax(np.abs(amplitude), initial=0.0)
-    found |= set(np.flatnonzero((known[1:-1] > large) & (known[1:-1] >= np.maximum(known[:-2], known[2:]))).tolist())
+    stands_out = (known[1:-1] > large) & (known[1:-1] >= np.maximum(known[:-2], known[2:]))
+    suspects |= set(np.flatnonzero(stands_out).tolist())
     reason = [orbit.reason for orbit in sweeps.orbits[direction]]
     last = len(reason) - 1
-    return np.array(sorted(k for k in found if 0 <= k < last and not reason[k] and not reason[k + 1]), dtype=int)
+    return np.array(sorted(k for k in suspects if 0 <= k < last and not reason[k] and not reason[k + 1]), dtype=int)
 
 
 def merging_steps(sweeps: Sweeps, direction: int) -> list[int]:
-    """Steps of a sweep after which it is at one with the other: positions of the lower point of each."""
+    """Steps of a sweep after which both are on one motion: positions of the lower point of each."""
     runs = np.flatnonzero(np.diff(sweeps.apart, prepend=False, append=False)).reshape(-1, 2)
     steps = [(int(end - 1), int(end)) if direction == UP else (int(first - 1),) * 2 for first, end in runs]
     last = sweeps.frequency.size - 1
@@ -130,15 +131,15 @@ def losses(search: Search, sweeps: Sweeps) -> Iterator[Loss]:
 def _lost(
     search: Search, sweeps: Sweeps, direction: int, ends: tuple[float, float], orbits: tuple[Orbit, Orbit]
 ) -> Loss | None:
-    """Bisect a jump. A motion may be lost by the length of a step alone: it is led on from the end that was found."""
+    """Bisect a jump; a motion that was lost by the length of a step alone is followed beyond it."""
     limit = float(sweeps.frequency[-1 if direction == UP else 0])
     least = AT_LEAST * np.nanmax(sweeps.amplitude(direction), initial=0.0)
     step, loss = Stretch(search.model, *ends, *orbits, least), None
     for _ in range(FURTHER + 1):
-        found = narrowed([step], search.steady, search.width)
-        if not found:
+        jumps = narrowed([step], search.steady, search.width)
+        if not jumps:
             return None
-        jump = found[0][1]
+        jump = jumps[0][1]
         loss = Loss(direction, ends[0], jump.near, jump.far, jump.on, jump.beyond)
         ahead = _ahead(search, loss, limit, abs(ends[1] - ends[0]) / WALK)
         if ahead is None:
@@ -160,7 +161,7 @@ def _merging(search: Search, direction: int, ends: tuple[float, float], orbits: 
 
 
 def _ahead(search: Search, loss: Loss, limit: float, longest: float) -> tuple[float, float, Orbit, Orbit] | None:
-    """Where the motion is lost beyond the end that was found, as `Stretch` has it; None if it is lost at that end."""
+    """Where the motion is lost beyond a loss: near and far frequency, motions there; None if it is lost right there."""
     near, on, far = loss.near, loss.on, loss.far
     step = loss.far - loss.near
     while True:
@@ -184,7 +185,7 @@ class Range:
     """A range of frequency with two motions.
 
     Attributes:
-        low, high: its ends [Hz]: both motions were found there.
+        low, high: its ends [Hz], at which both motions still exist.
         cut: whether it goes on beyond the low and the high end, where the sweeps end.
         settled: whether the motion that is lost there had settled at the low and the high end.
         jumped: amplitude before and after the jump at each end, shape (2, 2, P, 3); NaN where it is cut.
@@ -234,7 +235,7 @@ def _at_middle(
     own = [loss for loss in lost if loss.direction == direction]
     known = dict(zip(map(float, sweeps.frequency), sweeps.orbits[direction], strict=True))
     for loss in own:
-        # Lost by a step that was too long: what the sweep has found from there on to the true end is another motion.
+        # Lost by a step that was too long: from there on to the true end the sweep was on another motion.
         known = {
             f: orbit for f, orbit in known.items() if not 0 < sign * (f - loss.begin) < sign * (loss.near - loss.begin)
         }
