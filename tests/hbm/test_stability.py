@@ -14,7 +14,7 @@ from timesim.hbm.curve import default_controls, hbm_curve
 from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import floquet_multipliers
 from timesim.model.solver import PRESETS
-from timesim.orbit.lane import march
+from timesim.orbit.batch import march
 from timesim.orbit.settling import Chain, Task, first_lane, settle
 
 
@@ -61,10 +61,10 @@ def coupled(preload, frequency, share=0.9):
 def return_map_multipliers(model, frequency, start):
     """Eigenvalues of the derivative of the state after a cycle by that before it, by central differences."""
     lane = first_lane(Chain(replace(model, start=start), (frequency,)), FINE)
-    state = lane.section
+    state = lane.vector
     step = 1e-5 * np.abs(state).max()
     lanes = [lane.moved(state + sign * step * e) for e in np.eye(state.size) for sign in (1, -1)]
-    ends = np.array([end.section for end, _ in march(lanes, FINE, 1)])
+    ends = np.array([end.vector for end, _ in march(lanes, FINE, 1)])
     return np.linalg.eigvals((ends[::2] - ends[1::2]).T / (2 * step))
 
 
