@@ -29,8 +29,8 @@ from timesim.hbm.scheme import Scheme
 from timesim.model.model import GROUND, Contact, Excitation, Model, Start, Structure
 from timesim.model.solver import PRESETS
 from timesim.orbit.settling import Task, settle
-from timesim.scene.resolution import load_scene
 from timesim.study.hbm import peak
+from timesim.study.registry import load_scene
 
 RANGE = (0.75, 1.3)
 
@@ -110,7 +110,7 @@ def growth(repeats: int) -> dict[str, list[tuple[int, float]]]:
 
 def draw(found: dict[str, list[tuple[int, float]]], path: Path) -> None:
     """The growth as a picture."""
-    from timesim.picture.draw import SERIES, figure
+    from timesim.picture.style import SERIES, figure
 
     made, grid = figure(1, 3, width=9.5, height=2.6, sharey=True)
     told = {"harmonics": "50 modes, 5 contacts", "contacts": "50 modes, 9 harmonics", "modes": "1 contact, 9 harmonics"}

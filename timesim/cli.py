@@ -48,14 +48,13 @@ def run(
     ] = None,
 ) -> None:
     """Run a scene and write result.nc, scene.yaml and pictures."""
-    from timesim.picture import draw as plot
     from timesim.result import checkpoint, netcdf
     from timesim.result.file import StoreError
     from timesim.study.campaign import Means, MeansError
-    from timesim.study.registry import carry_out, check_means
+    from timesim.study.registry import carry_out, check_means, draw
 
     loaded = _loaded(scene, overrides)
-    kind = loaded.file.study.kind
+    kind = loaded.kind
     try:
         means = Means(folder=output, resume=resume, cluster=cluster, notice=_notice)
         check_means(kind, means)
@@ -87,7 +86,7 @@ def run(
     except StoreError as error:
         faults.append(str(error))
     try:
-        pictures = plot.draw(netcdf.joined(outcome.groups), output) if plots else []
+        pictures = draw(netcdf.joined(outcome.groups), output) if plots else []
     except StoreError as error:
         faults.append(f"{error}\nthe result is saved; timesim plot {output} draws the pictures again")
     print(f"result: {path}" + (f" and {len(pictures)} pictures" if pictures else ""))
@@ -109,7 +108,7 @@ def check(scene: SceneFile, overrides: Overrides = None) -> None:
 @app.command()
 def schema() -> None:
     """Print the JSON Schema of the scene file, for editors."""
-    from timesim.scene.resolution import json_schema
+    from timesim.study.registry import json_schema
 
     print(json.dumps(json_schema(), indent=2))
 
@@ -119,16 +118,16 @@ def plot(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run, or its result file.")],
 ) -> None:
     """Draw the pictures of a run again."""
-    from timesim.picture import draw as pictures
     from timesim.result.file import StoreError
     from timesim.result.netcdf import open_result
+    from timesim.study.registry import draw
 
     try:
         result = open_result(folder)
     except StoreError as error:
         _stop(2, str(error))
     try:
-        for path in pictures.draw(result, folder if folder.is_dir() else folder.parent):
+        for path in draw(result, folder if folder.is_dir() else folder.parent):
             print(path)
     except StoreError as error:
         _stop(1, str(error))
@@ -136,7 +135,7 @@ def plot(
 
 def _loaded(scene: Path, overrides: list[str] | None) -> Any:
     from timesim.fault import SceneError
-    from timesim.scene.resolution import load_scene
+    from timesim.study.registry import load_scene
 
     try:
         return load_scene(scene, overrides or ())
@@ -145,12 +144,12 @@ def _loaded(scene: Path, overrides: list[str] | None) -> Any:
 
 
 def _prepare(output: Path, loaded: Any, scene: Path, *, force: bool, resume: bool) -> None:
-    from timesim.picture import draw as plot
     from timesim.result import checkpoint
     from timesim.result.folder import check_folder, prepare_folder
+    from timesim.study.registry import picture_names
 
     check_folder(output, force or resume)
-    stale = plot.picture_names(loaded.file.study.kind)
+    stale = picture_names(loaded.kind)
     prepare_folder(output, loaded.resolved_yaml(), force, source=scene, stale=stale, resume=resume)
     if force:
         checkpoint.clear(output)

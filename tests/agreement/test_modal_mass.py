@@ -20,14 +20,15 @@ from typer.testing import CliRunner
 import timesim
 from timesim.cli import app
 from timesim.engine.history import stored_energy
-from timesim.engine.system import scales_of, system_of
+from timesim.engine.system import system_of
 from timesim.hbm.curve import hbm_curve
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Contact, Model, Start
 from timesim.model.reduction import reduction_of
+from timesim.model.scales import scales_of
 from timesim.model.start import static_start
 from timesim.scene.report import describe
-from timesim.scene.resolution import load_scene
+from timesim.study.registry import load_scene
 
 SCALES = (16.0, 0.25, 64.0, 0.0625, 4.0, 256.0)
 ROOTS = np.sqrt(SCALES)

@@ -5,30 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from timesim.engine.contact import (
-    Law,
-    Motion,
-    dot,
-    incipient_direction,
-    length,
-    margins,
-    product,
-    reaction,
-    slip_at_transition,
-    slip_direction,
-    slip_speed,
-    successor,
-)
+from timesim.engine.contact import ConeLaw, incipient_direction, slip_direction, slip_speed
+from timesim.engine.contact_law import Motion, dot, length, product
 from timesim.model.model import SEPARATION, SLIP, STICK
 
 RNG = np.random.default_rng(20)
 
 
-def law(stiffness: np.ndarray, *, friction: float = 0.4, normal: float = 1.3, preload: float = 0.7) -> Law:
+def law(stiffness: np.ndarray, *, friction: float = 0.4, normal: float = 1.3, preload: float = 0.7) -> ConeLaw:
     """One contact with a full or isotropic K_u."""
     one = lambda value: jnp.asarray([value], dtype=float)  # noqa: E731
     inverse = np.linalg.inv(stiffness)
-    return Law(
+    return ConeLaw(
         friction=one(friction),
         stiffness=tuple(one(stiffness[i, j]) for i, j in ((0, 0), (0, 1), (1, 1))),
         compliance=tuple(one(inverse[i, j]) for i, j in ((0, 0), (0, 1), (1, 1))),
@@ -61,7 +49,7 @@ def test_a_sliding_contact_stays_on_its_cone(case: int):
     w = RNG.normal(size=2)
     u = w + np.linalg.solve(stiffness, 0.4 * n * e)
     moves = moving(u, v, du, dv)
-    acts = reaction(contact, jnp.asarray([SLIP]), moves, plane(w))
+    acts = contact.reaction(jnp.asarray([SLIP]), moves, plane(w))
     f = np.concatenate(acts.f)
     np.testing.assert_allclose(f, 0.4 * n * e, atol=1e-13)
     df = stiffness @ (du - np.concatenate(acts.dw))
@@ -88,7 +76,7 @@ def test_the_incipient_direction_solves_its_equation(case: int):
 
 def test_the_incipient_direction_of_isotropic_stiffness_is_that_of_the_velocity():
     contact = law(2 * np.eye(2))
-    isotropic = Law(
+    isotropic = ConeLaw(
         contact.friction, contact.stiffness[:1], contact.compliance[:1], contact.normal_stiffness, contact.preload
     )
     moves = moving(np.zeros(2), 0.0, np.array([3.0, -4.0]), 0.1)
@@ -120,18 +108,18 @@ FOLLOWS = [
 def test_what_follows_a_transition(state: int, n: float, du: tuple[float, float], dn: float, after: int):
     contact = law(np.eye(2), normal=1.0, preload=0.0)
     moves = moving(np.zeros(2), n, np.array(du), dn)
-    assert int(successor(contact, jnp.asarray([state]), moves, tiny=jnp.asarray(1e-10))[0]) == after
+    assert int(contact.successor(jnp.asarray([state]), moves, tiny=jnp.asarray(1e-10))[0]) == after
 
 
 def test_slip_after_a_transition_lies_on_the_cone_or_under_the_contact():
     contact = law(np.diag([2.0, 3.0]))
     moves = moving(np.array([0.5, -0.2]), 0.3, np.array([1.0, 1.0]), 0.0)
     w = plane(np.array([0.1, 0.1]))
-    stuck = slip_at_transition(contact, jnp.asarray([SLIP]), jnp.asarray([STICK]), moves, w)
+    stuck = contact.slip_at_transition(jnp.asarray([SLIP]), jnp.asarray([STICK]), moves, w)
     f = product(contact.stiffness, (moves.u[0] - stuck[0], moves.u[1] - stuck[1]))
     assert float(length(f)[0]) == pytest.approx(0.4 * (0.7 + 1.3 * 0.3))
     for before, after in ((SEPARATION, STICK), (SEPARATION, SLIP), (SLIP, SEPARATION), (STICK, SEPARATION)):
-        apart = slip_at_transition(contact, jnp.asarray([before]), jnp.asarray([after]), moves, w)
+        apart = contact.slip_at_transition(jnp.asarray([before]), jnp.asarray([after]), moves, w)
         np.testing.assert_array_equal(np.concatenate(apart), np.concatenate(moves.u))
 
 
@@ -140,11 +128,9 @@ def test_margins_are_those_of_the_state():
     moves = moving(np.array([0.1, 0.0]), 0.2, np.array([1.0, 0.0]), 0.0)
     w = plane(np.zeros(2))
     n = 0.7 + 1.3 * 0.2
-    first = {
-        state: float(margins(contact, jnp.asarray([state]), moves, w)[0][0]) for state in (STICK, SLIP, SEPARATION)
-    }
+    first = {state: float(contact.margins(jnp.asarray([state]), moves, w)[0][0]) for state in (STICK, SLIP, SEPARATION)}
     assert first == {STICK: pytest.approx(0.4 * n - 0.1), SLIP: pytest.approx(n), SEPARATION: pytest.approx(-n)}
-    speeds = [float(margins(contact, jnp.asarray([state]), moves, w)[1][0]) for state in (STICK, SLIP)]
+    speeds = [float(contact.margins(jnp.asarray([state]), moves, w)[1][0]) for state in (STICK, SLIP)]
     assert speeds == [1.0, pytest.approx(1.0)]
 
 
@@ -154,7 +140,7 @@ def test_a_contact_at_rest_has_finite_derivatives():
 
     def total(x: jax.Array) -> jax.Array:
         moves = Motion((x, x), x, (x, x), x)
-        acts = reaction(contact, jnp.asarray([SLIP]), moves, (0 * x, 0 * x))
+        acts = contact.reaction(jnp.asarray([SLIP]), moves, (0 * x, 0 * x))
         return dot(acts.f, acts.f)[0] + acts.dw[0][0]
 
     _, slope = jax.jvp(total, (jnp.zeros(1),), (jnp.ones(1),))

@@ -19,13 +19,14 @@ from systems import GENERATED_CYCLES, generated_models, oscillator
 
 import timesim
 from timesim.engine import dense_output as hermite
-from timesim.engine.event_loop import Status, judged
 from timesim.engine.solver import step_control
+from timesim.engine.step import Status, judged
 from timesim.engine.system import system_of
 from timesim.engine.trajectory import BATCH, Frame, Phase, Run, RunError
 from timesim.model.model import SEPARATION, SLIP, STICK, Model
 from timesim.model.solver import PRESETS, Solver
-from timesim.scene.resolution import load_scene
+from timesim.study.campaign import Means
+from timesim.study.registry import load_scene
 from timesim.study.transient import study
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -367,7 +368,7 @@ def test_interrupt_keeps_what_there_is() -> None:
         if done >= 20:
             raise KeyboardInterrupt
 
-    outcome = study(scene, impatient)
+    outcome = study(scene, Means(progress=impatient))
     assert outcome.reason is not None
     assert outcome.reason.startswith("interrupted in cycle")
     result = outcome.groups[""]

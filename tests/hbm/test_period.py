@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from timesim.element.motion import CYCLE, SplineMotion
 from timesim.element.state_by_state import steady_cycle
-from timesim.engine.contact import Law
+from timesim.engine.contact import ConeLaw
 from timesim.hbm.located import located_forces
 from timesim.hbm.period import MAX_PASSES, basis_of, contact_forces, motion_of
 from timesim.hbm.stuck_offset import stuck_offset, without_slip
@@ -50,7 +50,7 @@ def law_of(contacts):
     compliance = (1 / k11,) if plain else (k22 / det, -k12 / det, k11 / det)
     each = [np.array([getattr(c, name) for c in contacts]) for name in ("friction", "normal_stiffness", "preload")]
     friction, normal, preload = map(jnp.asarray, each)
-    return Law(friction, tuple(map(jnp.asarray, stiffness)), tuple(map(jnp.asarray, compliance)), normal, preload)
+    return ConeLaw(friction, tuple(map(jnp.asarray, stiffness)), tuple(map(jnp.asarray, compliance)), normal, preload)
 
 
 def shifted(coefficient, num_shifts=6):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from timesim.scene.resolution import load_scene
+from timesim.study.registry import load_scene
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "timesim"

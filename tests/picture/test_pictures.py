@@ -13,12 +13,14 @@ from matplotlib.axes import Axes
 from matplotlib.image import imread
 
 from timesim.model.model import SEPARATION, SLIP, STICK
-from timesim.picture import draw as plot
+from timesim.picture import contact as plot_contact
 from timesim.picture import style
 from timesim.picture import transient as plot_transient
+from timesim.picture.draw import MARGIN
 from timesim.picture.style import STATE_STYLE
 from timesim.result.dataset import dataset
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES
+from timesim.study import registry as plot
 
 FREQUENCY, CYCLES, STEPS, EVERY = 2.0, 12, 1000, 5
 STIFFNESS, NORMAL_STIFFNESS, FRICTION = 20.0, 25.0, 0.5
@@ -151,7 +153,7 @@ def test_the_last_cycles_of_a_displacement(run: xarray.Dataset) -> None:
 
 
 def test_an_orbit_wears_the_colours_of_its_states(run: xarray.Dataset) -> None:
-    ax = plot_transient.orbit(run, contact="stop")
+    ax = plot_contact.orbit(run, contact="stop")
     assert set(_labels(ax)) == {"stick", "slip", "slider w"}
     lines = {line.get_label(): line for line in ax.get_lines()}
     assert lines["stick"].get_color() == STATE_STYLE[STICK].colour
@@ -171,7 +173,7 @@ def test_an_orbit_wears_the_colours_of_its_states(run: xarray.Dataset) -> None:
 
 
 def test_a_slider_is_not_drawn_in_separation(run: xarray.Dataset) -> None:
-    ax = plot_transient.orbit(run, contact="pad")
+    ax = plot_contact.orbit(run, contact="pad")
     assert set(_labels(ax)) == {"slip", "separation", "slider w"}
     last = run.contact_state.sel(contact="pad").values[-STEPS // EVERY - 1 :]
     assert np.isnan(_curve(ax, "slider w")[0]).sum() == (last == SEPARATION).sum() > 10
@@ -190,7 +192,7 @@ def test_curves_of_states_join_and_do_not_cross_other_states() -> None:
 
 @pytest.mark.parametrize("tangent", ["t1", "t2"])
 def test_hysteresis_encloses_the_friction_energy(run: xarray.Dataset, tangent: str) -> None:
-    ax = plot_transient.hysteresis(run, contact="pad", tangent=tangent)
+    ax = plot_contact.hysteresis(run, contact="pad", tangent=tangent)
     number = tangent[1]
     assert ax.get_xlabel() == f"u{number} [length]"
     assert ax.get_ylabel() == f"f{number} [force]"
@@ -202,13 +204,13 @@ def test_hysteresis_encloses_the_friction_energy(run: xarray.Dataset, tangent: s
 def test_both_loops_together_enclose_the_friction_energy(run: xarray.Dataset) -> None:
     area = 0.0
     for tangent in ("t1", "t2"):
-        u, f = _curve(plot_transient.hysteresis(run, contact="pad", tangent=tangent), "_cycles before")
+        u, f = _curve(plot_contact.hysteresis(run, contact="pad", tangent=tangent), "_cycles before")
         area += np.trapezoid(f, u) / 3
     assert area == pytest.approx(float(run.energy_friction.sel(contact="pad")[-1]), rel=1e-2)
 
 
 def test_normal_load_with_its_separations(run: xarray.Dataset) -> None:
-    ax = plot_transient.normal_load(run, contact="pad")
+    ax = plot_contact.normal_load(run, contact="pad")
     assert _labels(ax) == ["separation", "n = 0", "normal load n", "friction force |f|"]
     time, n = _curve(ax, "normal load n")
     shaded = [(patch.get_x(), patch.get_x() + patch.get_width()) for patch in ax.patches]
@@ -220,11 +222,11 @@ def test_normal_load_with_its_separations(run: xarray.Dataset) -> None:
     outside = np.all([(time < start - 0.01) | (time > end + 0.01) for start, end in shaded], axis=0)
     assert (n[outside] > 0).all()
     assert (_curve(ax, "friction force |f|")[1] <= FRICTION * n + 1e-12).all()
-    assert not plot_transient.normal_load(run, contact="stop").patches
+    assert not plot_contact.normal_load(run, contact="stop").patches
 
 
 def test_bars_stand_at_the_times_of_the_events(run: xarray.Dataset) -> None:
-    ax = plot_transient.contact_states(run)
+    ax = plot_contact.contact_states(run)
     start, end = ax.get_xlim()
     edges = {path.get_extents().x0 for bar in ax.collections for path in bar.get_paths()}
     inside = run.event_time.values[(run.event_time.values > start) & (run.event_time.values < end)]
@@ -244,7 +246,7 @@ def test_bars_stand_at_the_times_of_the_events(run: xarray.Dataset) -> None:
 def test_intervals_fill_the_window_and_agree_with_the_samples(run: xarray.Dataset) -> None:
     time = run.time.values
     for index, contact in enumerate(run.contact.values):
-        found = plot_transient.intervals(run, contact, 0.25, 5.75)
+        found = plot_contact.intervals(run, contact, 0.25, 5.75)
         assert found[0][0] == 0.25
         assert found[-1][1] == 5.75
         assert all(a[1] == b[0] and a[2] != b[2] for a, b in pairwise(found))
@@ -256,7 +258,7 @@ def test_intervals_fill_the_window_and_agree_with_the_samples(run: xarray.Datase
 def test_a_contact_without_events_keeps_its_state(run: xarray.Dataset) -> None:
     calm = run.isel(event=slice(0, 0))
     state = int(run.contact_state.values[0, 0])
-    assert plot_transient.intervals(calm, "pad", 1.0, 2.0) == [(1.0, 2.0, state)]
+    assert plot_contact.intervals(calm, "pad", 1.0, 2.0) == [(1.0, 2.0, state)]
 
 
 def test_the_spectrum_shows_the_harmonics(run: xarray.Dataset) -> None:
@@ -331,13 +333,13 @@ def test_many_contacts_are_left_out_and_counted() -> None:
     shown = {ax.get_title(loc="right").split(",")[0] for ax in figure.axes}
     assert shown == set(many.contact.values[np.argsort(-work.values)[:3]])
     assert "friction, all contacts" in _labels(plot_transient.energy(many))
-    assert len(plot_transient.contact_states(many).get_yticklabels()) == 5
+    assert len(plot_contact.contact_states(many).get_yticklabels()) == 5
 
 
 def test_long_names_are_cut_where_there_is_no_room(run: xarray.Dataset) -> None:
     named = run.assign_coords(contact=["underplatform damper of blade 12", "b"]).assign_attrs(title="t" * 200)
     assert "friction underplatform d…" in _labels(plot_transient.energy(named))
-    ticks = plot_transient.contact_states(named).get_yticklabels()
+    ticks = plot_contact.contact_states(named).get_yticklabels()
     assert [text.get_text() for text in ticks] == ["underplatform damper of…", "b"]
     figure = plot_transient.PICTURES["spectrum"](named)
     assert figure is not None
@@ -356,18 +358,18 @@ def test_one_legend_names_every_state_once(run: xarray.Dataset) -> None:
 def test_cycles_before_are_in_the_legend_where_they_are_seen(run: xarray.Dataset) -> None:
     growing = run.contact_displacement.copy()
     growing[:] = growing * np.linspace(0.5, 1.0, run.sizes["time"])[:, None, None]
-    for draw in (plot_transient.orbit, plot_transient.hysteresis):
+    for draw in (plot_contact.orbit, plot_contact.hysteresis):
         assert "cycles before" in _labels(draw(run.assign(contact_displacement=growing)))
         assert "cycles before" not in _labels(draw(run))
 
 
 def test_a_slider_that_stays_is_a_dot(run: xarray.Dataset) -> None:
     stuck = run.assign(slip=0.0 * run.slip, contact_state=0 * run.contact_state)
-    (slider,) = [line for line in plot_transient.orbit(stuck).get_lines() if line.get_label() == "slider w"]
+    (slider,) = [line for line in plot_contact.orbit(stuck).get_lines() if line.get_label() == "slider w"]
     assert slider.get_marker() == "o"
     assert np.asarray(slider.get_xdata()).tolist() == [0.0]
     apart = run.assign(contact_state=0 * run.contact_state + SEPARATION)
-    assert "slider w" not in _labels(plot_transient.orbit(apart))
+    assert "slider w" not in _labels(plot_contact.orbit(apart))
 
 
 def test_directions_that_do_not_move_have_no_hysteresis(run: xarray.Dataset) -> None:
@@ -396,7 +398,7 @@ def test_pictures_are_cut_to_what_is_drawn(run: xarray.Dataset, tmp_path: Path) 
         white = (imread(file)[..., :3] == 1).all(axis=2)
         for edge in (white.all(axis=1), white.all(axis=0)):
             ink = np.flatnonzero(~edge)
-            assert max(ink[0], edge.size - 1 - ink[-1]) <= plot.MARGIN
+            assert max(ink[0], edge.size - 1 - ink[-1]) <= MARGIN
 
 
 def test_a_run_without_contacts(run: xarray.Dataset, tmp_path: Path) -> None:

@@ -10,11 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.lines import Line2D
 
-from timesim.picture import draw as plot
 from timesim.picture import style
 from timesim.picture import sweep as plot_sweep
+from timesim.picture.choice import MAX_CURVES, main_axes
 from timesim.result.dataset import dataset
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES
+from timesim.study import registry as plot
 
 PRELOAD, FRICTION = "contacts.pad.preload", "contacts.pad.friction"
 FREQUENCY = np.linspace(0.8, 1.4, 31)
@@ -101,7 +102,7 @@ def test_the_response_of_the_point_along_its_main_axis() -> None:
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("frequency [Hz]", "amplitude of tip y [length]")
     assert plot_sweep.response(data, point="root").get_ylabel() == "amplitude of root z [length]"
     assert plot_sweep.response(data, axis="x").get_ylabel() == "amplitude of tip x [length]"
-    assert plot_sweep.moving(data) == ["tip", "root"]
+    assert list(main_axes(data)) == ["tip", "root"]
 
 
 def test_up_and_down_differ_by_marker_and_show_both_branches(both: xarray.Dataset) -> None:
@@ -119,7 +120,7 @@ def test_up_and_down_differ_by_marker_and_show_both_branches(both: xarray.Datase
         place = np.flatnonzero(frequency == FREQUENCY)[0]
         assert [up.get_ydata()[place], down.get_ydata()[place]] == pytest.approx(pair)
     assert [line.get_xdata()[0] for line in _lines(ax, "jump")] == [1.39, 1.21]
-    plot_sweep.legend(ax, both)
+    plot_sweep.legend([ax], both)
     assert _legend(ax) == ["0.3", "up", "down", "jump"]
     assert ax.get_legend().get_title().get_text() == "pad preload [force]"
 
@@ -128,7 +129,7 @@ def test_without_further_axes_the_directions_have_colours() -> None:
     data = sweep(directions=("up", "down"))
     ax = plot_sweep.response(data)
     assert [line.get_color() for line in _lines(ax, "_")] == [style.BLUE, style.VERMILION]
-    plot_sweep.legend(ax, data)
+    plot_sweep.legend([ax], data)
     assert _legend(ax) == ["up", "down"]
 
 
@@ -144,7 +145,7 @@ def test_what_is_not_settled_is_hollow_and_what_failed_is_marked() -> None:
     for line in _lines(ax, "_settled"):
         assert not {FREQUENCY[5]} & set(line.get_xdata())
         assert line.get_fillstyle() == "full"
-    plot_sweep.legend(ax, data)
+    plot_sweep.legend([ax], data)
     assert _legend(ax) == ["0", "0.2", "not settled", "period of several cycles", "failed"]
 
 
@@ -188,7 +189,7 @@ def test_with_up_and_down_the_values_differ_in_lightness_and_line() -> None:
 def test_too_many_curves_are_left_out_and_counted() -> None:
     many = sweep({PRELOAD: np.linspace(0, 0.5, 40).tolist()}, frequency=np.array([0.9, 1.0]))
     shown = plot_sweep.curves(many)
-    assert len(shown) == plot_sweep.MAX_CURVES
+    assert len(shown) == MAX_CURVES
     assert (shown[0].where[PRELOAD], shown[-1].where[PRELOAD]) == (0, 39)
     figure = plot_sweep.PICTURES["response"](many)
     assert figure is not None

@@ -25,13 +25,12 @@ from timesim.orbit.jump import Stretch, narrowed
 from timesim.orbit.settling import Orbit, without_orbit
 from timesim.orbit.two_motions import DOWN, UP, Means, Search, Sweeps, differ, losses, ranges, suspect_steps
 from timesim.picture import bistable as plot_bistable
-from timesim.picture import draw as plot
 from timesim.result.netcdf import open_result, save
-from timesim.scene.resolution import load_scene
 from timesim.study import bistable
+from timesim.study import registry as plot
 from timesim.study.campaign import Means as Ways
 from timesim.study.hbm_curves import Curves
-from timesim.study.registry import carry_out
+from timesim.study.registry import carry_out, load_scene
 
 QUICK = {
     "study.frequency": "{from: 1.24, to: 1.27}",
@@ -115,7 +114,7 @@ def test_what_is_said(folder):
 
 def test_the_pictures_show_the_ranges(result):
     assert plot.picture_names("bistable") == ["response.png", "ranges.png", "starts.png", "existence.png"]
-    (place,) = plot_bistable.places(result)
+    (place,) = plot_bistable.ranges(result)
     ax = plot_bistable.response(result, near=place, point="tip", axis="x")
     assert ax.get_xlim()[0] < place.low < place.high < ax.get_xlim()[1]
     stars = [line for line in ax.get_lines() if line.get_marker() == "*"]

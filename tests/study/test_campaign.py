@@ -327,17 +327,6 @@ def test_chunks_that_make_no_sense(chunks: list[Chunk], told: str):
         carried(chunks, Means())
 
 
-def test_fingerprints_tell_data_apart_and_nothing_else():
-    array = np.arange(4.0)
-    same = [(array, array), (array, array.copy()), [np.arange(4.0), np.arange(4.0)]]
-    assert len({fingerprint(pair) for pair in same}) == 1
-    other = [(array, array + 1e-16), (array, array.astype(int)), (array, array.reshape(2, 2)), (array,), (array, 0.0)]
-    found = [fingerprint(pair) for pair in (*other[1:], (array, np.nextafter(array, 9)), same[0])]
-    assert len(set(found)) == len(found)
-    assert fingerprint({"a": ["b"]}) != fingerprint({"a": "b"})
-    assert fingerprint("ab", "c") != fingerprint("a", "bc")
-
-
 def process(folder: Path, resume: str) -> subprocess.Popen[str]:
     command = [sys.executable, str(Path(toys.__file__)), str(folder), resume]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -469,7 +458,7 @@ TOY_SWEEP = "study={kind: sweep, frequency: {from: 1.0, to: 1.5, step: 0.1}}"
 @pytest.fixture
 def faulty(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Makes toys of sweeps; the list says what goes wrong."""
-    monkeypatch.setitem(study.CAMPAIGNS, "sweep", "toys")
+    monkeypatch.setitem(study.STUDIES, "sweep", replace(study.STUDIES["sweep"], run="toys:study"))
     monkeypatch.setattr(toys, "FAULTY", [])
     return toys.FAULTY
 
@@ -530,7 +519,7 @@ def test_a_result_that_cannot_be_saved_says_what_is_safe(
     assert "--resume goes on with them" in error
     assert "unchanged" not in error
     monkeypatch.undo()
-    monkeypatch.setitem(study.CAMPAIGNS, "sweep", "toys")
+    monkeypatch.setitem(study.STUDIES, "sweep", replace(study.STUDIES["sweep"], run="toys:study"))
     assert call(tmp_path, "--resume")[0] == 0
 
 

@@ -16,11 +16,11 @@ from timesim.hbm import convergence as hbm_convergence
 from timesim.hbm.convergence import Place, convergence, order_of
 from timesim.hbm.curve import hbm_curve, solutions_at
 from timesim.hbm.scheme import Scheme
-from timesim.picture import draw as plot
 from timesim.picture import hbm as plot_hbm
+from timesim.picture.response import stable_parts
 from timesim.result.netcdf import save
-from timesim.scene.resolution import load_scene
-from timesim.study.registry import carry_out
+from timesim.study import registry as plot
+from timesim.study.registry import carry_out, load_scene
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 BASE = oscillator_scene(preload=-4.0)
@@ -340,9 +340,9 @@ def test_pictures_of_an_empty_result(curves, tmp_path: Path):
     assert plot.draw(curves.isel(solution=slice(0)), tmp_path) == []
 
 
-def test_stretches_overlap_at_the_fold():
+def test_stable_and_unstable_parts_overlap_at_the_fold():
     stable, fold = np.array([1, 1, 0, 0, 0, 1], bool), np.array([0, 0, 1, 0, 1, 0], bool)
-    parts = plot_hbm.stretches(stable, fold)
+    parts = stable_parts(stable, fold)
     assert [(part.start, part.stop, firm) for part, firm in parts] == [(0, 3, True), (2, 5, False), (4, 6, True)]
 
 

@@ -11,12 +11,11 @@ from scipy.integrate import solve_ivp
 from systems import oscillator_scene
 
 import timesim
-from timesim.picture import draw as plot
 from timesim.picture import jump as plot_jump
 from timesim.picture import transient as plot_transient
 from timesim.result import netcdf
-from timesim.scene.resolution import load_scene
-from timesim.study.registry import carry_out
+from timesim.study import registry as plot
+from timesim.study.registry import carry_out, load_scene
 
 FIGURE12 = Path(__file__).parents[2] / "configs" / "figure12.yaml"
 UPPER, LOWER = 0.4297, 0.2052  # amplitude of x on both branches at 0.9470 Hz, settled marches
@@ -59,8 +58,8 @@ def short() -> xarray.Dataset:
 def test_figure_12_upper_branch_jump_and_stays_below(figure12: xarray.Dataset) -> None:
     assert figure12.attrs["complete"] == 1
     x = figure12.cycle_amplitude.sel(point="tip", axis="x").values
-    ends = [part.end for part in plot_jump.stretches(figure12)]
-    assert [part.frequency for part in plot_jump.stretches(figure12)] == [0.93, 0.945, 0.947, 0.947, 0.948, 0.947]
+    ends = [part.end for part in plot_jump.phases(figure12)]
+    assert [part.frequency for part in plot_jump.phases(figure12)] == [0.93, 0.945, 0.947, 0.947, 0.948, 0.947]
     assert np.diff([0, *ends]).tolist() == [60, 100, 300, 50, 120, 50]
     before, first, second, third = (x[end - 1] for end in ends[2:])
     assert before == pytest.approx(UPPER, abs=1e-4)
@@ -175,8 +174,8 @@ def test_the_resolved_scene_runs_again_and_an_unused_frequency_is_told() -> None
 
 def test_stretches_part_equal_frequencies_at_time_zero(short: xarray.Dataset) -> None:
     expected = [(0, 2, 0.7, True), (2, 5, 1.1, True), (5, 6, 1.1, False), (6, 8, 1.6, False), (8, 9, 0.9, False)]
-    assert plot_jump.stretches(short) == expected
-    assert plot_jump.stretches(short.isel(cycle=slice(0, 0))) == []
+    assert plot_jump.phases(short) == expected
+    assert plot_jump.phases(short.isel(cycle=slice(0, 0))) == []
 
 
 def test_the_envelope_over_the_schedule(short: xarray.Dataset) -> None:

@@ -28,7 +28,7 @@ from timesim.element.prescribed import (
     single_element,
     system_of,
 )
-from timesim.engine.event_loop import Step
+from timesim.engine.step import Step
 from timesim.model.model import SEPARATION, Contact
 from timesim.model.solver import Solver
 

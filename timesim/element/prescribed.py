@@ -26,12 +26,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from timesim.element.motion import CYCLE, HarmonicMotion, Motion, SplineMotion
-from timesim.engine.contact import Law
-from timesim.engine.event_loop import Control, Status, Step, Trajectory, advance, begin, march
+from timesim.engine.contact import ConeLaw
+from timesim.engine.event_loop import advance, march
 from timesim.engine.method import Advance, Explicit, Field, Method, method_named, moved
-from timesim.engine.solver import step_control
+from timesim.engine.solver import Control, step_control
+from timesim.engine.step import Status, Step, Trajectory, begin
 from timesim.engine.system import Point, System, Work
-from timesim.model.contact_state import contact_state
+from timesim.model.contact_state import contact_state, require_cone
 from timesim.model.model import SEPARATION, Contact
 from timesim.model.solver import Solver
 
@@ -211,6 +212,7 @@ def harmonic_elements(
 
 def single_element(contact: Contact, motion: Motion) -> Elements:
     """One contact under any motion."""
+    require_cone([contact], "prescribed motion")
     extremes, _ = motion.crossings(np.array([0.0, 0.0, 1.0]), 0.0, rate=True)
     angles = np.linspace(0.0, CYCLE, 721)
     v = motion.evaluate(np.append(extremes, 0.0))[0][2]
@@ -223,7 +225,7 @@ def single_element(contact: Contact, motion: Motion) -> Elements:
     return Elements(*column)
 
 
-def law_of(elements: Elements, isotropic: bool) -> Law:
+def law_of(elements: Elements, isotropic: bool) -> ConeLaw:
     """The law in the units of each element, the batch as the first axis."""
     ratio = elements.length / elements.force
     K = elements.stiffness * ratio[:, None, None]
@@ -232,7 +234,7 @@ def law_of(elements: Elements, isotropic: bool) -> Law:
     det = k11 * k22 - k12**2
     stiffness, compliance = ((k11,), (1 / k11,)) if isotropic else ((k11, k12, k22), (k22 / det, -k12 / det, k11 / det))
     column = [jnp.asarray(x)[:, None] for x in (elements.normal_stiffness * ratio, elements.preload / elements.force)]
-    return Law(
+    return ConeLaw(
         jnp.asarray(elements.friction)[:, None],
         tuple(jnp.asarray(x)[:, None] for x in stiffness),
         tuple(jnp.asarray(x)[:, None] for x in compliance),
@@ -240,7 +242,7 @@ def law_of(elements: Elements, isotropic: bool) -> Law:
     )
 
 
-def system_of(law: Law, acceleration: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None) -> System:
+def system_of(law: ConeLaw, acceleration: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None) -> System:
     """The system of seven modes of each element, the batch as the first axis.
 
     Args:
@@ -253,7 +255,7 @@ def system_of(law: Law, acceleration: tuple[np.ndarray, np.ndarray, np.ndarray] 
     harmonic, cosine, sine = (np.zeros((0, *s)) for s in ((), (3,), (3,))) if acceleration is None else acceleration
     wide = [np.pad(part, ((0, 0), (0, NUM_MODES - NUM_CARRIERS))) for part in (cosine, sine)]
 
-    def one(law: Law) -> System:
+    def one(law: ConeLaw) -> System:
         return System(
             law=law,
             shape=tuple(jnp.asarray(row[None]) for row in shape),

@@ -14,7 +14,7 @@ import numpy as np
 from timesim.element.cycle import PERIODIC, ElementCycle, Stay, Transition
 from timesim.element.motion import CYCLE, Array, Motion
 from timesim.element.slip_path import Law, SlipPath, constant_path, contact_direction, integrate_slip
-from timesim.model.contact_state import contact_state
+from timesim.model.contact_state import contact_state, require_cone
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact
 
 MAX_CYCLES = 1000
@@ -104,6 +104,7 @@ def _limit_of(forces: list[Array]) -> Array | None:
 
 
 def _law(contact: Contact) -> Law:
+    require_cone([contact], "prescribed motion")
     K = np.asarray(contact.tangential_stiffness, float)
     where = f"contact {contact.name}"
     if contact.normal_stiffness < 0 or contact.friction < 0:

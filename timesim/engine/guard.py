@@ -14,20 +14,14 @@ from jaxtyping import Array, Bool, Float
 
 from timesim.engine import dense_output as hermite
 from timesim.engine.barrier import apart
-from timesim.engine.contact import Motion, Plane, State, force_scale, margins
-from timesim.engine.system import Point, System, relative
+from timesim.engine.contact_law import ContinuousState, Dynamics, Motion, Path, Plane, State
+from timesim.engine.tolerance import AGREEMENT, SHORT, VIOLATED
 
 NUM_NODES = 6
-VIOLATED = 1e-12  # of the margin's own scale: below it a margin is rounding
 NUM_SECANTS = 3
-SHORT = 1e-3  # in shorter steps the change of displacement is better had from the velocities than as a difference
-# They must agree with it: in an implicit step of stiff contacts they need not, and where the dense output ends beside
-# the solution, a step that overshoots is cut shorter without end.
-ROUNDING = 1e-13
 NONE = 2.0  # a fraction beyond the step
 
 Margins = tuple[Float[Array, "*node contact"], Float[Array, "*node contact"]]
-Ends = tuple[Plane, Plane, Plane]
 
 
 class Segment(eqx.Module):
@@ -41,8 +35,8 @@ class Segment(eqx.Module):
         h: length of the step.
     """
 
-    start: Ends
-    end: Ends
+    start: Path
+    end: Path
     slip_start: tuple[Plane, Plane]
     slip_end: tuple[Plane, Plane]
     path: tuple[tuple[Array, ...], ...]
@@ -51,14 +45,21 @@ class Segment(eqx.Module):
 
 
 @apart
-def segment(system: System, points: tuple[Point, Point], rates: tuple[Point, Point], h: Float[Array, ""]) -> Segment:
-    """The contacts' view of a step."""
-    starts, ends = (tuple(relative(system, x) for x in (y.q, y.p, dy.p)) for y, dy in zip(points, rates, strict=True))
+def segment(
+    dynamics: Dynamics,
+    points: tuple[ContinuousState, ContinuousState],
+    rates: tuple[ContinuousState, ContinuousState],
+    h: Float[Array, ""],
+) -> Segment:
+    """The contacts' view of a step, from the states and rates at its ends."""
+    starts, ends = (dynamics.path(*end) for end in zip(points, rates, strict=True))
     slips = [(y.w, dy.w) for y, dy in zip(points, rates, strict=True)]
 
     def change(x0: Array, v0: Array, a0: Array, x1: Array, v1: Array, a1: Array) -> Array:
         smooth, difference = h * (0.5 * (v0 + v1) + h / 12 * (a0 - a1)), x1 - x0
-        agree = jnp.abs(smooth - difference) <= ROUNDING * (1 + jnp.abs(x1))
+        # In an implicit step of stiff contacts they need not agree, and where the dense output ends beside the
+        # solution, a step that overshoots is cut shorter without end.
+        agree = jnp.abs(smooth - difference) <= AGREEMENT * (1 + jnp.abs(x1))
         return jnp.where((h < SHORT) & agree, smooth, difference)
 
     path = tuple(
@@ -69,32 +70,32 @@ def segment(system: System, points: tuple[Point, Point], rates: tuple[Point, Poi
 
 
 @apart
-def margins_inside(system: System, state: State, part: Segment, x: Float[Array, "*#node #contact"]) -> Margins:
+def margins_inside(dynamics: Dynamics, state: State, part: Segment, x: Float[Array, "*#node #contact"]) -> Margins:
     """Margins on the dense output at fractions x of the step, made dimensionless by their scale."""
     along = [hermite.evaluate(x, polynomial) for polynomial in part.path]
     value, rate = tuple(u for u, _ in along), tuple(du / part.h for _, du in along)
     w = tuple(hermite.evaluate(x, polynomial)[0] for polynomial in part.slip)
     moves = Motion(value[:-1], value[-1], rate[:-1], rate[-1])
-    force, speed = margins(system.law, state, moves, w)
-    return force / force_scale(system.law), speed
+    force, speed = dynamics.law.margins(state, moves, w)
+    return force / dynamics.law.scale(), speed
 
 
-def _margins_at(system: System, state: State, ends: Ends, slip: tuple[Plane, Plane]) -> tuple[Margins, Margins]:
+def _margins_at(dynamics: Dynamics, state: State, ends: Path, slip: tuple[Plane, Plane]) -> tuple[Margins, Margins]:
     def at(x: Plane, dx: Plane, w: Plane) -> Margins:
-        force, speed = margins(system.law, state, Motion(x[:-1], x[-1], dx[:-1], dx[-1]), w)
-        return force / force_scale(system.law), speed
+        force, speed = dynamics.law.margins(state, Motion(x[:-1], x[-1], dx[:-1], dx[-1]), w)
+        return force / dynamics.law.scale(), speed
 
     (x, dx, ddx), (w, dw) = ends, slip
     return jax.jvp(at, (x, dx, w), (dx, ddx, dw))
 
 
-def end_margins(system: System, state: State, part: Segment) -> tuple[Margins, Margins]:
+def end_margins(dynamics: Dynamics, state: State, part: Segment) -> tuple[Margins, Margins]:
     """Margins at the end of the step and their exact rates."""
-    return _margins_at(system, state, part.end, part.slip_end)
+    return _margins_at(dynamics, state, part.end, part.slip_end)
 
 
 def first_crossing(
-    system: System,
+    dynamics: Dynamics,
     state: State,
     part: Segment,
     end: Margins,
@@ -108,7 +109,7 @@ def first_crossing(
     To end a step there needlessly does no harm.
 
     Args:
-        system: the system.
+        dynamics: the system.
         state: states of the contacts during the step.
         part: the step.
         end, end_rate: margins at its end and their rates.
@@ -116,8 +117,8 @@ def first_crossing(
     """
     if state.shape[0] == 0:
         return jnp.asarray(NONE)
-    inner = margins_inside(system, state, part, jnp.arange(NUM_NODES)[:, None] / NUM_NODES)
-    _, start_rate = _margins_at(system, state, part.start, part.slip_start)
+    inner = margins_inside(dynamics, state, part, jnp.arange(NUM_NODES)[:, None] / NUM_NODES)
+    _, start_rate = _margins_at(dynamics, state, part.start, part.slip_start)
     nodes, dips = [], []
     for margin, last, spare, falls, rises in zip(inner, end, spared, start_rate, end_rate, strict=True):
         # A step starts on a guard after each transition: what is there is rounding, and no crossing.
@@ -127,7 +128,7 @@ def first_crossing(
         after = _edge_dip(node[0], part.h / NUM_NODES * falls, node[1])
         before = _edge_dip(node[-1], -part.h / NUM_NODES * rises, node[-2])
         dips += [_dip(node), after, jnp.where(before < NONE, 1 - before, NONE)]
-    return jnp.stack([_root(system, state, part, nodes), *(dip.min() for dip in dips)]).min()
+    return jnp.stack([_root(dynamics, state, part, nodes), *(dip.min() for dip in dips)]).min()
 
 
 @apart
@@ -141,7 +142,7 @@ def _bracket(node: list[Array]) -> tuple[Array, Array, Array]:
     return right, low, high
 
 
-def _root(system: System, state: State, part: Segment, nodes: list[list[Array]]) -> Float[Array, ""]:
+def _root(dynamics: Dynamics, state: State, part: Segment, nodes: list[list[Array]]) -> Float[Array, ""]:
     """First root of each contact's margins in their first bracket, by the Illinois rule; the least of them."""
     (right, low_a, high_a), (other, low_b, high_b) = (_bracket(node) for node in nodes)
     second = other < right
@@ -154,7 +155,7 @@ def _root(system: System, state: State, part: Segment, nodes: list[list[Array]])
     side = jnp.zeros_like(low)
     for _ in range(NUM_SECANTS):
         x = low - f_low * (high - low) / (f_high - f_low)
-        force, speed = margins_inside(system, state, part, x)
+        force, speed = margins_inside(dynamics, state, part, x)
         f = jnp.where(second, speed, force)
         inside = f > 0
         f_high = jnp.where(inside, jnp.where(side > 0, 0.5 * f_high, f_high), jnp.minimum(f, -1e-300))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from timesim.engine import dense_output as hermite
+from timesim.engine.laws import law_class
 from timesim.model.model import Model
 
 # A step is a small part of the fastest oscillation; in each quarter of it a velocity changes sign at most once.
@@ -130,22 +131,12 @@ def _turning(left: np.ndarray, right: np.ndarray, rate: np.ndarray, coefficients
 
 
 def stored_energy(model: Model, q: np.ndarray, p: np.ndarray, w: np.ndarray, state: np.ndarray) -> np.ndarray:
-    """Kinetic and elastic energy of structure and contacts, shape (N,), from states with N as the first axis.
-
-    The normal spring acts by its change n - max(n0, 0), one-sided: its energy is
-    ``(n^2 - max(n0, 0)^2) / (2 k_v) - max(n0, 0) v``.
-    """
-    structure = model.structure
+    """Kinetic and elastic energy of structure and contacts, shape (N,), from states with N as the first axis."""
+    structure, law = model.structure, law_class(model.contacts)
     energy = 0.5 * (p**2 @ structure.mass + q**2 @ structure.stiffness)
     for index, (contact, shape) in enumerate(zip(model.contacts, model.contact_shape, strict=True)):
-        x = q @ shape.T
-        stretch = np.where(state[:, index, None] == 2, 0.0, x[:, :2] - w[:, index])
-        if contact.friction > 0:
-            energy = energy + 0.5 * np.einsum("ni,ij,nj->n", stretch, contact.tangential_stiffness, stretch)
-        if contact.normal_stiffness > 0:
-            closed = max(contact.preload, 0.0)
-            n = np.maximum(contact.preload + contact.normal_stiffness * x[:, 2], 0.0)
-            energy = energy + (n**2 - closed**2) / (2 * contact.normal_stiffness) - closed * x[:, 2]
+        for part in law.stored_energy(contact, q @ shape.T, w[:, index], state[:, index]):
+            energy = energy + part
     return energy
 
 

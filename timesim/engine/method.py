@@ -10,26 +10,27 @@ import timesim.runtime  # noqa: F401  isort: skip
 import abc
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from timesim.engine.barrier import apart
-from timesim.engine.system import Point
 
-Field = Callable[[Float[Array, ""], Point], Point]
+Y: TypeAlias = PyTree
+"""A continuous state, a rate or an error: methods take any tree of arrays."""
+Field = Callable[[Float[Array, ""], Y], Y]
 
 
 class Advance(NamedTuple):
     """State and rate at the end of a step, and the estimated error (None: the step is fixed)."""
 
-    point: Point
-    rate: Point
-    error: Point | None
+    point: Y
+    rate: Y
+    error: Y | None
 
 
 class Method(eqx.Module):
@@ -42,7 +43,7 @@ class Method(eqx.Module):
     order: eqx.AbstractVar[int]
 
     @abc.abstractmethod
-    def advance(self, field: Field, time: Float[Array, ""], point: Point, rate: Point, h: Float[Array, ""]) -> Advance:
+    def advance(self, field: Field, time: Float[Array, ""], point: Y, rate: Y, h: Float[Array, ""]) -> Advance:
         """A step of length h from a point with its rate there."""
 
 
@@ -55,7 +56,7 @@ class Explicit(Method):
     weights: tuple[float, ...] = eqx.field(static=True)
     error_weights: tuple[float, ...] = eqx.field(static=True)
 
-    def advance(self, field: Field, time: Float[Array, ""], point: Point, rate: Point, h: Float[Array, ""]) -> Advance:
+    def advance(self, field: Field, time: Float[Array, ""], point: Y, rate: Y, h: Float[Array, ""]) -> Advance:
         slopes = [rate]
         for node, row in zip(self.nodes, self.stages, strict=True):
             slopes.append(field(time + node * h, moved(point, slopes, row, h)))
@@ -66,14 +67,14 @@ class Explicit(Method):
         return Advance(end, end_rate, error)
 
 
-def moved(point: Point | None, slopes: list[Point], weights: tuple[float, ...], h: Float[Array, ""]) -> Point:
+def moved(point: Y | None, slopes: list[Y], weights: tuple[float, ...], h: Float[Array, ""]) -> Y:
     """point + h sum(weights * slopes), terms of weight zero left out."""
     terms = [(weight, slope) for weight, slope in zip(weights, slopes, strict=False) if weight != 0]
     return _combined(point, [slope for _, slope in terms], [h * weight for weight, _ in terms])
 
 
 @apart
-def _combined(point: Point | None, slopes: list[Point], weights: list[Array]) -> Point:
+def _combined(point: Y | None, slopes: list[Y], weights: list[Array]) -> Y:
     def combine(*leaves: Array) -> Array:
         return sum(weight * leaf for weight, leaf in zip(weights, leaves, strict=True))
 
@@ -92,7 +93,7 @@ class Implicit(Method):
     solver: eqx.Module
     fallback: Explicit
 
-    def advance(self, field: Field, time: Float[Array, ""], point: Point, rate: Point, h: Float[Array, ""]) -> Advance:
+    def advance(self, field: Field, time: Float[Array, ""], point: Y, rate: Y, h: Float[Array, ""]) -> Advance:
         import diffrax
 
         term = diffrax.ODETerm(lambda t, y, args: field(t, y))

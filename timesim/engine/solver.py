@@ -1,12 +1,37 @@
-"""A solver's numbers as the event loop takes them: the method of a step, and what controls its length."""
+"""A solver's numbers as the event loop takes them: the method of a step, and the control of its length."""
 
-import timesim.runtime  # noqa: F401  isort: skip
+from timesim.runtime import Leaf  # isort: skip
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float, Int
 
-from timesim.engine.event_loop import Control
+from timesim.engine.barrier import apart
+from timesim.engine.contact_law import ContinuousState
 from timesim.engine.method import Method, method_named
+from timesim.engine.tolerance import NO_TIME
 from timesim.model.solver import Solver
+
+
+class Control(eqx.Module):
+    """Tolerances of the step size, relative to the largest coordinate and to the scene's scale.
+
+    Attributes:
+        rtol, atol: tolerance a step is ``rtol * max|state| + atol``.
+        longest: longest step, and the step of a method without error estimate [rad of the excitation].
+        opening: first step of each cycle. The control forgets at a cycle's end: what a cycle makes of a state depends
+            on that state alone, so a settled motion repeats to rounding, and a run taken up again is the same run.
+        budget: most steps tried in a cycle.
+        stiffest: highest circular frequency of the structure, in units of the excitation's.
+    """
+
+    rtol: Float[Leaf, ""]
+    atol: Float[Leaf, ""]
+    longest: Float[Leaf, ""]
+    opening: Float[Leaf, ""]
+    budget: Int[Leaf, ""]
+    stiffest: Float[Leaf, ""]
 
 
 def step_method(solver: Solver) -> Method:
@@ -28,3 +53,36 @@ def step_control(solver: Solver, stiffest: float) -> Control:
         budget=np.asarray(solver.budget),
         stiffest=np.asarray(stiffest, dtype=float),
     )
+
+
+@apart
+def error_size(control: Control, point: ContinuousState, error: ContinuousState) -> Float[Array, ""]:
+    """Error of a step relative to its tolerance."""
+    size = point.size()
+    return error.error() / (control.atol + control.rtol * size)
+
+
+def next_length(
+    control: Control, order: int, before: tuple[Array, Array], error: Array, h: Array, precise: Array
+) -> Float[Array, ""]:
+    """Step length for the next try; a step cut short by an event or a cycle's end slows nothing.
+
+    PI control (Gustafsson, ACM Trans. Math. Softw. 17, 1991) with the exponents 0.7 / k and 0.4 / k of Hairer & Wanner,
+    Solving Ordinary Differential Equations II, section IV.2.
+
+    Args:
+        control: tolerances and lengths.
+        order: k of the method.
+        before: length that was asked for, and the error of the last accepted step.
+        error: error of this try over its tolerance.
+        h: its length.
+        precise: whether it is within its tolerance.
+    """
+    asked, last_error = before
+    floor = jnp.maximum(error, 1e-10)
+    power = 1 / order
+    grown = h * jnp.clip(0.9 * floor ** (-0.7 * power) * last_error ** (0.4 * power), 0.2, 8.0)
+    shrunk = h * jnp.clip(0.9 * floor ** (-power), 0.1, 0.9)
+    cut = h < asked * (1 - NO_TIME)
+    length = jnp.where(precise, jnp.where(cut & (grown < asked), asked, grown), shrunk)
+    return jnp.minimum(length, control.longest)

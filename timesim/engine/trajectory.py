@@ -13,29 +13,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from timesim.engine.event_loop import Status, Trajectory, advance, begin
-from timesim.engine.event_loop import Step as LoopStep
+from timesim.engine.event_loop import advance
 from timesim.engine.history import Steps
 from timesim.engine.solver import step_control, step_method
-from timesim.engine.system import Point, Scales, System, Work, contact_axes, scales_of, system_of
+from timesim.engine.step import Status, Trajectory, begin
+from timesim.engine.step import Step as LoopStep
+from timesim.engine.system import Point, System, Work, contact_axes, system_of
 from timesim.model.contact_state import start_states
 from timesim.model.model import SEPARATION, STICK, Model, Start
 from timesim.model.reduction import Reduction, reduction_of
+from timesim.model.scales import Scales, scales_of
 from timesim.model.solver import Solver
 
 BATCH = 512  # steps handed over at a time
 PERIOD = 2 * np.pi
-
-MESSAGES = {
-    Status.ZENO: "contact '{contact}' switches its state over and over without time passing (Zeno-like accumulation); "
-    "smooth the scene (a little damping in its modes, softer contacts) or ask for solver.accuracy: reference",
-    Status.TOO_SHORT: "the step fell below rounding; contact '{contact}' switched last. The problem is too stiff for "
-    "{solver}: try solver.method: kvaerno5, fewer modes (structure.keep_modes), or a larger rtol",
-    Status.BUDGET: "the budget of {budget} steps a cycle is spent; contact '{contact}' switched last. Raise "
-    "solver.max_steps, keep fewer modes (structure.keep_modes), or try solver.method: kvaerno5",
-    Status.NOT_FINITE: "the state is no longer finite; contact '{contact}' switched last. Check the scene for negative "
-    "damping or forces that are far too large, and try a smaller rtol",
-}
 
 
 @dataclass(frozen=True)
@@ -127,11 +118,8 @@ class Run:
 
 def message_of(model: Model, reduction: Reduction, solver: Solver, status: int, culprit: int) -> str:
     """What a status that has ended a trajectory means, and what to try."""
-    text = MESSAGES[Status(status)]
-    if not reduction.live.size:
-        return text.replace("; contact '{contact}' switched last", "").format(solver=solver.name, budget=solver.budget)
-    contact = model.contacts[reduction.live[culprit]].name
-    return text.format(contact=contact, solver=solver.name, budget=solver.budget)
+    contact = model.contacts[reduction.live[culprit]].name if reduction.live.size else None
+    return Status(status).message(solver=solver.name, budget=solver.budget, contact=contact)
 
 
 class Frame:

@@ -28,14 +28,15 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from timesim.engine.contact import Law
-from timesim.engine.system import Scales, contact_law, scales_of
+from timesim.engine.contact import ConeLaw
 from timesim.hbm.corrector import NoSolutionError
 from timesim.hbm.located import located_forces
 from timesim.hbm.period import Basis, basis_of, contact_forces
 from timesim.hbm.scheme import Scheme, check_excitation
 from timesim.hbm.tangent import linearised
+from timesim.model.contact_state import require_cone
 from timesim.model.model import Model
+from timesim.model.scales import Scales, scales_of
 from timesim.orbit.fourier import to_coefficients, to_phasors
 
 Array = NDArray[np.float64]
@@ -75,12 +76,14 @@ class Balance:
 
         Raises:
             BalanceError: nothing is periodic, or harmonics are excited that are not balanced.
+            ValueError: a contact obeys another law than the cone.
         """
+        require_cone(model.contacts, "harmonic balance")
         check_excitation(model, scheme.harmonics)
         self.model, self.scheme = model, scheme
         self.units = scales_of(model, frequency) if units is None else units
         self.length, self.force = self.units.length, self.units.force
-        self.law: Law = contact_law(model, self.units)
+        self.law: ConeLaw = ConeLaw.of(model.contacts, self.units)
         self.basis: Basis = basis_of(scheme.harmonics, scheme.time_samples)
         structure, excited = model.structure, model.excitation
         root = np.sqrt(structure.mass)
@@ -219,7 +222,7 @@ class Balance:
         return modal / np.sqrt(self.model.structure.mass)
 
 
-def batched(evaluate: Callable[[Law, Array], Sequence[Any]], balance: Balance, motion: Array) -> list[Array]:
+def batched(evaluate: Callable[[ConeLaw, Array], Sequence[Any]], balance: Balance, motion: Array) -> list[Array]:
     """Arrays of a function of the law and the motion of contacts, for many solutions.
 
     Args:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from timesim.engine.contact import Law
+from timesim.engine.contact import ConeLaw
 from timesim.hbm.balance import Balance, batched
 from timesim.hbm.continuation import Controls, Curve, Ending, follow, follow_both_ways, solve
 from timesim.hbm.first_guess import first_guesses, unknowns_of_modes
@@ -212,7 +212,7 @@ def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmC
     size, order = curve.p.size, balance.scheme.harmonics + 1
     motion = balance.coefficients(curve.x)
 
-    def contacts(law: Law, coefficient: Array) -> tuple[Any, ...]:
+    def contacts(law: ConeLaw, coefficient: Array) -> tuple[Any, ...]:
         done = contact_forces(law, balance.basis, jnp.asarray(coefficient))
         return done.coefficient, done.slip, done.separation, done.closure
 

@@ -10,13 +10,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
-from timesim.engine.system import scales_of
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.continuation import Controls, Ending, follow
 from timesim.hbm.curve import HbmCurve, default_controls, evaluated
 from timesim.hbm.first_guess import first_guesses, unknowns_of_modes
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
+from timesim.model.scales import scales_of
 
 # Difference of the scalar for its derivative, as a share of the range.
 DIFFERENCE = 1e-5

@@ -29,20 +29,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from timesim.engine.contact import (
-    Law,
-    Motion,
-    Plane,
-    Scalar,
-    between,
-    dot,
-    incipient_direction,
-    length,
-    normal_load,
-    product,
-    scaled,
-    where,
-)
+from timesim.engine.contact import ConeLaw, incipient_direction, normal_load
+from timesim.engine.contact_law import Motion, Plane, Scalar, dot, length, minus, product, scaled, where
 from timesim.hbm.stuck_offset import Offset, stuck_offset
 from timesim.orbit.fourier import fourier_basis
 
@@ -121,11 +109,11 @@ def _turned_by(e: Plane, z: Plane) -> Plane:
     return tuple((2 * decay * x + share * y) / norm for x, y in zip(e, z, strict=True))
 
 
-def _pull(law: Law, e: Plane, growth: Scalar) -> tuple[Scalar, Plane]:
+def _pull(law: ConeLaw, e: Plane, growth: Scalar) -> tuple[Scalar, Plane]:
     """z mu n = weight (u' - drift), without the isotropic part of C in the drift, which turns nothing."""
     ce = product(law.compliance, e)
     trace = law.compliance[0] + law.compliance[2]
-    return 1 / (trace - dot(e, ce)), scaled(growth, between(ce, scaled(trace / 2, e)))
+    return 1 / (trace - dot(e, ce)), scaled(growth, minus(ce, scaled(trace / 2, e)))
 
 
 def _veered(e: Plane, z: Plane, dz: Plane) -> Plane:
@@ -140,15 +128,15 @@ def _veered(e: Plane, z: Plane, dz: Plane) -> Plane:
     return scaled(1 / jnp.sqrt(1 + angle**2), turned)
 
 
-def _turned(law: Law, e: Plane, interval: Interval, growth: Scalar, span: Scalar, rest: Scalar) -> Plane:
+def _turned(law: ConeLaw, e: Plane, interval: Interval, growth: Scalar, span: Scalar, rest: Scalar) -> Plane:
     """Direction of slip over the `rest` of an interval; `span` is the integral of 1 / (mu n) over it."""
     if len(law.stiffness) == 1:
         z = scaled(span, product(law.stiffness, interval.change))
         return _veered(_turned_by(e, z), z, scaled(span * rest, product(law.stiffness, interval.bend)))
     weight, bare = _pull(law, e, growth)
-    middle = _turned_by(e, scaled(span / 2 * weight, between(interval.change, bare)))
+    middle = _turned_by(e, scaled(span / 2 * weight, minus(interval.change, bare)))
     weight, bare = _pull(law, middle, growth)
-    z = scaled(span * weight, between(interval.change, bare))
+    z = scaled(span * weight, minus(interval.change, bare))
     return _veered(_turned_by(e, z), z, scaled(span * rest * weight, interval.bend))
 
 
@@ -170,7 +158,7 @@ def _cone_exit(rise: Scalar, half_slope: Scalar, start: Scalar) -> Scalar:
     return jnp.clip(jnp.where(ahead, early, late), 0.0, 1.0)
 
 
-def advance(law: Law, d: Plane, interval: Interval) -> IntervalEnd:
+def advance(law: ConeLaw, d: Plane, interval: Interval) -> IntervalEnd:
     """The law over one interval, from the elastic displacement at its start."""
     load0, load1 = normal_load(law, interval.v0), normal_load(law, interval.v1)
     limit0, limit1 = law.friction * load0, law.friction * load1
@@ -187,7 +175,7 @@ def advance(law: Law, d: Plane, interval: Interval) -> IntervalEnd:
     return IntervalEnd(d, slip, first + 1 - last)
 
 
-def _in_contact(law: Law, d: Plane, interval: Interval, limit0: Scalar, limit1: Scalar) -> tuple[Plane, Scalar]:
+def _in_contact(law: ConeLaw, d: Plane, interval: Interval, limit0: Scalar, limit1: Scalar) -> tuple[Plane, Scalar]:
     """From contact to contact: d at the end, and where along the interval slip began (1 in stick)."""
     growth = limit1 - limit0
     force, pull = product(law.stiffness, d), product(law.stiffness, interval.change)
@@ -204,7 +192,7 @@ def _in_contact(law: Law, d: Plane, interval: Interval, limit0: Scalar, limit1: 
 
 
 def _touching(
-    law: Law, interval: Interval, root: Scalar, limit0: Scalar, limit1: Scalar
+    law: ConeLaw, interval: Interval, root: Scalar, limit0: Scalar, limit1: Scalar
 ) -> tuple[Plane, Bool[Array, "*contact"]]:
     """From separation to contact at `root`: d at the end, and whether it sticks (15) or slips in one direction (17)."""
     rates = Motion(interval.change, interval.v1, interval.change, interval.v1 - interval.v0)
@@ -214,7 +202,7 @@ def _touching(
     return where(grips, scaled(1 - root, interval.change), slid), grips
 
 
-def onto_cone(law: Law, d: Plane, v: Scalar) -> Plane:
+def onto_cone(law: ConeLaw, d: Plane, v: Scalar) -> Plane:
     """An elastic displacement, shortened to the cone where its force lies outside; zero in separation."""
     limit = law.friction * jnp.maximum(normal_load(law, v), 0.0)
     force = length(product(law.stiffness, d))
@@ -239,7 +227,7 @@ class ClosedPeriod(eqx.Module):
     stuck: Offset
 
 
-def one_pass(law: Law, start: Plane, intervals: Interval) -> tuple[Plane, Plane]:
+def one_pass(law: ConeLaw, start: Plane, intervals: Interval) -> tuple[Plane, Plane]:
     """Through the period: d at its end and at every sample."""
 
     def step(d: Plane, interval: Interval) -> tuple[Plane, Plane]:
@@ -260,7 +248,7 @@ class _Passes(eqx.Module):
     count: Scalar
 
 
-def closed_period(law: Law, motion: Motion) -> ClosedPeriod:
+def closed_period(law: ConeLaw, motion: Motion) -> ClosedPeriod:
     """Pass through a periodic motion, shape (N, C), until d closes, at most `MAX_PASSES` times.
 
     A contact that can stick all along enters with the offset of `timesim.hbm.stuck_offset` and does. The others are
@@ -276,14 +264,14 @@ def closed_period(law: Law, motion: Motion) -> ClosedPeriod:
     def again(last: _Passes) -> _Passes:
         start = last.next_start
         end, path = one_pass(law, start, intervals)
-        change, before = between(end, start), between(last.end, last.start)
+        change, before = minus(end, start), minus(last.end, last.start)
         tolerated = CLOSED * jnp.max(length(path), axis=0) + ROUNDING * reach
         closure = length(change) / jnp.maximum(tolerated, 1e-300)
-        bend = between(change, before)
+        bend = minus(change, before)
         ratio = dot(change, bend) / jnp.maximum(dot(bend, bend), 1e-300)
         usable = (last.count >= 2) & (dot(change, change) < dot(before, before))
-        leap = scaled(jnp.where(usable, ratio, 0.0), between(end, last.end))
-        next_start = onto_cone(law, between(end, leap), motion.v[-1])
+        leap = scaled(jnp.where(usable, ratio, 0.0), minus(end, last.end))
+        next_start = onto_cone(law, minus(end, leap), motion.v[-1])
         return _Passes(next_start, start, end, path, closure, last.count + 1)
 
     none = _Passes(first_start, first_start, first_start, motion.u, jnp.full_like(reach, jnp.inf), jnp.asarray(0))
@@ -318,19 +306,19 @@ def starts_of(period: ClosedPeriod) -> Plane:
     return tuple(jnp.concatenate([b[None], d[:-1]]) for b, d in zip(period.start, period.d, strict=True))
 
 
-def ends_of(law: Law, motion: Motion, period: ClosedPeriod) -> IntervalEnd:
+def ends_of(law: ConeLaw, motion: Motion, period: ClosedPeriod) -> IntervalEnd:
     """All intervals, shape (N, C)."""
     return jax.vmap(partial(advance, law))(starts_of(period), intervals_of(motion))
 
 
 @jax.jit
-def contact_forces(law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> ContactForces:
+def contact_forces(law: ConeLaw, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> ContactForces:
     """Contact forces of a motion given by its Fourier coefficients (u1, u2, v)."""
     motion = motion_of(basis, coefficient)
     return forces_of(law, basis, motion, closed_period(law, motion))
 
 
-def forces_of(law: Law, basis: Basis, motion: Motion, period: ClosedPeriod) -> ContactForces:
+def forces_of(law: ConeLaw, basis: Basis, motion: Motion, period: ClosedPeriod) -> ContactForces:
     """Forces and shares of a closed period."""
     ends = ends_of(law, motion, period)
     load = jnp.maximum(normal_load(law, motion.v), 0.0)

@@ -20,7 +20,7 @@ from jaxtyping import Array as Traced
 from jaxtyping import Float
 from scipy.linalg import expm
 
-from timesim.engine.contact import Law, normal_load
+from timesim.engine.contact import ConeLaw, normal_load
 from timesim.hbm.balance import Array, Balance, batched
 from timesim.hbm.period import Basis, basis_of, closed_period, intervals_of, motion_of, starts_of
 from timesim.hbm.tangent import Slope, interval_slopes
@@ -63,7 +63,7 @@ def floquet_multipliers(balance: Balance, x: Array, frequency: Array, *, samples
 
 @jax.jit
 def _slopes(
-    law: Law, basis: Basis, coefficient: Float[Traced, "contact 3 coefficient"]
+    law: ConeLaw, basis: Basis, coefficient: Float[Traced, "contact 3 coefficient"]
 ) -> tuple[Slope, Float[Traced, "sample contact"]]:
     """The law linearised about the motion, and the normal stiffness that acts at each sample."""
     motion = motion_of(basis, coefficient)
@@ -79,7 +79,7 @@ def _linearised(balance: Balance, coefficient: Array, samples: int) -> list[Arra
     """
     basis = basis_of(balance.scheme.harmonics, samples)
 
-    def local(law: Law, rows: Array) -> list[Array]:
+    def local(law: ConeLaw, rows: Array) -> list[Array]:
         slope, touching = _slopes(law, basis, jnp.asarray(rows))
         return [np.asarray(leaf).swapaxes(0, 1) for leaf in (slope.carry, slope.change, slope.load, touching)]
 
@@ -180,7 +180,7 @@ def _blocks(small: Array) -> Array:
     return whole.reshape(*small.shape[:-3], count * rows, count * columns)
 
 
-def _spring(law: Law) -> Array:
+def _spring(law: ConeLaw) -> Array:
     """K_u of all contacts, from (d1, d2) to (f1, f2, 0), shape (3C, 2C)."""
     parts = [np.asarray(part) for part in law.stiffness]
     k11, k12, k22 = parts if len(parts) == 3 else (parts[0], np.zeros_like(parts[0]), parts[0])

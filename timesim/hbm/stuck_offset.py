@@ -18,7 +18,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from timesim.engine.contact import Law, Motion, Plane, Scalar, normal_load, product
+from timesim.engine.contact import ConeLaw, normal_load
+from timesim.engine.contact_law import Motion, Plane, Scalar, product
 from timesim.engine.lanes import advance_lanes
 
 MAX_ITERATIONS = 60
@@ -98,7 +99,7 @@ def _share_to_cone(g: Plane, step: Plane, force: Plane, limit: Scalar) -> Scalar
     return jnp.min(room / (b + jnp.sqrt(b**2 + a * room) + 1e-300), axis=0)
 
 
-def without_slip(law: Law, motion: Motion) -> tuple[Plane, Scalar, Scalar]:
+def without_slip(law: ConeLaw, motion: Motion) -> tuple[Plane, Scalar, Scalar]:
     """Friction force for w = 0 and its limit at the samples, shape (N, C), and the mean limit."""
     force = product(law.stiffness, motion.u)
     limit = law.friction * normal_load(law, motion.v)
@@ -112,7 +113,7 @@ def _must_slip(force: Plane, limit: Scalar) -> Bool[Array, " contact"]:
     return jnp.any(jnp.stack(blocked), axis=0)
 
 
-def stuck_offset(law: Law, motion: Motion) -> Offset:
+def stuck_offset(law: ConeLaw, motion: Motion) -> Offset:
     """The offset with which each contact only sticks under a periodic motion, shape (N, C); 0 where there is none."""
     force, limit, unit = without_slip(law, motion)
     none = (jnp.zeros_like(unit),) * 2
@@ -148,7 +149,7 @@ def stuck_offset(law: Law, motion: Motion) -> Offset:
     return Offset(tuple(jnp.where(last.found, x, 0.0) for x in last.g), last.found)
 
 
-def offset_slope(law: Law, g: Plane, motion: Motion, along: Motion) -> Plane:
+def offset_slope(law: ConeLaw, g: Plane, motion: Motion, along: Motion) -> Plane:
     """Change of the offset of a contact that sticks, when the motion changes along another one."""
     one = jnp.ones_like(g[0])
 

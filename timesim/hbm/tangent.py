@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from numpy.typing import NDArray
 
-from timesim.engine.contact import Law, Motion, Plane, Scalar, normal_load, product
+from timesim.engine.contact import ConeLaw, normal_load
+from timesim.engine.contact_law import Motion, Plane, Scalar, product
 from timesim.hbm.period import (
     Basis,
     ContactForces,
@@ -47,7 +48,7 @@ class Slope(eqx.Module):
     load: Float[Array, "sample contact 2"]
 
 
-def interval_slopes(law: Law, starts: Plane, intervals: Interval) -> Slope:
+def interval_slopes(law: ConeLaw, starts: Plane, intervals: Interval) -> Slope:
     """Derivatives of the law over each interval, from the elastic displacement at its start."""
 
     def end(d1: Scalar, d2: Scalar, c1: Scalar, c2: Scalar, b1: Scalar, b2: Scalar, *v: Scalar) -> Plane:
@@ -108,7 +109,7 @@ class _LastPass(eqx.Module):
 
 
 @jax.jit
-def _last_pass(law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> _LastPass:
+def _last_pass(law: ConeLaw, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> _LastPass:
     motion = motion_of(basis, coefficient)
     period = closed_period(law, motion)
     forces = forces_of(law, basis, motion, period)
@@ -122,7 +123,7 @@ def _last_pass(law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coef
     return _LastPass(forces, spectrum, tangents[-1], normal, stuck_start, period.stuck.sticks)
 
 
-def _stuck_start(law: Law, basis: Basis, motion: Motion, stuck: Offset) -> Float[Array, "contact 2 column"]:
+def _stuck_start(law: ConeLaw, basis: Basis, motion: Motion, stuck: Offset) -> Float[Array, "contact 2 column"]:
     """Derivatives of d at the start of the period by the coefficients, for contacts that stick all along."""
     none = jnp.zeros_like(motion.v)
 
@@ -139,7 +140,7 @@ def _stuck_start(law: Law, basis: Basis, motion: Motion, stuck: Offset) -> Float
 
 
 def linearised(
-    law: Law, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]
+    law: ConeLaw, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]
 ) -> tuple[ContactForces, NDArray[np.float64]]:
     """`contact_forces`, and their derivatives by the coefficients of the same contact: 3 (2H + 1) rows and columns.
 

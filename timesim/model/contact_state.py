@@ -7,12 +7,13 @@ may be anything that leaves its force in the cone, ``|K_u (u - w)| <= mu n``.
 Elementwise in numpy; C counts contacts.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from timesim.model.model import SEPARATION, SLIP, STICK, Model
+from timesim.model.model import CONE, SEPARATION, SLIP, STICK, Contact, Model
 
 UNKNOWN = -1
 """Stands for a state that follows from the motion."""
@@ -88,3 +89,14 @@ def contact_loads(model: Model, displacement: np.ndarray, slip: np.ndarray) -> C
     normal = model.preload + model.normal_stiffness * relative[:, 2]
     force = np.einsum("cij,cj->ci", model.tangential_stiffness, relative[:, :2] - slip)
     return ContactLoads(relative[:, :2], slip, force, normal, model.friction * np.maximum(normal, 0.0))
+
+
+def require_cone(contacts: Iterable[Contact], what: str) -> None:
+    """Refuse contacts of another law than the cone's to what is written for that one.
+
+    Raises:
+        ValueError: a contact obeys another law.
+    """
+    for contact in contacts:
+        if contact.law != CONE:
+            raise ValueError(f"contact {contact.name}: {what} knows the law {CONE} only, not {contact.law}")

@@ -218,10 +218,10 @@ def _check_sizes(
                 raise RuleError(("points", point, axis), f"must be a row from 0 to {rows - 1}", value=row)
     if keep_modes is not None and keep_modes > rows:
         raise RuleError(("keep_modes",), f"must be at most {rows}, the number of rows", value=keep_modes)
-    if keep_modes is None and rows > MAX_DENSE:
-        raise RuleError(
-            ("keep_modes",), f"is required for a structure of {rows} rows", "say how many of the lowest modes"
-        )
+    if rows > MAX_DENSE and keep_modes in (None, rows):
+        rule = "is required" if keep_modes is None else f"must be less than {rows}"
+        hint = "say how many of the lowest modes: Lanczos' method does not find all"
+        raise RuleError(("keep_modes",), f"{rule} for a structure of {rows} rows", hint, keep_modes)
 
 
 def _ratios(ratio: float | Sequence[float], num_modes: int) -> np.ndarray:

@@ -8,6 +8,7 @@ displacement ``x = sum_i shape_i q_i``; in the frame of a contact the relative m
 body 2 is ``(u1, u2, v)``, and ``v`` grows as the bodies press together.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +16,8 @@ import numpy as np
 STICK, SLIP, SEPARATION = 0, 1, 2
 STATE_NAMES = ("stick", "slip", "separation")
 GROUND = "ground"
+CONE = "cone"
+"""The contact law of the paper, by its name in `timesim.engine.laws`."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,8 @@ class Contact:
         tangential_stiffness: K_u, symmetric positive definite, or zero together with friction 0, shape (2, 2).
         normal_stiffness: k_v.
         preload: n0; negative is a gap of ``-n0 / k_v``.
+        law: name of the law that it obeys, see `timesim.engine.laws`.
+        law_parameters: what this law has beside the above, by name, in the units of the scene.
     """
 
     name: str
@@ -74,6 +79,8 @@ class Contact:
     tangential_stiffness: np.ndarray
     normal_stiffness: float
     preload: float
+    law: str = CONE
+    law_parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from scipy.sparse.csgraph import connected_components
 
 from timesim.model.contact_state import start_states
 from timesim.model.linear_bound import Envelope, Oscillation, envelopes
-from timesim.model.model import SEPARATION, SLIP, STICK, Contact, Model, Structure
+from timesim.model.model import CONE, SEPARATION, SLIP, STICK, Contact, Model, Structure
 
 COUPLED = 1e-14
 """Share of the largest entry of a contact's rows, or of the damping, below which an entry is rounding."""
@@ -73,10 +73,10 @@ def reduction_of(model: Model, frequencies: Sequence[float], *, reduce: bool = T
         model: all that the scene says.
         frequencies: base frequencies that the run visits [Hz], in any order. With exactly one the bounds of
             contact forces use the response at it; else they hold for every schedule, and are much wider.
-        reduce: False keeps everything.
+        reduce: False keeps everything; so does a contact of another law than the cone, which the proofs do not know.
     """
     every, none = np.arange(model.num_contacts), np.arange(0)
-    if not reduce:
+    if not reduce or any(contact.law != CONE for contact in model.contacts):
         return Reduction(model, np.arange(model.structure.num_modes), every, none, none, None, ())
     scene = _normalised(model)
     parts = _parts(scene)

@@ -4,15 +4,13 @@ A contact whose state is left at -1 is separated if its normal load is not posit
 ``w`` of a separated contact is its motion ``u``, and so is that of a frictionless one.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from timesim.fault import RuleError
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
-from timesim.result.state import STATE, Held, held
 
 CONE = 1e-9
 """Share by which |f| may exceed mu n in a start: rounding."""
@@ -133,42 +131,31 @@ def _equilibrium(physics: Model, closed: np.ndarray) -> tuple[np.ndarray, bool]:
     return solved / scale, bool(np.all(np.abs(loose) <= 1e-12 * np.linalg.norm(force / scale)))
 
 
-def from_result(physics: Model, path: Path, at: Mapping[str, float | str]) -> Start:
-    """The end of another run, or a point of a sweep, of a structure with as many modes and the same contacts.
+def resumed_start(physics: Model, end: Start, contacts: Sequence[str]) -> Start:
+    """The state that another run has ended in, made to agree with a model.
+
+    Args:
+        physics: the model, with as many modes and the same contacts.
+        end: that state, its phase included.
+        contacts: names of the contacts in the order of `end`.
 
     Raises:
-        RuleError: no such result, an unfinished one, one of another structure, no such point, or a state outside a
-            cone.
-    """
-    found = held(path)
-    try:
-        chosen = found.one(at)
-    except RuleError as error:
-        raise error.below("at") from None
-    return start_of(physics, found, chosen)
-
-
-def start_of(physics: Model, found: Held, chosen: Mapping[str, np.ndarray]) -> Start:
-    """The start of a model from one of the states of a result.
-
-    Raises:
-        RuleError: the result is one of another structure, or the state lies outside a cone.
+        RuleError: the state is one of another structure, or lies outside a cone.
     """
     names, modes = [contact.name for contact in physics.contacts], physics.structure.num_modes
-    if sorted(found.contacts) != sorted(names):
+    if sorted(contacts) != sorted(names):
         hint = f"the scene has {', '.join(names) or 'none'}"
-        raise RuleError((), f"has other contacts: {', '.join(found.contacts) or 'none'}", hint)
-    displacement, velocity, slip, state = (chosen[f"final_{name}"] for name in STATE)
-    if displacement.shape != velocity.shape or displacement.shape != (modes,):
-        raise RuleError((), f"has {displacement.size} modes, the scene has {modes}")
-    if not all(np.all(np.isfinite(value)) for value in (displacement, velocity, slip)):
+        raise RuleError((), f"has other contacts: {', '.join(contacts) or 'none'}", hint)
+    if end.displacement.shape != (modes,) or end.velocity.shape != (modes,):
+        raise RuleError((), f"has {end.displacement.size} modes, the scene has {modes}")
+    if not all(np.all(np.isfinite(value)) for value in (end.displacement, end.velocity, end.slip)):
         raise RuleError((), "holds a final state that is not finite")
-    rows = [found.contacts.index(name) for name in names]
-    slip, state = slip.reshape(-1, 2)[rows], state.astype(int).ravel()[rows]
-    return _continued(physics, Start(displacement, velocity, slip, state, found.phase))
+    rows = [contacts.index(name) for name in names]
+    slip, state = end.slip.reshape(-1, 2)[rows], end.state.astype(int).ravel()[rows]
+    return _agreeing(physics, replace(end, slip=slip, state=state))
 
 
-def _continued(physics: Model, start: Start) -> Start:
+def _agreeing(physics: Model, start: Start) -> Start:
     """The start made to agree with the scene: a contact opened or closed since, a cone left by rounding."""
     loads = _loads(physics, start.displacement, start.slip)
     smooth = _contact_numbers(physics)[2] == 0
@@ -190,4 +177,4 @@ def _continued(physics: Model, start: Start) -> Start:
     stretch = (loads.motion - start.slip) * back[:, None]
     slip = np.where(follows[:, None], loads.motion, start.slip + stretch)
     state = np.where(opened, SEPARATION, np.where(smooth, SLIP, np.where(closed_anew, STICK, start.state)))
-    return Start(start.displacement, start.velocity, slip, state, start.phase)
+    return replace(start, slip=slip, state=state)

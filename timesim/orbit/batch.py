@@ -16,11 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from timesim.engine.event_loop import Control, Status, Trajectory, begin, try_step
 from timesim.engine.lanes import advance_lanes, batch_first, batch_last, over_lanes
 from timesim.engine.method import Method
-from timesim.engine.solver import step_method
-from timesim.engine.system import System, field
+from timesim.engine.solver import Control, step_method
+from timesim.engine.step import Status, Trajectory, begin, try_step
+from timesim.engine.system import System
 from timesim.model.solver import Solver
 from timesim.orbit.lane import Lane, Record, Recorded
 from timesim.orbit.monodromy import HybridState, Tries, derivative, state_vector
@@ -86,7 +86,7 @@ def record_cycles(
         the trajectories, batch first, and the tries.
     """
     controls, systems, now = batch_last((controls, systems, now))
-    rate = over_lanes(field)(systems, now.state, now.time, now.point)
+    rate = over_lanes(System.field)(systems, now.state, now.time, now.point)
     now = eqx.tree_at(lambda t: t.rate, now, rate)
     attempt = partial(over_lanes(partial(try_step, method)), controls, systems)
     blank = jax.eval_shape(attempt, now)[1]

@@ -10,9 +10,10 @@ from typing import Self
 import jax
 import numpy as np
 
-from timesim.engine.event_loop import Control, Status, Step, Trajectory
+from timesim.engine.contact import ConeLaw
 from timesim.engine.history import between
-from timesim.engine.solver import step_control
+from timesim.engine.solver import Control, step_control
+from timesim.engine.step import Status, Step, Trajectory
 from timesim.engine.system import Point, System, system_of
 from timesim.engine.trajectory import Frame
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
@@ -32,7 +33,7 @@ class Lane:
         system, control: what is integrated, and how, as the loop takes them.
         here: where the trajectory is, dimensionless.
         phase: of the excitation at the start of a cycle [rad].
-        status, culprit: as in `timesim.engine.event_loop.Trajectory`.
+        status, culprit: as in `timesim.engine.step.Trajectory`.
     """
 
     model: Model
@@ -100,8 +101,10 @@ class Lane:
         return self.frame.start(self.here.point, self.here.state, self.phase)
 
     def moved(self, vector: np.ndarray) -> "Lane | None":
-        """The lane at another state vector in the same contact states; None if the place does not allow them."""
+        """The lane at another state vector in the same contact states; None if the place or the law does not allow it."""
         point, state, law = point_of(vector, self.here.point), self.here.state, self.system.law
+        if not isinstance(law, ConeLaw):
+            return None
         w = np.stack(point.w)
         u = np.stack([axis @ point.q for axis in self.system.shape[:-1]]) if state.size else w
         n = law.preload + law.normal_stiffness * (self.system.shape[-1] @ point.q)

@@ -26,11 +26,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from timesim.engine.contact import State, margins
-from timesim.engine.event_loop import Step, transition
+from timesim.engine.contact_law import State
 from timesim.engine.lanes import batch_last, over_lanes
 from timesim.engine.method import Method
-from timesim.engine.system import Point, System, field, motion
+from timesim.engine.step import Step, transition
+from timesim.engine.system import Point, System
 from timesim.model.model import SEPARATION, SLIP, STICK
 
 
@@ -76,7 +76,7 @@ def state_vector(point: Point, state: State) -> Float[Array, " state"]:
 def _first_guard(system: System, step: Step, vector: Float[Array, " state"]) -> Float[Array, ""]:
     """Margin of the contact that leaves its state at the end of the step; of several at once, of the first."""
     point = point_of(vector, step.end)
-    force, speed = margins(system.law, step.state, motion(system, point), point.w)
+    force, speed = system.law.margins(step.state, system.motion(point), point.w)
     to_stick = (step.state == SLIP) & (step.state_after == STICK)
     margin = jnp.where(to_stick, speed, force)
     return margin[jnp.argmax(step.state != step.state_after)] if margin.size else jnp.ones(())
@@ -84,7 +84,7 @@ def _first_guard(system: System, step: Step, vector: Float[Array, " state"]) -> 
 
 def _image(method: Method, system: System, step: Step, start: Float[Array, " state"]) -> Float[Array, " state"]:
     """Where a start close to that of the step is led to, at the fixed time of its end."""
-    rate = partial(field, system, step.state)
+    rate = partial(system.field, step.state)
     point = point_of(start, step.start)
     end = vector_of(method.advance(rate, step.time, point, rate(step.time, point), step.h).point)
     crossed = step.state != step.state_after
@@ -94,7 +94,7 @@ def _image(method: Method, system: System, step: Step, start: Float[Array, " sta
     falls = jnp.where(falls == 0, jnp.inf, falls)
     delay = jnp.where(crossed.any(), -(guard(end) - guard(middle)) / falls, 0.0)
     at_event = transition(system, step.state, crossed, point_of(end + before * delay, step.end))[0]
-    after = vector_of(field(system, step.state_after, step.time + step.h, jax.lax.stop_gradient(at_event)))
+    after = vector_of(system.field(step.state_after, step.time + step.h, jax.lax.stop_gradient(at_event)))
     return vector_of(at_event) - after * delay
 
 

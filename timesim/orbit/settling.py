@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from timesim.engine.event_loop import Status
+from timesim.engine.step import Status
 from timesim.engine.trajectory import message_of, start_states
 from timesim.model.model import Model, Start
 from timesim.model.reduction import reduction_of

@@ -1,6 +1,6 @@
 """Pictures of a response that jumps: sweeps over the branch behind, which start leads where, ranges against a scalar.
 
-``f(data, ax=None) -> ax``, where `data` is the DataTree of a `bistable` study, as `open_groups` gives it.
+``f(data, ax=None) -> ax``, where `data` is the DataTree of a `bistable` study with the groups `sweep` and `hbm`.
 `PICTURES` are the figures that a run writes.
 """
 
@@ -10,66 +10,87 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from timesim.picture import sweep as plot_sweep
-from timesim.picture.hbm import DASHES, stretches
-from timesim.picture.style import BLUE, VERMILION, Picture, axes, figure, heading, short
-from timesim.picture.sweep import BESIDE, DIRECTIONS, NEUTRAL, spoken
+from timesim.picture.choice import left_out, motion
+from timesim.picture.response import DIRECTIONS, amplitude_label, axis_label, draw_branch, finish, key_words
+from timesim.picture.style import BLUE, VERMILION, Picture, axes, figure, label_axes, labelled, legend_beside
 
 if TYPE_CHECKING:
-    import matplotlib.axes
-    import matplotlib.figure
-    import xarray
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from xarray import Dataset, DataTree
 
 MAX_RANGES = 4
 SHADE = "0.90"
 BEHIND = "0.45"
 WIDE = 0.05  # of the sweeps: narrower ranges are seen magnified only
 AROUND = 0.6  # of a range, shown to both sides of it
-COLOURS = {0: BLUE, 1: VERMILION, 2: "0.55", -1: "white"}
-LED = {0: "to the smaller motion", 1: "to the larger motion", 2: "to another motion", -1: "did not settle"}
+LED_TO = {
+    -1: ("did not settle", "white"),
+    0: ("to the smaller motion", BLUE),
+    1: ("to the larger motion", VERMILION),
+    2: ("to another motion", "0.55"),
+}
+"""Label and colour of the motion that a start leads to."""
 
 
-class Place(NamedTuple):
-    """One range with two motions: position along the further axes and the jumps, and the values of the axes."""
+class Range(NamedTuple):
+    """A range of frequency [Hz] with two motions.
 
-    where: Mapping[str, int]
+    Attributes:
+        at: position along the further axes.
+        number: of the range there.
+        label: the values of the further axes; empty where there are none.
+        low, high: its ends.
+    """
+
+    at: Mapping[str, int]
+    number: int
     label: str
     low: float
     high: float
 
+    @property
+    def where(self) -> dict[str, int]:
+        """Position along all axes, for `isel`."""
+        return {**self.at, "jump": self.number}
 
-def places(data: "xarray.DataTree") -> list[Place]:
+
+def ranges(data: "DataTree") -> list[Range]:
     """All ranges, those of the last axis first."""
-    keys = over_keys(data)
-    ends = data.to_dataset()["range"].transpose(*keys, "jump", "end").values
-    made = []
-    for index in product(*map(range, ends.shape[:-1])):
-        low, high = ends[index]
-        if np.isfinite(low):
-            told = [f"{spoken(key)} {values(data, key)[i]:.4g}" for key, i in zip(keys, index, strict=False)]
-            made.append(Place(dict(zip((*keys, "jump"), index, strict=True)), ", ".join(told), float(low), float(high)))
-    return made
+    ends = data.to_dataset()["range"].transpose(..., "jump", "end").values
+    return [
+        Range(at, number, _label(data, at), float(low), float(high))
+        for at in _sets(data)
+        for number, (low, high) in enumerate(ends[tuple(at.values())])
+        if np.isfinite(low)
+    ]
 
 
-def over_keys(data: "xarray.DataTree") -> list[str]:
+def over_keys(data: "DataTree") -> list[str]:
     """Keys of the further axes, in the scene's order."""
     return [str(name) for name in data.to_dataset()["range"].dims if name not in ("jump", "end")]
 
 
-def values(data: "xarray.DataTree", name: str) -> np.ndarray:
-    """An array of the root."""
-    return np.asarray(data.to_dataset()[name].values)
+def _sets(data: "DataTree") -> list[dict[str, int]]:
+    """All positions along the further axes."""
+    keys = over_keys(data)
+    return [dict(zip(keys, index, strict=True)) for index in product(*(range(data.sizes[key]) for key in keys))]
+
+
+def _label(data: "DataTree", at: Mapping[str, int]) -> str:
+    root = data.to_dataset()
+    return ", ".join(f"{key_words(key)} {root[key].values[i]:.4g}" for key, i in at.items())
 
 
 def response(
-    data: "xarray.DataTree",
-    ax: "matplotlib.axes.Axes | None" = None,
+    data: "DataTree",
+    ax: "Axes | None" = None,
     *,
     at: Mapping[str, int] | None = None,
-    near: Place | None = None,
+    near: Range | None = None,
     point: str | None = None,
     axis: str | None = None,
-) -> "matplotlib.axes.Axes":
+) -> "Axes":
     """Both sweeps, what they jump to, and the branch of harmonic balance behind, unstable where it is dashed.
 
     Args:
@@ -81,246 +102,176 @@ def response(
         near: show this range alone, with what lies beside it.
         point, axis: whose amplitude; that and along the axis with the largest by default.
     """
-    ax = axes(ax)
-    sweep = data.children["sweep"].to_dataset()
-    point = point or plot_sweep.moving(sweep)[0]
-    axis = axis or plot_sweep.main_axis(sweep, point)
-    where = {key: (at or {}).get(key, 0) for key in over_keys(data)}
-    here = [place for place in places(data) if all(place.where[key] == i for key, i in where.items())]
-    window = None if near is None else _window(near)
-    _branch(data, ax, where, (point, axis), window)
-    for number, name in enumerate(sweep.direction.values):
-        part = sweep.isel(where).isel(direction=number)
-        y, settled = part.amplitude.sel(point=point, axis=axis).values, part.settled.values > 0
-        colour, marker, x = (BLUE, VERMILION)[number], DIRECTIONS[str(name)][1], part.frequency.values
-        shown = np.ones(x.size, bool) if window is None else (x >= window[0]) & (x <= window[1])
-        if window is None:
-            ax.plot(x, y, color=colour, linewidth=0.8, label="_line")
-        for kept, style in ((settled, "full"), (~settled, "none")):
-            ax.plot(x[kept & shown], y[kept & shown], marker, color=colour, ms=4, fillstyle=style, label=f"_{name}")
-    for place in here if near is None else [near]:
-        wide = place.high - place.low > WIDE * float(np.ptp(sweep.frequency.values))
-        _range(data, ax, place, (point, axis), middle=wide or near is not None)
-    ax.set(xlabel="frequency [Hz]", ylabel=f"amplitude of {short(point, 16)} {axis} [length]")
-    if window is None:
+    ax, sweep = axes(ax), data.children["sweep"].to_dataset()
+    point, axis = motion(sweep, point, axis)
+    at = {key: (at or {}).get(key, 0) for key in over_keys(data)} if near is None else near.at
+    window = (0.0, np.inf) if near is None else _window(near)
+    for i, (direction, colour) in enumerate((("up", BLUE), ("down", VERMILION))):
+        _sweep(ax, sweep.isel(at).isel(direction=i).sel(point=point, axis=axis), direction, colour, window)
+    shown = [item for item in ranges(data) if item.at == at] if near is None else [near]
+    for item in shown:
+        wide = item.high - item.low > WIDE * float(np.ptp(sweep.frequency.values))
+        _range(data, ax, item, point, axis, middle=wide or near is not None)
+    if "hbm" in data.children:
+        _branch(data, ax, at, point, axis, window)
+    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(point, axis))
+    if near is None:
         ax.set_ylim(bottom=0)
     else:
         ax.set_xlim(*window)
     return ax
 
 
-def _window(place: Place) -> tuple[float, float]:
-    beside = AROUND * (place.high - place.low)
-    return place.low - beside, place.high + beside
+def _window(item: Range) -> tuple[float, float]:
+    beside = AROUND * (item.high - item.low)
+    return item.low - beside, item.high + beside
+
+
+def _sweep(ax: "Axes", part: "Dataset", direction: str, colour: str, window: tuple[float, float]) -> None:
+    """The points of a sweep inside a window, hollow where they have not settled; joined where all are shown."""
+    x, y, settled = part.frequency.values, part.amplitude.values, part.settled.values > 0
+    shown = (x >= window[0]) & (x <= window[1])
+    if shown.all():
+        ax.plot(x, y, color=colour, linewidth=0.8, label="_line")
+    look: dict[str, Any] = {"color": colour, "marker": DIRECTIONS[direction], "linestyle": "", "ms": 4}
+    ax.plot(x[settled & shown], y[settled & shown], label=f"sweep {direction}", **look)
+    loose = ~settled & shown & np.isfinite(y)
+    if loose.any():
+        ax.plot(x[loose], y[loose], fillstyle="none", label="not settled", **look)
 
 
 def _branch(
-    data: "xarray.DataTree",
-    ax: "matplotlib.axes.Axes",
-    where: Mapping[str, int],
-    which: tuple[str, str],
-    window: tuple[float, float] | None,
+    data: "DataTree",
+    ax: "Axes",
+    at: Mapping[str, int],
+    point: str,
+    axis: str,
+    window: tuple[float, float],
 ) -> None:
     """The curves of harmonic balance with these values, their folds marked."""
-    if "hbm" not in data.children:
-        return
     # In a tree the root's axes hide the variables of these names; without them points and axes go by number.
-    hbm = data.children["hbm"].to_dataset(inherit=False)
+    root, hbm = data.to_dataset(), data.children["hbm"].to_dataset(inherit=False)
     inside = np.ones(hbm.sizes["solution"], bool)
-    for key, i in where.items():
-        inside &= np.isclose(hbm[key].values, float(values(data, key)[i]))
-    row, column = (values(data, dim).tolist().index(name) for dim, name in zip(("point", "axis"), which, strict=True))
-    y = hbm.amplitude.isel(point=row, axis=column).values
-    x, stable, fold = hbm.frequency.values, hbm.stable.values > 0, hbm.fold.values > 0
+    for key, i in at.items():
+        inside &= np.isclose(hbm[key].values, float(root[key].values[i]))
+    row, column = root["point"].values.tolist().index(point), root["axis"].values.tolist().index(axis)
     for number in np.unique(hbm.curve.values[inside]):
-        rows = np.flatnonzero(inside & (hbm.curve.values == number))
-        for part, firm in stretches(stable[rows], fold[rows]):
-            own = rows[part]
-            if window is not None:
-                own = _between(x, own, window)
-            ax.plot(x[own], y[own], color=BEHIND, linestyle="-" if firm else DASHES, linewidth=2.2 if firm else 1.4)
-        turns = [row for row in rows[fold[rows]] if window is None or window[0] <= x[row] <= window[1]]
-        ax.plot(x[turns], y[turns], "D", color=BEHIND, markeredgecolor="black", ms=5, zorder=3)
+        part = hbm.isel(solution=inside & (hbm.curve.values == number), point=row, axis=column)
+        x, fold = part.frequency.values, part.fold.values > 0
+        shown = (x >= window[0]) & (x <= window[1])
+        # A solution beyond each edge of the window, for the line to reach it.
+        reached = shown | np.append(shown[1:], False) | np.append(False, shown[:-1])
+        y = np.where(reached, part.amplitude.values, np.nan)
+        look: dict[str, Any] = {
+            "colour": BEHIND,
+            "stable_label": "harmonic balance",
+            "widths": (2.2, 1.4),
+            "zorder": 1.5,
+        }
+        draw_branch(ax, x, y, part.stable.values > 0, fold & shown, **look)
 
 
-def _between(x: np.ndarray, rows: np.ndarray, window: tuple[float, float]) -> np.ndarray:
-    """Rows inside a window and those next to them, so that a line reaches its edge."""
-    inside = (x[rows] >= window[0]) & (x[rows] <= window[1])
-    wide = inside | np.append(inside[1:], False) | np.append(False, inside[:-1])
-    return rows[wide]
-
-
-def _range(
-    data: "xarray.DataTree", ax: "matplotlib.axes.Axes", place: Place, which: tuple[str, str], *, middle: bool
-) -> None:
+def _range(data: "DataTree", ax: "Axes", item: Range, point: str, axis: str, *, middle: bool) -> None:
     """A range shaded, an arrow for each jump, and where there is room the motions at its middle."""
-    ax.axvspan(place.low, place.high, color=SHADE, linewidth=0, zorder=0)
-    spot = {"point": which[0], "axis": which[1]}
-    ends = [data.to_dataset()[name].isel(place.where).sel(spot).values for name in ("jump_from", "jump_to")]
-    for frequency, before, after in zip((place.low, place.high), *ends, strict=True):
+    ax.axvspan(item.low, item.high, color=SHADE, linewidth=0, zorder=0, label="two motions")
+    here = data.to_dataset().isel(item.where).sel(point=point, axis=axis)
+    ends = here["jump_from"].values, here["jump_to"].values
+    for frequency, before, after in zip((item.low, item.high), *ends, strict=True):
         if np.isfinite(before):
             arrow = {"arrowstyle": "-|>", "color": "black", "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
             ax.annotate("", (frequency, after), (frequency, before), arrowprops=arrow, zorder=5)
-    for name, colour in (("lower", BLUE), ("upper", VERMILION)) if middle else ():
-        value = float(data.to_dataset()[f"amplitude_{name}"].isel(place.where).sel(spot))
-        ax.plot(0.5 * (place.low + place.high), value, "*", color=colour, markeredgecolor="black", ms=11, zorder=6)
+            ax.plot([], [], color="black", marker=r"$\downarrow$", linestyle="", ms=9, label="jump")
+    star: dict[str, Any] = {"markeredgecolor": "black", "linestyle": "", "ms": 11, "zorder": 6}
+    for name, words, colour in (("lower", "smaller", BLUE), ("upper", "larger", VERMILION)) if middle else ():
+        value = float(here[f"amplitude_{name}"])
+        ax.plot(0.5 * (item.low + item.high), value, "*", color=colour, label=f"{words} motion", **star)
 
 
-def starts(
-    data: "xarray.DataTree", ax: "matplotlib.axes.Axes | None" = None, *, place: Place | None = None
-) -> "matplotlib.axes.Axes":
+def starts(data: "DataTree", ax: "Axes | None" = None, *, at: Range | None = None) -> "Axes":
     """Which start leads to which motion: sums of the two motions at mid-range, as shares of each; rest is (0, 0)."""
     from matplotlib.colors import BoundaryNorm, ListedColormap
 
-    ax = axes(ax)
-    place = place or places(data)[0]
-    branch = data.to_dataset()["start_branch"].isel(place.where).transpose("share_lower", "share_upper").values
-    x, y = values(data, "share_upper"), values(data, "share_lower")
-    kinds = sorted(COLOURS)
-    look = ListedColormap([COLOURS[kind] for kind in kinds]), BoundaryNorm([-1.5, -0.5, 0.5, 1.5, 2.5], len(kinds))
-    ax.pcolormesh(x, y, branch, shading="nearest", cmap=look[0], norm=look[1], alpha=0.55, edgecolor="white")
+    ax, item, root = axes(ax), at or ranges(data)[0], data.to_dataset()
+    branch = root["start_branch"].isel(item.where).transpose("share_lower", "share_upper").values
+    colours = ListedColormap([colour for _, colour in LED_TO.values()])
+    norm = BoundaryNorm([-1.5, -0.5, 0.5, 1.5, 2.5], colours.N)
+    x, y = root["share_upper"].values, root["share_lower"].values
+    ax.pcolormesh(x, y, branch, shading="nearest", cmap=colours, norm=norm, alpha=0.55, edgecolor="white")
     for spot, kind, name in (((0, 0), "o", "rest"), ((0, 1), "v", "smaller motion"), ((1, 0), "^", "larger motion")):
-        ax.plot(*spot, kind, color="black", fillstyle="none", ms=9, markeredgewidth=1.6, label=name)
+        ax.plot(*spot, kind, color="black", fillstyle="none", ms=9, markeredgewidth=1.6, linestyle="", label=name)
     ax.set(xlabel="share of the larger motion [1]", ylabel="share of the smaller motion [1]")
     ax.grid(False)
     ax.set_aspect("equal")
-    ax.set_title(", ".join(filter(None, (place.label, f"{0.5 * (place.low + place.high):.6g} Hz"))), fontsize=9)
+    ax.set_title(", ".join(filter(None, (item.label, f"{0.5 * (item.low + item.high):.6g} Hz"))), fontsize=9)
     return ax
 
 
-def existence(
-    data: "xarray.DataTree", ax: "matplotlib.axes.Axes | None" = None, *, key: str | None = None
-) -> "matplotlib.axes.Axes":
+def existence(data: "DataTree", ax: "Axes | None" = None, *, key: str | None = None) -> "Axes":
     """Where there are two motions: frequency between the ends of the ranges, against a scalar of the scene."""
-    ax = axes(ax)
-    key = key or over_keys(data)[0]
-    for place in places(data):
-        value = float(values(data, key)[place.where[key]])
-        ax.plot([value, value], [place.low, place.high], color=BLUE, linewidth=5, solid_capstyle="butt", alpha=0.5)
-        ax.plot(value, place.low, "v", color=VERMILION, ms=5, label="the sweep down jumps")
-        ax.plot(value, place.high, "^", color=BLUE, ms=5, label="the sweep up jumps")
-    ends = values(data, key).min(), values(data, key).max()
-    margin = 0.05 * (ends[1] - ends[0]) or 1.0
-    ax.set_xlim(ends[0] - margin, ends[1] + margin)
-    ax.set(xlabel=spoken(key), ylabel="frequency [Hz]")
+    ax, key, root = axes(ax), key or over_keys(data)[0], data.to_dataset()
+    scalar = root[key].values
+    for item in ranges(data):
+        value = float(scalar[item.at[key]])
+        ax.plot([value, value], [item.low, item.high], color=BLUE, linewidth=5, solid_capstyle="butt", alpha=0.5)
+        ax.plot(value, item.low, "v", color=VERMILION, ms=5, label="the sweep down jumps")
+        ax.plot(value, item.high, "^", color=BLUE, ms=5, label="the sweep up jumps")
+    margin = 0.05 * np.ptp(scalar) or 1.0
+    ax.set_xlim(scalar.min() - margin, scalar.max() + margin)
+    ax.set(xlabel=axis_label(root, key), ylabel="frequency [Hz]")
     return ax
 
 
-def _handles(data: "xarray.DataTree", ax: "matplotlib.axes.Axes") -> list[Any]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    stars = any(line.get_marker() == "*" for line in ax.get_lines())
-    marks: dict[str, Any] = {"linestyle": "", "markeredgecolor": "black", "ms": 10}
-    made: list[Any] = [
-        Line2D([], [], color=BLUE, marker="^", ms=4, label="sweep up"),
-        Line2D([], [], color=VERMILION, marker="v", ms=4, label="sweep down"),
-    ]
-    if (data.children["sweep"].to_dataset().settled.values == 0).any():
-        made.append(
-            Line2D([], [], color=NEUTRAL, marker="^", fillstyle="none", linestyle="", ms=4, label="not settled")
-        )
-    if places(data):
-        made += [
-            Patch(color=SHADE, label="two motions"),
-            Line2D([], [], color="black", marker=r"$\downarrow$", linestyle="", ms=9, label="jump"),
-        ]
-        if stars:
-            made.append(Line2D([], [], color=VERMILION, marker="*", label="larger motion", **marks))
-            made.append(Line2D([], [], color=BLUE, marker="*", label="smaller motion", **marks))
-    if "hbm" in data.children:
-        hbm = data.children["hbm"].to_dataset(inherit=False)
-        made.append(Line2D([], [], color=BEHIND, linewidth=2.2, label="harmonic balance"))
-        if (hbm.stable.values[hbm.fold.values == 0] == 0).any():
-            made.append(Line2D([], [], color=BEHIND, linestyle=DASHES, label="unstable"))
-        if hbm.fold.values.any():
-            marks |= {"ms": 5, "color": BEHIND, "marker": "D"}
-            made.append(Line2D([], [], label="fold", **marks))
-    return made
+def _column(rows: int, height: float, gap: float) -> tuple["Figure", list["Axes"]]:
+    fig, grid = figure(rows, 1, width=9.0, height=4.0 if rows == 1 else height, gap=gap, right=2.2)
+    return fig, list(grid[:, 0])
 
 
-def _sets(data: "xarray.DataTree") -> list[dict[str, int]]:
-    keys = over_keys(data)
-    return [dict(zip(keys, index, strict=True)) for index in product(*(range(data.sizes[key]) for key in keys))]
+def _response_figure(data: "DataTree") -> "Figure":
+    sets, two = _sets(data), [item.at for item in ranges(data)]
+    first = sorted(range(len(sets)), key=lambda i: sets[i] not in two)[:MAX_RANGES]
+    fig, axs = _column(len(first), 2.4, 0.45)
+    for ax, i in zip(axs, sorted(first), strict=True):
+        label_axes(response(data, ax, at=sets[i]), _label(data, sets[i]))
+    legend_beside(axs[0], labelled(*axs).values())
+    return finish(fig, data, "sweeps up and down", left_out(len(sets), len(first), "sets of values"))
 
 
-def _label(data: "xarray.DataTree", at: Mapping[str, int]) -> str:
-    return ", ".join(f"{spoken(key)} {values(data, key)[i]:.4g}" for key, i in at.items())
-
-
-def _response_figure(data: "xarray.DataTree") -> "matplotlib.figure.Figure":
-    every = _sets(data)
-    # Those with a range first.
-    busy = [{key: i for key, i in place.where.items() if key != "jump"} for place in places(data)]
-    kept = sorted(range(len(every)), key=lambda i: every[i] not in busy)[:MAX_RANGES]
-    shown = [every[i] for i in sorted(kept)]
-    made, grid = figure(len(shown), 1, width=9.0, height=4.0 if len(shown) == 1 else 2.4, gap=0.45, right=2.2)
-    for ax, at in zip(grid[:, 0], shown, strict=True):
-        response(data, ax, at=at)
-        ax.set_title(_label(data, at), fontsize=9, pad=3, loc="right")
-    grid[0, 0].legend(handles=_handles(data, grid[0, 0]), **BESIDE)
-    return _finished(made, data, "sweeps up and down", len(every) - len(shown), "sets of values")
-
-
-def _ranges_figure(data: "xarray.DataTree") -> "matplotlib.figure.Figure | None":
-    every = places(data)
-    shown = every[:MAX_RANGES]
+def _ranges_figure(data: "DataTree") -> "Figure | None":
+    shown = ranges(data)[:MAX_RANGES]
     if not shown:
         return None
-    made, grid = figure(len(shown), 1, width=9.0, height=4.0 if len(shown) == 1 else 2.6, gap=0.6, right=2.2)
-    for ax, place in zip(grid[:, 0], shown, strict=True):
-        response(data, ax, at={key: i for key, i in place.where.items() if key != "jump"}, near=place)
-        ax.set_title(", ".join(filter(None, (place.label, f"{place.low:.8g} to {place.high:.8g} Hz"))), fontsize=9)
-    grid[0, 0].legend(handles=_handles(data, grid[0, 0]), **BESIDE)
-    return _finished(made, data, "where there are two motions", len(every) - len(shown), "ranges")
+    fig, axs = _column(len(shown), 2.6, 0.6)
+    for ax, item in zip(axs, shown, strict=True):
+        response(data, ax, near=item)
+        ax.set_title(", ".join(filter(None, (item.label, f"{item.low:.8g} to {item.high:.8g} Hz"))), fontsize=9)
+    legend_beside(axs[0], labelled(*axs).values())
+    return finish(fig, data, "where there are two motions", left_out(len(ranges(data)), len(shown), "ranges"))
 
 
-def _starts_figure(data: "xarray.DataTree") -> "matplotlib.figure.Figure | None":
-    from matplotlib.lines import Line2D
+def _starts_figure(data: "DataTree") -> "Figure | None":
     from matplotlib.patches import Patch
 
-    every = places(data)
-    shown = every[:MAX_RANGES]
+    shown = ranges(data)[:MAX_RANGES]
     if not shown or "start_branch" not in data:
         return None
-    made, grid = figure(1, len(shown), width=2.6 + 3.6 * len(shown), height=3.6, right=2.0)
-    for ax, place in zip(grid[0], shown, strict=True):
-        starts(data, ax, place=place)
-    seen = set(
-        np.unique(
-            np.concatenate([data.to_dataset()["start_branch"].isel(place.where).values.ravel() for place in shown])
-        )
-    )
-    patches = [Patch(color=COLOURS[kind], alpha=0.55, label=LED[kind]) for kind in LED if kind in seen]
-    marks = [Line2D([], [], **_copy(line)) for line in grid[0, 0].get_lines()]
-    grid[0, -1].legend(handles=[*patches, *marks], **BESIDE)
-    return _finished(made, data, "which start leads to which motion", len(every) - len(shown), "ranges")
+    fig, grid = figure(1, len(shown), width=2.6 + 3.6 * len(shown), height=3.6, right=2.0)
+    for ax, item in zip(grid[0], shown, strict=True):
+        starts(data, ax, at=item)
+    led = np.unique([data["start_branch"].isel(item.where).values for item in shown])
+    patches = [Patch(color=LED_TO[kind][1], alpha=0.55, label=LED_TO[kind][0]) for kind in led.tolist()]
+    legend_beside(grid[0, -1], [*patches, *labelled(grid[0, 0]).values()])
+    return finish(fig, data, "which start leads to which motion", left_out(len(ranges(data)), len(shown), "ranges"))
 
 
-def _copy(line: Any) -> dict[str, Any]:
-    return {
-        "color": "black", "fillstyle": "none", "linestyle": "", "marker": line.get_marker(), "ms": 8,
-        "label": line.get_label(),
-    }  # fmt: skip
-
-
-def _existence_figure(data: "xarray.DataTree") -> "matplotlib.figure.Figure | None":
+def _existence_figure(data: "DataTree") -> "Figure | None":
     keys = [key for key in over_keys(data) if data.sizes[key] > 1]
-    if not keys or not places(data):
+    if not keys or not ranges(data):
         return None
-    made, grid = figure(len(keys), 1, width=8.0, height=3.2, gap=0.7, right=2.4)
+    fig, grid = figure(len(keys), 1, width=8.0, height=3.2, gap=0.7, right=2.4)
     for ax, key in zip(grid[:, 0], keys, strict=True):
         existence(data, ax, key=key)
-    entries = dict(zip(*reversed(grid[0, 0].get_legend_handles_labels()), strict=True))
-    grid[0, 0].legend(handles=list(entries.values()), labels=list(entries), **BESIDE)
-    return _finished(made, data, "ranges with two motions", 0, "")
-
-
-def _finished(
-    made: "matplotlib.figure.Figure", data: "xarray.DataTree", what: str, hidden: int, of: str
-) -> "matplotlib.figure.Figure":
-    heading(made, data.to_dataset(), what, f"{hidden} more {of} not shown" if hidden > 0 else "")
-    return made
+    legend_beside(grid[0, 0], labelled(grid[0, 0]).values())
+    return finish(fig, data, "ranges with two motions")
 
 
 PICTURES: dict[str, Picture] = {

@@ -9,22 +9,23 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from timesim.picture import transient as plot_transient
-from timesim.picture.style import BLUE, SERIES, VERMILION, Picture, axes, figure, heading, shared_legend
+from timesim.picture import transient
+from timesim.picture.choice import MAX_ROWS, motions
+from timesim.picture.response import amplitude_label
+from timesim.picture.style import BLUE, SERIES, VERMILION, Picture, axes, figure, heading, legend_below
 
 if TYPE_CHECKING:
-    import matplotlib.axes
-    import matplotlib.figure
-    import xarray
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from xarray import Dataset
 
-MAX_MOTIONS = 3
 MAX_NUMBERS = 12
 ROOM = 0.055  # share of an axis that a frequency takes as text
 NEAR = 0.02  # share of the range within which two ends are one: no arrow joins them
 RUN_UP = "0.93"
 
 
-class Stretch(NamedTuple):
+class Phase(NamedTuple):
     """Cycles ``first <= k < end`` at one frequency [Hz], counted from 0, and whether they belong to the run-up."""
 
     first: int
@@ -33,19 +34,19 @@ class Stretch(NamedTuple):
     run_up: bool
 
 
-def stretches(data: "xarray.Dataset") -> list[Stretch]:
+def phases(data: "Dataset") -> list[Phase]:
     """The schedule as far as it was run; equal frequencies one after the other count as one."""
     frequency = data.cycle_frequency.values
     before = data.cycle_start.values < -1e-6 * data.cycle_period.values
     changes = np.flatnonzero((np.diff(frequency) != 0) | np.diff(before)) + 1
     bounds = [0, *changes.tolist(), frequency.size] if frequency.size else [0]
-    return [Stretch(a, b, float(frequency[a]), bool(before[a])) for a, b in pairwise(bounds)]
+    return [Phase(a, b, float(frequency[a]), bool(before[a])) for a, b in pairwise(bounds)]
 
 
-def envelope(data: "xarray.Dataset", ax: "matplotlib.axes.Axes | None" = None) -> "matplotlib.axes.Axes":
+def envelope(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     """Amplitude of each cycle of what moves most, the run-up shaded, a dotted line at each change of frequency."""
     ax = axes(ax)
-    for (point, axis), style in zip(motions(data), SERIES, strict=False):
+    for (point, axis), style in zip(moving(data), SERIES, strict=False):
         amplitude = data.cycle_amplitude.sel(point=point, axis=axis).values
         ax.plot(data.cycle.values, amplitude, color=style.colour, linestyle=style.line, label=f"{point} {axis}")
     ax.set_ylim(bottom=0)
@@ -53,10 +54,10 @@ def envelope(data: "xarray.Dataset", ax: "matplotlib.axes.Axes | None" = None) -
     return _along_schedule(ax, data)
 
 
-def frequency(data: "xarray.Dataset", ax: "matplotlib.axes.Axes | None" = None) -> "matplotlib.axes.Axes":
+def frequency(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     """Frequency of the excitation over the cycles, the values written where there is room."""
     ax = axes(ax)
-    parts = stretches(data)
+    parts = phases(data)
     edges = [0.5, *(part.end + 0.5 for part in parts)]
     ax.stairs([part.frequency for part in parts], edges, baseline=None, color="black", linewidth=1.2)
     for part in parts:
@@ -68,10 +69,10 @@ def frequency(data: "xarray.Dataset", ax: "matplotlib.axes.Axes | None" = None) 
     return _along_schedule(ax, data)
 
 
-def _along_schedule(ax: "matplotlib.axes.Axes", data: "xarray.Dataset") -> "matplotlib.axes.Axes":
+def _along_schedule(ax: "Axes", data: "Dataset") -> "Axes":
     from matplotlib.ticker import MaxNLocator
 
-    parts = stretches(data)
+    parts = phases(data)
     before = [part.end for part in parts if part.run_up]
     if before:
         ax.axvspan(0.5, before[-1] + 0.5, color=RUN_UP, linewidth=0, zorder=0, label="run-up")
@@ -82,22 +83,16 @@ def _along_schedule(ax: "matplotlib.axes.Axes", data: "xarray.Dataset") -> "matp
     return ax
 
 
-def path(
-    data: "xarray.Dataset",
-    ax: "matplotlib.axes.Axes | None" = None,
-    *,
-    point: str | None = None,
-    axis: str | None = None,
-) -> "matplotlib.axes.Axes":
+def path(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None) -> "Axes":
     """Amplitude of each cycle against frequency; arrows join the ends of the phases, numbered from 1.
 
     The run-up is left out, but for its end, from which the first arrow leads.
     """
     ax = axes(ax)
     if point is None or axis is None:
-        point, axis = motions(data)[0]
+        point, axis = moving(data)[0]
     amplitude = data.cycle_amplitude.sel(point=point, axis=axis).values
-    parts = stretches(data)
+    parts = phases(data)
     recorded = [part for part in parts if not part.run_up]
     first = recorded[0].first if recorded else 0
     ax.plot(data.cycle_frequency.values[first:], amplitude[first:], ".", color=BLUE, ms=2.5, label="a cycle")
@@ -107,60 +102,50 @@ def path(
     if len(last) > len(recorded):
         ax.plot(*ends.pop(0), "D", color="black", fillstyle="none", ms=8, linestyle="", label="end of the run-up")
     ax.plot(*np.array(ends).reshape(-1, 2).T, "o", color=VERMILION, ms=5, label="end of a phase")
-    _numbers(ax, ends)
+    for number, end in enumerate(ends if len(ends) <= MAX_NUMBERS else (), 1):
+        ax.annotate(f"{number}", end, (7, 5), textcoords="offset points", fontsize=9)
     ax.margins(x=0.15, y=0.12)
-    ax.set(xlabel="frequency [Hz]", ylabel=f"amplitude of {point} {axis} [length]")
+    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(point, axis))
     return ax
 
 
-def _arrows(ax: "matplotlib.axes.Axes", ends: list[tuple[float, float]]) -> None:
+def _arrows(ax: "Axes", ends: list[tuple[float, float]]) -> None:
     least = NEAR * np.ptp(np.array(ends), axis=0)
     for start, end in pairwise(ends):
         if np.any(np.abs(np.subtract(end, start)) > least):
             ax.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": "0.35", "shrinkA": 4, "shrinkB": 4})
 
 
-def _numbers(ax: "matplotlib.axes.Axes", ends: list[tuple[float, float]]) -> None:
-    if len(ends) > MAX_NUMBERS:
-        return
-    for number, end in enumerate(ends, 1):
-        ax.annotate(f"{number}", end, (7, 5), textcoords="offset points", fontsize=9)
+def moving(data: "Dataset") -> list[tuple[str, str]]:
+    """At most `MAX_ROWS` points and axes, the largest amplitude first; the first of all if none moves."""
+    return motions(data, data.cycle_amplitude.values.max(axis=0, initial=0.0))[:MAX_ROWS]
 
 
-def motions(data: "xarray.Dataset") -> list[tuple[str, str]]:
-    """At most `MAX_MOTIONS` points and axes, the largest amplitude first; the first of all if none moves."""
-    largest = data.cycle_amplitude.max("cycle").values if data.sizes["cycle"] else np.zeros((1, 1))
-    order = np.argsort(-largest, axis=None, kind="stable")[:MAX_MOTIONS]
-    kept = [place for place in order if largest.flat[place] > 1e-9 * largest.max()] or [0]
-    rows, columns = np.unravel_index(kept, largest.shape)
-    return [(str(data.point.values[i]), str(data.axis.values[j])) for i, j in zip(rows, columns, strict=True)]
-
-
-def _envelope_figure(data: "xarray.Dataset") -> "matplotlib.figure.Figure":
-    made, grid = figure(2, 1, width=9.0, height=1.9, gap=0.15, sharex=True, height_ratios=[2.2, 1])
+def _envelope_figure(data: "Dataset") -> "Figure":
+    fig, grid = figure(2, 1, width=9.0, height=1.9, gap=0.15, sharex=True, height_ratios=[2.2, 1])
     envelope(data, grid[0, 0]).set_xlabel("")
     frequency(data, grid[1, 0])
-    shared_legend(made)
-    heading(made, data, "amplitude of each cycle")
-    return made
+    legend_below(fig)
+    heading(fig, data, "amplitude of each cycle")
+    return fig
 
 
-def _path_figure(data: "xarray.Dataset") -> "matplotlib.figure.Figure | None":
-    if all(part.run_up for part in stretches(data)):
+def _path_figure(data: "Dataset") -> "Figure | None":
+    if all(part.run_up for part in phases(data)):
         return None
-    shown = motions(data)
-    made, grid = figure(1, len(shown), width=1.1 + 3.6 * len(shown), height=3.2, left=0.8)
+    shown = moving(data)
+    fig, grid = figure(1, len(shown), width=1.1 + 3.6 * len(shown), height=3.2, left=0.8)
     for ax, (point, axis) in zip(grid[0], shown, strict=True):
-        path(data, ax, point=point, axis=axis)
-        ax.locator_params(axis="x", nbins=4)
-    shared_legend(made)
-    heading(made, data, "amplitude against frequency, phase by phase")
-    return made
+        path(data, ax, point=point, axis=axis).locator_params(axis="x", nbins=4)
+    legend_below(fig)
+    heading(fig, data, "amplitude against frequency, phase by phase")
+    return fig
 
 
+_OF_TRANSIENT = dict(transient.PICTURES)
 PICTURES: dict[str, Picture] = {
-    "displacement": plot_transient.PICTURES["displacement"],
+    "displacement": _OF_TRANSIENT.pop("displacement"),
     "envelope": _envelope_figure,
     "path": _path_figure,
-    **{name: picture for name, picture in plot_transient.PICTURES.items() if name != "displacement"},
+    **_OF_TRANSIENT,
 }

@@ -1,10 +1,11 @@
-"""How every picture looks: figures, margins, colours, and what tells contact states apart.
+"""How every picture looks: figures, margins, colours, legends, and what tells contact states apart.
 
-Figures are made without pyplot: cheaper to import, no global state. Contact states are told apart by colour
-(Okabe and Ito's palette) and, for print and the colour-blind, by line style of curves and hatching of bars.
+Figures are made without pyplot: cheaper to import, no global state, so that a figure goes with its last reference.
+Contact states are told apart by colour (Okabe and Ito 2008) and, for print and the colour-blind, by line style of
+curves and hatching of bars.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -12,12 +13,13 @@ import numpy as np
 from timesim.model.model import SEPARATION, SLIP, STATE_NAMES, STICK
 
 if TYPE_CHECKING:
-    import matplotlib.axes
-    import matplotlib.figure
-    import xarray
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from xarray import Dataset, DataTree
 
 BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9"
-_HEAD, _FOOT = 0.68, 0.95
+PALE, NEUTRAL = "0.7", "0.25"
+_HEAD, _FOOT = 0.68, 0.95  # inch
 
 
 class Series(NamedTuple):
@@ -51,12 +53,11 @@ STATE_STYLE = {
     SEPARATION: StateStyle(GREEN, (0, (1, 1)), "...."),
 }
 
+Picture = Callable[[Any], "Figure | None"]
+"""Draws a result, a Dataset or the DataTree of one with groups; None where there is nothing to show."""
 
-Picture = Callable[[Any], "matplotlib.figure.Figure | None"]
-"""Draws a result: a Dataset, or the DataTree of one with groups."""
 
-
-def axes(ax: "matplotlib.axes.Axes | None" = None) -> "matplotlib.axes.Axes":
+def axes(ax: "Axes | None" = None) -> "Axes":
     """The axes given, or those of a new figure."""
     return figure()[1][0, 0] if ax is None else ax
 
@@ -71,7 +72,7 @@ def figure(
     left: float = 0.9,
     right: float = 0.2,
     **options: Any,
-) -> tuple["matplotlib.figure.Figure", np.ndarray]:
+) -> tuple["Figure", np.ndarray]:
     """A figure that needs no display, and its axes, between a heading and a foot with room for a legend.
 
     Margins are fixed, since a computed layout takes as long as all the drawing (measured).
@@ -90,8 +91,8 @@ def figure(
     from matplotlib.figure import Figure
 
     tall = _HEAD + rows * height + (rows - 1) * gap + _FOOT
-    made = Figure(figsize=(width, tall))
-    FigureCanvasAgg(made)
+    fig = Figure(figsize=(width, tall))
+    FigureCanvasAgg(fig)
     edges = {
         "left": left / width,
         "right": 1 - right / width,
@@ -99,25 +100,30 @@ def figure(
         "bottom": _FOOT / tall,
     }
     between = 0.8 / ((width - left - right - (columns - 1) * 0.8) / columns)
-    made.subplots_adjust(hspace=gap / height, wspace=between, **edges)
-    grid = made.subplots(rows, columns, squeeze=False, **options)
+    fig.subplots_adjust(hspace=gap / height, wspace=between, **edges)
+    grid = fig.subplots(rows, columns, squeeze=False, **options)
     for ax in grid.flat:
         ax.locator_params(nbins=6)
         ax.ticklabel_format(useOffset=False, scilimits=(-3, 4))
         ax.tick_params(labelsize=8)
         ax.grid(True, color="0.9", linewidth=0.6)
         ax.set_axisbelow(True)
-    return made, grid
+    return fig, grid
 
 
-def heading(made: "matplotlib.figure.Figure", data: "xarray.Dataset", what: str, left_out: str = "") -> None:
+def heading(fig: "Figure", data: "Dataset | DataTree", what: str, left_out: str = "") -> None:
     """Title of a figure: the scene's own and what is shown; at the foot what did not find room."""
     title = short(str(data.attrs.get("title") or ""), 90)
     unfinished = "" if int(data.attrs["complete"]) else " (incomplete run)"
-    tall = made.get_figheight()
-    made.suptitle((f"{title}\n" if title else "") + what + unfinished, fontsize=10, y=1 - 0.08 / tall, va="top")
+    tall = fig.get_figheight()
+    fig.suptitle((f"{title}\n" if title else "") + what + unfinished, fontsize=10, y=1 - 0.08 / tall, va="top")
     if left_out:
-        made.text(0.99, 0.04 / tall, left_out, fontsize=7, color="0.35", ha="right", va="bottom")
+        fig.text(0.99, 0.04 / tall, left_out, fontsize=7, color="0.35", ha="right", va="bottom")
+
+
+def label_axes(ax: "Axes", label: str) -> None:
+    """Say at the upper right corner which of several things the axes show."""
+    ax.set_title(label, fontsize=9, pad=4, loc="right")
 
 
 def short(name: str, length: int = 24) -> str:
@@ -125,7 +131,7 @@ def short(name: str, length: int = 24) -> str:
     return name if len(name) <= length else name[: length - 1] + "…"
 
 
-def state_curves(ax: "matplotlib.axes.Axes", x: np.ndarray, y: np.ndarray, state: np.ndarray) -> None:
+def state_curves(ax: "Axes", x: np.ndarray, y: np.ndarray, state: np.ndarray) -> None:
     """Draw a curve in the styles of its states, one artist for each state that occurs.
 
     Args:
@@ -137,13 +143,8 @@ def state_curves(ax: "matplotlib.axes.Axes", x: np.ndarray, y: np.ndarray, state
     for number, style in STATE_STYLE.items():
         pieces = _pieces(state == number)
         if pieces.size:
-            ax.plot(
-                *(values[pieces] for values in gapped),
-                color=style.colour,
-                linestyle=style.line,
-                linewidth=1.6,
-                label=STATE_NAMES[number],
-            )
+            look: dict[str, Any] = {"color": style.colour, "linestyle": style.line, "linewidth": 1.6}
+            ax.plot(*(values[pieces] for values in gapped), label=STATE_NAMES[number], **look)
 
 
 def _pieces(inside: np.ndarray) -> np.ndarray:
@@ -153,21 +154,34 @@ def _pieces(inside: np.ndarray) -> np.ndarray:
     return np.concatenate([np.empty(0, int), *(np.append(np.arange(a, min(b, last) + 1), -1) for a, b in runs)])
 
 
-def shared_legend(made: "matplotlib.figure.Figure") -> None:
-    """One legend for all axes of a figure, at its foot, each label once, the states first."""
-    entries: dict[str, Any] = {}
-    for ax in made.axes:
+def state_bar(ax: "Axes", row: float, intervals: Iterable[tuple[float, float, int]], height: float = 0.7) -> None:
+    """Draw the start, end and state of intervals as a bar, in a row of the axes."""
+    for start, end, state in intervals:
+        style = STATE_STYLE[state]
+        bars = ax.broken_barh([(start, end - start)], (row - height / 2, height), facecolor=style.colour, linewidth=0)
+        bars.set(edgecolor="white", hatch=style.hatch, label=STATE_NAMES[state])
+
+
+def labelled(*axs: "Axes") -> dict[str, Any]:
+    """Everything in some axes that bears a label, each label once."""
+    handles: dict[str, Any] = {}
+    for ax in axs:
         for handle, name in zip(*ax.get_legend_handles_labels(), strict=True):
-            entries.setdefault(name, handle)
-    if entries:
-        order = sorted(entries, key=lambda name: STATE_NAMES.index(name) if name in STATE_NAMES else 9)
-        handles = [entries[name] for name in order]
-        place = (0.5, 0.16 / made.get_figheight())
-        made.legend(
-            handles=handles,
-            labels=order,
-            loc="lower center",
-            bbox_to_anchor=place,
-            ncols=len(order),
-            fontsize=8,
-        )
+            handles.setdefault(name, handle)
+    return handles
+
+
+def legend_below(fig: "Figure") -> None:
+    """One legend for all axes of a figure, at its foot, the states first."""
+    handles = labelled(*fig.axes)
+    names = sorted(handles, key=lambda name: STATE_NAMES.index(name) if name in STATE_NAMES else 9)
+    if names:
+        place: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 0.16 / fig.get_figheight())}
+        fig.legend([handles[name] for name in names], names, ncols=len(names), fontsize=8, **place)
+
+
+def legend_beside(ax: "Axes", handles: Iterable[Any], title: str | None = None) -> None:
+    """A legend to the right of the axes, of handles that bear their labels."""
+    if shown := list(handles):
+        place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
+        ax.legend(handles=shown, title=title, title_fontsize=8, fontsize=8, **place)

@@ -21,16 +21,18 @@ from typing import Self
 import filelock
 import numpy as np
 
-from timesim.result.change import first_difference, named_differences
+from timesim.result.change import first_difference, scene_difference
 from timesim.result.file import StoreError, write_whole
 from timesim.result.netcdf import RESULT_NAME, read
-from timesim.study.worker import Result
 
 FOLDER_NAME = "checkpoint"
 MANIFEST_NAME = "manifest.json"
 LOCK_NAME = ".lock"
 
 INTERRUPTED = "interrupted"  # how the reason of a campaign that was given up begins
+
+Result = Mapping[str, np.ndarray]
+"""What a chunk gives: named arrays."""
 
 _AGAIN = "choose another folder, or give --force to start anew"
 
@@ -68,7 +70,7 @@ class Manifest:
     def change(self, now: "Manifest") -> str | None:
         """What tells it from another, in words; None if nothing does."""
         if self.identity != now.identity:
-            return f"is of another scene: {named_differences(self.identity, now.identity)}"
+            return f"is of another scene: {scene_difference(self.identity, now.identity)}"
         if self.timesim != now.timesim:
             return f"was begun by timesim {self.timesim}, this is {now.timesim}"
         if list(self.chunks) != list(now.chunks):
@@ -271,6 +273,6 @@ def _is_whole(folder: Path, scene: str) -> bool:
     manifest = Manifest.read(folder / FOLDER_NAME)
     for path, begun in ((RESULT_NAME, held.get("scene")), (FOLDER_NAME, manifest.identity if manifest else None)):
         if begun is not None and begun != scene:
-            change = named_differences(begun, scene)
+            change = scene_difference(begun, scene)
             raise StoreError(f"{folder / path} is of another scene: {change}; run what it was begun with, {_AGAIN}")
     return bool(held.get("complete"))

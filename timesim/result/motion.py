@@ -8,6 +8,7 @@ import numpy as np
 
 from timesim.element.motion import MIN_SAMPLES, Array, SplineMotion
 from timesim.model.model import GROUND
+from timesim.result.last_cycle import last_cycle
 
 COLUMNS = ("u1", "u2", "v")
 # A step so many times larger than its neighbours on both sides, and than this share of the range, is a jump.
@@ -51,31 +52,15 @@ def read_result_motion(path: str | Path, point: str, against: str, frame: Array)
         StoreError: the file is no result.
     """
     path = Path(path)
-    arrays = _recorded(path)
-    names, period = arrays["point"].tolist(), arrays["cycle_period"]
+    data, rows = last_cycle(path, "displacement", "point")
+    names = data["point"].values.tolist()
     for name in (point, against):
         if name not in names and (name, name) != (against, GROUND):
             raise ValueError(f"result {path}: no point {name}; it has {', '.join(names)}")
-    start = arrays["cycle_start"][-1] - 1e-6 * period[-1]
-    rows = (arrays["time"] > start) & (arrays["time"] < start + period[-1])
-    x = arrays["displacement"][rows]
+    x = data["displacement"].values[rows[:-1]]
     relative = x[:, names.index(point)] - (0.0 if against == GROUND else x[:, names.index(against)])
     u1, u2, v = frame @ relative.T
     return SplineMotion(_samples(path, {"u1": u1, "u2": u2, "v": v}))
-
-
-def _recorded(path: Path) -> dict[str, Array]:
-    """What a transient's result holds of the motion of its points."""
-    from timesim.result.netcdf import read
-
-    root = read(path)[""]
-    arrays = {str(name): array.values for name, array in root.variables.items()}
-    needed = ("displacement", "point", "time", "cycle_start", "cycle_period")
-    if missing := [name for name in needed if name not in arrays]:
-        raise ValueError(f"result {path}: no {', '.join(missing)}; give the result of a transient")
-    if not arrays["cycle_start"].size:
-        raise ValueError(f"result {path}: no cycle was finished")
-    return arrays
 
 
 def _read_csv(path: Path) -> dict[str, Array]:

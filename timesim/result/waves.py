@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from timesim.orbit.fourier import fourier_coefficients
-from timesim.result.netcdf import read
+from timesim.result.last_cycle import last_cycle
 
 Array = NDArray[np.float64]
-NEEDED = ("time", "modal_displacement", "cycle_start", "cycle_period", "final_phase_deg")
 
 
 @dataclass(frozen=True)
@@ -36,17 +35,8 @@ def result_waves(path: Path) -> Waves:
         ValueError: it holds no such cycle.
         StoreError: the file is no result.
     """
-    root = read(path)[""]
-    arrays = {str(name): array.values for name, array in root.variables.items()}
-    if missing := [name for name in NEEDED if name not in arrays]:
-        raise ValueError(f"result {path}: no {', '.join(missing)}; give the result of a transient")
-    if not arrays["cycle_start"].size or arrays["time"].size < 3:
-        raise ValueError(f"result {path}: no cycle was finished and recorded")
-    period, end = arrays["cycle_period"][-1], arrays["time"][-1]
-    rows = arrays["time"] > end - period * (1 - 1e-6)
-    if not np.isclose(arrays["cycle_start"][-1] + period, end, rtol=1e-6, atol=1e-6 * period):
+    data, rows = last_cycle(path, "modal_displacement", "final_phase_deg")
+    if rows[-1] < data.sizes["time"] - 1:
         raise ValueError(f"result {path}: it does not end with a whole cycle")
-    return Waves(
-        1 / period,
-        fourier_coefficients(arrays["modal_displacement"][rows], float(np.deg2rad(arrays["final_phase_deg"]))),
-    )
+    motion, phase = data["modal_displacement"].values[rows[1:]], float(np.deg2rad(data["final_phase_deg"].values))
+    return Waves(1 / data["cycle_period"].values[-1], fourier_coefficients(motion, phase))

@@ -153,8 +153,8 @@ def _study_lines(scene: Scene) -> Iterator[str]:
         yield scene.file.title
     written, initial = scene.source.data, scene.file.initial
     yield f"study: {_keys(scene.file.study, ('kind', *written['study']))}"
-    if told := scene.file.study.points_told():
-        yield f"points: {told}"
+    if extent := scene.file.study.extent():
+        yield f"points: {extent}"
     yield f"solver: {_keys(scene.file.solver, written.get('solver', ()))}"
     yield f"start: {initial if isinstance(initial, str) else _keys(initial, written['initial'])}"
 

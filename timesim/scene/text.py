@@ -7,7 +7,6 @@ scene needs no tags, so they are refused; anchors may be used, within limits tha
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from ruamel.yaml.events import (
     SequenceStartEvent,
 )
 
-from timesim.fault import Key, Problem, RuleError, SceneError
+from timesim.fault import Key, RuleError
 
 MAX_BYTES = 8 * 1024**2
 MAX_DEPTH = 32
@@ -39,55 +38,6 @@ _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _SPECIAL = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_/-]*(\.[A-Za-z0-9_/-]+)*")
 _UNPRINTABLE = re.compile("[\x7f-\x9f\u2028\u2029\ud800-\udfff\ufeff\ufffe\uffff]")
-
-
-@dataclass(frozen=True)
-class SceneSource:
-    """Plain data of a scene and where each key of it stands.
-
-    Attributes:
-        name: the file, as messages call it.
-        folder: what relative paths in the scene start from.
-        data: mappings, lists, text, numbers.
-        lines: line of each key path that the file holds, from 1.
-        overridden: key paths whose values do not come from the file.
-    """
-
-    name: str
-    folder: Path
-    data: dict[str, Any]
-    lines: Mapping[Key, int] = field(default_factory=dict)
-    overridden: tuple[Key, ...] = ()
-
-    def line(self, key: Key) -> int | None:
-        """Line of a key, or of the nearest key above it that the file holds."""
-        return next((self.lines[key[:n]] for n in range(len(key), -1, -1) if key[:n] in self.lines), None)
-
-    def problem(self, fault: RuleError) -> Problem:
-        """The fault with its place, its key as a user writes it, and the value as text."""
-        value = None if fault.value is None else value_text(fault.value)
-        by_override = any(fault.key[: len(key)] == key for key in self.overridden)
-        name = "override" if by_override else self.name
-        line = None if by_override else fault.line or self.line(fault.key)
-        return Problem(name, line, dotted(fault.key, self.data), value, fault.rule, fault.hint)
-
-
-def dotted(key: Key, data: Any) -> str:
-    """Key path as text; an item of a list goes by its name where it has one of its own."""
-    parts = []
-    for part in key:
-        siblings, data = data, _item(data, part)
-        items = siblings if isinstance(siblings, list) else []
-        names = [item.get("name") for item in items if isinstance(item, dict)]
-        name = data.get("name") if isinstance(data, dict) and names else None
-        parts.append(name if isinstance(name, str) and name and names.count(name) == 1 else str(part))
-    return ".".join(parts)
-
-
-def _item(data: Any, part: str | int) -> Any:
-    if isinstance(data, dict):
-        return data.get(part)
-    return data[part] if isinstance(data, list) and isinstance(part, int) and part < len(data) else None
 
 
 def value_text(value: Any, width: int = 60) -> str:
@@ -117,39 +67,6 @@ def plain(value: Any, key: Key = ()) -> Any:
     if isinstance(value, int):
         return value if abs(value) < HUGE else float("inf")
     raise RuleError(key, f"must be text, a number, a list or a mapping, not {type(value).__name__}")
-
-
-def read_file(path: Path) -> SceneSource:
-    """Read a scene file.
-
-    Raises:
-        SceneError: a file that cannot be read, or is no YAML that a scene may be.
-    """
-    try:
-        with path.open("rb") as stream:
-            content = stream.read(MAX_BYTES + 1)
-    except OSError as error:
-        rule = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
-        raise SceneError([Problem(str(path), None, "", None, rule, "give the path of a scene file")]) from None
-    return read_text(content, str(path), path.absolute().parent)
-
-
-def read_text(content: bytes | str, name: str, folder: Path) -> SceneSource:
-    """Read the text of a scene; see `read_file`."""
-    source = SceneSource(name, folder, {})
-    try:
-        value, lines = parse(content)
-        if not isinstance(value, dict):
-            raise RuleError(
-                (),
-                "must be a mapping of keys",
-                "the top level holds structure:, contacts:, study:, …",
-                value,
-                1,
-            )
-    except RuleError as fault:
-        raise SceneError([source.problem(fault)]) from None
-    return replace(source, data=value, lines=lines)
 
 
 def parse(content: bytes | str) -> tuple[Any, dict[Key, int]]:

@@ -14,15 +14,15 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.model.model import Model
-from timesim.model.solver import Criterion, Solver
+from timesim.model.solver import Solver
 from timesim.orbit.basin import ANOTHER, LOWER, NONE, UPPER, Ensemble, explore, shares, unique
 from timesim.orbit.batch import SIZES
 from timesim.orbit.settling import Task, settle
 from timesim.orbit.two_motions import UP, Means, Part, Search, find, sweep_part
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
-from timesim.scene.bistable import Bistable
 from timesim.scene.resolution import Scene
+from timesim.scene.sweep import BistablePlan
 from timesim.study.campaign import INTERRUPTED, Chunk, Result, carry_through
 from timesim.study.campaign import Means as Ways
 from timesim.study.hbm import followed
@@ -48,9 +48,8 @@ def study(scene: Scene, means: Ways) -> Outcome:
     The balance is only drawn behind the ranges: where it comes to no end the summary says so, and its group of the
     result is marked, but the study is complete.
     """
-    plan = scene.file.study
-    assert isinstance(plan, Bistable)
-    solver, grid = scene.solver(), Grid(scene, plan.sweep())
+    plan: BistablePlan = scene.plan
+    solver, grid = scene.solver(), Grid(scene, plan.sweep)
     clock = time.perf_counter()
     warm_up(grid, plan, solver)
     compiling = time.perf_counter() - clock
@@ -62,8 +61,8 @@ def study(scene: Scene, means: Ways) -> Outcome:
     _, *more = states_told(swept)
     size = int(np.isfinite(swept["amplitude"].values).all(axis=(-2, -1)).sum())
     lines = [*found.summary(), f"{size} steady states of both sweeps, and the search, in {running:.2f} s", *more]
-    if plan.harmonics and not (reason or "").startswith(INTERRUPTED):
-        balanced, hbm_reason = _balanced(scene, plan)
+    if plan.balance is not None and not (reason or "").startswith(INTERRUPTED):
+        balanced, _, hbm_reason = followed(scene, plan.balance)
         groups["hbm"] = balanced
         lines += folds(balanced)
         compiling, running = (compiling + balanced.attrs["compile_seconds"], running + balanced.attrs["run_seconds"])
@@ -76,12 +75,7 @@ def study(scene: Scene, means: Ways) -> Outcome:
     return Outcome({"": found.record(told), **groups}, why, tuple(lines))
 
 
-def _balanced(scene: Scene, plan: Bistable) -> tuple[Dataset, str | None]:
-    record, _, reason = followed(scene, plan.balance())
-    return record, reason
-
-
-def warm_up(grid: Grid, plan: Bistable, solver: Solver) -> None:
+def warm_up(grid: Grid, plan: BistablePlan, solver: Solver) -> None:
     """Compile what the work needs, once, before threads ask for it side by side."""
     models = [item for item in grid.models if isinstance(item, Model)]
     for size in SIZES if plan.starts**2 > SIZES[0] else SIZES[:1]:
@@ -90,15 +84,14 @@ def warm_up(grid: Grid, plan: Bistable, solver: Solver) -> None:
             settle([task] * size, solver, tolerance=1e-2, max_cycles=1)
 
 
-def chunks(grid: Grid, plan: Bistable, solver: Solver) -> list[Chunk]:
+def chunks(grid: Grid, plan: BistablePlan, solver: Solver) -> list[Chunk]:
     """All the work: of each set of values parts of the sweeps, the ends, the starts."""
-    criterion = Criterion(plan.settle.tolerance, plan.settle.max_cycles, plan.periodic == "shoot")
     up = tuple(map(float, grid.frequency))
     made = []
     for v, model in enumerate(grid.models):
         if not isinstance(model, Model):
             continue
-        means, after = Means(model, solver, criterion), None
+        means, after = Means(model, solver, plan.sweep.criterion), None
         for first in range(0, len(up), STEPS_A_CHUNK):
             rows = slice(first, first + STEPS_A_CHUNK)
             part = Part(means, up[rows], up[::-1][rows])
@@ -114,7 +107,7 @@ def chunks(grid: Grid, plan: Bistable, solver: Solver) -> list[Chunk]:
 class Found:
     """What the chunks have given, put together."""
 
-    def __init__(self, grid: Grid, plan: Bistable, results: Mapping[str, Result]):
+    def __init__(self, grid: Grid, plan: BistablePlan, results: Mapping[str, Result]):
         self.grid, self.plan, self.results = grid, plan, results
         self.whole = [self._last(v) for v in range(len(grid.models))]
         self.count = max((len(result["range"]) for result in self.whole if result), default=0)
@@ -199,9 +192,9 @@ class Found:
         """The ranges in words."""
         lines = [line for v, result in enumerate(self.whole) if result for line in self._told(v, result)]
         if not lines and any(result is not None for result in self.whole):
-            span = self.plan.frequency
+            span = self.grid.frequency
             yield (
-                f"no range with two motions was found from {span.first:g} to {span.to:g} Hz: both sweeps are on one "
+                f"no range with two motions was found from {span[0]:g} to {span[-1]:g} Hz: both sweeps are on one "
                 f"motion at all {self.grid.frequency.size} frequencies, and no jump is left when a step is bisected"
             )
         yield from lines[:LISTED]

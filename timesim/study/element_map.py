@@ -37,10 +37,9 @@ from timesim.model.model import SEPARATION
 from timesim.model.solver import Solver
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
-from timesim.scene.contact import ContactSection
-from timesim.scene.element import MAP_AXES, ElementMap
+from timesim.scene.element import MAP_AXES, MapPlan
 from timesim.scene.resolution import Scene
-from timesim.study.campaign import Progress
+from timesim.study.campaign import Means, Progress
 from timesim.study.outcome import Outcome, attributes
 
 BATCH = 256
@@ -190,43 +189,36 @@ def limits(forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(leads[:, None], forces[:, -1] + far, 0.0), leads
 
 
-def elements_of(plan: ElementMap, section: ContactSection) -> tuple[Elements, np.ndarray]:
+def elements_of(plan: MapPlan) -> tuple[Elements, np.ndarray]:
     """All points of the map, the second axis fastest, and the phases of u1 and u2 there, shape (N, 2) [rad]."""
-    axes = plan.axes()
-    grid = dict(zip(axes, np.meshgrid(*axes.values(), indexing="ij"), strict=True))
-    count = int(np.prod([values.size for values in axes.values()]))
-    contact = section.build()
+    grid = np.meshgrid(*(plan.values[key] for key in plan.axes), indexing="ij")
+    columns = {key: values.ravel() for key, values in zip(plan.axes, grid, strict=True)}
+    count = grid[0].size
 
     def value(key: str) -> np.ndarray:
-        if key in grid:
-            return grid[key].ravel()
-        given = getattr(plan, key)
-        return np.full(count, getattr(contact, key) if given is None else given, dtype=float)
+        return columns[key] if key in columns else np.full(count, plan.values[key][0])
 
     turn: Callable[[str], np.ndarray] = lambda key: np.exp(1j * np.deg2rad(value(key)))  # noqa: E731
     phasor = np.stack([value("A") + 0j, value("B") * turn("phi_deg"), value("D") * turn("psi_deg")], axis=1)
     numbers = (value("friction"), value("normal_stiffness"), value("preload"))
     phase = np.stack([np.zeros(count), np.deg2rad(value("phi_deg"))], axis=1)
-    return harmonic_elements(*numbers, contact.tangential_stiffness, phasor), phase
+    return harmonic_elements(*numbers, plan.contact.tangential_stiffness, phasor), phase
 
 
-def study(scene: Scene, progress: Progress | None = None) -> Outcome:
+def study(scene: Scene, means: Means) -> Outcome:
     """Run an element_map scene; marked incomplete where the event loop ended early."""
-    plan, solver = scene.file.study, scene.solver()
-    assert isinstance(plan, ElementMap)
-    section = plan.chosen(scene.file.contacts)
-    elements, phase = elements_of(plan, section)
+    plan: MapPlan = scene.plan
+    solver, (elements, phase) = scene.solver(), elements_of(plan)
     clock = time.perf_counter()
     March(elements.pick(np.arange(1)), phase[:1], solver).run(max_cycles=1)
     compiled = time.perf_counter()
-    found = March(elements, phase, solver).run(progress)
+    found = March(elements, phase, solver).run(means.progress)
     seconds = time.perf_counter() - compiled
     number = int(np.sum(~found.settled))
     lost = int(np.sum(np.isnan(found.dissipation)))
     reason = f"the event loop ended early at {lost} of {elements.size} points, NaN in the result" if lost else None
-    axes = plan.axes()
-    names = tuple(MAP_AXES[key] for key in axes)
-    shape = tuple(values.size for values in axes.values())
+    names = tuple(MAP_AXES[key] for key in plan.axes)
+    shape = tuple(len(plan.values[key]) for key in plan.axes)
     variables = {
         **{name: ((*names, "tangent"), getattr(found, name).reshape(*shape, 2)) for name in ("f_b", "f_s", "f_c")},
         **{
@@ -234,9 +226,9 @@ def study(scene: Scene, progress: Progress | None = None) -> Outcome:
             for name in ("dissipation", "transitions", "cycles", "settled")
         },
     }
-    coords = {MAP_AXES[key]: values for key, values in axes.items()} | coordinates(variables)
+    coords = {MAP_AXES[key]: np.array(plan.values[key]) for key in plan.axes} | coordinates(variables)
     told = attributes(scene, str(solver), compiled - clock, seconds, reason)
-    record = dataset(variables, coords, told | {"contact": section.name})
+    record = dataset(variables, coords, told | {"contact": plan.contact.name})
     lines = (
         f"{elements.size} points by {solver} in {seconds:.2f} s, after {compiled - clock:.1f} s of compilation",
         f"cycles to the steady one: {np.median(found.cycles):.0f} in the median, {found.cycles.max()} at most",

@@ -22,9 +22,8 @@ from timesim.orbit.jump import Stretch, jumps_of, steps_of, suspects
 from timesim.orbit.settling import Chain, Orbit, first_lane, steady_states
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
-from timesim.scene.axis import axis_values
 from timesim.scene.resolution import Scene
-from timesim.scene.sweep import Sweep, SweepKeys
+from timesim.scene.study import SweepPlan, combinations
 from timesim.study.campaign import Chunk, Means, Result, carry_through, halted
 from timesim.study.outcome import Outcome, attributes
 
@@ -144,15 +143,13 @@ def orbit_of(result: Result, place: tuple[int, int], phase: float) -> Orbit:
 
 def study(scene: Scene, means: Means) -> Outcome:
     """Run a sweep; points that fail are marked, named with their reason, and make the result incomplete."""
-    plan = scene.file.study
-    assert isinstance(plan, Sweep)
-    record, reason = sweep_record(scene, plan, means)
+    record, reason = sweep_record(scene, scene.plan, means)
     told = record.attrs
     attrs = attributes(scene, told["method"], told["compile_seconds"], told["run_seconds"], reason)
     return Outcome({"": record.assign_attrs(attrs)}, reason, tuple(summary(record)))
 
 
-def sweep_record(scene: Scene, plan: SweepKeys, means: Means) -> tuple[Dataset, str | None]:
+def sweep_record(scene: Scene, plan: SweepPlan, means: Means) -> tuple[Dataset, str | None]:
     """The steady states over the further axes, direction and frequency.
 
     Returns:
@@ -280,13 +277,11 @@ Place = tuple[int, int, slice | int]
 class Grid:
     """The points of a sweep: sets of values of the further axes, directions, frequencies."""
 
-    def __init__(self, scene: Scene, plan: SweepKeys):
+    def __init__(self, scene: Scene, plan: SweepPlan):
         self.scene, self.plan = scene, plan
-        self.axes = {key: np.array(axis_values(given)) for key, given in plan.over.items()}
-        self.frequency = plan.frequency.values()
-        self.models = [
-            _variant(scene, dict(zip(self.axes, map(float, v), strict=True))) for v in product(*self.axes.values())
-        ]
+        self.axes = {key: np.array(values) for key, values in plan.over.items()}
+        self.frequency = plan.frequency
+        self.models = [_variant(scene, values) for values in combinations(plan.over)]
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -295,16 +290,14 @@ class Grid:
 
     def chunks(self, solver: Solver) -> tuple[list[Chunk], dict[str, list[Place]]]:
         """The work, and where the results of each chunk belong."""
-        settle_, chained = self.plan.settle, self.plan.direction != "independent"
-        criterion = Criterion(settle_.tolerance, settle_.max_cycles, self.plan.periodic == "shoot")
         chunks: list[Chunk] = []
         places: dict[str, list[Place]] = {}
-        pieces = list(self._pieces(chained))
+        pieces = list(self._pieces())
         crowd = max((len(where) for _, _, where in pieces), default=0)
         for name, after, where in pieces:
             chains = tuple(Chain(self._model(v), tuple(self._visited(d, f))) for v, d, f in where)
             size = sum(len(chain.frequencies) for chain in chains)
-            payload = Segment(chains, solver, criterion, self.plan.refine, crowd)
+            payload = Segment(chains, solver, self.plan.criterion, self.plan.refine, crowd)
             chunks.append(Chunk(name, payload, after, size))
             places[name] = where
         return chunks, places
@@ -318,9 +311,9 @@ class Grid:
         order = self.frequency[::-1] if self.plan.directions[direction] == "down" else self.frequency
         return list(map(float, np.atleast_1d(order[where])))
 
-    def _pieces(self, chained: bool) -> Iterator[tuple[str, str | None, list[Place]]]:
+    def _pieces(self) -> Iterator[tuple[str, str | None, list[Place]]]:
         good = [v for v, model in enumerate(self.models) if isinstance(model, Model)]
-        if not chained:
+        if not self.plan.chained:
             points: list[Place] = [(v, 0, f) for v in good for f in range(self.frequency.size)]
             for number, part in enumerate(_parts(points, POINTS_A_CHUNK)):
                 yield f"points-{number:05d}", None, part
@@ -347,7 +340,7 @@ class Grid:
             for index, low, high in result["jumps"]:
                 v, d, _ = places[name][int(index)]
                 jumps.append((v, d, low, high))
-        if self.plan.refine is None and self.plan.direction != "independent":
+        if self.plan.refine is None and self.plan.chained:
             jumps += self._unrefined(arrays["amplitude"])
         for name in START:
             arrays[name][arrays["reason"] != ""] = -1 if name == "end_state" else np.nan
@@ -420,7 +413,7 @@ def _sizes(model: Model | None) -> dict[str, int]:
 def _variant(scene: Scene, values: Mapping[str, float]) -> Model | str:
     """The model with other scalars, or what is wrong with it."""
     try:
-        return scene.variant(values) if values else scene.model()
+        return scene.variant(values)
     except SceneError as error:
         return str(error)
 

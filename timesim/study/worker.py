@@ -2,7 +2,7 @@
 
 import os
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-Result = Mapping[str, np.ndarray]
-"""What a chunk gives: named arrays."""
+from timesim.result.checkpoint import Result
 
 Work = Callable[[Any, Result | None], Result]
 """``work(payload, before)``: result of a chunk, `before` that of the chunk it starts from; a function of a module."""

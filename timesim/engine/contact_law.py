@@ -1,0 +1,201 @@
+"""What the event loop asks of a contact law and of the system in which it acts; vectors of the contact plane.
+
+A vector of the contact plane is a tuple of its components, each an array over the contacts: two of them, or one where
+all motion is straight. A law is elementwise, which is what XLA fuses. Nothing here knows units: the event loop uses
+the dimensionless form, in which time is an angle and a cycle has length 2 pi.
+"""
+
+from timesim.runtime import Leaf  # isort: skip
+
+import abc
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from timesim.model.model import Contact
+from timesim.model.scales import Scales
+
+if TYPE_CHECKING:
+    Scalar: TypeAlias = Array
+    State: TypeAlias = Array
+else:
+    Scalar = Float[Leaf, "*#contact"]
+    State = Int[Leaf, "*#contact"]
+Plane: TypeAlias = tuple[Scalar, ...]
+Path: TypeAlias = tuple[Plane, Plane, Plane]
+P = TypeVar("P", bound="ContinuousState")
+
+
+class Motion(eqx.Module):
+    """Relative motion of the contacts, in the axes of the law: u, v and their rates."""
+
+    u: Plane
+    v: Scalar
+    du: Plane
+    dv: Scalar
+
+
+class Reaction(eqx.Module):
+    """What the contacts do at an instant.
+
+    Attributes:
+        f: friction force.
+        n: normal load as it enters the equations of motion.
+        dw: slip rate w'; ``f . w'`` is the power lost in friction.
+        lost: power lost otherwise, as in a damper across the contact; None for a law without any.
+    """
+
+    f: Plane
+    n: Scalar
+    dw: Plane
+    lost: Scalar | None = None
+
+
+class ContactLaw(eqx.Module):
+    """A law of contacts: forces, slip rate, what ends a state and what follows it.
+
+    The parameters are arrays over the contacts. A contact is in one of the states of `timesim.model.model`: stick, slip
+    or separation; a law need not use all of them.
+
+    Attributes:
+        preload: n0, the load that the structure carries at rest where it is positive.
+    """
+
+    preload: eqx.AbstractVar[Scalar]
+
+    @classmethod
+    @abc.abstractmethod
+    def of(cls, contacts: Sequence[Contact], scales: Scales, axes: np.ndarray | None = None) -> "ContactLaw":
+        """The law of some contacts, its parameters numpy arrays.
+
+        Args:
+            contacts: their parameters in the units of the scene.
+            scales: units of the dimensionless form.
+            axes: those of the law as columns in the plane of each contact, shape (C, 2, 2), principal axes of K_u, or
+                (C, 2, 1) where all motion is straight; by default the axes of the contacts themselves.
+        """
+
+    @abc.abstractmethod
+    def reaction(self, state: State, motion: Motion, w: Plane) -> Reaction:
+        """Forces and slip rate of each contact in its state; smooth a little beyond its end, for trial steps."""
+
+    @abc.abstractmethod
+    def margins(self, state: State, motion: Motion, w: Plane) -> tuple[Scalar, Scalar]:
+        """Distance to the end of the state: positive inside, zero at the transition; a force, and a speed.
+
+        The second one ends slip by stick, and is 1 where the state has no such end.
+        """
+
+    @abc.abstractmethod
+    def successor(self, state: State, motion: Motion, *, tiny: Scalar) -> State:
+        """State of a contact that has reached a transition; a normal load of no more than ``tiny`` counts as none."""
+
+    @abc.abstractmethod
+    def slip_at_transition(self, before: State, after: State, motion: Motion, w: Plane) -> Plane:
+        """Slip with which a contact goes on after a step, its state changed or not."""
+
+    @abc.abstractmethod
+    def scale(self) -> Scalar:
+        """Size of the contact forces for motions of size one, to compare a margin with zero."""
+
+    @staticmethod
+    @abc.abstractmethod
+    def stored_energy(
+        contact: Contact, motion: np.ndarray, slip: np.ndarray, state: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
+        """Parts of the elastic energy of one contact, in the units of the scene, each of shape (N,).
+
+        What acts on the structure is the change of the normal load, n - max(n0, 0): the preload does work as well.
+
+        Args:
+            contact: its parameters.
+            motion: (u1, u2, v) in its axes, shape (N, 3).
+            slip: w, shape (N, 2).
+            state: shape (N,).
+        """
+
+
+class ContinuousState(eqx.Module):
+    """Where a trajectory is in its continuous state, or the rate of that, or its error over a step.
+
+    Attributes:
+        w: slip of the contacts.
+    """
+
+    w: eqx.AbstractVar[Plane]
+
+    @abc.abstractmethod
+    def size(self) -> Float[Array, ""]:
+        """Largest coordinate: what a relative tolerance is relative to."""
+
+    @abc.abstractmethod
+    def error(self) -> Float[Array, ""]:
+        """Largest entry of an error that the step control looks at."""
+
+    @abc.abstractmethod
+    def finite(self) -> Bool[Array, ""]:
+        """Whether every coordinate is a number."""
+
+
+class Dynamics(eqx.Module):
+    """A system with contacts.
+
+    Attributes:
+        law: the law of its contacts.
+    """
+
+    law: eqx.AbstractVar[ContactLaw]
+
+    @abc.abstractmethod
+    def field(self, state: State, time: Float[Array, ""], point: P) -> P:
+        """Rate of the continuous state, every contact keeping its own."""
+
+    @abc.abstractmethod
+    def motion(self, point: P) -> Motion:
+        """Relative motion of the contacts and its rates."""
+
+    @abc.abstractmethod
+    def path(self, point: P, rate: P) -> Path:
+        """Relative motion of the contacts, normal last, with two derivatives; ``rate`` is that of the point."""
+
+
+def dot(a: Plane, b: Plane) -> Scalar:
+    """Scalar product in the contact plane."""
+    total = a[0] * b[0]
+    for x, y in zip(a[1:], b[1:], strict=True):
+        total = total + x * y
+    return total
+
+
+def scaled(factor: Scalar, a: Plane) -> Plane:
+    """A multiple of a vector."""
+    return tuple(factor * x for x in a)
+
+
+def where(condition: Bool[Array, "*#contact"], a: Plane, b: Plane) -> Plane:
+    """One of two vectors."""
+    return tuple(jnp.where(condition, x, y) for x, y in zip(a, b, strict=True))
+
+
+def minus(a: Plane, b: Plane) -> Plane:
+    """a - b."""
+    return tuple(x - y for x, y in zip(a, b, strict=True))
+
+
+def length(a: Plane) -> Scalar:
+    """Length of a vector; its derivative at zero is zero, and one may divide by it."""
+    return jnp.sqrt(jnp.maximum(dot(a, a), 1e-300))
+
+
+def product(matrix: tuple[Scalar, ...], a: Plane) -> Plane:
+    """A symmetric matrix of the plane times a vector; isotropic if it is one number, diagonal if it is two."""
+    if len(matrix) == 1:
+        return scaled(matrix[0], a)
+    if len(matrix) == 2:
+        return tuple(k * x for k, x in zip(matrix, a, strict=True))
+    k11, k12, k22 = matrix
+    return (k11 * a[0] + k12 * a[1], k12 * a[0] + k22 * a[1])

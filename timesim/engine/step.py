@@ -1,0 +1,307 @@
+"""One step of the event loop, ended on the earliest transition.
+
+A step is tried with every contact keeping its state. If some contact leaves its state inside the step, the step is
+tried again with the length at which the first of them does so; if it then ends on the guard, the transition is
+taken there. No inner loop: many trajectories run side by side, and those that are done wait. The last remainder of a
+guard is removed by one Newton correction of the time, which also makes the derivative with respect to parameters
+pass through the transition exactly.
+"""
+
+from timesim.runtime import Leaf  # isort: skip
+
+import enum
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from timesim.engine.barrier import apart
+from timesim.engine.contact_law import ContinuousState, Dynamics, State
+from timesim.engine.guard import NONE, Margins, end_margins, first_crossing, segment
+from timesim.engine.method import Method
+from timesim.engine.solver import Control, error_size, next_length
+from timesim.engine.tolerance import LANDING, NO_LOAD, NO_TIME, SHORTEST, TOGETHER, VIOLATED
+
+PERIOD = 2 * jnp.pi
+MOST_REPEATS = 100  # transitions in a row with no time between them: more are an accumulation
+
+
+class Status(enum.IntEnum):
+    """How a trajectory stands. All but RUNNING end it.
+
+    Attributes:
+        reason, advice: what the user is told; may name {solver} and {budget}.
+    """
+
+    reason: str
+    advice: str
+
+    def __new__(cls, value: int, reason: str = "", advice: str = "") -> "Status":
+        member = int.__new__(cls, value)
+        member._value_, member.reason, member.advice = value, reason, advice
+        return member
+
+    RUNNING = 0
+    ZENO = (
+        1,
+        "transitions follow one another over and over without time passing (Zeno-like accumulation)",
+        "Smooth the scene (a little damping in its modes, softer contacts) or ask for solver.accuracy: reference",
+    )
+    TOO_SHORT = (
+        2,
+        "the step fell below rounding",
+        "The problem is too stiff for {solver}: try solver.method: kvaerno5, fewer modes (structure.keep_modes), or a "
+        "larger rtol",
+    )
+    BUDGET = (
+        3,
+        "the budget of {budget} steps a cycle is spent",
+        "Raise solver.max_steps, keep fewer modes (structure.keep_modes), or try solver.method: kvaerno5",
+    )
+    NOT_FINITE = (
+        4,
+        "the state is no longer finite",
+        "Check the scene for negative damping or forces that are far too large, and try a smaller rtol",
+    )
+
+    def message(self, *, solver: str, budget: int, contact: str | None) -> str:
+        """What has ended a trajectory, and what to try; ``contact``: that of the last transition, if there is any."""
+        last = f"; contact '{contact}' switched last" if contact else ""
+        return f"{self.reason}{last}. {self.advice}".format(solver=solver, budget=budget)
+
+
+class Trajectory(eqx.Module):
+    """Everything that a trajectory goes on from.
+
+    Attributes:
+        cycle: cycles completed.
+        time: phase within the cycle, in [0, 2 pi).
+        point, rate: continuous state and its rate.
+        state: state of each contact.
+        length: step the error control asks for.
+        limit: length proposed for the step that is tried again; infinite where none is.
+        last_error: error of the last accepted step, for the controller.
+        since: time since the last transition.
+        repeats: transitions in a row with no time between them.
+        tried: steps tried in this cycle.
+        status: see `Status`.
+        culprit: contact of the last transition.
+    """
+
+    cycle: Int[Leaf, ""]
+    time: Float[Leaf, ""]
+    point: ContinuousState
+    rate: ContinuousState
+    state: State
+    length: Float[Leaf, ""]
+    limit: Float[Leaf, ""]
+    last_error: Float[Leaf, ""]
+    since: Float[Leaf, ""]
+    repeats: Int[Leaf, ""]
+    tried: Int[Leaf, ""]
+    status: Int[Leaf, ""]
+    culprit: Int[Leaf, ""]
+
+
+class Step(eqx.Module):
+    """One accepted step: what dense output and event log are made from. ``state_after`` differs at a transition."""
+
+    cycle: Int[Array, ""]
+    time: Float[Array, ""]
+    h: Float[Array, ""]
+    start: ContinuousState
+    start_rate: ContinuousState
+    end: ContinuousState
+    end_rate: ContinuousState
+    state: State
+    state_after: State
+
+
+def begin(dynamics: Dynamics, point: ContinuousState, state: State, length: Float[Array, ""]) -> Trajectory:
+    """A trajectory at the start of a cycle."""
+    zero, none = jnp.zeros(()), jnp.zeros((), dtype=jnp.int64)
+    rate = dynamics.field(state, zero, point)
+    one = jnp.ones(())
+    return Trajectory(none, zero, point, rate, state, length, one * jnp.inf, one, one, none, none, none, none)
+
+
+def try_step(
+    method: Method, control: Control, dynamics: Dynamics, now: Trajectory
+) -> tuple[Trajectory, Step, Bool[Array, ""]]:
+    """Try one step; the trajectory after it, the step, and whether it was accepted."""
+    h, last = length_of_try(now)
+    trial = integrated(method, control, dynamics, now, h)
+    landing = landed(control, dynamics, now, trial, h, last)
+    span = h + landing.correction
+    end = jax.tree.map(lambda y, dy: y + landing.correction * dy, trial.end, trial.rate)
+    after, state = transition(dynamics, now.state, landing.crossed, end)
+    step = Step(now.cycle, now.time, span, now.point, now.rate, end, trial.rate, now.state, state)
+
+    length = next_length(control, method.order, (now.length, now.last_error), trial.error, h, trial.precise)
+    limit = limit_of_next(trial, landing, h)
+    moved = advanced(dynamics, now, after, state, span, last & ~landing.early, landing.crossed)
+    kept = eqx.tree_at(lambda t: t.limit, now, jnp.where(landing.accepted, jnp.inf, limit))
+    result = jax.tree.map(lambda new, old: jnp.where(landing.accepted, new, old), moved, kept)
+    result = controlled(control, now, result, trial.error, length, landing.accepted)
+    return judged(control, result), step, landing.accepted
+
+
+def length_of_try(now: Trajectory) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+    """Length of the step to try, and whether it ends the cycle."""
+    remaining = PERIOD - now.time
+    wanted = jnp.minimum(now.length, now.limit)
+    last = wanted >= remaining * (1 - NO_TIME)
+    # The length of a step is no function of the parameters; only what is left of a cycle after an event is.
+    return jnp.where(last, remaining, jax.lax.stop_gradient(wanted)), last
+
+
+class Trial(NamedTuple):
+    """A step with every contact keeping its state: its end, the rate there, and the error over its tolerance."""
+
+    end: ContinuousState
+    rate: ContinuousState
+    error: Float[Array, ""]
+    precise: Bool[Array, ""]
+
+
+def integrated(method: Method, control: Control, dynamics: Dynamics, now: Trajectory, h: Float[Array, ""]) -> Trial:
+    """The step of the method."""
+    end, rate, error = method.advance(partial(dynamics.field, now.state), now.time, now.point, now.rate, h)
+    size = jnp.zeros(()) if error is None else error_size(control, end, error)
+    size = jnp.where(jnp.isfinite(size), size, 1e9)
+    return Trial(end, rate, size, size <= 1)
+
+
+class Landing(NamedTuple):
+    """Where a step ends with respect to the guards.
+
+    Attributes:
+        crossing: fraction of the step at which a contact leaves its state inside it; `NONE` if none does.
+        accepted: whether the step stands: it is precise, and no contact has left its state inside.
+        on_guard: whether a contact takes a transition at its end.
+        correction: time by which the end is moved onto the guard.
+        crossed: contacts that take their transition there.
+    """
+
+    crossing: Float[Array, ""]
+    accepted: Bool[Array, ""]
+    on_guard: Bool[Array, ""]
+    correction: Float[Array, ""]
+    crossed: Bool[Array, " contact"]
+
+    @property
+    def early(self) -> Bool[Array, ""]:
+        """Whether the step ends before the time that was asked for."""
+        return self.on_guard & (self.correction < 0)
+
+
+def landed(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, h: Array, last: Array) -> Landing:
+    """Follow the margins over a step: the first crossing inside, else the transitions that are due at its end."""
+    part = segment(dynamics, (now.point, trial.end), (now.rate, trial.rate), h)
+    margin, slope = end_margins(dynamics, now.state, part)
+    to_zero, due = arriving(control, margin, slope, h, last)
+    crossing = first_crossing(dynamics, now.state, part, margin, slope, due)
+    accepted = trial.precise & (crossing >= NONE)
+    on_guard = accepted & (due[0] | due[1]).any()
+    soonest = [jnp.where(d, t, jnp.inf).min(initial=jnp.inf) for d, t in zip(due, to_zero, strict=True)]
+    correction = jnp.where(on_guard, jnp.minimum(*soonest), 0.0)
+    left = tuple(d & (m + correction * s <= TOGETHER) for d, m, s in zip(due, margin, slope, strict=True))
+    crossed = on_guard & (left[0] | left[1])
+    return Landing(crossing, accepted, on_guard, correction, crossed)
+
+
+def limit_of_next(trial: Trial, landing: Landing, h: Array) -> Float[Array, ""]:
+    """Length of the next try where a contact has left its state inside this one; infinite where none has."""
+    fraction = jnp.where(landing.crossing < NONE, landing.crossing, 1.0)
+    inside = trial.precise & (landing.crossing < NONE)
+    return jnp.where(inside, jnp.maximum(fraction * h, SHORTEST), jnp.inf)
+
+
+@apart
+def arriving(
+    control: Control, margin: Margins, slope: Margins, h: Array, last: Array
+) -> tuple[Margins, tuple[Bool[Array, " contact"], ...]]:
+    """Time from the end of the step to the zero of each margin, and which of them take their transition there.
+
+    A margin that is still violated after the shortest step has jumped through zero: that is a transition too. So is one
+    that is negative by no more than rounding and falling, however slowly.
+    """
+    reach = LANDING / control.stiffest
+    times, due = [], []
+    for value, rate in zip(margin, slope, strict=True):
+        time = -value / jnp.where(rate < 0, rate, -1.0)
+        near = (rate < 0) & (jnp.abs(time) <= reach) & ~(last & (time > 0))
+        passed = (rate < 0) & (value <= 0) & (value >= -TOGETHER)
+        jumped = (h <= 1.01 * SHORTEST) & (value < -VIOLATED)
+        times.append(jnp.where(near, time, 0.0))
+        due.append(near | passed | jumped)
+    return (times[0], times[1]), (due[0], due[1])
+
+
+@apart
+def transition(
+    dynamics: Dynamics, state: State, crossed: Bool[Array, " contact"], end: ContinuousState
+) -> tuple[ContinuousState, State]:
+    """Point and states at the end of a step, after the transitions of the contacts that have crossed a guard.
+
+    Of a contact that slips on, w is put back on the cone: its drift, small as it is, would grow beyond the friction
+    force itself where n passes close by zero.
+    """
+    law, moves = dynamics.law, dynamics.motion(end)
+    after = jnp.where(crossed, law.successor(state, moves, tiny=NO_LOAD * law.scale()), state)
+    w = law.slip_at_transition(state, after, moves, end.w)
+    return eqx.tree_at(lambda point: point.w, end, w), after
+
+
+@apart
+def advanced(
+    dynamics: Dynamics, now: Trajectory, point: ContinuousState, state: State, h: Array, ends: Array, crossed: Array
+) -> Trajectory:
+    """The trajectory after an accepted step."""
+    time = now.time + h
+    ends = ends | (time >= PERIOD * (1 - 1e-15))
+    time = jnp.where(ends, 0.0, time)
+    since = now.since + h
+    switched = crossed.any()
+    repeats = jnp.where(switched & (since < NO_TIME), now.repeats + 1, jnp.where(since < NO_TIME, now.repeats, 0))
+    return Trajectory(
+        cycle=now.cycle + ends,
+        time=time,
+        point=point,
+        rate=dynamics.field(state, time, point),
+        state=state,
+        length=now.length,
+        limit=jnp.full((), jnp.inf),
+        last_error=now.last_error,
+        since=jnp.where(switched, 0.0, since),
+        repeats=repeats,
+        tried=now.tried,
+        status=now.status,
+        culprit=jnp.where(switched, jnp.argmax(crossed) if crossed.size else 0, now.culprit),
+    )
+
+
+def controlled(
+    control: Control, now: Trajectory, new: Trajectory, error: Array, length: Array, accepted: Array
+) -> Trajectory:
+    """The trajectory after a try with what the step control goes on with; it forgets at the end of a cycle."""
+    ended = accepted & (new.cycle > now.cycle)
+    tried = jnp.where(ended, 0, now.tried + 1)
+    length = jnp.where(ended, control.opening, length)
+    last_error = jnp.where(ended, 1.0, jnp.where(accepted, jnp.maximum(error, 1e-4), now.last_error))
+    where = lambda t: (t.length, t.last_error, t.tried)  # noqa: E731
+    return eqx.tree_at(where, new, (length, last_error, tried))
+
+
+@apart
+def judged(control: Control, now: Trajectory) -> Trajectory:
+    """The trajectory with its status: what ends it early is data here, and a message at the boundary."""
+    finite = now.point.finite()
+    status = jnp.where(now.tried >= control.budget, Status.BUDGET, now.status)
+    status = jnp.where(now.length < SHORTEST, Status.TOO_SHORT, status)
+    status = jnp.where(now.repeats > MOST_REPEATS, Status.ZENO, status)
+    status = jnp.where(finite, status, Status.NOT_FINITE)
+    return eqx.tree_at(lambda t: t.status, now, status)

@@ -1,0 +1,64 @@
+"""What a picture shows where there is more than it has room for: what moves or rubs most, and values spread evenly."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+MAX_ROWS = 3  # points or contacts, one above the other
+MAX_CURVES = 12  # sets of values of the further axes
+STILL = 1e-9  # of the largest motion: what moves less does not move
+
+
+def motions(data: "Dataset", size: np.ndarray) -> list[tuple[str, str]]:
+    """Points and axes that move, the largest motion first; the first of all if nothing moves.
+
+    Args:
+        data: a result with points and axes.
+        size: of the motion of each, shape (P, 3).
+    """
+    order = np.argsort(-size, axis=None, kind="stable")
+    kept = [place for place in order if size.flat[place] > STILL * size.max()] or [0]
+    rows, columns = np.unravel_index(kept, size.shape)
+    return [(str(data.point.values[i]), str(data.axis.values[j])) for i, j in zip(rows, columns, strict=True)]
+
+
+def main_axes(data: "Dataset") -> dict[str, str]:
+    """Points with an amplitude, the largest first, and the axis along which each has its largest."""
+    values = data["amplitude"].transpose(..., "point", "axis").values
+    size = np.where(np.isfinite(values), values, 0.0).reshape(-1, *values.shape[-2:]).max(axis=0, initial=0.0)
+    axes: dict[str, str] = {}
+    for point, axis in motions(data, size):
+        axes.setdefault(point, axis)
+    return axes
+
+
+def motion(data: "Dataset", point: str | None, axis: str | None) -> tuple[str, str]:
+    """The point and axis asked for; without them those of the largest amplitude."""
+    axes = main_axes(data)
+    point = point or next(iter(axes))
+    return point, axis or axes.get(point, str(data.axis.values[0]))
+
+
+def busiest(data: "Dataset", *activity: np.ndarray, limit: int = MAX_ROWS) -> list[str]:
+    """At most `limit` contacts, the most active by the first measure, then by the next, in the scene's order.
+
+    Args:
+        data: a result with contacts.
+        activity: of each contact, shape (C,).
+    """
+    best = np.lexsort([-measure for measure in reversed(activity)])[:limit]
+    return [str(data.contact.values[i]) for i in np.sort(best)]
+
+
+def spread(number: int, limit: int = MAX_CURVES) -> list[int]:
+    """Positions among a number of things, all or `limit` of equal spacing, both ends included."""
+    return sorted({round(i) for i in np.linspace(0, number - 1, min(number, limit))})
+
+
+def left_out(number: int, shown: int, what: str, which: str = "") -> str:
+    """A note of how many things are not shown, and which; empty where all are."""
+    note = f"{number - shown} of {number} {what} not shown" + (f" ({which})" if which else "")
+    return note if number > shown else ""

@@ -1,0 +1,210 @@
+"""Pictures of the contacts over the last cycles of a transient or of a jump: motion, friction, normal load, states.
+
+``f(data, ax=None) -> ax``, as in `timesim.picture.transient`; without a name they show the contact that dissipates
+most. `PICTURES` are the figures that a run writes.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from timesim.model.model import SEPARATION
+from timesim.picture import choice
+from timesim.picture.choice import MAX_ROWS, left_out
+from timesim.picture.style import (
+    BLUE,
+    PALE,
+    VERMILION,
+    Picture,
+    axes,
+    figure,
+    heading,
+    label_axes,
+    legend_below,
+    short,
+    state_bar,
+    state_curves,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from xarray import Dataset
+
+LAST_CYCLES = 3
+MAX_BARS = 12
+CLOSE = 0.02  # of the size of a path: nearer than this nothing is told apart
+
+
+def orbit(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = None) -> "Axes":
+    """Relative motion of a contact in its plane over the last cycles, the last coloured by state."""
+    ax, contact = axes(ax), contact or busiest(data, 1)[0]
+    part = data.isel(time=last_cycles(data)).sel(contact=contact)
+    u, last = part.contact_displacement.values[:, :2], last_cycles(part, 1)
+    ax.plot(u[:, 0], u[:, 1], color=PALE, linewidth=0.8, label=_if_seen("cycles before", u, u[last]))
+    state = part.contact_state.values[last]
+    w = np.where(state[:, None] == SEPARATION, np.nan, part.slip.values[last])
+    _slider(ax, w, u[last])
+    state_curves(ax, u[last, 0], u[last, 1], state)
+    ax.set(xlabel="u1 [length]", ylabel="u2 [length]")
+    label_axes(ax, contact)
+    ax.set_aspect("equal", adjustable="datalim")
+    return ax
+
+
+def _slider(ax: "Axes", w: np.ndarray, u: np.ndarray) -> None:
+    """The slider's path; a dot where it stays, nothing where the contact is open all the time."""
+    known = w[~np.isnan(w).any(axis=1)]
+    if not known.size:
+        return
+    stays = np.ptp(known, axis=0).max() <= CLOSE * np.ptp(u, axis=0).max()
+    if stays:
+        ax.plot(*known[:1].T, "o", ms=3, color="black", zorder=4, label="slider w")
+    else:
+        ax.plot(w[:, 0], w[:, 1], color="black", linewidth=0.7, label=_if_seen("slider w", known, u))
+
+
+def _if_seen(label: str, path: np.ndarray, above: np.ndarray) -> str:
+    """The label of a path, hidden from legends where another path is drawn above all of it."""
+    size = np.maximum(np.ptp(path, axis=0), np.ptp(above, axis=0))
+    scale = np.where(size > 0, size, 1.0)
+    few, all_above = (part[:: 1 + len(part) // 500] / scale for part in (path, above))
+    apart = np.linalg.norm(few[:, None] - all_above, axis=-1).min(axis=1)
+    return label if apart.max() > CLOSE else f"_{label}"
+
+
+def hysteresis(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = None, tangent: str = "t1") -> "Axes":
+    """Friction force against relative displacement over the last cycles, the last coloured by state."""
+    ax, contact = axes(ax), contact or busiest(data, 1)[0]
+    part = data.isel(time=last_cycles(data)).sel(contact=contact, component=tangent)
+    u, f, last = part.contact_displacement.values, part.contact_force.values, last_cycles(part, 1)
+    loop = np.stack([u, f], axis=1)
+    ax.plot(u, f, color=PALE, linewidth=0.8, label=_if_seen("cycles before", loop, loop[last]))
+    state_curves(ax, u[last], f[last], part.contact_state.values[last])
+    number = tangent.removeprefix("t")
+    ax.set(xlabel=f"u{number} [length]", ylabel=f"f{number} [force]")
+    label_axes(ax, f"{contact}, {tangent}")
+    return ax
+
+
+def normal_load(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = None) -> "Axes":
+    """Normal load and friction force of a contact over the last cycles; separations are shaded."""
+    ax, contact = axes(ax), contact or busiest(data, 1)[0]
+    part = data.isel(time=last_cycles(data)).sel(contact=contact)
+    time, force = part.time.values, part.contact_force.values
+    apart = [span for *span, state in intervals(data, contact, time[0], time[-1]) if state == SEPARATION]
+    for number, span in enumerate(apart):
+        ax.axvspan(*span, color="0.87", linewidth=0, zorder=0, label=None if number else "separation")
+    ax.axhline(0.0, color="black", linewidth=0.8, label="n = 0")
+    ax.plot(time, force[:, 2], color=BLUE, linewidth=1.4, label="normal load n")
+    tangential = np.hypot(force[:, 0], force[:, 1])
+    ax.plot(time, tangential, color=VERMILION, linestyle="--", linewidth=1.0, label="friction force |f|")
+    ax.set(xlabel="time [s]", ylabel="n, |f| [force]", xlim=(time[0], time[-1]))
+    label_axes(ax, contact)
+    return ax
+
+
+def contact_states(data: "Dataset", ax: "Axes | None" = None, *, contacts: Sequence[str] | None = None) -> "Axes":
+    """State of contacts over the last cycles, as bars between the times of the event log."""
+    ax, contacts = axes(ax), contacts or busiest(data, MAX_BARS)
+    time = data.time.values[last_cycles(data)]
+    for row, contact in enumerate(contacts):
+        state_bar(ax, row, intervals(data, contact, time[0], time[-1]))
+    starts = data.cycle_start.values
+    for start in starts[(starts > time[0]) & (starts < time[-1])]:
+        ax.axvline(start, color="black", linewidth=0.8, linestyle=":")
+    rows = len(contacts)
+    ax.set(xlabel="time [s], dotted: start of a cycle", xlim=(time[0], time[-1]), ylim=(rows - 0.4, -0.6))
+    ax.set_yticks(range(rows), [short(name) for name in contacts])
+    ax.grid(False)
+    return ax
+
+
+def busiest(data: "Dataset", limit: int) -> list[str]:
+    """At most `limit` contacts, those with most friction energy and transitions, in the scene's order."""
+    events = np.bincount(data.event_contact.values.astype(int), minlength=data.sizes["contact"])
+    return choice.busiest(data, data.energy_friction.values.sum(axis=0), events, limit=limit)
+
+
+def last_cycles(data: "Dataset", cycles: int = LAST_CYCLES) -> slice:
+    """Samples of the last whole cycles that were recorded; all samples where no cycle was finished."""
+    start, time = data.cycle_start.values, data.time.values
+    if not start.size:
+        return slice(None)
+    first = start[-min(cycles, start.size)] - 1e-6 * data.cycle_period.values[-1]
+    return slice(int(np.searchsorted(time, first)), None)
+
+
+def intervals(data: "Dataset", contact: str, start: float, end: float) -> list[tuple[float, float, int]]:
+    """Start, end [s] and state of each interval of a contact within a window, from the event log."""
+    index = data.contact.values.tolist().index(contact)
+    mine = np.flatnonzero(data.event_contact.values == index)
+    before = data.event_from.values[mine[0]] if mine.size else data.contact_state.values[0, index]
+    states = [int(before), *data.event_to.values[mine].tolist()]
+    times = np.clip([start, *data.event_time.values[mine], end], start, end).tolist()
+    return [item for item in zip(times[:-1], times[1:], states, strict=True) if item[1] > item[0]]
+
+
+def _orbit_figure(data: "Dataset", contacts: Sequence[str]) -> "Figure":
+    fig, grid = figure(1, len(contacts), width=1.1 + 3.8 * len(contacts), height=3.2)
+    for ax, contact in zip(grid[0], contacts, strict=True):
+        orbit(data, ax, contact=contact)
+    return fig
+
+
+def _hysteresis_figure(data: "Dataset", contacts: Sequence[str]) -> "Figure":
+    rubbed = {contact: tangents for contact in contacts if (tangents := _tangents(data, contact))}
+    rubbed = rubbed or {contacts[0]: ["t1"]}
+    columns = max(map(len, rubbed.values()))
+    fig, grid = figure(len(rubbed), columns, width=7.5 + 0.5 * columns, height=2.2, gap=0.7)
+    for row, (contact, tangents) in zip(grid, rubbed.items(), strict=True):
+        for ax, tangent in zip(row, tangents, strict=False):
+            hysteresis(data, ax, contact=contact, tangent=tangent)
+        for ax in row[len(tangents) :]:
+            ax.remove()
+    return fig
+
+
+def _tangents(data: "Dataset", contact: str) -> list[str]:
+    """In-plane axes of a contact along which its friction force changes in the last cycles."""
+    span = np.ptp(data.contact_force.isel(time=last_cycles(data)).sel(contact=contact).values, axis=0)
+    return [name for name, own in zip(("t1", "t2"), span, strict=False) if own > 1e-9 * span.max()]
+
+
+def _normal_load_figure(data: "Dataset", contacts: Sequence[str]) -> "Figure":
+    fig, grid = figure(len(contacts), 1, width=8.5, height=1.7, gap=0.3, sharex=True)
+    for ax, contact in zip(grid[:, 0], contacts, strict=True):
+        normal_load(data, ax, contact=contact).label_outer()
+    return fig
+
+
+def _states_figure(data: "Dataset", contacts: Sequence[str]) -> "Figure":
+    longest = max(len(short(name)) for name in contacts)
+    fig, grid = figure(width=8.5, height=0.2 + 0.4 * len(contacts), left=0.4 + 0.075 * longest)
+    contact_states(data, grid[0, 0], contacts=contacts)
+    return fig
+
+
+def _of_contacts(what: str, drawn: Callable[["Dataset", Sequence[str]], "Figure"], limit: int = MAX_ROWS) -> Picture:
+    """A picture of the busiest contacts, of their last cycles; none where there is no contact."""
+
+    def picture(data: "Dataset") -> "Figure | None":
+        contacts = busiest(data, limit)
+        if not contacts:
+            return None
+        fig = drawn(data, contacts)
+        legend_below(fig)
+        hidden = left_out(data.sizes["contact"], len(contacts), "contacts", "the least active")
+        heading(fig, data, f"{what}, last cycles", hidden)
+        return fig
+
+    return picture
+
+
+PICTURES: dict[str, Picture] = {
+    "orbit": _of_contacts("orbit in the contact plane", _orbit_figure),
+    "hysteresis": _of_contacts("friction force against displacement", _hysteresis_figure),
+    "normal_load": _of_contacts("normal load", _normal_load_figure),
+    "contact_states": _of_contacts("contact states", _states_figure, MAX_BARS),
+}

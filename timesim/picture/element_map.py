@@ -1,0 +1,91 @@
+"""Pictures of the Fourier coefficients of a friction force over two parameters of its motion (figures 7, 8).
+
+``f(data, ax=None) -> ax``, where `data` is the result of an `element_map` study; `PICTURES` are the figures that a run
+writes.
+"""
+
+from collections.abc import Callable
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from timesim.picture.style import Picture, axes, figure, heading
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from xarray import Dataset
+
+COEFFICIENTS = {"f_b": "static", "f_s": "in phase", "f_c": "out of phase"}
+
+
+def contour(data: "Dataset", ax: "Axes | None" = None, *, name: str = "f_s", tangent: str = "t1") -> "Axes":
+    """A Fourier coefficient, f_b, f_s or f_c along t1 or t2, over the axes of the map: contour lines on shades."""
+    ax, (first, second) = axes(ax), parameters(data)
+    x, y, z = data[first].values, data[second].values, data[name].sel(tangent=tangent).values
+    if np.ptp(z) > 0:
+        shades = ax.contourf(x, y, z.T, levels=12, cmap="viridis")
+        lines = ax.contour(x, y, z.T, levels=list(shades.levels), colors="black", linewidths=0.4)
+        ax.clabel(lines, np.asarray(lines.levels)[1::2], fontsize=6, fmt="%.3g")
+    ax.set(xlabel=_axis_label(data, first), ylabel=_axis_label(data, second))
+    ax.set_title(_coefficient_label(name, tangent), fontsize=9)
+    ax.grid(False)
+    return ax
+
+
+def surface(data: "Dataset", ax: Any = None, *, name: str = "f_s", tangent: str = "t1") -> Any:
+    """The same as a surface, on axes with projection 3d; over two amplitudes the half b <= a only."""
+    ax = figure(subplot_kw={"projection": "3d"})[1][0, 0] if ax is None else ax
+    first, second = parameters(data)
+    x, y = np.meshgrid(data[first].values, data[second].values, indexing="ij")
+    z = data[name].sel(tangent=tangent).values
+    if (first, second) == ("a", "b"):
+        z = np.where(y <= x * (1 + 1e-9), z, np.nan)
+    step = [max(1, size // 27) for size in z.shape]
+    ax.plot_surface(x, y, z, cmap="viridis", rstride=step[0], cstride=step[1], edgecolor="0.25", linewidth=0.25)
+    ax.set_xlabel(_axis_label(data, first), fontsize=8, labelpad=-3)
+    ax.set_ylabel(_axis_label(data, second), fontsize=8, labelpad=-3)
+    ax.set_title(_coefficient_label(name, tangent), fontsize=9, pad=-6)
+    ax.tick_params(labelsize=7, pad=-2)
+    ax.view_init(28, -120)
+    ax.set_box_aspect(None, zoom=0.9)
+    return ax
+
+
+def parameters(data: "Dataset") -> tuple[str, str]:
+    """Names of the two parameters of a map."""
+    first, second = (str(dim) for dim in data.dissipation.dims)
+    return first, second
+
+
+def _axis_label(data: "Dataset", name: str) -> str:
+    units = data[name].attrs.get("units", "1")
+    shown = name.removesuffix("_deg").replace("phi", "φ").replace("psi", "ψ").replace("_", " ")
+    return shown if units == "1" else f"{shown} [{units}]"
+
+
+def _coefficient_label(name: str, tangent: str) -> str:
+    return f"{COEFFICIENTS[name]}, {name}{tangent.removeprefix('t')} [force]"
+
+
+def _all_coefficients(data: "Dataset", draw: Callable[..., Any], **options: Any) -> "Figure | None":
+    """All coefficients along both axes of the contact; none where a parameter has one value."""
+    if min(data.dissipation.shape) < 2:
+        return None
+    fig, grid = figure(3, 2, **options)
+    for ax, (name, tangent) in zip(grid.flat, product(COEFFICIENTS, ("t1", "t2")), strict=True):
+        draw(data, ax, name=name, tangent=tangent)
+    heading(fig, data, "Fourier coefficients of the friction force")
+    return fig
+
+
+def _contour_figure(data: "Dataset") -> "Figure | None":
+    return _all_coefficients(data, contour, width=8.0, height=2.7, gap=0.75)
+
+
+def _surface_figure(data: "Dataset") -> "Figure | None":
+    return _all_coefficients(data, surface, width=8.5, height=3.2, gap=0.2, left=0.3, subplot_kw={"projection": "3d"})
+
+
+PICTURES: dict[str, Picture] = {"surfaces": _surface_figure, "contours": _contour_figure}

@@ -1,0 +1,201 @@
+"""What pictures of responses share: names of the further axes, styles of many curves, stable parts, legends, figures.
+
+The further axes of a response are scalars of the scene, named by their key (``contacts.pad.preload``). A sweep has them
+as dimensions of its amplitudes; a harmonic balance gives the value of each for every solution.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import pairwise, product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from timesim.picture.choice import MAX_ROWS, busiest, left_out, main_axes
+from timesim.picture.style import (
+    NEUTRAL,
+    SERIES,
+    Series,
+    figure,
+    heading,
+    label_axes,
+    labelled,
+    legend_beside,
+    short,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from xarray import Dataset, DataTree
+
+DIRECTIONS = {"up": "^", "down": "v", "independent": "o"}
+DASHES = (0, (4, 2))
+MARKERS = "osD<>phXPd"
+
+
+def over_keys(data: "Dataset") -> list[str]:
+    """Keys of the further axes, in the scene's order."""
+    names = [str(name) for name in (*data["amplitude"].dims, *data.data_vars)]
+    return [name for name in names if "." in name and name != data.attrs.get("along")]
+
+
+def key_words(key: str) -> str:
+    """A scalar's key as words, without the section: ``pad preload``."""
+    return " ".join(key.split(".")[1:])
+
+
+def axis_label(data: "Dataset", name: str) -> str:
+    """A variable or a scalar of the scene, with its unit."""
+    units = data[name].attrs.get("units")
+    return (key_words(name) if "." in name else name) + (f" [{units}]" if units else "")
+
+
+def amplitude_label(point: str, axis: str) -> str:
+    """The amplitude of a point along an axis, with its unit."""
+    return f"amplitude of {short(point, 16)} {axis} [length]"
+
+
+def values_label(values: Iterable[float]) -> str:
+    """A set of values of the further axes; `legend_title` names the axes in the same order."""
+    return ", ".join(f"{value:.4g}" for value in values)
+
+
+def legend_title(data: "Dataset", keys: Sequence[str]) -> str | None:
+    """What the values in a legend are, in their order; None if there are none."""
+    return ",\n".join(axis_label(data, key) for key in keys) or None
+
+
+def styles(count: int, *, shades: bool = False) -> list[Series]:
+    """Styles of a number of curves: hues where they are few, else from dark to light in order, or always so.
+
+    Shades and lines stay apart in print where the marker is taken by something else.
+    """
+    if count <= len(SERIES) and not shades:
+        return [style._replace(marker=marker) for style, marker in zip(SERIES[:count], MARKERS, strict=False)]
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    colours = [to_hex(colour) for colour in colormaps["viridis"](np.linspace(0.0, 0.86, count))]
+    lines = [style.line for style in SERIES]
+    return [Series(c, lines[i % len(lines)], MARKERS[i % len(MARKERS)]) for i, c in enumerate(colours)]
+
+
+def stable_parts(stable: np.ndarray, fold: np.ndarray) -> list[tuple[slice, bool]]:
+    """Parts of a curve that are stable, or not, each with the solutions that bound it.
+
+    A fold belongs to both sides.
+
+    Args:
+        stable, fold: of the solutions along the curve, shape (N,).
+    """
+    firm = stable.copy()
+    for i in np.flatnonzero(fold).tolist():
+        firm[i] = firm[i - 1] if i else firm[min(i + 1, firm.size - 1)]
+    edges: list[int] = [0, *(np.flatnonzero(firm[1:] != firm[:-1]) + 1).tolist(), firm.size]
+    return [(slice(max(a - 1, 0), b), bool(firm[a])) for a, b in pairwise(edges) if b > a]
+
+
+def draw_branch(
+    ax: "Axes",
+    x: np.ndarray,
+    y: np.ndarray,
+    stable: np.ndarray,
+    fold: np.ndarray,
+    *,
+    colour: str,
+    stable_label: str = "stable",
+    widths: tuple[float, float] = (1.4, 1.1),
+    zorder: float = 2.0,
+) -> None:
+    """A curve of solutions: solid where they are stable, dashed where not, a diamond at each fold.
+
+    Args:
+        ax: axes to draw on.
+        x, y: the curve, shape (N,).
+        stable, fold: of its solutions, shape (N,).
+
+    Keyword Args:
+        colour: of the curve.
+        stable_label: what a legend says of its stable parts.
+        widths: of its lines where it is stable and where not [point].
+        zorder: of its lines; its folds lie above all lines.
+    """
+    solid: dict[str, Any] = {"linestyle": "-", "linewidth": widths[0], "label": stable_label}
+    dashed: dict[str, Any] = {"linestyle": DASHES, "linewidth": widths[1], "label": "unstable"}
+    for part, firm in stable_parts(stable, fold):
+        ax.plot(x[part], y[part], color=colour, zorder=zorder, **(solid if firm else dashed))
+    if fold.any():
+        marks: dict[str, Any] = {"markeredgecolor": "black", "ms": 4.5, "zorder": 4, "linestyle": ""}
+        ax.plot(x[fold], y[fold], "D", color=colour, label="fold", **marks)
+
+
+def legend(axs: Iterable["Axes"], entries: Mapping[str, Series], title: str | None = None) -> None:
+    """To the right of the first axes: the styles of the curves, and in grey what else in the axes bears a label."""
+    from matplotlib.lines import Line2D
+
+    first, *others = axs
+    handles = [
+        Line2D([], [], color=style.colour, linestyle=style.line, marker=style.marker, ms=5, label=name)
+        for name, style in entries.items()
+    ]
+    for name, drawn in labelled(first, *others).items():
+        handle = Line2D([], [], label=name)
+        handle.update_from(drawn)
+        handle.set(color=NEUTRAL, label=name, markersize=5)
+        handles.append(handle)
+    legend_beside(first, handles, title)
+
+
+def stacked(rows: int, height: float, *, share_x: bool = True) -> tuple["Figure", list["Axes"]]:
+    """Axes of a height [inch] one above the other, with room for a legend on the right.
+
+    Without a common abscissa there is room for the label of each.
+    """
+    gap = 0.3 if share_x else 0.7
+    fig, grid = figure(rows, 1, width=9.0, height=height, gap=gap, right=2.4, sharex=share_x)
+    return fig, list(grid[:, 0])
+
+
+def finish(fig: "Figure", data: "Dataset | DataTree", what: str, *notes: str) -> "Figure":
+    """The figure with its heading, and at the foot notes of what is left out."""
+    heading(fig, data, what, "; ".join(filter(None, notes)))
+    return fig
+
+
+def response_figure(
+    data: "Dataset",
+    response: Callable[..., "Axes"],
+    legend: Callable[[Sequence["Axes"], "Dataset"], None],
+    what: str,
+    heights: tuple[float, float],
+    note: str,
+) -> "Figure":
+    """The response of each point along its axis of largest amplitude, one above the other."""
+    points = list(main_axes(data))
+    rows = min(len(points), MAX_ROWS)
+    fig, axs = stacked(rows, heights[rows > 1])
+    for ax, point in zip(axs, points, strict=False):
+        response(data, ax, point=point).label_outer()
+    legend(axs, data)
+    hidden = left_out(len(points), rows, "points")
+    return finish(fig, data, f"{what}, each point along its axis of largest amplitude", hidden, note)
+
+
+def states_figure(
+    data: "Dataset",
+    share: Callable[..., "Axes"],
+    legend: Callable[[Sequence["Axes"], "Dataset"], None],
+    note: str,
+) -> "Figure | None":
+    """The shares of slip and separation of each contact, one above the other."""
+    shares = data.slip_share + data.separation_share
+    contacts = busiest(data, shares.sum([dim for dim in shares.dims if dim != "contact"]).values)
+    if not contacts:
+        return None
+    fig, axs = stacked(2 * len(contacts), 1.9 if len(contacts) == 1 else 1.5)
+    for ax, (contact, state) in zip(axs, product(contacts, ("slip", "separation")), strict=True):
+        label_axes(share(data, ax, contact=contact, state=state), short(contact))
+        ax.label_outer()
+    legend(axs, data)
+    hidden = left_out(data.sizes["contact"], len(contacts), "contacts")
+    return finish(fig, data, "shares of a period in slip and in separation", hidden, note)

@@ -1,0 +1,36 @@
+"""The last whole cycle that a transient has recorded, read from its result."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from timesim.result.netcdf import read
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+SAME = 1e-6  # share of a cycle by which the time of a sample may be off
+
+
+def last_cycle(path: Path, *names: str) -> "tuple[Dataset, np.ndarray]":
+    """The result of a transient, and which of its samples lie in its last whole cycle, both ends included.
+
+    Args:
+        path: result file, or the folder of the run.
+        names: variables that are needed.
+
+    Raises:
+        ValueError: the result lacks one of them, or no cycle was recorded whole.
+        StoreError: the file is no result.
+    """
+    data = read(path)[""]
+    if missing := [name for name in ("time", "cycle_start", "cycle_period", *names) if name not in data.variables]:
+        raise ValueError(f"result {path}: no {', '.join(missing)}; give the result of a transient")
+    if not data.sizes["cycle"]:
+        raise ValueError(f"result {path}: no cycle was finished")
+    time, start, period = data["time"].values, data["cycle_start"].values[-1], data["cycle_period"].values[-1]
+    rows = np.flatnonzero((time >= start - SAME * period) & (time <= start + period * (1 + SAME)))
+    if rows.size < 3 or time[rows[-1]] - time[rows[0]] < period * (1 - 2 * SAME):
+        raise ValueError(f"result {path}: its last cycle was not recorded whole")
+    return data, rows
