@@ -11,7 +11,7 @@ from timesim.hbm.scheme import BalanceError, Scheme, check_excitation
 from timesim.model.model import Model
 from timesim.result.file import StoreError
 from timesim.result.state import Held, held
-from timesim.result.waves import Waves, result_waves
+from timesim.result.periodic_motion import PeriodicMotion, periodic_motion
 from timesim.scene.contact import ContactSection
 from timesim.scene.integration import ResultSection
 from timesim.scene.section import Count, Number, Positive, Section, Switch, Whole, by_form, refuse
@@ -74,7 +74,7 @@ class HbmPlan:
     stability: bool = True
     convergence: bool = False
     both_ends: bool = False
-    motion: Waves | None = None
+    motion: PeriodicMotion | None = None
     passing: tuple[Held, Mapping[str, float | str]] | None = None
 
 
@@ -206,14 +206,14 @@ class BalanceSection(StudySection):
 
     def _begin(
         self, context: Context, span: tuple[float, float], over: Axes, along: Along | None
-    ) -> tuple[Waves | None, tuple[Held, Mapping[str, float | str]] | None]:
+    ) -> tuple[PeriodicMotion | None, tuple[Held, Mapping[str, float | str]] | None]:
         """A transient's motion to begin from, or a sweep's states to pass."""
         if not isinstance(self.start, ResultStart):
             return None, None
         path, at = context.folder / self.start.source, self.start.at
         try:
             states = held(path)
-            motion = None if states.axes else result_waves(path)
+            motion = None if states.axes else periodic_motion(path)
         except (RuleError, ValueError, StoreError) as error:
             what = error.rule if isinstance(error, RuleError) else str(error)
             raise self._refused("must be the result of a transient or a sweep", what) from None
