@@ -311,6 +311,11 @@ def test_a_scene_with_nothing_periodic_is_refused():
         load_scene(still)
 
 
+def test_a_scene_without_contacts_is_refused():
+    with pytest.raises(SceneError, match="contacts: must hold at least one contact"):
+        load_scene(scene() | {"contacts": []})
+
+
 def test_a_harmonic_that_is_excited_must_be_balanced():
     force = {"point": "tip", "direction": [1, 0, 0], "amplitude": 1, "harmonic": 7}
     with pytest.raises(SceneError, match="must be at least 7, since harmonic 7 is excited"):

@@ -7,11 +7,11 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, Tag, model_validator
 
 from timesim.fault import Key, RuleError
-from timesim.hbm.scheme import BalanceError, Scheme, check_excitation
+from timesim.hbm.scheme import BalanceError, Scheme, check_model
 from timesim.model.model import Model
 from timesim.result.file import StoreError
-from timesim.result.state import Held, held
 from timesim.result.periodic_motion import PeriodicMotion, periodic_motion
+from timesim.result.state import Held, held
 from timesim.scene.contact import ContactSection
 from timesim.scene.integration import ResultSection
 from timesim.scene.section import Count, Number, Positive, Section, Switch, Whole, by_form, refuse
@@ -147,12 +147,12 @@ def balanced(harmonics: int, time_samples: int, located: bool = False) -> Scheme
         raise refuse(error.rule, key=(error.key,), value=error.value, hint=error.hint) from None
 
 
-def excitation_problems(model: Model, harmonics: int) -> Iterator[RuleError]:
-    """Why an excitation cannot be balanced, keys from the root of the scene."""
+def balance_problems(model: Model, harmonics: int) -> Iterator[RuleError]:
+    """Why a model cannot be balanced, keys from the root of the scene."""
     try:
-        check_excitation(model, harmonics)
+        check_model(model, harmonics)
     except BalanceError as error:
-        key = ("excitation",) if error.key == "excitation" else ("study", error.key)
+        key = (error.key,) if error.key in ("contacts", "excitation") else ("study", error.key)
         yield RuleError(key, error.rule, error.hint, error.value)
 
 
@@ -181,8 +181,8 @@ class BalanceSection(StudySection):
         return self
 
     def problems(self, model: Model) -> Iterator[RuleError]:
-        """The excitation must be periodic, and its harmonics balanced."""
-        return excitation_problems(model, self.harmonics)
+        """There must be contacts, and a periodic excitation whose harmonics are balanced."""
+        return balance_problems(model, self.harmonics)
 
     def balance(self, context: Context, span: tuple[float, float], over: Axes, along: Along | None = None) -> HbmPlan:
         """The balance in numbers.

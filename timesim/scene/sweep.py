@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from timesim.fault import Key, RuleError, nearest
 from timesim.model.model import Model
 from timesim.model.solver import Criterion
-from timesim.scene.hbm import HbmPlan, balanced, excitation_problems
+from timesim.scene.hbm import HbmPlan, balance_problems, balanced
 from timesim.scene.section import (
     MAX_POINTS,
     Count,
@@ -232,7 +232,7 @@ class Bistable(SteadySection):
 
     def problems(self, model: Model) -> Iterator[RuleError]:
         """Where the balance is struck, it must be possible."""
-        return excitation_problems(model, self.harmonics) if self.harmonics else iter(())
+        return balance_problems(model, self.harmonics) if self.harmonics else iter(())
 
     def varied(self) -> Mapping[Key, tuple[float, ...]]:
         """The further axes."""
