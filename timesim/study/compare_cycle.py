@@ -14,8 +14,10 @@ from timesim.hbm.balance import Array, Balance, Complex
 from timesim.hbm.curve import HbmCurve
 from timesim.hbm.period import closed_period, ends_of, motion_of
 from timesim.hbm.scheme import Scheme
+from timesim.model.contact_state import contact_loads, contact_state, slip_follows_motion
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.solver import Solver
+from timesim.orbit.basin import INSIDE
 from timesim.orbit.cycle import one_cycle
 from timesim.orbit.fourier import fourier_basis, fourier_coefficients
 from timesim.orbit.settling import Chain, Criterion, steady_states
@@ -55,7 +57,7 @@ def cycle_by_both(
     coefficient = solution.contact_motion[0] / balance.length
     modal = balance.modes(coefficient.ravel(), solution.contact_force[0] / balance.force, frequency)
     elastic, states = _contacts(balance, coefficient)
-    start = _start(balance, coefficient, modal, elastic, frequency)
+    start = _start(model, balance, coefficient, modal, elastic, frequency)
     marched = _settled_cycle(replace(model, start=start), frequency, solver, criterion)
     angle = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
     q = np.einsum("kh,hm->km", np.exp(1j * np.outer(angle, np.arange(len(modal)))), modal).real
@@ -88,12 +90,17 @@ def _contacts(balance: Balance, coefficient: Array) -> tuple[Array, Array]:
     return elastic, states[np.arange(SAMPLES) * len(states) // SAMPLES]
 
 
-def _start(balance: Balance, coefficient: Array, modal: Complex, elastic: Array, frequency: float) -> Start:
-    """State of the solution at phase 0."""
-    here = coefficient @ fourier_basis(np.zeros(1), coefficient.shape[2])[0]
+def _start(
+    model: Model, balance: Balance, coefficient: Array, modal: Complex, elastic: Array, frequency: float
+) -> Start:
+    """State of the solution at phase 0, friction forces inside their cones: they hold to the balance's tolerance."""
+    displacement = modal.real.sum(axis=0)
     speed = (1j * np.arange(len(modal))[:, None] * 2 * np.pi * frequency * modal).real.sum(axis=0)
-    slip = (here[:, :2] - elastic) * balance.length
-    return Start(modal.real.sum(axis=0), speed, slip, np.full(balance.num_contacts, -1))
+    here = coefficient @ fourier_basis(np.zeros(1), coefficient.shape[2])[0]
+    loads = contact_loads(model, displacement, (here[:, :2] - elastic) * balance.length)
+    state = contact_state(loads.normal, model.friction)
+    follows = slip_follows_motion(state, model.friction)[:, None]
+    return Start(displacement, speed, np.where(follows, loads.motion, loads.slip_in_cone(INSIDE)), state)
 
 
 def _settled_cycle(model: Model, frequency: float, solver: Solver, criterion: Criterion) -> Samples:
