@@ -491,7 +491,7 @@ BAD_SCENES = (
         "study.over.excitation.frequency", "contacts.pad.preload", "excitation.frequency", "axis of its own", "over:"
     ),
     _sweep("study.over.contacts.pad.preload.num", "[1, 2]", "{from: 1, to: 2, num: 1}", "must be >= 2", at="over:"),
-    _sweep(
+    _jumping(
         "study.over",
         "over: {contacts.pad.preload: [1, 2]}",
         "over: {contacts.pad.normal_stiffness: [0, 20], contacts.pad.preload: [3, -1]}",

@@ -61,6 +61,19 @@ def test_imports_go_round_in_no_circle():
         settled.update(ready)
 
 
+def test_whoever_uses_jax_has_it_as_the_package_needs_it():
+    """The runtime is imported below every module that imports JAX or a library on it."""
+    for name, source in NAMES.items():
+        imported = re.findall(
+            r"^\s*(?:import|from) (jax|equinox|diffrax|optimistix|lineax)\b", source.read_text(), re.M
+        )
+        reached, rest = set(), {name}
+        while rest:
+            reached |= rest
+            rest = set().union(*(GRAPH[other] for other in rest)) - reached
+        assert not imported or "timesim.runtime" in reached, name
+
+
 def test_a_folder_can_be_taken_in_at_a_glance():
     for folder in {source.parent for source in SOURCES} - {PACKAGE}:
         modules = [path for path in folder.glob("*.py") if path.name != "__init__.py"]

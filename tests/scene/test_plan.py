@@ -165,6 +165,15 @@ def test_values_that_are_only_good_together_are_accepted():
     assert scene.plan.over == {STIFFNESS: (0.0,), PRELOAD: (3.0,)}
 
 
+def test_a_sweep_keeps_what_can_be_computed_and_refuses_what_never_can():
+    over = {STIFFNESS: [0.0, 20.0], PRELOAD: [3.0, -1.0]}
+    assert load_scene(SWEEP, {"study.over": over}).plan.over[PRELOAD] == (3.0, -1.0)
+    with pytest.raises(SceneError, match=f"study.over: cannot hold {STIFFNESS} = 0, {PRELOAD} = -1 together"):
+        load_scene(SWEEP, {"study.over": over, "study.kind": "compare", "study.harmonics": 5})
+    with pytest.raises(SceneError, match=rf"study.over.{STIFFNESS}: 0\.0: {PRELOAD} must be > 0 where"):
+        load_scene(SWEEP, {"contacts.pad.preload": -1.0, "study.over": {STIFFNESS: [0.0, 20.0]}})
+
+
 def test_a_value_that_is_wrong_alone_is_named_alone():
     with pytest.raises(SceneError) as caught:
         load_scene(SWEEP, {"study.over": {PRELOAD: [1.0, 2.0], FRICTION: [0.5, -0.5]}})

@@ -151,14 +151,22 @@ def _scene(source: SceneSource, tree: type[SceneFile]) -> Scene:
 
 
 def _check_combinations(scene: Scene) -> None:
-    """Every combination of the values that the study varies must make a scene."""
-    axes = {str(place[-1]): values for place, values in scene.file.study.varied().items()}
+    """Combinations of the values that the study varies must make scenes: all, or for each value at least one."""
+    study = scene.file.study
+    axes = {str(place[-1]): values for place, values in study.varied().items()}
+    failures: list[tuple[dict[str, float], Problem]] = []
+    good: set[tuple[str, float]] = set()
     for values in combinations(axes) if axes else ():
         try:
             scene.variant(values)
         except SceneError as error:
-            refused = _refused(scene, values, error.problems[0])
-            raise SceneError([scene.source.problem(refused)]) from None
+            failures.append((values, error.problems[0]))
+        else:
+            good.update(values.items())
+    for values, problem in failures:
+        if not study.keeps_failures or not good.issuperset(values.items()):
+            refused = _refused(scene, values, problem)
+            raise SceneError([scene.source.problem(refused)])
 
 
 def _refused(scene: Scene, values: Mapping[str, float], problem: Problem) -> RuleError:

@@ -115,6 +115,8 @@ class StudySection(Section):
     """Whether ``excitation.frequency`` is the one it runs at."""
     explicit_only: ClassVar[bool] = False
     """Whether ``solver.method`` must be an explicit one."""
+    keeps_failures: ClassVar[bool] = False
+    """Whether a combination of values that makes no scene is a failed point of the result, beside those that do."""
 
     kind: str
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -40,6 +40,8 @@ from timesim.scene.study import (
 
 class Sweep(SweepSection):
     """Steady states over frequency and any scalars of the scene."""
+
+    keeps_failures: ClassVar[bool] = True
 
     kind: Literal["sweep"]
 
