@@ -23,8 +23,7 @@ from timesim.scene.hbm import ComparePlan
 from timesim.scene.resolution import Scene
 from timesim.study.campaign import INTERRUPTED, Means
 from timesim.study.compare_cycle import NotSettledError, cycle_by_both
-from timesim.study.hbm import followed, left_out
-from timesim.study.hbm_curves import Curves
+from timesim.study.hbm import Curves, followed, left_out
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.sweep import jumps_told, sweep_record
 from timesim.study.verdict import compared_points, comparison_lines, curve_lines

@@ -1,28 +1,181 @@
-"""The `hbm` study: response curves by harmonic balance, one for each value of the scene's further axes."""
+"""The `hbm` study: response curves by harmonic balance, one or several for each set of values of the further axes."""
 
 import timesim.runtime  # noqa: F401  isort: skip
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from xarray import Dataset
 
-from timesim.hbm.continuation import Controls
-from timesim.hbm.convergence import Convergence, convergence
-from timesim.hbm.curve import default_controls, hbm_curve
+from timesim.fault import RuleError
+from timesim.hbm.branches import SettledMotion, curves_from_both_ends, isolated_curves
+from timesim.hbm.continuation import Controls, Ending
+from timesim.hbm.convergence import Convergence, Known, convergence
+from timesim.hbm.curve import HbmCurve, default_controls, hbm_curve
+from timesim.hbm.parameter import parameter_curve
 from timesim.model.model import Model
+from timesim.orbit.cycle import modal_coefficients
+from timesim.orbit.share import switches
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
-from timesim.result.state import Held
+from timesim.result.state import Held, SweepPoint, settled_points, start_of
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
 from timesim.scene.study import combinations
 from timesim.study.campaign import Means, Progress
-from timesim.study.hbm_curves import Curves
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.verdict import convergence_lines, curve_lines
+
+REFINED = 6  # solutions that harmonics and samples are refined for, beside the largest
+
+
+@dataclass(frozen=True)
+class StudyCurve:
+    """One curve of a study.
+
+    Attributes:
+        values: of the further axes.
+        model_at: the model for a value of the curve's parameter.
+        curve: the solutions.
+    """
+
+    values: Mapping[str, float]
+    model_at: Callable[[float], Model]
+    curve: HbmCurve
+
+    @property
+    def label(self) -> str:
+        """Values of the further axes, to begin a message with."""
+        values = ", ".join(f"{key} = {value:g}" for key, value in self.values.items())
+        return f"{values}: " if values else ""
+
+
+class Curves:
+    """The curves of a study; `values` are the combinations of its further axes, one after the other."""
+
+    def __init__(self, scene: Scene, plan: HbmPlan):
+        self.scene, self.plan, self.scheme = scene, plan, plan.scheme
+        self.values = list(combinations(plan.over))
+        self.curves: list[StudyCurve] = []
+        self.faults: list[str] = []
+        self.notes: list[str] = []
+
+    def run(self, progress: Progress | None = None, passing: Held | None = None) -> str | None:
+        """Follow all curves.
+
+        Args:
+            progress: called with the sets of values done and their number.
+            passing: a sweep whose settled points are to be passed, beside that of the plan's start.
+
+        Returns:
+            Why some curves are not whole, if any.
+        """
+        sweeps = [sweep for sweep in (self.plan.passing, passing and (passing, {})) if sweep]
+        try:
+            for count, values in enumerate(self.values):
+                for curve in self._from_ends(values):
+                    self._add(curve)
+                for sweep in sweeps:
+                    for curve in self._through(values, *sweep):
+                        self.notes.append(_isolated(curve))
+                        self._add(curve)
+                if progress is not None:
+                    progress(count + 1, len(self.values))
+        except KeyboardInterrupt:
+            self.faults.append(f"interrupted at curve {len(self.curves) + 1}")
+        return "; ".join(self.faults) or None
+
+    def _add(self, curve: StudyCurve) -> None:
+        self.curves.append(curve)
+        if not curve.curve.complete:
+            self.faults.append(curve.label + curve.curve.message)
+        if curve.curve.ending is Ending.INTERRUPTED:
+            raise KeyboardInterrupt
+
+    def _from_ends(self, values: dict[str, float]) -> Iterator[StudyCurve]:
+        """The curves from the ends of the range, or from the motion that the plan gives."""
+        plan, along, options = self.plan, self.plan.along, self._options()
+        guess, begin = (plan.motion.modal, plan.motion.frequency) if plan.motion is not None else (None, None)
+        if along is not None:
+            key = along.key
+            model_at: Callable[[float], Model] = lambda p: self.scene.variant({**values, key: p})  # noqa: E731
+            curve = parameter_curve(model_at, plan.span[0], along.first, along.last, guess=guess, **options)
+            yield StudyCurve(values, model_at, curve)
+            return
+        model = self.scene.variant(values)
+        if plan.both_ends:
+            curves = curves_from_both_ends(model, *plan.span, **options)
+        else:
+            curves = [hbm_curve(model, *plan.span, guess=guess, begin=begin, **options)]
+        yield from (StudyCurve(values, lambda _: model, curve) for curve in curves)
+
+    def _through(
+        self, values: dict[str, float], states: Held, asked: Mapping[str, float | str]
+    ) -> Iterator[StudyCurve]:
+        """Curves from settled points of a sweep that no other curve passes: isolated branches, it may be.
+
+        Points without slip or part-time contact are left alone: there the motion is linear.
+        """
+        own = {key: value for key, value in values.items() if key in states.axes}
+        try:
+            points = list(settled_points(states, own | dict(asked)))
+        except RuleError:
+            return  # the sweep has no such values
+        model = self.scene.variant(values)
+        motions = [
+            SettledMotion(point[0], point[1]["amplitude"], partial(self._coefficients, model, states, point))
+            for point in points
+        ]
+        known = [curve.curve for curve in self.curves if curve.values == values]
+        for curve in isolated_curves(model, known, motions, self.plan.span, **self._options()):
+            yield StudyCurve(values, lambda _: model, curve)
+
+    def _coefficients(self, model: Model, states: Held, point: SweepPoint) -> np.ndarray | None:
+        """Modal Fourier coefficients of a point of a sweep; None with a note where this model cannot start from it."""
+        frequency, arrays = point
+        try:
+            start = start_of(model, states, arrays)
+        except RuleError as error:
+            self.notes.append(f"no curve is begun from the sweep's point at {frequency:g} Hz: it {error.rule}")
+            return None
+        return modal_coefficients(replace(model, start=start), frequency, self.scene.solver())
+
+    def _options(self) -> dict[str, Any]:
+        controls = replace(default_controls(), **asdict(self.plan.steps))
+        return {"scheme": self.scheme, "controls": controls, "stability": self.plan.stability}
+
+    def to_refine(self) -> list[Known]:
+        """Stable solutions where a contact switches, spread over all curves, and the largest of them."""
+        rows = [
+            (curve, i)
+            for curve in self.curves
+            for i in np.flatnonzero(
+                curve.curve.stable & switches(curve.curve.slip_share, curve.curve.separation_share).any(axis=1)
+            )
+        ]
+        if not rows:
+            return []
+        chosen = set(np.linspace(0, len(rows) - 1, min(REFINED, len(rows))).round().astype(int).tolist())
+        chosen.add(int(np.argmax([curve.curve.amplitude[i].max() for curve, i in rows])))
+        return [_known(*rows[k]) for k in sorted(chosen)]
+
+
+def _known(curve: StudyCurve, i: int) -> Known:
+    solutions = curve.curve
+    model = curve.model_at(float(solutions.parameter[i]))
+    return Known(model, float(solutions.frequency[i]), solutions.contact_motion[i], solutions.amplitude[i])
+
+
+def _isolated(curve: StudyCurve) -> str:
+    """A curve through points of a sweep, in words."""
+    frequency = curve.curve.frequency
+    closed = "closed, " if curve.curve.ending is Ending.CLOSED else ""
+    span = f"{frequency.min():.6g} to {frequency.max():.6g} Hz" if frequency.size else "without a solution"
+    return f"{curve.label}a curve of its own, {closed}{span}, begun from points of the sweep that no other passes"
 
 
 def study(scene: Scene, means: Means) -> Outcome:
