@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +12,16 @@ import pytest
 from typer.testing import CliRunner
 
 from timesim.cli import app
+from timesim.element.cycle import Transition
 from timesim.element.loop import difference, loop_cycle
 from timesim.element.motion import CYCLE, HarmonicMotion, SplineMotion
 from timesim.element.prescribed import harmonic_elements
 from timesim.element.state_by_state import steady_cycle
 from timesim.fault import SceneError
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact
+from timesim.orbit.extrapolation import limits
 from timesim.result.netcdf import open_result
-from timesim.study.element_map import March, elements_of, limits
+from timesim.study.element_map import March, elements_of
 from timesim.study.registry import load_scene, run
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -87,6 +90,16 @@ def test_two_ways_agree_on_200_random_motions():
     assert parted >= 60
     every = {(STICK, SLIP), (SLIP, STICK), (SLIP, SEPARATION), (SEPARATION, STICK), (SEPARATION, SLIP)}
     assert all(set(counted) >= every for counted in seen.values())
+
+
+def test_a_slip_that_lasts_for_rounding_alone_makes_no_other_sequence():
+    """Of motion 83 above rounding decides, and with it the processor, whether the contact slips for 1e-9 rad."""
+    rng = np.random.default_rng(2024)
+    pad, motion = [random_pair(rng, number % 2 == 1) for number in range(84)][83]
+    cycle, other = compare(pad, motion)
+    for length, same in [(2e-9, True), (1e-3, False)]:
+        touch = (Transition(1.477, STICK, SLIP), Transition(1.477 + length, SLIP, STICK))
+        assert difference(cycle, replace(other, transitions=touch)).same_sequence == same
 
 
 @pytest.mark.parametrize("full", [False, True])

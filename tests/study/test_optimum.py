@@ -11,7 +11,8 @@ from systems import oscillator
 
 import timesim
 from timesim.model.solver import PRESETS, Criterion
-from timesim.orbit.settling import Task, settle, without_orbit
+from timesim.orbit.settling import Task, settle
+from timesim.orbit.steady_state import without_orbit
 from timesim.picture import optimum as plot_optimum
 from timesim.result.netcdf import open_result
 from timesim.study import optimum

@@ -135,7 +135,7 @@ class ConeLaw(ContactLaw):
         if contact.normal_stiffness > 0:
             closed = max(contact.preload, 0.0)
             n = np.maximum(contact.preload + contact.normal_stiffness * motion[:, 2], 0.0)
-            parts.append((n**2 - closed**2) / (2 * contact.normal_stiffness) - closed * motion[:, 2])
+            parts += [(n**2 - closed**2) / (2 * contact.normal_stiffness), -closed * motion[:, 2]]
         return tuple(parts)
 
 

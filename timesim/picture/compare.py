@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from timesim.orbit.share import switches
+from timesim.orbit.steady_state import switches
 from timesim.picture import hbm as balance
 from timesim.picture.choice import MAX_ROWS, motion, motions
 from timesim.picture.response import DIRECTIONS, finish, over_keys, stacked, values_label
@@ -19,6 +19,7 @@ from timesim.picture.style import (
     Picture,
     axes,
     figure,
+    from_zero,
     heading,
     label_axes,
     legend_below,
@@ -60,6 +61,7 @@ def overlay(data: "DataTree", ax: "Axes | None" = None, *, point: str | None = N
         if not settled.all():
             hollow = points.look | {"label": "not settled", "fillstyle": "none", "ms": 5}
             ax.plot(part.frequency.values[~settled], y[~settled], **hollow)
+    from_zero(ax)
     return ax
 
 

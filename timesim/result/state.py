@@ -11,7 +11,7 @@ import numpy as np
 from timesim.fault import RuleError, nearest
 from timesim.model.model import Model, Start
 from timesim.model.start import resumed_start
-from timesim.orbit.share import switches
+from timesim.orbit.steady_state import switches
 from timesim.result.netcdf import RESULT_NAME
 
 if TYPE_CHECKING:

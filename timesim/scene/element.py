@@ -54,6 +54,7 @@ class ElementSection(StudySection):
 
     requires: ClassVar[tuple[str, ...]] = ()
     explicit_only: ClassVar[bool] = True
+    cone_only: ClassVar[bool] = True
 
     contact: Name | None = None
     """Name of the contact; may be left out where there is only one."""

@@ -52,10 +52,10 @@ def _file_type(kinds: tuple[tuple[str, type[StudySection]], ...]) -> type[SceneF
 
     def known(value: Any) -> Any:
         if isinstance(value, dict) and (kind := value.get("kind")) not in names:
-            told = f"one of {', '.join(names)}"
+            choice = f"one of {', '.join(names)}"
             if "kind" not in value:
-                raise refuse("is required", key=("kind",), hint=told)
-            raise refuse(f"must be {told}", key=("kind",), hint=nearest(str(kind), names), value=kind)
+                raise refuse("is required", key=("kind",), hint=choice)
+            raise refuse(f"must be {choice}", key=("kind",), hint=nearest(str(kind), names), value=kind)
         return value
 
     members = reduce(or_, [Annotated[section, Tag(f"<{name}>")] for name, section in kinds])

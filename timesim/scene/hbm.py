@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, Tag, model_validator
 
@@ -158,6 +158,8 @@ def balance_problems(model: Model, harmonics: int) -> Iterator[RuleError]:
 
 class BalanceSection(StudySection):
     """What a harmonic balance is described by, also where it is a part of another study."""
+
+    cone_only: ClassVar[bool] = True
 
     harmonics: Annotated[Count, Field(le=1000)] = 9
     """Highest harmonic of the excitation frequency that is balanced, the mean beside them."""

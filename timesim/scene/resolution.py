@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from timesim.fault import Key, Problem, RuleError, SceneError
-from timesim.model.model import Contact, Excitation, Model, Structure
+from timesim.fault import Problem, RuleError, SceneError
+from timesim.model.model import CONE, Contact, Excitation, Model, Structure
 from timesim.model.solver import Solver
 from timesim.model.start import rest_start
 from timesim.scene.file import NO_NUMBER, Kinds, SceneFile, SceneParts, file_type, rule_errors
 from timesim.scene.integration import EndOfRun, InitialResult, start
-from timesim.scene.source import SceneSource, overridden, read
+from timesim.scene.source import SceneSource, empty_values, overridden, read
 from timesim.scene.study import PARTS, Context, combinations
 from timesim.scene.text import yaml_text
 
@@ -120,24 +120,12 @@ class Scene:
 def load_scene(
     source: str | Path | Mapping[str, Any], overrides: Mapping[str, Any] | Sequence[str] = (), *, kinds: Kinds
 ) -> Scene:
-    """Read, check and build a scene.
-
-    Args:
-        source: path of a scene file, the text of one (of several lines), or the same as a mapping.
-        overrides: new values by key path, ``{"contacts.pad.preload": 5}`` or ``["contacts.pad.preload=5"]``;
-            items of a list go by their name or by their index from 0.
-
-    Keyword Args:
-        kinds: the section of each kind of study.
-
-    Raises:
-        SceneError: all that is wrong with the scene, each with file, line, key path, value and rule.
-    """
+    """Read, check and build a scene of one of these kinds of study; see `timesim.load_scene`."""
     return _scene(overridden(read(source), overrides), file_type(kinds))
 
 
 def _scene(source: SceneSource, tree: type[SceneFile]) -> Scene:
-    empty = list(_empty_values(source.data))
+    empty = list(empty_values(source.data))
     try:
         file = tree.model_validate(source.data)
     except ValidationError as error:
@@ -181,8 +169,9 @@ def _refused(scene: Scene, values: Mapping[str, float], problem: Problem) -> Rul
                 return RuleError(places[key], "is no number of the scene")
             rule = own.rule if own.key == key else f"{own.key} {own.rule}"
             return RuleError(places[key], rule, own.hint, value)
-    told = ", ".join(f"{key} = {value:g}" for key, value in values.items())
-    return RuleError(("study", "over"), f"cannot hold {told} together: {problem.key} {problem.rule}", problem.hint)
+    all_values = ", ".join(f"{key} = {value:g}" for key, value in values.items())
+    rule = f"cannot hold {all_values} together: {problem.key} {problem.rule}"
+    return RuleError(("study", "over"), rule, problem.hint)
 
 
 def _scene_error(source: SceneSource, errors: Sequence[RuleError]) -> SceneError:
@@ -190,14 +179,6 @@ def _scene_error(source: SceneSource, errors: Sequence[RuleError]) -> SceneError
     first = {error.key: error for error in reversed(errors)}
     problems = [source.problem(error) for error in first.values()]
     return SceneError(sorted(problems, key=lambda problem: (problem.line or 0, problem.key)))
-
-
-def _empty_values(data: Any, key: Key = ()) -> Iterator[RuleError]:
-    if data is None:
-        yield RuleError(key, "has no value", "give one, or leave the key out")
-    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
-    for part, value in items:
-        yield from _empty_values(value, (*key, part))
 
 
 # What only the whole scene tells
@@ -261,7 +242,7 @@ class _Build:
             changed: names of sections.
         """
         file, given = self.file, {} if known is None else dict(vars(known))
-        self.check_names()
+        self.check_contacts()
         if file.structure is None:
             return None
         self.check_points(file.structure.point_names)
@@ -297,8 +278,18 @@ class _Build:
         self.errors += self.file.study.problems(model)
         return model
 
-    def check_names(self) -> None:
+    def check_contacts(self) -> None:
+        """Names differ, and all contacts obey one law, which the study knows."""
         names = [contact.name for contact in self.file.contacts]
+        laws = [CONE if contact.law is None else contact.law.name for contact in self.file.contacts]
+        study, initial = self.file.study, self.file.initial
+        for i, law in enumerate(laws):
+            if law != laws[0]:
+                rule = f"must be the same for all contacts, that of {names[0]} is {laws[0]}"
+                self.errors.append(RuleError(("contacts", i, "law"), rule, value=law))
+            elif law != CONE and (study.cone_only or initial == "static"):
+                whose = f"in {study.kind} studies" if study.cone_only else "where initial is static"
+                self.errors.append(RuleError(("contacts", i, "law"), f"must be {CONE} {whose}", value=law))
         for i, name in enumerate(names):
             if name in names[:i]:
                 self.errors.append(
@@ -323,7 +314,7 @@ def _warnings(file: SceneFile, model: Model | None) -> Iterator[str]:
     if frequency is not None and not file.study.uses_frequency:
         yield f"excitation.frequency is not used: the frequencies of the {file.study.kind} study rule"
     for contact in file.contacts:
-        if contact.friction == 0 and np.any(contact.stiffness_matrix()):
+        if contact.idle_stiffness and np.any(contact.stiffness_matrix()):
             yield f"contacts.{contact.name}.tangential_stiffness has no effect without friction"
     if model is None:
         return

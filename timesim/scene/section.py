@@ -73,7 +73,7 @@ def _whole(value: Any) -> Any:
 def _name(text: str) -> str:
     if not text or text != text.strip() or set(".=") & set(text) or text == GROUND:
         rule = f"must be a name without . and = and outer spaces, other than {GROUND}"
-        raise refuse(rule, hint="keys such as contacts.pad.preload are made of names")
+        raise refuse(rule, hint="keys such as contacts.pad.preload consist of names")
     return text
 
 

@@ -1,6 +1,6 @@
 """The source of a scene: its plain data, the line of every key, and new values by key path."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -103,6 +103,15 @@ def _from_text(content: bytes | str, name: str, folder: Path) -> SceneSource:
     return replace(source, data=value, lines=lines)
 
 
+def empty_values(data: Any, key: Key = ()) -> Iterator[RuleError]:
+    """Keys without a value."""
+    if data is None:
+        yield RuleError(key, "has no value", "give one, or leave the key out")
+    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for part, value in items:
+        yield from empty_values(value, (*key, part))
+
+
 # New values, as ``--set`` and ``over`` write them
 
 NAMED_BY_KEYS = {("study", "over"), ("study", "along"), ("study", "start", "at"), ("initial", "at")}
@@ -110,7 +119,7 @@ NAMED_BY_KEYS = {("study", "over"), ("study", "along"), ("study", "start", "at")
 
 
 def overridden(source: SceneSource, overrides: Mapping[str, Any] | Sequence[str]) -> SceneSource:
-    """The source with new values; a missing mapping on the way to a key is made, and None takes a key out.
+    """The source with new values; mappings that are missing on the way to a key are added, and None takes a key out.
 
     Raises:
         SceneError: an override that is no assignment, or addresses nothing.

@@ -58,8 +58,8 @@ def _distinct(given: Any) -> Any:
 def _countable(over: Mapping[str, Any]) -> Mapping[str, Any]:
     sizes = [len(axis_values(given)) for given in over.values()]
     if (count := prod(sizes)) > MAX_COMBINATIONS:
-        told = f"{' x '.join(map(str, sizes))} = {count}"
-        raise refuse(f"must have at most {MAX_COMBINATIONS} combinations of values, not {told}")
+        rule = f"must have at most {MAX_COMBINATIONS} combinations of values"
+        raise refuse(f"{rule}, not {' x '.join(map(str, sizes))} = {count}")
     return over
 
 
@@ -115,6 +115,8 @@ class StudySection(Section):
     """Whether ``excitation.frequency`` is the one it runs at."""
     explicit_only: ClassVar[bool] = False
     """Whether ``solver.method`` must be an explicit one."""
+    cone_only: ClassVar[bool] = False
+    """Whether the contacts must obey the law of the cone."""
     keeps_failures: ClassVar[bool] = False
     """Whether a combination of values that makes no scene is a failed point of the result, beside those that do."""
 
@@ -160,7 +162,7 @@ class SteadySection(StudySection):
     settle: Settle = Settle()
     """When a motion counts as settled."""
     periodic: Literal["march", "shoot"] = "march"
-    """How a periodic motion is found: marching until it settles, or Newton's method on the state after a period."""
+    """How a periodic motion is sought: marching until it settles, or Newton's method on the state after a period."""
 
     def criterion(self) -> Criterion:
         """When a motion counts as settled, in numbers."""

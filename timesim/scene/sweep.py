@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from timesim.fault import Key, RuleError, nearest
-from timesim.model.model import Model
+from timesim.model.model import CONE, Model
 from timesim.model.solver import Criterion
 from timesim.scene.hbm import HbmPlan, balance_problems, balanced
 from timesim.scene.section import (
@@ -234,7 +234,14 @@ class Bistable(SteadySection):
 
     def problems(self, model: Model) -> Iterator[RuleError]:
         """Where the balance is struck, it must be possible."""
-        return balance_problems(model, self.harmonics) if self.harmonics else iter(())
+        if not self.harmonics:
+            return
+        yield from balance_problems(model, self.harmonics)
+        for contact in model.contacts:
+            if contact.law != CONE:
+                rule = f"must be 0 where the law of a contact is not {CONE}"
+                yield RuleError(("study", "harmonics"), rule, f"{contact.name} has {contact.law}", self.harmonics)
+                return
 
     def varied(self) -> Mapping[Key, tuple[float, ...]]:
         """The further axes."""

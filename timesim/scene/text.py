@@ -47,7 +47,7 @@ def value_text(value: Any, width: int = 60) -> str:
 
 
 def plain(value: Any, key: Key = ()) -> Any:
-    """Data made in Python as YAML would have given it: arrays as lists, paths and keys as text.
+    """Data from Python as YAML would have given them: arrays as lists, paths and keys as text.
 
     Raises:
         RuleError: a value of a type that no scene holds, or one nested without end.
@@ -76,11 +76,8 @@ def parse(content: bytes | str) -> tuple[Any, dict[Key, int]]:
         RuleError: what is wrong, with its line.
     """
     if len(content) > MAX_BYTES:
-        raise RuleError(
-            (),
-            f"is larger than {MAX_BYTES // 1024**2} MB",
-            "keep large matrices in a .npz, .mat or .mtx file",
-        )
+        hint = "keep large matrices in a .npz, .mat or .mtx file"
+        raise RuleError((), f"is larger than {MAX_BYTES // 1024**2} MB", hint)
     reader = _Reader(_decoded(content) if isinstance(content, bytes) else content)
     try:
         return reader.document(), reader.lines
@@ -102,7 +99,12 @@ def _decoded(content: bytes) -> str:
 
 
 class _Reader:
-    """Walks the events of one document; the nesting is bounded before anything recurses."""
+    """Walks the events of one document, in which ruamel has parsed its text.
+
+    ruamel's round trip knows lines too, but it does not report a tag on a plain scalar, nor the key path of a key that
+    stands twice; it reads 1_0 as a number and 2001-01-01 as a date, which the core schema does not; and it recurses
+    through nested text and aliases before their depth and size can be bounded.
+    """
 
     def __init__(self, text: str):
         self.events: Iterator[Any] = YAML(typ="safe", pure=True).parse(text)
@@ -116,12 +118,8 @@ class _Reader:
         if not isinstance(start, DocumentStartEvent):
             raise RuleError((), "is empty", "a scene needs structure:, excitation: and study:", line=1)
         if start.version not in (None, (1, 2)):
-            raise RuleError(
-                (),
-                f"is YAML {'.'.join(map(str, start.version))}",
-                "write YAML 1.2, without a %YAML line",
-                line=1,
-            )
+            version = ".".join(map(str, start.version))
+            raise RuleError((), f"is YAML {version}", "write YAML 1.2, without a %YAML line", line=1)
         value = self.value(next(self.events), ())
         next(self.events)
         if isinstance(following := next(self.events), DocumentStartEvent):
@@ -150,29 +148,25 @@ class _Reader:
         return scalar(event.value) if event.implicit[0] else event.value
 
     def mapping(self, key: Key) -> dict[str, Any]:
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         while not isinstance(event := next(self.events), MappingEndEvent):
             if not isinstance(event, ScalarEvent) or event.tag not in (None, "!"):
                 raise RuleError(key, "has a key that is not plain text", line=_line(event))
             below = (*key, event.value)
-            if event.value in found:
-                raise RuleError(
-                    below,
-                    f"stands twice (first in line {self.lines[below]})",
-                    "remove one",
-                    line=_line(event),
-                )
+            if event.value in values:
+                rule = f"stands twice (first in line {self.lines[below]})"
+                raise RuleError(below, rule, "remove one", line=_line(event))
             self.lines[below] = _line(event)
-            found[event.value] = self.value(next(self.events), below)
-        return found
+            values[event.value] = self.value(next(self.events), below)
+        return values
 
     def sequence(self, key: Key) -> list[Any]:
-        found: list[Any] = []
+        values: list[Any] = []
         while not isinstance(event := next(self.events), SequenceEndEvent):
-            below = (*key, len(found))
+            below = (*key, len(values))
             self.lines[below] = _line(event)
-            found.append(self.value(event, below))
-        return found
+            values.append(self.value(event, below))
+        return values
 
     def alias(self, event: Any, key: Key) -> Any:
         if event.anchor not in self.anchors:
@@ -239,4 +233,4 @@ def _special(value: float) -> str:
 def _text(text: str) -> str:
     if _PLAIN.fullmatch(text) and isinstance(scalar(text), str):
         return text
-    return _UNPRINTABLE.sub(lambda found: f"\\U{ord(found[0]):08x}", json.dumps(text, ensure_ascii=False))
+    return _UNPRINTABLE.sub(lambda match: f"\\U{ord(match[0]):08x}", json.dumps(text, ensure_ascii=False))

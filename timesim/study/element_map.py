@@ -35,6 +35,7 @@ from timesim.element.prescribed import (
 )
 from timesim.model.model import SEPARATION
 from timesim.model.solver import Solver
+from timesim.orbit.extrapolation import limits
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.element import MAP_AXES, MapPlan
@@ -170,23 +171,6 @@ class March:
         self.slip[rows] = elements.start[:, :2] - elastic
         self.forces[rows] = np.nan
         self.forces[rows, -1], self.since[rows] = force, 0
-
-
-def limits(forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Limits of slowly converging sequences by their last four terms, shape (N, 4, 2), and which have one.
-
-    The changes fall by a ratio r (Aitken), or like a power of the cycle number, where r rises by q (1 - r)^2 a cycle.
-    """
-    first, second, third = np.moveaxis(np.diff(forces, axis=1), 1, 0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        before = np.sum(second * first, axis=1) / np.sum(first * first, axis=1)
-        ratio = np.sum(third * second, axis=1) / np.sum(second * second, axis=1)
-        aligned = np.hypot(*(third - ratio[:, None] * second).T) <= 0.1 * np.hypot(*third.T)
-        leads = aligned & (ratio > 0.2) & (ratio < 1) & (np.abs(ratio - before) <= 0.2 * (1 - ratio))
-        rise = np.minimum((ratio - before) / (1 - ratio) ** 2, 0.8)
-        rise = np.where(rise > 0.4, rise, 0.0)
-        far = third * (ratio / (1 - ratio) / (1 - rise))[:, None]
-    return np.where(leads[:, None], forces[:, -1] + far, 0.0), leads
 
 
 def elements_of(plan: MapPlan) -> tuple[Elements, np.ndarray]:

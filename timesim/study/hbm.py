@@ -1,7 +1,5 @@
 """The `hbm` study: response curves by harmonic balance, one or several for each set of values of the further axes."""
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -19,7 +17,7 @@ from timesim.hbm.curve import HbmCurve, default_controls, hbm_curve
 from timesim.hbm.parameter import parameter_curve
 from timesim.model.model import Model
 from timesim.orbit.cycle import modal_coefficients
-from timesim.orbit.share import switches
+from timesim.orbit.steady_state import switches
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.result.state import Held, SweepPoint, settled_points, start_of

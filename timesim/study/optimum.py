@@ -7,8 +7,6 @@ beside the least one by bounded minimisation [1]_, and it is made sure that no v
 .. [1] R. P. Brent, *Algorithms for Minimization Without Derivatives*, Prentice-Hall (1973), chapter 5.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -21,14 +19,14 @@ from xarray import Dataset
 from timesim.fault import SceneError
 from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
-from timesim.orbit.settling import Chain, Orbit, Task, settle, steady_states
+from timesim.orbit.settling import Chain, steady_states, warm_up
+from timesim.orbit.steady_state import Orbit, columns_of
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import OptimumPlan
 from timesim.study.campaign import Chunk, Means, Result, carry_through, halted
 from timesim.study.outcome import Outcome, attributes
-from timesim.study.sweep import columns_of
 
 NEARLY = 0.9  # of the largest: other maxima that may be larger between the points of the sweep
 FINE = 1e-3  # of a step of the sweep: the frequency of a peak, whose height depends on it in second order only
@@ -196,7 +194,7 @@ def study(scene: Scene, means: Means) -> Outcome:
     """Run an optimum scene; incomplete where the least peak was not found, or points of a sweep failed."""
     peaks, reason = Peaks(scene, means), None
     clock = time.perf_counter()
-    settle([Task(scene.model(), float(peaks.frequency[0]))], peaks.solver, tolerance=1e-2, max_cycles=1)
+    warm_up([Chain(scene.model(), (float(peaks.frequency[0]),))], peaks.solver, [2])
     compiling = time.perf_counter() - clock
     try:
         peaks.first()

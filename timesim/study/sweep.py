@@ -4,11 +4,10 @@ What a chunk gives depends on nothing but its payload and the state that the chu
 gives the same bits however its chunks are spread over threads or a cluster, and wherever it was interrupted.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -16,10 +15,11 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.fault import SceneError
-from timesim.model.model import Model, Start
+from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
 from timesim.orbit.jump import Stretch, jumps_of, steps_of, suspects
-from timesim.orbit.settling import Chain, Orbit, first_lane, steady_states
+from timesim.orbit.settling import Chain, SteadyStates, steady_states, warm_up
+from timesim.orbit.steady_state import COLUMNS, START, Orbit, columns_of, end_of, orbit_of
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
@@ -32,8 +32,6 @@ CHAINS_A_CHUNK = (4, 32)  # few chains are spread over the processors, many fill
 MANY_CHAINS = 64
 STEPS_A_CHUNK = 16  # of a chain: what is lost at most when a sweep is interrupted
 LISTED = 5  # failed points that the summary names
-
-START = ("end_displacement", "end_velocity", "end_slip", "end_state")  # of a result, in the order of `Start`
 
 
 @dataclass(frozen=True)
@@ -57,21 +55,22 @@ class Segment:
 def solve(segment: Segment, before: Result | None) -> Result:
     """The steady states of a segment as arrays: chain first, then its frequencies."""
     chains = list(segment.chains) if before is None else _continued(segment.chains, before)
-    orbits = steady_states(chains, segment.solver, segment.criterion, crowd=segment.crowd, halted=halted)
+    steady = partial(steady_states, solver=segment.solver, criterion=segment.criterion, halted=halted)
+    orbits = steady(chains, crowd=segment.crowd)
     rows = columns_of(orbits)
-    jumps = [] if segment.refine is None else list(_jumps(segment, chains, orbits, before, segment.refine))
+    jumps = [] if segment.refine is None else list(_jumps(steady, segment.refine, chains, orbits, before))
     last = np.array([chain.frequencies[-1] for chain in chains])
     return rows | {"last_frequency": last, "jumps": np.array(jumps, dtype=float).reshape(-1, 3)}
 
 
 def _jumps(
-    segment: Segment, chains: Sequence[Chain], orbits: Sequence[list[Orbit]], before: Result | None, width: float
+    steady: SteadyStates, width: float, chains: Sequence[Chain], orbits: Sequence[list[Orbit]], before: Result | None
 ) -> Iterator[tuple[int, float, float]]:
     """Jumps along the chains: position of the chain, low and high end."""
     steps = [_steps(chain, own, before, index) for index, (chain, own) in enumerate(zip(chains, orbits, strict=True))]
     where = [index for index, own in enumerate(steps) for _ in own]
     every = [step for own in steps for step in own]
-    for step, jump in jumps_of(every, segment.solver, segment.criterion, width):
+    for step, jump in jumps_of(every, steady, width):
         yield where[step], jump.low, jump.high
 
 
@@ -84,25 +83,6 @@ def _steps(chain: Chain, own: list[Orbit], before: Result | None, index: int) ->
     return steps_of(chain.model, frequencies, orbits)
 
 
-COLUMNS = (
-    "amplitude", "band", "settled", "cycles", "period", "slip_share", "separation_share", "floquet_max", "reason",
-    "end_displacement", "end_velocity", "end_slip", "end_state",
-)  # fmt: skip
-
-
-def columns_of(orbits: Sequence[Sequence[Orbit]]) -> dict[str, np.ndarray]:
-    """What a result tells of steady states, by chain and place along it."""
-    return {name: np.array([[_value(orbit, name) for orbit in own] for own in orbits]) for name in COLUMNS}
-
-
-def _value(orbit: Orbit, name: str) -> Any:
-    if name == "floquet_max":
-        return np.max(np.abs(orbit.floquet), initial=0.0)
-    if name.startswith("end_"):
-        return getattr(orbit.end, name.removeprefix("end_"))
-    return (orbit.reason or "") if name == "reason" else getattr(orbit, name)
-
-
 def _continued(chains: Sequence[Chain], before: Result) -> list[Chain]:
     """Chains from where the segment before has ended; one whose last point failed starts anew."""
     made = []
@@ -113,29 +93,6 @@ def _continued(chains: Sequence[Chain], before: Result) -> list[Chain]:
         start = end_of(before, (index, -1), chain.model.start.phase)
         made.append(replace(chain, model=replace(chain.model, start=start)))
     return made
-
-
-def end_of(result: Result, place: tuple[int, int], phase: float) -> Start:
-    """The state at the end of a cycle of one of the steady states, the excitation then at a phase [rad]."""
-    displacement, velocity, slip, state = (np.asarray(result[name][place]) for name in START)
-    return Start(displacement, velocity, slip, state, phase)
-
-
-def orbit_of(result: Result, place: tuple[int, int], phase: float) -> Orbit:
-    """A steady state from the columns of a result; of its multipliers the largest only."""
-    value = {name: result[name][place] for name in COLUMNS}
-    return Orbit(
-        end=end_of(result, place, phase),
-        amplitude=value["amplitude"],
-        band=value["band"],
-        settled=bool(value["settled"]),
-        cycles=int(value["cycles"]),
-        period=int(value["period"]),
-        slip_share=value["slip_share"],
-        separation_share=value["separation_share"],
-        floquet=np.array([value["floquet_max"]]),
-        reason=str(value["reason"]) or None,
-    )
 
 
 # The study
@@ -160,7 +117,7 @@ def sweep_record(scene: Scene, plan: SweepPlan, means: Means) -> tuple[Dataset, 
     chunks, places = grid.chunks(solver)
     clock = time.perf_counter()
     if means.cluster is None:
-        warm_up(chunks, solver)
+        warm_up((chain for chunk in chunks for chain in chunk.payload.chains), solver, [chunks[0].payload.crowd])
     compiling = time.perf_counter() - clock
     results, reason = carry_through(chunks, solve, means, identity=scene.resolved_yaml())
     arrays, jumps = grid.gathered(results, places)
@@ -168,17 +125,6 @@ def sweep_record(scene: Scene, plan: SweepPlan, means: Means) -> tuple[Dataset, 
     told = {"method": str(solver), "compile_seconds": compiling, "run_seconds": seconds}
     record = grid.record(arrays, jumps, told)
     return record, reason or failures(record)
-
-
-def warm_up(chunks: Sequence[Chunk], solver: Solver) -> None:
-    """Compile what the work needs, once, before threads ask for it side by side."""
-    for chain in (chain for chunk in chunks for chain in chunk.payload.chains):
-        one = Chain(chain.model, chain.frequencies[:1])
-        lane = first_lane(one, solver)
-        if lane.here.state.size:
-            crowd = chunks[0].payload.crowd
-            steady_states([one], solver, Criterion(tolerance=1e-2, max_cycles=1), crowd=crowd)
-            return
 
 
 def failures(record: Dataset) -> str | None:

@@ -8,7 +8,7 @@ from xarray import Dataset
 
 from timesim.hbm.convergence import Convergence, order_of
 from timesim.hbm.curve import changes_of_stability, peak
-from timesim.orbit.share import switches
+from timesim.orbit.steady_state import switches
 from timesim.picture.response import over_keys
 from timesim.scene.study import combinations
 
