@@ -1,7 +1,5 @@
 """The curves of one model: those from the ends of a range, and isolated ones through motions of time integration."""
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
