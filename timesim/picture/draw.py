@@ -33,7 +33,7 @@ def write(data: "Dataset | DataTree", folder: Path | str, pictures: Mapping[str,
         StoreError: a file cannot be written.
     """
     written: list[Path] = []
-    if data.sizes.get("time", 2) < 2:
+    if min(data.sizes.get(name, 2) for name in ("time", "angle")) < 2:
         return written
     for name, picture in pictures.items():
         figure = picture(data)

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -143,7 +143,7 @@ class Curves:
         return modal_coefficients(replace(model, start=start), frequency, self.scene.solver())
 
     def _options(self) -> dict[str, Any]:
-        controls = replace(default_controls(), **asdict(self.plan.steps))
+        controls = replace(default_controls(), **self.plan.steps)
         return {"scheme": self.scheme, "controls": controls, "stability": self.plan.stability}
 
     def to_refine(self) -> list[Known]:
