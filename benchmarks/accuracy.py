@@ -20,7 +20,7 @@ from timesim.engine.history import events
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import Model
 from timesim.model.solver import PRESETS, Solver
-from timesim.scene.resolution import load_scene
+from timesim.study.registry import load_scene
 
 DATA = Path(__file__).parents[1] / "tests" / "data"
 

@@ -19,8 +19,8 @@ from scipy.integrate import simpson, solve_ivp
 
 from timesim.element.motion import HarmonicMotion
 from timesim.element.state_by_state import steady_cycle
-from timesim.scene.resolution import load_scene
 from timesim.study.element_map import March, elements_of
+from timesim.study.registry import load_scene
 
 SCENE = Path(__file__).parents[1] / "configs/figure7.yaml"
 STICK, SLIP, APART = 0, 1, 2
@@ -119,11 +119,9 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     options = parser.parse_args()
     scene = load_scene(SCENE)
-    plan = scene.file.study
-    section = plan.chosen(scene.file.contacts)
-    elements, phase = elements_of(plan, section)
+    elements, phase = elements_of(scene.plan)
     solver = scene.solver()
-    contact = section.build()
+    contact = scene.plan.contact
     clock = time.perf_counter()
     March(elements.pick(np.arange(1)), phase[:1], solver).run(max_cycles=1)
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}; compilation {time.perf_counter() - clock:.1f} s")

@@ -29,8 +29,8 @@ from timesim.hbm.scheme import Scheme
 from timesim.model.model import GROUND, Contact, Excitation, Model, Start, Structure
 from timesim.model.solver import PRESETS
 from timesim.orbit.settling import Task, settle
-from timesim.scene.resolution import load_scene
 from timesim.study.hbm import peak
+from timesim.study.registry import load_scene
 
 RANGE = (0.75, 1.3)
 

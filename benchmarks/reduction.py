@@ -17,7 +17,7 @@ import numpy as np
 
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.solver import PRESETS
-from timesim.scene.resolution import load_scene
+from timesim.study.registry import load_scene
 
 ROOT = Path(__file__).parents[1]
 OSCILLATOR, MANY = ROOT / "configs" / "oscillator.yaml", ROOT / "tests" / "data" / "many_modes.yaml"

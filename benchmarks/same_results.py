@@ -1,8 +1,9 @@
 """Do two checkouts give the same results, bit for bit?
 
-Run `python benchmarks/same_results.py BEFORE AFTER OUTPUT [scene ...]`: every scene of `BEFORE/configs` (or those named)
-is run by both checkouts, each into a folder of `OUTPUT`, and all variables of both result files are compared. Results
-that are already in `OUTPUT` are kept, so a checkout is run once. Both use the Python environment of this command.
+Run `python benchmarks/same_results.py BEFORE AFTER OUTPUT [scene ...]`: every scene of `BEFORE/configs` (or those
+named) is run by both checkouts, each into a folder of `OUTPUT`, and all variables of both result files are compared.
+Results that are already in `OUTPUT` are kept, so a checkout is run once. Both use the Python environment of this
+command.
 """
 
 import argparse

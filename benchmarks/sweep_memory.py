@@ -19,9 +19,8 @@ SCENE = Path(__file__).parents[1] / "configs" / "oscillator.yaml"
 
 def measure(points: int, folder: str) -> dict[str, float]:
     """Run the sweep in this process, with its checkpoints, and tell what it took."""
-    from timesim.scene.resolution import load_scene
     from timesim.study.campaign import Means
-    from timesim.study.registry import carry_out
+    from timesim.study.registry import carry_out, load_scene
 
     step = (1.65 - 0.8) / (points - 1)
     study = {"kind": "sweep", "frequency": {"from": 0.8, "to": 1.65 + step / 4, "step": step}}

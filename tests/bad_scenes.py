@@ -312,6 +312,14 @@ BAD_SCENES = (
         at="amplitude: 1.5",
     ),
     _base("excitation.forces.0.amplitude", "amplitude: 1.5", "amplitude: .inf", "must be finite", at=".inf"),
+    _base("excitation.forces.0.amplitude", "amplitude: 1.5", "amplitude: -2e100", "must be >= -1e+100", at="-2e100"),
+    _base(
+        "excitation.modal_force.0.amplitude",
+        "{amplitude: 1.0, phase_deg: 0.0}",
+        "{amplitude: 1e200, phase_deg: 0.0}",
+        "must be <= 1e+100",
+        at="1e200",
+    ),
     _base("excitation.forces.0.harmonic", "harmonic: 2", "harmonic: 0", "must be >= 1", at="harmonic: 0"),
     _base("excitation.forces.0.harmonic", "harmonic: 2", "harmonic: 1.5", "whole number", at="harmonic: 1.5"),
     _base(
@@ -461,6 +469,10 @@ BAD_SCENES = (
     _sweep("study.frequency", "  frequency: {from: 0.9, to: 1.1, step: 0.05}\n", "", "is required", at="study:"),
     _sweep("study.frequency.step", ", step: 0.05", "", "is required", at="frequency: {from"),
     _sweep("study.frequency.step", "step: 0.05", "step: 1e-9", "at most 1000000 points", at="frequency: {from"),
+    _sweep(
+        "study.frequency.step", "0.9, to: 1.1, step: 0.05", "1, to: 1e99, step: 1e-300", "points, not inf", at="1e99"
+    ),
+    _sweep("study.frequency.to", "0.9, to: 1.1, step: 0.05", "1, to: 1e300, step: 1e-300", "<= 1e+100", at="1e300"),
     _sweep("study.frequency.to", "to: 1.1", "to: 0.8", "must not be smaller than from", at="frequency: {from"),
     _sweep("study.frequency.num", "step: 0.05", "step: 0.05, num: 5", "is no key here", at="frequency: {from"),
     _sweep("study.frequency.from", "step: 0.05", "values: [1.0]", "excludes values", at="frequency: {from"),
@@ -479,6 +491,25 @@ BAD_SCENES = (
         "study.over.excitation.frequency", "contacts.pad.preload", "excitation.frequency", "axis of its own", "over:"
     ),
     _sweep("study.over.contacts.pad.preload.num", "[1, 2]", "{from: 1, to: 2, num: 1}", "must be >= 2", at="over:"),
+    _jumping(
+        "study.over",
+        "over: {contacts.pad.preload: [1, 2]}",
+        "over: {contacts.pad.normal_stiffness: [0, 20], contacts.pad.preload: [3, -1]}",
+        "normal_stiffness = 0, contacts.pad.preload = -1 together: contacts.pad.preload must be > 0 where",
+    ),
+    _sweep(
+        "study.over",
+        "{contacts.pad.preload: [1, 2]}",
+        "{contacts.pad.preload: {from: 1, to: 2, num: 10000}, contacts.pad.friction: {from: 1, to: 2, num: 10000}}",
+        "at most 100000 combinations of values, not 10000 x 10000 = 100000000",
+        at="over:",
+    ),
+    _hbm(
+        "study.over",
+        "over: {contacts.pad.preload: [1, 2]}",
+        "over: {contacts.pad.normal_stiffness: [0, 20], contacts.pad.preload: [3, -1]}",
+        "cannot hold contacts.pad.normal_stiffness = 0, contacts.pad.preload = -1 together",
+    ),
     _hbm("study.harmonics", "harmonics: 7", "harmonics: 0", ">= 1", at="harmonics: 0"),
     _hbm("study.harmonics", "harmonics: 7", "harmonics: 1", "harmonic 2 is excited", at="harmonics: 1"),
     _hbm("study.time_samples", "time_samples: 256", "time_samples: 27", "must be at least 28 for 7 harmonics"),

@@ -106,7 +106,7 @@ def digest(results: Mapping[str, Mapping[str, np.ndarray]]) -> str:
 
 def study(scene: Scene, means: Means) -> Outcome:
     """Stands for a study in chunks: one chain over the frequencies of a sweep."""
-    frequency = scene.file.study.frequency.values()
+    frequency = scene.plan.frequency
     fault = {f"c-0-{FAULTY[1]}": FAULTY[0]} if FAULTY else {}
     chunks = chains(1, len(frequency), faults=fault)
     results, reason = carry_through(chunks, work, means, identity=scene.resolved_yaml())

@@ -1,8 +1,67 @@
 """Event-driven time integration of structures with frictional contacts."""
 
-from timesim.fault import SceneError
-from timesim.result.netcdf import open_result
-from timesim.scene.resolution import Scene, load_scene
-from timesim.study.registry import run
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["Scene", "SceneError", "load_scene", "open_result", "run"]
+if TYPE_CHECKING:
+    from timesim.fault import SceneError
+    from timesim.notebook import (
+        contact,
+        follow,
+        integrate,
+        matrices,
+        modal_forces,
+        modes,
+        plot,
+        point_force,
+        settle,
+        sweep,
+        system,
+    )
+    from timesim.result.netcdf import open_result
+    from timesim.result.netcdf import open_result as open
+    from timesim.scene.resolution import Scene
+    from timesim.study.registry import load_scene, run
+
+__all__ = [
+    "Scene",
+    "SceneError",
+    "contact",
+    "follow",
+    "integrate",
+    "load_scene",
+    "matrices",
+    "modal_forces",
+    "modes",
+    "open",
+    "open_result",
+    "plot",
+    "point_force",
+    "run",
+    "settle",
+    "sweep",
+    "system",
+]
+
+_MODULES = {
+    "Scene": "timesim.scene.resolution",
+    "SceneError": "timesim.fault",
+    "load_scene": "timesim.study.registry",
+    "open_result": "timesim.result.netcdf",
+    "run": "timesim.study.registry",
+}
+"""Where names stand; all others are those of `timesim.notebook`."""
+
+
+def __getattr__(name: str) -> Any:
+    """Load what is asked for, and only that: the command line and workers need not pay for the rest."""
+    if name not in __all__:
+        raise AttributeError(f"module 'timesim' has no attribute {name!r}")
+    source = "open_result" if name == "open" else name
+    value = getattr(import_module(_MODULES.get(source, "timesim.notebook")), source)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -48,23 +48,22 @@ def run(
     ] = None,
 ) -> None:
     """Run a scene and write result.nc, scene.yaml and pictures."""
-    from timesim.picture.draw import picture_names
     from timesim.result import checkpoint
     from timesim.result.file import StoreError
     from timesim.result.folder import check_folder, locked_folder, prepare_folder
     from timesim.study.campaign import Means, MeansError
-    from timesim.study.registry import check_means
+    from timesim.study.registry import check_means, picture_names
 
     loaded = _loaded(scene, overrides)
     try:
         means = Means(folder=output, resume=resume, cluster=cluster, notice=_notice)
-        check_means(loaded.file.study.kind, means)
+        check_means(loaded.kind, means)
         if checkpoint.is_finished(output, loaded.resolved_yaml(), force=force, resume=resume):
             print(f"the result in {output} is complete: there is nothing to resume")
             return
         check_folder(output, overwrite=force or resume)
         with _interrupted_by_termination(), locked_folder(output):
-            stale = picture_names(loaded.file.study.kind)
+            stale = picture_names(loaded.kind)
             prepare_folder(output, loaded.resolved_yaml(), overwrite=force, source=scene, stale=stale)
             for warning in loaded.warnings():
                 print(f"warning: {warning}", file=sys.stderr)
@@ -75,12 +74,11 @@ def run(
 
 def _carry_out(loaded: Any, means: Any, *, plots: bool) -> None:
     """Run the study, save its result and draw it."""
-    from timesim.picture.draw import draw
     from timesim.result import checkpoint, netcdf
     from timesim.result.file import StoreError
-    from timesim.study.registry import carry_out
+    from timesim.study.registry import carry_out, draw
 
-    with _progress(loaded.file.study.kind) as progress:
+    with _progress(loaded.kind) as progress:
         outcome = carry_out(loaded, replace(means, progress=progress))
     for line in outcome.summary:
         print(line)
@@ -120,7 +118,7 @@ def check(scene: SceneFile, overrides: Overrides = None) -> None:
 @app.command()
 def schema() -> None:
     """Print the JSON Schema of the scene file, for editors."""
-    from timesim.scene.resolution import json_schema
+    from timesim.study.registry import json_schema
 
     print(json.dumps(json_schema(), indent=2))
 
@@ -130,16 +128,16 @@ def plot(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run, or its result file.")],
 ) -> None:
     """Draw the pictures of a run again."""
-    from timesim.picture import draw as pictures
     from timesim.result.file import StoreError
     from timesim.result.netcdf import open_result
+    from timesim.study.registry import draw
 
     try:
         result = open_result(folder)
     except StoreError as error:
         _stop(2, str(error))
     try:
-        for path in pictures.draw(result, folder if folder.is_dir() else folder.parent):
+        for path in draw(result, folder if folder.is_dir() else folder.parent):
             print(path)
     except StoreError as error:
         _stop(1, str(error))
@@ -147,7 +145,7 @@ def plot(
 
 def _loaded(scene: Path, overrides: list[str] | None) -> Any:
     from timesim.fault import SceneError
-    from timesim.scene.resolution import load_scene
+    from timesim.study.registry import load_scene
 
     try:
         return load_scene(scene, overrides or ())

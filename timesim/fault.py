@@ -9,10 +9,10 @@ Key = tuple[str | int, ...]
 
 
 class RuleError(Exception):
-    """One thing wrong with a scene, where it is found; `SceneSource.problem` makes it a `Problem` with file and line.
+    """One thing wrong with a scene, at its key; `SceneSource.problem` turns it into a `Problem` with file and line.
 
     Attributes:
-        key: path of the key, relative to the section that found it.
+        key: path of the key, relative to the section that refuses it.
         rule: what is allowed.
         hint: what to do, or "".
         value: the value refused; None if there is none to show.
@@ -30,7 +30,7 @@ class RuleError(Exception):
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing wrong with a scene, as the user is told.
+    """One thing wrong with a scene, as the user reads it.
 
     Attributes:
         file: the file, or what stands for it ("override", "scene").

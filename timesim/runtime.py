@@ -1,23 +1,33 @@
-"""JAX as this package needs it: double precision and a compilation cache that outlives the process.
+"""JAX as this package needs it: double precision, loops compiled whole, and compiled programs that outlive the process.
 
-Import this before anything else that imports JAX.
+Every module that uses JAX imports this one, itself or through another. ``import timesim`` alone does not: until
+something runs, the process is left as it is.
 """
 
+import hashlib
+import itertools
 import os
+import platform
+import re
+import sys
 import tempfile
+import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 # XLA runs a loop over small buffers as one compiled function, and any other as a sequence of kernels, each of which
 # costs more than the arithmetic in it. The event loop of one trajectory is 15 times faster as one function (measured;
-# see benchmarks/README.md), but its record of steps is larger than XLA's own limit of 1 kB. Read when JAX starts.
+# see benchmarks/README.md), but its record of steps is larger than XLA's own limit of 1 kB. Read by JAX's first use.
 _LOOP_LIMIT = "xla_cpu_small_while_loop_byte_threshold"
+_LOOP_FLAG = f"--xla_backend_extra_options={_LOOP_LIMIT}={2**23}"
 if _LOOP_LIMIT not in os.environ.get("XLA_FLAGS", ""):
-    os.environ["XLA_FLAGS"] = (
-        f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_extra_options={_LOOP_LIMIT}={2**23}".strip()
-    )
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_LOOP_FLAG}".strip()
+# XLA 0.10.1 takes LLVM's `prefer-no-gather` for an instruction that the processor lacks, and prints a page for each
+# program that it loads from the folder. Errors reach Python as exceptions. Read when JAX is imported.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+_STARTED_BY_OTHERS = "jax" in sys.modules
 
 import jax  # noqa: E402
 
@@ -27,23 +37,106 @@ else:
     # What the host gives to a compiled function: made by numpy it costs no call of JAX.
     Leaf = jax.Array | np.ndarray
 
+_SETTINGS: Any = jax.config
+_IDENTITY = {"vendor_id", "cpu family", "model", "model name", "flags"}
+_IDENTITY |= {
+    "CPU implementer",
+    "CPU architecture",
+    "CPU variant",
+    "CPU part",
+    "Features",
+}  # as Linux on ARM names them
+_MOST_PROBES = 10
+"""Entries of the same small program from which on it is plain that no process meets those of another."""
 
-def cache_folder() -> Path | None:
-    """Folder of compiled programs: ``TIMESIM_CACHE``, else the user's cache folder; None if it cannot be written."""
+
+def processor() -> str:
+    """Name of this machine's processor and of the instructions that XLA may use on it, good as the name of a folder."""
+    try:
+        with open("/proc/cpuinfo") as cores:
+            first = list(itertools.takewhile(str.strip, cores))
+        described = "".join(line for line in first if line.split(":")[0].strip() in _IDENTITY)
+    except OSError:
+        described = platform.processor()
+    limit = re.findall(r"--xla_cpu_max_isa=(\w+)", os.environ.get("XLA_FLAGS", ""))[-1:]
+    return "-".join([platform.machine(), *limit, hashlib.sha256(described.encode()).hexdigest()[:12]])
+
+
+def cache_folder() -> Path:
+    """Folder of compiled programs: in ``TIMESIM_CACHE``, else the user's cache folder, one for each kind of processor.
+
+    A program compiled for one processor may stop another with an illegal instruction, and JAX does not tell them apart.
+    """
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(os.environ.get("TIMESIM_CACHE") or Path(home) / "timesim")
+    return Path(os.environ.get("TIMESIM_CACHE") or Path(home) / "timesim") / processor()
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, RuntimeWarning, stacklevel=3)
+
+
+def _check_start() -> None:
+    """Say what a process that has used JAX before must put up with."""
+    from jax.extend.backend import get_compile_options
+
+    if not _SETTINGS.jax_enable_x64:
+        _warn(
+            "JAX was imported before, with single precision: timesim switches the whole process to double precision. "
+            "Call jax.config.update('jax_enable_x64', True) yourself to be rid of this warning."
+        )
+    if _LOOP_LIMIT.encode() not in get_compile_options(num_replicas=1, num_partitions=1).SerializeAsString():
+        _warn(
+            "JAX was used before timesim could set an option of XLA: a single trajectory takes up to 15 times longer. "
+            f"Start Python with XLA_FLAGS={_LOOP_FLAG}, or import timesim.runtime before JAX is used."
+        )
+
+
+def _keep_programs() -> None:
+    """Keep compiled programs in the folder; warn where they do not stay, or are never met again."""
+    if _SETTINGS.jax_compilation_cache_dir or not _SETTINGS.jax_enable_compilation_cache:
+        return  # set by the host
+    folder = cache_folder()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            return folder
-    except OSError:
+            pass
+    except OSError as error:
+        reason: str | None = str(error)
+    else:
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+        # A bounded cache is the one that JAX guards with a file lock, so two runs may share it.
+        jax.config.update("jax_compilation_cache_max_size", 2 * 1024**3)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        reason = _lost(folder)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    if reason:
+        _warn(
+            f"compiled programs are not kept in {folder}: {reason}. Each run compiles its own, which takes minutes; "
+            "name another folder by TIMESIM_CACHE, or empty this one."
+        )
+
+
+def _lost(folder: Path) -> str | None:
+    """Why the folder is of no use, tried by a small program; None where it is kept, or was."""
+    hits: list[str] = []
+    jax.monitoring.register_event_listener(lambda event, **_: hits.append(event) if "cache_hits" in event else None)
+    name = f"probe_{jax.__version__.replace('.', '_')}"
+
+    def probe(x: float) -> float:
+        return x + 1
+
+    probe.__name__ = name
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        jax.jit(probe)(1.0)
+    entries = len(list(folder.glob(f"*{name}*-cache")))
+    if hits or 0 < entries < _MOST_PROBES:
         return None
+    return "; ".join(str(item.message) for item in said) or f"{entries} entries of one program, none of them met again"
 
 
+if _STARTED_BY_OTHERS:
+    _check_start()
 jax.config.update("jax_enable_x64", True)
-if (_folder := cache_folder()) is not None:
-    jax.config.update("jax_compilation_cache_dir", str(_folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
-    # A bounded cache is the one that JAX guards with a file lock, so two runs may share it.
-    jax.config.update("jax_compilation_cache_max_size", 2 * 1024**3)
+_keep_programs()

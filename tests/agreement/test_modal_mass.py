@@ -28,7 +28,7 @@ from timesim.model.reduction import reduction_of
 from timesim.model.scales import scales_of
 from timesim.model.start import static_start
 from timesim.scene.report import describe
-from timesim.scene.resolution import load_scene
+from timesim.study.registry import load_scene
 
 SCALES = (16.0, 0.25, 64.0, 0.0625, 4.0, 256.0)
 ROOTS = np.sqrt(SCALES)

@@ -26,7 +26,7 @@ from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import STATE_NAMES, Model
 from timesim.model.solver import PRESETS
 from timesim.scene.report import advised_method
-from timesim.scene.resolution import load_scene
+from timesim.study.registry import load_scene
 
 DATA = Path(__file__).parents[1] / "data"
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -25,7 +25,8 @@ from timesim.engine.system import system_of
 from timesim.engine.trajectory import BATCH, Frame, Phase, Run, RunError
 from timesim.model.model import SEPARATION, SLIP, STICK, Model
 from timesim.model.solver import PRESETS, Solver
-from timesim.scene.resolution import load_scene
+from timesim.study.campaign import Means
+from timesim.study.registry import load_scene
 from timesim.study.transient import study
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -367,7 +368,7 @@ def test_interrupt_keeps_what_there_is() -> None:
         if done >= 20:
             raise KeyboardInterrupt
 
-    outcome = study(scene, impatient)
+    outcome = study(scene, Means(progress=impatient))
     assert outcome.reason is not None
     assert outcome.reason.startswith("interrupted in cycle")
     result = outcome.groups[""]

@@ -5,7 +5,9 @@ import pytest
 from systems import oscillator
 
 from timesim.model.solver import PRESETS, Solver
-from timesim.orbit.settling import CYCLES_A_ROUND, Task, period_of, settle
+from timesim.orbit.recurrence import period_of
+from timesim.orbit.settling import Task, settle
+from timesim.orbit.threshold import CYCLES_A_ROUND
 
 SETTLED = {(3.0, 1.39): 0.15612878, (-1.0, 0.97): 0.28839155, (5.0, 1.52): 0.15680399}
 

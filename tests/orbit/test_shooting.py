@@ -12,6 +12,7 @@ from timesim.model.solver import PRESETS, Criterion, Solver
 from timesim.orbit.batch import march, record
 from timesim.orbit.lane import Lane
 from timesim.orbit.settling import Chain, begin_of, steady_states
+from timesim.orbit.threshold import FIRST_SHOT
 
 FINE = Solver("tsit5", 1e-9, 1e-11, reduce=False)
 FINEST = replace(PRESETS["reference"], reduce=False)
@@ -121,3 +122,37 @@ def test_a_place_out_of_its_contact_state_is_refused():
     far[:2] += 100.0
     assert lane.moved(far) is None
     np.testing.assert_allclose(lane.moved(lane.vector).vector, lane.vector)
+
+
+def frictionless_stop(preload, frequency):
+    """The oscillator's contact without friction: its slip is its motion, and it counts as slipping while closed."""
+    model = oscillator(preload, frequency)
+    stop = replace(model.contacts[0], friction=0.0, tangential_stiffness=np.zeros((2, 2)))
+    return replace(model, contacts=(stop,))
+
+
+@pytest.mark.parametrize("preload", [3.0, 0.2])
+def test_a_closed_frictionless_stop_is_shot(preload):
+    """Closed throughout the motion is linear; opening within the cycle it is not."""
+    model = frictionless_stop(preload, 1.1)
+    (marched,), (shot,) = both_ways([model], max_cycles=2000)
+    assert shot.settled
+    assert (shot.separation_share[0] == 0) == (preload == 3.0)
+    np.testing.assert_allclose(shot.amplitude, marched.amplitude, atol=1e-7 * np.max(marched.amplitude), rtol=0)
+    assert shot.cycles < FIRST_SHOT + 10 < marched.cycles
+
+
+def test_every_cycle_of_a_shot_counts_once(monkeypatch):
+    """Two rounds of marching, then one cycle an iteration of Newton's method; the last one is measured as well."""
+    recorded = []
+
+    def counted(lanes, solver, num_cycles, *most, size):
+        recorded.append(len(lanes) * num_cycles)
+        return record(lanes, solver, num_cycles, *most, size=size)
+
+    monkeypatch.setattr("timesim.orbit.settling.record", counted)
+    (orbit,) = steady_states([chain(oscillator(3.0, 1.39))], FINE, Criterion(TOLERANCE, 500, shoot=True))[0]
+    shots = sum(recorded)
+    assert orbit.settled
+    assert shots < 8
+    assert orbit.cycles == FIRST_SHOT + shots

@@ -6,14 +6,28 @@ from pathlib import Path
 
 import pytest
 
-from timesim.scene.resolution import load_scene
+from timesim.study.registry import load_scene
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "timesim"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 
 # From the bottom to the top: a part may import those before it.
-ORDER = ("fault", "runtime", "model", "engine", "orbit", "element", "hbm", "result", "scene", "picture", "study", "cli")
+ORDER = (
+    "fault",
+    "runtime",
+    "model",
+    "engine",
+    "orbit",
+    "element",
+    "hbm",
+    "result",
+    "scene",
+    "picture",
+    "study",
+    "notebook",
+    "cli",
+)
 RIM = ("timesim", "timesim.__main__")
 
 
@@ -59,6 +73,19 @@ def test_imports_go_round_in_no_circle():
         ready = [name for name in rest if GRAPH[name] <= settled]
         assert ready, f"imports go round in a circle among {rest}"
         settled.update(ready)
+
+
+def test_whoever_uses_jax_has_it_as_the_package_needs_it():
+    """The runtime is imported below every module that imports JAX or a library on it."""
+    for name, source in NAMES.items():
+        imported = re.findall(
+            r"^\s*(?:import|from) (jax|equinox|diffrax|optimistix|lineax)\b", source.read_text(), re.M
+        )
+        reached, rest = set(), {name}
+        while rest:
+            reached |= rest
+            rest = set().union(*(GRAPH[other] for other in rest)) - reached
+        assert not imported or "timesim.runtime" in reached, name
 
 
 def test_a_folder_can_be_taken_in_at_a_glance():

@@ -1,12 +1,32 @@
-"""JAX as the package needs it: versions that compute right, and what importing the package leaves alone."""
+"""JAX as the package needs it: versions that compute right, what importing the package leaves alone, the cache."""
 
+import os
+import re
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
-import timesim.runtime  # noqa: F401  (double precision)
+from timesim import runtime
+
+LOOP_FLAG = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=8388608"
+COMPUTE = "import jax, jax.numpy as jnp; assert (jnp.zeros(3) + 1).sum() == 3"
+EAGER = "jax.config.update('jax_persistent_cache_min_compile_time_secs', 0.0)"
+
+
+def python(code, **environment):
+    """Standard output and error of a Python process of its own."""
+    clean = {key: value for key, value in os.environ.items() if key not in {"XLA_FLAGS", "TF_CPP_MIN_LOG_LEVEL"}}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=clean | environment, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout, done.stderr
 
 
 def test_this_jax_multiplies_many_vectors_right():
@@ -38,3 +58,97 @@ def test_this_jax_writes_into_a_record_at_the_cost_of_what_it_writes():
         return min(taken)
 
     assert seconds(num_writes) < 20 * seconds(64)
+
+
+def test_importing_the_package_changes_nothing():
+    out, err = python(
+        """
+import os, sys, warnings
+before, filters = dict(os.environ), list(warnings.filters)
+import timesim
+print(dict(os.environ) == before, warnings.filters == filters, sorted({"jax", "pydantic", "xarray"} & set(sys.modules)))
+print(set(timesim.__all__) <= set(dir(timesim)), timesim.load_scene.__name__, "jax" in sys.modules)
+try:
+    timesim.nothing
+except AttributeError as error:
+    print(error)
+"""
+    )
+    assert out.splitlines() == [
+        "True True []",
+        "True load_scene False",
+        "module 'timesim' has no attribute 'nothing'",
+    ]
+    assert not err
+
+
+def test_jax_that_runs_already_is_warned_about_once(tmp_path):
+    code = "; import timesim.runtime; from timesim.engine import contact; assert jax.config.jax_enable_x64"
+    _, err = python(COMPUTE + code, TIMESIM_CACHE=str(tmp_path))
+    assert [len(re.findall(text, err)) for text in ("single precision", "15 times longer")] == [1, 1]
+    double = f"import jax; jax.config.update('jax_enable_x64', True); {COMPUTE}"
+    _, err = python(double + code, TIMESIM_CACHE=str(tmp_path))
+    assert "single precision" not in err
+    assert LOOP_FLAG in err
+    _, err = python(double + code, TIMESIM_CACHE=str(tmp_path), XLA_FLAGS=LOOP_FLAG)
+    assert not err
+    _, err = python("import jax" + code, TIMESIM_CACHE=str(tmp_path), JAX_ENABLE_X64="1")
+    assert not err
+
+
+def test_compiled_programs_are_met_again_by_the_next_process(tmp_path):
+    count = (
+        "; hits = []; jax.monitoring.register_event_listener(lambda e, **_: hits.append(e) if 'hits' in e else None)"
+    )
+    code = f"import timesim.runtime, jax{count}; {EAGER}; {COMPUTE}; print(len(hits) > 0)"
+    found = [python(code, TIMESIM_CACHE=str(tmp_path)) for _ in range(2)]
+    assert found == [("False\n", ""), ("True\n", "")]
+    assert [path.name for path in tmp_path.iterdir()] == [runtime.processor()]
+
+
+def test_programs_of_another_processor_lie_apart(monkeypatch):
+    here = runtime.processor()
+    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_max_isa=SSE4_2")
+    assert runtime.processor() == "-".join(np.insert(here.split("-"), 1, "SSE4_2"))
+    monkeypatch.setenv("XLA_FLAGS", "")
+    described = "processor : 0\nmodel name : A\ncpu MHz : {}\nflags : sse {}\n\nprocessor : 1\nmodel name : B\n"
+    names = []
+    for clock, flag in [(1, "avx"), (2, "avx"), (1, "avx2")]:
+        text = described.format(clock, flag)
+        monkeypatch.setattr("builtins.open", lambda *_, text=text: __import__("io").StringIO(text))
+        names.append(runtime.processor())
+    assert names[0] == names[1] != names[2]
+
+
+@pytest.mark.parametrize("trouble", ["cannot be written", "keeps nothing", "meets nothing again"])
+def test_a_folder_that_is_of_no_use_is_reported_once(tmp_path, trouble):
+    folder = tmp_path / runtime.processor()
+    if trouble == "cannot be written":
+        folder.write_text("a file")
+        expected = "File exists"
+    elif trouble == "keeps nothing":  # JAX reads the time of last use of every entry before it adds one
+        folder.mkdir()
+        (folder / "jit_other-cache").write_text("")
+        expected = "jit_other-atime"
+    else:
+        folder.mkdir()
+        for number in range(10):
+            name = f"jit_probe_{jax.__version__.replace('.', '_')}-{number}"
+            (folder / f"{name}-cache").write_text("")
+            (folder / f"{name}-atime").write_bytes(bytes(8))
+        expected = "11 entries of one program"
+    _, err = python("import timesim.runtime; import timesim.engine.contact", TIMESIM_CACHE=str(tmp_path))
+    assert err.count("RuntimeWarning") == 1
+    assert f"compiled programs are not kept in {folder}: " in err
+    assert expected in err
+    assert "TIMESIM_CACHE" in err
+
+
+def test_the_choice_of_the_host_is_kept(tmp_path):
+    code = (
+        f"import jax; jax.config.update('jax_compilation_cache_dir', {str(tmp_path / 'own')!r}); import timesim.runtime"
+    )
+    _, err = python(f"{code}; {EAGER}; {COMPUTE}", TIMESIM_CACHE=str(tmp_path / "other"), JAX_ENABLE_X64="1")
+    assert not err
+    assert [path.name for path in tmp_path.iterdir()] == ["own"]
+    assert Path(tmp_path / "own").is_dir()

@@ -14,12 +14,13 @@ from matplotlib.image import imread
 
 from timesim.model.model import SEPARATION, SLIP, STICK
 from timesim.picture import contact as plot_contact
-from timesim.picture import draw as plot
 from timesim.picture import style
 from timesim.picture import transient as plot_transient
+from timesim.picture.draw import MARGIN
 from timesim.picture.style import STATE_STYLE
 from timesim.result.dataset import dataset
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES
+from timesim.study import registry as plot
 
 FREQUENCY, CYCLES, STEPS, EVERY = 2.0, 12, 1000, 5
 STIFFNESS, NORMAL_STIFFNESS, FRICTION = 20.0, 25.0, 0.5
@@ -397,7 +398,7 @@ def test_pictures_are_cut_to_what_is_drawn(run: xarray.Dataset, tmp_path: Path) 
         white = (imread(file)[..., :3] == 1).all(axis=2)
         for edge in (white.all(axis=1), white.all(axis=0)):
             ink = np.flatnonzero(~edge)
-            assert max(ink[0], edge.size - 1 - ink[-1]) <= plot.MARGIN
+            assert max(ink[0], edge.size - 1 - ink[-1]) <= MARGIN
 
 
 def test_a_run_without_contacts(run: xarray.Dataset, tmp_path: Path) -> None:

@@ -10,12 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.lines import Line2D
 
-from timesim.picture import draw as plot
 from timesim.picture import style
 from timesim.picture import sweep as plot_sweep
 from timesim.picture.choice import MAX_CURVES, main_axes
 from timesim.result.dataset import dataset
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES
+from timesim.study import registry as plot
 
 PRELOAD, FRICTION = "contacts.pad.preload", "contacts.pad.friction"
 FREQUENCY = np.linspace(0.8, 1.4, 31)

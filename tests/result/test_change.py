@@ -17,10 +17,9 @@ import timesim
 from timesim.result.change import fingerprint
 from timesim.result.checkpoint import Manifest
 from timesim.result.netcdf import save
-from timesim.scene.resolution import load_scene
 from timesim.scene.section import Section
 from timesim.study.campaign import Means
-from timesim.study.registry import carry_out
+from timesim.study.registry import carry_out, load_scene
 
 Key = tuple[str | int, ...]
 

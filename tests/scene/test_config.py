@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from timesim.fault import RuleError, SceneError
 from timesim.model.model import SEPARATION, SLIP, STICK
 from timesim.scene.report import advised_method, contact_line, describe
-from timesim.scene.resolution import json_schema, load_scene
 from timesim.scene.text import MAX_BYTES, parse, yaml_text
+from timesim.study.registry import json_schema, load_scene
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -594,7 +594,7 @@ def test_advised_method_follows_the_fastest_rate():
 
 def test_check_loads_no_jax():
     code = (
-        "import sys; from timesim.scene.resolution import load_scene; from timesim.scene.report import describe;"
+        "import sys; from timesim.study.registry import load_scene; from timesim.scene.report import describe;"
         f"describe(load_scene({str(CONFIGS / 'oscillator.yaml')!r}));"
         "heavy = ('jax', 'diffrax', 'equinox', 'xarray', 'matplotlib');"
         "print([name for name in sys.modules if name.split('.')[0] in heavy])"

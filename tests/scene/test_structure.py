@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from timesim.fault import RuleError, SceneError
 from timesim.model.matrices import Matrices, modal_structure
-from timesim.scene.resolution import load_scene
+from timesim.study.registry import load_scene
 
 DATA = Path(__file__).parents[1] / "data"
 

@@ -19,19 +19,18 @@ from typer.testing import CliRunner
 import timesim
 from timesim.cli import app
 from timesim.model.model import SEPARATION, STICK, Model, Start
-from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.basin import ANOTHER, NONE, branch_of, offsets, placed, starts_between, unique
 from timesim.orbit.jump import Stretch, narrowed
-from timesim.orbit.settling import Orbit, without_orbit
-from timesim.orbit.two_motions import DOWN, UP, Means, Search, Sweeps, differ, losses, ranges, suspect_steps
+from timesim.orbit.settling import Chain
+from timesim.orbit.steady_state import Orbit, differ, without_orbit
+from timesim.orbit.two_motions import DOWN, UP, Search, Sweeps, losses, ranges, suspect_steps
 from timesim.picture import bistable as plot_bistable
-from timesim.picture import draw as plot
 from timesim.result.netcdf import open_result, save
-from timesim.scene.resolution import load_scene
 from timesim.study import bistable
-from timesim.study.campaign import Means as Ways
+from timesim.study import registry as plot
+from timesim.study.campaign import Means
 from timesim.study.hbm_curves import Curves
-from timesim.study.registry import carry_out
+from timesim.study.registry import carry_out, load_scene
 
 QUICK = {
     "study.frequency": "{from: 1.24, to: 1.27}",
@@ -144,12 +143,12 @@ def test_no_jump_is_a_result(tmp_path: Path):
 @pytest.mark.parametrize("num", [0, 3])
 def test_more_jumps_than_ranges_or_fewer(num: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A tree of Datasets shares its dimensions: both must have room along `jump`."""
-    found = bistable.find
+    found = bistable.ranges_of
 
     def with_jumps(*given: Any) -> Any:
         return {**found(*given), "jumps": np.tile([0, 1.25, 1.26], (num, 1))}
 
-    monkeypatch.setattr(bistable, "find", with_jumps)
+    monkeypatch.setattr(bistable, "ranges_of", with_jumps)
     overrides = QUICK | {"study.starts": "0", "study.harmonics": "0"}
     outcome = carry_out(load_scene(CONFIGS / "softening.yaml", [f"{k}={v}" for k, v in overrides.items()]))
     data = open_result(save(outcome.groups, tmp_path / "result.nc"))
@@ -178,7 +177,7 @@ def test_resumed_it_is_the_same(tmp_path: Path):
     given = [f"{key}={value}" for key, value in (QUICK | {"study.starts": "5", "study.harmonics": "0"}).items()]
     scene = load_scene(CONFIGS / "softening.yaml", given)
     notices: list[str] = []
-    means = Ways(folder=tmp_path, notice=notices.append)
+    means = Means(folder=tmp_path, notice=notices.append)
     whole = carry_out(scene, means)
     (tmp_path / "checkpoint" / "00000-starts.npz").unlink()
     (tmp_path / "checkpoint" / "00000-ends.npz").unlink()
@@ -224,25 +223,13 @@ def two_branches(low: float, high: float, **shape: float) -> Branches:
     return Branches((-np.inf, high), (low, np.inf), **shape)
 
 
-class ToyMeans(Means):
-    """Means whose motions are known."""
+def toy_search(toy: Branches) -> Search:
+    """A search along the known motions."""
 
-    def __init__(self, toy: Branches):
-        super().__init__(oscillator(2.0, 1.0), PRESETS["draft"], Criterion())
-        object.__setattr__(self, "toy", toy)
-
-    def along(self, start: Start, frequencies: Sequence[float]) -> list[Orbit]:
-        return self.toy.along(start, frequencies)
-
-
-def toy_search(toy: Branches, monkeypatch: pytest.MonkeyPatch) -> Search:
-    """A search in which the bisection marches along the known motions."""
-
-    def states(chains, solver, criterion, progress=None, **_):
+    def steady(chains: Sequence[Chain]) -> list[list[Orbit]]:
         return [toy.along(chain.model.start, chain.frequencies) for chain in chains]
 
-    monkeypatch.setattr("timesim.orbit.jump.steady_states", states)
-    return Search(ToyMeans(toy), 1e-6)
+    return Search(oscillator(2.0, 1.0), steady, 1e-6)
 
 
 def toy_sweeps(toy: Branches, frequency: np.ndarray) -> Sweeps:
@@ -251,9 +238,9 @@ def toy_sweeps(toy: Branches, frequency: np.ndarray) -> Sweeps:
 
 
 @pytest.mark.parametrize("num", [5, 6, 21, 200])
-def test_ranges_of_known_motions(num: int, monkeypatch: pytest.MonkeyPatch):
+def test_ranges_of_known_motions(num: int):
     toy = two_branches(1.43, 1.52)
-    search, sweeps = toy_search(toy, monkeypatch), toy_sweeps(toy, np.linspace(1.0, 2.0, num))
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, num))
     lost = list(losses(search, sweeps))
     assert [loss.direction for loss in lost] == [UP, DOWN]
     (found,) = ranges(search, sweeps, lost)
@@ -264,10 +251,10 @@ def test_ranges_of_known_motions(num: int, monkeypatch: pytest.MonkeyPatch):
     assert (found.lower.end.displacement[0], found.upper.end.displacement[0]) == (0, 1)
 
 
-def test_a_motion_lost_by_a_long_step_is_led_on(monkeypatch: pytest.MonkeyPatch):
+def test_a_motion_lost_by_a_long_step_is_led_on():
     """The sweep up leaves the small motion three steps too early; its end is found all the same."""
     toy = two_branches(1.23, 1.52)
-    search, sweeps = toy_search(toy, monkeypatch), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
     early = [
         toy.orbit(1.0, f) if f > 1.36 else orbit for f, orbit in zip(sweeps.frequency, sweeps.orbits[UP], strict=True)
     ]
@@ -277,34 +264,34 @@ def test_a_motion_lost_by_a_long_step_is_led_on(monkeypatch: pytest.MonkeyPatch)
     assert (found.low, found.high) == pytest.approx((1.23, 1.52), abs=1e-6)
 
 
-def test_a_jump_that_is_small_beside_the_slope(monkeypatch: pytest.MonkeyPatch):
+def test_a_jump_that_is_small_beside_the_slope():
     toy = two_branches(1.43, 1.62, rise=0.05, slope=8.0)
-    search, sweeps = toy_search(toy, monkeypatch), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
     (found,) = ranges(search, sweeps, list(losses(search, sweeps)))
     assert (found.low, found.high) == pytest.approx((1.43, 1.62), abs=1e-6)
 
 
-def test_a_slope_and_a_jump_in_one_step(monkeypatch: pytest.MonkeyPatch):
+def test_a_slope_and_a_jump_in_one_step():
     """Each half is looked at: the jump is narrowed down beside a slope that changes the amplitude more than it does."""
     toy = two_branches(1.43, 1.62, rise=0.3, slope=8.0)
-    means = toy_search(toy, monkeypatch).means
+    search = toy_search(toy)
     for near, far, lost in ((1.5, 1.9, 1.62), (1.9, 1.3, 1.43)):
         on = toy.orbit(0.0 if near < far else 1.0, near)
         (beyond,) = toy.along(on.end, [far])
         for width in (1.0, 1e-2, 1e-6):
-            step = Stretch(means.model, near, far, on, beyond, least=0.05)
-            ((_, jump),) = narrowed([step], means.solver, means.criterion, width)
+            step = Stretch(search.model, near, far, on, beyond, least=0.05)
+            ((_, jump),) = narrowed([step], search.steady, width)
             low, high = sorted((jump.near, jump.far))
             assert low <= lost <= high
             assert high - low <= width
-        slope = Stretch(means.model, 1.1, 1.4, toy.orbit(0.0, 1.1), toy.orbit(0.0, 1.4), least=0.05)
-        assert narrowed([slope], means.solver, means.criterion, 1.0) == []
+        slope = Stretch(search.model, 1.1, 1.4, toy.orbit(0.0, 1.1), toy.orbit(0.0, 1.4), least=0.05)
+        assert narrowed([slope], search.steady, 1.0) == []
 
 
-def test_three_motions(monkeypatch: pytest.MonkeyPatch):
+def test_three_motions():
     """Between jumps each sweep stays on one motion: a range is told for each pair."""
     toy = Branches((-np.inf, 1.503), (1.217, 1.524), (1.441, np.inf))
-    search, sweeps = toy_search(toy, monkeypatch), toy_sweeps(toy, np.linspace(1.0, 2.0, 101))
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 101))
     found = list(ranges(search, sweeps, list(losses(search, sweeps))))
     ends = [(1.217, 1.441), (1.441, 1.503), (1.503, 1.524)]
     np.testing.assert_allclose([(one.low, one.high) for one in found], ends, atol=1e-6)
@@ -312,9 +299,9 @@ def test_three_motions(monkeypatch: pytest.MonkeyPatch):
     assert pairs == [(0, 1), (0, 2), (1, 2)]
 
 
-def test_a_range_that_the_search_cuts(monkeypatch: pytest.MonkeyPatch):
+def test_a_range_that_the_search_cuts():
     toy = two_branches(0.9, 1.52)
-    search, sweeps = toy_search(toy, monkeypatch), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
     (found,) = ranges(search, sweeps, list(losses(search, sweeps)))
     assert found.cut == (True, False)
     assert found.low == 1.0
@@ -322,21 +309,21 @@ def test_a_range_that_the_search_cuts(monkeypatch: pytest.MonkeyPatch):
     assert np.isfinite(found.jumped[1]).all()
 
 
-def test_points_that_failed_do_not_hide_the_jumps(monkeypatch: pytest.MonkeyPatch):
+def test_points_that_failed_do_not_hide_the_jumps():
     toy = two_branches(1.23, 1.52)
-    search, sweeps = toy_search(toy, monkeypatch), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
     sweeps.orbits[UP][2] = without_orbit(oscillator(2.0, 1.0), "it broke")
     sweeps.orbits[DOWN][7] = without_orbit(oscillator(2.0, 1.0), "it broke")
     (found,) = ranges(search, sweeps, list(losses(search, sweeps)))
     assert (found.low, found.high) == pytest.approx((1.23, 1.52), abs=1e-6)
 
 
-def test_a_slope_is_no_jump(monkeypatch: pytest.MonkeyPatch):
+def test_a_slope_is_no_jump():
     toy = two_branches(9.0, 9.0)
     toy.orbit = lambda branch, f: replace(
         Branches.orbit(toy, 0, f), amplitude=np.full((1, 3), np.arctan(40 * (f - 1.5)) + 2)
     )
-    search, sweeps = toy_search(toy, monkeypatch), toy_sweeps(toy, np.linspace(1.0, 2.0, 11))
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 11))
     assert suspect_steps(sweeps, UP).size > 0
     assert list(losses(search, sweeps)) == []
 

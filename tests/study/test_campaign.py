@@ -481,7 +481,7 @@ TOY_SWEEP = "study={kind: sweep, frequency: {from: 1.0, to: 1.5, step: 0.1}}"
 @pytest.fixture
 def faulty(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Makes toys of sweeps; the list says what goes wrong."""
-    monkeypatch.setitem(study.CAMPAIGNS, "sweep", "toys")
+    monkeypatch.setitem(study.STUDIES, "sweep", replace(study.STUDIES["sweep"], run="toys:study"))
     monkeypatch.setattr(toys, "FAULTY", [])
     return toys.FAULTY
 
@@ -542,7 +542,7 @@ def test_a_result_that_cannot_be_saved_says_what_is_safe(
     assert "--resume goes on with them" in error
     assert "unchanged" not in error
     monkeypatch.undo()
-    monkeypatch.setitem(study.CAMPAIGNS, "sweep", "toys")
+    monkeypatch.setitem(study.STUDIES, "sweep", replace(study.STUDIES["sweep"], run="toys:study"))
     assert call(tmp_path, "--resume")[0] == 0
 
 

@@ -12,11 +12,10 @@ from typer.testing import CliRunner
 import timesim
 from timesim.cli import app
 from timesim.picture import compare as plot_compare
-from timesim.picture import draw as plot
 from timesim.result.netcdf import open_result
-from timesim.scene.resolution import load_scene
 from timesim.study import compare
-from timesim.study.registry import carry_out
+from timesim.study import registry as plot
+from timesim.study.registry import carry_out, load_scene
 
 SHORT: dict[str, Any] = {
     "study.frequency": {"values": [0.85, 0.9, 1.2, 1.42]},
@@ -140,7 +139,7 @@ def curves():
     from timesim.study.hbm_curves import Curves
 
     scene = load_scene(CONFIGS / "figure10.yaml", SHORT)
-    return Curves(scene, scene.file.study)
+    return Curves(scene, scene.plan.balance)
 
 
 @pytest.mark.parametrize(("size", "word"), [(1e-4, "agree"), (1e-2, "nearly agree"), (0.1, "differ")])

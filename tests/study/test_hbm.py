@@ -16,12 +16,11 @@ from timesim.hbm import convergence as hbm_convergence
 from timesim.hbm.convergence import Place, convergence, order_of
 from timesim.hbm.curve import hbm_curve, solutions_at
 from timesim.hbm.scheme import Scheme
-from timesim.picture import draw as plot
 from timesim.picture import hbm as plot_hbm
 from timesim.picture.response import stable_parts
 from timesim.result.netcdf import save
-from timesim.scene.resolution import load_scene
-from timesim.study.registry import carry_out
+from timesim.study import registry as plot
+from timesim.study.registry import carry_out, load_scene
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 BASE = oscillator_scene(preload=-4.0)

@@ -11,12 +11,11 @@ from scipy.integrate import solve_ivp
 from systems import oscillator_scene
 
 import timesim
-from timesim.picture import draw as plot
 from timesim.picture import jump as plot_jump
 from timesim.picture import transient as plot_transient
 from timesim.result import netcdf
-from timesim.scene.resolution import load_scene
-from timesim.study.registry import carry_out
+from timesim.study import registry as plot
+from timesim.study.registry import carry_out, load_scene
 
 FIGURE12 = Path(__file__).parents[2] / "configs" / "figure12.yaml"
 UPPER, LOWER = 0.4297, 0.2052  # amplitude of x on both branches at 0.9470 Hz, settled marches

@@ -11,15 +11,15 @@ from systems import oscillator
 
 import timesim
 from timesim.model.solver import PRESETS, Criterion
-from timesim.orbit.settling import Task, settle, without_orbit
-from timesim.picture import draw as plot
+from timesim.orbit.settling import Task, settle
+from timesim.orbit.steady_state import without_orbit
 from timesim.picture import optimum as plot_optimum
 from timesim.result.netcdf import open_result
-from timesim.scene.resolution import load_scene
 from timesim.study import optimum
+from timesim.study import registry as plot
 from timesim.study.campaign import Means
 from timesim.study.optimum import Peaks, Response, summary
-from timesim.study.registry import carry_out
+from timesim.study.registry import carry_out, load_scene
 
 KEY = "contacts.pad.preload"
 QUICK = {

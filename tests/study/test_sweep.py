@@ -24,8 +24,8 @@ from timesim.orbit import settling as steady
 from timesim.orbit.linear import linear_orbit
 from timesim.orbit.settling import Chain, first_lane
 from timesim.result.netcdf import read, save
-from timesim.scene.resolution import load_scene
 from timesim.study import sweep
+from timesim.study.registry import load_scene
 
 DATA = Path(__file__).parents[1] / "data"
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -451,7 +451,7 @@ BOUNCES = [0.3, 0.6]
     ids=["points", "chains"],
 )
 def test_workers_make_no_difference(study: dict[str, Any]) -> None:
-    grid = sweep.Grid(timesim.load_scene(scene(study)), timesim.load_scene(scene(study)).file.study)
+    grid = sweep.Grid(timesim.load_scene(scene(study)), timesim.load_scene(scene(study)).plan)
     assert len(grid.chunks(grid.scene.solver())[0]) == 2
     same(run(study, workers=1, solver={"accuracy": "draft"}), run(study, workers=2, solver={"accuracy": "draft"}))
 

@@ -54,14 +54,14 @@ def read_matrices(source: Path | Mapping[str, Path]) -> Matrices:
         hint = "for Matrix Market write file: {mass: m.mtx, stiffness: k.mtx}"
         raise RuleError((), "must be a .npz or .mat file", hint, str(source))
     _check_present(source)
-    found = readers[source.suffix.lower()](source)
-    names = {name: next((key for key in (name, short) if key in found), None) for name, short in ARRAYS.items()}
+    held = readers[source.suffix.lower()](source)
+    names = {name: next((key for key in (name, short) if key in held), None) for name, short in ARRAYS.items()}
     for name in ("mass", "stiffness"):
         if names[name] is None:
             rule = f"holds neither {name} nor {ARRAYS[name]}"
-            raise RuleError((), rule, f"it holds {', '.join(sorted(found)) or 'nothing'}", str(source))
-    arrays = {name: _numeric(found[key], f"{key} in {source.name}") for name, key in names.items() if key}
-    spare = [short for name, short in ARRAYS.items() if name in found and short in found]
+            raise RuleError((), rule, f"it holds {', '.join(sorted(held)) or 'nothing'}", str(source))
+    arrays = {name: _numeric(held[key], f"{key} in {source.name}") for name, key in names.items() if key}
+    spare = [short for name, short in ARRAYS.items() if name in held and short in held]
     notes = [
         f"{source.name} holds {short} besides the array of the full name; {short} is left alone" for short in spare
     ]
@@ -197,11 +197,8 @@ def _symmetric(matrix: Any, name: str) -> Any:
         raise error.below(name) from None
     difference, largest = abs(matrix - matrix.T).max(), abs(matrix).max()
     if difference > SYMMETRY * largest:
-        raise RuleError(
-            (name,),
-            f"the {name} matrix must be symmetric",
-            f"mirrored entries differ by up to {difference:.3g}",
-        )
+        hint = f"mirrored entries differ by up to {difference:.3g}"
+        raise RuleError((name,), f"the {name} matrix must be symmetric", hint)
     return (matrix + matrix.T) / 2
 
 
@@ -218,20 +215,17 @@ def _check_sizes(
                 raise RuleError(("points", point, axis), f"must be a row from 0 to {rows - 1}", value=row)
     if keep_modes is not None and keep_modes > rows:
         raise RuleError(("keep_modes",), f"must be at most {rows}, the number of rows", value=keep_modes)
-    if keep_modes is None and rows > MAX_DENSE:
-        raise RuleError(
-            ("keep_modes",), f"is required for a structure of {rows} rows", "say how many of the lowest modes"
-        )
+    if rows > MAX_DENSE and keep_modes in (None, rows):
+        rule = "is required" if keep_modes is None else f"must be less than {rows}"
+        hint = "say how many of the lowest modes: Lanczos' method does not find all"
+        raise RuleError(("keep_modes",), f"{rule} for a structure of {rows} rows", hint, keep_modes)
 
 
 def _ratios(ratio: float | Sequence[float], num_modes: int) -> np.ndarray:
     values = np.atleast_1d(np.asarray(ratio, dtype=np.float64))
     if np.ndim(ratio) and values.size != num_modes:
-        raise RuleError(
-            ("damping_ratio",),
-            f"must be one number, or one for each of the {num_modes} modes kept",
-            value=ratio,
-        )
+        rule = f"must be one number, or one for each of the {num_modes} modes kept"
+        raise RuleError(("damping_ratio",), rule, value=ratio)
     return np.broadcast_to(values, num_modes).copy()
 
 
@@ -277,11 +271,8 @@ def _outer_root(diagonal: np.ndarray) -> np.ndarray:
 
 
 def _indefinite_mass() -> RuleError:
-    return RuleError(
-        ("mass",),
-        "the mass matrix must be positive definite",
-        "a row without mass must be condensed out first",
-    )
+    hint = "a row without mass must be condensed out first"
+    return RuleError(("mass",), "the mass matrix must be positive definite", hint)
 
 
 def _sparse_eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.ndarray, np.ndarray]:
@@ -302,8 +293,8 @@ def _sparse_eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.nd
     squared, modes = squared[order], modes[:, order]
     below = (squared[num_modes - 1] + squared[min(num_modes, size - 1)]) / 2
     expected = int(np.sum(squared < below))
-    if num_modes < size and (found := _num_negative(stiffness - below * mass)) != expected:
-        hint = f"{found} lie below omega^2 = {below:.6g}, {expected} were found; try another keep_modes"
+    if num_modes < size and (count := _num_negative(stiffness - below * mass)) != expected:
+        hint = f"{count} lie below omega^2 = {below:.6g}, Lanczos' method gave {expected}; try another keep_modes"
         raise RuleError(("keep_modes",), "the eigenvalue solver missed modes", hint, num_modes)
     return np.where(np.abs(squared) < -2 * shift, np.maximum(squared, 0), squared)[:num_modes], modes[:, :num_modes]
 

@@ -9,29 +9,19 @@ and what they range over is seen if the starts have different ones, so those of 
 import timesim.runtime  # noqa: F401  isort: skip
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from timesim.engine.trajectory import start_states
-from timesim.model.model import SEPARATION, Model, Start
-from timesim.orbit.settling import Chain, Orbit, steady_states
-from timesim.orbit.two_motions import SAME, Means, differ
-from timesim.study.campaign import Result, halted
-from timesim.study.sweep import orbit_of
+from timesim.model.contact_state import slip_follows_motion, start_states
+from timesim.model.model import Model, Start
+from timesim.orbit.settling import Chain, SteadyStates
+from timesim.orbit.steady_state import SAME, Columns, Orbit, differ, orbit_of
 
 SIDE = (-0.5, 1.5)
 PULL = 1 / (SIDE[1] * (SIDE[1] - 1))  # the farthest starts pull a contact to the edge of its cone
 INSIDE = 1 - 1e-12
 LOWER, UPPER, ANOTHER, NONE = 0, 1, 2, -1
-
-
-@dataclass(frozen=True)
-class Ensemble:
-    """Starts at the middle of each range of a pair of sweeps, `num` along each side."""
-
-    means: Means
-    num: int
 
 
 def shares(num: int) -> np.ndarray:
@@ -54,7 +44,7 @@ def placed(
     for i, contact in enumerate(model.contacts):
         u1, u2, v = model.contact_shape[i] @ displacement
         u, limit = np.array([u1, u2]), contact.friction * max(contact.preload + contact.normal_stiffness * v, 0.0)
-        if state[i] == SEPARATION or contact.friction == 0:
+        if slip_follows_motion(state[i], contact.friction):
             kept[i] = u
             continue
         aside = np.zeros(2) if pull is None else pull[i] * limit
@@ -72,14 +62,14 @@ def starts_between(model: Model, motions: Sequence[Orbit], num: int) -> list[Sta
     ends = [orbit.end for orbit in motions]
     parts = [(end.displacement, end.velocity, end.slip) for end in ends]
     moves = sum(orbit.slip_share + orbit.separation_share for orbit in motions) > 0
-    made = []
+    starts = []
     for a in shares(num):
         for b in shares(num):
             # None at rest and at the motions themselves.
             pull = np.where(moves[:, None], 0.0, PULL * np.array([a * (1 - a), b * (1 - b)]))
             displacement, velocity, slip = (a * x + b * y for x, y in zip(*parts, strict=True))
-            made.append(placed(model, displacement, velocity, slip, pull))
-    return made
+            starts.append(placed(model, displacement, velocity, slip, pull))
+    return starts
 
 
 def branch_of(orbit: Orbit, motions: Sequence[Orbit]) -> int:
@@ -89,49 +79,45 @@ def branch_of(orbit: Orbit, motions: Sequence[Orbit]) -> int:
     return next((number for number, motion in enumerate(motions) if not differ(orbit, motion)), ANOTHER)
 
 
-def explore(ensemble: Ensemble, before: Result | None) -> Result:
-    """What has become of the starts of each range; the results that it comes after are handed on."""
-    assert before is not None
-    means, num = ensemble.means, ensemble.num
-    model, rows = means.model, []
-    for place, (low, high) in enumerate(before["range"]):
-        motions = [orbit_of(before, (place, side), model.start.phase) for side in (LOWER, UPPER)]
+def explore(model: Model, steady: SteadyStates, ranges: Columns, num: int) -> dict[str, np.ndarray]:
+    """What has become of the starts at the middle of each range, as arrays.
+
+    Args:
+        model: the scene.
+        steady: gives steady states as those of the ranges.
+        ranges: the ranges and their motions, as `timesim.orbit.two_motions.ranges_of` gives them.
+        num: starts along each side.
+    """
+    rows = []
+    for place, (low, high) in enumerate(ranges["range"]):
+        motions = [orbit_of(ranges, (place, side), model.start.phase) for side in (LOWER, UPPER)]
         starts = starts_between(model, motions, num)
         chains = [Chain(replace(model, start=start), (0.5 * (low + high),)) for start in starts]
-        found = [own[0] for own in steady_states(chains, means.solver, means.criterion, halted=halted)]
-        rows.append(_row(found, motions, num))
-    blank = _blank(model, num)
-    return dict(before) | {
-        name: np.array([row[name] for row in rows]).reshape(len(rows), *shape) for name, shape in blank.items()
-    }
-
-
-def _blank(model: Model, num: int) -> dict[str, tuple[int, ...]]:
+        rows.append(_row([orbit for (orbit,) in steady(chains)], motions, num))
     points, contacts = len(model.structure.points), model.num_contacts
-    return {
+    shapes = {
         "start_branch": (num, num),
         "start_cycles": (num, num),
         "start_amplitude": (num, num, points, 3),
         "offset_low": (2, contacts, 2),
         "offset_high": (2, contacts, 2),
     }
+    return {name: np.array([row[name] for row in rows]).reshape(len(rows), *own) for name, own in shapes.items()}
 
 
-def _row(found: Sequence[Orbit], motions: Sequence[Orbit], num: int) -> dict[str, np.ndarray]:
-    branch = np.array([branch_of(orbit, motions) for orbit in found], dtype=np.int8)
-    ends = [list(offsets([*_those(found, branch, side), motions[side]])) for side in (LOWER, UPPER)]
+def _row(orbits: Sequence[Orbit], motions: Sequence[Orbit], num: int) -> dict[str, np.ndarray]:
+    """What has become of the starts of one range."""
+    branch = np.array([branch_of(orbit, motions) for orbit in orbits], dtype=np.int8)
+    led = [[orbit for orbit, own in zip(orbits, branch, strict=True) if own == side] for side in (LOWER, UPPER)]
+    ends = [list(offsets([*own, motion])) for own, motion in zip(led, motions, strict=True)]
     low, high = (np.array([[pair[i] for pair in own] for own in ends]) for i in (0, 1))
     return {
         "start_branch": branch.reshape(num, num),
-        "start_cycles": np.array([orbit.cycles for orbit in found], dtype=np.int32),
-        "start_amplitude": np.array([orbit.amplitude for orbit in found]),
+        "start_cycles": np.array([orbit.cycles for orbit in orbits], dtype=np.int32),
+        "start_amplitude": np.array([orbit.amplitude for orbit in orbits]),
         "offset_low": low,
         "offset_high": high,
     }
-
-
-def _those(found: Sequence[Orbit], branch: np.ndarray, side: int) -> list[Orbit]:
-    return [orbit for orbit, own in zip(found, branch, strict=True) if own == side]
 
 
 def offsets(orbits: Sequence[Orbit]) -> Iterator[tuple[np.ndarray, np.ndarray]]:

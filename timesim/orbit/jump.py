@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from timesim.model.model import Model
-from timesim.model.solver import Criterion, Solver
-from timesim.orbit.settling import Chain, Orbit, steady_states
-from timesim.study.worker import halted
+from timesim.orbit.settling import Chain, SteadyStates
+from timesim.orbit.steady_state import Orbit, distance
 
 STANDS_OUT = 4.0  # a jump changes the amplitude by so many times what the steps beside it do,
 AT_LEAST = 0.03  # and by this share of it; where no step is halved, of the largest of all amplitudes
@@ -90,67 +89,51 @@ class Stretch:
         yield replace(self, near=self.middle, on=orbit, before=before)
 
 
-def distance(one: Orbit, other: Orbit) -> float:
-    """How much the amplitudes of two motions differ, the largest of all points and axes.
-
-    By less where one has not settled: its amplitude may be any in its band.
-    """
-    loose = sum(orbit.band[1] - orbit.band[0] for orbit in (one, other) if not orbit.settled)
-    return float(np.max(np.abs(one.amplitude - other.amplitude) - loose, initial=0.0))
-
-
-def narrowed(
-    stretches: Sequence[Stretch], solver: Solver, criterion: Criterion, width: float
-) -> list[tuple[int, Stretch]]:
+def narrowed(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -> list[tuple[int, Stretch]]:
     """The jumps within stretches, with the position of each: as narrow as is wanted, or as tells them from slopes.
 
     Args:
         stretches: where to look.
-        solver, criterion: as those of the sweep.
+        steady: gives steady states as those of the sweep.
         width: wanted of each jump [Hz].
     """
-    found: list[tuple[int, Stretch]] = []
+    jumps: list[tuple[int, Stretch]] = []
     left = list(enumerate(stretches))
     while left:
-        told = [(index, stretch, stretch.jumps(width)) for index, stretch in left]
-        found += [(index, stretch) for index, stretch, jumps in told if jumps]
-        open_ = [(index, stretch) for index, stretch, jumps in told if jumps is None]
+        judged = [(index, stretch, stretch.jumps(width)) for index, stretch in left]
+        jumps += [(index, stretch) for index, stretch, jump in judged if jump]
+        open_ = [(index, stretch) for index, stretch, jump in judged if jump is None]
         chains = [Chain(replace(part.model, start=part.on.end), (part.middle,)) for _, part in open_]
-        middles = steady_states(chains, solver, criterion, halted=halted) if chains else []
+        middles = steady(chains) if chains else []
         left = [
             (index, half)
             for (index, stretch), (orbit,) in zip(open_, middles, strict=True)
             for half in stretch.halves(orbit)
         ]
-    return list(_joined(sorted(found, key=lambda item: (item[0], abs(item[1].near - stretches[item[0]].near)))))
+    return _joined(sorted(jumps, key=lambda item: (item[0], abs(item[1].near - stretches[item[0]].near))))
 
 
-def _joined(found: Sequence[tuple[int, Stretch]]) -> Iterator[tuple[int, Stretch]]:
-    """Jumps that follow on each other made one: next to a fold a motion leaves so slowly that it is met on its way."""
-    last: tuple[int, Stretch] | None = None
-    for index, jump in found:
-        if last is not None and last[0] == index and last[1].far == jump.near:
-            last = index, replace(last[1], far=jump.far, beyond=jump.beyond)
-            continue
-        if last is not None:
-            yield last
-        last = index, jump
-    if last is not None:
-        yield last
+def _joined(jumps: Sequence[tuple[int, Stretch]]) -> list[tuple[int, Stretch]]:
+    """Jumps that follow on each other as one: next to a fold a motion leaves so slowly that it is met on its way."""
+    joined: list[tuple[int, Stretch]] = []
+    for index, jump in jumps:
+        if joined and joined[-1][0] == index and joined[-1][1].far == jump.near:
+            joined[-1] = index, replace(joined[-1][1], far=jump.far, beyond=jump.beyond)
+        else:
+            joined.append((index, jump))
+    return joined
 
 
-def jumps_of(
-    stretches: Sequence[Stretch], solver: Solver, criterion: Criterion, width: float
-) -> Iterator[tuple[int, Jump]]:
+def jumps_of(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -> Iterator[tuple[int, Jump]]:
     """The jumps within the steps of sweeps, with the position of the step; arguments as `narrowed`.
 
     A motion that small steps would carry to the end of its step is lost by the length of the step alone: then the jump
     is the step.
     """
-    found = narrowed(stretches, solver, criterion, width)
+    found = narrowed(stretches, steady, width)
     ends = [(index, jump) for index, jump in found if jump.far == stretches[index].far and not jump.whole]
     chains = [Chain(replace(jump.model, start=jump.on.end), (jump.far,)) for _, jump in ends]
-    carried = steady_states(chains, solver, criterion, halted=halted) if chains else []
+    carried = steady(chains) if chains else []
     by_length = {
         index
         for (index, jump), (orbit,) in zip(ends, carried, strict=True)

@@ -16,11 +16,12 @@ from timesim.engine.solver import Control, step_control
 from timesim.engine.step import Status, Step, Trajectory
 from timesim.engine.system import Point, System, system_of
 from timesim.engine.trajectory import Frame
+from timesim.model.contact_state import contact_state, slip_follows_motion
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.reduction import Reduction
 from timesim.model.solver import Solver
 from timesim.orbit.monodromy import HybridState, Tries, point_of, vector_of
-from timesim.orbit.share import share
+from timesim.orbit.steady_state import share
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ class Lane:
         return self.frame.start(self.here.point, self.here.state, self.phase)
 
     def moved(self, vector: np.ndarray) -> "Lane | None":
-        """The lane at another state vector in the same contact states; None if the place or the law does not allow it."""
+        """The lane at another state vector in the same contact states; None where place or law do not allow it."""
         point, state, law = point_of(vector, self.here.point), self.here.state, self.system.law
         if not isinstance(law, ConeLaw):
             return None
@@ -110,12 +111,14 @@ class Lane:
         n = law.preload + law.normal_stiffness * (self.system.shape[-1] @ point.q)
         force = np.stack([law.stiffness[i % len(law.stiffness)] * row for i, row in enumerate(u - w)])
         size, limit = np.linalg.norm(force, axis=0), law.friction * n
-        stuck, slips, open_ = state == STICK, state == SLIP, state == SEPARATION
-        if np.any(open_ != (n <= 0)) or np.any(stuck & (size > limit)) or np.any(slips & (size <= 0)):
+        follows = slip_follows_motion(state, law.friction)
+        slips = (state == SLIP) & ~follows
+        outside = ((state == STICK) & (size > limit)) | (slips & (size <= 0))
+        if outside.any() or not np.array_equal(contact_state(n, law.friction, state), state):
             return None
         on_cone = force * np.where(slips, limit / np.where(size > 0, size, 1.0), 1.0)
         kept = np.stack([law.compliance[i % len(law.compliance)] * row for i, row in enumerate(on_cone)])
-        w = np.where(open_, u, np.where(slips, u - kept, w))
+        w = np.where(follows, u, np.where(slips, u - kept, w))
         return replace(self, here=HybridState(Point(point.q, point.p, tuple(w), None), state))
 
 

@@ -1,45 +1,32 @@
-"""Steady states of many scenes side by side: marched until they repeat, or found by shooting.
+"""Steady states of many scenes side by side: each is marched until it repeats, or shot once it is near a periodic one.
 
-A motion counts as settled when what is still missing, extrapolated from how fast the change from cycle to cycle falls,
-is below the tolerance: a slow drift changes little in a cycle and is yet far from rest. Motions that repeat after two
-or three cycles are recognised. Those that have settled make room for the next.
-
-Shooting marches until the motion is near a periodic one, then takes Newton's method on the state after a period, with
-the exact derivative of `monodromy`. It goes back to marching where Newton's method does not take over at once,
-where it leaves the contact states, and where what it finds is unstable: it finds the motion that marching would.
+A search is in one of four phases. It marches, a round at a time; where that has come near a motion that repeats it may
+shoot; once it has settled, or spent its budget, a period is recorded and measured. Searches that are done make room
+for the next. What a search does next depends on itself alone, so the order and the company do not matter.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+import enum
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from timesim.engine.step import Status
-from timesim.engine.trajectory import message_of, start_states
+from timesim.engine.trajectory import message_of
+from timesim.model.contact_state import start_states
 from timesim.model.model import Model, Start
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import Criterion, Solver
 from timesim.orbit.batch import SIZES, march, record
 from timesim.orbit.lane import Lane, Recorded
 from timesim.orbit.linear import linear_orbit
-
-CYCLES_A_ROUND = 8
-SIDE_BY_SIDE = 128  # searches that share batches, full ones as long as many are left
-LONELY = 256  # cycles after which it pays to compile a march for each of the few searches that are left
-PERIODS = (1, 2, 3)
-UNSETTLED_CYCLES = 10  # over which the amplitude of a motion that has not settled is taken
-STILL_THERE = 0.99  # what is left of an alternation after half a round, if it is not one that decays
-DOUBLED = 30.0  # times the tolerance: what goes to and fro by less may be a vibration that dies out in a beat
-LEADS_NOWHERE = 3.0  # times the change of a cycle: a drift would have led much farther over two rounds
-REST = 1e-13  # a change this small is rounding
-FIRST_SHOT = 2 * CYCLES_A_ROUND  # cycles marched before the first attempt at shooting
-TAKES_OVER = 0.3  # Newton's method must shrink the change over a period to this share of what it was, or gives up
-REACH = 0.5  # of the state: a longer step of Newton's method leads elsewhere
-TRIES = 2048  # steps tried in a shot: more mean that it has gone wrong
-UNSTABLE = 1 + 1e-6
+from timesim.orbit.recurrence import period_of
+from timesim.orbit.shooting import Outcome, Shot, iterated
+from timesim.orbit.steady_state import Orbit, without_orbit
+from timesim.orbit.threshold import CYCLES_A_ROUND, FIRST_SHOT, LONELY, SIDE_BY_SIDE, TRIES, UNSETTLED_CYCLES
 
 Progress = Callable[[int, int], None]
 
@@ -60,56 +47,113 @@ class Chain:
     frequencies: tuple[float, ...]
 
 
+SteadyStates = Callable[[Sequence[Chain]], list[list[Orbit]]]
+"""`steady_states` of chains, its solver, its criterion and what stops it given."""
+
+
+class Phase(enum.Enum):
+    """What a search does next; DONE: it has its orbit."""
+
+    MARCH = enum.auto()
+    SHOOT = enum.auto()
+    MEASURE = enum.auto()
+    DONE = enum.auto()
+
+
 @dataclass(frozen=True)
-class Orbit:
-    """The steady state at a frequency.
+class Search:
+    """The search for one steady state.
 
     Attributes:
-        end: the state at the end of a cycle, from which another run may start.
-        amplitude: (max - min) / 2 of each point along x, y, z over a period, shape (P, 3); over the last ten cycles
-            where the motion has not settled.
-        band: smallest and largest amplitude of one of these cycles, shape (2, P, 3).
-        settled: whether the motion repeats.
-        cycles: excitation cycles integrated; 0 where the scene is linear and needs none.
-        period: its period in excitation periods; 0 if it has not settled.
-        slip_share, separation_share: share of the period in these states, shape (C,).
-        floquet: multipliers of the period, largest first, without those of offsets that nothing moves; NaN where the
-            motion has not settled.
-        reason: why it could not be computed; None if it was.
+        chain, place: which one: position of the chain, and along it.
+        lane: where marching has led to.
+        phase: what comes next.
+        returns: state vectors at the end of the last cycles, two rounds at most.
+        cycles: integrated so far.
+        period: of the motion that is to be measured; 0 where it has not settled.
+        shot: the iterate of Newton's method in the phase SHOOT.
+        next_shot: cycle from which the next attempt at shooting is made.
+        orbit: the result in the phase DONE.
     """
-
-    end: Start
-    amplitude: np.ndarray
-    band: np.ndarray
-    settled: bool
-    cycles: int
-    period: int
-    slip_share: np.ndarray
-    separation_share: np.ndarray
-    floquet: np.ndarray
-    reason: str | None = None
-
-
-@dataclass
-class Search:
-    """The search for one steady state under way: a lane of a batch, and what is known of it."""
 
     chain: int
     place: int
     lane: Lane
-    sections: list[np.ndarray] = field(default_factory=list)
+    phase: Phase = Phase.MARCH
+    returns: tuple[np.ndarray, ...] = ()
     cycles: int = 0
-    period: int | None = None
-    shot: "Shot | None" = None
+    period: int = 0
+    shot: Shot | None = None
     next_shot: int = FIRST_SHOT
+    orbit: Orbit | None = None
 
 
-@dataclass
-class Shot:
-    """Newton's method under way: the lane that is shot, and the size of the change over a period before."""
+# Transitions of a search
 
-    lane: Lane
-    change: float = np.inf
+
+def after_march(search: Search, lane: Lane, returns: np.ndarray, solver: Solver, criterion: Criterion) -> Search:
+    """The search after a round of marching."""
+    kept, cycles = (*search.returns, *returns)[-2 * CYCLES_A_ROUND :], search.cycles + len(returns)
+    search = replace(search, lane=lane, returns=kept, cycles=cycles)
+    if lane.status != Status.RUNNING:
+        return _failed(search, solver)
+    period = period_of(np.array(kept), criterion.tolerance, solver.rtol)
+    if period or cycles >= criterion.max_cycles:
+        return replace(search, phase=Phase.MEASURE, period=period)
+    if criterion.shoot and cycles >= search.next_shot:
+        return replace(search, phase=Phase.SHOOT, shot=Shot(lane))
+    return search
+
+
+def after_shot(search: Search, recorded: Recorded, criterion: Criterion) -> Search:
+    """The search after an iteration of Newton's method.
+
+    The next attempt comes later and later: a motion that never repeats costs far more shot than marched.
+    """
+    assert search.shot is not None
+    outcome, shot = iterated(search.shot, recorded, criterion.tolerance)
+    search = replace(search, cycles=search.cycles + recorded.cycles)
+    if outcome is Outcome.GOES_ON:
+        return replace(search, shot=shot)
+    if outcome is Outcome.CONVERGED:
+        return _done(replace(search, period=1), recorded)
+    later = search.cycles + max(CYCLES_A_ROUND, search.cycles // 2)
+    next_shot = criterion.max_cycles if outcome is Outcome.UNSTABLE else later
+    return replace(search, phase=Phase.MARCH, shot=None, next_shot=next_shot)
+
+
+def after_measure(search: Search, recorded: Recorded, solver: Solver) -> Search:
+    """The search after the cycles that are measured."""
+    if not recorded.complete:
+        return _failed(replace(search, lane=recorded.end), solver)
+    return _done(replace(search, cycles=search.cycles + recorded.cycles), recorded)
+
+
+def _done(search: Search, recorded: Recorded) -> Search:
+    settled, measure, multipliers = search.period > 0, recorded.measure(), recorded.multipliers
+    orbit = Orbit(
+        end=recorded.end.start(),
+        amplitude=measure.amplitude,
+        band=measure.band,
+        settled=settled,
+        cycles=search.cycles,
+        period=search.period,
+        slip_share=measure.slip_share,
+        separation_share=measure.separation_share,
+        floquet=multipliers if settled else np.full_like(multipliers, np.nan),
+    )
+    return replace(search, phase=Phase.DONE, orbit=orbit)
+
+
+def _failed(search: Search, solver: Solver) -> Search:
+    """The search that a status of the loop has ended."""
+    lane = search.lane
+    reason = message_of(lane.model, lane.reduction, solver, lane.status, lane.culprit)
+    where = f"at {lane.frequency:g} Hz, in cycle {search.cycles + 1}"
+    return replace(search, phase=Phase.DONE, orbit=without_orbit(lane.model, f"{where}: {reason}", search.cycles))
+
+
+# Many searches
 
 
 def settle(
@@ -140,7 +184,7 @@ def steady_states(
         chains: the first motion of each starts from the model's own `Start`.
         solver: method and tolerances.
         criterion: when a motion counts as settled.
-        progress: called with the steady states found and their number.
+        progress: called with the steady states that are done and their number.
 
     Keyword Args:
         crowd: chains that the batches are sized for, where more are to follow; one size less is compiled.
@@ -152,28 +196,49 @@ def steady_states(
     Raises:
         KeyboardInterrupt: the work was given up.
     """
-    criterion = criterion or Criterion()
-    found: list[list[Orbit]] = [[] for _ in chains]
+    work = _Work(chains, solver, criterion or Criterion())
+    orbits: list[list[Orbit]] = [[] for _ in chains]
     total = sum(len(chain.frequencies) for chain in chains)
     groups: dict[tuple[tuple[int, ...], ...], deque[Search]] = {}
     for index, chain in enumerate(chains):
         lane = first_lane(chain, solver)
         linear = _linear_orbits(chain, lane, solver)
         if linear is not None:
-            found[index] = linear
+            orbits[index] = linear
         else:
             groups.setdefault(lane.shapes, deque()).append(Search(index, 0, lane))
-    done = sum(map(len, found))
+    done = sum(map(len, orbits))
     for group in groups.values():
-        size = SIZES[max(len(group), crowd) > SIZES[0]]
-        for search, orbit in _settle_group(group, chains, solver, criterion, size):
-            found[search.chain].append(orbit)
+        for search in work.settled(group, SIZES[max(len(group), crowd) > SIZES[0]]):
+            assert search.orbit is not None
+            orbits[search.chain].append(search.orbit)
             done += 1
             if halted():
                 raise KeyboardInterrupt
             if progress is not None:
                 progress(done, total)
-    return found
+    return orbits
+
+
+def warm_up(chains: Iterable[Chain], solver: Solver, crowds: Sequence[int]) -> None:
+    """Compile what steady states need, for each size of the crowd, before threads ask for it side by side."""
+    for chain in chains:
+        one = Chain(chain.model, chain.frequencies[:1])
+        if first_lane(one, solver).here.state.size:
+            for crowd in crowds:
+                steady_states([one], solver, Criterion(tolerance=1e-2, max_cycles=1), crowd=crowd)
+            return
+
+
+def first_lane(chain: Chain, solver: Solver) -> Lane:
+    """The first frequency of a chain, from the start of its model."""
+    reduction = reduction_of(chain.model, chain.frequencies, reduce=solver.reduce)
+    return Lane.begin(chain.model, reduction, chain.frequencies[0], solver, begin_of(chain.model))
+
+
+def begin_of(model: Model) -> Start:
+    """The start of a model with the state of each contact."""
+    return replace(model.start, state=start_states(model))
 
 
 def _linear_orbits(chain: Chain, lane: Lane, solver: Solver) -> list[Orbit] | None:
@@ -190,185 +255,65 @@ def _linear_orbits(chain: Chain, lane: Lane, solver: Solver) -> list[Orbit] | No
     return orbits or None
 
 
-def first_lane(chain: Chain, solver: Solver) -> Lane:
-    """The first frequency of a chain, from the start of its model."""
-    reduction = reduction_of(chain.model, chain.frequencies, reduce=solver.reduce)
-    return Lane.begin(chain.model, reduction, chain.frequencies[0], solver, begin_of(chain.model))
+@dataclass(frozen=True)
+class _Work:
+    """What all searches have in common."""
 
+    chains: Sequence[Chain]
+    solver: Solver
+    criterion: Criterion
 
-def begin_of(model: Model) -> Start:
-    """The start of a model with the state of each contact."""
-    return replace(model.start, state=start_states(model))
+    def settled(self, pending: deque[Search], size: int) -> Iterator[Search]:
+        """The searches of a group, and those that follow along their chains, as each is done."""
+        active: list[Search] = []
+        while pending or active:
+            while pending and len(active) < SIDE_BY_SIDE:
+                active.append(pending.popleft())
+            going = []
+            for search in self._round(active, size):
+                if search.phase is not Phase.DONE:
+                    going.append(search)
+                    continue
+                yield search
+                going += self._next(search)
+            active = going
 
+    def _next(self, search: Search) -> list[Search]:
+        """The search for the next steady state along the chain, if there is one."""
+        chain, place = self.chains[search.chain], search.place + 1
+        if place == len(chain.frequencies):
+            return []
+        assert search.orbit is not None
+        start = search.orbit.end if search.orbit.reason is None else begin_of(chain.model)
+        return [Search(search.chain, place, search.lane.at(chain.frequencies[place], start, self.solver))]
 
-def _settle_group(
-    pending: deque[Search], chains: Sequence[Chain], solver: Solver, criterion: Criterion, size: int
-) -> Iterator[tuple[Search, Orbit]]:
-    active: list[Search] = []
-    while pending or active:
-        while pending and len(active) < SIDE_BY_SIDE:
-            active.append(pending.popleft())
-        going = []
-        for search, orbit in _round(active, solver, criterion, size):
-            if orbit is None:
-                going.append(search)
-                continue
-            yield search, orbit
-            frequencies = chains[search.chain].frequencies
-            if search.place + 1 < len(frequencies):
-                start = orbit.end if orbit.reason is None else begin_of(chains[search.chain].model)
-                lane = search.lane.at(frequencies[search.place + 1], start, solver)
-                going.append(Search(search.chain, search.place + 1, lane))
-        active = going
+    def _round(self, active: Sequence[Search], size: int) -> list[Search]:
+        """Each search a step further: marched, or shot once, and measured where it is ready for it."""
+        marched = self._marched([search for search in active if search.phase is Phase.MARCH], size)
+        shot = self._shot([search for search in active if search.phase is Phase.SHOOT], size)
+        moved = {search.chain: search for search in marched + shot}
+        for search in self._measured([search for search in marched if search.phase is Phase.MEASURE], size):
+            moved[search.chain] = search
+        return [moved[search.chain] for search in active]
 
+    def _marched(self, searches: Sequence[Search], size: int) -> list[Search]:
+        if searches and len(searches) <= SIZES[0] and min(search.cycles for search in searches) > LONELY:
+            size = 1
+        done = march([search.lane for search in searches], self.solver, CYCLES_A_ROUND, size=size)
+        return [
+            after_march(search, lane, returns, self.solver, self.criterion)
+            for search, (lane, returns) in zip(searches, done, strict=True)
+        ]
 
-def _round(
-    active: Sequence[Search], solver: Solver, criterion: Criterion, size: int
-) -> list[tuple[Search, Orbit | None]]:
-    """Take each search a step further: march it, or shoot it once, and measure those that have settled."""
-    marching = [search for search in active if search.shot is None]
-    outcome: dict[int, Orbit | None] = {}
-    if marching:
-        _march(marching, solver, size)
-        for search in marching:
-            outcome[id(search)] = _after_march(search, solver, criterion)
-    shooting = [search for search in active if search.shot is not None]
-    shot = record([_shot(search).lane for search in shooting], solver, 1, TRIES, size=size)
-    for search, recorded in zip(shooting, shot, strict=True):
-        outcome[id(search)] = _after_shot(search, recorded, solver, criterion)
-    ready = [search for search in marching if search.period is not None and outcome[id(search)] is None]
-    for cycles in sorted({_cycles_to_measure(search) for search in ready}):
-        same = [search for search in ready if _cycles_to_measure(search) == cycles]
-        lanes = record([search.lane for search in same], solver, cycles, size=size)
-        for search, recorded in zip(same, lanes, strict=True):
-            outcome[id(search)] = _orbit(search, recorded, solver)
-    return [(search, outcome[id(search)]) for search in active]
+    def _shot(self, searches: Sequence[Search], size: int) -> list[Search]:
+        lanes = [search.shot.lane for search in searches if search.shot is not None]
+        done = record(lanes, self.solver, 1, TRIES, size=size)
+        return [after_shot(search, recorded, self.criterion) for search, recorded in zip(searches, done, strict=True)]
 
-
-def _shot(search: Search) -> Shot:
-    assert search.shot is not None
-    return search.shot
-
-
-def _cycles_to_measure(search: Search) -> int:
-    return search.period or UNSETTLED_CYCLES
-
-
-def _march(searches: Sequence[Search], solver: Solver, size: int) -> None:
-    if len(searches) <= SIZES[0] and min(search.cycles for search in searches) > LONELY:
-        size = 1
-    done = march([search.lane for search in searches], solver, CYCLES_A_ROUND, size=size)
-    for search, (lane, rows) in zip(searches, done, strict=True):
-        search.lane = lane
-        search.cycles += len(rows)
-        search.sections = [*search.sections, *rows][-2 * CYCLES_A_ROUND :]
-
-
-def _after_march(search: Search, solver: Solver, criterion: Criterion) -> Orbit | None:
-    """An orbit if the march has failed; else the search knows what comes next."""
-    if search.lane.status != Status.RUNNING:
-        return failed(search, solver)
-    period = period_of(np.array(search.sections), criterion.tolerance, solver.rtol)
-    if period or search.cycles >= criterion.max_cycles:
-        search.period = period
-    elif criterion.shoot and search.cycles >= search.next_shot:
-        search.shot = Shot(search.lane)
-    return None
-
-
-def period_of(sections: np.ndarray, tolerance: float, noise: float = 0.0) -> int:
-    """Period after which the sections repeat to the tolerance, extrapolated; 0 if they do not.
-
-    Args:
-        sections: the state at the end of consecutive cycles, shape (N, state).
-        tolerance: relative to the largest entry.
-        noise: tolerance of a step. Changes below it that go to and fro and lead nowhere are those of the step control.
-    """
-    size = np.max(np.abs(sections), initial=0.0)
-    if size == 0:
-        return 1
-    half = CYCLES_A_ROUND // 2
-    latest = [np.abs(sections[-1] - sections[-1 - period]).max() for period in PERIODS if period < len(sections)]
-    if min(latest, default=0.0) > max(tolerance, noise, REST) * size:
-        return 0  # found at once, as in most rounds
-    for period in PERIODS:
-        change = np.max(np.abs(sections[period:] - sections[:-period]), axis=1) / size
-        if change.size < CYCLES_A_ROUND:
-            continue
-        last, before = np.max(change[-half:]), np.max(change[-2 * half : -half])
-        ratio = (last / before) ** (1 / half) if before > 0 else 0.0
-        if last < noise and len(sections) == 2 * CYCLES_A_ROUND:
-            led = np.max(np.abs(sections[-1] - sections[(len(sections) - 1) % period])) / size
-            ratio = 0.0 if led < LEADS_NOWHERE * last and before < LEADS_NOWHERE * last else ratio
-            tolerance = max(tolerance, noise) if ratio == 0 else tolerance
-        if last < REST or (ratio < 1 and last < tolerance and last * ratio / (1 - ratio) < tolerance):
-            steps = np.max(np.abs(np.diff(sections, axis=0)), axis=1) / size
-            now, earlier = np.max(steps[-half:]), np.max(steps[-2 * half : -half])
-            if period == 1 or now < tolerance:
-                return 1
-            if now > DOUBLED * tolerance and now > STILL_THERE * earlier:
-                return period  # else it nearly repeats while it decays, as a free vibration may
-    return 0
-
-
-def _next_shot(search: Search) -> int:
-    """Cycle of the next attempt: later and later, for a motion that never repeats costs far more shot than marched."""
-    return search.cycles + max(CYCLES_A_ROUND, search.cycles // 2)
-
-
-def _after_shot(search: Search, recorded: Recorded, solver: Solver, criterion: Criterion) -> Orbit | None:
-    """One iteration of Newton's method; the orbit once it has converged."""
-    shot, search.cycles = _shot(search), search.cycles + 1
-    search.shot = None
-    if not recorded.complete or not np.array_equal(recorded.end.here.state, shot.lane.here.state):
-        search.next_shot = _next_shot(search)
-        return None
-    here = shot.lane.vector
-    change, size = recorded.end.vector - here, max(float(np.max(np.abs(here), initial=0.0)), 1e-300)
-    step = recorded.newton_step()
-    if np.max(np.abs(step), initial=0.0) < criterion.tolerance * size:
-        if np.max(np.abs(recorded.multipliers), initial=0.0) > UNSTABLE:
-            search.next_shot = criterion.max_cycles
-            return None
-        search.period = 1
-        return _orbit(search, recorded, solver)
-    residual, reach = (float(np.max(np.abs(part), initial=0.0)) / size for part in (change, step))
-    moved = shot.lane.moved(here + step) if residual < TAKES_OVER * shot.change and reach < REACH else None
-    if moved is None:
-        search.next_shot = _next_shot(search)
-    else:
-        search.shot = Shot(moved, residual)
-    return None
-
-
-def _orbit(search: Search, recorded: Recorded, solver: Solver) -> Orbit:
-    if not recorded.complete:
-        search.lane = recorded.end
-        return failed(search, solver)
-    settled, measure = bool(search.period), recorded.measure()
-    return Orbit(
-        end=recorded.end.start(),
-        amplitude=measure.amplitude,
-        band=measure.band,
-        settled=settled,
-        cycles=search.cycles + recorded.cycles,
-        period=search.period or 0,
-        slip_share=measure.slip_share,
-        separation_share=measure.separation_share,
-        floquet=recorded.multipliers if settled else np.full_like(recorded.multipliers, np.nan),
-    )
-
-
-def failed(search: Search, solver: Solver) -> Orbit:
-    """The orbit of a search that a status has ended."""
-    lane = search.lane
-    reason = message_of(lane.model, lane.reduction, solver, lane.status, lane.culprit)
-    return without_orbit(lane.model, f"at {lane.frequency:g} Hz, in cycle {search.cycles + 1}: {reason}", search.cycles)
-
-
-def without_orbit(model: Model, reason: str, cycles: int = 0) -> Orbit:
-    """What stands for a steady state that could not be computed."""
-    nothing = np.full(model.num_contacts, np.nan)
-    amplitude = np.full((len(model.structure.points), 3), np.nan)
-    band = np.stack([amplitude, amplitude])
-    return Orbit(model.start, amplitude, band, False, cycles, 0, nothing, nothing, np.full(1, np.nan), reason)
+    def _measured(self, searches: Sequence[Search], size: int) -> Iterator[Search]:
+        lengths = [search.period or UNSETTLED_CYCLES for search in searches]
+        for cycles in sorted(set(lengths)):
+            same = [search for search, length in zip(searches, lengths, strict=True) if length == cycles]
+            done = record([search.lane for search in same], self.solver, cycles, size=size)
+            for search, recorded in zip(same, done, strict=True):
+                yield after_measure(search, recorded, self.solver)

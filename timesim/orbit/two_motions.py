@@ -16,69 +16,37 @@ from itertools import pairwise
 import numpy as np
 
 from timesim.model.model import Model, Start
-from timesim.model.solver import Criterion, Solver
-from timesim.orbit.jump import AT_LEAST, Stretch, distance, narrowed
-from timesim.orbit.settling import Chain, Orbit, steady_states, without_orbit
-from timesim.study.campaign import Result, halted
-from timesim.study.sweep import columns_of, end_of, orbit_of
+from timesim.orbit.jump import AT_LEAST, Stretch, narrowed
+from timesim.orbit.settling import Chain, SteadyStates
+from timesim.orbit.steady_state import Columns, Orbit, columns_of, differ, distance, orbit_of, without_orbit
 
 UP, DOWN = 0, 1
-SAME = 1e-3  # of the amplitude: motions that differ by less are one
 WALK = 4  # steps from the nearest motion that is known to mid-range
 BOTH = 2  # ends of a range
 FURTHER = 6  # times that an end is sought again where the motion was lost by too long a step only
 
 
 @dataclass(frozen=True)
-class Means:
-    """A scene, and how its steady states are found."""
+class Search:
+    """Where to look for the ends of ranges.
+
+    Attributes:
+        model: the scene.
+        steady: gives steady states as those of the sweeps.
+        width: wanted of each end [Hz].
+    """
 
     model: Model
-    solver: Solver
-    criterion: Criterion
+    steady: SteadyStates
+    width: float
 
     def along(self, start: Start, frequencies: Sequence[float]) -> list[Orbit]:
         """The steady states at frequencies [Hz], carried from each to the next."""
         chain = Chain(replace(self.model, start=start), tuple(map(float, frequencies)))
-        return steady_states([chain], self.solver, self.criterion, halted=halted)[0]
-
-
-# The sweeps
-
-
-@dataclass(frozen=True)
-class Part:
-    """A part of both sweeps: the frequencies [Hz] that each visits, upwards and downwards."""
-
-    means: Means
-    up: tuple[float, ...]
-    down: tuple[float, ...]
-
-
-def sweep_part(part: Part, before: Result | None) -> Result:
-    """All steady states of both sweeps so far, in the order of each, with the state at the end of a cycle."""
-    model = part.means.model
-    chains = []
-    for direction, frequencies in enumerate((part.up, part.down)):
-        begun = before is not None and not before["reason"][direction, -1]
-        start = end_of(before, (direction, -1), model.start.phase) if before is not None and begun else model.start
-        chains.append(Chain(replace(model, start=start), frequencies))
-    orbits = steady_states(chains, part.means.solver, part.means.criterion, halted=halted)
-    found = columns_of(orbits) | {"frequency": np.array([part.up, part.down])}
-    if before is None:
-        return found
-    return {name: np.concatenate([before[name], array], axis=1) for name, array in found.items()}
+        return self.steady([chain])[0]
 
 
 # Jumps
-
-
-@dataclass(frozen=True)
-class Search:
-    """Where to look for the ends of ranges: those of a sweep; `width`: wanted of each end [Hz]."""
-
-    means: Means
-    width: float
 
 
 @dataclass(frozen=True)
@@ -108,10 +76,13 @@ class Sweeps:
     orbits: tuple[list[Orbit], list[Orbit]]
 
     @classmethod
-    def of(cls, result: Result, phase: float) -> "Sweeps":
-        """From the result of their last part."""
-        up, down = ([orbit_of(result, (d, k), phase) for k in range(result["settled"].shape[1])] for d in (UP, DOWN))
-        return cls(result["frequency"][UP], (up, down[::-1]))
+    def of(cls, columns: Columns, phase: float) -> "Sweeps":
+        """From their columns, in the order in which each visits its frequencies."""
+        up, down = (
+            [orbit_of(columns, (direction, k), phase) for k in range(columns["settled"].shape[1])]
+            for direction in (UP, DOWN)
+        )
+        return cls(columns["frequency"][UP], (up, down[::-1]))
 
     def amplitude(self, direction: int) -> np.ndarray:
         """Shape (F, X), NaN where a point failed."""
@@ -121,15 +92,6 @@ class Sweeps:
     def apart(self) -> np.ndarray:
         """Whether they are on different motions, shape (F,)."""
         return np.array([differ(*pair) for pair in zip(*self.orbits, strict=True)], dtype=bool)
-
-
-def differ(one: Orbit, other: Orbit) -> bool:
-    """Whether two motions are not the same; of those that have not settled the bands of amplitude count."""
-    if one.reason is not None or other.reason is not None:
-        return False
-    size = max(np.max(np.abs(orbit.amplitude), initial=0.0) for orbit in (one, other))
-    loose = sum(orbit.band[1] - orbit.band[0] for orbit in (one, other) if not orbit.settled)
-    return bool(np.any(np.abs(one.amplitude - other.amplitude) > SAME * size + loose))
 
 
 def suspect_steps(sweeps: Sweeps, direction: int) -> np.ndarray:
@@ -171,11 +133,11 @@ def _lost(
     search: Search, sweeps: Sweeps, direction: int, ends: tuple[float, float], orbits: tuple[Orbit, Orbit]
 ) -> Loss | None:
     """Bisect a jump. A motion may be lost by the length of a step alone: it is led on from the end that was found."""
-    means, limit = search.means, float(sweeps.frequency[-1 if direction == UP else 0])
+    limit = float(sweeps.frequency[-1 if direction == UP else 0])
     least = AT_LEAST * np.nanmax(sweeps.amplitude(direction), initial=0.0)
-    step, loss = Stretch(means.model, *ends, *orbits, least), None
+    step, loss = Stretch(search.model, *ends, *orbits, least), None
     for _ in range(FURTHER + 1):
-        found = narrowed([step], means.solver, means.criterion, search.width)
+        found = narrowed([step], search.steady, search.width)
         if not found:
             return None
         jump = found[0][1]
@@ -183,7 +145,7 @@ def _lost(
         ahead = _ahead(search, loss, limit, abs(ends[1] - ends[0]) / WALK)
         if ahead is None:
             break
-        step = Stretch(means.model, *ahead, least)
+        step = Stretch(search.model, *ahead, least)
     return loss
 
 
@@ -191,7 +153,7 @@ def _merging(search: Search, direction: int, ends: tuple[float, float], orbits: 
     """Bisect a jump that is small beside the slope of the step: at its near side, and there alone, are two motions."""
     (near, far), (on, beyond) = ends, orbits
     while abs(far - near) > search.width and (middle := 0.5 * (near + far)) not in (near, far):
-        (ahead,), (back,) = search.means.along(on.end, [middle]), search.means.along(beyond.end, [middle])
+        (ahead,), (back,) = search.along(on.end, [middle]), search.along(beyond.end, [middle])
         if differ(ahead, back):
             near, on = middle, ahead
         else:
@@ -204,7 +166,7 @@ def _ahead(search: Search, loss: Loss, limit: float, longest: float) -> tuple[fl
     near, on, far = loss.near, loss.on, loss.far
     step = loss.far - loss.near
     while True:
-        (orbit,) = search.means.along(on.end, [far])
+        (orbit,) = search.along(on.end, [far])
         if orbit.reason is not None:
             return None
         if distance(orbit, on) > distance(orbit, loss.beyond):
@@ -252,7 +214,7 @@ def ranges(search: Search, sweeps: Sweeps, lost: Sequence[Loss]) -> Iterator[Ran
         motions = [_at_middle(search, sweeps, lost, direction, (low, high)) for direction in (UP, DOWN)]
         if any(orbit.reason is not None for orbit in motions) or not differ(*motions):
             continue
-        lower, upper = sorted(motions, key=lambda orbit: float(np.max(orbit.amplitude)))
+        lower, upper = sorted(motions, key=lambda orbit: orbit.largest)
         settled = [all(loss.on.settled for loss in lost if loss.near == end) for end in (low, high)]
         cut, jumped = (low == first, high == last), np.array([_jumped(end, lost, lower) for end in (low, high)])
         yield Range(low, high, cut, (settled[0], settled[1]), jumped, lower, upper)
@@ -282,30 +244,28 @@ def _at_middle(
     left = {loss.near for loss in own} & {ends[0 if direction == UP else 1]}
     behind = [f for f, orbit in known.items() if sign * (middle - f) >= 0 and f not in left and orbit.reason is None]
     if not behind:
-        return without_orbit(search.means.model, "no motion is known before it")
+        return without_orbit(search.model, "no motion is known before it")
     nearest = max(behind, key=lambda f: sign * f)
     step = (sweeps.frequency[1] - sweeps.frequency[0]) / WALK
     num = max(WALK, int(np.ceil(abs(middle - nearest) / step)))
-    return search.means.along(known[nearest].end, np.linspace(nearest, middle, num + 1)[1:].tolist())[-1]
+    return search.along(known[nearest].end, np.linspace(nearest, middle, num + 1)[1:].tolist())[-1]
 
 
-def find(search: Search, before: Result | None) -> Result:
-    """The jumps and the ranges of a pair of sweeps as arrays."""
-    assert before is not None
-    sweeps = Sweeps.of(before, search.means.model.start.phase)
-    lost = list(losses(search, sweeps))
-    found = list(ranges(search, sweeps, lost))
+def ranges_of(search: Search, sweeps: Columns) -> dict[str, np.ndarray]:
+    """The jumps and the ranges of a pair of sweeps, and the motions at the middle of each range, as arrays."""
+    both = Sweeps.of(sweeps, search.model.start.phase)
+    lost = list(losses(search, both))
+    every = list(ranges(search, both, lost))
+    model, size = search.model, len(every)
+    # Of no range the columns have their shapes all the same.
+    motions = [[one.lower, one.upper] for one in every] or [[without_orbit(model, "none")] * 2]
+    jumped = np.array([one.jumped for one in every]).reshape(size, 2, 2, len(model.structure.points), 3)
     jumps = [(loss.direction, *sorted((loss.near, loss.far))) for loss in lost]
-    model, size = search.means.model, len(found)
-    motions = [[one.lower, one.upper] for one in found]
-    blank = [[without_orbit(model, "none")] * 2] if not size else motions
-    rows = columns_of(blank)
-    jumped = np.array([one.jumped for one in found]).reshape(size, 2, 2, len(model.structure.points), 3)
-    return {name: array[:size] for name, array in rows.items()} | {
+    return {name: array[:size] for name, array in columns_of(motions).items()} | {
         "jumps": np.array(jumps, dtype=float).reshape(-1, 3),
         "jump_from": jumped[:, :, 0],
         "jump_to": jumped[:, :, 1],
-        "range": np.array([(one.low, one.high) for one in found]).reshape(-1, 2),
-        "range_cut": np.array([one.cut for one in found], dtype=np.int8).reshape(-1, 2),
-        "range_settled": np.array([one.settled for one in found], dtype=np.int8).reshape(-1, 2),
+        "range": np.array([(one.low, one.high) for one in every]).reshape(-1, 2),
+        "range_cut": np.array([one.cut for one in every], dtype=np.int8).reshape(-1, 2),
+        "range_settled": np.array([one.settled for one in every], dtype=np.int8).reshape(-1, 2),
     }

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from timesim.orbit.share import switches
+from timesim.orbit.steady_state import switches
 from timesim.picture import hbm as balance
 from timesim.picture.choice import MAX_ROWS, motion, motions
 from timesim.picture.response import DIRECTIONS, finish, over_keys, stacked, values_label

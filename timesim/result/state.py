@@ -4,17 +4,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
-from pydantic import Field
 
 from timesim.fault import RuleError, nearest
 from timesim.model.model import Model, Start
 from timesim.model.start import resumed_start
-from timesim.orbit.share import switches
+from timesim.orbit.steady_state import switches
 from timesim.result.netcdf import RESULT_NAME
-from timesim.scene.section import Number, Section, Text
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -22,19 +20,6 @@ if TYPE_CHECKING:
 STATE = ("modal_displacement", "modal_velocity", "slip", "contact_state")
 POINT = ("amplitude", "settled", "period", "slip_share", "separation_share", "failure")
 SAME = 1e-9  # share of a value by which one asked for may differ from one of the axis
-
-
-class ResultSection(Section):
-    """The motion that another run has led to."""
-
-    source: Text = Field(alias="from")
-    """Path of its result.nc, relative to the scene."""
-    at: dict[Text, Number | Text] = Field(default_factory=dict)
-    """Of a sweep: which point, by its axes: {frequency: 0.945, direction: up, contacts.pad.preload: -4}."""
-
-    def absolute(self, folder: Path) -> Self:
-        """The same with a path that does not depend on the folder."""
-        return self.model_copy(update={"source": str((folder / self.source).absolute())})
 
 
 @dataclass(frozen=True)
@@ -174,21 +159,6 @@ def held(path: Path) -> Held:
     if not complete and not found.axes:
         raise RuleError((), "is the result of a run that was not finished (complete = 0)", "finish that run first")
     return found
-
-
-def from_result(physics: Model, path: Path, at: Mapping[str, float | str]) -> Start:
-    """The end of another run, or a point of a sweep, as the start of a model.
-
-    Raises:
-        RuleError: no such result, an unfinished one, one of another structure, no such point, or a state outside a
-            cone.
-    """
-    found = held(path)
-    try:
-        chosen = found.one(at)
-    except RuleError as error:
-        raise error.below("at") from None
-    return start_of(physics, found, chosen)
 
 
 def start_of(physics: Model, found: Held, chosen: Mapping[str, np.ndarray]) -> Start:

@@ -4,11 +4,25 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Discriminator, Tag, model_validator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Tag, model_validator
 
+from timesim.engine.laws import LAWS
 from timesim.fault import Key, RuleError, nearest
-from timesim.model import model
-from timesim.scene.section import Direction, Matrix2, Name, NotNegative, Number, Pair, Section, Text, refuse, unit
+from timesim.model.model import CONE, GROUND, Contact
+from timesim.scene.section import (
+    Direction,
+    Matrix2,
+    Name,
+    NotNegative,
+    Number,
+    Pair,
+    Section,
+    Text,
+    by_form,
+    form,
+    refuse,
+    unit,
+)
 
 
 def point_row(name: str, points: Sequence[str], key: Key) -> int:
@@ -22,22 +36,52 @@ def point_row(name: str, points: Sequence[str], key: Key) -> int:
     return points.index(name)
 
 
-def _stiffness_kind(value: Any) -> str | None:
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return "<number>"
-    if not isinstance(value, list | tuple):
-        return None
-    return "<matrix>" if any(isinstance(row, list | tuple) for row in value) else "<pair>"
+def _stiffness_form(value: Any) -> str | None:
+    nested = form(value) == "<list>" and any(isinstance(row, list | tuple) for row in value)
+    return "<matrix>" if nested else form(value)
 
 
 TangentialStiffness = Annotated[
-    Annotated[NotNegative, Tag("<number>")] | Annotated[Pair, Tag("<pair>")] | Annotated[Matrix2, Tag("<matrix>")],
-    Discriminator(
-        _stiffness_kind,
-        custom_error_type="rule",
-        custom_error_message="must be a number, [k1, k2] or [[k11, k12], [k12, k22]]",
-    ),
+    Annotated[NotNegative, Tag("<number>")] | Annotated[Pair, Tag("<list>")] | Annotated[Matrix2, Tag("<matrix>")],
+    by_form("a number, [k1, k2] or [[k11, k12], [k12, k22]]", _stiffness_form),
 ]
+
+
+class LawSection(Section):
+    """A contact law with the parameters that it has beside those of every contact."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Number]
+
+    name: Text
+    """One of `timesim.engine.laws.LAWS`."""
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        if self.name not in LAWS:
+            hint = nearest(self.name, LAWS)
+            raise refuse(f"must be one of {', '.join(LAWS)}", key=("name",), hint=hint, value=self.name)
+        known = LAWS[self.name].parameters
+        for key in self.__pydantic_extra__:
+            if key not in known:
+                raise refuse(f"is no parameter of the law {self.name}", key=(key,), hint=nearest(key, known))
+        if missing := [key for key in known if key not in self.__pydantic_extra__]:
+            raise refuse(f"is required for the law {self.name}", key=(missing[0],))
+        return self
+
+
+def _with_name(given: Any) -> Any:
+    return {"name": given} if isinstance(given, str) else given
+
+
+def _unless_cone(law: LawSection) -> LawSection | None:
+    return None if law.name == CONE else law
+
+
+Law = Annotated[
+    LawSection, BeforeValidator(_with_name, json_schema_input_type=str | LawSection), AfterValidator(_unless_cone)
+]
+"""By its name alone where it has no parameters; None for the law of the cone."""
 
 
 class ContactSection(Section):
@@ -47,7 +91,7 @@ class ContactSection(Section):
     """How results, messages and overrides call it."""
     point: Text | None = None
     """Point of body 1."""
-    against: Text = model.GROUND
+    against: Text = GROUND
     """Point of body 2, or ground."""
     normal: Direction = (0.0, 0.0, 1.0)
     """Direction from body 1 into body 2; its length does not count."""
@@ -61,6 +105,8 @@ class ContactSection(Section):
     """0: the normal load stays at the preload."""
     preload: Number = 0.0
     """Normal load at rest; negative: a gap of -preload/normal_stiffness."""
+    law: Law | None = None
+    """The contact law by its name, or {name: ..., with its own parameters}; by default the friction cone."""
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -90,21 +136,37 @@ class ContactSection(Section):
         if np.linalg.norm(tangent) < 1e-6:
             raise refuse("must not be parallel to the normal", key=("tangent",), value=self.tangent)
         tangent = unit(tangent - (tangent @ normal) * normal)
-        return np.stack([tangent, np.cross(normal, tangent), normal])
+        # Not np.cross: for one pair of vectors it takes longer than all else that a contact is checked for.
+        second = normal[[1, 2, 0]] * tangent[[2, 0, 1]] - normal[[2, 0, 1]] * tangent[[1, 2, 0]]
+        return np.stack([tangent, second, normal])
 
     def check_points(self, points: Sequence[str]) -> None:
         """Refuse a contact on no point, or of a point with itself."""
         if self.point is None:
             raise RuleError(("point",), "is required", f"points: {', '.join(points)}")
         point_row(self.point, points, ("point",))
-        if self.against != model.GROUND:
-            point_row(self.against, (*points, model.GROUND), ("against",))
+        if self.against != GROUND:
+            point_row(self.against, (*points, GROUND), ("against",))
         if self.against == self.point:
             raise RuleError(("against",), "must be another point than the contact's own", value=self.against)
 
-    def build(self) -> model.Contact:
-        """The contact in numbers; without friction K_u has no effect and is 0."""
-        K = self.stiffness_matrix() * (self.friction > 0)
-        K = (K + K.T) / 2
-        load = (self.normal_stiffness, self.preload)
-        return model.Contact(self.name, self.point or "", self.against, self.frame(), self.friction, K, *load)
+    @property
+    def idle_stiffness(self) -> bool:
+        """Whether K_u has no effect: under the law of the cone it has none without friction."""
+        return self.law is None and self.friction == 0
+
+    def build(self) -> Contact:
+        """The contact in numbers; a K_u without effect is 0."""
+        K = self.stiffness_matrix() * (not self.idle_stiffness)
+        return Contact(
+            name=self.name,
+            point=self.point or "",
+            against=self.against,
+            frame=self.frame(),
+            friction=self.friction,
+            tangential_stiffness=(K + K.T) / 2,
+            normal_stiffness=self.normal_stiffness,
+            preload=self.preload,
+            law=CONE if self.law is None else self.law.name,
+            law_parameters={} if self.law is None else dict(self.law.__pydantic_extra__),
+        )

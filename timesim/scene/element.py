@@ -1,18 +1,32 @@
-"""Studies of one contact under prescribed motion, as the scene file writes them."""
+"""Studies of one contact under prescribed motion."""
 
-from collections.abc import Iterator, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Discriminator, Field, Strict, Tag, model_validator
+from pydantic import Field, Tag, model_validator
 
 from timesim.fault import RuleError, nearest
-from timesim.model import model
-from timesim.scene.axis import Range, Values
+from timesim.model.model import GROUND, Contact
 from timesim.scene.contact import ContactSection
-from timesim.scene.section import Count, Name, NotNegative, Number, Section, Text, Whole, refuse
-from timesim.scene.study import StudyKind
+from timesim.scene.section import (
+    MAX_POINTS,
+    Count,
+    FilePath,
+    Name,
+    NotNegative,
+    Number,
+    Section,
+    Switch,
+    Text,
+    Values,
+    Whole,
+    axis_values,
+    by_form,
+    refuse,
+)
+from timesim.scene.study import Context, StudySection
 
 if TYPE_CHECKING:
     from timesim.element.motion import Motion
@@ -21,63 +35,68 @@ if TYPE_CHECKING:
 class PointMotion(Section):
     """The motion of a point relative to another, over the last whole cycle of an earlier transient."""
 
-    source: Text = Field(alias="from")
+    source: FilePath = Field(alias="from")
     """Path of its result.nc, relative to the scene."""
     point: Text
     """Point of body 1 in that result."""
-    against: Text = model.GROUND
+    against: Text = GROUND
     """Point of body 2 in it, or ground."""
-
-    def build(self, folder: Path, contact: ContactSection) -> "Motion":
-        """The motion in the axes of the contact."""
-        from timesim.result.motion import read_result_motion
-
-        return read_result_motion(folder / self.source, self.point, self.against, contact.frame())
-
-    def absolute(self, folder: Path) -> Self:
-        """The same with a path that does not depend on the folder."""
-        return self.model_copy(update={"source": str((folder / self.source).absolute())})
-
-
-def _motion_kind(value: Any) -> str | None:
-    return "<file>" if isinstance(value, str) else "<points>" if isinstance(value, dict | Section) else None
 
 
 MotionSource = Annotated[
-    Annotated[Text, Tag("<file>")] | Annotated[PointMotion, Tag("<points>")],
-    Discriminator(
-        _motion_kind,
-        custom_error_type="rule",
-        custom_error_message="must be the path of a .csv or .npz file, or a mapping with from, point and against",
-    ),
+    Annotated[FilePath, Tag("<text>")] | Annotated[PointMotion, Tag("<mapping>")],
+    by_form("the path of a .csv or .npz file, or a mapping with from, point and against"),
 ]
 
 
-class ElementKind(StudyKind):
+class ElementSection(StudySection):
     """A study of one contact alone: it needs no structure, no points and no excitation."""
 
     requires: ClassVar[tuple[str, ...]] = ()
     explicit_only: ClassVar[bool] = True
+    cone_only: ClassVar[bool] = True
 
     contact: Name | None = None
     """Name of the contact; may be left out where there is only one."""
 
-    def problems(self, contacts: Sequence[ContactSection], folder: Path) -> Iterator[RuleError]:
-        """The contact is there."""
-        names = [item.name for item in contacts]
-        if not names:
-            yield RuleError((), "needs a contact", "list one under contacts")
-        elif self.contact is None and len(names) > 1:
-            yield RuleError(("contact",), "is required where there are several contacts", f"{', '.join(names)}")
-        elif self.contact is not None and self.contact not in names:
-            yield RuleError(("contact",), "must be a contact", nearest(self.contact, names), self.contact)
+    def chosen(self, context: Context) -> ContactSection:
+        """The contact that it is about.
 
-    def chosen(self, contacts: Sequence[ContactSection]) -> ContactSection:
-        """The contact it is about."""
-        return next(item for item in contacts if self.contact in (None, item.name))
+        Raises:
+            RuleError: there is none, none of this name, or the name is missing.
+        """
+        contacts = {item.name: item for item in context.contacts}
+        if not contacts:
+            raise RuleError((), "needs a contact", "list one under contacts")
+        if self.contact is None and len(contacts) > 1:
+            raise RuleError(("contact",), "is required where there are several contacts", ", ".join(contacts))
+        if self.contact is not None and self.contact not in contacts:
+            raise RuleError(("contact",), "must be a contact", nearest(self.contact, contacts), self.contact)
+        return next(item for item in context.contacts if self.contact in (None, item.name))
 
 
-class Element(ElementKind):
+@dataclass(frozen=True, eq=False)
+class ElementPlan:
+    """A contact under prescribed motion.
+
+    Attributes:
+        contact: the contact.
+        motion: of body 1 relative to body 2 in the axes of the contact.
+        harmonics: highest harmonic of the friction force that is kept.
+        principal_axes: whether the coefficients along the principal axes of the ellipse are kept too.
+        samples: angles of the cycle that are recorded.
+        cross_check: whether the event loop computes it again.
+    """
+
+    contact: Contact
+    motion: "Motion"
+    harmonics: int
+    principal_axes: bool
+    samples: int
+    cross_check: bool
+
+
+class Element(ElementSection):
     """A contact under prescribed motion: u = [A sin θ, B sin(θ + φ)], v = D sin(θ + ψ), or one from a file."""
 
     kind: Literal["element"]
@@ -95,11 +114,11 @@ class Element(ElementKind):
     """In place of the amplitudes: a file with one cycle of u1, u2 and v, or two points of an earlier result."""
     harmonics: Annotated[Count, Field(le=1000)] = 1
     """Highest harmonic of the friction force that is kept."""
-    principal_axes: Annotated[bool, Strict()] = False
+    principal_axes: Switch = False
     """The coefficients along the principal axes of the ellipse too."""
     samples: Annotated[Whole, Field(ge=36, le=10**6)] = 720
     """Angles of the cycle that are recorded."""
-    cross_check: Annotated[bool, Strict()] = True
+    cross_check: Switch = True
     """Compute it again by the event loop and compare."""
 
     @model_validator(mode="after")
@@ -111,47 +130,33 @@ class Element(ElementKind):
             raise refuse("must name A, B or D, or motion")
         return self
 
-    def build_motion(self, folder: Path, contact: ContactSection) -> "Motion":
-        """The motion in numbers.
+    def plan(self, context: Context) -> ElementPlan:
+        """The contact and the motion in numbers."""
+        contact = self.chosen(context).build()
+        motion, marks = self._motion(context, contact), (self.harmonics, self.principal_axes)
+        return ElementPlan(contact, motion, *marks, self.samples, self.cross_check)
 
-        Raises:
-            RuleError: its file is not one cycle of a smooth motion.
-        """
-        from timesim.element.motion import HarmonicMotion
-
+    def _motion(self, context: Context, contact: Contact) -> "Motion":
         if self.motion is None:
+            from timesim.element.motion import HarmonicMotion
+
             return HarmonicMotion(self.A, self.B, self.D, np.deg2rad(self.phi_deg), np.deg2rad(self.psi_deg))
         from timesim.result.file import StoreError
-        from timesim.result.motion import read_motion
+        from timesim.result.motion import read_motion, read_result_motion
 
+        given = self.motion
         try:
-            if isinstance(self.motion, PointMotion):
-                return self.motion.build(folder, contact)
-            return read_motion(folder / self.motion)
+            if isinstance(given, PointMotion):
+                return read_result_motion(context.folder / given.source, given.point, given.against, contact.frame)
+            return read_motion(context.folder / given)
         except (ValueError, StoreError) as error:
             raise RuleError(("motion",), str(error)) from None
         except OSError as error:
             hint = error.strerror or str(error)
-            raise RuleError(("motion",), "must be a file that can be read", hint, self.motion) from None
+            raise RuleError(("motion",), "must be a file that can be read", hint, given) from None
 
-    def problems(self, contacts: Sequence[ContactSection], folder: Path) -> Iterator[RuleError]:
-        """The contact and the motion are there."""
-        found = list(super().problems(contacts, folder))
-        if self.motion is not None and not found:
-            try:
-                self.build_motion(folder, self.chosen(contacts))
-            except RuleError as error:
-                found.append(error)
-        yield from found
 
-    def absolute(self, folder: Path) -> Self:
-        """The same with the motion's path from the root."""
-        if self.motion is None:
-            return self
-        here = self.motion
-        moved = str((folder / here).absolute()) if isinstance(here, str) else here.absolute(folder)
-        return self.model_copy(update={"motion": moved})
-
+# Maps
 
 MAP_AXES = {
     "A": "a",
@@ -164,10 +169,26 @@ MAP_AXES = {
     "preload": "preload",
 }
 """Parameters of a map that may be an axis, and the names of the axes in the result."""
-MAX_MAP = 10**6
+OF_CONTACT = ("friction", "normal_stiffness", "preload")
+"""Those that the contact has, where the map does not give them."""
 
 
-class ElementMap(ElementKind):
+@dataclass(frozen=True, eq=False)
+class MapPlan:
+    """A contact under all pairs of values of two parameters.
+
+    Attributes:
+        contact: the contact; of its numbers those of `values` rule.
+        values: of every parameter in `MAP_AXES`, one or those of an axis, which ascend.
+        axes: the two parameters that are axes.
+    """
+
+    contact: Contact
+    values: Mapping[str, tuple[float, ...]]
+    axes: tuple[str, str]
+
+
+class ElementMap(ElementSection):
     """The Fourier coefficients of a contact over any two of its parameters, amplitudes A and B as a rule."""
 
     kind: Literal["element_map"]
@@ -190,45 +211,38 @@ class ElementMap(ElementKind):
 
     @model_validator(mode="after")
     def _two_axes(self) -> Self:
-        axes = self.axes()
+        given = self._given()
+        axes = self._axes()
         if len(axes) != 2:
             hint = f"a list or a range for two of {', '.join(MAP_AXES)}"
             raise refuse(f"must have two axes, not {len(axes)}", hint=hint)
-        for key in ("A", "B", "D", "friction", "normal_stiffness"):
-            if getattr(self, key) is not None and self.values(key).min() < 0:
-                raise refuse("must not be negative", key=(key,), value=float(self.values(key).min()))
-        for key, values in axes.items():
-            if np.any(np.diff(values) <= 0):
+        for key, values in given.items():
+            if key not in ("phi_deg", "psi_deg", "preload") and min(values) < 0:
+                raise refuse("must not be negative", key=(key,), value=min(values))
+        for key in axes:
+            if np.any(np.diff(given[key]) <= 0):
                 raise refuse("must ascend", key=(key,))
-        if (count := np.prod([values.size for values in axes.values()])) > MAX_MAP:
-            raise refuse(f"must have at most {MAX_MAP} points, not {count}")
+        if (count := len(given[axes[0]]) * len(given[axes[1]])) > MAX_POINTS:
+            raise refuse(f"must have at most {MAX_POINTS} points, not {count}")
         return self
 
-    def values(self, key: str) -> np.ndarray:
-        """Values of a parameter, shape (n,)."""
-        given = getattr(self, key)
-        return given.values() if isinstance(given, Range) else np.atleast_1d(np.asarray(given, float))
+    def _given(self) -> dict[str, tuple[float, ...]]:
+        """Values of the parameters that are not left to the contact."""
+        return {key: axis_values(getattr(self, key)) for key in MAP_AXES if getattr(self, key) is not None}
 
-    def axes(self) -> dict[str, np.ndarray]:
-        """The parameters that are axes, with their values."""
-        kept = [key for key in MAP_AXES if not isinstance(getattr(self, key), float | None)]
-        return {key: self.values(key) for key in kept}
+    def _axes(self) -> list[str]:
+        return [key for key in MAP_AXES if not isinstance(getattr(self, key), float | None)]
 
-    def problems(self, contacts: Sequence[ContactSection], folder: Path) -> Iterator[RuleError]:
-        """The contact is there, and there could be contact for every value."""
-        found = list(super().problems(contacts, folder))
-        yield from found
-        if found:
-            return
-        contact = self.chosen(contacts)
-        least = {
-            key: getattr(contact, key) if getattr(self, key) is None else self.values(key).min()
-            for key in ("friction", "normal_stiffness", "preload")
-        }
-        if least["normal_stiffness"] == 0 and least["preload"] <= 0:
-            key = "preload" if self.preload is not None else "normal_stiffness"
-            yield RuleError((key,), "must be > 0 where the other of preload and normal_stiffness is not")
-        if self.friction is not None and not np.any(contact.stiffness_matrix()):
-            yield RuleError(("friction",), "needs a contact with a tangential stiffness")
-        elif self.friction is not None and contact.friction == 0:
-            yield RuleError(("friction",), "needs a contact with friction", "set contacts' friction above 0")
+    def plan(self, context: Context) -> MapPlan:
+        """The contact and the values of the parameters; for each pair of them there must be contact at times."""
+        section, given = self.chosen(context), self._given()
+        values = {key: (getattr(section, key),) for key in OF_CONTACT} | given
+        if min(values["normal_stiffness"]) == 0 and min(values["preload"]) <= 0:
+            key = "preload" if "preload" in given else "normal_stiffness"
+            raise RuleError((key,), "must be > 0 where the other of preload and normal_stiffness is not")
+        if "friction" in given and not np.any(section.stiffness_matrix()):
+            raise RuleError(("friction",), "needs a contact with a tangential stiffness")
+        if "friction" in given and section.friction == 0:
+            raise RuleError(("friction",), "needs a contact with friction", "set contacts' friction above 0")
+        first, second = self._axes()
+        return MapPlan(section.build(), values, (first, second))

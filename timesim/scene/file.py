@@ -1,186 +1,78 @@
-"""The scene file as a tree of sections: which keys there are, what each allows, and what each is in numbers.
+"""The whole scene file: the tree of its sections, its JSON Schema, and what pydantic refuses in plain words.
 
-A section's ``build`` makes its part of `timesim.model.model`; rules that need another section (a point, the number
-of modes) are looked after there and raise `RuleError`. Frequencies in Hz, angles in degrees, the rest in any
-consistent system of units.
-
-The sections of the studies are in `timesim.scene.studies`.
+A section's `build` or `plan` gives its part in numbers; rules that need another section (a point, the number of modes)
+are checked there and raise `RuleError`. Frequencies are in Hz, angles in degrees, the rest in any consistent system of
+units.
 """
 
-from dataclasses import replace
-from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Collection, Mapping, Sequence
+from functools import cache, reduce
+from operator import or_
+from typing import Annotated, Any, get_args, get_origin
 
-import numpy as np
-from pydantic import Discriminator, Field, Strict, Tag, model_validator
+from pydantic import BeforeValidator, Field, Tag, ValidationError, create_model
 
 from timesim.fault import RuleError, nearest
-from timesim.model import model
-from timesim.model.solver import PRESETS, Solver
-from timesim.model.start import given_start, static_start
-from timesim.result.state import ResultSection, from_result
 from timesim.scene.contact import ContactSection
 from timesim.scene.excitation import ExcitationSection
-from timesim.scene.section import Count, Number, Pair, Section, Text, Whole, refuse
+from timesim.scene.integration import InitialSection, SolverSection
+from timesim.scene.section import Section, Text, by_form, refuse
 from timesim.scene.structure import StructureSection
-from timesim.scene.studies import StudySection
+from timesim.scene.study import StudySection
+
+Kinds = Mapping[str, type[StudySection]]
+"""The section of each kind of study."""
 
 
-class StateSection(Section):
-    """A start from a given state; what is not given is 0."""
-
-    modal_displacement: tuple[Number, ...] | None = None
-    """One a mode, in the scene's order of modes."""
-    modal_velocity: tuple[Number, ...] | None = None
-    """One a mode, in the scene's order of modes."""
-    slip: dict[Text, Pair] = Field(default_factory=dict)
-    """w of each contact, by its name."""
-
-    @model_validator(mode="after")
-    def _something(self) -> Self:
-        if not self.model_fields_set:
-            raise refuse(
-                "must name modal_displacement, modal_velocity or slip",
-                hint="for a start at rest: initial: rest",
-            )
-        return self
-
-    def build(self, physics: model.Model, order: np.ndarray, folder: Path) -> model.Start:
-        """The state in ascending order of the modes."""
-        displacement, velocity = (self._sorted(key, order) for key in ("modal_displacement", "modal_velocity"))
-        names = [contact.name for contact in physics.contacts]
-        for name in self.slip:
-            if name not in names:
-                raise RuleError(("slip", name), "must be a contact", nearest(name, names))
-        slip = np.array([self.slip.get(name, (0.0, 0.0)) for name in names]).reshape(-1, 2)
-        return given_start(physics, displacement, velocity, slip)
-
-    def _sorted(self, key: str, order: np.ndarray) -> np.ndarray:
-        values = getattr(self, key)
-        if values is None:
-            return np.zeros(order.size)
-        if len(values) != order.size:
-            raise RuleError((key,), f"must have {order.size} entries, one a mode, not {len(values)}", value=values)
-        return np.array(values)[order]
-
-
-class InitialResult(ResultSection):
-    """A start from the end of another run, or from a point of a sweep."""
-
-    def build(self, physics: model.Model, order: np.ndarray, folder: Path) -> model.Start:
-        """State, slip, contact states and phase there."""
-        try:
-            return from_result(physics, folder / self.source, self.at)
-        except RuleError as error:
-            raise (error if error.key else RuleError(("from",), error.rule, error.hint, self.source)) from None
-
-
-def _initial_kind(value: Any) -> str | None:
-    if isinstance(value, dict | Section):
-        return "<from>" if isinstance(value, InitialResult) or "from" in dict(value) else "<state>"
-    return "<name>" if isinstance(value, str) else None
-
-
-InitialSection = Annotated[
-    Annotated[Literal["rest", "static"], Tag("<name>")]
-    | Annotated[StateSection, Tag("<state>")]
-    | Annotated[InitialResult, Tag("<from>")],
-    Discriminator(
-        _initial_kind,
-        custom_error_type="rule",
-        custom_error_message="must be rest, static, a state, or a mapping with the key from",
-    ),
-]
-
-
-# Solver
-
-ADAPTIVE = ("tsit5", "dopri5", "dopri8", "kvaerno5")
-METHODS = (*ADAPTIVE, "rk4")
-
-
-def _solver_defaults(given: Any) -> Any:
-    if not isinstance(given, dict):
-        return given
-    if "method" not in given:
-        return {"accuracy": "standard", **given}
-    if given["method"] == "rk4":
-        return {"steps_per_cycle": 200, **given}
-    rtol = given.get("rtol", 1e-8)
-    return {"rtol": rtol, "atol": rtol / 100 if isinstance(rtol, float) and rtol > 1e-300 else 1e-10, **given}
-
-
-class SolverSection(Section):
-    """How the equations are integrated: an accuracy, or a method with its own numbers."""
-
-    accuracy: Literal["draft", "standard", "reference"] | None = None
-    """A preset; standard by default."""
-    method: Literal["tsit5", "dopri5", "dopri8", "kvaerno5", "rk4"] | None = None
-    """In place of an accuracy; kvaerno5 for stiff contacts, rk4 with fixed steps for comparison."""
-    rtol: Annotated[Number, Field(ge=1e-15, lt=1)] | None = None
-    """Tolerance of a step relative to the state, 1e-8 by default."""
-    atol: Annotated[Number, Field(gt=0, lt=1)] | None = None
-    """Absolute tolerance as a multiple of the scene's own scale, rtol/100 by default."""
-    steps_per_cycle: Annotated[Whole, Field(ge=200)] | None = None
-    """Fixed steps of rk4, 200 by default."""
-    reduce: Annotated[bool, Strict()] = True
-    """Leave out what the scene cannot need."""
-    max_steps: Count = 100_000
-    """Budget of steps of one cycle."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _fill(cls, given: Any) -> Any:
-        return _solver_defaults(given)
-
-    @model_validator(mode="after")
-    def _together(self) -> Self:
-        if self.accuracy and self.method:
-            raise refuse("excludes accuracy", key=("method",), hint="give one of the two", value=self.method)
-        allowed = {"rk4": ("steps_per_cycle",), None: ()}.get(self.method, ("rtol", "atol"))
-        owners = {"rtol": ", ".join(ADAPTIVE), "atol": ", ".join(ADAPTIVE), "steps_per_cycle": "rk4"}
-        for key, owner in owners.items():
-            if getattr(self, key) is not None and key not in allowed:
-                hint = f"here {'method is ' + self.method if self.method else 'an accuracy rules'}"
-                raise refuse(f"goes with method {owner} only", key=(key,), hint=hint, value=getattr(self, key))
-        return self
-
-    def build(self) -> Solver:
-        """The method in numbers."""
-        if self.steps_per_cycle is not None:
-            numbers = Solver("rk4", 1e-8, 1e-10, longest=2 * np.pi / self.steps_per_cycle)
-        elif self.method is not None:
-            assert self.rtol is not None
-            assert self.atol is not None
-            numbers = Solver(self.method, self.rtol, self.atol)
-        else:
-            numbers = PRESETS[str(self.accuracy)]
-        return replace(numbers, budget=self.max_steps, reduce=self.reduce)
-
-
-class SceneFile(Section):
-    """A scene: what is modelled, and what is to be computed of it."""
+class SceneParts(Section):
+    """What a scene holds besides its study."""
 
     title: Text = ""
     structure: StructureSection | None = None
     contacts: tuple[ContactSection, ...] = ()
     excitation: ExcitationSection | None = None
     initial: InitialSection = "rest"
-    solver: SolverSection = Field(default_factory=SolverSection)
+    solver: SolverSection = Field(default_factory=lambda: SolverSection.model_validate({}))
+
+
+class SceneFile(SceneParts):
+    """A scene: what is modelled, and what is to be computed of it."""
+
     study: StudySection
 
-    def start(self, physics: model.Model, order: np.ndarray, folder: Path) -> model.Start:
-        """State at the start, modes in ascending order; ``order`` is the scene's index of each."""
-        if self.initial == "rest":
-            return physics.start
-        if isinstance(self.initial, str):
-            return static_start(physics)
-        return self.initial.build(physics, order, folder)
+
+def file_type(kinds: Kinds) -> type[SceneFile]:
+    """The scene file where these kinds of study are known."""
+    return _file_type(tuple(kinds.items()))
 
 
-def json_schema() -> dict[str, Any]:
+@cache
+def _file_type(kinds: tuple[tuple[str, type[StudySection]], ...]) -> type[SceneFile]:
+    names = [name for name, _ in kinds]
+
+    def known(value: Any) -> Any:
+        if isinstance(value, dict) and (kind := value.get("kind")) not in names:
+            choice = f"one of {', '.join(names)}"
+            if "kind" not in value:
+                raise refuse("is required", key=("kind",), hint=choice)
+            raise refuse(f"must be {choice}", key=("kind",), hint=nearest(str(kind), names), value=kind)
+        return value
+
+    members = reduce(or_, [Annotated[section, Tag(f"<{name}>")] for name, section in kinds])
+    study = Annotated[members, by_form("a mapping of keys with a kind", _kind), BeforeValidator(known)]
+    return create_model("SceneFile", __base__=SceneFile, study=(study, ...))
+
+
+def _kind(value: Any) -> str | None:
+    if isinstance(value, StudySection):
+        return f"<{value.kind}>"
+    return f"<{value['kind']}>" if isinstance(value, dict) else None
+
+
+def json_schema(kinds: Kinds) -> dict[str, Any]:
     """JSON Schema of the scene file, for editors."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_without_null(SceneFile.model_json_schema())}
+    schema = file_type(kinds).model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_without_null(schema)}
 
 
 def _without_null(part: Any) -> Any:
@@ -189,6 +81,123 @@ def _without_null(part: Any) -> Any:
         return [_without_null(item) for item in part if item != {"type": "null"}]
     if not isinstance(part, dict):
         return part
-    made = {key: _without_null(item) for key, item in part.items() if key != "default" or item is not None}
-    (one,) = made.pop("anyOf") if len(made.get("anyOf", ())) == 1 else ({},)
-    return made | one
+    kept = {key: _without_null(item) for key, item in part.items() if key != "default" or item is not None}
+    (one,) = kept.pop("anyOf") if len(kept.get("anyOf", ())) == 1 else ({},)
+    return kept | one
+
+
+# What pydantic refuses
+
+RULES = {
+    "missing": "is required",
+    "extra_forbidden": "is no key here",
+    "float_type": "must be a number",
+    "finite_number": "must be finite",
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "string_type": "must be text",
+    "bool_type": "must be true or false",
+    "tuple_type": "must be a list",
+    "dict_type": "must be a mapping of keys",
+    "model_type": "must be a mapping of keys",
+    "model_attributes_type": "must be a mapping of keys",
+    "literal_error": "must be {expected}",
+    "greater_than": "must be > {gt:g}",
+    "greater_than_equal": "must be >= {ge:g}",
+    "less_than": "must be < {lt:g}",
+    "less_than_equal": "must be <= {le:g}",
+}
+
+
+NO_NUMBER = {RULES[kind] for kind in ("string_type", "bool_type", "tuple_type", "dict_type", "model_type")}
+"""Rules that a number breaks wherever it stands."""
+
+
+def rule_errors(error: ValidationError, tree: type[SceneParts]) -> list[RuleError]:
+    """All that pydantic refuses; a required key is not missed where only its name is misspelt."""
+    errors = [_rule_error(details, tree) for details in error.errors(include_url=False) if not _miscounted(details)]
+    meant = [(*error.key[:-1], error.hint) for error in errors if error.rule == RULES["extra_forbidden"]]
+    return [
+        error
+        for error in errors
+        if error.rule != RULES["missing"] or (*error.key[:-1], f"did you mean {error.key[-1]}?") not in meant
+    ]
+
+
+def _miscounted(details: Any) -> bool:
+    """Whether a list is only short of entries that are refused themselves: pydantic does not count those."""
+    return details["type"] == "too_short" and len(details["input"]) >= details["ctx"]["min_length"]
+
+
+def _rule_error(details: Any, tree: type[SceneParts]) -> RuleError:
+    """One of pydantic's error details, as the rule it breaks and the key as the file has it."""
+    context, kind = details.get("ctx", {}), details["type"]
+    located = [part for part in details["loc"] if part != "[key]" and not str(part).startswith("<")]
+    key = (*located, *context.get("key", ()))
+    value = None if details["loc"][-1:] == ("[key]",) else details["input"]
+    if kind == "rule":
+        rule = context.get("rule", details["msg"])
+        return RuleError(key, rule, context.get("hint", ""), _shown(context, value))
+    if kind in ("too_short", "too_long"):
+        return RuleError(key, _length_rule(context), value=value)
+    rule = RULES.get(kind, details["msg"]).format(**context)
+    hint = _hint(kind, details["loc"], value, context, tree)
+    return RuleError(key, rule, hint, None if kind == "missing" else value)
+
+
+def _shown(context: Mapping[str, Any], value: Any) -> Any:
+    if "rule" in context and context["value"] is not None:
+        return context["value"]
+    return None if context.get("key") or isinstance(value, Section | dict) else value
+
+
+def _length_rule(context: Mapping[str, Any]) -> str:
+    bound, actual = context.get("min_length", context.get("max_length")), context["actual_length"]
+    number = {1: "at least 1 entry", 2: "2 entries", 3: "3 entries"}[bound]
+    return f"must have {number}, not {actual}"
+
+
+def _hint(
+    kind: str, location: Sequence[str | int], value: Any, context: Mapping[str, Any], tree: type[SceneParts]
+) -> str:
+    if kind == "extra_forbidden":
+        return nearest(str(location[-1]), _keys_at(location[:-1], tree))
+    if kind == "literal_error":
+        close = nearest(value, str(context["expected"]).replace(" or ", ", ").replace("'", "").split(", "))
+        return close if close.startswith("did") else ""
+    if kind == "string_type" and isinstance(value, int | float):
+        return "put it in quotes"
+    if kind == "float_type" and isinstance(value, str):
+        return "without quotes and unit, with a point for the decimals"
+    return ""
+
+
+def _keys_at(location: Sequence[str | int], kind: Any) -> Collection[str]:
+    """Keys that the section at a place below another allows."""
+    for part in location:
+        kind = _below(kind, part)
+    sections = [item for item in _options(kind) if isinstance(item, type) and issubclass(item, Section)]
+    return [field.alias or name for section in sections[:1] for name, field in section.model_fields.items()]
+
+
+def _below(kind: Any, part: str | int) -> Any:
+    for option in _options(kind):
+        if isinstance(option, type) and issubclass(option, Section):
+            fields = {field.alias or name: field.annotation for name, field in option.model_fields.items()}
+            if part in fields:
+                return fields[part]
+        elif isinstance(part, str) and Tag(part) in getattr(option, "__metadata__", ()):
+            return option
+        elif get_origin(option) in (tuple, dict) and not str(part).startswith("<"):
+            return get_args(option)[0 if get_origin(option) is tuple else 1]
+    return None
+
+
+def _options(kind: Any) -> list[Any]:
+    """Members of a union, however wrapped; a tagged one stays wrapped beside what it holds."""
+    if get_origin(kind) is Annotated:
+        inner = _options(get_args(kind)[0])
+        return [kind, *inner] if any(isinstance(item, Tag) for item in kind.__metadata__) else inner
+    if get_origin(kind) in (tuple, dict) or isinstance(kind, type):
+        return [kind]
+    return [option for member in get_args(kind) for option in _options(member)]

@@ -1,41 +1,85 @@
-"""Studies by harmonic balance, and its comparison with a sweep, as the scene file writes them."""
+"""Studies by harmonic balance, and the comparison of one with a sweep."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, Discriminator, Field, Strict, Tag, model_validator
+from pydantic import Field, Tag, model_validator
 
-from timesim.fault import RuleError, nearest
+from timesim.fault import Key, RuleError
 from timesim.hbm.scheme import BalanceError, Scheme, check_excitation
 from timesim.model.model import Model
 from timesim.result.file import StoreError
-from timesim.result.state import Held, ResultSection, held
-from timesim.result.waves import result_waves
-from timesim.scene.axis import OVER_PARTS, Over
+from timesim.result.state import Held, held
+from timesim.result.waves import Waves, result_waves
 from timesim.scene.contact import ContactSection
-from timesim.scene.section import Count, Number, Positive, Section, Text, Whole, refuse
-from timesim.scene.study import StudyKind
-from timesim.scene.sweep import SweepKeys
+from timesim.scene.integration import ResultSection
+from timesim.scene.section import Count, Number, Positive, Section, Switch, Whole, by_form, refuse
+from timesim.scene.study import (
+    AlongOne,
+    Axes,
+    Context,
+    Over,
+    Scalar,
+    StudySection,
+    SweepPlan,
+    SweepSection,
+    axes_of,
+    placed,
+)
 
 
-class FrequencyRange(Section):
-    """Range of frequencies that a curve is followed through."""
+@dataclass(frozen=True)
+class CurveSteps:
+    """Steps along a curve, as shares of its range and of the size of the response; see `Continuation`."""
 
-    first: Positive = Field(alias="from")
-    """Where the curve begins [Hz]; may be the larger end."""
-    to: Positive
-    """Where it ends [Hz]."""
-
-    @model_validator(mode="after")
-    def _differ(self) -> Self:
-        if self.first == self.to:
-            raise refuse("must differ from `from`", key=("to",), value=self.to, hint="a sweep takes one frequency")
-        return self
+    first_step: float = 0.01
+    min_step: float = 1e-6
+    max_step: float = 0.05
+    max_points: int = 5000
+    tolerance: float = 1e-9
 
 
-class Ends(Section):
-    """Range of a scalar that a curve is followed through."""
+@dataclass(frozen=True)
+class Along:
+    """A scalar of the scene by its key, and its values where the curve begins and ends."""
+
+    key: str
+    first: float
+    last: float
+
+
+@dataclass(frozen=True, eq=False)
+class HbmPlan:
+    """Response curves by harmonic balance.
+
+    Attributes:
+        scheme: what is balanced.
+        span: first and last frequency of the curves [Hz].
+        over: the further axes, a curve or several for each combination of values.
+        along: the scalar that the curves run along at the frequency `span[0]`; None: they run along the frequency.
+        steps: of the continuation.
+        stability: whether the Floquet multipliers of every point are computed.
+        convergence: whether to say how the answer depends on harmonics and time samples.
+        both_ends: whether a curve is begun from either end.
+        motion: a motion to begin from; None: the linear response.
+        passing: states of a sweep that curves are to pass too, and which of them, by axis.
+    """
+
+    scheme: Scheme
+    span: tuple[float, float]
+    over: Axes
+    along: Along | None = None
+    steps: CurveSteps = CurveSteps()
+    stability: bool = True
+    convergence: bool = False
+    both_ends: bool = False
+    motion: Waves | None = None
+    passing: tuple[Held, Mapping[str, float | str]] | None = None
+
+
+class Span(Section):
+    """Two values of a scalar: where a curve begins and where it ends."""
 
     first: Number = Field(alias="from")
     """Where the curve begins; may be the larger end."""
@@ -48,21 +92,14 @@ class Ends(Section):
             raise refuse("must differ from `from`", key=("to",), value=self.to)
         return self
 
-    def values(self) -> tuple[float, float]:
-        """Both ends."""
-        return self.first, self.to
 
+class FrequencySpan(Span):
+    """Two frequencies: where a curve begins and where it ends."""
 
-def _one_scalar(along: Mapping[str, Ends]) -> Mapping[str, Ends]:
-    if len(along) > 1:
-        raise refuse(f"must name one scalar, not {len(along)}", hint="the others may be axes of `over`")
-    for key in along:
-        part = key.partition(".")[0]
-        if part not in OVER_PARTS or key == part:
-            raise refuse("must be the key of a scalar of the scene", key=(key,), hint=nearest(part, OVER_PARTS))
-        if key == "excitation.frequency":
-            raise refuse("is the study's own frequency", key=(key,), hint="use frequency with from and to")
-    return along
+    first: Positive = Field(alias="from")
+    """Where the curve begins [Hz]; may be the larger end."""
+    to: Positive
+    """Where it ends [Hz]."""
 
 
 class Continuation(Section):
@@ -70,13 +107,13 @@ class Continuation(Section):
 
     first_step: Positive | None = None
     """Length of the first step; by default a fifth of the longest."""
-    min_step: Positive = 1e-6
+    min_step: Positive = CurveSteps.min_step
     """Step below which the curve is given up."""
-    max_step: Positive = 0.05
+    max_step: Positive = CurveSteps.max_step
     """Longest step; shorter ones follow where the curve bends."""
-    max_points: Annotated[Whole, Field(ge=2)] = 5000
+    max_points: Annotated[Whole, Field(ge=2)] = CurveSteps.max_points
     """Points after which the curve is given up."""
-    tolerance: Annotated[Positive, Field(le=1e-3)] = 1e-9
+    tolerance: Annotated[Positive, Field(le=1e-3)] = CurveSteps.tolerance
     """Of the balance at each point, relative to the size of the motion."""
 
     @model_validator(mode="after")
@@ -85,8 +122,7 @@ class Continuation(Section):
         if not self.min_step <= first <= self.max_step:
             hint = f"first_step {first:g}, max_step {self.max_step:g}"
             raise refuse("must be at most first_step, and that at most max_step", key=("min_step",), hint=hint)
-        object.__setattr__(self, "first_step", first)
-        return self
+        return self.completed(first_step=first)
 
 
 class ResultStart(ResultSection):
@@ -97,145 +133,150 @@ class ResultStart(ResultSection):
     """
 
 
-def _start_kind(value: Any) -> str | None:
-    return "<word>" if isinstance(value, str) else "<result>" if isinstance(value, dict | Section) else None
-
-
 StartSection = Annotated[
-    Annotated[Literal["linear", "both_ends"], Tag("<word>")] | Annotated[ResultStart, Tag("<result>")],
-    Discriminator(
-        _start_kind,
-        custom_error_type="rule",
-        custom_error_message="must be linear, both_ends, or a mapping with from: the result of a transient or sweep",
-    ),
+    Annotated[Literal["linear", "both_ends"], Tag("<text>")] | Annotated[ResultStart, Tag("<mapping>")],
+    by_form("linear, both_ends, or a mapping with from: the result of a transient or sweep"),
 ]
 
 
-class HbmKeys(StudyKind):
-    """What a harmonic balance is told."""
+def balanced(harmonics: int, time_samples: int, located: bool = False) -> Scheme:
+    """What is balanced, in numbers; a validator's error where that is too coarse."""
+    try:
+        return Scheme(harmonics, time_samples, "located" if located else "sampled")
+    except BalanceError as error:
+        raise refuse(error.rule, key=(error.key,), value=error.value, hint=error.hint) from None
 
-    requires: ClassVar[tuple[str, ...]] = ("structure", "excitation")
+
+def excitation_problems(model: Model, harmonics: int) -> Iterator[RuleError]:
+    """Why an excitation cannot be balanced, keys from the root of the scene."""
+    try:
+        check_excitation(model, harmonics)
+    except BalanceError as error:
+        key = ("excitation",) if error.key == "excitation" else ("study", error.key)
+        yield RuleError(key, error.rule, error.hint, error.value)
+
+
+class BalanceSection(StudySection):
+    """What a harmonic balance is described by, also where it is a part of another study."""
+
+    cone_only: ClassVar[bool] = True
 
     harmonics: Annotated[Count, Field(le=1000)] = 9
     """Highest harmonic of the excitation frequency that is balanced, the mean beside them."""
     time_samples: Annotated[Whole, Field(le=10**6)] = 1024
     """Samples of a period on which the contact forces are evaluated; at least 16, and 4 a harmonic."""
-    located: Annotated[bool, Strict()] = False
+    located: Switch = False
     """Locate every transition of the contacts instead: slow, a reference."""
-    stability: Annotated[bool, Strict()] = True
+    stability: Switch = True
     """Floquet multipliers of every point; without, only folds tell stable from unstable."""
     start: StartSection = "linear"
     """linear: the linear response with the contacts stuck or apart; both_ends: from both ends; or {from: result.nc},
     a transient's motion, or a sweep's, which reach isolated branches."""
-    continuation: Continuation = Continuation()
+    continuation: Continuation = Field(default_factory=lambda: Continuation.model_validate({}))
     """Steps along the curve."""
-    convergence: Annotated[bool, Strict()] = False
+    convergence: Switch = False
     """Say how the answer depends on harmonics and time samples."""
 
     @model_validator(mode="after")
     def _fine_enough(self) -> Self:
-        try:
-            self.scheme()
-        except BalanceError as error:
-            raise refuse(error.rule, key=(error.key,), value=error.value, hint=error.hint) from None
+        balanced(self.harmonics, self.time_samples)
         return self
 
-    def scheme(self) -> Scheme:
-        """Harmonics and samples in numbers."""
-        return Scheme(self.harmonics, self.time_samples, "located" if self.located else "sampled")
+    def problems(self, model: Model) -> Iterator[RuleError]:
+        """The excitation must be periodic, and its harmonics balanced."""
+        return excitation_problems(model, self.harmonics)
 
-    def fits(self, model: Model) -> Iterator[RuleError]:
-        """The excitation is periodic, and its harmonics are balanced."""
-        try:
-            check_excitation(model, self.harmonics)
-        except BalanceError as error:
-            key = ("excitation",) if error.key == "excitation" else ("study", error.key)
-            yield RuleError(key, error.rule, error.hint, error.value)
+    def balance(self, context: Context, span: tuple[float, float], over: Axes, along: Along | None = None) -> HbmPlan:
+        """The balance in numbers.
 
-    def problems(self, contacts: Sequence[ContactSection], folder: Path) -> Iterator[RuleError]:
-        """The result to start from is there."""
-        if isinstance(self.start, ResultStart):
-            try:
-                found = held(folder / self.start.source)
-                yield from self._sweep_fits(found, contacts) if found.axes else self._transient_fits(folder)
-            except (RuleError, ValueError, StoreError) as error:
-                what = error.rule if isinstance(error, RuleError) else str(error)
-                yield RuleError(
-                    ("start", "from"), "must be the result of a transient or a sweep", what, self.start.source
-                )
+        Raises:
+            RuleError: the result to start from is none of this scene.
+        """
+        motion, passing = self._begin(context, span, over, along)
+        return HbmPlan(
+            scheme=balanced(self.harmonics, self.time_samples, self.located),
+            span=span,
+            over=over,
+            along=along,
+            steps=CurveSteps(**self.continuation.model_dump()),
+            stability=self.stability,
+            convergence=self.convergence,
+            both_ends=self.start == "both_ends",
+            motion=motion,
+            passing=passing,
+        )
 
-    def _transient_fits(self, folder: Path) -> Iterator[RuleError]:
-        assert isinstance(self.start, ResultStart)
-        frequency = result_waves(folder / self.start.source).frequency
-        low, high = sorted(self.span())
-        if not low * (1 - 1e-9) <= frequency <= high * (1 + 1e-9):
-            rule = f"must be at a frequency from {low:g} to {high:g} Hz"
-            yield RuleError(("start", "from"), rule, f"it is at {frequency:g} Hz", self.start.source)
-        if self.start.at:
-            yield RuleError(
-                ("start", "at"), "names a point of a sweep", "the result is that of a transient: leave it out"
-            )
-
-    def _sweep_fits(self, found: Held, contacts: Sequence[ContactSection]) -> Iterator[RuleError]:
-        assert isinstance(self.start, ResultStart)
-        names = [contact.name for contact in contacts]
-        if sorted(names) != sorted(found.contacts):
-            rule = f"must have the contacts of the scene, not {', '.join(found.contacts) or 'none'}"
-            yield RuleError(("start", "from"), rule, f"the scene has {', '.join(names) or 'none'}", self.start.source)
-            return
-        if getattr(self, "along", {}):
-            rule = "must be the result of a transient where the curve runs along another scalar"
-            yield RuleError(("start", "from"), rule, "", self.start.source)
-            return
-        try:
-            free = {name for name, places in found.places(self.start.at).items() if len(places) > 1}
-        except RuleError as error:
-            yield error.below("start", "at")
-            return
-        for name in free - {"frequency", "direction"} - set(getattr(self, "over", {})):
-            hint = f"the sweep has an axis that is none of this study's `over`: which of its values, {name}: ...?"
-            yield RuleError(("start", "at"), f"must name the {name}", hint)
-
-    def span(self) -> tuple[float, float]:
-        """First and last frequency [Hz]."""
-        raise NotImplementedError
-
-    def absolute(self, folder: Path) -> Self:
-        """The same with the result's path from the root."""
+    def _begin(
+        self, context: Context, span: tuple[float, float], over: Axes, along: Along | None
+    ) -> tuple[Waves | None, tuple[Held, Mapping[str, float | str]] | None]:
+        """A transient's motion to begin from, or a sweep's states to pass."""
         if not isinstance(self.start, ResultStart):
-            return self
-        return self.model_copy(update={"start": self.start.absolute(folder)})
+            return None, None
+        path, at = context.folder / self.start.source, self.start.at
+        try:
+            states = held(path)
+            motion = None if states.axes else result_waves(path)
+        except (RuleError, ValueError, StoreError) as error:
+            what = error.rule if isinstance(error, RuleError) else str(error)
+            raise self._refused("must be the result of a transient or a sweep", what) from None
+        if motion is None:
+            self._check_sweep(states, at, context.contacts, over, along)
+            return None, (states, at)
+        low, high = sorted(span)
+        if not low * (1 - 1e-9) <= motion.frequency <= high * (1 + 1e-9):
+            rule = f"must be at a frequency from {low:g} to {high:g} Hz"
+            raise self._refused(rule, f"it is at {motion.frequency:g} Hz")
+        if at:
+            hint = "the result is that of a transient: leave it out"
+            raise RuleError(("start", "at"), "names a point of a sweep", hint)
+        return motion, None
+
+    def _check_sweep(
+        self,
+        states: Held,
+        at: Mapping[str, float | str],
+        contacts: Sequence[ContactSection],
+        over: Axes,
+        along: Along | None,
+    ) -> None:
+        names = [contact.name for contact in contacts]
+        if sorted(names) != sorted(states.contacts):
+            rule = f"must have the contacts of the scene, not {', '.join(states.contacts) or 'none'}"
+            raise self._refused(rule, f"the scene has {', '.join(names) or 'none'}")
+        if along is not None:
+            raise self._refused("must be the result of a transient where the curve runs along another scalar")
+        try:
+            free = {name for name, places in states.places(at).items() if len(places) > 1}
+        except RuleError as error:
+            raise error.below("start", "at") from None
+        for name in sorted(free - {"frequency", "direction"} - set(over)):
+            hint = f"the sweep has an axis that is none of this study's `over`: which of its values, {name}: ...?"
+            raise RuleError(("start", "at"), f"must name the {name}", hint)
+
+    def _refused(self, rule: str, hint: str = "") -> RuleError:
+        assert isinstance(self.start, ResultStart)
+        return RuleError(("start", "from"), rule, hint, self.start.source)
 
 
-def _frequency_kind(value: Any) -> str | None:
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return "<number>"
-    return "<range>" if isinstance(value, dict | Section) else None
-
-
-class Hbm(HbmKeys):
+class Hbm(BalanceSection):
     """Periodic responses along a curve, through folds, by harmonic balance."""
 
     kind: Literal["hbm"]
     frequency: Annotated[
-        Annotated[Positive, Tag("<number>")] | Annotated[FrequencyRange, Tag("<range>")],
-        Discriminator(
-            _frequency_kind,
-            custom_error_type="rule",
-            custom_error_message="must be a mapping with from and to, or with `along` a number",
-        ),
+        Annotated[Positive, Tag("<number>")] | Annotated[FrequencySpan, Tag("<mapping>")],
+        by_form("a mapping with from and to, or with `along` a number"),
     ]
     """{from, to} [Hz]; a number where the curve runs `along` another scalar."""
-    along: Annotated[dict[Text, Ends], AfterValidator(_one_scalar)] = Field(default_factory=dict)
+    along: Annotated[dict[Scalar, Span], AlongOne] = Field(default_factory=dict)
     """In place of the frequency: a scalar of the scene by its key, with from and to."""
     over: Over = Field(default_factory=dict)
     """A curve for each value: scalars of the scene by their key."""
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
-        if self.along and isinstance(self.frequency, FrequencyRange):
+        if self.along and isinstance(self.frequency, FrequencySpan):
             raise refuse("must be a number where the curve runs along another scalar", key=("frequency",))
-        if not self.along and not isinstance(self.frequency, FrequencyRange):
+        if not self.along and not isinstance(self.frequency, FrequencySpan):
             hint = "or give `along` a scalar of the scene"
             raise refuse("must be a mapping with from and to", key=("frequency",), value=self.frequency, hint=hint)
         if both := set(self.along) & set(self.over):
@@ -244,20 +285,34 @@ class Hbm(HbmKeys):
             raise refuse("must be linear, or a mapping with from, where `along` is given", key=("start",))
         return self
 
-    def span(self) -> tuple[float, float]:
-        """First and last frequency [Hz]."""
-        if isinstance(self.frequency, FrequencyRange):
-            return self.frequency.first, self.frequency.to
-        return self.frequency, self.frequency
+    def plan(self, context: Context) -> HbmPlan:
+        """Curves over frequency, or along another scalar."""
+        given = self.frequency
+        span = (given.first, given.to) if isinstance(given, FrequencySpan) else (given, given)
+        along = next((Along(key, ends.first, ends.to) for key, ends in self.along.items()), None)
+        return self.balance(context, span, axes_of(self.over), along)
+
+    def varied(self) -> Mapping[Key, tuple[float, ...]]:
+        """The further axes, and the ends of the scalar that the curve runs along."""
+        ends = {key: (span.first, span.to) for key, span in self.along.items()}
+        return placed("over", axes_of(self.over)) | placed("along", ends)
 
 
-class Compare(SweepKeys, HbmKeys):
+@dataclass(frozen=True)
+class ComparePlan:
+    """A sweep and a harmonic balance of the same scene."""
+
+    sweep: SweepPlan
+    balance: HbmPlan
+
+
+class Compare(SweepSection, BalanceSection):
     """A sweep and the harmonic balance of one scene, side by side."""
 
     kind: Literal["compare"]
 
-    def span(self) -> tuple[float, float]:
-        """First and last frequency of the sweep [Hz]; of a single one, a little beyond."""
-        values = self.frequency.values()
-        low, high = float(values[0]), float(values[-1])
-        return low, high if high > low else 1.001 * low
+    def plan(self, context: Context) -> ComparePlan:
+        """The balance from the first to the last frequency of the sweep, or a little beyond a single one."""
+        sweep = self.sweep()
+        low, high = float(sweep.frequency[0]), float(sweep.frequency[-1])
+        return ComparePlan(sweep, self.balance(context, (low, high if high > low else 1.001 * low), sweep.over))

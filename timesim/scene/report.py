@@ -1,4 +1,4 @@
-"""What would be modelled, told before anything runs: the parts of a scene, warnings, the method advised."""
+"""What `timesim check` says of a scene: what would be modelled, what is left out, warnings, the method advised."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from timesim.model.model import GROUND, Contact, Model
+from timesim.model.model import CONE, GROUND, Contact, Model
 from timesim.model.reduction import reduction_of
 from timesim.scene.resolution import Scene
 from timesim.scene.text import value_text
@@ -100,7 +100,10 @@ def contact_line(contact: Contact) -> str:
 
 def _contact_parts(contact: Contact) -> Iterator[str]:
     K = contact.tangential_stiffness
-    if contact.friction == 0:
+    if contact.law != CONE:
+        own = ", ".join(f"{key} {value:g}" for key, value in contact.law_parameters.items())
+        yield f"law {contact.law}" + (f" ({own})" if own else "")
+    if contact.friction == 0 and not np.any(K):
         yield "frictionless stop"
     else:
         isotropic = K[0, 0] == K[1, 1] and K[0, 1] == 0
@@ -153,8 +156,8 @@ def _study_lines(scene: Scene) -> Iterator[str]:
         yield scene.file.title
     written, initial = scene.source.data, scene.file.initial
     yield f"study: {_keys(scene.file.study, ('kind', *written['study']))}"
-    if told := scene.file.study.points_told():
-        yield f"points: {told}"
+    if extent := scene.file.study.extent():
+        yield f"points: {extent}"
     yield f"solver: {_keys(scene.file.solver, written.get('solver', ()))}"
     yield f"start: {initial if isinstance(initial, str) else _keys(initial, written['initial'])}"
 

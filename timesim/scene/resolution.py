@@ -1,9 +1,9 @@
 """From a scene file to a scene that can be run: overrides, every problem with its place, the resolved text.
 
-The sections themselves are in `timesim.scene.file`. Nothing here loads JAX.
+Nothing here loads JAX, and the kinds of study that there are come as an argument.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,17 +13,15 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from timesim.fault import Key, Problem, RuleError, SceneError
-from timesim.model.model import Excitation, Model
+from timesim.fault import Problem, RuleError, SceneError
+from timesim.model.model import CONE, Contact, Excitation, Model, Structure
 from timesim.model.solver import Solver
 from timesim.model.start import rest_start
-from timesim.scene.axis import axis_values
-from timesim.scene.file import SceneFile, json_schema
-from timesim.scene.override import overridden
-from timesim.scene.rule import NO_NUMBER, rule_errors
-from timesim.scene.text import SceneSource, plain, read_file, read_text, yaml_text
-
-__all__ = ["Scene", "json_schema", "load_scene"]
+from timesim.scene.file import NO_NUMBER, Kinds, SceneFile, SceneParts, file_type, rule_errors
+from timesim.scene.integration import EndOfRun, InitialResult, start
+from timesim.scene.source import SceneSource, empty_values, overridden, read
+from timesim.scene.study import PARTS, Context, combinations
+from timesim.scene.text import yaml_text
 
 FAR_ABOVE = 100.0
 """Modes from matrices above this multiple of the highest excitation frequency are worth a warning."""
@@ -46,127 +44,134 @@ class Scene:
         """The scene file; None for a scene made in Python."""
         return Path(self.source.name) if self.source.lines and Path(self.source.name).is_file() else None
 
+    @property
+    def kind(self) -> str:
+        """Kind of its study."""
+        return self.file.study.kind
+
+    @property
+    def plan(self) -> Any:
+        """What its study carries out: the frozen dataclass that the section of the study builds."""
+        return self._built[0]
+
+    def solver(self) -> Solver:
+        """How it is integrated, in numbers."""
+        return self.file.solver.build()
+
     def model(self) -> Model:
         """What is modelled, in numbers.
 
         Raises:
             SceneError: the scene has no structure, as that of a contact under prescribed motion.
         """
-        if self._model is None:
-            raise SceneError([self.source.problem(RuleError(("structure",), "is required for a model"))])
-        return self._model
-
-    def solver(self) -> Solver:
-        """How it is integrated, in numbers."""
-        return self.file.solver.build()
-
-    @cached_property
-    def _model(self) -> Model | None:
-        build = _Build(self.file, self.source.folder)
-        model = build.model()
-        if build.errors:
-            raise _scene_error(self.source, build.errors)
-        return model
-
-    def resolved_yaml(self) -> str:
-        """The scene with overrides and defaults written out; runs from any folder."""
-        return yaml_text(self._resolved.model_dump(by_alias=True, exclude_none=True))
-
-    @property
-    def _resolved(self) -> SceneFile:
-        absolute = {}
-        for key in ("structure", "initial", "study"):
-            section = getattr(self.file, key)
-            if hasattr(section, "absolute"):
-                absolute[key] = section.absolute(self.source.folder)
-        return self.file.model_copy(update=absolute)
-
-    def with_overrides(self, overrides: Mapping[str, Any] | Sequence[str]) -> "Scene":
-        """The same scene with other values; see `load_scene`."""
-        return _scene(overridden(self.source, overrides))
+        return self.variant({})
 
     def variant(self, values: Mapping[str, float]) -> Model:
         """The model with other scalars, by key path as in a study's ``over``.
 
-        Raises:
-            SceneError: the scene cannot have these values.
-        """
-        return replace(self, source=overridden(self.source, values))._rebuilt()
+        Only the parts of the scene that the keys lie in are read and built again: the eigenproblem of a structure is
+        solved anew for keys below ``structure`` alone.
 
-    def _rebuilt(self) -> Model:
+        Raises:
+            SceneError: the scene cannot have these values, or it has no structure.
+        """
+        _, parts, model = self._built
+        if not values and model is not None:
+            return model
+        source, changed = overridden(self.source, values), {key.partition(".")[0] for key in values}
         try:
-            file = SceneFile.model_validate(self.source.data)
+            sections = SceneParts.model_validate({part: source.data[part] for part in changed})
         except ValidationError as error:
-            raise _scene_error(self.source, rule_errors(error)) from None
-        return Scene(self.source, file).model()
+            raise _scene_error(source, rule_errors(error, SceneParts)) from None
+        file = self.file.model_copy(update={part: getattr(sections, part) for part in changed})
+        build = _Build(file, source.folder)
+        model = build.model(build.parts(parts, changed))
+        if model is None:
+            build.errors.append(RuleError(("structure",), "is required for a model"))
+        if model is None or build.errors:
+            raise _scene_error(source, build.errors)
+        return model
+
+    @cached_property
+    def _built(self) -> "tuple[Any, _Parts | None, Model | None]":
+        """Plan, parts and model."""
+        build = _Build(self.file, self.source.folder)
+        plan = build.plan()
+        parts = build.parts()
+        model = build.model(parts)
+        if build.errors:
+            raise _scene_error(self.source, build.errors)
+        return plan, parts, model
+
+    def resolved_yaml(self) -> str:
+        """The scene with overrides and defaults written out; runs from any folder."""
+        context = {"folder": self.source.folder}
+        return yaml_text(self.file.model_dump(by_alias=True, exclude_none=True, context=context))
+
+    def with_overrides(self, overrides: Mapping[str, Any] | Sequence[str]) -> "Scene":
+        """The same scene with other values; see `load_scene`."""
+        return _scene(overridden(self.source, overrides), type(self.file))
 
     def warnings(self) -> list[str]:
         """What is accepted but may not be meant."""
-        return list(_warnings(self.file, self._model))
+        return list(_warnings(self.file, self._built[2]))
 
 
-def load_scene(source: str | Path | Mapping[str, Any], overrides: Mapping[str, Any] | Sequence[str] = ()) -> Scene:
-    """Read, check and build a scene.
-
-    Args:
-        source: path of a scene file, the text of one (of several lines), or the same as a mapping.
-        overrides: new values by key path, ``{"contacts.pad.preload": 5}`` or ``["contacts.pad.preload=5"]``;
-            items of a list go by their name or by their index from 0.
-
-    Raises:
-        SceneError: all that is wrong with the scene, each with file, line, key path, value and rule.
-    """
-    return _scene(overridden(_read(source), overrides))
+def load_scene(
+    source: str | Path | Mapping[str, Any], overrides: Mapping[str, Any] | Sequence[str] = (), *, kinds: Kinds
+) -> Scene:
+    """Read, check and build a scene of one of these kinds of study; see `timesim.load_scene`."""
+    return _scene(overridden(read(source), overrides), file_type(kinds))
 
 
-def _read(source: str | Path | Mapping[str, Any]) -> SceneSource:
-    if isinstance(source, Mapping):
-        empty = SceneSource("scene", Path.cwd(), {})
-        try:
-            return replace(empty, data=plain(source))
-        except RuleError as error:
-            raise SceneError([empty.problem(error)]) from None
-    if isinstance(source, str) and "\n" in source:
-        return read_text(source, "scene", Path.cwd())
-    return read_file(Path(source))
-
-
-def _scene(source: SceneSource) -> Scene:
-    empty = list(_empty_values(source.data))
+def _scene(source: SceneSource, tree: type[SceneFile]) -> Scene:
+    empty = list(empty_values(source.data))
     try:
-        file = SceneFile.model_validate(source.data)
+        file = tree.model_validate(source.data)
     except ValidationError as error:
-        raise _scene_error(source, [*empty, *rule_errors(error)]) from None
+        raise _scene_error(source, [*empty, *rule_errors(error, tree)]) from None
     if empty:
         raise _scene_error(source, empty)
     scene = Scene(source, file)
-    scene._model  # noqa: B018  builds it, which finds what the sections cannot see
-    _check_over(scene)
+    scene._built  # noqa: B018  shows what the sections alone cannot see
+    _check_combinations(scene)
     return scene
 
 
-def _check_over(scene: Scene) -> None:
-    """Each value of each axis must make a scene, the other axes left as they are."""
-    problems, study = [], scene.file.study
-    scalars = {("over", key): axis_values(given) for key, given in getattr(study, "over", {}).items()}
-    scalars |= {("along", key): ends.values() for key, ends in getattr(study, "along", {}).items()}
-    for (axis, key), values in scalars.items():
-        for value in values:
-            try:
-                scene.variant({key: value})
-            except SceneError as error:
-                problems.append(scene.source.problem(_refused(error.problems[0], axis, key, value)))
-                break
-    if problems:
-        raise SceneError(problems)
+def _check_combinations(scene: Scene) -> None:
+    """Combinations of the values that the study varies must make scenes: all, or for each value at least one."""
+    study = scene.file.study
+    axes = {str(place[-1]): values for place, values in study.varied().items()}
+    failures: list[tuple[dict[str, float], Problem]] = []
+    good: set[tuple[str, float]] = set()
+    for values in combinations(axes) if axes else ():
+        try:
+            scene.variant(values)
+        except SceneError as error:
+            failures.append((values, error.problems[0]))
+        else:
+            good.update(values.items())
+    for values, problem in failures:
+        if not study.keeps_failures or not good.issuperset(values.items()):
+            refused = _refused(scene, values, problem)
+            raise SceneError([scene.source.problem(refused)])
 
 
-def _refused(own: Problem, axis: str, key: str, value: float) -> RuleError:
-    """What a variant is refused for, said of the axis that has asked for it."""
-    if own.key == key and own.rule in NO_NUMBER:
-        return RuleError(("study", axis, key), "is no number of the scene")
-    rule = own.rule if own.key == key else f"{own.key} {own.rule}"
-    return RuleError(("study", axis, key), rule, own.hint, value)
+def _refused(scene: Scene, values: Mapping[str, float], problem: Problem) -> RuleError:
+    """What a combination of values is refused for, said of the one of them that is refused alone, else of all."""
+    places = {place[-1]: ("study", *place) for place in scene.file.study.varied()}
+    for key, value in values.items():
+        try:
+            scene.variant({key: value})
+        except SceneError as error:
+            own = error.problems[0]
+            if own.key == key and own.rule in NO_NUMBER:
+                return RuleError(places[key], "is no number of the scene")
+            rule = own.rule if own.key == key else f"{own.key} {own.rule}"
+            return RuleError(places[key], rule, own.hint, value)
+    all_values = ", ".join(f"{key} = {value:g}" for key, value in values.items())
+    rule = f"cannot hold {all_values} together: {problem.key} {problem.rule}"
+    return RuleError(("study", "over"), rule, problem.hint)
 
 
 def _scene_error(source: SceneSource, errors: Sequence[RuleError]) -> SceneError:
@@ -176,19 +181,30 @@ def _scene_error(source: SceneSource, errors: Sequence[RuleError]) -> SceneError
     return SceneError(sorted(problems, key=lambda problem: (problem.line or 0, problem.key)))
 
 
-def _empty_values(data: Any, key: Key = ()) -> Iterator[RuleError]:
-    if data is None:
-        yield RuleError(key, "has no value", "give one, or leave the key out")
-    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
-    for part, value in items:
-        yield from _empty_values(value, (*key, part))
-
-
 # What only the whole scene tells
 
 
+@dataclass(frozen=True)
+class _Parts:
+    """Parts of a model; a variant takes over those that it does not change.
+
+    Attributes:
+        structure: with what was noticed as it was built.
+        order: the scene's index of each mode, shape (M,).
+        contacts, excitation: as in the model.
+        end: what `initial` reads of another run.
+    """
+
+    structure: Structure
+    order: np.ndarray
+    notes: tuple[str, ...]
+    contacts: tuple[Contact, ...]
+    excitation: Excitation
+    end: EndOfRun | None
+
+
 class _Build:
-    """Builds the parts of a model in their order and collects what is wrong with each."""
+    """Builds what a scene file describes, and collects what is wrong with each part of it."""
 
     def __init__(self, file: SceneFile, folder: Path):
         self.file, self.folder = file, folder
@@ -201,31 +217,9 @@ class _Build:
         except RuleError as error:
             self.errors.append(error.below(*key))
 
-    def model(self) -> Model | None:
-        self.check_study()
-        self.check_names()
-        if self.file.structure is None:
-            return None
-        self.check_points(self.file.structure.point_names)
-        built = None
-        with self.under("structure"):
-            built = self.file.structure.build(self.folder)
-        if built is None or self.errors:
-            return None
-        structure, order, notes = built
-        excitation = _no_force(order.size)
-        if self.file.excitation is not None:
-            with self.under("excitation"):
-                excitation = self.file.excitation.build(structure, order)
-        contacts = tuple(contact.build() for contact in self.file.contacts)
-        model = Model(structure, contacts, excitation, rest_start(order.size, len(contacts)), notes)
-        with self.under("initial"):
-            model = replace(model, start=self.file.start(model, order, self.folder))
-        self.errors += self.file.study.fits(model)
-        return model
-
-    def check_study(self) -> None:
-        study = self.file.study
+    def plan(self) -> Any:
+        """What the study carries out."""
+        study, excitation = self.file.study, self.file.excitation
         for key in study.requires:
             *above, last = key.split(".")
             parent = getattr(self.file, above[0]) if above else self.file
@@ -234,14 +228,73 @@ class _Build:
         if study.explicit_only and self.file.solver.method == "kvaerno5":
             rule = f"must be an explicit method in an {study.kind} study"
             self.errors.append(RuleError(("solver", "method"), rule, "tsit5 or dopri8, or an accuracy", "kvaerno5"))
-        self.errors += [error.below("study") for error in study.problems(self.file.contacts, self.folder)]
+        if self.errors:
+            return None
+        frequency = excitation.frequency if excitation is not None else None
+        with self.under("study"):
+            return study.plan(Context(self.file.contacts, frequency, self.folder))
 
-    def check_names(self) -> None:
+    def parts(self, known: _Parts | None = None, changed: Collection[str] = PARTS) -> _Parts | None:
+        """The parts of the model; None where there is no structure, or one of them is wrong.
+
+        Args:
+            known: those of a scene that differs in the sections `changed` alone.
+            changed: names of sections.
+        """
+        file, given = self.file, {} if known is None else dict(vars(known))
+        self.check_contacts()
+        if file.structure is None:
+            return None
+        self.check_points(file.structure.point_names)
+        if "structure" in changed:
+            with self.under("structure"):
+                given["structure"], given["order"], given["notes"] = file.structure.build(self.folder)
+        if self.errors or "structure" not in given:
+            return None
+        structure, order = given["structure"], given["order"]
+        if "contacts" in changed:
+            given["contacts"] = tuple(contact.build() for contact in file.contacts)
+        if {"structure", "excitation"} & set(changed):
+            given["excitation"] = _no_force(order.size)
+            if file.excitation is not None:
+                with self.under("excitation"):
+                    given["excitation"] = file.excitation.build(structure, order)
+        if "initial" in changed:
+            given["end"] = None
+            if isinstance(file.initial, InitialResult):
+                with self.under("initial"):
+                    given["end"] = file.initial.read(self.folder)
+        return _Parts(**given)
+
+    def model(self, parts: _Parts | None) -> Model | None:
+        """The model of these parts with its start; None without them."""
+        if parts is None:
+            return None
+        rest = rest_start(parts.order.size, len(parts.contacts))
+        model = Model(parts.structure, parts.contacts, parts.excitation, rest, parts.notes)
+        if not any(error.key[0] == "initial" for error in self.errors):
+            with self.under("initial"):
+                model = replace(model, start=start(self.file.initial, model, parts.order, parts.end))
+        self.errors += self.file.study.problems(model)
+        return model
+
+    def check_contacts(self) -> None:
+        """Names differ, and all contacts obey one law, which the study knows."""
         names = [contact.name for contact in self.file.contacts]
+        laws = [CONE if contact.law is None else contact.law.name for contact in self.file.contacts]
+        study, initial = self.file.study, self.file.initial
+        for i, law in enumerate(laws):
+            if law != laws[0]:
+                rule = f"must be the same for all contacts, that of {names[0]} is {laws[0]}"
+                self.errors.append(RuleError(("contacts", i, "law"), rule, value=law))
+            elif law != CONE and (study.cone_only or initial == "static"):
+                whose = f"in {study.kind} studies" if study.cone_only else "where initial is static"
+                self.errors.append(RuleError(("contacts", i, "law"), f"must be {CONE} {whose}", value=law))
         for i, name in enumerate(names):
-            with self.under("contacts", i):
-                if name in names[:i]:
-                    raise RuleError(("name",), "must differ from the other contacts'", value=name)
+            if name in names[:i]:
+                self.errors.append(
+                    RuleError(("contacts", i, "name"), "must differ from the other contacts'", value=name)
+                )
 
     def check_points(self, points: Sequence[str]) -> None:
         for i, contact in enumerate(self.file.contacts):
@@ -261,7 +314,7 @@ def _warnings(file: SceneFile, model: Model | None) -> Iterator[str]:
     if frequency is not None and not file.study.uses_frequency:
         yield f"excitation.frequency is not used: the frequencies of the {file.study.kind} study rule"
     for contact in file.contacts:
-        if contact.friction == 0 and np.any(contact.stiffness_matrix()):
+        if contact.idle_stiffness and np.any(contact.stiffness_matrix()):
             yield f"contacts.{contact.name}.tangential_stiffness has no effect without friction"
     if model is None:
         return

@@ -1,19 +1,69 @@
-"""What the sections of a scene file are made of: kinds of value, and how a rule of one's own is stated."""
+"""What the sections of a scene file are made of: their base class, and the kinds of value that their keys take."""
 
-from collections.abc import Sequence
-from typing import Annotated, Any
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import AfterValidator, AllowInfNan, BaseModel, BeforeValidator, ConfigDict, Field, Strict
+from pydantic import (
+    AfterValidator,
+    AllowInfNan,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    PlainSerializer,
+    SerializationInfo,
+    Strict,
+    Tag,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from timesim.fault import Key
 from timesim.model.model import GROUND
 
+MAX_POINTS = 10**6
+"""Most points of one study along its own axes: a result of more would not fit into memory."""
+LARGEST = 1e100
+"""Largest size of a number: energies and products of stiffnesses, its square and more, must not overflow."""
+
 
 def refuse(rule: str, *, key: Key = (), hint: str = "", value: Any = None) -> PydanticCustomError:
-    """An error of a validator; the key is relative to what is validated. Rule and hint hold no braces."""
+    """An error for a validator to raise; the key is relative to what is validated. Rule and hint hold no braces."""
     return PydanticCustomError("rule", "{rule}", {"rule": rule, "key": key, "hint": hint, "value": value})
+
+
+class Section(BaseModel):
+    """A mapping of the scene file: no other keys than these, and nothing changes once it is read."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=False, use_attribute_docstrings=True)
+
+    def completed(self, **defaults: Any) -> Self:
+        """The same with values for keys that were left out and whose default depends on other keys."""
+        missing = {key: value for key, value in defaults.items() if getattr(self, key) is None}
+        return self.model_copy(update=missing) if missing else self
+
+
+def form(value: Any) -> str | None:
+    """In which form a value is written: the tag of one member of a union."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return "<number>"
+    if isinstance(value, str):
+        return "<text>"
+    if isinstance(value, list | tuple):
+        return "<list>"
+    return "<mapping>" if isinstance(value, dict | Section) else None
+
+
+def by_form(allowed: str, kind: Callable[[Any], str | None] = form) -> Discriminator:
+    """Chooses the member of a union by the form of the value.
+
+    Args:
+        allowed: in words, what the value must be.
+        kind: tag of the member that a value belongs to.
+    """
+    return Discriminator(kind, custom_error_type="rule", custom_error_message=f"must be {allowed}")
 
 
 def _whole(value: Any) -> Any:
@@ -23,7 +73,7 @@ def _whole(value: Any) -> Any:
 def _name(text: str) -> str:
     if not text or text != text.strip() or set(".=") & set(text) or text == GROUND:
         rule = f"must be a name without . and = and outer spaces, other than {GROUND}"
-        raise refuse(rule, hint="keys such as contacts.pad.preload are made of names")
+        raise refuse(rule, hint="keys such as contacts.pad.preload consist of names")
     return text
 
 
@@ -33,28 +83,133 @@ def _direction(vector: tuple[float, ...]) -> tuple[float, ...]:
     return vector
 
 
-Number = Annotated[float, Strict(), AllowInfNan(False)]
-Positive = Annotated[Number, Field(gt=0)]
-NotNegative = Annotated[Number, Field(ge=0)]
+def _from_root(path: str, info: SerializationInfo) -> str:
+    folder = (info.context or {}).get("folder")
+    return path if folder is None else str((folder / path).absolute())
+
+
+Finite = Annotated[float, Strict(), AllowInfNan(False)]
+Number = Annotated[Finite, Field(ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[Finite, Field(gt=0, le=LARGEST)]
+NotNegative = Annotated[Finite, Field(ge=0, le=LARGEST)]
 Whole = Annotated[int, Strict(), BeforeValidator(_whole), Field(le=10**9)]
 Count = Annotated[Whole, Field(ge=1)]
 Row = Annotated[Whole, Field(ge=0)]
+Switch = Annotated[bool, Strict()]
 Text = Annotated[str, Strict()]
 Name = Annotated[str, Strict(), AfterValidator(_name)]
+FilePath = Annotated[str, Strict(), PlainSerializer(_from_root)]
+"""Path relative to the scene; written from the root where the context of the dump names a `folder`."""
 Pair = Annotated[tuple[Number, ...], Field(min_length=2, max_length=2)]
 Vector = Annotated[tuple[Number, ...], Field(min_length=3, max_length=3)]
-Direction = Annotated[Vector, AfterValidator(_direction)]
+Direction = Annotated[tuple[Finite, ...], Field(min_length=3, max_length=3), AfterValidator(_direction)]
 Matrix = Annotated[tuple[Annotated[tuple[Number, ...], Field(min_length=1)], ...], Field(min_length=1)]
 Matrix2 = Annotated[tuple[Pair, ...], Field(min_length=2, max_length=2)]
-
-
-class Section(BaseModel):
-    """A mapping of the scene file: no other keys than these, and nothing changes once it is read."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=False, use_attribute_docstrings=True)
 
 
 def unit(vector: Sequence[float]) -> np.ndarray:
     """The vector at length 1, however large or small its entries."""
     scaled = np.asarray(vector, dtype=np.float64) / np.max(np.abs(vector))
     return scaled / np.linalg.norm(scaled)
+
+
+# Values along an axis
+
+
+class Range(Section):
+    """Equally spaced values, both ends included."""
+
+    first: Number = Field(alias="from")
+    """First value."""
+    to: Number
+    """Last value."""
+    num: Annotated[Whole, Field(ge=2, le=10_000)]
+    """How many."""
+
+    @model_validator(mode="after")
+    def _ascending(self) -> Self:
+        if self.to <= self.first:
+            raise refuse("must be larger than from", key=("to",), value=self.to)
+        return self
+
+
+Values = Annotated[
+    Annotated[Number, Tag("<number>")]
+    | Annotated[Annotated[tuple[Number, ...], Field(min_length=1)], Tag("<list>")]
+    | Annotated[Range, Tag("<mapping>")],
+    by_form("a number, a list of numbers, or a mapping with from, to and num"),
+]
+
+
+def axis_values(given: float | Sequence[float] | Range) -> tuple[float, ...]:
+    """The values of an axis."""
+    if isinstance(given, Range):
+        return tuple(np.linspace(given.first, given.to, given.num).tolist())
+    return tuple(np.atleast_1d(np.asarray(given, dtype=float)).tolist())
+
+
+def repeated(values: Sequence[float]) -> str:
+    """The first value that stands there again, in words; empty if all differ."""
+    seen: set[float] = set()
+    for value in values:
+        if value in seen:
+            return f"{value:.10g} stands twice"
+        seen.add(value)
+    return ""
+
+
+def num_points(first: float, to: float, step: float) -> float:
+    """How many of `first`, `first + step`, ... lie up to `to`, which is one of them if it is missed by 1e-9 step.
+
+    A float, since the quotient of numbers far apart is infinite.
+    """
+    return float(np.floor((to - first) / step + 1e-9)) + 1
+
+
+class Frequencies(Section):
+    """Frequencies of a sweep: from + k step up to `to`, or a list."""
+
+    first: Positive | None = Field(None, alias="from")
+    """First frequency [Hz]."""
+    to: Positive | None = None
+    """Last frequency [Hz]; it is one of them if it lies within 1e-9 step of the grid."""
+    step: Positive | None = None
+    """Step [Hz]."""
+    listed: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = Field(None, alias="values")
+    """In place of from, to and step: the frequencies [Hz], in any order."""
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        parts = {"from": self.first, "to": self.to, "step": self.step}
+        given = [key for key, value in parts.items() if value is not None]
+        if self.listed is not None:
+            if given:
+                raise refuse("excludes values", key=(given[0],), hint="give from, to and step, or values")
+            if twice := repeated(self.listed):
+                raise refuse("must differ from each other", key=("values",), hint=twice)
+            return self
+        if missing := [key for key in parts if key not in given]:
+            raise refuse("is required", key=(missing[0],), hint="from, to and step, or values")
+        if (count := num_points(*self.spacing)) > MAX_POINTS:
+            rule = f"must leave at most {MAX_POINTS} points, not {count:.10g}"
+            raise refuse(rule, key=("step",), value=self.step)
+        if count < 1:
+            raise refuse("must not be smaller than from", key=("to",), value=self.to)
+        return self
+
+    @property
+    def spacing(self) -> tuple[float, float, float]:
+        """First, last and step, where the frequencies are not listed."""
+        assert self.first is not None
+        assert self.to is not None
+        assert self.step is not None
+        return self.first, self.to, self.step
+
+    def values(self) -> np.ndarray:
+        """The frequencies [Hz], ascending, shape (F,)."""
+        return np.sort(self.listed) if self.listed is not None else spaced(*self.spacing)
+
+
+def spaced(first: float, to: float, step: float) -> np.ndarray:
+    """`first`, `first + step`, ... up to `to`; see `num_points`."""
+    return first + step * np.arange(int(num_points(first, to, step)))

@@ -4,12 +4,24 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Field, Tag, model_validator
 
 from timesim.fault import RuleError
 from timesim.model import model
 from timesim.model.matrices import Matrices, modal_structure, read_matrices
-from timesim.scene.section import Count, Matrix, Name, NotNegative, Positive, Row, Section, Text, Vector, refuse
+from timesim.scene.section import (
+    Count,
+    FilePath,
+    Matrix,
+    Name,
+    NotNegative,
+    Positive,
+    Row,
+    Section,
+    Vector,
+    by_form,
+    refuse,
+)
 
 
 class Mode(Section):
@@ -85,19 +97,10 @@ class PointRows(Section):
 Points = Annotated[dict[Name, PointRows], Field(min_length=1)]
 
 
-def _number_or_list(value: Any) -> str | None:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return "<number>" if is_number else "<list>" if isinstance(value, list | tuple) else None
-
-
 Ratio = Annotated[
     Annotated[NotNegative, Tag("<number>")]
     | Annotated[Annotated[tuple[NotNegative, ...], Field(min_length=1)], Tag("<list>")],
-    Discriminator(
-        _number_or_list,
-        custom_error_type="rule",
-        custom_error_message="must be a number, or a list of one a mode",
-    ),
+    by_form("a number, or a list of one a mode"),
 ]
 
 
@@ -159,25 +162,17 @@ def _modal_structure(source: Any, matrices: Matrices, keep_modes: int | None) ->
 class MatrixFiles(Section):
     """A file for each matrix: Matrix Market (.mtx), or .npz as scipy.sparse.save_npz writes it."""
 
-    mass: Text
-    stiffness: Text
-    damping: Text | None = None
-
-
-def _file_kind(value: Any) -> str | None:
-    return "<file>" if isinstance(value, str) else "<files>" if isinstance(value, dict | MatrixFiles) else None
+    mass: FilePath
+    stiffness: FilePath
+    damping: FilePath | None = None
 
 
 class FileSection(Section):
     """A structure by the matrices in a file."""
 
     file: Annotated[
-        Annotated[Text, Tag("<file>")] | Annotated[MatrixFiles, Tag("<files>")],
-        Discriminator(
-            _file_kind,
-            custom_error_type="rule",
-            custom_error_message="must be a .npz or .mat file, or paths of mass, stiffness, damping",
-        ),
+        Annotated[FilePath, Tag("<text>")] | Annotated[MatrixFiles, Tag("<mapping>")],
+        by_form("a .npz or .mat file, or paths of mass, stiffness, damping"),
     ]
     """A .npz or .mat file with mass, stiffness, damping (or M, K, C), or a file for each."""
     damping_ratio: Ratio | None = None
@@ -219,30 +214,19 @@ class FileSection(Section):
             return folder / self.file
         return {key: folder / path for key, path in self.file.model_dump(exclude_none=True).items()}
 
-    def absolute(self, folder: Path) -> Self:
-        """The same with paths that do not depend on the folder."""
-        paths = self._paths(folder)
-        if isinstance(paths, Path):
-            return self.model_copy(update={"file": str(paths)})
-        return self.model_copy(update={"file": MatrixFiles(**{key: str(path) for key, path in paths.items()})})
-
 
 STRUCTURES = ("modes", "matrices", "file")
 
 
-def _structure_kind(value: Any) -> str | None:
+def _structure_form(value: Any) -> str | None:
     given = value if isinstance(value, dict) else vars(value) if isinstance(value, Section) else ()
-    kinds = [kind for kind in STRUCTURES if kind in given]
-    return f"<{kinds[0]}>" if len(kinds) == 1 else None
+    forms = [name for name in STRUCTURES if name in given]
+    return f"<{forms[0]}>" if len(forms) == 1 else None
 
 
 StructureSection = Annotated[
     Annotated[ModalSection, Tag("<modes>")]
     | Annotated[MatrixSection, Tag("<matrices>")]
     | Annotated[FileSection, Tag("<file>")],
-    Discriminator(
-        _structure_kind,
-        custom_error_type="rule",
-        custom_error_message="must be a mapping with exactly one of the keys modes, matrices, file",
-    ),
+    by_form("a mapping with exactly one of the keys modes, matrices, file", _structure_form),
 ]

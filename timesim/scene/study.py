@@ -1,16 +1,112 @@
-"""What every study section of the scene file has: a base of its own, lest the sections import each other."""
+"""What the sections of the studies share: their base class, scalars of the scene that they vary, sweeps."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import product
+from math import prod
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from timesim.fault import RuleError
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
+
+from timesim.fault import Key, RuleError, nearest
 from timesim.model.model import Model
+from timesim.model.solver import Criterion
 from timesim.scene.contact import ContactSection
-from timesim.scene.section import Section
+from timesim.scene.section import (
+    Count,
+    Frequencies,
+    Positive,
+    Section,
+    Text,
+    Values,
+    axis_values,
+    refuse,
+    repeated,
+)
+
+Axes = Mapping[str, tuple[float, ...]]
+"""Scalars of the scene by their key path, each with its values."""
+
+MAX_COMBINATIONS = 100_000
+"""Most combinations of values of the further axes.
+
+Each is checked before anything runs, which takes 0.4 ms where the structure is left as it is, and each is kept as a
+model while the study runs.
+"""
+
+PARTS = ("structure", "contacts", "excitation", "initial")
+"""Parts of a scene that a study may vary."""
 
 
-class StudyKind(Section):
+def _scalar(key: str) -> str:
+    part = key.partition(".")[0]
+    if part not in PARTS or key == part:
+        raise refuse("must be the key of a scalar of the scene", hint=nearest(part, PARTS))
+    if key == "excitation.frequency":
+        raise refuse("is an axis of its own", hint="use the study's frequency")
+    return key
+
+
+def _distinct(given: Any) -> Any:
+    if twice := repeated(axis_values(given)):
+        raise refuse("must differ from each other", hint=twice)
+    return given
+
+
+def _countable(over: Mapping[str, Any]) -> Mapping[str, Any]:
+    sizes = [len(axis_values(given)) for given in over.values()]
+    if (count := prod(sizes)) > MAX_COMBINATIONS:
+        rule = f"must have at most {MAX_COMBINATIONS} combinations of values"
+        raise refuse(f"{rule}, not {' x '.join(map(str, sizes))} = {count}")
+    return over
+
+
+def _at_most_one(along: Mapping[str, Any]) -> Mapping[str, Any]:
+    if len(along) > 1:
+        raise refuse(f"must name one scalar, not {len(along)}")
+    return along
+
+
+Scalar = Annotated[Text, AfterValidator(_scalar)]
+"""Key path of a number of the scene, such as contacts.pad.preload; whether it is one shows when it is set."""
+Over = Annotated[dict[Scalar, Annotated[Values, AfterValidator(_distinct)]], AfterValidator(_countable)]
+AlongOne = AfterValidator(_at_most_one)
+"""Of a mapping by `Scalar`: it has one entry at most."""
+
+
+def axes_of(over: Mapping[str, Any]) -> Axes:
+    """The values of each axis."""
+    return {key: axis_values(given) for key, given in over.items()}
+
+
+def placed(part: str, axes: Axes) -> dict[Key, tuple[float, ...]]:
+    """Axes by the place of their keys in the section of the study."""
+    return {(part, key): values for key, values in axes.items()}
+
+
+def combinations(axes: Axes) -> Iterator[dict[str, float]]:
+    """All combinations of the values of the axes, the last axis fastest."""
+    return (dict(zip(axes, values, strict=True)) for values in product(*axes.values()))
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a study may need of the rest of the scene.
+
+    Attributes:
+        contacts: the sections of the contacts.
+        frequency: of the excitation [Hz]; None where the scene names none.
+        folder: what relative paths start from.
+    """
+
+    contacts: tuple[ContactSection, ...]
+    frequency: float | None
+    folder: Path
+
+
+class StudySection(Section):
     """What every study section has; `kind` is its tag."""
 
     requires: ClassVar[tuple[str, ...]] = ("structure", "excitation")
@@ -19,23 +115,125 @@ class StudyKind(Section):
     """Whether ``excitation.frequency`` is the one it runs at."""
     explicit_only: ClassVar[bool] = False
     """Whether ``solver.method`` must be an explicit one."""
+    cone_only: ClassVar[bool] = False
+    """Whether the contacts must obey the law of the cone."""
+    keeps_failures: ClassVar[bool] = False
+    """Whether a combination of values that makes no scene is a failed point of the result, beside those that do."""
 
-    def problems(self, contacts: Sequence[ContactSection], folder: Path) -> Iterator[RuleError]:
-        """What is wrong with it in this scene, keys relative to the study; nothing by default."""
+    kind: str
+
+    def plan(self, context: Context) -> Any:
+        """What is to be computed, in numbers: a frozen dataclass that the study carries out.
+
+        Raises:
+            RuleError: the section does not fit the rest of the scene; the key is relative to the study.
+        """
+        raise NotImplementedError
+
+    def problems(self, model: Model) -> Iterator[RuleError]:
+        """What is wrong with the study for a model, keys from the root of the scene; nothing by default."""
         yield from ()
 
-    def fits(self, model: Model) -> Iterator[RuleError]:
-        """What is wrong with it for this model, keys from the root of the scene; nothing by default."""
-        yield from ()
+    def varied(self) -> Mapping[Key, tuple[float, ...]]:
+        """Scalars of the scene that the study varies, by their place in the section; none by default."""
+        return {}
 
     def lowest_frequency(self) -> float | None:
         """Lowest of the frequencies that it runs at in time [Hz]; None if it names none."""
         return None
 
-    def points_told(self) -> str:
+    def extent(self) -> str:
         """How many steady states it looks for, in words; empty where that is not what it does."""
         return ""
 
-    def absolute(self, folder: Path) -> Self:
-        """The same with paths that do not depend on the folder."""
+
+class Settle(Section):
+    """When a motion counts as settled."""
+
+    tolerance: Annotated[Positive, Field(le=1e-2)] = 1e-8
+    """Of the state from cycle to cycle, relative to its largest entry, extrapolated to all cycles to come."""
+    max_cycles: Count = 2000
+    """Excitation cycles after which a point is given up as not settled."""
+
+
+class SteadySection(StudySection):
+    """What the studies of steady states in time have in common."""
+
+    settle: Settle = Settle()
+    """When a motion counts as settled."""
+    periodic: Literal["march", "shoot"] = "march"
+    """How a periodic motion is sought: marching until it settles, or Newton's method on the state after a period."""
+
+    def criterion(self) -> Criterion:
+        """When a motion counts as settled, in numbers."""
+        return Criterion(self.settle.tolerance, self.settle.max_cycles, self.periodic == "shoot")
+
+
+@dataclass(frozen=True, eq=False)
+class SweepPlan:
+    """Steady states over frequency and further axes.
+
+    Attributes:
+        frequency: [Hz], ascending, shape (F,).
+        directions: up, down: the motion is carried from one frequency to the next; independent: each starts anew.
+        over: the further axes.
+        criterion: when a motion counts as settled.
+        refine: width [Hz] to which a jump between two frequencies is bisected; None does not bisect.
+    """
+
+    frequency: np.ndarray
+    directions: tuple[str, ...]
+    over: Axes
+    criterion: Criterion
+    refine: float | None
+
+    @property
+    def chained(self) -> bool:
+        """Whether the motion is carried along."""
+        return self.directions != ("independent",)
+
+
+def points_in_words(frequencies: int, axes: Axes, directions: int) -> str:
+    """The number of points of a sweep, with what makes it up."""
+    factors = [f"{frequencies} frequencies", *(f"{len(values)} values of {key}" for key, values in axes.items())]
+    total = frequencies * prod(map(len, axes.values())) * directions
+    if directions > 1:
+        factors.append(f"{directions} directions")
+    return f"{' x '.join(factors)} = {total} points" if len(factors) > 1 else f"{total} frequencies"
+
+
+class SweepSection(SteadySection):
+    """What a sweep is described by, also where it is a part of another study."""
+
+    frequency: Frequencies
+    """{from, to, step} or {values: [...]} [Hz]."""
+    direction: Literal["up", "down", "both", "independent"] = "independent"
+    """up, down, both: the state is carried from one frequency to the next; independent: each starts anew."""
+    over: Over = Field(default_factory=dict)
+    """Further axes: scalars of the scene by their key, each with its values."""
+    refine: Positive | None = None
+    """Width [Hz] to which the frequency of a jump between two steps of a sweep is bisected; by default it is not."""
+
+    @model_validator(mode="after")
+    def _jumps_need_a_direction(self) -> Self:
+        if self.refine is not None and self.direction == "independent":
+            raise refuse("needs a direction", key=("refine",), hint="set direction to up, down or both")
         return self
+
+    def sweep(self) -> SweepPlan:
+        """The sweep in numbers."""
+        directions = ("up", "down") if self.direction == "both" else (self.direction,)
+        return SweepPlan(self.frequency.values(), directions, axes_of(self.over), self.criterion(), self.refine)
+
+    def varied(self) -> Mapping[Key, tuple[float, ...]]:
+        """The further axes."""
+        return placed("over", axes_of(self.over))
+
+    def lowest_frequency(self) -> float:
+        """The first."""
+        return float(self.frequency.values()[0])
+
+    def extent(self) -> str:
+        """Frequencies, values of the further axes and directions."""
+        plan = self.sweep()
+        return points_in_words(plan.frequency.size, plan.over, len(plan.directions))

@@ -1,75 +1,257 @@
-"""Studies of steady states over frequency, as the scene file writes them."""
+"""Studies of steady states over frequency: sweeps, the ranges with two motions, the scalar of least peak."""
 
-from collections.abc import Mapping
-from math import prod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
-from timesim.scene.axis import Frequencies, Over, axis_values
-from timesim.scene.section import Count, Positive, Section, refuse
-from timesim.scene.study import StudyKind
+from timesim.fault import Key, RuleError, nearest
+from timesim.model.model import CONE, Model
+from timesim.model.solver import Criterion
+from timesim.scene.hbm import HbmPlan, balanced, excitation_problems
+from timesim.scene.section import (
+    MAX_POINTS,
+    Count,
+    Frequencies,
+    Positive,
+    Range,
+    Section,
+    Text,
+    Whole,
+    refuse,
+    spaced,
+)
+from timesim.scene.study import (
+    AlongOne,
+    Context,
+    Over,
+    Scalar,
+    Settle,
+    SteadySection,
+    SweepPlan,
+    SweepSection,
+    axes_of,
+    placed,
+    points_in_words,
+)
 
 
-class Settle(Section):
-    """When a motion counts as settled."""
+class Sweep(SweepSection):
+    """Steady states over frequency and any scalars of the scene."""
 
-    tolerance: Annotated[Positive, Field(le=1e-2)] = 1e-8
-    """Of the state from cycle to cycle, relative to its largest entry, extrapolated to all cycles to come."""
-    max_cycles: Count = 2000
-    """Excitation cycles after which a point is given up as not settled."""
+    keeps_failures: ClassVar[bool] = True
 
+    kind: Literal["sweep"]
 
-def product_told(frequencies: int, over: Mapping[str, int], directions: int) -> str:
-    """A number of points and what makes it up."""
-    factors = [f"{frequencies} frequencies", *(f"{number} values of {key}" for key, number in over.items())]
-    total = frequencies * prod(over.values()) * directions
-    if directions > 1:
-        factors.append(f"{directions} directions")
-    return f"{' x '.join(factors)} = {total} points" if len(factors) > 1 else f"{total} frequencies"
+    def plan(self, context: Context) -> SweepPlan:
+        """The sweep."""
+        return self.sweep()
 
 
-class SweepKeys(StudyKind):
-    """What a study of steady states over frequency is told."""
+# The scalar of least peak
 
-    requires: ClassVar[tuple[str, ...]] = ("structure", "excitation")
 
+@dataclass(frozen=True, eq=False)
+class OptimumPlan:
+    """The peak over frequency against a scalar.
+
+    Attributes:
+        key: of the scalar.
+        values: looked at first, ascending; the least peak is sought from the first of them to the last.
+        accuracy: of the scalar where the peak is least.
+        frequency: [Hz], ascending, shape (F,).
+        criterion: when a motion counts as settled.
+        point, axis: whose amplitude counts; the largest of all where it is None.
+    """
+
+    key: str
+    values: tuple[float, ...]
+    accuracy: float
+    frequency: np.ndarray
+    criterion: Criterion
+    point: str | None
+    axis: str | None
+
+
+ACCURACY = 1e-3
+"""Accuracy of the scalar where none is given, as a share of its range."""
+FEWEST = 3  # values, one of which may be the least between two others
+
+
+class Optimum(SteadySection):
+    """The peak of the response over frequency against a scalar of the scene, and where it is least."""
+
+    kind: Literal["optimum"]
+    along: Annotated[dict[Scalar, Range], AlongOne]
+    """A scalar of the scene by its key, with from, to and num: the values looked at before the least is sought."""
     frequency: Frequencies
-    """{from, to, step} or {values: [...]} [Hz]."""
-    direction: Literal["up", "down", "both", "independent"] = "independent"
-    """up, down, both: the state is carried from one frequency to the next; independent: each starts anew."""
-    over: Over = Field(default_factory=dict)
-    """Further axes: scalars of the scene by their key, each with its values."""
-    settle: Settle = Settle()
-    """When a motion counts as settled."""
-
-    periodic: Literal["march", "shoot"] = "march"
-    """How a periodic motion is found: marching until it settles, or Newton's method on the state after a period."""
-    refine: Positive | None = None
-    """Width [Hz] to which the frequency of a jump between two steps of a sweep is bisected; by default it is not."""
+    """{from, to, step} or {values: [...]} [Hz]; swept up and down, and the peak is sought between its points."""
+    accuracy: Positive | None = None
+    """Of the scalar where the peak is least; by default a thousandth of its range."""
+    point: Text | None = None
+    """Point whose amplitude counts; the largest of all by default."""
+    axis: Literal["x", "y", "z"] | None = None
+    """Axis along which it counts; the largest of all by default."""
 
     @model_validator(mode="after")
-    def _jumps_need_a_direction(self) -> Self:
-        if self.refine is not None and self.direction == "independent":
-            raise refuse("needs a direction", key=("refine",), hint="set direction to up, down or both")
-        return self
+    def _searchable(self) -> Self:
+        if not self.along:
+            raise refuse("must name one scalar, not 0", key=("along",))
+        ((key, given),) = self.along.items()
+        if given.num < FEWEST:
+            raise refuse(f"must be at least {FEWEST}", key=("along", key, "num"), value=given.num)
+        span = given.to - given.first
+        if self.accuracy is not None and self.accuracy > span / 2:
+            rule = "must be at most half of the range of the scalar"
+            raise refuse(rule, key=("accuracy",), value=self.accuracy)
+        return self.completed(accuracy=ACCURACY * span)
+
+    def plan(self, context: Context) -> OptimumPlan:
+        """The scalar, the frequencies and whose amplitude counts."""
+        ((key, values),) = axes_of(self.along).items()
+        assert self.accuracy is not None
+        frequency = self.frequency.values()
+        return OptimumPlan(key, values, self.accuracy, frequency, self.criterion(), self.point, self.axis)
+
+    def problems(self, model: Model) -> Iterator[RuleError]:
+        """The point must be one of the structure's."""
+        points = model.structure.points
+        if self.point is not None and self.point not in points:
+            yield RuleError(("study", "point"), "is no point of the structure", nearest(self.point, points), self.point)
+
+    def varied(self) -> Mapping[Key, tuple[float, ...]]:
+        """The first values of the scalar."""
+        return placed("along", axes_of(self.along))
 
     def lowest_frequency(self) -> float:
         """The first."""
         return float(self.frequency.values()[0])
 
-    def points_told(self) -> str:
-        """Frequencies, values of the further axes and directions."""
-        over = {key: len(axis_values(given)) for key, given in self.over.items()}
-        return product_told(self.frequency.count, over, len(self.directions))
-
-    @property
-    def directions(self) -> tuple[str, ...]:
-        """Labels of the directions in the result."""
-        return ("up", "down") if self.direction == "both" else (self.direction,)
+    def extent(self) -> str:
+        """Points of the first values."""
+        return f"{points_in_words(self.frequency.values().size, axes_of(self.along), 2)}, and the search for the least"
 
 
-class Sweep(SweepKeys):
-    """Steady states over frequency and any scalars of the scene."""
+# Ranges with two motions
 
-    kind: Literal["sweep"]
+
+@dataclass(frozen=True)
+class BistablePlan:
+    """Where a response has two steady motions.
+
+    Attributes:
+        sweep: both ways over the range.
+        width: width [Hz] to which each end is bisected.
+        starts: starts along each side of a square; 0 for none.
+        balance: the branch by harmonic balance behind; None: it is left out.
+    """
+
+    sweep: SweepPlan
+    width: float
+    starts: int
+    balance: HbmPlan | None
+
+
+STEPS = 40  # of the sweeps where no step is given
+
+
+class Ascending(Section):
+    """A range of frequencies, ascending."""
+
+    first: Positive = Field(alias="from")
+    """Lower end [Hz]."""
+    to: Positive
+    """Upper end [Hz]."""
+
+    @model_validator(mode="after")
+    def _ascends(self) -> Self:
+        if self.to <= self.first:
+            raise refuse("must be larger than from", key=("to",), value=self.to)
+        return self
+
+
+class SlowSettle(Settle):
+    """When a motion counts as settled; near the end of a range it does so very slowly."""
+
+    max_cycles: Count = 5000
+    """Excitation cycles after which a point is given up as not settled."""
+
+
+class Bistable(SteadySection):
+    """Where a response has two steady motions: sweeps both ways, ends of the range, and which start leads where."""
+
+    kind: Literal["bistable"]
+    frequency: Ascending
+    """{from, to} [Hz]: where to look."""
+    width: Positive = 1e-5
+    """Width [Hz] to which each end is bisected."""
+    step: Positive | None = None
+    """Step [Hz] of the sweeps, by default a fortieth of the range; a range with two motions may be far narrower."""
+    over: Over = Field(default_factory=dict)
+    """Further axes: scalars of the scene by their key, each with its values."""
+    settle: SlowSettle = SlowSettle()
+    """When a motion counts as settled; near the end of a range it does so very slowly."""
+    starts: Annotated[Whole, Field(ge=0, le=101)] = 9
+    """Starts at mid-range, as many along each side of a square: sums of the two motions; 5, 9, 13, ..., 0 for none."""
+    harmonics: Annotated[Whole, Field(ge=0, le=1000)] = 9
+    """Highest harmonic of the branch by harmonic balance that is drawn behind; 0 draws none."""
+    time_samples: Annotated[Count, Field(le=10**6)] = 1024
+    """Samples of a period that the balance takes."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        span = self.frequency.to - self.frequency.first
+        step = self.step or span / STEPS
+        if step > span / 2:
+            raise refuse("must be at most half of the range of frequency", key=("step",), value=step)
+        if self.starts and (self.starts < 5 or self.starts % 4 != 1):
+            hint = "so rest and both motions are among the starts"
+            raise refuse("must be 0, or 5, 9, 13, ...", key=("starts",), value=self.starts, hint=hint)
+        if self.width > step:
+            raise refuse("must be at most the step of the sweeps", key=("width",), value=self.width)
+        if span / step > MAX_POINTS:
+            raise refuse(f"must leave at most {MAX_POINTS} points", key=("step",), value=step)
+        if self.harmonics:
+            balanced(self.harmonics, self.time_samples)
+        return self.completed(step=step)
+
+    def _sweep(self) -> SweepPlan:
+        """Both ways; the last point lies on the upper end, whatever the step."""
+        assert self.step is not None
+        first, to = self.frequency.first, self.frequency.to
+        frequency = spaced(first, to, (to - first) / round((to - first) / self.step))
+        return SweepPlan(frequency, ("up", "down"), axes_of(self.over), self.criterion(), self.width)
+
+    def plan(self, context: Context) -> BistablePlan:
+        """The sweeps both ways, the search for the ends, the starts, and the branch of the balance."""
+        sweep, balance = self._sweep(), None
+        if self.harmonics:
+            span = (self.frequency.first, self.frequency.to)
+            balance = HbmPlan(balanced(self.harmonics, self.time_samples), span, sweep.over, both_ends=True)
+        return BistablePlan(sweep, self.width, self.starts, balance)
+
+    def problems(self, model: Model) -> Iterator[RuleError]:
+        """Where the balance is struck, it must be possible."""
+        if not self.harmonics:
+            return
+        yield from excitation_problems(model, self.harmonics)
+        for contact in model.contacts:
+            if contact.law != CONE:
+                rule = f"must be 0 where the law of a contact is not {CONE}"
+                yield RuleError(("study", "harmonics"), rule, f"{contact.name} has {contact.law}", self.harmonics)
+                return
+
+    def varied(self) -> Mapping[Key, tuple[float, ...]]:
+        """The further axes."""
+        return placed("over", axes_of(self.over))
+
+    def lowest_frequency(self) -> float:
+        """The lower end."""
+        return self.frequency.first
+
+    def extent(self) -> str:
+        """Points of the sweeps."""
+        sweep = self._sweep()
+        return f"{points_in_words(sweep.frequency.size, sweep.over, 2)} in the sweeps, and the search for the ends"

@@ -7,7 +7,6 @@ scene needs no tags, so they are refused; anchors may be used, within limits tha
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from ruamel.yaml.events import (
     SequenceStartEvent,
 )
 
-from timesim.fault import Key, Problem, RuleError, SceneError
+from timesim.fault import Key, RuleError
 
 MAX_BYTES = 8 * 1024**2
 MAX_DEPTH = 32
@@ -41,55 +40,6 @@ _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_/-]*(\.[A-Za-z0-9_/-]+)*")
 _UNPRINTABLE = re.compile("[\x7f-\x9f\u2028\u2029\ud800-\udfff\ufeff\ufffe\uffff]")
 
 
-@dataclass(frozen=True)
-class SceneSource:
-    """Plain data of a scene and where each key of it stands.
-
-    Attributes:
-        name: the file, as messages call it.
-        folder: what relative paths in the scene start from.
-        data: mappings, lists, text, numbers.
-        lines: line of each key path that the file holds, from 1.
-        overridden: key paths whose values do not come from the file.
-    """
-
-    name: str
-    folder: Path
-    data: dict[str, Any]
-    lines: Mapping[Key, int] = field(default_factory=dict)
-    overridden: tuple[Key, ...] = ()
-
-    def line(self, key: Key) -> int | None:
-        """Line of a key, or of the nearest key above it that the file holds."""
-        return next((self.lines[key[:n]] for n in range(len(key), -1, -1) if key[:n] in self.lines), None)
-
-    def problem(self, fault: RuleError) -> Problem:
-        """The fault with its place, its key as a user writes it, and the value as text."""
-        value = None if fault.value is None else value_text(fault.value)
-        by_override = any(fault.key[: len(key)] == key for key in self.overridden)
-        name = "override" if by_override else self.name
-        line = None if by_override else fault.line or self.line(fault.key)
-        return Problem(name, line, dotted(fault.key, self.data), value, fault.rule, fault.hint)
-
-
-def dotted(key: Key, data: Any) -> str:
-    """Key path as text; an item of a list goes by its name where it has one of its own."""
-    parts = []
-    for part in key:
-        siblings, data = data, _item(data, part)
-        items = siblings if isinstance(siblings, list) else []
-        names = [item.get("name") for item in items if isinstance(item, dict)]
-        name = data.get("name") if isinstance(data, dict) and names else None
-        parts.append(name if isinstance(name, str) and name and names.count(name) == 1 else str(part))
-    return ".".join(parts)
-
-
-def _item(data: Any, part: str | int) -> Any:
-    if isinstance(data, dict):
-        return data.get(part)
-    return data[part] if isinstance(data, list) and isinstance(part, int) and part < len(data) else None
-
-
 def value_text(value: Any, width: int = 60) -> str:
     """A value as YAML writes it, shortened to fit a message."""
     text = _flow(value)
@@ -97,7 +47,7 @@ def value_text(value: Any, width: int = 60) -> str:
 
 
 def plain(value: Any, key: Key = ()) -> Any:
-    """Data made in Python as YAML would have given it: arrays as lists, paths and keys as text.
+    """Data from Python as YAML would have given them: arrays as lists, paths and keys as text.
 
     Raises:
         RuleError: a value of a type that no scene holds, or one nested without end.
@@ -119,39 +69,6 @@ def plain(value: Any, key: Key = ()) -> Any:
     raise RuleError(key, f"must be text, a number, a list or a mapping, not {type(value).__name__}")
 
 
-def read_file(path: Path) -> SceneSource:
-    """Read a scene file.
-
-    Raises:
-        SceneError: a file that cannot be read, or is no YAML that a scene may be.
-    """
-    try:
-        with path.open("rb") as stream:
-            content = stream.read(MAX_BYTES + 1)
-    except OSError as error:
-        rule = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
-        raise SceneError([Problem(str(path), None, "", None, rule, "give the path of a scene file")]) from None
-    return read_text(content, str(path), path.absolute().parent)
-
-
-def read_text(content: bytes | str, name: str, folder: Path) -> SceneSource:
-    """Read the text of a scene; see `read_file`."""
-    source = SceneSource(name, folder, {})
-    try:
-        value, lines = parse(content)
-        if not isinstance(value, dict):
-            raise RuleError(
-                (),
-                "must be a mapping of keys",
-                "the top level holds structure:, contacts:, study:, …",
-                value,
-                1,
-            )
-    except RuleError as fault:
-        raise SceneError([source.problem(fault)]) from None
-    return replace(source, data=value, lines=lines)
-
-
 def parse(content: bytes | str) -> tuple[Any, dict[Key, int]]:
     """Plain data of one YAML document and the line of each key path in it.
 
@@ -159,11 +76,8 @@ def parse(content: bytes | str) -> tuple[Any, dict[Key, int]]:
         RuleError: what is wrong, with its line.
     """
     if len(content) > MAX_BYTES:
-        raise RuleError(
-            (),
-            f"is larger than {MAX_BYTES // 1024**2} MB",
-            "keep large matrices in a .npz, .mat or .mtx file",
-        )
+        hint = "keep large matrices in a .npz, .mat or .mtx file"
+        raise RuleError((), f"is larger than {MAX_BYTES // 1024**2} MB", hint)
     reader = _Reader(_decoded(content) if isinstance(content, bytes) else content)
     try:
         return reader.document(), reader.lines
@@ -185,7 +99,12 @@ def _decoded(content: bytes) -> str:
 
 
 class _Reader:
-    """Walks the events of one document; the nesting is bounded before anything recurses."""
+    """Walks the events of one document, in which ruamel has parsed its text.
+
+    ruamel's round trip knows lines too, but it does not report a tag on a plain scalar, nor the key path of a key that
+    stands twice; it reads 1_0 as a number and 2001-01-01 as a date, which the core schema does not; and it recurses
+    through nested text and aliases before their depth and size can be bounded.
+    """
 
     def __init__(self, text: str):
         self.events: Iterator[Any] = YAML(typ="safe", pure=True).parse(text)
@@ -199,12 +118,8 @@ class _Reader:
         if not isinstance(start, DocumentStartEvent):
             raise RuleError((), "is empty", "a scene needs structure:, excitation: and study:", line=1)
         if start.version not in (None, (1, 2)):
-            raise RuleError(
-                (),
-                f"is YAML {'.'.join(map(str, start.version))}",
-                "write YAML 1.2, without a %YAML line",
-                line=1,
-            )
+            version = ".".join(map(str, start.version))
+            raise RuleError((), f"is YAML {version}", "write YAML 1.2, without a %YAML line", line=1)
         value = self.value(next(self.events), ())
         next(self.events)
         if isinstance(following := next(self.events), DocumentStartEvent):
@@ -233,29 +148,25 @@ class _Reader:
         return scalar(event.value) if event.implicit[0] else event.value
 
     def mapping(self, key: Key) -> dict[str, Any]:
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         while not isinstance(event := next(self.events), MappingEndEvent):
             if not isinstance(event, ScalarEvent) or event.tag not in (None, "!"):
                 raise RuleError(key, "has a key that is not plain text", line=_line(event))
             below = (*key, event.value)
-            if event.value in found:
-                raise RuleError(
-                    below,
-                    f"stands twice (first in line {self.lines[below]})",
-                    "remove one",
-                    line=_line(event),
-                )
+            if event.value in values:
+                rule = f"stands twice (first in line {self.lines[below]})"
+                raise RuleError(below, rule, "remove one", line=_line(event))
             self.lines[below] = _line(event)
-            found[event.value] = self.value(next(self.events), below)
-        return found
+            values[event.value] = self.value(next(self.events), below)
+        return values
 
     def sequence(self, key: Key) -> list[Any]:
-        found: list[Any] = []
+        values: list[Any] = []
         while not isinstance(event := next(self.events), SequenceEndEvent):
-            below = (*key, len(found))
+            below = (*key, len(values))
             self.lines[below] = _line(event)
-            found.append(self.value(event, below))
-        return found
+            values.append(self.value(event, below))
+        return values
 
     def alias(self, event: Any, key: Key) -> Any:
         if event.anchor not in self.anchors:
@@ -322,4 +233,4 @@ def _special(value: float) -> str:
 def _text(text: str) -> str:
     if _PLAIN.fullmatch(text) and isinstance(scalar(text), str):
         return text
-    return _UNPRINTABLE.sub(lambda found: f"\\U{ord(found[0]):08x}", json.dumps(text, ensure_ascii=False))
+    return _UNPRINTABLE.sub(lambda match: f"\\U{ord(match[0]):08x}", json.dumps(text, ensure_ascii=False))

@@ -7,7 +7,8 @@ the ensemble of starts. Each is a chunk of its own, so that an interrupted study
 import timesim.runtime  # noqa: F401  isort: skip
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,44 +16,103 @@ from xarray import Dataset
 
 from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
-from timesim.orbit.basin import ANOTHER, LOWER, NONE, UPPER, Ensemble, explore, shares, unique
+from timesim.orbit.basin import ANOTHER, LOWER, NONE, UPPER, explore, shares, unique
 from timesim.orbit.batch import SIZES
-from timesim.orbit.settling import Task, settle
-from timesim.orbit.two_motions import UP, Means, Part, Search, find, sweep_part
+from timesim.orbit.settling import Chain, steady_states, warm_up
+from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of, end_of
+from timesim.orbit.two_motions import UP, Search, ranges_of
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
-from timesim.scene.bistable import Bistable
 from timesim.scene.resolution import Scene
-from timesim.study.campaign import INTERRUPTED, Chunk, Result, carry_through
-from timesim.study.campaign import Means as Ways
+from timesim.scene.sweep import BistablePlan
+from timesim.study.campaign import INTERRUPTED, Chunk, Means, Result, carry_through, halted
 from timesim.study.hbm import followed
 from timesim.study.outcome import Outcome, attributes
-from timesim.study.sweep import COLUMNS, STEPS_A_CHUNK, Grid, failures, states_told
+from timesim.study.sweep import STEPS_A_CHUNK, Grid, failures, states_told
 
 LISTED = 12  # ranges that the summary names
 MOTIONS = ("lower", "upper")
 
-Payload = Part | Search | Ensemble
+
+@dataclass(frozen=True)
+class Payload:
+    """What is done for one set of values; each kind of work goes on from the result of the one before.
+
+    Attributes:
+        model, solver, criterion: the scene, and how its steady states are sought.
+    """
+
+    model: Model
+    solver: Solver
+    criterion: Criterion
+
+    def steady(self, chains: Sequence[Chain]) -> list[list[Orbit]]:
+        """Their steady states."""
+        return steady_states(chains, self.solver, self.criterion, halted=halted)
 
 
-def work(payload: Payload, before: Result | None) -> Result:
+@dataclass(frozen=True)
+class Part(Payload):
+    """A part of both sweeps: the frequencies [Hz] that each visits, upwards and downwards."""
+
+    up: tuple[float, ...]
+    down: tuple[float, ...]
+
+    def result(self, before: Result | None) -> Result:
+        """All steady states of both sweeps so far, in the order of each."""
+        chains = []
+        for direction, frequencies in enumerate((self.up, self.down)):
+            start = self.model.start
+            if before is not None and not before["reason"][direction, -1]:
+                start = end_of(before, (direction, -1), start.phase)
+            chains.append(Chain(replace(self.model, start=start), frequencies))
+        here = columns_of(self.steady(chains)) | {"frequency": np.array([self.up, self.down])}
+        if before is None:
+            return here
+        return {name: np.concatenate([before[name], array], axis=1) for name, array in here.items()}
+
+
+@dataclass(frozen=True)
+class Ends(Payload):
+    """The ends of the ranges, each to a width [Hz]."""
+
+    width: float
+
+    def result(self, before: Result | None) -> Result:
+        """The jumps, and the ranges with their motions."""
+        assert before is not None
+        return ranges_of(Search(self.model, self.steady, self.width), before)
+
+
+@dataclass(frozen=True)
+class Starts(Payload):
+    """The ensemble of starts, so many along each side."""
+
+    num: int
+
+    def result(self, before: Result | None) -> Result:
+        """What has become of them, beside the ranges."""
+        assert before is not None
+        return dict(before) | explore(self.model, self.steady, before, self.num)
+
+
+def work(payload: Part | Ends | Starts, before: Result | None) -> Result:
     """What a chunk gives; `Work` of the campaign."""
-    if isinstance(payload, Part):
-        return sweep_part(payload, before)
-    return find(payload, before) if isinstance(payload, Search) else explore(payload, before)
+    return payload.result(before)
 
 
-def study(scene: Scene, means: Ways) -> Outcome:
+def study(scene: Scene, means: Means) -> Outcome:
     """Run a bistable scene. That no range is found is a result, no failure.
 
     The balance is only drawn behind the ranges: where it comes to no end the summary says so, and its group of the
     result is marked, but the study is complete.
     """
-    plan = scene.file.study
-    assert isinstance(plan, Bistable)
-    solver, grid = scene.solver(), Grid(scene, plan.sweep())
+    plan: BistablePlan = scene.plan
+    solver, grid = scene.solver(), Grid(scene, plan.sweep)
     clock = time.perf_counter()
-    warm_up(grid, plan, solver)
+    models = [item for item in grid.models if isinstance(item, Model)]
+    sizes = SIZES if plan.starts**2 > SIZES[0] else SIZES[:1]
+    warm_up((Chain(model, (float(grid.frequency[0]),)) for model in models), solver, sizes)
     compiling = time.perf_counter() - clock
     results, reason = carry_through(chunks(grid, plan, solver), work, means, identity=scene.resolved_yaml())
     found = Found(grid, plan, results)
@@ -62,8 +122,8 @@ def study(scene: Scene, means: Ways) -> Outcome:
     _, *more = states_told(swept)
     size = int(np.isfinite(swept["amplitude"].values).all(axis=(-2, -1)).sum())
     lines = [*found.summary(), f"{size} steady states of both sweeps, and the search, in {running:.2f} s", *more]
-    if plan.harmonics and not (reason or "").startswith(INTERRUPTED):
-        balanced, hbm_reason = _balanced(scene, plan)
+    if plan.balance is not None and not (reason or "").startswith(INTERRUPTED):
+        balanced, _, hbm_reason = followed(scene, plan.balance)
         groups["hbm"] = balanced
         lines += folds(balanced)
         compiling, running = (compiling + balanced.attrs["compile_seconds"], running + balanced.attrs["run_seconds"])
@@ -76,45 +136,29 @@ def study(scene: Scene, means: Ways) -> Outcome:
     return Outcome({"": found.record(told), **groups}, why, tuple(lines))
 
 
-def _balanced(scene: Scene, plan: Bistable) -> tuple[Dataset, str | None]:
-    record, _, reason = followed(scene, plan.balance())
-    return record, reason
-
-
-def warm_up(grid: Grid, plan: Bistable, solver: Solver) -> None:
-    """Compile what the work needs, once, before threads ask for it side by side."""
-    models = [item for item in grid.models if isinstance(item, Model)]
-    for size in SIZES if plan.starts**2 > SIZES[0] else SIZES[:1]:
-        for model in models[:1]:
-            task = Task(model, float(grid.frequency[0]))
-            settle([task] * size, solver, tolerance=1e-2, max_cycles=1)
-
-
-def chunks(grid: Grid, plan: Bistable, solver: Solver) -> list[Chunk]:
+def chunks(grid: Grid, plan: BistablePlan, solver: Solver) -> list[Chunk]:
     """All the work: of each set of values parts of the sweeps, the ends, the starts."""
-    criterion = Criterion(plan.settle.tolerance, plan.settle.max_cycles, plan.periodic == "shoot")
     up = tuple(map(float, grid.frequency))
-    made = []
+    every = []
     for v, model in enumerate(grid.models):
         if not isinstance(model, Model):
             continue
-        means, after = Means(model, solver, criterion), None
+        given, after = (model, solver, plan.sweep.criterion), None
         for first in range(0, len(up), STEPS_A_CHUNK):
             rows = slice(first, first + STEPS_A_CHUNK)
-            part = Part(means, up[rows], up[::-1][rows])
             name = f"{v:05d}-sweep-{first // STEPS_A_CHUNK:05d}"
-            made.append(Chunk(name, part, after, 2 * len(part.up)))
+            every.append(Chunk(name, Part(*given, up[rows], up[::-1][rows]), after, 2 * len(up[rows])))
             after = name
-        made.append(Chunk(f"{v:05d}-ends", Search(means, plan.width), after, len(up)))
+        every.append(Chunk(f"{v:05d}-ends", Ends(*given, plan.width), after, len(up)))
         if plan.starts:
-            made.append(Chunk(f"{v:05d}-starts", Ensemble(means, plan.starts), f"{v:05d}-ends", plan.starts**2))
-    return made
+            every.append(Chunk(f"{v:05d}-starts", Starts(*given, plan.starts), f"{v:05d}-ends", plan.starts**2))
+    return every
 
 
 class Found:
     """What the chunks have given, put together."""
 
-    def __init__(self, grid: Grid, plan: Bistable, results: Mapping[str, Result]):
+    def __init__(self, grid: Grid, plan: BistablePlan, results: Mapping[str, Result]):
         self.grid, self.plan, self.results = grid, plan, results
         self.whole = [self._last(v) for v in range(len(grid.models))]
         self.count = max((len(result["range"]) for result in self.whole if result), default=0)
@@ -199,9 +243,9 @@ class Found:
         """The ranges in words."""
         lines = [line for v, result in enumerate(self.whole) if result for line in self._told(v, result)]
         if not lines and any(result is not None for result in self.whole):
-            span = self.plan.frequency
+            span = self.grid.frequency
             yield (
-                f"no range with two motions was found from {span.first:g} to {span.to:g} Hz: both sweeps are on one "
+                f"no range with two motions was found from {span[0]:g} to {span[-1]:g} Hz: both sweeps are on one "
                 f"motion at all {self.grid.frequency.size} frequencies, and no jump is left when a step is bisected"
             )
         yield from lines[:LISTED]

@@ -16,17 +16,16 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.hbm.curve import HbmCurve, solutions_at
-from timesim.orbit.share import switches
+from timesim.orbit.steady_state import switches
 from timesim.result.dataset import dataset
 from timesim.result.state import held_in
-from timesim.scene.axis import axis_values
-from timesim.scene.hbm import Compare
+from timesim.scene.hbm import ComparePlan
 from timesim.scene.resolution import Scene
 from timesim.study.campaign import INTERRUPTED, Means
 from timesim.study.compare_cycle import cycle_record
 from timesim.study.hbm import followed, left_out
 from timesim.study.hbm import summary as hbm_summary
-from timesim.study.hbm_curves import Curves, combinations
+from timesim.study.hbm_curves import Curves
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.sweep import jumps_told, sweep_record
 
@@ -106,7 +105,7 @@ def matched(sweep: Sweep, curves: Curves) -> Match:
     solution = np.full(amplitude.shape[:3], -1)
     near_fold = np.zeros((len(amplitude), sweep.frequency.size), dtype=bool)
     solutions: list[HbmCurve | None] = []
-    for v, values in enumerate(combinations(curves.plan.over)):
+    for v, values in enumerate(curves.values):
         pieces = [piece for piece in curves.pieces if piece.values == values and piece.curve.frequency.size]
         folds = np.concatenate([np.zeros(0), *(piece.curve.frequency[piece.curve.fold] for piece in pieces)])
         apart = np.abs(sweep.frequency[:, None] - folds)
@@ -138,13 +137,14 @@ def _pick(sweep: Sweep, v: int, found: HbmCurve, amplitude: np.ndarray, solution
 
 def study(scene: Scene, means: Means) -> Outcome:
     """Run a compare scene; marked incomplete where either method did not come to its end."""
-    plan = scene.file.study
-    assert isinstance(plan, Compare)
+    plan: ComparePlan = scene.plan
     clock = time.perf_counter()
-    swept, sweep_reason = sweep_record(scene, plan, means)
+    swept, sweep_reason = sweep_record(scene, plan.sweep, means)
     seconds = time.perf_counter() - clock
     given_up = (sweep_reason or "").startswith(INTERRUPTED)
-    balanced, curves, hbm_reason = left_out(scene, plan) if given_up else followed(scene, plan, passing=held_in(swept))
+    balanced, curves, hbm_reason = (
+        left_out(scene, plan.balance) if given_up else followed(scene, plan.balance, passing=held_in(swept))
+    )
     sweep = read_sweep(swept)
     match = matched(sweep, curves)
     faults = [f"{name}: {why}" for name, why in (("sweep", sweep_reason), ("hbm", hbm_reason)) if why]
@@ -173,10 +173,10 @@ def study(scene: Scene, means: Means) -> Outcome:
     looked_at = where_largest(sweep, match)
     if looked_at is not None and reason is None:
         v, d, f = looked_at
-        values = combinations(plan.over)[v]
+        values = curves.values[v]
         found = match.solutions[v]
         assert found is not None
-        model = scene.variant(values) if values else scene.model()
+        model = scene.variant(values)
         one = found.at(int(match.solution[v, d, f]))
         groups["cycle"] = cycle_record(model, one, curves.scheme, scene.solver(), values)
     return Outcome(groups, reason, (*hbm_summary(balanced, curves), *lines))
@@ -231,7 +231,7 @@ def _judgement(sweep: Sweep, match: Match, curves: Curves, size: np.ndarray, jud
     v, d, f = (int(i) for i in np.unravel_index(np.argmax(np.where(judged, size, -1.0)), size.shape))
     word = "agree" if worst <= AGREE else "nearly agree" if worst <= NEARLY else "differ"
     advice = "" if worst <= AGREE else "; study.convergence: true tells whether more harmonics would help"
-    values = ", ".join(f"{key} {value:g}" for key, value in combinations(curves.plan.over)[v].items())
+    values = ", ".join(f"{key} {value:g}" for key, value in curves.values[v].items())
     place = f"{sweep.frequency[f]:g} Hz" + (f" with {values}" if values else "")
     shares = (
         f"a contact {sweep.slip[v, d, f]:.2f} of the cycle in slip, one {sweep.separation[v, d, f]:.2f} in separation"
@@ -247,15 +247,10 @@ def _judgement(sweep: Sweep, match: Match, curves: Curves, size: np.ndarray, jud
 def _places(sweep: Sweep, curves: Curves, chosen: np.ndarray) -> str:
     """Where points lie, by value."""
     parts = []
-    for v, values in enumerate(combinations(curves.plan.over)):
+    for v, values in enumerate(curves.values):
         at = sweep.frequency[chosen[v].any(axis=0)]
         if at.size:
             told = ", ".join(f"{key} {value:g}" for key, value in values.items())
             span = f"{at[0]:g} Hz" if at.size == 1 else f"{at[0]:g} to {at[-1]:g} Hz"
             parts.append(f"{told} at {span}" if told else span)
     return "; ".join(parts)
-
-
-def axes_of(plan: Compare) -> dict[str, np.ndarray]:
-    """The further axes of the sweep with their values."""
-    return {key: np.array(axis_values(given)) for key, given in plan.over.items()}

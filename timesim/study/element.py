@@ -17,9 +17,9 @@ from timesim.element.state_by_state import steady_cycle
 from timesim.model.model import STATE_NAMES, Contact
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
-from timesim.scene.element import Element
+from timesim.scene.element import ElementPlan
 from timesim.scene.resolution import Scene
-from timesim.study.campaign import Progress
+from timesim.study.campaign import Means
 from timesim.study.outcome import Outcome, attributes
 
 # Above these the two ways do not agree: transitions [rad], forces relative to the largest mu n.
@@ -27,12 +27,10 @@ ANGLE, FORCE = 1e-6, 1e-8
 METHOD = "state by state"
 
 
-def study(scene: Scene, progress: Progress | None = None) -> Outcome:
+def study(scene: Scene, means: Means) -> Outcome:
     """Run an element scene; marked incomplete where no cycle repeats, or where the event loop disagrees."""
-    plan = scene.file.study
-    assert isinstance(plan, Element)
-    section = plan.chosen(scene.file.contacts)
-    contact, motion = section.build(), plan.build_motion(scene.source.folder, section)
+    plan: ElementPlan = scene.plan
+    contact, motion = plan.contact, plan.motion
     clock = time.perf_counter()
     cycle = steady_cycle(contact, motion)
     reason = None if cycle.periodic else _unsettled(cycle)
@@ -41,9 +39,9 @@ def study(scene: Scene, progress: Progress | None = None) -> Outcome:
         compared, doubt = _cross_check(contact, motion, cycle)
         reason = reason or doubt
     seconds = time.perf_counter() - clock
-    if progress is not None:
-        progress(1, 1)
-    record = record_of(scene, plan, contact, cycle, compared, seconds, reason)
+    if means.progress is not None:
+        means.progress(1, 1)
+    record = record_of(scene, plan, cycle, compared, seconds, reason)
     return Outcome({"": record}, reason, tuple(summary(cycle, compared)))
 
 
@@ -107,15 +105,14 @@ def summary(cycle: ElementCycle, compared: dict[str, float]) -> Iterator[str]:
 
 def record_of(
     scene: Scene,
-    plan: Element,
-    contact: Contact,
+    plan: ElementPlan,
     cycle: ElementCycle,
     compared: dict[str, float],
     seconds: float,
     reason: str | None,
 ) -> Dataset:
     """The result file."""
-    told = attributes(scene, METHOD, 0.0, seconds, reason) | compared | motion_attributes(contact, cycle.motion)
+    told = attributes(scene, METHOD, 0.0, seconds, reason) | compared | motion_attributes(plan.contact, cycle.motion)
     facts = {
         "cycles": cycle.num_cycles,
         "residual": cycle.residual,
@@ -177,7 +174,7 @@ def _at_transitions(cycle: ElementCycle) -> np.ndarray:
     return cycle.force(np.array([item.angle for item in cycle.transitions])).T.reshape(-1, 2)
 
 
-def coefficient_variables(cycle: ElementCycle, plan: Element) -> Variables:
+def coefficient_variables(cycle: ElementCycle, plan: ElementPlan) -> Variables:
     """Fourier coefficients, energy, stiffness and damping."""
     along = (("tangent",),)
     found = cycle.coefficients

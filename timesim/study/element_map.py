@@ -33,12 +33,12 @@ from timesim.element.prescribed import (
 )
 from timesim.model.model import SEPARATION
 from timesim.model.solver import Solver
+from timesim.orbit.extrapolation import limits
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
-from timesim.scene.contact import ContactSection
-from timesim.scene.element import MAP_AXES, ElementMap
+from timesim.scene.element import MAP_AXES, MapPlan
 from timesim.scene.resolution import Scene
-from timesim.study.campaign import INTERRUPTED, Progress
+from timesim.study.campaign import INTERRUPTED, Means, Progress
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.worker import threads
 
@@ -172,56 +172,33 @@ class March:
         self.forces[rows, -1], self.since[rows] = force, 0
 
 
-def limits(forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Limits of slowly converging sequences by their last four terms, shape (N, 4, 2), and which have one.
-
-    The changes fall by a ratio r (Aitken), or like a power of the cycle number, where r rises by q (1 - r)^2 a cycle.
-    """
-    first, second, third = np.moveaxis(np.diff(forces, axis=1), 1, 0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        before = np.sum(second * first, axis=1) / np.sum(first * first, axis=1)
-        ratio = np.sum(third * second, axis=1) / np.sum(second * second, axis=1)
-        aligned = np.hypot(*(third - ratio[:, None] * second).T) <= 0.1 * np.hypot(*third.T)
-        leads = aligned & (ratio > 0.2) & (ratio < 1) & (np.abs(ratio - before) <= 0.2 * (1 - ratio))
-        rise = np.minimum((ratio - before) / (1 - ratio) ** 2, 0.8)
-        rise = np.where(rise > 0.4, rise, 0.0)
-        far = third * (ratio / (1 - ratio) / (1 - rise))[:, None]
-    return np.where(leads[:, None], forces[:, -1] + far, 0.0), leads
-
-
-def elements_of(plan: ElementMap, section: ContactSection) -> tuple[Elements, np.ndarray]:
+def elements_of(plan: MapPlan) -> tuple[Elements, np.ndarray]:
     """All points of the map, the second axis fastest, and the phases of u1 and u2 there, shape (N, 2) [rad]."""
-    axes = plan.axes()
-    grid = dict(zip(axes, np.meshgrid(*axes.values(), indexing="ij"), strict=True))
-    count = int(np.prod([values.size for values in axes.values()]))
-    contact = section.build()
+    grid = np.meshgrid(*(plan.values[key] for key in plan.axes), indexing="ij")
+    columns = {key: values.ravel() for key, values in zip(plan.axes, grid, strict=True)}
+    count = grid[0].size
 
     def value(key: str) -> np.ndarray:
-        if key in grid:
-            return grid[key].ravel()
-        given = getattr(plan, key)
-        return np.full(count, getattr(contact, key) if given is None else given, dtype=float)
+        return columns[key] if key in columns else np.full(count, plan.values[key][0])
 
     turn: Callable[[str], np.ndarray] = lambda key: np.exp(1j * np.deg2rad(value(key)))  # noqa: E731
     phasor = np.stack([value("A") + 0j, value("B") * turn("phi_deg"), value("D") * turn("psi_deg")], axis=1)
     numbers = (value("friction"), value("normal_stiffness"), value("preload"))
     phase = np.stack([np.zeros(count), np.deg2rad(value("phi_deg"))], axis=1)
-    return harmonic_elements(*numbers, contact.tangential_stiffness, phasor), phase
+    return harmonic_elements(*numbers, plan.contact.tangential_stiffness, phasor), phase
 
 
-def study(scene: Scene, progress: Progress | None = None) -> Outcome:
+def study(scene: Scene, means: Means) -> Outcome:
     """Run an element_map scene; marked incomplete where it was interrupted, or the event loop ended early."""
-    plan, solver = scene.file.study, scene.solver()
-    assert isinstance(plan, ElementMap)
-    section = plan.chosen(scene.file.contacts)
-    elements, phase = elements_of(plan, section)
+    plan: MapPlan = scene.plan
+    solver, (elements, phase) = scene.solver(), elements_of(plan)
     clock = time.perf_counter()
     March(elements.pick(np.arange(1)), phase[:1], solver).run(max_cycles=1)
     compiled = time.perf_counter()
     march, reason = March(elements, phase, solver), None
     found = march.found
     try:
-        march.run(progress)
+        march.run(means.progress)
     except KeyboardInterrupt:
         reason = f"{INTERRUPTED} with {np.sum(~found.settled)} of {elements.size} points unsettled (settled = 0)"
     seconds = time.perf_counter() - compiled
@@ -229,9 +206,8 @@ def study(scene: Scene, progress: Progress | None = None) -> Outcome:
     lost = int(np.sum(np.isnan(found.dissipation)))
     if lost and reason is None:
         reason = f"the event loop ended early at {lost} of {elements.size} points, NaN in the result"
-    axes = plan.axes()
-    names = tuple(MAP_AXES[key] for key in axes)
-    shape = tuple(values.size for values in axes.values())
+    names = tuple(MAP_AXES[key] for key in plan.axes)
+    shape = tuple(len(plan.values[key]) for key in plan.axes)
     variables = {
         **{name: ((*names, "tangent"), getattr(found, name).reshape(*shape, 2)) for name in ("f_b", "f_s", "f_c")},
         **{
@@ -239,9 +215,9 @@ def study(scene: Scene, progress: Progress | None = None) -> Outcome:
             for name in ("dissipation", "transitions", "cycles", "settled")
         },
     }
-    coords = {MAP_AXES[key]: values for key, values in axes.items()} | coordinates(variables)
+    coords = {MAP_AXES[key]: np.array(plan.values[key]) for key in plan.axes} | coordinates(variables)
     told = attributes(scene, str(solver), compiled - clock, seconds, reason)
-    record = dataset(variables, coords, told | {"contact": section.name})
+    record = dataset(variables, coords, told | {"contact": plan.contact.name})
     lines = (
         f"{elements.size} points by {solver} in {seconds:.2f} s, after {compiled - clock:.1f} s of compilation",
         f"cycles to the steady one: {np.median(found.cycles):.0f} in the median, {found.cycles.max()} at most",

@@ -12,43 +12,39 @@ from xarray import Dataset
 from timesim.hbm.continuation import Controls
 from timesim.hbm.convergence import Convergence, Place, convergence
 from timesim.hbm.curve import HbmCurve, default_controls, hbm_curve
-from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.result.state import Held
-from timesim.scene.hbm import Compare, Hbm
+from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
-from timesim.study.campaign import Progress
-from timesim.study.hbm_curves import Curves, Piece, combinations
+from timesim.scene.study import combinations
+from timesim.study.campaign import Means, Progress
+from timesim.study.hbm_curves import Curves, Piece
 from timesim.study.outcome import Outcome, attributes
 
 
-def warmed_up(scene: Scene, plan: Hbm | Compare, scheme: Scheme) -> float:
+def warmed_up(scene: Scene, plan: HbmPlan) -> float:
     """Seconds that the first points of a curve took, most of them compilation."""
     clock = time.perf_counter()
-    values = combinations(plan.over)[0]
-    model = scene.variant(values) if values else scene.model()
-    middle = plan.span()[0]
+    model, middle = scene.variant(next(combinations(plan.over))), plan.span[0]
     few = Controls(default_controls().size, max_points=2)
-    hbm_curve(model, middle, 1.001 * middle, scheme=scheme, controls=few, stability=plan.stability)
+    hbm_curve(model, middle, 1.001 * middle, scheme=plan.scheme, controls=few, stability=plan.stability)
     return time.perf_counter() - clock
 
 
-def study(scene: Scene, progress: Progress | None = None) -> Outcome:
+def study(scene: Scene, means: Means) -> Outcome:
     """Run an hbm scene; the result is marked incomplete where a curve could not be followed to its end."""
-    plan = scene.file.study
-    assert isinstance(plan, Hbm)
-    record, curves, reason = followed(scene, plan, progress)
+    record, curves, reason = followed(scene, scene.plan, means.progress)
     return Outcome({"": record}, reason, tuple(summary(record, curves)))
 
 
 def followed(
-    scene: Scene, plan: Hbm | Compare, progress: Progress | None = None, passing: Held | None = None
+    scene: Scene, plan: HbmPlan, progress: Progress | None = None, passing: Held | None = None
 ) -> tuple[Dataset, Curves, str | None]:
     """All curves of a scene, those through the points of a sweep too: the record, they, and why some are not whole."""
     curves = Curves(scene, plan)
-    compiling = warmed_up(scene, plan, curves.scheme)
+    compiling = warmed_up(scene, plan)
     clock = time.perf_counter()
     reason = curves.run(progress, passing)
     found = convergence(places(curves.pieces), curves.scheme) if plan.convergence and reason is None else None
@@ -57,7 +53,7 @@ def followed(
     return record_of(scene.model(), curves, told, found), curves, reason
 
 
-def left_out(scene: Scene, plan: Compare) -> tuple[Dataset, Curves, str | None]:
+def left_out(scene: Scene, plan: HbmPlan) -> tuple[Dataset, Curves, str | None]:
     """The same where nothing is to be followed any more."""
     curves, reason = Curves(scene, plan), "not begun"
     told = attributes(scene, str(curves.scheme), 0.0, 0.0, reason)
@@ -106,9 +102,9 @@ def record_of(model: Model, curves: Curves, told: dict[str, Any], found: Converg
     variables = {name: (("solution", *dims[array.ndim]), array) for name, array in arrays.items()}
     for key in curves.plan.over:
         variables[key] = (("solution",), np.repeat([piece.values[key] for piece in pieces], counts))
-    for key in getattr(curves.plan, "along", {}):
-        variables[key] = (("solution",), _stacked(pieces, "parameter", ()))
-        told = told | {"along": key}
+    if (along := curves.plan.along) is not None:
+        variables[along.key] = (("solution",), _stacked(pieces, "parameter", ()))
+        told = told | {"along": along.key}
     coords = coordinates(variables, model)
     if found is not None:
         coords |= {"harmonics": found.harmonics, "time_samples": found.time_samples}

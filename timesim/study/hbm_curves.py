@@ -3,26 +3,23 @@
 import timesim.runtime  # noqa: F401  isort: skip
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from itertools import product
-from pathlib import Path
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from timesim.fault import RuleError
 from timesim.hbm.balance import Balance
-from timesim.hbm.continuation import Controls, Ending, solve
+from timesim.hbm.continuation import Ending, solve
 from timesim.hbm.curve import HbmCurve, crossings, default_controls, hbm_curve, solutions_at
 from timesim.hbm.first_guess import unknowns_of_modes
 from timesim.hbm.parameter import parameter_curve
 from timesim.model.model import Model
 from timesim.orbit.cycle import modal_coefficients
-from timesim.result.state import Held, SweepPoint, held, settled_points, start_of
-from timesim.result.waves import result_waves
-from timesim.scene.axis import axis_values
-from timesim.scene.hbm import Compare, Hbm, ResultStart
+from timesim.result.state import Held, SweepPoint, settled_points, start_of
+from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
+from timesim.scene.study import combinations
 from timesim.study.campaign import Progress
 
 # Unknowns of two solutions that are one, relative to their size.
@@ -51,18 +48,12 @@ class Piece:
         return ", ".join(f"{key} = {value:g}" for key, value in self.values.items())
 
 
-def combinations(over: Mapping[str, Any]) -> list[dict[str, float]]:
-    """All combinations of the values of the axes, the last axis fastest."""
-    return [
-        dict(zip(over, values, strict=True)) for values in product(*(axis_values(given) for given in over.values()))
-    ]
-
-
 class Curves:
-    """The curves of a scene's study, one combination of values after the other."""
+    """The curves of a study; `values` are the combinations of its further axes, one after the other."""
 
-    def __init__(self, scene: Scene, plan: Hbm | Compare):
-        self.scene, self.plan, self.scheme = scene, plan, plan.scheme()
+    def __init__(self, scene: Scene, plan: HbmPlan):
+        self.scene, self.plan, self.scheme = scene, plan, plan.scheme
+        self.values = list(combinations(plan.over))
         self.pieces: list[Piece] = []
         self.faults: list[str] = []
         self.notes: list[str] = []
@@ -77,16 +68,15 @@ class Curves:
         Returns:
             Why some curves are not whole, if any.
         """
-        wanted = combinations(self.plan.over)
-        sweeps = [sweep for sweep in (self._sweep(), passing and (passing, {})) if sweep]
+        sweeps = [sweep for sweep in (self.plan.passing, passing and (passing, {})) if sweep]
         try:
-            for count, values in enumerate(wanted):
+            for count, values in enumerate(self.values):
                 for piece in self._followed(values):
                     self._take(piece)
                 for sweep in sweeps:
                     self._pass(values, *sweep)
                 if progress is not None:
-                    progress(count + 1, len(wanted))
+                    progress(count + 1, len(self.values))
         except KeyboardInterrupt:
             self.faults.append(f"interrupted at curve {len(self.pieces) + 1}")
         return "; ".join(self.faults) or None
@@ -107,7 +97,7 @@ class Curves:
 
     def _isolated(self, values: dict[str, float], found: Held, points: list[SweepPoint]) -> Iterator[Piece]:
         """Curves from the points of a sweep that none of those with these values passes."""
-        model, (first, last) = self._model(values), self.plan.span()
+        model, (first, last) = self.scene.variant(values), self.plan.span
         low, high = sorted((first, last))
         own = [piece.curve for piece in self.pieces if piece.values == values]
         left = [point for point in points if low < point[0] < high]
@@ -149,61 +139,33 @@ class Curves:
         if piece.curve.ending is Ending.INTERRUPTED:
             raise KeyboardInterrupt
 
-    def _model(self, values: Mapping[str, float]) -> Model:
-        return self.scene.variant(values) if values else self.scene.model()
-
     def _followed(self, values: dict[str, float]) -> Iterator[Piece]:
-        model = self._model(values)
-        along: Mapping[str, Any] = getattr(self.plan, "along", {})
-        if along:
-            (key, ends), *_ = along.items()
+        model, along = self.scene.variant(values), self.plan.along
+        if along is not None:
+            key = along.key
             model_at: Callable[[float], Model] = lambda p: self.scene.variant({**values, key: p})  # noqa: E731
-            first, last = ends.values()
-            guess = self._given()[0]
-            curve = parameter_curve(model_at, self.plan.span()[0], first, last, guess=guess, **self._options())
+            guess = self.plan.motion.modal if self.plan.motion else None
+            ends = (along.first, along.last)
+            curve = parameter_curve(model_at, self.plan.span[0], *ends, guess=guess, **self._options())
             yield Piece(values, model_at, curve)
             return
         for curve in self._in_frequency(model):
             yield Piece(values, lambda _: model, curve)
 
     def _in_frequency(self, model: Model) -> list[HbmCurve]:
-        first, last = self.plan.span()
-        guess, begin = self._given()
+        (first, last), motion = self.plan.span, self.plan.motion
+        guess, begin = (motion.modal, motion.frequency) if motion is not None else (None, None)
         whole = hbm_curve(model, first, last, guess=guess, begin=begin, **self._options())
-        if self.plan.start != "both_ends" or whole.ending is Ending.INTERRUPTED:
+        if not self.plan.both_ends or whole.ending is Ending.INTERRUPTED:
             return [whole]
         back = hbm_curve(model, last, first, **self._options())
         if _same(whole, -1, back, 0) and whole.complete:
             return [whole]
         return [back] if back.complete and _same(whole, 0, back, -1) else [whole, back]
 
-    def _given(self) -> tuple[np.ndarray | None, float | None]:
-        """A transient's motion to start from, with its frequency [Hz]."""
-        if not isinstance(self.plan.start, ResultStart) or self._sweep() is not None:
-            return None, None
-        waves = result_waves(self._path(self.plan.start))
-        return waves.modal, waves.frequency
-
-    def _sweep(self) -> tuple[Held, Mapping[str, float | str]] | None:
-        """A sweep whose points are to be passed, and which of them."""
-        if not isinstance(self.plan.start, ResultStart):
-            return None
-        found = held(self._path(self.plan.start))
-        return (found, self.plan.start.at) if found.axes else None
-
-    def _path(self, start: ResultStart) -> Path:
-        return self.scene.source.folder / Path(start.source)
-
     def _options(self) -> dict[str, Any]:
-        return {"scheme": self.scheme, "controls": controls_of(self.plan), "stability": self.plan.stability}
-
-
-def controls_of(plan: Hbm | Compare) -> Controls:
-    """Steps of the continuation as the scene wants them."""
-    asked = plan.continuation
-    assert asked.first_step is not None
-    steps = (asked.first_step, asked.min_step, asked.max_step, asked.max_points, asked.tolerance)
-    return Controls(default_controls().size, *steps)
+        controls = replace(default_controls(), **asdict(self.plan.steps))
+        return {"scheme": self.scheme, "controls": controls, "stability": self.plan.stability}
 
 
 def _begun(piece: Piece) -> str:

@@ -21,14 +21,14 @@ from xarray import Dataset
 from timesim.fault import SceneError
 from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
-from timesim.orbit.settling import Chain, Orbit, Task, settle, steady_states
+from timesim.orbit.settling import Chain, steady_states, warm_up
+from timesim.orbit.steady_state import Orbit, columns_of
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
-from timesim.scene.optimum import Optimum
 from timesim.scene.resolution import Scene
+from timesim.scene.sweep import OptimumPlan
 from timesim.study.campaign import Chunk, Means, Result, carry_through, halted
 from timesim.study.outcome import Outcome, attributes
-from timesim.study.sweep import columns_of
 
 NEARLY = 0.9  # of the largest: other maxima that may be larger between the points of the sweep
 FINE = 1e-3  # of a step of the sweep: the frequency of a peak, whose height depends on it in second order only
@@ -113,22 +113,17 @@ class Peaks:
     """The peaks known so far, by the value of the scalar; each further one is a stage of the campaign."""
 
     def __init__(self, scene: Scene, means: Means):
-        plan = scene.file.study
-        assert isinstance(plan, Optimum)
+        plan: OptimumPlan = scene.plan
         self.scene, self.plan, self.means = scene, plan, means
-        self.key, self.range = plan.scalar
-        self.solver = scene.solver()
-        self.frequency = plan.frequency.values()
+        self.key, self.solver, self.frequency = plan.key, scene.solver(), plan.frequency
         self.results: dict[float, Result] = {}
         self.stages = 0
 
     def response(self, value: float) -> Response:
         """What is to be computed for a value."""
-        settle_ = self.plan.settle
-        criterion = Criterion(settle_.tolerance, settle_.max_cycles, self.plan.periodic == "shoot")
+        plan, model = self.plan, self.scene.variant({self.key: value})
         frequencies = tuple(map(float, self.frequency))
-        model = self.scene.variant({self.key: value})
-        return Response(model, frequencies, self.solver, criterion, self.plan.point, self.plan.axis)
+        return Response(model, frequencies, self.solver, plan.criterion, plan.point, plan.axis)
 
     def take(self, values: list[float], stage: str) -> None:
         """Compute the peaks at values.
@@ -172,7 +167,7 @@ class Peaks:
 
     def first(self) -> None:
         """The values of the range."""
-        self.take(list(map(float, self.range.values())), "")
+        self.take(list(self.plan.values), "")
 
     def least(self) -> float:
         """The value of the least peak known."""
@@ -185,13 +180,12 @@ class Peaks:
         place = grid.index(self.least())
         low, high = grid[max(place - 1, 0)], grid[min(place + 1, len(grid) - 1)]
         accuracy = self.plan.accuracy
-        assert accuracy is not None
         if high - low > accuracy:
             minimize_scalar(self.at, bounds=(low, high), method="bounded", options={"xatol": accuracy / 2})
         for _ in range(CHECKS):
             here = self.least()
             for value in (here - accuracy, here + accuracy):
-                if self.range.first <= value <= self.range.to:
+                if self.plan.values[0] <= value <= self.plan.values[-1]:
                     self.at(value)
             if self.at(self.least()) >= (1 - TIE) * self.at(here):
                 return
@@ -202,7 +196,7 @@ def study(scene: Scene, means: Means) -> Outcome:
     """Run an optimum scene; incomplete where the least peak was not found, or points of a sweep failed."""
     peaks, reason = Peaks(scene, means), None
     clock = time.perf_counter()
-    settle([Task(scene.model(), float(peaks.frequency[0]))], peaks.solver, tolerance=1e-2, max_cycles=1)
+    warm_up([Chain(scene.model(), (float(peaks.frequency[0]),))], peaks.solver, [2])
     compiling = time.perf_counter() - clock
     try:
         peaks.first()
@@ -266,12 +260,12 @@ def summary(peaks: Peaks, *, found: bool) -> Iterator[str]:
     result = peaks.results[best]
     height, frequency = float(result["peak"]), float(result["peak_frequency"])
     yield f"least peak {height:.7g} at {peaks.key} = {best:.6g}, at {frequency:.6g} Hz"
-    accuracy = peaks.plan.accuracy or 0.0
+    accuracy = peaks.plan.accuracy
     beside = {v: float(peaks.results[v]["peak"]) for v in (best - accuracy, best + accuracy) if v in peaks.results}
     if found and beside:
         told = " and ".join(f"{value:.7g} at {v:.6g}" for v, value in beside.items())
         yield f"an accuracy away the peak is not smaller: {told}"
-    if best in (peaks.range.first, peaks.range.to):
+    if best in (peaks.plan.values[0], peaks.plan.values[-1]):
         yield f"it is at an end of the range of {peaks.key}, so beyond it the peak may be smaller still"
     if int(result["peak_at_end"]):
         yield "its peak is at an end of frequency, so beyond it the response may be larger"

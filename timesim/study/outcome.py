@@ -32,7 +32,7 @@ def attributes(scene: Scene, method: str, compiling: float, running: float, reas
         "timesim_version": version("timesim"),
         "scene": scene.resolved_yaml(),
         "title": scene.file.title,
-        "study": scene.file.study.kind,
+        "study": scene.kind,
         "complete": int(reason is None),
         "method": method,
         "compile_seconds": compiling,

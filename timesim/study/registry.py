@@ -1,34 +1,141 @@
-"""What each ``study.kind`` runs. Loads the modules of a study only when it runs: checking a scene needs none of them.
+"""The kinds of study: the one table of them, and what loads a scene and carries out its study by it.
 
-To add a study: its section in `timesim.scene.studies`, a module with a function ``study(scene, progress)`` named here
-in `MODULES`, or one ``study(scene, means)`` in `CAMPAIGNS` if it works in chunks, and its pictures in `picture.draw`.
+To add a study, write a module with
+
+- its section of the scene file, a `timesim.scene.study.StudySection` with a `kind` and a `plan`;
+- ``study(scene, means) -> Outcome``, which carries out `scene.plan` and returns Datasets of
+  `timesim.result.dataset.dataset`, where a variable that the package does not know is given a ``long_name``;
+- if it has pictures, a mapping from the name of a file to a function that draws a figure of the result;
+
+and name them in a line of `STUDIES`. Reading and checking a scene loads all sections, so JAX and Matplotlib are to be
+imported inside functions where these stand in one module.
 """
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from timesim.result.netcdf import joined
-from timesim.scene.resolution import Scene, load_scene
+from timesim.scene import file, resolution
+from timesim.scene.resolution import Scene
+from timesim.scene.study import StudySection
 from timesim.study.campaign import Means, MeansError
 from timesim.study.outcome import Outcome
 
-MODULES = {
-    "transient": "timesim.study.transient",
-    "jump": "timesim.study.transient",
-    "element": "timesim.study.element",
-    "element_map": "timesim.study.element_map",
-    "hbm": "timesim.study.hbm",
+if TYPE_CHECKING:
+    import xarray
+
+
+@dataclass(frozen=True)
+class Study:
+    """Where the parts of a kind of study stand, each as ``module:name``; a module is loaded when it is needed.
+
+    Attributes:
+        section: its section of the scene file, a class.
+        run: the function ``(scene, means) -> Outcome``.
+        pictures: its pictures, a mapping from the name of a file to a function; empty if it has none.
+        in_chunks: whether it works in chunks of points, so that it can be resumed and spread over processes.
+    """
+
+    section: str
+    run: str
+    pictures: str = ""
+    in_chunks: bool = False
+
+
+STUDIES = {
+    "transient": Study(
+        "timesim.scene.transient:Transient", "timesim.study.transient:study", "timesim.picture.transient:PICTURES"
+    ),
+    "jump": Study("timesim.scene.transient:Jump", "timesim.study.transient:study", "timesim.picture.jump:PICTURES"),
+    "element": Study(
+        "timesim.scene.element:Element", "timesim.study.element:study", "timesim.picture.element:PICTURES"
+    ),
+    "element_map": Study(
+        "timesim.scene.element:ElementMap", "timesim.study.element_map:study", "timesim.picture.element_map:PICTURES"
+    ),
+    "sweep": Study(
+        "timesim.scene.sweep:Sweep", "timesim.study.sweep:study", "timesim.picture.sweep:PICTURES", in_chunks=True
+    ),
+    "hbm": Study("timesim.scene.hbm:Hbm", "timesim.study.hbm:study", "timesim.picture.hbm:PICTURES"),
+    "compare": Study(
+        "timesim.scene.hbm:Compare", "timesim.study.compare:study", "timesim.picture.compare:PICTURES", in_chunks=True
+    ),
+    "bistable": Study(
+        "timesim.scene.sweep:Bistable",
+        "timesim.study.bistable:study",
+        "timesim.picture.bistable:PICTURES",
+        in_chunks=True,
+    ),
+    "optimum": Study(
+        "timesim.scene.sweep:Optimum", "timesim.study.optimum:study", "timesim.picture.optimum:PICTURES", in_chunks=True
+    ),
 }
 
-CAMPAIGNS = {
-    "sweep": "timesim.study.sweep",
-    "compare": "timesim.study.compare",
-    "bistable": "timesim.study.bistable",
-    "optimum": "timesim.study.optimum",
-}
+
+@cache
+def _loaded(reference: str) -> Any:
+    """What stands at ``module:name``."""
+    module, _, name = reference.partition(":")
+    return getattr(import_module(module), name)
+
+
+def sections() -> dict[str, type[StudySection]]:
+    """The section of each kind of study."""
+    return {kind: _loaded(study.section) for kind, study in STUDIES.items()}
+
+
+def load_scene(source: str | Path | Mapping[str, Any], overrides: Mapping[str, Any] | Sequence[str] = ()) -> Scene:
+    """Read, check and build a scene.
+
+    Args:
+        source: path of a scene file, the text of one (of several lines), or the same as a mapping.
+        overrides: new values by key path, ``{"contacts.pad.preload": 5}`` or ``["contacts.pad.preload=5"]``;
+            items of a list go by their name or by their index from 0.
+
+    Raises:
+        SceneError: all that is wrong with the scene, each with file, line, key path, value and rule.
+    """
+    return resolution.load_scene(source, overrides, kinds=sections())
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema of the scene file, for editors."""
+    return file.json_schema(sections())
+
+
+def draw(data: "xarray.Dataset | xarray.DataTree", folder: Path | str) -> list[Path]:
+    """Write the pictures of a result into a folder as PNG, replacing earlier ones.
+
+    Args:
+        data: the result, a Dataset, or the DataTree of one with groups.
+        folder: an existing folder.
+
+    Returns:
+        The files written, in order; none for a study that has no pictures, or a run that recorded nothing.
+
+    Raises:
+        StoreError: a file cannot be written.
+    """
+    from timesim.picture.draw import write
+
+    return write(data, folder, _pictures(data.attrs["study"]))
+
+
+def picture_names(kind: str) -> list[str]:
+    """Names of the files that `draw` may write for a kind of study."""
+    return [f"{name}.png" for name in _pictures(kind)]
+
+
+def _pictures(kind: str) -> Mapping[str, Callable[..., Any]]:
+    """By the name of their file; none for a kind that is not known."""
+    study = STUDIES.get(kind)
+    pictures: Mapping[str, Callable[..., Any]] = _loaded(study.pictures) if study and study.pictures else {}
+    return pictures
 
 
 def carry_out(scene: Scene, means: Means | None = None) -> Outcome:
@@ -42,11 +149,9 @@ def carry_out(scene: Scene, means: Means | None = None) -> Outcome:
         MeansError: the study cannot be carried out by these means.
         StoreError: a checkpoint cannot be begun, or it is not of this scene.
     """
-    means, kind = means or Means(), scene.file.study.kind
-    check_means(kind, means)
-    in_chunks = kind in CAMPAIGNS
-    module = import_module(CAMPAIGNS[kind] if in_chunks else MODULES[kind])
-    outcome: Outcome = module.study(scene, means if in_chunks else means.progress)
+    means = means or Means()
+    check_means(scene.kind, means)
+    outcome: Outcome = _loaded(STUDIES[scene.kind].run)(scene, means)
     return outcome
 
 
@@ -58,9 +163,10 @@ def check_means(kind: str, means: Means) -> None:
     """
     given = {"resume": means.resume, "cluster": means.cluster, "workers": means.workers}
     useless = [name for name, value in given.items() if value]
-    if kind not in CAMPAIGNS and useless:
+    if not STUDIES[kind].in_chunks and useless:
+        able = ", ".join(name for name, study in STUDIES.items() if study.in_chunks)
         rule = f"a {kind} study is done in one go, not in chunks of points"
-        raise MeansError(f"{' and '.join(useless)}: {rule}; leave it out ({', '.join(CAMPAIGNS)} can use it)")
+        raise MeansError(f"{' and '.join(useless)}: {rule}; leave it out ({able} can use it)")
 
 
 def run(

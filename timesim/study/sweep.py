@@ -9,6 +9,7 @@ import timesim.runtime  # noqa: F401  isort: skip
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -16,15 +17,15 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.fault import SceneError
-from timesim.model.model import Model, Start
+from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
 from timesim.orbit.jump import Stretch, jumps_of, steps_of, suspects
-from timesim.orbit.settling import Chain, Orbit, first_lane, steady_states
+from timesim.orbit.settling import Chain, SteadyStates, steady_states, warm_up
+from timesim.orbit.steady_state import COLUMNS, START, Orbit, columns_of, end_of, orbit_of
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
-from timesim.scene.axis import axis_values
 from timesim.scene.resolution import Scene
-from timesim.scene.sweep import Sweep, SweepKeys
+from timesim.scene.study import SweepPlan, combinations
 from timesim.study.campaign import Chunk, Means, Result, carry_through, halted
 from timesim.study.outcome import Outcome, attributes
 
@@ -33,8 +34,6 @@ CHAINS_A_CHUNK = (4, 32)  # few chains are spread over the processors, many fill
 MANY_CHAINS = 64
 STEPS_A_CHUNK = 16  # of a chain: what is lost at most when a sweep is interrupted
 LISTED = 5  # failed points that the summary names
-
-START = ("end_displacement", "end_velocity", "end_slip", "end_state")  # of a result, in the order of `Start`
 
 
 @dataclass(frozen=True)
@@ -58,21 +57,22 @@ class Segment:
 def solve(segment: Segment, before: Result | None) -> Result:
     """The steady states of a segment as arrays: chain first, then its frequencies."""
     chains = list(segment.chains) if before is None else _continued(segment.chains, before)
-    orbits = steady_states(chains, segment.solver, segment.criterion, crowd=segment.crowd, halted=halted)
+    steady = partial(steady_states, solver=segment.solver, criterion=segment.criterion, halted=halted)
+    orbits = steady(chains, crowd=segment.crowd)
     rows = columns_of(orbits)
-    jumps = [] if segment.refine is None else list(_jumps(segment, chains, orbits, before, segment.refine))
+    jumps = [] if segment.refine is None else list(_jumps(steady, segment.refine, chains, orbits, before))
     last = np.array([chain.frequencies[-1] for chain in chains])
     return rows | {"last_frequency": last, "jumps": np.array(jumps, dtype=float).reshape(-1, 3)}
 
 
 def _jumps(
-    segment: Segment, chains: Sequence[Chain], orbits: Sequence[list[Orbit]], before: Result | None, width: float
+    steady: SteadyStates, width: float, chains: Sequence[Chain], orbits: Sequence[list[Orbit]], before: Result | None
 ) -> Iterator[tuple[int, float, float]]:
     """Jumps along the chains: position of the chain, low and high end."""
     steps = [_steps(chain, own, before, index) for index, (chain, own) in enumerate(zip(chains, orbits, strict=True))]
     where = [index for index, own in enumerate(steps) for _ in own]
     every = [step for own in steps for step in own]
-    for step, jump in jumps_of(every, segment.solver, segment.criterion, width):
+    for step, jump in jumps_of(every, steady, width):
         yield where[step], jump.low, jump.high
 
 
@@ -83,25 +83,6 @@ def _steps(chain: Chain, own: list[Orbit], before: Result | None, index: int) ->
         frequencies.insert(0, float(before["last_frequency"][index]))
         orbits.insert(0, orbit_of(before, (index, -1), chain.model.start.phase))
     return steps_of(chain.model, frequencies, orbits)
-
-
-COLUMNS = (
-    "amplitude", "band", "settled", "cycles", "period", "slip_share", "separation_share", "floquet_max", "reason",
-    "end_displacement", "end_velocity", "end_slip", "end_state",
-)  # fmt: skip
-
-
-def columns_of(orbits: Sequence[Sequence[Orbit]]) -> dict[str, np.ndarray]:
-    """What a result tells of steady states, by chain and place along it."""
-    return {name: np.array([[_value(orbit, name) for orbit in own] for own in orbits]) for name in COLUMNS}
-
-
-def _value(orbit: Orbit, name: str) -> Any:
-    if name == "floquet_max":
-        return np.max(np.abs(orbit.floquet), initial=0.0)
-    if name.startswith("end_"):
-        return getattr(orbit.end, name.removeprefix("end_"))
-    return (orbit.reason or "") if name == "reason" else getattr(orbit, name)
 
 
 def _continued(chains: Sequence[Chain], before: Result) -> list[Chain]:
@@ -116,43 +97,18 @@ def _continued(chains: Sequence[Chain], before: Result) -> list[Chain]:
     return made
 
 
-def end_of(result: Result, place: tuple[int, int], phase: float) -> Start:
-    """The state at the end of a cycle of one of the steady states, the excitation then at a phase [rad]."""
-    displacement, velocity, slip, state = (np.asarray(result[name][place]) for name in START)
-    return Start(displacement, velocity, slip, state, phase)
-
-
-def orbit_of(result: Result, place: tuple[int, int], phase: float) -> Orbit:
-    """A steady state from the columns of a result; of its multipliers the largest only."""
-    value = {name: result[name][place] for name in COLUMNS}
-    return Orbit(
-        end=end_of(result, place, phase),
-        amplitude=value["amplitude"],
-        band=value["band"],
-        settled=bool(value["settled"]),
-        cycles=int(value["cycles"]),
-        period=int(value["period"]),
-        slip_share=value["slip_share"],
-        separation_share=value["separation_share"],
-        floquet=np.array([value["floquet_max"]]),
-        reason=str(value["reason"]) or None,
-    )
-
-
 # The study
 
 
 def study(scene: Scene, means: Means) -> Outcome:
     """Run a sweep; points that fail are marked, named with their reason, and make the result incomplete."""
-    plan = scene.file.study
-    assert isinstance(plan, Sweep)
-    record, reason = sweep_record(scene, plan, means)
+    record, reason = sweep_record(scene, scene.plan, means)
     told = record.attrs
     attrs = attributes(scene, told["method"], told["compile_seconds"], told["run_seconds"], reason)
     return Outcome({"": record.assign_attrs(attrs)}, reason, tuple(summary(record)))
 
 
-def sweep_record(scene: Scene, plan: SweepKeys, means: Means) -> tuple[Dataset, str | None]:
+def sweep_record(scene: Scene, plan: SweepPlan, means: Means) -> tuple[Dataset, str | None]:
     """The steady states over the further axes, direction and frequency.
 
     Returns:
@@ -163,7 +119,7 @@ def sweep_record(scene: Scene, plan: SweepKeys, means: Means) -> tuple[Dataset, 
     chunks, places = grid.chunks(solver)
     clock = time.perf_counter()
     if means.cluster is None:
-        warm_up(chunks, solver)
+        warm_up((chain for chunk in chunks for chain in chunk.payload.chains), solver, [chunks[0].payload.crowd])
     compiling = time.perf_counter() - clock
     results, reason = carry_through(chunks, solve, means, identity=scene.resolved_yaml())
     arrays, jumps = grid.gathered(results, places)
@@ -171,17 +127,6 @@ def sweep_record(scene: Scene, plan: SweepKeys, means: Means) -> tuple[Dataset, 
     told = {"method": str(solver), "compile_seconds": compiling, "run_seconds": seconds}
     record = grid.record(arrays, jumps, told)
     return record, reason or failures(record)
-
-
-def warm_up(chunks: Sequence[Chunk], solver: Solver) -> None:
-    """Compile what the work needs, once, before threads ask for it side by side."""
-    for chain in (chain for chunk in chunks for chain in chunk.payload.chains):
-        one = Chain(chain.model, chain.frequencies[:1])
-        lane = first_lane(one, solver)
-        if lane.here.state.size:
-            crowd = chunks[0].payload.crowd
-            steady_states([one], solver, Criterion(tolerance=1e-2, max_cycles=1), crowd=crowd)
-            return
 
 
 def failures(record: Dataset) -> str | None:
@@ -280,13 +225,11 @@ Place = tuple[int, int, slice | int]
 class Grid:
     """The points of a sweep: sets of values of the further axes, directions, frequencies."""
 
-    def __init__(self, scene: Scene, plan: SweepKeys):
+    def __init__(self, scene: Scene, plan: SweepPlan):
         self.scene, self.plan = scene, plan
-        self.axes = {key: np.array(axis_values(given)) for key, given in plan.over.items()}
-        self.frequency = plan.frequency.values()
-        self.models = [
-            _variant(scene, dict(zip(self.axes, map(float, v), strict=True))) for v in product(*self.axes.values())
-        ]
+        self.axes = {key: np.array(values) for key, values in plan.over.items()}
+        self.frequency = plan.frequency
+        self.models = [_variant(scene, values) for values in combinations(plan.over)]
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -295,16 +238,14 @@ class Grid:
 
     def chunks(self, solver: Solver) -> tuple[list[Chunk], dict[str, list[Place]]]:
         """The work, and where the results of each chunk belong."""
-        settle_, chained = self.plan.settle, self.plan.direction != "independent"
-        criterion = Criterion(settle_.tolerance, settle_.max_cycles, self.plan.periodic == "shoot")
         chunks: list[Chunk] = []
         places: dict[str, list[Place]] = {}
-        pieces = list(self._pieces(chained))
+        pieces = list(self._pieces())
         crowd = max((len(where) for _, _, where in pieces), default=0)
         for name, after, where in pieces:
             chains = tuple(Chain(self._model(v), tuple(self._visited(d, f))) for v, d, f in where)
             size = sum(len(chain.frequencies) for chain in chains)
-            payload = Segment(chains, solver, criterion, self.plan.refine, crowd)
+            payload = Segment(chains, solver, self.plan.criterion, self.plan.refine, crowd)
             chunks.append(Chunk(name, payload, after, size))
             places[name] = where
         return chunks, places
@@ -318,9 +259,9 @@ class Grid:
         order = self.frequency[::-1] if self.plan.directions[direction] == "down" else self.frequency
         return list(map(float, np.atleast_1d(order[where])))
 
-    def _pieces(self, chained: bool) -> Iterator[tuple[str, str | None, list[Place]]]:
+    def _pieces(self) -> Iterator[tuple[str, str | None, list[Place]]]:
         good = [v for v, model in enumerate(self.models) if isinstance(model, Model)]
-        if not chained:
+        if not self.plan.chained:
             points: list[Place] = [(v, 0, f) for v in good for f in range(self.frequency.size)]
             for number, part in enumerate(_parts(points, POINTS_A_CHUNK)):
                 yield f"points-{number:05d}", None, part
@@ -347,7 +288,7 @@ class Grid:
             for index, low, high in result["jumps"]:
                 v, d, _ = places[name][int(index)]
                 jumps.append((v, d, low, high))
-        if self.plan.refine is None and self.plan.direction != "independent":
+        if self.plan.refine is None and self.plan.chained:
             jumps += self._unrefined(arrays["amplitude"])
         for name in START:
             arrays[name][arrays["reason"] != ""] = -1 if name == "end_state" else np.nan
@@ -420,7 +361,7 @@ def _sizes(model: Model | None) -> dict[str, int]:
 def _variant(scene: Scene, values: Mapping[str, float]) -> Model | str:
     """The model with other scalars, or what is wrong with it."""
     try:
-        return scene.variant(values) if values else scene.model()
+        return scene.variant(values)
     except SceneError as error:
         return str(error)
 

@@ -7,8 +7,6 @@ import timesim.runtime  # noqa: F401  isort: skip
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import accumulate
 from typing import Any
 
 import jax
@@ -24,10 +22,9 @@ from timesim.model.model import SEPARATION, Model
 from timesim.model.scales import scales_of
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
-from timesim.scene.jump import FrequencyPhase, Jump
 from timesim.scene.resolution import Scene
-from timesim.scene.studies import Transient
-from timesim.study.campaign import Progress
+from timesim.scene.transient import Schedule
+from timesim.study.campaign import Means, Progress
 from timesim.study.outcome import Outcome, attributes
 
 ROWS = 1024  # samples evaluated at a time: a fixed number, so that the law is compiled once
@@ -35,64 +32,10 @@ ROWS = 1024  # samples evaluated at a time: a fixed number, so that the law is c
 LISTED = 12  # phases at most that the summary of a run lists
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What is run and what of it is sampled.
-
-    Attributes:
-        phases: the whole schedule, the run-up included.
-        run_up: how many of them come before time 0.
-        first: cycle from which samples are kept, counted from 0.
-        samples_per_cycle: samples of a cycle.
-    """
-
-    phases: tuple[Phase, ...]
-    run_up: int
-    first: int
-    samples_per_cycle: int
-
-    def edges(self) -> np.ndarray:
-        """Time at the start of each phase and at the end of the last [s], exactly 0 after the run-up."""
-        ends = np.array([0.0, *accumulate(phase.cycles / phase.frequency for phase in self.phases)])
-        return ends - ends[self.run_up]
-
-    def sample_times(self) -> np.ndarray:
-        """Times of the samples [s], both ends of the recorded cycles included."""
-        edges, cycle, times = self.edges(), 0, []
-        for phase, start in zip(self.phases, edges, strict=False):
-            skipped = min(max(self.first - cycle, 0), phase.cycles)
-            ticks = np.arange(skipped * self.samples_per_cycle, phase.cycles * self.samples_per_cycle)
-            times.append(start + ticks / (phase.frequency * self.samples_per_cycle))
-            cycle += phase.cycles
-        return np.concatenate([*times, edges[-1:]])
-
-    def cycle_frequency(self) -> np.ndarray:
-        """Frequency of each cycle [Hz], shape (cycles,)."""
-        return np.repeat([phase.frequency for phase in self.phases], [phase.cycles for phase in self.phases])
-
-
-def plan_of(scene: Scene) -> Plan:
-    """What a transient or a jump runs and samples."""
-    study = scene.file.study
-    if isinstance(study, Jump):
-        before, recorded = _phases(study.run_up), _phases(study.phases)
-        first = sum(phase.cycles for phase in before)
-        return Plan(before + recorded, len(before), first, study.samples_per_cycle)
-    assert isinstance(study, Transient)
-    assert study.record_last is not None
-    frequency = scene.model().excitation.frequency
-    assert frequency is not None
-    return Plan((Phase(frequency, study.cycles),), 0, study.cycles - study.record_last, study.samples_per_cycle)
-
-
-def _phases(sections: Sequence[FrequencyPhase]) -> tuple[Phase, ...]:
-    return tuple(Phase(section.frequency, section.cycles) for section in sections)
-
-
 class Recorder:
     """Takes up the steps of a run: samples of the recorded cycles, all transitions, totals of every cycle."""
 
-    def __init__(self, run: Run, plan: Plan):
+    def __init__(self, run: Run, plan: Schedule):
         self.run, self.plan = run, plan
         now = (run.displacement, run.velocity, run.slip, run.state)
         self.totals = CycleTotals(run.model, float(stored_energy(run.model, *(part[None] for part in now))[0]))
@@ -161,13 +104,13 @@ def _force(law: ContactLaw, state: Any, x: Any, dx: Any, w: Any) -> Any:
     return jnp.stack([*acts.f, acts.n], axis=-1)
 
 
-def study(scene: Scene, progress: Progress | None = None) -> Outcome:
+def study(scene: Scene, means: Means) -> Outcome:
     """Run a scene of a transient or a jump; the result is marked incomplete where the run ended early."""
-    plan = plan_of(scene)
-    run = Run(scene.model(), plan.phases, scene.solver())
+    plan: Schedule = scene.plan
+    run = Run(scene.model(), [Phase(*phase) for phase in plan.phases], scene.solver())
     run.time = float(plan.edges()[0])
     recorder = Recorder(run, plan)
-    reason, seconds = follow(run, recorder, progress)
+    reason, seconds = follow(run, recorder, means.progress)
     record = record_of(scene, run, recorder, seconds, reason)
     return Outcome({"": record}, reason, (*summary(run, record), *phase_summary(plan, record)))
 
@@ -183,19 +126,19 @@ def summary(run: Run, record: Dataset) -> Iterator[str]:
         yield f"energy balance of a cycle closes to {residual:.1e} of the larger of input and stored energy"
 
 
-def phase_summary(plan: Plan, record: Dataset) -> Iterator[str]:
+def phase_summary(plan: Schedule, record: Dataset) -> Iterator[str]:
     """Of a schedule, the amplitude at the end of each phase of what moves most, unless the phases are too many."""
     amplitude = record["cycle_amplitude"].values
     if not 1 < len(plan.phases) <= LISTED or not amplitude.size:
         return
     _, point, axis = np.unravel_index(np.argmax(amplitude), amplitude.shape)
     name = f"{record['point'].values[point]} {record['axis'].values[axis]}"
-    ends = np.cumsum([phase.cycles for phase in plan.phases])
-    for number, (phase, end) in enumerate(zip(plan.phases, ends, strict=True), 1 - plan.run_up):
+    ends = np.cumsum([cycles for _, cycles in plan.phases])
+    for number, ((frequency, cycles), end) in enumerate(zip(plan.phases, ends, strict=True), 1 - plan.run_up):
         if end <= len(amplitude):
             which = f"phase {number}" if number > 0 else "run-up"
             size = f"amplitude {amplitude[end - 1, point, axis]:.6g} of {name} at its end"
-            yield f"{which}: {phase.cycles} cycles at {phase.frequency:.6g} Hz, {size}"
+            yield f"{which}: {cycles} cycles at {frequency:.6g} Hz, {size}"
 
 
 def follow(run: Run, recorder: Recorder, progress: Progress | None) -> tuple[str | None, float]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from timesim.orbit.share import share, switches
+from timesim.orbit.steady_state import share, switches
 
 
 def test_a_share_is_exact_where_the_state_never_changes():

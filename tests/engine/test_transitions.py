@@ -1,0 +1,30 @@
+"""What follows a transition where the normal load is next to nothing."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from systems import pad
+
+from timesim.engine.contact import ConeLaw
+from timesim.engine.contact_law import Motion
+from timesim.model.model import SEPARATION, SLIP, STICK
+from timesim.model.scales import Scales
+
+ONE = Scales(1.0, np.ones(1), 1.0, 1.0, 1.0)
+TINY = 1e-10
+
+
+def plane(x: float, y: float) -> tuple[jnp.ndarray, jnp.ndarray]:
+    return jnp.asarray([x]), jnp.asarray([y])
+
+
+@pytest.mark.parametrize("n", [0.0, 0.5 * TINY, 2 * TINY])
+@pytest.mark.parametrize(("before", "after"), [(STICK, SLIP), (SLIP, STICK)])
+@pytest.mark.parametrize("rate", [-1.0, 1.0])
+def test_a_contact_without_load_opens_only_if_its_load_falls(before: int, after: int, n: float, rate: float):
+    """Just after it has touched a contact bears as little, but its load rises."""
+    law = ConeLaw.of([pad(0.4, 2.0, 1.0, 0.0)], ONE)
+    motion = Motion(plane(0.0, 0.0), jnp.asarray([n]), plane(1.0, 0.5), jnp.asarray([rate]))
+    opens = rate < 0 and n <= TINY
+    found = int(law.successor(jnp.asarray([before]), motion, tiny=jnp.asarray(TINY))[0])
+    assert found == (SEPARATION if opens else after)

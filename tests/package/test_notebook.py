@@ -1,0 +1,94 @@
+"""Studies as functions of arrays: the same bits as scene files give, and arguments that are refused."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+
+import timesim
+
+ROOT = Path(__file__).parents[2]
+
+
+def oscillator(preload=3.0, **pad):
+    """The oscillator of configs/oscillator.yaml."""
+    file = timesim.load_scene(ROOT / "configs/oscillator.yaml").source.data
+    modes, pads = file["structure"]["modes"], file["contacts"]
+    frequency, ratio, mass = (np.array([mode[key] for mode in modes]) for key in ("frequency", "damping_ratio", "mass"))
+    structure = timesim.modes(frequency, ratio, {"tip": [mode["shape"]["tip"] for mode in modes]}, mass=mass)
+    given = {key: value for key, value in pads[0].items() if key not in {"name", "point", "preload"}}
+    force = timesim.modal_forces([force["amplitude"] for force in file["excitation"]["modal_force"]])
+    return timesim.system(structure, [timesim.contact("pad", "tip", preload=preload, **given | pad)], force)
+
+
+def same(one, other):
+    assert set(one.variables) == set(other.variables)
+    for name in one.variables:
+        xarray.testing.assert_identical(one[name].drop_attrs(), other[name].drop_attrs())
+
+
+def test_a_run_from_arrays_gives_the_bits_of_the_scene_file(tmp_path):
+    file = timesim.load_scene(ROOT / "configs/oscillator.yaml").source.data
+    short = {"study.cycles": 5, "study.record_last": 2}
+    expected = timesim.run(ROOT / "configs/oscillator.yaml", short)
+    preload = file["contacts"][0]["preload"]
+    found = timesim.integrate(oscillator(preload), file["excitation"]["frequency"], 5, record_last=2)
+    same(found, expected)
+    assert timesim.plot(found, tmp_path / "new")
+
+
+def test_matrices_are_those_of_a_scene():
+    M, K = np.diag([1.0, 2.0]), np.array([[80.0, -40.0], [-40.0, 40.0]])
+    structure = timesim.matrices(M, K, {"tip": {"x": 1}}, damping_ratio=0.02, keep_modes=2)
+    pad = timesim.contact("pad", "tip", friction=0.4, tangential_stiffness=20.0, normal_stiffness=0.0, preload=1.0)
+    system = timesim.system(structure, [pad], timesim.point_force("tip", [1, 0, 0], 1.0))
+    found = timesim.integrate(system, 0.8, 3)
+    written = {"mass": M.tolist(), "stiffness": K.tolist(), "damping_ratio": 0.02, "points": {"tip": {"x": 1}}}
+    scene = {
+        "structure": {"matrices": written, "keep_modes": 2},
+        "contacts": [{"name": "pad", "point": "tip", "friction": 0.4, "tangential_stiffness": 20, "normal_stiffness": 0,
+                      "preload": 1}],
+        "excitation": {"frequency": 0.8, "forces": [{"point": "tip", "direction": [1, 0, 0], "amplitude": 1}]},
+        "study": {"kind": "transient", "cycles": 3},
+    }  # fmt: skip
+    same(found, timesim.run(scene))
+
+
+def test_steady_states_and_curves():
+    point = timesim.settle(oscillator(), 1.39)
+    assert abs(point["amplitude"].sel(point="tip", axis="x").item() - 0.15612878) < 1e-7
+    row = timesim.sweep(oscillator(), [1.39])
+    same(row.isel(direction=0, frequency=0), point)
+    curve = timesim.follow(oscillator(), 1.38, 1.40)
+    assert {"amplitude", "stable"} <= set(curve)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda: timesim.modes([[1.0]], 0.1, {"tip": [[1, 0, 0]]}),
+            r"frequency has shape \(1, 1\), it must have \(M\)",
+        ),
+        (lambda: timesim.modes([1.0, 2.0], 0.1, {"tip": [[1, 0, 0]]}), r"shapes\['tip'\] .*\(2, 3\)"),
+        (lambda: timesim.modes([1.0], [0.1, 0.2], {"tip": [[1, 0, 0]]}), "damping_ratio .* a number or one a mode"),
+        (lambda: timesim.matrices(np.eye(2), np.eye(3), {}), r"stiffness has shape \(3, 3\), it must have \(2, 2\)"),
+        (lambda: timesim.matrices(np.ones((2, 3)), np.eye(3), {}), r"mass has shape \(2, 3\)"),
+        (lambda: oscillator(normal=[0, 1]), r"normal has shape \(2,\)"),
+        (lambda: oscillator(tangential_stiffness=[1, 2, 3]), "tangential_stiffness has shape"),
+        (lambda: timesim.integrate(oscillator(friction=-1), 1.39, 5), "contacts.pad.friction"),
+        (lambda: timesim.sweep(oscillator(), 1.39), "frequency has shape"),
+    ],
+)
+def test_wrong_arguments_are_named(call, message):
+    with pytest.raises((ValueError, timesim.SceneError), match=message):
+        call()
+
+
+def test_the_example_of_the_readme_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    section = (ROOT / "README.md").read_text().split("From Python")[1]
+    for code in re.findall(r"```python\n(.*?)```", section, re.S)[:2]:
+        exec(compile(code.replace("configs/", f"{ROOT}/configs/"), "README.md", "exec"), {})

@@ -1,0 +1,150 @@
+"""A steady state: amplitude, states of the contacts, stability, the state from which a run goes on; as arrays too."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from timesim.model.model import Model, Start
+
+Shares = TypeVar("Shares", bound=Any)
+"""An array of numpy or of xarray."""
+
+# A visit to a state that lasts for a smaller share of the period is not one: a transition itself is located to 1e-8 of
+# the fastest oscillation, and what a visit this short does to a motion is far below any tolerance.
+BRIEF = 1e-9
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """The steady state at a frequency.
+
+    Attributes:
+        end: the state at the end of a cycle, from which another run may start.
+        amplitude: (max - min) / 2 of each point along x, y, z over a period, shape (P, 3); over the last ten cycles
+            where the motion has not settled.
+        band: smallest and largest amplitude of one of these cycles, shape (2, P, 3).
+        settled: whether the motion repeats.
+        cycles: excitation cycles integrated; 0 where the scene is linear and needs none.
+        period: its period in excitation periods; 0 if it has not settled.
+        slip_share, separation_share: share of the period in these states, shape (C,).
+        floquet: multipliers of the period, largest first, without those of offsets that nothing moves; NaN where the
+            motion has not settled.
+        reason: why it could not be computed; None if it was.
+    """
+
+    end: Start
+    amplitude: np.ndarray
+    band: np.ndarray
+    settled: bool
+    cycles: int
+    period: int
+    slip_share: np.ndarray
+    separation_share: np.ndarray
+    floquet: np.ndarray
+    reason: str | None = None
+
+    @property
+    def largest(self) -> float:
+        """Largest amplitude of all points and axes."""
+        return float(np.max(np.abs(self.amplitude), initial=0.0))
+
+
+def without_orbit(model: Model, reason: str, cycles: int = 0) -> Orbit:
+    """What stands for a steady state that could not be computed."""
+    nothing = np.full(model.num_contacts, np.nan)
+    amplitude = np.full((len(model.structure.points), 3), np.nan)
+    band = np.stack([amplitude, amplitude])
+    return Orbit(model.start, amplitude, band, False, cycles, 0, nothing, nothing, np.full(1, np.nan), reason)
+
+
+# Two motions
+
+SAME = 1e-3
+"""Of the amplitude: motions that differ by less are one."""
+
+
+def distance(one: Orbit, other: Orbit) -> float:
+    """How much the amplitudes of two motions differ, the largest of all points and axes.
+
+    By less where one has not settled: its amplitude may be any in its band.
+    """
+    loose = sum(orbit.band[1] - orbit.band[0] for orbit in (one, other) if not orbit.settled)
+    return float(np.max(np.abs(one.amplitude - other.amplitude) - loose, initial=0.0))
+
+
+def differ(one: Orbit, other: Orbit) -> bool:
+    """Whether two motions are not the same; one that could not be computed differs from none."""
+    known = one.reason is None and other.reason is None
+    return known and distance(one, other) > SAME * max(one.largest, other.largest)
+
+
+# Shares of the states of contacts
+
+
+def share(duration: np.ndarray, within: np.ndarray) -> np.ndarray:
+    """Share of the time spent within a state: exactly 0 or 1 where it never changes.
+
+    Args:
+        duration: of each step, shape (N,).
+        within: whether each contact is in the state during each step, shape (N, C).
+
+    Returns:
+        shares, shape (C,).
+    """
+    part = duration @ within / duration.sum()
+    return np.where(within.all(axis=0), 1.0, np.minimum(part, 1.0))
+
+
+def switches(slip_share: Shares, separation_share: Shares) -> Shares:
+    """Whether each contact slips, or is open for a part of the period; where none does the motion is linear."""
+    return (slip_share > BRIEF) | ((separation_share > BRIEF) & (separation_share < 1 - BRIEF))
+
+
+# Steady states as arrays, by chain and place along it
+
+Columns = Mapping[str, np.ndarray]
+"""Steady states as arrays by the names of `COLUMNS`."""
+
+START = ("end_displacement", "end_velocity", "end_slip", "end_state")  # in the order of `Start`
+COLUMNS = (
+    "amplitude", "band", "settled", "cycles", "period", "slip_share", "separation_share", "floquet_max", "reason",
+    *START,
+)  # fmt: skip
+
+
+def columns_of(orbits: Sequence[Sequence[Orbit]]) -> dict[str, np.ndarray]:
+    """Steady states as arrays, by chain and place along it; of the multipliers the largest only."""
+    return {name: np.array([[_value(orbit, name) for orbit in own] for own in orbits]) for name in COLUMNS}
+
+
+def _value(orbit: Orbit, name: str) -> Any:
+    if name == "floquet_max":
+        return np.max(np.abs(orbit.floquet), initial=0.0)
+    if name.startswith("end_"):
+        return getattr(orbit.end, name.removeprefix("end_"))
+    return (orbit.reason or "") if name == "reason" else getattr(orbit, name)
+
+
+def end_of(columns: Columns, place: tuple[int, int], phase: float) -> Start:
+    """The state at the end of a cycle of one of the steady states, the excitation then at a phase [rad]."""
+    displacement, velocity, slip, state = (np.asarray(columns[name][place]) for name in START)
+    return Start(displacement, velocity, slip, state, phase)
+
+
+def orbit_of(columns: Columns, place: tuple[int, int], phase: float) -> Orbit:
+    """The inverse of `columns_of`; of the multipliers the largest only."""
+    value = {name: columns[name][place] for name in COLUMNS}
+    return Orbit(
+        end=end_of(columns, place, phase),
+        amplitude=value["amplitude"],
+        band=value["band"],
+        settled=bool(value["settled"]),
+        cycles=int(value["cycles"]),
+        period=int(value["period"]),
+        slip_share=value["slip_share"],
+        separation_share=value["separation_share"],
+        floquet=np.array([value["floquet_max"]]),
+        reason=str(value["reason"]) or None,
+    )

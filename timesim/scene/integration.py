@@ -1,0 +1,169 @@
+"""Sections that say how a run is integrated: from which state, and by which method."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, Tag, model_validator
+
+from timesim.fault import RuleError, nearest
+from timesim.model.model import Model, Start
+from timesim.model.solver import PRESETS, Solver
+from timesim.model.start import given_start, static_start
+from timesim.result.state import Held, held, start_of
+from timesim.scene.section import Count, FilePath, Number, Pair, Section, Switch, Text, Whole, by_form, form, refuse
+
+
+class StateSection(Section):
+    """A start from a given state; what is not given is 0."""
+
+    modal_displacement: tuple[Number, ...] | None = None
+    """One a mode, in the scene's order of modes."""
+    modal_velocity: tuple[Number, ...] | None = None
+    """One a mode, in the scene's order of modes."""
+    slip: dict[Text, Pair] = Field(default_factory=dict)
+    """w of each contact, by its name."""
+
+    @model_validator(mode="after")
+    def _something(self) -> Self:
+        if not self.model_fields_set:
+            hint = "for a start at rest: initial: rest"
+            raise refuse("must name modal_displacement, modal_velocity or slip", hint=hint)
+        return self
+
+    def build(self, physics: Model, order: np.ndarray) -> Start:
+        """The state, modes in ascending order; ``order`` is the scene's index of each."""
+        displacement, velocity = (self._sorted(key, order) for key in ("modal_displacement", "modal_velocity"))
+        names = [contact.name for contact in physics.contacts]
+        for name in self.slip:
+            if name not in names:
+                raise RuleError(("slip", name), "must be a contact", nearest(name, names))
+        slip = np.array([self.slip.get(name, (0.0, 0.0)) for name in names]).reshape(-1, 2)
+        return given_start(physics, displacement, velocity, slip)
+
+    def _sorted(self, key: str, order: np.ndarray) -> np.ndarray:
+        values = getattr(self, key)
+        if values is None:
+            return np.zeros(order.size)
+        if len(values) != order.size:
+            raise RuleError((key,), f"must have {order.size} entries, one a mode, not {len(values)}", value=values)
+        return np.array(values)[order]
+
+
+class ResultSection(Section):
+    """The motion that another run has led to."""
+
+    source: FilePath = Field(alias="from")
+    """Path of its result.nc, relative to the scene."""
+    at: dict[Text, Number | Text] = Field(default_factory=dict)
+    """Of a sweep: which point, by its axes: {frequency: 0.945, direction: up, contacts.pad.preload: -4}."""
+
+
+EndOfRun = tuple[Held, Mapping[str, np.ndarray]]
+"""A result, and the arrays of the one of its states that a run starts from."""
+
+
+class InitialResult(ResultSection):
+    """A start from the end of another run, or from a point of a sweep."""
+
+    def read(self, folder: Path) -> EndOfRun:
+        """State, slip, contact states and phase there."""
+        try:
+            states = held(folder / self.source)
+        except RuleError as error:
+            raise RuleError(("from",), error.rule, error.hint, self.source) from None
+        try:
+            return states, states.one(self.at)
+        except RuleError as error:
+            raise error.below("at") from None
+
+    def build(self, physics: Model, end: EndOfRun) -> Start:
+        """The start of a model from that state."""
+        try:
+            return start_of(physics, *end)
+        except RuleError as error:
+            raise RuleError(("from",), error.rule, error.hint, self.source) from None
+
+
+def _initial_form(value: Any) -> str | None:
+    if form(value) == "<mapping>":
+        return "<from>" if isinstance(value, InitialResult) or "from" in dict(value) else "<state>"
+    return form(value)
+
+
+InitialSection = Annotated[
+    Annotated[Literal["rest", "static"], Tag("<text>")]
+    | Annotated[StateSection, Tag("<state>")]
+    | Annotated[InitialResult, Tag("<from>")],
+    by_form("rest, static, a state, or a mapping with the key from", _initial_form),
+]
+
+
+def start(initial: InitialSection, physics: Model, order: np.ndarray, end: EndOfRun | None) -> Start:
+    """State at the start.
+
+    Args:
+        initial: the section.
+        physics: the model, at rest.
+        order: the scene's index of each mode.
+        end: what the section reads, if it takes up a result.
+    """
+    if isinstance(initial, StateSection):
+        return initial.build(physics, order)
+    if isinstance(initial, InitialResult):
+        assert end is not None
+        return initial.build(physics, end)
+    return physics.start if initial == "rest" else static_start(physics)
+
+
+ADAPTIVE = ("tsit5", "dopri5", "dopri8", "kvaerno5")
+
+
+class SolverSection(Section):
+    """How the equations are integrated: an accuracy, or a method with its own numbers."""
+
+    accuracy: Literal["draft", "standard", "reference"] | None = None
+    """A preset; standard by default."""
+    method: Literal["tsit5", "dopri5", "dopri8", "kvaerno5", "rk4"] | None = None
+    """In place of an accuracy; kvaerno5 for stiff contacts, rk4 with fixed steps for comparison."""
+    rtol: Annotated[Number, Field(ge=1e-15, lt=1)] | None = None
+    """Tolerance of a step relative to the state, 1e-8 by default."""
+    atol: Annotated[Number, Field(gt=0, lt=1)] | None = None
+    """Absolute tolerance as a multiple of the scene's own scale, rtol/100 by default."""
+    steps_per_cycle: Annotated[Whole, Field(ge=200)] | None = None
+    """Fixed steps of rk4, 200 by default."""
+    reduce: Switch = True
+    """Leave out what the scene cannot need."""
+    max_steps: Count = 100_000
+    """Budget of steps of one cycle."""
+
+    @model_validator(mode="after")
+    def _together(self) -> Self:
+        if self.accuracy and self.method:
+            raise refuse("excludes accuracy", key=("method",), hint="give one of the two", value=self.method)
+        allowed = {"rk4": ("steps_per_cycle",), None: ()}.get(self.method, ("rtol", "atol"))
+        owners = {"rtol": ", ".join(ADAPTIVE), "atol": ", ".join(ADAPTIVE), "steps_per_cycle": "rk4"}
+        for key, owner in owners.items():
+            if getattr(self, key) is not None and key not in allowed:
+                hint = f"here {'method is ' + self.method if self.method else 'an accuracy rules'}"
+                raise refuse(f"goes with method {owner} only", key=(key,), hint=hint, value=getattr(self, key))
+        if self.method is None:
+            return self.completed(accuracy="standard")
+        if self.method == "rk4":
+            return self.completed(steps_per_cycle=200)
+        rtol = self.rtol or 1e-8
+        return self.completed(rtol=rtol, atol=rtol / 100)
+
+    def build(self) -> Solver:
+        """The method in numbers."""
+        if self.steps_per_cycle is not None:
+            numbers = Solver("rk4", 1e-8, 1e-10, longest=2 * np.pi / self.steps_per_cycle)
+        elif self.method is not None:
+            assert self.rtol is not None
+            assert self.atol is not None
+            numbers = Solver(self.method, self.rtol, self.atol)
+        else:
+            numbers = PRESETS[str(self.accuracy)]
+        return replace(numbers, budget=self.max_steps, reduce=self.reduce)

@@ -1,0 +1,198 @@
+"""The source of a scene: its plain data, the line of every key, and new values by key path."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from timesim.fault import Key, Problem, RuleError, SceneError, nearest
+from timesim.scene.text import MAX_BYTES, MAX_DEPTH, parse, plain, value_text
+
+
+@dataclass(frozen=True)
+class SceneSource:
+    """Plain data of a scene and where each key of it stands.
+
+    Attributes:
+        name: the file, as messages call it.
+        folder: what relative paths in the scene start from.
+        data: mappings, lists, text, numbers.
+        lines: line of each key path that the file holds, from 1.
+        overridden: key paths whose values do not come from the file.
+    """
+
+    name: str
+    folder: Path
+    data: dict[str, Any]
+    lines: Mapping[Key, int] = field(default_factory=dict)
+    overridden: tuple[Key, ...] = ()
+
+    def line(self, key: Key) -> int | None:
+        """Line of a key, or of the nearest key above it that the file holds."""
+        return next((self.lines[key[:n]] for n in range(len(key), -1, -1) if key[:n] in self.lines), None)
+
+    def problem(self, fault: RuleError) -> Problem:
+        """The fault with its place, its key as a user writes it, and the value as text."""
+        value = None if fault.value is None else value_text(fault.value)
+        by_override = any(fault.key[: len(key)] == key for key in self.overridden)
+        name = "override" if by_override else self.name
+        line = None if by_override else fault.line or self.line(fault.key)
+        return Problem(name, line, dotted(fault.key, self.data), value, fault.rule, fault.hint)
+
+
+def dotted(key: Key, data: Any) -> str:
+    """Key path as text; an item of a list goes by its name where it has one of its own."""
+    parts = []
+    for part in key:
+        siblings, data = data, _item(data, part)
+        items = siblings if isinstance(siblings, list) else []
+        names = [item.get("name") for item in items if isinstance(item, dict)]
+        name = data.get("name") if isinstance(data, dict) and names else None
+        parts.append(name if isinstance(name, str) and name and names.count(name) == 1 else str(part))
+    return ".".join(parts)
+
+
+def _item(data: Any, part: str | int) -> Any:
+    if isinstance(data, dict):
+        return data.get(part)
+    return data[part] if isinstance(data, list) and isinstance(part, int) and part < len(data) else None
+
+
+# Reading
+
+
+def read(source: str | Path | Mapping[str, Any]) -> SceneSource:
+    """Read a scene.
+
+    Args:
+        source: path of a scene file, the text of one (of several lines), or the same as a mapping.
+
+    Raises:
+        SceneError: a file that cannot be read, text that is no YAML that a scene may be, or values of other types.
+    """
+    if isinstance(source, Mapping):
+        empty = SceneSource("scene", Path.cwd(), {})
+        try:
+            return replace(empty, data=plain(source))
+        except RuleError as error:
+            raise SceneError([empty.problem(error)]) from None
+    if isinstance(source, str) and "\n" in source:
+        return _from_text(source, "scene", Path.cwd())
+    return _from_file(Path(source))
+
+
+def _from_file(path: Path) -> SceneSource:
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(MAX_BYTES + 1)
+    except OSError as error:
+        rule = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
+        raise SceneError([Problem(str(path), None, "", None, rule, "give the path of a scene file")]) from None
+    return _from_text(content, str(path), path.absolute().parent)
+
+
+def _from_text(content: bytes | str, name: str, folder: Path) -> SceneSource:
+    source = SceneSource(name, folder, {})
+    try:
+        value, lines = parse(content)
+        if not isinstance(value, dict):
+            hint = "the top level holds structure:, contacts:, study:, …"
+            raise RuleError((), "must be a mapping of keys", hint, value, 1)
+    except RuleError as fault:
+        raise SceneError([source.problem(fault)]) from None
+    return replace(source, data=value, lines=lines)
+
+
+def empty_values(data: Any, key: Key = ()) -> Iterator[RuleError]:
+    """Keys without a value."""
+    if data is None:
+        yield RuleError(key, "has no value", "give one, or leave the key out")
+    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for part, value in items:
+        yield from empty_values(value, (*key, part))
+
+
+# New values, as ``--set`` and ``over`` write them
+
+NAMED_BY_KEYS = {("study", "over"), ("study", "along"), ("study", "start", "at"), ("initial", "at")}
+"""Mappings of the scene whose keys are key paths."""
+
+
+def overridden(source: SceneSource, overrides: Mapping[str, Any] | Sequence[str]) -> SceneSource:
+    """The source with new values; mappings that are missing on the way to a key are added, and None takes a key out.
+
+    Raises:
+        SceneError: an override that is no assignment, or addresses nothing.
+    """
+    data, errors, keys = source.data, [], list(source.overridden)
+    for given in overrides.items() if isinstance(overrides, Mapping) else overrides:
+        try:
+            path, value = given if isinstance(given, tuple) else _assignment(str(given))
+            data, key = _changed(data, str(path), plain(value))
+            keys.append(key)
+        except RuleError as error:
+            parts = given if isinstance(given, tuple) else str(given).partition("=")[::2]
+            path, shown = (str(part).strip() for part in parts)
+            errors.append(Problem("override", None, path, shown, error.rule, error.hint))
+    if errors:
+        raise SceneError(errors)
+    return replace(source, data=data, overridden=tuple(keys))
+
+
+def _assignment(text: str) -> tuple[str, Any]:
+    path, equals, value = text.partition("=")
+    if not equals or not path.strip() or not value.strip():
+        raise RuleError((), "must be key.path=value", "as in contacts.pad.preload=5")
+    return path.strip(), parse(value.strip())[0]
+
+
+def _changed(place: Any, path: str, value: Any, above: Key = ()) -> tuple[Any, Key]:
+    """A copy of the data at a key with another value at a path below it, and the whole key path of that value.
+
+    Only what lies on the path is copied: the rest may be large, and an alias shares its value with other keys.
+    """
+    if len(above) > MAX_DEPTH:
+        raise RuleError(above[:4], f"is nested deeper than {MAX_DEPTH} levels")
+    part, rest = _first(path, place if above in NAMED_BY_KEYS else None)
+    step = _step(place, part)
+    copy, key = place.copy(), (*above, step)
+    if isinstance(copy, dict) and value is None and (rest is None or step not in copy):
+        copy.pop(step, None)
+    elif rest is None:
+        copy[step] = value
+    else:
+        below = copy.get(step, {}) if isinstance(copy, dict) else copy[step]
+        copy[step], key = _changed(below, rest, value, key)
+    return copy, key
+
+
+def _first(path: str, named: Any) -> tuple[str, str | None]:
+    """The first part of a path and the rest, None where there is none.
+
+    Args:
+        path: what is left of a key path.
+        named: the mapping it leads into if its keys are key paths themselves, else None.
+    """
+    if named is None:
+        part, dot, rest = path.partition(".")
+        return part, rest if dot else None
+    known = [key for key in named if path.startswith(f"{key}.")] if isinstance(named, dict) else []
+    part = max(known, key=len, default=path)
+    return part, path[len(part) + 1 :] or None
+
+
+def _step(place: Any, part: str) -> str | int:
+    """The key or index that a part of a path names."""
+    if isinstance(place, dict) and part:
+        return part
+    if not isinstance(place, list):
+        rule = f"{part or 'an empty part'} stands below a value that has no keys"
+        raise RuleError((), rule, "override the whole value")
+    names = [str(item["name"]) for item in place if isinstance(item, dict) and "name" in item]
+    same = [i for i, item in enumerate(place) if isinstance(item, dict) and item.get("name") == part]
+    if same:
+        return same[0]
+    if part.isdecimal() and int(part) < len(place):
+        return int(part)
+    known = f"indices 0 to {len(place) - 1}" if place else "the list is empty"
+    raise RuleError((), f"{part} is no item of the list", nearest(part, names) if names else known)

@@ -1,0 +1,109 @@
+"""Studies of one run: at one frequency, or through a schedule of frequencies."""
+
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Annotated, ClassVar, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from timesim.scene.section import Count, Positive, Section, Whole, refuse
+from timesim.scene.study import Context, StudySection
+
+Samples = Annotated[Whole, Field(ge=2)]
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """What is run, and what of it is sampled.
+
+    Attributes:
+        phases: frequency [Hz] and cycles of each phase of the run, the run-up included.
+        run_up: how many phases come before time 0.
+        first: cycle from which samples are kept, counted from 0.
+        samples_per_cycle: samples of a cycle.
+    """
+
+    phases: tuple[tuple[float, int], ...]
+    run_up: int
+    first: int
+    samples_per_cycle: int
+
+    def edges(self) -> np.ndarray:
+        """Time at the start of each phase and at the end of the last [s], exactly 0 after the run-up."""
+        ends = np.array([0.0, *accumulate(cycles / frequency for frequency, cycles in self.phases)])
+        return ends - ends[self.run_up]
+
+    def sample_times(self) -> np.ndarray:
+        """Times of the samples [s], both ends of the recorded cycles included."""
+        edges, cycle, times = self.edges(), 0, []
+        for (frequency, cycles), start in zip(self.phases, edges[:-1], strict=True):
+            skipped = min(max(self.first - cycle, 0), cycles)
+            ticks = np.arange(skipped * self.samples_per_cycle, cycles * self.samples_per_cycle)
+            times.append(start + ticks / (frequency * self.samples_per_cycle))
+            cycle += cycles
+        return np.concatenate([*times, edges[-1:]])
+
+    def cycle_frequency(self) -> np.ndarray:
+        """Frequency of each cycle [Hz], shape (cycles,)."""
+        frequency, cycles = zip(*self.phases, strict=True)
+        return np.repeat(frequency, cycles)
+
+
+class Transient(StudySection):
+    """One run at one frequency."""
+
+    requires: ClassVar[tuple[str, ...]] = ("structure", "excitation", "excitation.frequency")
+    uses_frequency: ClassVar[bool] = True
+
+    kind: Literal["transient"]
+    cycles: Count
+    """Excitation cycles to run."""
+    samples_per_cycle: Samples = 200
+    """Recorded samples of one cycle."""
+    record_last: Count | None = None
+    """How many of the last cycles are recorded; all by default."""
+
+    @model_validator(mode="after")
+    def _within(self) -> Self:
+        if self.record_last is not None and self.record_last > self.cycles:
+            rule = f"must be at most the {self.cycles} cycles of the run"
+            raise refuse(rule, key=("record_last",), value=self.record_last)
+        return self.completed(record_last=self.cycles)
+
+    def plan(self, context: Context) -> Schedule:
+        """One phase, of which the last cycles are sampled."""
+        assert context.frequency is not None
+        first = self.cycles - (self.record_last or self.cycles)
+        return Schedule(((context.frequency, self.cycles),), 0, first, self.samples_per_cycle)
+
+
+class FrequencyPhase(Section):
+    """A number of cycles at one frequency."""
+
+    frequency: Positive
+    """Frequency of the excitation [Hz]."""
+    cycles: Count
+    """Excitation cycles at it."""
+
+
+class Jump(StudySection):
+    """One run through a schedule of frequencies, the phase of the excitation continuous across its changes."""
+
+    kind: Literal["jump"]
+    phases: Annotated[tuple[FrequencyPhase, ...], Field(min_length=1)]
+    """Frequencies one after the other, each with its cycles; time 0 is the start of the first."""
+    run_up: tuple[FrequencyPhase, ...] = ()
+    """Phases before these, at negative times: no samples of them are kept, but their transitions and amplitudes."""
+    samples_per_cycle: Samples = 200
+    """Recorded samples of one cycle."""
+
+    def plan(self, context: Context) -> Schedule:
+        """All phases; those after the run-up are sampled."""
+        phases = tuple((phase.frequency, phase.cycles) for phase in (*self.run_up, *self.phases))
+        before = sum(phase.cycles for phase in self.run_up)
+        return Schedule(phases, len(self.run_up), before, self.samples_per_cycle)
+
+    def lowest_frequency(self) -> float:
+        """Of all phases."""
+        return min(phase.frequency for phase in (*self.run_up, *self.phases))
