@@ -3,13 +3,13 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from oracle import OracleResult, simulate, simulate_plainly
+from oracle import OracleResult, simulate
+from oracle_traps import double_crossing_trap, earliest_event_trap, separates, slips
 from scipy.optimize import brentq
 from systems import (
     GENERATED_CYCLES,
@@ -27,7 +27,7 @@ from systems import (
     two_stops,
 )
 
-from timesim.model.model import GROUND, SEPARATION, SLIP, STICK, Model
+from timesim.model.model import GROUND, SLIP, STICK, Model
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -221,15 +221,6 @@ def describe(name: str, model: Model, result: OracleResult) -> str:
     return f"{name}: {events} transitions, {joined} point to point, stick/slip/separation % {shares}"
 
 
-def slips(result: OracleResult) -> bool:
-    return bool(np.any((result.share[:, SLIP] >= 0.05) & (result.share[:, SLIP] <= 0.95)))
-
-
-def separates(result: OracleResult) -> bool:
-    """Some contact opens and closes in the last cycle."""
-    return bool(np.any((result.share[:, SEPARATION] >= 0.01) & (result.share[:, SEPARATION] <= 0.99)))
-
-
 def anisotropic(model: Model) -> bool:
     return any(abs(contact.tangential_stiffness[0, 1]) > 0 for contact in model.contacts)
 
@@ -276,21 +267,7 @@ def test_generated_models_do_not_hang_on_the_tolerance() -> None:
         np.testing.assert_array_equal(loose.event_to, fine.event_to, err_msg=name)
 
 
-# --- the traps of plain events: each returns the plain and the true result of one model ---
-
-
-@cache
-def earliest_event_trap() -> tuple[OracleResult, OracleResult]:
-    """Two contacts close within one step: the first in the list ends it, the earlier one stays open."""
-    model = two_stops((0.021, 0.020))
-    return simulate_plainly(model, 1.0, 10), simulate(model, 1.0, 10)
-
-
-@cache
-def double_crossing_trap() -> tuple[OracleResult, OracleResult]:
-    """A contact that would close and open again within one step is never seen to close."""
-    model = grazing_stop(0.999, 1e3)
-    return simulate_plainly(model, 1.0, 6, rtol=1e-6), simulate(model, 1.0, 6)
+# --- the traps of plain events ---
 
 
 @pytest.mark.parametrize("trap", [earliest_event_trap, double_crossing_trap])

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from timesim.element.motion import CYCLE, HarmonicMotion, SplineMotion, trigonometric_roots
+from timesim.element.cone_exit import trigonometric_roots
+from timesim.element.motion import CYCLE, HarmonicMotion, SplineMotion
 from timesim.result.motion import read_motion
 
 FULL = np.array([[1.3, 0.4], [0.4, 0.7]])

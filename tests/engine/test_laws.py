@@ -9,8 +9,8 @@ import pytest
 import systems
 from simulation import FINE, REFERENCE, simulate
 
+from timesim.element.elements import single_element
 from timesim.element.motion import HarmonicMotion
-from timesim.element.prescribed import single_element
 from timesim.element.state_by_state import steady_cycle
 from timesim.engine.laws import LAWS, LawEntry, law_class
 from timesim.hbm.balance import Balance

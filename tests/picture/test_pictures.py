@@ -1,7 +1,9 @@
 """Pictures of a transient: what they show, not merely that there are any."""
 
+import gc
 import subprocess
 import sys
+import weakref
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,13 +12,14 @@ import numpy as np
 import pytest
 import xarray
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from timesim.model.model import SEPARATION, SLIP, STICK
 from timesim.picture import contact as plot_contact
 from timesim.picture import style
 from timesim.picture import transient as plot_transient
-from timesim.picture.draw import MARGIN
+from timesim.picture.draw import MARGIN, write
 from timesim.picture.style import STATE_STYLE
 from timesim.result.dataset import dataset
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES
@@ -303,6 +306,12 @@ def test_energy_balance(run: xarray.Dataset) -> None:
     assert _curve(residual, "|residual|")[1] == pytest.approx(np.abs(run.energy_residual.values))
 
 
+def test_many_cycles_are_marked_now_and_then(run: xarray.Dataset) -> None:
+    many = run.isel(cycle=np.arange(600) % CYCLES).assign_coords(cycle=np.arange(1, 601))
+    for ax in (plot_transient.energy(many), plot_transient.energy_residual(many)):
+        assert all(600 / line.get_markevery() <= plot_transient.MARKED for line in ax.get_lines())
+
+
 def test_an_exact_balance_needs_no_logarithm(run: xarray.Dataset) -> None:
     zero = xarray.zeros_like(run.energy_residual)
     ax = plot_transient.energy_residual(run.assign(energy_residual=zero, energy_input=zero))
@@ -408,7 +417,8 @@ def test_a_run_without_contacts(run: xarray.Dataset, tmp_path: Path) -> None:
 
 def test_a_run_that_failed_early(run: xarray.Dataset, tmp_path: Path) -> None:
     begun = run.isel(cycle=slice(0, 0), time=slice(0, 40)).assign_attrs(complete=0)
-    assert len(plot.draw(begun, tmp_path)) == 7
+    shown = ["displacement", "orbit", "hysteresis", "normal_load", "contact_states"]
+    assert [file.stem for file in plot.draw(begun, tmp_path)] == shown
     assert plot.draw(begun.isel(time=slice(0, 0)), tmp_path) == []
 
 
@@ -426,3 +436,20 @@ def test_pictures_need_no_pyplot(tmp_path: Path) -> None:
         "assert not {'matplotlib.pyplot', 'jax', 'xarray'} & set(sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.png")], check=True, timeout=60)
+
+
+def test_figures_go_with_their_last_reference(run: xarray.Dataset, tmp_path: Path) -> None:
+    drawn = []
+
+    def kept(picture: style.Picture) -> style.Picture:
+        def draw(data: xarray.Dataset) -> Figure | None:
+            figure = picture(data)
+            drawn.append(weakref.ref(figure))
+            return figure
+
+        return draw
+
+    write(run, tmp_path, {name: kept(picture) for name, picture in plot_transient.PICTURES.items()})
+    gc.collect()
+    assert len(drawn) == 7
+    assert not any(figure() for figure in drawn)

@@ -79,6 +79,11 @@ def _lines(ax: Axes, label: str) -> list[Line2D]:
     return [line for line in ax.get_lines() if line.get_label() == label]
 
 
+def _marked(line: Line2D) -> list[float]:
+    """Frequencies at which a curve bears a marker."""
+    return np.asarray(line.get_xdata())[line.get_markevery()].tolist()
+
+
 def _legend(ax: Axes) -> list[str]:
     legend = ax.get_legend()
     assert legend is not None
@@ -109,9 +114,8 @@ def test_up_and_down_differ_by_marker_and_show_both_branches(both: xarray.Datase
     ax = plot_sweep.response(both)
     up, down = _lines(ax, "_0.3")
     assert (up.get_linestyle(), up.get_color()) == (down.get_linestyle(), down.get_color())
-    marked = _lines(ax, "_settled")
-    assert [line.get_marker() for line in marked] == ["^", "v"]
-    assert not set(marked[0].get_xdata()) & set(marked[1].get_xdata())
+    assert [line.get_marker() for line in (up, down)] == ["^", "v"]
+    assert not set(_marked(up)) & set(_marked(down))
     gap = np.asarray(up.get_ydata()) - np.asarray(down.get_ydata())
     several = FREQUENCY[gap > 0.1]
     assert several.size >= 3
@@ -142,8 +146,8 @@ def test_what_is_not_settled_is_hollow_and_what_failed_is_marked() -> None:
     assert len(_lines(ax, "not settled")) == len(_lines(ax, "failed")) == 2
     assert all(line.get_xdata().tolist() == [FREQUENCY[20]] for line in _lines(ax, "failed"))
     assert all(line.get_xdata().tolist() == [FREQUENCY[8]] for line in _lines(ax, "period of several cycles"))
-    for line in _lines(ax, "_settled"):
-        assert not {FREQUENCY[5]} & set(line.get_xdata())
+    for line in (*_lines(ax, "_0"), *_lines(ax, "_0.2")):
+        assert FREQUENCY[5] not in _marked(line)
         assert line.get_fillstyle() == "full"
     plot_sweep.legend([ax], data)
     assert _legend(ax) == ["0", "0.2", "not settled", "period of several cycles", "failed"]
@@ -157,13 +161,15 @@ def test_a_bar_spans_the_amplitudes_of_the_cycles_of_what_is_not_settled() -> No
     assert len(bars) == 2
     for bar, values in zip(bars, data.amplitude.sel(point="tip", axis="y").values[:, 0, 5], strict=True):
         np.testing.assert_allclose(bar, [[FREQUENCY[5], 0.7 * values], [FREQUENCY[5], 0.9 * values]])
+    plot_sweep.legend([ax], data)
+    assert "range over single cycles" in _legend(ax)
 
 
 def test_many_points_are_marked_now_and_then_but_unsettled_ones_always() -> None:
     data = sweep(frequency=np.linspace(0.8, 1.4, 200))
     data.settled[0, 1:4] = 0
     ax = plot_sweep.response(data)
-    assert 30 <= len(_lines(ax, "_settled")[0].get_xdata()) <= plot_sweep.MARKED
+    assert 30 <= len(_marked(_lines(ax, "_")[0])) <= plot_sweep.MARKED
     assert len(_lines(ax, "not settled")[0].get_xdata()) == 3
 
 
@@ -254,13 +260,20 @@ def test_points_that_a_run_did_not_come_to_are_neither_failed_nor_judged() -> No
     data = sweep({PRELOAD: [0.0, 0.1, 0.2]})
     data.amplitude[2, :, 25:] = np.nan
     data.settled[2, :, 25:] = 0
-    assert not _lines(plot_sweep.response(data), "failed")
+    response = plot_sweep.response(data)
+    assert not _lines(response, "failed") + _lines(response, "not settled")
     ax = plot_sweep.peak(data)
     assert np.isfinite(_lines(ax, "peak")[0].get_ydata()).tolist() == [True, True, False]
     assert not _stars(ax)
     figure = plot_sweep.PICTURES["peak"](data.assign_attrs(complete=0))
     assert figure is not None
     assert "1 peaks not shown: points are missing" in [text.get_text() for text in figure.texts]
+
+
+def test_peaks_of_up_and_down_differ_by_marker() -> None:
+    ax = plot_sweep.peak(sweep({FRICTION: [0.1, 0.3], PRELOAD: [0.0, 0.1, 0.2]}, ("up", "down")))
+    for name, marker in (("up", "^"), ("down", "v")):
+        assert [line.get_marker() for line in _lines(ax, f"0.1, {name}")] == [marker]
 
 
 def test_the_peak_of_two_scalars_takes_one_along_and_one_by_colour() -> None:

@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 
 from timesim.cli import app
 from timesim.element.cycle import Transition
+from timesim.element.elements import harmonic_elements
 from timesim.element.loop import difference, loop_cycle
 from timesim.element.motion import CYCLE, HarmonicMotion, SplineMotion
-from timesim.element.prescribed import harmonic_elements
 from timesim.element.state_by_state import steady_cycle
 from timesim.fault import SceneError
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact
@@ -240,6 +240,20 @@ def test_disagreement_marks_the_result_incomplete(monkeypatch):
     with pytest.warns(RuntimeWarning, match="differ by"):
         data = run(scene(element(A=1.0, B=0.2, phi_deg=60, cross_check=True)))
     assert data.attrs["complete"] == 0
+
+
+def test_states_that_change_without_end_make_the_result_incomplete(monkeypatch, tmp_path):
+    from timesim.element import state_by_state
+
+    monkeypatch.setattr(state_by_state, "MAX_TRANSITIONS", 2)
+    path = tmp_path / "scene.yaml"
+    path.write_text(json.dumps(scene(element(A=1.0, B=0.2, phi_deg=60)), indent=1))
+    done = CliRunner().invoke(app, ["run", str(path), "-o", str(tmp_path / "out")])
+    assert done.exit_code == 1, done.output
+    assert "more than 2 transitions in a cycle" in " ".join(done.output.split())
+    data = open_result(tmp_path / "out")
+    assert data.attrs["complete"] == 0
+    assert "change a parameter a little" in data.attrs["reason"]
 
 
 def test_motion_from_a_file(tmp_path):

@@ -14,11 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from timesim.element.cycle import ElementCycle, Transition
+from timesim.element.elements import Elements, single_element
 from timesim.element.motion import CYCLE, Motion
 from timesim.element.prescribed import (
     FIRST_STEP,
     WEAK,
-    Elements,
+    carriers_of,
     coefficients,
     collected,
     control_of,
@@ -26,7 +27,6 @@ from timesim.element.prescribed import (
     law_of,
     method_of,
     record_cycle,
-    single_element,
     system_of,
 )
 from timesim.engine.step import Step
@@ -113,7 +113,7 @@ def loop_cycle(contact: Contact, motion: Motion, *, solver: Solver = FINE, max_c
     drive, acceleration = drive_of(motion, unit * WEAK)
     method, control = method_of(solver, drive), control_of(solver)
     (system, carriers) = jax.tree.map(
-        lambda leaf: leaf[0], (system_of(law_of(elements, elements.isotropic), acceleration), elements.carriers)
+        lambda leaf: leaf[0], (system_of(law_of(elements, elements.isotropic), acceleration), carriers_of(elements))
     )
     state, slip, before = elements.start_state, elements.start[:, :2], np.inf
     force = offset(elements, slip, state)

@@ -8,23 +8,28 @@ motion, a polynomial of degree ten on each piece of the spline).
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from math import comb, factorial
-from typing import Any
+from math import factorial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PPoly, make_interp_spline
-from scipy.optimize import brentq
 
-Array = NDArray[Any]
-CYCLE = 2 * np.pi
+from timesim.element.cone_exit import (
+    BERNSTEIN,
+    CYCLE,
+    TOUCH,
+    Array,
+    cone_margin,
+    exit_from_cone,
+    exit_from_inside,
+    piece_exit,
+    shifted,
+    wrap,
+)
+
 MIN_SAMPLES = 16
-# Overshoot of |f|^2 - (mu n)^2, relative to the squares it is the difference of, that counts as touching.
-TOUCH = 1e-14
-CONE = np.array([1.0, 1.0, -1.0])
 
 
 class Motion(ABC):
@@ -138,7 +143,7 @@ class HarmonicMotion(Motion):
     def cone_exit(self, transform: Array, offset: Array, start: float, *, on_cone: bool) -> float:
         """By the roots of the quartic, or of what a double root leaves of it."""
         phasor = (transform @ self.phasor) * np.exp(1j * start)
-        find = _exit_from_cone if on_cone else _exit_from_inside
+        find = exit_from_cone if on_cone else exit_from_inside
         return start + find(offset, phasor.imag, phasor.real)
 
     @property
@@ -170,71 +175,6 @@ class HarmonicMotion(Motion):
     def breaks(self) -> Array:
         """None: a harmonic motion is smooth."""
         return np.zeros(0)
-
-
-def _exit_from_cone(mean: Array, cosine: Array, sine: Array) -> float:
-    """Exit of r = mean + cosine cos t + sine sin t from the cone that it touches at t = 0.
-
-    There r1^2 + r2^2 - r3^2 is (1 - cos t)(a + b cos t + c sin t), so the quartic's other roots are those of
-    the second factor, and one of them at most is rising.
-    """
-    b = CONE @ (sine**2 - cosine**2)
-    c = -2 * CONE @ (cosine * sine)
-    a = b - 2 * CONE @ (mean * cosine)
-    reach, floor = np.hypot(b, c), TOUCH * (mean @ mean + cosine @ cosine + sine @ sine)
-    if a + reach <= floor:
-        return np.inf
-    if a + b > -floor and c > floor:
-        return 0.0
-    return float((np.arctan2(c, b) - np.arccos(np.clip(-a / reach, -1.0, 1.0))) % CYCLE)
-
-
-def _exit_from_inside(mean: Array, cosine: Array, sine: Array) -> float:
-    """Exit of r = mean + cosine cos t + sine sin t from the cone in which it lies at t = 0."""
-
-    def margin(t: Array) -> Array:
-        # By r, not by the coefficients of its square: these lose (mu n)^2 where |K_u u| is much larger.
-        t = np.asarray(t)
-        r = (mean + cosine)[:, None] - np.outer(cosine, 2 * np.sin(t / 2) ** 2) + np.outer(sine, np.sin(t))
-        return np.reshape(CONE @ r**2, t.shape)
-
-    first, second = 2 * CONE @ (mean * (cosine - 1j * sine)), CONE @ (cosine - 1j * sine) ** 2 / 2
-    constant = CONE @ (mean**2 + (cosine**2 + sine**2) / 2)
-    roots = trigonometric_roots(np.array([constant, first, second]))
-    floor = TOUCH * float(mean @ mean + cosine @ cosine + sine @ sine)
-    return _first_rise(margin, roots, CYCLE, floor)
-
-
-def trigonometric_roots(coefficients: ArrayLike) -> Array:
-    """Angles of all complex roots z = exp(i t) of ``Re sum_k coefficients[k] exp(i k t)``.
-
-    The real roots t are among them; a pair off the unit circle gives two angles that are no roots. The
-    polynomial in z is solved by the eigenvalues of its companion matrix, leading coefficients at rounding
-    level left out.
-
-    Returns:
-        angles in [0, 2 pi), ascending [rad], shape (at most 2 degree,).
-    """
-    half = np.array(coefficients, complex)
-    half[1:] /= 2
-    while half.size > 1 and abs(half[-1]) <= 4 * np.finfo(float).eps * np.abs(half).max():
-        half = half[:-1]
-    return np.sort(wrap(np.angle(np.roots(np.concatenate([half[:0:-1], half[:1].real, np.conj(half[1:])])))))
-
-
-def _first_rise(margin: Callable[[Array], Array], candidates: Array, end: float, floor: float) -> float:
-    """First place of [0, end) where `margin`, of fixed sign between the candidates, rises beyond `floor`."""
-    inside = np.sort(candidates[(candidates > 0) & (candidates < end)])
-    edges = np.concatenate([[0.0], inside, [end]])
-    middle = (edges[1:] + edges[:-1]) / 2
-    value = margin(middle)
-    positive = np.flatnonzero(value > floor)
-    if positive.size == 0:
-        return np.inf
-    k = positive[0]
-    if k == 0 or value[k - 1] >= 0:
-        return float(edges[k])
-    return float(brentq(margin, middle[k - 1], middle[k], xtol=1e-15))
 
 
 @dataclass(frozen=True)
@@ -292,16 +232,16 @@ class SplineMotion(Motion):
         powers = width ** np.arange(6)[:, None, None]
         r = (self.pieces.c[::-1] @ transform.T) * powers
         r[0] += offset
-        margin = _cone_margin(r)
+        margin = cone_margin(r)
         floor = TOUCH * np.abs(r).max() ** 2
         first = int(start // width)
         local = start / width - first
-        exit_ = _piece_exit(_cone_margin(_shift(r[:, first], local)), 1 - local, floor, on_cone)
+        exit_ = piece_exit(cone_margin(shifted(r[:, first], local)), 1 - local, floor, on_cone)
         if np.isfinite(exit_):
             return start + exit_ * width
         for piece in first + 1 + np.flatnonzero(np.roll((BERNSTEIN @ margin).max(0), -first - 1) > floor):
             end = local if piece == first + len(self.samples) else 1.0
-            exit_ = _piece_exit(margin[:, piece % len(self.samples)], end, floor, False)
+            exit_ = piece_exit(margin[:, piece % len(self.samples)], end, floor, False)
             if np.isfinite(exit_):
                 return float((piece + exit_) * width)
         return np.inf
@@ -335,39 +275,6 @@ class SplineMotion(Motion):
     def breaks(self) -> Array:
         """The angles of the samples."""
         return self.pieces.x[:-1]
-
-
-# Value of each power of x on [0, 1] as Bernstein coefficients of degree ten: they bound the polynomial.
-BERNSTEIN = np.array([[comb(i, k) / comb(10, k) for k in range(11)] for i in range(11)])
-
-
-def _cone_margin(r: Array) -> Array:
-    """Coefficients of r1^2 + r2^2 - r3^2, ascending, shape (11, ...), of those of r, shape (6, ..., 3)."""
-    margin = np.zeros((11, *r.shape[1:-1]))
-    for k in range(6):
-        margin[k : k + 6] += (r[k] * r) @ CONE
-    return margin
-
-
-def _shift(coefficients: Array, origin: float) -> Array:
-    """Coefficients, ascending along the first axis, of the same polynomial about another origin."""
-    power = range(len(coefficients))
-    matrix = np.array([[comb(j, k) * origin ** max(j - k, 0) for j in power] for k in power])
-    return matrix @ coefficients
-
-
-def _piece_exit(coefficients: Array, end: float, floor: float, on_cone: bool) -> float:
-    """First exit on one piece, as `_first_rise`; with `on_cone` the double root at 0 is divided out."""
-    coefficients = coefficients.copy()
-    coefficients[: 2 * on_cone] = 0.0
-    roots = np.polynomial.polynomial.polyroots(coefficients[2 * on_cone :])
-    return _first_rise(lambda x: np.polynomial.polynomial.polyval(x, coefficients), roots.real, end, floor)
-
-
-def wrap(theta: ArrayLike) -> Array:
-    """Angles brought to [0, 2 pi) [rad]; what lies within rounding below 2 pi becomes 0."""
-    angle = np.asarray(theta, float) % CYCLE
-    return np.where(angle > CYCLE - 1e-13, 0.0, angle)
 
 
 def unit(vector: Array) -> Array:

@@ -135,27 +135,18 @@ class ConeLaw(ContactLaw):
         if contact.normal_stiffness > 0:
             closed = max(contact.preload, 0.0)
             n = np.maximum(contact.preload + contact.normal_stiffness * motion[:, 2], 0.0)
-            parts.append((n**2 - closed**2) / (2 * contact.normal_stiffness) - closed * motion[:, 2])
+            parts += [(n**2 - closed**2) / (2 * contact.normal_stiffness), -closed * motion[:, 2]]
         return tuple(parts)
 
 
-def matrix_and_inverse(
-    stiffness: np.ndarray, *, isotropic: bool | None = None
-) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+def matrix_and_inverse(stiffness: np.ndarray) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
     """K_u and its inverse as `ConeLaw` has them, along any axes, from matrices of shape (C, 2, 2).
 
-    Args:
-        stiffness: the matrices; the inverse of one that is zero is zero.
-
-    Keyword Args:
-        isotropic: whether each is one number; by default wherever it can be.
+    The inverse of a matrix that is zero is zero.
     """
     inverse = np.array([np.linalg.inv(k) if k.any() else k for k in stiffness]).reshape(-1, 2, 2)
-    parts = [(m[:, 0, 0], m[:, 0, 1], m[:, 1, 1]) for m in (stiffness, inverse)]
-    k11, k12, k22 = parts[0]
-    if isotropic is None:
-        isotropic = bool(np.all(k12 == 0) and np.all(k11 == k22))
-    return (parts[0][:1], parts[1][:1]) if isotropic else (parts[0], parts[1])
+    (k11, k12, k22), parts = ((m[:, 0, 0], m[:, 0, 1], m[:, 1, 1]) for m in (stiffness, inverse))
+    return ((k11,), parts[:1]) if np.all(k12 == 0) and np.all(k11 == k22) else ((k11, k12, k22), parts)
 
 
 def normal_load(law: ConeLaw, v: Scalar) -> Scalar:

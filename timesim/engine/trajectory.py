@@ -50,7 +50,7 @@ class Run:
         phases: the schedule; the phase of the excitation is continuous across its changes.
         solver: method and tolerances.
         displacement, velocity, slip, state: the present state, in the units of the scene.
-        phase: phase of the excitation at the start of a cycle [rad].
+        phase: present phase of the excitation [rad].
         time: time since the start [s].
         completed: cycles completed.
         compile_seconds: time spent in the first call of each compiled loop, most of it compilation.
@@ -90,19 +90,31 @@ class Run:
         stiffest = self.model.stuck_rate / frame.scales.omega
         method, control = step_method(self.solver), step_control(self.solver, stiffest)
         now = frame.begin(system, self, self.solver.first_step(stiffest))
-        done, work, origin = 0, self.work.copy(), self.time
-        while done < phase.cycles:
+        origin = Origin(self.time, self.phase, self.completed, self.work.copy())
+        while self.completed < origin.completed + phase.cycles:
             clock = time.perf_counter()
             first = self.compile_seconds == 0.0
             now, record, count = advance(method, control, system, now, jnp.asarray(phase.cycles), BATCH)
             loop = first_rows(record, int(count))
             if first:
                 self.compile_seconds = time.perf_counter() - clock
-            steps = frame.steps(loop, self.completed - done, origin, work)
-            done, self.completed = int(now.cycle), self.completed - done + int(now.cycle)
-            frame.store(now, self, origin, work)
-            yield steps
+            self._go_on(frame, now, origin)
+            yield frame.steps(loop, origin)
             self.judge(int(now.status), int(now.culprit))
+
+    def _go_on(self, frame: "Frame", now: Trajectory, origin: "Origin") -> None:
+        """Take up the present state of the loop."""
+        now = jax.tree.map(np.asarray, now)
+        here = frame.start(now.point, now.state, origin.phase + float(now.time))
+        self.displacement, self.velocity, self.slip, self.state = (
+            here.displacement,
+            here.velocity,
+            here.slip,
+            here.state,
+        )
+        self.phase, self.completed = here.phase, origin.completed + int(now.cycle)
+        self.time = origin.time + float(PERIOD * now.cycle + now.time) / frame.scales.omega
+        self.work = frame.work(now.point.work, origin.work)
 
     def judge(self, status: int, culprit: int) -> None:
         """Raise what a status of the loop means.
@@ -120,6 +132,16 @@ def message_of(model: Model, reduction: Reduction, solver: Solver, status: int, 
     """What a status that has ended a trajectory means, and what to try."""
     contact = model.contacts[reduction.live[culprit]].name if reduction.live.size else None
     return Status(status).message(solver=solver.name, budget=solver.budget, contact=contact)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where the loop has begun to count: time [s], phase of the excitation [rad], cycles and energies until then."""
+
+    time: float
+    phase: float
+    completed: int
+    work: np.ndarray
 
 
 class Frame:
@@ -171,15 +193,8 @@ class Frame:
         whole[..., self.reduction.live] = state
         return whole
 
-    def steps(self, loop: LoopStep, before: int, origin: float, work: np.ndarray) -> Steps:
-        """Steps of the loop in the units of the scene.
-
-        Args:
-            loop: the steps.
-            before: cycles completed before the loop's count began.
-            origin: time at that moment [s].
-            work: energies until then.
-        """
+    def steps(self, loop: LoopStep, origin: Origin) -> Steps:
+        """Steps of the loop in the units of the scene."""
         omega = self.scales.omega
         ends = [
             (self._modal(y.q), self._modal(y.p, omega), self._modal(dy.p, omega**2))
@@ -190,11 +205,10 @@ class Frame:
             (self._slip(y.w, self.model.start.slip), self._slip(dy.w, none, omega))
             for y, dy in ((loop.start, loop.start_rate), (loop.end, loop.end_rate))
         ]
-        assert loop.end.work is not None
-        done = self._work(loop.end.work, work)
+        done = self.work(loop.end.work, origin.work)
         return Steps(
-            cycle=loop.cycle + before,
-            time=origin + (PERIOD * loop.cycle + loop.time) / omega,
+            cycle=loop.cycle + origin.completed,
+            time=origin.time + (PERIOD * loop.cycle + loop.time) / omega,
             h=loop.h / omega,
             start=ends[0],
             end=ends[1],
@@ -207,21 +221,12 @@ class Frame:
             friction=done[..., 2:],
         )
 
-    def _work(self, made: Work, before: np.ndarray) -> np.ndarray:
-        friction = np.zeros((*np.shape(made.input), self.model.num_contacts))
-        friction[..., self.reduction.live] = made.friction
-        modal = np.stack([np.asarray(made.input), np.asarray(made.damping)], axis=-1)
+    def work(self, done: Work, before: np.ndarray) -> np.ndarray:
+        """Energies put in, lost in modal damping and lost in each contact, shape (..., 2 + C), after those before."""
+        friction = np.zeros((*np.shape(done.input), self.model.num_contacts))
+        friction[..., self.reduction.live] = done.friction
+        modal = np.stack([np.asarray(done.input), np.asarray(done.damping)], axis=-1)
         return before + np.concatenate([modal, friction], axis=-1) * self.scales.energy
-
-    def store(self, now: Trajectory, run: Run, origin: float, work: np.ndarray) -> None:
-        """Write the loop's present state into a run."""
-        now = jax.tree.map(np.asarray, now)
-        here, omega = self.start(now.point, now.state, run.phase), self.scales.omega
-        run.displacement, run.velocity = here.displacement, here.velocity
-        run.slip, run.state = here.slip, here.state
-        run.time = origin + float(PERIOD * now.cycle + now.time) / omega
-        if now.point.work is not None:
-            run.work = self._work(now.point.work, work)
 
 
 def first_rows(record: LoopStep, count: int) -> LoopStep:

@@ -5,8 +5,6 @@ the same harmonics. What counts is the largest change of an amplitude, relative 
 from the finest answer.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Where a curve may begin: guesses for the first solution of a balance."""
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from collections.abc import Iterator
 
 import numpy as np

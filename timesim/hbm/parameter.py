@@ -4,8 +4,6 @@ The model is built anew at each value. The derivative by the scalar is a differe
 steps of the continuation, and the solutions do not depend on it.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache

@@ -16,7 +16,7 @@
 Plain numpy, so that a scene is checked without loading JAX.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -25,8 +25,9 @@ from scipy.linalg import block_diag
 from scipy.sparse.csgraph import connected_components
 
 from timesim.model.contact_state import start_states
+from timesim.model.finding import left_out, proven, simplified, straight
 from timesim.model.linear_bound import Envelope, Oscillation, envelopes
-from timesim.model.model import CONE, SEPARATION, SLIP, STICK, Contact, Model, Structure
+from timesim.model.model import CONE, SEPARATION, SLIP, STICK, Contact, Model
 
 COUPLED = 1e-14
 """Share of the largest entry of a contact's rows, or of the damping, below which an entry is rounding."""
@@ -80,7 +81,7 @@ def reduction_of(model: Model, frequencies: Sequence[float], *, reduce: bool = T
         return Reduction(model, np.arange(model.structure.num_modes), every, none, none, None, ())
     scene = _normalised(model)
     parts = _parts(scene)
-    modes, left_out = _kept_modes(scene, parts, max(frequencies, default=0.0))
+    modes, still = _kept_modes(scene, parts, max(frequencies, default=0.0))
     visited = set(frequencies)
     omega = 2 * np.pi * visited.pop() if len(visited) == 1 else None
     margins: dict[int, float] = {}
@@ -91,10 +92,10 @@ def reduction_of(model: Model, frequencies: Sequence[float], *, reduce: bool = T
     apart = np.array([c for c in sorted(margins) if scene.state[c] == SEPARATION], dtype=int)
     line = _line(scene, modes, live)
     findings = (
-        *left_out,
-        *(_proven(model.contacts[c], margins[c], stuck=scene.state[c] == STICK) for c in sorted(margins)),
-        *(() if line is None else _straight(model, live, line)),
-        *(text for c in live for text in _simplified(model.contacts[c], scene.shape[c], line is not None)),
+        *still,
+        *(proven(model.contacts[c], margins[c], stuck=scene.state[c] == STICK) for c in sorted(margins)),
+        *(() if line is None else straight(model, live, line)),
+        *(text for c in live for text in simplified(model.contacts[c], scene.shape[c], is_straight=line is not None)),
     )
     return Reduction(model, modes, live, stuck, apart, line, findings)
 
@@ -219,7 +220,7 @@ def _kept_modes(scene: _Scene, parts: list[_Part], frequency: float) -> tuple[np
     if not still.size:
         return np.flatnonzero(moved), ()
     share = float(np.max(reach[still])) / (scale or 1.0)
-    return np.flatnonzero(moved), (_left_out(structure, still, share),)
+    return np.flatnonzero(moved), (left_out(structure, still, share),)
 
 
 def _reach(scene: _Scene) -> np.ndarray:
@@ -321,50 +322,9 @@ def _direction(scene: _Scene, c: int, modes: np.ndarray) -> np.ndarray | None:
         vectors = np.linalg.eigh(contact.tangential_stiffness)[1] if not np.any(values) else vectors
     along, across = vectors.T
     K = contact.tangential_stiffness
-    straight = (
+    is_straight = (
         values[1:].max(initial=0.0) <= STRAIGHT * values[0]
         and abs(across @ K @ along) <= STRAIGHT * (along @ K @ along)
         and abs(across @ own) <= STRAIGHT * np.linalg.norm(own)
     )
-    return along * np.sign(along[np.argmax(np.abs(along))]) if straight else None
-
-
-def _proven(contact: Contact, margin: float, *, stuck: bool) -> str:
-    if stuck:
-        reason = f"|f| stays more than {margin:.3g} below friction times normal load (preload {contact.preload:g})"
-        return f"contact {contact.name} sticks from start to end and is taken into the structure: {reason}"
-    start = f"gap {-contact.preload / contact.normal_stiffness:g}"
-    start = start if contact.preload < 0 else f"preload {contact.preload:g}"
-    reason = f"it stays open by more than {margin / contact.normal_stiffness:.3g} ({start})"
-    return f"contact {contact.name} never touches and is left out: {reason}"
-
-
-def _left_out(structure: Structure, still: np.ndarray, share: float) -> str:
-    names = ", ".join(f"{i + 1} ({structure.frequency[i]:.6g} Hz)" for i in still)
-    noun, verb, them = ("mode", "is", "it") if still.size == 1 else ("modes", "are", "them")
-    size = f", beyond {share:.1g} of the scene's scale" if share > 0 else ""
-    return f"{noun} {names} {verb} left out: no force, contact or start value moves {them}{size}"
-
-
-def _straight(model: Model, live: np.ndarray, line: np.ndarray) -> Iterator[str]:
-    for c, (first, second) in zip(live, line, strict=True):
-        if model.contacts[c].friction > 0:
-            where = f"along ({first:.6g}, {second:.6g}) of its plane"
-            name = model.contacts[c].name
-            yield f"contact {name} moves straight {where}: one tangential component is modelled"
-
-
-def _simplified(contact: Contact, shape: np.ndarray, straight: bool) -> Iterator[str]:
-    """What the contact law itself makes simpler in a live contact."""
-    name, K = contact.name, contact.tangential_stiffness
-    if contact.friction == 0:
-        yield f"contact {name} is a frictionless stop: no friction force and no slip are modelled"
-        return
-    if not straight and K[0, 0] == K[1, 1] and K[0, 1] == 0:
-        direction = "slip begins along the velocity, without an equation for its direction"
-        yield f"contact {name} has the same tangential stiffness {K[0, 0]:g} in all directions: {direction}"
-    if contact.normal_stiffness == 0:
-        yield f"contact {name} has the constant normal load {contact.preload:g}: it never separates"
-    elif not np.any(shape[2]) and contact.preload > 0:
-        reason = "no mode moves it along its normal"
-        yield f"contact {name} keeps the normal load {contact.preload:g}: {reason}, so it never separates"
+    return along * np.sign(along[np.argmax(np.abs(along))]) if is_straight else None

@@ -6,8 +6,6 @@ friction cone. A contact that sticks all the time keeps the offset that it was l
 and what they range over is seen if the starts have different ones, so those of such contacts are given some.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

@@ -5,8 +5,6 @@ and so is each half over which it still changes. Over a slope the change shrinks
 is, and is narrowed down to the wanted width. Where slope and jump share a step both are seen for what they are.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple

@@ -7,8 +7,6 @@ With the contacts that a reduction has proven to stick taken into the stiffness,
 whose steady state is ``q_h = (K - h^2 + i h D)^-1 p_h``; it is reached from any start if all eigenvalues decay.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ shoot; once it has settled, or spent its budget, a period is recorded and measur
 for the next. What a search does next depends on itself alone, so the order and the company do not matter.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 import enum
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -7,8 +7,6 @@ after which the sweeps are at one; halving the step tells a jump from a slope, s
 the sweeps is found too.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise

@@ -11,8 +11,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from timesim.picture.choice import left_out, motion
-from timesim.picture.response import DIRECTIONS, amplitude_label, axis_label, draw_branch, finish, key_words
-from timesim.picture.style import BLUE, VERMILION, Picture, axes, figure, label_axes, labelled, legend_beside
+from timesim.picture.response import (
+    DIRECTIONS,
+    amplitude_label,
+    axis_label,
+    draw_branch,
+    finish,
+    key_words,
+    stacked,
+)
+from timesim.picture.style import BLUE, VERMILION, Picture, axes, figure, from_zero, label_axes, labelled, legend_beside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -116,7 +124,7 @@ def response(
         _branch(data, ax, at, point, axis, window)
     ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(point, axis))
     if near is None:
-        ax.set_ylim(bottom=0)
+        from_zero(ax)
     else:
         ax.set_xlim(*window)
     return ax
@@ -221,17 +229,13 @@ def existence(data: "DataTree", ax: "Axes | None" = None, *, key: str | None = N
     return ax
 
 
-def _column(rows: int, height: float, gap: float) -> tuple["Figure", list["Axes"]]:
-    fig, grid = figure(rows, 1, width=9.0, height=4.0 if rows == 1 else height, gap=gap, right=2.2)
-    return fig, list(grid[:, 0])
-
-
 def _response_figure(data: "DataTree") -> "Figure":
     sets, two = _sets(data), [item.at for item in ranges(data)]
     first = sorted(range(len(sets)), key=lambda i: sets[i] not in two)[:MAX_RANGES]
-    fig, axs = _column(len(first), 2.4, 0.45)
+    fig, axs = stacked(len(first), 4.0 if len(first) == 1 else 2.4)
     for ax, i in zip(axs, sorted(first), strict=True):
         label_axes(response(data, ax, at=sets[i]), _label(data, sets[i]))
+        ax.label_outer()
     legend_beside(axs[0], labelled(*axs).values())
     return finish(fig, data, "sweeps up and down", left_out(len(sets), len(first), "sets of values"))
 
@@ -240,7 +244,7 @@ def _ranges_figure(data: "DataTree") -> "Figure | None":
     shown = ranges(data)[:MAX_RANGES]
     if not shown:
         return None
-    fig, axs = _column(len(shown), 2.6, 0.6)
+    fig, axs = stacked(len(shown), 4.0 if len(shown) == 1 else 2.6, share_x=False)
     for ax, item in zip(axs, shown, strict=True):
         response(data, ax, near=item)
         ax.set_title(", ".join(filter(None, (item.label, f"{item.low:.8g} to {item.high:.8g} Hz"))), fontsize=9)
@@ -267,10 +271,10 @@ def _existence_figure(data: "DataTree") -> "Figure | None":
     keys = [key for key in over_keys(data) if data.sizes[key] > 1]
     if not keys or not ranges(data):
         return None
-    fig, grid = figure(len(keys), 1, width=8.0, height=3.2, gap=0.7, right=2.4)
-    for ax, key in zip(grid[:, 0], keys, strict=True):
+    fig, axs = stacked(len(keys), 3.2, share_x=False)
+    for ax, key in zip(axs, keys, strict=True):
         existence(data, ax, key=key)
-    legend_beside(grid[0, 0], labelled(grid[0, 0]).values())
+    legend_beside(axs[0], labelled(*axs).values())
     return finish(fig, data, "ranges with two motions")
 
 

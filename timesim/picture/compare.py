@@ -19,6 +19,7 @@ from timesim.picture.style import (
     Picture,
     axes,
     figure,
+    from_zero,
     heading,
     label_axes,
     legend_below,
@@ -60,6 +61,7 @@ def overlay(data: "DataTree", ax: "Axes | None" = None, *, point: str | None = N
         if not settled.all():
             hollow = points.look | {"label": "not settled", "fillstyle": "none", "ms": 5}
             ax.plot(part.frequency.values[~settled], y[~settled], **hollow)
+    from_zero(ax)
     return ax
 
 

@@ -48,7 +48,7 @@ def orbit(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = No
     _slider(ax, w, u[last])
     state_curves(ax, u[last, 0], u[last, 1], state)
     ax.set(xlabel="u1 [length]", ylabel="u2 [length]")
-    label_axes(ax, contact)
+    label_axes(ax, short(contact))
     ax.set_aspect("equal", adjustable="datalim")
     return ax
 
@@ -84,7 +84,7 @@ def hysteresis(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None
     state_curves(ax, u[last], f[last], part.contact_state.values[last])
     number = tangent.removeprefix("t")
     ax.set(xlabel=f"u{number} [length]", ylabel=f"f{number} [force]")
-    label_axes(ax, f"{contact}, {tangent}")
+    label_axes(ax, f"{short(contact)}, {tangent}")
     return ax
 
 
@@ -101,7 +101,7 @@ def normal_load(data: "Dataset", ax: "Axes | None" = None, *, contact: str | Non
     tangential = np.hypot(force[:, 0], force[:, 1])
     ax.plot(time, tangential, color=VERMILION, linestyle="--", linewidth=1.0, label="friction force |f|")
     ax.set(xlabel="time [s]", ylabel="n, |f| [force]", xlim=(time[0], time[-1]))
-    label_axes(ax, contact)
+    label_axes(ax, short(contact))
     return ax
 
 

@@ -11,14 +11,14 @@ from timesim.picture.style import Picture
 from timesim.result.file import write_whole
 
 if TYPE_CHECKING:
-    import matplotlib.figure
-    import xarray
+    from matplotlib.figure import Figure
+    from xarray import Dataset, DataTree
 
 DPI = 110
 MARGIN = 9  # pixels of white around what is drawn
 
 
-def write(data: "xarray.Dataset | xarray.DataTree", folder: Path | str, pictures: Mapping[str, Picture]) -> list[Path]:
+def write(data: "Dataset | DataTree", folder: Path | str, pictures: Mapping[str, Picture]) -> list[Path]:
     """Write the pictures of a result into a folder as PNG, replacing earlier ones.
 
     Args:
@@ -33,7 +33,7 @@ def write(data: "xarray.Dataset | xarray.DataTree", folder: Path | str, pictures
         StoreError: a file cannot be written.
     """
     written: list[Path] = []
-    if data.sizes.get("time", 2) < 2:
+    if min(data.sizes.get(name, 2) for name in ("time", "angle")) < 2:
         return written
     for name, picture in pictures.items():
         figure = picture(data)
@@ -43,20 +43,22 @@ def write(data: "xarray.Dataset | xarray.DataTree", folder: Path | str, pictures
     return written
 
 
-def _png(made: "matplotlib.figure.Figure") -> memoryview:
+def _png(figure: "Figure") -> memoryview:
     """A figure as an image, cut to what is drawn: room that was kept for a legend or a note may be empty."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.image import imsave
 
-    made.set_dpi(DPI)
-    canvas = FigureCanvasAgg(made)
-    canvas.draw()
+    figure.set_dpi(DPI)
+    canvas = FigureCanvasAgg(figure)
+    # Where the faces of a surface differ in size, matplotlib projects memory too that it has never set.
+    with np.errstate(over="ignore"):
+        canvas.draw()
     pixels = np.asarray(canvas.buffer_rgba())
     drawn = pixels[..., :3].min(axis=2) < 255
     cut = []
     for filled in (drawn.any(axis=1), drawn.any(axis=0)):
-        found = np.flatnonzero(filled)
-        cut.append(slice(max(0, found[0] - MARGIN), found[-1] + 1 + MARGIN))
+        places = np.flatnonzero(filled)
+        cut.append(slice(max(0, places[0] - MARGIN), places[-1] + 1 + MARGIN))
     image = io.BytesIO()
     imsave(image, pixels[cut[0], cut[1]], format="png", dpi=DPI)
     return image.getbuffer()

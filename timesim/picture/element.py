@@ -4,7 +4,7 @@
 writes.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -59,9 +59,13 @@ def _transition_circles(data: "Dataset", ax: "Axes") -> None:
         label = None if number else "limit circle there"
         ax.plot(*(radius * circle), color="0.55", linewidth=0.6, label=label)
         ax.plot(*f, "o", color="black", ms=4, label=None if number else "transition")
-        x, y = (12 * (f / radius if radius > 0 else np.array([0.3, -0.95]))).tolist()
+        x, y = (f / radius if radius > 0 else np.array([0.3, -0.95])).tolist()
+        beside: dict[str, Any] = {
+            "ha": "left" if x > 0.3 else "right" if x < -0.3 else "center",
+            "va": "bottom" if y > 0 else "top",
+        }
         text = ", ".join(f"{degrees:.1f}°" for degrees in angles)
-        ax.annotate(text, (f[0], f[1]), (x, y), textcoords="offset points", fontsize=7, ha="center", va="center")
+        ax.annotate(text, (f[0], f[1]), (5 * x, 5 * y), textcoords="offset points", fontsize=7, **beside)
 
 
 def _transition_forces(data: "Dataset") -> list[tuple[np.ndarray, list[float]]]:

@@ -28,6 +28,9 @@ def contour(data: "Dataset", ax: "Axes | None" = None, *, name: str = "f_s", tan
         shades = ax.contourf(x, y, z.T, levels=12, cmap="viridis")
         lines = ax.contour(x, y, z.T, levels=list(shades.levels), colors="black", linewidths=0.4)
         ax.clabel(lines, np.asarray(lines.levels)[1::2], fontsize=6, fmt="%.3g")
+    else:
+        ax.text(0.5, 0.5, f"{z.flat[0]:.4g} everywhere", transform=ax.transAxes, ha="center", fontsize=9)
+        ax.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
     ax.set(xlabel=_axis_label(data, first), ylabel=_axis_label(data, second))
     ax.set_title(_coefficient_label(name, tangent), fontsize=9)
     ax.grid(False)
@@ -48,6 +51,8 @@ def surface(data: "Dataset", ax: Any = None, *, name: str = "f_s", tangent: str 
     ax.set_ylabel(_axis_label(data, second), fontsize=8, labelpad=-3)
     ax.set_title(_coefficient_label(name, tangent), fontsize=9, pad=-6)
     ax.tick_params(labelsize=7, pad=-2)
+    ax.tick_params(axis="z", pad=1)
+    ax.locator_params(axis="z", nbins=5)
     ax.view_init(28, -120)
     ax.set_box_aspect(None, zoom=0.9)
     return ax

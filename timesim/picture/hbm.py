@@ -13,7 +13,7 @@ import numpy as np
 from timesim.picture import response as shared
 from timesim.picture.choice import MAX_CURVES, left_out, motion, spread
 from timesim.picture.response import amplitude_label, axis_label, draw_branch, over_keys, values_label
-from timesim.picture.style import Picture, Series, axes, short
+from timesim.picture.style import Picture, Series, axes, from_zero, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,7 +39,7 @@ def response(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = N
     """Amplitude of a point along the curves, by default of that and along the axis with the largest."""
     ax, (point, axis) = axes(ax), motion(data, point, axis)
     _draw(ax, data, data.amplitude.sel(point=point, axis=axis).values)
-    ax.set_ylim(bottom=0)
+    from_zero(ax)
     ax.set_ylabel(amplitude_label(point, axis))
     return ax
 
@@ -124,7 +124,7 @@ def hidden(data: "Dataset") -> str:
 def _response_figure(data: "Dataset") -> "Figure | None":
     if not data.sizes["solution"]:
         return None
-    return shared.response_figure(data, response, legend, "response by harmonic balance", (4.2, 2.4), hidden(data))
+    return shared.response_figure(data, response, legend, "response by harmonic balance", hidden(data))
 
 
 def _harmonics_figure(data: "Dataset") -> "Figure | None":

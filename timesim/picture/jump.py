@@ -12,7 +12,7 @@ import numpy as np
 from timesim.picture import transient
 from timesim.picture.choice import MAX_ROWS, motions
 from timesim.picture.response import amplitude_label
-from timesim.picture.style import BLUE, SERIES, VERMILION, Picture, axes, figure, heading, legend_below
+from timesim.picture.style import BLUE, SERIES, VERMILION, Picture, axes, figure, from_zero, heading, legend_below
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,7 +49,7 @@ def envelope(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     for (point, axis), style in zip(moving(data), SERIES, strict=False):
         amplitude = data.cycle_amplitude.sel(point=point, axis=axis).values
         ax.plot(data.cycle.values, amplitude, color=style.colour, linestyle=style.line, label=f"{point} {axis}")
-    ax.set_ylim(bottom=0)
+    from_zero(ax)
     ax.set_ylabel("amplitude [length]")
     return _along_schedule(ax, data)
 

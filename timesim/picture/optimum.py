@@ -10,7 +10,7 @@ import numpy as np
 
 from timesim.picture.choice import motion
 from timesim.picture.response import amplitude_label, axis_label, finish, stacked, styles
-from timesim.picture.style import BLUE, VERMILION, Picture, axes, labelled, legend_beside
+from timesim.picture.style import BLUE, VERMILION, Picture, axes, from_zero, labelled, legend_beside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,7 +66,7 @@ def responses(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     if np.isfinite(best):
         style: dict[str, Any] = {"color": "black", "linewidth": 2.0, "zorder": 3, "label": f"{best:.4g}, the least"}
         _curves(ax, data, amplitude, int(np.flatnonzero(values == best)[0]), style)
-    ax.set_ylim(bottom=0)
+    from_zero(ax)
     ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(point, axis))
     return ax
 
@@ -91,7 +91,8 @@ def _peak_figure(data: "Dataset") -> "Figure | None":
     if not np.isfinite(data["peak"].values).any():
         return None
     fig, axs = stacked(2, 2.8, share_x=False)
-    peak(data, axs[0]).set(ylim=(0, None), xlabel="")
+    from_zero(peak(data, axs[0]))
+    axs[0].set_xlabel("")
     magnified(data, axs[1])
     legend_beside(axs[0], labelled(axs[0]).values())
     return finish(fig, data, "peak over the frequencies, below magnified")
@@ -102,7 +103,7 @@ def _responses_figure(data: "Dataset") -> "Figure | None":
         return None
     fig, axs = stacked(1, 4.0)
     legend_beside(axs[0], labelled(responses(data, axs[0])).values(), axis_label(data, scalar(data)))
-    return finish(fig, data, "responses, dashed where the sweep down differs")
+    return finish(fig, data, "responses, dashed where the sweep down differs; dots: refined peaks")
 
 
 PICTURES: dict[str, Picture] = {"peak": _peak_figure, "response": _responses_figure}

@@ -151,7 +151,7 @@ def stacked(rows: int, height: float, *, share_x: bool = True) -> tuple["Figure"
 
     Without a common abscissa there is room for the label of each.
     """
-    gap = 0.3 if share_x else 0.7
+    gap = 0.3 if share_x else 0.8
     fig, grid = figure(rows, 1, width=9.0, height=height, gap=gap, right=2.4, sharex=share_x)
     return fig, list(grid[:, 0])
 
@@ -167,13 +167,12 @@ def response_figure(
     response: Callable[..., "Axes"],
     legend: Callable[[Sequence["Axes"], "Dataset"], None],
     what: str,
-    heights: tuple[float, float],
     note: str,
 ) -> "Figure":
     """The response of each point along its axis of largest amplitude, one above the other."""
     points = list(main_axes(data))
     rows = min(len(points), MAX_ROWS)
-    fig, axs = stacked(rows, heights[rows > 1])
+    fig, axs = stacked(rows, 4.0 if rows == 1 else 2.4)
     for ax, point in zip(axs, points, strict=False):
         response(data, ax, point=point).label_outer()
     legend(axs, data)

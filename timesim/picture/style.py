@@ -121,6 +121,12 @@ def heading(fig: "Figure", data: "Dataset | DataTree", what: str, left_out: str 
         fig.text(0.99, 0.04 / tall, left_out, fontsize=7, color="0.35", ha="right", va="bottom")
 
 
+def from_zero(ax: "Axes") -> None:
+    """Let the ordinate begin at zero, with some room above what is drawn."""
+    top = ax.dataLim.y1
+    ax.set_ylim(0, 1.05 * top if 0 < top < np.inf else 1.0)
+
+
 def label_axes(ax: "Axes", label: str) -> None:
     """Say at the upper right corner which of several things the axes show."""
     ax.set_title(label, fontsize=9, pad=4, loc="right")

@@ -15,7 +15,7 @@ import numpy as np
 from timesim.picture import response as shared
 from timesim.picture.choice import MAX_CURVES, left_out, motion, spread
 from timesim.picture.response import DIRECTIONS, amplitude_label, axis_label, over_keys, values_label
-from timesim.picture.style import NEUTRAL, SERIES, Picture, Series, axes, labelled, legend_beside, short
+from timesim.picture.style import NEUTRAL, SERIES, Picture, Series, axes, from_zero, labelled, legend_beside, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,7 +52,7 @@ def response(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = N
         _band(ax, data, curve, point, axis)
         for frequency in _jumps(data, curve):
             ax.axvline(frequency, color=curve.style.colour, linestyle=":", linewidth=1.0, label="jump")
-    ax.set_ylim(bottom=0)
+    from_zero(ax)
     ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(point, axis))
     return ax
 
@@ -98,14 +98,13 @@ def peak(
         largest, at_end = peaks(amplitude.isel(curve.where).transpose(key, "frequency").values[order])
         direction = curve.direction if data.sizes["direction"] > 1 else ""
         name, style = ", ".join(filter(None, (curve.label, direction))), curve.style
-        ax.plot(value, largest, color=style.colour, linestyle=style.line, label=name or "peak")
-        _marks(ax, value, largest, style, at_end, "peak at an end of the frequencies")
+        _curve(ax, value, largest, style, at_end, "peak at an end of the frequencies", label=name or "peak")
         if np.isfinite(largest).all():
             place = int(np.argmin(largest))
             least.setdefault((value[place], f"{largest[place]:.4g}"), []).append((name, style.colour))
     for (x, y), of in least.items():
         _star(ax, x, y, of, x in (value[0], value[-1]) and value.size > 1)
-    ax.set_ylim(bottom=0)
+    from_zero(ax)
     ax.set(xlabel=axis_label(data, key), ylabel=f"peak {amplitude_label(point, axis)}")
     return ax
 
@@ -166,8 +165,7 @@ def _draw(ax: "Axes", data: "Dataset", curve: Curve, y: np.ndarray) -> None:
     """A curve, hollow markers where it has not settled, crosses at the foot where it failed."""
     frequency, settled = data.frequency.values, data.settled.isel(curve.where).values.astype(bool)
     failed, style = data.failure.isel(curve.where).values != "", curve.style
-    ax.plot(frequency, y, color=style.colour, linestyle=style.line, linewidth=1.0, label="_" + curve.label)
-    _marks(ax, frequency, y, style, ~settled & ~failed, "not settled")
+    _curve(ax, frequency, y, style, ~settled & ~failed, "not settled", label="_" + curve.label, linewidth=1.0)
     doubled = settled & (data.period.isel(curve.where).values > 1)
     if doubled.any():
         ring: dict[str, Any] = {"color": "black", "fillstyle": "none", "ms": 8, "linestyle": ""}
@@ -186,18 +184,23 @@ def _band(ax: "Axes", data: "Dataset", curve: Curve, point: str, axis: str) -> N
     if loose.any():
         look: dict[str, Any] = {"color": curve.style.colour, "linewidth": 3.0, "alpha": 0.45}
         ax.vlines(data.frequency.values[loose], low[loose], high[loose], **look)
+        ax.plot([], [], label="range over single cycles", **look)
 
 
-def _marks(ax: "Axes", x: np.ndarray, y: np.ndarray, style: Series, hollow: np.ndarray, meaning: str) -> None:
-    """Markers on a curve: filled ones on some of its points, and hollow ones with a meaning on all that have it."""
+def _curve(
+    ax: "Axes", x: np.ndarray, y: np.ndarray, style: Series, hollow: np.ndarray, meaning: str, **look: Any
+) -> None:
+    """A curve with filled markers at some of its points, and hollow ones with a meaning at all that have it."""
     every = max(1, -(-x.size // MARKED))
     if style.marker in TURNS and x.size > 1:
         every = max(2, every)
     filled = ~hollow & (np.arange(x.size) % every == TURNS.get(style.marker, 0) * (every // 2))
-    look: dict[str, Any] = {"color": style.colour, "linestyle": "", "marker": style.marker}
-    ax.plot(x[filled], y[filled], ms=3.5, label="_settled", **look)
+    look |= {"color": style.colour, "marker": style.marker}
+    ax.plot(x, y, linestyle=style.line, ms=3.5, markevery=np.flatnonzero(filled).tolist(), **look)
+    hollow = hollow & np.isfinite(y)
     if hollow.any():
-        ax.plot(x[hollow], y[hollow], ms=6, fillstyle="none", label=meaning, **look)
+        look |= {"label": meaning, "fillstyle": "none"}
+        ax.plot(x[hollow], y[hollow], linestyle="", ms=6, **look)
 
 
 def legend(axs: Sequence["Axes"], data: "Dataset") -> None:
@@ -220,7 +223,7 @@ def _hidden(data: "Dataset") -> str:
 
 
 def _response_figure(data: "Dataset") -> "Figure":
-    return shared.response_figure(data, response, legend, "response", (3.2, 2.2), _hidden(data))
+    return shared.response_figure(data, response, legend, "response", _hidden(data))
 
 
 def _states_figure(data: "Dataset") -> "Figure | None":

@@ -7,7 +7,7 @@ figures that a run writes.
 """
 
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from timesim.picture.style import (
     SERIES,
     VERMILION,
     Picture,
+    Series,
     axes,
     figure,
     heading,
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
 SPECTRUM_CYCLES = 10
 HIGHEST_ORDER = 30
+MARKED = 60  # cycles of a curve that bear a marker
 
 
 def displacement(
@@ -134,7 +136,7 @@ def energy(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
         terms["friction, all contacts"] = data.energy_friction.values.sum(axis=1)
     terms["change of stored"] = data.energy_stored_change.values
     for (name, values), style in zip(terms.items(), SERIES, strict=False):
-        ax.plot(cycle, values, style.marker, color=style.colour, linestyle=style.line, ms=3, label=name)
+        _terms(ax, cycle, values, style, name)
     ax.set_ylabel("energy a cycle [force·length]")
     return _along_cycles(ax)
 
@@ -147,9 +149,15 @@ def energy_residual(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
         shown = size > 0
         if shown.any():
             ax.set_yscale("log")
-        ax.plot(cycle[shown], size[shown], style.marker, color=style.colour, linestyle="-", ms=3, label=f"|{name}|")
+        _terms(ax, cycle[shown], size[shown], style._replace(line="-"), f"|{name}|")
     ax.set_ylabel("[force·length]")
     return _along_cycles(ax)
+
+
+def _terms(ax: "Axes", cycle: np.ndarray, values: np.ndarray, style: Series, label: str) -> None:
+    """A quantity over the cycles, every so many of them marked."""
+    look: dict[str, Any] = {"color": style.colour, "linestyle": style.line, "marker": style.marker, "ms": 3}
+    ax.plot(cycle, values, label=label, markevery=-(-cycle.size // MARKED) or 1, **look)
 
 
 def _along_cycles(ax: "Axes") -> "Axes":
@@ -177,7 +185,9 @@ def _displacement_figure(data: "Dataset") -> "Figure":
     return fig
 
 
-def _spectrum_figure(data: "Dataset") -> "Figure":
+def _spectrum_figure(data: "Dataset") -> "Figure | None":
+    if not data.sizes["cycle"]:
+        return None
     fig, grid = figure(width=8.0, height=3.0)
     spectrum(data, grid[0, 0])
     legend_below(fig)
@@ -189,7 +199,9 @@ def _hidden(data: "Dataset") -> str:
     return left_out(len(moving(data)), MAX_ROWS, "motions", "the least active")
 
 
-def _energy_figure(data: "Dataset") -> "Figure":
+def _energy_figure(data: "Dataset") -> "Figure | None":
+    if not data.sizes["cycle"]:
+        return None
     fig, grid = figure(2, 1, width=9.0, height=2.0, right=2.3, sharex=True, height_ratios=[2, 1])
     energy(data, grid[0, 0]).set_xlabel("")
     energy_residual(data, grid[1, 0])

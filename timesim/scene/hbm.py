@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, Tag, model_validator
 
@@ -30,17 +30,6 @@ from timesim.scene.study import (
 
 
 @dataclass(frozen=True)
-class CurveSteps:
-    """Steps along a curve, as shares of its range and of the size of the response; see `Continuation`."""
-
-    first_step: float = 0.01
-    min_step: float = 1e-6
-    max_step: float = 0.05
-    max_points: int = 5000
-    tolerance: float = 1e-9
-
-
-@dataclass(frozen=True)
 class Along:
     """A scalar of the scene by its key, and its values where the curve begins and ends."""
 
@@ -58,7 +47,7 @@ class HbmPlan:
         span: first and last frequency of the curves [Hz].
         over: the further axes, a curve or several for each combination of values.
         along: the scalar that the curves run along at the frequency `span[0]`; None: they run along the frequency.
-        steps: of the continuation.
+        steps: of the continuation, the numbers of `Continuation` by their keys.
         stability: whether the Floquet multipliers of every point are computed.
         convergence: whether to say how the answer depends on harmonics and time samples.
         both_ends: whether a curve is begun from either end.
@@ -69,8 +58,8 @@ class HbmPlan:
     scheme: Scheme
     span: tuple[float, float]
     over: Axes
+    steps: Mapping[str, Any]
     along: Along | None = None
-    steps: CurveSteps = CurveSteps()
     stability: bool = True
     convergence: bool = False
     both_ends: bool = False
@@ -107,13 +96,13 @@ class Continuation(Section):
 
     first_step: Positive | None = None
     """Length of the first step; by default a fifth of the longest."""
-    min_step: Positive = CurveSteps.min_step
+    min_step: Positive = 1e-6
     """Step below which the curve is given up."""
-    max_step: Positive = CurveSteps.max_step
+    max_step: Positive = 0.05
     """Longest step; shorter ones follow where the curve bends."""
-    max_points: Annotated[Whole, Field(ge=2)] = CurveSteps.max_points
+    max_points: Annotated[Whole, Field(ge=2)] = 5000
     """Points after which the curve is given up."""
-    tolerance: Annotated[Positive, Field(le=1e-3)] = CurveSteps.tolerance
+    tolerance: Annotated[Positive, Field(le=1e-3)] = 1e-9
     """Of the balance at each point, relative to the size of the motion."""
 
     @model_validator(mode="after")
@@ -123,6 +112,11 @@ class Continuation(Section):
             hint = f"first_step {first:g}, max_step {self.max_step:g}"
             raise refuse("must be at most first_step, and that at most max_step", key=("min_step",), hint=hint)
         return self.completed(first_step=first)
+
+
+def default_steps() -> Continuation:
+    """The steps where a scene names none."""
+    return Continuation.model_validate({})
 
 
 class ResultStart(ResultSection):
@@ -172,7 +166,7 @@ class BalanceSection(StudySection):
     start: StartSection = "linear"
     """linear: the linear response with the contacts stuck or apart; both_ends: from both ends; or {from: result.nc},
     a transient's motion, or a sweep's, which reach isolated branches."""
-    continuation: Continuation = Field(default_factory=lambda: Continuation.model_validate({}))
+    continuation: Continuation = Field(default_factory=default_steps)
     """Steps along the curve."""
     convergence: Switch = False
     """Say how the answer depends on harmonics and time samples."""
@@ -198,7 +192,7 @@ class BalanceSection(StudySection):
             span=span,
             over=over,
             along=along,
-            steps=CurveSteps(**self.continuation.model_dump()),
+            steps=self.continuation.model_dump(),
             stability=self.stability,
             convergence=self.convergence,
             both_ends=self.start == "both_ends",

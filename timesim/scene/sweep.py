@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from timesim.fault import Key, RuleError, nearest
 from timesim.model.model import CONE, Model
 from timesim.model.solver import Criterion
-from timesim.scene.hbm import HbmPlan, balanced, excitation_problems
+from timesim.scene.hbm import HbmPlan, balanced, default_steps, excitation_problems
 from timesim.scene.section import (
     MAX_POINTS,
     Count,
@@ -229,7 +229,8 @@ class Bistable(SteadySection):
         sweep, balance = self._sweep(), None
         if self.harmonics:
             span = (self.frequency.first, self.frequency.to)
-            balance = HbmPlan(balanced(self.harmonics, self.time_samples), span, sweep.over, both_ends=True)
+            scheme, steps = balanced(self.harmonics, self.time_samples), default_steps().model_dump()
+            balance = HbmPlan(scheme, span, sweep.over, steps, both_ends=True)
         return BistablePlan(sweep, self.width, self.starts, balance)
 
     def problems(self, model: Model) -> Iterator[RuleError]:

@@ -4,8 +4,6 @@ For each set of values of the further axes: parts of both sweeps one after the o
 the ensemble of starts. Each is a chunk of its own, so that an interrupted study is taken up where it was.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ repeats; harmonic balance solves for a truncated Fourier series. Where the conta
 motion is linear, so agreement there proves nothing, and the verdict leaves it out.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -28,11 +28,19 @@ METHOD = "state by state"
 
 
 def study(scene: Scene, means: Means) -> Outcome:
-    """Run an element scene; marked incomplete where no cycle repeats, or where the event loop disagrees."""
+    """Run an element scene; marked incomplete where no cycle repeats, or where the event loop disagrees.
+
+    Where no cycle can be followed to its end the result says why, and holds nothing else.
+    """
     plan: ElementPlan = scene.plan
     contact, motion = plan.contact, plan.motion
     clock = time.perf_counter()
-    cycle = steady_cycle(contact, motion)
+    try:
+        cycle = steady_cycle(contact, motion)
+    except RuntimeError as error:
+        why = f"{error}; change a parameter a little, or sample the motion more smoothly"
+        about = attributes(scene, METHOD, 0.0, time.perf_counter() - clock, why)
+        return Outcome({"": dataset({}, {"angle": np.zeros(0)}, about)}, why)
     reason = None if cycle.periodic else _unsettled(cycle)
     compared: dict[str, float] = {}
     if plan.cross_check:

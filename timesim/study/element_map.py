@@ -16,16 +16,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from timesim.element.elements import Elements, harmonic_elements
 from timesim.element.loop import offset
 from timesim.element.prescribed import (
     FIRST_STEP,
     Collected,
-    Elements,
     Turn,
+    carriers_of,
     coefficients,
     collected,
     control_of,
-    harmonic_elements,
     law_of,
     march_cycle,
     method_of,
@@ -117,7 +117,7 @@ class March:
         system = system_of(law_of(elements, self.isotropic))
         step = jnp.asarray(FIRST_STEP)
         end, count = march_cycle(
-            self.method, self.control, system, elements.carriers, w, jnp.asarray(self.state[full]), step
+            self.method, self.control, system, carriers_of(elements), w, jnp.asarray(self.state[full]), step
         )
         made = collected(elements, jax.block_until_ready(end))
         made = Collected(**{name: getattr(made, name)[: rows.size] for name in made.__dataclass_fields__})

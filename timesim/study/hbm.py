@@ -1,7 +1,5 @@
 """The `hbm` study: response curves by harmonic balance, one for each value of the scene's further axes."""
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 import time
 from collections.abc import Iterator, Sequence
 from typing import Any

@@ -1,9 +1,7 @@
 """The curves of a study by harmonic balance, one or several for each value of the scene's further axes."""
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -164,7 +162,7 @@ class Curves:
         return [back] if back.complete and _same(whole, 0, back, -1) else [whole, back]
 
     def _options(self) -> dict[str, Any]:
-        controls = replace(default_controls(), **asdict(self.plan.steps))
+        controls = replace(default_controls(), **self.plan.steps)
         return {"scheme": self.scheme, "controls": controls, "stability": self.plan.stability}
 
 

@@ -7,8 +7,6 @@ beside the least one by bounded minimisation [1]_, and it is made sure that no v
 .. [1] R. P. Brent, *Algorithms for Minimization Without Derivatives*, Prentice-Hall (1973), chapter 5.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ What a chunk gives depends on nothing but its payload and the state that the chu
 gives the same bits however its chunks are spread over threads or a cluster, and wherever it was interrupted.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

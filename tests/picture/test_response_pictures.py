@@ -1,0 +1,178 @@
+"""Pictures of curves and of ranges with two motions, of results put together by hand: nothing is hidden or covered."""
+
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray
+from matplotlib.figure import Figure
+
+from timesim.picture import bistable, compare, draw, element, element_map, hbm
+
+PRELOAD = "contacts.pad.preload"
+FREQUENCY = np.linspace(0.9, 1.1, 21)
+SPOT, PLACES = ("point", "axis"), {"point": ["tip"], "axis": list("xyz"), "contact": ["pad"]}
+ATTRS = {"complete": 1, "title": "An oscillator with a rather long title"}
+
+
+def _amplitude(values: np.ndarray) -> np.ndarray:
+    """Along x, of one point."""
+    return np.asarray(values)[..., None, None] * np.array([1.0, 0.5, 0.0])
+
+
+def _balance(preloads: list[float], height: float = 1.0) -> xarray.Dataset:
+    """An S-shaped curve for each preload, its folds at 0.98 and 1.02."""
+    s = np.linspace(-1.0, 1.0, 41)
+    frequency = 1.0 + 0.1 * np.where(np.abs(s) < 0.4, -0.5 * s, np.sign(s) * (np.abs(s) - 0.6))
+    fold = np.isclose(np.abs(s), 0.4)
+    number = len(preloads)
+    columns: dict[str, Any] = {
+        PRELOAD: np.repeat(preloads, s.size),
+        "frequency": np.tile(frequency, number),
+        "stable": np.tile(np.abs(s) > 0.4, number).astype(int),
+        "fold": np.tile(fold, number).astype(int),
+        "curve": np.repeat(np.arange(number), s.size),
+    }
+    shape = (number * s.size,)
+    variables = {name: ("solution", values) for name, values in columns.items()} | {
+        "amplitude": (("solution", *SPOT), _amplitude(np.tile(height * (0.6 + 0.4 * s), number))),
+        "slip_share": (("solution", "contact"), np.full((*shape, 1), 0.4)),
+        "separation_share": (("solution", "contact"), np.zeros((*shape, 1))),
+    }
+    return xarray.Dataset(variables, {name: list(values) for name, values in PLACES.items()}, ATTRS)
+
+
+def _sweep(preloads: list[float], height: float = 1.0) -> xarray.Dataset:
+    shape = (len(preloads), 2, FREQUENCY.size)
+    dims = (PRELOAD, "direction", "frequency")
+    variables = {
+        "amplitude": ((*dims, *SPOT), _amplitude(np.full(shape, height))),
+        "settled": (dims, np.ones(shape, int)),
+        "slip_share": ((*dims, "contact"), np.full((*shape, 1), 0.4)),
+        "separation_share": ((*dims, "contact"), np.zeros((*shape, 1))),
+    }
+    coords = {PRELOAD: preloads, "direction": ["up", "down"], "frequency": FREQUENCY, **PLACES}
+    return xarray.Dataset(variables, coords, ATTRS)
+
+
+def two_motions(preloads: list[float]) -> xarray.DataTree:
+    """The result of a `bistable` study: a range for each preload."""
+    dims, shape = (PRELOAD, "jump"), (len(preloads), 1)
+    ends = np.broadcast_to([0.98, 1.02], (*shape, 2))
+    side = ("share_lower", "share_upper")
+    variables = {
+        "range": ((*dims, "end"), ends),
+        "jump_from": ((*dims, "end", *SPOT), _amplitude(np.broadcast_to([0.44, 0.76], (*shape, 2)))),
+        "jump_to": ((*dims, "end", *SPOT), _amplitude(np.broadcast_to([0.9, 0.3], (*shape, 2)))),
+        "amplitude_lower": ((*dims, *SPOT), _amplitude(np.full(shape, 0.36))),
+        "amplitude_upper": ((*dims, *SPOT), _amplitude(np.full(shape, 0.84))),
+        "start_branch": ((*dims, *side), np.broadcast_to([[0, 1], [1, 1]], (*shape, 2, 2))),
+    }
+    shares = {name: [0.0, 1.0] for name in side}
+    root = xarray.Dataset(variables, {PRELOAD: preloads, **PLACES, **shares}, ATTRS | {"study": "bistable"})
+    balance = _balance(preloads).drop_vars([*SPOT, "contact"])
+    return xarray.DataTree.from_dict({"/": root, "/sweep": _sweep(preloads), "/hbm": balance})
+
+
+def _covered(fig: Figure) -> list[tuple[str, str]]:
+    """Pairs of titles, axis labels and legends of a figure that lie over each other."""
+    fig.canvas.draw()
+    boxes = {}
+    for i, ax in enumerate(fig.axes):
+        for text in (ax.title, ax._left_title, ax._right_title, ax.xaxis.label, ax.yaxis.label):  # type: ignore[attr-defined]
+            if text.get_text() and text.get_visible():
+                boxes[f"{i}: {text.get_text()}"] = text.get_window_extent()
+        if legend := ax.get_legend():
+            boxes[f"{i}: legend"] = legend.get_window_extent()
+        boxes[f"{i}: axes"] = ax.get_window_extent()
+    if fig.get_suptitle():
+        boxes["heading"] = fig._suptitle.get_window_extent()  # type: ignore[attr-defined]
+    return [(a, b) for a, b in combinations(boxes, 2) if boxes[a].padded(-1).overlaps(boxes[b].padded(-1))]
+
+
+@pytest.mark.parametrize("preloads", [[2.0], [1.8, 2.0], [1.8, 2.0, 2.2, 2.4, 2.6]])
+def test_nothing_covers_a_label_of_two_motions(preloads: list[float], tmp_path: Path) -> None:
+    data = two_motions(preloads)
+    drawn = []
+    for name, picture in bistable.PICTURES.items():
+        fig = picture(data)
+        if fig is not None:
+            drawn.append(name)
+            assert not _covered(fig), name
+    assert drawn == ["response", "ranges", "starts", "existence"][: 3 + (len(preloads) > 1)]
+    figure = bistable.PICTURES["ranges"](data)
+    notes = [text.get_text() for text in figure.texts]
+    assert ("1 of 5 ranges not shown" in notes) == (len(preloads) > 4)
+
+
+def test_a_legend_names_what_is_drawn_and_nothing_else() -> None:
+    def named(data: xarray.DataTree, picture: str) -> set[str]:
+        legend = bistable.PICTURES[picture](data).axes[0].get_legend()
+        return {text.get_text() for text in legend.get_texts()}
+
+    whole = two_motions([2.0])
+    swept = {"sweep up", "sweep down", "two motions", "jump", "smaller motion", "larger motion"}
+    assert named(whole, "response") == swept | {"harmonic balance", "unstable", "fold"}
+    assert named(two_motions([2.0]).drop_nodes("hbm"), "response") == swept
+    whole["sweep"]["settled"][:] = 0
+    assert "not settled" in named(whole, "response")
+
+
+def test_points_above_the_curves_are_shown() -> None:
+    tree = xarray.DataTree.from_dict({"/sweep": _sweep([2.0], height=3.0), "/hbm": _balance([2.0])})
+    assert hbm.response(tree["hbm"].to_dataset()).get_ylim()[1] < 1.2
+    assert compare.overlay(tree).get_ylim()[1] > 3.0
+
+
+def _map(values: np.ndarray) -> xarray.Dataset:
+    a = np.linspace(0, 4, values.shape[0])
+    coefficient = (("a", "b", "tangent"), np.stack([values, 0.5 * values], axis=-1))
+    variables = dict.fromkeys(("f_b", "f_s", "f_c"), coefficient) | {"dissipation": (("a", "b"), values)}
+    coords = {"a": a, "b": np.linspace(0, 4, values.shape[1]), "tangent": ["t1", "t2"]}
+    return xarray.Dataset(variables, coords, ATTRS | {"study": "element_map"})
+
+
+def test_surfaces_whatever_is_in_memory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Faces of a surface differ in size at its diagonal edge: matplotlib pads them with memory that it has not set."""
+    empty = np.empty
+
+    def garbage(shape: Any, dtype: Any = float, *args: Any, **options: Any) -> np.ndarray:
+        array = empty(shape, dtype, *args, **options)
+        if array.dtype.kind == "f" and array.ndim == 3:
+            array.fill(1e308)
+        return array
+
+    data = _map(1e-3 * np.add.outer(np.arange(8.0), np.arange(8.0)))
+    monkeypatch.setattr(np, "empty", garbage)
+    assert [path.stem for path in draw.write(data, tmp_path, element_map.PICTURES)] == ["surfaces", "contours"]
+
+
+def test_a_coefficient_that_is_the_same_everywhere_is_a_number() -> None:
+    ax = element_map.contour(_map(np.full((4, 5), 0.25)))
+    assert [text.get_text() for text in ax.texts] == ["0.25 everywhere"]
+    assert ax.get_xlim() == (0, 4)
+
+
+def test_angles_stand_beside_their_transitions() -> None:
+    theta = np.deg2rad(np.arange(0, 360, 5.0))
+    force = np.stack([np.cos(theta), np.sin(theta)], axis=-1)
+    angles = np.arange(10.0, 360, 60)
+    there = np.deg2rad(angles)
+    variables = {
+        "force": (("angle", "tangent"), force),
+        "first_force": (("angle", "tangent"), force),
+        "state": ("angle", np.ones(theta.size, int)),
+        "normal_load": ("angle", np.full(theta.size, 2.0)),
+        "transition_angle_deg": ("event", angles),
+        "transition_force": (("event", "tangent"), np.stack([np.cos(there), np.sin(there)], axis=-1)),
+    }
+    ax = element.force_path(xarray.Dataset(variables, attrs={"friction": 0.5}))
+    ax.figure.canvas.draw()
+    dots = [line.get_xydata()[0] for line in ax.get_lines() if line.get_marker() == "o" and len(line.get_xydata()) == 1]
+    assert len(dots) == len(ax.texts) == angles.size
+    for text, dot in zip(ax.texts, dots, strict=True):
+        box = text.get_window_extent()
+        x, y = ax.transData.transform(dot)
+        assert not box.padded(2).contains(x, y), text.get_text()
