@@ -25,7 +25,8 @@ from timesim.study.hbm import followed, left_out
 from timesim.study.hbm import summary as hbm_summary
 from timesim.study.hbm_curves import Curves
 from timesim.study.outcome import Outcome, attributes
-from timesim.study.sweep import jumps_told, sweep_record
+from timesim.study.report import jump_lines
+from timesim.study.sweep import sweep_record
 
 # Nearer to a fold than this share of its frequency a small error of either method moves the answer much.
 NEAR_FOLD = 1e-3
@@ -147,7 +148,7 @@ def study(scene: Scene, means: Means) -> Outcome:
     match = matched(sweep, curves)
     faults = [f"{name}: {why}" for name, why in (("sweep", sweep_reason), ("hbm", hbm_reason)) if why]
     reason = "; ".join(faults) or None
-    lines = [*jumps_told(swept), *verdict(sweep, match, curves)]
+    lines = [*jump_lines(swept), *verdict(sweep, match, curves)]
     lines.append(
         f"time integration: {sweep.settled.size} points in {seconds:.2f} s; harmonic balance: "
         f"{balanced['frequency'].size} solutions in {balanced.attrs['run_seconds']:.2f} s"
