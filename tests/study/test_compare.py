@@ -16,7 +16,7 @@ from timesim.cli import app
 from timesim.orbit.settling import steady_states
 from timesim.picture import compare as plot_compare
 from timesim.result.netcdf import open_result
-from timesim.study import compare_cycle, verdict
+from timesim.study import compare, verdict
 from timesim.study import registry as plot
 from timesim.study.registry import carry_out, load_scene
 
@@ -212,7 +212,7 @@ def test_a_cycle_that_does_not_settle_is_left_out_with_the_reason(monkeypatch: p
         return steady_states(chains, solver, replace(criterion, max_cycles=1))
 
     assert "cycle" in carry_out(load_scene(oscillator_scene(preload=3.0) | {"study": study})).groups
-    monkeypatch.setattr(compare_cycle, "steady_states", impatient)
+    monkeypatch.setattr(compare, "steady_states", impatient)
     outcome = carry_out(load_scene(oscillator_scene(preload=3.0) | {"study": study}))
     assert [criterion.tolerance for criterion in seen] == [1e-7]
     assert outcome.reason is None

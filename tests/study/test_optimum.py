@@ -15,11 +15,11 @@ from timesim.orbit.settling import Task, settle
 from timesim.orbit.steady_state import without_orbit
 from timesim.picture import optimum as plot_optimum
 from timesim.result.netcdf import open_result
-from timesim.study import optimum
 from timesim.study import registry as plot
 from timesim.study.campaign import Means
-from timesim.study.optimum import Peaks, Response, summary
+from timesim.study.optimum import Peaks, Response, SearchError, data_of
 from timesim.study.registry import carry_out, load_scene
+from timesim.study.report import optimum_lines
 
 KEY = "contacts.pad.preload"
 QUICK = {
@@ -94,6 +94,18 @@ def test_an_optimum_at_the_end_of_the_range(tmp_path: Path):
         np.testing.assert_array_equal(again[name], record[name])
 
 
+def test_an_optimum_of_points_that_all_fail_says_so():
+    given = QUICK | {"solver.max_steps": "20"}
+    outcome = carry_out(load_scene(CONFIGS / "preload.yaml", [f"{key}={value}" for key, value in given.items()]))
+    data = outcome.groups[""]
+    assert "no steady state was found at any value of contacts.pad.preload: at 1.36 Hz" in outcome.reason
+    assert "budget of 20 steps" in outcome.reason
+    assert data.attrs["complete"] == 0
+    assert np.isnan(data["optimum"])
+    assert (data["failure"] != "").all()
+    assert len(outcome.summary) == 1
+
+
 # The search, on peaks that are known
 
 
@@ -108,10 +120,12 @@ class Known(Peaks):
     def take(self, values: list[float], stage: str) -> None:
         for value in values:
             self.computed.append(value)
-            reason = np.array([["", "it broke"]] if np.isnan(self.formula(value)) else [["", ""]])
+            shape = (2, self.frequency.size)
             self.results[value] = {
-                "peak": np.array(self.formula(value)), "reason": reason, "peak_at_end": np.array(0),
-                "peak_frequency": np.array(1.0), "peak_settled": np.array(1), "cycles": np.zeros((1, 2), int),
+                "peak": np.array(self.formula(value)), "peak_at_end": np.array(0), "peak_settled": np.array(1),
+                "peak_frequency": np.array(1.0), "cycles": np.zeros(shape, int), "settled": np.ones(shape, bool),
+                "amplitude": np.full((*shape, 1, 3), self.formula(value)),
+                "reason": np.full(shape, "it broke" if np.isnan(self.formula(value)) else ""),
             }  # fmt: skip
 
 
@@ -137,11 +151,11 @@ def test_the_least_of_two_valleys_counts():
 def test_a_value_without_a_motion_is_named():
     peaks = Known(lambda value: np.nan if 3.1 < value < 3.9 else (value - 3.5) ** 2)
     peaks.first()
-    with pytest.raises(
-        optimum._LostError, match=r"no steady state was found at contacts.pad.preload = 3\.\d+: it broke"
-    ):
+    with pytest.raises(SearchError, match=r"no steady state was found at contacts.pad.preload = 3\.\d+: it broke"):
         peaks.search()
-    assert any("least peak 0.25" in line for line in summary(peaks, found=False))
+    lines = list(optimum_lines(data_of(peaks).assign_attrs(complete=0), 1e-3))
+    assert any("least peak 0.25" in line for line in lines)
+    assert not any("not smaller" in line for line in lines)
 
 
 def test_the_size_of_a_response():

@@ -26,6 +26,7 @@ from timesim.orbit.settling import Chain, first_lane
 from timesim.result.netcdf import read, save
 from timesim.study import sweep
 from timesim.study.registry import load_scene
+from timesim.study.report import jump_lines
 
 DATA = Path(__file__).parents[1] / "data"
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -177,7 +178,7 @@ def test_the_steady_state_of_a_linear_scene_against_integration() -> None:
     lane = first_lane(Chain(scene_.model(), (0.9,)), solver)
     found = linear_orbit(lane)
     assert found is not None
-    system = jax.tree.map(np.asarray, found.lane.system)
+    system = jax.tree.map(np.asarray, lane.system)
 
     def rate(t: float, y: np.ndarray) -> np.ndarray:
         angle = system.harmonic[:, None] * (t + system.phase)
@@ -185,16 +186,17 @@ def test_the_steady_state_of_a_linear_scene_against_integration() -> None:
         q, p = np.split(y, 2)
         return np.concatenate([p, force - system.stiffness @ q - system.damping @ p])
 
-    begin = np.concatenate([found.lane.here.point.q, found.lane.here.point.p])
+    point, _ = lane.frame.point(found.end)
+    begin = np.concatenate([point.q, point.p])
     times = np.linspace(0, 2 * np.pi, 20001)
     path = solve_ivp(rate, times[[0, -1]], begin, method="DOP853", rtol=1e-11, atol=1e-13, t_eval=times).y
     np.testing.assert_allclose(path[:, -1], begin, atol=1e-9 * np.abs(begin).max())
-    x = found.lane.shape @ path[:3]
+    x = lane.shape @ path[:3]
     np.testing.assert_allclose(found.amplitude.ravel(), np.ptp(x, axis=1) / 2, atol=1e-6 * found.amplitude.max())
     pushed = [solve_ivp(rate, (0, 2 * np.pi), begin + e, method="DOP853", rtol=1e-11, atol=1e-13) for e in np.eye(6)]
     slope = np.stack([end.y[:, -1] - path[:, -1] for end in pushed], axis=1)
     moduli = np.sort(np.abs(np.linalg.eigvals(slope)))[::-1]
-    np.testing.assert_allclose(np.abs(found.multipliers), moduli, atol=1e-7)
+    np.testing.assert_allclose(np.abs(found.floquet), moduli, atol=1e-7)
 
 
 def test_a_scene_that_is_linear_needs_no_march() -> None:
@@ -266,7 +268,7 @@ def test_jumps_are_found_and_bisected(both: xarray.Dataset) -> None:
 
 def test_a_jump_is_told_with_its_chain(both: xarray.Dataset, tmp_path: Path) -> None:
     record = read(save(both, tmp_path / "result.nc"))[""]
-    told = [line for line in sweep.summary(record) if "jumps" in line]
+    told = list(jump_lines(record))
     ends = [f"{both.jump_low.values[0, d, 0]:.8g} and {both.jump_high.values[0, d, 0]:.8g} Hz" for d in (0, 1)]
     assert told == [
         f"{PRELOAD} -4, direction {way}: the motion jumps between {end}"

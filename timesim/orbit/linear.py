@@ -7,7 +7,7 @@ With the contacts that a reduction has proven to stick taken into the stiffness,
 whose steady state is ``q_h = (K - h^2 + i h D)^-1 p_h``; it is reached from any start if all eigenvalues decay.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,27 +15,12 @@ from timesim.engine.system import Point, System
 from timesim.orbit.fourier import half_range
 from timesim.orbit.lane import Lane
 from timesim.orbit.monodromy import HybridState
+from timesim.orbit.steady_state import Orbit
 
 
-@dataclass(frozen=True)
-class LinearOrbit:
-    """A steady state.
-
-    Attributes:
-        lane: at the start of a cycle of it.
-        amplitude: (max - min) / 2 of each point along x, y, z, shape (P, 3).
-        multipliers: of the excitation's period, largest first.
-    """
-
-    lane: Lane
-    amplitude: np.ndarray
-    multipliers: np.ndarray
-
-
-def linear_orbit(lane: Lane) -> LinearOrbit | None:
+def linear_orbit(lane: Lane) -> Orbit | None:
     """The steady state of a lane without a contact in it; None if it has contacts, or not all of its motions decay."""
-    system = lane.system
-    here = lane.here
+    system, here = lane.system, lane.here
     if here.state.size:
         return None
     rates = np.linalg.eigvals(_first_order(system))
@@ -44,11 +29,22 @@ def linear_orbit(lane: Lane) -> LinearOrbit | None:
     phasor = _phasors(system)
     turn = np.exp(1j * np.arange(len(phasor)) * float(system.phase))[:, None]
     q, p = ((turn * phasor).real.sum(axis=0), (1j * np.arange(len(phasor))[:, None] * turn * phasor).real.sum(axis=0))
-    shape, points = lane.shape, len(lane.model.structure.points)
-    amplitude = half_range((phasor @ shape.T)[None])[0].reshape(points, 3)
+    end = replace(lane, here=HybridState(Point(q, p, here.point.w, None), here.state)).start()
+    amplitude = half_range((phasor @ lane.shape.T)[None])[0].reshape(len(lane.model.structure.points), 3)
+    slips, apart = np.zeros((2, lane.model.num_contacts))
+    apart[lane.reduction.apart] = 1.0
     multipliers = np.exp(2 * np.pi * rates)
-    there = replace(lane, here=HybridState(Point(q, p, here.point.w, None), here.state))
-    return LinearOrbit(there, amplitude, multipliers[np.argsort(-np.abs(multipliers))])
+    return Orbit(
+        end=end,
+        amplitude=amplitude,
+        band=np.stack([amplitude, amplitude]),
+        settled=True,
+        cycles=0,
+        period=1,
+        slip_share=slips,
+        separation_share=apart,
+        floquet=multipliers[np.argsort(-np.abs(multipliers))],
+    )
 
 
 def _full(matrix: np.ndarray) -> np.ndarray:

@@ -200,10 +200,8 @@ def steady_states(
     groups: dict[tuple[tuple[int, ...], ...], deque[Search]] = {}
     for index, chain in enumerate(chains):
         lane = first_lane(chain, solver)
-        linear = _linear_orbits(chain, lane, solver)
-        if linear is not None:
-            orbits[index] = linear
-        else:
+        orbits[index] = _linear_orbits(chain, lane, solver)
+        if not orbits[index]:
             groups.setdefault(lane.shapes, deque()).append(Search(index, 0, lane))
     done = sum(map(len, orbits))
     for group in groups.values():
@@ -239,18 +237,12 @@ def begin_of(model: Model) -> Start:
     return replace(model.start, state=start_states(model))
 
 
-def _linear_orbits(chain: Chain, lane: Lane, solver: Solver) -> list[Orbit] | None:
-    """The steady states of a chain in which no contact is left to be modelled; None if it has to be marched."""
-    orbits = []
-    for frequency in chain.frequencies if not lane.here.state.size else ():
-        linear = linear_orbit(lane.at(frequency, begin_of(chain.model), solver))
-        if linear is None:
-            return None
-        amplitude, apart = linear.amplitude, np.zeros(chain.model.num_contacts)
-        apart[lane.reduction.apart] = 1.0
-        band, none = np.stack([amplitude, amplitude]), np.zeros_like(apart)
-        orbits.append(Orbit(linear.lane.start(), amplitude, band, True, 0, 1, none, apart, linear.multipliers))
-    return orbits or None
+def _linear_orbits(chain: Chain, lane: Lane, solver: Solver) -> list[Orbit]:
+    """The steady states of a chain in which no contact is left to be modelled; none if it has to be marched."""
+    if lane.here.state.size:
+        return []
+    orbits = [linear_orbit(lane.at(frequency, begin_of(chain.model), solver)) for frequency in chain.frequencies]
+    return [orbit for orbit in orbits if orbit is not None] if None not in orbits else []
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,7 @@ beside the least one by bounded minimisation [1]_, and it is made sure that no v
 """
 
 import time
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -27,6 +25,7 @@ from timesim.scene.resolution import Scene
 from timesim.scene.sweep import OptimumPlan
 from timesim.study.campaign import Chunk, Means, Result, carry_through, halted
 from timesim.study.outcome import Outcome, attributes
+from timesim.study.report import failure_line, optimum_lines
 
 NEARLY = 0.9  # of the largest: other maxima that may be larger between the points of the sweep
 FINE = 1e-3  # of a step of the sweep: the frequency of a peak, whose height depends on it in second order only
@@ -54,7 +53,7 @@ class Response:
         return float(np.max(orbit.amplitude[rows, columns]))
 
 
-class _LostError(Exception):
+class SearchError(Exception):
     """The search cannot go on, with the reason."""
 
 
@@ -127,7 +126,7 @@ class Peaks:
         """Compute the peaks at values.
 
         Raises:
-            _LostError: some are missing, with the reason.
+            SearchError: some are missing, with the reason.
         """
         try:
             chunks = [
@@ -135,20 +134,20 @@ class Peaks:
                 for k, value in enumerate(values)
             ]
         except SceneError as error:
-            raise _LostError(str(error)) from None
+            raise SearchError(str(error)) from None
         identity = self.scene.resolved_yaml()
         results, reason = carry_through(chunks, respond, self.means, identity=identity, stage=stage)
         for chunk, value in zip(chunks, values, strict=True):
             if chunk.name in results:
                 self.results[value] = results[chunk.name]
         if reason is not None:
-            raise _LostError(reason)
+            raise SearchError(reason)
 
     def at(self, value: float) -> float:
         """The peak at a value.
 
         Raises:
-            _LostError: it cannot be computed.
+            SearchError: it cannot be computed.
         """
         value = float(value)
         if value not in self.results:
@@ -156,7 +155,7 @@ class Peaks:
             self.take([value], f"search-{self.stages:03d}")
         height = float(self.results[value]["peak"])
         if not np.isfinite(height):
-            raise _LostError(f"no steady state was found at {self.key} = {value:g}: {self.failure(value)}")
+            raise SearchError(f"no steady state was found at {self.key} = {value:g}: {self.failure(value)}")
         return height
 
     def failure(self, value: float) -> str:
@@ -168,13 +167,20 @@ class Peaks:
         self.take(list(self.plan.values), "")
 
     def least(self) -> float:
-        """The value of the least peak known."""
+        """The value of the least peak known; NaN if none is."""
         known = {value: float(result["peak"]) for value, result in self.results.items()}
-        return min((value for value in known if np.isfinite(known[value])), key=lambda value: known[value])
+        finite = [value for value in known if np.isfinite(known[value])]
+        return min(finite, key=lambda value: known[value], default=np.nan)
 
     def search(self) -> None:
-        """Look for the value of least peak between those beside the least one; then beside that, to the accuracy."""
+        """Look for the value of least peak between those beside the least one; then beside that, to the accuracy.
+
+        Raises:
+            SearchError: it was not found, with the reason.
+        """
         grid = sorted(self.results)
+        if not np.isfinite(self.least()):
+            raise SearchError(f"no steady state was found at any value of {self.key}: {self.failure(grid[0])}")
         place = grid.index(self.least())
         low, high = grid[max(place - 1, 0)], grid[min(place + 1, len(grid) - 1)]
         accuracy = self.plan.accuracy
@@ -187,7 +193,7 @@ class Peaks:
                     self.at(value)
             if self.at(self.least()) >= (1 - TIE) * self.at(here):
                 return
-        raise _LostError(f"the peak still falls beside {self.key} = {self.least():g}; give a larger accuracy")
+        raise SearchError(f"the peak still falls beside {self.key} = {self.least():g}; give a larger accuracy")
 
 
 def study(scene: Scene, means: Means) -> Outcome:
@@ -199,25 +205,18 @@ def study(scene: Scene, means: Means) -> Outcome:
     try:
         peaks.first()
         peaks.search()
-    except _LostError as lost:
-        reason = str(lost)
-    reason = reason or failures(peaks)
+    except SearchError as error:
+        reason = str(error)
+    data = data_of(peaks)
+    reason = reason or failure_line(data)
     seconds = time.perf_counter() - clock - compiling
-    told = attributes(scene, str(peaks.solver), compiling, seconds, reason)
-    told |= {name: value for name, value in (("point", peaks.plan.point), ("axis", peaks.plan.axis)) if value}
-    return Outcome({"": record_of(peaks, told)}, reason, tuple(summary(peaks, found=reason is None)))
+    attrs = attributes(scene, str(peaks.solver), compiling, seconds, reason)
+    attrs |= {name: value for name, value in (("point", peaks.plan.point), ("axis", peaks.plan.axis)) if value}
+    data = data.assign_attrs(attrs)
+    return Outcome({"": data}, reason, tuple(optimum_lines(data, peaks.plan.accuracy)))
 
 
-def failures(peaks: Peaks) -> str | None:
-    """How many points failed, and the first of them; None if none did."""
-    failed = [value for value in sorted(peaks.results) if peaks.failure(value)]
-    if not failed:
-        return None
-    count = sum(int(np.sum(peaks.results[value]["reason"] != "")) for value in failed)
-    return f"{count} points failed; the first at {peaks.key} = {failed[0]:g}: {peaks.failure(failed[0])}"
-
-
-def record_of(peaks: Peaks, told: Mapping[str, Any]) -> Dataset:
+def data_of(peaks: Peaks) -> Dataset:
     """The result file: all values that were looked at, ascending, and the best of them."""
     values = sorted(peaks.results)
     model = peaks.scene.model()
@@ -227,45 +226,20 @@ def record_of(peaks: Peaks, told: Mapping[str, Any]) -> Dataset:
         return np.array([peaks.results[value][name] for value in values]).reshape(len(values), *own)
 
     key, grid = peaks.key, (peaks.key, "direction", "frequency")
-    best = peaks.results[peaks.least()] if _any_peak(peaks) else None
+    least = peaks.least()
+    best = peaks.results.get(least, {})
     variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {
         "peak": ((key,), column("peak")),
         "peak_frequency": ((key,), column("peak_frequency")),
         "peak_at_end": ((key,), column("peak_at_end")),
-        "optimum": ((), np.array(peaks.least() if best else np.nan)),
-        "optimum_peak": ((), np.array(best["peak"] if best else np.nan)),
-        "optimum_frequency": ((), np.array(best["peak_frequency"] if best else np.nan)),
+        "peak_settled": ((key,), column("peak_settled")),
+        "optimum": ((), np.array(least)),
+        "optimum_peak": ((), np.array(best.get("peak", np.nan))),
+        "optimum_frequency": ((), np.array(best.get("peak_frequency", np.nan))),
         "amplitude": ((*grid, "point", "axis"), column("amplitude", *shape[1:], points, 3)),
         "settled": (grid, column("settled", *shape[1:]).astype(np.int8)),
         "cycles": (grid, column("cycles", *shape[1:]).astype(np.int32)),
         "failure": (grid, column("reason", *shape[1:]).astype(str)),
     }
     coords = {key: np.array(values), "direction": np.array(["up", "down"]), "frequency": peaks.frequency}
-    return dataset(variables, coords | coordinates(variables, model), told)
-
-
-def _any_peak(peaks: Peaks) -> bool:
-    return any(np.isfinite(result["peak"]) for result in peaks.results.values())
-
-
-def summary(peaks: Peaks, *, found: bool) -> Iterator[str]:
-    """The optimum in words."""
-    cycles = sum(int(np.sum(result["cycles"])) for result in peaks.results.values())
-    yield f"{len(peaks.results)} values of {peaks.key}, {peaks.frequency.size} frequencies up and down, {cycles} cycles"
-    if not _any_peak(peaks):
-        return
-    best = peaks.least()
-    result = peaks.results[best]
-    height, frequency = float(result["peak"]), float(result["peak_frequency"])
-    yield f"least peak {height:.7g} at {peaks.key} = {best:.6g}, at {frequency:.6g} Hz"
-    accuracy = peaks.plan.accuracy
-    beside = {v: float(peaks.results[v]["peak"]) for v in (best - accuracy, best + accuracy) if v in peaks.results}
-    if found and beside:
-        told = " and ".join(f"{value:.7g} at {v:.6g}" for v, value in beside.items())
-        yield f"an accuracy away the peak is not smaller: {told}"
-    if best in (peaks.plan.values[0], peaks.plan.values[-1]):
-        yield f"it is at an end of the range of {peaks.key}, so beyond it the peak may be smaller still"
-    if int(result["peak_at_end"]):
-        yield "its peak is at an end of frequency, so beyond it the response may be larger"
-    if not int(result["peak_settled"]):
-        yield "its motion had not settled in settle.max_cycles"
+    return dataset(variables, coords | coordinates(variables, model), {})

@@ -26,12 +26,12 @@ from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan, combinations
 from timesim.study.campaign import Chunk, Means, Result, carry_through, halted
 from timesim.study.outcome import Outcome, attributes
+from timesim.study.report import failure_line, sweep_lines
 
 POINTS_A_CHUNK = 128  # of independent points: their batch is kept full while some of them settle late
 CHAINS_A_CHUNK = (4, 32)  # few chains are spread over the processors, many fill a batch
 MANY_CHAINS = 64
 STEPS_A_CHUNK = 16  # of a chain: what is lost at most when a sweep is interrupted
-LISTED = 5  # failed points that the summary names
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Segment:
     """Work of one chunk: some chains of frequencies [Hz], begun anew or where the chunk before it has ended.
 
     Attributes:
-        chains: what is to be found.
-        solver, criterion: how.
+        chains: what is computed.
+        solver, criterion: how their steady states are sought.
         refine: width [Hz] to which jumps along the chains are narrowed down; None does not look for them.
         crowd: chains of the largest segment, which the batches of all are sized for.
     """
@@ -85,14 +85,14 @@ def _steps(chain: Chain, own: list[Orbit], before: Result | None, index: int) ->
 
 def _continued(chains: Sequence[Chain], before: Result) -> list[Chain]:
     """Chains from where the segment before has ended; one whose last point failed starts anew."""
-    made = []
+    continued = []
     for index, chain in enumerate(chains):
         if before["reason"][index, -1]:
-            made.append(chain)
+            continued.append(chain)
             continue
         start = end_of(before, (index, -1), chain.model.start.phase)
-        made.append(replace(chain, model=replace(chain.model, start=start)))
-    return made
+        continued.append(replace(chain, model=replace(chain.model, start=start)))
+    return continued
 
 
 # The study
@@ -100,103 +100,36 @@ def _continued(chains: Sequence[Chain], before: Result) -> list[Chain]:
 
 def study(scene: Scene, means: Means) -> Outcome:
     """Run a sweep; points that fail are marked, named with their reason, and make the result incomplete."""
-    record, reason = sweep_record(scene, scene.plan, means)
-    told = record.attrs
-    attrs = attributes(scene, told["method"], told["compile_seconds"], told["run_seconds"], reason)
-    return Outcome({"": record.assign_attrs(attrs)}, reason, tuple(summary(record)))
+    data, reason = sweep_record(scene, scene.plan, means)
+    method, compiling, running = (data.attrs[name] for name in ("method", "compile_seconds", "run_seconds"))
+    attrs = attributes(scene, method, compiling, running, reason)
+    return Outcome({"": data.assign_attrs(attrs)}, reason, tuple(sweep_lines(data)))
 
 
 def sweep_record(scene: Scene, plan: SweepPlan, means: Means) -> tuple[Dataset, str | None]:
     """The steady states over the further axes, direction and frequency.
 
     Returns:
-        The record, with `method`, `compile_seconds` and `run_seconds` as its attributes, and why it is incomplete; None
+        the result, with `method`, `compile_seconds` and `run_seconds` as its attributes, and why it is incomplete; None
         if every point was computed.
     """
     solver, grid = scene.solver(), Grid(scene, plan)
     chunks, places = grid.chunks(solver)
     clock = time.perf_counter()
     if means.cluster is None:
-        warm_up((chain for chunk in chunks for chain in chunk.payload.chains), solver, [chunks[0].payload.crowd])
+        crowds = {chunk.payload.crowd for chunk in chunks}
+        warm_up((chain for chunk in chunks for chain in chunk.payload.chains), solver, sorted(crowds))
     compiling = time.perf_counter() - clock
     results, reason = carry_through(chunks, solve, means, identity=scene.resolved_yaml())
     arrays, jumps = grid.gathered(results, places)
     seconds = time.perf_counter() - clock - compiling
-    told = {"method": str(solver), "compile_seconds": compiling, "run_seconds": seconds}
-    record = grid.record(arrays, jumps, told)
-    return record, reason or failures(record)
+    attrs = {"method": str(solver), "compile_seconds": compiling, "run_seconds": seconds}
+    data = grid.data(arrays, jumps, attrs)
+    return data, reason or failure_line(data)
 
 
-def failures(record: Dataset) -> str | None:
-    """How many points failed, and the first of them with their reasons; None if none did."""
-    dims, reason = record["failure"].dims, record["failure"].values
-    failed = np.argwhere(reason != "")
-    if not failed.size:
-        return None
-    named = []
-    for place in failed[:LISTED]:
-        where = ", ".join(f"{dim} {_shown(record[dim].values[i])}" for dim, i in zip(dims, place, strict=True))
-        named.append(f"{where}: {reason[tuple(place)]}")
-    more = f"; and {len(failed) - LISTED} more, all in the variable failure" if len(failed) > LISTED else ""
-    return f"{len(failed)} of {reason.size} points failed: " + "; ".join(named) + more
-
-
-def _shown(value: Any) -> str:
-    return str(value) if isinstance(value, str | np.str_) else f"{value:.10g}"
-
-
-def summary(record: Dataset) -> Iterator[str]:
-    """What a user wants to know of a sweep at once."""
-    yield from states_told(record)
-    yield from jumps_told(record)
-
-
-def states_told(record: Dataset) -> Iterator[str]:
-    """How many steady states there are, and which have not settled, in words."""
-    found = {str(name): array.values for name, array in record.data_vars.items()}
-    settled, period, done = found["settled"] == 1, found["period"], np.isfinite(found["amplitude"]).all(axis=(-2, -1))
-    yield (
-        f"{done.sum()} steady states by {record.attrs['method']} in {record.attrs['run_seconds']:.2f} s, "
-        f"{found['cycles'].sum()} cycles"
-    )
-    if np.any(period > 1):
-        yield f"{np.sum(period > 1)} of them repeat after more than one cycle (variable period)"
-    lost = done & ~settled
-    if np.any(lost):
-        yield (
-            f"{lost.sum()} points did not settle in settle.max_cycles (settled = 0, with the band of their amplitude): "
-            f"{_spans(record, lost)}"
-        )
-
-
-def jumps_told(record: Dataset) -> Iterator[str]:
-    """The jumps of a sweep in words."""
-    found = {end: record[f"jump_{end}"].values for end in ("low", "high")}
-    for place in zip(*np.nonzero(np.isfinite(found["low"])), strict=True):
-        low, high = found["low"][place], found["high"][place]
-        yield f"{_chain(record, place[:-1])}the motion jumps between {low:.8g} and {high:.8g} Hz"
-
-
-def _spans(record: Dataset, chosen: np.ndarray) -> str:
-    """From where to where points lie, for each chain that has some."""
-    spans = []
-    for place in map(tuple, np.argwhere(chosen.any(axis=-1))):
-        at = record["frequency"].values[chosen[place]]
-        between = f"at {at[0]:g} Hz" if at.size == 1 else f"between {at[0]:g} and {at[-1]:g} Hz"
-        spans.append(_chain(record, place) + between)
-    more = f"; and in {len(spans) - LISTED} more rows of the result" if len(spans) > LISTED else ""
-    return "; ".join(spans[:LISTED]) + more
-
-
-def _chain(record: Dataset, place: Sequence[int]) -> str:
-    """What tells the points of a chain from those of others, with a colon; empty where there are no others."""
-    dims = record["settled"].dims[:-1]
-    named = [(dim, _shown(record[dim].values[i])) for dim, i in zip(dims, place, strict=True)]
-    told = ", ".join(f"{dim} {value}" for dim, value in named if value != "independent")
-    return f"{told}: " if told else ""
-
-
-# Dimensions of the columns after those of the sweep, and the names of some in the result file.
+# Dimensions of the columns after those of the sweep, what stands for a point not computed where that is not NaN, and
+# the names of some in the result file.
 TAILS = {
     "amplitude": ("point", "axis"),
     "band": ("band", "point", "axis"),
@@ -206,6 +139,11 @@ TAILS = {
     "end_velocity": ("mode",),
     "end_slip": ("contact", "tangent"),
     "end_state": ("contact",),
+}
+BLANK: dict[str, tuple[Any, type]] = {
+    **dict.fromkeys(("settled", "cycles", "period"), (0, np.int32)),
+    "end_state": (-1, np.int8),
+    "reason": ("", object),
 }
 STORED = {
     "band": "amplitude_band",
@@ -228,6 +166,8 @@ class Grid:
         self.axes = {key: np.array(values) for key, values in plan.over.items()}
         self.frequency = plan.frequency
         self.models = [_variant(scene, values) for values in combinations(plan.over)]
+        good = (model for model in self.models if isinstance(model, Model))
+        self.any_model = next(good, None) or scene.model()
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -305,24 +245,20 @@ class Grid:
                 yield v, d, low, high
 
     def _blank(self) -> dict[str, np.ndarray]:
-        model = next((item for item in self.models if isinstance(item, Model)), None)
-        sizes = _sizes(model)
-        tails = {name: tuple(sizes[dim] for dim in TAILS.get(name, ())) for name in COLUMNS}
-        arrays = {name: np.full((*self.shape, *tail), np.nan) for name, tail in tails.items()}
-        for name in ("settled", "cycles", "period"):
-            arrays[name] = np.zeros(self.shape, dtype=np.int32)
-        arrays["end_state"] = np.full((*self.shape, sizes["contact"]), -1, dtype=np.int8)
-        arrays["reason"] = np.full(self.shape, "", dtype=object)
-        for v, model_ in enumerate(self.models):
-            if isinstance(model_, str):
-                arrays["reason"][v] = model_
+        sizes = sizes_of(self.any_model)
+        arrays: dict[str, np.ndarray] = {}
+        for name in COLUMNS:
+            fill, kind = BLANK.get(name, (np.nan, float))
+            arrays[name] = np.full((*self.shape, *(sizes[dim] for dim in TAILS.get(name, ()))), fill, dtype=kind)
+        for v, model in enumerate(self.models):
+            if isinstance(model, str):
+                arrays["reason"][v] = model
         return arrays
 
-    def record(
+    def data(
         self, arrays: Mapping[str, np.ndarray], jumps: Sequence[tuple[int, int, float, float]], attrs: Mapping[str, Any]
     ) -> Dataset:
         """The result file."""
-        model = next((item for item in self.models if isinstance(item, Model)), self.scene.model())
         sizes = tuple(values.size for values in self.axes.values())
         dims = (*self.axes, "direction", "frequency")
         variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
@@ -330,14 +266,14 @@ class Grid:
             kept = array.astype(str) if name == "reason" else array
             whole = kept.reshape(*sizes, *array.shape[1:])
             variables[STORED.get(name, name)] = ((*dims, *TAILS.get(name, ())), whole)
-        variables["final_phase_deg"] = ((), np.array(np.rad2deg(model.start.phase) % 360))
+        variables["final_phase_deg"] = ((), np.array(np.rad2deg(self.any_model.start.phase) % 360))
         for end, place in (("low", 2), ("high", 3)):
             variables[f"jump_{end}"] = (
                 (*dims[:-1], "jump"),
                 self._jump_rows(jumps, place).reshape(*sizes, self.shape[1], -1),
             )
         coords = self.axes | {"direction": np.array(self.plan.directions), "frequency": self.frequency}
-        return dataset(variables, coords | coordinates(variables, model), attrs)
+        return dataset(variables, coords | coordinates(variables, self.any_model), attrs)
 
     def _jump_rows(self, jumps: Sequence[tuple[int, int, float, float]], place: int) -> np.ndarray:
         """One end of the jumps of each chain, shape (sets, directions, jumps), NaN where a chain has fewer."""
@@ -350,10 +286,10 @@ class Grid:
         return table
 
 
-def _sizes(model: Model | None) -> dict[str, int]:
-    points, modes = (len(model.structure.points), model.structure.num_modes) if model else (0, 0)
-    contacts = model.num_contacts if model else 0
-    return {"point": points, "axis": 3, "band": 2, "contact": contacts, "mode": modes, "tangent": 2}
+def sizes_of(model: Model) -> dict[str, int]:
+    """Lengths of the dimensions that a model determines, or that are the same everywhere."""
+    own = {"point": len(model.structure.points), "contact": model.num_contacts, "mode": model.structure.num_modes}
+    return own | {"axis": 3, "band": 2, "tangent": 2}
 
 
 def _variant(scene: Scene, values: Mapping[str, float]) -> Model | str:

@@ -1,0 +1,200 @@
+"""What the studies of steady states in time tell the user: read from their finished results."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from xarray import Dataset
+
+from timesim.orbit.basin import ANOTHER, LOWER, NONE, UPPER, unique
+
+MOTIONS = ("lower", "upper")
+POINTS = 5  # failed points, or spans of points, that are named
+LINES = 12  # lines on ranges with two motions, or on folds
+
+
+def number_of_states(data: Dataset) -> int:
+    """Steady states of a sweep that could be computed."""
+    return int(np.isfinite(data["amplitude"].values).all(axis=(-2, -1)).sum())
+
+
+def sweep_lines(data: Dataset) -> Iterator[str]:
+    """A sweep: its steady states and its jumps."""
+    cycles = data["cycles"].values.sum()
+    yield (
+        f"{number_of_states(data)} steady states by {data.attrs['method']} in {data.attrs['run_seconds']:.2f} s, "
+        f"{cycles} cycles"
+    )
+    yield from unusual_lines(data)
+    yield from jump_lines(data)
+
+
+def unusual_lines(data: Dataset) -> Iterator[str]:
+    """Steady states of a sweep that repeat after several cycles, and points that have not settled."""
+    done = np.isfinite(data["amplitude"].values).all(axis=(-2, -1))
+    several, lost = np.sum(data["period"].values > 1), done & (data["settled"].values != 1)
+    if several:
+        yield f"{several} of them repeat after more than one cycle (variable period)"
+    if lost.any():
+        yield (
+            f"{lost.sum()} points did not settle in settle.max_cycles (settled = 0, with the band of their amplitude): "
+            f"{_spans(data, lost)}"
+        )
+
+
+def jump_lines(data: Dataset) -> Iterator[str]:
+    """The jumps of a sweep."""
+    ends = np.stack([data["jump_low"].values, data["jump_high"].values], axis=-1)
+    for place in map(tuple, np.argwhere(np.isfinite(ends[..., 0]))):
+        low, high = ends[place]
+        yield f"{_chain(data, place[:-1])}the motion jumps between {low:.8g} and {high:.8g} Hz"
+
+
+def failure_line(data: Dataset) -> str | None:
+    """How many points failed, and the first of them with their reasons; None if none did."""
+    dims, reason = data["failure"].dims, data["failure"].values
+    failed = np.argwhere(reason != "")
+    if not failed.size:
+        return None
+    named = [f"{', '.join(_where(data, dims, place))}: {reason[tuple(place)]}" for place in failed[:POINTS]]
+    more = f"; and {len(failed) - POINTS} more, all in the variable failure" if len(failed) > POINTS else ""
+    return f"{len(failed)} of {reason.size} points failed: " + "; ".join(named) + more
+
+
+def _spans(data: Dataset, chosen: np.ndarray) -> str:
+    """From where to where points lie, for each chain that has some."""
+    spans = []
+    for place in map(tuple, np.argwhere(chosen.any(axis=-1))):
+        at = data["frequency"].values[chosen[place]]
+        span = f"at {at[0]:g} Hz" if at.size == 1 else f"between {at[0]:g} and {at[-1]:g} Hz"
+        spans.append(_chain(data, place) + span)
+    more = f"; and in {len(spans) - POINTS} more rows of the result" if len(spans) > POINTS else ""
+    return "; ".join(spans[:POINTS]) + more
+
+
+def _chain(data: Dataset, place: Sequence[int]) -> str:
+    """Values along the axes that set a chain apart from others, with a colon; empty where there are no others."""
+    named = [words for words in _where(data, data["settled"].dims[:-1], place) if words != "direction independent"]
+    return f"{', '.join(named)}: " if named else ""
+
+
+def _where(data: Dataset, dims: Sequence[Any], place: Sequence[int]) -> list[str]:
+    """Values along some axes."""
+    values = [data[dim].values[i] for dim, i in zip(dims, place, strict=True)]
+    words = [str(value) if isinstance(value, str | np.str_) else f"{value:.10g}" for value in values]
+    return [f"{dim} {word}" for dim, word in zip(dims, words, strict=True)]
+
+
+# Ranges with two motions
+
+
+def bistable_lines(data: Dataset, sweep: Dataset, width: float) -> Iterator[str]:
+    """Ranges with two motions.
+
+    Args:
+        data: the root of the result.
+        sweep: its sweeps.
+        width: to which each end was bisected [Hz].
+    """
+    keys = data["range"].dims[:-2]
+    lines = []
+    for place in map(tuple, np.argwhere(np.isfinite(data["range"].values).all(axis=-1))):
+        values = [f"{key} {data[key].values[i]:g}" for key, i in zip(keys, place, strict=False)]
+        label = f"{', '.join(values)}: " if values else ""
+        lines += [label + line for line in _range_lines(data[dict(zip((*keys, "jump"), place, strict=True))], width)]
+    yield from lines[:LINES]
+    if len(lines) > LINES:
+        yield f"and {len(lines) - LINES} more lines, all of it in the result file"
+    if not lines and data.attrs["complete"]:
+        span = sweep["frequency"].values
+        yield (
+            f"no range with two motions was found from {span[0]:g} to {span[-1]:g} Hz: both sweeps are on one motion "
+            f"at all {span.size} frequencies, and no jump is left when a step is bisected"
+        )
+
+
+def _range_lines(one: Dataset, width: float) -> Iterator[str]:
+    """One range."""
+    (low, high), smaller, larger = (one[name].values for name in ("range", "amplitude_lower", "amplitude_upper"))
+    place = np.unravel_index(np.argmax(larger), larger.shape)
+    name = f"{one['point'].values[place[0]]} {one['axis'].values[place[1]]}"
+    yield (
+        f"two motions from {low:.8g} to {high:.8g} Hz (each end to {width:g} Hz): amplitude of {name} "
+        f"{smaller[place]:.6g} or {larger[place]:.6g} at {0.5 * (low + high):.6g} Hz"
+    )
+    for end in one["end"].values[one["range_cut"].values > 0]:
+        yield f"the {end} end of it is that of the search, not of the range: widen frequency"
+    if not one["range_settled"].values.all():
+        yield (
+            "next to an end of it the motion had not settled after settle.max_cycles, "
+            "which may move that end by some of the width"
+        )
+    if "start_branch" in one:
+        yield from _start_lines(one)
+        yield from _offset_lines(one, float(max(smaller.max(), larger.max())))
+
+
+def _start_lines(one: Dataset) -> Iterator[str]:
+    """Where the starts at the middle of a range have led."""
+    branch = one["start_branch"].values
+    count = {side: int(np.sum(branch == side)) for side in (LOWER, UPPER, ANOTHER, NONE)}
+    others = (f", {count[ANOTHER]} to another motion" if count[ANOTHER] else "") + (
+        f", {count[NONE]} did not settle" if count[NONE] else ""
+    )
+    yield f"of {branch.size} starts {count[LOWER]} lead to the smaller motion, {count[UPPER]} to the larger{others}"
+    at_rest = np.flatnonzero(np.isclose(one["share_lower"].values, 0.0))
+    if at_rest.size:
+        led = {LOWER: "the smaller motion", UPPER: "the larger motion", ANOTHER: "another motion"}
+        yield f"rest leads to {led.get(int(branch[at_rest[0], at_rest[0]]), 'no settled motion')}"
+
+
+def _offset_lines(one: Dataset, size: float) -> Iterator[str]:
+    """Contacts that stick with an offset that is not unique."""
+    low, high = one["offset_low"].values, one["offset_high"].values
+    for side, i in np.argwhere(~unique(low, high, size).all(axis=-1)):
+        spans = " and ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(low[side, i], high[side, i], strict=True))
+        yield (
+            f"contact {one['contact'].values[i]} sticks all the time on the {MOTIONS[side]} motion, and its offset is "
+            f"not unique: over the starts w is {spans}. The end at which this motion is lost holds for the offset that "
+            "the sweep left it with"
+        )
+
+
+def fold_lines(hbm: Dataset) -> Iterator[str]:
+    """Folds of the balance, beside which the ends may be read."""
+    frequency, fold = hbm["frequency"].values, hbm["fold"].values > 0
+    keys = [name for name in map(str, hbm.data_vars) if "." in name]
+    sets: dict[str, list[float]] = {}
+    for place in np.flatnonzero(fold):
+        label = ", ".join(f"{key} {hbm[key].values[place]:g}" for key in keys)
+        sets.setdefault(label, []).append(float(frequency[place]))
+    for label, turning in list(sets.items())[:LINES]:
+        before = f"{label}: " if label else ""
+        yield f"{before}folds of the balance at {', '.join(f'{place:.7g}' for place in sorted(turning))} Hz"
+    if not sets and frequency.size:
+        yield "the branch of the balance has no fold"
+
+
+# The least peak
+
+
+def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
+    """The least peak over a scalar, sought to an accuracy."""
+    key = str(data["peak"].dims[0])
+    values, peak, cycles = data[key].values, data["peak"].values, data["cycles"].values.sum()
+    yield f"{values.size} values of {key}, {data.sizes['frequency']} frequencies up and down, {cycles} cycles"
+    best = float(data["optimum"])
+    if not np.isfinite(best):
+        return
+    at = int(np.flatnonzero(values == best)[0])
+    yield f"least peak {peak[at]:.7g} at {key} = {best:.6g}, at {float(data['optimum_frequency']):.6g} Hz"
+    beside = [i for value in (best - accuracy, best + accuracy) for i in np.flatnonzero(values == value)]
+    if data.attrs["complete"] and beside:
+        heights = " and ".join(f"{peak[i]:.7g} at {values[i]:.6g}" for i in beside)
+        yield f"an accuracy away the peak is not smaller: {heights}"
+    if best in (values[0], values[-1]):
+        yield f"it is at an end of the range of {key}, so beyond it the peak may be smaller still"
+    if data["peak_at_end"].values[at]:
+        yield "its peak is at an end of frequency, so beyond it the response may be larger"
+    if not data["peak_settled"].values[at]:
+        yield "its motion had not settled in settle.max_cycles"
