@@ -24,12 +24,11 @@ from scipy.interpolate import CubicSpline
 
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, follow
-from timesim.hbm.curve import default_controls, evaluated, hbm_curve, solutions_at
+from timesim.hbm.curve import default_controls, evaluated, hbm_curve, peak, solutions_at
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import GROUND, Contact, Excitation, Model, Start, Structure
 from timesim.model.solver import PRESETS
 from timesim.orbit.settling import Task, settle
-from timesim.study.hbm import peak
 from timesim.study.registry import load_scene
 
 RANGE = (0.75, 1.3)
@@ -160,7 +159,7 @@ def peaks() -> None:
     for preload in PRELOADS:
         model = oscillator(preload)
         curve = hbm_curve(model, 1.65, 0.8, scheme=scheme, stability=False)
-        frequency = peak(curve, 0, 0)[0] + 1e-3 * np.arange(-4, 5)
+        frequency = peak(curve.frequency, curve.amplitude[:, 0, 0], curve.contact_motion)[0] + 1e-3 * np.arange(-4, 5)
         found = solutions_at(model, curve, frequency, scheme=scheme, stability=False)
         balanced = np.array([found.amplitude[found.frequency == f, 0, 0].max() for f in frequency])
         marched, share = settled(model, frequency)

@@ -3,6 +3,7 @@
 import contextlib
 import ctypes
 import gc
+import signal
 from collections.abc import Iterator
 
 import pytest
@@ -56,3 +57,11 @@ def _memory_is_given_back() -> Iterator[None]:
         jax.clear_caches()
         gc.collect()
         give_back()
+
+
+@pytest.fixture(autouse=True)
+def _interrupts() -> Iterator[None]:
+    """Ctrl-C interrupts, also where a shell has started the tests in its background and lets it be ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)

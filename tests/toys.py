@@ -1,6 +1,8 @@
 """Work in chunks whose results are known: what tests of campaigns run, here and in processes that are killed."""
 
 import hashlib
+import itertools
+import math
 import os
 import signal
 import sys
@@ -44,6 +46,9 @@ def work(toy: Toy, before: Mapping[str, np.ndarray] | None) -> dict[str, np.ndar
         with toy.log.open("a") as stream:
             stream.write(f"{toy.name}\n")
     _fail(toy)
+    if next(BEGUN) >= LAST:
+        time.sleep(120)
+        raise TimeoutError("nobody has killed this process")
     time.sleep(toy.seconds)
     x = toy.start if before is None else before["x"]
     for _ in range(50):
@@ -114,10 +119,16 @@ def study(scene: Scene, means: Means) -> Outcome:
 FAULTY: list[Any] = []
 """What goes wrong in `study`, and in which link."""
 
+BEGUN = itertools.count()
+LAST: float = math.inf
+"""Chunks that this process goes on with; those begun after them never come to an end."""
 
-def main(folder: str, resume: str) -> None:
+
+def main(folder: str, resume: str, last: str) -> None:
     """A campaign in a process of its own."""
-    chunks = chains(5, 16, seconds=0.03, log=Path(folder) / "log.txt")
+    global LAST
+    LAST = float(last)
+    chunks = chains(5, 16, seconds=0.01, log=Path(folder) / "log.txt")
     print("begun", flush=True)
     means = Means(folder=Path(folder), resume=resume == "resume", workers=2, notice=lambda text: None)
     results, reason = carry_through(chunks, work, means, identity=SCENE)

@@ -48,31 +48,41 @@ def run(
     ] = None,
 ) -> None:
     """Run a scene and write result.nc, scene.yaml and pictures."""
-    from timesim.result import checkpoint, netcdf
+    from timesim.result import checkpoint
     from timesim.result.file import StoreError
+    from timesim.result.folder import check_folder, locked_folder, prepare_folder
     from timesim.study.campaign import Means, MeansError
-    from timesim.study.registry import carry_out, check_means, draw
+    from timesim.study.registry import check_means, picture_names
 
     loaded = _loaded(scene, overrides)
-    kind = loaded.kind
     try:
         means = Means(folder=output, resume=resume, cluster=cluster, notice=_notice)
-        check_means(kind, means)
+        check_means(loaded.kind, means)
         if checkpoint.is_finished(output, loaded.resolved_yaml(), force=force, resume=resume):
             print(f"the result in {output} is complete: there is nothing to resume")
             return
-        _prepare(output, loaded, scene, force=force, resume=resume)
+        check_folder(output, overwrite=force or resume)
+        with _interrupted_by_termination(), locked_folder(output):
+            stale = picture_names(loaded.kind)
+            prepare_folder(output, loaded.resolved_yaml(), overwrite=force, source=scene, stale=stale)
+            for warning in loaded.warnings():
+                print(f"warning: {warning}", file=sys.stderr)
+            _carry_out(loaded, means, plots=plots)
     except (StoreError, MeansError) as error:
         _stop(2, str(error))
-    for warning in loaded.warnings():
-        print(f"warning: {warning}", file=sys.stderr)
-    try:
-        with _terminated(), _progress(kind) as progress:
-            outcome = carry_out(loaded, replace(means, progress=progress))
-    except (StoreError, MeansError) as error:
-        _stop(2, str(error))
+
+
+def _carry_out(loaded: Any, means: Any, *, plots: bool) -> None:
+    """Run the study, save its result and draw it."""
+    from timesim.result import checkpoint, netcdf
+    from timesim.result.file import StoreError
+    from timesim.study.registry import carry_out, draw
+
+    with _progress(loaded.kind) as progress:
+        outcome = carry_out(loaded, replace(means, progress=progress))
     for line in outcome.summary:
         print(line)
+    output = means.folder
     try:
         path = netcdf.save(outcome.groups, output / netcdf.RESULT_NAME)
     except StoreError as error:
@@ -143,18 +153,6 @@ def _loaded(scene: Path, overrides: list[str] | None) -> Any:
         _stop(2, str(error))
 
 
-def _prepare(output: Path, loaded: Any, scene: Path, *, force: bool, resume: bool) -> None:
-    from timesim.result import checkpoint
-    from timesim.result.folder import check_folder, prepare_folder
-    from timesim.study.registry import picture_names
-
-    check_folder(output, force or resume)
-    stale = picture_names(loaded.kind)
-    prepare_folder(output, loaded.resolved_yaml(), force, source=scene, stale=stale, resume=resume)
-    if force:
-        checkpoint.clear(output)
-
-
 def _safe_chunks(output: Path) -> str:
     """What is not lost although the result could not be saved."""
     from timesim.result import checkpoint
@@ -176,13 +174,9 @@ def _notice(text: str) -> None:
 
 
 @contextmanager
-def _terminated() -> Iterator[None]:
-    """Let a termination end a run as an interrupt does: with what it has."""
-
-    def interrupt(*_: Any) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
+def _interrupted_by_termination() -> Iterator[None]:
+    """Let a termination, as at the time limit of a cluster, end a run as Ctrl-C does: with what it has."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
     finally:

@@ -16,6 +16,8 @@ from typer.testing import CliRunner
 import timesim
 from timesim.cli import app
 from timesim.engine import trajectory
+from timesim.result.folder import locked_folder
+from timesim.study import element_map
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 OSCILLATOR = str(CONFIGS / "oscillator.yaml")
@@ -129,8 +131,14 @@ def test_a_run_taken_up_is_the_same_run(tmp_path: Path):
         np.testing.assert_allclose(whole[name], rest[name], rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_run_saves_what_it_has(sent: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, "in the background"])
+def test_an_interrupted_run_saves_what_it_has(
+    sent: signal.Signals | str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    if isinstance(sent, str):
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        sent = signal.SIGTERM
+    own = signal.getsignal(signal.SIGTERM)
     calls, advance = [], trajectory.advance
 
     def interrupted(*args: Any) -> Any:
@@ -148,6 +156,48 @@ def test_an_interrupted_run_saves_what_it_has(sent: signal.Signals, tmp_path: Pa
     assert result.attrs["complete"] == 0
     assert 0 < result.sizes["cycle"] < 200
     assert result["time"][-1] < 200 / 1.39
+    assert signal.getsignal(signal.SIGTERM) is own
+
+
+def test_an_interrupted_map_saves_what_it_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    cycle = element_map.March._cycle
+
+    def interrupted(march: element_map.March, number: int, rows: np.ndarray) -> np.ndarray:
+        kept = cycle(march, number, rows)
+        if number == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+        return kept
+
+    monkeypatch.setattr(element_map.March, "_cycle", interrupted)
+    axes = ("--set", "study.A={from: 0.0, to: 2.0, num: 7}", "--set", "study.B={from: 0.0, to: 2.0, num: 7}")
+    status, _, error = call("run", CONFIGS / "figure7.yaml", "-o", tmp_path, "--no-plots", *axes)
+    result = timesim.open_result(tmp_path)
+    settled = result["settled"].values == 1
+    assert status == 1
+    assert f"interrupted with {np.sum(~settled)} of 49 points unsettled (settled = 0)" in error
+    assert result.attrs["complete"] == 0
+    assert 0 < settled.sum() < 49
+    assert np.isfinite(result["dissipation"].values[settled]).all()
+
+
+def test_a_folder_where_a_run_is_at_work_is_left_alone(tmp_path: Path):
+    assert call("run", OSCILLATOR, "-o", tmp_path, *SHORT)[0] == 0
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    with locked_folder(tmp_path):
+        status, _, error = call("run", OSCILLATOR, "-o", tmp_path, "--force", *SHORT, "--set", "study.cycles=4")
+        assert status == 2
+        assert "another run is at work in" in error
+        assert {path: path.read_bytes() for path in tmp_path.iterdir() if path.name != ".lock"} == before
+
+
+def test_other_files_are_not_written_among(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "thesis.tex").touch()
+    monkeypatch.chdir(tmp_path)
+    for force in ((), ("--force",)):
+        status, _, error = call("run", OSCILLATOR, "-o", ".", *force, *SHORT)
+        assert status == 2
+        assert error == ". holds other files (thesis.tex) and no run; choose a new or an empty folder\n"
+        assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
 def test_check_says_what_would_be_modelled():

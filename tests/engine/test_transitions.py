@@ -28,3 +28,11 @@ def test_a_contact_without_load_opens_only_if_its_load_falls(before: int, after:
     opens = rate < 0 and n <= TINY
     found = int(law.successor(jnp.asarray([before]), motion, tiny=jnp.asarray(TINY))[0])
     assert found == (SEPARATION if opens else after)
+
+
+@pytest.mark.parametrize(("speed", "after"), [(0.15, STICK), (0.25, SLIP), (0.45, SLIP)])
+def test_a_contact_that_closes_sticks_if_its_force_stays_below_mu_n(speed: float, after: int):
+    """|K_u u'| against mu n', not against n' (15 to 17)."""
+    law = ConeLaw.of([pad(0.4, 2.0, 1.0, 0.0)], ONE)
+    motion = Motion(plane(0.0, 0.0), jnp.asarray([0.0]), plane(0.6 * speed, 0.8 * speed), jnp.asarray([1.0]))
+    assert int(law.successor(jnp.asarray([SEPARATION]), motion, tiny=jnp.asarray(TINY))[0]) == after

@@ -254,6 +254,7 @@ def test_start_from_a_given_motion():
         (lambda: hbm_curve(systems.oscillator(3.0, 1.0), 0.0, 1.0), "frequency.from must be a positive number"),
         (lambda: hbm_curve(systems.oscillator(3.0, 1.0), 1.0, 1.0), "must differ, not both 1.0"),
         (lambda: Balance(silent(), 1.0, Scheme()), "no periodic part"),
+        (lambda: Balance(replace(silent(), contacts=()), 1.0, Scheme()), "contacts must hold at least one contact"),
         (
             lambda: Balance(third_harmonic(), 1.0, Scheme(2, 64)),
             "harmonics must be at least 3, since harmonic 3 is excited, not 2",

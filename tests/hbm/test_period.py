@@ -209,3 +209,14 @@ def test_a_contact_that_changes_its_state_at_the_start_of_the_period(motion, cha
     # Slip ends at a sample; the other transitions are located.
     np.testing.assert_allclose(done.slip, shares[0] / CYCLE, atol=1 / num)
     np.testing.assert_allclose(done.separation, shares[1] / CYCLE, atol=1e-2 / num)
+
+
+@pytest.mark.parametrize("kind", STIFFNESS)
+@pytest.mark.parametrize("num", [64, 98, 1000])
+def test_shares_are_exact_where_the_state_never_changes(num, kind):
+    """Contacts that slip all along, stick all along and stay apart; 98 times the rounded 1/98 is less than 1."""
+    contacts = [element(STIFFNESS[kind], preload) for preload in (1.0, 100.0, -10.0)]
+    motion = jnp.asarray(np.stack([prescribed((3.0, 2.5, 0.1, 30.0), 3)] * 3))
+    done = contact_forces(law_of(contacts), basis_of(3, num), motion)
+    np.testing.assert_array_equal(done.slip, [1.0, 0.0, 0.0])
+    np.testing.assert_array_equal(done.separation, [0.0, 0.0, 1.0])

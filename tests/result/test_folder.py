@@ -8,13 +8,43 @@ import pytest
 
 from timesim.result import folder
 from timesim.result.file import StoreError
-from timesim.result.folder import check_folder, prepare_folder
+from timesim.result.folder import check_folder, locked_folder, prepare_folder
 
 
 def test_a_new_folder_gets_the_scene(tmp_path: Path) -> None:
-    made = prepare_folder(tmp_path / "runs" / "first", "title: a\n")
+    with locked_folder(tmp_path / "runs" / "first") as made:
+        prepare_folder(made, "title: a\n")
     assert (made / "scene.yaml").read_text() == "title: a\n"
     assert [path.name for path in made.iterdir()] == ["scene.yaml"]
+
+
+def test_a_new_folder_of_no_run_goes_again(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), locked_folder(tmp_path / "first"):
+        _ = 1 / 0
+    assert not list(tmp_path.iterdir())
+
+
+def test_one_run_at_a_time_works_in_a_folder(tmp_path: Path) -> None:
+    with locked_folder(tmp_path):
+        with pytest.raises(StoreError, match="another run is at work in"), locked_folder(tmp_path):
+            pass
+        check_folder(tmp_path)
+    with locked_folder(tmp_path):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_of_other_files_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text("title: a\n")
+    check_folder(tmp_path)
+    for name in ("thesis.tex", "data.csv", "b", "a"):
+        (tmp_path / name).touch()
+    for overwrite in (False, True):
+        with pytest.raises(StoreError, match=r"holds other files \(a, b, data.csv, ...\) and no run; choose a new"):
+            check_folder(tmp_path, overwrite=overwrite)
+    (tmp_path / "checkpoint").mkdir()
+    (tmp_path / "checkpoint" / "manifest.json").touch()
+    check_folder(tmp_path)
 
 
 def test_checking_a_folder_makes_nothing(tmp_path: Path) -> None:
@@ -28,9 +58,10 @@ def test_an_existing_result_needs_force(tmp_path: Path) -> None:
     (tmp_path / "energy.png").write_bytes(b"old")
     (tmp_path / "mine.png").write_bytes(b"own")
     with pytest.raises(StoreError, match="exists; choose another folder or give --force"):
-        prepare_folder(tmp_path, "title: b\n")
+        check_folder(tmp_path)
+    check_folder(tmp_path, overwrite=True)
     assert (tmp_path / "scene.yaml").read_text() == "title: a\n"
-    prepare_folder(tmp_path, "title: b\n", force=True, stale=["energy.png", "orbit.png"])
+    prepare_folder(tmp_path, "title: b\n", overwrite=True, stale=["energy.png", "orbit.png"])
     assert (tmp_path / "scene.yaml").read_text() == "title: b\n"
     assert (tmp_path / "result.nc").read_bytes() == b"old"
     assert {path.name for path in tmp_path.iterdir()} == {"scene.yaml", "result.nc", "mine.png"}
@@ -42,7 +73,7 @@ def test_the_users_own_scene_is_never_overwritten(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="is another scene"):
         prepare_folder(tmp_path, "title: a\n")
     with pytest.raises(StoreError, match="overwrite its own scene file"):
-        prepare_folder(tmp_path, "title: a\n", force=True, source=own)
+        prepare_folder(tmp_path, "title: a\n", overwrite=True, source=own)
     assert own.read_text() == "title: a  # a comment\n"
     prepare_folder(tmp_path, own.read_text(), source=own)
 
@@ -50,7 +81,7 @@ def test_the_users_own_scene_is_never_overwritten(tmp_path: Path) -> None:
 def test_a_file_in_the_way(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("")
     with pytest.raises(StoreError, match="runs is a file"):
-        prepare_folder(tmp_path / "runs" / "first", "title: a\n")
+        check_folder(tmp_path / "runs" / "first")
 
 
 def test_a_file_system_that_is_read_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -64,5 +95,5 @@ def test_a_file_system_that_is_read_only(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_a_folder_that_cannot_be_made() -> None:
-    with pytest.raises(StoreError, match="/proc/timesim"):
-        prepare_folder("/proc/timesim", "title: a\n")
+    with pytest.raises(StoreError, match="/proc/timesim cannot be made"), locked_folder("/proc/timesim"):
+        pass

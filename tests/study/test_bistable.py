@@ -29,7 +29,7 @@ from timesim.result.netcdf import open_result, save
 from timesim.study import bistable
 from timesim.study import registry as plot
 from timesim.study.campaign import Means
-from timesim.study.hbm_curves import Curves
+from timesim.study.hbm import Curves
 from timesim.study.registry import carry_out, load_scene
 
 QUICK = {

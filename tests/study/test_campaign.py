@@ -1,6 +1,7 @@
 """Campaigns: chains of chunks on threads and on processes, and that nothing is lost whatever happens to them."""
 
 import errno
+import math
 import os
 import signal
 import subprocess
@@ -26,7 +27,7 @@ from timesim.result import checkpoint, file
 from timesim.result.change import fingerprint
 from timesim.result.file import StoreError
 from timesim.result.netcdf import open_result
-from timesim.study import campaign, cluster
+from timesim.study import campaign, cluster, worker
 from timesim.study import registry as study
 from timesim.study.campaign import Chunk, Means, MeansError, carry_through
 
@@ -38,9 +39,10 @@ def carried(
 
 
 def means_of(folder: Path, **others: Any) -> tuple[Means, list[str]]:
-    """Two threads with checkpoints, and the notices they give."""
+    """Two threads, or a cluster, with checkpoints, and the notices they give."""
     notices: list[str] = []
-    return Means(folder=folder, workers=2, notice=notices.append, **others), notices
+    workers = None if "cluster" in others else 2
+    return Means(folder=folder, workers=workers, notice=notices.append, **others), notices
 
 
 def calls(log: Path) -> Counter[str]:
@@ -327,20 +329,24 @@ def test_chunks_that_make_no_sense(chunks: list[Chunk], told: str):
         carried(chunks, Means())
 
 
-def process(folder: Path, resume: str) -> subprocess.Popen[str]:
-    command = [sys.executable, str(Path(toys.__file__)), str(folder), resume]
+def process(folder: Path, resume: str, last: float = math.inf) -> subprocess.Popen[str]:
+    """A campaign in a process of its own, which goes on with no more chunks than `last`."""
+    command = [sys.executable, str(Path(toys.__file__)), str(folder), resume, str(last)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 
 def test_killed_at_random_moments_it_goes_on(tmp_path: Path):
+    """Half of the times while chunks are begun and saved, half when some have begun that do not come to an end."""
     random = np.random.default_rng(7)
     log = tmp_path / "log.txt"
     for attempt in range(10):
         kept = {path.stem for path in (tmp_path / "checkpoint").glob("*.npz")}
-        before = calls(log)
-        with process(tmp_path, "resume" if attempt else "anew") as run:
+        before, last = calls(log), int(random.integers(7))
+        with process(tmp_path, "resume" if attempt else "anew", last) as run:
             assert run.stdout is not None
             assert run.stdout.readline() == "begun\n"
+            while attempt % 2 and (calls(log) - before).total() <= last:
+                time.sleep(0.001)
             time.sleep(random.uniform(0.0, 0.12))
             run.send_signal(signal.SIGKILL)
         assert run.returncode == -signal.SIGKILL
@@ -430,6 +436,23 @@ def test_clusters_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch):
         carried(chains(1, 1), Means(cluster="local"))
     with pytest.raises(MeansError, match="workers must be at least 1, not 0"):
         Means(workers=0)
+    with pytest.raises(MeansError, match="workers: the cluster host:8786 has its own; leave it out"):
+        Means(cluster="host:8786", workers=2)
+
+
+def test_no_more_threads_than_this_process_may_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 3, 4}, raising=False)
+    monkeypatch.setattr(worker, "_quotas", lambda: iter((7.0, 2.5)))
+    assert worker.default_workers() == 2
+    monkeypatch.undo()
+    own = tmp_path / "batch" / "job"
+    own.mkdir(parents=True)
+    (tmp_path / "cgroup").write_text("1:name=systemd:/\n0::/batch/job\n")
+    (own / "cpu.max").write_text("max 100000\n")
+    (tmp_path / "batch" / "cpu.max").write_text("150000 100000\n")
+    assert list(worker._quotas(tmp_path / "cgroup", tmp_path)) == [1.5]
+    assert list(worker._quotas(tmp_path / "none", tmp_path)) == []
 
 
 @pytest.mark.parametrize(

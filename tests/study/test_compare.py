@@ -1,19 +1,22 @@
 """Two methods on one scene: the study that sets them side by side, and what it shows of the paper's oscillator."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import xarray
 from commands import CONFIGS, run_config
 from systems import oscillator_scene
 from typer.testing import CliRunner
 
 import timesim
 from timesim.cli import app
+from timesim.orbit.settling import steady_states
 from timesim.picture import compare as plot_compare
 from timesim.result.netcdf import open_result
-from timesim.study import compare
+from timesim.study import compare, verdict
 from timesim.study import registry as plot
 from timesim.study.registry import carry_out, load_scene
 
@@ -108,44 +111,34 @@ def test_pictures_name_what_they_show(result):
     assert plot_compare.contact_states(result).get_xlabel() == "phase of the excitation [degree]"
 
 
-def plain_sweep(**changes: Any) -> compare.Sweep:
-    """Two values, one direction, three frequencies; every motion of amplitude 1 along x."""
-    shape = (2, 1, 3)
-    amplitude = np.zeros((*shape, 1, 3))
-    amplitude[..., 0] = 1.0
-    given: dict[str, Any] = {
-        "frequency": np.array([1.0, 2.0, 3.0]),
-        "amplitude": amplitude,
-        "settled": np.ones(shape, bool),
-        "doubled": np.zeros(shape, bool),
-        "linear": np.zeros(shape, bool),
-        "slip": np.full(shape, 0.4),
-        "separation": np.full(shape, 0.1),
-    }
-    return compare.Sweep(**given | changes)
+SHAPE = (2, 1, 3)
+"""Two values, one direction, three frequencies."""
 
 
-def plain_match(sweep: compare.Sweep, difference: float, missing: int = 0) -> compare.Match:
-    off = np.full(sweep.amplitude.shape, np.nan)
+def lines_on(difference: float, missing: int = 0, **changes: np.ndarray) -> list[str]:
+    """Lines on motions along x in which a contact slips and opens, the balance off by a share of each amplitude.
+
+    Args:
+        difference: of the methods.
+        missing: points without a solution of the balance.
+        changes: variables of the sweep.
+    """
+    dims = ("contacts.pad.preload", "direction", "frequency")
+    shares = {"slip_share": np.full((*SHAPE, 1), 0.4), "separation_share": np.full((*SHAPE, 1), 0.1)}
+    arrays: dict[str, Any] = {"settled": np.ones(SHAPE, int), "period": np.ones(SHAPE, int)} | shares | changes
+    variables = {name: ((*dims, "contact")[: array.ndim], array) for name, array in arrays.items()}
+    coords = {"contacts.pad.preload": [-4.0, 3.0], "direction": ["independent"], "frequency": [1.0, 2.0, 3.0]}
+    hbm = {name: (("solution",), np.zeros(0)) for name in ("fold", "frequency", "contacts.pad.preload")}
+    off = np.full((*SHAPE, 1, 3), np.nan)
     off[..., 0] = difference
-    solution = np.zeros(sweep.settled.shape, int)
-    solution.ravel()[:missing] = -1
-    return compare.Match(sweep.amplitude * (1 + difference), off, np.zeros((2, 3), bool), solution, [None, None])
-
-
-@pytest.fixture(scope="module")
-def curves():
-    """Without any: the verdict only asks for the values."""
-    from timesim.study.hbm_curves import Curves
-
-    scene = load_scene(CONFIGS / "figure10.yaml", SHORT)
-    return Curves(scene, scene.plan.balance)
+    off.reshape(-1, 3)[:missing] = np.nan
+    points = verdict.compared_points(xarray.Dataset(variables, coords), xarray.Dataset(hbm), off)
+    return list(verdict.comparison_lines(points))
 
 
 @pytest.mark.parametrize(("size", "word"), [(1e-4, "agree"), (1e-2, "nearly agree"), (0.1, "differ")])
-def test_the_verdict_follows_the_difference(curves, size, word):
-    sweep = plain_sweep()
-    lines = list(compare.verdict(sweep, plain_match(sweep, size), curves))
+def test_the_verdict_follows_the_difference(size, word):
+    lines = lines_on(size)
     assert lines[0].startswith(f"the methods {word}: 6 points")
     assert ("convergence" in lines[0]) == (size > 2e-3)
     assert len(lines) == 1
@@ -188,23 +181,44 @@ def test_jumps_of_the_sweeps_are_told_beside_the_folds():
     assert any("folds at 0.947" in line for line in said)
 
 
-def test_full_stick_proves_nothing(curves):
-    sweep = plain_sweep(linear=np.ones((2, 1, 3), bool))
-    lines = list(compare.verdict(sweep, plain_match(sweep, 0.0), curves))
+@pytest.mark.parametrize("rounding", [0.0, 2e-16])
+def test_full_stick_and_contacts_that_stay_apart_prove_nothing(rounding):
+    """A share that rounding keeps from 0 or 1 is none of a state that changes."""
+    none = np.full((*SHAPE, 1), rounding)
+    apart = none.copy()
+    apart[0] = 1 - rounding
+    lines = lines_on(0.0, slip_share=none, separation_share=apart)
     assert "nothing is proven" in lines[0]
     assert "at 6 points every contact sticks" in lines[1]
 
 
-def test_points_without_an_answer_are_named(curves):
-    settled = np.ones((2, 1, 3), bool)
-    settled[1, 0, 2] = False
-    doubled = np.zeros((2, 1, 3), bool)
-    doubled[1, 0, 1], settled[1, 0, 1] = True, False
-    sweep = plain_sweep(settled=settled, doubled=doubled)
-    text = "\n".join(compare.verdict(sweep, plain_match(sweep, 1e-5, missing=2), curves))
+def test_points_without_an_answer_are_named():
+    settled, period = np.ones(SHAPE, int), np.ones(SHAPE, int)
+    settled[1, 0, 2], period[1, 0, 1] = 0, 2
+    text = "\n".join(lines_on(1e-5, missing=2, settled=settled, period=period))
     assert "2 points have no stable solution of the balance: contacts.pad.preload -4 at 1 to 2 Hz" in text
     assert "1 points repeat after several cycles, which the balance cannot show: contacts.pad.preload 3 at 2 Hz" in text
     assert "1 points did not settle and are left out: contacts.pad.preload 3 at 3 Hz" in text
+
+
+def test_a_cycle_that_does_not_settle_is_left_out_with_the_reason(monkeypatch: pytest.MonkeyPatch):
+    """The sweep settles from its own start in time; from the solution of the balance no cycles are left for it."""
+    study = {"kind": "compare", "frequency": {"values": [1.39]}, "harmonics": 3, "time_samples": 64}
+    study |= {"settle": {"tolerance": 1e-7}}
+    seen = []
+
+    def impatient(chains, solver, criterion):
+        seen.append(criterion)
+        return steady_states(chains, solver, replace(criterion, max_cycles=1))
+
+    assert "cycle" in carry_out(load_scene(oscillator_scene(preload=3.0) | {"study": study})).groups
+    monkeypatch.setattr(compare, "steady_states", impatient)
+    outcome = carry_out(load_scene(oscillator_scene(preload=3.0) | {"study": study}))
+    assert [criterion.tolerance for criterion in seen] == [1e-7]
+    assert outcome.reason is None
+    assert "cycle" not in outcome.groups
+    (line,) = [line for line in outcome.summary if "no cycle is shown" in line]
+    assert "at 1.39 Hz the motion does not settle in settle.max_cycles" in line
 
 
 def test_the_sweep_carries_its_state():

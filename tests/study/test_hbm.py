@@ -13,7 +13,7 @@ from systems import oscillator_scene
 import timesim
 from timesim.fault import SceneError
 from timesim.hbm import convergence as hbm_convergence
-from timesim.hbm.convergence import Place, convergence, order_of
+from timesim.hbm.convergence import Known, convergence, order_of
 from timesim.hbm.curve import hbm_curve, solutions_at
 from timesim.hbm.scheme import Scheme
 from timesim.picture import hbm as plot_hbm
@@ -21,6 +21,7 @@ from timesim.picture.response import stable_parts
 from timesim.result.netcdf import save
 from timesim.study import registry as plot
 from timesim.study.registry import carry_out, load_scene
+from timesim.study.verdict import convergence_lines
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 BASE = oscillator_scene(preload=-4.0)
@@ -257,6 +258,31 @@ def test_no_start_is_told_and_the_other_curves_stay():
     assert set(outcome.groups[""]["structure.modes.0.damping_ratio"].values) == {0.01}
 
 
+def test_points_of_a_sweep_begin_curves_where_the_first_has_no_solution(tmp_path: Path):
+    """Undamped, the balance is singular where the first curve begins; the sweep's motions lead to another."""
+    mode = {"frequency": 1.0, "damping_ratio": 0.0, "mass": 1.0, "shape": {"tip": [1, 0, 0]}}
+    base = BASE | {"structure": {"modes": [mode]}, "excitation": {"modal_force": [{"amplitude": 1.0}]}}
+    base["contacts"] = [BASE["contacts"][0] | {"preload": 1.0}]
+    over = {"structure.modes.0.damping_ratio": [0.0, 0.01]}
+    sweep = timesim.run(base | {"study": {"kind": "sweep", "frequency": {"values": [1.15, 1.2, 1.25]}, "over": over}})
+    assert sweep.slip_share.values.min() > 0.02
+    start = {"from": str(save(sweep, tmp_path / "result.nc"))}
+    study = scene(frequency={"from": 1.0, "to": 1.3}, over=over, start=start)["study"]
+    with np.errstate(all="ignore"):
+        outcome = carry_out(load_scene(base | {"study": study}))
+    assert outcome.reason is not None
+    assert "structure.modes.0.damping_ratio = 0: continuation at 1, after 0 points: no solution" in outcome.reason
+    found = outcome.groups[""]
+    assert set(found["structure.modes.0.damping_ratio"].values) == {0.0, 0.01}
+    assert any("damping_ratio = 0: a curve of its own" in line for line in outcome.summary)
+    for damping in (0.0, 0.01):
+        part = found.isel(solution=found["structure.modes.0.damping_ratio"].values == damping)
+        order = np.argsort(part.frequency.values)
+        here = np.interp(1.2, part.frequency.values[order], part.amplitude.values[order, 0, 0])
+        expected = sweep.amplitude.sel({"frequency": 1.2, "structure.modes.0.damping_ratio": damping}).values
+        assert here == pytest.approx(expected[..., 0].item(), rel=2e-2)
+
+
 @pytest.mark.parametrize(
     ("study", "said"),
     [
@@ -285,6 +311,11 @@ def test_a_scene_with_nothing_periodic_is_refused():
         load_scene(still)
 
 
+def test_a_scene_without_contacts_is_refused():
+    with pytest.raises(SceneError, match="contacts: must hold at least one contact"):
+        load_scene(scene() | {"contacts": []})
+
+
 def test_a_harmonic_that_is_excited_must_be_balanced():
     force = {"point": "tip", "direction": [1, 0, 0], "amplitude": 1, "harmonic": 7}
     with pytest.raises(SceneError, match="must be at least 7, since harmonic 7 is excited"):
@@ -295,7 +326,7 @@ def test_convergence_tells_orders_and_enough(monkeypatch: pytest.MonkeyPatch):
     """Harmonics and samples at two solutions; the samples are of second order."""
     model = load_scene(scene()).model()
     curve = hbm_curve(model, 0.93, 0.9, scheme=Scheme(9, 256), stability=False)
-    places = [Place(model, float(curve.frequency[i]), curve.contact_motion[i], curve.amplitude[i]) for i in (0, -1)]
+    places = [Known(model, float(curve.frequency[i]), curve.contact_motion[i], curve.amplitude[i]) for i in (0, -1)]
     monkeypatch.setattr(hbm_convergence, "HARMONICS", (1, 5))
     monkeypatch.setattr(hbm_convergence, "MAX_DOUBLINGS", 11)
     found = convergence(places, Scheme(9, 256))
@@ -305,14 +336,14 @@ def test_convergence_tells_orders_and_enough(monkeypatch: pytest.MonkeyPatch):
     assert found.time_samples.tolist() == [64, 128, 256, 512, 1024, 2048]
     assert order_of(found.time_samples, found.with_samples) == pytest.approx(2.0, abs=0.4)
     assert found.with_samples[-1] < 1e-4
-    text = "\n".join(found.told())
+    text = "\n".join(convergence_lines(found))
     assert "harmonics 1: " in text
     assert "time samples 64: " in text
     assert re.search(r"order [12]\.\d", text)
 
 
 def test_convergence_of_full_stick_says_that_it_says_nothing():
-    assert "nothing" in convergence([], Scheme(3, 64)).told()[0]
+    assert "nothing" in convergence_lines(convergence([], Scheme(3, 64)))[0]
 
 
 def test_order_of_changes_with_a_known_order():

@@ -32,7 +32,7 @@ from timesim.engine.contact import ConeLaw
 from timesim.hbm.corrector import NoSolutionError
 from timesim.hbm.located import located_forces
 from timesim.hbm.period import Basis, basis_of, contact_forces
-from timesim.hbm.scheme import Scheme, check_excitation
+from timesim.hbm.scheme import Scheme, check_model
 from timesim.hbm.tangent import linearised
 from timesim.model.contact_state import require_cone
 from timesim.model.model import Model
@@ -75,11 +75,11 @@ class Balance:
         """For a model near a frequency [Hz], which sets the units unless they are given.
 
         Raises:
-            BalanceError: nothing is periodic, or harmonics are excited that are not balanced.
+            BalanceError: it has no contact, nothing is periodic, or harmonics are excited that are not balanced.
             ValueError: a contact obeys another law than the cone.
         """
         require_cone(model.contacts, "harmonic balance")
-        check_excitation(model, scheme.harmonics)
+        check_model(model, scheme.harmonics)
         self.model, self.scheme = model, scheme
         self.units = scales_of(model, frequency) if units is None else units
         self.length, self.force = self.units.length, self.units.force

@@ -143,16 +143,6 @@ def solve(residual: Residual, guess: Array, p: float, controls: Controls) -> tup
 
 
 @dataclass(frozen=True)
-class _Solution:
-    """A point of the curve in the units of the caller."""
-
-    x: Array
-    p: float
-    determinant: int
-    fold: bool
-
-
-@dataclass(frozen=True)
 class _Step:
     """A step along the curve: where it leads, its length of arc, and the length to try next."""
 
@@ -168,11 +158,10 @@ class _PathTracker:
         self.corrector = Corrector(residual, controls, abs(stop - behind), guess)
         self.guess, self.controls = guess, controls
         self.start, self.stop, self.behind = start, stop, behind
-        self.solutions: list[_Solution] = []
-        self.cause = ""
-        self.ahead = np.zeros(guess.size + 1)
-        """Normal of a plane of constant p, towards the end of the range."""
-        self.ahead[-1] = np.sign(stop - start)
+        self.sign = float(np.sign(stop - start))
+        self.ahead = np.append(np.zeros(guess.size), self.sign)  # normal of a plane of constant p
+        self.solutions: list[tuple[Array, float, int, bool]] = []  # x, p, determinant, fold
+        self.cause = ""  # of the last failure of Newton's method
 
     def curve(self) -> Curve:
         """From the guess to the end."""
@@ -188,22 +177,20 @@ class _PathTracker:
             return self._curve(Ending.INTERRUPTED)
 
     def _curve(self, ending: Ending) -> Curve:
-        found = self.solutions
-        place = found[-1].p if found else self.start
-        fold = np.array([one.fold for one in found], dtype=bool)
+        x, p, determinant, fold = zip(*self.solutions, strict=True) if self.solutions else ((),) * 4
         cause = f" ({self.cause})" if self.cause and ending in (Ending.START, Ending.STEP) else ""
         return Curve(
-            x=np.array([one.x for one in found]).reshape(len(found), self.guess.size),
-            p=np.array([one.p for one in found], dtype=float),
-            fold=fold,
-            branch=np.cumsum(fold) - fold,
-            determinant=np.array([one.determinant for one in found], dtype=np.int64),
+            x=np.array(x).reshape(len(p), self.guess.size),
+            p=np.array(p, dtype=float),
+            fold=np.array(fold, dtype=bool),
+            branch=np.cumsum(fold, dtype=np.int64) - np.array(fold, dtype=np.int64),
+            determinant=np.array(determinant, dtype=np.int64),
             ending=ending,
-            message=f"continuation at {place:.10g}, after {len(found)} points: {ending.value}{cause}",
+            message=f"continuation at {p[-1] if p else self.start:.10g}, after {len(p)} points: {ending.value}{cause}",
         )
 
     def _keep(self, point: CurvePoint, *, fold: bool = False) -> None:
-        self.solutions.append(_Solution(*self.corrector.unscaled(point.y), 0 if fold else point.determinant, fold))
+        self.solutions.append((*self.corrector.unscaled(point.y), 0 if fold else point.determinant, fold))
 
     def _follow(self, point: CurvePoint) -> Ending:
         """From the first point to the end; how the curve ends."""
@@ -245,7 +232,8 @@ class _PathTracker:
         The derivatives may mean little where it starts: after the tangent, a change of the parameter alone is tried,
         the way it went before, with x a little larger or smaller.
         """
-        ahead = self.ahead if self._advances() else -self.ahead
+        turned = len(self.solutions) > 1 and (self.solutions[-1][1] - self.solutions[-2][1]) * self.sign < 0
+        ahead = -self.ahead if turned else self.ahead
         for share in JUMPS:
             length = share * self.controls.max_step
             guesses = [(point.y + length * point.tangent, point.tangent)]
@@ -262,53 +250,41 @@ class _PathTracker:
                     return _Step(new, distance, length)
         return None
 
-    def _advances(self) -> bool:
-        """Whether the parameter last went towards the end of the range."""
-        if len(self.solutions) < 2:
-            return True
-        return bool((self.solutions[-1].p - self.solutions[-2].p) * self.ahead[-1] >= 0)
-
     def _take(self, before: CurvePoint, step: _Step) -> Ending | None:
         """Keep the point that a step leads to, with the fold or the end of the range before it.
 
         Returns:
             How the curve ends, if it does.
         """
-        point, sign = step.point, float(self.ahead[-1])
-        if before.tangent[-1] * point.tangent[-1] < 0:
-            fold = self._fold(before, step)
-            if fold is not None:
-                self._keep(fold, fold=True)
-        inside = self.behind != self.start
-        again = self._start_again(before, point) if inside else None
-        if again is not None:
+        point, inside = step.point, self.behind != self.start
+        if before.tangent[-1] * point.tangent[-1] < 0 and (fold := self._fold(before, step)) is not None:
+            self._keep(fold, fold=True)
+        if inside and (again := self._start_again(before, point)) is not None:
             self._keep(again)
             return Ending.CLOSED
         p = self.corrector.unscaled(point.y)[1]
-        if sign * (p - self.stop) >= 0:
-            return self._end(before, point, self.stop, Ending.COMPLETE)
-        if sign * (p - self.behind) <= 0:
-            return self._end(before, point, self.behind, Ending.COMPLETE if inside else Ending.LEFT)
+        for end, side, ending in (
+            (self.stop, 1, Ending.COMPLETE),
+            (self.behind, -1, Ending.COMPLETE if inside else Ending.LEFT),
+        ):
+            if side * self.sign * (p - end) >= 0:
+                last = self._between(before, point, end)
+                if last is None:
+                    return Ending.STEP
+                self._keep(last)
+                return ending
         self._keep(point)
         return Ending.POINTS if len(self.solutions) >= self.controls.max_points else None
 
-    def _end(self, before: CurvePoint, after: CurvePoint, end: float, ending: Ending) -> Ending:
-        """Keep the point at an end of the range."""
-        last = self._between(before, after, end)
-        if last is None:
-            return Ending.STEP
-        self._keep(last)
-        return ending
-
     def _start_again(self, before: CurvePoint, after: CurvePoint) -> CurvePoint | None:
         """The point where the curve began, if it comes through it again in the same direction."""
-        start, sign = self.start / self.corrector.p_unit, self.ahead[-1]
-        if len(self.solutions) < 4 or not (before.y[-1] - start) * sign < 0 <= (after.y[-1] - start) * sign:
+        start = self.start / self.corrector.p_unit
+        if len(self.solutions) < 4 or not (before.y[-1] - start) * self.sign < 0 <= (after.y[-1] - start) * self.sign:
             return None
         last = self._between(before, after, self.start)
         if last is None:
             return None
-        first = self.solutions[0].x / self.corrector.x_unit
+        first = self.solutions[0][0] / self.corrector.x_unit
         return last if np.linalg.norm(last.y[:-1] - first) < SAME * np.linalg.norm(last.y[:-1]) else None
 
     def _between(self, before: CurvePoint, after: CurvePoint, p: float) -> CurvePoint | None:

@@ -243,3 +243,33 @@ def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmC
         ending=curve.ending,
         message=curve.message,
     )
+
+
+def changes_of_stability(stable: NDArray[np.bool_], fold: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Solutions after which a curve gains or loses its stability though it does not turn, shape (S,)."""
+    changes = np.zeros(stable.size, dtype=bool)
+    changes[:-1] = (stable[1:] != stable[:-1]) & ~fold[1:] & ~fold[:-1]
+    return changes
+
+
+def peak(parameter: Array, height: Array, motion: Array) -> tuple[float, float]:
+    """Parameter and value of the largest height, by a parabola along the curve.
+
+    Args:
+        parameter: of the solutions, shape (S,).
+        height: what is largest at the peak, shape (S,).
+        motion: of the solutions, for the arc length between them, shape (S, ...).
+    """
+    i = int(np.argmax(height))
+    if not 0 < i < height.size - 1:
+        return float(parameter[i]), float(height[i])
+    rows = slice(i - 1, i + 2)
+    near, p = motion[rows].reshape(3, -1), parameter[rows]
+    steps = np.hypot(
+        np.diff(p) / np.ptp(parameter),
+        np.linalg.norm(np.diff(near, axis=0), axis=1) / (np.linalg.norm(near[1]) or 1.0),
+    )
+    s = np.array([-steps[0], 0.0, steps[1]])
+    bend, slope, middle = np.polyfit(s, height[rows], 2)
+    top = float(np.clip(-slope / (2 * bend), s[0], s[2])) if bend < 0 else 0.0
+    return float(np.polyval(np.polyfit(s, p, 2), top)), float(np.polyval([bend, slope, middle], top))

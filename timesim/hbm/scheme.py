@@ -1,4 +1,4 @@
-"""Numerical scheme of a harmonic balance, and what excitations allow one. Checks of a scene use it: no JAX here."""
+"""Numerical scheme of a harmonic balance, and what models allow one. Checks of a scene use it: no JAX here."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -47,12 +47,15 @@ class Scheme:
         return f"harmonic balance, {self.harmonics} harmonics, {self.time_samples} time samples{located}"
 
 
-def check_excitation(model: Model, harmonics: int) -> None:
-    """Refuse an excitation without a periodic part, or with harmonics that are not balanced.
+def check_model(model: Model, harmonics: int) -> None:
+    """Refuse a model without contacts or periodic excitation, or with excited harmonics that are not balanced.
 
     Raises:
         BalanceError: with what to do.
     """
+    if not model.contacts:
+        rule = "must hold at least one contact, since the response without is linear"
+        raise BalanceError("contacts", rule, None, "a sweep gives the linear response")
     excited = model.excitation
     moving = np.any(excited.cosine != 0, axis=1) | np.any(excited.sine != 0, axis=1)
     if not moving.any():

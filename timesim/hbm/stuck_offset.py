@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool
 
 from timesim.engine.contact import ConeLaw, normal_load
 from timesim.engine.contact_law import Motion, Plane, Scalar, product
+from timesim.engine.lanes import advance_lanes
 
 MAX_ITERATIONS = 60
 CONVERGED = 1e-12  # change of g that counts as none, relative to R
@@ -124,25 +125,27 @@ def stuck_offset(law: ConeLaw, motion: Motion) -> Offset:
         """By how much the cones must at least be wider."""
         return jnp.max(_size(tuple(f + x for f, x in zip(force, g, strict=True))) - limit, axis=0)
 
-    def again(now: _Iterate) -> _Iterate:
+    def improved(now: _Iterate) -> tuple[_Iterate]:
         wide = limit + now.widening
         weight = jnp.where(now.widening == 0, 1.0, SLIGHT)
         step = _newton_step(now.g, force, wide, unit, weight)
-        share = jnp.where(now.moves, jnp.minimum(1.0, 0.9 * _share_to_cone(now.g, step, force, wide)), 0.0)
+        share = jnp.minimum(1.0, 0.9 * _share_to_cone(now.g, step, force, wide))
         g = tuple(x + share * s for x, s in zip(now.g, step, strict=True))
         least, change, inside = least_widening(g), share * _size(step), now.widening == 0
         found = inside & (change < CONVERGED * unit)
         stopped = (now.widening - least < NO_ROOM * now.widening) & (change < AT_REST * now.widening)
         widening = jnp.where((least < 0) | inside, 0.0, (now.widening + least) / 2)
-        moves = now.moves & ~found & ~(stopped & ~inside)
-        return _Iterate(g, widening, moves, now.found | (now.moves & found), now.count + 1)
+        return (_Iterate(g, widening, ~found & ~(stopped & ~inside), found, now.count + 1),)
 
     middle = tuple(-(jnp.max(f, axis=0) + jnp.min(f, axis=0)) / 2 for f in force)
     begin = tuple(jnp.where(least_widening(none) < 0, 0.0, x) for x in middle)
     least = least_widening(begin)
     start = jnp.where(least < 0, 0.0, least + 0.1 * unit)
-    first = _Iterate(begin, start, room & ~at_once & ~_must_slip(force, limit), at_once, jnp.asarray(0))
-    last = jax.lax.while_loop(lambda now: jnp.any(now.moves) & (now.count < MAX_ITERATIONS), again, first)
+    moves = room & ~at_once & ~_must_slip(force, limit)
+    first = _Iterate(begin, start, moves, at_once, jnp.zeros_like(moves, int))
+    last, _ = advance_lanes(
+        improved, lambda now: now.moves & (now.count < MAX_ITERATIONS), first, None, lambda *step: None
+    )
     return Offset(tuple(jnp.where(last.found, x, 0.0) for x in last.g), last.found)
 
 

@@ -1,78 +1,112 @@
-"""The folder of a run: the resolved scene, the result and the pictures."""
+"""The folder of a run: the resolved scene, the result, the pictures, and a lock while a run is at work in it."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import filelock
+
+from timesim.result import checkpoint
 from timesim.result.file import StoreError, write_whole
 from timesim.result.netcdf import RESULT_NAME
 
 SCENE_NAME = "scene.yaml"
+LOCK_NAME = ".lock"
+
+LISTED = 3  # other files that a message names
 
 
-def check_folder(folder: Path | str, force: bool = False) -> None:
-    """Refuse a run folder that already holds a result or cannot be a folder; touches nothing.
+def check_folder(folder: Path | str, *, overwrite: bool = False) -> None:
+    """Refuse a run folder that holds a result or other files, or cannot be a folder; touches nothing.
 
     Raises:
         StoreError: with the reason and what to do.
     """
     path = Path(folder)
-    if (path / RESULT_NAME).exists() and not force:
+    if (path / RESULT_NAME).exists() and not overwrite:
         raise StoreError(f"{path / RESULT_NAME} exists; choose another folder or give --force to overwrite it")
-    for part in (path, *path.parents):
-        if part.exists():
-            if not part.is_dir():
-                raise StoreError(f"{path} cannot be a run folder: {part} is a file; choose another folder")
-            if not os.access(part, os.W_OK | os.X_OK):
-                read_only = os.statvfs(part).f_flag & os.ST_RDONLY
-                why = f"the file system of {part} is read-only" if read_only else f"no permission in {part}"
-                raise StoreError(f"{path} cannot be written: {why}; choose another folder")
-            return
+    part = next(part for part in (path, *path.absolute().parents) if part.exists())
+    if not part.is_dir():
+        raise StoreError(f"{path} cannot be a run folder: {part} is a file; choose another folder")
+    if not os.access(part, os.W_OK | os.X_OK):
+        read_only = os.statvfs(part).f_flag & os.ST_RDONLY
+        why = f"the file system of {part} is read-only" if read_only else f"no permission in {part}"
+        raise StoreError(f"{path} cannot be written: {why}; choose another folder")
+    run = (path / RESULT_NAME, path / checkpoint.FOLDER_NAME / checkpoint.MANIFEST_NAME)
+    if part == path and not any(file.exists() for file in run):
+        _refuse_other_files(path)
+
+
+def _refuse_other_files(path: Path) -> None:
+    own = {SCENE_NAME, LOCK_NAME, checkpoint.FOLDER_NAME}
+    others = sorted(item.name for item in path.iterdir() if item.name not in own and item.suffix != ".part")
+    if others:
+        named = ", ".join(others[:LISTED]) + (", ..." if len(others) > LISTED else "")
+        raise StoreError(f"{path} holds other files ({named}) and no run; choose a new or an empty folder")
+
+
+@contextmanager
+def locked_folder(folder: Path | str) -> Iterator[Path]:
+    """The folder of a run, made where it is missing; no other run may work in it meanwhile.
+
+    Raises:
+        StoreError: another run is at work in it, or it cannot be made.
+    """
+    path, made = Path(folder), not Path(folder).exists()
+    lock = filelock.FileLock(path / LOCK_NAME)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        lock.acquire(blocking=False)
+    except filelock.Timeout:
+        raise StoreError(f"another run is at work in {path}; wait for it, or choose another folder") from None
+    except OSError as error:
+        raise StoreError(f"run folder {path} cannot be made: {error.strerror or error}") from error
+    try:
+        yield path
+    finally:
+        with suppress(OSError):
+            (path / LOCK_NAME).unlink()
+        lock.release()
+        if made:
+            with suppress(OSError):  # something was written
+                path.rmdir()
 
 
 def prepare_folder(
-    folder: Path | str,
-    scene: str,
-    force: bool = False,
-    source: Path | str | None = None,
-    stale: Iterable[str] = (),
-    resume: bool = False,
-) -> Path:
-    """Make the folder of a run with the resolved scene in it; for when the scene is known to be good.
+    folder: Path, scene: str, *, overwrite: bool = False, source: Path | None = None, stale: Iterable[str] = ()
+) -> None:
+    """Write the resolved scene into the folder of a run; for when the scene is known to be good.
 
     Args:
-        folder: the folder, made with its parents where it is missing.
+        folder: an existing folder.
         scene: the resolved scene as YAML.
-        force: allow a folder with a result. The old result stays until `save` replaces it.
-        source: file the scene was read from; never overwritten by a different text.
-        stale: names of earlier pictures, removed under `force` since they show another run.
-        resume: allow a folder with a result of the same scene.
 
-    Returns:
-        The folder.
+    Keyword Args:
+        overwrite: the folder may hold another run. Its checkpoint and pictures are removed; its result stays until
+            another one replaces it.
+        source: file the scene was read from; never overwritten by a different text.
+        stale: names of the pictures.
 
     Raises:
-        StoreError: a result is there and `force` is not given, the scene would overwrite another file of the
-            user's, or the folder cannot be written.
+        StoreError: the scene would overwrite another one, or the folder cannot be written.
     """
-    check_folder(folder, force or resume)
-    path, target = Path(folder), Path(folder) / SCENE_NAME
-    _check_scene_file(target, scene, force, source)
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        if force:
+    target = folder / SCENE_NAME
+    _check_scene_file(target, scene, overwrite, source)
+    if overwrite:
+        checkpoint.clear(folder)
+        try:
             for name in stale:
-                (path / name).unlink(missing_ok=True)
-    except OSError as error:
-        raise StoreError(f"run folder {path} cannot be made: {error.strerror or error}") from error
+                (folder / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise StoreError(f"pictures in {folder} cannot be removed: {error.strerror or error}") from error
     write_whole(target, scene.encode())
-    return path
 
 
-def _check_scene_file(target: Path, scene: str, force: bool, source: Path | str | None) -> None:
+def _check_scene_file(target: Path, scene: str, overwrite: bool, source: Path | None) -> None:
     if not target.exists() or target.read_bytes() == scene.encode():
         return
-    if source is not None and Path(source).exists() and target.samefile(source):
+    if source is not None and source.exists() and target.samefile(source):
         raise StoreError(f"the run would overwrite its own scene file {target}; choose another folder")
-    if not force:
+    if not overwrite:
         raise StoreError(f"{target} exists and is another scene; choose another folder or give --force")

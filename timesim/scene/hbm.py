@@ -7,11 +7,11 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, Tag, model_validator
 
 from timesim.fault import Key, RuleError
-from timesim.hbm.scheme import BalanceError, Scheme, check_excitation
+from timesim.hbm.scheme import BalanceError, Scheme, check_model
 from timesim.model.model import Model
 from timesim.result.file import StoreError
+from timesim.result.periodic_motion import PeriodicMotion, periodic_motion
 from timesim.result.state import Held, held
-from timesim.result.waves import Waves, result_waves
 from timesim.scene.contact import ContactSection
 from timesim.scene.integration import ResultSection
 from timesim.scene.section import Count, Number, Positive, Section, Switch, Whole, by_form, refuse
@@ -63,7 +63,7 @@ class HbmPlan:
     stability: bool = True
     convergence: bool = False
     both_ends: bool = False
-    motion: Waves | None = None
+    motion: PeriodicMotion | None = None
     passing: tuple[Held, Mapping[str, float | str]] | None = None
 
 
@@ -141,12 +141,12 @@ def balanced(harmonics: int, time_samples: int, located: bool = False) -> Scheme
         raise refuse(error.rule, key=(error.key,), value=error.value, hint=error.hint) from None
 
 
-def excitation_problems(model: Model, harmonics: int) -> Iterator[RuleError]:
-    """Why an excitation cannot be balanced, keys from the root of the scene."""
+def balance_problems(model: Model, harmonics: int) -> Iterator[RuleError]:
+    """Why a model cannot be balanced, keys from the root of the scene."""
     try:
-        check_excitation(model, harmonics)
+        check_model(model, harmonics)
     except BalanceError as error:
-        key = ("excitation",) if error.key == "excitation" else ("study", error.key)
+        key = (error.key,) if error.key in ("contacts", "excitation") else ("study", error.key)
         yield RuleError(key, error.rule, error.hint, error.value)
 
 
@@ -177,8 +177,8 @@ class BalanceSection(StudySection):
         return self
 
     def problems(self, model: Model) -> Iterator[RuleError]:
-        """The excitation must be periodic, and its harmonics balanced."""
-        return excitation_problems(model, self.harmonics)
+        """There must be contacts, and a periodic excitation whose harmonics are balanced."""
+        return balance_problems(model, self.harmonics)
 
     def balance(self, context: Context, span: tuple[float, float], over: Axes, along: Along | None = None) -> HbmPlan:
         """The balance in numbers.
@@ -202,14 +202,14 @@ class BalanceSection(StudySection):
 
     def _begin(
         self, context: Context, span: tuple[float, float], over: Axes, along: Along | None
-    ) -> tuple[Waves | None, tuple[Held, Mapping[str, float | str]] | None]:
+    ) -> tuple[PeriodicMotion | None, tuple[Held, Mapping[str, float | str]] | None]:
         """A transient's motion to begin from, or a sweep's states to pass."""
         if not isinstance(self.start, ResultStart):
             return None, None
         path, at = context.folder / self.start.source, self.start.at
         try:
             states = held(path)
-            motion = None if states.axes else result_waves(path)
+            motion = None if states.axes else periodic_motion(path)
         except (RuleError, ValueError, StoreError) as error:
             what = error.rule if isinstance(error, RuleError) else str(error)
             raise self._refused("must be the result of a transient or a sweep", what) from None

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from timesim.fault import Key, RuleError, nearest
 from timesim.model.model import CONE, Model
 from timesim.model.solver import Criterion
-from timesim.scene.hbm import HbmPlan, balanced, default_steps, excitation_problems
+from timesim.scene.hbm import HbmPlan, balance_problems, balanced, default_steps
 from timesim.scene.section import (
     MAX_POINTS,
     Count,
@@ -237,7 +237,7 @@ class Bistable(SteadySection):
         """Where the balance is struck, it must be possible."""
         if not self.harmonics:
             return
-        yield from excitation_problems(model, self.harmonics)
+        yield from balance_problems(model, self.harmonics)
         for contact in model.contacts:
             if contact.law != CONE:
                 rule = f"must be 0 where the law of a contact is not {CONE}"

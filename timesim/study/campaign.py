@@ -57,7 +57,7 @@ class Means:
         if self.workers is not None and self.workers < 1:
             raise MeansError(f"workers must be at least 1, not {self.workers}")
         if self.cluster is not None:
-            check_address(self.cluster)
+            check_address(self.cluster, self.workers)
 
     def crew(self) -> AbstractContextManager[Executor]:
         """Those who do the work."""

@@ -25,8 +25,8 @@ _ADDRESS = re.compile(r"[a-z]+://\S+|[^\s:/]+:[0-9]+|\[[0-9a-fA-F:.]+\]:[0-9]+")
 _IGNORE_INTERRUPT = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 
 
-def check_address(cluster: str) -> None:
-    """Refuse what is neither `LOCAL` nor the address of a scheduler.
+def check_address(cluster: str, workers: int | None) -> None:
+    """Refuse what is neither `LOCAL` nor the address of a scheduler, and a number of workers for the latter.
 
     Raises:
         MeansError: with what was meant.
@@ -35,6 +35,8 @@ def check_address(cluster: str) -> None:
         close = get_close_matches(cluster.lower(), [LOCAL], cutoff=0.6)
         hint = f"did you mean {LOCAL}?" if close else f"give one as tcp://host:8786, or '{LOCAL}'"
         raise MeansError(f"cluster {cluster}: is no address of a scheduler; {hint}")
+    if cluster != LOCAL and workers is not None:
+        raise MeansError(f"workers: the cluster {cluster} has its own; leave it out, or give cluster '{LOCAL}'")
 
 
 @contextmanager

@@ -5,251 +5,229 @@ repeats; harmonic balance solves for a truncated Fourier series. Where the conta
 motion is linear, so agreement there proves nothing, and the verdict leaves it out.
 """
 
-import time
-from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import product
+import timesim.runtime  # noqa: F401  isort: skip
 
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+import jax.numpy as jnp
 import numpy as np
 from xarray import Dataset
 
+from timesim.engine.history import Samples
+from timesim.hbm.balance import Array, Balance, Complex
 from timesim.hbm.curve import HbmCurve, solutions_at
-from timesim.orbit.steady_state import switches
+from timesim.hbm.period import closed_period, ends_of, motion_of
+from timesim.hbm.scheme import Scheme
+from timesim.model.contact_state import contact_loads, contact_state, slip_follows_motion
+from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
+from timesim.model.solver import Solver
+from timesim.orbit.basin import INSIDE
+from timesim.orbit.cycle import one_cycle
+from timesim.orbit.fourier import fourier_basis, fourier_coefficients
+from timesim.orbit.settling import Chain, Criterion, steady_states
+from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.result.state import held_in
 from timesim.scene.hbm import ComparePlan
 from timesim.scene.resolution import Scene
 from timesim.study.campaign import INTERRUPTED, Means
-from timesim.study.compare_cycle import cycle_record
-from timesim.study.hbm import followed, left_out
-from timesim.study.hbm import summary as hbm_summary
-from timesim.study.hbm_curves import Curves
+from timesim.study.hbm import Curves, followed, left_out
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import jump_lines
 from timesim.study.sweep import sweep_record
+from timesim.study.verdict import compared_points, comparison_lines, curve_lines
 
-# Nearer to a fold than this share of its frequency a small error of either method moves the answer much.
-NEAR_FOLD = 1e-3
-AGREE, NEARLY = 2e-3, 2e-2
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """What the comparison reads of a sweep, all further axes made one: V values, D directions, F frequencies.
-
-    Attributes:
-        frequency: shape (F,) [Hz].
-        amplitude: shape (V, D, F, P, 3).
-        settled: whether it repeats after one cycle, shape (V, D, F).
-        doubled: whether it repeats after several, shape (V, D, F).
-        linear: whether every contact sticks, or stays apart, all the time, shape (V, D, F).
-        slip, separation: largest share of a period over the contacts, each by itself, shape (V, D, F).
-    """
-
-    frequency: np.ndarray
-    amplitude: np.ndarray
-    settled: np.ndarray
-    doubled: np.ndarray
-    linear: np.ndarray
-    slip: np.ndarray
-    separation: np.ndarray
-
-
-def read_sweep(record: Dataset) -> Sweep:
-    """From the record of a sweep."""
-
-    def array(name: str, own: int) -> np.ndarray:
-        values = record[name].values
-        return values.reshape(-1, *values.shape[values.ndim - own :])
-
-    period, settled = array("period", 2), array("settled", 2) > 0
-    slip, apart = array("slip_share", 3), array("separation_share", 3)
-    return Sweep(
-        frequency=record["frequency"].values,
-        amplitude=array("amplitude", 4),
-        settled=settled & (period == 1),
-        doubled=settled & (period > 1),
-        linear=np.logical_not(switches(slip, apart).any(axis=-1)),
-        slip=slip.max(axis=-1, initial=0.0),
-        separation=apart.max(axis=-1, initial=0.0),
-    )
+# Amplitudes below this share of the largest of a motion are those of axes that do not move.
+STILL = 1e-9
+SAMPLES = 720
+METHODS = ("sweep", "hbm")
 
 
 @dataclass(frozen=True)
 class Match:
-    """The balance's stable solution nearest to each point of a sweep.
+    """The balance's stable solution nearest to each point of a sweep; V sets of values, D directions, F frequencies.
 
     Attributes:
-        amplitude: shape (V, D, F, P, 3), NaN where there is none.
-        difference: (hbm - sweep) / sweep, same shape; NaN too along axes that do not move.
-        near_fold: whether a fold is close, shape (V, F).
+        difference: (hbm - sweep) / sweep, shape (V, D, F, P, 3); NaN where there is no solution, and along axes that do
+            not move.
         solution: position in `solutions`, shape (V, D, F), -1 where there is none.
         solutions: those at the sweep's frequencies, one entry for each set of values.
     """
 
-    amplitude: np.ndarray
     difference: np.ndarray
-    near_fold: np.ndarray
     solution: np.ndarray
     solutions: list[HbmCurve | None]
 
 
-# Amplitudes below this share of the largest of a motion are those of axes that do not move.
-STILL = 1e-9
+def matched(amplitude: np.ndarray, frequency: np.ndarray, curves: Curves) -> Match:
+    """Find the solution nearest to each point of a sweep.
 
-
-def matched(sweep: Sweep, curves: Curves) -> Match:
-    """Look for the solution nearest to each point."""
-    amplitude = np.full_like(sweep.amplitude, np.nan)
+    Args:
+        amplitude: of the sweep, shape (V, D, F, P, 3).
+        frequency: of the sweep [Hz], shape (F,).
+        curves: of the same sets of values.
+    """
+    nearest = np.full_like(amplitude, np.nan)
     solution = np.full(amplitude.shape[:3], -1)
-    near_fold = np.zeros((len(amplitude), sweep.frequency.size), dtype=bool)
-    solutions: list[HbmCurve | None] = []
-    for v, values in enumerate(curves.values):
-        pieces = [piece for piece in curves.pieces if piece.values == values and piece.curve.frequency.size]
-        folds = np.concatenate([np.zeros(0), *(piece.curve.frequency[piece.curve.fold] for piece in pieces)])
-        apart = np.abs(sweep.frequency[:, None] - folds)
-        near_fold[v] = (apart < NEAR_FOLD * sweep.frequency[:, None]).any(axis=1)
-        stability, scheme = curves.plan.stability, curves.scheme
-        parts = [
-            solutions_at(piece.model_at(0.0), piece.curve, sweep.frequency, scheme=scheme, stability=stability)
-            for piece in pieces
-        ]
-        found = HbmCurve.joined(parts) if parts else None
-        solutions.append(found)
-        if found is not None:
-            _pick(sweep, v, found, amplitude, solution)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        difference = (amplitude - sweep.amplitude) / sweep.amplitude
-    size = np.nanmax(np.where(np.isfinite(sweep.amplitude), sweep.amplitude, 0.0), axis=(3, 4), keepdims=True)
-    difference[~(sweep.amplitude > STILL * size)] = np.nan
-    return Match(amplitude, difference, near_fold, solution, solutions)
-
-
-def _pick(sweep: Sweep, v: int, found: HbmCurve, amplitude: np.ndarray, solution: np.ndarray) -> None:
-    for d, f in product(range(amplitude.shape[1]), range(amplitude.shape[2])):
-        rows = np.flatnonzero(found.stable & (found.frequency == sweep.frequency[f]))
-        if rows.size and np.isfinite(sweep.amplitude[v, d, f]).all():
-            far = np.abs(found.amplitude[rows] - sweep.amplitude[v, d, f]).max(axis=(1, 2))
+    solutions = [_solutions(curves, values, frequency) for values in curves.values]
+    for (v, found), d, f in product(enumerate(solutions), range(amplitude.shape[1]), range(frequency.size)):
+        if found is None or not np.isfinite(amplitude[v, d, f]).all():
+            continue
+        rows = np.flatnonzero(found.stable & (found.frequency == frequency[f]))
+        if rows.size:
+            far = np.abs(found.amplitude[rows] - amplitude[v, d, f]).max(axis=(1, 2))
             solution[v, d, f] = rows[np.argmin(far)]
-            amplitude[v, d, f] = found.amplitude[solution[v, d, f]]
+            nearest[v, d, f] = found.amplitude[solution[v, d, f]]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        difference = (nearest - amplitude) / amplitude
+    size = np.nanmax(np.where(np.isfinite(amplitude), amplitude, 0.0), axis=(3, 4), keepdims=True)
+    difference[~(amplitude > STILL * size)] = np.nan
+    return Match(difference, solution, solutions)
+
+
+def _solutions(curves: Curves, values: Mapping[str, float], frequency: np.ndarray) -> HbmCurve | None:
+    """Solutions of all curves with these values at some frequencies."""
+    options: dict[str, Any] = {"scheme": curves.scheme, "stability": curves.plan.stability}
+    parts = [
+        solutions_at(one.model_at(0.0), one.curve, frequency, **options)
+        for one in curves.curves
+        if one.values == values and one.curve.frequency.size
+    ]
+    return HbmCurve.joined(parts) if parts else None
 
 
 def study(scene: Scene, means: Means) -> Outcome:
     """Run a compare scene; marked incomplete where either method did not come to its end."""
     plan: ComparePlan = scene.plan
     clock = time.perf_counter()
-    swept, sweep_reason = sweep_record(scene, plan.sweep, means)
+    sweep, sweep_reason = sweep_record(scene, plan.sweep, means)
     seconds = time.perf_counter() - clock
     given_up = (sweep_reason or "").startswith(INTERRUPTED)
-    balanced, curves, hbm_reason = (
-        left_out(scene, plan.balance) if given_up else followed(scene, plan.balance, passing=held_in(swept))
+    hbm, curves, hbm_reason = (
+        left_out(scene, plan.balance) if given_up else followed(scene, plan.balance, passing=held_in(sweep))
     )
-    sweep = read_sweep(swept)
-    match = matched(sweep, curves)
     faults = [f"{name}: {why}" for name, why in (("sweep", sweep_reason), ("hbm", hbm_reason)) if why]
     reason = "; ".join(faults) or None
-    lines = [*jump_lines(swept), *verdict(sweep, match, curves)]
+    amplitude = sweep["amplitude"]
+    match = matched(amplitude.values.reshape(-1, *amplitude.shape[-4:]), sweep["frequency"].values, curves)
+    points = compared_points(sweep, hbm, match.difference)
+    lines = [*jump_lines(sweep), *comparison_lines(points)]
+    groups = {"sweep": sweep, "hbm": hbm}
+    if points.worst is not None and reason is None:
+        try:
+            groups["cycle"] = _cycle(scene, plan, curves, match, points.worst)
+        except NotSettledError as error:
+            lines.append(f"no cycle is shown by both methods: {error}")
     lines.append(
-        f"time integration: {sweep.settled.size} points in {seconds:.2f} s; harmonic balance: "
-        f"{balanced['frequency'].size} solutions in {balanced.attrs['run_seconds']:.2f} s"
+        f"time integration: {points.settled.size} points in {seconds:.2f} s; harmonic balance: "
+        f"{hbm.sizes['solution']} solutions in {hbm.attrs['run_seconds']:.2f} s"
     )
-    told = attributes(
+    attrs = attributes(
         scene,
         f"{scene.solver()}; {curves.scheme}",
-        balanced.attrs["compile_seconds"] + swept.attrs["compile_seconds"],
-        seconds + balanced.attrs["run_seconds"],
+        hbm.attrs["compile_seconds"] + sweep.attrs["compile_seconds"],
+        seconds + hbm.attrs["run_seconds"],
         reason,
     )
-    dims = tuple(map(str, swept["amplitude"].dims))
-    coords = {name: swept[name].values for name in ("direction", "point", "axis")}
-    shape = swept["amplitude"].shape
-    root = {"relative_difference": (dims, match.difference.reshape(shape))}
-    groups = {
-        "": dataset(root, coords, told | {"verdict": "\n".join(lines)}),
-        "sweep": swept,
-        "hbm": balanced,
+    variables = {"relative_difference": (tuple(map(str, amplitude.dims)), match.difference.reshape(amplitude.shape))}
+    coords = {name: sweep[name].values for name in ("direction", "point", "axis")}
+    root = dataset(variables, coords, attrs | {"verdict": "\n".join(lines)})
+    return Outcome({"": root, **groups}, reason, (*curve_lines(hbm, curves.notes), *lines))
+
+
+def _cycle(scene: Scene, plan: ComparePlan, curves: Curves, match: Match, place: tuple[int, int, int]) -> Dataset:
+    """A cycle by both methods, of the solution at a point of the sweep."""
+    values, solutions = curves.values[place[0]], match.solutions[place[0]]
+    assert solutions is not None
+    solution = solutions.at(int(match.solution[place]))
+    return cycle_by_both(scene.variant(values), solution, curves.scheme, scene.solver(), plan.sweep.criterion, values)
+
+
+class NotSettledError(Exception):
+    """Time integration from a solution of the balance does not come to rest; the message says why."""
+
+
+def cycle_by_both(
+    model: Model,
+    solution: HbmCurve,
+    scheme: Scheme,
+    solver: Solver,
+    criterion: Criterion,
+    values: Mapping[str, float],
+) -> Dataset:
+    """A cycle by time integration, started from the solution and settled, and by harmonic balance.
+
+    Args:
+        model: what moves.
+        solution: one stable solution.
+        scheme, solver: of the two methods.
+        criterion: when the motion counts as settled.
+        values: of the further axes, for the attributes.
+
+    Raises:
+        NotSettledError: time integration does not lead to a motion that repeats each cycle.
+    """
+    frequency, order = float(solution.frequency[0]), scheme.harmonics + 1
+    balance = Balance(model, frequency, scheme)
+    coefficient = solution.contact_motion[0] / balance.length
+    modal = balance.modes(coefficient.ravel(), solution.contact_force[0] / balance.force, frequency)
+    elastic, states = _contacts(balance, coefficient)
+    start = _start(model, balance, coefficient, modal, elastic, frequency)
+    marched = _settled_cycle(replace(model, start=start), frequency, solver, criterion)
+    angle = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
+    q = np.einsum("kh,hm->km", np.exp(1j * np.outer(angle, np.arange(len(modal)))), modal).real
+    x = np.stack([np.einsum("pam,km->kpa", model.structure.shape, motion) for motion in (marched.q[:-1], q)])
+    # The samples end where the phase is that of the last of them, one interval before a whole turn.
+    found = np.stack([fourier_coefficients(motion, -2 * np.pi / SAMPLES)[: 2 * order - 1] for motion in x])
+    height = np.concatenate([found[:, :1], np.hypot(found[:, 1::2], found[:, 2::2])], axis=1)
+    state = np.stack([marched.state[:-1], states]).astype(np.int8)
+    variables = {
+        "displacement": (("found_by", "excitation_angle", "point", "axis"), x),
+        "contact_state": (("found_by", "excitation_angle", "contact"), state),
+        "harmonic_amplitude": (("found_by", "harmonic", "point", "axis"), height),
     }
-    looked_at = where_largest(sweep, match)
-    if looked_at is not None and reason is None:
-        v, d, f = looked_at
-        values = curves.values[v]
-        found = match.solutions[v]
-        assert found is not None
-        model = scene.variant(values)
-        one = found.at(int(match.solution[v, d, f]))
-        groups["cycle"] = cycle_record(model, one, curves.scheme, scene.solver(), values)
-    return Outcome(groups, reason, (*hbm_summary(balanced, curves), *lines))
+    coords = {"found_by": np.array(METHODS), "excitation_angle": np.rad2deg(angle)} | coordinates(variables, model)
+    place = ", ".join([f"{frequency:g} Hz", *(f"{key} {value:g}" for key, value in values.items())])
+    return dataset(variables, coords, {"place": place})
 
 
-def where_largest(sweep: Sweep, match: Match) -> tuple[int, int, int] | None:
-    """The point with slip or separation where the methods differ most; None without such points."""
-    size = np.abs(match.difference).max(axis=(3, 4), initial=0.0, where=np.isfinite(match.difference))
-    telling = _telling(sweep, match) & ~match.near_fold[:, None]
-    if not telling.any():
-        return None
-    v, d, f = np.unravel_index(np.argmax(np.where(telling, size, -1.0)), size.shape)
-    return int(v), int(d), int(f)
+def _contacts(balance: Balance, coefficient: Array) -> tuple[Array, Array]:
+    """Elastic displacement of each contact at phase 0, shape (C, 2), and its states at the angles of the cycle.
+
+    The state is that over most of the interval of the balance's own samples.
+    """
+    motion = motion_of(balance.basis, jnp.asarray(coefficient))
+    period = closed_period(balance.law, motion)
+    ends = ends_of(balance.law, motion, period)
+    shares = {STICK: 1 - ends.slip - ends.separation, SLIP: ends.slip, SEPARATION: ends.separation}
+    states = np.argmax([shares[state] for state in sorted(shares)], axis=0)
+    elastic = np.stack([np.asarray(part) for part in period.start], axis=1)
+    return elastic, states[np.arange(SAMPLES) * len(states) // SAMPLES]
 
 
-def _telling(sweep: Sweep, match: Match) -> np.ndarray:
-    """Settled points with slip, or contact for a part of the cycle, that have a solution, shape (V, D, F)."""
-    return sweep.settled & (match.solution >= 0) & ~sweep.linear
+def _start(
+    model: Model, balance: Balance, coefficient: Array, modal: Complex, elastic: Array, frequency: float
+) -> Start:
+    """State of the solution at phase 0, friction forces inside their cones: they hold to the balance's tolerance."""
+    displacement = modal.real.sum(axis=0)
+    speed = (1j * np.arange(len(modal))[:, None] * 2 * np.pi * frequency * modal).real.sum(axis=0)
+    here = coefficient @ fourier_basis(np.zeros(1), coefficient.shape[2])[0]
+    loads = contact_loads(model, displacement, (here[:, :2] - elastic) * balance.length)
+    state = contact_state(loads.normal, model.friction)
+    follows = slip_follows_motion(state, model.friction)[:, None]
+    return Start(displacement, speed, np.where(follows, loads.motion, loads.slip_in_cone(INSIDE)), state)
 
 
-def verdict(sweep: Sweep, match: Match, curves: Curves) -> Iterator[str]:
-    """The comparison in words, a line each."""
-    size = np.abs(match.difference).max(axis=(3, 4), initial=0.0, where=np.isfinite(match.difference))
-    telling, near = _telling(sweep, match), np.broadcast_to(match.near_fold[:, None], sweep.settled.shape)
-    judged = telling & ~near
-    if judged.any():
-        yield _judgement(sweep, match, curves, size, judged)
-    else:
-        yield "no point is left where a contact slips or opens within the cycle: nothing is proven of the contacts"
-    linear = sweep.settled & sweep.linear & (match.solution >= 0)
-    if linear.any():
-        yield (
-            f"at {linear.sum()} points every contact sticks, or stays apart, all the time: they differ by at most "
-            f"{size[linear].max():.1e}, but the motion is linear there, so this proves nothing of the contacts"
-        )
-    if (telling & near).any():
-        worst = size[telling & near].max()
-        yield f"{(telling & near).sum()} points within {NEAR_FOLD:g} of a fold's frequency differ by up to {worst:.1e}"
-    alone = sweep.settled & (match.solution < 0)
-    if alone.any():
-        yield f"{alone.sum()} points have no stable solution of the balance: {_places(sweep, curves, alone)}"
-    if sweep.doubled.any():
-        many = _places(sweep, curves, sweep.doubled)
-        yield f"{sweep.doubled.sum()} points repeat after several cycles, which the balance cannot show: {many}"
-    lost = ~sweep.settled & ~sweep.doubled
-    if lost.any():
-        yield f"{lost.sum()} points did not settle and are left out: {_places(sweep, curves, lost)}"
-
-
-def _judgement(sweep: Sweep, match: Match, curves: Curves, size: np.ndarray, judged: np.ndarray) -> str:
-    worst = float(size[judged].max())
-    v, d, f = (int(i) for i in np.unravel_index(np.argmax(np.where(judged, size, -1.0)), size.shape))
-    word = "agree" if worst <= AGREE else "nearly agree" if worst <= NEARLY else "differ"
-    advice = "" if worst <= AGREE else "; study.convergence: true tells whether more harmonics would help"
-    values = ", ".join(f"{key} {value:g}" for key, value in curves.values[v].items())
-    place = f"{sweep.frequency[f]:g} Hz" + (f" with {values}" if values else "")
-    shares = (
-        f"a contact {sweep.slip[v, d, f]:.2f} of the cycle in slip, one {sweep.separation[v, d, f]:.2f} in separation"
-    )
-    middle = f"median {np.median(size[judged]):.1e}, mean shares {sweep.slip[judged].mean():.2f} and "
-    return (
-        f"the methods {word}: {judged.sum()} points with slip, or contact for a part of the cycle, differ by at most "
-        f"{worst:.1e} of the amplitude ({middle}{sweep.separation[judged].mean():.2f}); "
-        f"most at {place}, {shares}{advice}"
-    )
-
-
-def _places(sweep: Sweep, curves: Curves, chosen: np.ndarray) -> str:
-    """Where points lie, by value."""
-    parts = []
-    for v, values in enumerate(curves.values):
-        at = sweep.frequency[chosen[v].any(axis=0)]
-        if at.size:
-            told = ", ".join(f"{key} {value:g}" for key, value in values.items())
-            span = f"{at[0]:g} Hz" if at.size == 1 else f"{at[0]:g} to {at[-1]:g} Hz"
-            parts.append(f"{told} at {span}" if told else span)
-    return "; ".join(parts)
+def _settled_cycle(model: Model, frequency: float, solver: Solver, criterion: Criterion) -> Samples:
+    """A cycle of the motion that a model settles to, both ends sampled."""
+    ((orbit,),) = steady_states([Chain(model, (frequency,))], solver, criterion)
+    if orbit.reason is not None:
+        raise NotSettledError(orbit.reason)
+    if not orbit.settled or orbit.period != 1:
+        many = f"repeats after {orbit.period} cycles" if orbit.settled else "does not settle"
+        raise NotSettledError(f"at {frequency:g} Hz the motion {many} in settle.max_cycles = {criterion.max_cycles}")
+    return one_cycle(replace(model, start=orbit.end), frequency, solver, SAMPLES)

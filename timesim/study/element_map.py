@@ -7,10 +7,8 @@ limit.
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-import os
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 
@@ -40,8 +38,9 @@ from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.element import MAP_AXES, MapPlan
 from timesim.scene.resolution import Scene
-from timesim.study.campaign import Means, Progress
+from timesim.study.campaign import INTERRUPTED, Means, Progress
 from timesim.study.outcome import Outcome, attributes
+from timesim.study.worker import threads
 
 BATCH = 256
 MAX_CYCLES = 300
@@ -99,7 +98,7 @@ class March:
         load = np.maximum(least * self.elements.friction, 0.02 * self.elements.force)
         waiting = np.argsort(stiffness / load)
         done = self.elements.size
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
+        with threads() as pool:
             for cycle in range(1, max_cycles + 1):
                 batches = [waiting[i : i + BATCH] for i in range(0, waiting.size, BATCH)]
                 keep = np.concatenate(list(pool.map(partial(self._cycle, cycle), batches)))
@@ -190,17 +189,23 @@ def elements_of(plan: MapPlan) -> tuple[Elements, np.ndarray]:
 
 
 def study(scene: Scene, means: Means) -> Outcome:
-    """Run an element_map scene; marked incomplete where the event loop ended early."""
+    """Run an element_map scene; marked incomplete where it was interrupted, or the event loop ended early."""
     plan: MapPlan = scene.plan
     solver, (elements, phase) = scene.solver(), elements_of(plan)
     clock = time.perf_counter()
     March(elements.pick(np.arange(1)), phase[:1], solver).run(max_cycles=1)
     compiled = time.perf_counter()
-    found = March(elements, phase, solver).run(means.progress)
+    march, reason = March(elements, phase, solver), None
+    found = march.found
+    try:
+        march.run(means.progress)
+    except KeyboardInterrupt:
+        reason = f"{INTERRUPTED} with {np.sum(~found.settled)} of {elements.size} points unsettled (settled = 0)"
     seconds = time.perf_counter() - compiled
     number = int(np.sum(~found.settled))
     lost = int(np.sum(np.isnan(found.dissipation)))
-    reason = f"the event loop ended early at {lost} of {elements.size} points, NaN in the result" if lost else None
+    if lost and reason is None:
+        reason = f"the event loop ended early at {lost} of {elements.size} points, NaN in the result"
     names = tuple(MAP_AXES[key] for key in plan.axes)
     shape = tuple(len(plan.values[key]) for key in plan.axes)
     variables = {

@@ -1,174 +1,246 @@
-"""The `hbm` study: response curves by harmonic balance, one for each value of the scene's further axes."""
+"""The `hbm` study: response curves by harmonic balance, one or several for each set of values of the further axes."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from xarray import Dataset
 
-from timesim.hbm.continuation import Controls
-from timesim.hbm.convergence import Convergence, Place, convergence
+from timesim.fault import RuleError
+from timesim.hbm.branches import SettledMotion, curves_from_both_ends, isolated_curves
+from timesim.hbm.continuation import Controls, Ending
+from timesim.hbm.convergence import Convergence, Known, convergence
 from timesim.hbm.curve import HbmCurve, default_controls, hbm_curve
+from timesim.hbm.parameter import parameter_curve
 from timesim.model.model import Model
+from timesim.orbit.cycle import modal_coefficients
+from timesim.orbit.steady_state import switches
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
-from timesim.result.state import Held
+from timesim.result.state import Held, SweepPoint, settled_points, start_of
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
 from timesim.scene.study import combinations
 from timesim.study.campaign import Means, Progress
-from timesim.study.hbm_curves import Curves, Piece
 from timesim.study.outcome import Outcome, attributes
+from timesim.study.verdict import convergence_lines, curve_lines
+
+REFINED = 6  # solutions that harmonics and samples are refined for, beside the largest
 
 
-def warmed_up(scene: Scene, plan: HbmPlan) -> float:
-    """Seconds that the first points of a curve took, most of them compilation."""
-    clock = time.perf_counter()
-    model, middle = scene.variant(next(combinations(plan.over))), plan.span[0]
-    few = Controls(default_controls().size, max_points=2)
-    hbm_curve(model, middle, 1.001 * middle, scheme=plan.scheme, controls=few, stability=plan.stability)
-    return time.perf_counter() - clock
+@dataclass(frozen=True)
+class StudyCurve:
+    """One curve of a study.
+
+    Attributes:
+        values: of the further axes.
+        model_at: the model for a value of the curve's parameter.
+        curve: the solutions.
+    """
+
+    values: Mapping[str, float]
+    model_at: Callable[[float], Model]
+    curve: HbmCurve
+
+    @property
+    def label(self) -> str:
+        """Values of the further axes, to begin a message with."""
+        values = ", ".join(f"{key} = {value:g}" for key, value in self.values.items())
+        return f"{values}: " if values else ""
+
+
+class Curves:
+    """The curves of a study; `values` are the combinations of its further axes, one after the other."""
+
+    def __init__(self, scene: Scene, plan: HbmPlan):
+        self.scene, self.plan, self.scheme = scene, plan, plan.scheme
+        self.values = list(combinations(plan.over))
+        self.curves: list[StudyCurve] = []
+        self.faults: list[str] = []
+        self.notes: list[str] = []
+
+    def run(self, progress: Progress | None = None, passing: Held | None = None) -> str | None:
+        """Follow all curves.
+
+        Args:
+            progress: called with the sets of values done and their number.
+            passing: a sweep whose settled points are to be passed, beside that of the plan's start.
+
+        Returns:
+            Why some curves are not whole, if any.
+        """
+        sweeps = [sweep for sweep in (self.plan.passing, passing and (passing, {})) if sweep]
+        try:
+            for count, values in enumerate(self.values):
+                for curve in self._from_ends(values):
+                    self._add(curve)
+                for sweep in sweeps:
+                    for curve in self._through(values, *sweep):
+                        self.notes.append(_isolated(curve))
+                        self._add(curve)
+                if progress is not None:
+                    progress(count + 1, len(self.values))
+        except KeyboardInterrupt:
+            self.faults.append(f"interrupted at curve {len(self.curves) + 1}")
+        return "; ".join(self.faults) or None
+
+    def _add(self, curve: StudyCurve) -> None:
+        self.curves.append(curve)
+        if not curve.curve.complete:
+            self.faults.append(curve.label + curve.curve.message)
+        if curve.curve.ending is Ending.INTERRUPTED:
+            raise KeyboardInterrupt
+
+    def _from_ends(self, values: dict[str, float]) -> Iterator[StudyCurve]:
+        """The curves from the ends of the range, or from the motion that the plan gives."""
+        plan, along, options = self.plan, self.plan.along, self._options()
+        guess, begin = (plan.motion.modal, plan.motion.frequency) if plan.motion is not None else (None, None)
+        if along is not None:
+            key = along.key
+            model_at: Callable[[float], Model] = lambda p: self.scene.variant({**values, key: p})  # noqa: E731
+            curve = parameter_curve(model_at, plan.span[0], along.first, along.last, guess=guess, **options)
+            yield StudyCurve(values, model_at, curve)
+            return
+        model = self.scene.variant(values)
+        if plan.both_ends:
+            curves = curves_from_both_ends(model, *plan.span, **options)
+        else:
+            curves = [hbm_curve(model, *plan.span, guess=guess, begin=begin, **options)]
+        yield from (StudyCurve(values, lambda _: model, curve) for curve in curves)
+
+    def _through(
+        self, values: dict[str, float], states: Held, asked: Mapping[str, float | str]
+    ) -> Iterator[StudyCurve]:
+        """Curves from settled points of a sweep that no other curve passes: isolated branches, it may be.
+
+        Points without slip or part-time contact are left alone: there the motion is linear.
+        """
+        own = {key: value for key, value in values.items() if key in states.axes}
+        try:
+            points = list(settled_points(states, own | dict(asked)))
+        except RuleError:
+            return  # the sweep has no such values
+        model = self.scene.variant(values)
+        motions = [
+            SettledMotion(point[0], point[1]["amplitude"], partial(self._coefficients, model, states, point))
+            for point in points
+        ]
+        known = [curve.curve for curve in self.curves if curve.values == values]
+        for curve in isolated_curves(model, known, motions, self.plan.span, **self._options()):
+            yield StudyCurve(values, lambda _: model, curve)
+
+    def _coefficients(self, model: Model, states: Held, point: SweepPoint) -> np.ndarray | None:
+        """Modal Fourier coefficients of a point of a sweep; None with a note where this model cannot start from it."""
+        frequency, arrays = point
+        try:
+            start = start_of(model, states, arrays)
+        except RuleError as error:
+            self.notes.append(f"no curve is begun from the sweep's point at {frequency:g} Hz: it {error.rule}")
+            return None
+        return modal_coefficients(replace(model, start=start), frequency, self.scene.solver())
+
+    def _options(self) -> dict[str, Any]:
+        controls = replace(default_controls(), **self.plan.steps)
+        return {"scheme": self.scheme, "controls": controls, "stability": self.plan.stability}
+
+    def to_refine(self) -> list[Known]:
+        """Stable solutions where a contact switches, spread over all curves, and the largest of them."""
+        rows = [
+            (curve, i)
+            for curve in self.curves
+            for i in np.flatnonzero(
+                curve.curve.stable & switches(curve.curve.slip_share, curve.curve.separation_share).any(axis=1)
+            )
+        ]
+        if not rows:
+            return []
+        chosen = set(np.linspace(0, len(rows) - 1, min(REFINED, len(rows))).round().astype(int).tolist())
+        chosen.add(int(np.argmax([curve.curve.amplitude[i].max() for curve, i in rows])))
+        return [_known(*rows[k]) for k in sorted(chosen)]
+
+
+def _known(curve: StudyCurve, i: int) -> Known:
+    solutions = curve.curve
+    model = curve.model_at(float(solutions.parameter[i]))
+    return Known(model, float(solutions.frequency[i]), solutions.contact_motion[i], solutions.amplitude[i])
+
+
+def _isolated(curve: StudyCurve) -> str:
+    """A curve through points of a sweep, in words."""
+    frequency = curve.curve.frequency
+    closed = "closed, " if curve.curve.ending is Ending.CLOSED else ""
+    span = f"{frequency.min():.6g} to {frequency.max():.6g} Hz" if frequency.size else "without a solution"
+    return f"{curve.label}a curve of its own, {closed}{span}, begun from points of the sweep that no other passes"
 
 
 def study(scene: Scene, means: Means) -> Outcome:
     """Run an hbm scene; the result is marked incomplete where a curve could not be followed to its end."""
-    record, curves, reason = followed(scene, scene.plan, means.progress)
-    return Outcome({"": record}, reason, tuple(summary(record, curves)))
+    data, curves, reason = followed(scene, scene.plan, means.progress)
+    return Outcome({"": data}, reason, tuple(curve_lines(data, curves.notes)))
 
 
 def followed(
     scene: Scene, plan: HbmPlan, progress: Progress | None = None, passing: Held | None = None
 ) -> tuple[Dataset, Curves, str | None]:
-    """All curves of a scene, those through the points of a sweep too: the record, they, and why some are not whole."""
+    """All curves of a scene, those through the points of a sweep too: the result, they, and why some are not whole."""
     curves = Curves(scene, plan)
-    compiling = warmed_up(scene, plan)
+    compiling = _warmed_up(scene, plan)
     clock = time.perf_counter()
     reason = curves.run(progress, passing)
-    found = convergence(places(curves.pieces), curves.scheme) if plan.convergence and reason is None else None
+    refined = convergence(curves.to_refine(), curves.scheme) if plan.convergence and reason is None else None
     seconds = time.perf_counter() - clock
-    told = attributes(scene, str(curves.scheme), compiling, seconds, reason)
-    return record_of(scene.model(), curves, told, found), curves, reason
+    attrs = attributes(scene, str(curves.scheme), compiling, seconds, reason)
+    return solutions(scene.model(), curves, attrs, refined), curves, reason
 
 
 def left_out(scene: Scene, plan: HbmPlan) -> tuple[Dataset, Curves, str | None]:
     """The same where nothing is to be followed any more."""
     curves, reason = Curves(scene, plan), "not begun"
-    told = attributes(scene, str(curves.scheme), 0.0, 0.0, reason)
-    return record_of(scene.model(), curves, told), curves, reason
+    return solutions(scene.model(), curves, attributes(scene, str(curves.scheme), 0.0, 0.0, reason)), curves, reason
 
 
-def places(pieces: Sequence[Piece], number: int = 6) -> list[Place]:
-    """Stable solutions with slip or separation, spread over all curves, and the largest of them."""
-    rows = [
-        (piece, i)
-        for piece in pieces
-        for i in np.flatnonzero(piece.curve.stable & (piece.curve.slip_share + piece.curve.separation_share > 0).any(1))
-    ]
-    if not rows:
-        return []
-    spread = set(np.linspace(0, len(rows) - 1, min(number, len(rows))).round().astype(int).tolist())
-    largest = int(np.argmax([piece.curve.amplitude[i].max() for piece, i in rows]))
-    found = []
-    for piece, i in (rows[k] for k in sorted(spread | {largest})):
-        curve = piece.curve
-        model = piece.model_at(float(curve.parameter[i]))
-        found.append(Place(model, float(curve.frequency[i]), curve.contact_motion[i], curve.amplitude[i]))
-    return found
+def _warmed_up(scene: Scene, plan: HbmPlan) -> float:
+    """Seconds that the first points of a curve took, most of them compilation."""
+    clock = time.perf_counter()
+    model, frequency = scene.variant(next(combinations(plan.over))), plan.span[0]
+    few = Controls(default_controls().size, max_points=2)
+    hbm_curve(model, frequency, 1.001 * frequency, scheme=plan.scheme, controls=few, stability=plan.stability)
+    return time.perf_counter() - clock
 
 
-def record_of(model: Model, curves: Curves, told: dict[str, Any], found: Convergence | None = None) -> Dataset:
+def solutions(model: Model, curves: Curves, attrs: Mapping[str, Any], refined: Convergence | None = None) -> Dataset:
     """The result file: all solutions, one curve after the other."""
-    pieces, points, contacts = curves.pieces, len(model.structure.points), model.num_contacts
-    order = curves.scheme.harmonics + 1
+    points, contacts, order = len(model.structure.points), model.num_contacts, curves.scheme.harmonics + 1
     shapes = {
+        **dict.fromkeys(("frequency", "stable", "fold", "branch", "floquet_max", "closure"), ()),
         "amplitude": (points, 3),
-        "harmonic_amplitude": (order, points, 3),
-        "harmonic_cos": (order, points, 3),
-        "harmonic_sin": (order, points, 3),
-        "slip_share": (contacts,),
-        "separation_share": (contacts,),
+        **dict.fromkeys(("harmonic_amplitude", "harmonic_cos", "harmonic_sin"), (order, points, 3)),
+        **dict.fromkeys(("slip_share", "separation_share"), (contacts,)),
     }
-    scalars = ("frequency", "stable", "fold", "branch", "floquet_max", "closure")
-    arrays = {name: _stacked(pieces, name, shapes.get(name, ())) for name in (*scalars, *shapes)}
-    for name in ("stable", "fold"):
-        arrays[name] = arrays[name].astype(np.int8)
+    arrays = {name: _stacked(curves, name, shape) for name, shape in shapes.items()}
+    arrays |= {name: arrays[name].astype(np.int8) for name in ("stable", "fold")}
     arrays["branch"] = arrays["branch"].astype(np.int32)
-    counts = [piece.curve.frequency.size for piece in pieces]
-    arrays["curve"] = np.repeat(np.arange(len(pieces)), counts).astype(np.int32)
+    counts = [one.curve.frequency.size for one in curves.curves]
+    arrays["curve"] = np.repeat(np.arange(len(counts)), counts).astype(np.int32)
+    for key in curves.plan.over:
+        arrays[key] = np.repeat([one.values[key] for one in curves.curves], counts)
+    if (along := curves.plan.along) is not None:
+        arrays[along.key] = _stacked(curves, "parameter", ())
+        attrs = {**attrs, "along": along.key}
     dims = {4: ("harmonic", "point", "axis"), 3: ("point", "axis"), 2: ("contact",), 1: ()}
     variables = {name: (("solution", *dims[array.ndim]), array) for name, array in arrays.items()}
-    for key in curves.plan.over:
-        variables[key] = (("solution",), np.repeat([piece.values[key] for piece in pieces], counts))
-    if (along := curves.plan.along) is not None:
-        variables[along.key] = (("solution",), _stacked(pieces, "parameter", ()))
-        told = told | {"along": along.key}
     coords = coordinates(variables, model)
-    if found is not None:
-        coords |= {"harmonics": found.harmonics, "time_samples": found.time_samples}
-        variables["change_with_harmonics"] = (("harmonics",), found.with_harmonics)
-        variables["change_with_samples"] = (("time_samples",), found.with_samples)
-        told = told | {"convergence": "\n".join(found.told())}
-    return dataset(variables, coords, told)
+    if refined is not None:
+        coords |= {"harmonics": refined.harmonics, "time_samples": refined.time_samples}
+        variables["change_with_harmonics"] = (("harmonics",), refined.with_harmonics)
+        variables["change_with_samples"] = (("time_samples",), refined.with_samples)
+        attrs = {**attrs, "convergence": "\n".join(convergence_lines(refined))}
+    return dataset(variables, coords, attrs)
 
 
-def _stacked(pieces: Sequence[Piece], name: str, shape: tuple[int, ...]) -> np.ndarray:
+def _stacked(curves: Curves, name: str, shape: tuple[int, ...]) -> np.ndarray:
     none = np.zeros((0, *shape))
-    return np.concatenate([none, *(np.asarray(getattr(piece.curve, name), dtype=float) for piece in pieces)])
-
-
-def summary(record: Dataset, curves: Curves) -> Iterator[str]:
-    """What a user wants to know of the curves at once."""
-    count, seconds = sum(piece.curve.frequency.size for piece in curves.pieces), record.attrs["run_seconds"]
-    yield f"{count} solutions on {len(curves.pieces)} curves by {curves.scheme} in {seconds:.2f} s"
-    yield from curves.notes
-    for piece in curves.pieces:
-        if piece.curve.frequency.size:
-            yield (f"{piece.label}: " if piece.label else "") + told(piece.curve, curves.scene.model())
-    if "convergence" in record.attrs:
-        yield from record.attrs["convergence"].split("\n")
-
-
-def told(curve: HbmCurve, model: Model) -> str:
-    """A curve in words: its peak, its folds, and how much of it slips and separates."""
-    point, axis = np.unravel_index(np.argmax(curve.amplitude.max(0)), curve.amplitude.shape[1:])
-    place, height = peak(curve, int(point), int(axis))
-    name = f"{model.structure.points[int(point)]} {'xyz'[int(axis)]}"
-    folds = ", ".join(f"{p:.6g}" for p in curve.parameter[curve.fold])
-    turning = f"folds at {folds}" if folds else "no fold"
-    unstable = int(np.sum(~curve.stable & ~curve.fold))
-    slip, apart = curve.slip_share.max(initial=0.0), curve.separation_share.max(initial=0.0)
-    states = f"at most {slip:.2f} of a period in slip, {apart:.2f} in separation"
-    if slip == apart == 0:
-        states = "full stick throughout, which says nothing of friction"
-    lost = [f"{curve.parameter[i]:.6g}" for i in np.flatnonzero(changes_of_stability(curve))]
-    also = f"; stability changes at {', '.join(lost)} without a fold" if lost else ""
-    return f"peak {height:.5g} of {name} at {place:.6g}; {turning}{also}; {unstable} unstable solutions; {states}"
-
-
-def changes_of_stability(curve: HbmCurve) -> np.ndarray:
-    """Solutions after which the curve gains or loses its stability though it does not turn, shape (S,)."""
-    stable, fold = curve.stable, curve.fold
-    found = np.zeros(stable.size, dtype=bool)
-    found[:-1] = (stable[1:] != stable[:-1]) & ~fold[1:] & ~fold[:-1]
-    return found
-
-
-def peak(curve: HbmCurve, point: int, axis: int) -> tuple[float, float]:
-    """Parameter and height of the largest amplitude, by a parabola along the curve."""
-    height = curve.amplitude[:, point, axis]
-    i = int(np.argmax(height))
-    if not 0 < i < height.size - 1:
-        return float(curve.parameter[i]), float(height[i])
-    rows = slice(i - 1, i + 2)
-    motion = curve.contact_motion[rows].reshape(3, -1)
-    scales = np.ptp(curve.parameter), np.linalg.norm(motion[1]) or 1.0
-    steps = np.hypot(
-        np.diff(curve.parameter[rows]) / scales[0], np.linalg.norm(np.diff(motion, axis=0), axis=1) / scales[1]
-    )
-    s = np.array([-steps[0], 0.0, steps[1]])
-    bend, slope, middle = np.polyfit(s, height[rows], 2)
-    top = float(np.clip(-slope / (2 * bend), s[0], s[2])) if bend < 0 else 0.0
-    return float(np.polyval(np.polyfit(s, curve.parameter[rows], 2), top)), float(
-        np.polyval([bend, slope, middle], top)
-    )
+    return np.concatenate([none, *(np.asarray(getattr(one.curve, name), dtype=float) for one in curves.curves)])

@@ -4,9 +4,10 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,12 +54,23 @@ def halted() -> bool:
 
 
 def default_workers() -> int:
-    """Processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Processors that this process may use, by its affinity and by the quota of its control groups."""
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min([count, *map(int, _quotas())]))
+
+
+def _quotas(processes: Path = Path("/proc/self/cgroup"), groups: Path = Path("/sys/fs/cgroup")) -> Iterator[float]:
+    """Processors that each control group (version 2) allows, from that of this process up to the root."""
+    with suppress(OSError, ValueError):
+        own = groups / processes.read_text().rpartition("0::/")[2].split("\n")[0]
+        for group in (own, *own.parents):
+            with suppress(OSError, ValueError):
+                quota, period = map(float, (group / "cpu.max").read_text().split())
+                yield quota / period
 
 
 @contextmanager
-def threads(workers: int | None) -> Iterator[Executor]:
+def threads(workers: int | None = None) -> Iterator[Executor]:
     """Threads of this process. Left early, it waits for the chunks under way: a thread cannot be stopped."""
     halt = threading.Event()
     count = default_workers() if workers is None else workers

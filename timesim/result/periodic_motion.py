@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Waves:
+class PeriodicMotion:
     """A periodic motion.
 
     Attributes:
@@ -25,7 +25,7 @@ class Waves:
     modal: Array
 
 
-def result_waves(path: Path) -> Waves:
+def periodic_motion(path: Path) -> PeriodicMotion:
     """The last whole cycle that a transient recorded.
 
     Args:
@@ -39,4 +39,4 @@ def result_waves(path: Path) -> Waves:
     if rows[-1] < data.sizes["time"] - 1:
         raise ValueError(f"result {path}: it does not end with a whole cycle")
     motion, phase = data["modal_displacement"].values[rows[1:]], float(np.deg2rad(data["final_phase_deg"].values))
-    return Waves(1 / data["cycle_period"].values[-1], fourier_coefficients(motion, phase))
+    return PeriodicMotion(1 / data["cycle_period"].values[-1], fourier_coefficients(motion, phase))

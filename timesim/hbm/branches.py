@@ -1,0 +1,118 @@
+"""The curves of one model: those from the ends of a range, and isolated ones through motions of time integration."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from timesim.hbm.balance import Array, Balance
+from timesim.hbm.continuation import Ending, solve
+from timesim.hbm.curve import HbmCurve, crossings, default_controls, hbm_curve, solutions_at
+from timesim.hbm.first_guess import unknowns_of_modes
+from timesim.hbm.scheme import Scheme
+from timesim.model.model import Model
+
+# Unknowns of two solutions that are one, relative to their size.
+SAME = 1e-5
+# Difference of amplitudes, relative to the largest, up to which a curve passes through a motion.
+NEAR = 0.05
+
+
+@dataclass(frozen=True)
+class SettledMotion:
+    """A motion that repeats each cycle, by time integration.
+
+    Attributes:
+        frequency: of the excitation [Hz].
+        amplitude: (max - min) / 2 of each point along x, y, z, shape (P, 3).
+        coefficients: gives its modal displacement by 1, cos, sin, ..., shape (2K + 1, M); None: it has none here.
+    """
+
+    frequency: float
+    amplitude: Array
+    coefficients: Callable[[], Array | None]
+
+
+def curves_from_both_ends(model: Model, start: float, stop: float, **options: Any) -> list[HbmCurve]:
+    """The curves from the two ends of a range; one where they are the same.
+
+    Args:
+        model, start, stop, options: as for `timesim.hbm.curve.hbm_curve`.
+    """
+    there = hbm_curve(model, start, stop, **options)
+    if there.ending is Ending.INTERRUPTED:
+        return [there]
+    back = hbm_curve(model, stop, start, **options)
+    if there.complete and _meet(there, -1, back, 0):
+        return [there]
+    return [back] if back.complete and _meet(there, 0, back, -1) else [there, back]
+
+
+def isolated_curves(
+    model: Model,
+    curves: Sequence[HbmCurve],
+    motions: Sequence[SettledMotion],
+    span: tuple[float, float],
+    *,
+    scheme: Scheme,
+    **options: Any,
+) -> Iterator[HbmCurve]:
+    """Curves through settled motions that no other curve passes.
+
+    Args:
+        model: what moves.
+        curves: that are known.
+        motions: of time integration; those outside the span are left alone.
+        span: range of the curves [Hz].
+
+    Keyword Args:
+        scheme, options: as for `timesim.hbm.curve.hbm_curve`.
+    """
+    known = list(curves)
+    left = [motion for motion in motions if min(span) < motion.frequency < max(span)]
+    left = [motion for motion in left if not any(passes(curve, motion) for curve in known)]
+    while left:
+        # From the middle of what is left: away from the folds at its ends.
+        motion = left.pop(len(left) // 2)
+        guess = motion.coefficients()
+        if guess is None or not _leads_elsewhere(model, known, motion.frequency, guess, scheme):
+            continue
+        curve = hbm_curve(model, *span, guess=guess, begin=motion.frequency, scheme=scheme, **options)
+        known.append(curve)
+        left = [motion for motion in left if not passes(curve, motion)]
+        yield curve
+
+
+def passes(curve: HbmCurve, motion: SettledMotion) -> bool:
+    """Whether a curve passes through a motion, its amplitudes taken straight between its solutions."""
+    for i in crossings(curve.frequency, motion.frequency):
+        share = (motion.frequency - curve.frequency[i]) / (curve.frequency[i + 1] - curve.frequency[i])
+        here = curve.amplitude[i] + share * (curve.amplitude[i + 1] - curve.amplitude[i])
+        if np.max(np.abs(here - motion.amplitude)) <= NEAR * np.max(motion.amplitude):
+            return True
+    return False
+
+
+def _leads_elsewhere(model: Model, curves: list[HbmCurve], frequency: float, guess: Array, scheme: Scheme) -> bool:
+    """Whether a guess leads to a solution that is on none of the curves."""
+    balance = Balance(model, frequency, scheme)
+    solution = solve(balance, unknowns_of_modes(balance, guess), frequency, default_controls())
+    if solution is None:
+        return False
+    # Not the mean: it may hold the offset of a contact that sticks, which is free.
+    waves = balance.coefficients(solution[0])[..., 1:] * balance.length
+    at_frequency = (solutions_at(model, curve, frequency, scheme=scheme, stability=False) for curve in curves)
+    return not any(
+        np.linalg.norm(motion[..., 1:] - waves) <= SAME * np.linalg.norm(waves)
+        for found in at_frequency
+        for motion in found.contact_motion
+    )
+
+
+def _meet(one: HbmCurve, i: int, other: HbmCurve, j: int) -> bool:
+    """Whether two curves share a solution at these positions."""
+    if not one.frequency.size or not other.frequency.size or not np.isclose(one.frequency[i], other.frequency[j]):
+        return False
+    x, y = one.contact_motion[i], other.contact_motion[j]
+    return bool(np.linalg.norm(x - y) <= SAME * np.linalg.norm(y))

@@ -1,0 +1,200 @@
+"""What curves by harmonic balance, and their comparison with a sweep, tell the user: read from the finished results."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from xarray import Dataset
+
+from timesim.hbm.convergence import Convergence, order_of
+from timesim.hbm.curve import changes_of_stability, peak
+from timesim.orbit.steady_state import switches
+from timesim.picture.response import over_keys
+from timesim.scene.study import combinations
+
+# Nearer to a fold than this share of its frequency a small error of either method moves the answer much.
+NEAR_FOLD = 1e-3
+# Difference of the methods, relative to the amplitude, up to which they agree and nearly agree.
+AGREE, NEARLY = 2e-3, 2e-2
+
+
+def curve_lines(data: Dataset, notes: Sequence[str]) -> Iterator[str]:
+    """Response curves: how many, notes of the study, each curve, and how well harmonics and samples suffice."""
+    numbers, attrs = np.unique(data["curve"].values), data.attrs
+    yield (
+        f"{data.sizes['solution']} solutions on {numbers.size} curves by {attrs['method']} "
+        f"in {attrs['run_seconds']:.2f} s"
+    )
+    yield from notes
+    for number in numbers:
+        curve = data.isel(solution=data["curve"].values == number)
+        values = ", ".join(f"{key} = {curve[key].values[0]:g}" for key in over_keys(data))
+        yield (f"{values}: " if values else "") + _curve_line(curve)
+    if "convergence" in attrs:
+        yield from attrs["convergence"].split("\n")
+
+
+def _curve_line(curve: Dataset) -> str:
+    """Peak of a curve, its folds, and how much of it slips and separates."""
+    amplitude, along = curve["amplitude"].values, curve[curve.attrs.get("along", "frequency")].values
+    stable, fold = curve["stable"].values > 0, curve["fold"].values > 0
+    point, axis = np.unravel_index(np.argmax(amplitude.max(axis=0)), amplitude.shape[1:])
+    motion = np.stack([curve["harmonic_cos"].values, curve["harmonic_sin"].values], axis=1)
+    place, height = peak(along, amplitude[:, point, axis], motion)
+    folds = ", ".join(f"{p:.6g}" for p in along[fold])
+    turning = f"folds at {folds}" if folds else "no fold"
+    changes = ", ".join(f"{p:.6g}" for p in along[changes_of_stability(stable, fold)])
+    also = f"; stability changes at {changes} without a fold" if changes else ""
+    slip, apart = (curve[f"{name}_share"].values.max(initial=0.0) for name in ("slip", "separation"))
+    states = f"at most {slip:.2f} of a period in slip, {apart:.2f} in separation"
+    if slip == apart == 0:
+        states = "full stick throughout, which says nothing of friction"
+    name = f"{curve['point'].values[point]} {curve['axis'].values[axis]}"
+    return (
+        f"peak {height:.5g} of {name} at {place:.6g}; {turning}{also}; "
+        f"{np.sum(~stable & ~fold)} unstable solutions; {states}"
+    )
+
+
+def convergence_lines(refined: Convergence) -> list[str]:
+    """How the answer depends on harmonics and time samples."""
+    if not refined.count:
+        return ["convergence: no stable solution slips or separates, so harmonics and samples change nothing"]
+    lost = ", ".join(f"{count} with {name}" for name, count in refined.lost.items())
+    return [
+        f"convergence of {refined.count} solutions with slip or separation, change from the finest: "
+        + _listed(refined.harmonics, refined.with_harmonics, "harmonics"),
+        _listed(refined.time_samples, refined.with_samples, "time samples"),
+        *([f"not found: {lost}"] if lost else []),
+    ]
+
+
+def _listed(numbers: np.ndarray, changes: np.ndarray, name: str) -> str:
+    parts = ", ".join(f"{int(n)}: {change:.1e}" for n, change in zip(numbers[:-1], changes[:-1], strict=True))
+    order = order_of(numbers, changes)
+    seen = f"order {order:.1f}" if np.isfinite(order) else "no order yet"
+    return f"{name} {parts} ({seen}, and the finest, {int(numbers[-1])}, moved it by {changes[-1]:.1e})"
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points of a sweep beside the balance: V sets of values of the further axes, D directions, F frequencies.
+
+    Attributes:
+        values: the sets.
+        frequency: shape (F,) [Hz].
+        difference: largest of (balance - sweep) / sweep, without its sign, over points and axes, shape (V, D, F).
+        solved: whether the balance has a stable solution there, shape (V, D, F).
+        settled, doubled: whether the motion repeats after one cycle, after several, shape (V, D, F).
+        linear: whether no contact slips, or opens within the cycle, shape (V, D, F).
+        near_fold: whether a fold of the balance is near, shape (V, D, F).
+        slip, separation: largest share of a period over the contacts, each by itself, shape (V, D, F).
+    """
+
+    values: Sequence[Mapping[str, float]]
+    frequency: np.ndarray
+    difference: np.ndarray
+    solved: np.ndarray
+    settled: np.ndarray
+    doubled: np.ndarray
+    linear: np.ndarray
+    near_fold: np.ndarray
+    slip: np.ndarray
+    separation: np.ndarray
+
+    @property
+    def judged(self) -> np.ndarray:
+        """Points that say something of the contacts, away from folds, shape (V, D, F)."""
+        return self.settled & self.solved & ~self.linear & ~self.near_fold
+
+    @property
+    def worst(self) -> tuple[int, int, int] | None:
+        """The judged point where the methods differ most."""
+        if not self.judged.any():
+            return None
+        place = np.argmax(np.where(self.judged, self.difference, -1.0))
+        v, d, f = (int(i) for i in np.unravel_index(place, self.difference.shape))
+        return v, d, f
+
+
+def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarray) -> Points:
+    """What the two results and their difference, on the axes of the sweep's amplitude, say of each point."""
+    axes = {str(key): tuple(sweep[key].values) for key in sweep["settled"].dims[:-2]}
+    values, frequency = list(combinations(axes)), sweep["frequency"].values
+    shape = (len(values), sweep.sizes["direction"], frequency.size)
+    difference = np.abs(relative_difference).reshape(*shape, -1)
+    period, settled = (sweep[name].values.reshape(shape) for name in ("period", "settled"))
+    slip, apart = (sweep[f"{name}_share"].values.reshape(*shape, -1) for name in ("slip", "separation"))
+    near_fold = np.zeros(shape, dtype=bool)
+    for v, own in enumerate(values):
+        here = np.all([hbm["fold"].values > 0, *(hbm[key].values == value for key, value in own.items())], axis=0)
+        far = np.abs(frequency[:, None] - hbm["frequency"].values[here])
+        near_fold[v] = (far < NEAR_FOLD * frequency[:, None]).any(axis=1)
+    return Points(
+        values=values,
+        frequency=frequency,
+        difference=difference.max(axis=-1, initial=0.0, where=np.isfinite(difference)),
+        solved=np.isfinite(difference).any(axis=-1),
+        settled=(settled > 0) & (period == 1),
+        doubled=(settled > 0) & (period > 1),
+        linear=np.logical_not(switches(slip, apart).any(axis=-1)),
+        near_fold=near_fold,
+        slip=slip.max(axis=-1, initial=0.0),
+        separation=apart.max(axis=-1, initial=0.0),
+    )
+
+
+def comparison_lines(points: Points) -> Iterator[str]:
+    """The comparison, a line for each kind of points."""
+    size, seen = points.difference, points.settled & points.solved
+    if points.judged.any():
+        yield _judgement(points)
+    else:
+        yield "no point is left where a contact slips or opens within the cycle: nothing is proven of the contacts"
+    linear, close = seen & points.linear, seen & ~points.linear & points.near_fold
+    if linear.any():
+        yield (
+            f"at {linear.sum()} points every contact sticks, or stays apart, all the time: they differ by at most "
+            f"{size[linear].max():.1e}, but the motion is linear there, so this proves nothing of the contacts"
+        )
+    if close.any():
+        yield f"{close.sum()} points within {NEAR_FOLD:g} of a fold's frequency differ by up to {size[close].max():.1e}"
+    for left_out, why in (
+        (points.settled & ~points.solved, "have no stable solution of the balance"),
+        (points.doubled, "repeat after several cycles, which the balance cannot show"),
+        (~points.settled & ~points.doubled, "did not settle and are left out"),
+    ):
+        if left_out.any():
+            yield f"{left_out.sum()} points {why}: {_places(points, left_out)}"
+
+
+def _judgement(points: Points) -> str:
+    place, judged, size = points.worst, points.judged, points.difference
+    assert place is not None
+    worst, values = float(size[place]), _in_words(points.values[place[0]])
+    word = "agree" if worst <= AGREE else "nearly agree" if worst <= NEARLY else "differ"
+    advice = "" if worst <= AGREE else "; study.convergence: true tells whether more harmonics would help"
+    shares = (
+        f"a contact {points.slip[place]:.2f} of the cycle in slip, one {points.separation[place]:.2f} in separation"
+    )
+    means = f"{points.slip[judged].mean():.2f} and {points.separation[judged].mean():.2f}"
+    return (
+        f"the methods {word}: {judged.sum()} points with slip, or contact for a part of the cycle, differ by at most "
+        f"{worst:.1e} of the amplitude (median {np.median(size[judged]):.1e}, mean shares {means}); "
+        f"most at {points.frequency[place[2]]:g} Hz{f' with {values}' if values else ''}, {shares}{advice}"
+    )
+
+
+def _in_words(values: Mapping[str, float]) -> str:
+    return ", ".join(f"{key} {value:g}" for key, value in values.items())
+
+
+def _places(points: Points, chosen: np.ndarray) -> str:
+    """Where points lie, by value."""
+    parts = []
+    for values, own in zip(points.values, chosen, strict=True):
+        at = points.frequency[own.any(axis=0)]
+        if at.size:
+            span = f"{at[0]:g} Hz" if at.size == 1 else f"{at[0]:g} to {at[-1]:g} Hz"
+            parts.append(f"{_in_words(values)} at {span}" if values else span)
+    return "; ".join(parts)
