@@ -16,7 +16,7 @@ import numpy as np
 
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
-from timesim.study.campaign import Chunk, Means, carry_through, halted
+from timesim.study.campaign import Chunk, Execution, carry_through, halted
 from timesim.study.outcome import Outcome, attributes
 
 SCENE = "title: toy\nstudy: {kind: sweep, frequency: {from: 0.8, to: 1.6, step: 0.1}}\n"
@@ -104,12 +104,12 @@ def digest(results: Mapping[str, Mapping[str, np.ndarray]]) -> str:
     return found.hexdigest()
 
 
-def study(scene: Scene, means: Means) -> Outcome:
+def study(scene: Scene, execution: Execution) -> Outcome:
     """Stands for a study in chunks: one chain over the frequencies of a sweep."""
     frequency = scene.plan.frequency
     fault = {f"c-0-{FAULTY[1]}": FAULTY[0]} if FAULTY else {}
     chunks = chains(1, len(frequency), faults=fault)
-    results, reason = carry_through(chunks, work, means, identity=scene.resolved_yaml())
+    results, reason = carry_through(chunks, work, execution, identity=scene.resolved_yaml())
     values = [float(results[chunk.name]["first"]) if chunk.name in results else np.nan for chunk in chunks]
     about = attributes(scene, "toy", 0.0, 0.0, reason)
     made = dataset({"cycles": (("frequency",), np.array(values))}, {"frequency": frequency}, about)
@@ -130,8 +130,8 @@ def main(folder: str, resume: str, last: str) -> None:
     LAST = float(last)
     chunks = chains(5, 16, seconds=0.01, log=Path(folder) / "log.txt")
     print("begun", flush=True)
-    means = Means(folder=Path(folder), resume=resume == "resume", workers=2, notice=lambda text: None)
-    results, reason = carry_through(chunks, work, means, identity=SCENE)
+    execution = Execution(folder=Path(folder), resume=resume == "resume", workers=2, notice=lambda text: None)
+    results, reason = carry_through(chunks, work, execution, identity=SCENE)
     print(reason, digest(results))
 
 

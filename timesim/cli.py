@@ -51,13 +51,13 @@ def run(
     from timesim.result import checkpoint
     from timesim.result.file import StoreError
     from timesim.result.folder import check_folder, locked_folder, prepare_folder
-    from timesim.study.campaign import Means, MeansError
-    from timesim.study.registry import check_means, picture_names
+    from timesim.study.campaign import Execution, ExecutionError
+    from timesim.study.registry import check_execution, picture_names
 
     loaded = _loaded(scene, overrides)
     try:
-        means = Means(folder=output, resume=resume, cluster=cluster, notice=_notice)
-        check_means(loaded.kind, means)
+        execution = Execution(folder=output, resume=resume, cluster=cluster, notice=_notice)
+        check_execution(loaded.kind, execution)
         if checkpoint.is_finished(output, loaded.resolved_yaml(), force=force, resume=resume):
             print(f"the result in {output} is complete: there is nothing to resume")
             return
@@ -67,22 +67,22 @@ def run(
             prepare_folder(output, loaded.resolved_yaml(), overwrite=force, source=scene, stale=stale)
             for warning in loaded.warnings():
                 print(f"warning: {warning}", file=sys.stderr)
-            _carry_out(loaded, means, plots=plots)
-    except (StoreError, MeansError) as error:
+            _carry_out(loaded, execution, plots=plots)
+    except (StoreError, ExecutionError) as error:
         _stop(2, str(error))
 
 
-def _carry_out(loaded: Any, means: Any, *, plots: bool) -> None:
+def _carry_out(loaded: Any, execution: Any, *, plots: bool) -> None:
     """Run the study, save its result and draw it."""
     from timesim.result import checkpoint, netcdf
     from timesim.result.file import StoreError
     from timesim.study.registry import carry_out, draw
 
     with _progress(loaded.kind) as progress:
-        outcome = carry_out(loaded, replace(means, progress=progress))
+        outcome = carry_out(loaded, replace(execution, progress=progress))
     for line in outcome.summary:
         print(line)
-    output = means.folder
+    output = execution.folder
     try:
         path = netcdf.save(outcome.groups, output / netcdf.RESULT_NAME)
     except StoreError as error:

@@ -28,7 +28,7 @@ from timesim.picture import bistable as plot_bistable
 from timesim.result.netcdf import open_result, save
 from timesim.study import bistable
 from timesim.study import registry as plot
-from timesim.study.campaign import Means
+from timesim.study.campaign import Execution
 from timesim.study.hbm import Curves
 from timesim.study.registry import carry_out, load_scene
 
@@ -177,11 +177,11 @@ def test_resumed_it_is_the_same(tmp_path: Path):
     given = [f"{key}={value}" for key, value in (QUICK | {"study.starts": "5", "study.harmonics": "0"}).items()]
     scene = load_scene(CONFIGS / "softening.yaml", given)
     notices: list[str] = []
-    means = Means(folder=tmp_path, notice=notices.append)
-    whole = carry_out(scene, means)
+    execution = Execution(folder=tmp_path, notice=notices.append)
+    whole = carry_out(scene, execution)
     (tmp_path / "checkpoint" / "00000-starts.npz").unlink()
     (tmp_path / "checkpoint" / "00000-ends.npz").unlink()
-    again = carry_out(scene, replace(means, resume=True))
+    again = carry_out(scene, replace(execution, resume=True))
     assert notices == [f"1 of 3 chunks are taken up from {tmp_path / 'checkpoint'}"]
     assert again.reason is whole.reason is None
     for group in ("", "sweep"):

@@ -29,20 +29,20 @@ from timesim.result.file import StoreError
 from timesim.result.netcdf import open_result
 from timesim.study import campaign, cluster, worker
 from timesim.study import registry as study
-from timesim.study.campaign import Chunk, Means, MeansError, carry_through
+from timesim.study.campaign import Chunk, Execution, ExecutionError, carry_through
 
 
 def carried(
-    chunks: list[Chunk], means: Means, identity: str = SCENE, **stage: str
+    chunks: list[Chunk], execution: Execution, identity: str = SCENE, **stage: str
 ) -> tuple[dict[str, Any], str | None]:
-    return carry_through(chunks, toys.work, means, identity=identity, **stage)
+    return carry_through(chunks, toys.work, execution, identity=identity, **stage)
 
 
-def means_of(folder: Path, **others: Any) -> tuple[Means, list[str]]:
+def execution_of(folder: Path, **others: Any) -> tuple[Execution, list[str]]:
     """Two threads, or a cluster, with checkpoints, and the notices they give."""
     notices: list[str] = []
     workers = None if "cluster" in others else 2
-    return Means(folder=folder, workers=workers, notice=notices.append, **others), notices
+    return Execution(folder=folder, workers=workers, notice=notices.append, **others), notices
 
 
 def calls(log: Path) -> Counter[str]:
@@ -53,7 +53,7 @@ def calls(log: Path) -> Counter[str]:
 def test_chains_give_the_same_whoever_does_the_work(workers: int):
     shown: list[tuple[int, int]] = []
     chunks = chains(4, 3)
-    results, reason = carried(chunks, Means(lambda *now: shown.append(now), workers=workers))
+    results, reason = carried(chunks, Execution(lambda *now: shown.append(now), workers=workers))
     assert reason is None
     assert digest(results) == digest(expected(chunks))
     assert shown == [(2 * (i + 1), 24) for i in range(12)]
@@ -64,7 +64,7 @@ def test_threads_work_side_by_side():
     results, reason = carry_through(
         [Chunk(f"c{i}", i) for i in range(3)],
         lambda i, before: {"i": np.array([i, meeting.wait()])},
-        Means(workers=3),
+        Execution(workers=3),
         identity="",
     )
     assert reason is None
@@ -72,12 +72,12 @@ def test_threads_work_side_by_side():
 
 
 def test_nothing_to_do():
-    assert carried([], Means()) == ({}, None)
+    assert carried([], Execution()) == ({}, None)
 
 
 def test_what_fails_is_named_and_the_others_go_on():
     chunks = chains(3, 3, faults={"c-1-1": "raise"})
-    results, reason = carried(chunks, Means(workers=2))
+    results, reason = carried(chunks, Execution(workers=2))
     left = [chunk for chunk in chunks if chunk.name not in ("c-1-1", "c-1-2")]
     assert digest(results) == digest(expected(left))
     assert reason == ("1 of 9 chunks failed: c-1-1: ArithmeticError: c-1-1 has no solution; 4 of 18 points are missing")
@@ -85,7 +85,7 @@ def test_what_fails_is_named_and_the_others_go_on():
 
 def test_of_many_failures_the_first_are_named():
     chunks = chains(9, 1, faults={f"c-{i}-0": "raise" for i in range(9)})
-    results, reason = carried(chunks, Means(workers=1))
+    results, reason = carried(chunks, Execution(workers=1))
     assert results == {}
     assert reason is not None
     assert "c-3-0: Arith" in reason
@@ -97,8 +97,8 @@ def test_of_many_failures_the_first_are_named():
 def test_an_interrupt_keeps_what_is_done(fault: str, tmp_path: Path):
     log = tmp_path / "log"
     chunks = chains(3, 8, seconds=0.01, log=log, faults={"c-1-4": fault})
-    means, _ = means_of(tmp_path)
-    results, reason = carried(chunks, means)
+    execution, _ = execution_of(tmp_path)
+    results, reason = carried(chunks, execution)
     assert reason is not None
     assert reason.startswith("interrupted; ")
     assert 0 < len(results) < len(chunks)
@@ -111,7 +111,7 @@ def test_an_interrupt_keeps_what_is_done(fault: str, tmp_path: Path):
     clean = [replace(chunk, payload=replace(chunk.payload, fault="")) for chunk in chunks]
     manifest = checkpoint.Manifest(SCENE, {chunk.name: fingerprint(chunk) for chunk in clean})
     file.write_whole(tmp_path / "checkpoint" / "manifest.json", manifest_text(manifest))
-    rest, reason = carried(clean, replace(means, resume=True))
+    rest, reason = carried(clean, replace(execution, resume=True))
     assert reason is None
     assert digest(rest) == digest(whole)
     assert all(calls(log)[name] == before[name] for name in results)
@@ -127,12 +127,12 @@ def manifest_text(manifest: checkpoint.Manifest) -> bytes:
 def test_resumed_bit_for_bit(tmp_path: Path):
     log = tmp_path / "log"
     chunks = chains(3, 4, log=log)
-    means, notices = means_of(tmp_path)
-    whole, _ = carried(chunks, means)
+    execution, notices = execution_of(tmp_path)
+    whole, _ = carried(chunks, execution)
     for name in ("c-0-3", "c-1-1", "c-2-0"):
         (tmp_path / "checkpoint" / f"{name}.npz").unlink()
     before = calls(log)
-    again, reason = carried(chunks, replace(means, resume=True))
+    again, reason = carried(chunks, replace(execution, resume=True))
     assert reason is None
     assert digest(again) == digest(whole) == digest(expected(chunks))
     assert calls(log) - before == Counter(["c-0-3", "c-1-1", "c-2-0"])
@@ -143,16 +143,16 @@ def test_resumed_bit_for_bit(tmp_path: Path):
 
 def test_without_resume_it_starts_anew(tmp_path: Path):
     log = tmp_path / "log"
-    means, notices = means_of(tmp_path)
+    execution, notices = execution_of(tmp_path)
     for repeat in (1, 2):
-        carried(chains(1, 3, log=log), means)
+        carried(chains(1, 3, log=log), execution)
         assert set(calls(log).values()) == {repeat}
     assert notices == []
 
 
 def test_nothing_to_resume_is_said(tmp_path: Path):
-    means, notices = means_of(tmp_path, resume=True)
-    assert carried(chains(1, 2), means)[1] is None
+    execution, notices = execution_of(tmp_path, resume=True)
+    assert carried(chains(1, 2), execution)[1] is None
     assert notices == [f"there is nothing to resume in {tmp_path}: it starts from the beginning"]
 
 
@@ -167,34 +167,34 @@ def test_nothing_to_resume_is_said(tmp_path: Path):
     ],
 )
 def test_a_changed_scene_is_named_and_not_resumed(chunks: list[Chunk], identity: str, told: str, tmp_path: Path):
-    means, _ = means_of(tmp_path)
-    carried(chains(2, 2), means)
+    execution, _ = execution_of(tmp_path)
+    carried(chains(2, 2), execution)
     before = {path: path.read_bytes() for path in (tmp_path / "checkpoint").iterdir()}
     with pytest.raises(StoreError) as caught:
-        carried(chunks, replace(means, resume=True), identity)
+        carried(chunks, replace(execution, resume=True), identity)
     assert told in str(caught.value)
     assert "--force" in str(caught.value)
     assert {path: path.read_bytes() for path in (tmp_path / "checkpoint").iterdir()} == before
 
 
 def test_another_version_is_named_and_not_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    means, _ = means_of(tmp_path)
-    carried(chains(1, 1), means)
+    execution, _ = execution_of(tmp_path)
+    carried(chains(1, 1), execution)
     monkeypatch.setattr(checkpoint, "version", lambda name: "99.0")
     with pytest.raises(StoreError, match=r"was begun by timesim \S+, this is 99\.0"):
-        carried(chains(1, 1), replace(means, resume=True))
+        carried(chains(1, 1), replace(execution, resume=True))
 
 
 @pytest.mark.parametrize("damage", [lambda content: content[:-40], lambda content: b"", lambda content: b"PK" * 99])
 def test_a_damaged_chunk_is_named_and_computed_again(damage: Any, tmp_path: Path):
     log = tmp_path / "log"
     chunks = chains(2, 2, log=log)
-    means, notices = means_of(tmp_path)
-    whole, _ = carried(chunks, means)
+    execution, notices = execution_of(tmp_path)
+    whole, _ = carried(chunks, execution)
     file = tmp_path / "checkpoint" / "c-0-0.npz"
     content = file.read_bytes()
     file.write_bytes(damage(content))
-    again, reason = carried(chunks, replace(means, resume=True))
+    again, reason = carried(chunks, replace(execution, resume=True))
     assert reason is None
     assert digest(again) == digest(whole)
     assert calls(log) == Counter({"c-0-0": 2, "c-0-1": 1, "c-1-0": 1, "c-1-1": 1})
@@ -203,41 +203,41 @@ def test_a_damaged_chunk_is_named_and_computed_again(damage: Any, tmp_path: Path
 
 
 def test_a_flipped_bit_is_found(tmp_path: Path):
-    means, notices = means_of(tmp_path)
+    execution, notices = execution_of(tmp_path)
     chunks = chains(1, 1)
-    whole, _ = carried(chunks, means)
+    whole, _ = carried(chunks, execution)
     file = tmp_path / "checkpoint" / "c-0-0.npz"
     content = bytearray(file.read_bytes())
     place = content.index(whole["c-0-0"]["x"].tobytes())
     content[place + 3] ^= 1
     file.write_bytes(content)
-    again, _ = carried(chunks, replace(means, resume=True))
+    again, _ = carried(chunks, replace(execution, resume=True))
     assert digest(again) == digest(whole)
     assert "CRC" in notices[0]
 
 
 def test_a_damaged_manifest_is_a_message(tmp_path: Path):
-    means, _ = means_of(tmp_path)
-    carried(chains(1, 1), means)
+    execution, _ = execution_of(tmp_path)
+    carried(chains(1, 1), execution)
     manifest = tmp_path / "checkpoint" / "manifest.json"
     manifest.write_bytes(manifest.read_bytes()[:-9])
     with pytest.raises(StoreError, match=r"manifest.json cannot be read .*the 1 chunks beside it .* --force"):
-        carried(chains(1, 1), replace(means, resume=True))
+        carried(chains(1, 1), replace(execution, resume=True))
 
 
 def test_chunks_without_a_manifest_are_not_thrown_away(tmp_path: Path):
-    means, _ = means_of(tmp_path)
-    carried(chains(1, 3), means)
+    execution, _ = execution_of(tmp_path)
+    carried(chains(1, 3), execution)
     manifest = tmp_path / "checkpoint" / "manifest.json"
     content = manifest.read_bytes()
     manifest.unlink()
     with pytest.raises(StoreError, match=r"holds 3 chunks but no manifest.json.* put it back, .* --force"):
-        carried(chains(1, 3), replace(means, resume=True))
+        carried(chains(1, 3), replace(execution, resume=True))
     with pytest.raises(StoreError, match=r"holds 3 chunks but no manifest\.json"):
         checkpoint.is_finished(tmp_path, SCENE, force=False, resume=False)
     assert not checkpoint.is_finished(tmp_path, SCENE, force=True, resume=False)
     manifest.write_bytes(content)
-    results, reason = carried(chains(1, 3), replace(means, resume=True))
+    results, reason = carried(chains(1, 3), replace(execution, resume=True))
     assert (len(results), reason) == (3, None)
 
 
@@ -251,10 +251,10 @@ def test_a_full_disk_ends_it_with_what_it_has(tmp_path: Path, monkeypatch: pytes
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         fsync(handle)
 
-    means, _ = means_of(tmp_path)
+    execution, _ = execution_of(tmp_path)
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", full)
-        results, reason = carried(chunks, means)
+        results, reason = carried(chunks, execution)
     assert reason is not None
     assert "No space left on device; " in reason
     assert "unchanged" not in reason
@@ -262,44 +262,44 @@ def test_a_full_disk_ends_it_with_what_it_has(tmp_path: Path, monkeypatch: pytes
     assert 6 <= len(results) < 40
     assert len(list((tmp_path / "checkpoint").glob("*.npz"))) == 5
     assert not list((tmp_path / "checkpoint").glob("*.part"))
-    again, reason = carried(chunks, replace(means, resume=True))
+    again, reason = carried(chunks, replace(execution, resume=True))
     assert reason is None
     assert digest(again) == digest(expected(chunks))
 
 
 def test_a_folder_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "file").touch()
-    means, _ = means_of(tmp_path / "file")
+    execution, _ = execution_of(tmp_path / "file")
     with pytest.raises(StoreError, match="cannot be made: Not a directory"):
-        carried(chains(1, 1), means)
+        carried(chains(1, 1), execution)
 
     def refused(*_: Any, **__: Any) -> None:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
     monkeypatch.setattr(file, "open", refused, raising=False)
-    means, _ = means_of(tmp_path)
+    execution, _ = execution_of(tmp_path)
     with pytest.raises(StoreError, match=r"manifest.json cannot be written: Permission denied"):
-        carried(chains(1, 1), means)
+        carried(chains(1, 1), execution)
 
 
 def test_two_runs_do_not_work_in_one_folder(tmp_path: Path):
-    means, _ = means_of(tmp_path)
+    execution, _ = execution_of(tmp_path)
 
     def second(now: int, number: int) -> None:
         with pytest.raises(StoreError, match="another run is at work"):
-            carried(chains(1, 1), replace(means, resume=True))
+            carried(chains(1, 1), replace(execution, resume=True))
         with pytest.raises(StoreError, match="another run is at work"):
             checkpoint.clear(tmp_path)
 
-    assert carried(chains(1, 1), replace(means, progress=second))[1] is None
+    assert carried(chains(1, 1), replace(execution, progress=second))[1] is None
 
 
 def test_stages_of_a_study_keep_apart(tmp_path: Path):
     log = tmp_path / "log"
-    means, _ = means_of(tmp_path)
+    execution, _ = execution_of(tmp_path)
     for resume in (False, True):
         for stage in ("", "bisect"):
-            assert carried(chains(1, 2, log=log), replace(means, resume=resume), stage=stage)[1] is None
+            assert carried(chains(1, 2, log=log), replace(execution, resume=resume), stage=stage)[1] is None
     assert calls(log) == Counter({"c-0-0": 2, "c-0-1": 2})
     (tmp_path / "checkpoint" / "notes.txt").write_text("the user's own")
     checkpoint.clear(tmp_path)
@@ -326,7 +326,7 @@ def test_arrays_of_objects_are_refused(tmp_path: Path):
 )
 def test_chunks_that_make_no_sense(chunks: list[Chunk], told: str):
     with pytest.raises(ValueError, match=told):
-        carried(chunks, Means())
+        carried(chunks, Execution())
 
 
 def process(folder: Path, resume: str, last: float = math.inf) -> subprocess.Popen[str]:
@@ -371,8 +371,8 @@ def scheduler() -> Any:
 def test_on_a_cluster_with_a_worker_killed_nothing_is_lost(scheduler: str, tmp_path: Path):
     log = tmp_path / "log"
     chunks = chains(3, 3, log=log, faults={"c-1-1": "kill", "c-2-0": "raise"})
-    means, _ = means_of(tmp_path, cluster=scheduler)
-    results, reason = carried(chunks, means)
+    execution, _ = execution_of(tmp_path, cluster=scheduler)
+    results, reason = carried(chunks, execution)
     assert Path(f"{log}.killed").exists()
     assert digest(results) == digest(expected(chunks[:6]))
     assert reason is not None
@@ -380,19 +380,19 @@ def test_on_a_cluster_with_a_worker_killed_nothing_is_lost(scheduler: str, tmp_p
     assert calls(log)["c-2-0"] == 1 + cluster.RETRIES
     assert {path.stem for path in (tmp_path / "checkpoint").glob("*.npz")} == set(results)
     kept = calls(log)
-    assert digest(carried(chunks, replace(means, resume=True, cluster=None))[0]) == digest(results)
+    assert digest(carried(chunks, replace(execution, resume=True, cluster=None))[0]) == digest(results)
     assert calls(log) - kept == Counter({"c-2-0": 1})
 
 
 def test_an_interrupt_leaves_the_cluster_at_once(scheduler: str, tmp_path: Path):
     chunks = [*chains(1, 3), replace(chains(2, 1, seconds=600.0)[1], after="c-0-1")]
-    means, _ = means_of(tmp_path, cluster=scheduler)
+    execution, _ = execution_of(tmp_path, cluster=scheduler)
 
     def interrupt(done: int, number: int) -> None:
         if done == 6:
             os.kill(os.getpid(), signal.SIGINT)
 
-    results, reason = carried(chunks, replace(means, progress=interrupt))
+    results, reason = carried(chunks, replace(execution, progress=interrupt))
     assert reason == "interrupted; 2 of 8 points are missing"
     assert list(results) == ["c-0-0", "c-0-1", "c-0-2"]
     assert {path.stem for path in (tmp_path / "checkpoint").glob("*.npz")} == set(results)
@@ -400,7 +400,7 @@ def test_an_interrupt_leaves_the_cluster_at_once(scheduler: str, tmp_path: Path)
 
 def test_processes_of_this_machine():
     chunks = chains(2, 2)
-    results, reason = carried(chunks, Means(cluster="local", workers=1))
+    results, reason = carried(chunks, Execution(cluster="local", workers=1))
     assert reason is None
     assert digest(results) == digest(expected(chunks))
 
@@ -417,27 +417,27 @@ def test_a_cluster_that_is_lost(monkeypatch: pytest.MonkeyPatch):
             return other
 
     monkeypatch.setattr(campaign, "processes", lambda *_: Lost(1))
-    results, reason = carried(chains(1, 2), Means(cluster="tcp://there:1"))
+    results, reason = carried(chains(1, 2), Execution(cluster="tcp://there:1"))
     assert results == {}
     assert reason == "the connection to the cluster tcp://there:1 is lost; 4 of 4 points are missing"
 
 
 def test_clusters_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(cluster, "PATIENCE", "0.2s")
-    with pytest.raises(MeansError, match=r"tcp://127\.0\.0\.1:9 cannot be reached.*give the address"):
-        carried(chains(1, 1), Means(cluster="tcp://127.0.0.1:9"))
+    with pytest.raises(ExecutionError, match=r"tcp://127\.0\.0\.1:9 cannot be reached.*give the address"):
+        carried(chains(1, 1), Execution(cluster="tcp://127.0.0.1:9"))
     for wrong, told in (("a:b:c", "give one as tcp://host:8786"), ("lokal", r"did you mean local\?"), ("host", "give")):
-        with pytest.raises(MeansError, match=f"cluster {wrong}: is no address of a scheduler; {told}"):
-            Means(cluster=wrong)
+        with pytest.raises(ExecutionError, match=f"cluster {wrong}: is no address of a scheduler; {told}"):
+            Execution(cluster=wrong)
     for address in ("local", "host:8786", "[::1]:8786", "tls://host:8786"):
-        Means(cluster=address)
+        Execution(cluster=address)
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(MeansError, match=r"pip install 'timesim\[cluster\]'"):
-        carried(chains(1, 1), Means(cluster="local"))
-    with pytest.raises(MeansError, match="workers must be at least 1, not 0"):
-        Means(workers=0)
-    with pytest.raises(MeansError, match="workers: the cluster host:8786 has its own; leave it out"):
-        Means(cluster="host:8786", workers=2)
+    with pytest.raises(ExecutionError, match=r"pip install 'timesim\[cluster\]'"):
+        carried(chains(1, 1), Execution(cluster="local"))
+    with pytest.raises(ExecutionError, match="workers must be at least 1, not 0"):
+        Execution(workers=0)
+    with pytest.raises(ExecutionError, match="workers: the cluster host:8786 has its own; leave it out"):
+        Execution(cluster="host:8786", workers=2)
 
 
 def test_no_more_threads_than_this_process_may_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -468,7 +468,7 @@ def test_workers_that_would_do_other_work(found: dict[str, Any], told: str):
         def run(self, *_: Any, **__: Any) -> dict[str, Any]:
             return found
 
-    with pytest.raises(MeansError, match=told):
+    with pytest.raises(ExecutionError, match=told):
         cluster._check_workers(Client(), "tcp://there:1")
 
 
@@ -547,8 +547,8 @@ def test_a_result_that_cannot_be_saved_says_what_is_safe(
 
 
 def test_resuming_is_advised_where_it_gets_further(tmp_path: Path):
-    means, _ = means_of(tmp_path)
-    carried(chains(2, 2), means)
+    execution, _ = execution_of(tmp_path)
+    carried(chains(2, 2), execution)
     assert not checkpoint.resuming_helps(tmp_path, "hbm: did not converge")
     assert checkpoint.resuming_helps(tmp_path, "hbm: interrupted at curve 2")
     (tmp_path / "checkpoint" / "c-1-1.npz").unlink()
@@ -569,7 +569,7 @@ def test_a_study_in_one_go_refuses_them(option: tuple[str, ...], name: str, tmp_
     assert f"{name}: a transient study is done in one go" in error
     assert "leave it out" in error
     assert not (tmp_path / "run").exists()
-    with pytest.raises(MeansError, match="workers: a transient study"):
+    with pytest.raises(ExecutionError, match="workers: a transient study"):
         timesim.run(OSCILLATOR, workers=2)
 
 

@@ -16,7 +16,7 @@ from timesim.orbit.steady_state import without_orbit
 from timesim.picture import optimum as plot_optimum
 from timesim.result.netcdf import open_result
 from timesim.study import registry as plot
-from timesim.study.campaign import Means
+from timesim.study.campaign import Execution
 from timesim.study.optimum import Peaks, Response, SearchError, data_of
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.report import optimum_lines
@@ -81,15 +81,15 @@ def test_what_is_said_and_drawn(folder, result):
 def test_an_optimum_at_the_end_of_the_range(tmp_path: Path):
     given = QUICK | {"study.along": "{contacts.pad.preload: {from: 5.0, to: 5.4, num: 3}}"}
     scene = load_scene(CONFIGS / "preload.yaml", [f"{key}={value}" for key, value in given.items()])
-    means = Means(folder=tmp_path, notice=lambda text: None)
-    outcome = carry_out(scene, means)
+    execution = Execution(folder=tmp_path, notice=lambda text: None)
+    outcome = carry_out(scene, execution)
     assert outcome.reason is None
     assert any("at an end of the range" in line for line in outcome.summary)
     record = outcome.groups[""]
     assert float(record["optimum"]) == 5.0
     (tmp_path / "checkpoint" / "value-00001.npz").unlink()
     (tmp_path / "checkpoint" / "search-001" / "value-00000.npz").unlink()
-    again = carry_out(scene, replace(means, resume=True)).groups[""]
+    again = carry_out(scene, replace(execution, resume=True)).groups[""]
     for name in record.variables:
         np.testing.assert_array_equal(again[name], record[name])
 
@@ -114,7 +114,7 @@ class Known(Peaks):
 
     def __init__(self, formula, **given: Any):
         keys = {"study.along": {KEY: {"from": 0.0, "to": 10.0, "num": 11}}, "study.accuracy": 1e-3}
-        super().__init__(load_scene(CONFIGS / "preload.yaml", keys | given), Means())
+        super().__init__(load_scene(CONFIGS / "preload.yaml", keys | given), Execution())
         self.formula, self.computed = formula, []
 
     def take(self, values: list[float], stage: str) -> None:

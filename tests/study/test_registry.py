@@ -42,7 +42,7 @@ class Toy(StudySection):
         return ToyPlan(context.frequency, self.samples)
 
 
-def study(scene, means):
+def study(scene, execution):
     from timesim.result.dataset import dataset
     from timesim.study.outcome import Outcome, attributes
 

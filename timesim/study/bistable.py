@@ -23,7 +23,7 @@ from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import BistablePlan
-from timesim.study.campaign import INTERRUPTED, Chunk, Means, Result, carry_through, halted
+from timesim.study.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through, halted
 from timesim.study.hbm import followed
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import bistable_lines, failure_line, fold_lines, number_of_states, unusual_lines
@@ -97,7 +97,7 @@ def work(payload: Part | Ends | Starts, before: Result | None) -> Result:
     return payload.result(before)
 
 
-def study(scene: Scene, means: Means) -> Outcome:
+def study(scene: Scene, execution: Execution) -> Outcome:
     """Run a bistable scene. That no range is found is a result, no failure.
 
     The balance is only drawn behind the ranges: where it comes to no end the summary says so, and its group of the
@@ -109,7 +109,7 @@ def study(scene: Scene, means: Means) -> Outcome:
     sizes = SIZES if plan.starts**2 > SIZES[0] else SIZES[:1]
     warm_up([Chain(grid.any_model, (float(grid.frequency[0]),))], solver, sizes)
     compiling = time.perf_counter() - clock
-    results, reason = carry_through(chunks(grid, plan, solver), work, means, identity=scene.resolved_yaml())
+    results, reason = carry_through(chunks(grid, plan, solver), work, execution, identity=scene.resolved_yaml())
     running = time.perf_counter() - clock - compiling
     gathered = Gathered(grid, plan, results)
     sweep = gathered.sweep({"method": str(solver), "compile_seconds": compiling, "run_seconds": running})

@@ -18,9 +18,19 @@ from timesim.result.change import fingerprint
 from timesim.result.checkpoint import INTERRUPTED, Checkpoint, Manifest
 from timesim.result.file import StoreError
 from timesim.study.cluster import check_address, processes
-from timesim.study.worker import Chunk, MeansError, Result, Work, halted, perform, threads
+from timesim.study.worker import Chunk, ExecutionError, Result, Work, halted, perform, threads
 
-__all__ = ["INTERRUPTED", "Chunk", "Means", "MeansError", "Progress", "Result", "Work", "carry_through", "halted"]
+__all__ = [
+    "INTERRUPTED",
+    "Chunk",
+    "Execution",
+    "ExecutionError",
+    "Progress",
+    "Result",
+    "Work",
+    "carry_through",
+    "halted",
+]
 
 Progress = Callable[[int, int], None]
 
@@ -34,7 +44,7 @@ def _warned(text: str) -> None:
 
 
 @dataclass(frozen=True)
-class Means:
+class Execution:
     """How a study is carried out.
 
     Attributes:
@@ -55,7 +65,7 @@ class Means:
 
     def __post_init__(self) -> None:
         if self.workers is not None and self.workers < 1:
-            raise MeansError(f"workers must be at least 1, not {self.workers}")
+            raise ExecutionError(f"workers must be at least 1, not {self.workers}")
         if self.cluster is not None:
             check_address(self.cluster, self.workers)
 
@@ -65,7 +75,7 @@ class Means:
 
 
 def carry_through(
-    chunks: Sequence[Chunk], work: Work, means: Means, *, identity: str, stage: str = ""
+    chunks: Sequence[Chunk], work: Work, execution: Execution, *, identity: str, stage: str = ""
 ) -> tuple[dict[str, Result], str | None]:
     """Do the work of all chunks.
 
@@ -76,7 +86,7 @@ def carry_through(
     Args:
         chunks: each one below the chunk that it comes after.
         work: gives the result of a chunk: `timesim.study.worker.Work`.
-        means: how it is carried out.
+        execution: how it is carried out.
 
     Keyword Args:
         identity: what the chunks belong to: the resolved scene. A checkpoint of another one is not taken up.
@@ -88,17 +98,17 @@ def carry_through(
     Raises:
         ValueError: two chunks of one name, a name that no file can have, or a chunk that comes after none above it.
         StoreError: the checkpoint belongs to another scene or cannot be made; nothing was run.
-        MeansError: the cluster cannot be used; nothing was run.
+        ExecutionError: the cluster cannot be used; nothing was run.
     """
     _check(chunks)
-    if means.folder is None:
-        return _Campaign(chunks, work, means, None).outcome(False)
+    if execution.folder is None:
+        return _Campaign(chunks, work, execution, None).outcome(False)
     manifest = Manifest(identity, {chunk.name: fingerprint(chunk) for chunk in chunks})
-    kept, begun = checkpoint.begin(means.folder, manifest, resume=means.resume, stage=stage)
+    kept, begun = checkpoint.begin(execution.folder, manifest, resume=execution.resume, stage=stage)
     try:
-        if means.resume and not begun and not stage:
-            means.notice(f"there is nothing to resume in {means.folder}: it starts from the beginning")
-        return _Campaign(chunks, work, means, kept).outcome(begun)
+        if execution.resume and not begun and not stage:
+            execution.notice(f"there is nothing to resume in {execution.folder}: it starts from the beginning")
+        return _Campaign(chunks, work, execution, kept).outcome(begun)
     finally:
         kept.close()
 
@@ -116,8 +126,8 @@ def _check(chunks: Sequence[Chunk]) -> None:
 class _Campaign:
     """Chunks on their way: what is done, what has failed, what is being worked on."""
 
-    def __init__(self, chunks: Sequence[Chunk], work: Work, means: Means, kept: Checkpoint | None):
-        self.chunks, self.work, self.means, self.kept = chunks, work, means, kept
+    def __init__(self, chunks: Sequence[Chunk], work: Work, execution: Execution, kept: Checkpoint | None):
+        self.chunks, self.work, self.execution, self.kept = chunks, work, execution, kept
         self.following: dict[str | None, list[Chunk]] = {}
         for chunk in chunks:
             self.following.setdefault(chunk.after, []).append(chunk)
@@ -136,7 +146,7 @@ class _Campaign:
             if begun:
                 self._take_up()
             if len(self.results) < len(self.chunks):
-                with self.means.crew() as executor:
+                with self.execution.crew() as executor:
                     self._work_off(executor)
         except KeyboardInterrupt:
             ended = INTERRUPTED
@@ -154,12 +164,12 @@ class _Campaign:
             try:
                 result = self.kept.load(chunk.name)
             except StoreError as error:
-                self.means.notice(f"{error}: it is computed again")
+                self.execution.notice(f"{error}: it is computed again")
                 continue
             if result is not None:
                 self.saved.add(chunk.name)
                 self._count(chunk, result)
-        self.means.notice(f"{len(self.saved)} of {len(self.chunks)} chunks are taken up from {self.kept.folder}")
+        self.execution.notice(f"{len(self.saved)} of {len(self.chunks)} chunks are taken up from {self.kept.folder}")
 
     def _work_off(self, executor: Executor) -> None:
         for chunk in self.chunks:
@@ -183,7 +193,7 @@ class _Campaign:
         """Take in what has become of a chunk."""
         chunk = self.running[future]
         if future.cancelled():
-            raise ConnectionError(f"the connection to the cluster {self.means.cluster} is lost")
+            raise ConnectionError(f"the connection to the cluster {self.execution.cluster} is lost")
         error = future.exception()
         if isinstance(error, KeyboardInterrupt):
             raise error
@@ -197,8 +207,8 @@ class _Campaign:
     def _count(self, chunk: Chunk, result: Result) -> None:
         self.results[chunk.name] = result
         self.points += chunk.size
-        if self.means.progress is not None:
-            self.means.progress(self.points, self.total)
+        if self.execution.progress is not None:
+            self.execution.progress(self.points, self.total)
 
     def _keep(self, name: str) -> None:
         if self.kept is not None and name not in self.saved:

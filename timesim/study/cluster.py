@@ -9,7 +9,7 @@ from difflib import get_close_matches
 from importlib.metadata import version
 from typing import Any
 
-from timesim.study.worker import MeansError, default_workers
+from timesim.study.worker import ExecutionError, default_workers
 
 LOCAL = "local"
 """Stands for processes of this machine instead of the address of a scheduler."""
@@ -29,14 +29,14 @@ def check_address(cluster: str, workers: int | None) -> None:
     """Refuse what is neither `LOCAL` nor the address of a scheduler, and a number of workers for the latter.
 
     Raises:
-        MeansError: with what was meant.
+        ExecutionError: with what was meant.
     """
     if cluster != LOCAL and not _ADDRESS.fullmatch(cluster):
         close = get_close_matches(cluster.lower(), [LOCAL], cutoff=0.6)
         hint = f"did you mean {LOCAL}?" if close else f"give one as tcp://host:8786, or '{LOCAL}'"
-        raise MeansError(f"cluster {cluster}: is no address of a scheduler; {hint}")
+        raise ExecutionError(f"cluster {cluster}: is no address of a scheduler; {hint}")
     if cluster != LOCAL and workers is not None:
-        raise MeansError(f"workers: the cluster {cluster} has its own; leave it out, or give cluster '{LOCAL}'")
+        raise ExecutionError(f"workers: the cluster {cluster} has its own; leave it out, or give cluster '{LOCAL}'")
 
 
 @contextmanager
@@ -48,13 +48,13 @@ def processes(cluster: str, workers: int | None) -> Iterator[Executor]:
         workers: processes of a local cluster; by default as many as this process may use processors.
 
     Raises:
-        MeansError: dask is not installed, the scheduler does not answer, or its workers cannot do this work.
+        ExecutionError: dask is not installed, the scheduler does not answer, or its workers cannot do this work.
     """
     try:
         import distributed
     except ImportError:
         hint = "pip install 'timesim[cluster]'"
-        raise MeansError(f"cluster {cluster}: needs the package distributed; install it with {hint}") from None
+        raise ExecutionError(f"cluster {cluster}: needs the package distributed; install it with {hint}") from None
     with _quiet(), ExitStack() as stack:
         target = cluster
         if cluster == LOCAL:
@@ -90,7 +90,7 @@ def _connected(distributed: Any, target: Any) -> Iterator[Executor]:
         client = distributed.Client(target, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         hint = "give the address of a running scheduler, as tcp://host:8786, or 'local'"
-        raise MeansError(f"cluster {target} cannot be reached: {error}; {hint}") from error
+        raise ExecutionError(f"cluster {target} cannot be reached: {error}; {hint}") from error
     with client:
         _check_workers(client, str(target))
         executor = client.get_executor(retries=RETRIES, pure=False)
@@ -104,9 +104,11 @@ def _check_workers(client: Any, name: str) -> None:
     """Every worker must do the work as this process would."""
     found = client.run(version, "timesim", on_error="return")
     if not found:
-        raise MeansError(f"cluster {name} has no workers; start some with: dask worker ADDRESS")
+        raise ExecutionError(f"cluster {name} has no workers; start some with: dask worker ADDRESS")
     own = version("timesim")
     for worker, theirs in found.items():
         if theirs != own:
             told = f"has timesim {theirs}" if isinstance(theirs, str) else "has no timesim"
-            raise MeansError(f"cluster {name}: worker {worker} {told}, this is {own}; install the same on all workers")
+            raise ExecutionError(
+                f"cluster {name}: worker {worker} {told}, this is {own}; install the same on all workers"
+            )

@@ -34,7 +34,7 @@ from timesim.result.dataset import dataset
 from timesim.result.state import held_in
 from timesim.scene.hbm import ComparePlan
 from timesim.scene.resolution import Scene
-from timesim.study.campaign import INTERRUPTED, Means
+from timesim.study.campaign import INTERRUPTED, Execution
 from timesim.study.hbm import Curves, followed, left_out
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import jump_lines
@@ -100,11 +100,11 @@ def _solutions(curves: Curves, values: Mapping[str, float], frequency: np.ndarra
     return HbmCurve.joined(parts) if parts else None
 
 
-def study(scene: Scene, means: Means) -> Outcome:
+def study(scene: Scene, execution: Execution) -> Outcome:
     """Run a compare scene; marked incomplete where either method did not come to its end."""
     plan: ComparePlan = scene.plan
     clock = time.perf_counter()
-    sweep, sweep_reason = sweep_record(scene, plan.sweep, means)
+    sweep, sweep_reason = sweep_record(scene, plan.sweep, execution)
     seconds = time.perf_counter() - clock
     given_up = (sweep_reason or "").startswith(INTERRUPTED)
     hbm, curves, hbm_reason = (

@@ -19,7 +19,7 @@ from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.element import ElementPlan
 from timesim.scene.resolution import Scene
-from timesim.study.campaign import Means
+from timesim.study.campaign import Execution
 from timesim.study.outcome import Outcome, attributes
 
 # Above these the two ways do not agree: transitions [rad], forces relative to the largest mu n.
@@ -27,7 +27,7 @@ ANGLE, FORCE = 1e-6, 1e-8
 METHOD = "state by state"
 
 
-def study(scene: Scene, means: Means) -> Outcome:
+def study(scene: Scene, execution: Execution) -> Outcome:
     """Run an element scene; marked incomplete where no cycle repeats, or where the event loop disagrees.
 
     Where no cycle can be followed to its end the result says why, and holds nothing else.
@@ -47,8 +47,8 @@ def study(scene: Scene, means: Means) -> Outcome:
         compared, doubt = _cross_check(contact, motion, cycle)
         reason = reason or doubt
     seconds = time.perf_counter() - clock
-    if means.progress is not None:
-        means.progress(1, 1)
+    if execution.progress is not None:
+        execution.progress(1, 1)
     record = record_of(scene, plan, cycle, compared, seconds, reason)
     return Outcome({"": record}, reason, tuple(summary(cycle, compared)))
 

@@ -38,7 +38,7 @@ from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.element import MAP_AXES, MapPlan
 from timesim.scene.resolution import Scene
-from timesim.study.campaign import INTERRUPTED, Means, Progress
+from timesim.study.campaign import INTERRUPTED, Execution, Progress
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.worker import threads
 
@@ -188,7 +188,7 @@ def elements_of(plan: MapPlan) -> tuple[Elements, np.ndarray]:
     return harmonic_elements(*numbers, plan.contact.tangential_stiffness, phasor), phase
 
 
-def study(scene: Scene, means: Means) -> Outcome:
+def study(scene: Scene, execution: Execution) -> Outcome:
     """Run an element_map scene; marked incomplete where it was interrupted, or the event loop ended early."""
     plan: MapPlan = scene.plan
     solver, (elements, phase) = scene.solver(), elements_of(plan)
@@ -198,7 +198,7 @@ def study(scene: Scene, means: Means) -> Outcome:
     march, reason = March(elements, phase, solver), None
     found = march.found
     try:
-        march.run(means.progress)
+        march.run(execution.progress)
     except KeyboardInterrupt:
         reason = f"{INTERRUPTED} with {np.sum(~found.settled)} of {elements.size} points unsettled (settled = 0)"
     seconds = time.perf_counter() - compiled

@@ -24,7 +24,7 @@ from timesim.result.state import Held, SweepPoint, settled_points, start_of
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
 from timesim.scene.study import combinations
-from timesim.study.campaign import Means, Progress
+from timesim.study.campaign import Execution, Progress
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.verdict import convergence_lines, curve_lines
 
@@ -176,9 +176,9 @@ def _isolated(curve: StudyCurve) -> str:
     return f"{curve.label}a curve of its own, {closed}{span}, begun from points of the sweep that no other passes"
 
 
-def study(scene: Scene, means: Means) -> Outcome:
+def study(scene: Scene, execution: Execution) -> Outcome:
     """Run an hbm scene; the result is marked incomplete where a curve could not be followed to its end."""
-    data, curves, reason = followed(scene, scene.plan, means.progress)
+    data, curves, reason = followed(scene, scene.plan, execution.progress)
     return Outcome({"": data}, reason, tuple(curve_lines(data, curves.notes)))
 
 

@@ -23,7 +23,7 @@ from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import OptimumPlan
-from timesim.study.campaign import Chunk, Means, Result, carry_through, halted
+from timesim.study.campaign import Chunk, Execution, Result, carry_through, halted
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import failure_line, optimum_lines
 
@@ -109,9 +109,9 @@ def _refined(response: Response, orbit: Orbit, i: int) -> tuple[float, float]:
 class Peaks:
     """The peaks known so far, by the value of the scalar; each further one is a stage of the campaign."""
 
-    def __init__(self, scene: Scene, means: Means):
+    def __init__(self, scene: Scene, execution: Execution):
         plan: OptimumPlan = scene.plan
-        self.scene, self.plan, self.means = scene, plan, means
+        self.scene, self.plan, self.execution = scene, plan, execution
         self.key, self.solver, self.frequency = plan.key, scene.solver(), plan.frequency
         self.results: dict[float, Result] = {}
         self.stages = 0
@@ -136,7 +136,7 @@ class Peaks:
         except SceneError as error:
             raise SearchError(str(error)) from None
         identity = self.scene.resolved_yaml()
-        results, reason = carry_through(chunks, respond, self.means, identity=identity, stage=stage)
+        results, reason = carry_through(chunks, respond, self.execution, identity=identity, stage=stage)
         for chunk, value in zip(chunks, values, strict=True):
             if chunk.name in results:
                 self.results[value] = results[chunk.name]
@@ -196,9 +196,9 @@ class Peaks:
         raise SearchError(f"the peak still falls beside {self.key} = {self.least():g}; give a larger accuracy")
 
 
-def study(scene: Scene, means: Means) -> Outcome:
+def study(scene: Scene, execution: Execution) -> Outcome:
     """Run an optimum scene; incomplete where the least peak was not found, or points of a sweep failed."""
-    peaks, reason = Peaks(scene, means), None
+    peaks, reason = Peaks(scene, execution), None
     clock = time.perf_counter()
     warm_up([Chain(scene.model(), (float(peaks.frequency[0]),))], peaks.solver, [2])
     compiling = time.perf_counter() - clock

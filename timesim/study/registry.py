@@ -3,7 +3,7 @@
 To add a study, write a module with
 
 - its section of the scene file, a `timesim.scene.study.StudySection` with a `kind` and a `plan`;
-- ``study(scene, means) -> Outcome``, which carries out `scene.plan` and returns Datasets of
+- ``study(scene, execution) -> Outcome``, which carries out `scene.plan` and returns Datasets of
   `timesim.result.dataset.dataset`, where a variable that the package does not know is given a ``long_name``;
 - if it has pictures, a mapping from the name of a file to a function that draws a figure of the result;
 
@@ -23,7 +23,7 @@ from timesim.result.netcdf import joined
 from timesim.scene import file, resolution
 from timesim.scene.resolution import Scene
 from timesim.scene.study import StudySection
-from timesim.study.campaign import Means, MeansError
+from timesim.study.campaign import Execution, ExecutionError
 from timesim.study.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class Study:
 
     Attributes:
         section: its section of the scene file, a class.
-        run: the function ``(scene, means) -> Outcome``.
+        run: the function ``(scene, execution) -> Outcome``.
         pictures: its pictures, a mapping from the name of a file to a function; empty if it has none.
         in_chunks: whether it works in chunks of points, so that it can be resumed and spread over processes.
     """
@@ -138,35 +138,35 @@ def _pictures(kind: str) -> Mapping[str, Callable[..., Any]]:
     return pictures
 
 
-def carry_out(scene: Scene, means: Means | None = None) -> Outcome:
+def carry_out(scene: Scene, execution: Execution | None = None) -> Outcome:
     """Run the study of a scene.
 
     Args:
         scene: the scene.
-        means: how; threads of this machine and no checkpoints by default.
+        execution: how; threads of this machine and no checkpoints by default.
 
     Raises:
-        MeansError: the study cannot be carried out by these means.
+        ExecutionError: the study cannot be carried out so.
         StoreError: a checkpoint cannot be begun, or it is not of this scene.
     """
-    means = means or Means()
-    check_means(scene.kind, means)
-    outcome: Outcome = _loaded(STUDIES[scene.kind].run)(scene, means)
+    execution = execution or Execution()
+    check_execution(scene.kind, execution)
+    outcome: Outcome = _loaded(STUDIES[scene.kind].run)(scene, execution)
     return outcome
 
 
-def check_means(kind: str, means: Means) -> None:
-    """Refuse means that make no difference to a kind of study.
+def check_execution(kind: str, execution: Execution) -> None:
+    """Refuse options of the execution that make no difference to a kind of study.
 
     Raises:
-        MeansError: naming what must be left out.
+        ExecutionError: naming what must be left out.
     """
-    given = {"resume": means.resume, "cluster": means.cluster, "workers": means.workers}
+    given = {"resume": execution.resume, "cluster": execution.cluster, "workers": execution.workers}
     useless = [name for name, value in given.items() if value]
     if not STUDIES[kind].in_chunks and useless:
         able = ", ".join(name for name, study in STUDIES.items() if study.in_chunks)
         rule = f"a {kind} study is done in one go, not in chunks of points"
-        raise MeansError(f"{' and '.join(useless)}: {rule}; leave it out ({able} can use it)")
+        raise ExecutionError(f"{' and '.join(useless)}: {rule}; leave it out ({able} can use it)")
 
 
 def run(
@@ -193,11 +193,11 @@ def run(
 
     Raises:
         SceneError: the scene is wrong.
-        MeansError: the study cannot be carried out by these means.
+        ExecutionError: the study cannot be carried out so.
     """
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
-    means = Means(cluster=cluster, workers=workers)
-    outcome = carry_out(loaded.with_overrides(overrides) if overrides else loaded, means)
+    execution = Execution(cluster=cluster, workers=workers)
+    outcome = carry_out(loaded.with_overrides(overrides) if overrides else loaded, execution)
     if outcome.reason is not None:
         warnings.warn(f"the run is incomplete: {outcome.reason}", RuntimeWarning, stacklevel=2)
     return joined(outcome.groups)

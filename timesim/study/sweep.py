@@ -24,7 +24,7 @@ from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan, combinations
-from timesim.study.campaign import Chunk, Means, Result, carry_through, halted
+from timesim.study.campaign import Chunk, Execution, Result, carry_through, halted
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import failure_line, sweep_lines
 
@@ -98,15 +98,15 @@ def _continued(chains: Sequence[Chain], before: Result) -> list[Chain]:
 # The study
 
 
-def study(scene: Scene, means: Means) -> Outcome:
+def study(scene: Scene, execution: Execution) -> Outcome:
     """Run a sweep; points that fail are marked, named with their reason, and make the result incomplete."""
-    data, reason = sweep_record(scene, scene.plan, means)
+    data, reason = sweep_record(scene, scene.plan, execution)
     method, compiling, running = (data.attrs[name] for name in ("method", "compile_seconds", "run_seconds"))
     attrs = attributes(scene, method, compiling, running, reason)
     return Outcome({"": data.assign_attrs(attrs)}, reason, tuple(sweep_lines(data)))
 
 
-def sweep_record(scene: Scene, plan: SweepPlan, means: Means) -> tuple[Dataset, str | None]:
+def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[Dataset, str | None]:
     """The steady states over the further axes, direction and frequency.
 
     Returns:
@@ -116,11 +116,11 @@ def sweep_record(scene: Scene, plan: SweepPlan, means: Means) -> tuple[Dataset, 
     solver, grid = scene.solver(), Grid(scene, plan)
     chunks, places = grid.chunks(solver)
     clock = time.perf_counter()
-    if means.cluster is None:
+    if execution.cluster is None:
         crowds = {chunk.payload.crowd for chunk in chunks}
         warm_up((chain for chunk in chunks for chain in chunk.payload.chains), solver, sorted(crowds))
     compiling = time.perf_counter() - clock
-    results, reason = carry_through(chunks, solve, means, identity=scene.resolved_yaml())
+    results, reason = carry_through(chunks, solve, execution, identity=scene.resolved_yaml())
     arrays, jumps = grid.gathered(results, places)
     seconds = time.perf_counter() - clock - compiling
     attrs = {"method": str(solver), "compile_seconds": compiling, "run_seconds": seconds}

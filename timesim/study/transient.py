@@ -24,7 +24,7 @@ from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.transient import Schedule
-from timesim.study.campaign import Means, Progress
+from timesim.study.campaign import Execution, Progress
 from timesim.study.outcome import Outcome, attributes
 
 ROWS = 1024  # samples evaluated at a time: a fixed number, so that the law is compiled once
@@ -104,13 +104,13 @@ def _force(law: ContactLaw, state: Any, x: Any, dx: Any, w: Any) -> Any:
     return jnp.stack([*acts.f, acts.n], axis=-1)
 
 
-def study(scene: Scene, means: Means) -> Outcome:
+def study(scene: Scene, execution: Execution) -> Outcome:
     """Run a scene of a transient or a jump; the result is marked incomplete where the run ended early."""
     plan: Schedule = scene.plan
     run = Run(scene.model(), [Phase(*phase) for phase in plan.phases], scene.solver())
     run.time = float(plan.edges()[0])
     recorder = Recorder(run, plan)
-    reason, seconds = follow(run, recorder, means.progress)
+    reason, seconds = follow(run, recorder, execution.progress)
     record = record_of(scene, run, recorder, seconds, reason)
     return Outcome({"": record}, reason, (*summary(run, record), *phase_summary(plan, record)))
 

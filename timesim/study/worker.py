@@ -35,8 +35,8 @@ class Chunk:
     size: int = 1
 
 
-class MeansError(ValueError):
-    """Means that a study cannot be carried out by; the message names them, the reason and what to do."""
+class ExecutionError(ValueError):
+    """A study cannot be carried out in the way asked for; the message names it, the reason and what to do."""
 
 
 def perform(work: Work, chunk: Chunk, before: Result | None) -> Result:
