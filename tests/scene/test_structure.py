@@ -137,6 +137,8 @@ def test_large_sparse_structure():
     assert np.allclose(structure.damping, 0.01 * structure.omega**2, rtol=1e-5)
     with pytest.raises(RuleError, match="is required for a structure of 3000 rows"):
         modal_structure(sparse, points={"m": {"x": 0}}, damping_ratio=0)
+    with pytest.raises(RuleError, match="must be less than 3000 for a structure of 3000 rows"):
+        modal_structure(sparse, points={"m": {"x": 0}}, damping_ratio=0, keep_modes=n)
     with pytest.raises(RuleError, match="no negative eigenvalue"):
         modal_structure(Matrices(sparse.mass, stiffness - 0.1 * sparse.mass), points={}, damping_ratio=0, keep_modes=2)
     with pytest.raises(RuleError, match="positive definite"):

@@ -125,7 +125,7 @@ def test_bands_of_settled_motions_are_narrow_and_shares_are_parts(three: xarray.
     slip, apart = ([float(part[f"{name}_share"].item()) for part in parts] for name in ("slip", "separation"))
     assert all(0.05 < share < 0.95 for share in slip)
     assert [share > 0.05 for share in apart] == [False, True, False]
-    assert of(three, 3.0, 0.97).slip_share.item() < 1e-3 or of(three, 3.0, 0.97).slip_share.item() > 0.02
+    assert of(three, 3.0, 0.97).slip_share.item() == 0  # it sticks all along, which no bound proves beforehand
 
 
 def test_marching_and_shooting_agree(three: xarray.Dataset) -> None:
