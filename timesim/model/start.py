@@ -5,49 +5,19 @@ A contact whose state is left at -1 is separated if its normal load is not posit
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from timesim.fault import RuleError
-from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
+from timesim.model.contact_state import ContactLoads, contact_loads, contact_state, slip_follows_motion
+from timesim.model.model import SEPARATION, Model, Start
 
-CONE = 1e-9
-"""Share by which |f| may exceed mu n in a start: rounding."""
-RESULT_CONE = 1e-6
+ROUNDING = 1e-9
+"""Share by which |f| may exceed mu n in a start. The event loop needs it inside: such a slip is set back by as much."""
+RESULT_ROUNDING = 1e-6
 """The same where another run ended: its own tolerance. Such a slip is set back onto the cone."""
 MAX_STATES = 200
-
-
-@dataclass(frozen=True)
-class _Loads:
-    """Motion u (C, 2), friction force f (C, 2) of stuck contacts and normal load n (C,), not cut off at 0."""
-
-    motion: np.ndarray
-    force: np.ndarray
-    normal: np.ndarray
-    limit: np.ndarray
-
-
-def _loads(physics: Model, displacement: np.ndarray, slip: np.ndarray) -> _Loads:
-    relative = physics.contact_shape @ displacement
-    K = np.array([contact.tangential_stiffness for contact in physics.contacts]).reshape(-1, 2, 2)
-    stiffness, preload, friction = _contact_numbers(physics)
-    normal = preload + stiffness * relative[:, 2]
-    motion = relative[:, :2]
-    force = np.einsum("cij,cj->ci", K, motion - slip)
-    return _Loads(motion, force, normal, friction * np.maximum(normal, 0.0))
-
-
-def _contact_numbers(physics: Model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    rows = [(contact.normal_stiffness, contact.preload, contact.friction) for contact in physics.contacts]
-    normal_stiffness, preload, friction = np.array(rows, dtype=np.float64).reshape(-1, 3).T
-    return normal_stiffness, preload, friction
-
-
-def _follows(physics: Model, loads: _Loads) -> np.ndarray:
-    """Contacts whose slip is their motion: separated ones and frictionless ones, shape (C,)."""
-    return (loads.normal <= 0) | (_contact_numbers(physics)[2] == 0)
 
 
 def rest_start(num_modes: int, num_contacts: int) -> Start:
@@ -62,18 +32,24 @@ def given_start(physics: Model, displacement: np.ndarray, velocity: np.ndarray, 
     Raises:
         RuleError: a contact's friction force would lie outside its cone.
     """
-    loads = _loads(physics, displacement, slip)
-    follows = _follows(physics, loads)
-    slip = np.where(follows[:, None], loads.motion, slip)
-    _check_cone(physics, loads, ~follows, ("slip",), "give the slip that the contact has in this state")
+    loads = contact_loads(physics, displacement, slip)
+    follows = slip_follows_motion(contact_state(loads.normal, physics.friction), physics.friction)
+    _check_cone(physics, loads, ~follows, ROUNDING, ("slip",), "give the slip that the contact has in this state")
+    slip = np.where(follows[:, None], loads.motion, _inside(loads))
     return Start(displacement, velocity, slip, np.full(physics.num_contacts, -1))
 
 
-def _check_cone(physics: Model, loads: _Loads, holds: np.ndarray, key: tuple[str, ...], hint: str) -> None:
-    size = np.linalg.norm(loads.force, axis=1)
-    for i in np.flatnonzero(holds & (size > loads.limit * (1 + CONE))):
+def _inside(loads: ContactLoads) -> np.ndarray:
+    """The slip, set back where the force lies outside its cone by rounding, shape (C, 2)."""
+    return np.where((loads.size > loads.limit)[:, None], loads.slip_in_cone(1 - ROUNDING), loads.slip)
+
+
+def _check_cone(
+    physics: Model, loads: ContactLoads, holds: np.ndarray, rounding: float, key: tuple[str, ...], hint: str
+) -> None:
+    for i in np.flatnonzero(holds & (loads.size > loads.limit * (1 + rounding))):
         name = physics.contacts[i].name
-        cone = f"|f| = {size[i]:.6g} > mu n = {loads.limit[i]:.6g}"
+        cone = f"|f| = {loads.size[i]:.6g} > mu n = {loads.limit[i]:.6g}"
         rule = f"contact {name} would start outside its friction cone: {cone}"
         raise RuleError((*key, name) if key else (), rule, hint)
 
@@ -91,7 +67,7 @@ def static_start(physics: Model) -> Start:
     seen: set[bytes] = set()
     for _ in range(MAX_STATES):
         displacement, held = _equilibrium(physics, closed)
-        loads = _loads(physics, displacement, np.zeros((physics.num_contacts, 2)))
+        loads = contact_loads(physics, displacement, np.zeros((physics.num_contacts, 2)))
         wrong = np.flatnonzero((loads.normal > 0) != closed)
         if not wrong.size:
             break
@@ -102,16 +78,16 @@ def static_start(physics: Model) -> Start:
         raise RuleError((), "finds no equilibrium: the contacts open and close in turn", "start from rest")
     if not held:
         raise RuleError((), "finds no equilibrium: nothing holds a mode of frequency 0", "start from rest")
-    follows = _follows(physics, loads)
+    state = contact_state(loads.normal, physics.friction)
+    follows = slip_follows_motion(state, physics.friction)
     hint = "the equilibrium slips: reduce the constant forces, or start from rest or a settled result"
-    _check_cone(physics, loads, ~follows, (), hint)
-    slip = np.where(follows[:, None], loads.motion, 0.0)
-    state = np.where(loads.normal <= 0, SEPARATION, np.where(follows, SLIP, STICK))
+    _check_cone(physics, loads, ~follows, ROUNDING, (), hint)
+    slip = np.where(follows[:, None], loads.motion, _inside(loads))
     return Start(displacement, np.zeros_like(displacement), slip, state)
 
 
 def _equilibrium(physics: Model, closed: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Displacement with the contacts closed as told, and whether nothing loose is pushed."""
+    """Displacement with these contacts closed, and whether nothing loose is pushed."""
     matrix = np.diag(physics.structure.stiffness)
     force = physics.excitation.constant.copy()
     for contact, shape, is_closed in zip(physics.contacts, physics.contact_shape, closed, strict=True):
@@ -157,24 +133,10 @@ def resumed_start(physics: Model, end: Start, contacts: Sequence[str]) -> Start:
 
 def _agreeing(physics: Model, start: Start) -> Start:
     """The start made to agree with the scene: a contact opened or closed since, a cone left by rounding."""
-    loads = _loads(physics, start.displacement, start.slip)
-    smooth = _contact_numbers(physics)[2] == 0
-    preload = _contact_numbers(physics)[1]
-    rounding = CONE * (np.abs(preload) + np.abs(loads.normal - preload))
-    opened = (loads.normal <= 0) | ((start.state == SEPARATION) & (loads.normal <= rounding))
-    closed_anew = (start.state == SEPARATION) & ~opened
-    follows = opened | closed_anew | smooth
-    size = np.where(follows, 0.0, np.linalg.norm(loads.force, axis=1))
-    outside = size > loads.limit
-    _check_cone(
-        physics,
-        loads,
-        outside & (size > loads.limit * (1 + RESULT_CONE)),
-        (),
-        "its friction or preload was higher",
-    )
-    back = np.where(outside, 1 - loads.limit / np.where(size > 0, size, 1.0), 0.0)
-    stretch = (loads.motion - start.slip) * back[:, None]
-    slip = np.where(follows[:, None], loads.motion, start.slip + stretch)
-    state = np.where(opened, SEPARATION, np.where(smooth, SLIP, np.where(closed_anew, STICK, start.state)))
+    loads = contact_loads(physics, start.displacement, start.slip)
+    rounding = ROUNDING * (np.abs(physics.preload) + np.abs(loads.normal - physics.preload))
+    state = contact_state(loads.normal, physics.friction, start.state, rounding=rounding)
+    follows = slip_follows_motion(state, physics.friction) | (start.state == SEPARATION)
+    _check_cone(physics, loads, ~follows, RESULT_ROUNDING, (), "its friction or preload was higher")
+    slip = np.where(follows[:, None], loads.motion, loads.slip_in_cone())
     return replace(start, slip=slip, state=state)

@@ -1,0 +1,44 @@
+"""Starts on the edge of a friction cone."""
+
+import numpy as np
+import pytest
+from systems import oscillator, oscillator_scene
+
+import timesim
+from timesim.fault import RuleError
+from timesim.model.contact_state import contact_loads
+from timesim.model.start import given_start
+
+ON_CONE = 0.5 * 3.0 / 20.0
+"""|w| with which the pad of preload 3 bears mu n0 at rest."""
+
+
+@pytest.mark.parametrize("excess", [0.0, 1e-16, 3.5e-11, 9e-10])
+def test_a_start_off_its_cone_by_rounding_is_set_back_inside(excess: float):
+    model, zero = oscillator(3.0, 1.39), np.zeros(2)
+    given = np.array([[0.6, -0.8]]) * ON_CONE * (1 + excess)
+    start = given_start(model, zero, zero, given)
+    loads = contact_loads(model, zero, start.slip)
+    assert np.all(loads.size <= loads.limit)
+    np.testing.assert_allclose(start.slip, given, rtol=2e-9)
+
+
+def test_a_start_off_its_cone_by_more_is_refused():
+    model, zero = oscillator(3.0, 1.39), np.zeros(2)
+    with pytest.raises(RuleError, match="outside its friction cone"):
+        given_start(model, zero, zero, np.array([[ON_CONE * (1 + 1e-8), 0.0]]))
+
+
+def test_a_run_from_a_start_off_its_cone_by_rounding():
+    """Outside the cone, by however little, the event loop would look for the transition in ever shorter steps."""
+    study = {"kind": "transient", "cycles": 2}
+    initial = {
+        "modal_displacement": [0.0, 0.0],
+        "modal_velocity": [0.3, 0.0],  # back into the cone
+        "slip": {"pad": [-ON_CONE * (1 + 3.5e-11), 0.0]},
+    }
+    scene = oscillator_scene(3.0) | {"study": study, "initial": initial}
+    scene["excitation"]["frequency"] = 1.39
+    scene["solver"] = {"accuracy": "standard", "max_steps": 2000}
+    result = timesim.run(scene)
+    assert result.attrs["complete"] == 1
