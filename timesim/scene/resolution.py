@@ -342,6 +342,6 @@ def _still_parts(file: SceneFile, model: Model) -> Iterator[str]:
             yield f"contacts.{contact.name} does not move in any mode"
     given = getattr(file.initial, "slip", {})
     for contact, slip in zip(model.contacts, start.slip, strict=True):
-        if contact.name in given and not np.array_equal(slip, given[contact.name]):
+        if contact.name in given and not np.allclose(slip, given[contact.name], rtol=1e-8, atol=0.0):
             reason = "the contact starts separated or has no friction"
             yield f"initial.slip.{contact.name} has no effect: {reason}"
