@@ -19,14 +19,14 @@ SCENE = Path(__file__).parents[1] / "configs" / "oscillator.yaml"
 
 def measure(points: int, folder: str) -> dict[str, float]:
     """Run the sweep in this process, with its checkpoints, and tell what it took."""
-    from timesim.study.campaign import Means
+    from timesim.study.campaign import Execution
     from timesim.study.registry import carry_out, load_scene
 
     step = (1.65 - 0.8) / (points - 1)
     study = {"kind": "sweep", "frequency": {"from": 0.8, "to": 1.65 + step / 4, "step": step}}
     scene = load_scene(SCENE, {"solver.accuracy": "draft", "study": study})
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    outcome = carry_out(scene, Means(folder=Path(folder)))
+    outcome = carry_out(scene, Execution(folder=Path(folder)))
     record = outcome.groups[""]
     found = {str(name): array.values for name, array in record.data_vars.items()}
     used = resource.getrusage(resource.RUSAGE_SELF)

@@ -151,6 +151,7 @@ def test_sweep(periodic: str) -> None:
     assert (result["slip_share"].isel({"contacts.pad.preload": 1}) == 0).all()
 
 
+@pytest.mark.slow
 def test_bistable() -> None:
     study: dict[str, Any] = {"kind": "bistable", "frequency": {"from": 1.245, "to": 1.265}, "step": 0.005}
     study |= {"width": 2e-3, "starts": 0, "harmonics": 3, "time_samples": 64}
@@ -360,6 +361,7 @@ def test_the_balance_with_coupled_damping(model: Model) -> None:
 # --- a scene with masses of its own ------------------------------------
 
 
+@pytest.mark.slow
 def test_both_methods_agree_on_the_bolted_beam() -> None:
     """Modal masses of 1.84 and 0.73 kg: the two methods take the masses in at different places."""
     few = {"study.frequency": {"values": [93.0, 98.0]}, "study.over": {"contacts.joint.preload": [400.0]}}

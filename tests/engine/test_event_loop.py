@@ -28,7 +28,7 @@ from timesim.engine.system import system_of
 from timesim.engine.trajectory import BATCH, Frame, Phase, Run, RunError
 from timesim.model.model import SEPARATION, SLIP, STICK, Model
 from timesim.model.solver import PRESETS, Solver
-from timesim.study.campaign import Means
+from timesim.study.campaign import Execution
 from timesim.study.registry import load_scene
 from timesim.study.transient import final_variables, study
 
@@ -414,7 +414,7 @@ def test_interrupt_keeps_what_there_is() -> None:
         if done >= 20:
             raise KeyboardInterrupt
 
-    outcome = study(scene, Means(progress=impatient))
+    outcome = study(scene, Execution(progress=impatient))
     assert outcome.reason is not None
     assert outcome.reason.startswith("interrupted in cycle")
     result = outcome.groups[""]

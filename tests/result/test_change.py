@@ -18,7 +18,7 @@ from timesim.result.change import fingerprint
 from timesim.result.checkpoint import Manifest
 from timesim.result.netcdf import save
 from timesim.scene.section import Section
-from timesim.study.campaign import Means
+from timesim.study.campaign import Execution
 from timesim.study.registry import carry_out, load_scene
 
 Key = tuple[str | int, ...]
@@ -57,7 +57,7 @@ RICH: dict[str, Any] = {
     "contacts": [
         PAD | {"preload": 3, "against": "side", "normal": [0, 0.1, 1], "tangent": [1, 0.2, 0]},
         PAD | {"name": "stop", "point": "side", "against": "ground", "tangential_stiffness": [20.0, 10.0]},
-        PAD | {"name": "third", "tangential_stiffness": [[20.0, 1.0], [1.0, 10.0]]},
+        PAD | {"name": "third", "tangential_stiffness": [[20.0, 1.0], [1.0, 10.0]], "law": {"name": "cone"}},
     ],
     "excitation": {
         "frequency": 1.2,
@@ -281,8 +281,14 @@ def named(scene: dict[str, Any], key: Key) -> str:
     return ".".join(parts)
 
 
-# What no other value by itself makes a scene of: a choice that other keys go with, and a name that other parts use.
-FIXED: set[Key] = {("study", "kind"), ("contacts", 0, "name"), ("contacts", 1, "name")}
+# What no other value by itself makes a scene of: a choice that other keys go with, a name that other parts use, and
+# the law, since all contacts obey one.
+FIXED: set[Key] = {
+    ("study", "kind"),
+    ("contacts", 0, "name"),
+    ("contacts", 1, "name"),
+    ("contacts", 2, "law", "name"),
+}
 TOGETHER: dict[str, set[Key]] = {
     "sweep": {("solver", "method")},
     "listed": {("structure", "keep_modes")},
@@ -362,7 +368,7 @@ def payload(monkeypatch: pytest.MonkeyPatch, scene: dict[str, Any]) -> list[Any]
 
     monkeypatch.setattr(module, "carry_through", capture)
     with pytest.raises(_CapturedError) as caught:
-        carry_out(load_scene(scene), Means(notice=lambda text: None))
+        carry_out(load_scene(scene), Execution(notice=lambda text: None))
     return list(caught.value.args[0].values())
 
 
