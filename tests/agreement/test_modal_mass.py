@@ -141,7 +141,7 @@ def test_jump() -> None:
     assert set(np.unique(result["event_to"])) == {0, 1, 2}
 
 
-@pytest.mark.parametrize("periodic", ["march", "shoot"])
+@pytest.mark.parametrize("periodic", [pytest.param("march", marks=pytest.mark.slow), "shoot"])
 def test_sweep(periodic: str) -> None:
     study = {"kind": "sweep", "frequency": {"values": [1.05, 1.1, 1.25]}, "direction": "both", "periodic": periodic}
     over = {"over": {"contacts.pad.preload": [1.0, 32.0]}}
