@@ -39,7 +39,7 @@ def test_the_body_hardly_feels_the_pad(exact: Trace):
 
 @pytest.mark.parametrize("rtol", RTOL)
 def test_the_error_of_the_slip_alone_shortens_the_step(exact: Trace, rtol: float):
-    """What is dissipated shows the slip of all steps; the slip at the end forgets its errors."""
+    """The dissipation adds up the slip of all steps; the slip at the end forgets earlier errors."""
     found = simulate(heavy_body_on_a_soft_pad(), 3, Solver("tsit5", rtol, rtol / 100))
     dissipated, truth = found.totals.work[-1][2], exact.totals.work[-1][2]
     assert abs(dissipated / truth - 1) < rtol

@@ -1,4 +1,4 @@
-"""What is left out before a run: each rule where it holds and where it just does not.
+"""What a run leaves out: each rule where it just holds and where it just does not.
 
 Proofs are checked, just above the bound, against runs that know nothing of it: the linear system by matrix
 exponentials, which must never leave the claimed states, and the oracle, which must find no transition.
@@ -417,7 +417,7 @@ def test_several_frequencies_need_damping_and_more_room() -> None:
 
 
 def test_the_bound_for_every_schedule_is_twice_the_resonance() -> None:
-    """Driven at resonance a light mode comes to 1 / (d w); the claim is made from twice that on."""
+    """Driven at resonance a light mode comes to 1 / (d w); the proof needs twice that."""
     damping = 0.2
     resonant = 1 / (damping * 2 * np.pi)
     gap = 2 * resonant * 1.001
@@ -470,7 +470,7 @@ def test_what_hangs_together_stays_live_together(coupling: str) -> None:
 
 
 def provable_model(seed: int, room: float) -> Model:
-    """A generated model, preloads and gaps made `room` times as wide; some start displaced or with slip."""
+    """A generated model, its preloads and gaps `room` times as wide; some start displaced or with slip."""
     num_modes, num_contacts = ((2, 1), (3, 2), (4, 3))[seed % 3]
     model = generated_model(seed, num_modes, num_contacts)
     size = model.excitation.cosine.max() / model.structure.stiffness.max()

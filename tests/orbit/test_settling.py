@@ -33,7 +33,7 @@ def test_the_settled_motion_slips_and_separates(orbits):
     assert list(apart > 0.05) == [False, True, False]
 
 
-def test_what_has_not_settled_is_told_apart():
+def test_a_motion_that_has_not_settled_is_recognised():
     (orbit,) = settle([Task(oscillator(3.0, 1.39), 1.39)], PRESETS["standard"], max_cycles=CYCLES_A_ROUND)
     assert not orbit.settled
     assert orbit.period == 0

@@ -6,7 +6,7 @@ import pytest
 from timesim.result.change import fingerprint, scene_difference
 
 
-def test_fingerprints_tell_data_apart_and_nothing_else():
+def test_fingerprints_differ_where_data_differ_and_nowhere_else():
     array = np.arange(4.0)
     same = [(array, array), (array, array.copy()), [np.arange(4.0), np.arange(4.0)]]
     assert len({fingerprint(pair) for pair in same}) == 1
