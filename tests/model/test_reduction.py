@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from systems import at_rest, den_hartog, excitation, generated_model, oscillator, pad, structure
 
 from timesim.model.model import GROUND, SEPARATION, SLIP, STICK, Contact, Excitation, Model, Start, Structure
-from timesim.model.reduction import Reduction, reduction_of, stuck_force, stuck_matrix
+from timesim.model.reduction import Reduction, _normalised, reduction_of, stuck_force, stuck_matrix
 
 # --- helpers ---------------------------------------------------------------------------------------
 
@@ -288,6 +288,21 @@ def test_free_vibration_before_a_stop_is_decided_sharply() -> None:
     """Undamped and released at 1: it comes as far as 1 on either side, and the bound says just that."""
     assert reduction_of(free_vibration(-1.0, pad(0, 0, 7.0, -7.0 * 1.001), [0, 0, 1]), [1.0]).apart.tolist() == [0]
     assert reduction_of(free_vibration(-1.0, pad(0, 0, 7.0, -7.0 * 0.999), [0, 0, 1]), [1.0]).live.tolist() == [0]
+
+
+@pytest.mark.parametrize(("beyond", "proven"), [(5e-5, False), (3e-4, True)])
+def test_a_contact_is_proven_apart_by_more_than_the_error_of_the_bound(beyond: float, proven: bool) -> None:
+    stop = pad(0, 0, 7.0, -7.0 * (1 + beyond))
+    assert (reduction_of(free_vibration(-1.0, stop, [0, 0, 1]), [1.0]).apart.size == 1) == proven
+
+
+def test_waves_are_the_periodic_force() -> None:
+    model = generated_model(0, 3, 2)
+    load, angle = model.excitation, np.linspace(0, 2 * np.pi, 7)
+    turns = np.outer(load.harmonic, angle)
+    force = load.cosine.T @ np.cos(turns) + load.sine.T @ np.sin(turns)
+    found = (_normalised(model).wave.T @ np.exp(1j * turns)).real
+    np.testing.assert_allclose(found * np.sqrt(model.structure.mass)[:, None], force, atol=1e-12 * np.abs(force).max())
 
 
 def test_free_vibration_on_a_stuck_contact_is_decided_sharply() -> None:
