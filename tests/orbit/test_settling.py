@@ -4,18 +4,23 @@ import numpy as np
 import pytest
 from systems import oscillator
 
-from timesim.model.solver import PRESETS, Solver
+from timesim.model.solver import PRESETS, Criterion, Solver
 from timesim.orbit.recurrence import period_of
-from timesim.orbit.settling import Task, settle
+from timesim.orbit.settling import Chain, steady_states
 from timesim.orbit.threshold import CYCLES_A_ROUND
 
 SETTLED = {(3.0, 1.39): 0.15612878, (-1.0, 0.97): 0.28839155, (5.0, 1.52): 0.15680399}
 
 
+def settled(preload, frequency, solver=PRESETS["standard"], **criterion):
+    chain = Chain(oscillator(preload, frequency), (frequency,))
+    ((orbit,),) = steady_states([chain], solver, Criterion(**criterion))
+    return orbit
+
+
 @pytest.fixture(scope="module")
 def orbits():
-    tasks = [Task(oscillator(*case), case[1]) for case in SETTLED]
-    return settle(tasks, PRESETS["standard"])
+    return [settled(*case) for case in SETTLED]
 
 
 def test_settled_amplitudes(orbits):
@@ -34,15 +39,14 @@ def test_the_settled_motion_slips_and_separates(orbits):
 
 
 def test_what_has_not_settled_is_told_apart():
-    (orbit,) = settle([Task(oscillator(3.0, 1.39), 1.39)], PRESETS["standard"], max_cycles=CYCLES_A_ROUND)
+    orbit = settled(3.0, 1.39, max_cycles=CYCLES_A_ROUND)
     assert not orbit.settled
     assert orbit.period == 0
     assert np.all(orbit.amplitude > 0)
 
 
 def test_a_march_that_fails_says_why():
-    solver = Solver("tsit5", 1e-7, 1e-9, budget=30)
-    (orbit,) = settle([Task(oscillator(3.0, 1.39), 1.39)], solver)
+    orbit = settled(3.0, 1.39, Solver("tsit5", 1e-7, 1e-9, budget=30))
     assert orbit.reason is not None
     assert "budget of 30 steps" in orbit.reason
     assert np.all(np.isnan(orbit.amplitude))
@@ -70,3 +74,19 @@ def test_a_decaying_vibration_is_no_multiple_period():
     found = [period_of(decays[max(0, n - 16) : n], 1e-8) for n in range(16, 200)]
     assert set(found) == {0, 1}
     assert period_of(1 + 1e-3 * free[-16:], 1e-8) == 3
+
+
+@pytest.mark.parametrize("entry", range(4))
+def test_every_entry_of_the_state_must_repeat(entry):
+    """One that drifts keeps a motion from settling, be it a slip while all displacements repeat."""
+    returns = np.tile([1.0, -0.7, 0.3, 0.2], (2 * CYCLES_A_ROUND, 1))
+    assert period_of(returns, 1e-8) == 1
+    returns[:, entry] += 1e-5 * np.arange(len(returns))
+    assert period_of(returns, 1e-8) == 0
+
+
+def test_the_tolerance_is_relative_to_the_largest_entry():
+    """The change that is left, 1e-8 of 100 by a ratio of 0.5, is below the tolerance; that of 1 is not."""
+    left = 0.5 ** np.arange(2 * CYCLES_A_ROUND)[:, None] * 1e-6 * 2**CYCLES_A_ROUND
+    for size, settled_ in ((1.0, 0), (100.0, 1)):
+        assert period_of(np.concatenate([left, np.full_like(left, size)], axis=1), 1e-8) == settled_

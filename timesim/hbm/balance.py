@@ -80,7 +80,8 @@ class Balance:
         """
         require_cone(model.contacts, "harmonic balance")
         check_model(model, scheme.harmonics)
-        self.model, self.scheme = model, scheme
+        self.model, self.scheme, self.num_contacts = model, scheme, model.num_contacts
+        self.size = 2 * scheme.harmonics + 1
         self.units = scales_of(model, frequency) if units is None else units
         self.length, self.force = self.units.length, self.units.force
         self.law: ConeLaw = ConeLaw.of(model.contacts, self.units)
@@ -94,10 +95,6 @@ class Balance:
         self.load[excited.harmonic[kept]] = (excited.cosine - 1j * excited.sine)[kept] / root
         self.damping = structure.damping / (np.outer(root, root) if structure.damping.ndim == 2 else root**2)
         self.support = self._support()
-
-    @property
-    def num_contacts(self) -> int:
-        return self.model.num_contacts
 
     def _support(self) -> Array:
         """Stiffness added to the structure at its contacts, shape (3C, 3C), and taken from their forces again.
@@ -140,11 +137,11 @@ class Balance:
 
     @property
     def num_unknowns(self) -> int:
-        return 3 * self.num_contacts * (2 * self.scheme.harmonics + 1)
+        return 3 * self.num_contacts * self.size
 
     def coefficients(self, x: Array) -> Array:
         """The unknowns by contact, component and coefficient, shape (..., C, 3, 2H + 1)."""
-        return x.reshape(*x.shape[:-1], self.num_contacts, 3, 2 * self.scheme.harmonics + 1)
+        return x.reshape(*x.shape[:-1], self.num_contacts, 3, self.size)
 
     def contact_forces(self, x: Array) -> Array:
         """(f1, f2, n) of each contact by their coefficients in units of `force`, shape (C, 3, 2H + 1)."""
@@ -177,7 +174,7 @@ class Balance:
 
     def _rows(self, coefficient: Array) -> Array:
         """All components of all contacts, shape (3C, 2H + 1)."""
-        return coefficient.reshape(3 * self.num_contacts, 2 * self.scheme.harmonics + 1)
+        return coefficient.reshape(3 * self.num_contacts, self.size)
 
     def _response(self, x: Array, forces: Array, linear: LinearResponse) -> tuple[Complex, Complex]:
         """Forces on the supported structure and the motion of the contacts that they give, by phasor, (H + 1, 3C)."""
@@ -202,7 +199,7 @@ class Balance:
 
     def _matrix(self, flexibility: Complex, slope: Array) -> Array:
         """Derivatives of F g by the unknowns, from those of (f1, f2, n) of each contact by its own."""
-        size, rows = 2 * self.scheme.harmonics + 1, 3 * self.num_contacts
+        size, rows = self.size, 3 * self.num_contacts
         matrix = np.empty((rows, size, rows * size))
         for i, block in enumerate(slope):
             own = slice(3 * i, 3 * i + 3)

@@ -7,14 +7,12 @@ from typing import Any
 import numpy as np
 
 from timesim.hbm.balance import Array, Balance
-from timesim.hbm.continuation import Ending, solve
-from timesim.hbm.curve import HbmCurve, crossings, default_controls, hbm_curve, solutions_at
+from timesim.hbm.continuation import SAME, Controls, Ending, solve
+from timesim.hbm.curve import HbmCurve, crossings, hbm_curve, solutions_at
 from timesim.hbm.first_guess import unknowns_of_modes
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
 
-# Unknowns of two solutions that are one, relative to their size.
-SAME = 1e-5
 # Difference of amplitudes, relative to the largest, up to which a curve passes through a motion.
 NEAR = 0.05
 
@@ -86,8 +84,7 @@ def isolated_curves(
 
 def passes(curve: HbmCurve, motion: SettledMotion) -> bool:
     """Whether a curve passes through a motion, its amplitudes taken straight between its solutions."""
-    for i in crossings(curve.frequency, motion.frequency):
-        share = (motion.frequency - curve.frequency[i]) / (curve.frequency[i + 1] - curve.frequency[i])
+    for i, share in crossings(curve.frequency, motion.frequency):
         here = curve.amplitude[i] + share * (curve.amplitude[i + 1] - curve.amplitude[i])
         if np.max(np.abs(here - motion.amplitude)) <= NEAR * np.max(motion.amplitude):
             return True
@@ -97,7 +94,7 @@ def passes(curve: HbmCurve, motion: SettledMotion) -> bool:
 def _leads_elsewhere(model: Model, curves: list[HbmCurve], frequency: float, guess: Array, scheme: Scheme) -> bool:
     """Whether a guess leads to a solution that is on none of the curves."""
     balance = Balance(model, frequency, scheme)
-    solution = solve(balance, unknowns_of_modes(balance, guess), frequency, default_controls())
+    solution = solve(balance, unknowns_of_modes(balance, guess), frequency, Controls())
     if solution is None:
         return False
     # Not the mean: it may hold the offset of a contact that sticks, which is free.

@@ -44,7 +44,8 @@ class Controls:
     """How a curve is followed. Lengths of arc are shares of the range of p and of the size of x.
 
     Attributes:
-        size: what counts as a small solution, in the units of x; x is measured by its own norm where that is larger.
+        size: what counts as a small solution, in the units of x, where x is measured by it; a larger one is measured
+            by its own norm. The default suits a balance, whose unknowns are in the scene's own unit of length.
         first_step, min_step, max_step: length of arc of a step.
         max_points: points after which the curve is given up.
         tolerance: norm of the residual at a solution, relative to the size of x.
@@ -52,7 +53,7 @@ class Controls:
         turn: turn of the tangent over a step at which the step is neither lengthened nor shortened [rad].
     """
 
-    size: float
+    size: float = 0.1
     first_step: float = 0.01
     min_step: float = 1e-6
     max_step: float = 0.05

@@ -7,7 +7,6 @@ narrowed down to the wanted width, also where it shares a step with a slope.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,13 +19,6 @@ AT_LEAST = 0.03  # least change over a jump, as a share of the amplitude; of the
 STAYS, HALVINGS = 0.5, 3  # share of the change that a jump keeps over so many halvings; a slope keeps an eighth
 EVEN = 0.6  # largest share of the change in one half of a slope
 GENTLE = 10.0  # change, as a multiple of the least, up to which an even change is a slope at the first halving
-
-
-class Jump(NamedTuple):
-    """Frequencies [Hz] between which the motion jumps, ascending."""
-
-    low: float
-    high: float
 
 
 @dataclass(frozen=True)
@@ -121,8 +113,8 @@ def _joined(jumps: Sequence[tuple[int, Stretch]]) -> list[tuple[int, Stretch]]:
     return joined
 
 
-def jumps_of(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -> Iterator[tuple[int, Jump]]:
-    """The jumps within the steps of sweeps, each with the position of its step; arguments as `narrowed`.
+def jumps_of(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -> Iterator[tuple[int, float, float]]:
+    """The jumps within the steps of sweeps: position of the step, low and high end [Hz]; arguments as `narrowed`.
 
     A motion that smaller steps would have carried to the end of the step is lost by the length of the step alone: then
     the jump is the whole step.
@@ -138,7 +130,7 @@ def jumps_of(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -
     }
     for index, jump in jumps:
         step = stretches[index] if index in by_length and jump.far == stretches[index].far else jump
-        yield index, Jump(*sorted((step.near, step.far)))
+        yield index, min(step.near, step.far), max(step.near, step.far)
 
 
 def steps_of(model: Model, frequencies: Sequence[float], orbits: Sequence[Orbit]) -> list[Stretch]:

@@ -1,7 +1,8 @@
 """A steady state: amplitude, states of the contacts, stability, the state from which a run goes on; as arrays too."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, TypeVar
 
 import numpy as np
@@ -25,9 +26,8 @@ class Orbit:
         amplitude: (max - min) / 2 of each point along x, y, z over a period, shape (P, 3); over the last ten cycles
             where the motion has not settled.
         band: smallest and largest amplitude of one of these cycles, shape (2, P, 3).
-        settled: whether the motion repeats.
         cycles: excitation cycles integrated; 0 where the scene is linear and needs none.
-        period: its period in excitation periods; 0 if it has not settled.
+        period: its period in excitation periods; 0 if the motion has not settled.
         slip_share, separation_share: share of the period in these states, shape (C,).
         floquet: multipliers of the period, largest first, without those of offsets that nothing moves; NaN where the
             motion has not settled.
@@ -37,13 +37,17 @@ class Orbit:
     end: Start
     amplitude: np.ndarray
     band: np.ndarray
-    settled: bool
     cycles: int
     period: int
     slip_share: np.ndarray
     separation_share: np.ndarray
     floquet: np.ndarray
     reason: str | None = None
+
+    @property
+    def settled(self) -> bool:
+        """Whether the motion repeats."""
+        return self.period > 0
 
     @property
     def largest(self) -> float:
@@ -56,7 +60,7 @@ def without_orbit(model: Model, reason: str, cycles: int = 0) -> Orbit:
     nothing = np.full(model.num_contacts, np.nan)
     amplitude = np.full((len(model.structure.points), 3), np.nan)
     band = np.stack([amplitude, amplitude])
-    return Orbit(model.start, amplitude, band, False, cycles, 0, nothing, nothing, np.full(1, np.nan), reason)
+    return Orbit(model.start, amplitude, band, cycles, 0, nothing, nothing, np.full(1, np.nan), reason)
 
 
 # Two motions
@@ -108,23 +112,19 @@ Columns = Mapping[str, np.ndarray]
 """Steady states as arrays by the names of `COLUMNS`."""
 
 START = ("end_displacement", "end_velocity", "end_slip", "end_state")  # in the order of `Start`
-COLUMNS = (
-    "amplitude", "band", "settled", "cycles", "period", "slip_share", "separation_share", "floquet_max", "reason",
-    *START,
-)  # fmt: skip
+ARRAYS, NUMBERS = ("amplitude", "band", "slip_share", "separation_share"), ("cycles", "period")
+COLUMNS = (*ARRAYS, *NUMBERS, "settled", "floquet_max", "reason", *START)
 
 
 def columns_of(orbits: Sequence[Sequence[Orbit]]) -> dict[str, np.ndarray]:
     """Steady states as arrays, by chain and place along it; of the multipliers the largest only."""
-    return {name: np.array([[_value(orbit, name) for orbit in own] for own in orbits]) for name in COLUMNS}
-
-
-def _value(orbit: Orbit, name: str) -> Any:
-    if name == "floquet_max":
-        return np.max(np.abs(orbit.floquet), initial=0.0)
-    if name.startswith("end_"):
-        return getattr(orbit.end, name.removeprefix("end_"))
-    return (orbit.reason or "") if name == "reason" else getattr(orbit, name)
+    values: dict[str, Callable[[Orbit], Any]] = {
+        **{name: attrgetter(name) for name in (*ARRAYS, *NUMBERS, "settled")},
+        "floquet_max": lambda orbit: np.max(np.abs(orbit.floquet), initial=0.0),
+        "reason": lambda orbit: orbit.reason or "",
+        **{name: attrgetter(name.replace("_", ".", 1)) for name in START},
+    }
+    return {name: np.array([[value(orbit) for orbit in own] for own in orbits]) for name, value in values.items()}
 
 
 def end_of(columns: Columns, place: tuple[int, int], phase: float) -> Start:
@@ -135,16 +135,6 @@ def end_of(columns: Columns, place: tuple[int, int], phase: float) -> Start:
 
 def orbit_of(columns: Columns, place: tuple[int, int], phase: float) -> Orbit:
     """The inverse of `columns_of`; of the multipliers the largest only."""
-    value = {name: columns[name][place] for name in COLUMNS}
-    return Orbit(
-        end=end_of(columns, place, phase),
-        amplitude=value["amplitude"],
-        band=value["band"],
-        settled=bool(value["settled"]),
-        cycles=int(value["cycles"]),
-        period=int(value["period"]),
-        slip_share=value["slip_share"],
-        separation_share=value["separation_share"],
-        floquet=np.array([value["floquet_max"]]),
-        reason=str(value["reason"]) or None,
-    )
+    value = {name: columns[name][place] for name in ARRAYS} | {name: columns[name][place].item() for name in NUMBERS}
+    largest, reason = np.array([columns["floquet_max"][place]]), str(columns["reason"][place]) or None
+    return Orbit(end=end_of(columns, place, phase), floquet=largest, reason=reason, **value)
