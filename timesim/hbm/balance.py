@@ -12,9 +12,9 @@ With the flexibility F_h of the structure at its contacts the unknowns are those
 however many modes there are. The forces follow from y on equal time samples by the law of `timesim.hbm.period`
 (alternating frequency/time); their derivatives are exact for that law, and so is the matrix of Newton's method.
 
-Sections 4.3 and 5 of the paper, whose scheme is ``harmonics=1``. T. M. Cameron and J. H. Griffin, J. Appl. Mech. 56
-(1989) 149, for the alternation; M. Krack and J. Gross, Harmonic Balance for Nonlinear Vibration Problems (Springer
-2019).
+Sections 4.3 and 5 of the paper, whose scheme is ``harmonics=1``. T. M. Cameron and J. H. Griffin, An alternating
+frequency/time domain method for calculating the steady-state response of nonlinear dynamic systems, J. Appl. Mech. 56
+(1989) 149-154; M. Krack and J. Gross, Harmonic Balance for Nonlinear Vibration Problems (Springer 2019).
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
@@ -122,9 +122,9 @@ class Balance:
             change = slope[:, :, None] * response
         else:
             damping = np.diag(self.damping) if self.damping.ndim == 1 else self.damping
-            held = np.diag(stiffness) + self.shape.T @ self.support @ self.shape
+            supported = np.diag(stiffness) + self.shape.T @ self.support @ self.shape
             order, one = order[:, :, None], np.eye(stiffness.size)
-            dynamic = held - (order * omega) ** 2 * one + 1j * order * omega * damping
+            dynamic = supported - (order * omega) ** 2 * one + 1j * order * omega * damping
             try:
                 response = np.linalg.solve(dynamic, right)
             except np.linalg.LinAlgError:
@@ -149,9 +149,9 @@ class Balance:
         return self.refined_forces(x, np.asarray(sampled))
 
     def refined_forces(self, x: Array, sampled: Array) -> Array:
-        """(f1, f2, n) with located transitions, if the scheme asks for them, else as found on the samples.
+        """(f1, f2, n) with located transitions, if the scheme asks for them, else those of the samples.
 
-        In full stick, where the offset is free, they stay what they are.
+        In full stick, where the offset is free, they are those of the samples too.
 
         Raises:
             NoSolutionError: a transition cannot be located.

@@ -59,9 +59,9 @@ def isolated_curves(
     """Curves through settled motions that no other curve passes.
 
     Args:
-        model: what moves.
-        curves: that are known.
-        motions: of time integration; those outside the span are left alone.
+        model: the scene.
+        curves: curves followed before.
+        motions: by time integration; any outside the span are ignored.
         span: range of the curves [Hz].
 
     Keyword Args:
@@ -71,7 +71,7 @@ def isolated_curves(
     left = [motion for motion in motions if min(span) < motion.frequency < max(span)]
     left = [motion for motion in left if not any(passes(curve, motion) for curve in known)]
     while left:
-        # From the middle of what is left: away from the folds at its ends.
+        # The middle one of those that are left is far from the folds at the ends of its branch.
         motion = left.pop(len(left) // 2)
         guess = motion.coefficients()
         if guess is None or not _leads_elsewhere(model, known, motion.frequency, guess, scheme):
@@ -102,8 +102,8 @@ def _leads_elsewhere(model: Model, curves: list[HbmCurve], frequency: float, gue
     at_frequency = (solutions_at(model, curve, frequency, scheme=scheme, stability=False) for curve in curves)
     return not any(
         np.linalg.norm(motion[..., 1:] - waves) <= SAME * np.linalg.norm(waves)
-        for found in at_frequency
-        for motion in found.contact_motion
+        for solutions in at_frequency
+        for motion in solutions.contact_motion
     )
 
 

@@ -9,9 +9,10 @@ The predictor is of second order: the tangent, and how it has turned over the st
 the tangent and the convergence of Newton's method (`timesim.hbm.corrector`). Where the tangent's share of p changes its
 sign the curve has a fold; it is located on the arc by Brent's method and is a point of the curve.
 
-H. B. Keller, Numerical solution of bifurcation and nonlinear eigenvalue problems (1977), for the arclength; E. L.
-Allgower and K. Georg, Introduction to Numerical Continuation Methods (SIAM 2003), chapters 2 and 6, for predictor and
-step; R. P. Brent, Algorithms for Minimization without Derivatives (1973), chapter 4.
+H. B. Keller, Numerical solution of bifurcation and nonlinear eigenvalue problems, in: P. H. Rabinowitz (ed.),
+Applications of Bifurcation Theory (Academic Press 1977) 359-384, for the arclength; E. L. Allgower and K. Georg,
+Introduction to Numerical Continuation Methods (SIAM 2003), chapters 2 and 6, for predictor and step; R. P. Brent,
+Algorithms for Minimization without Derivatives (Prentice-Hall 1973), chapter 4.
 """
 
 from collections.abc import Sequence
@@ -35,7 +36,7 @@ FLAT = 1e-5
 
 
 class Ending(Enum):
-    """Why a curve ends; the value tells the user."""
+    """Why a curve ends; the value is the message for the user."""
 
     COMPLETE = "complete: the whole range was followed"
     CLOSED = "complete: the curve is closed, it comes back to where it began"
@@ -100,7 +101,7 @@ class Curve:
 
 
 Solutions = TypeVar("Solutions", bound=Any)
-"""A record whose arrays have one entry a solution along the first axis: a `Curve`, or what is known of one."""
+"""A record whose arrays have one entry for each solution along the first axis, as `Curve`."""
 
 
 def part_of(curve: Solutions, rows: slice) -> Solutions:
@@ -109,7 +110,7 @@ def part_of(curve: Solutions, rows: slice) -> Solutions:
 
 
 def joined(parts: Sequence[Solutions]) -> Solutions:
-    """The solutions of several records, one after the other; the last tells how they end."""
+    """The solutions of several records, one after the other; they end as the last one does."""
     arrays = [_arrays(part) for part in parts]
     return replace(parts[-1], **{name: np.concatenate([own[name] for own in arrays]) for name in arrays[-1]})
 
@@ -164,7 +165,7 @@ def follow_both_ways(
 
 
 def solve(residual: Residual, guess: Array, p: float, controls: Controls) -> tuple[Array, int] | None:
-    """Solution near a guess at one value of the parameter, and the sign of det dr/dx; None if none is found."""
+    """Solution near a guess at one value of the parameter, and the sign of det dr/dx; None if Newton's method fails."""
     corrector = Corrector(residual, controls, abs(p) or 1.0, guess)
     normal = np.append(np.zeros(guess.size), 1.0)
     try:
@@ -324,9 +325,9 @@ class _PathTracker:
             return None
 
     def _fold(self, before: CurvePoint, step: _Step) -> CurvePoint | None:
-        """Where the tangent's share of the parameter changes its sign on the arc of a step; None if no point is found.
+        """Where the tangent's share of the parameter changes its sign on the arc of a step.
 
-        The share jumps through zero where the residual is not smooth.
+        The share jumps through zero where the residual is not smooth. None if Newton's method fails.
         """
         length = float((step.point.y - before.y) @ before.tangent)
         ends = {0.0: float(before.tangent[-1]), length: float(step.point.tangent[-1])}

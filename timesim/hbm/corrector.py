@@ -44,8 +44,8 @@ class Controls:
     """How a curve is followed. Lengths of arc are shares of the range of p and of the size of x.
 
     Attributes:
-        size: what counts as a small solution, in the units of x, where x is measured by it; a larger one is measured
-            by its own norm. The default suits a balance, whose unknowns are in the scene's own unit of length.
+        size: unit of x where its norm is smaller, else x is measured by its norm. The default suits a balance, whose
+            unknowns are in the scene's own unit of length.
         first_step, min_step, max_step: length of arc of a step.
         max_points: points after which the curve is given up.
         tolerance: norm of the residual at a solution, relative to the size of x.

@@ -1,4 +1,4 @@
-"""Response curves by harmonic balance: starts, the curve, its folds and stability, and what the points do.
+"""Response curves by harmonic balance: motion, contact states, folds and stability of the solutions along them.
 
 The balance is `timesim.hbm.balance`, the way along the curve `timesim.hbm.continuation`.
 """
@@ -31,7 +31,7 @@ class HbmCurve:
     """Periodic solutions along a curve; S solutions, P points, C contacts, harmonics 0 ... H, harmonic 0 the mean.
 
     Attributes:
-        parameter: what the curve was followed in, shape (S,): the frequency, or a scalar of the scene.
+        parameter: that of the continuation, shape (S,): the frequency, or a scalar of the scene.
         frequency: of the excitation, shape (S,) [Hz].
         stable: whether disturbances die out, shape (S,).
         fold: whether the frequency turns here, shape (S,).
@@ -42,8 +42,8 @@ class HbmCurve:
         contact_motion: Fourier coefficients 1, cos, sin, ... of (u1, u2, v), shape (S, C, 3, 2H + 1) [length].
         contact_force: of (f1, f2, n), shape (S, C, 3, 2H + 1) [force].
         floquet_max: largest modulus of a Floquet multiplier, shape (S,); NaN where none was computed.
-        closure: change of the elastic displacement over the period over what is tolerated, shape (S,); at most 1
-            where the memory of every contact closed.
+        closure: change of the elastic displacement over the period relative to its tolerance, shape (S,); at most 1
+            where the hysteresis loop of every contact is closed.
         ending: why it ended.
         message: the same with the place.
     """
@@ -92,7 +92,7 @@ def hbm_curve(
     """Follow the periodic response of a model in frequency, around folds.
 
     Args:
-        model: what moves; a frequency of its excitation is not used.
+        model: the scene; a frequency of its excitation is not used.
         start, stop: range [Hz]; the curve begins at `start`, which may be the larger.
 
     Keyword Args:
@@ -103,10 +103,10 @@ def hbm_curve(
             contacts stuck, absent or half as stiff, then under a load that grows from zero.
         begin: frequency [Hz] inside the range from which the curve is followed to both sides; by default it begins
             at `start`.
-        stability: compute Floquet multipliers; without, only the sign of the determinant tells stable from unstable.
+        stability: compute Floquet multipliers; without them stability follows from the sign of the determinant alone.
 
     Returns:
-        The curve; where it fails, what it has, with the reason and the place in `message`.
+        The curve; if the continuation fails, the part before, with the reason and the place in `message`.
 
     Raises:
         ValueError: the range, the scheme or the excitation does not allow a balance.
@@ -227,7 +227,7 @@ def peak(parameter: Array, height: Array, motion: Array) -> tuple[float, float]:
 
     Args:
         parameter: of the solutions, shape (S,).
-        height: what is largest at the peak, shape (S,).
+        height: the quantity that peaks, shape (S,).
         motion: of the solutions, for the arc length between them, shape (S, ...).
     """
     i = int(np.argmax(height))

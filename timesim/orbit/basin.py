@@ -1,8 +1,8 @@
-"""Basins of attraction where a response has two motions, seen by an ensemble of starts; offsets that are not unique.
+"""Basins of attraction where a response has two motions, sampled by an ensemble of starts; ranges of stuck offsets.
 
 A start is a times the smaller motion plus b times the larger one: (0, 0) is rest, (1, 0) and (0, 1) are the motions. A
 slip that a contact cannot have is set back onto its friction cone. A contact that sticks throughout keeps the offset
-that it is left with, so offsets are not unique: such contacts start with different ones, which shows their range.
+with which it began, so offsets are not unique: such contacts start with different ones, which shows their range.
 """
 
 from collections.abc import Sequence
@@ -29,11 +29,11 @@ def shares(num: int) -> np.ndarray:
 def placed(
     model: Model, displacement: np.ndarray, velocity: np.ndarray, slip: np.ndarray, pull: np.ndarray | None = None
 ) -> Start:
-    """A start with the slip set back onto the friction cones; a slip that follows the motion is the motion.
+    """A start whose friction forces lie inside their cones; the slip of a contact that is apart is its motion.
 
     Args:
         model: the scene; displacement, velocity, slip: the state.
-        pull: friction force by which each contact is pulled aside, over what it bears at most, shape (C, 2).
+        pull: force by which each contact is pulled aside, as a share of its friction limit, shape (C, 2).
     """
     loads = contact_loads(model, displacement, slip)
     if pull is not None:
@@ -47,14 +47,14 @@ def placed(
 
 
 def starts_between(model: Model, motions: Sequence[Orbit], num: int) -> list[Start]:
-    """All starts, the share of the larger motion fastest."""
+    """The whole ensemble; the share of the larger motion varies fastest."""
     ends = [orbit.end for orbit in motions]
     parts = [(end.displacement, end.velocity, end.slip) for end in ends]
     moves = sum(orbit.slip_share + orbit.separation_share for orbit in motions) > 0
     starts = []
     for a in shares(num):
         for b in shares(num):
-            # None at rest and at the motions themselves.
+            # At rest and at the motions themselves no contact is pulled.
             pull = np.where(moves[:, None], 0.0, PULL * np.array([a * (1 - a), b * (1 - b)]))
             displacement, velocity, slip = (a * x + b * y for x, y in zip(*parts, strict=True))
             starts.append(placed(model, displacement, velocity, slip, pull))
@@ -62,18 +62,18 @@ def starts_between(model: Model, motions: Sequence[Orbit], num: int) -> list[Sta
 
 
 def branch_of(orbit: Orbit, motions: Sequence[Orbit]) -> int:
-    """Which of the two motions a start has led to."""
+    """Motion to which a start has led: `LOWER`, `UPPER`, `ANOTHER`, or `NONE` where it has not settled."""
     if orbit.reason is not None or not orbit.settled:
         return NONE
     return next((number for number, motion in enumerate(motions) if not differ(orbit, motion)), ANOTHER)
 
 
 def explore(model: Model, steady: SteadyStates, ranges: Columns, num: int) -> dict[str, np.ndarray]:
-    """What has become of the starts at the middle of each range, as arrays.
+    """Motions to which the ensemble of starts leads at the middle of each range, as arrays.
 
     Args:
         model: the scene.
-        steady: gives steady states as those of the ranges.
+        steady: computes steady states with the solver and criterion of the ranges.
         ranges: the ranges and their motions, as `timesim.orbit.two_motions.ranges_of` gives them.
         num: starts along each side.
     """
@@ -95,7 +95,7 @@ def explore(model: Model, steady: SteadyStates, ranges: Columns, num: int) -> di
 
 
 def _row(orbits: Sequence[Orbit], motions: Sequence[Orbit]) -> dict[str, np.ndarray]:
-    """What has become of the starts of one range."""
+    """The arrays of one range."""
     branch = np.array([branch_of(orbit, motions) for orbit in orbits], dtype=np.int8)
     led = [[orbit for orbit, own in zip(orbits, branch, strict=True) if own == side] for side in (LOWER, UPPER)]
     low, high = np.stack([offsets([*own, motion]) for own, motion in zip(led, motions, strict=True)], axis=1)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-# Samples of the motion, of the highest harmonic, among which an extreme is looked for before Newton's method.
+# Samples of the motion, of the highest harmonic, among which an extreme is searched before Newton's method.
 SAMPLES_PER_WAVE = 16
-# Samples of all motions held at a time, a complex number each.
+# Complex samples in memory at a time, of all motions together.
 MAX_ENTRIES = 2**20
 
 

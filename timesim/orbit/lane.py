@@ -1,4 +1,4 @@
-"""Lanes of a batch, each a trajectory in the units of its scene: where it is, and what it has done over some cycles."""
+"""Lanes of a batch: trajectories of scenes at the start of a cycle, and recorded cycles of them."""
 
 import timesim.runtime  # noqa: F401  isort: skip
 
@@ -28,10 +28,10 @@ class Lane:
     """A trajectory at the start of a cycle.
 
     Attributes:
-        model, reduction, frequency: what is simulated, at which frequency [Hz].
-        frame: between the units of the scene and the dimensionless form.
-        system, control: what is integrated, and how, as the loop takes them.
-        here: where the trajectory is, dimensionless.
+        model, reduction, frequency: the scene, reduced, at a frequency [Hz].
+        frame: converts between the units of the scene and the dimensionless form.
+        system, control: dimensionless equations and step control.
+        here: dimensionless state.
         phase: of the excitation at the start of a cycle [rad].
         status, culprit: as in `timesim.engine.step.Trajectory`.
     """
@@ -61,12 +61,12 @@ class Lane:
         return self.begin(self.model, self.reduction, frequency, solver, start)
 
     def after(self, now: Trajectory) -> Self:
-        """The lane where the loop has left it."""
+        """The lane at the end of a loop."""
         here = HybridState(now.point, now.state)
         return replace(self, here=here, status=int(now.status), culprit=int(now.culprit))
 
     def at_start(self) -> Trajectory:
-        """The trajectory at the start of a cycle, as `record_cycles` takes it: its rate is a placeholder."""
+        """The trajectory for `record_cycles`; its rate is a placeholder."""
         zero, one, none = np.zeros(()), np.ones(()), np.zeros((), dtype=np.int64)
         return Trajectory(
             cycle=none, time=zero, point=self.here.point, rate=self.here.point, state=self.here.state,
@@ -76,12 +76,12 @@ class Lane:
 
     @property
     def shapes(self) -> tuple[tuple[int, ...], ...]:
-        """Shapes of what the loop takes: lanes of one batch agree in them."""
+        """Shapes of the arrays given to the loop; all lanes of a batch have the same."""
         return tuple(np.shape(leaf) for leaf in jax.tree.leaves((self.control, self.system)))
 
     @property
     def shape(self) -> np.ndarray:
-        """Displacements in the units of the scene for a unit of each mode of the loop, shape (3P, M)."""
+        """Displacements in the units of the scene for unit dimensionless modal displacements, shape (3P, M)."""
         structure, modes = self.model.structure, self.reduction.modes
         return structure.shape.reshape(-1, structure.num_modes)[:, modes] * self.frame.scales.mode[modes]
 
@@ -102,7 +102,7 @@ class Lane:
         return self.frame.start(self.here.point, self.here.state, self.phase)
 
     def moved(self, vector: np.ndarray) -> "Lane | None":
-        """The lane at another state vector in the same contact states; None where place or law do not allow it."""
+        """The lane at another state vector, contact states kept; None where these or the law do not allow it."""
         point, state, law = point_of(vector, self.here.point), self.here.state, self.system.law
         if not isinstance(law, ConeLaw):
             return None
@@ -130,7 +130,8 @@ class Recorded:
         start, end: the lane at both ends.
         cycles: how many.
         complete: whether all of them were done.
-        tries, index: of its batch, in as many parts as the loop had to be called, and its place in the batch.
+        tries: of the whole batch, one entry a call of the loop.
+        index: of the lane in the batch.
         slope: derivative of the state vector at the end by that at the start.
     """
 
@@ -155,18 +156,18 @@ class Recorded:
 
     @property
     def multipliers(self) -> np.ndarray:
-        """Floquet multipliers, largest first, those of offsets that nothing moves left out."""
+        """Floquet multipliers, largest first, without those of free offsets."""
         moves = self._moves
         values = np.linalg.eigvals(self.slope[np.ix_(moves, moves)])
         return np.asarray(values[np.argsort(-np.abs(values))])
 
     @property
     def _moves(self) -> np.ndarray:
-        """Entries of the state vector but for the offsets of contacts that stick all along: these stay as they are."""
+        """Which entries of the state vector change over the cycles: all but the offsets of stuck contacts."""
         return ~np.all(self.slope == np.eye(len(self.slope)), axis=1)
 
     def newton_step(self) -> np.ndarray:
-        """From the start of the cycles towards the place that they lead back to; offsets that are free are left."""
+        """Newton step from the start towards the fixed point of the map over the cycles; 0 in free offsets."""
         moves, change = self._moves, self.end.vector - self.start.vector
         step = np.zeros_like(change)
         matrix = np.eye(int(moves.sum())) - self.slope[np.ix_(moves, moves)]

@@ -1,8 +1,8 @@
-"""Steady states of many scenes side by side: each is marched until it repeats, or shot once it is near a periodic one.
+"""Steady states of many scenes side by side, by marching until the motion repeats, or by shooting.
 
-A search is in one of four phases. It marches, a round at a time; where that has come near a motion that repeats it may
-shoot; once it has settled, or spent its budget, a period is recorded and measured. Searches that are done make room
-for the next. What a search does next depends on itself alone, so the order and the company do not matter.
+A search is in one of four phases. It marches, a round of cycles at a time; after some rounds it may shoot; once it has
+settled, or spent its budget, a period is recorded and measured. Searches that are done make room for others. The next
+phase of a search depends on that search alone, so the order and the company do not matter.
 """
 
 import enum
@@ -36,11 +36,11 @@ class Chain:
 
 
 SteadyStates = Callable[[Sequence[Chain]], list[list[Orbit]]]
-"""`steady_states` of chains, its solver, its criterion and what stops it given."""
+"""Computes the steady states of chains: `steady_states` with a solver and a criterion."""
 
 
 class Phase(enum.Enum):
-    """What a search does next; DONE: it has its orbit."""
+    """Next piece of work of a search."""
 
     MARCH = enum.auto()
     SHOOT = enum.auto()
@@ -53,14 +53,14 @@ class Search:
     """The search for one steady state.
 
     Attributes:
-        chain, place: which one: position of the chain, and along it.
-        lane: where marching has led to.
-        phase: what comes next.
+        chain, place: position of the chain, and of the frequency in it.
+        lane: the trajectory after the last round of marching.
+        phase: next piece of work.
         returns: state vectors at the end of the last cycles, two rounds at most.
         cycles: integrated so far.
-        period: of the motion that is to be measured; 0 where it has not settled.
+        period: of the motion to be measured; 0 where it has not settled.
         shot: the iterate of Newton's method in the phase SHOOT.
-        next_shot: cycle from which the next attempt at shooting is made.
+        next_shot: cycle before which there is no further attempt at shooting.
         orbit: the result in the phase DONE.
     """
 
@@ -96,7 +96,8 @@ def after_march(search: Search, lane: Lane, returns: np.ndarray, solver: Solver,
 def after_shot(search: Search, recorded: Recorded, criterion: Criterion) -> Search:
     """The search after an iteration of Newton's method.
 
-    The next attempt comes later and later: a motion that never repeats costs far more shot than marched.
+    After a failure the next attempt waits for half as many cycles again: a motion that never repeats costs far more
+    to shoot than to march.
     """
     assert search.shot is not None
     led_to = iterated(search.shot, recorded, criterion.tolerance)
@@ -122,7 +123,7 @@ def _done(search: Search, recorded: Recorded) -> Search:
 
 
 def _failed(search: Search, solver: Solver) -> Search:
-    """The search that a status of the loop has ended."""
+    """The search after its trajectory has ended early."""
     lane = search.lane
     reason = message_of(lane.model, lane.reduction, solver, lane.status, lane.culprit)
     where = f"at {lane.frequency:g} Hz, in cycle {search.cycles + 1}"
@@ -148,8 +149,8 @@ def steady_states(
         criterion: when a motion counts as settled.
 
     Keyword Args:
-        crowd: chains that the batches are sized for, where more are to follow; one size less is compiled.
-        halted: asked now and then; once it says so the work is given up.
+        crowd: number of chains for which batches are sized, where more follow in other calls: so one size is compiled.
+        halted: called after each steady state; True gives the work up.
 
     Returns:
         The orbits of each chain in the order of its frequencies. After one that failed the chain starts anew.
@@ -179,7 +180,7 @@ def _batch_size(crowd: int) -> int:
 
 
 def warm_up(chains: Iterable[Chain], solver: Solver, crowds: Sequence[int]) -> None:
-    """Compile what steady states need, for each size of the crowd, before threads ask for it side by side."""
+    """Compile the loops for each size of the crowd, before several threads compile them side by side."""
     for chain in chains:
         lane = first_lane(Chain(chain.model, chain.frequencies[:1]), solver)
         if lane.here.state.size:
@@ -217,7 +218,7 @@ class _Work:
     criterion: Criterion
 
     def settled(self, pending: deque[Search], size: int) -> Iterator[Search]:
-        """The searches of a group, and those that follow along their chains, as each is done."""
+        """Yield the searches of a group, and those that follow along their chains, when each is done."""
         active: list[Search] = []
         while pending or active:
             while pending and len(active) < SIDE_BY_SIDE:

@@ -1,8 +1,7 @@
 """Shooting: Newton's method on the state after a period [1]_, with the exact derivative of `monodromy`.
 
-An iteration is one recorded cycle. Newton's method is given up where it does not take over at once and where it leaves
-the contact states, and what it converges to is refused where it is unstable: so it finds the motions that marching
-would, only sooner.
+An iteration is one recorded cycle. Newton's method is given up where it does not converge at once and where it leaves
+the contact states, and an unstable motion is refused: so it converges to the motions to which marching would lead.
 
 .. [1] H. B. Keller, *Numerical Methods for Two-Point Boundary-Value Problems*, Blaisdell (1968).
 """

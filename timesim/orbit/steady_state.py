@@ -12,8 +12,8 @@ from timesim.model.model import Model, Start
 Shares = TypeVar("Shares", bound=Any)
 """An array of numpy or of xarray."""
 
-# A visit to a state that lasts for a smaller share of the period is not one: a transition itself is located to 1e-8 of
-# the fastest oscillation, and what a visit this short does to a motion is far below any tolerance.
+# A state that lasts for a smaller share of the period does not count: a transition itself is located to 1e-8 of the
+# fastest oscillation, and the effect of so short a stay on the motion is far below any tolerance.
 BRIEF = 1e-9
 
 
@@ -29,8 +29,7 @@ class Orbit:
         cycles: excitation cycles integrated; 0 where the scene is linear and needs none.
         period: its period in excitation periods; 0 if the motion has not settled.
         slip_share, separation_share: share of the period in these states, shape (C,).
-        floquet: multipliers of the period, largest first, without those of offsets that nothing moves; NaN where the
-            motion has not settled.
+        floquet: Floquet multipliers, largest first, without those of free offsets; NaN where it has not settled.
         reason: why it could not be computed; None if it was.
     """
 
@@ -56,7 +55,7 @@ class Orbit:
 
 
 def without_orbit(model: Model, reason: str, cycles: int = 0) -> Orbit:
-    """What stands for a steady state that could not be computed."""
+    """Placeholder for a steady state that could not be computed."""
     nothing = np.full(model.num_contacts, np.nan)
     amplitude = np.full((len(model.structure.points), 3), np.nan)
     band = np.stack([amplitude, amplitude])
@@ -70,16 +69,16 @@ SAME = 1e-3
 
 
 def distance(one: Orbit, other: Orbit) -> float:
-    """How much the amplitudes of two motions differ, the largest of all points and axes.
+    """Largest difference of amplitude between two motions, over all points and axes.
 
-    By less where one has not settled: its amplitude may be any in its band.
+    The band of a motion that has not settled is subtracted: its amplitude may be any in it.
     """
     loose = sum(orbit.band[1] - orbit.band[0] for orbit in (one, other) if not orbit.settled)
     return float(np.max(np.abs(one.amplitude - other.amplitude) - loose, initial=0.0))
 
 
 def differ(one: Orbit, other: Orbit) -> bool:
-    """Whether two motions are not the same; one that could not be computed differs from none."""
+    """Whether two motions are different; False if one could not be computed."""
     known = one.reason is None and other.reason is None
     return known and distance(one, other) > SAME * max(one.largest, other.largest)
 

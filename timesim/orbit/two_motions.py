@@ -3,8 +3,8 @@
 A sweep carries its motion along until the motion is gone, at a fold or where it loses its stability, and jumps. Where
 the sweeps up and down are on different motions there are two: such a range begins where the downward sweep loses its
 motion, and ends where the upward one does. A jump is sought in every step over which the amplitude changes more than
-over the steps beside it, and in those after which both sweeps are on one motion. Halving the step tells a jump from a
-slope, so ranges far narrower than the step of the sweeps show too.
+over the steps beside it, and in those after which both sweeps are on one motion. Halving the step distinguishes a jump
+from a slope, so ranges far narrower than the step of the sweeps are resolved.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,7 +30,7 @@ class Search:
 
     Attributes:
         model: the scene.
-        steady: gives steady states as those of the sweeps.
+        steady: computes steady states with the solver and criterion of the sweeps.
         width: wanted of each end [Hz].
     """
 
@@ -89,7 +89,7 @@ class Sweeps:
 
 
 def suspect_steps(sweeps: Sweeps, direction: int) -> np.ndarray:
-    """Steps in which a sweep may jump: positions of the lower point of each."""
+    """Steps in which a sweep may jump, by the position of the lower point of each."""
     suspects = set(merging_steps(sweeps, direction))
     amplitude = sweeps.amplitude(direction)
     change = np.max(np.abs(np.diff(amplitude, axis=0)), axis=1, initial=0.0)
@@ -103,7 +103,7 @@ def suspect_steps(sweeps: Sweeps, direction: int) -> np.ndarray:
 
 
 def merging_steps(sweeps: Sweeps, direction: int) -> list[int]:
-    """Steps of a sweep after which both are on one motion: positions of the lower point of each."""
+    """Steps of a sweep after which both are on one motion, by the position of the lower point of each."""
     runs = np.flatnonzero(np.diff(sweeps.apart, prepend=False, append=False)).reshape(-1, 2)
     steps = [(int(end - 1), int(end)) if direction == UP else (int(first - 1),) * 2 for first, end in runs]
     last = sweeps.frequency.size - 1
