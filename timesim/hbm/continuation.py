@@ -80,14 +80,8 @@ class Curve:
     def of(cls, solutions: Sequence[Solution], num_unknowns: int, ending: Ending, message: str) -> "Curve":
         """From its solutions."""
         x, p, fold, determinant = zip(*solutions, strict=True) if solutions else ((),) * 4
-        return cls(
-            x=np.array(x).reshape(len(solutions), num_unknowns),
-            p=np.array(p, dtype=float),
-            fold=np.array(fold, dtype=bool),
-            determinant=np.array(determinant, dtype=np.int64),
-            ending=ending,
-            message=message,
-        )
+        unknowns, flags = np.array(x).reshape(len(solutions), num_unknowns), np.array(fold, dtype=bool)
+        return cls(unknowns, np.array(p, dtype=float), flags, np.array(determinant, dtype=np.int64), ending, message)
 
     @property
     def branch(self) -> NDArray[np.int64]:
