@@ -63,18 +63,15 @@ class Controls:
     turn: float = 0.12
 
     def __post_init__(self) -> None:
-        if not self.size > 0 or not self.tolerance > 0:
-            raise ValueError(f"continuation: size and tolerance must be positive, not {self.size} and {self.tolerance}")
-        if not 0 < self.min_step <= self.first_step <= self.max_step:
-            raise ValueError(
-                "continuation: steps must obey 0 < min_step <= first_step <= max_step, "
-                f"not {self.min_step}, {self.first_step}, {self.max_step}"
-            )
-        if self.max_points < 2 or self.max_newton < 1:
-            raise ValueError(
-                "continuation: max_points must be at least 2 and max_newton at least 1, "
-                f"not {self.max_points} and {self.max_newton}"
-            )
+        steps = (self.min_step, self.first_step, self.max_step)
+        for obeyed, rule, values in (
+            (self.size > 0 and self.tolerance > 0, "size and tolerance must be positive", (self.size, self.tolerance)),
+            (0 < steps[0] <= steps[1] <= steps[2], "steps must obey 0 < min_step <= first_step <= max_step", steps),
+            (self.max_points >= 2, "max_points must be at least 2", (self.max_points,)),
+            (self.max_newton >= 1, "max_newton must be at least 1", (self.max_newton,)),
+        ):
+            if not obeyed:
+                raise ValueError(f"continuation: {rule}, not {', '.join(map(str, values))}")
 
 
 @dataclass(frozen=True)

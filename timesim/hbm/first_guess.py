@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from timesim.hbm.balance import Array, Balance
+from timesim.hbm.balance import Array, Balance, contact_stiffness
 from timesim.hbm.continuation import Controls, Curve, Ending, follow
 from timesim.orbit.fourier import to_coefficients
 
@@ -47,13 +47,8 @@ def first_guesses(balance: Balance, frequency: float, controls: Controls) -> Ite
 
 def _linear_guess(balance: Balance, frequency: float, stuck: Array) -> Array:
     """Linear response with each contact stuck (1), absent (0) or in between."""
-    linear, size = balance.linear(frequency), 3 * balance.num_contacts
-    stiffness = np.zeros((size, size))
-    for i in np.flatnonzero(stuck):
-        contact = balance.model.contacts[i]
-        stiffness[3 * i : 3 * i + 2, 3 * i : 3 * i + 2] = stuck[i] * contact.tangential_stiffness
-        stiffness[3 * i + 2, 3 * i + 2] = stuck[i] * contact.normal_stiffness
-    matrix = np.eye(size) + linear.flexibility @ (stiffness - balance.support)
+    linear, stiffness = balance.linear(frequency), contact_stiffness(balance.model, stuck)
+    matrix = np.eye(len(stiffness)) + linear.flexibility @ (stiffness - balance.support)
     try:
         motion = np.linalg.solve(matrix, linear.free[..., None])[..., 0]
     except np.linalg.LinAlgError:

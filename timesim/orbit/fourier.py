@@ -42,8 +42,8 @@ def fourier_coefficients(samples: Array, phase: float) -> Array:
     order = np.arange(len(spectrum)).reshape(-1, *[1] * (samples.ndim - 1))
     # The first sample lies one interval after the phase at which the last one does.
     spectrum = spectrum * np.exp(-1j * order * (phase + 2 * np.pi / count))
-    pairs = np.stack([2 * spectrum[1:].real, -2 * spectrum[1:].imag], axis=1)
-    return np.concatenate([spectrum[:1].real, pairs.reshape(-1, *samples.shape[1:])])
+    spectrum[1:] *= 2
+    return np.moveaxis(to_coefficients(np.moveaxis(spectrum, 0, -1)), -1, 0)
 
 
 def half_range(phasor: Complex) -> Array:

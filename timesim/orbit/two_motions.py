@@ -206,19 +206,12 @@ def ranges(search: Search, sweeps: Sweeps, lost: Sequence[Loss]) -> Iterator[Ran
         if any(orbit.reason is not None for orbit in motions) or not differ(*motions):
             continue
         lower, upper = sorted(motions, key=lambda orbit: orbit.largest)
-        settled = [all(loss.jump.on.settled for loss in lost if loss.jump.near == end) for end in (low, high)]
-        cut, jumped = (low == first, high == last), np.array([_jumped(end, lost, lower) for end in (low, high)])
-        yield Range(low, high, cut, (settled[0], settled[1]), jumped, lower, upper)
-
-
-def _jumped(end: float, lost: Sequence[Loss], like: Orbit) -> np.ndarray:
-    """Amplitude before and after the jump at an end."""
-    here = [loss for loss in lost if loss.jump.near == end]
-    return np.array(
-        [here[0].jump.on.amplitude, here[0].jump.beyond.amplitude]
-        if here
-        else [np.full_like(like.amplitude, np.nan)] * 2
-    )
+        at_ends = [[loss.jump for loss in lost if loss.jump.near == end] for end in (low, high)]
+        settled = [all(jump.on.settled for jump in here) for here in at_ends]
+        none = [np.full_like(lower.amplitude, np.nan)] * 2
+        jumped = [[here[0].on.amplitude, here[0].beyond.amplitude] if here else none for here in at_ends]
+        cut = (low == first, high == last)
+        yield Range(low, high, cut, (settled[0], settled[1]), np.array(jumped), lower, upper)
 
 
 def _at_middle(
