@@ -153,7 +153,7 @@ def test_offset_where_little_room_is_left():
 def test_a_contact_sticks_wherever_it_can():
     """Against a search for the offset with which the force stays deepest in its cone, under motions in the plane."""
     rng, law, basis = np.random.default_rng(11), law_of([element(STIFFNESS["general"], 1.0)]), basis_of(3, 128)
-    told = []
+    sticks = []
     for scale in np.linspace(0.05, 0.35, 60):
         y = rng.normal(size=(1, 3, 7)) * scale * np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.2, 0.2])
         motion = motion_of(basis, jnp.asarray(y))
@@ -170,11 +170,11 @@ def test_a_contact_sticks_wherever_it_can():
         best = min(minimize(excess, start, method="Nelder-Mead", options=fine).fun for start in starts)
         found = stuck_offset(law, motion)
         if abs(best) > 1e-4:
-            told.append(bool(found.sticks[0]))
-            assert told[-1] == (best < 0), best
+            sticks.append(bool(found.sticks[0]))
+            assert sticks[-1] == (best < 0), best
         if found.sticks[0]:
             assert excess([float(f[0]) for f in found.force]) < 0
-    assert 10 < sum(told) < len(told) - 10
+    assert 10 < sum(sticks) < len(sticks) - 10
 
 
 def turned(coefficient, angle):

@@ -23,10 +23,9 @@ from timesim.hbm.continuation import joined, part_of
 from timesim.hbm.curve import HbmCurve, solutions_at
 from timesim.hbm.period import closed_period, ends_of, motion_of
 from timesim.hbm.scheme import Scheme
-from timesim.model.contact_state import contact_loads, contact_state, slip_follows_motion
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.solver import Solver
-from timesim.orbit.basin import INSIDE
+from timesim.orbit.basin import placed
 from timesim.orbit.cycle import one_cycle
 from timesim.orbit.fourier import fourier_basis, fourier_coefficients
 from timesim.orbit.settling import Chain, Criterion, steady_states
@@ -218,10 +217,7 @@ def _start(
     displacement = modal.real.sum(axis=0)
     speed = (1j * np.arange(len(modal))[:, None] * 2 * np.pi * frequency * modal).real.sum(axis=0)
     here = coefficient @ fourier_basis(np.zeros(1), coefficient.shape[2])[0]
-    loads = contact_loads(model, displacement, (here[:, :2] - elastic) * balance.length)
-    state = contact_state(loads.normal, model.friction)
-    follows = slip_follows_motion(state, model.friction)[:, None]
-    return Start(displacement, speed, np.where(follows, loads.motion, loads.slip_in_cone(INSIDE)), state)
+    return replace(placed(model, displacement, speed, (here[:, :2] - elastic) * balance.length), phase=0.0)
 
 
 def _settled_cycle(model: Model, frequency: float, solver: Solver, criterion: Criterion) -> Samples:
