@@ -121,6 +121,23 @@ def test_force_derivatives_against_differences(kind, preload):
 
 
 @pytest.mark.parametrize("kind", STIFFNESS)
+def test_derivatives_where_slip_is_too_short_to_forget_the_start(kind):
+    """Across the direction of slip a part of the elastic displacement lasts: the period closes over several passes."""
+    law, basis = law_of([element(STIFFNESS[kind], 1.0)] * 3), basis_of(2, 128)
+    y = np.zeros((3, 3, 5))
+    y[:, 0, 1], y[:, 1, 2], y[:, 2, 3] = [0.34, 0.35, 0.36], [0.1, -0.05, 0.02], [0.05, 0.0, -0.05]
+    acts, slope = linearised(law, basis, jnp.asarray(y))
+    assert 0.1 < np.max(acts.slip) < 0.5
+    assert acts.passes > 3
+
+    def value(flat):
+        return np.asarray(contact_forces(law, basis, jnp.asarray(flat.reshape(y.shape))).coefficient).ravel()
+
+    whole = differences(value, y.ravel(), 1e-6).reshape(3, 15, 3, 15)
+    np.testing.assert_allclose(slope, np.stack([whole[i, :, i] for i in range(3)]), atol=2e-8)
+
+
+@pytest.mark.parametrize("kind", STIFFNESS)
 def test_derivatives_where_no_slip_at_all_would_leave_the_cone(kind):
     """w = 0 lies outside: the contact sticks with an offset, which follows the motion."""
     contact = element(STIFFNESS[kind], 1.0)
