@@ -1,4 +1,4 @@
-"""Scenes: what is read from a good one, and that every bad one is refused with its key, line and rule."""
+"""Scenes: how a good one is read, and that every bad one is refused with its key, line and rule."""
 
 import contextlib
 import json
@@ -55,8 +55,8 @@ def test_a_value_of_over_is_shown_once():
     study = "study={kind: sweep, frequency: {from: 1, to: 2, step: 0.5}, over: {contacts.pad.normal_stiffness: [0]}}"
     with pytest.raises(SceneError) as caught:
         load_scene(BASE, [study, "contacts.pad.preload=-30"])
-    told = "override: study.over.contacts.pad.normal_stiffness: 0.0: contacts.pad.preload must be > 0 where"
-    assert str(caught.value).startswith(told)
+    refusal = "override: study.over.contacts.pad.normal_stiffness: 0.0: contacts.pad.preload must be > 0 where"
+    assert str(caught.value).startswith(refusal)
 
 
 def test_zoo_is_diverse():
@@ -569,8 +569,10 @@ def test_describe_counts_points_and_advises_at_the_lowest_frequency():
     sweep = "study={direction: both, frequency: {from: 1, to: 2, step: 0.5}, kind: sweep}"
     found = report(sweep, f"study.over.contacts.pad.preload={[float(k) for k in range(9)]}")
     _, study, points, *_ = found["scene"]
-    told = "direction both, frequency {from: 1.0, to: 2.0, step: 0.5}"
-    assert study.startswith(f"study: kind sweep, {told}, over {{contacts.pad.preload: [0.0, 1.0, 2.0, …, 8.0]}}, ")
+    frequencies = "direction both, frequency {from: 1.0, to: 2.0, step: 0.5}"
+    assert study.startswith(
+        f"study: kind sweep, {frequencies}, over {{contacts.pad.preload: [0.0, 1.0, 2.0, …, 8.0]}}, "
+    )
     assert points == "points: 3 frequencies x 9 values of contacts.pad.preload x 2 directions = 54 points"
     (advice,) = found["advised method"]
     assert advice.startswith("tsit5: ")
