@@ -544,7 +544,7 @@ def test_files_that_no_result_are(tmp_path: Path):
 
 def test_describe_names_every_part():
     scene = load_scene(CONFIGS / "oscillator.yaml")
-    report = {heading.title: heading.lines for heading in describe(scene)}
+    report = describe(scene)
     assert report["structure"] == ("2 modes, 0.9 to 1.1 Hz", "damping ratio 0.02", "points: tip")
     assert "same tangential stiffness" in report["left out or simplified"][0]
     assert "preload 3" in report["contacts"][0]
@@ -555,7 +555,7 @@ def test_describe_says_what_is_left_out_and_why():
     def said(**overrides: Any) -> tuple[str, ...]:
         changes = {key.replace("__", "."): value for key, value in overrides.items()}
         scene = load_scene(CONFIGS / "oscillator.yaml", changes)
-        return {heading.title: heading.lines for heading in describe(scene)}["left out or simplified"]
+        return describe(scene)["left out or simplified"]
 
     assert "sticks from start to end" in said(contacts__pad__preload=100)[0]
     assert "never touches" in said(contacts__pad__preload=-40)[0]
@@ -564,7 +564,7 @@ def test_describe_says_what_is_left_out_and_why():
 
 def test_describe_counts_points_and_advises_at_the_lowest_frequency():
     def report(*overrides: str) -> dict[str, tuple[str, ...]]:
-        return {heading.title: heading.lines for heading in describe(load_scene(BASE, overrides))}
+        return describe(load_scene(BASE, overrides))
 
     sweep = "study={direction: both, frequency: {from: 1, to: 2, step: 0.5}, kind: sweep}"
     found = report(sweep, f"study.over.contacts.pad.preload={[float(k) for k in range(9)]}")
