@@ -23,9 +23,9 @@ from timesim.study.registry import json_schema, load_scene
 CONFIGS = Path(__file__).parents[2] / "configs"
 
 
-def problems(source: Any, *overrides: str) -> list[tuple[str, str]]:
+def problems(source: Any, *overrides: Any) -> list[tuple[str, str]]:
     with pytest.raises(SceneError) as caught:
-        load_scene(source, overrides)
+        load_scene(source, overrides[0] if overrides and isinstance(overrides[0], dict) else overrides)
     return [(problem.key, problem.rule) for problem in caught.value.problems]
 
 
@@ -104,6 +104,38 @@ def test_no_problem_waits_for_another_to_be_mended(text: str, changes: dict[str,
     with pytest.raises(SceneError) as caught:
         load_scene(text, changes)
     assert sorted(problem.key for problem in caught.value.problems) == sorted(keys or changes)
+
+
+@pytest.mark.parametrize("tiny", [1e-160, 1e-200, 1e-320])
+@pytest.mark.parametrize(
+    ("keys", "refused"),
+    [
+        (("excitation.modal_force.0.amplitude", "excitation.modal_force.1.amplitude"), "excitation"),
+        (("structure.modes.0.mass", "structure.modes.1.mass"), "excitation"),
+        (("excitation.frequency",), "excitation"),
+        (("contacts.pad.tangential_stiffness",), "contacts.pad.tangential_stiffness"),
+        (("structure.modes.0.frequency",), None),
+        (("structure.modes.0.damping_ratio",), None),
+        (("contacts.pad.normal_stiffness",), None),
+        (("contacts.pad.friction",), None),
+    ],
+)
+def test_numbers_whose_squares_vanish(keys: tuple[str, ...], refused: str | None, tiny: float):
+    changes = {"excitation.forces": [], "excitation.constant_forces": []} | dict.fromkeys(keys, tiny)
+    if refused is None:
+        assert describe(load_scene(BASE, changes))
+    else:
+        ((key, rule),) = problems(BASE, changes)
+        assert key == refused
+        assert "must lead to" in rule or "out of proportion" in rule
+
+
+def test_a_response_may_be_small_as_long_as_its_square_is_a_number():
+    changes = {f"excitation.modal_force.{i}.amplitude": 1e-90 for i in (0, 1)}
+    assert load_scene(CONFIGS / "oscillator.yaml", changes).model().contacts[0].preload == 3
+    assert problems(CONFIGS / "oscillator.yaml", changes | {"contacts.pad.preload": 1e20})[0] == (
+        "contacts.pad.preload", "is out of proportion to forces of 1e-90 and displacements of 1.31e-92",
+    )  # fmt: skip
 
 
 def test_a_point_is_known_if_any_mode_names_it():

@@ -233,13 +233,14 @@ def _reach(scene: _Scene) -> np.ndarray:
     omega, decay = scene.model.structure.omega, np.diag(scene.damping)
     reach = np.zeros(omega.size)
     for i in np.flatnonzero((scene.force > 0) | (scene.displacement != 0) | (scene.velocity != 0)):
-        if omega[i] == 0 or decay[i] <= 0:
+        if omega[i] ** 2 == 0 or decay[i] <= 0:
             reach[i] = np.inf
             continue
-        zeta = decay[i] / (2 * omega[i])
-        rings = 1 / np.tanh(np.pi * zeta / (2 * np.sqrt(1 - zeta**2))) if zeta < 1 else 1.0
-        free = np.hypot(scene.displacement[i], scene.velocity[i] / omega[i])
-        reach[i] = scene.force[i] * rings / omega[i] ** 2 + free
+        with np.errstate(over="ignore"):  # a bound that overflows is infinite
+            zeta = decay[i] / (2 * omega[i])
+            rings = 1 / np.tanh(np.pi * zeta / (2 * np.sqrt(1 - zeta**2))) if zeta < 1 else 1.0
+            free = np.hypot(scene.displacement[i], scene.velocity[i] / omega[i])
+            reach[i] = scene.force[i] * rings / omega[i] ** 2 + free
     return reach
 
 

@@ -9,24 +9,11 @@ from pydantic import Field, Tag, model_validator
 
 from timesim.fault import RuleError
 from timesim.model.model import GROUND, Contact
+from timesim.scene.axis import MAX_POINTS, Values, axis_values
 from timesim.scene.contact import ContactSection
-from timesim.scene.section import (
-    MAX_POINTS,
-    ContactName,
-    Count,
-    FilePath,
-    NotNegative,
-    Number,
-    Section,
-    Switch,
-    Text,
-    Values,
-    Whole,
-    axis_values,
-    by_form,
-    refuse,
-)
+from timesim.scene.section import Section, by_form, refuse
 from timesim.scene.study import Context, StudySection
+from timesim.scene.value import ContactName, Count, FilePath, NotNegative, Number, Switch, Text, Whole
 
 if TYPE_CHECKING:
     from timesim.element.motion import Motion

@@ -6,7 +6,8 @@ import numpy as np
 
 from timesim.fault import RuleError
 from timesim.model import model
-from timesim.scene.section import Count, Direction, Number, PointName, Positive, Section, unit
+from timesim.scene.section import Section
+from timesim.scene.value import Count, Direction, Number, PointName, Positive, unit
 
 STILL = 1e-12  # of the largest entry of all mode shapes
 

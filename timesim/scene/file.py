@@ -16,9 +16,10 @@ from timesim.fault import RuleError, nearest
 from timesim.scene.contact import Contacts
 from timesim.scene.excitation import ExcitationSection
 from timesim.scene.integration import InitialSection, SolverSection
-from timesim.scene.section import Section, Text, by_form, refuse
+from timesim.scene.section import Section, by_form, refuse
 from timesim.scene.structure import StructureSection, point_names
 from timesim.scene.study import StudySection
+from timesim.scene.value import Text
 
 Kinds = Mapping[str, type[StudySection]]
 """The section of each kind of study."""

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from timesim.fault import Problem, RuleError, SceneError
 from timesim.model.model import CONE, Model
+from timesim.model.scales import out_of_range
 from timesim.model.solver import Solver
 from timesim.model.start import rest_start
 from timesim.scene.excitation import ExcitationSection
@@ -250,7 +251,10 @@ class _Build:
         model = Model(structure, contacts, no_force.build(structure, order), rest, notes)
         with self.under("excitation"):
             model = replace(model, excitation=(self.file.excitation or no_force).build(structure, order))
-            self.errors += self.file.study.problems(model)
+            study = self.file.study
+            frequency = model.excitation.frequency if study.uses_frequency else study.lowest_frequency()
+            self.errors += study.problems(model)
+            self.errors += out_of_range(model, frequency or model.structure.frequency[-1] or 1.0)
         failed = {error.key[0] for error in self.errors}
         if "initial" in failed or (initial == "static" and "excitation" in failed):
             return model

@@ -9,19 +9,8 @@ from pydantic import Field, Tag, model_validator
 from timesim.fault import RuleError
 from timesim.model import model
 from timesim.model.matrices import Matrices, modal_structure, read_matrices
-from timesim.scene.section import (
-    Count,
-    FilePath,
-    Matrix,
-    Name,
-    NotNegative,
-    Positive,
-    Row,
-    Section,
-    Vector,
-    by_form,
-    refuse,
-)
+from timesim.scene.section import Section, by_form, refuse
+from timesim.scene.value import Count, FilePath, Matrix, Name, NotNegative, Positive, Row, Vector
 
 BuiltStructure = tuple[model.Structure, np.ndarray, tuple[str, ...]]
 """A structure, the scene's index of each of its modes, and notes."""

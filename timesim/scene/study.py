@@ -13,18 +13,10 @@ from pydantic import AfterValidator, Field, model_validator
 from timesim.fault import Key, RuleError, nearest
 from timesim.model.model import Model
 from timesim.model.solver import Criterion
+from timesim.scene.axis import Frequencies, Values, axis_values, repeated
 from timesim.scene.contact import ContactSection
-from timesim.scene.section import (
-    Count,
-    Frequencies,
-    Positive,
-    Section,
-    Text,
-    Values,
-    axis_values,
-    refuse,
-    repeated,
-)
+from timesim.scene.section import Section, refuse
+from timesim.scene.value import Count, Positive, Text
 
 Axes = Mapping[str, tuple[float, ...]]
 """Scalars of the scene by their key path, each with its values."""

@@ -10,19 +10,9 @@ from pydantic import Field, model_validator
 from timesim.fault import RuleError
 from timesim.model.model import CONE, Model
 from timesim.model.solver import Criterion
+from timesim.scene.axis import MAX_POINTS, Ascending, Frequencies, Range, spaced
 from timesim.scene.hbm import HbmPlan, balance_problems, balanced, default_steps
-from timesim.scene.section import (
-    MAX_POINTS,
-    Ascending,
-    Count,
-    Frequencies,
-    PointName,
-    Positive,
-    Range,
-    Whole,
-    refuse,
-    spaced,
-)
+from timesim.scene.section import refuse
 from timesim.scene.study import (
     AlongOne,
     Context,
@@ -34,6 +24,7 @@ from timesim.scene.study import (
     SweepSection,
     axes_of,
 )
+from timesim.scene.value import Count, PointName, Positive, Whole
 
 
 class Sweep(SweepSection):

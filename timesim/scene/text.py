@@ -222,7 +222,7 @@ def _flow(value: Any) -> str:
         return "[" + ", ".join(map(_flow, value)) + "]"
     if isinstance(value, str):
         return _text(value)
-    text = json.dumps(value)
+    text = json.dumps(value, default=str)
     return SPECIAL.get(text, text)
 
 
