@@ -195,9 +195,9 @@ def _any_schedule(modes: _ComplexModes, start: np.ndarray, force: np.ndarray) ->
     forced = push > 0
     if np.any(decay[forced] <= 0):
         return []
-    held = np.abs(modes.inverse @ start) + np.divide(push, decay, out=np.zeros_like(push), where=forced)
+    free = np.abs(modes.inverse @ start) + np.divide(push, decay, out=np.zeros_like(push), where=forced)
     size = force.shape[1]
-    return [(modes.shape[:size] * held, np.zeros((size, 0)))]
+    return [(modes.shape[:size] * free, np.zeros((size, 0)))]
 
 
 def _steady(frame: _Frame, force: np.ndarray, omega: np.ndarray) -> np.ndarray | None:

@@ -55,16 +55,16 @@ def read_matrices(source: Path | Mapping[str, Path]) -> Matrices:
         hint = "for Matrix Market write file: {mass: m.mtx, stiffness: k.mtx}"
         raise RuleError((), "must be a .npz or .mat file", hint, str(source))
     _check_present(source)
-    held = readers[source.suffix.lower()](source)
-    names = {name: next((key for key in (name, short) if key in held), None) for name, short in ARRAYS.items()}
+    arrays = readers[source.suffix.lower()](source)
+    names = {name: next((key for key in (name, short) if key in arrays), None) for name, short in ARRAYS.items()}
     for name in ("mass", "stiffness"):
         if names[name] is None:
             rule = f"holds neither {name} nor {ARRAYS[name]}"
-            raise RuleError((), rule, f"it holds {', '.join(sorted(held)) or 'nothing'}", str(source))
-    arrays = {name: _numeric(held[key], f"{key} in {source.name}") for name, key in names.items() if key}
-    spare = [short for name, short in ARRAYS.items() if name in held and short in held]
+            raise RuleError((), rule, f"it holds {', '.join(sorted(arrays)) or 'nothing'}", str(source))
+    matrices = {name: _numeric(arrays[key], f"{key} in {source.name}") for name, key in names.items() if key}
+    spare = [short for name, short in ARRAYS.items() if name in arrays and short in arrays]
     unused = "{0} holds {1} besides the array of the full name; {1} is left alone"
-    return Matrices(**arrays, notes=tuple(unused.format(source.name, short) for short in spare))
+    return Matrices(**matrices, notes=tuple(unused.format(source.name, short) for short in spare))
 
 
 def _check_present(path: Path) -> None:
@@ -103,8 +103,8 @@ def _read_mat(path: Path) -> dict[str, Any]:
         warnings.simplefilter("ignore")
         names = [entry[0] for entry in scipy.io.whosmat(path)]
         wanted = [name for name in names if name in ARRAYS or name in ARRAYS.values()]
-        held = scipy.io.loadmat(path, variable_names=wanted)
-        return {name: held.get(name) for name in names}
+        arrays = scipy.io.loadmat(path, variable_names=wanted)
+        return {name: arrays.get(name) for name in names}
 
 
 def _read_single(path: Path, name: str) -> Any:

@@ -42,11 +42,15 @@ def modal_size(model: Model, omega: float) -> float:
     Without forces it is the size of the start.
     """
     root = np.sqrt(model.structure.mass)
-    drive = np.abs(model.excitation.constant) + np.hypot(model.excitation.cosine, model.excitation.sine).sum(axis=0)
-    size = np.max(drive / root / np.maximum(model.structure.omega, omega) ** 2, initial=0.0)
+    size = np.max(_drive(model) / root / np.maximum(model.structure.omega, omega) ** 2, initial=0.0)
     if size == 0:
         size = np.max(np.hypot(model.start.displacement, model.start.velocity / omega) * root, initial=0.0)
     return float(size) if size > 0 else 1.0
+
+
+def _drive(model: Model) -> np.ndarray:
+    """Largest force on each mode, shape (M,)."""
+    return np.abs(model.excitation.constant) + np.hypot(model.excitation.cosine, model.excitation.sine).sum(axis=0)
 
 
 def scales_of(model: Model, frequency: float) -> Scales:
@@ -80,7 +84,8 @@ def out_of_range(model: Model, frequency: float) -> Iterator[RuleError]:
     for what, unit in (("displacements", length), ("velocities", length * omega), ("forces", force)):
         if not 1 / LARGEST <= unit <= LARGEST:
             rule = f"must lead to {what} from {1 / LARGEST:g} to {LARGEST:g}, not of {unit:.3g}"
-            yield RuleError(("excitation",), rule, "use other units, or forces of another size")
+            cause = "excitation" if np.any(_drive(model)) else "initial"
+            yield RuleError((cause,), rule, "use other units, or forces of another size")
             return
     for i, contact in enumerate(model.contacts):
         soft, stiff = np.linalg.eigvalsh(contact.tangential_stiffness) * length / force

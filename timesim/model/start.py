@@ -70,12 +70,12 @@ def static_start(physics: Model) -> Start:
     agrees with the normal loads: all that disagree at once; after a set comes back, the first of them only.
 
     Raises:
-        RuleError: no set agrees, a free motion is held by nothing, or a contact leaves its cone.
+        RuleError: no set agrees, nothing restrains a mode of frequency 0, or a contact leaves its cone.
     """
     closed = np.array([contact.preload > 0 for contact in physics.contacts], dtype=bool)
     seen: set[bytes] = set()
     for _ in range(MAX_STATES):
-        displacement, held = _equilibrium(physics, closed)
+        displacement, restrained = _equilibrium(physics, closed)
         loads = contact_loads(physics, displacement, np.zeros((physics.num_contacts, 2)))
         wrong = np.flatnonzero((loads.normal > 0) != closed)
         if not wrong.size:
@@ -85,7 +85,7 @@ def static_start(physics: Model) -> Start:
         closed[change] = ~closed[change]
     else:
         raise RuleError((), "finds no equilibrium: the contacts open and close in turn", "start from rest")
-    if not held:
+    if not restrained:
         raise RuleError((), "finds no equilibrium: nothing holds a mode of frequency 0", "start from rest")
     state = contact_state(loads.normal, physics.friction)
     follows = slip_follows_motion(state, physics.friction)
@@ -115,7 +115,7 @@ def _equilibrium(physics: Model, closed: np.ndarray) -> tuple[np.ndarray, bool]:
 
 
 def resumed_start(physics: Model, end: Start, contacts: Sequence[str]) -> Start:
-    """The state that another run has ended in, made to agree with a model.
+    """The state that another run has ended in, adapted to a model.
 
     Args:
         physics: the model, with as many modes and the same contacts.

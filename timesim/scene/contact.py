@@ -30,7 +30,7 @@ TangentialStiffness = Annotated[
 
 
 class LawSection(Section):
-    """A contact law with the parameters that it has beside those of every contact."""
+    """A contact law by its name, with the parameters that it needs besides those that every contact has."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Number]

@@ -12,7 +12,6 @@ from timesim.model.model import Model
 from timesim.result.file import StoreError
 from timesim.result.periodic_motion import PeriodicMotion, periodic_motion
 from timesim.result.state import Held, held
-from timesim.scene.axis import Span
 from timesim.scene.integration import ResultSection
 from timesim.scene.section import Section, by_form, refuse
 from timesim.scene.study import (
@@ -26,7 +25,7 @@ from timesim.scene.study import (
     SweepSection,
     axes_of,
 )
-from timesim.scene.value import Count, Positive, Switch, Whole
+from timesim.scene.value import Count, Positive, Span, Switch, Whole
 
 
 @dataclass(frozen=True)

@@ -150,9 +150,9 @@ def _study_lines(scene: Scene) -> Iterator[str]:
 
 def _keys(section: BaseModel, order: Iterable[str]) -> str:
     """What a section holds, the keys that were written first and in their order."""
-    held = section.model_dump(by_alias=True, exclude_none=True)
-    keys = dict.fromkeys([key for key in order if key in held] + list(held))
-    return ", ".join(f"{key} {_brief(held[key])}" for key in keys)
+    values = section.model_dump(by_alias=True, exclude_none=True)
+    keys = dict.fromkeys([key for key in order if key in values] + list(values))
+    return ", ".join(f"{key} {_brief(values[key])}" for key in keys)
 
 
 def _brief(value: Any) -> str:

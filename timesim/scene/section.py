@@ -1,4 +1,4 @@
-"""What the sections of a scene file are made of: their base class, unions by the form of a value, and refusals."""
+"""The base class of the sections of a scene file, unions resolved by the form of a value, and refusals."""
 
 from collections.abc import Callable
 from typing import Any, Self

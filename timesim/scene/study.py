@@ -13,10 +13,9 @@ from pydantic import AfterValidator, Field, model_validator
 from timesim.fault import Key, RuleError, nearest
 from timesim.model.model import Model
 from timesim.model.solver import Criterion
-from timesim.scene.axis import Frequencies, Values, axis_values, repeated
 from timesim.scene.contact import ContactSection
 from timesim.scene.section import Section, refuse
-from timesim.scene.value import Count, Positive, Text
+from timesim.scene.value import Count, Frequencies, Positive, Text, Values, axis_values, repeated
 
 Axes = Mapping[str, tuple[float, ...]]
 """Scalars of the scene by their key path, each with its values."""
@@ -105,7 +104,7 @@ class StudySection(Section):
     cone_only: ClassVar[bool] = False
     """Whether the contacts must obey the law of the cone."""
     keeps_failures: ClassVar[bool] = False
-    """Whether a combination of values that makes no scene is a failed point of the result, beside those that do."""
+    """Whether a combination of values that makes no scene becomes a failed point, beside others that do make one."""
 
     kind: str
 
