@@ -150,7 +150,7 @@ class SlowSettle(Settle):
 
 
 class Bistable(SteadySection):
-    """Ranges with two steady motions: sweeps up and down, the ends of a range, and which start leads to which motion."""
+    """Ranges with two steady motions: sweeps up and down, the ends of a range, and which start leads to which."""
 
     search: ClassVar[str] = " in the sweeps, and the search for the ends"
 
