@@ -1,4 +1,4 @@
-"""Scenes: what is read from a good one, and that every bad one is refused with its key, line and rule."""
+"""Scenes: how a good one is read, and that every bad one is refused with its key, line and rule."""
 
 import contextlib
 import json

@@ -1,4 +1,4 @@
-"""Responses that jump: both ends found without being told where, which start leads where, offsets that are free.
+"""Responses that jump: both ends of the range, which start leads to which motion, offsets that are free.
 
 The ends on the paper's oscillator were computed independently, settled for 800 cycles a step: at a preload of 2 the
 lower motion lives to 1.2560 Hz and is gone at 1.2561, the upper one to 1.2511 and is gone at 1.2510; with a gap of
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import CONFIGS, options, run_config
+from commands import CONFIGS, options, run_of_config
 from systems import oscillator
 from typer.testing import CliRunner
 
@@ -44,14 +44,7 @@ QUICK = {
 }
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return run_config(tmp_path_factory.mktemp("bistable"), "softening.yaml", QUICK)
-
-
-@pytest.fixture(scope="module")
-def result(folder: Path):
-    return open_result(folder / "run")
+folder, result = run_of_config("softening.yaml", QUICK)
 
 
 def test_both_ends_are_found_by_steps_wider_than_the_range(result):
@@ -100,7 +93,7 @@ def test_the_branch_behind_turns_where_the_sweeps_jump(result):
     assert (hbm.stable.values == 0).any()
 
 
-def test_what_is_said(folder):
+def test_the_summary(folder):
     said = (folder / "said").read_text()
     for words in (
         "two motions from 1.25",
@@ -162,14 +155,14 @@ def test_more_jumps_than_ranges_or_fewer(num: int, tmp_path: Path, monkeypatch: 
 def test_a_balance_that_comes_to_no_end_leaves_the_study_whole(monkeypatch: pytest.MonkeyPatch):
     given = QUICK | {"study.frequency": "{from: 1.4, to: 1.45}", "study.starts": "0"}
     scene = load_scene(CONFIGS / "softening.yaml", [f"{key}={value}" for key, value in given.items()])
-    told = ["the corrector did not converge"]
-    monkeypatch.setattr(Curves, "run", lambda *_: told[0])
+    reason = ["the corrector did not converge"]
+    monkeypatch.setattr(Curves, "run", lambda *_: reason[0])
     outcome = carry_out(scene)
     assert outcome.reason is None
     assert outcome.groups[""].attrs["complete"] == 1
     assert outcome.groups["hbm"].attrs["complete"] == 0
     assert any("the balance behind is not whole: the corrector did not" in line for line in outcome.summary)
-    told[0] = "interrupted at curve 1"
+    reason[0] = "interrupted at curve 1"
     assert carry_out(scene).reason == "hbm: interrupted at curve 1"
 
 
@@ -207,7 +200,7 @@ class Branches:
         end = Start(np.full(2, float(number)), np.zeros(2), np.zeros((1, 2)), np.full(1, STICK))
         return replace(
             without_orbit(oscillator(2.0, 1.0), "", 8), end=end, amplitude=amplitude, band=np.stack([amplitude] * 2),
-            settled=True, period=1, slip_share=np.zeros(1), separation_share=np.zeros(1), reason=None,
+            period=1, slip_share=np.zeros(1), separation_share=np.zeros(1), reason=None,
         )  # fmt: skip
 
     def along(self, start: Start, frequencies: Sequence[float]) -> list[Orbit]:
@@ -289,7 +282,7 @@ def test_a_slope_and_a_jump_in_one_step():
 
 
 def test_three_motions():
-    """Between jumps each sweep stays on one motion: a range is told for each pair."""
+    """Between jumps each sweep stays on one motion: there is a range for each pair."""
     toy = Branches((-np.inf, 1.503), (1.217, 1.524), (1.441, np.inf))
     search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 101))
     found = list(ranges(search, sweeps, list(losses(search, sweeps))))
@@ -333,7 +326,7 @@ def test_motions_that_have_not_settled_differ_only_beyond_their_bands():
     one, other = toy.orbit(0, 1.5), toy.orbit(1, 1.5)
     assert differ(one, other)
     assert not differ(one, one)
-    wide = replace(other, settled=False, band=np.stack([other.amplitude - 1.1, other.amplitude]))
+    wide = replace(other, period=0, band=np.stack([other.amplitude - 1.1, other.amplitude]))
     assert not differ(one, wide)
     assert not differ(one, replace(other, reason="failed"))
 
@@ -383,10 +376,10 @@ def test_the_motions_and_rest_are_among_the_starts():
 def test_offsets_of_a_contact_that_sticks():
     base = two_branches(1.0, 2.0).orbit(0, 1.5)
     orbits = [replace(base, end=replace(base.end, slip=np.array([[w, -w]]))) for w in (0.1, 0.3, -0.2)]
-    ((low, high),) = offsets(orbits)
-    np.testing.assert_allclose((low, high), [[-0.2, -0.3], [0.3, 0.2]])
+    low, high = offsets(orbits)
+    np.testing.assert_allclose((low, high), [[[-0.2, -0.3]], [[0.3, 0.2]]])
     assert not unique(low, high, 1.0).any()
-    ((low, high),) = offsets([replace(orbit, slip_share=np.array([0.1])) for orbit in orbits])
+    low, high = offsets([replace(orbit, slip_share=np.array([0.1])) for orbit in orbits])
     assert np.isnan([low, high]).all()
     assert unique(low, high, 1.0).all()
 
@@ -395,7 +388,7 @@ def test_where_a_start_has_led():
     toy = two_branches(1.0, 2.0)
     motions = [toy.orbit(0, 1.5), toy.orbit(1, 1.5)]
     assert [branch_of(orbit, motions) for orbit in motions] == [0, 1]
-    assert branch_of(replace(motions[0], settled=False), motions) == NONE
+    assert branch_of(replace(motions[0], period=0), motions) == NONE
     assert branch_of(replace(motions[0], amplitude=3 * motions[0].amplitude), motions) == ANOTHER
 
 

@@ -19,6 +19,7 @@ from xarray import Dataset
 
 from timesim.engine.history import Samples
 from timesim.hbm.balance import Array, Balance, Complex
+from timesim.hbm.continuation import joined, part_of
 from timesim.hbm.curve import HbmCurve, solutions_at
 from timesim.hbm.period import closed_period, ends_of, motion_of
 from timesim.hbm.scheme import Scheme
@@ -97,7 +98,7 @@ def _solutions(curves: Curves, values: Mapping[str, float], frequency: np.ndarra
         for one in curves.curves
         if one.values == values and one.curve.frequency.size
     ]
-    return HbmCurve.joined(parts) if parts else None
+    return joined(parts) if parts else None
 
 
 def study(scene: Scene, execution: Execution) -> Outcome:
@@ -143,7 +144,8 @@ def _cycle(scene: Scene, plan: ComparePlan, curves: Curves, match: Match, place:
     """A cycle by both methods, of the solution at a point of the sweep."""
     values, solutions = curves.values[place[0]], match.solutions[place[0]]
     assert solutions is not None
-    solution = solutions.at(int(match.solution[place]))
+    position = int(match.solution[place])
+    solution = part_of(solutions, slice(position, position + 1))
     return cycle_by_both(scene.variant(values), solution, curves.scheme, scene.solver(), plan.sweep.criterion, values)
 
 
