@@ -1,4 +1,4 @@
-"""Bounds over all time on what a linear structure does under constant and periodic forces.
+"""Bounds over all time on the motion of a linear structure under constant and periodic forces.
 
 With unit modal masses, ``q'' + D q' + K q = p(t)``, K symmetric and positive definite, D not negative. With
 the eigenvectors V of K, ``K V = V W^2`` and ``q = V a``, the state is ``y = (W a, a')``; ``|y|^2`` is twice
@@ -46,7 +46,7 @@ class Oscillation:
 
 @dataclass(frozen=True)
 class Envelope:
-    """Bound on a vector z(t) over all time, by what a linear functional l of it can at most be.
+    """Bound on a vector z(t) over all time: the largest value that a linear functional l of it can take.
 
     At no time is ``l . z`` above ``l . constant + sum_j |l . wave_j| + |l . ball|``.
 

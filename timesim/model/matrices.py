@@ -75,7 +75,7 @@ def _check_present(path: Path) -> None:
 
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """What a file is refused for: a damaged one raises whatever its bytes lead zlib, numpy or scipy into."""
+    """Refuse a file that cannot be read: a damaged one raises whatever its bytes lead zlib, numpy or scipy into."""
     try:
         yield
     except Exception as error:
@@ -124,7 +124,7 @@ def _read_single(path: Path, name: str) -> Any:
 
 
 def _numeric(matrix: Any, name: str) -> Any:
-    """The matrix as float64, dense or CSC, after a look at what it is."""
+    """The matrix as float64, dense or CSC, once it is known to be real, square and finite."""
     sparse = hasattr(matrix, "tocsc")
     matrix = matrix.tocsc() if sparse else np.asarray(matrix)
     if matrix.dtype.kind not in "fiu":

@@ -68,7 +68,7 @@ def _reach(model: Model) -> float:
 
 
 def out_of_range(model: Model, frequency: float) -> Iterator[RuleError]:
-    """Numbers that are so far from each other that their squares, as in an energy, cannot be computed.
+    """Numbers so far apart that squares of them, as in an energy, are zero or overflow.
 
     Args:
         model: what is modelled.

@@ -48,7 +48,7 @@ def _slip_in_cone(
     rounding: float = ROUNDING,
     room: float = 1 - ROUNDING,
 ) -> np.ndarray:
-    """The slip, that of contacts in `follows` being their motion, set back where the force is off its cone by rounding.
+    """The slip: the motion of contacts in `follows`, else as given, set back where rounding puts a force off its cone.
 
     Raises:
         RuleError: it is off by more.
@@ -94,7 +94,7 @@ def static_start(physics: Model) -> Start:
 
 
 def _equilibrium(physics: Model, closed: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Displacement with these contacts closed, and whether nothing loose is pushed."""
+    """Displacement with these contacts closed, and whether no force acts on a motion that nothing restrains."""
     matrix = np.diag(physics.structure.stiffness)
     force = physics.excitation.constant.copy()
     for contact, shape, is_closed in zip(physics.contacts, physics.contact_shape, closed, strict=True):

@@ -58,7 +58,7 @@ class ElementSection(StudySection):
     """Name of the contact; may be left out where there is only one."""
 
     def chosen(self, context: Context) -> ContactSection:
-        """The contact that it is about.
+        """The contact that is studied.
 
         Raises:
             RuleError: there is none, or the name is missing.

@@ -70,7 +70,7 @@ def _kind(value: Any) -> str | None:
 
 
 def parsed(data: Mapping[str, Any], kinds: Kinds) -> tuple[SceneFile | None, list[RuleError]]:
-    """The sections of a scene as it is written, and all that is wrong with them; None where anything is."""
+    """The sections of a scene from its plain data, or None, and all that is wrong with them."""
     tree = file_type(kinds)
     structure, contacts = data.get("structure"), data.get("contacts")
     listed = contacts if isinstance(contacts, list) else ()

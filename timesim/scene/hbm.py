@@ -111,7 +111,7 @@ class ResultStart(ResultSection):
     """
 
     def begin(self, plan: HbmPlan, context: Context) -> HbmPlan:
-        """The plan with the motion to begin from, or the states to pass.
+        """The plan with the motion to begin from, or the states that curves are to pass.
 
         Raises:
             RuleError: the result is none of this scene; the key is relative to this section.
@@ -160,7 +160,11 @@ StartSection = Annotated[
 
 
 def balanced(harmonics: int, time_samples: int, located: bool = False) -> Scheme:
-    """What is balanced, in numbers; a validator's error where that is too coarse."""
+    """What is balanced, in numbers.
+
+    Raises:
+        PydanticCustomError: it is too coarse.
+    """
     try:
         return Scheme(harmonics, time_samples, "located" if located else "sampled")
     except BalanceError as error:
@@ -177,7 +181,7 @@ def balance_problems(model: Model, harmonics: int) -> Iterator[RuleError]:
 
 
 class BalanceSection(StudySection):
-    """What a harmonic balance is described by, also where it is a part of another study."""
+    """The keys of a harmonic balance, also as a part of another study."""
 
     cone_only: ClassVar[bool] = True
 

@@ -50,7 +50,7 @@ class StateSection(Section):
 
 
 class ResultSection(Section):
-    """The motion that another run has led to."""
+    """The motion at the end of another run, or at a point of a sweep."""
 
     source: FilePath = Field(alias="from")
     """Path of its result.nc, relative to the scene."""

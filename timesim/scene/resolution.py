@@ -138,7 +138,7 @@ def _scene(source: SceneSource, kinds: Kinds) -> Scene:
 
 
 def _check_combinations(scene: Scene) -> None:
-    """Combinations of the values that the study varies must make scenes: all, or for each value at least one."""
+    """Refuse values of which a combination makes no scene, or of which none does if the study keeps failed points."""
     study = scene.file.study
     axes = {str(place[-1]): values for place, values in study.varied().items()}
     failures: list[tuple[dict[str, float], Problem]] = []
@@ -157,7 +157,7 @@ def _check_combinations(scene: Scene) -> None:
 
 
 def _refused(scene: Scene, values: Mapping[str, float], problem: Problem) -> RuleError:
-    """What a combination of values is refused for, said of the one of them that is refused alone, else of all."""
+    """Why a combination of values is refused: named by the one value that is refused alone, else by all."""
     places = {place[-1]: ("study", *place) for place in scene.file.study.varied()}
     for key, value in values.items():
         try:

@@ -31,13 +31,13 @@ class SceneSource:
         """Line of a key, or of the nearest key above it that the file holds."""
         return next((self.lines[key[:n]] for n in range(len(key), -1, -1) if key[:n] in self.lines), None)
 
-    def problem(self, fault: RuleError) -> Problem:
-        """The fault with its place, its key as a user writes it, and the value as text."""
-        value = None if fault.value is None else value_text(fault.value)
-        by_override = any(fault.key[: len(key)] == key for key in self.overridden)
+    def problem(self, error: RuleError) -> Problem:
+        """The error with its place, its key as a user writes it, and the value as text."""
+        value = None if error.value is None else value_text(error.value)
+        by_override = any(error.key[: len(key)] == key for key in self.overridden)
         name = "override" if by_override else self.name
-        line = None if by_override else fault.line or self.line(fault.key)
-        return Problem(name, line, dotted(fault.key, self.data), value, fault.rule, fault.hint)
+        line = None if by_override else error.line or self.line(error.key)
+        return Problem(name, line, dotted(error.key, self.data), value, error.rule, error.hint)
 
 
 def dotted(key: Key, data: Any) -> str:

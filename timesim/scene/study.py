@@ -168,7 +168,7 @@ class SweepPlan:
 
 
 class SteadySection(StudySection):
-    """What the studies of steady states in time have in common."""
+    """A study of steady states by time integration."""
 
     search: ClassVar[str] = ""
     """What is looked for after the sweep, in words."""
@@ -203,7 +203,7 @@ class SteadySection(StudySection):
 
 
 class SweepSection(SteadySection):
-    """What a sweep is described by, also where it is a part of another study."""
+    """The keys of a sweep, also as a part of another study."""
 
     frequency: Frequencies
     """{from, to, step} or {values: [...]} [Hz]."""
