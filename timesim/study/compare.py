@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from xarray import Dataset
 
@@ -21,7 +20,7 @@ from timesim.engine.history import Samples
 from timesim.hbm.balance import Array, Balance, Complex
 from timesim.hbm.continuation import joined, part_of
 from timesim.hbm.curve import HbmCurve, solutions_at
-from timesim.hbm.period import closed_period, ends_of, motion_of
+from timesim.hbm.period import closed_period, motion_of
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.solver import Solver
@@ -201,10 +200,9 @@ def _contacts(balance: Balance, coefficient: Array) -> tuple[Array, Array]:
 
     The state is that over most of the interval of the balance's own samples.
     """
-    motion = motion_of(balance.basis, jnp.asarray(coefficient))
-    period = closed_period(balance.law, motion)
-    ends = ends_of(balance.law, motion, period)
-    shares = {STICK: 1 - ends.slip - ends.separation, SLIP: ends.slip, SEPARATION: ends.separation}
+    period = closed_period(balance.law, motion_of(balance.basis, coefficient))
+    slip, separation = np.asarray(period.ends.slip), np.asarray(period.ends.separation)
+    shares = {STICK: 1 - slip - separation, SLIP: slip, SEPARATION: separation}
     states = np.argmax([shares[state] for state in sorted(shares)], axis=0)
     elastic = np.stack([np.asarray(part) for part in period.start], axis=1)
     return elastic, states[np.arange(SAMPLES) * len(states) // SAMPLES]
