@@ -22,7 +22,8 @@ from systems import GENERATED_CYCLES, generated_models, oscillator
 import timesim
 from timesim.engine import dense_output as hermite
 from timesim.engine.event_loop import advance
-from timesim.engine.solver import step_control, step_method
+from timesim.engine.method import step_method
+from timesim.engine.solver import step_control
 from timesim.engine.step import Status, begin, judged
 from timesim.engine.system import system_of
 from timesim.engine.trajectory import BATCH, Frame, Phase, Run, RunError

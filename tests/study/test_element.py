@@ -296,6 +296,13 @@ def test_element_map_against_single_elements():
                 np.testing.assert_allclose(found.dissipation, single.dissipation, atol=1e-6)
 
 
+def test_a_map_knows_the_law_of_the_cone_only():
+    """As the scene says; from Python too."""
+    plan = load_scene(scene({"kind": "element_map", "A": [0.5, 1.0], "B": [0.1, 0.2]})).plan
+    with pytest.raises(ValueError, match=r"prescribed motion knows the law \w+ only, not another"):
+        elements_of(replace(plan, contact=replace(plan.contact, law="another")))
+
+
 def test_map_carries_creep_to_its_limit():
     """Circles just within reach of the cone: cycles of ever smaller slips."""
     study = {"kind": "element_map", "A": [0.38, 0.5], "B": [0.2, 0.26], "D": 0.0}
