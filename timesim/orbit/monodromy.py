@@ -28,7 +28,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from timesim.engine.contact_law import State
 from timesim.engine.lanes import batch_last, over_lanes
-from timesim.engine.method import Method
+from timesim.engine.method import Method, looped
 from timesim.engine.step import Step, transition
 from timesim.engine.system import Point, System
 from timesim.model.model import SEPARATION, SLIP, STICK
@@ -119,8 +119,8 @@ def derivative(
         return jax.jacfwd(put)(vector_of(step.start))
 
     def push(system: System, step: Step, columns: Float[Array, "state state"]) -> Float[Array, "state state"]:
-        _, image = jax.linearize(partial(_image, method, system, step), vector_of(step.start))
-        return jax.vmap(image, in_axes=1, out_axes=1)(columns)
+        image, start = partial(_image, looped(method), system, step), vector_of(step.start)
+        return jax.vmap(lambda column: jax.jvp(image, (start,), (column,))[1], in_axes=1, out_axes=1)(columns)
 
     def body(carry: tuple) -> tuple:
         index, product = carry
