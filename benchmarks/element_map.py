@@ -126,7 +126,7 @@ def main() -> None:
     March(elements.pick(np.arange(1)), phase[:1], solver).run(max_cycles=1)
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}; compilation {time.perf_counter() - clock:.1f} s")
     rows = np.random.default_rng(0).permutation(elements.size)[: options.points]
-    phasor = elements.start * 1j + elements.rate
+    phasor = (elements.start * 1j + elements.rate) * elements.length[:, None]
     motions = [(abs(p[0]), abs(p[1]), abs(p[2]), np.angle(p[1]), np.angle(p[2])) for p in phasor[rows]]
     ours, theirs = [], []
     for _ in range(options.repeats):

@@ -24,11 +24,11 @@ from scipy.interpolate import CubicSpline
 
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, follow
-from timesim.hbm.curve import default_controls, evaluated, hbm_curve, peak, solutions_at
+from timesim.hbm.curve import evaluated, hbm_curve, peak, solutions_at
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import GROUND, Contact, Excitation, Model, Start, Structure
-from timesim.model.solver import PRESETS
-from timesim.orbit.settling import Task, settle
+from timesim.model.solver import PRESETS, Criterion
+from timesim.orbit.settling import Chain, steady_states
 from timesim.study.registry import load_scene
 
 RANGE = (0.75, 1.3)
@@ -95,7 +95,7 @@ def growth(repeats: int) -> dict[str, list[tuple[int, float]]]:
     found: dict[str, list[tuple[int, float]]] = {"harmonics": [], "contacts": [], "modes": []}
 
     def add(kind: str, number: int, name: str, model: Model, scheme: Scheme) -> None:
-        points, _, _, floquet = row(name, model, scheme, default_controls(), repeats)
+        points, _, _, floquet = row(name, model, scheme, Controls(), repeats)
         found[kind].append((number, 1e3 * floquet / points))
 
     for harmonics in (1, 3, 5, 9, 15, 21):
@@ -137,7 +137,8 @@ def oscillator(preload: float) -> Model:
 
 def settled(model: Model, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Amplitude of tip x by time integration, and the largest share in slip or separation."""
-    orbits = settle([Task(model, float(f)) for f in frequency], PRESETS["standard"], tolerance=1e-8)
+    chains = [Chain(model, (float(f),)) for f in frequency]
+    orbits = [orbit for (orbit,) in steady_states(chains, PRESETS["standard"], Criterion())]
     shares = [max(orbit.slip_share.max(), orbit.separation_share.max() % 1) for orbit in orbits]
     return np.array([orbit.amplitude[0, 0] for orbit in orbits]), np.array(shares)
 
@@ -209,7 +210,7 @@ def beside_pyharm(python: str) -> None:
         frequency, order = np.unique(said["frequency"], return_index=True)
         line("pyHarm", f"ds_max {step:g}", frequency, np.array(said["amplitude"])[order], said["seconds"])
     for step in (0.05, 0.02):
-        controls = replace(default_controls(), first_step=step / 5, max_step=step)
+        controls = replace(Controls(), first_step=step / 5, max_step=step)
         hbm_curve(model, *span[::-1], scheme=scheme, controls=controls)
         t0 = time.process_time()
         curve = hbm_curve(model, *span[::-1], scheme=scheme, controls=controls)
@@ -238,7 +239,7 @@ def main() -> None:
         "| case | points | curve [s] | and amplitudes, shares | and multipliers | ms a point |\n"
         "|---|---|---|---|---|---|"
     )
-    fine = replace(default_controls(), first_step=0.005, max_step=0.022)
+    fine = replace(Controls(), first_step=0.005, max_step=0.022)
     row("3 modes, 3 contacts, H = 7, N = 1024", chain(3, 3), Scheme(7, 1024), fine, options.repeats)
     if not options.quick:
         found = growth(options.repeats)

@@ -14,7 +14,7 @@ import systems
 from timesim.element import state_by_state
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, Ending, solve
-from timesim.hbm.curve import default_controls, hbm_curve, solutions_at
+from timesim.hbm.curve import hbm_curve, solutions_at
 from timesim.hbm.first_guess import first_guesses, unknowns_of_modes
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Structure
@@ -77,7 +77,7 @@ def test_modes_of_any_mass_lead_back_to_the_motion_of_the_contacts(coupling):
     damping[0, 1] = damping[1, 0] = coupling * np.sqrt(damping[0, 0] * damping[1, 1])
     heavy = replace(model, structure=replace(body, mass=mass, damping=damping))
     balance = Balance(heavy, 0.97, Scheme(5, 256))
-    solution = solve(balance, next(first_guesses(balance, 0.97, default_controls())), 0.97, default_controls())
+    solution = solve(balance, next(first_guesses(balance, 0.97, Controls())), 0.97, Controls())
     assert solution is not None
     modal = balance.modes(solution[0], balance.contact_forces(solution[0]), 0.97)
     np.testing.assert_allclose(unknowns_of_modes(balance, to_coefficients(modal.T).T), solution[0], atol=1e-8)
@@ -129,7 +129,7 @@ def test_circular_motion_with_located_transitions():
     balance = Balance(model, omega / TURN, Scheme(1, 256, "located"))
     radius = systems.circular_radius(0.5, omega)
     guess = np.array([0.0, 0.9, 0.0, 0.0, 0.0, 0.9, 0.0, 0.0, 0.0]) * radius / balance.length
-    solution = solve(balance, guess, omega / TURN, replace(default_controls(), tolerance=1e-11))
+    solution = solve(balance, guess, omega / TURN, replace(Controls(), tolerance=1e-11))
     assert solution is not None
     motion = balance.coefficients(solution[0])[0] * balance.length
     np.testing.assert_allclose(np.hypot(motion[:2, 1], motion[:2, 2]), radius, rtol=1e-8)

@@ -71,9 +71,35 @@ def test_both_folds_and_branches():
     assert curve.p[0] == -10.0
     assert curve.p[-1] == pytest.approx(10.0, abs=1e-12)
     assert set(curve.branch) == {0, 1, 2}
+    np.testing.assert_array_equal(curve.branch[curve.fold], [0, 1])
     middle = (curve.branch == 1) & ~curve.fold
     assert np.all(np.abs(curve.x[middle, 0]) < 1)
     np.testing.assert_array_equal(curve.determinant[~curve.fold], np.where(middle, -1, 1)[~curve.fold])
+
+
+@dataclass
+class Watched(Circle):
+    """Remembers how large the residual was wherever derivatives were asked for."""
+
+    sizes: list[float] = field(default_factory=list)
+
+    def linearised(self, x, p):
+        self.sizes.append(abs(self.value(x, p)[0]))
+        return super().linearised(x, p)
+
+
+def test_the_predictor_is_of_second_order():
+    """With equal steps its error, the residual where Newton's method begins, falls with the third power of the step."""
+    errors = []
+    for step in (0.02, 0.01, 0.005):
+        circle = Watched()
+        controls = Controls(size=0.1, first_step=step, max_step=step, tolerance=1e-12)
+        curve = follow(circle, np.array([0.8]), -0.6, 0.6, controls)
+        begun = [size for size in circle.sizes if size > 1e-11]
+        assert len(begun) == pytest.approx(curve.p.size, abs=3)
+        errors.append(np.median(begun))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(3, abs=0.2)
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(3, abs=0.2)
 
 
 def test_no_step_is_longer_than_allowed():
@@ -148,6 +174,7 @@ def test_from_inside_the_range_the_curve_is_the_same(start, guess):
     assert sorted([curve.p[0], curve.p[-1]]) == pytest.approx([-10.0, 10.0])
     np.testing.assert_allclose(np.sort(curve.p[curve.fold]), [-2.0, 2.0], atol=1e-9)
     assert set(curve.branch) == {0, 1, 2}
+    np.testing.assert_array_equal(curve.branch[curve.fold], [0, 1])
     assert np.all(np.diff(curve.x[:, 0]) * np.sign(curve.x[-1, 0]) > 0)
 
 

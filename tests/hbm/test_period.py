@@ -12,7 +12,7 @@ from timesim.element.motion import CYCLE, SplineMotion
 from timesim.element.state_by_state import steady_cycle
 from timesim.engine.contact import ConeLaw
 from timesim.hbm.located import located_forces
-from timesim.hbm.period import MAX_PASSES, basis_of, contact_forces, motion_of
+from timesim.hbm.period import MAX_PASSES, basis_of, closed_period, contact_forces, ends_of, motion_of, starts_of
 from timesim.hbm.stuck_offset import stuck_offset, without_slip
 from timesim.hbm.tangent import linearised
 from timesim.orbit.fourier import fourier_basis, to_coefficients, to_phasors
@@ -209,6 +209,21 @@ def test_a_contact_that_changes_its_state_at_the_start_of_the_period(motion, cha
     # Slip ends at a sample; the other transitions are located.
     np.testing.assert_allclose(done.slip, shares[0] / CYCLE, atol=1 / num)
     np.testing.assert_allclose(done.separation, shares[1] / CYCLE, atol=1e-2 / num)
+
+
+@pytest.mark.parametrize("kind", STIFFNESS)
+@pytest.mark.parametrize("name", MOTIONS)
+def test_the_path_through_the_period_is_that_of_the_law(name, kind):
+    """Each interval starts where the one before ends, the first one where the period does; the period is closed."""
+    law, basis = law_of([element(STIFFNESS[kind])] * 3), basis_of(1, 64)
+    motion = motion_of(basis, shifted(prescribed(MOTIONS[name]), 3))
+    period = closed_period(law, motion)
+    starts, ends = np.array(starts_of(period)), np.array(ends_of(law, motion, period).d)
+    np.testing.assert_array_equal(starts[:, 0], np.array(period.start))
+    np.testing.assert_array_equal(starts[:, 1:], np.array(period.d)[:, :-1])
+    np.testing.assert_allclose(ends, np.array(period.d), atol=1e-14)
+    np.testing.assert_allclose(ends[:, -1], starts[:, 0], atol=1e-11)
+    assert np.abs(starts[:, 0]).max() > 0.1
 
 
 @pytest.mark.parametrize("kind", STIFFNESS)

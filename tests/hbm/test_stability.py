@@ -9,20 +9,20 @@ from scipy.optimize import linear_sum_assignment
 from simulation import FINE
 
 from timesim.hbm.balance import Balance
-from timesim.hbm.continuation import solve
-from timesim.hbm.curve import default_controls, hbm_curve
+from timesim.hbm.continuation import Controls, solve
+from timesim.hbm.curve import hbm_curve
 from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import floquet_multipliers
-from timesim.model.solver import PRESETS
+from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.batch import march
-from timesim.orbit.settling import Chain, Task, first_lane, settle
+from timesim.orbit.settling import Chain, first_lane, steady_states
 
 
 def test_multipliers_of_a_stuck_structure():
     """Exponentials of the eigenvalues, and two that are 1 for the slip that nothing moves."""
     model, frequency = systems.oscillator(32.0, 1.0), 1.2
     balance = Balance(model, frequency, Scheme(1, 64))
-    solution = solve(balance, np.zeros(9), frequency, default_controls())
+    solution = solve(balance, np.zeros(9), frequency, Controls())
     assert solution is not None
     body, shape = model.structure, model.contact_shape[0]
     stiffness = np.diag(body.stiffness) + 20 * shape.T @ shape
@@ -37,7 +37,7 @@ def test_multipliers_against_those_of_the_return_map(preload, frequency):
     """Motions with slip or separation; the others are exact derivatives of the event loop."""
     model = systems.oscillator(preload, frequency)
     curve = hbm_curve(model, frequency, 1.001 * frequency, scheme=Scheme(15, 1024))
-    marched = settle([Task(model, frequency)], PRESETS["standard"])[0]
+    ((marched,),) = steady_states([Chain(model, (frequency,))], PRESETS["standard"], Criterion())
     assert marched.settled
     assert curve.slip_share[0, 0] > 0.05
     np.testing.assert_allclose(curve.amplitude[0], marched.amplitude, rtol=1e-3)
@@ -80,7 +80,7 @@ def test_modes_coupled_by_damping(preload, frequency):
     """Response and complex multipliers against time integration; without the coupling both are quite different."""
     model, scheme = coupled(preload, frequency), Scheme(15, 1024)
     curve = hbm_curve(model, frequency, 1.001 * frequency, scheme=scheme)
-    marched = settle([Task(model, frequency)], FINE, tolerance=1e-11)[0]
+    ((marched,),) = steady_states([Chain(model, (frequency,))], FINE, Criterion(tolerance=1e-11))
     assert curve.slip_share[0, 0] > 0.2
     np.testing.assert_allclose(curve.amplitude[0], marched.amplitude, rtol=5e-5)
     balance = Balance(model, frequency, scheme)
@@ -97,6 +97,17 @@ def test_modes_coupled_by_damping(preload, frequency):
     x = other.contact_motion[:1].reshape(1, -1) / balance.length
     loose = floquet_multipliers(Balance(plain, frequency, scheme), x, other.frequency[:1], samples=1024)[0]
     assert np.abs(paired(loose, exact) - exact).max() > 0.05
+
+
+@pytest.mark.parametrize(("largest", "stable"), [(1 + 5e-4, True), (1 + 2e-3, False)])
+def test_a_multiplier_beyond_the_unit_circle_is_unstable(largest, stable, monkeypatch):
+    """Also where the determinant says nothing of it: a pair of complex multipliers, or one that passes -1."""
+    pair = largest * np.exp([2j, -2j])
+    monkeypatch.setattr("timesim.hbm.curve.floquet_multipliers", lambda _, x, p: np.tile(pair, (len(x), 1)))
+    controls = Controls(max_points=2)
+    curve = hbm_curve(systems.oscillator(32.0, 1.0), 1.2, 1.3, scheme=Scheme(1, 64), controls=controls)
+    assert curve.stable.tolist() == [stable] * 2
+    np.testing.assert_allclose(curve.floquet_max, largest)
 
 
 def test_a_diagonal_damping_matrix_is_that_of_modes_left_apart():

@@ -1,21 +1,29 @@
 """Settled motions by marching, against amplitudes computed independently (DOP853 with located events, rtol 1e-12)."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from systems import oscillator
 
-from timesim.model.solver import PRESETS, Solver
+from timesim.engine.step import Status
+from timesim.model.solver import PRESETS, Criterion, Solver
 from timesim.orbit.recurrence import period_of
-from timesim.orbit.settling import Task, settle
+from timesim.orbit.settling import Chain, Phase, Search, after_march, steady_states
 from timesim.orbit.threshold import CYCLES_A_ROUND
 
 SETTLED = {(3.0, 1.39): 0.15612878, (-1.0, 0.97): 0.28839155, (5.0, 1.52): 0.15680399}
 
 
+def settled(preload, frequency, solver=PRESETS["standard"], **criterion):
+    chain = Chain(oscillator(preload, frequency), (frequency,))
+    ((orbit,),) = steady_states([chain], solver, Criterion(**criterion))
+    return orbit
+
+
 @pytest.fixture(scope="module")
 def orbits():
-    tasks = [Task(oscillator(*case), case[1]) for case in SETTLED]
-    return settle(tasks, PRESETS["standard"])
+    return [settled(*case) for case in SETTLED]
 
 
 def test_settled_amplitudes(orbits):
@@ -34,15 +42,14 @@ def test_the_settled_motion_slips_and_separates(orbits):
 
 
 def test_what_has_not_settled_is_told_apart():
-    (orbit,) = settle([Task(oscillator(3.0, 1.39), 1.39)], PRESETS["standard"], max_cycles=CYCLES_A_ROUND)
+    orbit = settled(3.0, 1.39, max_cycles=CYCLES_A_ROUND)
     assert not orbit.settled
     assert orbit.period == 0
     assert np.all(orbit.amplitude > 0)
 
 
 def test_a_march_that_fails_says_why():
-    solver = Solver("tsit5", 1e-7, 1e-9, budget=30)
-    (orbit,) = settle([Task(oscillator(3.0, 1.39), 1.39)], solver)
+    orbit = settled(3.0, 1.39, Solver("tsit5", 1e-7, 1e-9, budget=30))
     assert orbit.reason is not None
     assert "budget of 30 steps" in orbit.reason
     assert np.all(np.isnan(orbit.amplitude))
@@ -70,3 +77,50 @@ def test_a_decaying_vibration_is_no_multiple_period():
     found = [period_of(decays[max(0, n - 16) : n], 1e-8) for n in range(16, 200)]
     assert set(found) == {0, 1}
     assert period_of(1 + 1e-3 * free[-16:], 1e-8) == 3
+
+
+@pytest.mark.parametrize("entry", range(4))
+def test_every_entry_of_the_state_must_repeat(entry):
+    """One that drifts keeps a motion from settling, be it a slip while all displacements repeat."""
+    returns = np.tile([1.0, -0.7, 0.3, 0.2], (2 * CYCLES_A_ROUND, 1))
+    assert period_of(returns, 1e-8) == 1
+    returns[:, entry] += 1e-5 * np.arange(len(returns))
+    assert period_of(returns, 1e-8) == 0
+
+
+def test_the_tolerance_is_relative_to_the_largest_entry():
+    """The change that is left, 1e-8 of 100 by a ratio of 0.5, is below the tolerance; that of 1 is not."""
+    left = 0.5 ** np.arange(2 * CYCLES_A_ROUND)[:, None] * 1e-6 * 2**CYCLES_A_ROUND
+    for size, settled_ in ((1.0, 0), (100.0, 1)):
+        assert period_of(np.concatenate([left, np.full_like(left, size)], axis=1), 1e-8) == settled_
+
+
+# A search from round to round
+
+
+def marched(returns, *, cycles=CYCLES_A_ROUND, status=Status.RUNNING, **criterion):
+    """A search after its second round, which has led to these states."""
+    before = Search(
+        0, 0, SimpleNamespace(status=Status.RUNNING), returns=tuple(returns[:CYCLES_A_ROUND]), cycles=cycles
+    )
+    lane, after = SimpleNamespace(status=status), returns[CYCLES_A_ROUND:]
+    return after_march(before, lane, after, PRESETS["standard"], Criterion(**criterion))
+
+
+STILL = np.tile([1.0, -0.7, 0.3, 0.2], (2 * CYCLES_A_ROUND, 1))
+DRIFT = STILL + 1e-5 * np.outer(np.arange(2 * CYCLES_A_ROUND), [0, 0, 0, 1])
+
+
+def test_what_repeats_is_measured_and_what_drifts_is_marched_on():
+    settled_, drifting = marched(STILL), marched(DRIFT)
+    assert (settled_.phase, settled_.period, settled_.cycles) == (Phase.MEASURE, 1, 2 * CYCLES_A_ROUND)
+    assert (drifting.phase, drifting.period) == (Phase.MARCH, 0)
+    spent = marched(DRIFT, max_cycles=2 * CYCLES_A_ROUND)
+    assert (spent.phase, spent.period) == (Phase.MEASURE, 0)
+
+
+def test_it_is_shot_where_that_is_asked_for_and_not_too_early():
+    assert marched(DRIFT, shoot=True).phase is Phase.SHOOT
+    assert marched(DRIFT, shoot=True).shot.residual == np.inf
+    assert marched(DRIFT, shoot=True, cycles=CYCLES_A_ROUND - 1).phase is Phase.MARCH
+    assert marched(STILL, shoot=True).phase is Phase.MEASURE

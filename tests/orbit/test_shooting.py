@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from systems import generated_model, oscillator
 
-from timesim.model.model import SEPARATION
+from timesim.engine.contact_law import Motion
+from timesim.model.model import SEPARATION, SLIP
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import PRESETS, Criterion, Solver
 from timesim.orbit.batch import march, record
 from timesim.orbit.lane import Lane
-from timesim.orbit.settling import Chain, begin_of, steady_states
+from timesim.orbit.settling import Chain, begin_of, first_lane, steady_states
 from timesim.orbit.threshold import FIRST_SHOT
 
 FINE = Solver("tsit5", 1e-9, 1e-11, reduce=False)
@@ -75,6 +76,11 @@ def settled_lane(model, solver=FINEST):
     return Lane.begin(model, everything, model.excitation.frequency, solver, orbit.end), orbit
 
 
+def lane_at_rest(model):
+    """A lane at the start of a model, nothing left out of it."""
+    return first_lane(chain(model), FINE)
+
+
 def differences(lane, solver, reach=1e-5):
     """Derivative of the state after a cycle by central differences, entries of separated contacts left out."""
     here = lane.vector
@@ -93,7 +99,7 @@ def test_multipliers_are_those_of_the_return_map(case):
     """Of motions that slip, stick and separate; in slip at the section the state on the cone is moved along it."""
     lane, orbit = settled_lane(oscillator(*case))
     assert partly(orbit)[0]
-    exact = record([lane], FINEST, 1)[0]
+    exact = record([lane], FINEST, [1])[0]
     expected = np.linalg.eigvals(differences(lane, FINEST))
     expected = expected[np.argsort(-np.abs(expected))]
     found = np.zeros(expected.size, dtype=complex)
@@ -147,7 +153,7 @@ def test_every_cycle_of_a_shot_counts_once(monkeypatch):
     recorded = []
 
     def counted(lanes, solver, num_cycles, *most, size):
-        recorded.append(len(lanes) * num_cycles)
+        recorded.append(sum(num_cycles))
         return record(lanes, solver, num_cycles, *most, size=size)
 
     monkeypatch.setattr("timesim.orbit.settling.record", counted)
@@ -156,3 +162,24 @@ def test_every_cycle_of_a_shot_counts_once(monkeypatch):
     assert orbit.settled
     assert shots < 8
     assert orbit.cycles == FIRST_SHOT + shots
+
+
+@pytest.mark.parametrize("speed", [0.0, 1e-9, 0.3])
+def test_no_reversal_ends_the_slip_of_a_frictionless_stop(speed):
+    """It cannot stick: where its motion turns there is no transition, and only the normal load ends its contact."""
+    law = lane_at_rest(frictionless_stop(3.0, 1.1)).system.law
+    none, v = np.zeros(1), np.array([0.01])
+    load, to_stick = law.margins(np.array([SLIP]), Motion((none, none), v, (none + speed, none), -v), (none, none))
+    assert to_stick[0] == 1
+    assert load[0] == pytest.approx(law.preload[0] + law.normal_stiffness[0] * v[0])
+    touching = Motion((none, none), none, (none + speed, none), none + 1.0)
+    assert law.successor(np.array([SEPARATION]), touching, tiny=0.0)[0] == SLIP
+
+
+def test_the_state_after_a_cycle_is_that_of_the_lane():
+    """Displacements, velocities and slips: what is compared from cycle to cycle is the whole state."""
+    ((lane, returns),) = march([lane_at_rest(oscillator(3.0, 1.39))], FINE, 2)
+    point = lane.here.point
+    assert np.all(lane.here.state != SEPARATION)
+    np.testing.assert_array_equal(returns[-1], np.concatenate([point.q, point.p, *point.w]))
+    assert np.all(returns[-1][4:] != 0)

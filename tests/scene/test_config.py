@@ -10,7 +10,7 @@ from typing import Any
 import h5netcdf
 import numpy as np
 import pytest
-from bad_scenes import BAD_SCENES, BASE, MATRICES, BadScene
+from bad_scenes import BAD_SCENES, BASE, ELEMENT, HBM, MATRICES, OPTIMUM, BadScene
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -77,6 +77,39 @@ def test_problems_come_together():
     )
     found = [key for key, _ in problems(text)]
     assert found == ["structure.modes.0.mass", "contacts.pad.frictoin", "study.cycles"]
+
+
+TYPO = {"study.cycles": 0}
+
+
+@pytest.mark.parametrize(
+    ("text", "changes", "keys"),
+    [
+        (BASE, {"contacts.stop.point": "ram", "excitation.forces.0.point": "tap"} | TYPO, None),
+        (BASE, {"contacts.pad.against": "grund", "structure.modes.0.mass": -1} | TYPO, None),
+        (BASE, {"contacts.stop.point": None} | TYPO, None),
+        (MATRICES, {"excitation.forces.0.point": "m3", "structure.matrices.mass": [[1, 0], [1]]} | TYPO, None),
+        (BASE, {"initial": {"slip": {"pod": [0, 0]}}} | TYPO, ["initial.slip.pod", "study.cycles"]),
+        (BASE, {"contacts.stop.name": "pad"} | TYPO, ["contacts.1.name", "study.cycles"]),
+        (BASE, {"excitation.frequency": None, "study.samples": 3}, None),
+        (OPTIMUM, {"study.point": "tap", "solver.max_steps": 0}, None),
+        (ELEMENT, {"study.contact": "pod", "study.samples": 1}, None),
+        (BASE, {"excitation.modal_force": [], "initial": {"modal_velocity": [1]}},
+         ["excitation.modal_force", "initial.modal_velocity"]),
+        (HBM, {"study.start": {"from": "no.nc"}, "initial": {"from": "no.nc"}, "excitation.modal_force": []},
+         ["excitation.modal_force", "initial.from", "study.start.from"]),
+    ],
+)  # fmt: skip
+def test_no_problem_waits_for_another_to_be_mended(text: str, changes: dict[str, Any], keys: list[str] | None):
+    with pytest.raises(SceneError) as caught:
+        load_scene(text, changes)
+    assert sorted(problem.key for problem in caught.value.problems) == sorted(keys or changes)
+
+
+def test_a_point_is_known_if_any_mode_names_it():
+    text = BASE.replace("shape: {tip: [1, 1, 0.8], rim", "shape: {tp: [1, 1, 0.8], rim")
+    assert [key for key, _ in problems(text)] == ["structure.modes.1.shape"]
+    assert [key for key, _ in problems(BASE.replace("excitation:", "excitaton:"))] == ["excitaton"]
 
 
 def test_problems_of_the_parts_together():

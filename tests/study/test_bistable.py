@@ -207,7 +207,7 @@ class Branches:
         end = Start(np.full(2, float(number)), np.zeros(2), np.zeros((1, 2)), np.full(1, STICK))
         return replace(
             without_orbit(oscillator(2.0, 1.0), "", 8), end=end, amplitude=amplitude, band=np.stack([amplitude] * 2),
-            settled=True, period=1, slip_share=np.zeros(1), separation_share=np.zeros(1), reason=None,
+            period=1, slip_share=np.zeros(1), separation_share=np.zeros(1), reason=None,
         )  # fmt: skip
 
     def along(self, start: Start, frequencies: Sequence[float]) -> list[Orbit]:
@@ -333,7 +333,7 @@ def test_motions_that_have_not_settled_differ_only_beyond_their_bands():
     one, other = toy.orbit(0, 1.5), toy.orbit(1, 1.5)
     assert differ(one, other)
     assert not differ(one, one)
-    wide = replace(other, settled=False, band=np.stack([other.amplitude - 1.1, other.amplitude]))
+    wide = replace(other, period=0, band=np.stack([other.amplitude - 1.1, other.amplitude]))
     assert not differ(one, wide)
     assert not differ(one, replace(other, reason="failed"))
 
@@ -383,10 +383,10 @@ def test_the_motions_and_rest_are_among_the_starts():
 def test_offsets_of_a_contact_that_sticks():
     base = two_branches(1.0, 2.0).orbit(0, 1.5)
     orbits = [replace(base, end=replace(base.end, slip=np.array([[w, -w]]))) for w in (0.1, 0.3, -0.2)]
-    ((low, high),) = offsets(orbits)
-    np.testing.assert_allclose((low, high), [[-0.2, -0.3], [0.3, 0.2]])
+    low, high = offsets(orbits)
+    np.testing.assert_allclose((low, high), [[[-0.2, -0.3]], [[0.3, 0.2]]])
     assert not unique(low, high, 1.0).any()
-    ((low, high),) = offsets([replace(orbit, slip_share=np.array([0.1])) for orbit in orbits])
+    low, high = offsets([replace(orbit, slip_share=np.array([0.1])) for orbit in orbits])
     assert np.isnan([low, high]).all()
     assert unique(low, high, 1.0).all()
 
@@ -395,7 +395,7 @@ def test_where_a_start_has_led():
     toy = two_branches(1.0, 2.0)
     motions = [toy.orbit(0, 1.5), toy.orbit(1, 1.5)]
     assert [branch_of(orbit, motions) for orbit in motions] == [0, 1]
-    assert branch_of(replace(motions[0], settled=False), motions) == NONE
+    assert branch_of(replace(motions[0], period=0), motions) == NONE
     assert branch_of(replace(motions[0], amplitude=3 * motions[0].amplitude), motions) == ANOTHER
 
 

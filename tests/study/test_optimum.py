@@ -11,7 +11,7 @@ from systems import oscillator
 
 import timesim
 from timesim.model.solver import PRESETS, Criterion
-from timesim.orbit.settling import Task, settle
+from timesim.orbit.settling import Chain, steady_states
 from timesim.orbit.steady_state import without_orbit
 from timesim.picture import optimum as plot_optimum
 from timesim.result.netcdf import open_result
@@ -62,7 +62,8 @@ def test_a_peak_lies_between_the_points_of_the_sweep(result):
     assert np.max(result["peak"].values / largest - 1) > 1e-3
     place = np.argmin(np.abs(result[KEY].values - 3.6))
     value, frequency = float(result[KEY][place]), float(result["peak_frequency"][place])
-    (orbit,) = settle([Task(oscillator(value, frequency), frequency)], PRESETS["standard"])
+    chain = Chain(oscillator(value, frequency), (frequency,))
+    ((orbit,),) = steady_states([chain], PRESETS["standard"], Criterion())
     assert float(result["peak"][place]) == pytest.approx(orbit.amplitude[0, 0], rel=1e-4)
 
 

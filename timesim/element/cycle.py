@@ -73,6 +73,17 @@ class Coefficients:
         return _ratio(self.f_c, self.amplitude)
 
 
+def in_phase(first: NDArray[np.complex128], phase: Array) -> tuple[Array, Array]:
+    """f_s and f_c of (19), the parts of a first harmonic on sin(theta + phase) and cos(theta + phase).
+
+    Args:
+        first: cosine part minus i times the sine part, shape (..., 2) [force].
+        phase: of the motion, shape (..., 2) [rad].
+    """
+    turned = first * np.exp(-1j * phase)
+    return -turned.imag, turned.real
+
+
 def _ratio(force: Array, amplitude: Array) -> Array:
     return np.divide(force, amplitude, out=np.full(2, np.nan), where=amplitude != 0)
 
@@ -247,8 +258,7 @@ class ElementCycle:
 
     def _along(self, axes: Array, amplitude: Array, phase: Array) -> Coefficients:
         mean, first, _, _ = self._integrals
-        turned = (axes @ first) * np.exp(-1j * phase)
-        return Coefficients(axes @ mean, -turned.imag, turned.real, amplitude, phase, axes)
+        return Coefficients(axes @ mean, *in_phase(axes @ first, phase), amplitude, phase, axes)
 
     @property
     def dissipation(self) -> float:

@@ -1,4 +1,6 @@
-"""Contacts under prescribed motion, many of them side by side, in the units of the scene."""
+"""Contacts under prescribed motion, many of them side by side, each in units of its own."""
+
+import timesim.runtime  # noqa: F401  isort: skip
 
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -6,20 +8,22 @@ from typing import Any
 import numpy as np
 
 from timesim.element.motion import CYCLE, Motion
+from timesim.engine.contact import ConeLaw, matrix_and_inverse
 from timesim.model.contact_state import contact_state, require_cone
 from timesim.model.model import SEPARATION, Contact
 
 
 @dataclass(frozen=True)
 class Elements:
-    """Contacts under prescribed motion, N of them side by side.
+    """N contacts under prescribed motion, in units of length and force of their own.
 
     Attributes:
         friction, normal_stiffness, preload: mu, k_v and n0, shape (N,).
         stiffness: K_u, shape (N, 2, 2).
-        start, rate: (u1, u2, v) and its derivative at θ = 0, shape (N, 3) [length].
+        start, rate: (u1, u2, v) and its derivative at θ = 0, shape (N, 3).
         length: unit of length, the size of the motion, shape (N,) [length].
-        limit: largest limit force mu n of the cycle, shape (N,) [force]; zero without contact or friction.
+        force: unit of force, the largest limit force mu n of the cycle; another one where that is zero, shape (N,)
+            [force].
     """
 
     friction: np.ndarray
@@ -29,37 +33,30 @@ class Elements:
     start: np.ndarray
     rate: np.ndarray
     length: np.ndarray
-    limit: np.ndarray
+    force: np.ndarray
 
     @property
     def size(self) -> int:
-        """How many."""
+        """N."""
         return self.friction.size
-
-    @property
-    def isotropic(self) -> bool:
-        """Whether every K_u is a multiple of the unit matrix."""
-        K = self.stiffness
-        return bool(np.all(K[:, 0, 1] == 0) and np.all(K[:, 0, 0] == K[:, 1, 1]))
-
-    @property
-    def live(self) -> np.ndarray:
-        """Which of them can have a friction force at all, shape (N,)."""
-        return self.limit > 0
-
-    @property
-    def force(self) -> np.ndarray:
-        """Unit of force, shape (N,) [force]."""
-        other = np.abs(self.preload) + self.normal_stiffness * self.length
-        return np.where(self.live, self.limit, np.where(other > 0, other, 1.0))
 
     @property
     def start_state(self) -> np.ndarray:
         """State at θ = 0, where f = 0 in contact, shape (N,)."""
-        stiffness = self.normal_stiffness
-        load = self.preload + stiffness * self.start[:, 2]
-        floor = 1e-14 * (np.abs(self.preload) + stiffness * np.hypot(self.start[:, 2], self.rate[:, 2]))
+        load = self.preload + self.normal_stiffness * self.start[:, 2]
+        reach = np.hypot(self.start[:, 2], self.rate[:, 2])
+        floor = 1e-14 * (np.abs(self.preload) + self.normal_stiffness * reach)
         return contact_state(load, self.friction, SEPARATION, rounding=floor)
+
+    def law(self) -> ConeLaw:
+        """Their law, N contacts."""
+        stiffness, compliance = matrix_and_inverse(self.stiffness)
+        return ConeLaw(self.friction, stiffness, compliance, self.normal_stiffness, self.preload)
+
+    def start_force(self, slip: np.ndarray, state: np.ndarray) -> np.ndarray:
+        """Friction force at θ = 0 of slips, shape (N, 2), in states, shape (N,); shape (N, 2)."""
+        elastic = np.einsum("nij,nj->ni", self.stiffness, self.start[:, :2] - slip)
+        return np.where(state[:, None] == SEPARATION, 0.0, elastic)
 
     def pick(self, rows: np.ndarray) -> "Elements":
         """Some of them."""
@@ -76,25 +73,47 @@ def harmonic_elements(
         stiffness: K_u, shape (2, 2) or (N, 2, 2).
         phasor: (u1, u2, v) = Im(phasor exp(i θ)), shape (N, 3) [length].
     """
-    count = len(phasor)
-    mu, kv, n0 = (np.broadcast_to(np.asarray(x, float), (count,)) for x in (friction, normal_stiffness, preload))
     size = np.abs(phasor)
-    length = np.where(np.any(size[:, :2] > 0, axis=1), size[:, :2].max(axis=1), size[:, 2])
-    limit = mu * np.maximum(n0 + kv * size[:, 2], 0.0)
-    K = np.broadcast_to(np.asarray(stiffness, float), (count, 2, 2))
-    return Elements(mu, kv, n0, K, phasor.imag, phasor.real, np.where(length > 0, length, 1.0), limit)
+    mu, kv, n0 = (np.broadcast_to(np.asarray(x, float), len(phasor)) for x in (friction, normal_stiffness, preload))
+    K = np.broadcast_to(np.asarray(stiffness, float), (len(phasor), 2, 2))
+    return _in_own_units(mu, kv, n0, K, phasor.imag, phasor.real, size, size[:, 2])
 
 
 def single_element(contact: Contact, motion: Motion) -> Elements:
     """One contact under any motion."""
     require_cone([contact], "prescribed motion")
     extremes, _ = motion.crossings(np.array([0.0, 0.0, 1.0]), 0.0, rate=True)
-    angles = np.linspace(0.0, CYCLE, 721)
-    v = motion.evaluate(np.append(extremes, 0.0))[0][2]
-    y = np.abs(motion.evaluate(angles)[0]).max(axis=1)
-    length = y[:2].max() if np.any(y[:2]) else y[2]
-    limit = contact.friction * max(contact.preload + contact.normal_stiffness * v.max(), 0.0)
-    start, rate = motion.evaluate(0.0)
-    numbers = (contact.friction, contact.normal_stiffness, contact.preload, contact.tangential_stiffness)
-    column = [np.asarray(x, float)[None] for x in (*numbers, start, rate, length or 1.0, limit)]
-    return Elements(*column)
+    closest = motion.evaluate(np.append(extremes, 0.0))[0][2].max(keepdims=True)
+    size = np.abs(motion.evaluate(np.linspace(0.0, CYCLE, 721))[0]).max(axis=1)[None]
+    start, rate = (x[None] for x in motion.evaluate(0.0))
+    mu, kv, n0 = np.array([[contact.friction], [contact.normal_stiffness], [contact.preload]], float)
+    return _in_own_units(mu, kv, n0, contact.tangential_stiffness[None], start, rate, size, closest)
+
+
+def _in_own_units(
+    friction: np.ndarray,
+    normal_stiffness: np.ndarray,
+    preload: np.ndarray,
+    stiffness: np.ndarray,
+    start: np.ndarray,
+    rate: np.ndarray,
+    size: np.ndarray,
+    closest: np.ndarray,
+) -> Elements:
+    """Elements from the units of the scene; ``size``: of u1, u2 and v, shape (N, 3); ``closest``: largest v."""
+    tangential = size[:, :2].max(axis=1)
+    length = np.where(tangential > 0, tangential, np.where(size[:, 2] > 0, size[:, 2], 1.0))
+    limit = friction * np.maximum(preload + normal_stiffness * closest, 0.0)
+    other = np.abs(preload) + normal_stiffness * length
+    force = np.where(limit > 0, limit, np.where(other > 0, other, 1.0))
+    ratio = length / force
+    return Elements(
+        friction,
+        normal_stiffness * ratio,
+        preload / force,
+        stiffness * ratio[:, None, None],
+        start / length[:, None],
+        rate / length[:, None],
+        length,
+        force,
+    )

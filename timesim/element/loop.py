@@ -4,33 +4,18 @@ It shares the law with `timesim.element.state_by_state`, and nothing else: no cl
 integration, other integrals. What both find must agree.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from timesim.element.cycle import ElementCycle, Transition
-from timesim.element.elements import Elements, single_element
+from timesim.element.cycle import ElementCycle, Transition, in_phase
+from timesim.element.elements import single_element
 from timesim.element.motion import CYCLE, Motion
-from timesim.element.prescribed import (
-    FIRST_STEP,
-    WEAK,
-    carriers_of,
-    coefficients,
-    collected,
-    control_of,
-    drive_of,
-    law_of,
-    method_of,
-    record_cycle,
-    system_of,
-)
+from timesim.element.prescribed import PrescribedContacts, cycle_end, drive_of, record_cycle
+from timesim.engine.solver import step_control, step_method
 from timesim.engine.step import Step
-from timesim.model.model import SEPARATION, Contact
+from timesim.model.model import Contact
 from timesim.model.solver import Solver
 
 FINE = Solver("tsit5", 1e-12, 1e-12)
@@ -88,12 +73,6 @@ class Difference:
     settled: bool
 
 
-def offset(elements: Elements, slip: np.ndarray, state: np.ndarray) -> np.ndarray:
-    """Friction force at θ = 0 of a given w, relative to the largest mu n, shape (N, 2)."""
-    elastic = np.einsum("nij,nj->ni", elements.stiffness, elements.start[:, :2] - slip)
-    return np.where(state[:, None] == SEPARATION, 0.0, elastic / elements.force[:, None])
-
-
 def loop_cycle(contact: Contact, motion: Motion, *, solver: Solver = FINE, max_cycles: int = MAX_CYCLES) -> LoopCycle:
     """March a contact through the prescribed motion by the event loop until its cycle repeats.
 
@@ -102,36 +81,31 @@ def loop_cycle(contact: Contact, motion: Motion, *, solver: Solver = FINE, max_c
         motion: the relative motion over one cycle.
 
     Keyword Args:
-        solver: method and tolerances; an explicit method.
+        solver: method and tolerances.
         max_cycles: bound of the march; `LoopCycle.periodic` says whether it sufficed.
 
     Raises:
         RuntimeError: the loop ended early.
     """
     elements = single_element(contact, motion)
-    unit = elements.length[0]
-    drive, acceleration = drive_of(motion, unit * WEAK)
-    method, control = method_of(solver, drive), control_of(solver)
-    (system, carriers) = jax.tree.map(
-        lambda leaf: leaf[0], (system_of(law_of(elements, elements.isotropic), acceleration), carriers_of(elements))
-    )
+    dynamics = PrescribedContacts(elements.law(), drive_of(elements, motion))
+    method, control = step_method(solver), step_control(solver, 1.0)
     state, slip, before = elements.start_state, elements.start[:, :2], np.inf
-    force = offset(elements, slip, state)
+    force = elements.start_force(slip, state)
     for cycle in range(1, max_cycles + 1):
-        start = (jnp.asarray(slip[0] / unit), jnp.asarray(state[0]), jnp.asarray(FIRST_STEP))
-        end, steps, count = record_cycle(method, control, system, carriers, *start)
-        found = collected(elements, jax.tree.map(lambda leaf: leaf[None], end))
-        if not found.good[0] or int(end.cycle) != 1:
+        end, steps, count = record_cycle(method, control, dynamics, tuple(slip.T), state)
+        reached = cycle_end(elements, end)
+        if not reached.good[0] or int(end.cycle) != 1:
             raise RuntimeError(f"the event loop ended early in cycle {cycle}, with status {int(end.status)}")
-        reached = offset(elements, found.slip, found.state)
-        residual, force = float(np.hypot(*(reached - force)[0])), reached
+        following = elements.start_force(reached.slip, reached.state)
+        residual, force = float(np.hypot(*(following - force)[0])), following
         settled = residual <= ROUNDING or (residual <= REPEATS and residual > before / 2)
-        same, slip, state, before = found.state[0] == state[0], found.slip, found.state, residual
+        same, slip, state, before = reached.state[0] == state[0], reached.slip, reached.state, residual
         if settled and same:
             break
-    b, s, c = coefficients(motion.phase[None], found)
-    log = transitions(steps, int(count))
-    return LoopCycle(log, b[0], s[0], c[0], float(found.dissipation[0]), cycle, residual)
+    f_s, f_c = in_phase(reached.first[0], motion.phase)
+    log, work = transitions(steps, int(count)), float(reached.dissipation[0])
+    return LoopCycle(log, reached.mean[0], f_s, f_c, work, cycle, residual)
 
 
 def transitions(steps: Step, count: int) -> tuple[Transition, ...]:

@@ -82,7 +82,7 @@ class Motion(ABC):
     @property
     @abstractmethod
     def amplitude(self) -> Array:
-        """Amplitude of u1 and u2 at the base frequency, shape (2,) [length]: A and B of the paper."""
+        """Amplitude of u1 and u2 at the base frequency, shape (2,) [length]: A and B of the paper, signs included."""
 
     @property
     @abstractmethod
@@ -126,12 +126,10 @@ class HarmonicMotion(Motion):
         return np.array([self.A, self.B * np.exp(1j * self.phi), self.D * np.exp(1j * self.psi)])
 
     def evaluate(self, theta: ArrayLike) -> tuple[Array, Array]:
-        """One rotating phasor a component."""
         turned = np.multiply.outer(self.phasor, np.exp(1j * np.asarray(theta)))
         return turned.imag, turned.real
 
     def crossings(self, weights: Array, constant: float, *, rate: bool = False) -> tuple[Array, NDArray[np.bool_]]:
-        """The two zeros of a sine about its mean, or none."""
         phasor = (1j if rate else 1.0) * np.dot(weights, self.phasor)
         if abs(phasor) <= abs(constant):
             return np.zeros(0), np.zeros(0, bool)
@@ -141,29 +139,25 @@ class HarmonicMotion(Motion):
         return angles[order], np.array([True, False])[order]
 
     def cone_exit(self, transform: Array, offset: Array, start: float, *, on_cone: bool) -> float:
-        """By the roots of the quartic, or of what a double root leaves of it."""
+        # A quartic in exp(i theta), or what a double root leaves of it.
         phasor = (transform @ self.phasor) * np.exp(1j * start)
         find = exit_from_cone if on_cone else exit_from_inside
         return start + find(offset, phasor.imag, phasor.real)
 
     @property
     def fundamental(self) -> NDArray[np.complex128]:
-        """The phasors of u1 and u2."""
         return self.phasor[:2]
 
     @property
     def amplitude(self) -> Array:
-        """A and B, with their signs."""
         return np.array([self.A, self.B])
 
     @property
     def phase(self) -> Array:
-        """Zero and phi."""
         return np.array([0.0, self.phi])
 
     @property
     def line(self) -> Array | None:
-        """Where A or B vanishes, or both components are in phase or in opposition."""
         a, b = self.fundamental
         size = abs(a) ** 2 + abs(b) ** 2
         if abs((np.conj(a) * b).imag) > 4 * np.finfo(float).eps * size:
@@ -173,7 +167,6 @@ class HarmonicMotion(Motion):
 
     @property
     def breaks(self) -> Array:
-        """None: a harmonic motion is smooth."""
         return np.zeros(0)
 
 
@@ -211,11 +204,9 @@ class SplineMotion(Motion):
         return self.pieces.derivative()
 
     def evaluate(self, theta: ArrayLike) -> tuple[Array, Array]:
-        """The spline and its derivative."""
         return np.moveaxis(self.pieces(theta), -1, 0), np.moveaxis(self._rate(theta), -1, 0)
 
     def crossings(self, weights: Array, constant: float, *, rate: bool = False) -> tuple[Array, NDArray[np.bool_]]:
-        """By the roots of every piece, and by the signs between them."""
         source = self._rate if rate else self.pieces
         value = PPoly(source.c @ weights, source.x)
         roots = value.solve(-constant, discontinuity=False, extrapolate=False)
@@ -227,7 +218,7 @@ class SplineMotion(Motion):
         return wrap(edges[changes]), rising[changes]
 
     def cone_exit(self, transform: Array, offset: Array, start: float, *, on_cone: bool) -> float:
-        """By the roots of the pieces whose Bernstein coefficients do not exclude them."""
+        # By the roots of the pieces that their Bernstein coefficients do not exclude.
         width = CYCLE / len(self.samples)
         powers = width ** np.arange(6)[:, None, None]
         r = (self.pieces.c[::-1] @ transform.T) * powers
@@ -248,7 +239,6 @@ class SplineMotion(Motion):
 
     @cached_property
     def fundamental(self) -> NDArray[np.complex128]:
-        """First discrete Fourier coefficient of the samples."""
         theta = np.linspace(0.0, CYCLE, len(self.samples), endpoint=False)
         phasor = 2j / len(self.samples) * np.exp(-1j * theta) @ self.samples[:, :2]
         phasor[np.abs(phasor) <= TOUCH * np.abs(phasor).max()] = 0
@@ -256,24 +246,20 @@ class SplineMotion(Motion):
 
     @property
     def amplitude(self) -> Array:
-        """Amplitude of the first harmonic."""
         return np.abs(self.fundamental)
 
     @property
     def phase(self) -> Array:
-        """Phase of the first harmonic."""
         return np.angle(self.fundamental)
 
     @cached_property
     def line(self) -> Array | None:
-        """Where the samples lie on a line."""
         tangential = self.samples[:, :2] - self.samples[:, :2].mean(0)
         _, size, axes = np.linalg.svd(tangential, full_matrices=False)
         return axes[0] if size[1] <= TOUCH * size[0] else None
 
     @property
     def breaks(self) -> Array:
-        """The angles of the samples."""
         return self.pieces.x[:-1]
 
 

@@ -1,19 +1,23 @@
-"""Prescribed motion in the event loop: contacts whose modes are moved, and what their friction force amounts to.
+"""A contact under prescribed motion as the event loop takes it, and the integrals of one cycle.
 
-The loop is that of every simulation; only the method of a step differs. Of the seven modes of a contact
+The relative motion (u, v) is a given function of the angle θ, so that of the contact only its slip w evolves. The
+continuous state holds w and, from the start of the cycle on, the integrals of which equation (19) consists::
 
-- three carry its relative motion (u1, u2, v): the method sets them to the given motion at every stage, so nothing is
-  integrated but the slip;
-- two free masses, one an axis, collect the mean of the friction force in their velocity;
-- two undamped oscillators at the base frequency collect its first harmonic: starting at rest they end a cycle with
-  ``q = -∫ F sin θ dθ`` and ``p = ∫ F cos θ dθ`` (Duhamel's integral), which is equation (19).
+    θ' = 1    w' = w'(u, v, u', v', w)    a' = f    c' = f cos θ    s' = f sin θ    W' = f . w'
 
-Every mode shape is `WEAK`: what the force does to the carriers is overwritten, and what the collectors add to the
-motion is a rounding of it. The energy is collected as in every run, as the work of friction ``∫ f · dw``. Time is the
-angle θ.
+prime the derivative with respect to the angle, f and w' by the law of the contact. At the end of the cycle
+
+    f_b = a / 2π                                        mean
+    f ≈ f_b + (c cos θ + s sin θ) / π                   first harmonic
+    f_c - i f_s = (c - i s) exp(-i φ) / π               the same on cos(θ + φ) and sin(θ + φ), component by component
+    W                                                   work of friction
+
+θ is part of the state because the guards ask for the motion at a state, and a time alone does not reach them. Method,
+guards, step control and law are those of every simulation. Lengths are in units of the motion's size: a tolerance is
+relative to one.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
+from timesim.runtime import Leaf  # isort: skip
 
 import abc
 from dataclasses import dataclass
@@ -22,273 +26,204 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from timesim.element.elements import Elements
 from timesim.element.motion import CYCLE, HarmonicMotion, Motion, SplineMotion
-from timesim.engine.contact import ConeLaw
+from timesim.engine import dense_output
+from timesim.engine.contact_law import (
+    ContactLaw,
+    ContinuousState,
+    Dynamics,
+    Path,
+    Plane,
+    Scalar,
+    State,
+    dot,
+    scaled,
+)
+from timesim.engine.contact_law import Motion as RelativeMotion
 from timesim.engine.event_loop import advance, march
-from timesim.engine.method import Advance, Explicit, Field, Method, method_named, moved
-from timesim.engine.solver import Control, step_control
+from timesim.engine.method import Method
+from timesim.engine.solver import Control
 from timesim.engine.step import Status, Step, Trajectory, begin
-from timesim.engine.system import Point, System, Work
-from timesim.model.solver import Solver
 
-WEAK = 1e-8
-NUM_CARRIERS, NUM_MODES = 3, 7
-# Harmonics of a sampled motion from which the loop has the acceleration at the start of a step: for its guesses only.
-NUM_GUESSED = 4
 FIRST_STEP = 0.02
 CAPACITY = 2048  # steps recorded of one cycle
-Carriers = tuple[Array, Array]
 
 
 class Drive(eqx.Module):
-    """A prescribed motion as the event loop needs it, in units of the scale of lengths over `WEAK`."""
+    """A prescribed motion of contacts."""
 
     @abc.abstractmethod
-    def at(
-        self, q: Float[Array, " 3"], p: Float[Array, " 3"], time: Float[Array, ""], tau: Float[Array, ""]
-    ) -> tuple[Float[Array, " 3"], Float[Array, " 3"], Float[Array, " 3"]]:
-        """Motion and two derivatives a time ``tau`` after ``time``, where motion and rate are ``q`` and ``p``."""
+    def path(self, angle: Float[Array, ""]) -> Path:
+        """The motion (u1, u2, v) at an angle, with two derivatives."""
 
 
-class Turn(Drive):
-    """Harmonic motion, of whatever amplitude and phase: a turn of the phasor that q and p already are."""
-
-    def at(self, q: Array, p: Array, time: Array, tau: Array) -> tuple[Array, Array, Array]:
-        """q cos τ + p sin τ."""
-        c, s = jnp.cos(tau), jnp.sin(tau)
-        value = c * q + s * p
-        return value, c * p - s * q, -value
-
-
-class Pieces(Drive):
-    """A motion by polynomials of degree five between equal angles.
+class HarmonicDrive(Drive):
+    """Harmonic motion, ``cosine cos θ + sine sin θ``.
 
     Attributes:
-        taylor: coefficients at the start of each piece, highest power first.
+        cosine, sine: of u1, u2 and v.
     """
 
-    taylor: Float[Array, "6 piece 3"]
+    cosine: Plane
+    sine: Plane
 
-    def at(self, q: Array, p: Array, time: Array, tau: Array) -> tuple[Array, Array, Array]:
-        """The polynomial and its derivatives."""
+    def path(self, angle: Float[Array, ""]) -> Path:
+        c, s = jnp.cos(angle), jnp.sin(angle)
+        pairs = list(zip(self.cosine, self.sine, strict=True))
+        value = tuple(a * c + b * s for a, b in pairs)
+        return value, tuple(b * c - a * s for a, b in pairs), tuple(-x for x in value)
+
+
+class SplineDrive(Drive):
+    """The motion of one contact, by polynomials of degree five between equal angles.
+
+    Attributes:
+        taylor: coefficients of 1, x, x^2, ... about the start of each piece.
+    """
+
+    taylor: Float[Leaf, "6 piece 3"]
+
+    def path(self, angle: Float[Array, ""]) -> Path:
         count = self.taylor.shape[1]
         width = CYCLE / count
-        angle = time + tau
-        # A step ends with the cycle to rounding: beyond it the last piece goes on.
-        piece = jnp.clip(jnp.floor(angle / width).astype(int), 0, count - 1)
-        x, c = angle - piece * width, self.taylor[:, piece]
-        value, rate, second = c[0], 5 * c[0], 20 * c[0]
-        for power in range(1, 6):
-            value = value * x + c[power]
-            rate = rate * x + (5 - power) * c[power] if power < 5 else rate
-            second = second * x + (5 - power) * (4 - power) * c[power] if power < 4 else second
-        return value, rate, second
+        angle = angle % CYCLE
+        piece = jnp.minimum(jnp.floor(angle / width).astype(int), count - 1)
+        c, x = tuple(jnp.asarray(self.taylor)[:, piece, :, None]), angle - piece * width
+        value, _ = dense_output.evaluate(x, c)
+        rate, second = dense_output.evaluate(x, tuple(k * c[k] for k in range(1, 6)))
+        return tuple(value), tuple(rate), tuple(second)
 
 
-class Prescribed(Method):
-    """A Runge-Kutta method that integrates what depends on the motion, and takes the motion as it is given.
+class CycleState(ContinuousState):
+    """Continuous state of a contact under prescribed motion, from the start of a cycle on.
 
     Attributes:
-        inner: the method.
-        drive: the motion.
+        angle: θ.
+        w: slip.
+        force, force_cosine, force_sine: a, c and s, the integrals of f, f cos θ and f sin θ.
+        work: W, the integral of f . w'.
     """
 
-    order: int = eqx.field(static=True)
-    inner: Explicit
+    angle: Float[Array, ""]
+    w: Plane
+    force: Plane
+    force_cosine: Plane
+    force_sine: Plane
+    work: Scalar
+
+    def size(self) -> Float[Array, ""]:
+        return jnp.ones(())
+
+    def error(self) -> Float[Array, ""]:
+        worst = jnp.zeros(())
+        for x in (*self.w, *self.force, *self.force_cosine, *self.force_sine):
+            worst = jnp.maximum(worst, jnp.abs(x).max())
+        return worst
+
+    def finite(self) -> Bool[Array, ""]:
+        return jnp.isfinite(self.w[0]).all() & jnp.isfinite(self.w[1]).all() & jnp.isfinite(self.work).all()
+
+
+class PrescribedContacts(Dynamics):
+    """Contacts whose relative motion is given.
+
+    Attributes:
+        law: their law.
+        drive: their motion.
+    """
+
+    law: ContactLaw
     drive: Drive
 
-    def advance(self, field: Field, time: Array, point: Point, rate: Point, h: Array) -> Advance:
-        """Every stage, and the end, with the carriers where they are to be."""
-        inner, slopes = self.inner, [rate]
+    def field(self, state: State, time: Float[Array, ""], point: CycleState) -> CycleState:
+        acts = self.law.reaction(state, self.motion(point), point.w)
+        c, s = jnp.cos(point.angle), jnp.sin(point.angle)
+        return CycleState(jnp.ones(()), acts.dw, acts.f, scaled(c, acts.f), scaled(s, acts.f), dot(acts.f, acts.dw))
 
-        def driven(moving: Point, tau: Array) -> tuple[Point, Array]:
-            q, p, a = self.drive.at(point.q[:NUM_CARRIERS], point.p[:NUM_CARRIERS], time, tau)
-            carried = (_with_carriers(q, moving.q), _with_carriers(p, moving.p))
-            return Point(*carried, moving.w, moving.work), a
+    def motion(self, point: CycleState) -> RelativeMotion:
+        x, dx, _ = self.drive.path(point.angle)
+        return RelativeMotion(x[:-1], x[-1], dx[:-1], dx[-1])
 
-        for node, row in zip(inner.nodes, inner.stages, strict=True):
-            slopes.append(field(time + node * h, driven(moved(point, slopes, row, h), node * h)[0]))
-        end, acceleration = driven(moved(point, slopes, inner.weights, h), h)
-        first_same_as_last = inner.nodes[-1] == 1 and inner.stages[-1] == inner.weights[:-1]
-        last = slopes[-1] if first_same_as_last else field(time + h, end)
-        end_rate = Point(end.p, _with_carriers(acceleration, last.p), last.w, last.work)
-        if not any(inner.error_weights):
-            return Advance(end, end_rate, None)
-        error = moved(None, slopes, inner.error_weights, h)
-        none = jnp.zeros(NUM_CARRIERS)
-        q, p = (_with_carriers(none, part / WEAK) for part in (error.q, error.p))
-        return Advance(end, end_rate, Point(q, p, error.w, error.work))
+    def path(self, point: CycleState, rate: CycleState) -> Path:
+        return self.drive.path(point.angle)
 
 
-def _with_carriers(carriers: Array, modes: Array) -> Array:
-    return jnp.concatenate([carriers, modes[NUM_CARRIERS:]])
-
-
-def carriers_of(elements: Elements) -> Carriers:
-    """Where the carriers start a cycle, and their rate, shape (N, 3)."""
-    unit = (elements.length * WEAK)[:, None]
-    return jnp.asarray(elements.start / unit), jnp.asarray(elements.rate / unit)
-
-
-def law_of(elements: Elements, isotropic: bool) -> ConeLaw:
-    """The law in the units of each element, the batch as the first axis."""
-    ratio = elements.length / elements.force
-    K = elements.stiffness * ratio[:, None, None]
-    K = np.where(elements.live[:, None, None], K, np.eye(2))
-    k11, k12, k22 = K[:, 0, 0], K[:, 0, 1], K[:, 1, 1]
-    det = k11 * k22 - k12**2
-    stiffness, compliance = ((k11,), (1 / k11,)) if isotropic else ((k11, k12, k22), (k22 / det, -k12 / det, k11 / det))
-    column = [jnp.asarray(x)[:, None] for x in (elements.normal_stiffness * ratio, elements.preload / elements.force)]
-    return ConeLaw(
-        jnp.asarray(elements.friction)[:, None],
-        tuple(jnp.asarray(x)[:, None] for x in stiffness),
-        tuple(jnp.asarray(x)[:, None] for x in compliance),
-        *column,
-    )
-
-
-def system_of(law: ConeLaw, acceleration: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None) -> System:
-    """The system of seven modes of each element, the batch as the first axis.
-
-    Args:
-        law: the law, batch first.
-        acceleration: multiples of the base frequency, shape (H,), and the acceleration of the carriers at them on
-            cosine and sine, shape (H, 3) each; of harmonic motion, the default, it is -q.
-    """
-    shape = WEAK * np.array([[1, 0, 0, 1, 0, 1, 0], [0, 1, 0, 0, 1, 0, 1], [0, 0, 1, 0, 0, 0, 0]], float)
-    own = 1.0 if acceleration is None else 0.0
-    harmonic, cosine, sine = (np.zeros((0, *s)) for s in ((), (3,), (3,))) if acceleration is None else acceleration
-    wide = [np.pad(part, ((0, 0), (0, NUM_MODES - NUM_CARRIERS))) for part in (cosine, sine)]
-
-    def one(law: ConeLaw) -> System:
-        return System(
-            law=law,
-            shape=tuple(jnp.asarray(row[None]) for row in shape),
-            stiffness=jnp.asarray([own, own, own, 0.0, 0.0, 1.0, 1.0]),
-            damping=jnp.zeros(NUM_MODES),
-            harmonic=jnp.asarray(harmonic, dtype=float),
-            cosine=jnp.asarray(wide[0]),
-            sine=jnp.asarray(wide[1]),
-            constant=jnp.zeros(NUM_MODES),
-            phase=jnp.zeros(()),
-        )
-
-    return jax.vmap(one)(law)
-
-
-def control_of(solver: Solver) -> Control:
-    """Tolerances of the loop: relative ones count from the scale of the motion, not from that of the carriers."""
-    control = step_control(solver, 1.0)
-    return eqx.tree_at(lambda c: c.rtol, control, control.rtol * WEAK)
-
-
-def method_of(solver: Solver, drive: Drive) -> Prescribed:
-    """The solver's method with the motion prescribed.
+def drive_of(elements: Elements, motion: Motion | None = None) -> Drive:
+    """The motion of elements, harmonic unless another one is given for a single element.
 
     Raises:
-        ValueError: the method is an implicit one.
+        TypeError: a motion of another kind.
     """
-    inner = method_named(solver.name)
-    if not isinstance(inner, Explicit):
-        raise ValueError(f"a prescribed motion needs an explicit method, not {solver.name}")
-    return Prescribed(inner.order, inner, drive)
+    if motion is None or isinstance(motion, HarmonicMotion):
+        return HarmonicDrive(tuple(elements.start.T), tuple(elements.rate.T))
+    if isinstance(motion, SplineMotion):
+        return SplineDrive(motion.pieces.c[::-1] / elements.length)
+    raise TypeError(f"no drive for a {type(motion).__name__}")
 
 
-def trajectory(system: System, carriers: Carriers, w: Array, state: Array, length: Array) -> Trajectory:
-    """The start of a cycle of one element, collectors at rest."""
-    q, p = (jnp.concatenate([part, jnp.zeros(NUM_MODES - NUM_CARRIERS)]) for part in carriers)
-    zero = jnp.zeros(())
-    point = Point(q, p, (w[None, 0], w[None, 1]), Work(zero, zero, jnp.zeros(1)))
-    return begin(system, point, state[None], length)
+def cycle_start(dynamics: PrescribedContacts, w: Plane, state: State) -> Trajectory:
+    """The start of a cycle at θ = 0."""
+    none = jnp.zeros_like(w[0])
+    point = CycleState(jnp.zeros(()), w, (none, none), (none, none), (none, none), none)
+    return begin(dynamics, point, state, jnp.asarray(FIRST_STEP))
 
 
 @eqx.filter_jit
 def march_cycle(
-    method: Method, control: Control, systems: System, carriers: Carriers, w: Array, state: Array, length: Array
+    method: Method, control: Control, dynamics: PrescribedContacts, w: Plane, state: State
 ) -> tuple[Trajectory, Array]:
-    """One cycle of a batch: the trajectories at its end, and the number of transitions of each."""
-    starts = jax.vmap(trajectory, in_axes=(0, 0, 0, 0, None))(systems, carriers, w, state, length)
-    return march(method, control, systems, starts, jnp.ones(w.shape[0], dtype=jnp.int64))
+    """One cycle of contacts side by side, each in steps of its own.
+
+    Returns:
+        the trajectories at its end, the contact as first axis, and the number of transitions of each.
+    """
+    lanes, w, state = jax.tree.map(lambda leaf: leaf[:, None], (dynamics, w, state))
+    starts = jax.vmap(cycle_start)(lanes, w, state)
+    return march(method, control, lanes, starts, jnp.ones(state.shape[0], dtype=jnp.int64))
 
 
 @eqx.filter_jit
 def record_cycle(
-    method: Method, control: Control, system: System, carriers: Carriers, w: Array, state: Array, length: Array
+    method: Method, control: Control, dynamics: PrescribedContacts, w: Plane, state: State
 ) -> tuple[Trajectory, Step, Array]:
-    """One cycle of one element: the trajectory at its end, its steps, and how many there are."""
-    start = trajectory(system, carriers, w, state, length)
-    return advance(method, control, system, start, jnp.asarray(1), CAPACITY)
+    """One cycle of one contact: the trajectory at its end, its steps, and how many there are."""
+    return advance(method, control, dynamics, cycle_start(dynamics, w, state), jnp.asarray(1), CAPACITY)
 
 
 @dataclass(frozen=True)
-class Collected:
-    """What one cycle amounts to, of N elements.
+class CycleEnd:
+    """What one cycle of N elements amounts to.
 
     Attributes:
         mean: of the friction force, shape (N, 2) [force].
-        cosine, sine: its first harmonic, shape (N, 2) [force].
+        first: its first harmonic, cosine part minus i times the sine part, shape (N, 2) [force].
         dissipation: work of friction, shape (N,) [force length].
-        slip: w at the end of the cycle, shape (N, 2) [length].
+        slip: w at the end of the cycle, shape (N, 2), in units of the elements.
         state: state there, shape (N,).
-        good: whether the loop came through, shape (N,).
+        good: whether the loop reached it, shape (N,).
     """
 
     mean: np.ndarray
-    cosine: np.ndarray
-    sine: np.ndarray
+    first: np.ndarray
     dissipation: np.ndarray
     slip: np.ndarray
     state: np.ndarray
     good: np.ndarray
 
 
-def collected(elements: Elements, end: Trajectory) -> Collected:
-    """Read the collectors at the end of a cycle, batch first; the force on body 1, which moves them, is -f."""
-    length, force = elements.length, elements.force
-    q, p = (np.asarray(part)[:, NUM_CARRIERS:] * (force / WEAK)[:, None] for part in (end.point.q, end.point.p))
-    assert end.point.work is not None
-    w = np.concatenate([np.asarray(part) for part in end.point.w], axis=1)
-    return Collected(
-        mean=-p[:, :2] / CYCLE,
-        cosine=-p[:, 2:] / np.pi,
-        sine=q[:, 2:] / np.pi,
-        dissipation=np.asarray(end.point.work.friction)[:, 0] * length * force,
-        slip=w * length[:, None],
-        state=np.asarray(end.state)[:, 0],
-        good=np.asarray(end.status) == Status.RUNNING,
+def cycle_end(elements: Elements, end: Trajectory) -> CycleEnd:
+    """Read the integrals at the end of a cycle."""
+    point: CycleState = jax.tree.map(np.ravel, end.point)
+    parts = (point.force, point.force_cosine, point.force_sine)
+    a, c, s = (np.stack(part, axis=1) * elements.force[:, None] for part in parts)
+    return CycleEnd(
+        mean=a / CYCLE,
+        first=(c - 1j * s) / np.pi,
+        dissipation=point.work * elements.length * elements.force,
+        slip=np.stack(point.w, axis=1),
+        state=np.ravel(end.state),
+        good=np.ravel(end.status) == Status.RUNNING,
     )
-
-
-def coefficients(phase: np.ndarray, found: Collected) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """f_b, f_s and f_c of (19) along t1 and t2, each of shape (N, 2) [force].
-
-    Args:
-        phase: of u1 and u2, shape (N, 2) [rad].
-        found: mean and first harmonic.
-    """
-    turned = (found.cosine - 1j * found.sine) * np.exp(-1j * phase)
-    return found.mean, -turned.imag, turned.real
-
-
-def drive_of(motion: Motion, unit: float) -> tuple[Drive, tuple[np.ndarray, np.ndarray, np.ndarray] | None]:
-    """A motion for the loop, and its acceleration for the system; see `system_of`.
-
-    Args:
-        motion: the motion.
-        unit: of the carriers [length].
-
-    Raises:
-        TypeError: a motion of another kind.
-    """
-    if isinstance(motion, HarmonicMotion):
-        return Turn(), None
-    if not isinstance(motion, SplineMotion):
-        raise TypeError(f"no drive for a {type(motion).__name__}")
-    taylor = motion.pieces.c / unit
-    spectrum = np.fft.rfft(motion.samples / unit, axis=0)[1 : NUM_GUESSED + 1] * 2 / len(motion.samples)
-    harmonic = np.arange(1, len(spectrum) + 1)
-    acceleration = -(harmonic**2)[:, None] * spectrum
-    return Pieces(jnp.asarray(taylor)), (harmonic, acceleration.real, -acceleration.imag)

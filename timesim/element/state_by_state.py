@@ -16,6 +16,7 @@ from timesim.element.motion import CYCLE, Array, Motion
 from timesim.element.slip_path import Law, SlipPath, constant_path, contact_direction, integrate_slip
 from timesim.model.contact_state import contact_state, require_cone
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact
+from timesim.orbit.extrapolation import limits
 
 MAX_CYCLES = 1000
 # Change of f from cycle to cycle that ends the march; so does one up to `PERIODIC` that falls no further.
@@ -78,29 +79,15 @@ def steady_cycle(contact: Contact, motion: Motion, *, max_cycles: int = MAX_CYCL
         if settled and (phase.state == state or before <= PERIODIC):
             break
         before = residual
-        limit = _limit_of(forces) if len(forces) >= MIN_FORCES else None
-        if limit is not None:
+        if len(forces) < MIN_FORCES:
+            continue
+        (limit,), (leads,) = limits(np.array([forces[-4:]]))
+        if leads:
             # Beyond the limit other slips may push it back, again and again: go less far then.
             reach, best = min(1.0, 2 * reach) if residual < (1 - reach / 2) * best else reach / 2, residual
             phase = march.moved(phase, forces[-1] + reach * (limit - forces[-1]))
             forces = [march.force(phase, 0.0)]
     return ElementCycle(law, motion, tuple(stays), tuple(transitions), cycle, residual, tuple(history))
-
-
-def _limit_of(forces: list[Array]) -> Array | None:
-    """Limit of a slowly converging sequence; None where it is not seen to be one.
-
-    The changes fall by a ratio r (Aitken), or like a power of the cycle number, where r rises by q (1 - r)^2
-    a cycle: so does a contact that creeps towards full stick.
-    """
-    first, second, third = np.diff(np.array(forces[-4:]), axis=0)
-    before, ratio = (second @ first) / (first @ first), (third @ second) / (second @ second)
-    aligned = np.hypot(*(third - ratio * second)) <= 0.1 * np.hypot(*third)
-    if not aligned or not 0.2 < ratio < 1.0 or abs(ratio - before) > 0.2 * (1 - ratio):
-        return None
-    rise = min((ratio - before) / (1 - ratio) ** 2, 0.8)
-    rise = rise if rise > 0.4 else 0.0
-    return forces[-1] + third * ratio / (1 - ratio) / (1 - rise)
 
 
 def _law(contact: Contact) -> Law:

@@ -144,7 +144,8 @@ def matrix_and_inverse(stiffness: np.ndarray) -> tuple[tuple[np.ndarray, ...], t
 
     The inverse of a matrix that is zero is zero.
     """
-    inverse = np.array([np.linalg.inv(k) if k.any() else k for k in stiffness]).reshape(-1, 2, 2)
+    inverse, elastic = np.zeros_like(stiffness), stiffness.any(axis=(1, 2))
+    inverse[elastic] = np.linalg.inv(stiffness[elastic])
     (k11, k12, k22), parts = ((m[:, 0, 0], m[:, 0, 1], m[:, 1, 1]) for m in (stiffness, inverse))
     return ((k11,), parts[:1]) if np.all(k12 == 0) and np.all(k11 == k22) else ((k11, k12, k22), parts)
 

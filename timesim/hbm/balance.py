@@ -12,9 +12,9 @@ With the flexibility F_h of the structure at its contacts the unknowns are those
 however many modes there are. The forces follow from y on equal time samples by the law of `timesim.hbm.period`
 (alternating frequency/time); their derivatives are exact for that law, and so is the matrix of Newton's method.
 
-Sections 4.3 and 5 of the paper, whose scheme is ``harmonics=1``. T. M. Cameron and J. H. Griffin, J. Appl. Mech. 56
-(1989) 149, for the alternation; M. Krack and J. Gross, Harmonic Balance for Nonlinear Vibration Problems (Springer
-2019).
+Sections 4.3 and 5 of the paper, whose scheme is ``harmonics=1``. T. M. Cameron and J. H. Griffin, An alternating
+frequency/time domain method for calculating the steady-state response of nonlinear dynamic systems, J. Appl. Mech. 56
+(1989) 149-154; M. Krack and J. Gross, Harmonic Balance for Nonlinear Vibration Problems (Springer 2019).
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
@@ -47,21 +47,43 @@ BATCH = 16
 
 @dataclass(frozen=True)
 class LinearResponse:
-    """Response of the structure without its contacts at one frequency; h = 0 ... H first.
+    """Response of the structure without its contacts at one frequency, by h = 0 ... H.
+
+    Each array has 3C columns for unit forces at the contacts, then one for the excitation.
 
     Attributes:
-        modal_free, modal: of the mass-normalised modes to the excitation, shape (H + 1, M), and to unit forces at the
-            contacts, shape (H + 1, M, 3C).
-        free, flexibility: the same at the contacts, shapes (H + 1, 3C) and (H + 1, 3C, 3C).
-        free_slope, flexibility_slope: their derivatives by Omega.
+        modal: of the mass-normalised modes, shape (H + 1, M, 3C + 1).
+        motion: of the contacts, shape (H + 1, 3C, 3C + 1).
+        slope: derivative of `motion` by Omega.
     """
 
-    modal_free: Complex
     modal: Complex
-    free: Complex
-    flexibility: Complex
-    free_slope: Complex
-    flexibility_slope: Complex
+    motion: Complex
+    slope: Complex
+
+    @property
+    def free(self) -> Complex:
+        """Motion of the contacts under the excitation alone, shape (H + 1, 3C)."""
+        return self.motion[..., -1]
+
+    @property
+    def flexibility(self) -> Complex:
+        """F_h, shape (H + 1, 3C, 3C)."""
+        return self.motion[..., :-1]
+
+
+def under(response: Complex, forces: Complex) -> Complex:
+    """One of the arrays of a `LinearResponse` under forces at the contacts, shape (H + 1, 3C), and the excitation."""
+    return response[..., -1] + np.einsum("hij,hj->hi", response[..., :-1], forces)
+
+
+def contact_stiffness(model: Model, share: Array) -> Array:
+    """Stiffness of all contacts, each stuck and closed to a share of it, shape (3C, 3C)."""
+    stiffness = np.zeros((3 * model.num_contacts,) * 2)
+    for i, contact in enumerate(model.contacts):
+        stiffness[3 * i : 3 * i + 2, 3 * i : 3 * i + 2] = share[i] * contact.tangential_stiffness
+        stiffness[3 * i + 2, 3 * i + 2] = share[i] * contact.normal_stiffness
+    return stiffness
 
 
 class Balance:
@@ -80,7 +102,8 @@ class Balance:
         """
         require_cone(model.contacts, "harmonic balance")
         check_model(model, scheme.harmonics)
-        self.model, self.scheme = model, scheme
+        self.model, self.scheme, self.num_contacts = model, scheme, model.num_contacts
+        self.size = 2 * scheme.harmonics + 1
         self.units = scales_of(model, frequency) if units is None else units
         self.length, self.force = self.units.length, self.units.force
         self.law: ConeLaw = ConeLaw.of(model.contacts, self.units)
@@ -93,23 +116,10 @@ class Balance:
         kept = excited.harmonic <= scheme.harmonics
         self.load[excited.harmonic[kept]] = (excited.cosine - 1j * excited.sine)[kept] / root
         self.damping = structure.damping / (np.outer(root, root) if structure.damping.ndim == 2 else root**2)
-        self.support = self._support()
-
-    @property
-    def num_contacts(self) -> int:
-        return self.model.num_contacts
-
-    def _support(self) -> Array:
-        """Stiffness added to the structure at its contacts, shape (3C, 3C), and taken from their forces again.
-
-        Without it modes of frequency zero make the structure singular.
-        """
-        support = np.zeros((3 * self.num_contacts, 3 * self.num_contacts))
-        if self.damping.ndim == 2 or np.any(self.model.structure.omega == 0):
-            for i, contact in enumerate(self.model.contacts):
-                support[3 * i : 3 * i + 2, 3 * i : 3 * i + 2] = contact.tangential_stiffness
-                support[3 * i + 2, 3 * i + 2] = contact.normal_stiffness
-        return support
+        # Stiffness added to the structure at its contacts and taken from their forces again: without it modes of
+        # frequency zero make the structure singular.
+        supported = self.damping.ndim == 2 or np.any(structure.omega == 0)
+        self.support = contact_stiffness(model, np.full(model.num_contacts, float(supported)))
 
     def linear(self, frequency: float) -> LinearResponse:
         """Response of the structure at a frequency [Hz]; not finite where it is singular."""
@@ -125,26 +135,23 @@ class Balance:
             change = slope[:, :, None] * response
         else:
             damping = np.diag(self.damping) if self.damping.ndim == 1 else self.damping
-            held = np.diag(stiffness) + self.shape.T @ self.support @ self.shape
+            supported = np.diag(stiffness) + self.shape.T @ self.support @ self.shape
             order, one = order[:, :, None], np.eye(stiffness.size)
-            dynamic = held - (order * omega) ** 2 * one + 1j * order * omega * damping
+            dynamic = supported - (order * omega) ** 2 * one + 1j * order * omega * damping
             try:
                 response = np.linalg.solve(dynamic, right)
             except np.linalg.LinAlgError:
                 response, dynamic = np.full_like(right, np.nan), one
             change = np.linalg.solve(dynamic, (2 * order**2 * omega * one - 1j * order * damping) @ response)
-        here, there = self.shape @ response, self.shape @ change
-        return LinearResponse(
-            response[..., -1], response[..., :-1], here[..., -1], here[..., :-1], there[..., -1], there[..., :-1]
-        )
+        return LinearResponse(response, self.shape @ response, self.shape @ change)
 
     @property
     def num_unknowns(self) -> int:
-        return 3 * self.num_contacts * (2 * self.scheme.harmonics + 1)
+        return 3 * self.num_contacts * self.size
 
     def coefficients(self, x: Array) -> Array:
         """The unknowns by contact, component and coefficient, shape (..., C, 3, 2H + 1)."""
-        return x.reshape(*x.shape[:-1], self.num_contacts, 3, 2 * self.scheme.harmonics + 1)
+        return x.reshape(*x.shape[:-1], self.num_contacts, 3, self.size)
 
     def contact_forces(self, x: Array) -> Array:
         """(f1, f2, n) of each contact by their coefficients in units of `force`, shape (C, 3, 2H + 1)."""
@@ -152,9 +159,9 @@ class Balance:
         return self.refined_forces(x, np.asarray(sampled))
 
     def refined_forces(self, x: Array, sampled: Array) -> Array:
-        """(f1, f2, n) with located transitions, if the scheme asks for them, else as found on the samples.
+        """(f1, f2, n) with located transitions, if the scheme asks for them, else those of the samples.
 
-        In full stick, where the offset is free, they stay what they are.
+        In full stick, where the offset is free, they are those of the samples too.
 
         Raises:
             NoSolutionError: a transition cannot be located.
@@ -177,13 +184,13 @@ class Balance:
 
     def _rows(self, coefficient: Array) -> Array:
         """All components of all contacts, shape (3C, 2H + 1)."""
-        return coefficient.reshape(3 * self.num_contacts, 2 * self.scheme.harmonics + 1)
+        return coefficient.reshape(3 * self.num_contacts, self.size)
 
     def _response(self, x: Array, forces: Array, linear: LinearResponse) -> tuple[Complex, Complex]:
         """Forces on the supported structure and the motion of the contacts that they give, by phasor, (H + 1, 3C)."""
         motion = to_phasors(self._rows(self.coefficients(x))).T * self.length
         acting = to_phasors(self._rows(self._on_body_1(forces))).T * self.force + motion @ self.support
-        return acting, linear.free + np.einsum("hij,hj->hi", linear.flexibility, acting)
+        return acting, under(linear.motion, acting)
 
     def value(self, x: Array, p: float) -> Array:
         """r in units of `length`."""
@@ -195,14 +202,14 @@ class Balance:
         sampled, slope = linearised(self.law, self.basis, jnp.asarray(self.coefficients(x)))
         linear = self.linear(p)
         acting, motion = self._response(x, self.refined_forces(x, np.asarray(sampled.coefficient)), linear)
-        by_p = linear.free_slope + np.einsum("hij,hj->hi", linear.flexibility_slope, acting)
+        by_p = under(linear.slope, acting)
         matrix = np.eye(x.size) - self._matrix(linear.flexibility, np.asarray(slope))
         r = x - to_coefficients(motion.T).ravel() / self.length
         return r, matrix, to_coefficients(by_p.T).ravel() * (-2 * np.pi / self.length)
 
     def _matrix(self, flexibility: Complex, slope: Array) -> Array:
         """Derivatives of F g by the unknowns, from those of (f1, f2, n) of each contact by its own."""
-        size, rows = 2 * self.scheme.harmonics + 1, 3 * self.num_contacts
+        size, rows = self.size, 3 * self.num_contacts
         matrix = np.empty((rows, size, rows * size))
         for i, block in enumerate(slope):
             own = slice(3 * i, 3 * i + 3)
@@ -218,8 +225,7 @@ class Balance:
         """Modal displacement by phasors, shape (H + 1, M), from the unknowns and (f1, f2, n) in units of `force`."""
         linear = self.linear(frequency)
         acting, _ = self._response(x, forces, linear)
-        modal = linear.modal_free + np.einsum("hij,hj->hi", linear.modal, acting)
-        return modal / np.sqrt(self.model.structure.mass)
+        return under(linear.modal, acting) / np.sqrt(self.model.structure.mass)
 
 
 def batched(evaluate: Callable[[ConeLaw, Array], Sequence[Any]], balance: Balance, motion: Array) -> list[Array]:

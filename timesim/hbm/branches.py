@@ -7,14 +7,12 @@ from typing import Any
 import numpy as np
 
 from timesim.hbm.balance import Array, Balance
-from timesim.hbm.continuation import Ending, solve
-from timesim.hbm.curve import HbmCurve, crossings, default_controls, hbm_curve, solutions_at
+from timesim.hbm.continuation import SAME, Controls, Ending, solve
+from timesim.hbm.curve import HbmCurve, crossings, hbm_curve, solutions_at
 from timesim.hbm.first_guess import unknowns_of_modes
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
 
-# Unknowns of two solutions that are one, relative to their size.
-SAME = 1e-5
 # Difference of amplitudes, relative to the largest, up to which a curve passes through a motion.
 NEAR = 0.05
 
@@ -61,9 +59,9 @@ def isolated_curves(
     """Curves through settled motions that no other curve passes.
 
     Args:
-        model: what moves.
-        curves: that are known.
-        motions: of time integration; those outside the span are left alone.
+        model: the scene.
+        curves: curves followed before.
+        motions: by time integration; any outside the span are ignored.
         span: range of the curves [Hz].
 
     Keyword Args:
@@ -73,7 +71,7 @@ def isolated_curves(
     left = [motion for motion in motions if min(span) < motion.frequency < max(span)]
     left = [motion for motion in left if not any(passes(curve, motion) for curve in known)]
     while left:
-        # From the middle of what is left: away from the folds at its ends.
+        # The middle one of those that are left is far from the folds at the ends of its branch.
         motion = left.pop(len(left) // 2)
         guess = motion.coefficients()
         if guess is None or not _leads_elsewhere(model, known, motion.frequency, guess, scheme):
@@ -86,8 +84,7 @@ def isolated_curves(
 
 def passes(curve: HbmCurve, motion: SettledMotion) -> bool:
     """Whether a curve passes through a motion, its amplitudes taken straight between its solutions."""
-    for i in crossings(curve.frequency, motion.frequency):
-        share = (motion.frequency - curve.frequency[i]) / (curve.frequency[i + 1] - curve.frequency[i])
+    for i, share in crossings(curve.frequency, motion.frequency):
         here = curve.amplitude[i] + share * (curve.amplitude[i + 1] - curve.amplitude[i])
         if np.max(np.abs(here - motion.amplitude)) <= NEAR * np.max(motion.amplitude):
             return True
@@ -97,7 +94,7 @@ def passes(curve: HbmCurve, motion: SettledMotion) -> bool:
 def _leads_elsewhere(model: Model, curves: list[HbmCurve], frequency: float, guess: Array, scheme: Scheme) -> bool:
     """Whether a guess leads to a solution that is on none of the curves."""
     balance = Balance(model, frequency, scheme)
-    solution = solve(balance, unknowns_of_modes(balance, guess), frequency, default_controls())
+    solution = solve(balance, unknowns_of_modes(balance, guess), frequency, Controls())
     if solution is None:
         return False
     # Not the mean: it may hold the offset of a contact that sticks, which is free.
@@ -105,8 +102,8 @@ def _leads_elsewhere(model: Model, curves: list[HbmCurve], frequency: float, gue
     at_frequency = (solutions_at(model, curve, frequency, scheme=scheme, stability=False) for curve in curves)
     return not any(
         np.linalg.norm(motion[..., 1:] - waves) <= SAME * np.linalg.norm(waves)
-        for found in at_frequency
-        for motion in found.contact_motion
+        for solutions in at_frequency
+        for motion in solutions.contact_motion
     )
 
 

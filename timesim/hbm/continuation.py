@@ -9,14 +9,17 @@ The predictor is of second order: the tangent, and how it has turned over the st
 the tangent and the convergence of Newton's method (`timesim.hbm.corrector`). Where the tangent's share of p changes its
 sign the curve has a fold; it is located on the arc by Brent's method and is a point of the curve.
 
-H. B. Keller, Numerical solution of bifurcation and nonlinear eigenvalue problems (1977), for the arclength; E. L.
-Allgower and K. Georg, Introduction to Numerical Continuation Methods (SIAM 2003), chapters 2 and 6, for predictor and
-step; R. P. Brent, Algorithms for Minimization without Derivatives (1973), chapter 4.
+H. B. Keller, Numerical solution of bifurcation and nonlinear eigenvalue problems, in: P. H. Rabinowitz (ed.),
+Applications of Bifurcation Theory (Academic Press 1977) 359-384, for the arclength; E. L. Allgower and K. Georg,
+Introduction to Numerical Continuation Methods (SIAM 2003), chapters 2 and 6, for predictor and step; R. P. Brent,
+Algorithms for Minimization without Derivatives (Prentice-Hall 1973), chapter 4.
 """
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +36,7 @@ FLAT = 1e-5
 
 
 class Ending(Enum):
-    """Why a curve ends; the value tells the user."""
+    """Why a curve ends; the value is the message for the user."""
 
     COMPLETE = "complete: the whole range was followed"
     CLOSED = "complete: the curve is closed, it comes back to where it began"
@@ -49,6 +52,10 @@ class Ending(Enum):
         return self in (Ending.COMPLETE, Ending.CLOSED)
 
 
+Solution = tuple[Array, float, bool, int]
+"""Unknowns, parameter, whether it is a fold, and the sign of det dr/dx."""
+
+
 @dataclass(frozen=True)
 class Curve:
     """Solutions in the order of the curve.
@@ -57,7 +64,6 @@ class Curve:
         x: unknowns, shape (S, n).
         p: parameter, shape (S,).
         fold: whether the parameter turns here, shape (S,).
-        branch: folds passed before, shape (S,); a fold belongs to the branch that it ends.
         determinant: sign of det dr/dx, 0 at a fold, shape (S,).
         ending: why it ends.
         message: the same with the place.
@@ -66,20 +72,45 @@ class Curve:
     x: Array
     p: Array
     fold: NDArray[np.bool_]
-    branch: NDArray[np.int64]
     determinant: NDArray[np.int64]
     ending: Ending
     message: str
+
+    @classmethod
+    def of(cls, solutions: Sequence[Solution], num_unknowns: int, ending: Ending, message: str) -> "Curve":
+        """From its solutions."""
+        x, p, fold, determinant = zip(*solutions, strict=True) if solutions else ((),) * 4
+        unknowns, flags = np.array(x).reshape(len(solutions), num_unknowns), np.array(fold, dtype=bool)
+        return cls(unknowns, np.array(p, dtype=float), flags, np.array(determinant, dtype=np.int64), ending, message)
+
+    @property
+    def branch(self) -> NDArray[np.int64]:
+        """Folds passed before, shape (S,); a fold belongs to the branch that it ends."""
+        return np.cumsum(self.fold) - self.fold
 
     @property
     def complete(self) -> bool:
         """Whether the whole range was followed."""
         return self.ending.complete
 
-    def point(self, i: int, p: float) -> "Curve":
-        """One of the solutions as a curve, at another value of the parameter."""
-        arrays = {name: getattr(self, name)[i : i + 1] for name in ("x", "fold", "branch", "determinant")}
-        return replace(self, **arrays, p=np.array([p]))
+
+Solutions = TypeVar("Solutions", bound=Any)
+"""A record whose arrays have one entry for each solution along the first axis, as `Curve`."""
+
+
+def part_of(curve: Solutions, rows: slice) -> Solutions:
+    """Some of the solutions."""
+    return replace(curve, **{name: array[rows] for name, array in _arrays(curve).items()})
+
+
+def joined(parts: Sequence[Solutions]) -> Solutions:
+    """The solutions of several records, one after the other; they end as the last one does."""
+    arrays = [_arrays(part) for part in parts]
+    return replace(parts[-1], **{name: np.concatenate([own[name] for own in arrays]) for name in arrays[-1]})
+
+
+def _arrays(curve: Any) -> dict[str, Any]:
+    return {name: value for name, value in vars(curve).items() if isinstance(value, np.ndarray)}
 
 
 def follow(
@@ -122,17 +153,13 @@ def follow_both_ways(
     if ahead.ending in (Ending.START, Ending.CLOSED, Ending.INTERRUPTED):
         return ahead
     back = follow(residual, ahead.x[0], start, ends[0], controls, behind=ends[1])
-    worse = next((half for half in (back, ahead) if not half.complete), ahead)
-    parts = {
-        name: np.concatenate([getattr(back, name)[:0:-1], getattr(ahead, name)])
-        for name in ("x", "p", "fold", "determinant")
-    }
-    branch = np.cumsum(parts["fold"]) - parts["fold"]
-    return Curve(**parts, branch=branch, ending=worse.ending, message=worse.message)
+    worse = ahead if back.complete else back
+    whole = joined([part_of(back, slice(None, 0, -1)), ahead])
+    return replace(whole, ending=worse.ending, message=worse.message)
 
 
 def solve(residual: Residual, guess: Array, p: float, controls: Controls) -> tuple[Array, int] | None:
-    """Solution near a guess at one value of the parameter, and the sign of det dr/dx; None if none is found."""
+    """Solution near a guess at one value of the parameter, and the sign of det dr/dx; None if Newton's method fails."""
     corrector = Corrector(residual, controls, abs(p) or 1.0, guess)
     normal = np.append(np.zeros(guess.size), 1.0)
     try:
@@ -160,7 +187,7 @@ class _PathTracker:
         self.start, self.stop, self.behind = start, stop, behind
         self.sign = float(np.sign(stop - start))
         self.ahead = np.append(np.zeros(guess.size), self.sign)  # normal of a plane of constant p
-        self.solutions: list[tuple[Array, float, int, bool]] = []  # x, p, determinant, fold
+        self.solutions: list[Solution] = []
         self.cause = ""  # of the last failure of Newton's method
 
     def curve(self) -> Curve:
@@ -177,20 +204,13 @@ class _PathTracker:
             return self._curve(Ending.INTERRUPTED)
 
     def _curve(self, ending: Ending) -> Curve:
-        x, p, determinant, fold = zip(*self.solutions, strict=True) if self.solutions else ((),) * 4
         cause = f" ({self.cause})" if self.cause and ending in (Ending.START, Ending.STEP) else ""
-        return Curve(
-            x=np.array(x).reshape(len(p), self.guess.size),
-            p=np.array(p, dtype=float),
-            fold=np.array(fold, dtype=bool),
-            branch=np.cumsum(fold, dtype=np.int64) - np.array(fold, dtype=np.int64),
-            determinant=np.array(determinant, dtype=np.int64),
-            ending=ending,
-            message=f"continuation at {p[-1] if p else self.start:.10g}, after {len(p)} points: {ending.value}{cause}",
-        )
+        place, count = self.solutions[-1][1] if self.solutions else self.start, len(self.solutions)
+        message = f"continuation at {place:.10g}, after {count} points: {ending.value}{cause}"
+        return Curve.of(self.solutions, self.guess.size, ending, message)
 
     def _keep(self, point: CurvePoint, *, fold: bool = False) -> None:
-        self.solutions.append((*self.corrector.unscaled(point.y), 0 if fold else point.determinant, fold))
+        self.solutions.append((*self.corrector.unscaled(point.y), fold, 0 if fold else point.determinant))
 
     def _follow(self, point: CurvePoint) -> Ending:
         """From the first point to the end; how the curve ends."""
@@ -299,9 +319,9 @@ class _PathTracker:
             return None
 
     def _fold(self, before: CurvePoint, step: _Step) -> CurvePoint | None:
-        """Where the tangent's share of the parameter changes its sign on the arc of a step; None if no point is found.
+        """Where the tangent's share of the parameter changes its sign on the arc of a step.
 
-        The share jumps through zero where the residual is not smooth.
+        The share jumps through zero where the residual is not smooth. None if Newton's method fails.
         """
         length = float((step.point.y - before.y) @ before.tangent)
         ends = {0.0: float(before.tangent[-1]), length: float(step.point.tangent[-1])}

@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from timesim.hbm.balance import Array, Balance
-from timesim.hbm.continuation import solve
-from timesim.hbm.curve import default_controls
+from timesim.hbm.continuation import Controls, solve
 from timesim.hbm.scheme import MIN_SAMPLES, Scheme
 from timesim.model.model import Model
 from timesim.orbit.fourier import half_range
@@ -111,11 +110,10 @@ def _change(known: Sequence[Known], one: Array, other: Array) -> float:
 def amplitude(known: Known, scheme: Scheme) -> Array:
     """Amplitudes of a solution by another scheme, shape (P, 3); NaN where that has no such solution."""
     balance = Balance(known.model, known.frequency, scheme)
-    size = 2 * scheme.harmonics + 1
-    guess = np.zeros((*known.motion.shape[:2], size))
-    kept = min(size, known.motion.shape[2])
+    guess = np.zeros((*known.motion.shape[:2], balance.size))
+    kept = min(balance.size, known.motion.shape[2])
     guess[..., :kept] = known.motion[..., :kept]
-    solution = solve(balance, guess.ravel() / balance.length, known.frequency, default_controls())
+    solution = solve(balance, guess.ravel() / balance.length, known.frequency, Controls())
     if solution is None:
         return np.full_like(known.amplitude, np.nan)
     modal = balance.modes(solution[0], balance.contact_forces(solution[0]), known.frequency)

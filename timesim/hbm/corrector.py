@@ -44,7 +44,8 @@ class Controls:
     """How a curve is followed. Lengths of arc are shares of the range of p and of the size of x.
 
     Attributes:
-        size: what counts as a small solution, in the units of x; x is measured by its own norm where that is larger.
+        size: unit of x where its norm is smaller, else x is measured by its norm. The default suits a balance, whose
+            unknowns are in the scene's own unit of length.
         first_step, min_step, max_step: length of arc of a step.
         max_points: points after which the curve is given up.
         tolerance: norm of the residual at a solution, relative to the size of x.
@@ -52,7 +53,7 @@ class Controls:
         turn: turn of the tangent over a step at which the step is neither lengthened nor shortened [rad].
     """
 
-    size: float
+    size: float = 0.1
     first_step: float = 0.01
     min_step: float = 1e-6
     max_step: float = 0.05
@@ -62,18 +63,15 @@ class Controls:
     turn: float = 0.12
 
     def __post_init__(self) -> None:
-        if not self.size > 0 or not self.tolerance > 0:
-            raise ValueError(f"continuation: size and tolerance must be positive, not {self.size} and {self.tolerance}")
-        if not 0 < self.min_step <= self.first_step <= self.max_step:
-            raise ValueError(
-                "continuation: steps must obey 0 < min_step <= first_step <= max_step, "
-                f"not {self.min_step}, {self.first_step}, {self.max_step}"
-            )
-        if self.max_points < 2 or self.max_newton < 1:
-            raise ValueError(
-                "continuation: max_points must be at least 2 and max_newton at least 1, "
-                f"not {self.max_points} and {self.max_newton}"
-            )
+        steps = (self.min_step, self.first_step, self.max_step)
+        for obeyed, rule, values in (
+            (self.size > 0 and self.tolerance > 0, "size and tolerance must be positive", (self.size, self.tolerance)),
+            (0 < steps[0] <= steps[1] <= steps[2], "steps must obey 0 < min_step <= first_step <= max_step", steps),
+            (self.max_points >= 2, "max_points must be at least 2", (self.max_points,)),
+            (self.max_newton >= 1, "max_newton must be at least 1", (self.max_newton,)),
+        ):
+            if not obeyed:
+                raise ValueError(f"continuation: {rule}, not {', '.join(map(str, values))}")
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,12 @@
-"""Response curves by harmonic balance: starts, the curve, its folds and stability, and what the points do.
+"""Response curves by harmonic balance: motion, contact states, folds and stability of the solutions along them.
 
 The balance is `timesim.hbm.balance`, the way along the curve `timesim.hbm.continuation`.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from timesim.engine.contact import ConeLaw
 from timesim.hbm.balance import Balance, batched
-from timesim.hbm.continuation import Controls, Curve, Ending, follow, follow_both_ways, solve
-from timesim.hbm.first_guess import first_guesses, unknowns_of_modes
+from timesim.hbm.continuation import Controls, Curve, Ending, Solution, follow, follow_both_ways, solve
+from timesim.hbm.first_guess import curve_near
 from timesim.hbm.period import contact_forces
 from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import BORDER, floquet_multipliers
@@ -24,8 +24,6 @@ from timesim.model.model import Model
 from timesim.orbit.fourier import half_range
 
 Array = NDArray[np.float64]
-# A solution this small, in the scene's own unit of length, is measured by it and not by its own size.
-SMALL = 0.1
 
 
 @dataclass(frozen=True)
@@ -33,7 +31,7 @@ class HbmCurve:
     """Periodic solutions along a curve; S solutions, P points, C contacts, harmonics 0 ... H, harmonic 0 the mean.
 
     Attributes:
-        parameter: what the curve was followed in, shape (S,): the frequency, or a scalar of the scene.
+        parameter: that of the continuation, shape (S,): the frequency, or a scalar of the scene.
         frequency: of the excitation, shape (S,) [Hz].
         stable: whether disturbances die out, shape (S,).
         fold: whether the frequency turns here, shape (S,).
@@ -44,8 +42,8 @@ class HbmCurve:
         contact_motion: Fourier coefficients 1, cos, sin, ... of (u1, u2, v), shape (S, C, 3, 2H + 1) [length].
         contact_force: of (f1, f2, n), shape (S, C, 3, 2H + 1) [force].
         floquet_max: largest modulus of a Floquet multiplier, shape (S,); NaN where none was computed.
-        closure: change of the elastic displacement over the period over what is tolerated, shape (S,); at most 1
-            where the memory of every contact closed.
+        closure: change of the elastic displacement over the period relative to its tolerance, shape (S,); at most 1
+            where the hysteresis loop of every contact is closed.
         ending: why it ended.
         message: the same with the place.
     """
@@ -72,27 +70,12 @@ class HbmCurve:
         """Whether the whole range was followed."""
         return self.ending.complete
 
-    def at(self, i: int) -> "HbmCurve":
-        """One of the solutions."""
-        found: dict[str, Any] = {name: getattr(self, name)[i : i + 1] for name in _arrays()}
-        return replace(self, **found)
-
-    @staticmethod
-    def joined(parts: Sequence["HbmCurve"]) -> "HbmCurve":
-        """The solutions of several curves, one after the other; the last tells how it ended."""
-        found: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _arrays()}
-        return replace(parts[-1], **found)
-
     @property
     def harmonic_amplitude(self) -> Array:
         """Amplitude of each harmonic, shape (S, H + 1, P, 3); harmonic 0 is the signed mean [length]."""
         amplitude = np.hypot(self.harmonic_cos, self.harmonic_sin)
         amplitude[:, 0] = self.harmonic_cos[:, 0]
         return amplitude
-
-
-def _arrays() -> list[str]:
-    return [entry.name for entry in fields(HbmCurve) if entry.name not in ("ending", "message")]
 
 
 def hbm_curve(
@@ -109,7 +92,7 @@ def hbm_curve(
     """Follow the periodic response of a model in frequency, around folds.
 
     Args:
-        model: what moves; a frequency of its excitation is not used.
+        model: the scene; a frequency of its excitation is not used.
         start, stop: range [Hz]; the curve begins at `start`, which may be the larger.
 
     Keyword Args:
@@ -120,32 +103,24 @@ def hbm_curve(
             contacts stuck, absent or half as stiff, then under a load that grows from zero.
         begin: frequency [Hz] inside the range from which the curve is followed to both sides; by default it begins
             at `start`.
-        stability: compute Floquet multipliers; without, only the sign of the determinant tells stable from unstable.
+        stability: compute Floquet multipliers; without them stability follows from the sign of the determinant alone.
 
     Returns:
-        The curve; where it fails, what it has, with the reason and the place in `message`.
+        The curve; if the continuation fails, the part before, with the reason and the place in `message`.
 
     Raises:
         ValueError: the range, the scheme or the excitation does not allow a balance.
     """
     _check_range(start, stop)
     balance = Balance(model, start, scheme or Scheme())
-    controls = controls or default_controls()
-    place = start if begin is None else begin
-    guesses = [unknowns_of_modes(balance, guess)] if guess is not None else first_guesses(balance, place, controls)
-    for first in guesses:
+    steps, place = controls or Controls(), start if begin is None else begin
+
+    def followed(first: Array) -> Curve:
         if start < place < stop or stop < place < start:
-            curve = follow_both_ways(balance, first, place, (start, stop), controls)
-        else:
-            curve = follow(balance, first, start, stop, controls)
-        if curve.ending is not Ending.START:
-            break
-    return evaluated(balance, curve, stability=stability)
+            return follow_both_ways(balance, first, place, (start, stop), steps)
+        return follow(balance, first, start, stop, steps)
 
-
-def default_controls() -> Controls:
-    """Steps for curves in the units of `Balance`."""
-    return Controls(size=SMALL)
+    return evaluated(balance, curve_near(balance, place, steps, guess, followed), stability=stability)
 
 
 def _check_range(start: float, stop: float) -> None:
@@ -178,33 +153,28 @@ def solutions_at(
     wanted = np.atleast_1d(np.asarray(frequency, dtype=float))
     balance = Balance(model, float(wanted[0]), scheme or Scheme())
     unknowns = curve.contact_motion.reshape(curve.frequency.size, balance.num_unknowns) / balance.length
-    places = [(f, i) for f in wanted for i in crossings(curve.frequency, f)]
-    rows = []
-    for f, i in places:
-        share = (f - curve.frequency[i]) / (curve.frequency[i + 1] - curve.frequency[i])
+    places = [(f, *crossing) for f in wanted for crossing in crossings(curve.frequency, f)]
+    rows: list[Solution] = []
+    branch = []
+    for f, i, share in places:
         guess = unknowns[i] + share * (unknowns[i + 1] - unknowns[i])
-        solution = solve(balance, guess, float(f), default_controls())
+        solution = solve(balance, guess, float(f), Controls())
         if solution is not None:
-            rows.append((*solution, f, curve.branch[i + 1]))
-    x, determinant, p, branch = zip(*rows, strict=True) if rows else ((),) * 4
-    found = Curve(
-        x=np.array(x).reshape(len(rows), balance.num_unknowns),
-        p=np.array(p, dtype=float),
-        fold=np.zeros(len(rows), dtype=bool),
-        branch=np.array(branch, dtype=np.int64),
-        determinant=np.array(determinant, dtype=np.int64),
-        ending=Ending.COMPLETE if len(rows) == len(places) else Ending.STEP,
-        message=f"{len(rows)} of {len(places)} solutions at {wanted.size} frequencies",
-    )
-    return evaluated(balance, found, stability=stability)
+            rows.append((solution[0], f, False, solution[1]))
+            branch.append(curve.branch[i + 1])
+    ending = Ending.COMPLETE if len(rows) == len(places) else Ending.STEP
+    message = f"{len(rows)} of {len(places)} solutions at {wanted.size} frequencies"
+    solved = Curve.of(rows, balance.num_unknowns, ending, message)
+    return replace(evaluated(balance, solved, stability=stability), branch=np.array(branch, dtype=np.int64))
 
 
-def crossings(frequency: Array, place: float) -> NDArray[np.int64]:
-    """The points of a curve after which it passes a frequency."""
+def crossings(frequency: Array, place: float) -> Iterator[tuple[int, float]]:
+    """Where a curve passes a frequency: the point before, and the share of the way to the next one."""
     # An end of the range is met but for rounding.
     side = np.where(np.isclose(frequency, place, rtol=1e-12, atol=0.0), 0.0, np.sign(frequency - place))
     last = np.arange(1, side.size) == side.size - 1
-    return np.flatnonzero((side[1:] * side[:-1] < 0) | (side[:-1] == 0) | last & (side[1:] == 0))
+    for i in np.flatnonzero((side[1:] * side[:-1] < 0) | (side[:-1] == 0) | last & (side[1:] == 0)):
+        yield int(i), (place - frequency[i]) / (frequency[i + 1] - frequency[i])
 
 
 def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmCurve:
@@ -257,7 +227,7 @@ def peak(parameter: Array, height: Array, motion: Array) -> tuple[float, float]:
 
     Args:
         parameter: of the solutions, shape (S,).
-        height: what is largest at the peak, shape (S,).
+        height: the quantity that peaks, shape (S,).
         motion: of the solutions, for the arc length between them, shape (S, ...).
     """
     i = int(np.argmax(height))

@@ -1,11 +1,11 @@
 """Where a curve may begin: guesses for the first solution of a balance."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from timesim.hbm.balance import Array, Balance
-from timesim.hbm.continuation import Controls, follow
+from timesim.hbm.balance import Array, Balance, contact_stiffness
+from timesim.hbm.continuation import Controls, Curve, Ending, follow
 from timesim.orbit.fourier import to_coefficients
 
 
@@ -17,11 +17,22 @@ def unknowns_of_modes(balance: Balance, modal: Array) -> Array:
             "hbm: the guess must hold 1, cos, sin, ... of each mode, an odd number of rows and "
             f"{num_modes} columns, not shape {modal.shape}"
         )
-    size = 2 * balance.scheme.harmonics + 1
-    kept = np.zeros((size, num_modes))
-    kept[: min(size, len(modal))] = modal[:size]
+    kept = np.zeros((balance.size, num_modes))
+    kept[: len(modal)] = modal[: balance.size]
     shape = balance.model.contact_shape.reshape(3 * balance.num_contacts, -1)
     return np.asarray((shape @ kept.T).ravel() / balance.length)
+
+
+def curve_near(
+    balance: Balance, frequency: float, controls: Controls, guess: Array | None, followed: Callable[[Array], Curve]
+) -> Curve:
+    """The curve through a solution near a modal guess, or else near the first of `first_guesses` that leads to one."""
+    guesses = first_guesses(balance, frequency, controls) if guess is None else [unknowns_of_modes(balance, guess)]
+    for first in guesses:
+        curve = followed(first)
+        if curve.ending is not Ending.START:
+            break
+    return curve
 
 
 def first_guesses(balance: Balance, frequency: float, controls: Controls) -> Iterator[Array]:
@@ -36,13 +47,8 @@ def first_guesses(balance: Balance, frequency: float, controls: Controls) -> Ite
 
 def _linear_guess(balance: Balance, frequency: float, stuck: Array) -> Array:
     """Linear response with each contact stuck (1), absent (0) or in between."""
-    linear, size = balance.linear(frequency), 3 * balance.num_contacts
-    stiffness = np.zeros((size, size))
-    for i in np.flatnonzero(stuck):
-        contact = balance.model.contacts[i]
-        stiffness[3 * i : 3 * i + 2, 3 * i : 3 * i + 2] = stuck[i] * contact.tangential_stiffness
-        stiffness[3 * i + 2, 3 * i + 2] = stuck[i] * contact.normal_stiffness
-    matrix = np.eye(size) + linear.flexibility @ (stiffness - balance.support)
+    linear, stiffness = balance.linear(frequency), contact_stiffness(balance.model, stuck)
+    matrix = np.eye(len(stiffness)) + linear.flexibility @ (stiffness - balance.support)
     try:
         motion = np.linalg.solve(matrix, linear.free[..., None])[..., 0]
     except np.linalg.LinAlgError:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from timesim.element.motion import CYCLE, SplineMotion
 from timesim.element.state_by_state import steady_cycle
 from timesim.model.model import Contact
-from timesim.orbit.fourier import fourier_basis
+from timesim.orbit.fourier import fourier_basis, to_coefficients
 
 Array = NDArray[np.float64]
 # The spline through the samples errs by less than 1e-11 of the highest harmonic.
@@ -39,10 +39,8 @@ def located_forces(contact: Contact, motion: Array) -> Array | None:
     if cycle.offset_free:
         return None
     cosine, sine = cycle.harmonics(size // 2)
-    forces = np.empty_like(motion)
-    forces[:2, 0], forces[:2, 1::2], forces[:2, 2::2] = cosine[0], cosine[1:].T, sine[1:].T
-    forces[2] = _normal_load(contact, spline, motion[2])
-    return forces
+    friction = to_coefficients((cosine - 1j * sine).T)
+    return np.concatenate([friction, _normal_load(contact, spline, motion[2])[None]])
 
 
 def _normal_load(contact: Contact, spline: SplineMotion, v: Array) -> Array:

@@ -8,10 +8,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
+import numpy as np
+
 from timesim.hbm.balance import Array, Balance
-from timesim.hbm.continuation import Controls, Ending, follow
-from timesim.hbm.curve import HbmCurve, default_controls, evaluated
-from timesim.hbm.first_guess import first_guesses, unknowns_of_modes
+from timesim.hbm.continuation import Controls, follow, joined, part_of
+from timesim.hbm.curve import HbmCurve, evaluated
+from timesim.hbm.first_guess import curve_near
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
 from timesim.model.scales import scales_of
@@ -83,16 +85,13 @@ def parameter_curve(
         ValueError: the range, the scheme or the excitation does not allow a balance.
     """
     residual = ParameterBalance(model_at, frequency, scheme or Scheme(), (start, stop))
-    controls, balance = controls or default_controls(), residual.balance(start)
-    guesses = [unknowns_of_modes(balance, guess)] if guess is not None else first_guesses(balance, frequency, controls)
-    for first in guesses:
-        curve = follow(residual, first, start, stop, controls)
-        if curve.ending is not Ending.START:
-            break
+    steps, balance = controls or Controls(), residual.balance(start)
+    curve = curve_near(balance, frequency, steps, guess, lambda first: follow(residual, first, start, stop, steps))
     if not curve.p.size:
         return evaluated(balance, curve, stability=False)
+    here = replace(curve, p=np.full(curve.p.size, frequency))
     points = [
-        evaluated(residual.balance(float(p)), curve.point(i, frequency), stability=stability)
+        evaluated(residual.balance(float(p)), part_of(here, slice(i, i + 1)), stability=stability)
         for i, p in enumerate(curve.p)
     ]
-    return replace(HbmCurve.joined(points), parameter=curve.p)
+    return replace(joined(points), parameter=curve.p, branch=curve.branch)

@@ -14,9 +14,9 @@ over an interval ``e`` turns towards it without further error, however small n i
 isotropic is evaluated midway. Along a straight path the slip speed never falls, so slip ends at a sample, where its
 speed and the error of doing so vanish together.
 
-A contact that can stick all along does, with the offset of `timesim.hbm.stuck_offset`. Any other enters the period from
-``w = 0``, put on the cone where it would lie outside, and passes through it again and again until the elastic
-displacement at its end is that at its start.
+A contact that can stick all along does, with the offset of `timesim.hbm.stuck_offset`. Any other begins the period with
+``w = 0``, put on the cone where it would lie outside, and the period is repeated until the elastic displacement at its
+end is that at its start.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
@@ -40,7 +40,7 @@ CLOSED = 1e-12
 ROUNDING = 1e-14
 # An interval that slips but for less than this share of it slips all along: the time at which slip begins is rounded.
 WHOLE = 1 - 1e-9
-# Excess of |f|^2 over (mu n)^2, relative, that is no slip: what a contact left at rest on its cone shows by rounding.
+# Relative excess of |f|^2 over (mu n)^2 up to which a contact at rest on its cone does not slip: rounding.
 GRAZING = 1e-11
 
 
@@ -164,9 +164,9 @@ def advance(law: ConeLaw, d: Plane, interval: Interval) -> IntervalEnd:
     limit0, limit1 = law.friction * load0, law.friction * load1
     root = load0 / jnp.where(load0 == load1, 1.0, load0 - load1)
     was, stays, rubs = load0 > 0, load1 > 0, law.friction > 0
-    held, leave = _in_contact(law, d, interval, limit0, limit1)
+    closed, leave = _in_contact(law, d, interval, limit0, limit1)
     fresh, grips = _touching(law, interval, root, limit0, limit1)
-    d = where(was, held, fresh)
+    d = where(was, closed, fresh)
     d = where(stays & rubs, d, (jnp.zeros_like(limit1),) * len(d))
     leave = jnp.where(was, leave, jnp.where(grips, 1.0, root))
     first = jnp.where(was, 0.0, jnp.where(stays, root, 1.0))
@@ -187,8 +187,8 @@ def _in_contact(law: ConeLaw, d: Plane, interval: Interval, limit0: Scalar, limi
     span = (1 - leave) * _mean_inverse(limit0 + leave * growth, limit1)
     e = _turned(law, scaled(1 / length(on_cone), on_cone), interval, growth, span, 1 - leave)
     stuck = tuple(x + y for x, y in zip(d, interval.change, strict=True))
-    held = where(slides, product(law.compliance, scaled(limit1, e)), stuck)
-    return held, jnp.where(slides | (limit1 <= 0), leave, 1.0)
+    end = where(slides, product(law.compliance, scaled(limit1, e)), stuck)
+    return end, jnp.where(slides | (limit1 <= 0), leave, 1.0)
 
 
 def _touching(
@@ -280,7 +280,7 @@ def closed_period(law: ConeLaw, motion: Motion) -> ClosedPeriod:
 
 
 class ContactForces(eqx.Module):
-    """What the contacts do over a period.
+    """Forces and states of the contacts over a period.
 
     Attributes:
         coefficient: of (f1, f2, n), n not less the preload, shape (C, 3, 2H + 1).

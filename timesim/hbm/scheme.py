@@ -1,4 +1,4 @@
-"""Numerical scheme of a harmonic balance, and what models allow one. Checks of a scene use it: no JAX here."""
+"""Numerical scheme of a harmonic balance, and the models that allow one. Checks of a scene import it: no JAX here."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -51,7 +51,7 @@ def check_model(model: Model, harmonics: int) -> None:
     """Refuse a model without contacts or periodic excitation, or with excited harmonics that are not balanced.
 
     Raises:
-        BalanceError: with what to do.
+        BalanceError: the model allows no balance.
     """
     if not model.contacts:
         rule = "must hold at least one contact, since the response without is linear"

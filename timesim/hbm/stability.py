@@ -8,7 +8,8 @@ the contact force is continuous through all of them and the derivatives of an in
 so large that the contacts take on states which the solution does not have are beyond a linearisation: a small push
 may free a contact that sticks all along.
 
-G. Floquet (1883); A. H. Nayfeh and B. Balachandran, Applied Nonlinear Dynamics (Wiley 1995), chapter 3.
+G. Floquet, Sur les équations différentielles linéaires à coefficients périodiques, Annales scientifiques de l'ENS 12
+(1883) 47-88; A. H. Nayfeh and B. Balachandran, Applied Nonlinear Dynamics (Wiley 1995), chapter 3.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
@@ -25,12 +26,12 @@ from timesim.hbm.balance import Array, Balance, batched
 from timesim.hbm.period import Basis, basis_of, closed_period, intervals_of, motion_of, starts_of
 from timesim.hbm.tangent import Slope, interval_slopes
 
-# Multipliers beyond this count as unstable: those of an undamped structure lie on the circle, give or take the error
-# of the samples.
+# Modulus of a multiplier above which a solution is unstable: those of an undamped structure lie on the unit circle but
+# for the error of the samples.
 BORDER = 1 + 1e-3
 # With so many the largest multiplier errs by at most 2e-2 on the paper's oscillator in slip and separation (measured).
 SAMPLES = 128
-# Entries of the maps of the intervals held at a time.
+# Entries of the maps over the intervals that are in memory at a time.
 MAX_ENTRIES = 2_000_000
 
 

@@ -40,12 +40,12 @@ class Offset(eqx.Module):
 
 
 class _Iterate(eqx.Module):
-    """Offset and widening of the cones so far, whether it still moves, and whether it has been found."""
+    """Offset and widening of the cones so far, whether the iteration goes on, and whether it has converged."""
 
     g: Plane
     widening: Scalar
     moves: Bool[Array, " contact"]
-    found: Bool[Array, " contact"]
+    converged: Bool[Array, " contact"]
     count: Scalar
 
 
@@ -132,10 +132,10 @@ def stuck_offset(law: ConeLaw, motion: Motion) -> Offset:
         share = jnp.minimum(1.0, 0.9 * _share_to_cone(now.g, step, force, wide))
         g = tuple(x + share * s for x, s in zip(now.g, step, strict=True))
         least, change, inside = least_widening(g), share * _size(step), now.widening == 0
-        found = inside & (change < CONVERGED * unit)
+        converged = inside & (change < CONVERGED * unit)
         stopped = (now.widening - least < NO_ROOM * now.widening) & (change < AT_REST * now.widening)
         widening = jnp.where((least < 0) | inside, 0.0, (now.widening + least) / 2)
-        return (_Iterate(g, widening, ~found & ~(stopped & ~inside), found, now.count + 1),)
+        return (_Iterate(g, widening, ~converged & ~(stopped & ~inside), converged, now.count + 1),)
 
     middle = tuple(-(jnp.max(f, axis=0) + jnp.min(f, axis=0)) / 2 for f in force)
     begin = tuple(jnp.where(least_widening(none) < 0, 0.0, x) for x in middle)
@@ -146,7 +146,7 @@ def stuck_offset(law: ConeLaw, motion: Motion) -> Offset:
     last, _ = advance_lanes(
         improved, lambda now: now.moves & (now.count < MAX_ITERATIONS), first, None, lambda *step: None
     )
-    return Offset(tuple(jnp.where(last.found, x, 0.0) for x in last.g), last.found)
+    return Offset(tuple(jnp.where(last.converged, x, 0.0) for x in last.g), last.converged)
 
 
 def offset_slope(law: ConeLaw, g: Plane, motion: Motion, along: Motion) -> Plane:

@@ -7,11 +7,13 @@ together cost some three passes of the law: differentiating the passes themselve
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 from timesim.engine.contact import ConeLaw, normal_load
@@ -88,28 +90,15 @@ def _tangents(slope: Slope, basis: Basis) -> Float[Array, "sample contact 2 colu
     return jax.lax.scan(step, start, (slope, moved, bend_of(moved), value))[1]
 
 
-class _LastPass(eqx.Module):
-    """Forces, and the derivatives of the last pass by the coefficients of the motion and, last, by d at its start.
-
-    Attributes:
-        forces: the forces.
-        spectrum: derivatives of the Fourier coefficients of f.
-        end: derivatives of d at the end.
-        normal: derivatives of the coefficients of the normal load by those of v.
-        stuck_start: derivatives of d at the start, by the coefficients alone, of contacts that stick all along.
-        sticks: which ones do.
-    """
-
-    forces: ContactForces
-    spectrum: Float[Array, "contact 2 coefficient column"]
-    end: Float[Array, "contact 2 column"]
-    normal: Float[Array, "contact coefficient coefficient"]
-    stuck_start: Float[Array, "contact 2 column"]
-    sticks: Bool[Array, " contact"]
-
-
 @jax.jit
-def _last_pass(law: ConeLaw, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> _LastPass:
+def _last_pass(law: ConeLaw, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> tuple[Any, ...]:
+    """Forces, and derivatives of the last pass by the coefficients of the motion and, last, by d at its start.
+
+    Returns:
+        the forces; derivatives of d at the end, shape (C, 2, 3 (2H + 1) + 2), and of the Fourier coefficients of f,
+        (C, 2, 2H + 1, 3 (2H + 1) + 2); those of the normal load by the coefficients of v, (C, 2H + 1, 2H + 1); which
+        contacts stick all along, and the derivatives of their d at the start, (C, 2, 3 (2H + 1)).
+    """
     motion = motion_of(basis, coefficient)
     period = closed_period(law, motion)
     forces = forces_of(law, basis, motion, period)
@@ -119,8 +108,7 @@ def _last_pass(law: ConeLaw, basis: Basis, coefficient: Float[Array, "contact 3 
     spectrum = jnp.stack(product(stiffness, (spectrum[:, 0], spectrum[:, 1])), axis=1)
     touching = (normal_load(law, motion.v) > 0) * law.normal_stiffness
     normal = jnp.einsum("ak,kc,kb->cab", basis.project, touching, basis.value)
-    stuck_start = _stuck_start(law, basis, motion, period.stuck)
-    return _LastPass(forces, spectrum, tangents[-1], normal, stuck_start, period.stuck.sticks)
+    return forces, tangents[-1], spectrum, normal, period.stuck.sticks, _stuck_start(law, basis, motion, period.stuck)
 
 
 def _stuck_start(law: ConeLaw, basis: Basis, motion: Motion, stuck: Offset) -> Float[Array, "contact 2 column"]:
@@ -146,13 +134,13 @@ def linearised(
 
     With d at the end of the last pass e(y, d0) and d0 = e, ``(1 - de/dd0) dd0/dy = de/dy`` closes the period.
     """
-    last = _last_pass(law, basis, coefficient)
-    end, spectrum = np.asarray(last.end), np.asarray(last.spectrum)
+    forces, *slopes = _last_pass(law, basis, coefficient)
+    end, spectrum, normal, sticks, stuck_start = map(np.asarray, slopes)
     by_motion, by_start = end[..., :-2], end[..., -2:]
     change = np.eye(2) - by_start
-    unique = (np.abs(np.linalg.det(change)) > 1e-13) & ~np.asarray(last.sticks)
-    start = np.array(last.stuck_start)
+    unique = (np.abs(np.linalg.det(change)) > 1e-13) & ~sticks
+    start = np.array(stuck_start)
     start[unique] = np.linalg.solve(change[unique], by_motion[unique])
     slope = spectrum[..., :-2] + spectrum[..., -2:] @ start[:, None]
-    normal = np.concatenate([np.zeros((*last.normal.shape[:2], 2 * basis.value.shape[1])), last.normal], axis=2)
-    return last.forces, np.concatenate([slope[:, 0], slope[:, 1], normal], axis=1)
+    normal = np.concatenate([np.zeros((*normal.shape[:2], 2 * basis.value.shape[1])), normal], axis=2)
+    return forces, np.concatenate([slope[:, 0], slope[:, 1], normal], axis=1)

@@ -1,16 +1,16 @@
-"""Basins of attraction where a response has two motions, seen by an ensemble of starts; offsets that are not unique.
+"""Basins of attraction where a response has two motions, sampled by an ensemble of starts; ranges of stuck offsets.
 
 A start is a times the smaller motion plus b times the larger one: (0, 0) is rest, (1, 0) and (0, 1) are the motions. A
 slip that a contact cannot have is set back onto its friction cone. A contact that sticks throughout keeps the offset
-that it is left with, so offsets are not unique: such contacts start with different ones, which shows their range.
+with which it began, so offsets are not unique: such contacts start with different ones, which shows their range.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from timesim.model.contact_state import slip_follows_motion, start_states
+from timesim.model.contact_state import contact_loads, contact_state, slip_follows_motion
 from timesim.model.model import Model, Start
 from timesim.orbit.settling import Chain, SteadyStates
 from timesim.orbit.steady_state import SAME, Columns, Orbit, differ, orbit_of
@@ -29,39 +29,32 @@ def shares(num: int) -> np.ndarray:
 def placed(
     model: Model, displacement: np.ndarray, velocity: np.ndarray, slip: np.ndarray, pull: np.ndarray | None = None
 ) -> Start:
-    """A start with the slip set back onto the friction cones; a slip that follows the motion is the motion.
+    """A start whose friction forces lie inside their cones; the slip of a contact that is apart is its motion.
 
     Args:
         model: the scene; displacement, velocity, slip: the state.
-        pull: friction force by which each contact is pulled aside, over what it bears at most, shape (C, 2).
+        pull: force by which each contact is pulled aside, as a share of its friction limit, shape (C, 2).
     """
-    phase, states = model.start.phase, np.full(model.num_contacts, -1)
-    start = Start(displacement, velocity, slip, states, phase)
-    state, kept = start_states(replace(model, start=start)), slip.copy()
-    for i, contact in enumerate(model.contacts):
-        u1, u2, v = model.contact_shape[i] @ displacement
-        u, limit = np.array([u1, u2]), contact.friction * max(contact.preload + contact.normal_stiffness * v, 0.0)
-        if slip_follows_motion(state[i], contact.friction):
-            kept[i] = u
-            continue
-        aside = np.zeros(2) if pull is None else pull[i] * limit
-        force = contact.tangential_stiffness @ (u - slip[i]) + aside
-        size = float(np.linalg.norm(force))
-        share = min(1.0, INSIDE * limit / size) if size else 1.0
-        if share < 1 or aside.any():
-            kept[i] = u - np.linalg.solve(contact.tangential_stiffness, share * force)
-    return Start(displacement, velocity, kept, state, phase)
+    loads = contact_loads(model, displacement, slip)
+    if pull is not None:
+        # The inverse of a stiffness that is 0, as that of a frictionless contact, counts as 0.
+        aside = np.linalg.pinv(model.tangential_stiffness) @ (pull * loads.limit[:, None])[:, :, None]
+        loads = contact_loads(model, displacement, slip - aside[:, :, 0])
+    state = contact_state(loads.normal, model.friction)
+    follows = slip_follows_motion(state, model.friction)[:, None]
+    kept = np.where(follows, loads.motion, loads.slip_in_cone(INSIDE))
+    return Start(displacement, velocity, kept, state, model.start.phase)
 
 
 def starts_between(model: Model, motions: Sequence[Orbit], num: int) -> list[Start]:
-    """All starts, the share of the larger motion fastest."""
+    """The whole ensemble; the share of the larger motion varies fastest."""
     ends = [orbit.end for orbit in motions]
     parts = [(end.displacement, end.velocity, end.slip) for end in ends]
     moves = sum(orbit.slip_share + orbit.separation_share for orbit in motions) > 0
     starts = []
     for a in shares(num):
         for b in shares(num):
-            # None at rest and at the motions themselves.
+            # At rest and at the motions themselves no contact is pulled.
             pull = np.where(moves[:, None], 0.0, PULL * np.array([a * (1 - a), b * (1 - b)]))
             displacement, velocity, slip = (a * x + b * y for x, y in zip(*parts, strict=True))
             starts.append(placed(model, displacement, velocity, slip, pull))
@@ -69,18 +62,18 @@ def starts_between(model: Model, motions: Sequence[Orbit], num: int) -> list[Sta
 
 
 def branch_of(orbit: Orbit, motions: Sequence[Orbit]) -> int:
-    """Which of the two motions a start has led to."""
+    """Motion to which a start has led: `LOWER`, `UPPER`, `ANOTHER`, or `NONE` where it has not settled."""
     if orbit.reason is not None or not orbit.settled:
         return NONE
     return next((number for number, motion in enumerate(motions) if not differ(orbit, motion)), ANOTHER)
 
 
 def explore(model: Model, steady: SteadyStates, ranges: Columns, num: int) -> dict[str, np.ndarray]:
-    """What has become of the starts at the middle of each range, as arrays.
+    """Motions to which the ensemble of starts leads at the middle of each range, as arrays.
 
     Args:
         model: the scene.
-        steady: gives steady states as those of the ranges.
+        steady: computes steady states with the solver and criterion of the ranges.
         ranges: the ranges and their motions, as `timesim.orbit.two_motions.ranges_of` gives them.
         num: starts along each side.
     """
@@ -89,7 +82,7 @@ def explore(model: Model, steady: SteadyStates, ranges: Columns, num: int) -> di
         motions = [orbit_of(ranges, (place, side), model.start.phase) for side in (LOWER, UPPER)]
         starts = starts_between(model, motions, num)
         chains = [Chain(replace(model, start=start), (0.5 * (low + high),)) for start in starts]
-        rows.append(_row([orbit for (orbit,) in steady(chains)], motions, num))
+        rows.append(_row([orbit for (orbit,) in steady(chains)], motions))
     points, contacts = len(model.structure.points), model.num_contacts
     shapes = {
         "start_branch": (num, num),
@@ -101,14 +94,13 @@ def explore(model: Model, steady: SteadyStates, ranges: Columns, num: int) -> di
     return {name: np.array([row[name] for row in rows]).reshape(len(rows), *own) for name, own in shapes.items()}
 
 
-def _row(orbits: Sequence[Orbit], motions: Sequence[Orbit], num: int) -> dict[str, np.ndarray]:
-    """What has become of the starts of one range."""
+def _row(orbits: Sequence[Orbit], motions: Sequence[Orbit]) -> dict[str, np.ndarray]:
+    """The arrays of one range."""
     branch = np.array([branch_of(orbit, motions) for orbit in orbits], dtype=np.int8)
     led = [[orbit for orbit, own in zip(orbits, branch, strict=True) if own == side] for side in (LOWER, UPPER)]
-    ends = [list(offsets([*own, motion])) for own, motion in zip(led, motions, strict=True)]
-    low, high = (np.array([[pair[i] for pair in own] for own in ends]) for i in (0, 1))
+    low, high = np.stack([offsets([*own, motion]) for own, motion in zip(led, motions, strict=True)], axis=1)
     return {
-        "start_branch": branch.reshape(num, num),
+        "start_branch": branch,
         "start_cycles": np.array([orbit.cycles for orbit in orbits], dtype=np.int32),
         "start_amplitude": np.array([orbit.amplitude for orbit in orbits]),
         "offset_low": low,
@@ -116,13 +108,12 @@ def _row(orbits: Sequence[Orbit], motions: Sequence[Orbit], num: int) -> dict[st
     }
 
 
-def offsets(orbits: Sequence[Orbit]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Smallest and largest w (t1, t2) of each contact over motions in which it sticks all the time; NaN without."""
+def offsets(orbits: Sequence[Orbit]) -> np.ndarray:
+    """Smallest and largest w of each contact over motions in which it sticks all the time, NaN without: (2, C, 2)."""
     slip = np.array([orbit.end.slip for orbit in orbits])
-    moves = np.array([orbit.slip_share + orbit.separation_share for orbit in orbits]) > 0
-    for i in range(slip.shape[1]):
-        stuck = slip[~moves[:, i], i]
-        yield (stuck.min(axis=0), stuck.max(axis=0)) if len(stuck) else (np.full(2, np.nan), np.full(2, np.nan))
+    sticks = np.array([orbit.slip_share + orbit.separation_share for orbit in orbits])[:, :, None] == 0
+    ends = [np.min(slip, axis=0, initial=np.inf, where=sticks), np.max(slip, axis=0, initial=-np.inf, where=sticks)]
+    return np.where(sticks.any(axis=0), ends, np.nan)
 
 
 def unique(low: np.ndarray, high: np.ndarray, size: float) -> np.ndarray:

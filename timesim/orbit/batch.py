@@ -1,7 +1,7 @@
 """Trajectories side by side through whole cycles: marched with the state at each cycle's end, or recorded.
 
-A trajectory starts each cycle from its state alone (the step control forgets at a cycle's end), so what one makes of a
-cycle does not depend on its neighbours.
+A trajectory starts each cycle from its state alone (the step control forgets at a cycle's end), so its cycles do not
+depend on its neighbours.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
@@ -22,28 +22,11 @@ from timesim.engine.solver import Control, step_method
 from timesim.engine.step import Status, Trajectory, begin, try_step
 from timesim.engine.system import System
 from timesim.model.solver import Solver
-from timesim.orbit.lane import Lane, Record, Recorded
+from timesim.orbit.lane import Lane, Recorded
 from timesim.orbit.monodromy import HybridState, Tries, derivative, state_vector
 
 SIZES = (4, 16)  # of a batch: few, so that little is compiled
 CAPACITY = 256  # tries of one call that records
-
-
-class Marched(eqx.Module):
-    """Where marching has led to.
-
-    Attributes:
-        end: where the trajectories are.
-        returns: `state_vector` at the end of each cycle, (batch, cycle, state); 0 for cycles not reached.
-        cycles: completed.
-        status, culprit: as in `Trajectory`.
-    """
-
-    end: HybridState
-    returns: Float[Array, "batch cycle state"]
-    cycles: Int[Array, " batch"]
-    status: Int[Array, " batch"]
-    culprit: Int[Array, " batch"]
 
 
 def _unfinished(now: Trajectory, cycles: Any) -> Any:
@@ -51,8 +34,14 @@ def _unfinished(now: Trajectory, cycles: Any) -> Any:
 
 
 @eqx.filter_jit
-def march_cycles(method: Method, controls: Control, systems: System, starts: HybridState, num_cycles: int) -> Marched:
-    """March a batch by a number of cycles and keep the state at the end of each."""
+def march_cycles(
+    method: Method, controls: Control, systems: System, starts: HybridState, num_cycles: int
+) -> tuple[Trajectory, Float[Array, "batch cycle state"]]:
+    """March a batch, batch first, by a number of cycles.
+
+    Returns:
+        the trajectories, and `state_vector` at the end of each cycle, 0 for cycles not reached; batch first.
+    """
     controls, systems, starts = batch_last((controls, systems, starts))
     now = over_lanes(begin)(systems, starts.point, starts.state, controls.opening)
     attempt = partial(over_lanes(partial(try_step, method)), controls, systems)
@@ -65,8 +54,7 @@ def march_cycles(method: Method, controls: Control, systems: System, starts: Hyb
 
     returns = jnp.zeros((num_cycles, *vectors(now).shape))
     end, returns = advance_lanes(attempt, partial(_unfinished, cycles=num_cycles), now, returns, keep)
-    here = batch_first(HybridState(end.point, end.state))
-    return Marched(here, jnp.moveaxis(returns, -1, 0), end.cycle, end.status, end.culprit)
+    return batch_first(end), jnp.moveaxis(returns, -1, 0)
 
 
 @eqx.filter_jit
@@ -119,58 +107,56 @@ def march(
     done: list[tuple[Lane, np.ndarray]] = []
     for batch in _batches(lanes, size):
         problem = _stacked([(lane.control, lane.system, lane.here) for lane in _padded(batch, size)])
-        result = _on_host(march_cycles(step_method(solver), *problem, num_cycles))
-        for i, lane in enumerate(batch):
-            own = _entry(result, i)
-            done.append((lane.after(own.end, own.status, own.culprit), own.returns[: own.cycles]))
+        now, returns = _on_host(march_cycles(step_method(solver), *problem, num_cycles))
+        done += [(lane.after(_entry(now, i)), returns[i, : now.cycle[i]]) for i, lane in enumerate(batch)]
     return done
 
 
 def record(
-    lanes: Sequence[Lane], solver: Solver, num_cycles: int, most: int | None = None, *, size: int = SIZES[1]
+    lanes: Sequence[Lane], solver: Solver, num_cycles: Sequence[int], most: int | None = None, *, size: int = SIZES[1]
 ) -> list[Recorded]:
-    """March lanes by a number of cycles and keep their steps.
+    """March lanes by some cycles and keep their steps.
 
     Args:
         lanes: any number.
         solver: method and tolerances.
-        num_cycles: how many cycles.
+        num_cycles: cycles of each lane.
         most: tries after which to give up; the budget of the solver by default.
 
     Keyword Args:
         size: of the batches.
     """
-    return [one for batch in _batches(lanes, size) for one in _recorded(batch, solver, num_cycles, most, size)]
+    pairs = list(zip(lanes, num_cycles, strict=True))
+    return [one for batch in _batches(pairs, size) for one in _recorded(batch, solver, most, size)]
 
 
-def _recorded(batch: list[Lane], solver: Solver, num_cycles: int, most: int | None, size: int) -> list[Recorded]:
-    method = step_method(solver)
-    controls, systems, now = _stacked([(lane.control, lane.system, lane.at_start()) for lane in _padded(batch, size)])
-    cycles, slopes = np.full(size, num_cycles), None
+def _recorded(batch: list[tuple[Lane, int]], solver: Solver, most: int | None, size: int) -> list[Recorded]:
+    method, padded = step_method(solver), _padded(batch, size)
+    controls, systems, now = _stacked([(lane.control, lane.system, lane.at_start()) for lane, _ in padded])
+    cycles, slopes = np.array([num for _, num in padded]), None
     parts: list[Tries] = []
     while sum(int(part.count) for part in parts) < (most or np.inf):
         now, tries = record_cycles(method, controls, systems, now, cycles, CAPACITY)
         slopes = derivative(method, systems, tries, slopes)
-        parts.append(tries)
-        if not _unfinished(_on_host(now), num_cycles).any():
+        parts.append(_on_host(tries))
+        if not _unfinished(_on_host(now), cycles).any():
             break
-    whole, now, slopes = Record(parts), _on_host(now), np.asarray(slopes)
-    found = []
-    for i, lane in enumerate(batch):
-        own = _entry(now, i)
-        end = lane.after(HybridState(own.point, own.state), own.status, own.culprit)
+    now, slopes = _on_host(now), np.asarray(slopes)
+    done = []
+    for i, (lane, num) in enumerate(batch):
+        end, complete = lane.after(_entry(now, i)), bool(now.cycle[i] >= num)
         slope = np.where(end.apart[:, None] | lane.apart, 0.0, slopes[i])
-        found.append(Recorded(lane, end, num_cycles, bool(own.cycle >= num_cycles), whole, i, slope))
-    return found
+        done.append(Recorded(lane, end, num, complete, parts, i, slope))
+    return done
 
 
-def _batches(lanes: Sequence[Lane], size: int) -> list[list[Lane]]:
+def _batches(lanes: Sequence[Any], size: int) -> list[list[Any]]:
     return [list(lanes[first : first + size]) for first in range(0, len(lanes), size)]
 
 
-def _padded(lanes: Sequence[Lane], size: int) -> list[Lane]:
-    """Lanes of a batch, the first repeated until it has its size."""
-    return [*lanes, *([lanes[0]] * (size - len(lanes)))]
+def _padded(batch: list[Any], size: int) -> list[Any]:
+    """A batch with its first entry repeated until it has its size."""
+    return [*batch, *batch[:1] * (size - len(batch))]
 
 
 def _stacked(trees: Sequence[Any]) -> Any:

@@ -1,8 +1,8 @@
-"""Where a slowly converging sequence leads, from its last terms.
+"""Limits of slowly converging sequences, extrapolated from their last terms.
 
-Changes that fall by a ratio r from term to term add up to r / (1 - r) of the last one: Aitken's extrapolation [1]_.
-Where they fall like a power of the term's number, as those of a contact that creeps towards full stick do, the ratio
-itself rises by q (1 - r)^2 a term, and they add up to 1 / (1 - q) times that.
+Changes that fall by a ratio r from term to term still add up to r / (1 - r) times the last one: Aitken's extrapolation
+[1]_. If they fall like a power of the index, as where a contact creeps towards full stick, the ratio itself rises by
+q (1 - r)^2 a term, and the sum is larger by a factor 1 / (1 - q).
 
 .. [1] A. C. Aitken, On Bernoulli's numerical solution of algebraic equations, Proceedings of the Royal Society of
    Edinburgh 46 (1926) 289-305.
@@ -19,7 +19,7 @@ CREEP = (0.4, 0.8)  # least and largest q: less is a ratio that is constant but 
 
 
 def remaining(change: Any, ratio: Any) -> Any:
-    """Sum of the changes to come after a change, if each is so many times the one before; infinite from ratio 1 on."""
+    """Sum of all changes after the given one, if each is `ratio` times the one before; infinite if ratio >= 1."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(ratio < 1, change * ratio / (1 - ratio), np.inf)
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-# Samples of the motion, of the highest harmonic, among which an extreme is looked for before Newton's method.
+# Samples of the motion, of the highest harmonic, among which an extreme is searched before Newton's method.
 SAMPLES_PER_WAVE = 16
-# Samples of all motions held at a time, a complex number each.
+# Complex samples in memory at a time, of all motions together.
 MAX_ENTRIES = 2**20
 
 
@@ -42,8 +42,8 @@ def fourier_coefficients(samples: Array, phase: float) -> Array:
     order = np.arange(len(spectrum)).reshape(-1, *[1] * (samples.ndim - 1))
     # The first sample lies one interval after the phase at which the last one does.
     spectrum = spectrum * np.exp(-1j * order * (phase + 2 * np.pi / count))
-    pairs = np.stack([2 * spectrum[1:].real, -2 * spectrum[1:].imag], axis=1)
-    return np.concatenate([spectrum[:1].real, pairs.reshape(-1, *samples.shape[1:])])
+    spectrum[1:] *= 2
+    return np.moveaxis(to_coefficients(np.moveaxis(spectrum, 0, -1)), -1, 0)
 
 
 def half_range(phasor: Complex) -> Array:

@@ -1,13 +1,12 @@
-"""Jumps along a sweep: at which frequency the motion leaves its branch.
+"""Jumps along a sweep: the frequency at which the motion leaves its branch, by bisection.
 
 A step over which the amplitude changes is halved, the motion carried from the near end to the middle, and so is each
 half over which it still changes. Over a slope the change shrinks with the length; over a jump it stays. So a jump is
-narrowed down to the wanted width, also where it shares a step with a slope.
+narrowed down to the wanted width even where it shares a step with a slope.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,13 +19,6 @@ AT_LEAST = 0.03  # least change over a jump, as a share of the amplitude; of the
 STAYS, HALVINGS = 0.5, 3  # share of the change that a jump keeps over so many halvings; a slope keeps an eighth
 EVEN = 0.6  # largest share of the change in one half of a slope
 GENTLE = 10.0  # change, as a multiple of the least, up to which an even change is a slope at the first halving
-
-
-class Jump(NamedTuple):
-    """Frequencies [Hz] between which the motion jumps, ascending."""
-
-    low: float
-    high: float
 
 
 @dataclass(frozen=True)
@@ -87,11 +79,11 @@ class Stretch:
 
 
 def narrowed(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -> list[tuple[int, Stretch]]:
-    """The jumps within stretches, each with the position of its stretch: as narrow as wanted, or narrower.
+    """The jumps within stretches, each with the position of its stretch and at most as wide as wanted.
 
     Args:
         stretches: where to look.
-        steady: gives steady states as those of the sweep.
+        steady: computes steady states with the solver and criterion of the sweep.
         width: wanted of each jump [Hz].
     """
     jumps: list[tuple[int, Stretch]] = []
@@ -121,11 +113,11 @@ def _joined(jumps: Sequence[tuple[int, Stretch]]) -> list[tuple[int, Stretch]]:
     return joined
 
 
-def jumps_of(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -> Iterator[tuple[int, Jump]]:
-    """The jumps within the steps of sweeps, each with the position of its step; arguments as `narrowed`.
+def jumps_of(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -> Iterator[tuple[int, float, float]]:
+    """The jumps within the steps of sweeps: position of the step, low and high end [Hz]; arguments as `narrowed`.
 
-    A motion that smaller steps would have carried to the end of the step is lost by the length of the step alone: then
-    the jump is the whole step.
+    A motion that shorter steps carry to the end of the step exists there: it was lost only because the step was long,
+    and the jump is the whole step.
     """
     jumps = narrowed(stretches, steady, width)
     ends = [(index, jump) for index, jump in jumps if jump.far == stretches[index].far and not jump.whole]
@@ -138,7 +130,7 @@ def jumps_of(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -
     }
     for index, jump in jumps:
         step = stretches[index] if index in by_length and jump.far == stretches[index].far else jump
-        yield index, Jump(*sorted((step.near, step.far)))
+        yield index, min(step.near, step.far), max(step.near, step.far)
 
 
 def steps_of(model: Model, frequencies: Sequence[float], orbits: Sequence[Orbit]) -> list[Stretch]:

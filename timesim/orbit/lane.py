@@ -1,10 +1,9 @@
-"""Lanes of a batch, each a trajectory in the units of its scene: where it is, and what it has done over some cycles."""
+"""Lanes of a batch: trajectories of scenes at the start of a cycle, and recorded cycles of them."""
 
 import timesim.runtime  # noqa: F401  isort: skip
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Self
 
 import jax
@@ -21,7 +20,7 @@ from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.reduction import Reduction
 from timesim.model.solver import Solver
 from timesim.orbit.monodromy import HybridState, Tries, point_of, vector_of
-from timesim.orbit.steady_state import share
+from timesim.orbit.steady_state import Orbit, share
 
 
 @dataclass(frozen=True)
@@ -29,10 +28,10 @@ class Lane:
     """A trajectory at the start of a cycle.
 
     Attributes:
-        model, reduction, frequency: what is simulated, at which frequency [Hz].
-        frame: between the units of the scene and the dimensionless form.
-        system, control: what is integrated, and how, as the loop takes them.
-        here: where the trajectory is, dimensionless.
+        model, reduction, frequency: the scene, reduced, at a frequency [Hz].
+        frame: converts between the units of the scene and the dimensionless form.
+        system, control: dimensionless equations and step control.
+        here: dimensionless state.
         phase: of the excitation at the start of a cycle [rad].
         status, culprit: as in `timesim.engine.step.Trajectory`.
     """
@@ -61,12 +60,13 @@ class Lane:
         """The same scene at another frequency, from another start."""
         return self.begin(self.model, self.reduction, frequency, solver, start)
 
-    def after(self, here: HybridState, status: int, culprit: int) -> Self:
-        """The lane where the loop has left it."""
-        return replace(self, here=here, status=int(status), culprit=int(culprit))
+    def after(self, now: Trajectory) -> Self:
+        """The lane at the end of a loop."""
+        here = HybridState(now.point, now.state)
+        return replace(self, here=here, status=int(now.status), culprit=int(now.culprit))
 
     def at_start(self) -> Trajectory:
-        """The trajectory at the start of a cycle, as `record_cycles` takes it: its rate is a placeholder."""
+        """The trajectory for `record_cycles`; its rate is a placeholder."""
         zero, one, none = np.zeros(()), np.ones(()), np.zeros((), dtype=np.int64)
         return Trajectory(
             cycle=none, time=zero, point=self.here.point, rate=self.here.point, state=self.here.state,
@@ -76,12 +76,12 @@ class Lane:
 
     @property
     def shapes(self) -> tuple[tuple[int, ...], ...]:
-        """Shapes of what the loop takes: lanes of one batch agree in them."""
+        """Shapes of the arrays given to the loop; all lanes of a batch have the same."""
         return tuple(np.shape(leaf) for leaf in jax.tree.leaves((self.control, self.system)))
 
     @property
     def shape(self) -> np.ndarray:
-        """Displacements in the units of the scene for a unit of each mode of the loop, shape (3P, M)."""
+        """Displacements in the units of the scene for unit dimensionless modal displacements, shape (3P, M)."""
         structure, modes = self.model.structure, self.reduction.modes
         return structure.shape.reshape(-1, structure.num_modes)[:, modes] * self.frame.scales.mode[modes]
 
@@ -102,7 +102,7 @@ class Lane:
         return self.frame.start(self.here.point, self.here.state, self.phase)
 
     def moved(self, vector: np.ndarray) -> "Lane | None":
-        """The lane at another state vector in the same contact states; None where place or law do not allow it."""
+        """The lane at another state vector, contact states kept; None where these or the law do not allow it."""
         point, state, law = point_of(vector, self.here.point), self.here.state, self.system.law
         if not isinstance(law, ConeLaw):
             return None
@@ -123,44 +123,6 @@ class Lane:
 
 
 @dataclass(frozen=True)
-class Measure:
-    """What a lane does over some cycles.
-
-    Attributes:
-        amplitude: (max - min) / 2 of each point along x, y, z, shape (P, 3).
-        band: smallest and largest amplitude of one cycle, shape (2, P, 3).
-        slip_share, separation_share: share of the time in these states, shape (C,).
-    """
-
-    amplitude: np.ndarray
-    band: np.ndarray
-    slip_share: np.ndarray
-    separation_share: np.ndarray
-
-
-@dataclass
-class Record:
-    """The tries of a batch, in as many parts as the loop had to be called; joined when a lane is measured."""
-
-    parts: Sequence[Tries]
-
-    def steps(self, index: int) -> Step:
-        """The steps of one lane, the first axis that of the steps."""
-        accepted, tries = self._joined
-        steps: Step = jax.tree.map(lambda rows: rows[accepted[:, index], ..., index], tries)
-        return steps
-
-    @cached_property
-    def _joined(self) -> tuple[np.ndarray, Step]:
-        filled = [
-            jax.tree.map(lambda rows, count=int(part.count): np.asarray(rows)[:count], (part.accepted, part.step))
-            for part in self.parts
-        ]
-        joined: tuple[np.ndarray, Step] = jax.tree.map(lambda *rows: np.concatenate(rows), *filled)
-        return joined
-
-
-@dataclass(frozen=True)
 class Recorded:
     """Some cycles of a lane.
 
@@ -168,7 +130,8 @@ class Recorded:
         start, end: the lane at both ends.
         cycles: how many.
         complete: whether all of them were done.
-        record, index: what it did, step by step: its place in the record of its batch.
+        tries: of the whole batch, one entry a call of the loop.
+        index: of the lane in the batch.
         slope: derivative of the state vector at the end by that at the start.
     """
 
@@ -176,33 +139,49 @@ class Recorded:
     end: Lane
     cycles: int
     complete: bool
-    record: Record
+    tries: Sequence[Tries]
     index: int
     slope: np.ndarray
 
     @property
+    def steps(self) -> Step:
+        """The steps of the lane, the first axis that of the steps."""
+        taken = [part.accepted[:, self.index] for part in self.tries]
+
+        def joined(*parts: np.ndarray) -> np.ndarray:
+            return np.concatenate([rows[own, ..., self.index] for rows, own in zip(parts, taken, strict=True)])
+
+        steps: Step = jax.tree.map(joined, *(part.step for part in self.tries))
+        return steps
+
+    @property
     def multipliers(self) -> np.ndarray:
-        """Floquet multipliers, largest first, those of offsets that nothing moves left out."""
+        """Floquet multipliers, largest first, without those of free offsets."""
         moves = self._moves
         values = np.linalg.eigvals(self.slope[np.ix_(moves, moves)])
         return np.asarray(values[np.argsort(-np.abs(values))])
 
     @property
     def _moves(self) -> np.ndarray:
-        """Entries of the state vector but for the offsets of contacts that stick all along: these stay as they are."""
+        """Which entries of the state vector change over the cycles: all but the offsets of stuck contacts."""
         return ~np.all(self.slope == np.eye(len(self.slope)), axis=1)
 
     def newton_step(self) -> np.ndarray:
-        """From the start of the cycles towards the place that they lead back to; offsets that are free are left."""
+        """Newton step from the start towards the fixed point of the map over the cycles; 0 in free offsets."""
         moves, change = self._moves, self.end.vector - self.start.vector
         step = np.zeros_like(change)
         matrix = np.eye(int(moves.sum())) - self.slope[np.ix_(moves, moves)]
         step[moves] = np.linalg.lstsq(matrix, change[moves], rcond=1e-12)[0]
         return step
 
-    def measure(self) -> Measure:
-        """Amplitudes, from the extremes of the dense output, and shares of the states."""
-        lane, steps = self.start, self.record.steps(self.index)
+    def orbit(self, cycles: int, period: int) -> Orbit:
+        """The steady state that these cycles show, amplitudes from the extremes of the dense output.
+
+        Args:
+            cycles: integrated until their end.
+            period: of the motion; 0 where it has not settled.
+        """
+        lane, steps, multipliers = self.start, self.steps, self.multipliers
         shape = lane.shape
         ends = ((steps.start, steps.start_rate), (steps.end, steps.end_rate))
         start, end = ([part @ shape.T for part in (y.q, y.p, dy.p)] for y, dy in ends)
@@ -211,8 +190,16 @@ class Recorded:
         least, most = np.minimum.reduceat(low, first), np.maximum.reduceat(high, first)
         each, place = 0.5 * (most - least), (len(lane.model.structure.points), 3)
         band = np.stack([each.min(axis=0), each.max(axis=0)]).reshape(2, *place)
-        amplitude = 0.5 * (most.max(axis=0) - least.min(axis=0)).reshape(place)
-        return Measure(amplitude, band, *(self._share(steps, state) for state in (SLIP, SEPARATION)))
+        return Orbit(
+            end=self.end.start(),
+            amplitude=0.5 * (most.max(axis=0) - least.min(axis=0)).reshape(place),
+            band=band,
+            cycles=cycles,
+            period=period,
+            slip_share=self._share(steps, SLIP),
+            separation_share=self._share(steps, SEPARATION),
+            floquet=multipliers if period else np.full_like(multipliers, np.nan),
+        )
 
     def _share(self, steps: Step, state: int) -> np.ndarray:
         lane = self.start

@@ -23,10 +23,11 @@ def linear_orbit(lane: Lane) -> Orbit | None:
     system, here = lane.system, lane.here
     if here.state.size:
         return None
-    rates = np.linalg.eigvals(_first_order(system))
+    K, D = (np.diag(a) if a.ndim == 1 else a for a in map(np.asarray, (system.stiffness, system.damping)))
+    rates = np.linalg.eigvals(np.block([[np.zeros_like(K), np.eye(len(K))], [-K, -D]]))
     if not np.all(rates.real < 0):
         return None
-    phasor = _phasors(system)
+    phasor = _phasors(system, K, D)
     turn = np.exp(1j * np.arange(len(phasor)) * float(system.phase))[:, None]
     q, p = ((turn * phasor).real.sum(axis=0), (1j * np.arange(len(phasor))[:, None] * turn * phasor).real.sum(axis=0))
     end = replace(lane, here=HybridState(Point(q, p, here.point.w, None), here.state)).start()
@@ -38,7 +39,6 @@ def linear_orbit(lane: Lane) -> Orbit | None:
         end=end,
         amplitude=amplitude,
         band=np.stack([amplitude, amplitude]),
-        settled=True,
         cycles=0,
         period=1,
         slip_share=slips,
@@ -47,19 +47,8 @@ def linear_orbit(lane: Lane) -> Orbit | None:
     )
 
 
-def _full(matrix: np.ndarray) -> np.ndarray:
-    return np.diag(matrix) if matrix.ndim == 1 else matrix
-
-
-def _first_order(system: System) -> np.ndarray:
-    """Matrix of (q, q')' without excitation."""
-    K, D = _full(np.asarray(system.stiffness)), _full(np.asarray(system.damping))
-    return np.block([[np.zeros_like(K), np.eye(len(K))], [-K, -D]])
-
-
-def _phasors(system: System) -> np.ndarray:
+def _phasors(system: System, K: np.ndarray, D: np.ndarray) -> np.ndarray:
     """Response by harmonic 0, 1, ... of the excitation, the highest one last, shape (H + 1, M)."""
-    K, D = _full(np.asarray(system.stiffness)), _full(np.asarray(system.damping))
     order = np.asarray(system.harmonic).astype(int)
     force = np.zeros((order.max(initial=0) + 1, len(K)), complex)
     np.add.at(force, order, np.asarray(system.cosine) - 1j * np.asarray(system.sine))

@@ -35,19 +35,19 @@ from timesim.model.model import SEPARATION, SLIP, STICK
 
 
 class HybridState(eqx.Module):
-    """Where a trajectory is at the start of a cycle: its continuous state, and the state of each contact."""
+    """Continuous state of a trajectory, and the state of each contact."""
 
     point: Point
     state: State
 
 
 class Tries(eqx.Module):
-    """Steps that a batch has tried, the try first and the batch last.
+    """Tried steps of a batch; the first axis is that of the tries, the last one that of the batch.
 
     Attributes:
-        step: what each try gave; rows beyond `count` are empty.
-        accepted: which of them became steps of a trajectory that was still under way.
-        count: how many there are.
+        step: the steps; rows beyond `count` are empty.
+        accepted: whether the step was taken, by a trajectory that was still under way.
+        count: number of tries.
     """
 
     step: Step
@@ -113,7 +113,7 @@ def derivative(
     systems = batch_last(systems)
 
     def on_cone(system: System, step: Step) -> Float[Array, "state state"]:
-        """Derivative of what the first step starts from: of a contact that slips, w is a place on the cone."""
+        """Derivative of the state from which the first step starts; w of a contact that slips is put on the cone."""
         quiet = jnp.zeros(step.state.shape, dtype=bool)
         put = lambda y: vector_of(transition(system, step.state, quiet, point_of(y, step.start))[0])  # noqa: E731
         return jax.jacfwd(put)(vector_of(step.start))

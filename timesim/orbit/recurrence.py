@@ -1,8 +1,8 @@
 """Recognition of the period of a motion from its state vectors at the ends of consecutive cycles.
 
-A motion has settled when what is still missing, extrapolated from how fast the change from cycle to cycle falls, is
-below the tolerance: a slow drift changes little in a cycle and is yet far from rest. Motions of period two or three,
-as a period doubling leaves them, are told from vibrations that nearly repeat while they decay.
+A motion has settled when its distance from the limit is below the tolerance, extrapolated from the rate at which the
+change from cycle to cycle falls: a slow drift changes little in a cycle and is yet far from its limit. Motions of
+period two or three, as after a period doubling, are distinguished from vibrations that nearly repeat while they decay.
 """
 
 import numpy as np

@@ -1,8 +1,8 @@
-"""Steady states of many scenes side by side: each is marched until it repeats, or shot once it is near a periodic one.
+"""Steady states of many scenes side by side, by marching until the motion repeats, or by shooting.
 
-A search is in one of four phases. It marches, a round at a time; where that has come near a motion that repeats it may
-shoot; once it has settled, or spent its budget, a period is recorded and measured. Searches that are done make room
-for the next. What a search does next depends on itself alone, so the order and the company do not matter.
+A search is in one of four phases. It marches, a round of cycles at a time; after some rounds it may shoot; once it has
+settled, or spent its budget, a period is recorded and measured. Searches that are done make room for others. The next
+phase of a search depends on that search alone, so the order and the company do not matter.
 """
 
 import enum
@@ -26,16 +26,6 @@ from timesim.orbit.shooting import Outcome, Shot, iterated
 from timesim.orbit.steady_state import Orbit, without_orbit
 from timesim.orbit.threshold import CYCLES_A_ROUND, FIRST_SHOT, LONELY, SIDE_BY_SIDE, TRIES, UNSETTLED_CYCLES
 
-Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class Task:
-    """A model, started from its own `Start`, at a frequency [Hz]."""
-
-    model: Model
-    frequency: float
-
 
 @dataclass(frozen=True)
 class Chain:
@@ -46,11 +36,11 @@ class Chain:
 
 
 SteadyStates = Callable[[Sequence[Chain]], list[list[Orbit]]]
-"""`steady_states` of chains, its solver, its criterion and what stops it given."""
+"""Computes the steady states of chains: `steady_states` with a solver and a criterion."""
 
 
 class Phase(enum.Enum):
-    """What a search does next; DONE: it has its orbit."""
+    """Next piece of work of a search."""
 
     MARCH = enum.auto()
     SHOOT = enum.auto()
@@ -63,14 +53,14 @@ class Search:
     """The search for one steady state.
 
     Attributes:
-        chain, place: which one: position of the chain, and along it.
-        lane: where marching has led to.
-        phase: what comes next.
+        chain, place: position of the chain, and of the frequency in it.
+        lane: the trajectory after the last round of marching.
+        phase: next piece of work.
         returns: state vectors at the end of the last cycles, two rounds at most.
         cycles: integrated so far.
-        period: of the motion that is to be measured; 0 where it has not settled.
+        period: of the motion to be measured; 0 where it has not settled.
         shot: the iterate of Newton's method in the phase SHOOT.
-        next_shot: cycle from which the next attempt at shooting is made.
+        next_shot: cycle before which there is no further attempt at shooting.
         orbit: the result in the phase DONE.
     """
 
@@ -106,17 +96,18 @@ def after_march(search: Search, lane: Lane, returns: np.ndarray, solver: Solver,
 def after_shot(search: Search, recorded: Recorded, criterion: Criterion) -> Search:
     """The search after an iteration of Newton's method.
 
-    The next attempt comes later and later: a motion that never repeats costs far more shot than marched.
+    After a failure the next attempt waits for half as many cycles again: a motion that never repeats costs far more
+    to shoot than to march.
     """
     assert search.shot is not None
-    outcome, shot = iterated(search.shot, recorded, criterion.tolerance)
+    led_to = iterated(search.shot, recorded, criterion.tolerance)
     search = replace(search, cycles=search.cycles + recorded.cycles)
-    if outcome is Outcome.GOES_ON:
-        return replace(search, shot=shot)
-    if outcome is Outcome.CONVERGED:
+    if isinstance(led_to, Shot):
+        return replace(search, shot=led_to)
+    if led_to is Outcome.CONVERGED:
         return _done(replace(search, period=1), recorded)
     later = search.cycles + max(CYCLES_A_ROUND, search.cycles // 2)
-    next_shot = criterion.max_cycles if outcome is Outcome.UNSTABLE else later
+    next_shot = criterion.max_cycles if led_to is Outcome.UNSTABLE else later
     return replace(search, phase=Phase.MARCH, shot=None, next_shot=next_shot)
 
 
@@ -128,23 +119,11 @@ def after_measure(search: Search, recorded: Recorded, solver: Solver) -> Search:
 
 
 def _done(search: Search, recorded: Recorded) -> Search:
-    settled, measure, multipliers = search.period > 0, recorded.measure(), recorded.multipliers
-    orbit = Orbit(
-        end=recorded.end.start(),
-        amplitude=measure.amplitude,
-        band=measure.band,
-        settled=settled,
-        cycles=search.cycles,
-        period=search.period,
-        slip_share=measure.slip_share,
-        separation_share=measure.separation_share,
-        floquet=multipliers if settled else np.full_like(multipliers, np.nan),
-    )
-    return replace(search, phase=Phase.DONE, orbit=orbit)
+    return replace(search, phase=Phase.DONE, orbit=recorded.orbit(search.cycles, search.period))
 
 
 def _failed(search: Search, solver: Solver) -> Search:
-    """The search that a status of the loop has ended."""
+    """The search after its trajectory has ended early."""
     lane = search.lane
     reason = message_of(lane.model, lane.reduction, solver, lane.status, lane.culprit)
     where = f"at {lane.frequency:g} Hz, in cycle {search.cycles + 1}"
@@ -154,24 +133,10 @@ def _failed(search: Search, solver: Solver) -> Search:
 # Many searches
 
 
-def settle(
-    tasks: Sequence[Task],
-    solver: Solver,
-    *,
-    tolerance: float = 1e-8,
-    max_cycles: int = 2000,
-    progress: Progress | None = None,
-) -> list[Orbit]:
-    """March each task until it settles: `steady_states` of chains of one frequency."""
-    chains = [Chain(task.model, (task.frequency,)) for task in tasks]
-    return [orbit for (orbit,) in steady_states(chains, solver, Criterion(tolerance, max_cycles), progress)]
-
-
 def steady_states(
     chains: Sequence[Chain],
     solver: Solver,
-    criterion: Criterion | None = None,
-    progress: Progress | None = None,
+    criterion: Criterion,
     *,
     crowd: int = 0,
     halted: Callable[[], bool] = lambda: False,
@@ -182,11 +147,10 @@ def steady_states(
         chains: the first motion of each starts from the model's own `Start`.
         solver: method and tolerances.
         criterion: when a motion counts as settled.
-        progress: called with the steady states that are done and their number.
 
     Keyword Args:
-        crowd: chains that the batches are sized for, where more are to follow; one size less is compiled.
-        halted: asked now and then; once it says so the work is given up.
+        crowd: number of chains for which batches are sized, where more follow in other calls: so one size is compiled.
+        halted: called after each steady state; True gives the work up.
 
     Returns:
         The orbits of each chain in the order of its frequencies. After one that failed the chain starts anew.
@@ -194,35 +158,35 @@ def steady_states(
     Raises:
         KeyboardInterrupt: the work was given up.
     """
-    work = _Work(chains, solver, criterion or Criterion())
+    work = _Work(chains, solver, criterion)
     orbits: list[list[Orbit]] = [[] for _ in chains]
-    total = sum(len(chain.frequencies) for chain in chains)
     groups: dict[tuple[tuple[int, ...], ...], deque[Search]] = {}
     for index, chain in enumerate(chains):
         lane = first_lane(chain, solver)
         orbits[index] = _linear_orbits(chain, lane, solver)
         if not orbits[index]:
             groups.setdefault(lane.shapes, deque()).append(Search(index, 0, lane))
-    done = sum(map(len, orbits))
     for group in groups.values():
-        for search in work.settled(group, SIZES[max(len(group), crowd) > SIZES[0]]):
+        for search in work.settled(group, _batch_size(max(len(group), crowd))):
             assert search.orbit is not None
             orbits[search.chain].append(search.orbit)
-            done += 1
             if halted():
                 raise KeyboardInterrupt
-            if progress is not None:
-                progress(done, total)
     return orbits
 
 
+def _batch_size(crowd: int) -> int:
+    return SIZES[crowd > SIZES[0]]
+
+
 def warm_up(chains: Iterable[Chain], solver: Solver, crowds: Sequence[int]) -> None:
-    """Compile what steady states need, for each size of the crowd, before threads ask for it side by side."""
+    """Compile the loops for each size of the crowd, before several threads compile them side by side."""
     for chain in chains:
-        one = Chain(chain.model, chain.frequencies[:1])
-        if first_lane(one, solver).here.state.size:
-            for crowd in crowds:
-                steady_states([one], solver, Criterion(tolerance=1e-2, max_cycles=1), crowd=crowd)
+        lane = first_lane(Chain(chain.model, chain.frequencies[:1]), solver)
+        if lane.here.state.size:
+            for size in map(_batch_size, crowds):
+                march([lane], solver, CYCLES_A_ROUND, size=size)
+                record([lane], solver, [UNSETTLED_CYCLES], size=size)
             return
 
 
@@ -254,7 +218,7 @@ class _Work:
     criterion: Criterion
 
     def settled(self, pending: deque[Search], size: int) -> Iterator[Search]:
-        """The searches of a group, and those that follow along their chains, as each is done."""
+        """Yield the searches of a group, and those that follow along their chains, when each is done."""
         active: list[Search] = []
         while pending or active:
             while pending and len(active) < SIDE_BY_SIDE:
@@ -278,32 +242,32 @@ class _Work:
         return [Search(search.chain, place, search.lane.at(chain.frequencies[place], start, self.solver))]
 
     def _round(self, active: Sequence[Search], size: int) -> list[Search]:
-        """Each search a step further: marched, or shot once, and measured where it is ready for it."""
-        marched = self._marched([search for search in active if search.phase is Phase.MARCH], size)
-        shot = self._shot([search for search in active if search.phase is Phase.SHOOT], size)
-        moved = {search.chain: search for search in marched + shot}
-        for search in self._measured([search for search in marched if search.phase is Phase.MEASURE], size):
-            moved[search.chain] = search
-        return [moved[search.chain] for search in active]
+        """Each search a step further: shot once or marched, and measured where it is ready for it."""
+        moved = {search.chain: search for search in active}
+        for phase, advanced in (
+            (Phase.SHOOT, self._shot),
+            (Phase.MARCH, self._marched),
+            (Phase.MEASURE, self._measured),
+        ):
+            due = [search for search in moved.values() if search.phase is phase]
+            moved |= {search.chain: search for search in advanced(due, size)}
+        return list(moved.values())
 
-    def _marched(self, searches: Sequence[Search], size: int) -> list[Search]:
+    def _shot(self, searches: Sequence[Search], size: int) -> Iterator[Search]:
+        lanes = [search.shot.lane for search in searches if search.shot is not None]
+        done = record(lanes, self.solver, [1] * len(lanes), TRIES, size=size)
+        for search, recorded in zip(searches, done, strict=True):
+            yield after_shot(search, recorded, self.criterion)
+
+    def _marched(self, searches: Sequence[Search], size: int) -> Iterator[Search]:
         if searches and len(searches) <= SIZES[0] and min(search.cycles for search in searches) > LONELY:
             size = 1
         done = march([search.lane for search in searches], self.solver, CYCLES_A_ROUND, size=size)
-        return [
-            after_march(search, lane, returns, self.solver, self.criterion)
-            for search, (lane, returns) in zip(searches, done, strict=True)
-        ]
-
-    def _shot(self, searches: Sequence[Search], size: int) -> list[Search]:
-        lanes = [search.shot.lane for search in searches if search.shot is not None]
-        done = record(lanes, self.solver, 1, TRIES, size=size)
-        return [after_shot(search, recorded, self.criterion) for search, recorded in zip(searches, done, strict=True)]
+        for search, (lane, returns) in zip(searches, done, strict=True):
+            yield after_march(search, lane, returns, self.solver, self.criterion)
 
     def _measured(self, searches: Sequence[Search], size: int) -> Iterator[Search]:
-        lengths = [search.period or UNSETTLED_CYCLES for search in searches]
-        for cycles in sorted(set(lengths)):
-            same = [search for search, length in zip(searches, lengths, strict=True) if length == cycles]
-            done = record([search.lane for search in same], self.solver, cycles, size=size)
-            for search, recorded in zip(same, done, strict=True):
-                yield after_measure(search, recorded, self.solver)
+        cycles = [search.period or UNSETTLED_CYCLES for search in searches]
+        done = record([search.lane for search in searches], self.solver, cycles, size=size)
+        for search, recorded in zip(searches, done, strict=True):
+            yield after_measure(search, recorded, self.solver)

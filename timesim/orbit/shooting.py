@@ -1,8 +1,7 @@
 """Shooting: Newton's method on the state after a period [1]_, with the exact derivative of `monodromy`.
 
-An iteration is one recorded cycle. Newton's method is given up where it does not take over at once and where it leaves
-the contact states, and what it converges to is refused where it is unstable: so it finds the motions that marching
-would, only sooner.
+An iteration is one recorded cycle. Newton's method is given up where it does not converge at once and where it leaves
+the contact states, and an unstable motion is refused: so it converges to the motions to which marching would lead.
 
 .. [1] H. B. Keller, *Numerical Methods for Two-Point Boundary-Value Problems*, Blaisdell (1968).
 """
@@ -17,9 +16,8 @@ from timesim.orbit.threshold import REACH, TAKES_OVER, UNSTABLE
 
 
 class Outcome(enum.Enum):
-    """What an iteration has led to."""
+    """How an iteration ends."""
 
-    GOES_ON = enum.auto()
     CONVERGED = enum.auto()
     UNSTABLE = enum.auto()
     ASTRAY = enum.auto()
@@ -38,28 +36,25 @@ class Shot:
     residual: float = np.inf
 
 
-def iterated(shot: Shot, recorded: Recorded, tolerance: float) -> tuple[Outcome, Shot]:
-    """An iteration of Newton's method.
+def iterated(shot: Shot, recorded: Recorded, tolerance: float) -> Shot | Outcome:
+    """An iteration of Newton's method: the next iterate, or how the iteration ends.
 
     Args:
         shot: the iterate.
         recorded: the cycle from it.
         tolerance: of the step to the next iterate, relative to the state.
-
-    Returns:
-        the outcome, and the next iterate where it goes on.
     """
     here, end = shot.lane.vector, recorded.end
     if not recorded.complete or not np.array_equal(end.here.state, shot.lane.here.state):
-        return Outcome.ASTRAY, shot
+        return Outcome.ASTRAY
     step, size = recorded.newton_step(), max(_largest(here), 1e-300)
     if _largest(step) < tolerance * size:
         unstable = np.max(np.abs(recorded.multipliers), initial=0.0) > UNSTABLE
-        return (Outcome.UNSTABLE if unstable else Outcome.CONVERGED), shot
+        return Outcome.UNSTABLE if unstable else Outcome.CONVERGED
     residual = _largest(end.vector - here) / size
     takes_over = residual < TAKES_OVER * shot.residual and _largest(step) / size < REACH
     moved = shot.lane.moved(here + step) if takes_over else None
-    return (Outcome.ASTRAY, shot) if moved is None else (Outcome.GOES_ON, Shot(moved, residual))
+    return Outcome.ASTRAY if moved is None else Shot(moved, residual)
 
 
 def _largest(vector: np.ndarray) -> float:

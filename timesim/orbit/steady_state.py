@@ -1,7 +1,8 @@
 """A steady state: amplitude, states of the contacts, stability, the state from which a run goes on; as arrays too."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, TypeVar
 
 import numpy as np
@@ -11,8 +12,8 @@ from timesim.model.model import Model, Start
 Shares = TypeVar("Shares", bound=Any)
 """An array of numpy or of xarray."""
 
-# A visit to a state that lasts for a smaller share of the period is not one: a transition itself is located to 1e-8 of
-# the fastest oscillation, and what a visit this short does to a motion is far below any tolerance.
+# A state that lasts for a smaller share of the period does not count: a transition itself is located to 1e-8 of the
+# fastest oscillation, and the effect of so short a stay on the motion is far below any tolerance.
 BRIEF = 1e-9
 
 
@@ -25,19 +26,16 @@ class Orbit:
         amplitude: (max - min) / 2 of each point along x, y, z over a period, shape (P, 3); over the last ten cycles
             where the motion has not settled.
         band: smallest and largest amplitude of one of these cycles, shape (2, P, 3).
-        settled: whether the motion repeats.
         cycles: excitation cycles integrated; 0 where the scene is linear and needs none.
-        period: its period in excitation periods; 0 if it has not settled.
+        period: its period in excitation periods; 0 if the motion has not settled.
         slip_share, separation_share: share of the period in these states, shape (C,).
-        floquet: multipliers of the period, largest first, without those of offsets that nothing moves; NaN where the
-            motion has not settled.
+        floquet: Floquet multipliers, largest first, without those of free offsets; NaN where it has not settled.
         reason: why it could not be computed; None if it was.
     """
 
     end: Start
     amplitude: np.ndarray
     band: np.ndarray
-    settled: bool
     cycles: int
     period: int
     slip_share: np.ndarray
@@ -46,17 +44,22 @@ class Orbit:
     reason: str | None = None
 
     @property
+    def settled(self) -> bool:
+        """Whether the motion repeats."""
+        return self.period > 0
+
+    @property
     def largest(self) -> float:
         """Largest amplitude of all points and axes."""
         return float(np.max(np.abs(self.amplitude), initial=0.0))
 
 
 def without_orbit(model: Model, reason: str, cycles: int = 0) -> Orbit:
-    """What stands for a steady state that could not be computed."""
+    """Placeholder for a steady state that could not be computed."""
     nothing = np.full(model.num_contacts, np.nan)
     amplitude = np.full((len(model.structure.points), 3), np.nan)
     band = np.stack([amplitude, amplitude])
-    return Orbit(model.start, amplitude, band, False, cycles, 0, nothing, nothing, np.full(1, np.nan), reason)
+    return Orbit(model.start, amplitude, band, cycles, 0, nothing, nothing, np.full(1, np.nan), reason)
 
 
 # Two motions
@@ -66,16 +69,16 @@ SAME = 1e-3
 
 
 def distance(one: Orbit, other: Orbit) -> float:
-    """How much the amplitudes of two motions differ, the largest of all points and axes.
+    """Largest difference of amplitude between two motions, over all points and axes.
 
-    By less where one has not settled: its amplitude may be any in its band.
+    The band of a motion that has not settled is subtracted: its amplitude may be any in it.
     """
     loose = sum(orbit.band[1] - orbit.band[0] for orbit in (one, other) if not orbit.settled)
     return float(np.max(np.abs(one.amplitude - other.amplitude) - loose, initial=0.0))
 
 
 def differ(one: Orbit, other: Orbit) -> bool:
-    """Whether two motions are not the same; one that could not be computed differs from none."""
+    """Whether two motions are different; False if one could not be computed."""
     known = one.reason is None and other.reason is None
     return known and distance(one, other) > SAME * max(one.largest, other.largest)
 
@@ -108,23 +111,19 @@ Columns = Mapping[str, np.ndarray]
 """Steady states as arrays by the names of `COLUMNS`."""
 
 START = ("end_displacement", "end_velocity", "end_slip", "end_state")  # in the order of `Start`
-COLUMNS = (
-    "amplitude", "band", "settled", "cycles", "period", "slip_share", "separation_share", "floquet_max", "reason",
-    *START,
-)  # fmt: skip
+ARRAYS, NUMBERS = ("amplitude", "band", "slip_share", "separation_share"), ("cycles", "period")
+COLUMNS = (*ARRAYS, *NUMBERS, "settled", "floquet_max", "reason", *START)
 
 
 def columns_of(orbits: Sequence[Sequence[Orbit]]) -> dict[str, np.ndarray]:
     """Steady states as arrays, by chain and place along it; of the multipliers the largest only."""
-    return {name: np.array([[_value(orbit, name) for orbit in own] for own in orbits]) for name in COLUMNS}
-
-
-def _value(orbit: Orbit, name: str) -> Any:
-    if name == "floquet_max":
-        return np.max(np.abs(orbit.floquet), initial=0.0)
-    if name.startswith("end_"):
-        return getattr(orbit.end, name.removeprefix("end_"))
-    return (orbit.reason or "") if name == "reason" else getattr(orbit, name)
+    values: dict[str, Callable[[Orbit], Any]] = {
+        **{name: attrgetter(name) for name in (*ARRAYS, *NUMBERS, "settled")},
+        "floquet_max": lambda orbit: np.max(np.abs(orbit.floquet), initial=0.0),
+        "reason": lambda orbit: orbit.reason or "",
+        **{name: attrgetter(name.replace("_", ".", 1)) for name in START},
+    }
+    return {name: np.array([[value(orbit) for orbit in own] for own in orbits]) for name, value in values.items()}
 
 
 def end_of(columns: Columns, place: tuple[int, int], phase: float) -> Start:
@@ -135,16 +134,6 @@ def end_of(columns: Columns, place: tuple[int, int], phase: float) -> Start:
 
 def orbit_of(columns: Columns, place: tuple[int, int], phase: float) -> Orbit:
     """The inverse of `columns_of`; of the multipliers the largest only."""
-    value = {name: columns[name][place] for name in COLUMNS}
-    return Orbit(
-        end=end_of(columns, place, phase),
-        amplitude=value["amplitude"],
-        band=value["band"],
-        settled=bool(value["settled"]),
-        cycles=int(value["cycles"]),
-        period=int(value["period"]),
-        slip_share=value["slip_share"],
-        separation_share=value["separation_share"],
-        floquet=np.array([value["floquet_max"]]),
-        reason=str(value["reason"]) or None,
-    )
+    value = {name: columns[name][place] for name in ARRAYS} | {name: columns[name][place].item() for name in NUMBERS}
+    largest, reason = np.array([columns["floquet_max"][place]]), str(columns["reason"][place]) or None
+    return Orbit(end=end_of(columns, place, phase), floquet=largest, reason=reason, **value)

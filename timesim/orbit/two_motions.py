@@ -3,8 +3,8 @@
 A sweep carries its motion along until the motion is gone, at a fold or where it loses its stability, and jumps. Where
 the sweeps up and down are on different motions there are two: such a range begins where the downward sweep loses its
 motion, and ends where the upward one does. A jump is sought in every step over which the amplitude changes more than
-over the steps beside it, and in those after which both sweeps are on one motion. Halving the step tells a jump from a
-slope, so ranges far narrower than the step of the sweeps show too.
+over the steps beside it, and in those after which both sweeps are on one motion. Halving the step distinguishes a jump
+from a slope, so ranges far narrower than the step of the sweeps are resolved.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,7 +30,7 @@ class Search:
 
     Attributes:
         model: the scene.
-        steady: gives steady states as those of the sweeps.
+        steady: computes steady states with the solver and criterion of the sweeps.
         width: wanted of each end [Hz].
     """
 
@@ -54,16 +54,12 @@ class Loss:
     Attributes:
         direction: `UP` or `DOWN`.
         begin: last frequency of the sweep with the motion [Hz].
-        near, far: last frequency with the motion, first one without [Hz].
-        on, beyond: the motions there.
+        jump: between the last frequency with the motion and the first one without.
     """
 
     direction: int
     begin: float
-    near: float
-    far: float
-    on: Orbit
-    beyond: Orbit
+    jump: Stretch
 
 
 @dataclass(frozen=True)
@@ -93,7 +89,7 @@ class Sweeps:
 
 
 def suspect_steps(sweeps: Sweeps, direction: int) -> np.ndarray:
-    """Steps in which a sweep may jump: positions of the lower point of each."""
+    """Steps in which a sweep may jump, by the position of the lower point of each."""
     suspects = set(merging_steps(sweeps, direction))
     amplitude = sweeps.amplitude(direction)
     change = np.max(np.abs(np.diff(amplitude, axis=0)), axis=1, initial=0.0)
@@ -107,7 +103,7 @@ def suspect_steps(sweeps: Sweeps, direction: int) -> np.ndarray:
 
 
 def merging_steps(sweeps: Sweeps, direction: int) -> list[int]:
-    """Steps of a sweep after which both are on one motion: positions of the lower point of each."""
+    """Steps of a sweep after which both are on one motion, by the position of the lower point of each."""
     runs = np.flatnonzero(np.diff(sweeps.apart, prepend=False, append=False)).reshape(-1, 2)
     steps = [(int(end - 1), int(end)) if direction == UP else (int(first - 1),) * 2 for first, end in runs]
     last = sweeps.frequency.size - 1
@@ -117,59 +113,55 @@ def merging_steps(sweeps: Sweeps, direction: int) -> list[int]:
 def losses(search: Search, sweeps: Sweeps) -> Iterator[Loss]:
     """All jumps of both sweeps, bisected."""
     for direction in (UP, DOWN):
+        frequency, orbits = sweeps.frequency, sweeps.orbits[direction]
+        limit = float(frequency[-1 if direction == UP else 0])
+        least = AT_LEAST * np.nanmax(sweeps.amplitude(direction), initial=0.0)
+        merging = merging_steps(sweeps, direction)
         for k in suspect_steps(sweeps, direction):
             near, far = (k, k + 1) if direction == UP else (k + 1, k)
-            ends = float(sweeps.frequency[near]), float(sweeps.frequency[far])
-            orbits = sweeps.orbits[direction][near], sweeps.orbits[direction][far]
-            loss = _lost(search, sweeps, direction, ends, orbits)
-            if loss is None and k in merging_steps(sweeps, direction):
-                loss = _merging(search, direction, ends, orbits)
-            if loss is not None:
-                yield loss
+            step = Stretch(
+                search.model, float(frequency[near]), float(frequency[far]), orbits[near], orbits[far], least
+            )
+            jump = _lost(search, step, limit)
+            if jump is None and k in merging:
+                jump = _merging(search, step)
+            if jump is not None:
+                yield Loss(direction, step.near, jump)
 
 
-def _lost(
-    search: Search, sweeps: Sweeps, direction: int, ends: tuple[float, float], orbits: tuple[Orbit, Orbit]
-) -> Loss | None:
+def _lost(search: Search, step: Stretch, limit: float) -> Stretch | None:
     """Bisect a jump; a motion that was lost by the length of a step alone is followed beyond it."""
-    limit = float(sweeps.frequency[-1 if direction == UP else 0])
-    least = AT_LEAST * np.nanmax(sweeps.amplitude(direction), initial=0.0)
-    step, loss = Stretch(search.model, *ends, *orbits, least), None
+    part, longest = step, abs(step.far - step.near) / WALK
     for _ in range(FURTHER + 1):
-        jumps = narrowed([step], search.steady, search.width)
+        jumps = narrowed([part], search.steady, search.width)
         if not jumps:
             return None
         jump = jumps[0][1]
-        loss = Loss(direction, ends[0], jump.near, jump.far, jump.on, jump.beyond)
-        ahead = _ahead(search, loss, limit, abs(ends[1] - ends[0]) / WALK)
+        ahead = _ahead(search, jump, limit, longest)
         if ahead is None:
             break
-        step = Stretch(search.model, *ahead, least)
-    return loss
+        part = ahead
+    return jump
 
 
-def _merging(search: Search, direction: int, ends: tuple[float, float], orbits: tuple[Orbit, Orbit]) -> Loss:
+def _merging(search: Search, step: Stretch) -> Stretch:
     """Bisect a jump that is small beside the slope of the step: at its near side, and there alone, are two motions."""
-    (near, far), (on, beyond) = ends, orbits
-    while abs(far - near) > search.width and (middle := 0.5 * (near + far)) not in (near, far):
-        (ahead,), (back,) = search.along(on.end, [middle]), search.along(beyond.end, [middle])
-        if differ(ahead, back):
-            near, on = middle, ahead
-        else:
-            far, beyond = middle, back
-    return Loss(direction, ends[0], near, far, on, beyond)
+    while abs(step.far - step.near) > search.width and (middle := step.middle) not in (step.near, step.far):
+        (ahead,), (back,) = search.along(step.on.end, [middle]), search.along(step.beyond.end, [middle])
+        step = replace(step, near=middle, on=ahead) if differ(ahead, back) else replace(step, far=middle, beyond=back)
+    return step
 
 
-def _ahead(search: Search, loss: Loss, limit: float, longest: float) -> tuple[float, float, Orbit, Orbit] | None:
-    """Where the motion is lost beyond a loss: near and far frequency, motions there; None if it is lost right there."""
-    near, on, far = loss.near, loss.on, loss.far
-    step = loss.far - loss.near
+def _ahead(search: Search, jump: Stretch, limit: float, longest: float) -> Stretch | None:
+    """Where the motion is lost beyond a jump; None if it is lost right there."""
+    near, on, far = jump.near, jump.on, jump.far
+    step = jump.far - jump.near
     while True:
         (orbit,) = search.along(on.end, [far])
         if orbit.reason is not None:
             return None
-        if distance(orbit, on) > distance(orbit, loss.beyond):
-            return None if near == loss.near else (near, far, on, orbit)
+        if distance(orbit, on) > distance(orbit, jump.beyond):
+            return None if near == jump.near else Stretch(search.model, near, far, on, orbit, jump.least)
         if far == limit:
             return None
         near, on = far, orbit
@@ -204,7 +196,7 @@ class Range:
 def ranges(search: Search, sweeps: Sweeps, lost: Sequence[Loss]) -> Iterator[Range]:
     """The ranges between jumps in which the sweeps are on different motions."""
     first, last = float(sweeps.frequency[0]), float(sweeps.frequency[-1])
-    ends = sorted({first, last, *(loss.near for loss in lost)})
+    ends = sorted({first, last, *(loss.jump.near for loss in lost)})
     for low, high in pairwise(ends):
         within = sweeps.apart[(sweeps.frequency > low) & (sweeps.frequency < high)]
         jumps = (low != first) + (high != last)
@@ -214,17 +206,12 @@ def ranges(search: Search, sweeps: Sweeps, lost: Sequence[Loss]) -> Iterator[Ran
         if any(orbit.reason is not None for orbit in motions) or not differ(*motions):
             continue
         lower, upper = sorted(motions, key=lambda orbit: orbit.largest)
-        settled = [all(loss.on.settled for loss in lost if loss.near == end) for end in (low, high)]
-        cut, jumped = (low == first, high == last), np.array([_jumped(end, lost, lower) for end in (low, high)])
-        yield Range(low, high, cut, (settled[0], settled[1]), jumped, lower, upper)
-
-
-def _jumped(end: float, lost: Sequence[Loss], like: Orbit) -> np.ndarray:
-    """Amplitude before and after the jump at an end."""
-    here = [loss for loss in lost if loss.near == end]
-    return np.array(
-        [here[0].on.amplitude, here[0].beyond.amplitude] if here else [np.full_like(like.amplitude, np.nan)] * 2
-    )
+        at_ends = [[loss.jump for loss in lost if loss.jump.near == end] for end in (low, high)]
+        settled = [all(jump.on.settled for jump in here) for here in at_ends]
+        none = [np.full_like(lower.amplitude, np.nan)] * 2
+        jumped = [[here[0].on.amplitude, here[0].beyond.amplitude] if here else none for here in at_ends]
+        cut = (low == first, high == last)
+        yield Range(low, high, cut, (settled[0], settled[1]), np.array(jumped), lower, upper)
 
 
 def _at_middle(
@@ -237,10 +224,12 @@ def _at_middle(
     for loss in own:
         # Lost by a step that was too long: from there on to the true end the sweep was on another motion.
         known = {
-            f: orbit for f, orbit in known.items() if not 0 < sign * (f - loss.begin) < sign * (loss.near - loss.begin)
+            f: orbit
+            for f, orbit in known.items()
+            if not 0 < sign * (f - loss.begin) < sign * (loss.jump.near - loss.begin)
         }
-        known |= {loss.near: loss.on, loss.far: loss.beyond}
-    left = {loss.near for loss in own} & {ends[0 if direction == UP else 1]}
+        known |= {loss.jump.near: loss.jump.on, loss.jump.far: loss.jump.beyond}
+    left = {loss.jump.near for loss in own} & {ends[0 if direction == UP else 1]}
     behind = [f for f, orbit in known.items() if sign * (middle - f) >= 0 and f not in left and orbit.reason is None]
     if not behind:
         return without_orbit(search.model, "no motion is known before it")
@@ -259,7 +248,7 @@ def ranges_of(search: Search, sweeps: Columns) -> dict[str, np.ndarray]:
     # Of no range the columns have their shapes all the same.
     motions = [[one.lower, one.upper] for one in every] or [[without_orbit(model, "none")] * 2]
     jumped = np.array([one.jumped for one in every]).reshape(size, 2, 2, len(model.structure.points), 3)
-    jumps = [(loss.direction, *sorted((loss.near, loss.far))) for loss in lost]
+    jumps = [(loss.direction, *sorted((loss.jump.near, loss.jump.far))) for loss in lost]
     return {name: array[:size] for name, array in columns_of(motions).items()} | {
         "jumps": np.array(jumps, dtype=float).reshape(-1, 3),
         "jump_from": jumped[:, :, 0],

@@ -1,21 +1,22 @@
 """Section of the scene file that describes a contact."""
 
-from collections.abc import Sequence
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Tag, model_validator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, Tag, ValidationInfo, model_validator
 
 from timesim.engine.laws import LAWS
-from timesim.fault import Key, RuleError, nearest
+from timesim.fault import nearest
 from timesim.model.model import CONE, GROUND, Contact
 from timesim.scene.section import (
+    BodyName,
     Direction,
     Matrix2,
     Name,
     NotNegative,
     Number,
     Pair,
+    PointName,
     Section,
     Text,
     by_form,
@@ -25,15 +26,10 @@ from timesim.scene.section import (
 )
 
 
-def point_row(name: str, points: Sequence[str], key: Key) -> int:
-    """Index of a point by its name.
-
-    Raises:
-        RuleError: there is no such point.
-    """
-    if name not in points:
-        raise RuleError(key, "must be a point of the structure", nearest(name, points), name)
-    return points.index(name)
+def _required(point: str | None, info: ValidationInfo) -> str | None:
+    if point is None and (points := (info.context or {}).get("points")) is not None:
+        raise refuse("is required", hint=f"points: {', '.join(points)}")
+    return point
 
 
 def _stiffness_form(value: Any) -> str | None:
@@ -89,9 +85,9 @@ class ContactSection(Section):
 
     name: Name
     """How results, messages and overrides call it."""
-    point: Text | None = None
-    """Point of body 1."""
-    against: Text = GROUND
+    point: Annotated[PointName | None, AfterValidator(_required), Field(validate_default=True)] = None
+    """Point of body 1; a scene without a structure needs none."""
+    against: BodyName = GROUND
     """Point of body 2, or ground."""
     normal: Direction = (0.0, 0.0, 1.0)
     """Direction from body 1 into body 2; its length does not count."""
@@ -121,6 +117,9 @@ class ContactSection(Section):
         if np.any(K) and not (np.allclose(K, K.T, rtol=1e-12, atol=0) and np.linalg.eigvalsh(K)[0] > 0):
             value = self.tangential_stiffness
             raise refuse("must be symmetric positive definite", key=("tangential_stiffness",), value=value)
+        if self.against == self.point:
+            rule = "must be another point than the contact's own"
+            raise refuse(rule, key=("against",), value=self.against)
         return self
 
     def stiffness_matrix(self) -> np.ndarray:
@@ -140,15 +139,10 @@ class ContactSection(Section):
         second = normal[[1, 2, 0]] * tangent[[2, 0, 1]] - normal[[2, 0, 1]] * tangent[[1, 2, 0]]
         return np.stack([tangent, second, normal])
 
-    def check_points(self, points: Sequence[str]) -> None:
-        """Refuse a contact on no point, or of a point with itself."""
-        if self.point is None:
-            raise RuleError(("point",), "is required", f"points: {', '.join(points)}")
-        point_row(self.point, points, ("point",))
-        if self.against != GROUND:
-            point_row(self.against, (*points, GROUND), ("against",))
-        if self.against == self.point:
-            raise RuleError(("against",), "must be another point than the contact's own", value=self.against)
+    @property
+    def law_name(self) -> str:
+        """Name of the law that it obeys."""
+        return CONE if self.law is None else self.law.name
 
     @property
     def idle_stiffness(self) -> bool:
@@ -167,6 +161,19 @@ class ContactSection(Section):
             tangential_stiffness=(K + K.T) / 2,
             normal_stiffness=self.normal_stiffness,
             preload=self.preload,
-            law=CONE if self.law is None else self.law.name,
+            law=self.law_name,
             law_parameters={} if self.law is None else dict(self.law.__pydantic_extra__),
         )
+
+
+def _together(contacts: tuple[ContactSection, ...]) -> tuple[ContactSection, ...]:
+    for i, contact in enumerate(contacts):
+        if contact.name in (other.name for other in contacts[:i]):
+            raise refuse("must differ from the other contacts'", key=(i, "name"), value=contact.name)
+        if contact.law_name != contacts[0].law_name:
+            rule = f"must be the same for all contacts, that of {contacts[0].name} is {contacts[0].law_name}"
+            raise refuse(rule, key=(i, "law"), value=contact.law_name)
+    return contacts
+
+
+Contacts = Annotated[tuple[ContactSection, ...], AfterValidator(_together)]

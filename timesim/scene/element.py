@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, Tag, model_validator
 
-from timesim.fault import RuleError, nearest
+from timesim.fault import RuleError
 from timesim.model.model import GROUND, Contact
 from timesim.scene.contact import ContactSection
 from timesim.scene.section import (
     MAX_POINTS,
+    ContactName,
     Count,
     FilePath,
-    Name,
     NotNegative,
     Number,
     Section,
@@ -56,22 +56,20 @@ class ElementSection(StudySection):
     explicit_only: ClassVar[bool] = True
     cone_only: ClassVar[bool] = True
 
-    contact: Name | None = None
+    contact: ContactName | None = None
     """Name of the contact; may be left out where there is only one."""
 
     def chosen(self, context: Context) -> ContactSection:
         """The contact that it is about.
 
         Raises:
-            RuleError: there is none, none of this name, or the name is missing.
+            RuleError: there is none, or the name is missing.
         """
-        contacts = {item.name: item for item in context.contacts}
-        if not contacts:
+        if not context.contacts:
             raise RuleError((), "needs a contact", "list one under contacts")
-        if self.contact is None and len(contacts) > 1:
-            raise RuleError(("contact",), "is required where there are several contacts", ", ".join(contacts))
-        if self.contact is not None and self.contact not in contacts:
-            raise RuleError(("contact",), "must be a contact", nearest(self.contact, contacts), self.contact)
+        if self.contact is None and len(context.contacts) > 1:
+            names = ", ".join(item.name for item in context.contacts)
+            raise RuleError(("contact",), "is required where there are several contacts", names)
         return next(item for item in context.contacts if self.contact in (None, item.name))
 
 
@@ -158,19 +156,10 @@ class Element(ElementSection):
 
 # Maps
 
-MAP_AXES = {
-    "A": "a",
-    "B": "b",
-    "D": "d",
-    "phi_deg": "phi_deg",
-    "psi_deg": "psi_deg",
-    "friction": "friction",
-    "normal_stiffness": "normal_stiffness",
-    "preload": "preload",
-}
-"""Parameters of a map that may be an axis, and the names of the axes in the result."""
 OF_CONTACT = ("friction", "normal_stiffness", "preload")
-"""Those that the contact has, where the map does not give them."""
+"""Parameters of a map that the contact has, where the map does not give them."""
+MAP_AXES = {key: key.lower() for key in ("A", "B", "D", "phi_deg", "psi_deg", *OF_CONTACT)}
+"""Parameters of a map that may be an axis, and the names of the axes in the result."""
 
 
 @dataclass(frozen=True, eq=False)

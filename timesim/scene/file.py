@@ -5,7 +5,7 @@ are checked there and raise `RuleError`. Frequencies are in Hz, angles in degree
 units.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cache, reduce
 from operator import or_
 from typing import Annotated, Any, get_args, get_origin
@@ -13,11 +13,11 @@ from typing import Annotated, Any, get_args, get_origin
 from pydantic import BeforeValidator, Field, Tag, ValidationError, create_model
 
 from timesim.fault import RuleError, nearest
-from timesim.scene.contact import ContactSection
+from timesim.scene.contact import Contacts
 from timesim.scene.excitation import ExcitationSection
 from timesim.scene.integration import InitialSection, SolverSection
 from timesim.scene.section import Section, Text, by_form, refuse
-from timesim.scene.structure import StructureSection
+from timesim.scene.structure import StructureSection, point_names
 from timesim.scene.study import StudySection
 
 Kinds = Mapping[str, type[StudySection]]
@@ -29,7 +29,7 @@ class SceneParts(Section):
 
     title: Text = ""
     structure: StructureSection | None = None
-    contacts: tuple[ContactSection, ...] = ()
+    contacts: Contacts = ()
     excitation: ExcitationSection | None = None
     initial: InitialSection = "rest"
     solver: SolverSection = Field(default_factory=lambda: SolverSection.model_validate({}))
@@ -67,6 +67,34 @@ def _kind(value: Any) -> str | None:
     if isinstance(value, StudySection):
         return f"<{value.kind}>"
     return f"<{value['kind']}>" if isinstance(value, dict) else None
+
+
+def parsed(data: Mapping[str, Any], kinds: Kinds) -> tuple[SceneFile | None, list[RuleError]]:
+    """The sections of a scene as it is written, and all that is wrong with them; None where anything is."""
+    tree = file_type(kinds)
+    structure, contacts = data.get("structure"), data.get("contacts")
+    listed = contacts if isinstance(contacts, list) else ()
+    names = {
+        "points": point_names(structure),
+        "contacts": [item["name"] for item in listed if isinstance(item, dict) and isinstance(item.get("name"), str)],
+    }
+    missing = list(_missing(data, kinds))
+    try:
+        file = tree.model_validate(data, context=names)
+    except ValidationError as error:
+        return None, rule_errors(error, tree, missing)
+    return None if missing else file, missing
+
+
+def _missing(data: Mapping[str, Any], kinds: Kinds) -> Iterator[RuleError]:
+    """Keys that the kind of study needs and the scene does not have."""
+    study = data.get("study")
+    kind = str(study.get("kind")) if isinstance(study, dict) else ""
+    for key in kinds[kind].requires if kind in kinds else ():
+        *above, last = key.split(".")
+        section = data.get(above[0]) if above else data
+        if isinstance(section, Mapping) and last not in section:
+            yield RuleError((*above, last), f"{RULES['missing']} for a {kind} study")
 
 
 def json_schema(kinds: Kinds) -> dict[str, Any]:
@@ -113,14 +141,21 @@ NO_NUMBER = {RULES[kind] for kind in ("string_type", "bool_type", "tuple_type", 
 """Rules that a number breaks wherever it stands."""
 
 
-def rule_errors(error: ValidationError, tree: type[SceneParts]) -> list[RuleError]:
-    """All that pydantic refuses; a required key is not missed where only its name is misspelt."""
+def rule_errors(error: ValidationError, tree: type[SceneParts], missing: Iterable[RuleError] = ()) -> list[RuleError]:
+    """All that pydantic refuses; a required key is not missing where only its name is misspelt.
+
+    Args:
+        error: what pydantic raises.
+        tree: the sections that it has read.
+        missing: keys that are required for another reason.
+    """
     errors = [_rule_error(details, tree) for details in error.errors(include_url=False) if not _miscounted(details)]
     meant = [(*error.key[:-1], error.hint) for error in errors if error.rule == RULES["extra_forbidden"]]
     return [
         error
-        for error in errors
-        if error.rule != RULES["missing"] or (*error.key[:-1], f"did you mean {error.key[-1]}?") not in meant
+        for error in (*errors, *missing)
+        if not error.rule.startswith(RULES["missing"])
+        or (*error.key[:-1], f"did you mean {error.key[-1]}?") not in meant
     ]
 
 

@@ -1,20 +1,19 @@
 """Studies by harmonic balance, and the comparison of one with a sweep."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, Tag, model_validator
 
-from timesim.fault import Key, RuleError
+from timesim.fault import RuleError
 from timesim.hbm.scheme import BalanceError, Scheme, check_model
 from timesim.model.model import Model
 from timesim.result.file import StoreError
 from timesim.result.last_cycle import PeriodicMotion, periodic_motion
 from timesim.result.state import Held, held
-from timesim.scene.contact import ContactSection
 from timesim.scene.integration import ResultSection
-from timesim.scene.section import Count, Number, Positive, Section, Switch, Whole, by_form, refuse
+from timesim.scene.section import Count, Positive, Section, Span, Switch, Whole, by_form, refuse
 from timesim.scene.study import (
     AlongOne,
     Axes,
@@ -25,7 +24,6 @@ from timesim.scene.study import (
     SweepPlan,
     SweepSection,
     axes_of,
-    placed,
 )
 
 
@@ -65,21 +63,6 @@ class HbmPlan:
     both_ends: bool = False
     motion: PeriodicMotion | None = None
     passing: tuple[Held, Mapping[str, float | str]] | None = None
-
-
-class Span(Section):
-    """Two values of a scalar: where a curve begins and where it ends."""
-
-    first: Number = Field(alias="from")
-    """Where the curve begins; may be the larger end."""
-    to: Number
-    """Where it ends."""
-
-    @model_validator(mode="after")
-    def _differ(self) -> Self:
-        if self.first == self.to:
-            raise refuse("must differ from `from`", key=("to",), value=self.to)
-        return self
 
 
 class FrequencySpan(Span):
@@ -125,6 +108,48 @@ class ResultStart(ResultSection):
     From a transient's motion the curve is followed to both sides of its frequency. With a sweep the linear response is
     followed first, then a curve from each of the points (those of `at`, if it is given) that no curve passes.
     """
+
+    def begin(self, plan: HbmPlan, context: Context) -> HbmPlan:
+        """The plan with the motion to begin from, or the states to pass.
+
+        Raises:
+            RuleError: the result is none of this scene; the key is relative to this section.
+        """
+        path = context.folder / self.source
+        try:
+            states = held(path)
+            motion = None if states.axes else periodic_motion(path)
+        except (RuleError, ValueError, StoreError) as error:
+            what = error.rule if isinstance(error, RuleError) else str(error)
+            raise self._refused("must be the result of a transient or a sweep", what) from None
+        if motion is None:
+            self._check_sweep(states, plan, context)
+            return replace(plan, passing=(states, self.at))
+        low, high = sorted(plan.span)
+        if not low * (1 - 1e-9) <= motion.frequency <= high * (1 + 1e-9):
+            rule = f"must be at a frequency from {low:g} to {high:g} Hz"
+            raise self._refused(rule, f"it is at {motion.frequency:g} Hz")
+        if self.at:
+            raise RuleError(("at",), "names a point of a sweep", "the result is that of a transient: leave it out")
+        return replace(plan, motion=motion)
+
+    def _check_sweep(self, states: Held, plan: HbmPlan, context: Context) -> None:
+        names = [contact.name for contact in context.contacts]
+        if sorted(names) != sorted(states.contacts):
+            rule = f"must have the contacts of the scene, not {', '.join(states.contacts) or 'none'}"
+            raise self._refused(rule, f"the scene has {', '.join(names) or 'none'}")
+        if plan.along is not None:
+            raise self._refused("must be the result of a transient where the curve runs along another scalar")
+        try:
+            free = {name for name, places in states.places(self.at).items() if len(places) > 1}
+        except RuleError as error:
+            raise error.below("at") from None
+        for name in sorted(free - {"frequency", "direction"} - set(plan.over)):
+            hint = f"the sweep has an axis that is none of this study's `over`: which of its values, {name}: ...?"
+            raise RuleError(("at",), f"must name the {name}", hint)
+
+    def _refused(self, rule: str, hint: str = "") -> RuleError:
+        return RuleError(("from",), rule, hint, self.source)
 
 
 StartSection = Annotated[
@@ -186,8 +211,7 @@ class BalanceSection(StudySection):
         Raises:
             RuleError: the result to start from is none of this scene.
         """
-        motion, passing = self._begin(context, span, over, along)
-        return HbmPlan(
+        plan = HbmPlan(
             scheme=balanced(self.harmonics, self.time_samples, self.located),
             span=span,
             over=over,
@@ -196,60 +220,13 @@ class BalanceSection(StudySection):
             stability=self.stability,
             convergence=self.convergence,
             both_ends=self.start == "both_ends",
-            motion=motion,
-            passing=passing,
         )
-
-    def _begin(
-        self, context: Context, span: tuple[float, float], over: Axes, along: Along | None
-    ) -> tuple[PeriodicMotion | None, tuple[Held, Mapping[str, float | str]] | None]:
-        """A transient's motion to begin from, or a sweep's states to pass."""
         if not isinstance(self.start, ResultStart):
-            return None, None
-        path, at = context.folder / self.start.source, self.start.at
+            return plan
         try:
-            states = held(path)
-            motion = None if states.axes else periodic_motion(path)
-        except (RuleError, ValueError, StoreError) as error:
-            what = error.rule if isinstance(error, RuleError) else str(error)
-            raise self._refused("must be the result of a transient or a sweep", what) from None
-        if motion is None:
-            self._check_sweep(states, at, context.contacts, over, along)
-            return None, (states, at)
-        low, high = sorted(span)
-        if not low * (1 - 1e-9) <= motion.frequency <= high * (1 + 1e-9):
-            rule = f"must be at a frequency from {low:g} to {high:g} Hz"
-            raise self._refused(rule, f"it is at {motion.frequency:g} Hz")
-        if at:
-            hint = "the result is that of a transient: leave it out"
-            raise RuleError(("start", "at"), "names a point of a sweep", hint)
-        return motion, None
-
-    def _check_sweep(
-        self,
-        states: Held,
-        at: Mapping[str, float | str],
-        contacts: Sequence[ContactSection],
-        over: Axes,
-        along: Along | None,
-    ) -> None:
-        names = [contact.name for contact in contacts]
-        if sorted(names) != sorted(states.contacts):
-            rule = f"must have the contacts of the scene, not {', '.join(states.contacts) or 'none'}"
-            raise self._refused(rule, f"the scene has {', '.join(names) or 'none'}")
-        if along is not None:
-            raise self._refused("must be the result of a transient where the curve runs along another scalar")
-        try:
-            free = {name for name, places in states.places(at).items() if len(places) > 1}
+            return self.start.begin(plan, context)
         except RuleError as error:
-            raise error.below("start", "at") from None
-        for name in sorted(free - {"frequency", "direction"} - set(over)):
-            hint = f"the sweep has an axis that is none of this study's `over`: which of its values, {name}: ...?"
-            raise RuleError(("start", "at"), f"must name the {name}", hint)
-
-    def _refused(self, rule: str, hint: str = "") -> RuleError:
-        assert isinstance(self.start, ResultStart)
-        return RuleError(("start", "from"), rule, hint, self.start.source)
+            raise error.below("start") from None
 
 
 class Hbm(BalanceSection):
@@ -281,15 +258,9 @@ class Hbm(BalanceSection):
 
     def plan(self, context: Context) -> HbmPlan:
         """Curves over frequency, or along another scalar."""
-        given = self.frequency
-        span = (given.first, given.to) if isinstance(given, FrequencySpan) else (given, given)
+        span = self.frequency.values() if isinstance(self.frequency, FrequencySpan) else (self.frequency,) * 2
         along = next((Along(key, ends.first, ends.to) for key, ends in self.along.items()), None)
         return self.balance(context, span, axes_of(self.over), along)
-
-    def varied(self) -> Mapping[Key, tuple[float, ...]]:
-        """The further axes, and the ends of the scalar that the curve runs along."""
-        ends = {key: (span.first, span.to) for key, span in self.along.items()}
-        return placed("over", axes_of(self.over)) | placed("along", ends)
 
 
 @dataclass(frozen=True)

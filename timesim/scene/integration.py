@@ -8,12 +8,25 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, Tag, model_validator
 
-from timesim.fault import RuleError, nearest
+from timesim.fault import RuleError
 from timesim.model.model import Model, Start
 from timesim.model.solver import PRESETS, Solver
 from timesim.model.start import given_start, static_start
 from timesim.result.state import Held, held, start_of
-from timesim.scene.section import Count, FilePath, Number, Pair, Section, Switch, Text, Whole, by_form, form, refuse
+from timesim.scene.section import (
+    ContactName,
+    Count,
+    FilePath,
+    Number,
+    Pair,
+    Section,
+    Switch,
+    Text,
+    Whole,
+    by_form,
+    form,
+    refuse,
+)
 
 
 class StateSection(Section):
@@ -23,7 +36,7 @@ class StateSection(Section):
     """One a mode, in the scene's order of modes."""
     modal_velocity: tuple[Number, ...] | None = None
     """One a mode, in the scene's order of modes."""
-    slip: dict[Text, Pair] = Field(default_factory=dict)
+    slip: dict[ContactName, Pair] = Field(default_factory=dict)
     """w of each contact, by its name."""
 
     @model_validator(mode="after")
@@ -36,11 +49,7 @@ class StateSection(Section):
     def build(self, physics: Model, order: np.ndarray) -> Start:
         """The state, modes in ascending order; ``order`` is the scene's index of each."""
         displacement, velocity = (self._sorted(key, order) for key in ("modal_displacement", "modal_velocity"))
-        names = [contact.name for contact in physics.contacts]
-        for name in self.slip:
-            if name not in names:
-                raise RuleError(("slip", name), "must be a contact", nearest(name, names))
-        slip = np.array([self.slip.get(name, (0.0, 0.0)) for name in names]).reshape(-1, 2)
+        slip = np.array([self.slip.get(contact.name, (0.0, 0.0)) for contact in physics.contacts]).reshape(-1, 2)
         return given_start(physics, displacement, velocity, slip)
 
     def _sorted(self, key: str, order: np.ndarray) -> np.ndarray:

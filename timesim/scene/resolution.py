@@ -3,9 +3,9 @@
 Nothing here loads JAX, and the kinds of study that there are come as an argument.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,13 +14,15 @@ import numpy as np
 from pydantic import ValidationError
 
 from timesim.fault import Problem, RuleError, SceneError
-from timesim.model.model import CONE, Contact, Excitation, Model, Structure
+from timesim.model.model import CONE, Model
 from timesim.model.solver import Solver
 from timesim.model.start import rest_start
-from timesim.scene.file import NO_NUMBER, Kinds, SceneFile, SceneParts, file_type, rule_errors
+from timesim.scene.excitation import ExcitationSection
+from timesim.scene.file import NO_NUMBER, Kinds, SceneFile, SceneParts, parsed, rule_errors
 from timesim.scene.integration import EndOfRun, InitialResult, start
 from timesim.scene.source import SceneSource, empty_values, overridden, read
-from timesim.scene.study import PARTS, Context, combinations
+from timesim.scene.structure import BuiltStructure
+from timesim.scene.study import Context, combinations
 from timesim.scene.text import yaml_text
 
 FAR_ABOVE = 100.0
@@ -34,10 +36,12 @@ class Scene:
     Attributes:
         source: the text it comes from, with the overrides applied.
         file: the sections of the scene file.
+        kinds: the kinds of study that are known.
     """
 
     source: SceneSource
     file: SceneFile
+    kinds: Kinds = field(repr=False)
 
     @property
     def path(self) -> Path | None:
@@ -52,7 +56,7 @@ class Scene:
     @property
     def plan(self) -> Any:
         """What its study carries out: the frozen dataclass that the section of the study builds."""
-        return self._built[0]
+        return self._built.plan
 
     def solver(self) -> Solver:
         """How it is integrated, in numbers."""
@@ -69,39 +73,37 @@ class Scene:
     def variant(self, values: Mapping[str, float]) -> Model:
         """The model with other scalars, by key path as in a study's ``over``.
 
-        Only the parts of the scene that the keys lie in are read and built again: the eigenproblem of a structure is
-        solved anew for keys below ``structure`` alone.
+        Only the parts of the scene that the keys lie in are read again: the eigenproblem of a structure is solved anew
+        for keys below ``structure`` alone.
 
         Raises:
             SceneError: the scene cannot have these values, or it has no structure.
         """
-        _, parts, model = self._built
-        if not values and model is not None:
-            return model
+        built = self._built
+        if not values and built.model is not None:
+            return built.model
         source, changed = overridden(self.source, values), {key.partition(".")[0] for key in values}
         try:
             sections = SceneParts.model_validate({part: source.data[part] for part in changed})
         except ValidationError as error:
             raise _scene_error(source, rule_errors(error, SceneParts)) from None
-        file = self.file.model_copy(update={part: getattr(sections, part) for part in changed})
-        build = _Build(file, source.folder)
-        model = build.model(build.parts(parts, changed))
-        if model is None:
+        build = _Build(self.file.model_copy(update={part: getattr(sections, part) for part in changed}), source.folder)
+        structure = build.structure() if "structure" in changed else built.structure
+        model = build.model(structure, build.end() if "initial" in changed else built.end)
+        if structure is None and not build.errors:
             build.errors.append(RuleError(("structure",), "is required for a model"))
         if model is None or build.errors:
             raise _scene_error(source, build.errors)
         return model
 
     @cached_property
-    def _built(self) -> "tuple[Any, _Parts | None, Model | None]":
-        """Plan, parts and model."""
+    def _built(self) -> "_Built":
         build = _Build(self.file, self.source.folder)
-        plan = build.plan()
-        parts = build.parts()
-        model = build.model(parts)
+        plan, structure, end = build.plan(), build.structure(), build.end()
+        model = build.model(structure, end)
         if build.errors:
             raise _scene_error(self.source, build.errors)
-        return plan, parts, model
+        return _Built(plan, structure, end, model)
 
     def resolved_yaml(self) -> str:
         """The scene with overrides and defaults written out; runs from any folder."""
@@ -110,29 +112,26 @@ class Scene:
 
     def with_overrides(self, overrides: Mapping[str, Any] | Sequence[str]) -> "Scene":
         """The same scene with other values; see `load_scene`."""
-        return _scene(overridden(self.source, overrides), type(self.file))
+        return _scene(overridden(self.source, overrides), self.kinds)
 
     def warnings(self) -> list[str]:
         """What is accepted but may not be meant."""
-        return list(_warnings(self.file, self._built[2]))
+        return list(_warnings(self.file, self._built.model))
 
 
 def load_scene(
     source: str | Path | Mapping[str, Any], overrides: Mapping[str, Any] | Sequence[str] = (), *, kinds: Kinds
 ) -> Scene:
     """Read, check and build a scene of one of these kinds of study; see `timesim.load_scene`."""
-    return _scene(overridden(read(source), overrides), file_type(kinds))
+    return _scene(overridden(read(source), overrides), kinds)
 
 
-def _scene(source: SceneSource, tree: type[SceneFile]) -> Scene:
-    empty = list(empty_values(source.data))
-    try:
-        file = tree.model_validate(source.data)
-    except ValidationError as error:
-        raise _scene_error(source, [*empty, *rule_errors(error, tree)]) from None
-    if empty:
-        raise _scene_error(source, empty)
-    scene = Scene(source, file)
+def _scene(source: SceneSource, kinds: Kinds) -> Scene:
+    file, refused = parsed(source.data, kinds)
+    errors = [*empty_values(source.data), *refused]
+    if file is None or errors:
+        raise _scene_error(source, errors)
+    scene = Scene(source, file, kinds)
     scene._built  # noqa: B018  shows what the sections alone cannot see
     _check_combinations(scene)
     return scene
@@ -185,22 +184,20 @@ def _scene_error(source: SceneSource, errors: Sequence[RuleError]) -> SceneError
 
 
 @dataclass(frozen=True)
-class _Parts:
-    """Parts of a model; a variant takes over those that it does not change.
+class _Built:
+    """A scene in numbers; None for what it does not have.
 
     Attributes:
-        structure: with what was noticed as it was built.
-        order: the scene's index of each mode, shape (M,).
-        contacts, excitation: as in the model.
+        plan: what its study carries out.
+        structure: from its section.
         end: what `initial` reads of another run.
+        model: all of the physics.
     """
 
-    structure: Structure
-    order: np.ndarray
-    notes: tuple[str, ...]
-    contacts: tuple[Contact, ...]
-    excitation: Excitation
+    plan: Any
+    structure: BuiltStructure | None
     end: EndOfRun | None
+    model: Model | None
 
 
 class _Build:
@@ -219,94 +216,47 @@ class _Build:
 
     def plan(self) -> Any:
         """What the study carries out."""
-        study, excitation = self.file.study, self.file.excitation
-        for key in study.requires:
-            *above, last = key.split(".")
-            parent = getattr(self.file, above[0]) if above else self.file
-            if parent is not None and getattr(parent, last) is None:
-                self.errors.append(RuleError((*above, last), f"is required for a {study.kind} study"))
+        study, contacts = self.file.study, self.file.contacts
         if study.explicit_only and self.file.solver.method == "kvaerno5":
             rule = f"must be an explicit method in an {study.kind} study"
             self.errors.append(RuleError(("solver", "method"), rule, "tsit5 or dopri8, or an accuracy", "kvaerno5"))
-        if self.errors:
-            return None
-        frequency = excitation.frequency if excitation is not None else None
+        if (study.cone_only or self.file.initial == "static") and contacts and contacts[0].law_name != CONE:
+            rule = f"must be {CONE} " + (f"in {study.kind} studies" if study.cone_only else "where initial is static")
+            self.errors.append(RuleError(("contacts", 0, "law"), rule, value=contacts[0].law_name))
+        frequency = self.file.excitation.frequency if self.file.excitation is not None else None
         with self.under("study"):
-            return study.plan(Context(self.file.contacts, frequency, self.folder))
+            return study.plan(Context(contacts, frequency, self.folder))
 
-    def parts(self, known: _Parts | None = None, changed: Collection[str] = PARTS) -> _Parts | None:
-        """The parts of the model; None where there is no structure, or one of them is wrong.
+    def structure(self) -> BuiltStructure | None:
+        if self.file.structure is None:
+            return None
+        with self.under("structure"):
+            return self.file.structure.build(self.folder)
 
-        Args:
-            known: those of a scene that differs in the sections `changed` alone.
-            changed: names of sections.
-        """
-        file, given = self.file, {} if known is None else dict(vars(known))
-        self.check_contacts()
-        if file.structure is None:
+    def end(self) -> EndOfRun | None:
+        """What `initial` reads of another run."""
+        if not isinstance(self.file.initial, InitialResult):
             return None
-        self.check_points(file.structure.point_names)
-        if "structure" in changed:
-            with self.under("structure"):
-                given["structure"], given["order"], given["notes"] = file.structure.build(self.folder)
-        if self.errors or "structure" not in given:
-            return None
-        structure, order = given["structure"], given["order"]
-        if "contacts" in changed:
-            given["contacts"] = tuple(contact.build() for contact in file.contacts)
-        if {"structure", "excitation"} & set(changed):
-            given["excitation"] = _no_force(order.size)
-            if file.excitation is not None:
-                with self.under("excitation"):
-                    given["excitation"] = file.excitation.build(structure, order)
-        if "initial" in changed:
-            given["end"] = None
-            if isinstance(file.initial, InitialResult):
-                with self.under("initial"):
-                    given["end"] = file.initial.read(self.folder)
-        return _Parts(**given)
+        with self.under("initial"):
+            return self.file.initial.read(self.folder)
 
-    def model(self, parts: _Parts | None) -> Model | None:
-        """The model of these parts with its start; None without them."""
-        if parts is None:
+    def model(self, built: BuiltStructure | None, end: EndOfRun | None) -> Model | None:
+        """The model with its start; None without a structure."""
+        if built is None:
             return None
-        rest = rest_start(parts.order.size, len(parts.contacts))
-        model = Model(parts.structure, parts.contacts, parts.excitation, rest, parts.notes)
-        if not any(error.key[0] == "initial" for error in self.errors):
-            with self.under("initial"):
-                model = replace(model, start=start(self.file.initial, model, parts.order, parts.end))
-        self.errors += self.file.study.problems(model)
+        (structure, order, notes), initial = built, self.file.initial
+        contacts = tuple(contact.build() for contact in self.file.contacts)
+        rest, no_force = rest_start(order.size, len(contacts)), ExcitationSection()
+        model = Model(structure, contacts, no_force.build(structure, order), rest, notes)
+        with self.under("excitation"):
+            model = replace(model, excitation=(self.file.excitation or no_force).build(structure, order))
+            self.errors += self.file.study.problems(model)
+        failed = {error.key[0] for error in self.errors}
+        if "initial" in failed or (initial == "static" and "excitation" in failed):
+            return model
+        with self.under("initial"):
+            model = replace(model, start=start(initial, model, order, end))
         return model
-
-    def check_contacts(self) -> None:
-        """Names differ, and all contacts obey one law, which the study knows."""
-        names = [contact.name for contact in self.file.contacts]
-        laws = [CONE if contact.law is None else contact.law.name for contact in self.file.contacts]
-        study, initial = self.file.study, self.file.initial
-        for i, law in enumerate(laws):
-            if law != laws[0]:
-                rule = f"must be the same for all contacts, that of {names[0]} is {laws[0]}"
-                self.errors.append(RuleError(("contacts", i, "law"), rule, value=law))
-            elif law != CONE and (study.cone_only or initial == "static"):
-                whose = f"in {study.kind} studies" if study.cone_only else "where initial is static"
-                self.errors.append(RuleError(("contacts", i, "law"), f"must be {CONE} {whose}", value=law))
-        for i, name in enumerate(names):
-            if name in names[:i]:
-                self.errors.append(
-                    RuleError(("contacts", i, "name"), "must differ from the other contacts'", value=name)
-                )
-
-    def check_points(self, points: Sequence[str]) -> None:
-        for i, contact in enumerate(self.file.contacts):
-            with self.under("contacts", i):
-                contact.check_points(points)
-        if self.file.excitation is not None:
-            self.errors += [error.below("excitation") for error in self.file.excitation.check_points(points)]
-
-
-def _no_force(num_modes: int) -> Excitation:
-    zero = np.zeros((1, num_modes))
-    return Excitation(None, np.array([1]), zero, zero.copy(), zero[0].copy())
 
 
 def _warnings(file: SceneFile, model: Model | None) -> Iterator[str]:
@@ -335,8 +285,8 @@ def _still_parts(file: SceneFile, model: Model) -> Iterator[str]:
     if not any(np.any(part) for part in (excitation.cosine, excitation.sine, excitation.constant)):
         moving = np.any(start.displacement) or np.any(start.velocity) or np.any(start.slip)
         yield "no force acts" if moving else "no force acts and the start is at rest: nothing will move"
-    for idle in file.excitation.without_effect(model.structure) if file.excitation else ():
-        yield f"excitation.{'.'.join(map(str, idle.key))} {idle.rule}"
+    if file.excitation is not None:
+        yield from file.excitation.without_effect(model.structure)
     for contact, shape in zip(model.contacts, model.contact_shape, strict=True):
         if not np.any(shape):
             yield f"contacts.{contact.name} does not move in any mode"

@@ -1,7 +1,8 @@
 """What the sections of a scene file are made of: their base class, and the kinds of value that their keys take."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, cast
 
 import numpy as np
 from pydantic import (
@@ -16,11 +17,12 @@ from pydantic import (
     SerializationInfo,
     Strict,
     Tag,
+    ValidationInfo,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
 
-from timesim.fault import Key
+from timesim.fault import Key, nearest
 from timesim.model.model import GROUND
 
 MAX_POINTS = 10**6
@@ -83,6 +85,30 @@ def _direction(vector: tuple[float, ...]) -> tuple[float, ...]:
     return vector
 
 
+def _rectangular(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+    if len({len(row) for row in rows}) > 1:
+        raise refuse("must have rows of one length")
+    return rows
+
+
+def named(what: str, rule: str, *others: str) -> AfterValidator:
+    """Refuses a name that the scene does not give; where its names cannot be read, any is let through.
+
+    Args:
+        what: of what it is a name, "points" or "contacts": a key of the context in which the scene is validated.
+        rule: what the name must be.
+        others: further names that are allowed.
+    """
+
+    def check(name: str, info: ValidationInfo) -> str:
+        names = (info.context or {}).get(what)
+        if names is not None and name not in (known := (*names, *others)):
+            raise refuse(rule, hint=nearest(name, known))
+        return name
+
+    return AfterValidator(check)
+
+
 def _from_root(path: str, info: SerializationInfo) -> str:
     folder = (info.context or {}).get("folder")
     return path if folder is None else str((folder / path).absolute())
@@ -98,12 +124,17 @@ Row = Annotated[Whole, Field(ge=0)]
 Switch = Annotated[bool, Strict()]
 Text = Annotated[str, Strict()]
 Name = Annotated[str, Strict(), AfterValidator(_name)]
+PointName = Annotated[Text, named("points", "must be a point of the structure")]
+BodyName = Annotated[Text, named("points", "must be a point of the structure", GROUND)]
+ContactName = Annotated[Text, named("contacts", "must be a contact")]
 FilePath = Annotated[str, Strict(), PlainSerializer(_from_root)]
 """Path relative to the scene; written from the root where the context of the dump names a `folder`."""
 Pair = Annotated[tuple[Number, ...], Field(min_length=2, max_length=2)]
 Vector = Annotated[tuple[Number, ...], Field(min_length=3, max_length=3)]
 Direction = Annotated[tuple[Finite, ...], Field(min_length=3, max_length=3), AfterValidator(_direction)]
-Matrix = Annotated[tuple[Annotated[tuple[Number, ...], Field(min_length=1)], ...], Field(min_length=1)]
+Matrix = Annotated[
+    tuple[Annotated[tuple[Number, ...], Field(min_length=1)], ...], Field(min_length=1), AfterValidator(_rectangular)
+]
 Matrix2 = Annotated[tuple[Pair, ...], Field(min_length=2, max_length=2)]
 
 
@@ -116,21 +147,49 @@ def unit(vector: Sequence[float]) -> np.ndarray:
 # Values along an axis
 
 
-class Range(Section):
-    """Equally spaced values, both ends included."""
+class Ascending(Section):
+    """Two values, the second one larger."""
 
     first: Number = Field(alias="from")
     """First value."""
     to: Number
     """Last value."""
-    num: Annotated[Whole, Field(ge=2, le=10_000)]
-    """How many."""
 
     @model_validator(mode="after")
-    def _ascending(self) -> Self:
+    def _ascends(self) -> Self:
         if self.to <= self.first:
             raise refuse("must be larger than from", key=("to",), value=self.to)
         return self
+
+
+class Range(Ascending):
+    """Equally spaced values, both ends included."""
+
+    num: Annotated[Whole, Field(ge=2, le=10_000)]
+    """How many."""
+
+    def values(self) -> tuple[float, ...]:
+        """The values, ascending."""
+        return tuple(np.linspace(self.first, self.to, self.num).tolist())
+
+
+class Span(Section):
+    """Two values of a scalar: where a curve begins and where it ends."""
+
+    first: Number = Field(alias="from")
+    """Where the curve begins; may be the larger end."""
+    to: Number
+    """Where it ends."""
+
+    @model_validator(mode="after")
+    def _differ(self) -> Self:
+        if self.first == self.to:
+            raise refuse("must differ from `from`", key=("to",), value=self.to)
+        return self
+
+    def values(self) -> tuple[float, float]:
+        """The two."""
+        return self.first, self.to
 
 
 Values = Annotated[
@@ -141,21 +200,16 @@ Values = Annotated[
 ]
 
 
-def axis_values(given: float | Sequence[float] | Range) -> tuple[float, ...]:
+def axis_values(given: float | Sequence[float] | Range | Span) -> tuple[float, ...]:
     """The values of an axis."""
-    if isinstance(given, Range):
-        return tuple(np.linspace(given.first, given.to, given.num).tolist())
+    if isinstance(given, Range | Span):
+        return given.values()
     return tuple(np.atleast_1d(np.asarray(given, dtype=float)).tolist())
 
 
 def repeated(values: Sequence[float]) -> str:
-    """The first value that stands there again, in words; empty if all differ."""
-    seen: set[float] = set()
-    for value in values:
-        if value in seen:
-            return f"{value:.10g} stands twice"
-        seen.add(value)
-    return ""
+    """The first value that is there more than once, in words; empty if all differ."""
+    return next((f"{value:.10g} stands twice" for value, count in Counter(values).items() if count > 1), "")
 
 
 def num_points(first: float, to: float, step: float) -> float:
@@ -200,10 +254,7 @@ class Frequencies(Section):
     @property
     def spacing(self) -> tuple[float, float, float]:
         """First, last and step, where the frequencies are not listed."""
-        assert self.first is not None
-        assert self.to is not None
-        assert self.step is not None
-        return self.first, self.to, self.step
+        return cast(tuple[float, float, float], (self.first, self.to, self.step))
 
     def values(self) -> np.ndarray:
         """The frequencies [Hz], ascending, shape (F,)."""

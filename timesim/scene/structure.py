@@ -23,6 +23,9 @@ from timesim.scene.section import (
     refuse,
 )
 
+BuiltStructure = tuple[model.Structure, np.ndarray, tuple[str, ...]]
+"""A structure, the scene's index of each of its modes, and notes."""
+
 
 class Mode(Section):
     """One mode: natural frequency, damping, modal mass and its displacement of each point."""
@@ -53,25 +56,13 @@ class ModalSection(Section):
                 raise refuse(rule, key=("modes", i, "shape"), hint=hint)
         return self
 
-    @property
-    def point_names(self) -> tuple[str, ...]:
-        """Names of the points."""
-        return tuple(self.modes[0].shape)
-
-    def build(self, folder: Path) -> tuple[model.Structure, np.ndarray, tuple[str, ...]]:
-        """The structure, the scene's index of each of its modes, and notes."""
-        frequency, ratio, mass = (
-            np.array([getattr(mode, key) for mode in self.modes]) for key in ("frequency", "damping_ratio", "mass")
-        )
-        shape = np.array([[mode.shape[point] for point in self.point_names] for mode in self.modes])
-        order = np.argsort(frequency, kind="stable")
-        damping = 2 * ratio * 2 * np.pi * frequency * mass
-        shape = np.moveaxis(shape[order], 0, -1)
-        return (
-            model.Structure(frequency[order], mass[order], damping[order], self.point_names, shape),
-            order,
-            (),
-        )
+    def build(self, folder: Path) -> BuiltStructure:
+        """The structure, frequency ascending."""
+        order = np.argsort([mode.frequency for mode in self.modes], kind="stable")
+        modes, points = [self.modes[i] for i in order], tuple(self.modes[0].shape)
+        frequency, ratio, mass = np.array([(mode.frequency, mode.damping_ratio, mode.mass) for mode in modes]).T.copy()
+        shape = np.moveaxis(np.array([[mode.shape[point] for point in points] for mode in modes]), 0, -1)
+        return model.Structure(frequency, mass, 2 * ratio * 2 * np.pi * frequency * mass, points, shape), order, ()
 
 
 class PointRows(Section):
@@ -91,7 +82,7 @@ class PointRows(Section):
 
     def rows(self) -> dict[str, int]:
         """Row of each axis along which the point moves."""
-        return {axis: row for axis, row in (("x", self.x), ("y", self.y), ("z", self.z)) if row is not None}
+        return self.model_dump(exclude_none=True)
 
 
 Points = Annotated[dict[Name, PointRows], Field(min_length=1)]
@@ -132,26 +123,15 @@ class MatrixSection(Section):
     keep_modes: Count | None = None
     """How many of the lowest modes; all by default."""
 
-    @property
-    def point_names(self) -> tuple[str, ...]:
-        """Names of the points."""
-        return tuple(self.matrices.points)
-
-    def build(self, folder: Path) -> tuple[model.Structure, np.ndarray, tuple[str, ...]]:
-        """The structure, the scene's index of each of its modes, and notes."""
-        mass, stiffness, damping = (self._array(key) for key in ("mass", "stiffness", "damping"))
+    def build(self, folder: Path) -> BuiltStructure:
+        """The modes of the matrices."""
+        given = self.matrices
+        matrices = Matrices(np.array(given.mass), np.array(given.stiffness), given.damping and np.array(given.damping))
         try:
-            structure = _modal_structure(self.matrices, Matrices(mass, stiffness, damping), self.keep_modes)
+            structure = _modal_structure(given, matrices, self.keep_modes)
         except RuleError as error:
             raise (error if error.key == ("keep_modes",) else error.below("matrices")) from None
         return structure, np.arange(structure.num_modes), ()
-
-    def _array(self, key: str) -> np.ndarray | None:
-        if (rows := getattr(self.matrices, key)) is None:
-            return None
-        if len({len(row) for row in rows}) > 1:
-            raise RuleError(("matrices", key), "must have rows of one length")
-        return np.array(rows, dtype=np.float64)
 
 
 def _modal_structure(source: Any, matrices: Matrices, keep_modes: int | None) -> model.Structure:
@@ -182,13 +162,8 @@ class FileSection(Section):
     keep_modes: Count | None = None
     """How many of the lowest modes; all by default."""
 
-    @property
-    def point_names(self) -> tuple[str, ...]:
-        """Names of the points."""
-        return tuple(self.points)
-
-    def build(self, folder: Path) -> tuple[model.Structure, np.ndarray, tuple[str, ...]]:
-        """The structure, the scene's index of each of its modes, and notes."""
+    def build(self, folder: Path) -> BuiltStructure:
+        """The modes of the matrices."""
         try:
             matrices = read_matrices(self._paths(folder))
         except RuleError as error:
@@ -215,13 +190,10 @@ class FileSection(Section):
         return {key: folder / path for key, path in self.file.model_dump(exclude_none=True).items()}
 
 
-STRUCTURES = ("modes", "matrices", "file")
-
-
 def _structure_form(value: Any) -> str | None:
     given = value if isinstance(value, dict) else vars(value) if isinstance(value, Section) else ()
-    forms = [name for name in STRUCTURES if name in given]
-    return f"<{forms[0]}>" if len(forms) == 1 else None
+    forms = [f"<{name}>" for name in ("modes", "matrices", "file") if name in given]
+    return forms[0] if len(forms) == 1 else None
 
 
 StructureSection = Annotated[
@@ -230,3 +202,14 @@ StructureSection = Annotated[
     | Annotated[FileSection, Tag("<file>")],
     by_form("a mapping with exactly one of the keys modes, matrices, file", _structure_form),
 ]
+
+
+def point_names(written: Any) -> tuple[str, ...] | None:
+    """Names of the points that a structure gives, as it is written; None where they cannot be read."""
+    shapes: list[Any] = []
+    match written:
+        case {"modes": [*modes]}:
+            shapes = [mode.get("shape") for mode in modes if isinstance(mode, dict)]
+        case {"matrices": {"points": points}} | {"file": _, "points": points}:
+            shapes = [points]
+    return tuple(dict.fromkeys(name for shape in shapes if isinstance(shape, dict) for name in shape)) or None

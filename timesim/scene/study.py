@@ -81,11 +81,6 @@ def axes_of(over: Mapping[str, Any]) -> Axes:
     return {key: axis_values(given) for key, given in over.items()}
 
 
-def placed(part: str, axes: Axes) -> dict[Key, tuple[float, ...]]:
-    """Axes by the place of their keys in the section of the study."""
-    return {(part, key): values for key, values in axes.items()}
-
-
 def combinations(axes: Axes) -> Iterator[dict[str, float]]:
     """All combinations of the values of the axes, the last axis fastest."""
     return (dict(zip(axes, values, strict=True)) for values in product(*axes.values()))
@@ -135,15 +130,16 @@ class StudySection(Section):
         yield from ()
 
     def varied(self) -> Mapping[Key, tuple[float, ...]]:
-        """Scalars of the scene that the study varies, by their place in the section; none by default."""
-        return {}
+        """Scalars of the scene that the study varies, by their place in the section: under `over` and `along`."""
+        parts = [part for part in ("over", "along") if part in type(self).model_fields]
+        return {(part, key): values for part in parts for key, values in axes_of(getattr(self, part)).items()}
 
     def lowest_frequency(self) -> float | None:
         """Lowest of the frequencies that it runs at in time [Hz]; None if it names none."""
         return None
 
     def extent(self) -> str:
-        """How many steady states it looks for, in words; empty where that is not what it does."""
+        """How many steady states it looks for, in words; empty if it looks for none."""
         return ""
 
 
@@ -154,19 +150,6 @@ class Settle(Section):
     """Of the state from cycle to cycle, relative to its largest entry, extrapolated to all cycles to come."""
     max_cycles: Count = 2000
     """Excitation cycles after which a point is given up as not settled."""
-
-
-class SteadySection(StudySection):
-    """What the studies of steady states in time have in common."""
-
-    settle: Settle = Settle()
-    """When a motion counts as settled."""
-    periodic: Literal["march", "shoot"] = "march"
-    """How a periodic motion is sought: marching until it settles, or Newton's method on the state after a period."""
-
-    def criterion(self) -> Criterion:
-        """When a motion counts as settled, in numbers."""
-        return Criterion(self.settle.tolerance, self.settle.max_cycles, self.periodic == "shoot")
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,13 +176,39 @@ class SweepPlan:
         return self.directions != ("independent",)
 
 
-def points_in_words(frequencies: int, axes: Axes, directions: int) -> str:
-    """The number of points of a sweep, with what makes it up."""
-    factors = [f"{frequencies} frequencies", *(f"{len(values)} values of {key}" for key, values in axes.items())]
-    total = frequencies * prod(map(len, axes.values())) * directions
-    if directions > 1:
-        factors.append(f"{directions} directions")
-    return f"{' x '.join(factors)} = {total} points" if len(factors) > 1 else f"{total} frequencies"
+class SteadySection(StudySection):
+    """What the studies of steady states in time have in common."""
+
+    search: ClassVar[str] = ""
+    """What is looked for after the sweep, in words."""
+
+    settle: Settle = Settle()
+    """When a motion counts as settled."""
+    periodic: Literal["march", "shoot"] = "march"
+    """How a periodic motion is sought: marching until it settles, or Newton's method on the state after a period."""
+
+    def criterion(self) -> Criterion:
+        """When a motion counts as settled, in numbers."""
+        return Criterion(self.settle.tolerance, self.settle.max_cycles, self.periodic == "shoot")
+
+    def sweep(self) -> SweepPlan:
+        """The sweep that it consists of or begins with, in numbers."""
+        raise NotImplementedError
+
+    def lowest_frequency(self) -> float:
+        """The first of the sweep."""
+        return float(self.sweep().frequency[0])
+
+    def extent(self) -> str:
+        """Frequencies, values of the further axes and directions, and what is looked for after them."""
+        plan = self.sweep()
+        factors = [f"{plan.frequency.size} frequencies"]
+        factors += [f"{len(values)} values of {key}" for key, values in plan.over.items()]
+        if len(plan.directions) > 1:
+            factors.append(f"{len(plan.directions)} directions")
+        total = plan.frequency.size * prod(map(len, plan.over.values())) * len(plan.directions)
+        points = f"{' x '.join(factors)} = {total} points" if len(factors) > 1 else factors[0]
+        return f"{points}{self.search}"
 
 
 class SweepSection(SteadySection):
@@ -224,16 +233,3 @@ class SweepSection(SteadySection):
         """The sweep in numbers."""
         directions = ("up", "down") if self.direction == "both" else (self.direction,)
         return SweepPlan(self.frequency.values(), directions, axes_of(self.over), self.criterion(), self.refine)
-
-    def varied(self) -> Mapping[Key, tuple[float, ...]]:
-        """The further axes."""
-        return placed("over", axes_of(self.over))
-
-    def lowest_frequency(self) -> float:
-        """The first."""
-        return float(self.frequency.values()[0])
-
-    def extent(self) -> str:
-        """Frequencies, values of the further axes and directions."""
-        plan = self.sweep()
-        return points_in_words(plan.frequency.size, plan.over, len(plan.directions))

@@ -1,24 +1,24 @@
 """Studies of steady states over frequency: sweeps, the ranges with two motions, the scalar of least peak."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from timesim.fault import Key, RuleError, nearest
+from timesim.fault import RuleError
 from timesim.model.model import CONE, Model
 from timesim.model.solver import Criterion
 from timesim.scene.hbm import HbmPlan, balance_problems, balanced, default_steps
 from timesim.scene.section import (
     MAX_POINTS,
+    Ascending,
     Count,
     Frequencies,
+    PointName,
     Positive,
     Range,
-    Section,
-    Text,
     Whole,
     refuse,
     spaced,
@@ -33,8 +33,6 @@ from timesim.scene.study import (
     SweepPlan,
     SweepSection,
     axes_of,
-    placed,
-    points_in_words,
 )
 
 
@@ -83,6 +81,8 @@ FEWEST = 3  # values, one of which may be the least between two others
 class Optimum(SteadySection):
     """The peak of the response over frequency against a scalar of the scene, and where it is least."""
 
+    search: ClassVar[str] = ", and the search for the least"
+
     kind: Literal["optimum"]
     along: Annotated[dict[Scalar, Range], AlongOne]
     """A scalar of the scene by its key, with from, to and num: the values looked at before the least is sought."""
@@ -90,7 +90,7 @@ class Optimum(SteadySection):
     """{from, to, step} or {values: [...]} [Hz]; swept up and down, and the peak is sought between its points."""
     accuracy: Positive | None = None
     """Of the scalar where the peak is least; by default a thousandth of its range."""
-    point: Text | None = None
+    point: PointName | None = None
     """Point whose amplitude counts; the largest of all by default."""
     axis: Literal["x", "y", "z"] | None = None
     """Axis along which it counts; the largest of all by default."""
@@ -110,28 +110,14 @@ class Optimum(SteadySection):
 
     def plan(self, context: Context) -> OptimumPlan:
         """The scalar, the frequencies and whose amplitude counts."""
-        ((key, values),) = axes_of(self.along).items()
+        sweep = self.sweep()
+        ((key, values),) = sweep.over.items()
         assert self.accuracy is not None
-        frequency = self.frequency.values()
-        return OptimumPlan(key, values, self.accuracy, frequency, self.criterion(), self.point, self.axis)
+        return OptimumPlan(key, values, self.accuracy, sweep.frequency, sweep.criterion, self.point, self.axis)
 
-    def problems(self, model: Model) -> Iterator[RuleError]:
-        """The point must be one of the structure's."""
-        points = model.structure.points
-        if self.point is not None and self.point not in points:
-            yield RuleError(("study", "point"), "is no point of the structure", nearest(self.point, points), self.point)
-
-    def varied(self) -> Mapping[Key, tuple[float, ...]]:
-        """The first values of the scalar."""
-        return placed("along", axes_of(self.along))
-
-    def lowest_frequency(self) -> float:
-        """The first."""
-        return float(self.frequency.values()[0])
-
-    def extent(self) -> str:
-        """Points of the first values."""
-        return f"{points_in_words(self.frequency.values().size, axes_of(self.along), 2)}, and the search for the least"
+    def sweep(self) -> SweepPlan:
+        """Both ways at each of the first values of the scalar."""
+        return SweepPlan(self.frequency.values(), ("up", "down"), axes_of(self.along), self.criterion(), None)
 
 
 # Ranges with two motions
@@ -157,19 +143,13 @@ class BistablePlan:
 STEPS = 40  # of the sweeps where no step is given
 
 
-class Ascending(Section):
+class FrequencyRange(Ascending):
     """A range of frequencies, ascending."""
 
     first: Positive = Field(alias="from")
     """Lower end [Hz]."""
     to: Positive
     """Upper end [Hz]."""
-
-    @model_validator(mode="after")
-    def _ascends(self) -> Self:
-        if self.to <= self.first:
-            raise refuse("must be larger than from", key=("to",), value=self.to)
-        return self
 
 
 class SlowSettle(Settle):
@@ -182,8 +162,10 @@ class SlowSettle(Settle):
 class Bistable(SteadySection):
     """Where a response has two steady motions: sweeps both ways, ends of the range, and which start leads where."""
 
+    search: ClassVar[str] = " in the sweeps, and the search for the ends"
+
     kind: Literal["bistable"]
-    frequency: Ascending
+    frequency: FrequencyRange
     """{from, to} [Hz]: where to look."""
     width: Positive = 1e-5
     """Width [Hz] to which each end is bisected."""
@@ -217,7 +199,7 @@ class Bistable(SteadySection):
             balanced(self.harmonics, self.time_samples)
         return self.completed(step=step)
 
-    def _sweep(self) -> SweepPlan:
+    def sweep(self) -> SweepPlan:
         """Both ways; the last point lies on the upper end, whatever the step."""
         assert self.step is not None
         first, to = self.frequency.first, self.frequency.to
@@ -226,7 +208,7 @@ class Bistable(SteadySection):
 
     def plan(self, context: Context) -> BistablePlan:
         """The sweeps both ways, the search for the ends, the starts, and the branch of the balance."""
-        sweep, balance = self._sweep(), None
+        sweep, balance = self.sweep(), None
         if self.harmonics:
             span = (self.frequency.first, self.frequency.to)
             scheme, steps = balanced(self.harmonics, self.time_samples), default_steps().model_dump()
@@ -243,16 +225,3 @@ class Bistable(SteadySection):
                 rule = f"must be 0 where the law of a contact is not {CONE}"
                 yield RuleError(("study", "harmonics"), rule, f"{contact.name} has {contact.law}", self.harmonics)
                 return
-
-    def varied(self) -> Mapping[Key, tuple[float, ...]]:
-        """The further axes."""
-        return placed("over", axes_of(self.over))
-
-    def lowest_frequency(self) -> float:
-        """The lower end."""
-        return self.frequency.first
-
-    def extent(self) -> str:
-        """Points of the sweeps."""
-        sweep = self._sweep()
-        return f"{points_in_words(sweep.frequency.size, sweep.over, 2)} in the sweeps, and the search for the ends"

@@ -19,6 +19,7 @@ from xarray import Dataset
 
 from timesim.engine.history import Samples
 from timesim.hbm.balance import Array, Balance, Complex
+from timesim.hbm.continuation import joined, part_of
 from timesim.hbm.curve import HbmCurve, solutions_at
 from timesim.hbm.period import closed_period, ends_of, motion_of
 from timesim.model.contact_state import contact_loads, contact_state, slip_follows_motion
@@ -96,7 +97,7 @@ def _solutions(curves: Curves, values: Mapping[str, float], frequency: np.ndarra
         for one in curves.curves
         if one.values == values and one.curve.frequency.size
     ]
-    return HbmCurve.joined(parts) if parts else None
+    return joined(parts) if parts else None
 
 
 def study(scene: Scene, execution: Execution) -> Outcome:
@@ -150,7 +151,8 @@ def cycle_by_both(scene: Scene, curves: Curves, match: Match, place: tuple[int, 
     """
     values, solutions = curves.values[place[0]], match.solutions[place[0]]
     assert solutions is not None
-    solution, model = solutions.at(int(match.solution[place])), scene.variant(values)
+    at, model = int(match.solution[place]), scene.variant(values)
+    solution = part_of(solutions, slice(at, at + 1))
     frequency, order = float(solution.frequency[0]), curves.scheme.harmonics + 1
     balance = Balance(model, frequency, curves.scheme)
     coefficient = solution.contact_motion[0] / balance.length

@@ -13,27 +13,16 @@ from dataclasses import dataclass
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from timesim.element.cycle import in_phase
 from timesim.element.elements import Elements, harmonic_elements
-from timesim.element.loop import offset
-from timesim.element.prescribed import (
-    FIRST_STEP,
-    Collected,
-    Turn,
-    carriers_of,
-    coefficients,
-    collected,
-    control_of,
-    law_of,
-    march_cycle,
-    method_of,
-    system_of,
-)
+from timesim.element.prescribed import CycleEnd, PrescribedContacts, cycle_end, drive_of, march_cycle
+from timesim.engine.solver import step_control, step_method
+from timesim.model.contact_state import require_cone
 from timesim.model.model import SEPARATION
 from timesim.model.solver import Solver
-from timesim.orbit.extrapolation import limits
+from timesim.orbit.extrapolation import limits, remaining
 from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.element import MAP_AXES, MapPlan
@@ -76,13 +65,13 @@ class March:
 
     def __init__(self, elements: Elements, phase: np.ndarray, solver: Solver):
         self.elements, self.phase = elements, phase
-        self.method, self.control = method_of(solver, Turn()), control_of(solver)
+        self.dynamics = PrescribedContacts(elements.law(), drive_of(elements))
+        self.method, self.control = step_method(solver), step_control(solver, 1.0)
         self.tolerance = SETTLED * solver.rtol
-        self.isotropic = elements.isotropic
         count = elements.size
         self.slip, self.state = elements.start[:, :2].copy(), elements.start_state.copy()
         self.forces = np.full((count, 4, 2), np.nan)
-        self.forces[:, -1] = offset(elements, self.slip, self.state)
+        self.forces[:, -1] = elements.start_force(self.slip, self.state)
         self.since = np.zeros(count, dtype=int)
         self.reach, self.best = np.ones(count), np.full(count, np.inf)
         pairs, numbers = np.full((count, 2), np.nan), np.full(count, np.nan)
@@ -92,10 +81,10 @@ class March:
     def run(self, progress: Progress | None = None, max_cycles: int = MAX_CYCLES) -> Map:
         """March until every cycle repeats, or has been tried often enough."""
         # What the force does to the slip within a cycle sets the steps; those alike share a batch.
-        stiffness = np.linalg.norm(self.elements.stiffness, axis=(1, 2)) * self.elements.length
+        stiffness = np.linalg.norm(self.elements.stiffness, axis=(1, 2))
         swing = np.hypot(self.elements.start[:, 2], self.elements.rate[:, 2])
         least = self.elements.preload - self.elements.normal_stiffness * swing
-        load = np.maximum(least * self.elements.friction, 0.02 * self.elements.force)
+        load = np.maximum(least * self.elements.friction, 0.02)
         waiting = np.argsort(stiffness / load)
         done = self.elements.size
         with threads() as pool:
@@ -112,44 +101,40 @@ class March:
     def _cycle(self, cycle: int, rows: np.ndarray) -> np.ndarray:
         """One cycle of a batch; which of its elements must go on."""
         full = np.concatenate([rows, np.repeat(rows[:1], BATCH - rows.size)])
-        elements = self.elements.pick(full)
-        w = jnp.asarray(self.slip[full] / elements.length[:, None])
-        system = system_of(law_of(elements, self.isotropic))
-        step = jnp.asarray(FIRST_STEP)
-        end, count = march_cycle(
-            self.method, self.control, system, carriers_of(elements), w, jnp.asarray(self.state[full]), step
-        )
-        made = collected(elements, jax.block_until_ready(end))
-        made = Collected(**{name: getattr(made, name)[: rows.size] for name in made.__dataclass_fields__})
-        self._take(cycle, rows, made, np.asarray(count)[: rows.size])
-        return self._judge(rows, made)
+        dynamics = jax.tree.map(lambda leaf: leaf[full], self.dynamics)
+        slip, state = tuple(self.slip[full].T), self.state[full]
+        done = march_cycle(self.method, self.control, dynamics, slip, state)
+        end, count = jax.tree.map(lambda leaf: np.asarray(leaf)[: rows.size], done)
+        reached = cycle_end(self.elements.pick(rows), end)
+        self._take(cycle, rows, reached, count)
+        return self._judge(rows, reached)
 
-    def _take(self, cycle: int, rows: np.ndarray, made: Collected, count: np.ndarray) -> None:
+    def _take(self, cycle: int, rows: np.ndarray, reached: CycleEnd, count: np.ndarray) -> None:
         """Write what a cycle amounts to."""
-        found = self.found
-        good = made.good
-        for array, values in zip((found.f_b, found.f_s, found.f_c), coefficients(self.phase[rows], made), strict=True):
+        found, good = self.found, reached.good
+        forces = (reached.mean, *in_phase(reached.first, self.phase[rows]))
+        for array, values in zip((found.f_b, found.f_s, found.f_c), forces, strict=True):
             array[rows] = np.where(good[:, None], values, np.nan)
-        found.dissipation[rows] = np.where(good, made.dissipation, np.nan)
+        found.dissipation[rows] = np.where(good, reached.dissipation, np.nan)
         found.transitions[rows], found.cycles[rows] = count, cycle
 
-    def _judge(self, rows: np.ndarray, made: Collected) -> np.ndarray:
+    def _judge(self, rows: np.ndarray, reached: CycleEnd) -> np.ndarray:
         """Take over the state after a cycle, carried to its limit where it leads to one; which go on."""
         elements = self.elements.pick(rows)
-        force = offset(elements, made.slip, made.state)
+        force = elements.start_force(reached.slip, reached.state)
         history = np.concatenate([self.forces[rows, 1:], force[:, None]], axis=1)
         change = np.hypot(*np.moveaxis(np.diff(history, axis=1), -1, 0))
-        same = (made.state == self.state[rows]) | (change[:, -2] <= self.tolerance)
+        same = (reached.state == self.state[rows]) | (change[:, -2] <= self.tolerance)
         before = np.where(np.isfinite(change[:, -2]), change[:, -2], np.inf)
-        ratio = np.minimum(change[:, -1] / np.where(before > 0, before, np.inf), 0.999)
-        left = change[:, -1] * np.maximum(ratio / (1 - ratio), 1.0)
+        ratio = change[:, -1] / np.where(before > 0, before, np.inf)
+        left = np.maximum(remaining(change[:, -1], ratio), change[:, -1])
         rounding = change[:, -1] <= 1e-13
-        settled = same & (rounding | (left <= self.tolerance)) & made.good
-        self.slip[rows], self.state[rows] = made.slip, made.state
+        settled = same & (rounding | (left <= self.tolerance)) & reached.good
+        self.slip[rows], self.state[rows] = reached.slip, reached.state
         self.forces[rows], self.since[rows] = history, self.since[rows] + 1
         self.found.settled[rows] = settled
-        self._leap(rows[~settled & (self.since[rows] >= HISTORY) & (made.state != SEPARATION)])
-        return ~settled & made.good
+        self._leap(rows[~settled & (self.since[rows] >= HISTORY) & (reached.state != SEPARATION)])
+        return ~settled & reached.good
 
     def _leap(self, rows: np.ndarray) -> None:
         """Carry the friction force at θ = 0 to the limit that its last changes lead to."""
@@ -164,9 +149,8 @@ class March:
         force = last + self.reach[rows, None] * (limit - last)
         elements = self.elements.pick(rows)
         load = elements.friction * (elements.preload + elements.normal_stiffness * elements.start[:, 2])
-        excess = np.hypot(*force.T) * elements.force / load
-        force /= np.maximum(excess, 1.0)[:, None]
-        elastic = np.linalg.solve(elements.stiffness, (force * elements.force[:, None])[..., None])[..., 0]
+        force /= np.maximum(np.hypot(*force.T) / load, 1.0)[:, None]
+        elastic = np.linalg.solve(elements.stiffness, force[..., None])[..., 0]
         self.slip[rows] = elements.start[:, :2] - elastic
         self.forces[rows] = np.nan
         self.forces[rows, -1], self.since[rows] = force, 0
@@ -174,6 +158,7 @@ class March:
 
 def elements_of(plan: MapPlan) -> tuple[Elements, np.ndarray]:
     """All points of the map, the second axis fastest, and the phases of u1 and u2 there, shape (N, 2) [rad]."""
+    require_cone([plan.contact], "prescribed motion")
     grid = np.meshgrid(*(plan.values[key] for key in plan.axes), indexing="ij")
     columns = {key: values.ravel() for key, values in zip(plan.axes, grid, strict=True)}
     count = grid[0].size

@@ -13,7 +13,7 @@ from timesim.fault import RuleError
 from timesim.hbm.branches import SettledMotion, curves_from_both_ends, isolated_curves
 from timesim.hbm.continuation import Controls, Ending
 from timesim.hbm.convergence import Convergence, Known, convergence
-from timesim.hbm.curve import HbmCurve, default_controls, hbm_curve
+from timesim.hbm.curve import HbmCurve, hbm_curve
 from timesim.hbm.parameter import parameter_curve
 from timesim.model.model import Model
 from timesim.orbit.cycle import modal_coefficients
@@ -142,7 +142,7 @@ class Curves:
         return modal_coefficients(replace(model, start=start), frequency, self.scene.solver())
 
     def _options(self) -> dict[str, Any]:
-        controls = replace(default_controls(), **self.plan.steps)
+        controls = Controls(**self.plan.steps)
         return {"scheme": self.scheme, "controls": controls, "stability": self.plan.stability}
 
     def to_refine(self) -> list[Known]:
@@ -205,7 +205,7 @@ def _warmed_up(scene: Scene, plan: HbmPlan) -> float:
     """Seconds that the first points of a curve took, most of them compilation."""
     clock = time.perf_counter()
     model, frequency = scene.variant(next(combinations(plan.over))), plan.span[0]
-    few = Controls(default_controls().size, max_points=2)
+    few = Controls(max_points=2)
     hbm_curve(model, frequency, 1.001 * frequency, scheme=plan.scheme, controls=few, stability=plan.stability)
     return time.perf_counter() - clock
 

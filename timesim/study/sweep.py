@@ -69,8 +69,8 @@ def _jumps(
     steps = [_steps(chain, own, before, index) for index, (chain, own) in enumerate(zip(chains, orbits, strict=True))]
     where = [index for index, own in enumerate(steps) for _ in own]
     every = [step for own in steps for step in own]
-    for step, jump in jumps_of(every, steady, width):
-        yield where[step], jump.low, jump.high
+    for step, low, high in jumps_of(every, steady, width):
+        yield where[step], low, high
 
 
 def _steps(chain: Chain, own: list[Orbit], before: Result | None, index: int) -> list[Stretch]:

@@ -1,0 +1,53 @@
+"""The steady state of a linear scene against its closed form, mode by mode."""
+
+from dataclasses import replace
+
+import numpy as np
+from systems import oscillator
+
+from timesim.model.model import Excitation
+from timesim.model.solver import PRESETS
+from timesim.orbit.linear import linear_orbit
+from timesim.orbit.settling import Chain, first_lane
+
+FREQUENCY, HARMONIC, PHASE = 0.7, np.array([1, 2, 5]), 0.4
+
+
+def lane_apart():
+    """The oscillator under three harmonics and a constant force, its contact too far away to touch."""
+    model, rng = oscillator(-1e6, FREQUENCY), np.random.default_rng(4)
+    load = Excitation(FREQUENCY, HARMONIC, *rng.normal(size=(2, 3, 2)), rng.normal(size=2))
+    start = replace(model.start, phase=PHASE)
+    return first_lane(Chain(replace(model, excitation=load, start=start), (FREQUENCY,)), PRESETS["standard"])
+
+
+def test_the_response_to_several_harmonics():
+    """q_h = p_h / (omega^2 - (h Omega)^2 + i h Omega d), harmonic by harmonic."""
+    lane = lane_apart()
+    body, load = lane.model.structure, lane.model.excitation
+    orbit = linear_orbit(lane)
+    assert orbit is not None
+    omega = 2 * np.pi * FREQUENCY * HARMONIC[:, None]
+    phasor = (load.cosine - 1j * load.sine) / (body.stiffness - omega**2 + 1j * omega * body.damping)
+    turn = np.exp(1j * HARMONIC * PHASE)[:, None]
+    mean = load.constant / body.stiffness
+    np.testing.assert_allclose(orbit.end.displacement, mean + (turn * phasor).real.sum(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(orbit.end.velocity, (1j * omega * turn * phasor).real.sum(axis=0), rtol=1e-12)
+    angle = 2 * np.pi * np.arange(20000) / 20000
+    q = (np.exp(1j * np.outer(angle, HARMONIC)) @ phasor).real
+    x = q @ body.shape[0].T
+    np.testing.assert_allclose(orbit.amplitude[0], np.ptp(x, axis=0) / 2, rtol=1e-6)
+    assert orbit.settled
+    assert orbit.separation_share[0] == 1
+
+
+def test_its_multipliers_are_those_of_the_free_modes():
+    lane = lane_apart()
+    body = lane.model.structure
+    orbit = linear_orbit(lane)
+    assert orbit is not None
+    decay = body.damping / 2
+    root = -decay + 1j * np.sqrt(body.stiffness - decay**2)
+    exact = np.exp(np.concatenate([root, root.conj()]) / FREQUENCY)
+    np.testing.assert_allclose(np.sort_complex(orbit.floquet), np.sort_complex(exact), rtol=1e-12)
+    assert np.all(np.diff(np.abs(orbit.floquet)) <= 1e-15)
