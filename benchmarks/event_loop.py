@@ -26,7 +26,8 @@ from problems import MANY_CONTACTS_FREQUENCY, Run, error, many_contacts, oscilla
 
 from timesim.engine.event_loop import march
 from timesim.engine.history import events
-from timesim.engine.solver import step_control, step_method
+from timesim.engine.method import step_method
+from timesim.engine.solver import step_control
 from timesim.engine.system import system_of
 from timesim.engine.trajectory import Frame, Phase
 from timesim.engine.trajectory import Run as Simulation

@@ -4,11 +4,13 @@ import errno
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
 from timesim.cli import app
+from timesim.result.netcdf import open_result
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 
@@ -19,12 +21,26 @@ def options(overrides: Mapping[str, object]) -> list[str]:
 
 
 def run_config(folder: Path, name: str, overrides: Mapping[str, object]) -> Path:
-    """Run a scene of `configs` into `folder`/run; what it says is in `folder`/said."""
+    """Run a scene of `configs` into `folder`/run; its output is in `folder`/said."""
     call = ["run", str(CONFIGS / name), "-o", str(folder / "run"), *options(overrides)]
     done = CliRunner().invoke(app, call)
     assert done.exit_code == 0, done.output
     (folder / "said").write_text(done.stdout)
     return folder
+
+
+def run_of_config(name: str, overrides: Mapping[str, object]) -> tuple[Any, Any]:
+    """Two fixtures of a module: the folder of `run_config`, and the result in it."""
+
+    @pytest.fixture(scope="module")
+    def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+        return run_config(tmp_path_factory.mktemp("config"), name, overrides)
+
+    @pytest.fixture(scope="module")
+    def result(folder: Path) -> Any:
+        return open_result(folder / "run")
+
+    return folder, result
 
 
 def fill_disk(monkeypatch: pytest.MonkeyPatch, name: str) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
+from timesim.element.motion import HarmonicMotion
 from timesim.model.model import GROUND, Contact, Excitation, Model, Start, Structure
 
 GENERATED_CYCLES = 12
@@ -43,6 +44,31 @@ def structure(stiffness: Numbers, damping: Numbers, shape: Sequence[Sequence[flo
 def pad(friction: float, tangential: float, normal: float, preload: float, frame: np.ndarray | None = None) -> Contact:
     axes = np.eye(3) if frame is None else frame
     return Contact("pad", "tip", GROUND, axes, friction, tangential * np.eye(2), normal, preload)
+
+
+def contact(
+    stiffness: float | Numbers = 1.0, friction: float = 0.3, normal: float = 1.0, preload: float = 1.0
+) -> Contact:
+    """A contact by itself, for prescribed motion; K_u a number or a matrix."""
+    matrix = np.asarray(stiffness, dtype=float)
+    K = matrix if matrix.ndim == 2 else matrix * np.eye(2)
+    return Contact("pad", "tip", GROUND, np.eye(3), friction, K, normal, preload)
+
+
+def slipping_pair(rng: np.random.Generator, full: bool) -> tuple[Contact, HarmonicMotion]:
+    """A contact and a motion that mostly slip for part of the cycle; many of them separate.
+
+    ``full``: K_u is a whole matrix, else it is isotropic.
+    """
+    A, B = rng.uniform(0.3, 2.0), rng.choice([0.0, 0.02, 0.3, 1.0]) * rng.uniform(0.3, 2.0)
+    D, preload = rng.choice([0.0, 0.5, 1.5]), rng.choice([1.0, 1.0, 0.0, -0.4])
+    D = max(D, 0.9) if preload <= 0 else D
+    turn, ratio = rng.uniform(0, np.pi), rng.uniform(1.0, 4.0)
+    axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    K = axes @ np.diag([1.0, ratio]) @ axes.T
+    phi, psi = rng.uniform(0, 2 * np.pi, 2)
+    chosen = contact((K + K.T) / 2 if full else 1.0, rng.uniform(0.2, 1.0), 1.0, preload)
+    return chosen, HarmonicMotion(A, B, D, phi, psi)
 
 
 def oscillator(preload: float, frequency: float) -> Model:

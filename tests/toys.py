@@ -86,7 +86,7 @@ def chains(
 
 
 def expected(chunks: Sequence[Chunk]) -> dict[str, dict[str, np.ndarray]]:
-    """The results, found without any of the machinery."""
+    """The results, computed without the campaign."""
     found: dict[str, dict[str, np.ndarray]] = {}
     for chunk in chunks:
         clean = Toy(chunk.payload.name, chunk.payload.start)

@@ -171,7 +171,7 @@ def test_the_energy_balance_closes(case: tuple[float, float]):
 
 
 def test_a_coarser_run_closes_its_balance_less_well():
-    """The residual measures the error: it is not made to vanish."""
+    """The residual measures the error of the integration."""
     residuals = [
         simulate(oscillator(3.0, 1.39), 20, PRESETS[name], 1.39).energy_residual for name in ("draft", "reference")
     ]

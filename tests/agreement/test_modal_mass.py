@@ -1,5 +1,5 @@
 """The modal mass is a matter of scale: mode i with mass and damping times s and shape and modal force times sqrt(s) is
-the same mode, its coordinate divided by sqrt(s). Whatever is told of points and contacts must not change.
+the same mode, its coordinate divided by sqrt(s). No result about points and contacts may change.
 
 The scales are powers of four: their roots are exact, so the two runs may differ by nothing that rounding explains.
 """

@@ -1,4 +1,4 @@
-"""The oracle against computations by other means: what stands on it is only as good as these."""
+"""The oracle against independent computations: the tests that rely on it are only as good as these."""
 
 import json
 from collections.abc import Callable
@@ -135,7 +135,7 @@ def resume(model: Model, result: OracleResult, cycles: float) -> Model:
 
 
 def steady_amplitude(model: Model, settle: float) -> tuple[float, OracleResult]:
-    """Half of peak to peak of mode 1: the turning points are found as zeros of its velocity."""
+    """Half of peak to peak of mode 1, by the zeros of its velocity."""
     settled = run(model, settle)
     resumed = resume(model, settled, settle)
 

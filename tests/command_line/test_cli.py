@@ -1,4 +1,4 @@
-"""The commands as a user meets them: exit status, messages, and what is left on disk."""
+"""The commands: exit status, messages, and the files that they leave."""
 
 import os
 import signal

@@ -9,37 +9,21 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, root
+from systems import contact, slipping_pair
 
 from timesim.element.cycle import ElementCycle, principal_axes
 from timesim.element.motion import CYCLE, HarmonicMotion, SplineMotion
 from timesim.element.slip_path import FINE, Law, _sticking_dip, contact_direction
 from timesim.element.state_by_state import steady_cycle
-from timesim.model.model import SEPARATION, SLIP, STICK, Contact
+from timesim.model.model import SEPARATION, SLIP, STICK
 
 TABLE = json.loads((Path(__file__).parents[1] / "data/element_motions.json").read_text())["cases"]
 FULL = np.array([[1.3, 0.4], [0.4, 0.7]])
 
 
-def contact(stiffness=1.0, friction=0.3, normal=1.0, preload=1.0):
-    K = stiffness * np.eye(2) if np.isscalar(stiffness) else np.asarray(stiffness, float)
-    return Contact("pad", "tip", "ground", np.eye(3), friction, K, normal, preload)
-
-
 def table_motion(A, B, D, phi_deg):
     """cos t = sin(t + 90 degrees): theta is t + 90 degrees."""
     return HarmonicMotion(A, B, D, np.pi / 2, np.radians(phi_deg))
-
-
-def random_pair(rng, full):
-    """A contact and a motion that mostly slip for part of the cycle; half of them separate."""
-    A, B = rng.uniform(0.3, 2.0), rng.choice([0.0, 0.02, 0.3, 1.0]) * rng.uniform(0.3, 2.0)
-    D, preload = rng.choice([0.0, 0.5, 1.5]), rng.choice([1.0, 1.0, 0.0, -0.4])
-    D = max(D, 0.9) if preload <= 0 else D
-    turn, ratio = rng.uniform(0, np.pi), rng.uniform(1.0, 4.0)
-    axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    K = axes @ np.diag([1.0, ratio if full else 1.0]) @ axes.T
-    phi, psi = rng.uniform(0, CYCLE, 2)
-    return contact((K + K.T) / 2, rng.uniform(0.2, 1.0), 1.0, preload), HarmonicMotion(A, B, D, phi, psi)
 
 
 def states(cycle):
@@ -222,7 +206,7 @@ def test_all_six_transitions_occur(full):
     rng = np.random.default_rng(5)
     seen = Counter()
     for _ in range(30):
-        seen.update(states(steady_cycle(*random_pair(rng, full))))
+        seen.update(states(steady_cycle(*slipping_pair(rng, full))))
     # In phase with v, along a principal axis: stick lasts until separation.
     _, axes = np.linalg.eigh(FULL if full else np.eye(2))
     A, B = 0.2 * axes[:, 0]
@@ -287,7 +271,7 @@ def test_laws_hold_everywhere(full):
     rng = np.random.default_rng(11)
     theta = np.linspace(0, CYCLE, 1441)
     for _ in range(40):
-        pad, motion = random_pair(rng, full)
+        pad, motion = slipping_pair(rng, full)
         cycle = steady_cycle(pad, motion)
         assert cycle.periodic
         force, load, state = cycle.force(theta), cycle.normal_load(theta), cycle.state(theta)
@@ -307,7 +291,7 @@ def test_laws_hold_everywhere(full):
 
 def random_cycles(seed, full, count=12):
     rng = np.random.default_rng(seed)
-    pairs = [random_pair(rng, full) for _ in range(count)]
+    pairs = [slipping_pair(rng, full) for _ in range(count)]
     return [(pad, motion, steady_cycle(pad, motion)) for pad, motion in pairs]
 
 
@@ -492,7 +476,7 @@ def compare_with_reference(seed, count):
     rng = np.random.default_rng(seed)
     seen = Counter()
     for k in range(count):
-        pad, motion = random_pair(rng, full=k % 2 == 1)
+        pad, motion = slipping_pair(rng, full=k % 2 == 1)
         cycle = steady_cycle(pad, motion)
         if cycle.num_cycles > 8 or cycle.offset_free or not cycle.transitions or motion.line is not None:
             continue

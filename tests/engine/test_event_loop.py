@@ -22,7 +22,8 @@ from systems import GENERATED_CYCLES, generated_models, oscillator
 import timesim
 from timesim.engine import dense_output as hermite
 from timesim.engine.event_loop import advance
-from timesim.engine.solver import step_control, step_method
+from timesim.engine.method import step_method
+from timesim.engine.solver import step_control
 from timesim.engine.step import Status, begin, judged
 from timesim.engine.system import system_of
 from timesim.engine.trajectory import BATCH, Frame, Phase, Run, RunError
@@ -67,15 +68,15 @@ def agree(name: str) -> None:
     assert frequency is not None
     assert relative_error(trace.run.displacement, true.displacement) < 1e-7
     assert relative_error(trace.run.velocity, true.velocity) < 1e-7
-    told = list(zip(true.event_contact, true.event_from, true.event_to, strict=True))
-    assert trace.sequence == told
+    expected = list(zip(true.event_contact, true.event_from, true.event_to, strict=True))
+    assert trace.sequence == expected
     np.testing.assert_allclose(trace.log.time * frequency, true.event_time * frequency, atol=1e-7, rtol=0)
     np.testing.assert_array_equal(trace.run.state, true.state)
     share = shares(trace, (GENERATED_CYCLES - 1) / frequency)
     np.testing.assert_allclose(share, true.share, atol=1e-6)
     assert np.any((share[:, SLIP] >= 0.05) & (share[:, SLIP] <= 0.95))
-    told_shares = "; ".join("/".join(f"{100 * part:.0f}" for part in row) for row in share)
-    print(f"{name}: {len(told)} transitions, stick/slip/separation % {told_shares}")
+    percent = "; ".join("/".join(f"{100 * part:.0f}" for part in row) for row in share)
+    print(f"{name}: {len(expected)} transitions, stick/slip/separation % {percent}")
 
 
 @pytest.mark.parametrize("name", QUICK)

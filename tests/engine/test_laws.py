@@ -82,7 +82,7 @@ def test_the_speed_after_an_impact() -> None:
 
 
 def test_recorded_forces_are_those_of_the_law() -> None:
-    """On the way in n lies above the spring's force, on the way out below."""
+    """While the gap closes n lies above the spring's force, while it opens below."""
     from timesim.engine.history import sample
     from timesim.engine.trajectory import Phase, Run
 

@@ -1,13 +1,17 @@
-"""What bounds the length of a step: the error of every part of the state, that of the slip by itself too."""
+"""The length of a step: the error of every part of the state bounds it, PI control chooses the next one."""
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from simulation import Trace, simulate
-from systems import at_rest, excitation, pad, structure
+from systems import at_rest, excitation, oscillator, pad, structure
 
-from timesim.engine.solver import Solver
+from timesim.engine.solver import Solver, next_length, step_control
+from timesim.engine.step import controlled
+from timesim.engine.system import system_of
+from timesim.engine.trajectory import Frame, Phase, Run
 from timesim.model.model import SLIP, Model
 
 RTOL = (1e-4, 1e-5, 1e-6, 1e-7)
@@ -39,9 +43,45 @@ def test_the_body_hardly_feels_the_pad(exact: Trace):
 
 @pytest.mark.parametrize("rtol", RTOL)
 def test_the_error_of_the_slip_alone_shortens_the_step(exact: Trace, rtol: float):
-    """What is dissipated shows the slip of all steps; the slip at the end forgets its errors."""
+    """The dissipation adds up the slip of all steps; the slip at the end forgets earlier errors."""
     found = simulate(heavy_body_on_a_soft_pad(), 3, Solver("tsit5", rtol, rtol / 100))
     dissipated, truth = found.totals.work[-1][2], exact.totals.work[-1][2]
     assert abs(dissipated / truth - 1) < rtol
     assert np.abs(found.run.slip - exact.run.slip).max() < rtol * np.abs(exact.run.slip).max()
     assert found.sequence == exact.sequence
+
+
+CONTROL = step_control(Solver("tsit5", 1e-6, 1e-8, longest=1.0), 1.0)
+
+
+def length_after(asked: float, last_error: float, error: float, h: float) -> float:
+    """Length after a step of a method of fifth order."""
+    before = (jnp.asarray(asked), jnp.asarray(last_error))
+    return float(next_length(CONTROL, 5, before, jnp.asarray(error), jnp.asarray(h), jnp.asarray(error <= 1)))
+
+
+@pytest.mark.parametrize(("error", "last_error"), [(0.3, 0.7), (0.5, 0.02), (0.9, 1.0)])
+def test_the_next_length_is_that_of_pi_control(error: float, last_error: float):
+    expected = 0.9 * 0.01 * error ** (-0.7 / 5) * last_error ** (0.4 / 5)
+    assert length_after(0.01, last_error, error, 0.01) == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_length_after_a_step_that_is_rejected_or_cut_short():
+    assert length_after(0.01, 0.7, 3.0, 0.01) == pytest.approx(0.9 * 0.01 * 3.0 ** (-1 / 5), rel=1e-12)
+    assert length_after(0.01, 1.0, 0.9, 0.001) == 0.01
+    assert length_after(0.9, 1.0, 1e-9, 0.9) == 1.0
+
+
+def test_the_control_forgets_at_the_end_of_a_cycle():
+    model = oscillator(3.0, 1.39)
+    run = Run(model, [Phase(1.39, 5)], Solver("tsit5", 1e-6, 1e-8))
+    now = Frame(model, run.reduction, 1.39).begin(system_of(model, 1.39, 0.0, run.reduction), run, 0.01)
+    now = replace(now, tried=now.tried + 7)
+    ended = replace(now, cycle=now.cycle + 1)
+    found = [
+        controlled(CONTROL, now, after, jnp.asarray(0.3), jnp.asarray(0.05), jnp.asarray(accepted))
+        for after, accepted in ((ended, True), (now, True), (now, False))
+    ]
+    assert [int(state.tried) for state in found] == [0, 8, 8]
+    assert [float(state.length) for state in found] == [CONTROL.opening, 0.05, 0.05]
+    assert [float(state.last_error) for state in found] == [1.0, 0.3, now.last_error]

@@ -30,6 +30,13 @@ def test_a_contact_without_load_opens_only_if_its_load_falls(before: int, after:
     assert found == (SEPARATION if opens else after)
 
 
+def test_a_contact_without_friction_has_no_speed_at_which_it_sticks():
+    law = ConeLaw.of([pad(0.0, 0.0, 1.0, 1.0)], ONE)
+    motion = Motion(plane(0.1, 0.2), jnp.asarray([0.5]), plane(0.03, -0.04), jnp.asarray([0.0]))
+    _, speed = law.margins(jnp.asarray([SLIP]), motion, plane(0.1, 0.2))
+    assert float(speed[0]) == 1.0
+
+
 @pytest.mark.parametrize(("speed", "after"), [(0.15, STICK), (0.25, SLIP), (0.45, SLIP)])
 def test_a_contact_that_closes_sticks_if_its_force_stays_below_mu_n(speed: float, after: int):
     """|K_u u'| against mu n', not against n' (15 to 17)."""

@@ -1,4 +1,4 @@
-"""What is left out before a run: each rule where it holds and where it just does not.
+"""What a run leaves out: each rule where it just holds and where it just does not.
 
 Proofs are checked, just above the bound, against runs that know nothing of it: the linear system by matrix
 exponentials, which must never leave the claimed states, and the oracle, which must find no transition.
@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from systems import at_rest, den_hartog, excitation, generated_model, oscillator, pad, structure
 
 from timesim.model.model import GROUND, SEPARATION, SLIP, STICK, Contact, Excitation, Model, Start, Structure
-from timesim.model.reduction import Reduction, reduction_of, stuck_force, stuck_matrix
+from timesim.model.reduction import Reduction, _normalised, reduction_of, stuck_force, stuck_matrix
 
 # --- helpers ---------------------------------------------------------------------------------------
 
@@ -290,6 +290,21 @@ def test_free_vibration_before_a_stop_is_decided_sharply() -> None:
     assert reduction_of(free_vibration(-1.0, pad(0, 0, 7.0, -7.0 * 0.999), [0, 0, 1]), [1.0]).live.tolist() == [0]
 
 
+@pytest.mark.parametrize(("beyond", "proven"), [(5e-5, False), (3e-4, True)])
+def test_a_contact_is_proven_apart_by_more_than_the_error_of_the_bound(beyond: float, proven: bool) -> None:
+    stop = pad(0, 0, 7.0, -7.0 * (1 + beyond))
+    assert (reduction_of(free_vibration(-1.0, stop, [0, 0, 1]), [1.0]).apart.size == 1) == proven
+
+
+def test_waves_are_the_periodic_force() -> None:
+    model = generated_model(0, 3, 2)
+    load, angle = model.excitation, np.linspace(0, 2 * np.pi, 7)
+    turns = np.outer(load.harmonic, angle)
+    force = load.cosine.T @ np.cos(turns) + load.sine.T @ np.sin(turns)
+    found = (_normalised(model).wave.T @ np.exp(1j * turns)).real
+    np.testing.assert_allclose(found * np.sqrt(model.structure.mass)[:, None], force, atol=1e-12 * np.abs(force).max())
+
+
 def test_free_vibration_on_a_stuck_contact_is_decided_sharply() -> None:
     """Force amplitude k |q| = 3; the limit mu n0 is 1 % above and 1 % below; any direction in the plane."""
     for direction in ([1, 0, 0], [0.6, -0.8, 0]):
@@ -417,7 +432,7 @@ def test_several_frequencies_need_damping_and_more_room() -> None:
 
 
 def test_the_bound_for_every_schedule_is_twice_the_resonance() -> None:
-    """Driven at resonance a light mode comes to 1 / (d w); the claim is made from twice that on."""
+    """Driven at resonance a light mode comes to 1 / (d w); the proof needs twice that."""
     damping = 0.2
     resonant = 1 / (damping * 2 * np.pi)
     gap = 2 * resonant * 1.001
@@ -470,7 +485,7 @@ def test_what_hangs_together_stays_live_together(coupling: str) -> None:
 
 
 def provable_model(seed: int, room: float) -> Model:
-    """A generated model, preloads and gaps made `room` times as wide; some start displaced or with slip."""
+    """A generated model, its preloads and gaps `room` times as wide; some start displaced or with slip."""
     num_modes, num_contacts = ((2, 1), (3, 2), (4, 3))[seed % 3]
     model = generated_model(seed, num_modes, num_contacts)
     size = model.excitation.cosine.max() / model.structure.stiffness.max()

@@ -1,13 +1,16 @@
-"""Starts on the edge of a friction cone."""
+"""Starts on the edge of a friction cone, and from the end of another run."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from systems import oscillator, oscillator_scene
+from systems import at_rest, oscillator, oscillator_scene
 
 import timesim
 from timesim.fault import RuleError
 from timesim.model.contact_state import contact_loads
-from timesim.model.start import given_start
+from timesim.model.model import SLIP, STICK, Start
+from timesim.model.start import given_start, resumed_start
 
 ON_CONE = 0.5 * 3.0 / 20.0
 """|w| with which the pad of preload 3 bears mu n0 at rest."""
@@ -42,3 +45,13 @@ def test_a_run_from_a_start_off_its_cone_by_rounding():
     scene["solver"] = {"accuracy": "standard", "max_steps": 2000}
     result = timesim.run(scene)
     assert result.attrs["complete"] == 1
+
+
+def test_contacts_of_another_run_go_by_their_names():
+    model = oscillator(3.0, 1.39)
+    pads = tuple(replace(model.contacts[0], name=name) for name in ("one", "two"))
+    both = replace(model, contacts=pads, start=at_rest(2, 2))
+    end = Start(np.zeros(2), np.zeros(2), np.array([[0.01, 0.0], [0.0, 0.02]]), np.array([SLIP, STICK]))
+    start = resumed_start(both, end, ("two", "one"))
+    np.testing.assert_array_equal(start.slip, end.slip[::-1])
+    assert start.state.tolist() == [STICK, SLIP]

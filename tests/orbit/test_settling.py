@@ -41,7 +41,7 @@ def test_the_settled_motion_slips_and_separates(orbits):
     assert list(apart > 0.05) == [False, True, False]
 
 
-def test_what_has_not_settled_is_told_apart():
+def test_a_motion_that_has_not_settled_is_recognised():
     orbit = settled(3.0, 1.39, max_cycles=CYCLES_A_ROUND)
     assert not orbit.settled
     assert orbit.period == 0

@@ -40,20 +40,20 @@ def partly(orbit):
 def compare(models, wanted):
     """March and shooting agree on every motion that repeats and slips; at least so many, a third with separation."""
     marched, shot = both_ways(models)
-    told = []
+    separating = []
     for number, (one, other) in enumerate(zip(marched, shot, strict=True)):
         if not (one.settled and one.period == 1 and partly(one)[0]):
             continue
-        told.append(partly(one)[1])
+        separating.append(partly(one)[1])
         size = np.max(one.amplitude)
         assert other.settled, number
         np.testing.assert_allclose(other.amplitude, one.amplitude, atol=1e-7 * size, rtol=0, err_msg=str(number))
         np.testing.assert_allclose(other.slip_share, one.slip_share, atol=1e-6, err_msg=str(number))
         assert np.abs(other.floquet[0]) < 1
         assert np.abs(other.floquet[0]) == pytest.approx(np.abs(one.floquet[0]), abs=1e-6)
-    print(f"{len(told)} motions slip for a part of the cycle, {sum(told)} of them also separate")
-    assert len(told) >= wanted
-    assert sum(told) >= wanted / 3
+    print(f"{len(separating)} motions slip for a part of the cycle, {sum(separating)} of them also separate")
+    assert len(separating) >= wanted
+    assert sum(separating) >= wanted / 3
     cycles = [sum(orbit.cycles for orbit in orbits) for orbits in (marched, shot)]
     assert cycles[1] < cycles[0]
 
@@ -109,7 +109,7 @@ def test_multipliers_are_those_of_the_return_map(case):
 
 
 def test_a_stuck_offset_is_free_and_left_alone():
-    """In full stick the motion settles around any offset: no multiplier tells of it, and shooting does not move it."""
+    """In full stick the motion settles around any offset: no multiplier shows it, and shooting does not move it."""
     model = oscillator(64.0, 1.3)
     offset = np.array([[0.02, -0.01]])
     moved = replace(model, start=replace(begin_of(model), slip=offset))

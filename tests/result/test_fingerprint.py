@@ -1,18 +1,35 @@
 """Fingerprints of data, and the difference of two scenes in words."""
 
+from dataclasses import dataclass
+from types import MappingProxyType
+
 import numpy as np
 import pytest
 
 from timesim.result.change import fingerprint, scene_difference
 
 
-def test_fingerprints_tell_data_apart_and_nothing_else():
+@dataclass(frozen=True)
+class One:
+    value: float
+
+
+@dataclass(frozen=True)
+class Other:
+    value: float
+
+
+def test_fingerprints_differ_where_data_differ_and_nowhere_else():
     array = np.arange(4.0)
     same = [(array, array), (array, array.copy()), [np.arange(4.0), np.arange(4.0)]]
     assert len({fingerprint(pair) for pair in same}) == 1
     other = [(array, array.astype(int)), (array, array.reshape(2, 2)), (array,), (array, 0.0), (array, None)]
     found = [fingerprint(pair) for pair in (*other, (array, np.nextafter(array, 9)), same[0])]
     assert len(set(found)) == len(found)
+    assert fingerprint(np.zeros(2)) != fingerprint(np.zeros(2, dtype=int))
+    assert fingerprint(One(1.0)) == fingerprint(One(1.0)) != fingerprint(Other(1.0))
+    mapped = [fingerprint(MappingProxyType({"a": value})) for value in (1, 1, 2)]
+    assert mapped[0] == mapped[1] != mapped[2]
     assert fingerprint({"a": ["b"]}) != fingerprint({"a": "b"})
     assert fingerprint("ab", "c") != fingerprint("a", "bc")
     assert fingerprint(1) != fingerprint(True) != fingerprint("True")

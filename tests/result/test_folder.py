@@ -1,4 +1,4 @@
-"""Run folders: what is made in them, and what they refuse."""
+"""Run folders: the files that a run leaves in them, and what they refuse."""
 
 import os
 from pathlib import Path

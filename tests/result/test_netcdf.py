@@ -1,4 +1,4 @@
-"""Result files: what is written comes back, in xarray too; what cannot be written or read says so."""
+"""Result files: what is written can be read again, by xarray too; a file that cannot be written or read is reported."""
 
 import re
 import resource

@@ -1,4 +1,4 @@
-"""Responses that jump: both ends found without being told where, which start leads where, offsets that are free.
+"""Responses that jump: both ends of the range, which start leads to which motion, offsets that are free.
 
 The ends on the paper's oscillator were computed independently, settled for 800 cycles a step: at a preload of 2 the
 lower motion lives to 1.2560 Hz and is gone at 1.2561, the upper one to 1.2511 and is gone at 1.2510; with a gap of
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import CONFIGS, options, run_config
+from commands import CONFIGS, options, run_of_config
 from systems import oscillator
 from typer.testing import CliRunner
 
@@ -44,14 +44,7 @@ QUICK = {
 }
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return run_config(tmp_path_factory.mktemp("bistable"), "softening.yaml", QUICK)
-
-
-@pytest.fixture(scope="module")
-def result(folder: Path):
-    return open_result(folder / "run")
+folder, result = run_of_config("softening.yaml", QUICK)
 
 
 def test_both_ends_are_found_by_steps_wider_than_the_range(result):
@@ -100,7 +93,7 @@ def test_the_branch_behind_turns_where_the_sweeps_jump(result):
     assert (hbm.stable.values == 0).any()
 
 
-def test_what_is_said(folder):
+def test_the_summary(folder):
     said = (folder / "said").read_text()
     for words in (
         "two motions from 1.25",
@@ -162,14 +155,14 @@ def test_more_jumps_than_ranges_or_fewer(num: int, tmp_path: Path, monkeypatch: 
 def test_a_balance_that_comes_to_no_end_leaves_the_study_whole(monkeypatch: pytest.MonkeyPatch):
     given = QUICK | {"study.frequency": "{from: 1.4, to: 1.45}", "study.starts": "0"}
     scene = load_scene(CONFIGS / "softening.yaml", [f"{key}={value}" for key, value in given.items()])
-    told = ["the corrector did not converge"]
-    monkeypatch.setattr(Curves, "run", lambda *_: told[0])
+    reason = ["the corrector did not converge"]
+    monkeypatch.setattr(Curves, "run", lambda *_: reason[0])
     outcome = carry_out(scene)
     assert outcome.reason is None
     assert outcome.groups[""].attrs["complete"] == 1
     assert outcome.groups["hbm"].attrs["complete"] == 0
     assert any("the balance behind is not whole: the corrector did not" in line for line in outcome.summary)
-    told[0] = "interrupted at curve 1"
+    reason[0] = "interrupted at curve 1"
     assert carry_out(scene).reason == "hbm: interrupted at curve 1"
 
 
@@ -289,7 +282,7 @@ def test_a_slope_and_a_jump_in_one_step():
 
 
 def test_three_motions():
-    """Between jumps each sweep stays on one motion: a range is told for each pair."""
+    """Between jumps each sweep stays on one motion: there is a range for each pair."""
     toy = Branches((-np.inf, 1.503), (1.217, 1.524), (1.441, np.inf))
     search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 101))
     found = list(ranges(search, sweeps, list(losses(search, sweeps))))

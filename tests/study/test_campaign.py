@@ -150,14 +150,14 @@ def test_without_resume_it_starts_anew(tmp_path: Path):
     assert notices == []
 
 
-def test_nothing_to_resume_is_said(tmp_path: Path):
+def test_nothing_to_resume_is_reported(tmp_path: Path):
     execution, notices = execution_of(tmp_path, resume=True)
     assert carried(chains(1, 2), execution)[1] is None
     assert notices == [f"there is nothing to resume in {tmp_path}: it starts from the beginning"]
 
 
 @pytest.mark.parametrize(
-    ("chunks", "identity", "told"),
+    ("chunks", "identity", "message"),
     [
         (chains(2, 2), SCENE.replace("1.6", "1.7"), "another scene: study.frequency.to was 1.6, is 1.7"),
         (chains(2, 2), SCENE.replace("title: toy\n", ""), "another scene: title was toy, is not given"),
@@ -166,13 +166,13 @@ def test_nothing_to_resume_is_said(tmp_path: Path):
         (chains(2, 2, seconds=1.0), SCENE, "other data, such as a file of matrices that has changed: see chunk c-0-0"),
     ],
 )
-def test_a_changed_scene_is_named_and_not_resumed(chunks: list[Chunk], identity: str, told: str, tmp_path: Path):
+def test_a_changed_scene_is_named_and_not_resumed(chunks: list[Chunk], identity: str, message: str, tmp_path: Path):
     execution, _ = execution_of(tmp_path)
     carried(chains(2, 2), execution)
     before = {path: path.read_bytes() for path in (tmp_path / "checkpoint").iterdir()}
     with pytest.raises(StoreError) as caught:
         carried(chunks, replace(execution, resume=True), identity)
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert "--force" in str(caught.value)
     assert {path: path.read_bytes() for path in (tmp_path / "checkpoint").iterdir()} == before
 
@@ -316,7 +316,7 @@ def test_arrays_of_objects_are_refused(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("chunks", "told"),
+    ("chunks", "message"),
     [
         ([Chunk("a", 1), Chunk("a", 2)], "unique"),
         ([Chunk("../a", 1)], "'../a'"),
@@ -324,8 +324,8 @@ def test_arrays_of_objects_are_refused(tmp_path: Path):
         ([Chunk("a", 1, "b"), Chunk("b", 1)], "a comes after 'b', which must be a chunk above it"),
     ],
 )
-def test_chunks_that_make_no_sense(chunks: list[Chunk], told: str):
-    with pytest.raises(ValueError, match=told):
+def test_chunks_that_make_no_sense(chunks: list[Chunk], message: str):
+    with pytest.raises(ValueError, match=message):
         carried(chunks, Execution())
 
 
@@ -426,8 +426,12 @@ def test_clusters_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(worker, "PATIENCE", "0.2s")
     with pytest.raises(ExecutionError, match=r"tcp://127\.0\.0\.1:9 cannot be reached.*give the address"):
         carried(chains(1, 1), Execution(cluster="tcp://127.0.0.1:9"))
-    for wrong, told in (("a:b:c", "give one as tcp://host:8786"), ("lokal", r"did you mean local\?"), ("host", "give")):
-        with pytest.raises(ExecutionError, match=f"cluster {wrong}: is no address of a scheduler; {told}"):
+    for wrong, message in (
+        ("a:b:c", "give one as tcp://host:8786"),
+        ("lokal", r"did you mean local\?"),
+        ("host", "give"),
+    ):
+        with pytest.raises(ExecutionError, match=f"cluster {wrong}: is no address of a scheduler; {message}"):
             Execution(cluster=wrong)
     for address in ("local", "host:8786", "[::1]:8786", "tls://host:8786"):
         Execution(cluster=address)
@@ -468,19 +472,19 @@ def test_no_more_threads_than_control_groups_of_the_first_version_allow(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("found", "told"),
+    ("found", "message"),
     [
         ({}, "has no workers"),
         ({"tcp://w:1": "0.0.1"}, "worker tcp://w:1 has timesim 0.0.1"),
         ({"tcp://w:1": ModuleNotFoundError("timesim")}, "worker tcp://w:1 has no timesim"),
     ],
 )
-def test_workers_that_would_do_other_work(found: dict[str, Any], told: str):
+def test_workers_that_would_do_other_work(found: dict[str, Any], message: str):
     class Client:
         def run(self, *_: Any, **__: Any) -> dict[str, Any]:
             return found
 
-    with pytest.raises(ExecutionError, match=told):
+    with pytest.raises(ExecutionError, match=message):
         worker._check_workers(Client(), "tcp://there:1")
 
 
@@ -544,7 +548,7 @@ def test_a_run_cut_off_is_resumed_by_the_commands(fault: str, faulty: list[Any],
     assert sorted(path.name for path in (tmp_path / "run").iterdir()) == ["result.nc", "scene.yaml"]
 
 
-def test_a_result_that_cannot_be_saved_says_what_is_safe(
+def test_a_result_that_cannot_be_saved_names_the_chunks_that_are_safe(
     faulty: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     fill_disk(monkeypatch, "result.nc")

@@ -1,13 +1,12 @@
 """Two methods on one scene: the study that sets them side by side, and what it shows of the paper's oscillator."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray
-from commands import CONFIGS, run_config
+from commands import CONFIGS, run_of_config
 from systems import oscillator_scene
 from typer.testing import CliRunner
 
@@ -15,7 +14,6 @@ import timesim
 from timesim.cli import app
 from timesim.orbit.settling import steady_states
 from timesim.picture import compare as plot_compare
-from timesim.result.netcdf import open_result
 from timesim.study import compare, verdict
 from timesim.study import registry as plot
 from timesim.study.registry import carry_out, load_scene
@@ -28,15 +26,7 @@ SHORT: dict[str, Any] = {
 }
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Figure 10 at a few points, by the command."""
-    return run_config(tmp_path_factory.mktemp("compare"), "figure10.yaml", SHORT)
-
-
-@pytest.fixture(scope="module")
-def result(folder: Path):
-    return open_result(folder / "run")
+folder, result = run_of_config("figure10.yaml", SHORT)
 
 
 def test_the_result_has_both_methods_and_their_difference(result):
@@ -71,7 +61,7 @@ def test_both_agree_where_the_contact_slips_or_opens(result):
     assert size[~telling].max() < 1e-6
 
 
-def test_the_command_tells_the_verdict(folder, result):
+def test_the_command_prints_the_verdict(folder, result):
     said = (folder / "said").read_text()
     verdict = result.attrs["verdict"]
     for line in verdict.splitlines():
@@ -174,7 +164,7 @@ def test_a_motion_that_no_curve_passes_begins_one():
     assert any("a curve of its own" in line for line in outcome.summary)
 
 
-def test_jumps_of_the_sweeps_are_told_beside_the_folds():
+def test_jumps_of_the_sweeps_are_listed_beside_the_folds():
     study = {
         "kind": "compare",
         "frequency": {"values": [0.93, 0.944, 0.96]},

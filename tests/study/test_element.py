@@ -1,4 +1,4 @@
-"""A contact under prescribed motion: two independent ways against each other, studies, pictures, bad motions."""
+"""A contact under prescribed motion: two independent methods against each other, studies, pictures, bad motions."""
 
 import json
 import subprocess
@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from systems import contact, slipping_pair
 from typer.testing import CliRunner
 
 from timesim.cli import app
@@ -18,7 +19,7 @@ from timesim.element.loop import difference, loop_cycle
 from timesim.element.motion import CYCLE, HarmonicMotion, SplineMotion
 from timesim.element.state_by_state import steady_cycle
 from timesim.fault import SceneError
-from timesim.model.model import SEPARATION, SLIP, STICK, Contact
+from timesim.model.model import SEPARATION, SLIP, STICK
 from timesim.orbit.extrapolation import limits
 from timesim.result.netcdf import open_result
 from timesim.study.element_map import March, elements_of
@@ -28,24 +29,6 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 TABLE = json.loads((Path(__file__).parents[1] / "data/element_motions.json").read_text())["cases"]
 FULL = np.array([[1.5, 0.4], [0.4, 0.8]])
 PAD = {"name": "pad", "friction": 0.3, "tangential_stiffness": 1.0, "normal_stiffness": 1.0, "preload": 1.0}
-
-
-def contact(stiffness=1.0, friction=0.3, normal=1.0, preload=1.0):
-    K = stiffness * np.eye(2) if np.isscalar(stiffness) else np.asarray(stiffness, float)
-    return Contact("pad", "", "ground", np.eye(3), friction, K, normal, preload)
-
-
-def random_pair(rng, full):
-    """A contact and a motion that mostly slip for part of the cycle; many of them separate."""
-    A, B = rng.uniform(0.3, 2.0), rng.choice([0.0, 0.02, 0.3, 1.0]) * rng.uniform(0.3, 2.0)
-    D, preload = rng.choice([0.0, 0.5, 1.5]), rng.choice([1.0, 1.0, 0.0, -0.4])
-    D = max(D, 0.9) if preload <= 0 else D
-    turn, ratio = rng.uniform(0, np.pi), rng.uniform(1.0, 4.0)
-    axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    K = axes @ np.diag([1.0, ratio if full else 1.0]) @ axes.T
-    phi, psi = rng.uniform(0, CYCLE, 2)
-    K = (K + K.T) / 2 if full else np.eye(2)
-    return contact(K, rng.uniform(0.2, 1.0), 1.0, preload), HarmonicMotion(A, B, D, phi, psi)
 
 
 def states(cycle):
@@ -58,7 +41,7 @@ def shares(cycle):
 
 
 def compare(pad, motion):
-    """Both ways, checked against each other."""
+    """State by state and by the event loop, checked against each other."""
     cycle, other = steady_cycle(pad, motion), loop_cycle(pad, motion)
     found = difference(cycle, other)
     assert cycle.periodic
@@ -74,13 +57,13 @@ def compare(pad, motion):
 # The two ways ----------------------------------------------------------------------------------------
 
 
-def test_two_ways_agree_on_200_random_motions():
+def test_both_methods_agree_on_200_random_motions():
     """State by state and the event loop: all transitions, and the coefficients to 1e-8."""
     rng = np.random.default_rng(2024)
     seen, partly, parted, creeping = {False: Counter(), True: Counter()}, 0, 0, 0
     for number in range(200):
         full = number % 2 == 1
-        cycle, other = compare(*random_pair(rng, full))
+        cycle, other = compare(*slipping_pair(rng, full))
         seen[full].update(states(other))
         partly += SLIP in shares(cycle) and len(shares(cycle)) > 1
         parted += SEPARATION in shares(cycle) and len(shares(cycle)) > 1
@@ -95,7 +78,7 @@ def test_two_ways_agree_on_200_random_motions():
 def test_a_slip_that_lasts_for_rounding_alone_makes_no_other_sequence():
     """Of motion 83 above rounding decides, and with it the processor, whether the contact slips for 1e-9 rad."""
     rng = np.random.default_rng(2024)
-    pad, motion = [random_pair(rng, number % 2 == 1) for number in range(84)][83]
+    pad, motion = [slipping_pair(rng, number % 2 == 1) for number in range(84)][83]
     cycle, other = compare(pad, motion)
     for length, same in [(2e-9, True), (1e-3, False)]:
         touch = (Transition(1.477, STICK, SLIP), Transition(1.477 + length, SLIP, STICK))
@@ -114,7 +97,7 @@ def test_stick_to_separation_where_both_guards_vanish(full):
 
 
 @pytest.mark.parametrize("name", TABLE)
-def test_table_by_both_ways(name):
+def test_table_by_both_methods(name):
     case = TABLE[name]
     A, B, D, phase = case["motion"]
     cycle, other = compare(contact(), HarmonicMotion(A, B, D, np.pi / 2, np.radians(phase)))
@@ -139,7 +122,7 @@ def test_event_loop_has_the_symmetries_of_the_law():
     """Scaling, another start of the angle, swapped axes and a turned frame, in the event loop alone."""
     rng = np.random.default_rng(17)
     for number in range(6):
-        pad, motion = random_pair(rng, number % 2 == 1)
+        pad, motion = slipping_pair(rng, number % 2 == 1)
         base = loop_cycle(pad, motion)
         K, load = pad.tangential_stiffness, (pad.friction, pad.normal_stiffness, pad.preload)
         large = HarmonicMotion(1e6 * motion.A, 1e6 * motion.B, 1e6 * motion.D, motion.phi, motion.psi)
@@ -168,7 +151,7 @@ def test_event_loop_turns_with_the_frame():
 
 
 @pytest.mark.slow
-def test_two_ways_agree_on_sampled_motions():
+def test_both_methods_agree_on_sampled_motions():
     """The same spline in both; three harmonics, closing several times a cycle."""
     theta = np.arange(96) * CYCLE / 96
     u1, u2 = np.sin(theta) + 0.2 * np.sin(3 * theta), 0.4 * np.cos(2 * theta)
@@ -311,6 +294,13 @@ def test_element_map_against_single_elements():
                 for name in ("f_s", "f_c") if single.attrs["offset_free"] else ("f_b", "f_s", "f_c"):
                     np.testing.assert_allclose(found[name], single[name], atol=1e-6)
                 np.testing.assert_allclose(found.dissipation, single.dissipation, atol=1e-6)
+
+
+def test_a_map_knows_the_law_of_the_cone_only():
+    """As the scene says; from Python too."""
+    plan = load_scene(scene({"kind": "element_map", "A": [0.5, 1.0], "B": [0.1, 0.2]})).plan
+    with pytest.raises(ValueError, match=r"prescribed motion knows the law \w+ only, not another"):
+        elements_of(replace(plan, contact=replace(plan.contact, law="another")))
 
 
 def test_map_carries_creep_to_its_limit():

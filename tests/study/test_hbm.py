@@ -79,7 +79,7 @@ def test_each_value_has_its_curve(curves):
 
 
 def test_harmonics_make_the_amplitude(curves):
-    """The motion of the Fourier coefficients has the amplitude that is told."""
+    """The amplitude is that of the motion of the Fourier coefficients."""
     angle = np.linspace(0, 2 * np.pi, 2001)[:, None, None]
     for i in (0, 30, curves.sizes["solution"] - 1):
         cos, sin = (curves[f"harmonic_{name}"].values[i, :, 0] for name in ("cos", "sin"))
@@ -88,7 +88,7 @@ def test_harmonics_make_the_amplitude(curves):
         np.testing.assert_allclose(np.ptp(x, axis=0) / 2, curves.amplitude.values[i, 0], rtol=1e-5)
 
 
-def test_from_both_ends_the_same_curve_is_told_once(curves):
+def test_a_curve_followed_from_both_ends_is_kept_once(curves):
     both = timesim.run(scene(start="both_ends"))
     assert both.attrs["complete"] == 1
     assert both.sizes["solution"] == np.sum(curves.curve.values == 0)
@@ -244,7 +244,7 @@ def test_points_that_run_out_leave_a_partial_result():
     assert np.bincount(found.curve.values).tolist() == [30, 30]
 
 
-def test_no_start_is_told_and_the_other_curves_stay():
+def test_a_curve_without_a_start_is_reported_and_the_others_stay():
     """Undamped and free at its natural frequency the structure has no periodic response; damped it has."""
     mode = {"frequency": 1.0, "damping_ratio": 0.0, "mass": 1.0, "shape": {"tip": [1, 0, 0]}}
     free = scene(frequency={"from": 1.0, "to": 1.2}, over={"structure.modes.0.damping_ratio": [0.0, 0.01]})
@@ -322,7 +322,7 @@ def test_a_harmonic_that_is_excited_must_be_balanced():
         load_scene(scene() | {"excitation": {"forces": [force]}})
 
 
-def test_convergence_tells_orders_and_enough(monkeypatch: pytest.MonkeyPatch):
+def test_convergence_gives_the_orders_and_what_is_enough(monkeypatch: pytest.MonkeyPatch):
     """Harmonics and samples at two solutions; the samples are of second order."""
     model = load_scene(scene()).model()
     curve = hbm_curve(model, 0.93, 0.9, scheme=Scheme(9, 256), stability=False)

@@ -159,17 +159,17 @@ def test_a_run_that_fails_in_its_run_up_keeps_what_it_has(tmp_path: Path) -> Non
     assert plot.draw(result, tmp_path) == []
 
 
-def test_the_summary_tells_the_amplitude_of_each_phase() -> None:
+def test_the_summary_gives_the_amplitude_of_each_phase() -> None:
     lines = carry_out(load_scene(SHORT)).summary
     assert [line.split(":")[0] for line in lines[-5:]] == ["run-up", "run-up", "phase 1", "phase 2", "phase 3"]
     assert "2 cycles at 1.6 Hz, amplitude" in lines[-2]
 
 
-def test_the_resolved_scene_runs_again_and_an_unused_frequency_is_told() -> None:
+def test_the_resolved_scene_runs_again_and_an_unused_frequency_is_reported() -> None:
     loaded = load_scene(SHORT)
     assert load_scene(loaded.resolved_yaml()).file == loaded.file
-    told = load_scene(SHORT, {"excitation.frequency": 1.0}).warnings()
-    assert any("excitation.frequency is not used" in line for line in told)
+    warnings = load_scene(SHORT, {"excitation.frequency": 1.0}).warnings()
+    assert any("excitation.frequency is not used" in line for line in warnings)
 
 
 def test_stretches_part_equal_frequencies_at_time_zero(short: xarray.Dataset) -> None:

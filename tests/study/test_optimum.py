@@ -1,4 +1,4 @@
-"""The preload of least peak response: found to the wanted accuracy, and the search on peaks that are known."""
+"""The preload of least peak response, to the accuracy asked for; the search on known peaks."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import CONFIGS, run_config
+from commands import CONFIGS, run_of_config
 from systems import oscillator
 
 import timesim
@@ -14,7 +14,6 @@ from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.settling import Chain, steady_states
 from timesim.orbit.steady_state import without_orbit
 from timesim.picture import optimum as plot_optimum
-from timesim.result.netcdf import open_result
 from timesim.study import registry as plot
 from timesim.study.campaign import Execution
 from timesim.study.optimum import Peaks, Response, SearchError, data_of
@@ -31,14 +30,7 @@ QUICK = {
 }
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return run_config(tmp_path_factory.mktemp("optimum"), "preload.yaml", QUICK)
-
-
-@pytest.fixture(scope="module")
-def result(folder: Path):
-    return open_result(folder / "run")
+folder, result = run_of_config("preload.yaml", QUICK)
 
 
 def test_the_preload_of_least_peak(result):
@@ -48,7 +40,7 @@ def test_the_preload_of_least_peak(result):
     assert float(result["peak"].min()) == float(result["optimum_peak"])
 
 
-def test_what_is_beside_it_is_not_smaller(result):
+def test_the_peaks_beside_the_optimum_are_not_smaller(result):
     values, best = result[KEY].values, float(result["optimum"])
     assert np.all(np.diff(values) > 0)
     for value in (best - 0.05, best + 0.05):
@@ -67,7 +59,7 @@ def test_a_peak_lies_between_the_points_of_the_sweep(result):
     assert float(result["peak"][place]) == pytest.approx(orbit.amplitude[0, 0], rel=1e-4)
 
 
-def test_what_is_said_and_drawn(folder, result):
+def test_the_summary_and_the_pictures(folder, result):
     said = (folder / "said").read_text()
     assert f"at {KEY} = {float(result['optimum']):.6g}" in said
     assert "an accuracy away the peak is not smaller" in said
@@ -132,7 +124,7 @@ class Known(Peaks):
 
 @pytest.mark.parametrize("best", [3.64836, 0.5, 9.9996, 7.0])
 @pytest.mark.parametrize("power", [1, 2, 4])
-def test_the_least_is_found_to_the_accuracy(best: float, power: int):
+def test_the_least_peak_to_the_accuracy(best: float, power: int):
     peaks = Known(lambda value: 0.1 + abs(value - best) ** power)
     peaks.first()
     peaks.search()

@@ -19,7 +19,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from timesim.scene.section import Count
+from timesim.scene.value import Count
 from timesim.scene.study import Context, StudySection
 
 
@@ -127,7 +127,7 @@ def test_a_kind_that_is_not_known_is_refused_with_all_that_are(toy: Path):
     assert registry.picture_names("unknown") == []
 
 
-def test_every_row_of_the_table_leads_somewhere():
+def test_every_row_of_the_table_can_be_loaded():
     for kind, row in registry.STUDIES.items():
         section, run, pictures = map(registry._loaded, (row.section, row.run, row.pictures))
         assert section.model_fields["kind"].annotation.__args__ == (kind,)

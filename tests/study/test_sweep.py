@@ -267,11 +267,11 @@ def test_jumps_are_found_and_bisected(both: xarray.Dataset) -> None:
         assert found[1] >= true[0]
 
 
-def test_a_jump_is_told_with_its_chain(both: xarray.Dataset, tmp_path: Path) -> None:
+def test_a_jump_is_reported_with_its_chain(both: xarray.Dataset, tmp_path: Path) -> None:
     record = read(save(both, tmp_path / "result.nc"))[""]
-    told = list(jump_lines(record))
+    lines = list(jump_lines(record))
     ends = [f"{both.jump_low.values[0, d, 0]:.8g} and {both.jump_high.values[0, d, 0]:.8g} Hz" for d in (0, 1)]
-    assert told == [
+    assert lines == [
         f"{PRELOAD} -4, direction {way}: the motion jumps between {end}"
         for way, end in zip(("up", "down"), ends, strict=True)
     ]
@@ -408,7 +408,7 @@ def test_after_a_point_that_fails_a_chain_starts_anew() -> None:
     assert chain.cycles.values.ravel()[0] == alone.cycles.item()
 
 
-def test_what_does_not_settle_is_told_with_its_band(tmp_path: Path) -> None:
+def test_a_motion_that_does_not_settle_is_reported_with_its_band(tmp_path: Path) -> None:
     study = {"frequency": {"values": [0.97, 1.39]}, "over": {PRELOAD: [-1, 3]}, "settle": {"max_cycles": 16}}
     status, out, _ = call(tmp_path / "run", json.dumps(scene(study)))
     result = timesim.open_result(tmp_path / "run")
@@ -426,7 +426,7 @@ def test_what_does_not_settle_is_told_with_its_band(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_period_of_two_cycles_is_told(tmp_path: Path) -> None:
+def test_a_period_of_two_cycles_is_reported(tmp_path: Path) -> None:
     """A mass that bounces on a stop, excited at twice its natural frequency of impacts."""
     stop = {
         "structure": {"modes": [{"frequency": 0.2, "damping_ratio": 0.3, "mass": 1.0, "shape": {"tip": [0, 0, 1]}}]},
@@ -608,7 +608,7 @@ def test_jenkins_element() -> None:
 
 
 @pytest.mark.slow
-def test_inclined_contact_jumps_both_ways() -> None:
+def test_inclined_contact_jumps_up_and_down() -> None:
     """Folds 1.28524 and 1.25752 by harmonic balance (15 harmonics): the sweeps leave their branches there."""
     contact = {"friction": 0.4, "tangential_stiffness": 1.0, "normal_stiffness": 1.0, "preload": 1.0}
     contact |= {"normal": [1, 0, 1], "tangent": [1, 0, -1]}
@@ -672,7 +672,7 @@ def test_blade_settled_amplitudes() -> None:
 
 
 @pytest.mark.slow
-def test_blade_motions_that_never_repeat_are_told_apart() -> None:
+def test_blade_motions_that_never_repeat_are_recognised() -> None:
     """With a loose right contact: one motion of period 1, one of period 2, and two that repeat neither so nor so."""
     study = {"frequency": {"values": [560, 640, 720, 760]}, "settle": {"tolerance": 1e-6, "max_cycles": 600}}
     result = blade(study, **{RIGHT: 2.0}).squeeze("direction")

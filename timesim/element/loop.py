@@ -1,7 +1,7 @@
-"""Way (b) to the steady cycle of a contact: the event loop, marched from the start until a cycle repeats.
+"""The steady cycle of a contact by the event loop, marched from the start until a cycle repeats.
 
 It shares the law with `timesim.element.state_by_state`, and nothing else: no closed form, no angle of slip, another
-integration, other integrals. What both find must agree.
+integration, other integrals. Their results must agree.
 """
 
 from collections.abc import Sequence
@@ -13,15 +13,16 @@ from timesim.element.cycle import ElementCycle, Transition, in_phase
 from timesim.element.elements import single_element
 from timesim.element.motion import CYCLE, Motion
 from timesim.element.prescribed import PrescribedContacts, cycle_end, drive_of, record_cycle
-from timesim.engine.solver import step_control, step_method
+from timesim.engine.method import step_method
+from timesim.engine.solver import step_control
 from timesim.engine.step import Step
 from timesim.model.model import Contact
 from timesim.model.solver import Solver
 
 FINE = Solver("tsit5", 1e-12, 1e-12)
 MAX_CYCLES = 1000
-# Change of f from cycle to cycle, relative to the largest mu n, that is rounding; a larger one that falls no
-# further is so too, up to the second number.
+# Change of f from cycle to cycle, relative to the largest mu n, that is rounding; up to the second number a change that
+# falls no further is rounding too.
 ROUNDING, REPEATS = 1e-14, 1e-11
 BRIEF = 1e-8
 """Angle [rad] that a state must last to count: a slip that only touches the cone was seen to last 1.4e-9."""
@@ -119,17 +120,17 @@ def transitions(steps: Step, count: int) -> tuple[Transition, ...]:
 
 def difference(cycle: ElementCycle, other: LoopCycle) -> Difference:
     """How far two results for the same contact and motion are apart."""
-    ours, theirs = (_lasting(c.transitions) for c in (cycle, other))
+    first, second = (_lasting(c.transitions) for c in (cycle, other))
     # One right at the seam may stand at either end of the list.
-    turns = range(-1, 2) if len(ours) == len(theirs) else ()
+    turns = range(-1, 2) if len(first) == len(second) else ()
     options = [
-        max((abs(_apart(a.angle, b.angle)) for a, b in zip(ours, _rolled(theirs, turn), strict=True)), default=0.0)
+        max((abs(_apart(a.angle, b.angle)) for a, b in zip(first, _rolled(second, turn), strict=True)), default=0.0)
         for turn in turns
-        if [(a.before, a.after) for a in ours] == [(b.before, b.after) for b in _rolled(theirs, turn)]
+        if [(a.before, a.after) for a in first] == [(b.before, b.after) for b in _rolled(second, turn)]
     ]
-    found = cycle.coefficients
-    pairs = [(found.f_s, other.f_s), (found.f_c, other.f_c)]
-    pairs += [] if cycle.offset_free else [(found.f_b, other.f_b)]
+    ours = cycle.coefficients
+    pairs = [(ours.f_s, other.f_s), (ours.f_c, other.f_c)]
+    pairs += [] if cycle.offset_free else [(ours.f_b, other.f_b)]
     load = cycle.largest_limit or 1.0
     reach = np.hypot(*cycle.motion.amplitude) or 1.0
     return Difference(

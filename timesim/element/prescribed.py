@@ -40,7 +40,6 @@ from timesim.engine.contact_law import (
     Scalar,
     State,
     dot,
-    scaled,
 )
 from timesim.engine.contact_law import Motion as RelativeMotion
 from timesim.engine.event_loop import advance, march
@@ -103,24 +102,22 @@ class CycleState(ContinuousState):
     Attributes:
         angle: θ.
         w: slip.
-        force, force_cosine, force_sine: a, c and s, the integrals of f, f cos θ and f sin θ.
+        force: a, c and s, the integrals of f, f cos θ and f sin θ, by components of f.
         work: W, the integral of f . w'.
     """
 
     angle: Float[Array, ""]
     w: Plane
-    force: Plane
-    force_cosine: Plane
-    force_sine: Plane
+    force: Float[Array, "3 tangent contact"]
     work: Scalar
 
     def size(self) -> Float[Array, ""]:
         return jnp.ones(())
 
     def error(self) -> Float[Array, ""]:
-        worst = jnp.zeros(())
-        for x in (*self.w, *self.force, *self.force_cosine, *self.force_sine):
-            worst = jnp.maximum(worst, jnp.abs(x).max())
+        worst = jnp.abs(self.force).max()
+        for w in self.w:
+            worst = jnp.maximum(worst, jnp.abs(w).max())
         return worst
 
     def finite(self) -> Bool[Array, ""]:
@@ -140,8 +137,9 @@ class PrescribedContacts(Dynamics):
 
     def field(self, state: State, time: Float[Array, ""], point: CycleState) -> CycleState:
         acts = self.law.reaction(state, self.motion(point), point.w)
-        c, s = jnp.cos(point.angle), jnp.sin(point.angle)
-        return CycleState(jnp.ones(()), acts.dw, acts.f, scaled(c, acts.f), scaled(s, acts.f), dot(acts.f, acts.dw))
+        waves = jnp.stack([jnp.ones(()), jnp.cos(point.angle), jnp.sin(point.angle)])
+        force = waves[:, None, None] * jnp.stack(acts.f)
+        return CycleState(jnp.ones(()), acts.dw, force, dot(acts.f, acts.dw))
 
     def motion(self, point: CycleState) -> RelativeMotion:
         x, dx, _ = self.drive.path(point.angle)
@@ -167,7 +165,7 @@ def drive_of(elements: Elements, motion: Motion | None = None) -> Drive:
 def cycle_start(dynamics: PrescribedContacts, w: Plane, state: State) -> Trajectory:
     """The start of a cycle at θ = 0."""
     none = jnp.zeros_like(w[0])
-    point = CycleState(jnp.zeros(()), w, (none, none), (none, none), (none, none), none)
+    point = CycleState(jnp.zeros(()), w, jnp.zeros((3, 2, none.size)), none)
     return begin(dynamics, point, state, jnp.asarray(FIRST_STEP))
 
 
@@ -216,14 +214,13 @@ class CycleEnd:
 
 def cycle_end(elements: Elements, end: Trajectory) -> CycleEnd:
     """Read the integrals at the end of a cycle."""
-    point: CycleState = jax.tree.map(np.ravel, end.point)
-    parts = (point.force, point.force_cosine, point.force_sine)
-    a, c, s = (np.stack(part, axis=1) * elements.force[:, None] for part in parts)
+    point = end.point
+    a, c, s = np.moveaxis(np.reshape(point.force, (-1, 3, 2)), 1, 0) * elements.force[:, None]
     return CycleEnd(
         mean=a / CYCLE,
         first=(c - 1j * s) / np.pi,
-        dissipation=point.work * elements.length * elements.force,
-        slip=np.stack(point.w, axis=1),
+        dissipation=np.ravel(point.work) * elements.length * elements.force,
+        slip=np.stack([np.ravel(w) for w in point.w], axis=1),
         state=np.ravel(end.state),
         good=np.ravel(end.status) == Status.RUNNING,
     )

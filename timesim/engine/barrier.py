@@ -23,7 +23,7 @@ def apart(function: Callable[P, T]) -> Callable[P, T]:
     """The function as a call of its own, whose operations are not fused with those around it."""
 
     def inside(*args: P.args, **kwargs: P.kwargs) -> T:
-        # Calls made inside, such as every `jnp.where`, are functions too: they are to be inlined.
+        # Calls inside, such as every `jnp.where`, are functions too: they are to be inlined.
         with set_xla_metadata(inlineable="true"):
             return function(*args, **kwargs)
 

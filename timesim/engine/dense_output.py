@@ -9,22 +9,20 @@ Source: Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, sec
 from typing import Any
 
 
-def quintic(
-    x: Any, h: Any, start: tuple[Any, Any, Any], end: tuple[Any, Any, Any], jump: Any = None
-) -> tuple[Any, Any]:
-    """Value and rate at a fraction x of a step of length h, from (value, rate, second derivative) at its ends.
-
-    ``jump`` is the change of the value, where the caller knows it better than as a difference: in a step of 1e-10
-    the rate would be six digits of rounding.
-    """
-    value, rate = evaluate(x, quintic_coefficients(h, start, end, jump))
+def quintic(x: Any, h: Any, start: tuple[Any, Any, Any], end: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+    """Value and rate at a fraction x of a step of length h, from (value, rate, second derivative) at its ends."""
+    value, rate = evaluate(x, quintic_coefficients(h, start, end))
     return value, rate / h
 
 
 def quintic_coefficients(
     h: Any, start: tuple[Any, Any, Any], end: tuple[Any, Any, Any], jump: Any = None
 ) -> tuple[Any, ...]:
-    """Coefficients of 1, x, x^2, ... of `quintic`."""
+    """Coefficients of 1, x, x^2, ... of `quintic`.
+
+    ``jump`` is the change of the value, where the caller knows it better than as a difference: in a step of 1e-10
+    the rate would be six digits of rounding.
+    """
     (q0, p0, a0), (q1, p1, a1) = start, end
     v0, b0, v1, b1 = h * p0, h * h * a0, h * p1, h * h * a1
     jump = q1 - q0 if jump is None else jump

@@ -1,11 +1,13 @@
 """Where inside a step the first transition lies.
 
 Every contact's margins are followed over the step on its dense output, at several points and not only at the end: two
-crossings within a step would cancel there. What is found is a proposal; the event loop steps to it again, and only
-there, on the solution itself, decides.
+crossings within a step would cancel there. The place of a crossing is a proposal: the event loop takes the step
+again up to it, and decides there, on the solution itself.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
+
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -75,18 +77,18 @@ def margins_inside(dynamics: Dynamics, state: State, part: Segment, x: Float[Arr
     along = [hermite.evaluate(x, polynomial) for polynomial in part.path]
     value, rate = tuple(u for u, _ in along), tuple(du / part.h for _, du in along)
     w = tuple(hermite.evaluate(x, polynomial)[0] for polynomial in part.slip)
-    moves = Motion(value[:-1], value[-1], rate[:-1], rate[-1])
-    force, speed = dynamics.law.margins(state, moves, w)
+    return _margins(dynamics, state, value, rate, w)
+
+
+def _margins(dynamics: Dynamics, state: State, x: Plane, dx: Plane, w: Plane) -> Margins:
+    force, speed = dynamics.law.margins(state, Motion(x[:-1], x[-1], dx[:-1], dx[-1]), w)
     return force / dynamics.law.scale(), speed
 
 
 def _margins_at(dynamics: Dynamics, state: State, ends: Path, slip: tuple[Plane, Plane]) -> tuple[Margins, Margins]:
-    def at(x: Plane, dx: Plane, w: Plane) -> Margins:
-        force, speed = dynamics.law.margins(state, Motion(x[:-1], x[-1], dx[:-1], dx[-1]), w)
-        return force / dynamics.law.scale(), speed
-
+    """Margins at an end of the step and their exact rates."""
     (x, dx, ddx), (w, dw) = ends, slip
-    return jax.jvp(at, (x, dx, w), (dx, ddx, dw))
+    return jax.jvp(partial(_margins, dynamics, state), (x, dx, w), (dx, ddx, dw))
 
 
 def end_margins(dynamics: Dynamics, state: State, part: Segment) -> tuple[Margins, Margins]:
@@ -143,11 +145,15 @@ def _bracket(node: list[Array]) -> tuple[Array, Array, Array]:
 
 
 def _root(dynamics: Dynamics, state: State, part: Segment, nodes: list[list[Array]]) -> Float[Array, ""]:
-    """First root of each contact's margins in their first bracket, by the Illinois rule; the least of them."""
+    """First root of each contact's margins in their first bracket; the least of them.
+
+    Illinois method: M. Dowell & P. Jarratt, A modified regula falsi method for computing the root of an equation,
+    BIT 11 (1971) 168-174.
+    """
     (right, low_a, high_a), (other, low_b, high_b) = (_bracket(node) for node in nodes)
     second = other < right
     right = jnp.where(second, other, right)
-    found = right <= NUM_NODES
+    crosses = right <= NUM_NODES
     f_high = jnp.minimum(jnp.where(second, high_b, high_a), -VIOLATED)
     # A left value that is rounding would draw every secant to the left end, and the event would re-fire for ever.
     f_low = jnp.maximum(jnp.where(second, low_b, low_a), -1e-3 * f_high)
@@ -163,7 +169,7 @@ def _root(dynamics: Dynamics, state: State, part: Segment, nodes: list[list[Arra
         low, high = jnp.where(inside, x, low), jnp.where(inside, high, x)
         side = jnp.where(inside, 1.0, -1.0)
     x = low - f_low * (high - low) / (f_high - f_low)
-    return jnp.where(found, x, NONE).min()
+    return jnp.where(crosses, x, NONE).min()
 
 
 @apart

@@ -3,6 +3,13 @@
 A method advances the continuous state over a step in which every contact keeps its state, and says how large its
 error is. It gives the rate at the end of the step as well: with it the step has a dense output (`dense_output`).
 The explicit Runge-Kutta methods are unrolled from the tableaus of diffrax: XLA on a CPU pays for each kernel.
+
+tsit5: Ch. Tsitouras, Runge-Kutta pairs of order 5(4) satisfying only the first column simplifying assumption, Computers
+& Mathematics with Applications 62 (2011) 770-775. dopri5: J. R. Dormand & P. J. Prince, A family of embedded
+Runge-Kutta formulae, Journal of Computational and Applied Mathematics 6 (1980) 19-26; in both the last stage is the
+rate at the end (first same as last). dopri8: P. J. Prince & J. R. Dormand, High order embedded Runge-Kutta formulae,
+the same journal 7 (1981) 67-75. kvaerno5: A. Kvaerno, Singly diagonally implicit Runge-Kutta methods with an explicit
+first stage, BIT 44 (2004) 489-502.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
@@ -19,6 +26,7 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from timesim.engine.barrier import apart
+from timesim.model.solver import Solver
 
 Y: TypeAlias = PyTree
 """A continuous state, a rate or an error: methods take any tree of arrays."""
@@ -147,6 +155,7 @@ RK4 = Explicit(
 )
 
 
+@functools.cache
 def _explicit(name: str) -> Explicit:
     import diffrax
 
@@ -161,6 +170,7 @@ def _explicit(name: str) -> Explicit:
     )
 
 
+@functools.cache
 def _kvaerno5(rtol: float, atol: float) -> Implicit:
     import diffrax
     import optimistix
@@ -172,12 +182,8 @@ def _kvaerno5(rtol: float, atol: float) -> Implicit:
     return Implicit(order=5, solver=diffrax.Kvaerno5(root_finder=root_finder), fallback=_explicit("tsit5"))
 
 
-NAMES = ("tsit5", "dopri5", "dopri8", "kvaerno5", "rk4")
-
-
-@functools.cache
-def method_named(name: str, *, rtol: float = 1e-8, atol: float = 1e-10) -> Method:
-    """The method of a scene file's ``solver.method``."""
-    if name == "rk4":
+def step_method(solver: Solver) -> Method:
+    """The method that takes the steps."""
+    if solver.name == "rk4":
         return RK4
-    return _kvaerno5(rtol, atol) if name == "kvaerno5" else _explicit(name)
+    return _kvaerno5(solver.rtol, solver.atol) if solver.name == "kvaerno5" else _explicit(solver.name)

@@ -1,4 +1,4 @@
-"""A solver's numbers as the event loop takes them: the method of a step, and the control of its length."""
+"""The control of the step length, from a solver's numbers."""
 
 from timesim.runtime import Leaf  # isort: skip
 
@@ -9,7 +9,6 @@ from jaxtyping import Array, Float, Int
 
 from timesim.engine.barrier import apart
 from timesim.engine.contact_law import ContinuousState
-from timesim.engine.method import Method, method_named
 from timesim.engine.tolerance import NO_TIME
 from timesim.model.solver import Solver
 
@@ -32,11 +31,6 @@ class Control(eqx.Module):
     opening: Float[Leaf, ""]
     budget: Int[Leaf, ""]
     stiffest: Float[Leaf, ""]
-
-
-def step_method(solver: Solver) -> Method:
-    """The method that takes the steps."""
-    return method_named(solver.name, rtol=solver.rtol, atol=solver.atol)
 
 
 def step_control(solver: Solver, stiffest: float) -> Control:

@@ -33,7 +33,7 @@ class Status(enum.IntEnum):
     """How a trajectory stands. All but RUNNING end it.
 
     Attributes:
-        reason, advice: what the user is told; may name {solver} and {budget}.
+        reason, advice: the message for the user; may name {solver} and {budget}.
     """
 
     reason: str
@@ -107,7 +107,7 @@ class Trajectory(eqx.Module):
 
 
 class Step(eqx.Module):
-    """One accepted step: what dense output and event log are made from. ``state_after`` differs at a transition."""
+    """One accepted step, for dense output and the log of transitions; ``state_after`` differs at a transition."""
 
     cycle: Int[Array, ""]
     time: Float[Array, ""]

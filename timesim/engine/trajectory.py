@@ -15,7 +15,8 @@ import numpy as np
 
 from timesim.engine.event_loop import advance
 from timesim.engine.history import Steps
-from timesim.engine.solver import step_control, step_method
+from timesim.engine.method import step_method
+from timesim.engine.solver import step_control
 from timesim.engine.step import Status, Trajectory, begin
 from timesim.engine.step import Step as LoopStep
 from timesim.engine.system import Point, System, Work, contact_axes, system_of

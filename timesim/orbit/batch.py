@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from timesim.engine.lanes import advance_lanes, batch_first, batch_last, over_lanes
-from timesim.engine.method import Method
-from timesim.engine.solver import Control, step_method
+from timesim.engine.method import Method, step_method
+from timesim.engine.solver import Control
 from timesim.engine.step import Status, Trajectory, begin, try_step
 from timesim.engine.system import System
 from timesim.model.solver import Solver
@@ -99,7 +99,7 @@ def march(
     Args:
         lanes: any number.
         solver: method and tolerances.
-        num_cycles: how many cycles.
+        num_cycles: number of cycles.
 
     Keyword Args:
         size: of the batches.

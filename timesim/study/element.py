@@ -1,7 +1,7 @@
 """The `element` study: one contact under prescribed motion (sections 2 to 4 of the paper, figures 3 to 6).
 
-The result is that of `state_by_state`. Unless told otherwise the event loop computes it again, and a result on
-which the two do not agree is marked incomplete.
+The result is that of `state_by_state`. By default the event loop computes it again, and a result on which the two do
+not agree is marked incomplete.
 """
 
 import time
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from xarray import Dataset
 
-from timesim.element.cycle import ElementCycle, Transition
+from timesim.element.cycle import Coefficients, ElementCycle, Transition
 from timesim.element.motion import CYCLE, Motion
 from timesim.element.state_by_state import steady_cycle
 from timesim.model.model import STATE_NAMES, Contact
@@ -61,31 +61,34 @@ def _unsettled(cycle: ElementCycle) -> str:
 
 
 def _cross_check(contact: Contact, motion: Motion, cycle: ElementCycle) -> tuple[dict[str, float], str | None]:
-    """What the event loop finds beside it, and why that is no confirmation, if it is none."""
+    """How far the event loop's result differs, as attributes, and why that is no confirmation, if it is none."""
     from timesim.element.loop import difference, loop_cycle
 
     try:
         other = loop_cycle(contact, motion)
     except RuntimeError as error:
         return {}, f"the cross check failed: {error}; cross_check: false leaves it out"
-    found = difference(cycle, other)
-    told = {
+    apart = difference(cycle, other)
+    compared = {
         "cross_check_cycles": other.num_cycles,
-        "cross_check_angle_deg": float(np.degrees(found.angle)),
-        "cross_check_coefficients": found.coefficient,
-        "cross_check_dissipation": found.dissipation,
+        "cross_check_angle_deg": float(np.degrees(apart.angle)),
+        "cross_check_coefficients": apart.coefficient,
+        "cross_check_dissipation": apart.dissipation,
     }
-    if not found.settled:
-        return told, f"the cross check did not settle in {other.num_cycles} cycles; cross_check: false leaves it out"
-    if not found.same_sequence:
-        paths = [" ".join(_arrow(item) for item in c.transitions) or "none" for c in (cycle, other)]
-        return told, f"state by state finds the transitions {paths[0]}, the event loop {paths[1]}"
-    if found.angle > ANGLE or max(found.coefficient, found.dissipation) > FORCE:
-        return told, (
-            f"state by state and the event loop differ by {np.degrees(found.angle):.1e} degree and by "
-            f"{max(found.coefficient, found.dissipation):.1e} of the largest mu n"
+    if not apart.settled:
+        return (
+            compared,
+            f"the cross check did not settle in {other.num_cycles} cycles; cross_check: false leaves it out",
         )
-    return told, None
+    if not apart.same_sequence:
+        paths = [" ".join(_arrow(item) for item in c.transitions) or "none" for c in (cycle, other)]
+        return compared, f"state by state finds the transitions {paths[0]}, the event loop {paths[1]}"
+    if apart.angle > ANGLE or max(apart.coefficient, apart.dissipation) > FORCE:
+        return compared, (
+            f"state by state and the event loop differ by {np.degrees(apart.angle):.1e} degree and by "
+            f"{max(apart.coefficient, apart.dissipation):.1e} of the largest mu n"
+        )
+    return compared, None
 
 
 def _arrow(item: Transition) -> str:
@@ -100,7 +103,7 @@ def summary(cycle: ElementCycle, compared: dict[str, float]) -> Iterator[str]:
     angles = ", ".join(f"{_arrow(t)} {np.degrees(t.angle):.6f}°" for t in cycle.transitions)
     states = {stay.state for stay in cycle.stays if stay.stop > stay.start}
     yield f"transitions: {angles or 'none, ' + ' and '.join(STATE_NAMES[s] for s in sorted(states)) + ' all the cycle'}"
-    yield f"steady to {cycle.residual:.1e} of the largest mu n, found in {cycle.num_cycles} cycles"
+    yield f"steady to {cycle.residual:.1e} of the largest mu n in {cycle.num_cycles} cycles"
     if cycle.offset_free:
         yield "full stick: w, and with it f_b, may keep another offset; here that of a start with f = 0"
     yield f"dissipation {cycle.dissipation:.9g} a cycle (loop area), {cycle.work:.9g} (work of slip)"
@@ -120,7 +123,7 @@ def record_of(
     reason: str | None,
 ) -> Dataset:
     """The result file."""
-    told = attributes(scene, METHOD, 0.0, seconds, reason) | compared | motion_attributes(plan.contact, cycle.motion)
+    about = attributes(scene, METHOD, 0.0, seconds, reason) | compared | motion_attributes(plan.contact, cycle.motion)
     facts = {
         "cycles": cycle.num_cycles,
         "residual": cycle.residual,
@@ -128,9 +131,9 @@ def record_of(
         "touches": int(cycle.touches),
     }
     theta = np.arange(plan.samples) * CYCLE / plan.samples
-    variables = cycle_variables(cycle, theta) | coefficient_variables(cycle, plan)
+    variables = cycle_variables(cycle, plan.contact, theta) | coefficient_variables(cycle, plan)
     coords = {"angle": np.degrees(theta)} | coordinates(variables)
-    return dataset(variables, coords, told | facts)
+    return dataset(variables, coords, about | facts)
 
 
 def motion_attributes(contact: Contact, motion: Motion) -> dict[str, Any]:
@@ -148,10 +151,10 @@ def motion_attributes(contact: Contact, motion: Motion) -> dict[str, Any]:
 Variables = dict[str, tuple[tuple[str, ...], np.ndarray]]
 
 
-def cycle_variables(cycle: ElementCycle, theta: np.ndarray) -> Variables:
+def cycle_variables(cycle: ElementCycle, contact: Contact, theta: np.ndarray) -> Variables:
     """The cycle over the angle, its transitions, the first cycle from the start with f = 0."""
     motion = cycle.motion.evaluate(theta)[0]
-    first = steady_cycle_start(cycle)
+    first = steady_cycle(contact, cycle.motion, max_cycles=1)
     return {
         "u": (("angle", "tangent"), motion[:2].T),
         "v": (("angle",), motion[2]),
@@ -170,44 +173,33 @@ def cycle_variables(cycle: ElementCycle, theta: np.ndarray) -> Variables:
     }
 
 
-def steady_cycle_start(cycle: ElementCycle) -> ElementCycle:
-    """The first cycle of the march to a steady one."""
-    law = cycle.law
-    frame = np.eye(3)
-    contact = Contact("", "", "", frame, law.friction, law.stiffness, law.normal_stiffness, law.preload)
-    return steady_cycle(contact, cycle.motion, max_cycles=1)
-
-
 def _at_transitions(cycle: ElementCycle) -> np.ndarray:
     return cycle.force(np.array([item.angle for item in cycle.transitions])).T.reshape(-1, 2)
 
 
 def coefficient_variables(cycle: ElementCycle, plan: ElementPlan) -> Variables:
     """Fourier coefficients, energy, stiffness and damping."""
-    along = (("tangent",),)
-    found = cycle.coefficients
+
+    def along(part: Coefficients, axis: str, prefix: str = "") -> Variables:
+        names = ("f_b", "f_s", "f_c", "effective_stiffness", "effective_damping")
+        return {prefix + name: ((axis,), getattr(part, name)) for name in names}
+
     cosine, sine = cycle.harmonics(plan.harmonics)
-    made: Variables = {
-        "f_b": (*along, found.f_b),
-        "f_s": (*along, found.f_s),
-        "f_c": (*along, found.f_c),
-        "effective_stiffness": (*along, found.effective_stiffness),
-        "effective_damping": (*along, found.effective_damping),
+    variables = along(cycle.coefficients, "tangent") | {
         "force_cos": (("harmonic", "tangent"), cosine),
         "force_sin": (("harmonic", "tangent"), sine),
         "dissipation": ((), np.array(cycle.dissipation)),
         "friction_work": ((), np.array(cycle.work)),
     }
     if not plan.principal_axes:
-        return made
-    found = cycle.principal_coefficients
-    return made | {
-        "principal_f_b": (("principal",), found.f_b),
-        "principal_f_s": (("principal",), found.f_s),
-        "principal_f_c": (("principal",), found.f_c),
-        "principal_effective_stiffness": (("principal",), found.effective_stiffness),
-        "principal_effective_damping": (("principal",), found.effective_damping),
-        "principal_amplitude": (("principal",), found.amplitude),
-        "principal_phase_deg": (("principal",), np.degrees(found.phase)),
-        "principal_direction": (("principal", "tangent"), found.axes),
-    }
+        return variables
+    principal = cycle.principal_coefficients
+    return (
+        variables
+        | along(principal, "principal", "principal_")
+        | {
+            "principal_amplitude": (("principal",), principal.amplitude),
+            "principal_phase_deg": (("principal",), np.degrees(principal.phase)),
+            "principal_direction": (("principal", "tangent"), principal.axes),
+        }
+    )

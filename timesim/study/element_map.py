@@ -18,7 +18,8 @@ import numpy as np
 from timesim.element.cycle import in_phase
 from timesim.element.elements import Elements, harmonic_elements
 from timesim.element.prescribed import CycleEnd, PrescribedContacts, cycle_end, drive_of, march_cycle
-from timesim.engine.solver import step_control, step_method
+from timesim.engine.method import step_method
+from timesim.engine.solver import step_control
 from timesim.model.contact_state import require_cone
 from timesim.model.model import SEPARATION
 from timesim.model.solver import Solver
@@ -41,7 +42,7 @@ HISTORY = 6
 
 @dataclass(frozen=True)
 class Map:
-    """What was found of N elements.
+    """The results of N elements.
 
     Attributes:
         f_b, f_s, f_c: coefficients of (19), shape (N, 2) [force].
@@ -76,7 +77,7 @@ class March:
         self.reach, self.best = np.ones(count), np.full(count, np.inf)
         pairs, numbers = np.full((count, 2), np.nan), np.full(count, np.nan)
         whole, no = np.zeros(count, dtype=int), np.zeros(count, dtype=bool)
-        self.found = Map(pairs, pairs.copy(), pairs.copy(), numbers, whole, whole.copy(), no)
+        self.result = Map(pairs, pairs.copy(), pairs.copy(), numbers, whole, whole.copy(), no)
 
     def run(self, progress: Progress | None = None, max_cycles: int = MAX_CYCLES) -> Map:
         """March until every cycle repeats, or has been tried often enough."""
@@ -96,7 +97,7 @@ class March:
                     progress(done - waiting.size, done)
                 if not waiting.size:
                     break
-        return self.found
+        return self.result
 
     def _cycle(self, cycle: int, rows: np.ndarray) -> np.ndarray:
         """One cycle of a batch; which of its elements must go on."""
@@ -111,12 +112,12 @@ class March:
 
     def _take(self, cycle: int, rows: np.ndarray, reached: CycleEnd, count: np.ndarray) -> None:
         """Write what a cycle amounts to."""
-        found, good = self.found, reached.good
+        result, good = self.result, reached.good
         forces = (reached.mean, *in_phase(reached.first, self.phase[rows]))
-        for array, values in zip((found.f_b, found.f_s, found.f_c), forces, strict=True):
+        for array, values in zip((result.f_b, result.f_s, result.f_c), forces, strict=True):
             array[rows] = np.where(good[:, None], values, np.nan)
-        found.dissipation[rows] = np.where(good, reached.dissipation, np.nan)
-        found.transitions[rows], found.cycles[rows] = count, cycle
+        result.dissipation[rows] = np.where(good, reached.dissipation, np.nan)
+        result.transitions[rows], result.cycles[rows] = count, cycle
 
     def _judge(self, rows: np.ndarray, reached: CycleEnd) -> np.ndarray:
         """Take over the state after a cycle, carried to its limit where it leads to one; which go on."""
@@ -132,7 +133,7 @@ class March:
         settled = same & (rounding | (left <= self.tolerance)) & reached.good
         self.slip[rows], self.state[rows] = reached.slip, reached.state
         self.forces[rows], self.since[rows] = history, self.since[rows] + 1
-        self.found.settled[rows] = settled
+        self.result.settled[rows] = settled
         self._leap(rows[~settled & (self.since[rows] >= HISTORY) & (reached.state != SEPARATION)])
         return ~settled & reached.good
 
@@ -181,31 +182,31 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     March(elements.pick(np.arange(1)), phase[:1], solver).run(max_cycles=1)
     compiled = time.perf_counter()
     march, reason = March(elements, phase, solver), None
-    found = march.found
+    result = march.result
     try:
         march.run(execution.progress)
     except KeyboardInterrupt:
-        reason = f"{INTERRUPTED} with {np.sum(~found.settled)} of {elements.size} points unsettled (settled = 0)"
+        reason = f"{INTERRUPTED} with {np.sum(~result.settled)} of {elements.size} points unsettled (settled = 0)"
     seconds = time.perf_counter() - compiled
-    number = int(np.sum(~found.settled))
-    lost = int(np.sum(np.isnan(found.dissipation)))
+    number = int(np.sum(~result.settled))
+    lost = int(np.sum(np.isnan(result.dissipation)))
     if lost and reason is None:
         reason = f"the event loop ended early at {lost} of {elements.size} points, NaN in the result"
     names = tuple(MAP_AXES[key] for key in plan.axes)
     shape = tuple(len(plan.values[key]) for key in plan.axes)
     variables = {
-        **{name: ((*names, "tangent"), getattr(found, name).reshape(*shape, 2)) for name in ("f_b", "f_s", "f_c")},
+        **{name: ((*names, "tangent"), getattr(result, name).reshape(*shape, 2)) for name in ("f_b", "f_s", "f_c")},
         **{
-            name: (names, getattr(found, name).reshape(shape))
+            name: (names, getattr(result, name).reshape(shape))
             for name in ("dissipation", "transitions", "cycles", "settled")
         },
     }
     coords = {MAP_AXES[key]: np.array(plan.values[key]) for key in plan.axes} | coordinates(variables)
-    told = attributes(scene, str(solver), compiled - clock, seconds, reason)
-    record = dataset(variables, coords, told | {"contact": plan.contact.name})
+    about = attributes(scene, str(solver), compiled - clock, seconds, reason)
+    record = dataset(variables, coords, about | {"contact": plan.contact.name})
     lines = (
         f"{elements.size} points by {solver} in {seconds:.2f} s, after {compiled - clock:.1f} s of compilation",
-        f"cycles to the steady one: {np.median(found.cycles):.0f} in the median, {found.cycles.max()} at most",
+        f"cycles to the steady one: {np.median(result.cycles):.0f} in the median, {result.cycles.max()} at most",
         *([f"{number} points still creep after {MAX_CYCLES} cycles (settled = 0)"] if number else []),
     )
     return Outcome({"": record}, reason, lines)

@@ -238,4 +238,6 @@ def data_of(peaks: Peaks) -> Dataset:
         "failure": (grid, column("reason", *shape[1:]).astype(str)),
     }
     coords = {key: np.array(values), "direction": np.array(["up", "down"]), "frequency": peaks.frequency}
-    return dataset(variables, coords, {}, model)
+    data = dataset(variables, coords, {}, model)
+    data["optimum"].attrs |= {name: text for name, text in data[key].attrs.items() if name == "units"}
+    return data

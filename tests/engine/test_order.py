@@ -1,0 +1,77 @@
+"""The order of the methods through all transitions, by regression over fixed steps."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from simulation import relative_error
+from systems import excitation, inclined
+
+from timesim.engine.event_loop import advance
+from timesim.engine.method import Method, method_named
+from timesim.engine.solver import step_control
+from timesim.engine.step import Status
+from timesim.engine.system import system_of
+from timesim.engine.trajectory import Frame, Phase, Run
+from timesim.model.model import SEPARATION, SLIP, STICK, Model
+from timesim.model.solver import Solver
+
+ANY_ERROR = Solver("tsit5", 1e300, 1.0)
+"""Tolerances that no step exceeds: its length is the longest that is allowed."""
+
+DECADE = np.array([100, 139, 193, 268, 373, 518, 720, 1000])
+"""Steps of a cycle."""
+
+OMEGA = 0.35
+
+
+def pressed_and_lifted() -> Model:
+    """A mass that sticks, slips and lifts off, ten transitions a cycle.
+
+    It moves straight: in a plane the direction of slip turns without bound as n -> 0, which costs every method its
+    order there.
+    """
+    model = inclined(OMEGA)
+    contact = replace(model.contacts[0], preload=0.2)
+    return replace(model, contacts=(contact,), excitation=excitation(OMEGA / (2 * np.pi), [2.0], [0.0]))
+
+
+def in_fixed_steps(method: Method, count: int) -> tuple[np.ndarray, list[tuple[int, int]]]:
+    """State after two cycles of so many steps, those cut by a transition apart, and the transitions."""
+    model, frequency = pressed_and_lifted(), OMEGA / (2 * np.pi)
+    run = Run(model, [Phase(frequency, 2)], ANY_ERROR)
+    frame, h = Frame(model, run.reduction, frequency), np.asarray(2 * np.pi / count)
+    system = system_of(model, frequency, 0.0, run.reduction)
+    control = replace(step_control(ANY_ERROR, model.stuck_rate / frame.scales.omega), longest=h, opening=h)
+    start = frame.begin(system, run, float(h), work=False)
+    now, steps, taken = advance(method, control, system, start, jnp.asarray(2), 4096)
+    assert int(now.status) == Status.RUNNING
+    assert int(now.cycle) == 2
+    before, after = (np.asarray(state)[: int(taken), 0] for state in (steps.state, steps.state_after))
+    log = [(int(b), int(a)) for b, a in zip(before, after, strict=True) if b != a]
+    assert 2 * count <= int(taken) <= 2 * count + 2 * len(log)
+    return np.concatenate([now.point.q, now.point.p]), log
+
+
+@pytest.mark.parametrize(
+    ("name", "lowest", "highest", "steps"),
+    [
+        ("rk4", 3.75, 4.25, DECADE),
+        ("tsit5", 4.75, 5.25, DECADE),
+        ("dopri5", 4.75, 5.25, DECADE),
+        ("kvaerno5", 4.75, 5.25, DECADE),
+        # Rounding comes after half a decade, and errors of eighth order are small beside those of ninth.
+        ("dopri8", 7.75, 9.25, np.array([30, 35, 41, 48, 56, 65, 77, 90])),
+    ],
+)
+def test_order_through_transitions(name: str, lowest: float, highest: float, steps: np.ndarray) -> None:
+    true, log = in_fixed_steps(method_named("dopri8"), 1200)
+    assert set(log) == {(STICK, SLIP), (SLIP, STICK), (SLIP, SEPARATION), (SEPARATION, SLIP)}
+    method = method_named(name, rtol=1e-11, atol=1e-13)
+    ends = [in_fixed_steps(method, int(count)) for count in steps]
+    assert all(own == log for _, own in ends)
+    error = np.array([relative_error(end, true) for end, _ in ends])
+    order = -np.polyfit(np.log(steps), np.log(error), 1)[0]
+    print(name, error, order)
+    assert lowest < order < highest

@@ -1,0 +1,42 @@
+"""The dimensionless system: the force of the excitation at any phase of a cycle, and the power of each force."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from systems import generated_model
+
+from timesim.engine.system import Point, Work, excitation, system_of
+from timesim.model.model import SLIP
+from timesim.model.scales import scales_of
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.7])
+def test_the_force_is_that_of_the_scene(phase: float):
+    model = generated_model(1, 3, 2)
+    model = replace(model, excitation=replace(model.excitation, harmonic=np.array([1, 4]), constant=np.arange(3.0)))
+    load, scales = model.excitation, scales_of(model, 1.3)
+    system = system_of(model, 1.3, phase)
+    unit = model.structure.mass * scales.mode * scales.omega**2
+    for angle in (0.0, 0.4, 3.0):
+        turn = load.harmonic * (angle + phase)
+        force = load.constant + np.cos(turn) @ load.cosine + np.sin(turn) @ load.sine
+        found = np.asarray(excitation(system, jnp.asarray(angle))) * unit
+        np.testing.assert_allclose(found, force, rtol=0, atol=1e-12 * np.abs(force).max())
+
+
+def test_the_power_of_each_force_is_its_own():
+    model = generated_model(1, 3, 2)
+    damping = np.array([[3.0, 1.0, 0.5], [1.0, 2.0, -0.4], [0.5, -0.4, 1.0]])
+    system = system_of(replace(model, structure=replace(model.structure, damping=damping)), 1.3)
+    q, p, w = np.array([0.3, -0.2, 0.1]), np.array([0.2, 0.5, -0.4]), (np.array([0.1, 0.2]), np.array([-0.3, 0.1]))
+    zero, state, time = jnp.zeros(()), jnp.asarray([SLIP, SLIP]), jnp.asarray(0.4)
+    point = Point(jnp.asarray(q), jnp.asarray(p), tuple(map(jnp.asarray, w)), Work(zero, zero, jnp.zeros(2)))
+    power = system.field(state, time, point).work
+    acts = system.law.reaction(state, system.motion(point), point.w)
+    assert power is not None
+    assert float(power.input) == pytest.approx(float(np.asarray(excitation(system, time)) @ p), rel=1e-12)
+    assert float(power.damping) == pytest.approx(p @ np.asarray(system.damping) @ p, rel=1e-12)
+    rubbing = np.sum([np.asarray(f) * np.asarray(dw) for f, dw in zip(acts.f, acts.dw, strict=True)], axis=0)
+    np.testing.assert_allclose(power.friction, rubbing, rtol=1e-12)
