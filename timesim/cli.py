@@ -109,9 +109,9 @@ def check(scene: SceneFile, overrides: Overrides = None) -> None:
     """Check a scene without running it, and say what would be modelled."""
     from timesim.scene.report import describe
 
-    for heading in describe(_loaded(scene, overrides)):
-        print(f"{heading.title}:")
-        for line in heading.lines:
+    for heading, lines in describe(_loaded(scene, overrides)).items():
+        print(f"{heading}:")
+        for line in lines:
             print(f"  {line}")
 
 

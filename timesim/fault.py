@@ -1,4 +1,4 @@
-"""What can be wrong with a scene, and where: faults of a section, and problems as a user reads them."""
+"""Errors in a scene: rules broken at a key of a section, and problems with file and line as a user reads them."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class RuleError(Exception):
         self.key, self.rule, self.hint, self.value, self.line = key, rule, hint, value, line
 
     def below(self, *prefix: str | int) -> "RuleError":
-        """The same fault, seen from the section above."""
+        """The same error, its key seen from the section above."""
         return RuleError((*prefix, *self.key), self.rule, self.hint, self.value, self.line)
 
 

@@ -284,7 +284,7 @@ def follow(
 
 
 def plot(result: "xarray.Dataset", folder: str | Path) -> list[Path]:
-    """Draw the pictures of a result into a folder, which is made, and return the files; see `timesim plot`."""
+    """Draw the pictures of a result into a folder, creating it, and return the files; see `timesim plot`."""
     Path(folder).mkdir(parents=True, exist_ok=True)
     return draw(result, folder)
 

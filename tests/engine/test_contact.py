@@ -7,7 +7,7 @@ import pytest
 
 from timesim.engine.contact import ConeLaw, incipient_direction, slip_direction, slip_speed
 from timesim.engine.contact_law import Motion, dot, length, product
-from timesim.model.model import SEPARATION, SLIP, STICK
+from timesim.model.model import GROUND, SEPARATION, SLIP, STICK, Contact
 
 RNG = np.random.default_rng(20)
 
@@ -145,3 +145,20 @@ def test_a_contact_at_rest_has_finite_derivatives():
 
     _, slope = jax.jvp(total, (jnp.zeros(1),), (jnp.ones(1),))
     assert np.isfinite(slope)
+
+
+@pytest.mark.parametrize("v", [1e-6, -1e-9, 1e-30])
+def test_the_stored_energy_of_a_motion_far_below_the_preload(v: float):
+    stop = Contact("pad", "tip", GROUND, np.eye(3), 0.0, np.zeros((2, 2)), 20.0, 3.0)
+    motion, slip = np.array([[0.0, 0.0, v]]), np.zeros((1, 2))
+    energy = sum(ConeLaw.stored_energy(stop, motion, slip, np.array([SLIP])))[0]
+    assert energy == pytest.approx(10 * v**2, rel=1e-12, abs=0)
+
+
+@pytest.mark.parametrize(("preload", "v"), [(3.0, 0.2), (3.0, -0.4), (-1.0, 0.2), (-1.0, 0.01), (0.0, -1.0)])
+def test_the_stored_energy_is_the_work_of_the_normal_load(preload: float, v: float):
+    stop = Contact("pad", "tip", GROUND, np.eye(3), 0.0, np.zeros((2, 2)), 20.0, preload)
+    path = np.linspace(0.0, v, 100_001)
+    work = np.trapezoid(np.maximum(preload + 20 * path, 0.0) - max(preload, 0.0), path)
+    motion, slip = np.array([[0.0, 0.0, v]]), np.zeros((1, 2))
+    assert sum(ConeLaw.stored_energy(stop, motion, slip, np.array([SLIP])))[0] == pytest.approx(work, abs=1e-8)

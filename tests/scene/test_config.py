@@ -23,9 +23,9 @@ from timesim.study.registry import json_schema, load_scene
 CONFIGS = Path(__file__).parents[2] / "configs"
 
 
-def problems(source: Any, *overrides: str) -> list[tuple[str, str]]:
+def problems(source: Any, *overrides: Any) -> list[tuple[str, str]]:
     with pytest.raises(SceneError) as caught:
-        load_scene(source, overrides)
+        load_scene(source, overrides[0] if overrides and isinstance(overrides[0], dict) else overrides)
     return [(problem.key, problem.rule) for problem in caught.value.problems]
 
 
@@ -55,8 +55,8 @@ def test_a_value_of_over_is_shown_once():
     study = "study={kind: sweep, frequency: {from: 1, to: 2, step: 0.5}, over: {contacts.pad.normal_stiffness: [0]}}"
     with pytest.raises(SceneError) as caught:
         load_scene(BASE, [study, "contacts.pad.preload=-30"])
-    refusal = "override: study.over.contacts.pad.normal_stiffness: 0.0: contacts.pad.preload must be > 0 where"
-    assert str(caught.value).startswith(refusal)
+    start = "override: study.over.contacts.pad.normal_stiffness: 0.0: contacts.pad.preload must be > 0 where"
+    assert str(caught.value).startswith(start)
 
 
 def test_zoo_is_diverse():
@@ -75,8 +75,8 @@ def test_problems_come_together():
         .replace("friction: 0.5", "frictoin: 0.5")
         .replace("cycles: 60", "cycles: 0")
     )
-    found = [key for key, _ in problems(text)]
-    assert found == ["structure.modes.0.mass", "contacts.pad.frictoin", "study.cycles"]
+    keys = [key for key, _ in problems(text)]
+    assert keys == ["structure.modes.0.mass", "contacts.pad.frictoin", "study.cycles"]
 
 
 TYPO = {"study.cycles": 0}
@@ -104,6 +104,40 @@ def test_no_problem_waits_for_another_to_be_mended(text: str, changes: dict[str,
     with pytest.raises(SceneError) as caught:
         load_scene(text, changes)
     assert sorted(problem.key for problem in caught.value.problems) == sorted(keys or changes)
+
+
+@pytest.mark.parametrize("tiny", [1e-160, 1e-200, 1e-320])
+@pytest.mark.parametrize(
+    ("keys", "refused"),
+    [
+        (("excitation.modal_force.0.amplitude", "excitation.modal_force.1.amplitude"), "excitation"),
+        (("structure.modes.0.mass", "structure.modes.1.mass"), "excitation"),
+        (("excitation.frequency",), "excitation"),
+        (("contacts.pad.tangential_stiffness",), "contacts.pad.tangential_stiffness"),
+        (("structure.modes.0.frequency",), None),
+        (("structure.modes.0.damping_ratio",), None),
+        (("contacts.pad.normal_stiffness",), None),
+        (("contacts.pad.friction",), None),
+    ],
+)
+def test_numbers_whose_squares_vanish(keys: tuple[str, ...], refused: str | None, tiny: float):
+    changes = {"excitation.forces": [], "excitation.constant_forces": []} | dict.fromkeys(keys, tiny)
+    if refused is None:
+        assert describe(load_scene(BASE, changes))
+    else:
+        ((key, rule),) = problems(BASE, changes)
+        assert key == refused
+        assert "must lead to" in rule or "out of proportion" in rule
+
+
+def test_a_response_may_be_small_as_long_as_its_square_is_a_number():
+    changes = {f"excitation.modal_force.{i}.amplitude": 1e-90 for i in (0, 1)}
+    assert load_scene(CONFIGS / "oscillator.yaml", changes).model().contacts[0].preload == 3
+    still = {"excitation.modal_force": None, "contacts": [], "initial": {"modal_velocity": [1e-200, 0]}}
+    assert problems(BASE, still | {"excitation": {"frequency": 1}})[0][0] == "initial"
+    assert problems(CONFIGS / "oscillator.yaml", changes | {"contacts.pad.preload": 1e20})[0] == (
+        "contacts.pad.preload", "is out of proportion to forces of 1e-90 and displacements of 1.31e-92",
+    )  # fmt: skip
 
 
 def test_a_point_is_known_if_any_mode_names_it():
@@ -153,8 +187,8 @@ def test_text_that_is_no_scene(content: bytes, line: int | None, rule: str, tmp_
 
 def test_alias_bomb_is_refused():
     levels = [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 30)]
-    found = problems("\n".join(["a0: &a0 [x, x, x]", *levels, ""]))
-    assert "values, aliases written out" in found[0][1]
+    refused = problems("\n".join(["a0: &a0 [x, x, x]", *levels, ""]))
+    assert "values, aliases written out" in refused[0][1]
 
 
 def test_files_that_are_none(tmp_path: Path):
@@ -525,9 +559,9 @@ def test_start_from_a_result_of_other_parameters(tmp_path: Path, contact: Any, v
 )
 def test_result_that_no_start_is(tmp_path: Path, changes: Any, rule: str):
     path = write_result(tmp_path / "result.nc", **changes)
-    ((key, found),) = problems(one_mass(contact={"preload": 2}, initial={"from": str(path)}))
+    ((key, refusal),) = problems(one_mass(contact={"preload": 2}, initial={"from": str(path)}))
     assert key == "initial.from"
-    assert rule in found
+    assert rule in refusal
 
 
 def test_files_that_no_result_are(tmp_path: Path):
@@ -544,7 +578,7 @@ def test_files_that_no_result_are(tmp_path: Path):
 
 def test_describe_names_every_part():
     scene = load_scene(CONFIGS / "oscillator.yaml")
-    report = {heading.title: heading.lines for heading in describe(scene)}
+    report = describe(scene)
     assert report["structure"] == ("2 modes, 0.9 to 1.1 Hz", "damping ratio 0.02", "points: tip")
     assert "same tangential stiffness" in report["left out or simplified"][0]
     assert "preload 3" in report["contacts"][0]
@@ -555,7 +589,7 @@ def test_describe_says_what_is_left_out_and_why():
     def said(**overrides: Any) -> tuple[str, ...]:
         changes = {key.replace("__", "."): value for key, value in overrides.items()}
         scene = load_scene(CONFIGS / "oscillator.yaml", changes)
-        return {heading.title: heading.lines for heading in describe(scene)}["left out or simplified"]
+        return describe(scene)["left out or simplified"]
 
     assert "sticks from start to end" in said(contacts__pad__preload=100)[0]
     assert "never touches" in said(contacts__pad__preload=-40)[0]
@@ -564,17 +598,15 @@ def test_describe_says_what_is_left_out_and_why():
 
 def test_describe_counts_points_and_advises_at_the_lowest_frequency():
     def report(*overrides: str) -> dict[str, tuple[str, ...]]:
-        return {heading.title: heading.lines for heading in describe(load_scene(BASE, overrides))}
+        return describe(load_scene(BASE, overrides))
 
     sweep = "study={direction: both, frequency: {from: 1, to: 2, step: 0.5}, kind: sweep}"
-    found = report(sweep, f"study.over.contacts.pad.preload={[float(k) for k in range(9)]}")
-    _, study, points, *_ = found["scene"]
-    frequencies = "direction both, frequency {from: 1.0, to: 2.0, step: 0.5}"
-    assert study.startswith(
-        f"study: kind sweep, {frequencies}, over {{contacts.pad.preload: [0.0, 1.0, 2.0, …, 8.0]}}, "
-    )
+    headings = report(sweep, f"study.over.contacts.pad.preload={[float(k) for k in range(9)]}")
+    _, study, points, *_ = headings["scene"]
+    written = "direction both, frequency {from: 1.0, to: 2.0, step: 0.5}"
+    assert study.startswith(f"study: kind sweep, {written}, over {{contacts.pad.preload: [0.0, 1.0, 2.0, …, 8.0]}}, ")
     assert points == "points: 3 frequencies x 9 values of contacts.pad.preload x 2 directions = 54 points"
-    (advice,) = found["advised method"]
+    (advice,) = headings["advised method"]
     assert advice.startswith("tsit5: ")
     assert advice.endswith("(at 1 Hz, the lowest, where it asks most)")
     assert "points: 3 frequencies" in report("study={kind: sweep, frequency: {values: [1, 2, 3]}}")["scene"]
@@ -637,8 +669,8 @@ def test_check_loads_no_jax():
         "heavy = ('jax', 'diffrax', 'equinox', 'xarray', 'matplotlib');"
         "print([name for name in sys.modules if name.split('.')[0] in heavy])"
     )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout.strip() == "[]"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
 
 
 def test_json_schema_knows_the_keys():
@@ -673,8 +705,8 @@ def test_written_yaml_reads_back(data: dict[str, Any]):
 
 def leaves(data: Any, key: tuple[str, ...] = ()) -> list[str]:
     items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
-    found = [name for part, value in items for name in leaves(value, (*key, str(part)))]
-    return [".".join(key), *found] if key else found
+    below = [name for part, value in items for name in leaves(value, (*key, str(part)))]
+    return [".".join(key), *below] if key else below
 
 
 @settings(max_examples=200, deadline=None)

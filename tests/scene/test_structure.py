@@ -65,17 +65,17 @@ def test_chain_has_its_closed_form():
 @pytest.mark.parametrize("name", ["blade.npz", "blade.mat"])
 def test_blade_has_the_modes_written_out(name: str):
     written = load_scene(DATA / "blade_modes.yaml").model().structure
-    found = load_scene(DATA / "blade_matrices.yaml", {"structure.file": name}).model().structure
-    assert np.allclose(found.frequency, written.frequency, rtol=1e-9)
-    assert found.points == written.points
-    sign = np.sign(np.sum(found.shape * written.shape, axis=(0, 1)))
-    assert np.allclose(found.shape * sign, written.shape, rtol=1e-7, atol=1e-7)
-    assert np.allclose(found.damping, written.damping, rtol=1e-9)
+    loaded = load_scene(DATA / "blade_matrices.yaml", {"structure.file": name}).model().structure
+    assert np.allclose(loaded.frequency, written.frequency, rtol=1e-9)
+    assert loaded.points == written.points
+    sign = np.sign(np.sum(loaded.shape * written.shape, axis=(0, 1)))
+    assert np.allclose(loaded.shape * sign, written.shape, rtol=1e-7, atol=1e-7)
+    assert np.allclose(loaded.damping, written.damping, rtol=1e-9)
 
 
 def test_blade_has_all_its_modes():
-    found = load_scene(DATA / "blade_matrices.yaml", ["structure.keep_modes=24"]).model().structure
-    assert np.allclose(found.frequency, json.loads((DATA / "fe_modes.json").read_text())["cb_frequency_hz"], rtol=1e-9)
+    loaded = load_scene(DATA / "blade_matrices.yaml", ["structure.keep_modes=24"]).model().structure
+    assert np.allclose(loaded.frequency, json.loads((DATA / "fe_modes.json").read_text())["cb_frequency_hz"], rtol=1e-9)
 
 
 @settings(max_examples=40, deadline=None)
@@ -152,9 +152,9 @@ def test_mat_file(sparse: bool, names: tuple[str, ...], tmp_path: Path):
     arrays = [base.mass, base.stiffness, 0.1 * base.stiffness]
     held = dict(zip(names, map(scipy.sparse.csc_array, arrays) if sparse else arrays, strict=True))
     scipy.io.savemat(tmp_path / "a.mat", held | {"notes": "left alone", "rows": np.array(["a", "b"], dtype=object)})
-    found = load_scene(files(tmp_path / "a.mat"))
-    assert np.allclose(found.model().structure.damping, 0.02 * found.model().structure.omega)
-    assert any("damping matrix in the file is not" in warning for warning in found.warnings())
+    loaded = load_scene(files(tmp_path / "a.mat"))
+    assert np.allclose(loaded.model().structure.damping, 0.02 * loaded.model().structure.omega)
+    assert any("damping matrix in the file is not" in warning for warning in loaded.warnings())
     source = files(tmp_path / "a.mat")
     del source["structure"]["damping_ratio"]
     structure = load_scene(source).model().structure
@@ -243,9 +243,9 @@ def single(path: Path) -> Path:
     ],
 )
 def test_npz_that_is_wrong(write: Any, rule: str, tmp_path: Path):
-    key, found = refusal(files(write(tmp_path / "a.npz")))
+    key, loaded = refusal(files(write(tmp_path / "a.npz")))
     assert key == "structure.file"
-    assert rule in found
+    assert rule in loaded
 
 
 def test_npz_without_the_keys(tmp_path: Path):
@@ -272,9 +272,9 @@ def test_mat_that_is_wrong(content: bytes | None, rule: str, tmp_path: Path):
     scipy.io.savemat(tmp_path / "a.mat", {"mass": np.eye(3)})
     if content is not None:
         (tmp_path / "a.mat").write_bytes(content)
-    key, found = refusal(files(tmp_path / "a.mat"))
+    key, loaded = refusal(files(tmp_path / "a.mat"))
     assert key == "structure.file"
-    assert rule in found
+    assert rule in loaded
 
 
 def test_mat_cut_off_anywhere_is_refused(tmp_path: Path):
@@ -301,14 +301,14 @@ def test_cell_array_is_no_matrix(tmp_path: Path):
 def test_matrix_market_that_is_wrong(content: str, rule: str, tmp_path: Path):
     (tmp_path / "m.mtx").write_text(content)
     scipy.io.mmwrite(tmp_path / "k.mtx", np.eye(2))
-    key, found = refusal(files({"mass": tmp_path / "m.mtx", "stiffness": tmp_path / "k.mtx"}))
+    key, loaded = refusal(files({"mass": tmp_path / "m.mtx", "stiffness": tmp_path / "k.mtx"}))
     assert key == "structure.file.mass"
-    assert rule in found
+    assert rule in loaded
 
 
 def test_other_kinds_of_file_are_refused(tmp_path: Path):
     assert "must be a .npz or .mat file" in refusal(files("a.mtx"))[1]
     (tmp_path / "m.npy").write_bytes(b"")
-    key, found = refusal(files({"mass": tmp_path / "m.npy", "stiffness": "k.mtx"}))
+    key, loaded = refusal(files({"mass": tmp_path / "m.npy", "stiffness": "k.mtx"}))
     assert key == "structure.file.mass"
-    assert "must be a .mtx file" in found
+    assert "must be a .mtx file" in loaded

@@ -19,7 +19,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from timesim.scene.section import Count
+from timesim.scene.value import Count
 from timesim.scene.study import Context, StudySection
 
 

@@ -127,15 +127,17 @@ class ConeLaw(ContactLaw):
     def stored_energy(
         contact: Contact, motion: np.ndarray, slip: np.ndarray, state: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        # The normal spring is one-sided: its energy is (n^2 - max(n0, 0)^2) / (2 k_v) - max(n0, 0) v.
+        # The normal spring is one-sided: its energy is (n^2 - max(n0, 0)^2) / (2 k_v) - max(n0, 0) v. Under a preload
+        # it is k_v v^2 / 2 while n > 0; a difference of squares would leave nothing of a motion far below n0 / k_v.
         parts = []
         if contact.friction > 0:
             stretch = np.where(state[:, None] == SEPARATION, 0.0, motion[:, :2] - slip)
             parts.append(0.5 * np.einsum("ni,ij,nj->n", stretch, contact.tangential_stiffness, stretch))
         if contact.normal_stiffness > 0:
-            closed = max(contact.preload, 0.0)
-            n = np.maximum(contact.preload + contact.normal_stiffness * motion[:, 2], 0.0)
-            parts += [(n**2 - closed**2) / (2 * contact.normal_stiffness), -closed * motion[:, 2]]
+            k, v = contact.normal_stiffness, motion[:, 2]
+            n = contact.preload + k * v
+            preloaded = k * v**2 / 2 - np.minimum(n, 0.0) ** 2 / (2 * k)
+            parts.append(preloaded if contact.preload > 0 else np.maximum(n, 0.0) ** 2 / (2 * k))
         return tuple(parts)
 
 

@@ -51,7 +51,7 @@ def start_states(model: Model) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ContactLoads:
-    """What the contacts of a model bear at a displacement and a slip.
+    """Motions and forces of the contacts of a model at a displacement and a slip.
 
     Attributes:
         motion: u, shape (C, 2).
@@ -84,7 +84,7 @@ class ContactLoads:
 
 
 def contact_loads(model: Model, displacement: np.ndarray, slip: np.ndarray) -> ContactLoads:
-    """What the contacts bear at a modal displacement, shape (M,), and a slip, shape (C, 2)."""
+    """Motions and forces of the contacts at a modal displacement, shape (M,), and a slip, shape (C, 2)."""
     relative = model.contact_shape @ displacement
     normal = model.preload + model.normal_stiffness * relative[:, 2]
     force = np.einsum("cij,cj->ci", model.tangential_stiffness, relative[:, :2] - slip)
@@ -92,7 +92,7 @@ def contact_loads(model: Model, displacement: np.ndarray, slip: np.ndarray) -> C
 
 
 def require_cone(contacts: Iterable[Contact], what: str) -> None:
-    """Refuse contacts of another law than the cone's to what is written for that one.
+    """Refuse contacts of another law where only the friction cone is implemented.
 
     Raises:
         ValueError: a contact obeys another law.

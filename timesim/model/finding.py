@@ -36,7 +36,7 @@ def straight(model: Model, live: np.ndarray, line: np.ndarray) -> Iterator[str]:
 
 
 def simplified(contact: Contact, shape: np.ndarray, *, is_straight: bool) -> Iterator[str]:
-    """What the contact law itself makes simpler in a live contact."""
+    """Simplifications of the contact law in a live contact."""
     name, K = contact.name, contact.tangential_stiffness
     if contact.friction == 0:
         yield f"contact {name} is a frictionless stop: no friction force and no slip are modelled"

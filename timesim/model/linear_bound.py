@@ -1,4 +1,4 @@
-"""Bounds over all time on what a linear structure does under constant and periodic forces.
+"""Bounds over all time on the motion of a linear structure under constant and periodic forces.
 
 With unit modal masses, ``q'' + D q' + K q = p(t)``, K symmetric and positive definite, D not negative. With
 the eigenvectors V of K, ``K V = V W^2`` and ``q = V a``, the state is ``y = (W a, a')``; ``|y|^2`` is twice
@@ -46,7 +46,7 @@ class Oscillation:
 
 @dataclass(frozen=True)
 class Envelope:
-    """Bound on a vector z(t) over all time, by what a linear functional l of it can at most be.
+    """Bound on a vector z(t) over all time: the largest value that a linear functional l of it can take.
 
     At no time is ``l . z`` above ``l . constant + sum_j |l . wave_j| + |l . ball|``.
 
@@ -89,10 +89,10 @@ def envelopes(
     frame = _frame(oscillation)
     if frame is None:
         return [[] for _ in offset]
-    motions = _motions(frame, oscillation, omega)
+    swings = _swings(frame, oscillation, omega)
     output = output @ (frame.vectors / frame.frequency)
     return [
-        [Envelope(zero + out @ frame.still, out @ m.wave, out @ m.ball) for m in motions]
+        [Envelope(zero + out @ frame.still, out @ wave, out @ ball) for wave, ball in swings]
         for out, zero in zip(output, offset, strict=True)
     ]
 
@@ -130,15 +130,11 @@ def _frame(oscillation: Oscillation) -> _Frame | None:
     return _Frame(frequency, damping, vectors, vectors.T @ oscillation.constant / frequency, rounding)
 
 
-@dataclass(frozen=True)
-class _Motions:
-    """Bound on W a about its constant part, in the two forms of an `Envelope`: shapes (N, J) and (N, N)."""
-
-    wave: np.ndarray
-    ball: np.ndarray
+Swing = tuple[np.ndarray, np.ndarray]
+"""Bound on W a about its constant part: `wave` and `ball` of an `Envelope`, shapes (N, J) and (N, K)."""
 
 
-def _motions(frame: _Frame, oscillation: Oscillation, omega: float | None) -> list[_Motions]:
+def _swings(frame: _Frame, oscillation: Oscillation, omega: float | None) -> list[Swing]:
     displacement = frame.frequency * (frame.vectors.T @ oscillation.displacement) - frame.still
     start = np.concatenate([displacement, frame.vectors.T @ oscillation.velocity])
     force = oscillation.wave @ frame.vectors
@@ -173,17 +169,17 @@ def _complex_modes(frame: _Frame) -> _ComplexModes | None:
 
 def _one_frequency(
     frame: _Frame, modes: _ComplexModes | None, start: np.ndarray, steady: np.ndarray | None
-) -> list[_Motions]:
+) -> list[Swing]:
     if steady is None:
         return []
     size = frame.frequency.size
     waves = steady[:size]
     # The longest half axis of each ellipse.
     swing = np.sqrt(0.5 * ((np.abs(steady) ** 2).sum(axis=0) + np.abs((steady**2).sum(axis=0)))).sum()
-    bounds = [_Motions(waves, np.eye(size) * (np.linalg.norm(start) + swing))]
+    bounds = [(waves, np.eye(size) * (np.linalg.norm(start) + swing))]
     if modes:
         free = np.abs(modes.inverse @ start) + _at_any_phase(modes.inverse, steady)
-        bounds.append(_Motions(np.hstack([waves, modes.shape[:size] * free]), np.zeros((size, 0))))
+        bounds.append((np.hstack([waves, modes.shape[:size] * free]), np.zeros((size, 0))))
     return bounds
 
 
@@ -192,16 +188,16 @@ def _at_any_phase(inverse: np.ndarray, wave: np.ndarray) -> np.ndarray:
     return 0.5 * (np.abs(inverse @ wave) + np.abs(inverse @ wave.conj())).sum(axis=1)
 
 
-def _any_schedule(modes: _ComplexModes, start: np.ndarray, force: np.ndarray) -> list[_Motions]:
+def _any_schedule(modes: _ComplexModes, start: np.ndarray, force: np.ndarray) -> list[Swing]:
     push = _at_any_phase(modes.inverse, np.concatenate([np.zeros_like(force.T), force.T]))
     # A decay of the size of its rounding error is none.
     decay = -modes.rate.real - 1e-13 * modes.condition * np.abs(modes.rate).max(initial=0.0)
     forced = push > 0
     if np.any(decay[forced] <= 0):
         return []
-    held = np.abs(modes.inverse @ start) + np.divide(push, decay, out=np.zeros_like(push), where=forced)
+    free = np.abs(modes.inverse @ start) + np.divide(push, decay, out=np.zeros_like(push), where=forced)
     size = force.shape[1]
-    return [_Motions(modes.shape[:size] * held, np.zeros((size, 0)))]
+    return [(modes.shape[:size] * free, np.zeros((size, 0)))]
 
 
 def _steady(frame: _Frame, force: np.ndarray, omega: np.ndarray) -> np.ndarray | None:

@@ -9,7 +9,8 @@ SciPy is loaded only when there are matrices to read or to solve.
 
 import warnings
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,58 +55,56 @@ def read_matrices(source: Path | Mapping[str, Path]) -> Matrices:
         hint = "for Matrix Market write file: {mass: m.mtx, stiffness: k.mtx}"
         raise RuleError((), "must be a .npz or .mat file", hint, str(source))
     _check_present(source)
-    held = readers[source.suffix.lower()](source)
-    names = {name: next((key for key in (name, short) if key in held), None) for name, short in ARRAYS.items()}
+    arrays = readers[source.suffix.lower()](source)
+    names = {name: next((key for key in (name, short) if key in arrays), None) for name, short in ARRAYS.items()}
     for name in ("mass", "stiffness"):
         if names[name] is None:
             rule = f"holds neither {name} nor {ARRAYS[name]}"
-            raise RuleError((), rule, f"it holds {', '.join(sorted(held)) or 'nothing'}", str(source))
-    arrays = {name: _numeric(held[key], f"{key} in {source.name}") for name, key in names.items() if key}
-    spare = [short for name, short in ARRAYS.items() if name in held and short in held]
-    notes = [
-        f"{source.name} holds {short} besides the array of the full name; {short} is left alone" for short in spare
-    ]
-    return Matrices(**arrays, notes=tuple(notes))
+            raise RuleError((), rule, f"it holds {', '.join(sorted(arrays)) or 'nothing'}", str(source))
+    matrices = {name: _numeric(arrays[key], f"{key} in {source.name}") for name, key in names.items() if key}
+    spare = [short for name, short in ARRAYS.items() if name in arrays and short in arrays]
+    unused = "{0} holds {1} besides the array of the full name; {1} is left alone"
+    return Matrices(**matrices, notes=tuple(unused.format(source.name, short) for short in spare))
 
 
 def _check_present(path: Path) -> None:
     if not path.is_file():
-        raise RuleError(
-            (),
-            "is no file" if path.exists() else "does not exist",
-            "paths start at the scene's folder",
-            str(path),
-        )
+        rule = "is no file" if path.exists() else "does not exist"
+        raise RuleError((), rule, "paths start at the scene's folder", str(path))
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Refuse a file that cannot be read: a damaged one raises whatever its bytes lead zlib, numpy or scipy into."""
+    try:
+        yield
+    except Exception as error:
+        rule = f"cannot be read ({' '.join(str(error).split())[:200] or type(error).__name__})"
+        hint = "the file may be truncated; write it again"
+        if isinstance(error, NotImplementedError) and path.suffix.lower() == ".mat":
+            rule, hint = "is a MATLAB 7.3 file", "save it with save(..., '-v7')"
+        elif "pickle" in str(error):
+            rule, hint = "holds pickled objects", "save plain numeric arrays, sparse ones as .mat or .mtx"
+        raise RuleError((), rule, hint, str(path)) from None
 
 
 def _read_npz(path: Path) -> dict[str, Any]:
     wanted = [*ARRAYS, *ARRAYS.values()]
     if not zipfile.is_zipfile(path):
         raise RuleError((), "is no whole .npz archive", "it may be truncated; write it again", str(path))
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            return {key: archive[key] if key in wanted else None for key in archive.files}
-    except Exception as error:  # a damaged archive raises whatever its bytes lead zlib and numpy into
-        if "pickle" not in str(error):
-            raise _unreadable(path, error) from None
-        hint = "save plain numeric arrays, sparse ones as .mat or .mtx"
-        raise RuleError((), "holds pickled objects", hint, str(path)) from None
+    with _reading(path), path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
+        return {key: archive[key] if key in wanted else None for key in archive.files}
 
 
 def _read_mat(path: Path) -> dict[str, Any]:
     import scipy.io
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            names = [entry[0] for entry in scipy.io.whosmat(path)]
-            wanted = [name for name in names if name in ARRAYS or name in ARRAYS.values()]
-            held = scipy.io.loadmat(path, variable_names=wanted)
-            return {name: held.get(name) for name in names}
-    except NotImplementedError:
-        raise RuleError((), "is a MATLAB 7.3 file", "save it with save(..., '-v7')", str(path)) from None
-    except Exception as error:  # a damaged .mat raises whatever its bytes lead scipy into, zlib.error among them
-        raise _unreadable(path, error) from None
+    with _reading(path), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        names = [entry[0] for entry in scipy.io.whosmat(path)]
+        wanted = [name for name in names if name in ARRAYS or name in ARRAYS.values()]
+        arrays = scipy.io.loadmat(path, variable_names=wanted)
+        return {name: arrays.get(name) for name in names}
 
 
 def _read_single(path: Path, name: str) -> Any:
@@ -117,27 +116,15 @@ def _read_single(path: Path, name: str) -> Any:
 
     read = scipy.io.mmread if path.suffix.lower() == ".mtx" else scipy.sparse.load_npz
     try:
-        matrix = read(path)
-    except Exception as error:  # the same as for .mat
-        raise _unreadable(path, error).below(name) from None
-    try:
+        with _reading(path):
+            matrix = read(path)
         return _numeric(matrix, path.name)
     except RuleError as error:
         raise error.below(name) from None
 
 
-def _unreadable(path: Path, error: Exception) -> RuleError:
-    reason = " ".join(str(error).split())[:200]
-    return RuleError(
-        (),
-        f"cannot be read ({reason or type(error).__name__})",
-        "the file may be truncated; write it again",
-        str(path),
-    )
-
-
 def _numeric(matrix: Any, name: str) -> Any:
-    """The matrix as float64, dense or CSC, after a look at what it is."""
+    """The matrix as float64, dense or CSC, once it is known to be real, square and finite."""
     sparse = hasattr(matrix, "tocsc")
     matrix = matrix.tocsc() if sparse else np.asarray(matrix)
     if matrix.dtype.kind not in "fiu":
@@ -168,8 +155,7 @@ def modal_structure(
     Raises:
         RuleError: matrices that no structure has, or a point, a count or a length that does not fit them.
     """
-    mass = _symmetric(matrices.mass, "mass")
-    stiffness = _symmetric(matrices.stiffness, "stiffness")
+    mass, stiffness = _symmetric(matrices.mass, "mass"), _symmetric(matrices.stiffness, "stiffness")
     _check_sizes(mass.shape[0], stiffness, matrices.damping, points, keep_modes)
     num_modes = keep_modes or mass.shape[0]
     squared, modes = _eigenmodes(mass, stiffness, num_modes)
@@ -180,9 +166,8 @@ def modal_structure(
     elif matrices.damping is not None:
         damping = _modal_damping(_symmetric(matrices.damping, "damping"), modes)
     else:
-        raise RuleError(
-            ("damping_ratio",), "is required where there is no damping matrix", "0 for an undamped structure"
-        )
+        rule = "is required where there is no damping matrix"
+        raise RuleError(("damping_ratio",), rule, "0 for an undamped structure")
     shape = np.zeros((len(points), 3, num_modes))
     for point, rows in zip(shape, points.values(), strict=True):
         for axis, row in rows.items():
@@ -239,7 +224,7 @@ def _signs(modes: np.ndarray) -> np.ndarray:
 def _eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.ndarray, np.ndarray]:
     """Lowest eigenvalues ``omega^2``, shape (M,), and mass-normalised modes, shape (N, M)."""
     if mass.shape[0] <= MAX_DENSE:
-        squared, modes = _dense_eigenmodes(_dense(mass), _dense(stiffness))
+        squared, modes = _dense_eigenmodes(*(m.toarray() if hasattr(m, "toarray") else m for m in (mass, stiffness)))
     else:
         squared, modes = _sparse_eigenmodes(mass, stiffness, num_modes)
     largest, smallest = np.abs(squared).max(), squared.min()
@@ -248,10 +233,6 @@ def _eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.ndarray, 
         raise RuleError(("stiffness",), "the stiffness matrix must have no negative eigenvalue", hint)
     squared = np.where(squared < 1e-15 * mass.shape[0] * largest, 0.0, squared)
     return squared[:num_modes], modes[:, :num_modes]
-
-
-def _dense(matrix: Any) -> np.ndarray:
-    return np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix)
 
 
 def _dense_eigenmodes(mass: np.ndarray, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -317,11 +298,8 @@ def _modal_damping(damping: Any, modes: np.ndarray) -> np.ndarray:
     modal = (modal + modal.T) / 2
     values = np.linalg.eigvalsh(modal)
     if values[0] < -NEGATIVE * max(values[-1], 0.0) or (values[-1] <= 0 and values[0] < 0):
-        raise RuleError(
-            ("damping",),
-            "the damping matrix must have no negative eigenvalue",
-            f"in the modes kept: {values[0]:.6g}",
-        )
+        rule = "the damping matrix must have no negative eigenvalue"
+        raise RuleError(("damping",), rule, f"in the modes kept: {values[0]:.6g}")
     rounding = np.abs(modes).T @ (abs(damping) @ np.abs(modes)) * np.finfo(float).eps * 10 * modes.shape[0]
     diagonal = np.clip(np.diag(modal), 0, None)
     coupling = np.abs(modal - np.diag(np.diag(modal)))

@@ -1,7 +1,7 @@
 """What a scene says, in numbers: structure, contacts, excitation and start, in the units of the scene.
 
 Plain numpy, so that a scene can be read and checked without loading JAX. The dimensionless form that the
-event loop integrates is made from it in `timesim.engine.system`.
+event loop integrates is derived from it in `timesim.engine.system`.
 
 Notation (the paper's section 2, with the sign convention of this package): modal displacement ``q``, point
 displacement ``x = sum_i shape_i q_i``; in the frame of a contact the relative motion of body 1 with respect to

@@ -1,8 +1,8 @@
-"""What a run need not model: found before it from the scene itself, by proof, never by a guess.
+"""What a run need not model, proved from the scene before the run starts.
 
-1. Modes that nothing moves. Modes and contacts hang together through the rows B of the contacts and through
-   damping that the modes do not diagonalise; a connected part without a contact that no force and no start
-   value moves stays at rest.
+1. Modes that nothing moves. Modes and contacts are coupled through the rows B of the contacts and through
+   damping that the modes do not diagonalise; a coupled part without contacts stays at rest if neither a force nor
+   the start moves it.
 2. Contacts that never change their state. While every contact of a part keeps the state it starts in (stuck
    on its start slip, or apart), the part is linear, with the springs of its stuck contacts in its
    stiffness. If a bound on that motion over all time (`timesim.model.linear_bound`) leaves every contact strictly
@@ -185,7 +185,7 @@ def _normalised(model: Model) -> _Scene:
 
 @dataclass(frozen=True)
 class _Part:
-    """Modes and contacts that hang together and act on nothing else."""
+    """Modes and contacts that are coupled with each other and with nothing else."""
 
     modes: np.ndarray
     contacts: np.ndarray
@@ -233,13 +233,14 @@ def _reach(scene: _Scene) -> np.ndarray:
     omega, decay = scene.model.structure.omega, np.diag(scene.damping)
     reach = np.zeros(omega.size)
     for i in np.flatnonzero((scene.force > 0) | (scene.displacement != 0) | (scene.velocity != 0)):
-        if omega[i] == 0 or decay[i] <= 0:
+        if omega[i] ** 2 == 0 or decay[i] <= 0:
             reach[i] = np.inf
             continue
-        zeta = decay[i] / (2 * omega[i])
-        rings = 1 / np.tanh(np.pi * zeta / (2 * np.sqrt(1 - zeta**2))) if zeta < 1 else 1.0
-        free = np.hypot(scene.displacement[i], scene.velocity[i] / omega[i])
-        reach[i] = scene.force[i] * rings / omega[i] ** 2 + free
+        with np.errstate(over="ignore"):  # a bound that overflows is infinite
+            zeta = decay[i] / (2 * omega[i])
+            rings = 1 / np.tanh(np.pi * zeta / (2 * np.sqrt(1 - zeta**2))) if zeta < 1 else 1.0
+            free = np.hypot(scene.displacement[i], scene.velocity[i] / omega[i])
+            reach[i] = scene.force[i] * rings / omega[i] ** 2 + free
     return reach
 
 
@@ -248,7 +249,7 @@ def _proof(scene: _Scene, part: _Part, omega: float | None) -> dict[int, float]:
 
     Args:
         scene: the scene.
-        part: modes and contacts that hang together.
+        part: modes and contacts that are coupled.
         omega: circular frequency of the excitation, None where it changes.
     """
     if not part.contacts.size or np.any(scene.state[part.contacts] == SLIP):

@@ -5,11 +5,16 @@ In it a tolerance means the same in every system of units and at every frequency
 contacts are in units of L, forces there in units of F, with ``F L = X^2 Omega^2``.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from timesim.fault import RuleError
 from timesim.model.model import Model
+
+LARGEST = 1e100
+"""Largest size of a number in the units of a scene, and its inverse the smallest; their squares are representable."""
 
 
 @dataclass(frozen=True)
@@ -37,19 +42,56 @@ def modal_size(model: Model, omega: float) -> float:
     Without forces it is the size of the start.
     """
     root = np.sqrt(model.structure.mass)
-    drive = np.abs(model.excitation.constant) + np.hypot(model.excitation.cosine, model.excitation.sine).sum(axis=0)
-    size = np.max(drive / root / np.maximum(model.structure.omega, omega) ** 2, initial=0.0)
+    size = np.max(_drive(model) / root / np.maximum(model.structure.omega, omega) ** 2, initial=0.0)
     if size == 0:
         size = np.max(np.hypot(model.start.displacement, model.start.velocity / omega) * root, initial=0.0)
     return float(size) if size > 0 else 1.0
+
+
+def _drive(model: Model) -> np.ndarray:
+    """Largest force on each mode, shape (M,)."""
+    return np.abs(model.excitation.constant) + np.hypot(model.excitation.cosine, model.excitation.sine).sum(axis=0)
 
 
 def scales_of(model: Model, frequency: float) -> Scales:
     """Units for a model at a frequency [Hz]."""
     omega = 2 * np.pi * frequency
     size = modal_size(model, omega)
-    root = np.sqrt(model.structure.mass)
-    reach = float(np.max(np.abs(model.contact_shape / root), initial=0.0)) or 1.0
-    length = size * reach
+    length = size * _reach(model)
     energy = (size * omega) ** 2
-    return Scales(omega, size / root, length, energy / length, energy)
+    return Scales(omega, size / np.sqrt(model.structure.mass), length, energy / length, energy)
+
+
+def _reach(model: Model) -> float:
+    """Largest motion at a contact for a unit of a mass-normalised mode; 1 where nothing moves one."""
+    return float(np.max(np.abs(model.contact_shape / np.sqrt(model.structure.mass)), initial=0.0)) or 1.0
+
+
+def out_of_range(model: Model, frequency: float) -> Iterator[RuleError]:
+    """Numbers so far apart that squares of them, as in an energy, are zero or overflow.
+
+    Args:
+        model: what is modelled.
+        frequency: base frequency of the excitation [Hz].
+
+    Returns:
+        What is wrong, keys from the root of the scene.
+    """
+    omega, reach = 2 * np.pi * frequency, _reach(model)
+    with np.errstate(all="ignore"):
+        size = modal_size(model, omega)
+    length, force = size * reach, size * omega * omega / reach
+    for what, unit in (("displacements", length), ("velocities", length * omega), ("forces", force)):
+        if not 1 / LARGEST <= unit <= LARGEST:
+            rule = f"must lead to {what} from {1 / LARGEST:g} to {LARGEST:g}, not of {unit:.3g}"
+            cause = "excitation" if np.any(_drive(model)) else "initial"
+            yield RuleError((cause,), rule, "use other units, or forces of another size")
+            return
+    for i, contact in enumerate(model.contacts):
+        soft, stiff = np.linalg.eigvalsh(contact.tangential_stiffness) * length / force
+        normal, preload = contact.normal_stiffness * length / force, abs(contact.preload) / force
+        ratios = {"tangential_stiffness": stiff, "normal_stiffness": normal, "preload": preload}
+        for key, ratio in ratios.items():
+            if ratio > LARGEST or (key == "tangential_stiffness" and stiff > 0 and soft < 1 / LARGEST):
+                rule = f"is out of proportion to forces of {force:.3g} and displacements of {length:.3g}"
+                yield RuleError(("contacts", i, key), rule, value=np.asarray(getattr(contact, key)).tolist())

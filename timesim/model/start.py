@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from timesim.fault import RuleError
-from timesim.model.contact_state import ContactLoads, contact_loads, contact_state, slip_follows_motion
+from timesim.model.contact_state import UNKNOWN, ContactLoads, contact_loads, contact_state, slip_follows_motion
 from timesim.model.model import SEPARATION, Model, Start
 
 ROUNDING = 1e-9
@@ -23,7 +23,7 @@ MAX_STATES = 200
 def rest_start(num_modes: int, num_contacts: int) -> Start:
     """No displacement, no velocity, no slip."""
     zero = np.zeros(num_modes)
-    return Start(zero, zero.copy(), np.zeros((num_contacts, 2)), np.full(num_contacts, -1))
+    return Start(zero, zero.copy(), np.zeros((num_contacts, 2)), np.full(num_contacts, UNKNOWN))
 
 
 def given_start(physics: Model, displacement: np.ndarray, velocity: np.ndarray, slip: np.ndarray) -> Start:
@@ -34,24 +34,33 @@ def given_start(physics: Model, displacement: np.ndarray, velocity: np.ndarray, 
     """
     loads = contact_loads(physics, displacement, slip)
     follows = slip_follows_motion(contact_state(loads.normal, physics.friction), physics.friction)
-    _check_cone(physics, loads, ~follows, ROUNDING, ("slip",), "give the slip that the contact has in this state")
-    slip = np.where(follows[:, None], loads.motion, _inside(loads))
-    return Start(displacement, velocity, slip, np.full(physics.num_contacts, -1))
+    slip = _slip_in_cone(physics, loads, follows, "give the slip that the contact has in this state", ("slip",))
+    return Start(displacement, velocity, slip, np.full(physics.num_contacts, UNKNOWN))
 
 
-def _inside(loads: ContactLoads) -> np.ndarray:
-    """The slip, set back where the force lies outside its cone by rounding, shape (C, 2)."""
-    return np.where((loads.size > loads.limit)[:, None], loads.slip_in_cone(1 - ROUNDING), loads.slip)
+def _slip_in_cone(
+    physics: Model,
+    loads: ContactLoads,
+    follows: np.ndarray,
+    hint: str,
+    key: tuple[str, ...] = (),
+    *,
+    rounding: float = ROUNDING,
+    room: float = 1 - ROUNDING,
+) -> np.ndarray:
+    """The slip: the motion of contacts in `follows`, else as given, set back where rounding puts a force off its cone.
 
-
-def _check_cone(
-    physics: Model, loads: ContactLoads, holds: np.ndarray, rounding: float, key: tuple[str, ...], hint: str
-) -> None:
-    for i in np.flatnonzero(holds & (loads.size > loads.limit * (1 + rounding))):
+    Raises:
+        RuleError: it is off by more.
+    """
+    for i in np.flatnonzero(~follows & (loads.size > loads.limit * (1 + rounding))):
         name = physics.contacts[i].name
         cone = f"|f| = {loads.size[i]:.6g} > mu n = {loads.limit[i]:.6g}"
         rule = f"contact {name} would start outside its friction cone: {cone}"
         raise RuleError((*key, name) if key else (), rule, hint)
+    off_cone = loads.size > loads.limit
+    inside = np.where(off_cone[:, None], loads.slip_in_cone(room), loads.slip)
+    return np.where(follows[:, None], loads.motion, inside)
 
 
 def static_start(physics: Model) -> Start:
@@ -61,12 +70,12 @@ def static_start(physics: Model) -> Start:
     agrees with the normal loads: all that disagree at once; after a set comes back, the first of them only.
 
     Raises:
-        RuleError: no set agrees, a free motion is held by nothing, or a contact leaves its cone.
+        RuleError: no set agrees, nothing restrains a mode of frequency 0, or a contact leaves its cone.
     """
     closed = np.array([contact.preload > 0 for contact in physics.contacts], dtype=bool)
     seen: set[bytes] = set()
     for _ in range(MAX_STATES):
-        displacement, held = _equilibrium(physics, closed)
+        displacement, restrained = _equilibrium(physics, closed)
         loads = contact_loads(physics, displacement, np.zeros((physics.num_contacts, 2)))
         wrong = np.flatnonzero((loads.normal > 0) != closed)
         if not wrong.size:
@@ -76,18 +85,16 @@ def static_start(physics: Model) -> Start:
         closed[change] = ~closed[change]
     else:
         raise RuleError((), "finds no equilibrium: the contacts open and close in turn", "start from rest")
-    if not held:
+    if not restrained:
         raise RuleError((), "finds no equilibrium: nothing holds a mode of frequency 0", "start from rest")
     state = contact_state(loads.normal, physics.friction)
     follows = slip_follows_motion(state, physics.friction)
     hint = "the equilibrium slips: reduce the constant forces, or start from rest or a settled result"
-    _check_cone(physics, loads, ~follows, ROUNDING, (), hint)
-    slip = np.where(follows[:, None], loads.motion, _inside(loads))
-    return Start(displacement, np.zeros_like(displacement), slip, state)
+    return Start(displacement, np.zeros_like(displacement), _slip_in_cone(physics, loads, follows, hint), state)
 
 
 def _equilibrium(physics: Model, closed: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Displacement with these contacts closed, and whether nothing loose is pushed."""
+    """Displacement with these contacts closed, and whether no force acts on a motion that nothing restrains."""
     matrix = np.diag(physics.structure.stiffness)
     force = physics.excitation.constant.copy()
     for contact, shape, is_closed in zip(physics.contacts, physics.contact_shape, closed, strict=True):
@@ -108,7 +115,7 @@ def _equilibrium(physics: Model, closed: np.ndarray) -> tuple[np.ndarray, bool]:
 
 
 def resumed_start(physics: Model, end: Start, contacts: Sequence[str]) -> Start:
-    """The state that another run has ended in, made to agree with a model.
+    """The state that another run has ended in, adapted to a model.
 
     Args:
         physics: the model, with as many modes and the same contacts.
@@ -127,16 +134,11 @@ def resumed_start(physics: Model, end: Start, contacts: Sequence[str]) -> Start:
     if not all(np.all(np.isfinite(value)) for value in (end.displacement, end.velocity, end.slip)):
         raise RuleError((), "holds a final state that is not finite")
     rows = [contacts.index(name) for name in names]
-    slip, state = end.slip.reshape(-1, 2)[rows], end.state.astype(int).ravel()[rows]
-    return _agreeing(physics, replace(end, slip=slip, state=state))
-
-
-def _agreeing(physics: Model, start: Start) -> Start:
-    """The start made to agree with the scene: a contact opened or closed since, a cone left by rounding."""
-    loads = contact_loads(physics, start.displacement, start.slip)
+    slip, before = end.slip.reshape(-1, 2)[rows], end.state.astype(int).ravel()[rows]
+    loads = contact_loads(physics, end.displacement, slip)
     rounding = ROUNDING * (np.abs(physics.preload) + np.abs(loads.normal - physics.preload))
-    state = contact_state(loads.normal, physics.friction, start.state, rounding=rounding)
-    follows = slip_follows_motion(state, physics.friction) | (start.state == SEPARATION)
-    _check_cone(physics, loads, ~follows, RESULT_ROUNDING, (), "its friction or preload was higher")
-    slip = np.where(follows[:, None], loads.motion, loads.slip_in_cone())
-    return replace(start, slip=slip, state=state)
+    state = contact_state(loads.normal, physics.friction, before, rounding=rounding)
+    follows = slip_follows_motion(state, physics.friction) | (before == SEPARATION)
+    hint = "its friction or preload was higher"
+    slip = _slip_in_cone(physics, loads, follows, hint, rounding=RESULT_ROUNDING, room=1.0)
+    return replace(end, slip=slip, state=state)

@@ -8,22 +8,8 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, Tag, Va
 from timesim.engine.laws import LAWS
 from timesim.fault import nearest
 from timesim.model.model import CONE, GROUND, Contact
-from timesim.scene.section import (
-    BodyName,
-    Direction,
-    Matrix2,
-    Name,
-    NotNegative,
-    Number,
-    Pair,
-    PointName,
-    Section,
-    Text,
-    by_form,
-    form,
-    refuse,
-    unit,
-)
+from timesim.scene.section import Section, by_form, form, refuse
+from timesim.scene.value import BodyName, Direction, Matrix2, Name, NotNegative, Number, Pair, PointName, Text, unit
 
 
 def _required(point: str | None, info: ValidationInfo) -> str | None:
@@ -44,7 +30,7 @@ TangentialStiffness = Annotated[
 
 
 class LawSection(Section):
-    """A contact law with the parameters that it has beside those of every contact."""
+    """A contact law by its name, with the parameters that it needs besides those that every contact has."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Number]

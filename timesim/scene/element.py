@@ -10,23 +10,21 @@ from pydantic import Field, Tag, model_validator
 from timesim.fault import RuleError
 from timesim.model.model import GROUND, Contact
 from timesim.scene.contact import ContactSection
-from timesim.scene.section import (
+from timesim.scene.section import Section, by_form, refuse
+from timesim.scene.study import Context, StudySection
+from timesim.scene.value import (
     MAX_POINTS,
     ContactName,
     Count,
     FilePath,
     NotNegative,
     Number,
-    Section,
     Switch,
     Text,
     Values,
     Whole,
     axis_values,
-    by_form,
-    refuse,
 )
-from timesim.scene.study import Context, StudySection
 
 if TYPE_CHECKING:
     from timesim.element.motion import Motion
@@ -60,7 +58,7 @@ class ElementSection(StudySection):
     """Name of the contact; may be left out where there is only one."""
 
     def chosen(self, context: Context) -> ContactSection:
-        """The contact that it is about.
+        """The contact that is studied.
 
         Raises:
             RuleError: there is none, or the name is missing.
@@ -167,8 +165,8 @@ class MapPlan:
     """A contact under all pairs of values of two parameters.
 
     Attributes:
-        contact: the contact; of its numbers those of `values` rule.
-        values: of every parameter in `MAP_AXES`, one or those of an axis, which ascend.
+        contact: the contact; `values` take precedence over its own numbers.
+        values: of each parameter in `MAP_AXES`: one, or ascending values along an axis.
         axes: the two parameters that are axes.
     """
 
@@ -216,14 +214,14 @@ class ElementMap(ElementSection):
         return self
 
     def _given(self) -> dict[str, tuple[float, ...]]:
-        """Values of the parameters that are not left to the contact."""
+        """Values of the parameters that the map gives itself."""
         return {key: axis_values(getattr(self, key)) for key in MAP_AXES if getattr(self, key) is not None}
 
     def _axes(self) -> list[str]:
         return [key for key in MAP_AXES if not isinstance(getattr(self, key), float | None)]
 
     def plan(self, context: Context) -> MapPlan:
-        """The contact and the values of the parameters; for each pair of them there must be contact at times."""
+        """The contact and the values of the parameters; every pair of them must allow the bodies to touch."""
         section, given = self.chosen(context), self._given()
         values = {key: (getattr(section, key),) for key in OF_CONTACT} | given
         if min(values["normal_stiffness"]) == 0 and min(values["preload"]) <= 0:

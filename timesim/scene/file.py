@@ -14,11 +14,11 @@ from pydantic import BeforeValidator, Field, Tag, ValidationError, create_model
 
 from timesim.fault import RuleError, nearest
 from timesim.scene.contact import Contacts
-from timesim.scene.excitation import ExcitationSection
 from timesim.scene.integration import InitialSection, SolverSection
-from timesim.scene.section import Section, Text, by_form, refuse
-from timesim.scene.structure import StructureSection, point_names
+from timesim.scene.section import Section, by_form, refuse
+from timesim.scene.structure import ExcitationSection, StructureSection, point_names
 from timesim.scene.study import StudySection
+from timesim.scene.value import Text
 
 Kinds = Mapping[str, type[StudySection]]
 """The section of each kind of study."""
@@ -70,7 +70,7 @@ def _kind(value: Any) -> str | None:
 
 
 def parsed(data: Mapping[str, Any], kinds: Kinds) -> tuple[SceneFile | None, list[RuleError]]:
-    """The sections of a scene as it is written, and all that is wrong with them; None where anything is."""
+    """The sections of a scene from its plain data, or None, and all that is wrong with them."""
     tree = file_type(kinds)
     structure, contacts = data.get("structure"), data.get("contacts")
     listed = contacts if isinstance(contacts, list) else ()
@@ -160,7 +160,7 @@ def rule_errors(error: ValidationError, tree: type[SceneParts], missing: Iterabl
 
 
 def _miscounted(details: Any) -> bool:
-    """Whether a list is only short of entries that are refused themselves: pydantic does not count those."""
+    """Whether a list is too short only because pydantic does not count the entries that it refuses."""
     return details["type"] == "too_short" and len(details["input"]) >= details["ctx"]["min_length"]
 
 

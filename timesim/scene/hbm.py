@@ -13,7 +13,7 @@ from timesim.result.file import StoreError
 from timesim.result.periodic_motion import PeriodicMotion, periodic_motion
 from timesim.result.state import Held, held
 from timesim.scene.integration import ResultSection
-from timesim.scene.section import Count, Positive, Section, Span, Switch, Whole, by_form, refuse
+from timesim.scene.section import Section, by_form, refuse
 from timesim.scene.study import (
     AlongOne,
     Axes,
@@ -25,6 +25,7 @@ from timesim.scene.study import (
     SweepSection,
     axes_of,
 )
+from timesim.scene.value import Count, Positive, Span, Switch, Whole
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ class ResultStart(ResultSection):
     """
 
     def begin(self, plan: HbmPlan, context: Context) -> HbmPlan:
-        """The plan with the motion to begin from, or the states to pass.
+        """The plan with the motion to begin from, or the states that curves are to pass.
 
         Raises:
             RuleError: the result is none of this scene; the key is relative to this section.
@@ -159,7 +160,11 @@ StartSection = Annotated[
 
 
 def balanced(harmonics: int, time_samples: int, located: bool = False) -> Scheme:
-    """What is balanced, in numbers; a validator's error where that is too coarse."""
+    """What is balanced, in numbers.
+
+    Raises:
+        PydanticCustomError: it is too coarse.
+    """
     try:
         return Scheme(harmonics, time_samples, "located" if located else "sampled")
     except BalanceError as error:
@@ -176,7 +181,7 @@ def balance_problems(model: Model, harmonics: int) -> Iterator[RuleError]:
 
 
 class BalanceSection(StudySection):
-    """What a harmonic balance is described by, also where it is a part of another study."""
+    """The keys of a harmonic balance, also as a part of another study."""
 
     cone_only: ClassVar[bool] = True
 

@@ -13,20 +13,8 @@ from timesim.model.model import Model, Start
 from timesim.model.solver import PRESETS, Solver
 from timesim.model.start import given_start, static_start
 from timesim.result.state import Held, held, start_of
-from timesim.scene.section import (
-    ContactName,
-    Count,
-    FilePath,
-    Number,
-    Pair,
-    Section,
-    Switch,
-    Text,
-    Whole,
-    by_form,
-    form,
-    refuse,
-)
+from timesim.scene.section import Section, by_form, form, refuse
+from timesim.scene.value import ContactName, Count, FilePath, Number, Pair, Switch, Text, Whole
 
 
 class StateSection(Section):
@@ -62,7 +50,7 @@ class StateSection(Section):
 
 
 class ResultSection(Section):
-    """The motion that another run has led to."""
+    """The motion at the end of another run, or at a point of a sweep."""
 
     source: FilePath = Field(alias="from")
     """Path of its result.nc, relative to the scene."""

@@ -20,14 +20,6 @@ STIFF_STEPS = 20_000
 
 
 @dataclass(frozen=True)
-class Heading:
-    """A heading of the report and the lines below it."""
-
-    title: str
-    lines: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class Advice:
     """The method advised for a scene.
 
@@ -45,20 +37,20 @@ class Advice:
         return f"{self.method}: {steps}, {bound}"
 
 
-def describe(scene: Scene) -> list[Heading]:
-    """What ``timesim check`` prints of a scene: what is modelled, what is left out and why, and warnings."""
-    headings = [Heading("scene", tuple(_study_lines(scene)))]
-    if scene.file.structure is not None:
-        model = scene.model()
-        headings.append(Heading("structure", tuple(_structure_lines(model))))
-        headings.append(Heading("contacts", tuple(map(contact_line, model.contacts)) or ("none",)))
-        headings.append(Heading("excitation", tuple(_excitation_lines(model))))
-        headings.append(Heading("advised method", tuple(_advice_lines(scene, model))))
-        headings.append(Heading("left out or simplified", _left_out(scene, model)))
+def describe(scene: Scene) -> dict[str, tuple[str, ...]]:
+    """What ``timesim check`` prints: what is modelled, what is left out and why, and warnings, lines by heading."""
+    report = {"scene": tuple(_study_lines(scene))}
+    if scene.file.structure is None:
+        report["contacts"] = tuple(contact_line(item.build()) for item in scene.file.contacts)
     else:
-        headings.append(Heading("contacts", tuple(contact_line(item.build()) for item in scene.file.contacts)))
-    headings.append(Heading("warnings", tuple(scene.warnings())))
-    return [heading for heading in headings if heading.lines]
+        model = scene.model()
+        report["structure"] = tuple(_structure_lines(model))
+        report["contacts"] = tuple(map(contact_line, model.contacts)) or ("none",)
+        report["excitation"] = tuple(_excitation_lines(model))
+        report["advised method"] = tuple(_advice_lines(scene, model))
+        report["left out or simplified"] = _left_out(scene, model)
+    report["warnings"] = tuple(scene.warnings())
+    return {heading: lines for heading, lines in report.items() if lines}
 
 
 def _left_out(scene: Scene, model: Model) -> tuple[str, ...]:
@@ -93,22 +85,23 @@ def advised_method(model: Model, frequency: float | None = None) -> Advice | Non
 
 def contact_line(contact: Contact) -> str:
     """One contact in words: where, of what kind, its stiffness and its preload or gap."""
-    partner = "the ground" if contact.against == GROUND else contact.against
-    place = [f"{contact.point} against {partner}"] if contact.point else []
-    return f"{contact.name}: {', '.join([*place, *_contact_parts(contact)])}"
+    return f"{contact.name}: {', '.join(_contact_parts(contact))}"
 
 
 def _contact_parts(contact: Contact) -> Iterator[str]:
-    K = contact.tangential_stiffness
+    if contact.point:
+        yield f"{contact.point} against {'the ground' if contact.against == GROUND else contact.against}"
     if contact.law != CONE:
         own = ", ".join(f"{key} {value:g}" for key, value in contact.law_parameters.items())
         yield f"law {contact.law}" + (f" ({own})" if own else "")
-    if contact.friction == 0 and not np.any(K):
+    if contact.friction == 0 and not np.any(contact.tangential_stiffness):
         yield "frictionless stop"
     else:
-        isotropic = K[0, 0] == K[1, 1] and K[0, 1] == 0
+        (k11, k12), (k21, k22) = contact.tangential_stiffness
+        isotropic = k11 == k22 and k12 == 0
+        stiffness = f"{k11:g}" if isotropic else f"[[{k11:g}, {k12:g}], [{k21:g}, {k22:g}]]"
         yield f"friction {contact.friction:g}"
-        yield f"tangential stiffness {K[0, 0]:g}" if isotropic else f"tangential stiffness {_rows(K)}"
+        yield f"tangential stiffness {stiffness}"
     if contact.normal_stiffness == 0:
         yield f"constant normal load {contact.preload:g}"
         return
@@ -117,28 +110,21 @@ def _contact_parts(contact: Contact) -> Iterator[str]:
     yield f"gap {gap:g}" if contact.preload < 0 else f"preload {contact.preload:g}"
 
 
-def _rows(matrix: np.ndarray) -> str:
-    return "[" + ", ".join(f"[{', '.join(f'{entry:g}' for entry in row)}]" for row in matrix) + "]"
-
-
 def _structure_lines(model: Model) -> Iterator[str]:
-    frequency = model.structure.frequency
+    structure, frequency = model.structure, model.structure.frequency
     count = "1 mode" if frequency.size == 1 else f"{frequency.size} modes"
     span = f"{frequency[0]:.6g} Hz" if frequency.size == 1 else f"{frequency[0]:.6g} to {frequency[-1]:.6g} Hz"
     yield f"{count}, {span}"
-    whole = model.structure.damping.ndim == 2
-    yield "damping: a whole matrix, which the modes do not diagonalise" if whole else _damping_line(model)
-    yield f"points: {', '.join(model.structure.points)}"
-
-
-def _damping_line(model: Model) -> str:
-    structure = model.structure
-    moving = structure.frequency > 0
-    if not np.any(structure.damping):
-        return "damping: none"
-    ratio = structure.damping[moving] / (2 * structure.mass * structure.omega)[moving]
-    low, high = ratio.min(), ratio.max()
-    return f"damping ratio {low:.4g}" + ("" if np.isclose(low, high, rtol=1e-9) else f" to {high:.4g}")
+    if structure.damping.ndim == 2:
+        yield "damping: a whole matrix, which the modes do not diagonalise"
+    elif not np.any(structure.damping):
+        yield "damping: none"
+    else:
+        moving = frequency > 0
+        ratio = structure.damping[moving] / (2 * structure.mass * structure.omega)[moving]
+        low, high = ratio.min(), ratio.max()
+        yield f"damping ratio {low:.4g}" + ("" if np.isclose(low, high, rtol=1e-9) else f" to {high:.4g}")
+    yield f"points: {', '.join(structure.points)}"
 
 
 def _excitation_lines(model: Model) -> Iterator[str]:
@@ -164,9 +150,9 @@ def _study_lines(scene: Scene) -> Iterator[str]:
 
 def _keys(section: BaseModel, order: Iterable[str]) -> str:
     """What a section holds, the keys that were written first and in their order."""
-    held = section.model_dump(by_alias=True, exclude_none=True)
-    keys = dict.fromkeys([key for key in order if key in held] + list(held))
-    return ", ".join(f"{key} {_brief(held[key])}" for key in keys)
+    values = section.model_dump(by_alias=True, exclude_none=True)
+    keys = dict.fromkeys([key for key in order if key in values] + list(values))
+    return ", ".join(f"{key} {_brief(values[key])}" for key in keys)
 
 
 def _brief(value: Any) -> str:

@@ -15,13 +15,13 @@ from pydantic import ValidationError
 
 from timesim.fault import Problem, RuleError, SceneError
 from timesim.model.model import CONE, Model
+from timesim.model.scales import out_of_range
 from timesim.model.solver import Solver
 from timesim.model.start import rest_start
-from timesim.scene.excitation import ExcitationSection
 from timesim.scene.file import NO_NUMBER, Kinds, SceneFile, SceneParts, parsed, rule_errors
 from timesim.scene.integration import EndOfRun, InitialResult, start
 from timesim.scene.source import SceneSource, empty_values, overridden, read
-from timesim.scene.structure import BuiltStructure
+from timesim.scene.structure import BuiltStructure, ExcitationSection
 from timesim.scene.study import Context, combinations
 from timesim.scene.text import yaml_text
 
@@ -45,7 +45,7 @@ class Scene:
 
     @property
     def path(self) -> Path | None:
-        """The scene file; None for a scene made in Python."""
+        """The scene file; None for a scene that was built in Python."""
         return Path(self.source.name) if self.source.lines and Path(self.source.name).is_file() else None
 
     @property
@@ -115,7 +115,7 @@ class Scene:
         return _scene(overridden(self.source, overrides), self.kinds)
 
     def warnings(self) -> list[str]:
-        """What is accepted but may not be meant."""
+        """What is accepted but may not be intended."""
         return list(_warnings(self.file, self._built.model))
 
 
@@ -138,7 +138,7 @@ def _scene(source: SceneSource, kinds: Kinds) -> Scene:
 
 
 def _check_combinations(scene: Scene) -> None:
-    """Combinations of the values that the study varies must make scenes: all, or for each value at least one."""
+    """Refuse values of which a combination makes no scene, or of which none does if the study keeps failed points."""
     study = scene.file.study
     axes = {str(place[-1]): values for place, values in study.varied().items()}
     failures: list[tuple[dict[str, float], Problem]] = []
@@ -157,7 +157,7 @@ def _check_combinations(scene: Scene) -> None:
 
 
 def _refused(scene: Scene, values: Mapping[str, float], problem: Problem) -> RuleError:
-    """What a combination of values is refused for, said of the one of them that is refused alone, else of all."""
+    """Why a combination of values is refused: named by the one value that is refused alone, else by all."""
     places = {place[-1]: ("study", *place) for place in scene.file.study.varied()}
     for key, value in values.items():
         try:
@@ -180,19 +180,12 @@ def _scene_error(source: SceneSource, errors: Sequence[RuleError]) -> SceneError
     return SceneError(sorted(problems, key=lambda problem: (problem.line or 0, problem.key)))
 
 
-# What only the whole scene tells
+# What needs more than one section
 
 
 @dataclass(frozen=True)
 class _Built:
-    """A scene in numbers; None for what it does not have.
-
-    Attributes:
-        plan: what its study carries out.
-        structure: from its section.
-        end: what `initial` reads of another run.
-        model: all of the physics.
-    """
+    """A scene in numbers, None for what it does not have; `end` is what `initial` reads of another run."""
 
     plan: Any
     structure: BuiltStructure | None
@@ -256,6 +249,10 @@ class _Build:
             return model
         with self.under("initial"):
             model = replace(model, start=start(initial, model, order, end))
+        if not self.errors:
+            study = self.file.study
+            frequency = model.excitation.frequency if study.uses_frequency else study.lowest_frequency()
+            self.errors += out_of_range(model, frequency or structure.frequency[-1] or 1.0)
         return model
 
 

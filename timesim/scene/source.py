@@ -31,13 +31,13 @@ class SceneSource:
         """Line of a key, or of the nearest key above it that the file holds."""
         return next((self.lines[key[:n]] for n in range(len(key), -1, -1) if key[:n] in self.lines), None)
 
-    def problem(self, fault: RuleError) -> Problem:
-        """The fault with its place, its key as a user writes it, and the value as text."""
-        value = None if fault.value is None else value_text(fault.value)
-        by_override = any(fault.key[: len(key)] == key for key in self.overridden)
+    def problem(self, error: RuleError) -> Problem:
+        """The error with its place, its key as a user writes it, and the value as text."""
+        value = None if error.value is None else value_text(error.value)
+        by_override = any(error.key[: len(key)] == key for key in self.overridden)
         name = "override" if by_override else self.name
-        line = None if by_override else fault.line or self.line(fault.key)
-        return Problem(name, line, dotted(fault.key, self.data), value, fault.rule, fault.hint)
+        line = None if by_override else error.line or self.line(error.key)
+        return Problem(name, line, dotted(error.key, self.data), value, error.rule, error.hint)
 
 
 def dotted(key: Key, data: Any) -> str:
@@ -70,37 +70,28 @@ def read(source: str | Path | Mapping[str, Any]) -> SceneSource:
     Raises:
         SceneError: a file that cannot be read, text that is no YAML that a scene may be, or values of other types.
     """
-    if isinstance(source, Mapping):
-        empty = SceneSource("scene", Path.cwd(), {})
-        try:
-            return replace(empty, data=plain(source))
-        except RuleError as error:
-            raise SceneError([empty.problem(error)]) from None
-    if isinstance(source, str) and "\n" in source:
-        return _from_text(source, "scene", Path.cwd())
-    return _from_file(Path(source))
-
-
-def _from_file(path: Path) -> SceneSource:
+    path = None if isinstance(source, Mapping) or (isinstance(source, str) and "\n" in source) else Path(source)
+    folder = Path.cwd() if path is None else path.absolute().parent
+    scene = SceneSource("scene" if path is None else str(path), folder, {})
     try:
-        with path.open("rb") as stream:
-            content = stream.read(MAX_BYTES + 1)
-    except OSError as error:
-        rule = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
-        raise SceneError([Problem(str(path), None, "", None, rule, "give the path of a scene file")]) from None
-    return _from_text(content, str(path), path.absolute().parent)
-
-
-def _from_text(content: bytes | str, name: str, folder: Path) -> SceneSource:
-    source = SceneSource(name, folder, {})
-    try:
-        value, lines = parse(content)
+        if isinstance(source, Mapping):
+            return replace(scene, data=plain(source))
+        value, lines = parse(str(source) if path is None else _content(path))
         if not isinstance(value, dict):
             hint = "the top level holds structure:, contacts:, study:, …"
             raise RuleError((), "must be a mapping of keys", hint, value, 1)
-    except RuleError as fault:
-        raise SceneError([source.problem(fault)]) from None
-    return replace(source, data=value, lines=lines)
+    except RuleError as error:
+        raise SceneError([scene.problem(error)]) from None
+    return replace(scene, data=value, lines=lines)
+
+
+def _content(path: Path) -> bytes:
+    try:
+        with path.open("rb") as stream:
+            return stream.read(MAX_BYTES + 1)
+    except OSError as error:
+        rule = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
+        raise RuleError((), rule, "give the path of a scene file") from None
 
 
 def empty_values(data: Any, key: Key = ()) -> Iterator[RuleError]:

@@ -14,17 +14,8 @@ from timesim.fault import Key, RuleError, nearest
 from timesim.model.model import Model
 from timesim.model.solver import Criterion
 from timesim.scene.contact import ContactSection
-from timesim.scene.section import (
-    Count,
-    Frequencies,
-    Positive,
-    Section,
-    Text,
-    Values,
-    axis_values,
-    refuse,
-    repeated,
-)
+from timesim.scene.section import Section, refuse
+from timesim.scene.value import Count, Frequencies, Positive, Text, Values, axis_values, repeated
 
 Axes = Mapping[str, tuple[float, ...]]
 """Scalars of the scene by their key path, each with its values."""
@@ -113,7 +104,7 @@ class StudySection(Section):
     cone_only: ClassVar[bool] = False
     """Whether the contacts must obey the law of the cone."""
     keeps_failures: ClassVar[bool] = False
-    """Whether a combination of values that makes no scene is a failed point of the result, beside those that do."""
+    """Whether a combination of values that makes no scene becomes a failed point, beside others that do make one."""
 
     kind: str
 
@@ -177,7 +168,7 @@ class SweepPlan:
 
 
 class SteadySection(StudySection):
-    """What the studies of steady states in time have in common."""
+    """A study of steady states by time integration."""
 
     search: ClassVar[str] = ""
     """What is looked for after the sweep, in words."""
@@ -212,7 +203,7 @@ class SteadySection(StudySection):
 
 
 class SweepSection(SteadySection):
-    """What a sweep is described by, also where it is a part of another study."""
+    """The keys of a sweep, also as a part of another study."""
 
     frequency: Frequencies
     """{from, to, step} or {values: [...]} [Hz]."""

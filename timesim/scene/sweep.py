@@ -11,18 +11,7 @@ from timesim.fault import RuleError
 from timesim.model.model import CONE, Model
 from timesim.model.solver import Criterion
 from timesim.scene.hbm import HbmPlan, balance_problems, balanced, default_steps
-from timesim.scene.section import (
-    MAX_POINTS,
-    Ascending,
-    Count,
-    Frequencies,
-    PointName,
-    Positive,
-    Range,
-    Whole,
-    refuse,
-    spaced,
-)
+from timesim.scene.section import refuse
 from timesim.scene.study import (
     AlongOne,
     Context,
@@ -34,6 +23,7 @@ from timesim.scene.study import (
     SweepSection,
     axes_of,
 )
+from timesim.scene.value import MAX_POINTS, Ascending, Count, Frequencies, PointName, Positive, Range, Whole, spaced
 
 
 class Sweep(SweepSection):
@@ -116,7 +106,7 @@ class Optimum(SteadySection):
         return OptimumPlan(key, values, self.accuracy, sweep.frequency, sweep.criterion, self.point, self.axis)
 
     def sweep(self) -> SweepPlan:
-        """Both ways at each of the first values of the scalar."""
+        """Up and down at each of the values of the scalar that are looked at first."""
         return SweepPlan(self.frequency.values(), ("up", "down"), axes_of(self.along), self.criterion(), None)
 
 
@@ -128,7 +118,7 @@ class BistablePlan:
     """Where a response has two steady motions.
 
     Attributes:
-        sweep: both ways over the range.
+        sweep: up and down over the range.
         width: width [Hz] to which each end is bisected.
         starts: starts along each side of a square; 0 for none.
         balance: the branch by harmonic balance behind; None: it is left out.
@@ -160,7 +150,7 @@ class SlowSettle(Settle):
 
 
 class Bistable(SteadySection):
-    """Where a response has two steady motions: sweeps both ways, ends of the range, and which start leads where."""
+    """Ranges with two steady motions: sweeps up and down, the ends of a range, and which start leads to which."""
 
     search: ClassVar[str] = " in the sweeps, and the search for the ends"
 
@@ -200,14 +190,14 @@ class Bistable(SteadySection):
         return self.completed(step=step)
 
     def sweep(self) -> SweepPlan:
-        """Both ways; the last point lies on the upper end, whatever the step."""
+        """Up and down; the last point is the upper end, whatever the step."""
         assert self.step is not None
         first, to = self.frequency.first, self.frequency.to
         frequency = spaced(first, to, (to - first) / round((to - first) / self.step))
         return SweepPlan(frequency, ("up", "down"), axes_of(self.over), self.criterion(), self.width)
 
     def plan(self, context: Context) -> BistablePlan:
-        """The sweeps both ways, the search for the ends, the starts, and the branch of the balance."""
+        """Sweeps up and down, the search for the ends, the starts at mid-range, and the branch by harmonic balance."""
         sweep, balance = self.sweep(), None
         if self.harmonics:
             span = (self.frequency.first, self.frequency.to)
@@ -216,7 +206,7 @@ class Bistable(SteadySection):
         return BistablePlan(sweep, self.width, self.starts, balance)
 
     def problems(self, model: Model) -> Iterator[RuleError]:
-        """Where the balance is struck, it must be possible."""
+        """The harmonic balance, if there is one, must be possible."""
         if not self.harmonics:
             return
         yield from balance_problems(model, self.harmonics)

@@ -29,6 +29,8 @@ MAX_BYTES = 8 * 1024**2
 MAX_DEPTH = 32
 MAX_VALUES = 500_000
 HUGE = 10**300
+SPECIAL = {"NaN": ".nan", "Infinity": ".inf", "-Infinity": "-.inf"}
+"""Numbers that JSON and YAML write differently."""
 
 _NULL = re.compile(r"~|null|Null|NULL|")
 _BOOL = re.compile(r"true|True|TRUE|false|False|FALSE")
@@ -127,6 +129,7 @@ class _Reader:
         return value
 
     def value(self, event: Any, key: Key) -> Any:
+        value: Any
         if isinstance(event, AliasEvent):
             return self.alias(event, key)
         if event.tag is not None and event.tag != "!":
@@ -135,17 +138,15 @@ class _Reader:
             raise RuleError(key[:4], f"is nested deeper than {MAX_DEPTH} levels", line=_line(event))
         before = self.num_values
         self.count(1, event)
-        value = self.content(event, key)
+        if isinstance(event, MappingStartEvent):
+            value = self.mapping(key)
+        elif isinstance(event, SequenceStartEvent):
+            value = self.sequence(key)
+        else:
+            value = scalar(event.value) if event.implicit[0] else event.value
         if event.anchor:
             self.anchors[event.anchor] = value, self.num_values - before
         return value
-
-    def content(self, event: Any, key: Key) -> Any:
-        if isinstance(event, MappingStartEvent):
-            return self.mapping(key)
-        if isinstance(event, SequenceStartEvent):
-            return self.sequence(key)
-        return scalar(event.value) if event.implicit[0] else event.value
 
     def mapping(self, key: Key) -> dict[str, Any]:
         values: dict[str, Any] = {}
@@ -221,13 +222,8 @@ def _flow(value: Any) -> str:
         return "[" + ", ".join(map(_flow, value)) + "]"
     if isinstance(value, str):
         return _text(value)
-    if value is None or isinstance(value, bool):
-        return json.dumps(value)
-    return _special(value) if isinstance(value, float) and not np.isfinite(value) else str(value)
-
-
-def _special(value: float) -> str:
-    return ".nan" if np.isnan(value) else f"{'-' if value < 0 else ''}.inf"
+    text = json.dumps(value, default=str)
+    return SPECIAL.get(text, text)
 
 
 def _text(text: str) -> str:

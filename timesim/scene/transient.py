@@ -7,8 +7,9 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from timesim.scene.section import Count, Positive, Section, Whole, refuse
+from timesim.scene.section import Section, refuse
 from timesim.scene.study import Context, StudySection
+from timesim.scene.value import Count, Positive, Whole
 
 Samples = Annotated[Whole, Field(ge=2)]
 

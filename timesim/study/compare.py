@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from xarray import Dataset
 
@@ -21,12 +20,11 @@ from timesim.engine.history import Samples
 from timesim.hbm.balance import Array, Balance, Complex
 from timesim.hbm.continuation import joined, part_of
 from timesim.hbm.curve import HbmCurve, solutions_at
-from timesim.hbm.period import closed_period, ends_of, motion_of
+from timesim.hbm.period import closed_period, motion_of
 from timesim.hbm.scheme import Scheme
-from timesim.model.contact_state import contact_loads, contact_state, slip_follows_motion
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.solver import Solver
-from timesim.orbit.basin import INSIDE
+from timesim.orbit.basin import placed
 from timesim.orbit.cycle import one_cycle
 from timesim.orbit.fourier import fourier_basis, fourier_coefficients
 from timesim.orbit.settling import Chain, Criterion, steady_states
@@ -202,10 +200,9 @@ def _contacts(balance: Balance, coefficient: Array) -> tuple[Array, Array]:
 
     The state is that over most of the interval of the balance's own samples.
     """
-    motion = motion_of(balance.basis, jnp.asarray(coefficient))
-    period = closed_period(balance.law, motion)
-    ends = ends_of(balance.law, motion, period)
-    shares = {STICK: 1 - ends.slip - ends.separation, SLIP: ends.slip, SEPARATION: ends.separation}
+    period = closed_period(balance.law, motion_of(balance.basis, coefficient))
+    slip, separation = np.asarray(period.ends.slip), np.asarray(period.ends.separation)
+    shares = {STICK: 1 - slip - separation, SLIP: slip, SEPARATION: separation}
     states = np.argmax([shares[state] for state in sorted(shares)], axis=0)
     elastic = np.stack([np.asarray(part) for part in period.start], axis=1)
     return elastic, states[np.arange(SAMPLES) * len(states) // SAMPLES]
@@ -218,10 +215,7 @@ def _start(
     displacement = modal.real.sum(axis=0)
     speed = (1j * np.arange(len(modal))[:, None] * 2 * np.pi * frequency * modal).real.sum(axis=0)
     here = coefficient @ fourier_basis(np.zeros(1), coefficient.shape[2])[0]
-    loads = contact_loads(model, displacement, (here[:, :2] - elastic) * balance.length)
-    state = contact_state(loads.normal, model.friction)
-    follows = slip_follows_motion(state, model.friction)[:, None]
-    return Start(displacement, speed, np.where(follows, loads.motion, loads.slip_in_cone(INSIDE)), state)
+    return replace(placed(model, displacement, speed, (here[:, :2] - elastic) * balance.length), phase=0.0)
 
 
 def _settled_cycle(model: Model, frequency: float, solver: Solver, criterion: Criterion) -> Samples:
