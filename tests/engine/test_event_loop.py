@@ -22,6 +22,7 @@ from systems import GENERATED_CYCLES, generated_models, oscillator
 import timesim
 from timesim.engine import dense_output as hermite
 from timesim.engine.event_loop import advance
+from timesim.engine.history import sample
 from timesim.engine.method import step_method
 from timesim.engine.solver import step_control
 from timesim.engine.step import Status, begin, judged
@@ -371,12 +372,19 @@ def test_phase_where_a_run_has_ended_inside_a_cycle() -> None:
     assert float(final_variables(whole.run)["final_phase_deg"][1]) == np.degrees(1.0)
 
 
-def test_the_final_slip_of_a_contact_that_is_apart_is_its_motion() -> None:
-    run = simulate(oscillator(-40.0, 1.39), 2, replace(FINE, reduce=False)).run
+@pytest.mark.parametrize("reduce", [True, False])
+def test_the_final_slip_of_a_contact_that_is_apart_is_its_motion(reduce: bool) -> None:
+    run = simulate(oscillator(-40.0, 1.39), 2, replace(FINE, reduce=reduce)).run
     assert run.state.tolist() == [SEPARATION]
     motion = run.model.contact_shape[:, :2] @ run.displacement
     assert np.abs(motion).min() > 1e-3
     np.testing.assert_array_equal(final_variables(run)["final_slip"][1], motion)
+
+
+def test_a_sample_has_the_state_of_its_step() -> None:
+    steps = next(iter(Run(oscillator(3.0, 1.39), [Phase(1.39, 3)], FINE).batches()))
+    assert np.any(steps.state != steps.state_after)
+    np.testing.assert_array_equal(sample(steps, steps.time + 0.5 * steps.h).state, steps.state)
 
 
 def test_no_finite_state() -> None:

@@ -31,7 +31,8 @@ def test_the_force_is_that_of_the_scene(phase: float):
 def test_the_power_of_each_force_is_its_own():
     model = generated_model(1, 3, 2)
     damping = np.array([[3.0, 1.0, 0.5], [1.0, 2.0, -0.4], [0.5, -0.4, 1.0]])
-    system = system_of(replace(model, structure=replace(model.structure, damping=damping)), 1.3)
+    load = replace(model.excitation, constant=np.array([1.0, -2.0, 0.5]))
+    system = system_of(replace(model, structure=replace(model.structure, damping=damping), excitation=load), 1.3)
     q, p, w = np.array([0.3, -0.2, 0.1]), np.array([0.2, 0.5, -0.4]), (np.array([0.1, 0.2]), np.array([-0.3, 0.1]))
     zero, state, time = jnp.zeros(()), jnp.asarray([SLIP, SLIP]), jnp.asarray(0.4)
     point = Point(jnp.asarray(q), jnp.asarray(p), tuple(map(jnp.asarray, w)), Work(zero, zero, jnp.zeros(2)))
