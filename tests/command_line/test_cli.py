@@ -159,6 +159,35 @@ def test_an_interrupted_run_saves_what_it_has(
     assert signal.getsignal(signal.SIGTERM) is own
 
 
+@pytest.mark.parametrize(("in_cycle", "in_saving"), [(1, 1), (0, 2), (1, 2), (0, 3)])
+def test_signals_while_saving(in_cycle: int, in_saving: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A result is saved whole, whether the study was interrupted or had come to its end; the third signal is obeyed."""
+    calls, advance, fsync = [], trajectory.advance, os.fsync
+
+    def interrupted(*args: Any) -> Any:
+        calls.append(1)
+        if len(calls) == 3 and in_cycle:
+            os.kill(os.getpid(), signal.SIGINT)
+        return advance(*args)
+
+    def slow(handle: int) -> None:
+        if "result.nc" in os.readlink(f"/proc/self/fd/{handle}"):
+            for sent in (signal.SIGTERM, signal.SIGINT, signal.SIGINT)[:in_saving]:
+                os.kill(os.getpid(), sent)
+        fsync(handle)
+
+    monkeypatch.setattr(trajectory, "advance", interrupted)
+    monkeypatch.setattr(os, "fsync", slow)
+    cycles = ("--set", f"study.cycles={200 if in_cycle else 3}", "--set", "study.record_last=3")
+    status, *_ = call("run", OSCILLATOR, "-o", tmp_path, "--no-plots", *cycles, "--set", "solver.accuracy=draft")
+    if in_cycle + in_saving > 2:
+        assert status not in (0, None)
+        assert not (tmp_path / "result.nc").exists()
+        return
+    assert status == in_cycle
+    assert timesim.open_result(tmp_path).attrs["complete"] == 1 - in_cycle
+
+
 def test_an_interrupted_map_saves_what_it_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     cycle = element_map.March._cycle
 

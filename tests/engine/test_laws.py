@@ -17,7 +17,7 @@ from timesim.hbm.balance import Balance
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import CONE, SEPARATION, SLIP, Contact, Model
 from timesim.model.reduction import reduction_of
-from timesim.study.transient import contact_forces
+from timesim.study.recorder import contact_forces
 
 GAP, STIFFNESS = 0.5, 400.0
 

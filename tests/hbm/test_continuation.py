@@ -225,6 +225,23 @@ def test_solve_at_one_place():
     assert solve(Circle(), np.array([1.0]), 2.0, CONTROLS) is None
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_the_sign_of_the_determinant(seed):
+    """Of linear equations, whatever rows the factorisation swaps."""
+    matrix = np.random.default_rng(seed).normal(size=(4, 4))
+
+    class Linear:
+        def value(self, x, p):
+            return matrix @ x - p
+
+        def linearised(self, x, p):
+            return self.value(x, p), matrix, -np.ones(4)
+
+    solution = solve(Linear(), np.zeros(4), 1.0, CONTROLS)
+    assert solution is not None
+    assert solution[1] == np.sign(np.linalg.det(matrix))
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [

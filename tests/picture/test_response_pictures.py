@@ -126,6 +126,19 @@ def test_points_above_the_curves_are_shown() -> None:
     assert compare.overlay(tree).get_ylim()[1] > 3.0
 
 
+@pytest.mark.parametrize("followed", [[2.0], []])
+def test_points_without_a_curve_are_shown_and_named(followed: list[float]) -> None:
+    tree = xarray.DataTree.from_dict({"/": xarray.Dataset(attrs=ATTRS), "/sweep": _sweep([1.8, 2.0])})
+    tree["hbm"] = xarray.DataTree(_balance([2.0]).isel(solution=slice(None if followed else 0)))
+    alone = 2 - len(followed)
+    lines = [line for line in compare.overlay(tree).get_lines() if line.get_label() == "time integration, up, no curve"]
+    assert [line.get_xdata().size for line in lines] == [FREQUENCY.size] * alone
+    fig = compare.PICTURES["overlay"](tree)
+    named = {text.get_text() for text in fig.axes[0].get_legend().get_texts()}
+    assert {f"time integration, {way}, no curve" for way in ("up", "down")} <= named
+    assert ("time integration, up" in named) == bool(followed)
+
+
 def _map(values: np.ndarray) -> xarray.Dataset:
     a = np.linspace(0, 4, values.shape[0])
     coefficient = (("a", "b", "tangent"), np.stack([values, 0.5 * values], axis=-1))

@@ -27,7 +27,7 @@ from timesim.result import checkpoint, file
 from timesim.result.change import fingerprint
 from timesim.result.file import StoreError
 from timesim.result.netcdf import open_result
-from timesim.study import campaign, cluster, worker
+from timesim.study import campaign, worker
 from timesim.study import registry as study
 from timesim.study.campaign import Chunk, Execution, ExecutionError, carry_through
 
@@ -377,7 +377,7 @@ def test_on_a_cluster_with_a_worker_killed_nothing_is_lost(scheduler: str, tmp_p
     assert digest(results) == digest(expected(chunks[:6]))
     assert reason is not None
     assert "c-2-0: ArithmeticError: c-2-0 has no solution; 6 of 18 points are missing" in reason
-    assert calls(log)["c-2-0"] == 1 + cluster.RETRIES
+    assert calls(log)["c-2-0"] == 1 + worker.RETRIES
     assert {path.stem for path in (tmp_path / "checkpoint").glob("*.npz")} == set(results)
     kept = calls(log)
     assert digest(carried(chunks, replace(execution, resume=True, cluster=None))[0]) == digest(results)
@@ -423,7 +423,7 @@ def test_a_cluster_that_is_lost(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_clusters_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(cluster, "PATIENCE", "0.2s")
+    monkeypatch.setattr(worker, "PATIENCE", "0.2s")
     with pytest.raises(ExecutionError, match=r"tcp://127\.0\.0\.1:9 cannot be reached.*give the address"):
         carried(chains(1, 1), Execution(cluster="tcp://127.0.0.1:9"))
     for wrong, message in (
@@ -459,6 +459,18 @@ def test_no_more_threads_than_this_process_may_use(tmp_path: Path, monkeypatch: 
     assert list(worker._quotas(tmp_path / "none", tmp_path)) == []
 
 
+def test_no_more_threads_than_control_groups_of_the_first_version_allow(tmp_path: Path):
+    (tmp_path / "cgroup").write_text("5:cpuset:/job\n4:cpu,cpuacct:/host/job\n1:name=systemd:/\n0::/\n")
+    own = tmp_path / "cpu,cpuacct" / "host" / "job"
+    own.mkdir(parents=True)
+    for group, quota in ((own, -1), (own.parents[1], 350000)):
+        (group / "cpu.cfs_quota_us").write_text(f"{quota}\n")
+        (group / "cpu.cfs_period_us").write_text("100000\n")
+    (tmp_path / "cpuset").mkdir()
+    (tmp_path / "cpuset" / "cpu.cfs_quota_us").write_text("100000\n")
+    assert list(worker._quotas(tmp_path / "cgroup", tmp_path)) == [3.5]
+
+
 @pytest.mark.parametrize(
     ("found", "message"),
     [
@@ -473,7 +485,7 @@ def test_workers_that_would_do_other_work(found: dict[str, Any], message: str):
             return found
 
     with pytest.raises(ExecutionError, match=message):
-        cluster._check_workers(Client(), "tcp://there:1")
+        worker._check_workers(Client(), "tcp://there:1")
 
 
 # The commands
@@ -578,7 +590,7 @@ def test_a_study_in_one_go_refuses_them(option: tuple[str, ...], name: str, tmp_
 
 
 def test_a_cluster_that_does_not_answer_is_status_2(faulty: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(cluster, "PATIENCE", "0.2s")
+    monkeypatch.setattr(worker, "PATIENCE", "0.2s")
     status, _, error = call(tmp_path, "--cluster", "tcp://127.0.0.1:9")
     assert status == 2
     assert "cannot be reached" in error

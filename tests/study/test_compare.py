@@ -42,12 +42,20 @@ def test_the_result_has_both_methods_and_their_difference(result):
     assert "tsit5" in result.attrs["method"]
 
 
+def test_the_exported_function_opens_all_parts_of_it(folder, result):
+    opened = timesim.open_result(folder / "run")
+    assert set(opened.children) == {"sweep", "hbm", "cycle"}
+    for name in ("", *opened.children):
+        part, other = (tree[name].to_dataset() if name else tree.to_dataset() for tree in (opened, result))
+        xarray.testing.assert_identical(part, other)
+        assert part.sizes or not name
+
+
 def test_both_agree_where_the_contact_slips_or_opens(result):
     slip, apart = (result["sweep"][f"{name}_share"].values[..., 0] for name in ("slip", "separation"))
     telling = (slip > 0) | ((apart > 0) & (apart < 1))
     size = np.abs(result["relative_difference"].values).max(axis=(-2, -1))
     assert telling.sum() == 3
-    print(np.c_[slip[telling], apart[telling], size[telling]])
     assert slip[telling].min() > 0.05
     assert 1e-7 < size[telling].max() < 2e-3
     assert size[~telling].max() < 1e-6

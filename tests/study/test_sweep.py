@@ -23,6 +23,7 @@ from timesim.fault import SceneError
 from timesim.orbit import settling as steady
 from timesim.orbit.linear import linear_orbit
 from timesim.orbit.settling import Chain, first_lane
+from timesim.picture import sweep as plot_sweep
 from timesim.result.netcdf import read, save
 from timesim.study import sweep
 from timesim.study.registry import load_scene
@@ -319,6 +320,13 @@ def test_a_slope_is_no_jump() -> None:
     assert unrefined.jump_low.values.tolist() == [[[0.97]]]
     assert unrefined.jump_high.values.tolist() == [[[1.39]]]
     assert refined.sizes["jump"] == 0
+    assert list(jump_lines(unrefined)) == [
+        f"{PRELOAD} 3, direction up: the amplitude changes steeply between 0.97 and 1.39 Hz, over a slope or a jump: "
+        "study.refine tells which"
+    ]
+    labels = [line.get_label() for line in plot_sweep.response(unrefined).get_lines()]
+    assert "jump or slope" in labels
+    assert "jump" not in labels
     np.testing.assert_array_equal(unrefined.amplitude, refined.amplitude)
 
 

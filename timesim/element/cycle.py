@@ -84,6 +84,20 @@ def in_phase(first: NDArray[np.complex128], phase: Array) -> tuple[Array, Array]
     return -turned.imag, turned.real
 
 
+def next_reach(reach: ArrayLike, residual: ArrayLike, best: ArrayLike) -> Array:
+    """Share of the way to an extrapolated limit to go next, where the last leap went the share ``reach``.
+
+    Beyond the limit other slips may push it back, again and again: it goes half as far then.
+
+    Args:
+        reach: share of the last leap.
+        residual: change from cycle to cycle now.
+        best: the same before the last leap.
+    """
+    better = np.less(residual, (1 - np.divide(reach, 2)) * best)
+    return np.where(better, np.minimum(1.0, np.multiply(reach, 2)), np.divide(reach, 2))
+
+
 def _ratio(force: Array, amplitude: Array) -> Array:
     return np.divide(force, amplitude, out=np.full(2, np.nan), where=amplitude != 0)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from timesim.element.cycle import PERIODIC, ElementCycle, Stay, Transition
+from timesim.element.cycle import PERIODIC, ElementCycle, Stay, Transition, next_reach
 from timesim.element.motion import CYCLE, Array, Motion
 from timesim.element.slip_path import Law, SlipPath, constant_path, contact_direction, integrate_slip
 from timesim.model.contact_state import contact_state, require_cone
@@ -83,8 +83,7 @@ def steady_cycle(contact: Contact, motion: Motion, *, max_cycles: int = MAX_CYCL
             continue
         (limit,), (leads,) = limits(np.array([forces[-4:]]))
         if leads:
-            # Beyond the limit other slips may push it back, again and again: go less far then.
-            reach, best = min(1.0, 2 * reach) if residual < (1 - reach / 2) * best else reach / 2, residual
+            reach, best = float(next_reach(reach, residual, best)), residual
             phase = march.moved(phase, forces[-1] + reach * (limit - forces[-1]))
             forces = [march.force(phase, 0.0)]
     return ElementCycle(law, motion, tuple(stays), tuple(transitions), cycle, residual, tuple(history))

@@ -170,8 +170,7 @@ class CycleTotals:
             if cycle < completed:
                 last = rows[-1]
                 self.end.append(float(steps.time[last] + steps.h[last]))
-                totals = [[steps.input[last], steps.damping[last]], steps.friction[last]]
-                self.work.append(np.concatenate(totals))
+                self.work.append(np.concatenate([[steps.input[last], steps.damping[last]], steps.friction[last]]))
                 self.stored.append(float(energy[last]))
                 self.amplitude.append(0.5 * (self._high - self._low).reshape(-1, 3))
 

@@ -107,13 +107,9 @@ class Run:
         """Take up the present state of the loop."""
         now = jax.tree.map(np.asarray, now)
         here = frame.start(now.point, now.state, origin.phase + float(now.time))
-        self.displacement, self.velocity, self.slip, self.state = (
-            here.displacement,
-            here.velocity,
-            here.slip,
-            here.state,
-        )
-        self.phase, self.completed = here.phase, origin.completed + int(now.cycle)
+        self.displacement, self.velocity = here.displacement, here.velocity
+        self.slip, self.state, self.phase = here.slip, here.state, here.phase
+        self.completed = origin.completed + int(now.cycle)
         self.time = origin.time + float(PERIOD * now.cycle + now.time) / frame.scales.omega
         self.work = frame.work(now.point.work, origin.work)
 

@@ -19,12 +19,8 @@ frequency/time domain method for calculating the steady-state response of nonlin
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -155,8 +151,8 @@ class Balance:
 
     def contact_forces(self, x: Array) -> Array:
         """(f1, f2, n) of each contact by their coefficients in units of `force`, shape (C, 3, 2H + 1)."""
-        sampled = contact_forces(self.law, self.basis, jnp.asarray(self.coefficients(x))).coefficient
-        return self.refined_forces(x, np.asarray(sampled))
+        sampled = contact_forces(self.law, self.basis, self.coefficients(x)).coefficient
+        return self.refined_forces(x, sampled)
 
     def refined_forces(self, x: Array, sampled: Array) -> Array:
         """(f1, f2, n) with located transitions, if the scheme asks for them, else those of the samples.
@@ -199,11 +195,11 @@ class Balance:
 
     def linearised(self, x: Array, p: float) -> tuple[Array, Array, Array]:
         """r, and its derivatives by the unknowns and by the frequency."""
-        sampled, slope = linearised(self.law, self.basis, jnp.asarray(self.coefficients(x)))
+        sampled, slope = linearised(self.law, self.basis, self.coefficients(x))
         linear = self.linear(p)
-        acting, motion = self._response(x, self.refined_forces(x, np.asarray(sampled.coefficient)), linear)
+        acting, motion = self._response(x, self.refined_forces(x, sampled.coefficient), linear)
         by_p = under(linear.slope, acting)
-        matrix = np.eye(x.size) - self._matrix(linear.flexibility, np.asarray(slope))
+        matrix = np.eye(x.size) - self._matrix(linear.flexibility, slope)
         r = x - to_coefficients(motion.T).ravel() / self.length
         return r, matrix, to_coefficients(by_p.T).ravel() * (-2 * np.pi / self.length)
 
@@ -226,24 +222,3 @@ class Balance:
         linear = self.linear(frequency)
         acting, _ = self._response(x, forces, linear)
         return under(linear.modal, acting) / np.sqrt(self.model.structure.mass)
-
-
-def batched(evaluate: Callable[[ConeLaw, Array], Sequence[Any]], balance: Balance, motion: Array) -> list[Array]:
-    """Arrays of a function of the law and the motion of contacts, for many solutions.
-
-    Args:
-        evaluate: gives arrays with one row a contact.
-        balance: the equations solved.
-        motion: Fourier coefficients of (u1, u2, v) in units, shape (S, C, 3, 2H + 1).
-
-    Returns:
-        arrays, shape (S, C, ...).
-    """
-    law = jax.tree.map(lambda leaf: jnp.tile(leaf, BATCH), balance.law)
-    parts = []
-    for first in range(0, max(len(motion), 1), BATCH):
-        part = motion[first : first + BATCH]
-        rows = np.resize(part, (BATCH, *motion.shape[1:])).reshape(-1, *motion.shape[2:])
-        arrays = map(np.asarray, evaluate(law, rows))
-        parts.append([array.reshape(BATCH, -1, *array.shape[1:])[: len(part)] for array in arrays])
-    return [np.concatenate(column) for column in zip(*parts, strict=True)]

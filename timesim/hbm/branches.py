@@ -1,4 +1,4 @@
-"""The curves of one model: those from the ends of a range, and isolated ones through motions of time integration."""
+"""All curves of one model: those from both ends of a range, and isolated ones through motions by time integration."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class SettledMotion:
     Attributes:
         frequency: of the excitation [Hz].
         amplitude: (max - min) / 2 of each point along x, y, z, shape (P, 3).
-        coefficients: gives its modal displacement by 1, cos, sin, ..., shape (2K + 1, M); None: it has none here.
+        coefficients: computes its modal displacement by 1, cos, sin, ..., shape (2K + 1, M), or None where it cannot.
     """
 
     frequency: float

@@ -1,8 +1,8 @@
-"""How many harmonics and time samples are enough: the answer against both, until it no longer changes.
+"""Convergence of solutions with harmonics and with time samples, each increased until the amplitudes stay the same.
 
-Each solution is solved for anew at its frequency, with more harmonics on the same samples, then with more samples and
-the same harmonics. What counts is the largest change of an amplitude, relative to the largest amplitude of the motion,
-from the finest answer.
+Each solution is computed anew at its frequency, with more harmonics on the same samples, then with more samples and the
+same harmonics. The measure is the largest difference of an amplitude from that of the finest scheme, relative to the
+largest amplitude of the motion.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,7 +24,7 @@ ENOUGH = 1e-5
 
 @dataclass(frozen=True)
 class Known:
-    """A solution that is refined: its model, frequency [Hz], motion at the contacts (C, 3, 2H + 1) and amplitudes."""
+    """A solution to refine: model, frequency [Hz], motion of the contacts (C, 3, 2H + 1) and amplitudes (P, 3)."""
 
     model: Model
     frequency: float
@@ -34,14 +34,14 @@ class Known:
 
 @dataclass(frozen=True)
 class Convergence:
-    """The answer against harmonics and samples.
+    """Changes of the solutions with harmonics and with samples.
 
     Attributes:
-        count: solutions refined.
-        harmonics, with_harmonics: numbers of harmonics, and the change from the last of them; the last entry is the
-            change from the one before.
+        count: number of solutions refined.
+        harmonics, with_harmonics: numbers of harmonics, and the difference of each from the last; the last entry is the
+            difference from the last but one.
         time_samples, with_samples: the same for the samples.
-        lost: how many of the solutions a number of harmonics, or of samples, does not have, by name.
+        lost: number of solutions that do not exist, by the number of harmonics or samples in words.
     """
 
     count: int
@@ -86,7 +86,7 @@ def convergence(known: Sequence[Known], scheme: Scheme) -> Convergence:
 def _refined(
     known: Sequence[Known], numbers: Sequence[int], scheme_of: Callable[[int], Scheme]
 ) -> tuple[Array, Array, Array]:
-    """Numbers tried, the change from the last of them, and how many of the known have no such solution."""
+    """Numbers tried, the difference of each from the last, and how many solutions do not exist with it."""
     answers: list[Array] = []
     moves = [np.inf]
     for number in numbers if known else numbers[:1]:
@@ -101,14 +101,14 @@ def _refined(
 
 
 def _change(known: Sequence[Known], one: Array, other: Array) -> float:
-    """Largest difference of the answers, relative to each motion, where both have one."""
+    """Largest difference of amplitudes, relative to each motion, where both exist."""
     size = np.array([solution.amplitude.max() for solution in known])
     change = np.abs(one - other).max(axis=(1, 2), initial=0.0) / size if known else np.zeros(0)
     return float(np.max(change[np.isfinite(change)], initial=0.0))
 
 
 def amplitude(known: Known, scheme: Scheme) -> Array:
-    """Amplitudes of a solution by another scheme, shape (P, 3); NaN where that has no such solution."""
+    """Amplitudes of a solution by another scheme, shape (P, 3); NaN where it does not exist."""
     balance = Balance(known.model, known.frequency, scheme)
     guess = np.zeros((*known.motion.shape[:2], balance.size))
     kept = min(balance.size, known.motion.shape[2])

@@ -7,14 +7,11 @@ import timesim.runtime  # noqa: F401  isort: skip
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from timesim.engine.contact import ConeLaw
-from timesim.hbm.balance import Balance, batched
+from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, Curve, Ending, Solution, follow, follow_both_ways, solve
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.period import contact_forces
@@ -181,13 +178,8 @@ def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmC
     """Motion, contact states and stability of the solutions of a balance, in the units of the scene."""
     size, order = curve.p.size, balance.scheme.harmonics + 1
     motion = balance.coefficients(curve.x)
-
-    def contacts(law: ConeLaw, coefficient: Array) -> tuple[Any, ...]:
-        done = contact_forces(law, balance.basis, jnp.asarray(coefficient))
-        return done.coefficient, done.slip, done.separation, done.closure
-
-    sampled, slip, separation, closure = batched(contacts, balance, motion)
-    forces = np.array([balance.refined_forces(x, own) for x, own in zip(curve.x, sampled, strict=True)])
+    done = [contact_forces(balance.law, balance.basis, own) for own in motion]
+    forces = np.array([balance.refined_forces(x, own.coefficient) for x, own in zip(curve.x, done, strict=True)])
     shape = balance.model.structure.shape
     phasor = np.zeros((size, order, *shape.shape[:2]), complex)
     for i, (x, p) in enumerate(zip(curve.x, curve.p, strict=True)):
@@ -204,12 +196,12 @@ def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmC
         amplitude=half_range(phasor),
         harmonic_cos=phasor.real,
         harmonic_sin=-phasor.imag,
-        slip_share=slip,
-        separation_share=separation,
+        slip_share=np.array([own.slip for own in done]).reshape(size, balance.num_contacts),
+        separation_share=np.array([own.separation for own in done]).reshape(size, balance.num_contacts),
         contact_motion=motion * balance.length,
         contact_force=forces.reshape(motion.shape) * balance.force,
         floquet_max=largest,
-        closure=np.max(closure, axis=1, initial=0.0),
+        closure=np.array([own.closure.max() for own in done]),
         ending=curve.ending,
         message=curve.message,
     )

@@ -1,4 +1,4 @@
-"""Where a curve may begin: guesses for the first solution of a balance."""
+"""Guesses for the first solution of a curve."""
 
 from collections.abc import Callable, Iterator
 

@@ -21,13 +21,15 @@ end is that at its start.
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-from functools import lru_cache, partial
+from dataclasses import dataclass
+from functools import lru_cache
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+from numpy.typing import NDArray
 
 from timesim.engine.contact import ConeLaw, incipient_direction, normal_load
 from timesim.engine.contact_law import Motion, Plane, Scalar, dot, length, minus, product, scaled, where
@@ -44,7 +46,8 @@ WHOLE = 1 - 1e-9
 GRAZING = 1e-11
 
 
-class Basis(eqx.Module):
+@dataclass(frozen=True)
+class Basis:
     """Harmonic functions 1, cos, sin, ..., cos H theta, sin H theta at the samples, the last one at 2 pi.
 
     Attributes:
@@ -52,8 +55,8 @@ class Basis(eqx.Module):
         project: Fourier coefficients from samples, shape (2H + 1, N).
     """
 
-    value: Float[Array, "sample coefficient"]
-    project: Float[Array, "coefficient sample"]
+    value: NDArray[np.float64]
+    project: NDArray[np.float64]
 
 
 @lru_cache(maxsize=64)
@@ -62,7 +65,7 @@ def basis_of(harmonics: int, time_samples: int) -> Basis:
     theta = 2 * np.pi * np.arange(1, time_samples + 1) / time_samples
     value = fourier_basis(theta, 2 * harmonics + 1)
     weight = np.append(1.0, np.full(2 * harmonics, 2.0)) / time_samples
-    return Basis(jnp.asarray(value), jnp.asarray(weight[:, None] * value.T))
+    return Basis(value, weight[:, None] * value.T)
 
 
 class Interval(eqx.Module):
@@ -210,50 +213,56 @@ def onto_cone(law: ConeLaw, d: Plane, v: Scalar) -> Plane:
 
 
 class ClosedPeriod(eqx.Module):
-    """A period at whose end the elastic displacement is that at its start.
+    """A period at whose end the elastic displacement is that at its start; N samples, C contacts.
 
     Attributes:
         start: elastic displacement at the start, shape (C,).
-        d: the same at the samples, shape (N, C).
+        ends: the same at the end of each interval, and its shares, shape (N, C).
+        force: (f1, f2, n) at the samples, n not less the preload, shape (N, C, 3).
+        slip, separation: shares of the period, shape (C,).
         closure: change of d over the period over the tolerated one, at most 1 where it closed, shape (C,).
         passes: through the period.
         stuck: which contacts stick all along, and the offset of their force.
     """
 
     start: Plane
-    d: Plane
+    ends: IntervalEnd
+    force: Float[Array, "sample contact 3"]
+    slip: Float[Array, " contact"]
+    separation: Float[Array, " contact"]
     closure: Float[Array, " contact"]
     passes: Int[Array, ""]
     stuck: Offset
 
 
-def one_pass(law: ConeLaw, start: Plane, intervals: Interval) -> tuple[Plane, Plane]:
-    """Through the period: d at its end and at every sample."""
+def one_pass(law: ConeLaw, start: Plane, intervals: Interval) -> tuple[Plane, IntervalEnd]:
+    """Through the period: d at its end, and the ends of all intervals."""
 
-    def step(d: Plane, interval: Interval) -> tuple[Plane, Plane]:
-        d = advance(law, d, interval).d
-        return d, d
+    def step(d: Plane, interval: Interval) -> tuple[Plane, IntervalEnd]:
+        end = advance(law, d, interval)
+        return end.d, end
 
     return jax.lax.scan(step, start, intervals)
 
 
 class _Passes(eqx.Module):
-    """Passes so far: where the next one starts, and start, end and path of the last one."""
+    """Passes so far: where the next one starts, and start, end and intervals of the last one."""
 
     next_start: Plane
     start: Plane
     end: Plane
-    path: Plane
+    path: IntervalEnd
     closure: Scalar
     count: Scalar
 
 
+@jax.jit
 def closed_period(law: ConeLaw, motion: Motion) -> ClosedPeriod:
     """Pass through a periodic motion, shape (N, C), until d closes, at most `MAX_PASSES` times.
 
     A contact that can stick all along enters with the offset of `timesim.hbm.stuck_offset` and does. The others are
     accelerated from the third pass on (D. G. Anderson, J. ACM 12 (1965) 547, with one pass remembered): slip maps the
-    plane on a curve, so the change over a pass has one direction.
+    plane on a curve, so the change over a pass has one direction. One program serves any number of harmonics.
     """
     intervals = intervals_of(motion)
     stuck = stuck_offset(law, motion)
@@ -265,7 +274,7 @@ def closed_period(law: ConeLaw, motion: Motion) -> ClosedPeriod:
         start = last.next_start
         end, path = one_pass(law, start, intervals)
         change, before = minus(end, start), minus(last.end, last.start)
-        tolerated = CLOSED * jnp.max(length(path), axis=0) + ROUNDING * reach
+        tolerated = CLOSED * jnp.max(length(path.d), axis=0) + ROUNDING * reach
         closure = length(change) / jnp.maximum(tolerated, 1e-300)
         bend = minus(change, before)
         ratio = dot(change, bend) / jnp.maximum(dot(bend, bend), 1e-300)
@@ -274,12 +283,21 @@ def closed_period(law: ConeLaw, motion: Motion) -> ClosedPeriod:
         next_start = onto_cone(law, minus(end, leap), motion.v[-1])
         return _Passes(next_start, start, end, path, closure, last.count + 1)
 
-    none = _Passes(first_start, first_start, first_start, motion.u, jnp.full_like(reach, jnp.inf), jnp.asarray(0))
+    path = IntervalEnd(motion.u, motion.v, motion.v)
+    none = _Passes(first_start, first_start, first_start, path, jnp.full_like(reach, jnp.inf), jnp.asarray(0))
     last = jax.lax.while_loop(lambda last: jnp.any(last.closure > 1) & (last.count < MAX_PASSES), again, none)
-    return ClosedPeriod(last.start, last.path, last.closure, last.count, stuck)
+    force = jnp.stack([*product(law.stiffness, last.path.d), jnp.maximum(normal_load(law, motion.v), 0.0)], axis=2)
+    shares = _share(last.path.slip), _share(last.path.separation)
+    return ClosedPeriod(last.start, last.path, force, *shares, last.closure, last.count, stuck)
 
 
-class ContactForces(eqx.Module):
+def _share(part: Float[Array, "sample contact"]) -> Float[Array, " contact"]:
+    """Share of the period; exactly 1 where it is the whole of every interval."""
+    return jnp.where(jnp.all(part > WHOLE, axis=0), 1.0, jnp.mean(part, axis=0))
+
+
+@dataclass(frozen=True)
+class ContactForces:
     """Forces and states of the contacts over a period.
 
     Attributes:
@@ -288,45 +306,32 @@ class ContactForces(eqx.Module):
         closure, passes: as in `ClosedPeriod`.
     """
 
-    coefficient: Float[Array, "contact 3 coefficient"]
-    slip: Float[Array, " contact"]
-    separation: Float[Array, " contact"]
-    closure: Float[Array, " contact"]
-    passes: Int[Array, ""]
+    coefficient: NDArray[np.float64]
+    slip: NDArray[np.float64]
+    separation: NDArray[np.float64]
+    closure: NDArray[np.float64]
+    passes: int
 
 
-def motion_of(basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> Motion:
-    """Relative motion at the samples, shape (N, C); no rates."""
+def motion_of(basis: Basis, coefficient: NDArray[np.float64]) -> Motion:
+    """Relative motion at the samples, shape (N, C), from (u1, u2, v), shape (C, 3, 2H + 1); no rates."""
     u1, u2, v = (basis.value @ coefficient[:, i].T for i in range(3))
     return Motion((u1, u2), v, (), v)
 
 
 def starts_of(period: ClosedPeriod) -> Plane:
-    """Elastic displacement at the start of each interval."""
-    return tuple(jnp.concatenate([b[None], d[:-1]]) for b, d in zip(period.start, period.d, strict=True))
+    """Elastic displacement at the start of each interval, shape (N, C)."""
+    pairs = zip(period.start, period.ends.d, strict=True)
+    return tuple(np.concatenate([np.asarray(first)[None], np.asarray(d)[:-1]]) for first, d in pairs)
 
 
-def ends_of(law: ConeLaw, motion: Motion, period: ClosedPeriod) -> IntervalEnd:
-    """All intervals, shape (N, C)."""
-    return jax.vmap(partial(advance, law))(starts_of(period), intervals_of(motion))
-
-
-@jax.jit
-def contact_forces(law: ConeLaw, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> ContactForces:
-    """Contact forces of a motion given by its Fourier coefficients (u1, u2, v)."""
-    motion = motion_of(basis, coefficient)
-    return forces_of(law, basis, motion, closed_period(law, motion))
-
-
-def forces_of(law: ConeLaw, basis: Basis, motion: Motion, period: ClosedPeriod) -> ContactForces:
+def forces_of(basis: Basis, period: ClosedPeriod) -> ContactForces:
     """Forces and shares of a closed period."""
-    ends = ends_of(law, motion, period)
-    load = jnp.maximum(normal_load(law, motion.v), 0.0)
-    samples = jnp.stack([*product(law.stiffness, period.d), load], axis=2)
-    coefficient = jnp.moveaxis(jnp.tensordot(basis.project, samples, 1), 0, 2)
-    return ContactForces(coefficient, _share(ends.slip), _share(ends.separation), period.closure, period.passes)
+    coefficient = np.moveaxis(np.tensordot(basis.project, np.asarray(period.force), 1), 0, 2)
+    shares = np.asarray(period.slip), np.asarray(period.separation)
+    return ContactForces(coefficient, *shares, np.asarray(period.closure), int(period.passes))
 
 
-def _share(part: Float[Array, "sample contact"]) -> Float[Array, " contact"]:
-    """Share of the period; exactly 1 where it is the whole of every interval."""
-    return jnp.where(jnp.all(part > WHOLE, axis=0), 1.0, jnp.mean(part, axis=0))
+def contact_forces(law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64]) -> ContactForces:
+    """Contact forces of a motion given by its Fourier coefficients (u1, u2, v), shape (C, 3, 2H + 1)."""
+    return forces_of(basis, closed_period(law, motion_of(basis, coefficient)))

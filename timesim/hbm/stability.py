@@ -14,17 +14,13 @@ G. Floquet, Sur les équations différentielles linéaires à coefficients péri
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array as Traced
-from jaxtyping import Float
 from scipy.linalg import expm
 
-from timesim.engine.contact import ConeLaw, normal_load
-from timesim.hbm.balance import Array, Balance, batched
-from timesim.hbm.period import Basis, basis_of, closed_period, intervals_of, motion_of, starts_of
-from timesim.hbm.tangent import Slope, interval_slopes
+from timesim.engine.contact import ConeLaw
+from timesim.hbm.balance import Array, Balance
+from timesim.hbm.period import basis_of, closed_period, motion_of, starts_of
+from timesim.hbm.tangent import interval_slopes
 
 # Modulus of a multiplier above which a solution is unstable: those of an undamped structure lie on the unit circle but
 # for the error of the samples.
@@ -62,29 +58,21 @@ def floquet_multipliers(balance: Balance, x: Array, frequency: Array, *, samples
     return np.take_along_axis(multipliers, np.argsort(-np.abs(multipliers), axis=1), axis=1)
 
 
-@jax.jit
-def _slopes(
-    law: ConeLaw, basis: Basis, coefficient: Float[Traced, "contact 3 coefficient"]
-) -> tuple[Slope, Float[Traced, "sample contact"]]:
-    """The law linearised about the motion, and the normal stiffness that acts at each sample."""
-    motion = motion_of(basis, coefficient)
-    period = closed_period(law, motion)
-    touching = (normal_load(law, motion.v) > 0) * law.normal_stiffness
-    return interval_slopes(law, starts_of(period), intervals_of(motion)), touching
-
-
 def _linearised(balance: Balance, coefficient: Array, samples: int) -> list[Array]:
     """Derivatives of d at the end of each interval by d at its start, by the change of y and by v, and the touch.
 
-    Shapes (S, N, C, 2, 2), (S, N, C, 2, 3), (S, N, C, 2) and (S, N, C).
+    Shapes (S, N, C, 2, 2), (S, N, C, 2, 3), (S, N, C, 2) and (S, N, C): the normal stiffness that acts at each sample.
     """
-    basis = basis_of(balance.scheme.harmonics, samples)
+    basis, law = basis_of(balance.scheme.harmonics, samples), balance.law
 
-    def local(law: ConeLaw, rows: Array) -> list[Array]:
-        slope, touching = _slopes(law, basis, jnp.asarray(rows))
-        return [np.asarray(leaf).swapaxes(0, 1) for leaf in (slope.carry, slope.change, slope.load, touching)]
+    def local(own: Array) -> tuple[Array, ...]:
+        motion = motion_of(basis, own)
+        period = closed_period(law, motion)
+        slope = interval_slopes(law, starts_of(period), motion)
+        touching = (np.asarray(period.force)[:, :, 2] > 0) * np.asarray(law.normal_stiffness)
+        return *map(np.asarray, (slope.carry, slope.change, slope.load)), touching
 
-    return [array.swapaxes(1, 2) for array in batched(local, balance, coefficient)]
+    return [np.stack(column) for column in zip(*map(local, coefficient), strict=True)]
 
 
 def _steps(balance: Balance, frequency: Array, samples: int) -> tuple[Array, Array, Array]:

@@ -16,7 +16,7 @@ import timesim.runtime  # noqa: F401  isort: skip
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
 from timesim.engine.contact import ConeLaw, normal_load
 from timesim.engine.contact_law import Motion, Plane, Scalar, product
@@ -149,13 +149,18 @@ def stuck_offset(law: ConeLaw, motion: Motion) -> Offset:
     return Offset(tuple(jnp.where(last.converged, x, 0.0) for x in last.g), last.converged)
 
 
-def offset_slope(law: ConeLaw, g: Plane, motion: Motion, along: Motion) -> Plane:
-    """Change of the offset of a contact that sticks, when the motion changes along another one."""
-    one = jnp.ones_like(g[0])
+@jax.jit
+def offset_slope(law: ConeLaw, g: Plane, motion: Motion) -> Float[Array, "2 sample contact 3"]:
+    """Derivatives of C g, of the offset g of a contact that sticks, by (u1, u2, v) at each sample."""
+    one, none = jnp.ones_like(g[0]), jnp.zeros_like(g[0])
 
     def gradient(u: Plane, v: Scalar) -> Plane:
         return _gradient(g, *without_slip(law, Motion(u, v, (), v)), one)
 
-    change = jax.jvp(gradient, (motion.u, motion.v), (along.u, along.v))[1]
+    pull = jax.vjp(gradient, motion.u, motion.v)[1]
+    ((a1, a2), a3), ((b1, b2), b3) = pull((one, none)), pull((none, one))
     here = without_slip(law, motion)
-    return _change_of(_hessian(g, *here, one), tuple(-x for x in change), here[2])
+    hessian = _hessian(g, *here, one)
+    rows = [_change_of(hessian, (-a, -b), here[2]) for a, b in ((a1, b1), (a2, b2), (a3, b3))]
+    elastic = [product(law.compliance, row) for row in rows]
+    return jnp.stack([jnp.stack(component, axis=-1) for component in zip(*elastic, strict=True)])

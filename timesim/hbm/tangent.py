@@ -7,7 +7,6 @@ together cost some three passes of the law: differentiating the passes themselve
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
-from timesim.engine.contact import ConeLaw, normal_load
+from timesim.engine.contact import ConeLaw
 from timesim.engine.contact_law import Motion, Plane, Scalar, product
 from timesim.hbm.period import (
     Basis,
@@ -32,6 +31,8 @@ from timesim.hbm.period import (
     starts_of,
 )
 from timesim.hbm.stuck_offset import Offset, offset_slope
+
+Array64 = NDArray[np.float64]
 
 
 class Slope(eqx.Module):
@@ -50,8 +51,10 @@ class Slope(eqx.Module):
     load: Float[Array, "sample contact 2"]
 
 
-def interval_slopes(law: ConeLaw, starts: Plane, intervals: Interval) -> Slope:
-    """Derivatives of the law over each interval, from the elastic displacement at its start."""
+@jax.jit
+def interval_slopes(law: ConeLaw, starts: Plane, motion: Motion) -> Slope:
+    """Derivatives of the law over each interval of a motion, from the elastic displacement at its start."""
+    intervals = intervals_of(motion)
 
     def end(d1: Scalar, d2: Scalar, c1: Scalar, c2: Scalar, b1: Scalar, b2: Scalar, *v: Scalar) -> Plane:
         return advance(law, (d1, d2), Interval((c1, c2), (b1, b2), *v)).d
@@ -71,9 +74,10 @@ def interval_slopes(law: ConeLaw, starts: Plane, intervals: Interval) -> Slope:
     return Slope(slope[..., :2], change, slope[..., 4:6], by_start + by_end)
 
 
-def _tangents(slope: Slope, basis: Basis) -> Float[Array, "sample contact 2 column"]:
+@jax.jit
+def _tangents(slope: Slope, value: Float[Array, "sample coefficient"]) -> Float[Array, "sample contact 2 column"]:
     """Derivatives of d at the samples by the 3 (2H + 1) coefficients, d at the start kept, then by d at the start."""
-    value, moved = basis.value, change_of(basis.value)
+    moved = change_of(value)
     num_contacts, size = slope.load.shape[1], 3 * value.shape[1]
     none = jnp.zeros((num_contacts, 2, 2))
 
@@ -90,57 +94,35 @@ def _tangents(slope: Slope, basis: Basis) -> Float[Array, "sample contact 2 colu
     return jax.lax.scan(step, start, (slope, moved, bend_of(moved), value))[1]
 
 
-@jax.jit
-def _last_pass(law: ConeLaw, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]) -> tuple[Any, ...]:
-    """Forces, and derivatives of the last pass by the coefficients of the motion and, last, by d at its start.
-
-    Returns:
-        the forces; derivatives of d at the end, shape (C, 2, 3 (2H + 1) + 2), and of the Fourier coefficients of f,
-        (C, 2, 2H + 1, 3 (2H + 1) + 2); those of the normal load by the coefficients of v, (C, 2H + 1, 2H + 1); which
-        contacts stick all along, and the derivatives of their d at the start, (C, 2, 3 (2H + 1)).
-    """
-    motion = motion_of(basis, coefficient)
-    period = closed_period(law, motion)
-    forces = forces_of(law, basis, motion, period)
-    tangents = _tangents(interval_slopes(law, starts_of(period), intervals_of(motion)), basis)
-    spectrum = jnp.moveaxis(jnp.tensordot(basis.project, tangents, 1), 0, 2)
-    stiffness = tuple(k[:, None, None] for k in law.stiffness)
-    spectrum = jnp.stack(product(stiffness, (spectrum[:, 0], spectrum[:, 1])), axis=1)
-    touching = (normal_load(law, motion.v) > 0) * law.normal_stiffness
-    normal = jnp.einsum("ak,kc,kb->cab", basis.project, touching, basis.value)
-    return forces, tangents[-1], spectrum, normal, period.stuck.sticks, _stuck_start(law, basis, motion, period.stuck)
-
-
-def _stuck_start(law: ConeLaw, basis: Basis, motion: Motion, stuck: Offset) -> Float[Array, "contact 2 column"]:
-    """Derivatives of d at the start of the period by the coefficients, for contacts that stick all along."""
-    none = jnp.zeros_like(motion.v)
-
-    def along(row: Float[Array, " sample"]) -> Float[Array, "3 2 contact"]:
-        wave = jnp.broadcast_to(row[:, None], none.shape)
-        components = ((wave, none, none), (none, wave, none), (none, none, wave))
-        seeds = (Motion((u1, u2), v, (), v) for u1, u2, v in components)
-        changes = (product(law.compliance, offset_slope(law, stuck.force, motion, seed)) for seed in seeds)
-        return jnp.stack([jnp.stack(change) for change in changes])
-
-    by_offset = jnp.moveaxis(jax.lax.map(along, basis.value.T), (0, 1, 2, 3), (3, 2, 1, 0))
-    by_motion = jnp.zeros((2, 3)).at[0, 0].set(1.0).at[1, 1].set(1.0)[..., None] * basis.value[-1]
-    return (by_offset + by_motion).reshape(*by_offset.shape[:2], -1)
-
-
 def linearised(
-    law: ConeLaw, basis: Basis, coefficient: Float[Array, "contact 3 coefficient"]
+    law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64]
 ) -> tuple[ContactForces, NDArray[np.float64]]:
     """`contact_forces`, and their derivatives by the coefficients of the same contact: 3 (2H + 1) rows and columns.
 
-    With d at the end of the last pass e(y, d0) and d0 = e, ``(1 - de/dd0) dd0/dy = de/dy`` closes the period.
+    With d at the end of the last pass e(y, d0) and d0 = e, ``(1 - de/dd0) dd0/dy = de/dy`` closes the period; where a
+    contact sticks all along, d0 follows from its offset.
     """
-    forces, *slopes = _last_pass(law, basis, coefficient)
-    end, spectrum, normal, sticks, stuck_start = map(np.asarray, slopes)
-    by_motion, by_start = end[..., :-2], end[..., -2:]
-    change = np.eye(2) - by_start
+    motion = motion_of(basis, coefficient)
+    period = closed_period(law, motion)
+    tangents = np.asarray(_tangents(interval_slopes(law, starts_of(period), motion), basis.value))
+    by_motion, by_start = tangents[-1, ..., :-2], tangents[-1, ..., -2:]
+    change, sticks = np.eye(2) - by_start, np.asarray(period.stuck.sticks)
+    start = _stuck_start(law, basis, motion, period.stuck) if sticks.any() else np.zeros_like(by_motion)
     unique = (np.abs(np.linalg.det(change)) > 1e-13) & ~sticks
-    start = np.array(stuck_start)
     start[unique] = np.linalg.solve(change[unique], by_motion[unique])
-    slope = spectrum[..., :-2] + spectrum[..., -2:] @ start[:, None]
-    normal = np.concatenate([np.zeros((*normal.shape[:2], 2 * basis.value.shape[1])), normal], axis=2)
-    return forces, np.concatenate([slope[:, 0], slope[:, 1], normal], axis=1)
+    whole = tangents[..., :-2] + np.einsum("tcij,cjk->tcik", tangents[..., -2:], start)
+    force = np.stack(product(tuple(np.asarray(k)[:, None] for k in law.stiffness), (whole[:, :, 0], whole[:, :, 1])), 2)
+    num_contacts, size = whole.shape[1], basis.value.shape[1]
+    slope = np.zeros((num_contacts, 3, size, 3 * size))
+    slope[:, :2] = np.tensordot(basis.project, force, 1).transpose(1, 2, 0, 3)
+    touching = (np.asarray(period.force)[:, :, 2] > 0) * np.asarray(law.normal_stiffness)
+    slope[:, 2, :, 2 * size :] = (basis.project * touching.T[:, None]) @ basis.value
+    return forces_of(basis, period), slope.reshape(num_contacts, 3 * size, 3 * size)
+
+
+def _stuck_start(law: ConeLaw, basis: Basis, motion: Motion, stuck: Offset) -> Array64:
+    """Derivatives of d at the start of the period by the coefficients, for contacts that stick all along."""
+    weights = np.asarray(offset_slope(law, stuck.force, motion))
+    start = np.einsum("itca,tk->ciak", weights, basis.value)
+    start[:, [0, 1], [0, 1]] += basis.value[-1]
+    return start.reshape(*start.shape[:2], -1)

@@ -99,7 +99,7 @@ def march(
     Args:
         lanes: any number.
         solver: method and tolerances.
-        num_cycles: how many cycles.
+        num_cycles: number of cycles.
 
     Keyword Args:
         size: of the batches.

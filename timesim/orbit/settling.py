@@ -211,7 +211,7 @@ def _linear_orbits(chain: Chain, lane: Lane, solver: Solver) -> list[Orbit]:
 
 @dataclass(frozen=True)
 class _Work:
-    """What all searches have in common."""
+    """The work on many searches."""
 
     chains: Sequence[Chain]
     solver: Solver
@@ -223,21 +223,17 @@ class _Work:
         while pending or active:
             while pending and len(active) < SIDE_BY_SIDE:
                 active.append(pending.popleft())
-            going = []
-            for search in self._round(active, size):
-                if search.phase is not Phase.DONE:
-                    going.append(search)
-                    continue
-                yield search
-                going += self._next(search)
-            active = going
+            moved = self._round(active, size)
+            yield from (search for search in moved if search.phase is Phase.DONE)
+            active = [going for search in moved for going in self._going(search)]
 
-    def _next(self, search: Search) -> list[Search]:
-        """The search for the next steady state along the chain, if there is one."""
+    def _going(self, search: Search) -> list[Search]:
+        """The search, or, once it is done, that for the next steady state along its chain if there is one."""
+        if search.orbit is None:
+            return [search]
         chain, place = self.chains[search.chain], search.place + 1
         if place == len(chain.frequencies):
             return []
-        assert search.orbit is not None
         start = search.orbit.end if search.orbit.reason is None else begin_of(chain.model)
         return [Search(search.chain, place, search.lane.at(chain.frequencies[place], start, self.solver))]
 

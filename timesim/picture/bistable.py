@@ -11,16 +11,21 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from timesim.picture.choice import left_out, motion
-from timesim.picture.response import (
-    DIRECTIONS,
-    amplitude_label,
-    axis_label,
-    draw_branch,
+from timesim.picture.response import DIRECTIONS, amplitude_label, axis_label, draw_branch, key_words
+from timesim.picture.style import (
+    BLUE,
+    VERMILION,
+    Picture,
+    axes,
+    figure,
     finish,
-    key_words,
+    from_zero,
+    label_axes,
+    labelled,
+    legend_beside,
     stacked,
 )
-from timesim.picture.style import BLUE, VERMILION, Picture, axes, figure, from_zero, label_axes, labelled, legend_beside
+from timesim.result.coordinate import over_keys
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,15 +79,14 @@ def ranges(data: "DataTree") -> list[Range]:
     ]
 
 
-def over_keys(data: "DataTree") -> list[str]:
-    """Keys of the further axes, in the scene's order."""
-    return [str(name) for name in data.to_dataset()["range"].dims if name not in ("jump", "end")]
-
-
 def _sets(data: "DataTree") -> list[dict[str, int]]:
     """All positions along the further axes."""
-    keys = over_keys(data)
+    keys = _keys(data)
     return [dict(zip(keys, index, strict=True)) for index in product(*(range(data.sizes[key]) for key in keys))]
+
+
+def _keys(data: "DataTree") -> list[str]:
+    return over_keys(data.to_dataset())
 
 
 def _label(data: "DataTree", at: Mapping[str, int]) -> str:
@@ -112,7 +116,7 @@ def response(
     """
     ax, sweep = axes(ax), data.children["sweep"].to_dataset()
     point, axis = motion(sweep, point, axis)
-    at = {key: (at or {}).get(key, 0) for key in over_keys(data)} if near is None else near.at
+    at = {key: (at or {}).get(key, 0) for key in _keys(data)} if near is None else near.at
     window = (0.0, np.inf) if near is None else _window(near)
     for i, (direction, colour) in enumerate((("up", BLUE), ("down", VERMILION))):
         _sweep(ax, sweep.isel(at).isel(direction=i).sel(point=point, axis=axis), direction, colour, window)
@@ -216,7 +220,7 @@ def starts(data: "DataTree", ax: "Axes | None" = None, *, at: Range | None = Non
 
 def existence(data: "DataTree", ax: "Axes | None" = None, *, key: str | None = None) -> "Axes":
     """Where there are two motions: frequency between the ends of the ranges, against a scalar of the scene."""
-    ax, key, root = axes(ax), key or over_keys(data)[0], data.to_dataset()
+    ax, key, root = axes(ax), key or _keys(data)[0], data.to_dataset()
     scalar = root[key].values
     for item in ranges(data):
         value = float(scalar[item.at[key]])
@@ -268,7 +272,7 @@ def _starts_figure(data: "DataTree") -> "Figure | None":
 
 
 def _existence_figure(data: "DataTree") -> "Figure | None":
-    keys = [key for key in over_keys(data) if data.sizes[key] > 1]
+    keys = [key for key in _keys(data) if data.sizes[key] > 1]
     if not keys or not ranges(data):
         return None
     fig, axs = stacked(len(keys), 3.2, share_x=False)

@@ -6,26 +6,27 @@ the contacts did more than stick or stay apart, `cycle`. `PICTURES` are the figu
 
 from collections.abc import Iterator
 from itertools import pairwise, product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from timesim.orbit.steady_state import switches
 from timesim.picture import hbm as balance
 from timesim.picture.choice import MAX_ROWS, motion, motions
-from timesim.picture.response import DIRECTIONS, finish, over_keys, stacked, values_label
+from timesim.picture.response import DIRECTIONS, values_label
 from timesim.picture.style import (
     SERIES,
     Picture,
     axes,
     figure,
+    finish,
     from_zero,
-    heading,
     label_axes,
-    legend_below,
     short,
+    stacked,
     state_bar,
 )
+from timesim.result.coordinate import over_keys
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,29 +38,21 @@ METHODS = {"sweep": "time integration", "hbm": "harmonic balance"}
 MINOR = 1e-3
 
 
-class Points(NamedTuple):
-    """The points of a sweep with one set of values in one direction.
-
-    Attributes:
-        where: positions along the further axes and the direction, for `isel`.
-        look: how they are drawn, in the colour of the curves with these values.
-    """
-
-    where: dict[str, int]
-    look: dict[str, Any]
+Points = tuple[dict[str, int], dict[str, Any]]
+"""The points of a sweep with one set of values in one direction: positions along these axes, and how they are drawn."""
 
 
 def overlay(data: "DataTree", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None) -> "Axes":
     """Curves of the harmonic balance and points of the sweep; hollow where they have not settled."""
     hbm, sweep = _groups(data)
-    point, axis = motion(hbm, point, axis)
+    point, axis = motion(hbm if hbm.sizes["solution"] else sweep, point, axis)
     ax = balance.response(hbm, axes(ax), point=point, axis=axis)
-    for points in _points(hbm, sweep):
-        part = sweep.isel(points.where)
+    for where, look in _points(hbm, sweep):
+        part = sweep.isel(where)
         y, settled = part.amplitude.sel(point=point, axis=axis).values, part.settled.values > 0
-        ax.plot(part.frequency.values[settled], y[settled], ms=3.2, **points.look)
+        ax.plot(part.frequency.values[settled], y[settled], ms=3.2, **look)
         if not settled.all():
-            hollow = points.look | {"label": "not settled", "fillstyle": "none", "ms": 5}
+            hollow = look | {"label": "not settled", "fillstyle": "none", "ms": 5}
             ax.plot(part.frequency.values[~settled], y[~settled], **hollow)
     from_zero(ax)
     return ax
@@ -71,10 +64,10 @@ def difference(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
     counts = sweep.amplitude > MINOR * sweep.amplitude.max(("point", "axis"))
     size = abs(data["relative_difference"].where(counts.values)).max(("point", "axis"))
     linear = ~switches(sweep.slip_share, sweep.separation_share).any("contact")
-    for points in _points(hbm, sweep):
-        x, y, pale = sweep.frequency.values, size.isel(points.where).values, linear.isel(points.where).values
-        ax.plot(x[~pale], y[~pale], ms=3.5, **points.look)
-        ax.plot(x[pale], y[pale], ms=3, alpha=0.25, **points.look)
+    for where, look in _points(hbm, sweep):
+        x, y, pale = sweep.frequency.values, size.isel(where).values, linear.isel(where).values
+        ax.plot(x[~pale], y[~pale], ms=3.5, **look)
+        ax.plot(x[pale], y[pale], ms=3, alpha=0.25, **look)
     for fold in hbm.frequency.values[hbm.fold.values > 0]:
         ax.axvline(fold, color="0.6", linewidth=0.7, linestyle=":", label="frequency of a fold")
     ax.set_yscale("log")
@@ -88,9 +81,9 @@ def share(data: "DataTree", ax: "Axes | None" = None, *, state: str = "slip") ->
     name = f"{state}_share"
     contact = str(sweep.contact.values[int(np.argmax(hbm[name].sum("solution").values))])
     ax = balance.share(hbm, axes(ax), contact=contact, state=state)
-    for points in _points(hbm, sweep):
-        part = sweep.isel(points.where)
-        ax.plot(part.frequency.values, part[name].sel(contact=contact).values, ms=2.5, **points.look)
+    for where, look in _points(hbm, sweep):
+        part = sweep.isel(where)
+        ax.plot(part.frequency.values, part[name].sel(contact=contact).values, ms=2.5, **look)
     label_axes(ax, short(contact))
     return ax
 
@@ -100,16 +93,19 @@ def _groups(data: "DataTree") -> tuple["Dataset", "Dataset"]:
 
 
 def _points(hbm: "Dataset", sweep: "Dataset") -> Iterator[Points]:
-    """The points of the sweep by the curves that they belong to."""
+    """The points of the sweep in the colours of the curves with their values; grey where the balance has none."""
     keys = over_keys(hbm)
     colours = {family.label: family.style.colour for family in balance.families(hbm)}
+    undrawn = {values_label(values) for values in balance.sets(hbm)} - set(colours)
     for where in product(*(range(sweep.sizes[key]) for key in keys)):
         label = values_label(sweep[key].values[i] for key, i in zip(keys, where, strict=True))
+        if label in undrawn:
+            continue
         for i, direction in enumerate(sweep.direction.values):
-            if label in colours:
-                name = METHODS["sweep"] + ("" if direction == "independent" else f", {direction}")
-                look = {"color": colours[label], "marker": DIRECTIONS[direction], "linestyle": "", "label": name}
-                yield Points(dict(zip(keys, where, strict=True)) | {"direction": i}, look)
+            words = (METHODS["sweep"], "" if direction == "independent" else direction)
+            name = ", ".join(filter(None, (*words, "" if label in colours else "no curve")))
+            look = {"color": colours.get(label, "0.5"), "marker": DIRECTIONS[direction], "linestyle": "", "label": name}
+            yield dict(zip(keys, where, strict=True)) | {"direction": i}, look
 
 
 def waveform(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
@@ -163,10 +159,8 @@ def _cycle(data: "DataTree") -> tuple["Dataset", str, str]:
     return cycle, *motions(cycle, np.ptp(x.reshape(*x.shape[:2], -1), axis=-1))[0]
 
 
-def _overlay_figure(data: "DataTree") -> "Figure | None":
+def _overlay_figure(data: "DataTree") -> "Figure":
     hbm, _ = _groups(data)
-    if not hbm.sizes["solution"]:
-        return None
     fig, axs = stacked(1, 4.6)
     overlay(data, axs[0])
     balance.legend(axs, hbm)
@@ -196,9 +190,7 @@ def _cycle_figure(data: "DataTree") -> "Figure | None":
     waveform(data, grid[0, 0])
     contact_states(data, grid[1, 0])
     harmonics(data, grid[2, 0])
-    legend_below(fig)
-    heading(fig, data, f"a cycle by both methods where they differ most: {data['cycle'].attrs['place']}")
-    return fig
+    return finish(fig, data, f"a cycle by both methods where they differ most: {data['cycle'].attrs['place']}")
 
 
 PICTURES: dict[str, Picture] = {

@@ -19,9 +19,9 @@ from timesim.picture.style import (
     Picture,
     axes,
     figure,
-    heading,
+    finish,
     label_axes,
-    legend_below,
+    shade,
     short,
     state_bar,
     state_curves,
@@ -93,9 +93,8 @@ def normal_load(data: "Dataset", ax: "Axes | None" = None, *, contact: str | Non
     ax, contact = axes(ax), contact or busiest(data, 1)[0]
     part = data.isel(time=last_cycles(data)).sel(contact=contact)
     time, force = part.time.values, part.contact_force.values
-    apart = [span for *span, state in intervals(data, contact, time[0], time[-1]) if state == SEPARATION]
-    for number, span in enumerate(apart):
-        ax.axvspan(*span, color="0.87", linewidth=0, zorder=0, label=None if number else "separation")
+    stays = intervals(data, contact, time[0], time[-1])
+    shade(ax, ((start, end) for start, end, state in stays if state == SEPARATION), "separation")
     ax.axhline(0.0, color="black", linewidth=0.8, label="n = 0")
     ax.plot(time, force[:, 2], color=BLUE, linewidth=1.4, label="normal load n")
     tangential = np.hypot(force[:, 0], force[:, 1])
@@ -193,11 +192,8 @@ def _of_contacts(what: str, drawn: Callable[["Dataset", Sequence[str]], "Figure"
         contacts = busiest(data, limit)
         if not contacts:
             return None
-        fig = drawn(data, contacts)
-        legend_below(fig)
         hidden = left_out(data.sizes["contact"], len(contacts), "contacts", "the least active")
-        heading(fig, data, f"{what}, last cycles", hidden)
-        return fig
+        return finish(drawn(data, contacts), data, f"{what}, last cycles", hidden)
 
     return picture
 

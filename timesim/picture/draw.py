@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 DPI = 110
 MARGIN = 9  # pixels of white around what is drawn
+LEAST = {"time": 2, "angle": 2, "solution": 1}
+"""Length along these dimensions below which there is nothing to draw."""
 
 
 def write(data: "Dataset | DataTree", folder: Path | str, pictures: Mapping[str, Picture]) -> list[Path]:
@@ -33,7 +35,7 @@ def write(data: "Dataset | DataTree", folder: Path | str, pictures: Mapping[str,
         StoreError: a file cannot be written.
     """
     written: list[Path] = []
-    if min(data.sizes.get(name, 2) for name in ("time", "angle")) < 2:
+    if any(data.sizes.get(name, least) < least for name, least in LEAST.items()):
         return written
     for name, picture in pictures.items():
         figure = picture(data)

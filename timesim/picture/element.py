@@ -9,18 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from timesim.model.model import SEPARATION
-from timesim.picture.style import (
-    BLUE,
-    PALE,
-    VERMILION,
-    Picture,
-    axes,
-    figure,
-    heading,
-    legend_below,
-    state_bar,
-    state_curves,
-)
+from timesim.picture.style import BLUE, PALE, VERMILION, Picture, axes, figure, finish, shade, state_bar, state_curves
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,11 +43,10 @@ def force_path(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
 def _transition_circles(data: "Dataset", ax: "Axes") -> None:
     turn = np.linspace(0, 2 * np.pi, 181)
     circle = np.stack([np.cos(turn), np.sin(turn)])
-    for number, (f, angles) in enumerate(_transition_forces(data)[:MAX_CIRCLES]):
+    for f, angles in _transition_forces(data)[:MAX_CIRCLES]:
         radius = np.hypot(*f)
-        label = None if number else "limit circle there"
-        ax.plot(*(radius * circle), color="0.55", linewidth=0.6, label=label)
-        ax.plot(*f, "o", color="black", ms=4, label=None if number else "transition")
+        ax.plot(*(radius * circle), color="0.55", linewidth=0.6, label="limit circle there")
+        ax.plot(*f, "o", color="black", ms=4, label="transition")
         x, y = (f / radius if radius > 0 else np.array([0.3, -0.95])).tolist()
         beside: dict[str, Any] = {
             "ha": "left" if x > 0.3 else "right" if x < -0.3 else "center",
@@ -99,8 +87,7 @@ def friction_limit(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     angle = np.append(data.angle.values, 360.0)
     limit = data.attrs["friction"] * _closed(data.normal_load.values)
     force = _closed(np.hypot(*data.force.values.T))
-    for number, (start, end) in enumerate((a, b) for a, b, state in intervals(data) if state == SEPARATION):
-        ax.axvspan(start, end, color="0.87", linewidth=0, zorder=0, label=None if number else "no contact")
+    shade(ax, ((start, end) for start, end, state in intervals(data) if state == SEPARATION), "no contact")
     ax.plot(angle, limit, color=BLUE, linewidth=1.4, label="limit μn")
     ax.plot(angle, force, color=VERMILION, linestyle="--", linewidth=1.2, label="friction force |f|")
     for degrees in data.transition_angle_deg.values:
@@ -139,27 +126,21 @@ def _closed(values: np.ndarray) -> np.ndarray:
 def _path_figure(data: "Dataset") -> "Figure":
     fig, grid = figure(width=8.2, height=5.6)
     force_path(data, grid[0, 0])
-    return _finish(fig, data, "friction force in the contact plane, steady cycle")
+    return finish(fig, data, "friction force in the contact plane, steady cycle")
 
 
 def _hysteresis_figure(data: "Dataset") -> "Figure":
     fig, grid = figure(1, 2, width=8.5, height=3.2)
     for ax, tangent in zip(grid[0], ("t1", "t2"), strict=True):
         hysteresis(data, ax, tangent=tangent)
-    return _finish(fig, data, f"hysteresis, steady cycle: {float(data.dissipation):.4g} [force·length] a cycle")
+    return finish(fig, data, f"hysteresis, steady cycle: {float(data.dissipation):.4g} [force·length] a cycle")
 
 
 def _cycle_figure(data: "Dataset") -> "Figure":
     fig, grid = figure(2, 1, width=8.0, height=1.7, sharex=True, height_ratios=[4, 1])
     friction_limit(data, grid[0, 0]).set_xlabel("")
     contact_states(data, grid[1, 0])
-    return _finish(fig, data, "normal load, friction force and state over the cycle")
-
-
-def _finish(fig: "Figure", data: "Dataset", what: str) -> "Figure":
-    legend_below(fig)
-    heading(fig, data, what)
-    return fig
+    return finish(fig, data, "normal load, friction force and state over the cycle")
 
 
 PICTURES: dict[str, Picture] = {

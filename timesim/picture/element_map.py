@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from timesim.picture.style import Picture, axes, figure, heading
+from timesim.picture.style import Picture, axes, figure, finish
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,8 +81,7 @@ def _all_coefficients(data: "Dataset", draw: Callable[..., Any], **options: Any)
     fig, grid = figure(3, 2, **options)
     for ax, (name, tangent) in zip(grid.flat, product(COEFFICIENTS, ("t1", "t2")), strict=True):
         draw(data, ax, name=name, tangent=tangent)
-    heading(fig, data, "Fourier coefficients of the friction force")
-    return fig
+    return finish(fig, data, "Fourier coefficients of the friction force")
 
 
 def _contour_figure(data: "Dataset") -> "Figure | None":

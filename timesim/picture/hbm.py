@@ -6,14 +6,16 @@ figures that a run writes.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from timesim.picture import response as shared
 from timesim.picture.choice import MAX_CURVES, left_out, motion, spread
-from timesim.picture.response import amplitude_label, axis_label, draw_branch, over_keys, values_label
-from timesim.picture.style import Picture, Series, axes, from_zero, short
+from timesim.picture.response import amplitude_label, axis_label, draw_branch, values_label
+from timesim.picture.style import Picture, Series, axes, finish, from_zero, short, stacked
+from timesim.result.coordinate import over_keys
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -86,8 +88,8 @@ def harmonics(
 
 def families(data: "Dataset") -> list[Family]:
     """The curves by their values of the further axes, at most `MAX_CURVES` sets of equal spacing."""
-    values, curve, sets = _values(data), data.curve.values, _sets(data)
-    kept = [sets[i] for i in spread(len(sets))]
+    values, curve, every = _values(data), data.curve.values, sets(data)
+    kept = [every[i] for i in spread(len(every))]
     drawn = []
     for look, chosen in zip(shared.styles(len(kept)), kept, strict=True):
         inside = np.all(values == np.array(chosen), axis=1)
@@ -102,7 +104,8 @@ def _values(data: "Dataset") -> np.ndarray:
     return np.stack([data[key].values for key in keys], axis=1) if keys else np.zeros((data.sizes["solution"], 0))
 
 
-def _sets(data: "Dataset") -> list[tuple[float, ...]]:
+def sets(data: "Dataset") -> list[tuple[float, ...]]:
+    """The sets of values of the further axes that have a curve."""
     return list(dict.fromkeys(map(tuple, _values(data).tolist())))
 
 
@@ -118,30 +121,19 @@ def legend(axs: Sequence["Axes"], data: "Dataset", *, markers: bool = False) -> 
 
 def hidden(data: "Dataset") -> str:
     """A note of how many sets of values are not shown."""
-    return left_out(len(_sets(data)), MAX_CURVES, "sets of values")
+    return left_out(len(sets(data)), MAX_CURVES, "sets of values")
 
 
-def _response_figure(data: "Dataset") -> "Figure | None":
-    if not data.sizes["solution"]:
-        return None
-    return shared.response_figure(data, response, legend, "response by harmonic balance", hidden(data))
-
-
-def _harmonics_figure(data: "Dataset") -> "Figure | None":
-    if not data.sizes["solution"]:
-        return None
-    fig, axs = shared.stacked(1, 3.4)
+def _harmonics_figure(data: "Dataset") -> "Figure":
+    fig, axs = stacked(1, 3.4)
     harmonics(data, axs[0])
     legend(axs, data, markers=True)
-    return shared.finish(fig, data, "harmonic content at the largest response", hidden(data))
+    return finish(fig, data, "harmonic content at the largest response", hidden(data))
 
 
-def _states_figure(data: "Dataset") -> "Figure | None":
-    return shared.states_figure(data, share, legend, hidden(data)) if data.sizes["solution"] else None
-
-
+_SHARED: dict[str, Any] = {"legend": legend, "hidden": hidden}
 PICTURES: dict[str, Picture] = {
-    "response": _response_figure,
+    "response": partial(shared.response_figure, what="response by harmonic balance", response=response, **_SHARED),
     "harmonics": _harmonics_figure,
-    "contact_states": _states_figure,
+    "contact_states": partial(shared.states_figure, share=share, **_SHARED),
 }

@@ -12,7 +12,7 @@ import numpy as np
 from timesim.picture import transient
 from timesim.picture.choice import MAX_ROWS, motions
 from timesim.picture.response import amplitude_label
-from timesim.picture.style import BLUE, SERIES, VERMILION, Picture, axes, figure, from_zero, heading, legend_below
+from timesim.picture.style import BLUE, SERIES, VERMILION, Picture, axes, figure, finish, from_zero
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -125,9 +125,7 @@ def _envelope_figure(data: "Dataset") -> "Figure":
     fig, grid = figure(2, 1, width=9.0, height=1.9, gap=0.15, sharex=True, height_ratios=[2.2, 1])
     envelope(data, grid[0, 0]).set_xlabel("")
     frequency(data, grid[1, 0])
-    legend_below(fig)
-    heading(fig, data, "amplitude of each cycle")
-    return fig
+    return finish(fig, data, "amplitude of each cycle")
 
 
 def _path_figure(data: "Dataset") -> "Figure | None":
@@ -137,15 +135,12 @@ def _path_figure(data: "Dataset") -> "Figure | None":
     fig, grid = figure(1, len(shown), width=1.1 + 3.6 * len(shown), height=3.2, left=0.8)
     for ax, (point, axis) in zip(grid[0], shown, strict=True):
         path(data, ax, point=point, axis=axis).locator_params(axis="x", nbins=4)
-    legend_below(fig)
-    heading(fig, data, "amplitude against frequency, phase by phase")
-    return fig
+    return finish(fig, data, "amplitude against frequency, phase by phase")
 
 
-_OF_TRANSIENT = dict(transient.PICTURES)
 PICTURES: dict[str, Picture] = {
-    "displacement": _OF_TRANSIENT.pop("displacement"),
+    "displacement": transient.PICTURES["displacement"],
     "envelope": _envelope_figure,
     "path": _path_figure,
-    **_OF_TRANSIENT,
+    **transient.PICTURES,
 }

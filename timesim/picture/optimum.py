@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from timesim.picture.choice import motion
-from timesim.picture.response import amplitude_label, axis_label, finish, stacked, styles
-from timesim.picture.style import BLUE, VERMILION, Picture, axes, from_zero, labelled, legend_beside
+from timesim.picture.response import amplitude_label, axis_label, styles
+from timesim.picture.style import BLUE, VERMILION, Picture, axes, finish, from_zero, labelled, legend_beside, stacked
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,28 +15,22 @@ from timesim.picture.style import (
     NEUTRAL,
     SERIES,
     Series,
-    figure,
-    heading,
+    finish,
     label_axes,
     labelled,
     legend_beside,
     short,
+    stacked,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from xarray import Dataset, DataTree
+    from xarray import Dataset
 
 DIRECTIONS = {"up": "^", "down": "v", "independent": "o"}
 DASHES = (0, (4, 2))
 MARKERS = "osD<>phXPd"
-
-
-def over_keys(data: "Dataset") -> list[str]:
-    """Keys of the further axes, in the scene's order."""
-    names = [str(name) for name in (*data["amplitude"].dims, *data.data_vars)]
-    return [name for name in names if "." in name and name != data.attrs.get("along")]
 
 
 def key_words(key: str) -> str:
@@ -146,28 +140,11 @@ def legend(axs: Iterable["Axes"], entries: Mapping[str, Series], title: str | No
     legend_beside(first, handles, title)
 
 
-def stacked(rows: int, height: float, *, share_x: bool = True) -> tuple["Figure", list["Axes"]]:
-    """Axes of a height [inch] one above the other, with room for a legend on the right.
-
-    Without a common abscissa there is room for the label of each.
-    """
-    gap = 0.3 if share_x else 0.8
-    fig, grid = figure(rows, 1, width=9.0, height=height, gap=gap, right=2.4, sharex=share_x)
-    return fig, list(grid[:, 0])
-
-
-def finish(fig: "Figure", data: "Dataset | DataTree", what: str, *notes: str) -> "Figure":
-    """The figure with its heading, and at the foot notes of what is left out."""
-    heading(fig, data, what, "; ".join(filter(None, notes)))
-    return fig
+Legend = Callable[[Sequence["Axes"], "Dataset"], None]
 
 
 def response_figure(
-    data: "Dataset",
-    response: Callable[..., "Axes"],
-    legend: Callable[[Sequence["Axes"], "Dataset"], None],
-    what: str,
-    note: str,
+    data: "Dataset", *, what: str, response: Callable[..., "Axes"], legend: Legend, hidden: Callable[["Dataset"], str]
 ) -> "Figure":
     """The response of each point along its axis of largest amplitude, one above the other."""
     points = list(main_axes(data))
@@ -176,15 +153,12 @@ def response_figure(
     for ax, point in zip(axs, points, strict=False):
         response(data, ax, point=point).label_outer()
     legend(axs, data)
-    hidden = left_out(len(points), rows, "points")
-    return finish(fig, data, f"{what}, each point along its axis of largest amplitude", hidden, note)
+    note = left_out(len(points), rows, "points")
+    return finish(fig, data, f"{what}, each point along its axis of largest amplitude", note, hidden(data))
 
 
 def states_figure(
-    data: "Dataset",
-    share: Callable[..., "Axes"],
-    legend: Callable[[Sequence["Axes"], "Dataset"], None],
-    note: str,
+    data: "Dataset", *, share: Callable[..., "Axes"], legend: Legend, hidden: Callable[["Dataset"], str]
 ) -> "Figure | None":
     """The shares of slip and separation of each contact, one above the other."""
     shares = data.slip_share + data.separation_share
@@ -196,5 +170,5 @@ def states_figure(
         label_axes(share(data, ax, contact=contact, state=state), short(contact))
         ax.label_outer()
     legend(axs, data)
-    hidden = left_out(data.sizes["contact"], len(contacts), "contacts")
-    return finish(fig, data, "shares of a period in slip and in separation", hidden, note)
+    note = left_out(data.sizes["contact"], len(contacts), "contacts")
+    return finish(fig, data, "shares of a period in slip and in separation", note, hidden(data))

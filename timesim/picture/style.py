@@ -111,14 +111,28 @@ def figure(
     return fig, grid
 
 
-def heading(fig: "Figure", data: "Dataset | DataTree", what: str, left_out: str = "") -> None:
-    """Title of a figure: the scene's own and what is shown; at the foot what did not find room."""
+def stacked(rows: int, height: float, *, share_x: bool = True) -> tuple["Figure", list["Axes"]]:
+    """Axes of a height [inch] one above the other, with room for a legend on the right.
+
+    Without a common abscissa there is room for the label of each.
+    """
+    fig, grid = figure(rows, 1, width=9.0, height=height, gap=0.3 if share_x else 0.8, right=2.4, sharex=share_x)
+    return fig, list(grid[:, 0])
+
+
+def finish(fig: "Figure", data: "Dataset | DataTree", what: str, *notes: str) -> "Figure":
+    """The figure with its title, notes of what is left out at the foot, and a legend there if its axes have none.
+
+    The title is the scene's own and what is shown.
+    """
     title = short(str(data.attrs.get("title") or ""), 90)
     unfinished = "" if int(data.attrs["complete"]) else " (incomplete run)"
     tall = fig.get_figheight()
     fig.suptitle((f"{title}\n" if title else "") + what + unfinished, fontsize=10, y=1 - 0.08 / tall, va="top")
-    if left_out:
-        fig.text(0.99, 0.04 / tall, left_out, fontsize=7, color="0.35", ha="right", va="bottom")
+    fig.text(0.99, 0.04 / tall, "; ".join(filter(None, notes)), fontsize=7, color="0.35", ha="right", va="bottom")
+    if all(ax.get_legend() is None for ax in fig.axes):
+        _legend_below(fig)
+    return fig
 
 
 def from_zero(ax: "Axes") -> None:
@@ -160,6 +174,12 @@ def _pieces(inside: np.ndarray) -> np.ndarray:
     return np.concatenate([np.empty(0, int), *(np.append(np.arange(a, min(b, last) + 1), -1) for a, b in runs)])
 
 
+def shade(ax: "Axes", spans: Iterable[tuple[float, float]], label: str) -> None:
+    """Shade the intervals in which a contact is open."""
+    for number, span in enumerate(spans):
+        ax.axvspan(*span, color="0.87", linewidth=0, zorder=0, label=None if number else label)
+
+
 def state_bar(ax: "Axes", row: float, intervals: Iterable[tuple[float, float, int]], height: float = 0.7) -> None:
     """Draw the start, end and state of intervals as a bar, in a row of the axes."""
     for start, end, state in intervals:
@@ -177,8 +197,8 @@ def labelled(*axs: "Axes") -> dict[str, Any]:
     return handles
 
 
-def legend_below(fig: "Figure") -> None:
-    """One legend for all axes of a figure, at its foot, the states first."""
+def _legend_below(fig: "Figure") -> None:
+    """One legend for all axes of a figure, the states first."""
     handles = labelled(*fig.axes)
     names = sorted(handles, key=lambda name: STATE_NAMES.index(name) if name in STATE_NAMES else 9)
     if names:

@@ -7,6 +7,7 @@ a run did not come to. `PICTURES` are the figures that a run writes.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,8 +15,21 @@ import numpy as np
 
 from timesim.picture import response as shared
 from timesim.picture.choice import MAX_CURVES, left_out, motion, spread
-from timesim.picture.response import DIRECTIONS, amplitude_label, axis_label, over_keys, values_label
-from timesim.picture.style import NEUTRAL, SERIES, Picture, Series, axes, from_zero, labelled, legend_beside, short
+from timesim.picture.response import DIRECTIONS, amplitude_label, axis_label, values_label
+from timesim.picture.style import (
+    NEUTRAL,
+    SERIES,
+    Picture,
+    Series,
+    axes,
+    finish,
+    from_zero,
+    labelled,
+    legend_beside,
+    short,
+    stacked,
+)
+from timesim.result.coordinate import over_keys
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,8 +64,9 @@ def response(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = N
     for curve in curves(data):
         _draw(ax, data, curve, data.amplitude.sel(point=point, axis=axis).isel(curve.where).values)
         _band(ax, data, curve, point, axis)
+        found = "jump" if data.attrs.get("jumps_bisected", 1) else "jump or slope"
         for frequency in _jumps(data, curve):
-            ax.axvline(frequency, color=curve.style.colour, linestyle=":", linewidth=1.0, label="jump")
+            ax.axvline(frequency, color=curve.style.colour, linestyle=":", linewidth=1.0, label=found)
     from_zero(ax)
     ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(point, axis))
     return ax
@@ -222,21 +237,13 @@ def _hidden(data: "Dataset") -> str:
     return left_out(sets, MAX_CURVES, "sets of values")
 
 
-def _response_figure(data: "Dataset") -> "Figure":
-    return shared.response_figure(data, response, legend, "response", _hidden(data))
-
-
-def _states_figure(data: "Dataset") -> "Figure | None":
-    return shared.states_figure(data, share, legend, _hidden(data))
-
-
 def _floquet_figure(data: "Dataset") -> "Figure | None":
     if not np.isfinite(data.floquet_max.values).any():
         return None
-    fig, axs = shared.stacked(1, 3.0)
+    fig, axs = stacked(1, 3.0)
     floquet(data, axs[0])
     legend(axs, data)
-    return shared.finish(fig, data, "stability", _hidden(data))
+    return finish(fig, data, "stability", _hidden(data))
 
 
 def _peak_figure(data: "Dataset") -> "Figure | None":
@@ -244,20 +251,19 @@ def _peak_figure(data: "Dataset") -> "Figure | None":
     whole = np.isfinite(data.amplitude.values).all(axis=(-2, -1)).all(axis=-1)
     if not keys or not whole.any():
         return None
-    fig, axs = shared.stacked(len(keys), 3.0, share_x=False)
+    fig, axs = stacked(len(keys), 3.0, share_x=False)
     for ax, key in zip(axs, keys, strict=True):
         others = [other for other in over_keys(data) if other != key]
         legend_beside(ax, labelled(peak(data, ax, key=key)).values(), shared.legend_title(data, others))
     point, axis = motion(data, None, None)
     missing = "" if whole.all() else f"{np.sum(~whole)} peaks not shown: points are missing"
-    return shared.finish(
-        fig, data, f"peak over the frequencies of {short(point, 16)} {axis}, which moves most", missing
-    )
+    return finish(fig, data, f"peak over the frequencies of {short(point, 16)} {axis}, which moves most", missing)
 
 
+_SHARED: dict[str, Any] = {"legend": legend, "hidden": _hidden}
 PICTURES: dict[str, Picture] = {
-    "response": _response_figure,
+    "response": partial(shared.response_figure, what="response", response=response, **_SHARED),
     "peak": _peak_figure,
-    "contact_states": _states_figure,
+    "contact_states": partial(shared.states_figure, share=share, **_SHARED),
     "stability": _floquet_figure,
 }

@@ -22,9 +22,8 @@ from timesim.picture.style import (
     Series,
     axes,
     figure,
-    heading,
+    finish,
     labelled,
-    legend_below,
     legend_beside,
     short,
 )
@@ -75,9 +74,8 @@ def _envelope(data: "Dataset", ax: "Axes", x: np.ndarray, amplitude: np.ndarray)
     middle[:recorded] = middle[recorded] if recorded < len(parts) else 0.0
     for sign, name in ((1, "± amplitude of the cycle"), (-1, None)):
         ax.stairs(middle + sign * amplitude, edges, baseline=None, color=VERMILION, label=name)
-    for number, change in enumerate(start[1:][np.abs(np.diff(period)) > 1e-6 * period[0]]):
-        label = None if number else "change of frequency"
-        ax.axvline(change, color="black", linewidth=1.0, linestyle=":", label=label)
+    for change in start[1:][np.abs(np.diff(period)) > 1e-6 * period[0]]:
+        ax.axvline(change, color="black", linewidth=1.0, linestyle=":", label="change of frequency")
 
 
 def spectrum(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
@@ -180,9 +178,7 @@ def _displacement_figure(data: "Dataset") -> "Figure":
         displacement(data, left, point=point, axis=axis).label_outer()
         displacement(data, right, point=point, axis=axis, cycles=LAST_CYCLES).set(ylabel="", xlabel="")
     grid[-1, 1].set_xlabel("time [s]")
-    legend_below(fig)
-    heading(fig, data, "displacement", _hidden(data))
-    return fig
+    return finish(fig, data, "displacement", _hidden(data))
 
 
 def _spectrum_figure(data: "Dataset") -> "Figure | None":
@@ -190,9 +186,7 @@ def _spectrum_figure(data: "Dataset") -> "Figure | None":
         return None
     fig, grid = figure(width=8.0, height=3.0)
     spectrum(data, grid[0, 0])
-    legend_below(fig)
-    heading(fig, data, "harmonics of the last cycles", _hidden(data))
-    return fig
+    return finish(fig, data, "harmonics of the last cycles", _hidden(data))
 
 
 def _hidden(data: "Dataset") -> str:
@@ -209,8 +203,7 @@ def _energy_figure(data: "Dataset") -> "Figure | None":
         legend_beside(ax, labelled(ax).values())
     number = data.sizes["contact"]
     hidden = f"{number - MAX_ROWS} of {number} contacts shown in the sum only" if number > MAX_ROWS else ""
-    heading(fig, data, "energy balance of each cycle", hidden)
-    return fig
+    return finish(fig, data, "energy balance of each cycle", hidden)
 
 
 PICTURES: dict[str, Picture] = {

@@ -1,11 +1,14 @@
 """Values along the dimensions that mean the same in every result."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from timesim.model.model import Model
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 NAMES = {
     "axis": ("x", "y", "z"),
@@ -27,10 +30,18 @@ def coordinates(variables: Mapping[str, tuple[Any, ...]], model: Model | None = 
         variables: ``{name: (dimensions, array)}``.
         model: gives the names of points and contacts.
     """
-    sizes = {dim: size for dims, array, *_ in variables.values() for dim, size in zip(dims, array.shape, strict=True)}
+    sizes = {
+        dim: size for dims, array, *_ in variables.values() for dim, size in zip(dims, np.shape(array), strict=False)
+    }
     along: dict[str, np.ndarray] = {dim: np.array(names) for dim, names in NAMES.items()}
     along |= {dim: first + np.arange(sizes.get(dim, 0)) for dim, first in FIRST.items()}
     if model is not None:
         along["point"] = np.array(model.structure.points, dtype=str)
         along["contact"] = np.array([contact.name for contact in model.contacts], dtype=str)
     return {dim: values for dim, values in along.items() if dim in sizes}
+
+
+def over_keys(data: "Dataset") -> list[str]:
+    """Keys of the scalars of the scene that a result varies, in the scene's order: they alone have a dot."""
+    names = dict.fromkeys((*(dim for array in data.data_vars.values() for dim in array.dims), *data.data_vars))
+    return [name for name in map(str, names) if "." in name and name != data.attrs.get("along")]

@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from timesim.model.model import Model
 from timesim.result import label
+from timesim.result.coordinate import coordinates
 from timesim.result.file import StoreError
 
 if TYPE_CHECKING:
@@ -15,15 +17,19 @@ Dims = tuple[str, ...]
 Variables = Mapping[str, tuple[Dims, np.ndarray] | tuple[Dims, np.ndarray, Mapping[str, Any]]]
 
 
-def dataset(variables: Variables, coords: Mapping[str, Any], attrs: Mapping[str, Any]) -> "xarray.Dataset":
+def dataset(
+    variables: Variables, coords: Mapping[str, Any], attrs: Mapping[str, Any], model: Model | None = None
+) -> "xarray.Dataset":
     """Dataset with the labels of `timesim.result.label`; flags become integers.
 
     Args:
         variables: ``{name: (dimensions, array)}``, or with a third item: attributes. A name that
             `timesim.result.label` does not list needs a ``long_name`` of its own there. A dimension may
             have length 0.
-        coords: ``{dimension: values}``, or the same as for `variables`.
+        coords: ``{dimension: values}``, or the same as for `variables`; not those of
+            `timesim.result.coordinate.coordinates`.
         attrs: attributes of the whole result.
+        model: gives the names of points and contacts.
 
     Raises:
         StoreError: a variable has no ``long_name``.
@@ -31,7 +37,8 @@ def dataset(variables: Variables, coords: Mapping[str, Any], attrs: Mapping[str,
     """
     import xarray
 
-    along = {name: given if _has_dims(given) else ((name,), given) for name, given in coords.items()}
+    every = {**coords, **coordinates(variables, model), **coords}  # in the order of those that are given
+    along = {name: given if _has_dims(given) else ((name,), given) for name, given in every.items()}
     return xarray.Dataset(
         {name: _labelled(name, *given) for name, given in variables.items()},
         {name: _labelled(name, *given) for name, given in along.items()},

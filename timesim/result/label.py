@@ -6,6 +6,7 @@ angles in ``degree``, pure numbers in ``1``. Modal displacements are in ``modal 
 of the scene they give a length. Names, flags and text have no units.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -204,3 +205,9 @@ def attributes(name: str) -> dict[str, Any]:
     flags = STATE_FLAGS if long_name.startswith("contact state") else FLAGS.get(name, {})
     values = {"flag_values": np.array(list(flags), dtype=np.int8), "flag_meanings": " ".join(flags.values())}
     return found | (values if flags else {})
+
+
+def in_words(values: Mapping[str, float], end: str = "") -> str:
+    """Values of scalars of the scene by their keys, with an end such as a colon; empty where there are none."""
+    words = ", ".join(f"{key} {value:g}" for key, value in values.items())
+    return words + end if words else ""

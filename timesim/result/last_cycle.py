@@ -1,10 +1,12 @@
 """The last whole cycle that a transient has recorded, read from its result."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from timesim.orbit.fourier import fourier_coefficients
 from timesim.result.netcdf import read
 
 if TYPE_CHECKING:
@@ -34,3 +36,33 @@ def last_cycle(path: Path, *names: str) -> "tuple[Dataset, np.ndarray]":
     if rows.size < 3 or time[rows[-1]] - time[rows[0]] < period * (1 - 2 * SAME):
         raise ValueError(f"result {path}: its last cycle was not recorded whole")
     return data, rows
+
+
+@dataclass(frozen=True)
+class PeriodicMotion:
+    """A periodic motion, from which harmonic balance may start.
+
+    Attributes:
+        frequency: of the excitation [Hz].
+        modal: modal displacement by 1, cos, sin, ... of the excitation's phase, shape (2K + 1, M) [modal length].
+    """
+
+    frequency: float
+    modal: np.ndarray
+
+
+def periodic_motion(path: Path) -> PeriodicMotion:
+    """The last whole cycle that a transient recorded.
+
+    Args:
+        path: result file, or the folder of the run.
+
+    Raises:
+        ValueError: it holds no such cycle.
+        StoreError: the file is no result.
+    """
+    data, rows = last_cycle(path, "modal_displacement", "final_phase_deg")
+    if rows[-1] < data.sizes["time"] - 1:
+        raise ValueError(f"result {path}: it does not end with a whole cycle")
+    motion, phase = data["modal_displacement"].values[rows[1:]], float(np.deg2rad(data["final_phase_deg"].values))
+    return PeriodicMotion(1 / data["cycle_period"].values[-1], fourier_coefficients(motion, phase))

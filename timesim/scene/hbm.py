@@ -10,7 +10,7 @@ from timesim.fault import RuleError
 from timesim.hbm.scheme import BalanceError, Scheme, check_model
 from timesim.model.model import Model
 from timesim.result.file import StoreError
-from timesim.result.periodic_motion import PeriodicMotion, periodic_motion
+from timesim.result.last_cycle import PeriodicMotion, periodic_motion
 from timesim.result.state import Held, held
 from timesim.scene.integration import ResultSection
 from timesim.scene.section import Section, by_form, refuse

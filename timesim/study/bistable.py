@@ -19,7 +19,6 @@ from timesim.orbit.batch import SIZES
 from timesim.orbit.settling import Chain, steady_states, warm_up
 from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of, end_of
 from timesim.orbit.two_motions import UP, Search, ranges_of
-from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import BistablePlan
@@ -214,10 +213,8 @@ class Gathered:
             shape = tuple(sizes[dim] for dim in dims)
             table = self._table(name, shape).reshape(*over, self.count, *shape)
             variables[name] = ((*self.grid.axes, "jump", *dims), table)
-        coords = self.grid.axes | coordinates(variables, model)
-        if num:
-            coords |= {"share_lower": shares(num), "share_upper": shares(num)}
-        return dataset(variables, coords, attrs)
+        of_starts = {"share_lower": shares(num), "share_upper": shares(num)} if num else {}
+        return dataset(variables, self.grid.axes | of_starts, attrs, model)
 
     def _table(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
         """A quantity of all ranges, shape (sets, ranges, ...); NaN, or -1, where there are fewer."""

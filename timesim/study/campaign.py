@@ -17,8 +17,17 @@ from timesim.result import checkpoint
 from timesim.result.change import fingerprint
 from timesim.result.checkpoint import INTERRUPTED, Checkpoint, Manifest
 from timesim.result.file import StoreError
-from timesim.study.cluster import check_address, processes
-from timesim.study.worker import Chunk, ExecutionError, Result, Work, halted, perform, threads
+from timesim.study.worker import (
+    Chunk,
+    ExecutionError,
+    Result,
+    Work,
+    check_address,
+    halted,
+    perform,
+    processes,
+    threads,
+)
 
 __all__ = [
     "INTERRUPTED",
@@ -69,8 +78,8 @@ class Execution:
         if self.cluster is not None:
             check_address(self.cluster, self.workers)
 
-    def crew(self) -> AbstractContextManager[Executor]:
-        """Those who do the work."""
+    def executor(self) -> AbstractContextManager[Executor]:
+        """The threads or processes that do the work."""
         return threads(self.workers) if self.cluster is None else processes(self.cluster, self.workers)
 
 
@@ -146,7 +155,7 @@ class _Campaign:
             if begun:
                 self._take_up()
             if len(self.results) < len(self.chunks):
-                with self.execution.crew() as executor:
+                with self.execution.executor() as executor:
                     self._work_off(executor)
         except KeyboardInterrupt:
             ended = INTERRUPTED

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from xarray import Dataset
 
@@ -21,17 +20,15 @@ from timesim.engine.history import Samples
 from timesim.hbm.balance import Array, Balance, Complex
 from timesim.hbm.continuation import joined, part_of
 from timesim.hbm.curve import HbmCurve, solutions_at
-from timesim.hbm.period import closed_period, ends_of, motion_of
-from timesim.hbm.scheme import Scheme
-from timesim.model.contact_state import contact_loads, contact_state, slip_follows_motion
+from timesim.hbm.period import closed_period, motion_of
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.solver import Solver
-from timesim.orbit.basin import INSIDE
+from timesim.orbit.basin import placed
 from timesim.orbit.cycle import one_cycle
 from timesim.orbit.fourier import fourier_basis, fourier_coefficients
 from timesim.orbit.settling import Chain, Criterion, steady_states
-from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
+from timesim.result.label import in_words
 from timesim.result.state import held_in
 from timesim.scene.hbm import ComparePlan
 from timesim.scene.resolution import Scene
@@ -120,7 +117,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     groups = {"sweep": sweep, "hbm": hbm}
     if points.worst is not None and reason is None:
         try:
-            groups["cycle"] = _cycle(scene, plan, curves, match, points.worst)
+            groups["cycle"] = cycle_by_both(scene, curves, match, points.worst)
         except NotSettledError as error:
             lines.append(f"no cycle is shown by both methods: {error}")
     lines.append(
@@ -140,46 +137,27 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     return Outcome({"": root, **groups}, reason, (*curve_lines(hbm, curves.notes), *lines))
 
 
-def _cycle(scene: Scene, plan: ComparePlan, curves: Curves, match: Match, place: tuple[int, int, int]) -> Dataset:
-    """A cycle by both methods, of the solution at a point of the sweep."""
-    values, solutions = curves.values[place[0]], match.solutions[place[0]]
-    assert solutions is not None
-    position = int(match.solution[place])
-    solution = part_of(solutions, slice(position, position + 1))
-    return cycle_by_both(scene.variant(values), solution, curves.scheme, scene.solver(), plan.sweep.criterion, values)
-
-
 class NotSettledError(Exception):
     """Time integration from a solution of the balance does not come to rest; the message says why."""
 
 
-def cycle_by_both(
-    model: Model,
-    solution: HbmCurve,
-    scheme: Scheme,
-    solver: Solver,
-    criterion: Criterion,
-    values: Mapping[str, float],
-) -> Dataset:
-    """A cycle by time integration, started from the solution and settled, and by harmonic balance.
-
-    Args:
-        model: what moves.
-        solution: one stable solution.
-        scheme, solver: of the two methods.
-        criterion: when the motion counts as settled.
-        values: of the further axes, for the attributes.
+def cycle_by_both(scene: Scene, curves: Curves, match: Match, place: tuple[int, int, int]) -> Dataset:
+    """A cycle of the solution at a point of the sweep, by harmonic balance, and by time integration begun from it.
 
     Raises:
         NotSettledError: time integration does not lead to a motion that repeats each cycle.
     """
-    frequency, order = float(solution.frequency[0]), scheme.harmonics + 1
-    balance = Balance(model, frequency, scheme)
+    values, solutions = curves.values[place[0]], match.solutions[place[0]]
+    assert solutions is not None
+    at, model = int(match.solution[place]), scene.variant(values)
+    solution = part_of(solutions, slice(at, at + 1))
+    frequency, order = float(solution.frequency[0]), curves.scheme.harmonics + 1
+    balance = Balance(model, frequency, curves.scheme)
     coefficient = solution.contact_motion[0] / balance.length
     modal = balance.modes(coefficient.ravel(), solution.contact_force[0] / balance.force, frequency)
     elastic, states = _contacts(balance, coefficient)
     start = _start(model, balance, coefficient, modal, elastic, frequency)
-    marched = _settled_cycle(replace(model, start=start), frequency, solver, criterion)
+    marched = _settled_cycle(replace(model, start=start), frequency, scene.solver(), scene.plan.sweep.criterion)
     angle = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
     q = np.einsum("kh,hm->km", np.exp(1j * np.outer(angle, np.arange(len(modal)))), modal).real
     x = np.stack([np.einsum("pam,km->kpa", model.structure.shape, motion) for motion in (marched.q[:-1], q)])
@@ -192,9 +170,9 @@ def cycle_by_both(
         "contact_state": (("found_by", "excitation_angle", "contact"), state),
         "harmonic_amplitude": (("found_by", "harmonic", "point", "axis"), height),
     }
-    coords = {"found_by": np.array(METHODS), "excitation_angle": np.rad2deg(angle)} | coordinates(variables, model)
-    place = ", ".join([f"{frequency:g} Hz", *(f"{key} {value:g}" for key, value in values.items())])
-    return dataset(variables, coords, {"place": place})
+    coords = {"found_by": np.array(METHODS), "excitation_angle": np.rad2deg(angle)}
+    where = ", ".join(filter(None, (f"{frequency:g} Hz", in_words(values))))
+    return dataset(variables, coords, {"place": where}, model)
 
 
 def _contacts(balance: Balance, coefficient: Array) -> tuple[Array, Array]:
@@ -202,10 +180,9 @@ def _contacts(balance: Balance, coefficient: Array) -> tuple[Array, Array]:
 
     The state is that over most of the interval of the balance's own samples.
     """
-    motion = motion_of(balance.basis, jnp.asarray(coefficient))
-    period = closed_period(balance.law, motion)
-    ends = ends_of(balance.law, motion, period)
-    shares = {STICK: 1 - ends.slip - ends.separation, SLIP: ends.slip, SEPARATION: ends.separation}
+    period = closed_period(balance.law, motion_of(balance.basis, coefficient))
+    slip, separation = np.asarray(period.ends.slip), np.asarray(period.ends.separation)
+    shares = {STICK: 1 - slip - separation, SLIP: slip, SEPARATION: separation}
     states = np.argmax([shares[state] for state in sorted(shares)], axis=0)
     elastic = np.stack([np.asarray(part) for part in period.start], axis=1)
     return elastic, states[np.arange(SAMPLES) * len(states) // SAMPLES]
@@ -218,10 +195,7 @@ def _start(
     displacement = modal.real.sum(axis=0)
     speed = (1j * np.arange(len(modal))[:, None] * 2 * np.pi * frequency * modal).real.sum(axis=0)
     here = coefficient @ fourier_basis(np.zeros(1), coefficient.shape[2])[0]
-    loads = contact_loads(model, displacement, (here[:, :2] - elastic) * balance.length)
-    state = contact_state(loads.normal, model.friction)
-    follows = slip_follows_motion(state, model.friction)[:, None]
-    return Start(displacement, speed, np.where(follows, loads.motion, loads.slip_in_cone(INSIDE)), state)
+    return replace(placed(model, displacement, speed, (here[:, :2] - elastic) * balance.length), phase=0.0)
 
 
 def _settled_cycle(model: Model, frequency: float, solver: Solver, criterion: Criterion) -> Samples:

@@ -15,7 +15,7 @@ from functools import partial
 import jax
 import numpy as np
 
-from timesim.element.cycle import in_phase
+from timesim.element.cycle import in_phase, next_reach
 from timesim.element.elements import Elements, harmonic_elements
 from timesim.element.prescribed import CycleEnd, PrescribedContacts, cycle_end, drive_of, march_cycle
 from timesim.engine.method import step_method
@@ -142,10 +142,7 @@ class March:
         limit, leads = limits(self.forces[rows])
         rows, limit = rows[leads], limit[leads]
         residual = np.hypot(*(self.forces[rows, -1] - self.forces[rows, -2]).T)
-        # Beyond the limit other slips may push it back, again and again: go less far then.
-        better = residual < (1 - self.reach[rows] / 2) * self.best[rows]
-        self.reach[rows] = np.where(better, np.minimum(1.0, 2 * self.reach[rows]), self.reach[rows] / 2)
-        self.best[rows] = residual
+        self.reach[rows], self.best[rows] = next_reach(self.reach[rows], residual, self.best[rows]), residual
         last = self.forces[rows, -1]
         force = last + self.reach[rows, None] * (limit - last)
         elements = self.elements.pick(rows)

@@ -18,8 +18,8 @@ from timesim.hbm.parameter import parameter_curve
 from timesim.model.model import Model
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.steady_state import switches
-from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
+from timesim.result.label import in_words
 from timesim.result.state import Held, SweepPoint, settled_points, start_of
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
@@ -48,8 +48,7 @@ class StudyCurve:
     @property
     def label(self) -> str:
         """Values of the further axes, to begin a message with."""
-        values = ", ".join(f"{key} = {value:g}" for key, value in self.values.items())
-        return f"{values}: " if values else ""
+        return in_words(self.values, ": ")
 
 
 class Curves:
@@ -232,13 +231,13 @@ def solutions(model: Model, curves: Curves, attrs: Mapping[str, Any], refined: C
         attrs = {**attrs, "along": along.key}
     dims = {4: ("harmonic", "point", "axis"), 3: ("point", "axis"), 2: ("contact",), 1: ()}
     variables = {name: (("solution", *dims[array.ndim]), array) for name, array in arrays.items()}
-    coords = coordinates(variables, model)
+    coords: dict[str, np.ndarray] = {}
     if refined is not None:
-        coords |= {"harmonics": refined.harmonics, "time_samples": refined.time_samples}
+        coords = {"harmonics": refined.harmonics, "time_samples": refined.time_samples}
         variables["change_with_harmonics"] = (("harmonics",), refined.with_harmonics)
         variables["change_with_samples"] = (("time_samples",), refined.with_samples)
         attrs = {**attrs, "convergence": "\n".join(convergence_lines(refined))}
-    return dataset(variables, coords, attrs)
+    return dataset(variables, coords, attrs, model)
 
 
 def _stacked(curves: Curves, name: str, shape: tuple[int, ...]) -> np.ndarray:

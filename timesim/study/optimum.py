@@ -19,7 +19,6 @@ from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
 from timesim.orbit.settling import Chain, steady_states, warm_up
 from timesim.orbit.steady_state import Orbit, columns_of
-from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import OptimumPlan
@@ -229,10 +228,7 @@ def data_of(peaks: Peaks) -> Dataset:
     least = peaks.least()
     best = peaks.results.get(least, {})
     variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {
-        "peak": ((key,), column("peak")),
-        "peak_frequency": ((key,), column("peak_frequency")),
-        "peak_at_end": ((key,), column("peak_at_end")),
-        "peak_settled": ((key,), column("peak_settled")),
+        **{name: ((key,), column(name)) for name in ("peak", "peak_frequency", "peak_at_end", "peak_settled")},
         "optimum": ((), np.array(least)),
         "optimum_peak": ((), np.array(best.get("peak", np.nan))),
         "optimum_frequency": ((), np.array(best.get("peak_frequency", np.nan))),
@@ -242,6 +238,6 @@ def data_of(peaks: Peaks) -> Dataset:
         "failure": (grid, column("reason", *shape[1:]).astype(str)),
     }
     coords = {key: np.array(values), "direction": np.array(["up", "down"]), "frequency": peaks.frequency}
-    data = dataset(variables, coords | coordinates(variables, model), {})
+    data = dataset(variables, coords, {}, model)
     data["optimum"].attrs |= {name: text for name, text in data[key].attrs.items() if name == "units"}
     return data

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 class Study:
     """Where the parts of a kind of study stand, each as ``module:name``; a module is loaded when it is needed.
 
+    A leading dot stands for ``timesim``.
+
     Attributes:
         section: its section of the scene file, a class.
         run: the function ``(scene, execution) -> Outcome``.
@@ -48,40 +50,23 @@ class Study:
 
 
 STUDIES = {
-    "transient": Study(
-        "timesim.scene.transient:Transient", "timesim.study.transient:study", "timesim.picture.transient:PICTURES"
-    ),
-    "jump": Study("timesim.scene.transient:Jump", "timesim.study.transient:study", "timesim.picture.jump:PICTURES"),
-    "element": Study(
-        "timesim.scene.element:Element", "timesim.study.element:study", "timesim.picture.element:PICTURES"
-    ),
-    "element_map": Study(
-        "timesim.scene.element:ElementMap", "timesim.study.element_map:study", "timesim.picture.element_map:PICTURES"
-    ),
-    "sweep": Study(
-        "timesim.scene.sweep:Sweep", "timesim.study.sweep:study", "timesim.picture.sweep:PICTURES", in_chunks=True
-    ),
-    "hbm": Study("timesim.scene.hbm:Hbm", "timesim.study.hbm:study", "timesim.picture.hbm:PICTURES"),
-    "compare": Study(
-        "timesim.scene.hbm:Compare", "timesim.study.compare:study", "timesim.picture.compare:PICTURES", in_chunks=True
-    ),
-    "bistable": Study(
-        "timesim.scene.sweep:Bistable",
-        "timesim.study.bistable:study",
-        "timesim.picture.bistable:PICTURES",
-        in_chunks=True,
-    ),
-    "optimum": Study(
-        "timesim.scene.sweep:Optimum", "timesim.study.optimum:study", "timesim.picture.optimum:PICTURES", in_chunks=True
-    ),
+    "transient": Study(".scene.transient:Transient", ".study.transient:study", ".picture.transient:PICTURES"),
+    "jump": Study(".scene.transient:Jump", ".study.transient:study", ".picture.jump:PICTURES"),
+    "element": Study(".scene.element:Element", ".study.element:study", ".picture.element:PICTURES"),
+    "element_map": Study(".scene.element:ElementMap", ".study.element_map:study", ".picture.element_map:PICTURES"),
+    "sweep": Study(".scene.sweep:Sweep", ".study.sweep:study", ".picture.sweep:PICTURES", in_chunks=True),
+    "hbm": Study(".scene.hbm:Hbm", ".study.hbm:study", ".picture.hbm:PICTURES"),
+    "compare": Study(".scene.hbm:Compare", ".study.compare:study", ".picture.compare:PICTURES", in_chunks=True),
+    "bistable": Study(".scene.sweep:Bistable", ".study.bistable:study", ".picture.bistable:PICTURES", in_chunks=True),
+    "optimum": Study(".scene.sweep:Optimum", ".study.optimum:study", ".picture.optimum:PICTURES", in_chunks=True),
 }
 
 
 @cache
 def _loaded(reference: str) -> Any:
-    """What stands at ``module:name``."""
+    """What stands at ``module:name``; a module with a leading dot is one of this package."""
     module, _, name = reference.partition(":")
-    return getattr(import_module(module), name)
+    return getattr(import_module(module, "timesim"), name)
 
 
 def sections() -> dict[str, type[StudySection]]:

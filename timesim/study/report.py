@@ -1,4 +1,4 @@
-"""What the studies of steady states in time tell the user: read from their finished results."""
+"""What the studies in time tell the user: read from their finished results."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -7,10 +7,39 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.orbit.basin import ANOTHER, LOWER, NONE, UPPER, unique
+from timesim.result.coordinate import over_keys
+from timesim.result.label import in_words
+from timesim.scene.transient import Schedule
 
 MOTIONS = ("lower", "upper")
+PHASES = 12  # of a schedule at most that are listed
 POINTS = 5  # failed points, or spans of points, that are named
 LINES = 12  # lines on ranges with two motions, or on folds
+
+
+def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
+    """A run: its size, how well its energy balance closes, and the phases of its schedule unless they are many.
+
+    Of a phase, the amplitude at its end of what moves most.
+    """
+    attrs, amplitude = data.attrs, data["cycle_amplitude"].values
+    count = data.sizes["event"]
+    yield f"{len(amplitude)} cycles by {attrs['method']} in {attrs['run_seconds']:.2f} s, {count} transitions"
+    if not len(amplitude):
+        return
+    largest = max(np.max(np.abs(data["energy_input"].values)), attrs["peak_stored_energy"])
+    residual = np.max(np.abs(data["energy_residual"].values)) / largest if largest > 0 else 0.0
+    yield f"energy balance of a cycle closes to {residual:.1e} of the larger of input and stored energy"
+    if not 1 < len(plan.phases) <= PHASES:
+        return
+    _, point, axis = np.unravel_index(np.argmax(amplitude), amplitude.shape)
+    name = f"{data['point'].values[point]} {data['axis'].values[axis]}"
+    ends = np.cumsum([cycles for _, cycles in plan.phases])
+    for number, ((frequency, cycles), end) in enumerate(zip(plan.phases, ends, strict=True), 1 - plan.run_up):
+        if end <= len(amplitude):
+            which = f"phase {number}" if number > 0 else "run-up"
+            size = f"amplitude {amplitude[end - 1, point, axis]:.6g} of {name} at its end"
+            yield f"{which}: {cycles} cycles at {frequency:.6g} Hz, {size}"
 
 
 def number_of_states(data: Dataset) -> int:
@@ -43,11 +72,14 @@ def unusual_lines(data: Dataset) -> Iterator[str]:
 
 
 def jump_lines(data: Dataset) -> Iterator[str]:
-    """The jumps of a sweep."""
+    """The jumps of a sweep; without bisection the steps of frequency over which its amplitude changes most."""
+    bisected = data.attrs.get("jumps_bisected", 1)
     ends = np.stack([data["jump_low"].values, data["jump_high"].values], axis=-1)
     for place in map(tuple, np.argwhere(np.isfinite(ends[..., 0]))):
         low, high = ends[place]
-        yield f"{_chain(data, place[:-1])}the motion jumps between {low:.8g} and {high:.8g} Hz"
+        what = "the motion jumps" if bisected else "the amplitude changes steeply"
+        hint = "" if bisected else ", over a slope or a jump: study.refine tells which"
+        yield f"{_chain(data, place[:-1])}{what} between {low:.8g} and {high:.8g} Hz{hint}"
 
 
 def failure_line(data: Dataset) -> str | None:
@@ -96,12 +128,12 @@ def bistable_lines(data: Dataset, sweep: Dataset, width: float) -> Iterator[str]
         sweep: its sweeps.
         width: to which each end was bisected [Hz].
     """
-    keys = data["range"].dims[:-2]
+    *keys, jump, _ = data["range"].dims
     lines = []
-    for place in map(tuple, np.argwhere(np.isfinite(data["range"].values).all(axis=-1))):
-        values = [f"{key} {data[key].values[i]:g}" for key, i in zip(keys, place, strict=False)]
-        label = f"{', '.join(values)}: " if values else ""
-        lines += [label + line for line in _range_lines(data[dict(zip((*keys, "jump"), place, strict=True))], width)]
+    for place in np.argwhere(np.isfinite(data["range"].values).all(axis=-1)):
+        one = data[dict(zip((*keys, jump), place, strict=True))]
+        label = in_words({str(key): float(one[key]) for key in keys}, ": ")
+        lines += [label + line for line in _range_lines(one, width)]
     yield from lines[:LINES]
     if len(lines) > LINES:
         yield f"and {len(lines) - LINES} more lines, all of it in the result file"
@@ -162,15 +194,12 @@ def _offset_lines(one: Dataset, size: float) -> Iterator[str]:
 
 def fold_lines(hbm: Dataset) -> Iterator[str]:
     """Folds of the balance, beside which the ends may be read."""
-    frequency, fold = hbm["frequency"].values, hbm["fold"].values > 0
-    keys = [name for name in map(str, hbm.data_vars) if "." in name]
-    sets: dict[str, list[float]] = {}
-    for place in np.flatnonzero(fold):
-        label = ", ".join(f"{key} {hbm[key].values[place]:g}" for key in keys)
+    frequency, sets = hbm["frequency"].values, dict[str, list[float]]()
+    for place in np.flatnonzero(hbm["fold"].values):
+        label = in_words({key: hbm[key].values[place] for key in over_keys(hbm)}, ": ")
         sets.setdefault(label, []).append(float(frequency[place]))
     for label, turning in list(sets.items())[:LINES]:
-        before = f"{label}: " if label else ""
-        yield f"{before}folds of the balance at {', '.join(f'{place:.7g}' for place in sorted(turning))} Hz"
+        yield f"{label}folds of the balance at {', '.join(f'{place:.7g}' for place in sorted(turning))} Hz"
     if not sets and frequency.size:
         yield "the branch of the balance has no fold"
 

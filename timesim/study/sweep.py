@@ -20,7 +20,6 @@ from timesim.model.solver import Criterion, Solver
 from timesim.orbit.jump import Stretch, jumps_of, steps_of, suspects
 from timesim.orbit.settling import Chain, SteadyStates, steady_states, warm_up
 from timesim.orbit.steady_state import COLUMNS, START, Orbit, columns_of, end_of, orbit_of
-from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan, combinations
@@ -123,7 +122,9 @@ def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[D
     results, reason = carry_through(chunks, solve, execution, identity=scene.resolved_yaml())
     arrays, jumps = grid.gathered(results, places)
     seconds = time.perf_counter() - clock - compiling
-    attrs = {"method": str(solver), "compile_seconds": compiling, "run_seconds": seconds}
+    attrs: dict[str, Any] = {"method": str(solver), "compile_seconds": compiling, "run_seconds": seconds}
+    if plan.chained:
+        attrs["jumps_bisected"] = int(plan.refine is not None)
     data = grid.data(arrays, jumps, attrs)
     return data, reason or failure_line(data)
 
@@ -273,7 +274,7 @@ class Grid:
                 self._jump_rows(jumps, place).reshape(*sizes, self.shape[1], -1),
             )
         coords = self.axes | {"direction": np.array(self.plan.directions), "frequency": self.frequency}
-        return dataset(variables, coords | coordinates(variables, self.any_model), attrs)
+        return dataset(variables, coords, attrs, self.any_model)
 
     def _jump_rows(self, jumps: Sequence[tuple[int, int, float, float]], place: int) -> np.ndarray:
         """One end of the jumps of each chain, shape (sets, directions, jumps), NaN where a chain has fewer."""

@@ -9,7 +9,8 @@ from xarray import Dataset
 from timesim.hbm.convergence import Convergence, order_of
 from timesim.hbm.curve import changes_of_stability, peak
 from timesim.orbit.steady_state import switches
-from timesim.picture.response import over_keys
+from timesim.result.coordinate import over_keys
+from timesim.result.label import in_words
 from timesim.scene.study import combinations
 
 # Nearer to a fold than this share of its frequency a small error of either method moves the answer much.
@@ -28,8 +29,7 @@ def curve_lines(data: Dataset, notes: Sequence[str]) -> Iterator[str]:
     yield from notes
     for number in numbers:
         curve = data.isel(solution=data["curve"].values == number)
-        values = ", ".join(f"{key} = {curve[key].values[0]:g}" for key in over_keys(data))
-        yield (f"{values}: " if values else "") + _curve_line(curve)
+        yield in_words({key: curve[key].values[0] for key in over_keys(data)}, ": ") + _curve_line(curve)
     if "convergence" in attrs:
         yield from attrs["convergence"].split("\n")
 
@@ -171,7 +171,7 @@ def comparison_lines(points: Points) -> Iterator[str]:
 def _judgement(points: Points) -> str:
     place, judged, size = points.worst, points.judged, points.difference
     assert place is not None
-    worst, values = float(size[place]), _in_words(points.values[place[0]])
+    worst, values = float(size[place]), in_words(points.values[place[0]])
     word = "agree" if worst <= AGREE else "nearly agree" if worst <= NEARLY else "differ"
     advice = "" if worst <= AGREE else "; study.convergence: true tells whether more harmonics would help"
     shares = (
@@ -185,10 +185,6 @@ def _judgement(points: Points) -> str:
     )
 
 
-def _in_words(values: Mapping[str, float]) -> str:
-    return ", ".join(f"{key} {value:g}" for key, value in values.items())
-
-
 def _places(points: Points, chosen: np.ndarray) -> str:
     """Where points lie, by value."""
     parts = []
@@ -196,5 +192,5 @@ def _places(points: Points, chosen: np.ndarray) -> str:
         at = points.frequency[own.any(axis=0)]
         if at.size:
             span = f"{at[0]:g} Hz" if at.size == 1 else f"{at[0]:g} to {at[-1]:g} Hz"
-            parts.append(f"{_in_words(values)} at {span}" if values else span)
+            parts.append(in_words(values, " at ") + span)
     return "; ".join(parts)

@@ -1,12 +1,16 @@
-"""Work in chunks, and the threads of this machine as those who do it."""
+"""Work in chunks, and its workers: threads of this process, processes of this machine, or those of a dask cluster."""
 
+import logging
 import os
+import re
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
+from difflib import get_close_matches
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -60,12 +64,21 @@ def default_workers() -> int:
 
 
 def _quotas(processes: Path = Path("/proc/self/cgroup"), groups: Path = Path("/sys/fs/cgroup")) -> Iterator[float]:
-    """Processors that each control group (version 2) allows, from that of this process up to the root."""
+    """Processors that each control group allows, of version 1 or 2, from that of this process up to the root."""
     with suppress(OSError, ValueError):
-        own = groups / processes.read_text().rpartition("0::/")[2].split("\n")[0]
-        for group in (own, *own.parents):
-            with suppress(OSError, ValueError):
-                quota, period = map(float, (group / "cpu.max").read_text().split())
+        for line in processes.read_text().splitlines():
+            _, controllers, path = line.split(":", 2)
+            own = groups / controllers / path.lstrip("/")
+            for group in (own, *own.parents) if {"", "cpu"} & set(controllers.split(",")) else ():
+                yield from _quota(group)
+
+
+def _quota(group: Path) -> Iterator[float]:
+    """Processors that a control group allows; nothing where it sets no limit."""
+    for names in (("cpu.max",), ("cpu.cfs_quota_us", "cpu.cfs_period_us")):
+        with suppress(OSError, ValueError):
+            quota, period = map(float, " ".join((group / name).read_text() for name in names).split())
+            if quota > 0:
                 yield quota / period
 
 
@@ -80,3 +93,108 @@ def threads(workers: int | None = None) -> Iterator[Executor]:
     finally:
         halt.set()
         executor.shutdown(wait=True, cancel_futures=True)
+
+
+# Processes
+
+LOCAL = "local"
+"""Stands for processes of this machine instead of the address of a scheduler."""
+
+RETRIES = 2
+"""Times that a chunk is tried again where it fails; that its worker dies does not count as one of them."""
+
+PATIENCE = "15s"  # for a scheduler that does not answer
+
+_ADDRESS = re.compile(r"[a-z]+://\S+|[^\s:/]+:[0-9]+|\[[0-9a-fA-F:.]+\]:[0-9]+")
+
+# Ctrl-C in a terminal reaches every process; the workers of this machine are ended by the one that has started them.
+_IGNORE_INTERRUPT = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+
+
+def check_address(cluster: str, workers: int | None) -> None:
+    """Refuse what is neither `LOCAL` nor the address of a scheduler, and a number of workers for the latter.
+
+    Raises:
+        ExecutionError: with what was meant.
+    """
+    if cluster != LOCAL and not _ADDRESS.fullmatch(cluster):
+        close = get_close_matches(cluster.lower(), [LOCAL], cutoff=0.6)
+        hint = f"did you mean {LOCAL}?" if close else f"give one as tcp://host:8786, or '{LOCAL}'"
+        raise ExecutionError(f"cluster {cluster}: is no address of a scheduler; {hint}")
+    if cluster != LOCAL and workers is not None:
+        raise ExecutionError(f"workers: the cluster {cluster} has its own; leave it out, or give cluster '{LOCAL}'")
+
+
+@contextmanager
+def processes(cluster: str, workers: int | None) -> Iterator[Executor]:
+    """The workers of a cluster. Left early, it gives up the chunks under way.
+
+    Args:
+        cluster: address of a scheduler, as ``tcp://host:8786``, or `LOCAL`.
+        workers: processes of a local cluster; by default as many as this process may use processors.
+
+    Raises:
+        ExecutionError: dask is not installed, the scheduler does not answer, or its workers cannot do this work.
+    """
+    try:
+        import distributed
+    except ImportError:
+        hint = "pip install 'timesim[cluster]'"
+        raise ExecutionError(f"cluster {cluster}: needs the package distributed; install it with {hint}") from None
+    with _quiet(), ExitStack() as stack:
+        target = cluster
+        if cluster == LOCAL:
+            target = stack.enter_context(
+                distributed.LocalCluster(
+                    n_workers=default_workers() if workers is None else workers,
+                    threads_per_worker=1,
+                    dashboard_address=":0",
+                    silence_logs=logging.CRITICAL,
+                    preload=[_IGNORE_INTERRUPT],
+                )
+            )
+        yield stack.enter_context(_connected(distributed, target))
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the tracebacks that dask logs of what a campaign tells in words."""
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
+
+
+@contextmanager
+def _connected(distributed: Any, target: Any) -> Iterator[Executor]:
+    try:
+        client = distributed.Client(target, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError) as error:
+        hint = "give the address of a running scheduler, as tcp://host:8786, or 'local'"
+        raise ExecutionError(f"cluster {target} cannot be reached: {error}; {hint}") from error
+    with client:
+        _check_workers(client, str(target))
+        executor = client.get_executor(retries=RETRIES, pure=False)
+        try:
+            yield executor
+        finally:
+            executor.shutdown(wait=False)
+
+
+def _check_workers(client: Any, name: str) -> None:
+    """Every worker must do the work as this process would."""
+    found = client.run(version, "timesim", on_error="return")
+    if not found:
+        raise ExecutionError(f"cluster {name} has no workers; start some with: dask worker ADDRESS")
+    own = version("timesim")
+    for worker, theirs in found.items():
+        if theirs != own:
+            told = f"has timesim {theirs}" if isinstance(theirs, str) else "has no timesim"
+            raise ExecutionError(
+                f"cluster {name}: worker {worker} {told}, this is {own}; install the same on all workers"
+            )

@@ -1,0 +1,88 @@
+"""What a run leaves behind: samples of the recorded cycles, all transitions, totals of every cycle, contact forces."""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+from dataclasses import fields
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from timesim.engine.contact_law import ContactLaw, Motion
+from timesim.engine.history import CycleTotals, Events, Samples, Steps, events, sample, stored_energy
+from timesim.engine.laws import law_class
+from timesim.engine.trajectory import Run
+from timesim.model.model import Model
+from timesim.model.scales import scales_of
+from timesim.scene.transient import Schedule
+
+ROWS = 1024  # samples evaluated at a time: a fixed number, so that the law is compiled once
+
+
+class Recorder:
+    """Takes up the steps of a run."""
+
+    def __init__(self, run: Run, plan: Schedule):
+        self.run, self.plan = run, plan
+        now = (run.displacement, run.velocity, run.slip, run.state)
+        self.totals = CycleTotals(run.model, float(stored_energy(run.model, *(part[None] for part in now))[0]))
+        self._samples: list[Samples] = []
+        self._events: list[Events] = []
+        self._times, self._taken = plan.sample_times(), 0
+
+    def add(self, steps: Steps) -> None:
+        """Take up a batch of steps."""
+        if steps.time.size == 0:
+            return
+        self.totals.add(steps, self.run.completed)
+        self._events.append(events(steps))
+        end = steps.time[-1] + steps.h[-1]
+        finished = self.run.completed == self.run.num_cycles
+        upto = self._times.size if finished else int(np.searchsorted(self._times, end * (1 - 1e-13), side="left"))
+        if upto > self._taken:
+            self._samples.append(sample(steps, self._times[self._taken : upto]))
+            self._taken = upto
+
+    @property
+    def samples(self) -> Samples:
+        """All samples."""
+        m, c = self.run.model.structure.num_modes, self.run.model.num_contacts
+        none = Samples(np.zeros(0), np.zeros((0, m)), np.zeros((0, m)), np.zeros((0, c, 2)), np.zeros((0, c)))
+        return _joined(self._samples or [none])
+
+    @property
+    def events(self) -> Events:
+        """All transitions."""
+        return _joined(self._events or [Events(*np.zeros((4, 0)))])
+
+
+def _joined(parts: list[Any]) -> Any:
+    """One record from many of a kind."""
+    names = [part.name for part in fields(parts[0])]
+    return type(parts[0])(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def contact_forces(model: Model, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+    """Force (f1, f2, n) on the contacts and their relative motion (u1, u2, v), each of shape (N, C, 3)."""
+    x, dx = (np.einsum("cam,nm->nca", model.contact_shape, y) for y in (samples.q, samples.p))
+    if not model.contacts:
+        return x, x
+    scales = scales_of(model, 1.0)
+    law = law_class(model.contacts).of(model.contacts, scales)
+    whole = (x / scales.length, dx / (scales.length * scales.omega), samples.w / scales.length, samples.state)
+    force = np.zeros_like(x)
+    for begin in range(0, len(x), ROWS):
+        rows = slice(begin, begin + ROWS)
+        parts = [part[rows] for part in whole]
+        few = len(parts[0])
+        padded = [np.pad(part, ((0, ROWS - few), *[(0, 0)] * (part.ndim - 1))) for part in parts]
+        force[rows] = np.asarray(_force(law, *padded))[:few] * scales.force
+    return force, x
+
+
+@jax.jit
+def _force(law: ContactLaw, x: Any, dx: Any, w: Any, state: Any) -> Any:
+    moves = Motion((x[..., 0], x[..., 1]), x[..., 2], (dx[..., 0], dx[..., 1]), dx[..., 2])
+    acts = law.reaction(state, moves, (w[..., 0], w[..., 1]))
+    return jnp.stack([*acts.f, acts.n], axis=-1)
