@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from timesim.result.dataset import dataset
+from timesim.result.last_cycle import periodic_motion
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES, save
-from timesim.result.periodic_motion import periodic_motion
 
 FREQUENCY, PHASE, SAMPLES = 1.25, 0.4, 40
 
