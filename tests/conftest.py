@@ -30,8 +30,8 @@ with install_import_hook(list(CHECKED), "beartype.beartype"):
 
 import jax  # noqa: E402
 
-LARGE = 0.9e9
-"""Resident bytes of a worker above which compiled programs are let go as well."""
+LARGE, VERY_LARGE = 0.9e9, 1.2e9
+"""Resident bytes of a worker above which compiled programs are let go: after a module, and after any test."""
 
 
 def resident() -> int:
@@ -49,14 +49,26 @@ def give_back() -> None:
         ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _memory_is_given_back() -> Iterator[None]:
-    yield
+def shrink(bound: float) -> None:
+    """Give memory back, and let compiled programs go where the worker is larger all the same."""
     give_back()
-    if resident() > LARGE:
+    if resident() > bound:
         jax.clear_caches()
         gc.collect()
         give_back()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _memory_after_a_module() -> Iterator[None]:
+    yield
+    shrink(LARGE)
+
+
+@pytest.fixture(autouse=True)
+def _memory_after_a_test() -> Iterator[None]:
+    yield
+    if resident() > LARGE:
+        shrink(VERY_LARGE)
 
 
 @pytest.fixture(autouse=True)

@@ -371,6 +371,14 @@ def test_phase_where_a_run_has_ended_inside_a_cycle() -> None:
     assert float(final_variables(whole.run)["final_phase_deg"][1]) == np.degrees(1.0)
 
 
+def test_the_final_slip_of_a_contact_that_is_apart_is_its_motion() -> None:
+    run = simulate(oscillator(-40.0, 1.39), 2, replace(FINE, reduce=False)).run
+    assert run.state.tolist() == [SEPARATION]
+    motion = run.model.contact_shape[:, :2] @ run.displacement
+    assert np.abs(motion).min() > 1e-3
+    np.testing.assert_array_equal(final_variables(run)["final_slip"][1], motion)
+
+
 def test_no_finite_state() -> None:
     """A damping of the wrong sign: the motion grows until numbers end."""
     model = oscillator(3.0, 1.39)

@@ -9,7 +9,7 @@ from simulation import relative_error
 from systems import excitation, inclined
 
 from timesim.engine.event_loop import advance
-from timesim.engine.method import Method, method_named
+from timesim.engine.method import Method, step_method
 from timesim.engine.solver import step_control
 from timesim.engine.step import Status
 from timesim.engine.system import system_of
@@ -66,9 +66,9 @@ def in_fixed_steps(method: Method, count: int) -> tuple[np.ndarray, list[tuple[i
     ],
 )
 def test_order_through_transitions(name: str, lowest: float, highest: float, steps: np.ndarray) -> None:
-    true, log = in_fixed_steps(method_named("dopri8"), 1200)
+    true, log = in_fixed_steps(step_method(Solver("dopri8", 1e-11, 1e-13)), 1200)
     assert set(log) == {(STICK, SLIP), (SLIP, STICK), (SLIP, SEPARATION), (SEPARATION, SLIP)}
-    method = method_named(name, rtol=1e-11, atol=1e-13)
+    method = step_method(Solver(name, 1e-11, 1e-13))
     ends = [in_fixed_steps(method, int(count)) for count in steps]
     assert all(own == log for _, own in ends)
     error = np.array([relative_error(end, true) for end, _ in ends])

@@ -8,7 +8,9 @@ import pytest
 from systems import generated_model
 
 from timesim.engine.system import Point, Work, excitation, system_of
+from timesim.engine.trajectory import Frame
 from timesim.model.model import SLIP
+from timesim.model.reduction import reduction_of
 from timesim.model.scales import scales_of
 
 
@@ -40,3 +42,14 @@ def test_the_power_of_each_force_is_its_own():
     assert float(power.damping) == pytest.approx(p @ np.asarray(system.damping) @ p, rel=1e-12)
     rubbing = np.sum([np.asarray(f) * np.asarray(dw) for f, dw in zip(acts.f, acts.dw, strict=True)], axis=0)
     np.testing.assert_allclose(power.friction, rubbing, rtol=1e-12)
+
+
+def test_friction_losses_stand_under_their_contacts():
+    model = generated_model(1, 3, 3)
+    reduction = replace(reduction_of(model, [1.3], reduce=False), live=np.array([0, 2]))
+    frame = Frame(model, reduction, 1.3)
+    energy = frame.scales.energy
+    before = np.arange(5.0) * energy
+    done = Work(jnp.asarray(1.0), jnp.asarray(2.0), jnp.asarray([3.0, 4.0]))
+    found = frame.work(done, before)
+    np.testing.assert_allclose((found - before) / energy, [1.0, 2.0, 3.0, 0.0, 4.0], rtol=0, atol=1e-12)

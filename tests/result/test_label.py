@@ -65,7 +65,16 @@ def in_other_units(scene: Mapping[str, Any]) -> dict[str, Any]:
 
 QUICK = {"settle": {"tolerance": 1e-5, "max_cycles": 400}}
 BALANCE: dict[str, Any] = {"harmonics": 3, "time_samples": 64}
-OVER = {"over": {"contacts.pad.preload": [1.0, 32.0]}}
+AXES = {
+    "contacts.pad.preload": [1.0, 32.0],
+    "contacts.pad.friction": [0.5],
+    "contacts.pad.normal_stiffness": [20.0],
+    "contacts.pad.tangential_stiffness": [20.0],
+    "structure.modes.0.frequency": [0.9],
+    "structure.modes.0.damping_ratio": [0.02],
+    "excitation.modal_force.0.phase_deg": [0.0],
+}
+OVER = {"over": AXES}
 RANGE = {"frequency": {"from": 1.245, "to": 1.265}, "step": 0.005, "width": 2e-3, "starts": 3}
 ALONG = {"along": {"contacts.pad.preload": {"from": 3.0, "to": 4.4, "num": 3}}, "accuracy": 0.5}
 MOTION = {"A": 1.0, "B": 0.5, "phi_deg": 60.0, "D": 0.4, "psi_deg": 20.0}

@@ -47,8 +47,7 @@ class HbmPlan:
         over: the further axes, a curve or several for each combination of values.
         along: the scalar that the curves run along at the frequency `span[0]`; None: they run along the frequency.
         steps: of the continuation, the numbers of `Continuation` by their keys.
-        stability: whether the Floquet multipliers of every point are computed.
-        convergence: whether to say how the answer depends on harmonics and time samples.
+        stability, convergence: as in `BalanceSection`.
         both_ends: whether a curve is begun from either end.
         motion: a motion to begin from; None: the linear response.
         passing: states of a sweep that curves are to pass too, and which of them, by axis.
