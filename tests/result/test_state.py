@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from timesim.fault import RuleError
-from timesim.result.state import Held
+from timesim.result.state import SavedStates
 
 FREQUENCY = np.array([1.0, 1.1, 1.2])
-POINTS = Held((), {"failure": np.array(["", "no motion", ""]), "cycles": np.arange(3)}, {"frequency": FREQUENCY}, 0.0)
+POINTS = SavedStates(
+    (), {"failure": np.array(["", "no motion", ""]), "cycles": np.arange(3)}, {"frequency": FREQUENCY}, 0.0
+)
 
 
 @pytest.mark.parametrize("asked", [1.2, 1.2 * (1 + 1e-12)])

@@ -137,18 +137,18 @@ def test_the_eigenproblem_is_solved_for_each_value_of_the_structure(solved: list
 
 
 def test_a_result_is_read_once_for_all_values(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    from timesim.result.state import Held
+    from timesim.result.state import SavedStates
     from timesim.scene import integration
 
     reads = []
-    end = Held(
+    end = SavedStates(
         ("pad",),
         {"final_modal_displacement": np.zeros(2), "final_modal_velocity": np.zeros(2),
          "final_slip": np.zeros((1, 2)), "final_contact_state": np.zeros(1)},
         {},
         0.0,
     )  # fmt: skip
-    monkeypatch.setattr(integration, "held", lambda path: reads.append(path) or end)
+    monkeypatch.setattr(integration, "saved_states", lambda path: reads.append(path) or end)
     study = {"kind": "sweep", "frequency": {"values": [0.2]}, "over": {PRELOAD: [1.0, 2.0, 3.0]}}
     given = {"contacts": [CONTACT], "excitation.frequency": None, "study": study, "initial": {"from": "result.nc"}}
     scene = load_scene(MATRICES, given)

@@ -1,6 +1,6 @@
 """How every picture looks: figures, margins, colours, legends, and what tells contact states apart.
 
-Figures are made without pyplot: cheaper to import, no global state, so that a figure goes with its last reference.
+Figures do without pyplot: cheaper to import, no global state, so that a figure goes with its last reference.
 Contact states are told apart by colour (Okabe and Ito 2008) and, for print and the colour-blind, by line style of
 curves and hatching of bars.
 """

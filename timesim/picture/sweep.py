@@ -64,9 +64,9 @@ def response(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = N
     for curve in curves(data):
         _draw(ax, data, curve, data.amplitude.sel(point=point, axis=axis).isel(curve.where).values)
         _band(ax, data, curve, point, axis)
-        found = "jump" if data.attrs.get("jumps_bisected", 1) else "jump or slope"
+        word = "jump" if data.attrs.get("jumps_bisected", 1) else "jump or slope"
         for frequency in _jumps(data, curve):
-            ax.axvline(frequency, color=curve.style.colour, linestyle=":", linewidth=1.0, label=found)
+            ax.axvline(frequency, color=curve.style.colour, linestyle=":", linewidth=1.0, label=word)
     from_zero(ax)
     ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(point, axis))
     return ax

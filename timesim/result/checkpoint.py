@@ -267,12 +267,12 @@ def resuming_helps(run_folder: Path | str, reason: str) -> bool:
 
 def _is_whole(folder: Path, scene: str) -> bool:
     """Whether the result of this scene is complete, where a run is to be resumed."""
-    held = {}
+    attrs = {}
     if (folder / RESULT_NAME).exists():
-        held = dict(read(folder)[""].attrs)
+        attrs = dict(read(folder)[""].attrs)
     manifest = Manifest.read(folder / FOLDER_NAME)
-    for path, begun in ((RESULT_NAME, held.get("scene")), (FOLDER_NAME, manifest.identity if manifest else None)):
+    for path, begun in ((RESULT_NAME, attrs.get("scene")), (FOLDER_NAME, manifest.identity if manifest else None)):
         if begun is not None and begun != scene:
             change = scene_difference(begun, scene)
             raise StoreError(f"{folder / path} is of another scene: {change}; run what it was begun with, {_AGAIN}")
-    return bool(held.get("complete"))
+    return bool(attrs.get("complete"))

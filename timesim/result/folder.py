@@ -53,7 +53,7 @@ def locked_folder(folder: Path | str) -> Iterator[Path]:
     Raises:
         StoreError: another run is at work in it, or it cannot be made.
     """
-    path, made = Path(folder), not Path(folder).exists()
+    path, new = Path(folder), not Path(folder).exists()
     lock = filelock.FileLock(path / LOCK_NAME)
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -68,7 +68,7 @@ def locked_folder(folder: Path | str) -> Iterator[Path]:
         with suppress(OSError):
             (path / LOCK_NAME).unlink()
         lock.release()
-        if made:
+        if new:
             with suppress(OSError):  # something was written
                 path.rmdir()
 

@@ -78,8 +78,11 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "band": ("end of the band of amplitudes", None),
     "failure": ("why the point could not be computed; empty where it was", None),
     "jump": ("number of the jump", None),
-    "jump_low": ("lower end of the step of frequency in which the motion jumps", "Hz"),
-    "jump_high": ("upper end of the step of frequency in which the motion jumps", "Hz"),
+    "jump_low": ("lower end of the step of frequency over a jump; over a jump or a slope if jumps_bisected is 0", "Hz"),
+    "jump_high": (
+        "upper end of that step",
+        "Hz",
+    ),
     # bistable
     "range": ("frequency at the ends of the range with two motions", "Hz"),
     "amplitude_upper": ("displacement amplitude of the larger motion at mid-range", "length"),
@@ -201,10 +204,10 @@ def attributes(name: str) -> dict[str, Any]:
         long_name, units = LABELS[name]
     else:
         return {}
-    found = {"long_name": long_name} | ({} if units is None else {"units": units})
+    attrs = {"long_name": long_name} | ({} if units is None else {"units": units})
     flags = STATE_FLAGS if long_name.startswith("contact state") else FLAGS.get(name, {})
     values = {"flag_values": np.array(list(flags), dtype=np.int8), "flag_meanings": " ".join(flags.values())}
-    return found | (values if flags else {})
+    return attrs | (values if flags else {})
 
 
 def in_words(values: Mapping[str, float], end: str = "") -> str:

@@ -23,8 +23,8 @@ SAME = 1e-9  # share of a value by which one asked for may differ from one of th
 
 
 @dataclass(frozen=True)
-class Held:
-    """What is read of a result.
+class SavedStates:
+    """States that a result holds, from which a motion may start.
 
     Attributes:
         contacts: their names.
@@ -67,35 +67,35 @@ class Held:
         for name, positions in places.items():
             if len(positions) > 1:
                 raise RuleError((), f"must name the {name} of a point of the sweep", _listed(self.axes[name]))
-        found = self.at(tuple(positions[0] for positions in places.values()))
-        if reason := str(found.get("failure", "")):
+        arrays = self.at(tuple(positions[0] for positions in places.values()))
+        if reason := str(arrays.get("failure", "")):
             raise RuleError((), f"names a point that could not be computed: {reason}", "take another")
-        return found
+        return arrays
 
 
 SweepPoint = tuple[float, dict[str, np.ndarray]]
 """Frequency [Hz], and the arrays of a point."""
 
 
-def settled_points(found: Held, asked: Mapping[str, float | str]) -> Iterator[SweepPoint]:
+def settled_points(states: SavedStates, asked: Mapping[str, float | str]) -> Iterator[SweepPoint]:
     """Points of a sweep with slip, or contact for a part of the cycle, that repeat each cycle.
 
     Args:
-        found: a sweep.
+        states: a sweep.
         asked: values along some of its axes; the others are taken whole.
 
     Raises:
         RuleError: no such axis, or no such value along it.
     """
-    for place in product(*found.places(asked).values()):
-        point = found.at(place)
+    for place in product(*states.places(asked).values()):
+        point = states.at(place)
         if str(point["failure"]) or point["settled"] != 1 or point["period"] != 1:
             continue
         if switches(point["slip_share"], point["separation_share"]).any():
-            yield float(found.axes["frequency"][place[-1]]), point
+            yield float(states.axes["frequency"][place[-1]]), point
 
 
-def held_in(data: "Dataset") -> Held:
+def states_in(data: "Dataset") -> SavedStates:
     """The states in a result; of one run, or of the points of a sweep.
 
     Raises:
@@ -109,7 +109,7 @@ def held_in(data: "Dataset") -> Held:
     contacts = tuple(map(str, data["contact"].values)) if "contact" in data else ()
     phase = float(np.deg2rad(data["final_phase_deg"].values))
     arrays, axes = ({name: data[name].values for name in own} for own in (names, dims))
-    return Held(contacts, arrays, axes, phase)
+    return SavedStates(contacts, arrays, axes, phase)
 
 
 def _position(name: str, values: np.ndarray, value: float | str) -> int:
@@ -124,17 +124,17 @@ def _position(name: str, values: np.ndarray, value: float | str) -> int:
 
 def _listed(values: np.ndarray, near: float | str | None = None) -> str:
     """Values of an axis in words: all, or the range and those next to a value."""
-    told = [str(value) if values.dtype.kind in "US" else f"{value:.10g}" for value in values]
-    if len(told) <= 12:
-        return f"it has {', '.join(told)}"
+    words = [str(value) if values.dtype.kind in "US" else f"{value:.10g}" for value in values]
+    if len(words) <= 12:
+        return f"it has {', '.join(words)}"
     next_to = ""
     if near is not None and not isinstance(near, str):
         close = np.sort(np.argsort(np.abs(values - near))[:2])
-        next_to = f", next to it {' and '.join(told[i] for i in close)}"
-    return f"it has {len(told)} from {told[0]} to {told[-1]}{next_to}"
+        next_to = f", next to it {' and '.join(words[i] for i in close)}"
+    return f"it has {len(words)} from {words[0]} to {words[-1]}{next_to}"
 
 
-def held(path: Path) -> Held:
+def saved_states(path: Path) -> SavedStates:
     """The states of a result; of one with groups, those of its sweep.
 
     Args:
@@ -151,21 +151,21 @@ def held(path: Path) -> Held:
     try:
         groups = xarray.open_groups(path, engine="h5netcdf")
         with groups["/"] as root, groups.get("/sweep", root) as data:
-            found, complete = held_in(data), int(root.attrs.get("complete", 1))
+            states, complete = states_in(data), int(root.attrs.get("complete", 1))
     except RuleError:
         raise
     except Exception as error:  # a damaged file raises whatever HDF5 makes of it
         raise RuleError((), f"cannot be read as NetCDF-4 ({' '.join(str(error).split())[:120]})") from None
-    if not complete and not found.axes:
+    if not complete and not states.axes:
         raise RuleError((), "is the result of a run that was not finished (complete = 0)", "finish that run first")
-    return found
+    return states
 
 
-def start_of(physics: Model, found: Held, chosen: Mapping[str, np.ndarray]) -> Start:
+def start_of(physics: Model, states: SavedStates, chosen: Mapping[str, np.ndarray]) -> Start:
     """One of the states of a result as the start of a model.
 
     Raises:
         RuleError: the result is one of another structure, or the state lies outside a cone.
     """
     displacement, velocity, slip, state = (chosen[f"final_{name}"] for name in STATE)
-    return resumed_start(physics, Start(displacement, velocity, slip, state, found.phase), found.contacts)
+    return resumed_start(physics, Start(displacement, velocity, slip, state, states.phase), states.contacts)

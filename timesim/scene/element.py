@@ -78,10 +78,7 @@ class ElementPlan:
     Attributes:
         contact: the contact.
         motion: of body 1 relative to body 2 in the axes of the contact.
-        harmonics: highest harmonic of the friction force that is kept.
-        principal_axes: whether the coefficients along the principal axes of the ellipse are kept too.
-        samples: angles of the cycle that are recorded.
-        cross_check: whether the event loop computes it again.
+        harmonics, principal_axes, samples, cross_check: as in `Element`.
     """
 
     contact: Contact

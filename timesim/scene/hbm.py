@@ -11,7 +11,7 @@ from timesim.hbm.scheme import BalanceError, Scheme, check_model
 from timesim.model.model import Model
 from timesim.result.file import StoreError
 from timesim.result.last_cycle import PeriodicMotion, periodic_motion
-from timesim.result.state import Held, held
+from timesim.result.state import SavedStates, saved_states
 from timesim.scene.integration import ResultSection
 from timesim.scene.section import Section, by_form, refuse
 from timesim.scene.study import (
@@ -47,8 +47,7 @@ class HbmPlan:
         over: the further axes, a curve or several for each combination of values.
         along: the scalar that the curves run along at the frequency `span[0]`; None: they run along the frequency.
         steps: of the continuation, the numbers of `Continuation` by their keys.
-        stability: whether the Floquet multipliers of every point are computed.
-        convergence: whether to say how the answer depends on harmonics and time samples.
+        stability, convergence: as in `BalanceSection`.
         both_ends: whether a curve is begun from either end.
         motion: a motion to begin from; None: the linear response.
         passing: states of a sweep that curves are to pass too, and which of them, by axis.
@@ -63,7 +62,7 @@ class HbmPlan:
     convergence: bool = False
     both_ends: bool = False
     motion: PeriodicMotion | None = None
-    passing: tuple[Held, Mapping[str, float | str]] | None = None
+    passing: tuple[SavedStates, Mapping[str, float | str]] | None = None
 
 
 class FrequencySpan(Span):
@@ -118,7 +117,7 @@ class ResultStart(ResultSection):
         """
         path = context.folder / self.source
         try:
-            states = held(path)
+            states = saved_states(path)
             motion = None if states.axes else periodic_motion(path)
         except (RuleError, ValueError, StoreError) as error:
             what = error.rule if isinstance(error, RuleError) else str(error)
@@ -134,7 +133,7 @@ class ResultStart(ResultSection):
             raise RuleError(("at",), "names a point of a sweep", "the result is that of a transient: leave it out")
         return replace(plan, motion=motion)
 
-    def _check_sweep(self, states: Held, plan: HbmPlan, context: Context) -> None:
+    def _check_sweep(self, states: SavedStates, plan: HbmPlan, context: Context) -> None:
         names = [contact.name for contact in context.contacts]
         if sorted(names) != sorted(states.contacts):
             rule = f"must have the contacts of the scene, not {', '.join(states.contacts) or 'none'}"

@@ -12,7 +12,7 @@ from timesim.fault import RuleError
 from timesim.model.model import Model, Start
 from timesim.model.solver import PRESETS, Solver
 from timesim.model.start import given_start, static_start
-from timesim.result.state import Held, held, start_of
+from timesim.result.state import SavedStates, saved_states, start_of
 from timesim.scene.section import Section, by_form, form, refuse
 from timesim.scene.value import ContactName, Count, FilePath, Number, Pair, Switch, Text, Whole
 
@@ -58,7 +58,7 @@ class ResultSection(Section):
     """Of a sweep: which point, by its axes: {frequency: 0.945, direction: up, contacts.pad.preload: -4}."""
 
 
-EndOfRun = tuple[Held, Mapping[str, np.ndarray]]
+EndOfRun = tuple[SavedStates, Mapping[str, np.ndarray]]
 """A result, and the arrays of the one of its states that a run starts from."""
 
 
@@ -68,7 +68,7 @@ class InitialResult(ResultSection):
     def read(self, folder: Path) -> EndOfRun:
         """State, slip, contact states and phase there."""
         try:
-            states = held(folder / self.source)
+            states = saved_states(folder / self.source)
         except RuleError as error:
             raise RuleError(("from",), error.rule, error.hint, self.source) from None
         try:

@@ -25,6 +25,7 @@ from timesim.scene.structure import BuiltStructure, ExcitationSection
 from timesim.scene.study import Context, combinations
 from timesim.scene.text import yaml_text
 
+NO_FORCE = ExcitationSection()
 FAR_ABOVE = 100.0
 """Modes from matrices above this multiple of the highest excitation frequency are worth a warning."""
 
@@ -239,10 +240,12 @@ class _Build:
             return None
         (structure, order, notes), initial = built, self.file.initial
         contacts = tuple(contact.build() for contact in self.file.contacts)
-        rest, no_force = rest_start(order.size, len(contacts)), ExcitationSection()
-        model = Model(structure, contacts, no_force.build(structure, order), rest, notes)
+        excitation = None
         with self.under("excitation"):
-            model = replace(model, excitation=(self.file.excitation or no_force).build(structure, order))
+            excitation = (self.file.excitation or NO_FORCE).build(structure, order)
+        rest, driven = rest_start(order.size, len(contacts)), excitation or NO_FORCE.build(structure, order)
+        model = Model(structure, contacts, driven, rest, notes)
+        if excitation is not None:
             self.errors += self.file.study.problems(model)
         failed = {error.key[0] for error in self.errors}
         if "initial" in failed or (initial == "static" and "excitation" in failed):

@@ -119,8 +119,7 @@ class BistablePlan:
 
     Attributes:
         sweep: up and down over the range.
-        width: width [Hz] to which each end is bisected.
-        starts: starts along each side of a square; 0 for none.
+        width, starts: as in `Bistable`.
         balance: the branch by harmonic balance behind; None: it is left out.
     """
 

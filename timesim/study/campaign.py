@@ -149,7 +149,7 @@ class _Campaign:
         self.arrived: SimpleQueue[Future[Result]] = SimpleQueue()
 
     def outcome(self, begun: bool) -> tuple[dict[str, Result], str | None]:
-        """Do what is not done yet, and tell what has come of it all."""
+        """Results by the chunk's name once all that was not done yet is done, and why some are missing."""
         ended = None
         try:
             if begun:
@@ -238,8 +238,12 @@ class _Campaign:
         missing = [chunk for chunk in self.chunks if chunk.name not in self.results]
         if not missing:
             return None
-        told = [f"{name}: {why}" for name, why in self.failed.items()]
-        more = f"; and {len(told) - LISTED} more" if len(told) > LISTED else ""
-        failed = f"{len(told)} of {len(self.chunks)} chunks failed: {'; '.join(told[:LISTED])}{more}" if told else None
+        reasons = [f"{name}: {why}" for name, why in self.failed.items()]
+        more = f"; and {len(reasons) - LISTED} more" if len(reasons) > LISTED else ""
+        failed = (
+            f"{len(reasons)} of {len(self.chunks)} chunks failed: {'; '.join(reasons[:LISTED])}{more}"
+            if reasons
+            else None
+        )
         points = sum(chunk.size for chunk in missing)
         return "; ".join(filter(None, (ended, failed, f"{points} of {self.total} points are missing")))

@@ -29,7 +29,7 @@ from timesim.orbit.fourier import fourier_basis, fourier_coefficients
 from timesim.orbit.settling import Chain, Criterion, steady_states
 from timesim.result.dataset import dataset
 from timesim.result.label import in_words
-from timesim.result.state import held_in
+from timesim.result.state import states_in
 from timesim.scene.hbm import ComparePlan
 from timesim.scene.resolution import Scene
 from timesim.study.campaign import INTERRUPTED, Execution
@@ -72,14 +72,14 @@ def matched(amplitude: np.ndarray, frequency: np.ndarray, curves: Curves) -> Mat
     nearest = np.full_like(amplitude, np.nan)
     solution = np.full(amplitude.shape[:3], -1)
     solutions = [_solutions(curves, values, frequency) for values in curves.values]
-    for (v, found), d, f in product(enumerate(solutions), range(amplitude.shape[1]), range(frequency.size)):
-        if found is None or not np.isfinite(amplitude[v, d, f]).all():
+    for (v, curve), d, f in product(enumerate(solutions), range(amplitude.shape[1]), range(frequency.size)):
+        if curve is None or not np.isfinite(amplitude[v, d, f]).all():
             continue
-        rows = np.flatnonzero(found.stable & (found.frequency == frequency[f]))
+        rows = np.flatnonzero(curve.stable & (curve.frequency == frequency[f]))
         if rows.size:
-            far = np.abs(found.amplitude[rows] - amplitude[v, d, f]).max(axis=(1, 2))
+            far = np.abs(curve.amplitude[rows] - amplitude[v, d, f]).max(axis=(1, 2))
             solution[v, d, f] = rows[np.argmin(far)]
-            nearest[v, d, f] = found.amplitude[solution[v, d, f]]
+            nearest[v, d, f] = curve.amplitude[solution[v, d, f]]
     with np.errstate(invalid="ignore", divide="ignore"):
         difference = (nearest - amplitude) / amplitude
     size = np.nanmax(np.where(np.isfinite(amplitude), amplitude, 0.0), axis=(3, 4), keepdims=True)
@@ -106,7 +106,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     seconds = time.perf_counter() - clock
     given_up = (sweep_reason or "").startswith(INTERRUPTED)
     hbm, curves, hbm_reason = (
-        left_out(scene, plan.balance) if given_up else followed(scene, plan.balance, passing=held_in(sweep))
+        left_out(scene, plan.balance) if given_up else followed(scene, plan.balance, passing=states_in(sweep))
     )
     faults = [f"{name}: {why}" for name, why in (("sweep", sweep_reason), ("hbm", hbm_reason)) if why]
     reason = "; ".join(faults) or None
@@ -162,8 +162,8 @@ def cycle_by_both(scene: Scene, curves: Curves, match: Match, place: tuple[int, 
     q = np.einsum("kh,hm->km", np.exp(1j * np.outer(angle, np.arange(len(modal)))), modal).real
     x = np.stack([np.einsum("pam,km->kpa", model.structure.shape, motion) for motion in (marched.q[:-1], q)])
     # The samples end where the phase is that of the last of them, one interval before a whole turn.
-    found = np.stack([fourier_coefficients(motion, -2 * np.pi / SAMPLES)[: 2 * order - 1] for motion in x])
-    height = np.concatenate([found[:, :1], np.hypot(found[:, 1::2], found[:, 2::2])], axis=1)
+    coefficients = np.stack([fourier_coefficients(motion, -2 * np.pi / SAMPLES)[: 2 * order - 1] for motion in x])
+    height = np.concatenate([coefficients[:, :1], np.hypot(coefficients[:, 1::2], coefficients[:, 2::2])], axis=1)
     state = np.stack([marched.state[:-1], states]).astype(np.int8)
     variables = {
         "displacement": (("found_by", "excitation_angle", "point", "axis"), x),

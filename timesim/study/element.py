@@ -15,7 +15,6 @@ from timesim.element.cycle import Coefficients, ElementCycle, Transition
 from timesim.element.motion import CYCLE, Motion
 from timesim.element.state_by_state import steady_cycle
 from timesim.model.model import STATE_NAMES, Contact
-from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.element import ElementPlan
 from timesim.scene.resolution import Scene
@@ -132,7 +131,7 @@ def record_of(
     }
     theta = np.arange(plan.samples) * CYCLE / plan.samples
     variables = cycle_variables(cycle, plan.contact, theta) | coefficient_variables(cycle, plan)
-    coords = {"angle": np.degrees(theta)} | coordinates(variables)
+    coords = {"angle": np.degrees(theta)}
     return dataset(variables, coords, about | facts)
 
 

@@ -24,7 +24,6 @@ from timesim.model.contact_state import require_cone
 from timesim.model.model import SEPARATION
 from timesim.model.solver import Solver
 from timesim.orbit.extrapolation import limits, remaining
-from timesim.result.coordinate import coordinates
 from timesim.result.dataset import dataset
 from timesim.scene.element import MAP_AXES, MapPlan
 from timesim.scene.resolution import Scene
@@ -198,7 +197,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
             for name in ("dissipation", "transitions", "cycles", "settled")
         },
     }
-    coords = {MAP_AXES[key]: np.array(plan.values[key]) for key in plan.axes} | coordinates(variables)
+    coords = {MAP_AXES[key]: np.array(plan.values[key]) for key in plan.axes}
     about = attributes(scene, str(solver), compiled - clock, seconds, reason)
     record = dataset(variables, coords, about | {"contact": plan.contact.name})
     lines = (

@@ -20,7 +20,7 @@ from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.steady_state import switches
 from timesim.result.dataset import dataset
 from timesim.result.label import in_words
-from timesim.result.state import Held, SweepPoint, settled_points, start_of
+from timesim.result.state import SavedStates, SweepPoint, settled_points, start_of
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
 from timesim.scene.study import combinations
@@ -61,7 +61,7 @@ class Curves:
         self.faults: list[str] = []
         self.notes: list[str] = []
 
-    def run(self, progress: Progress | None = None, passing: Held | None = None) -> str | None:
+    def run(self, progress: Progress | None = None, passing: SavedStates | None = None) -> str | None:
         """Follow all curves.
 
         Args:
@@ -111,7 +111,7 @@ class Curves:
         yield from (StudyCurve(values, lambda _: model, curve) for curve in curves)
 
     def _through(
-        self, values: dict[str, float], states: Held, asked: Mapping[str, float | str]
+        self, values: dict[str, float], states: SavedStates, asked: Mapping[str, float | str]
     ) -> Iterator[StudyCurve]:
         """Curves from settled points of a sweep that no other curve passes: isolated branches, it may be.
 
@@ -131,7 +131,7 @@ class Curves:
         for curve in isolated_curves(model, known, motions, self.plan.span, **self._options()):
             yield StudyCurve(values, lambda _: model, curve)
 
-    def _coefficients(self, model: Model, states: Held, point: SweepPoint) -> np.ndarray | None:
+    def _coefficients(self, model: Model, states: SavedStates, point: SweepPoint) -> np.ndarray | None:
         """Modal Fourier coefficients of a point of a sweep; None with a note where this model cannot start from it."""
         frequency, arrays = point
         try:
@@ -182,7 +182,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 
 
 def followed(
-    scene: Scene, plan: HbmPlan, progress: Progress | None = None, passing: Held | None = None
+    scene: Scene, plan: HbmPlan, progress: Progress | None = None, passing: SavedStates | None = None
 ) -> tuple[Dataset, Curves, str | None]:
     """All curves of a scene, those through the points of a sweep too: the result, they, and why some are not whole."""
     curves = Curves(scene, plan)

@@ -1,8 +1,8 @@
 """The `optimum` study: the peak of the response over frequency against a scalar, and the value where it is least.
 
-For each value both sweeps are made, up and down, so that the larger of two motions counts; about the largest points of
+Each value is swept both up and down, so that the larger of two motions counts; about the largest points of
 both the peak is sought between the frequencies of the sweep. Then the value of least peak is sought between those
-beside the least one by bounded minimisation [1]_, and it is made sure that no value an accuracy away has a smaller one.
+beside the least one by bounded minimisation [1]_, until no value an accuracy away has a smaller peak.
 
 .. [1] R. P. Brent, *Algorithms for Minimization Without Derivatives*, Prentice-Hall (1973), chapter 5.
 """
@@ -62,10 +62,10 @@ def respond(response: Response, before: Result | None) -> Result:
     chains = [Chain(model, up), Chain(model, up[::-1])]
     orbits = steady_states(chains, response.solver, response.criterion, halted=halted)
     orbits[1] = orbits[1][::-1]
-    found = columns_of(orbits)
+    columns = columns_of(orbits)
     height, frequency, at_end, settled = _peak(response, orbits)
     peak = {"peak": height, "peak_frequency": frequency, "peak_at_end": int(at_end), "peak_settled": int(settled)}
-    return {name: found[name] for name in COLUMNS} | {name: np.array(value) for name, value in peak.items()}
+    return {name: columns[name] for name in COLUMNS} | {name: np.array(value) for name, value in peak.items()}
 
 
 def _peak(response: Response, orbits: list[list[Orbit]]) -> tuple[float, float, bool, bool]:

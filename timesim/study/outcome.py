@@ -28,7 +28,7 @@ class Outcome:
 
 def attributes(scene: Scene, method: str, compiling: float, running: float, reason: str | None) -> dict[str, Any]:
     """Attributes of every result file; ``reason``: why the run ended early, None if it is complete."""
-    told = {
+    attrs = {
         "timesim_version": version("timesim"),
         "scene": scene.resolved_yaml(),
         "title": scene.file.title,
@@ -38,4 +38,4 @@ def attributes(scene: Scene, method: str, compiling: float, running: float, reas
         "compile_seconds": compiling,
         "run_seconds": running,
     }
-    return told if reason is None else told | {"reason": reason}
+    return attrs if reason is None else attrs | {"reason": reason}

@@ -188,13 +188,13 @@ def _connected(distributed: Any, target: Any) -> Iterator[Executor]:
 
 def _check_workers(client: Any, name: str) -> None:
     """Every worker must do the work as this process would."""
-    found = client.run(version, "timesim", on_error="return")
-    if not found:
+    versions = client.run(version, "timesim", on_error="return")
+    if not versions:
         raise ExecutionError(f"cluster {name} has no workers; start some with: dask worker ADDRESS")
     own = version("timesim")
-    for worker, theirs in found.items():
+    for worker, theirs in versions.items():
         if theirs != own:
-            told = f"has timesim {theirs}" if isinstance(theirs, str) else "has no timesim"
+            installed = f"has timesim {theirs}" if isinstance(theirs, str) else "has no timesim"
             raise ExecutionError(
-                f"cluster {name}: worker {worker} {told}, this is {own}; install the same on all workers"
+                f"cluster {name}: worker {worker} {installed}, this is {own}; install the same on all workers"
             )
