@@ -68,7 +68,7 @@ class Events:
 
 
 def sample(steps: Steps, times: np.ndarray) -> Samples:
-    """Dense output at times within the steps; at a transition the state before it."""
+    """Dense output at times within the steps; at a transition the state after it, at the end the last one."""
     index = np.clip(np.searchsorted(steps.time, times, side="right") - 1, 0, steps.time.size - 1)
     h = steps.h[index, None]
     x = np.clip((times - steps.time[index])[:, None] / np.where(h > 0, h, 1.0), 0.0, 1.0)
