@@ -19,7 +19,7 @@ SCENE = Path(__file__).parents[1] / "configs" / "oscillator.yaml"
 
 def measure(points: int, folder: str) -> dict[str, float]:
     """Run the sweep in this process, with its checkpoints, and tell what it took."""
-    from timesim.study.campaign import Execution
+    from timesim.study.execution.campaign import Execution
     from timesim.study.registry import carry_out, load_scene
 
     step = (1.65 - 0.8) / (points - 1)

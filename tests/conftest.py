@@ -11,8 +11,8 @@ from jaxtyping import install_import_hook
 
 # The modules of the event loop; they are loaded here, before anything else loads them unchecked.
 CHECKED = (
-    "timesim.engine.contact_law",
-    "timesim.engine.contact",
+    "timesim.engine.law.contact_law",
+    "timesim.engine.law.cone",
     "timesim.engine.guard",
     "timesim.engine.dense_output",
     "timesim.engine.history",

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from timesim.engine.contact_law import ContactLaw, Motion, Plane, Reaction, Scalar, State
+from timesim.engine.law.contact_law import ContactLaw, Motion, Plane, Reaction, Scalar, State
 from timesim.model.model import SEPARATION, SLIP, Contact
 from timesim.model.scales import Scales
 

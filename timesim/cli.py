@@ -58,7 +58,7 @@ def run(
     from timesim.result import checkpoint
     from timesim.result.file import StoreError
     from timesim.result.folder import check_folder, locked_folder, prepare_folder
-    from timesim.study.campaign import Execution, ExecutionError
+    from timesim.study.execution.campaign import Execution, ExecutionError
     from timesim.study.registry import check_execution, picture_names
 
     loaded = _loaded(scene, overrides)

@@ -30,7 +30,7 @@ from timesim.engine.system import system_of
 from timesim.engine.trajectory import BATCH, Frame, Phase, Run, RunError
 from timesim.model.model import SEPARATION, SLIP, STICK, Model
 from timesim.model.solver import PRESETS, Solver
-from timesim.study.campaign import Execution
+from timesim.study.execution.campaign import Execution
 from timesim.study.registry import load_scene
 from timesim.study.transient import final_variables, study
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from systems import pad
 
-from timesim.engine.contact import ConeLaw
-from timesim.engine.contact_law import Motion
+from timesim.engine.law.cone import ConeLaw
+from timesim.engine.law.contact_law import Motion
 from timesim.model.model import SEPARATION, SLIP, STICK
 from timesim.model.scales import Scales
 

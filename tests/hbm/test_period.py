@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 
 from timesim.element.motion import CYCLE, SplineMotion
 from timesim.element.state_by_state import steady_cycle
-from timesim.engine.contact import ConeLaw
+from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.located import located_forces
 from timesim.hbm.period import (
     MAX_PASSES,

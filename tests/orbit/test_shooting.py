@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from systems import generated_model, oscillator
 
-from timesim.engine.contact_law import Motion
+from timesim.engine.law.contact_law import Motion
 from timesim.model.model import SEPARATION, SLIP
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import PRESETS, Criterion, Solver

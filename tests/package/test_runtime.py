@@ -83,7 +83,7 @@ except AttributeError as error:
 
 
 def test_jax_that_runs_already_is_warned_about_once(tmp_path):
-    code = "; import timesim.runtime; from timesim.engine import contact; assert jax.config.jax_enable_x64"
+    code = "; import timesim.runtime; from timesim.engine.law import cone; assert jax.config.jax_enable_x64"
     _, err = python(COMPUTE + code, TIMESIM_CACHE=str(tmp_path))
     assert [len(re.findall(text, err)) for text in ("single precision", "15 times longer")] == [1, 1]
     double = f"import jax; jax.config.update('jax_enable_x64', True); {COMPUTE}"
@@ -137,7 +137,7 @@ def test_a_folder_that_is_of_no_use_is_reported_once(tmp_path, trouble):
             (folder / f"{name}-cache").write_text("")
             (folder / f"{name}-atime").write_bytes(bytes(8))
         expected = "11 entries of one program"
-    _, err = python("import timesim.runtime; import timesim.engine.contact", TIMESIM_CACHE=str(tmp_path))
+    _, err = python("import timesim.runtime; import timesim.engine.law.cone", TIMESIM_CACHE=str(tmp_path))
     assert err.count("RuntimeWarning") == 1
     assert f"compiled programs are not kept in {folder}: " in err
     assert expected in err

@@ -18,7 +18,7 @@ from timesim.result.change import fingerprint
 from timesim.result.checkpoint import Manifest
 from timesim.result.netcdf import save
 from timesim.scene.section import Section
-from timesim.study.campaign import Execution
+from timesim.study.execution.campaign import Execution
 from timesim.study.registry import carry_out, load_scene
 
 Key = tuple[str | int, ...]

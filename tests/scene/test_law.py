@@ -6,7 +6,7 @@ import pytest
 from bad_scenes import BASE, BISTABLE, ELEMENT, ELEMENT_MAP, HBM, SWEEP
 
 import timesim
-from timesim.engine.laws import LAWS, LawEntry
+from timesim.engine.law.table import LAWS, LawEntry
 from timesim.fault import SceneError
 from timesim.scene.report import describe
 from timesim.study.registry import json_schema, load_scene

@@ -28,7 +28,7 @@ from timesim.picture import bistable as plot_bistable
 from timesim.result.netcdf import open_result, save
 from timesim.study import bistable
 from timesim.study import registry as plot
-from timesim.study.campaign import Execution
+from timesim.study.execution.campaign import Execution
 from timesim.study.hbm import Curves
 from timesim.study.registry import carry_out, load_scene
 

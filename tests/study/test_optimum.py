@@ -15,7 +15,7 @@ from timesim.orbit.settling import Chain, steady_states
 from timesim.orbit.steady_state import without_orbit
 from timesim.picture import optimum as plot_optimum
 from timesim.study import registry as plot
-from timesim.study.campaign import Execution
+from timesim.study.execution.campaign import Execution
 from timesim.study.optimum import Peaks, Response, SearchError, data_of
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.report import optimum_lines

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from timesim.element.motion import CYCLE, Motion
-from timesim.engine.contact import ConeLaw, matrix_and_inverse
+from timesim.engine.law.cone import ConeLaw, matrix_and_inverse
 from timesim.model.contact_state import contact_state, require_cone
 from timesim.model.model import SEPARATION, Contact
 

@@ -31,7 +31,8 @@ from jaxtyping import Array, Bool, Float
 from timesim.element.elements import Elements
 from timesim.element.motion import CYCLE, HarmonicMotion, Motion, SplineMotion
 from timesim.engine import dense_output
-from timesim.engine.contact_law import (
+from timesim.engine.event_loop import advance, march
+from timesim.engine.law.contact_law import (
     ContactLaw,
     ContinuousState,
     Dynamics,
@@ -41,8 +42,7 @@ from timesim.engine.contact_law import (
     State,
     dot,
 )
-from timesim.engine.contact_law import Motion as RelativeMotion
-from timesim.engine.event_loop import advance, march
+from timesim.engine.law.contact_law import Motion as RelativeMotion
 from timesim.engine.method import Method
 from timesim.engine.solver import Control
 from timesim.engine.step import Status, Step, Trajectory, begin

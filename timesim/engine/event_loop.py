@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from timesim.engine.contact_law import Dynamics
 from timesim.engine.lanes import advance_lanes, batch_first, batch_last, over_lanes
+from timesim.engine.law.contact_law import Dynamics
 from timesim.engine.method import Method
 from timesim.engine.solver import Control
 from timesim.engine.step import Status, Step, Trajectory, try_step

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from timesim.engine import dense_output as hermite
 from timesim.engine.barrier import apart
-from timesim.engine.contact_law import ContinuousState, Dynamics, Motion, Path, Plane, State
+from timesim.engine.law.contact_law import ContinuousState, Dynamics, Motion, Path, Plane, State
 from timesim.engine.tolerance import AGREEMENT, SHORT, VIOLATED
 
 NUM_NODES = 6

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from timesim.engine import dense_output as hermite
-from timesim.engine.laws import law_class
+from timesim.engine.law.table import law_class
 from timesim.model.model import Model
 
 # A step is a small part of the fastest oscillation; in each quarter of it a velocity changes sign at most once.

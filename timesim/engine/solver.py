@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from timesim.engine.barrier import apart
-from timesim.engine.contact_law import ContinuousState
+from timesim.engine.law.contact_law import ContinuousState
 from timesim.engine.tolerance import NO_TIME
 from timesim.model.solver import Solver
 

@@ -19,8 +19,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from timesim.engine.barrier import apart
-from timesim.engine.contact_law import ContinuousState, Dynamics, State
 from timesim.engine.guard import NONE, Margins, end_margins, first_crossing, segment
+from timesim.engine.law.contact_law import ContinuousState, Dynamics, State
 from timesim.engine.method import Method
 from timesim.engine.solver import Control, error_size, next_length
 from timesim.engine.tolerance import LANDING, NO_LOAD, NO_TIME, SHORTEST, TOGETHER, VIOLATED

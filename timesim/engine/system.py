@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from timesim.engine.barrier import apart
-from timesim.engine.contact_law import (
+from timesim.engine.law.contact_law import (
     ContactLaw,
     ContinuousState,
     Dynamics,
@@ -28,7 +28,7 @@ from timesim.engine.contact_law import (
     State,
     dot,
 )
-from timesim.engine.laws import law_class
+from timesim.engine.law.table import law_class
 from timesim.model.model import Model
 from timesim.model.reduction import Reduction, reduction_of, stuck_force, stuck_matrix
 from timesim.model.scales import scales_of

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from timesim.engine.contact import ConeLaw
+from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.corrector import NoSolutionError
 from timesim.hbm.located import located_forces
 from timesim.hbm.period import Basis, basis_of, contact_forces

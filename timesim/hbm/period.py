@@ -1,6 +1,6 @@
 """Contact forces through one period of a given relative motion, on equal time samples.
 
-The law is that of `engine.contact`. Between two samples the path of (u, v) is taken as straight; along it the law is
+The law is that of `engine.law.cone`. Between two samples the path of (u, v) is taken as straight; along it the law is
 solved without further error, so the scheme is of second order, and of third in slip under constant load, where the turn
 of the path is put right. With the elastic displacement ``d = u - w``, the
 friction force ``f = K_u d`` and primes for rates along the interval,
@@ -31,8 +31,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
-from timesim.engine.contact import ConeLaw, incipient_direction, normal_load
-from timesim.engine.contact_law import Motion, Plane, Scalar, dot, length, minus, product, scaled, where
+from timesim.engine.law.cone import ConeLaw, incipient_direction, normal_load
+from timesim.engine.law.contact_law import Motion, Plane, Scalar, dot, length, minus, product, scaled, where
 from timesim.hbm.stuck_offset import Offset, stuck_offset
 from timesim.orbit.fourier import fourier_basis
 

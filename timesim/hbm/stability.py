@@ -17,7 +17,7 @@ import timesim.runtime  # noqa: F401  isort: skip
 import numpy as np
 from scipy.linalg import expm
 
-from timesim.engine.contact import ConeLaw
+from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.period import basis_of, closed_period, motion_of, starts_of
 from timesim.hbm.tangent import interval_slopes

@@ -18,9 +18,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from timesim.engine.contact import ConeLaw, normal_load
-from timesim.engine.contact_law import Motion, Plane, Scalar, product
 from timesim.engine.lanes import advance_lanes
+from timesim.engine.law.cone import ConeLaw, normal_load
+from timesim.engine.law.contact_law import Motion, Plane, Scalar, product
 
 MAX_ITERATIONS = 60
 CONVERGED = 1e-12  # change of g that counts as none, relative to R

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
-from timesim.engine.contact import ConeLaw
-from timesim.engine.contact_law import Motion, Plane, Scalar, product
+from timesim.engine.law.cone import ConeLaw
+from timesim.engine.law.contact_law import Motion, Plane, Scalar, product
 from timesim.hbm.period import (
     Basis,
     ContactForces,

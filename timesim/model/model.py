@@ -17,7 +17,7 @@ STICK, SLIP, SEPARATION = 0, 1, 2
 STATE_NAMES = ("stick", "slip", "separation")
 GROUND = "ground"
 CONE = "cone"
-"""The contact law of the paper, by its name in `timesim.engine.laws`."""
+"""The contact law of the paper, by its name in `timesim.engine.law.table`."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Contact:
         tangential_stiffness: K_u, symmetric positive definite, or zero together with friction 0, shape (2, 2).
         normal_stiffness: k_v.
         preload: n0; negative is a gap of ``-n0 / k_v``.
-        law: name of the law that it obeys, see `timesim.engine.laws`.
+        law: name of the law that it obeys, see `timesim.engine.law.table`.
         law_parameters: what this law has beside the above, by name, in the units of the scene.
     """
 

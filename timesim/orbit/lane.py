@@ -9,8 +9,8 @@ from typing import Self
 import jax
 import numpy as np
 
-from timesim.engine.contact import ConeLaw
 from timesim.engine.history import between
+from timesim.engine.law.cone import ConeLaw
 from timesim.engine.solver import Control, step_control
 from timesim.engine.step import Status, Step, Trajectory
 from timesim.engine.system import Point, System, system_of

@@ -26,8 +26,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from timesim.engine.contact_law import State
 from timesim.engine.lanes import batch_last, over_lanes
+from timesim.engine.law.contact_law import State
 from timesim.engine.method import Method, looped
 from timesim.engine.step import Step, transition
 from timesim.engine.system import Point, System

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, Tag, ValidationInfo, model_validator
 
-from timesim.engine.laws import LAWS
+from timesim.engine.law.table import LAWS
 from timesim.fault import nearest
 from timesim.model.model import CONE, GROUND, Contact
 from timesim.scene.section import Section, by_form, form, refuse
@@ -36,7 +36,7 @@ class LawSection(Section):
     __pydantic_extra__: dict[str, Number]
 
     name: Text
-    """One of `timesim.engine.laws.LAWS`."""
+    """One of `timesim.engine.law.table.LAWS`."""
 
     @model_validator(mode="after")
     def _known(self) -> Self:

@@ -32,7 +32,7 @@ from timesim.result.label import in_words
 from timesim.result.state import states_in
 from timesim.scene.hbm import ComparePlan
 from timesim.scene.resolution import Scene
-from timesim.study.campaign import INTERRUPTED, Execution
+from timesim.study.execution.campaign import INTERRUPTED, Execution
 from timesim.study.hbm import Curves, followed, left_out
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import jump_lines

@@ -18,7 +18,7 @@ from timesim.model.model import STATE_NAMES, Contact
 from timesim.result.dataset import dataset
 from timesim.scene.element import ElementPlan
 from timesim.scene.resolution import Scene
-from timesim.study.campaign import Execution
+from timesim.study.execution.campaign import Execution
 from timesim.study.outcome import Outcome, attributes
 
 # Above these the two ways do not agree: transitions [rad], forces relative to the largest mu n.

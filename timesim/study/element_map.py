@@ -27,9 +27,9 @@ from timesim.orbit.extrapolation import limits, remaining
 from timesim.result.dataset import dataset
 from timesim.scene.element import MAP_AXES, MapPlan
 from timesim.scene.resolution import Scene
-from timesim.study.campaign import INTERRUPTED, Execution, Progress
+from timesim.study.execution.campaign import INTERRUPTED, Execution, Progress
+from timesim.study.execution.worker import threads
 from timesim.study.outcome import Outcome, attributes
-from timesim.study.worker import threads
 
 BATCH = 256
 MAX_CYCLES = 300

@@ -24,7 +24,7 @@ from timesim.result.state import SavedStates, SweepPoint, settled_points, start_
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
 from timesim.scene.study import combinations
-from timesim.study.campaign import Execution, Progress
+from timesim.study.execution.campaign import Execution, Progress
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.verdict import convergence_lines, curve_lines
 

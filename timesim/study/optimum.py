@@ -22,7 +22,7 @@ from timesim.orbit.steady_state import Orbit, columns_of
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import OptimumPlan
-from timesim.study.campaign import Chunk, Execution, Result, carry_through, halted
+from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through, halted
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import failure_line, optimum_lines
 

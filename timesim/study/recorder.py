@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from timesim.engine.contact_law import ContactLaw, Motion
 from timesim.engine.history import CycleTotals, Events, Samples, Steps, events, sample, stored_energy
-from timesim.engine.laws import law_class
+from timesim.engine.law.contact_law import ContactLaw, Motion
+from timesim.engine.law.table import law_class
 from timesim.engine.trajectory import Run
 from timesim.model.model import Model
 from timesim.model.scales import scales_of

@@ -23,7 +23,7 @@ from timesim.result.netcdf import joined
 from timesim.scene import file, resolution
 from timesim.scene.resolution import Scene
 from timesim.scene.study import StudySection
-from timesim.study.campaign import Execution, ExecutionError
+from timesim.study.execution.campaign import Execution, ExecutionError
 from timesim.study.outcome import Outcome
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from timesim.orbit.steady_state import COLUMNS, START, Orbit, columns_of, end_of
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan, combinations
-from timesim.study.campaign import Chunk, Execution, Result, carry_through, halted
+from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through, halted
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import failure_line, sweep_lines
 

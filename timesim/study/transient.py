@@ -12,7 +12,7 @@ from timesim.model.contact_state import slip_follows_motion
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.transient import Schedule
-from timesim.study.campaign import Execution, Progress
+from timesim.study.execution.campaign import Execution, Progress
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.recorder import Recorder, contact_forces
 from timesim.study.report import transient_lines

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from timesim.engine.barrier import apart
-from timesim.engine.contact_law import (
+from timesim.engine.law.contact_law import (
     ContactLaw,
     Motion,
     Plane,

@@ -27,9 +27,9 @@ from timesim.result import checkpoint, file
 from timesim.result.change import fingerprint
 from timesim.result.file import StoreError
 from timesim.result.netcdf import open_result
-from timesim.study import campaign, worker
 from timesim.study import registry as study
-from timesim.study.campaign import Chunk, Execution, ExecutionError, carry_through
+from timesim.study.execution import campaign, worker
+from timesim.study.execution.campaign import Chunk, Execution, ExecutionError, carry_through
 
 
 def carried(
@@ -490,7 +490,7 @@ def test_workers_that_would_do_other_work(found: dict[str, Any], message: str):
 
 # The commands
 
-OSCILLATOR = str(Path(__file__).parents[2] / "configs" / "oscillator.yaml")
+OSCILLATOR = str(Path(__file__).parents[3] / "configs" / "oscillator.yaml")
 TOY_SWEEP = "study={kind: sweep, frequency: {from: 1.0, to: 1.5, step: 0.1}}"
 
 

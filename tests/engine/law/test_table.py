@@ -12,7 +12,7 @@ from simulation import FINE, REFERENCE, simulate
 from timesim.element.elements import single_element
 from timesim.element.motion import HarmonicMotion
 from timesim.element.state_by_state import steady_cycle
-from timesim.engine.laws import LAWS, LawEntry, law_class
+from timesim.engine.law.table import LAWS, LawEntry, law_class
 from timesim.hbm.balance import Balance
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import CONE, SEPARATION, SLIP, Contact, Model
@@ -58,7 +58,7 @@ def test_a_law_is_found_by_its_name() -> None:
 
 
 def test_the_table_loads_no_jax() -> None:
-    code = "import sys, timesim.engine.laws; sys.exit('jax' in sys.modules)"
+    code = "import sys, timesim.engine.law.table; sys.exit('jax' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -17,7 +17,7 @@ from timesim.result import checkpoint
 from timesim.result.change import fingerprint
 from timesim.result.checkpoint import INTERRUPTED, Checkpoint, Manifest
 from timesim.result.file import StoreError
-from timesim.study.worker import (
+from timesim.study.execution.worker import (
     Chunk,
     ExecutionError,
     Result,
@@ -94,7 +94,7 @@ def carry_through(
 
     Args:
         chunks: each one below the chunk that it comes after.
-        work: gives the result of a chunk: `timesim.study.worker.Work`.
+        work: gives the result of a chunk: `timesim.study.execution.worker.Work`.
         execution: how it is carried out.
 
     Keyword Args:

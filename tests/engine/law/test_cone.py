@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from timesim.engine.contact import ConeLaw, incipient_direction, slip_direction, slip_speed
-from timesim.engine.contact_law import Motion, dot, length, product
+from timesim.engine.law.cone import ConeLaw, incipient_direction, slip_direction, slip_speed
+from timesim.engine.law.contact_law import Motion, dot, length, product
 from timesim.model.model import GROUND, SEPARATION, SLIP, STICK, Contact
 
 RNG = np.random.default_rng(20)

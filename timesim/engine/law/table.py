@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from timesim.model.model import CONE, Contact
 
 if TYPE_CHECKING:
-    from timesim.engine.contact_law import ContactLaw
+    from timesim.engine.law.contact_law import ContactLaw
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,7 @@ class LawEntry:
     """Where a contact law is.
 
     Attributes:
-        module, name: module and class, final under `timesim.engine.contact_law.ContactLaw`.
+        module, name: module and class, final under `timesim.engine.law.contact_law.ContactLaw`.
         parameters: names of its own parameters, beside those of `timesim.model.model.Contact`; each a number that
             stands in ``law_parameters`` of a contact, in the units of the scene.
     """
@@ -27,7 +27,7 @@ class LawEntry:
 
 
 LAWS = {
-    CONE: LawEntry("timesim.engine.contact", "ConeLaw"),
+    CONE: LawEntry("timesim.engine.law.cone", "ConeLaw"),
 }
 
 
