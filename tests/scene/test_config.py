@@ -579,7 +579,13 @@ def test_files_that_no_result_are(tmp_path: Path):
 def test_describe_names_every_part():
     scene = load_scene(CONFIGS / "oscillator.yaml")
     report = describe(scene)
-    assert report["structure"] == ("2 modes, 0.9 to 1.1 Hz", "damping ratio 0.02", "points: tip")
+    assert report["structure"] == (
+        "2 modes, 0.9 to 1.1 Hz",
+        "natural frequencies without contacts: 0.9, 1.1 Hz",
+        "natural frequencies with every contact stuck: 1.41464, 1.59744 Hz",
+        "damping ratio 0.02",
+        "points: tip",
+    )
     assert "same tangential stiffness" in report["left out or simplified"][0]
     assert "preload 3" in report["contacts"][0]
     assert "warnings" not in report
@@ -636,6 +642,24 @@ def test_modes_far_above_the_excitation_are_worth_a_warning():
     (warning,) = load_scene(CONFIGS / "blade.yaml", ["structure.keep_modes=24"]).warnings()
     assert "330695 Hz" in warning
     assert "keep_modes" in warning
+
+
+def test_damping_given_in_percent_and_a_result_of_gigabytes_are_worth_a_warning():
+    (warning,) = load_scene(CONFIGS / "oscillator.yaml", ["structure.modes.1.damping_ratio=2"]).warnings()
+    assert warning.startswith("structure: damping ratio 2 of mode 2 at 1.1 Hz")
+    assert load_scene(CONFIGS / "oscillator.yaml", ["structure.modes.1.damping_ratio=0.99"]).warnings() == []
+    long = ["study.cycles=100000", "study.samples_per_cycle=200"]
+    (warning,) = load_scene(CONFIGS / "oscillator.yaml", [*long, "study.record_last=100000"]).warnings()
+    assert warning.startswith("study: 20000001 samples make a result of 2.2 GB")
+    assert load_scene(CONFIGS / "oscillator.yaml", [*long, "study.record_last=10"]).warnings() == []
+
+
+def test_natural_frequencies_with_contacts_absent_and_stuck():
+    """Springs (2 pi)^2 along x and z; stuck, 10 and 20 are added to them."""
+    lines = describe(load_scene(one_mass()))["structure"]
+    stuck = np.sqrt((2 * np.pi) ** 2 + np.array([10.0, 20.0])) / (2 * np.pi)
+    assert lines[1] == "natural frequencies without contacts: 1, 1 Hz"
+    assert lines[2] == f"natural frequencies with every contact stuck: {stuck[0]:.6g}, {stuck[1]:.6g} Hz"
 
 
 def test_nothing_moves_is_worth_a_warning():

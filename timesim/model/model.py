@@ -162,17 +162,21 @@ class Model:
         return np.stack([self._relative_shape(contact) for contact in self.contacts])
 
     @property
-    def stuck_rate(self) -> float:
-        """Fastest rate with every contact stuck [rad/time]: the highest circular frequency, or decay."""
-        root = np.sqrt(self.structure.mass)
+    def stuck_omega(self) -> np.ndarray:
+        """Circular natural frequencies with every contact stuck, ascending, shape (M,) [rad/time]."""
         stiffness = np.diag(self.structure.omega**2)
-        for contact, shape in zip(self.contacts, self.contact_shape / root, strict=True):
+        for contact, shape in zip(self.contacts, self.contact_shape / np.sqrt(self.structure.mass), strict=True):
             stiffness += shape[:2].T @ contact.tangential_stiffness @ shape[:2]
             stiffness += contact.normal_stiffness * np.outer(shape[2], shape[2])
-        damping = self.structure.damping
+        return np.sqrt(np.maximum(np.linalg.eigvalsh(stiffness), 0.0))
+
+    @property
+    def stuck_rate(self) -> float:
+        """Fastest rate with every contact stuck [rad/time]: the highest circular frequency, or decay."""
+        root, damping = np.sqrt(self.structure.mass), self.structure.damping
         damping = np.diag(damping) if damping.ndim == 1 else damping
         decay = np.linalg.eigvalsh(damping / np.outer(root, root))[-1]
-        return float(max(np.sqrt(np.linalg.eigvalsh(stiffness)[-1]), decay))
+        return float(max(self.stuck_omega[-1], decay))
 
     def _relative_shape(self, contact: Contact) -> np.ndarray:
         points, shape = self.structure.points, self.structure.shape

@@ -115,6 +115,9 @@ def _structure_lines(model: Model) -> Iterator[str]:
     count = "1 mode" if frequency.size == 1 else f"{frequency.size} modes"
     span = f"{frequency[0]:.6g} Hz" if frequency.size == 1 else f"{frequency[0]:.6g} to {frequency[-1]:.6g} Hz"
     yield f"{count}, {span}"
+    yield f"natural frequencies without contacts: {_listed(frequency)} Hz"
+    if model.contacts:
+        yield f"natural frequencies with every contact stuck: {_listed(model.stuck_omega / (2 * np.pi))} Hz"
     if structure.damping.ndim == 2:
         yield "damping: a whole matrix, which the modes do not diagonalise"
     elif not np.any(structure.damping):
@@ -125,6 +128,12 @@ def _structure_lines(model: Model) -> Iterator[str]:
         low, high = ratio.min(), ratio.max()
         yield f"damping ratio {low:.4g}" + ("" if np.isclose(low, high, rtol=1e-9) else f" to {high:.4g}")
     yield f"points: {', '.join(structure.points)}"
+
+
+def _listed(numbers: np.ndarray) -> str:
+    """Ascending numbers, those between the first few and the last left out where there are many."""
+    texts = [f"{number:.6g}" for number in numbers]
+    return ", ".join(texts if len(texts) <= LISTED else (*texts[: LISTED - 2], "…", texts[-1]))
 
 
 def _excitation_lines(model: Model) -> Iterator[str]:

@@ -24,8 +24,10 @@ from timesim.scene.source import SceneSource, empty_values, overridden, read
 from timesim.scene.structure import BuiltStructure, ExcitationSection
 from timesim.scene.study import Context, combinations
 from timesim.scene.text import yaml_text
+from timesim.scene.transient import Schedule
 
 NO_FORCE = ExcitationSection()
+LARGE_RESULT = 1.0  # gigabytes of samples
 FAR_ABOVE = 100.0
 """Modes from matrices above this multiple of the highest excitation frequency are worth a warning."""
 
@@ -117,7 +119,7 @@ class Scene:
 
     def warnings(self) -> list[str]:
         """What is accepted but may not be intended."""
-        return list(_warnings(self.file, self._built.model))
+        return list(_warnings(self.file, self.plan, self._built.model))
 
 
 def load_scene(
@@ -259,7 +261,7 @@ class _Build:
         return model
 
 
-def _warnings(file: SceneFile, model: Model | None) -> Iterator[str]:
+def _warnings(file: SceneFile, plan: Any, model: Model | None) -> Iterator[str]:
     frequency = file.excitation.frequency if file.excitation else None
     if frequency is not None and not file.study.uses_frequency:
         yield f"excitation.frequency is not used: the frequencies of the {file.study.kind} study rule"
@@ -270,6 +272,7 @@ def _warnings(file: SceneFile, model: Model | None) -> Iterator[str]:
         return
     yield from model.notes
     yield from _still_parts(file, model)
+    yield from _large_numbers(plan, model)
     highest = (frequency or 0.0) * model.excitation.harmonic.max()
     ratio = model.structure.frequency[-1] / highest if highest else 0.0
     if ratio > FAR_ABOVE and not hasattr(file.structure, "modes"):
@@ -278,6 +281,21 @@ def _warnings(file: SceneFile, model: Model | None) -> Iterator[str]:
         reach = f"{model.structure.frequency[keep - 1]:.6g} Hz"
         advice = f"structure.keep_modes: {keep} would reach {reach}"
         yield f"the modes kept reach {top}, which costs steps; {advice}"
+
+
+def _large_numbers(plan: Any, model: Model) -> Iterator[str]:
+    structure = model.structure
+    if structure.damping.ndim == 1:
+        critical = np.flatnonzero(structure.damping > 2 * structure.mass * structure.omega * (1 - 1e-9))
+        for mode in critical[structure.omega[critical] > 0][:1]:
+            ratio = structure.damping[mode] / (2 * structure.mass[mode] * structure.omega[mode])
+            place = f"mode {mode + 1} at {structure.frequency[mode]:.6g} Hz"
+            yield f"structure: damping ratio {ratio:.4g} of {place}: from 1 on it does not oscillate; 1 % is 0.01"
+    if isinstance(plan, Schedule):
+        gigabytes = 8e-9 * plan.num_samples * (6 * len(structure.points) + 8 * model.num_contacts)
+        if gigabytes > LARGE_RESULT:
+            advice = "record_last or a smaller samples_per_cycle would do with less"
+            yield f"study: {plan.num_samples} samples make a result of {gigabytes:.2g} GB; {advice}"
 
 
 def _still_parts(file: SceneFile, model: Model) -> Iterator[str]:

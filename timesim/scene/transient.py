@@ -35,6 +35,11 @@ class Schedule:
         ends = np.array([0.0, *accumulate(cycles / frequency for frequency, cycles in self.phases)])
         return ends - ends[self.run_up]
 
+    @property
+    def num_samples(self) -> int:
+        """Samples that are kept, both ends of the recorded cycles included."""
+        return (sum(cycles for _, cycles in self.phases) - self.first) * self.samples_per_cycle + 1
+
     def sample_times(self) -> np.ndarray:
         """Times of the samples [s], both ends of the recorded cycles included."""
         edges, cycle, times = self.edges(), 0, []
