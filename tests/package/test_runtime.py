@@ -29,6 +29,12 @@ def python(code, **environment):
     return done.stdout, done.stderr
 
 
+@pytest.fixture(autouse=True)
+def _flags_of_the_host_are_away(monkeypatch):
+    """The names of folders hold the instructions that these flags allow; the processes of `python` have none."""
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+
+
 def test_this_jax_multiplies_many_vectors_right():
     """0.10.2 gives some rows of a batch, from 16,385 on, the values of others (jax-ml/jax#39103)."""
     x = np.random.default_rng(0).normal(size=(16_385, 3))
