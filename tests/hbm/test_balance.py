@@ -77,7 +77,7 @@ def test_modes_of_any_mass_lead_back_to_the_motion_of_the_contacts(coupling):
     damping[0, 1] = damping[1, 0] = coupling * np.sqrt(damping[0, 0] * damping[1, 1])
     heavy = replace(model, structure=replace(body, mass=mass, damping=damping))
     balance = Balance(heavy, 0.97, Scheme(5, 256))
-    solution = solve(balance, next(first_guesses(balance, 0.97, Controls())), 0.97, Controls())
+    solution = solve(balance, next(first_guesses(balance, 0.97, Controls()))[1], 0.97, Controls())
     assert solution is not None
     modal = balance.modes(solution[0], balance.contact_forces(solution[0]), 0.97)
     np.testing.assert_allclose(unknowns_of_modes(balance, to_coefficients(modal.T).T), solution[0], atol=1e-8)
@@ -87,7 +87,7 @@ def test_a_structure_that_is_singular_at_its_own_frequency_has_no_response():
     """Undamped modes, as a matrix: one of them is not touched by the contact and meets its natural frequency."""
     model = systems.two_stops((1.0, 1.0))
     body = replace(model.structure, damping=np.zeros((2, 2)), frequency=np.array([1.0, 0.8]))
-    free = replace(model, structure=body, contacts=model.contacts[1:])
+    free = replace(model, structure=body, contacts=model.contacts[1:], start=systems.at_rest(2, 1))
     with np.errstate(all="ignore"):
         curve = hbm_curve(free, 1.0, 1.1, scheme=Scheme(3, 64))
     assert curve.ending is Ending.START
@@ -299,6 +299,24 @@ def test_no_start_gives_an_empty_curve_with_the_reason():
     assert curve.frequency.size == 0
     assert not curve.complete
     assert "no solution at the start" in curve.message
+
+
+def test_time_integration_leads_to_the_first_solution():
+    """Near enough for Newton's method where the contact slips and separates, also of a motion that has not settled."""
+    model = systems.oscillator(-1.0, 0.97)
+    balance = Balance(model, 0.97, Scheme(5, 256))
+    known = hbm_curve(model, 0.97, 1.0, scheme=Scheme(5, 256))
+    assert known.slip_share[0, 0] > 0.05
+    assert known.separation_share[0, 0] > 0.05
+    *others, (way, guess) = first_guesses(balance, 0.97, Controls())
+    assert way == "time integration, which settles"
+    assert guess is not None
+    solution = solve(balance, guess, 0.97, Controls())
+    assert solution is not None
+    assert np.linalg.norm(solution[0] - guess) < 0.02 * np.linalg.norm(guess)
+    motion = balance.coefficients(solution[0])[0] * balance.length
+    np.testing.assert_allclose(motion, known.contact_motion[0, 0], atol=1e-6)
+    assert others[-1][0] == "a load that grows from zero, up to 100% of it"
 
 
 def test_too_many_transitions_end_a_curve_with_the_reason(monkeypatch: pytest.MonkeyPatch):

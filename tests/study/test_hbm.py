@@ -254,7 +254,8 @@ def test_a_curve_without_a_start_is_reported_and_the_others_stay():
         outcome = carry_out(load_scene(free))
     assert outcome.reason is not None
     assert "structure.modes.0.damping_ratio 0: continuation at 1" in outcome.reason
-    assert "no solution at the start" in outcome.reason
+    assert "no solution at the start; tried: the linear response" in outcome.reason
+    assert "up to 0% of it, time integration, which does not settle" in outcome.reason
     assert set(outcome.groups[""]["structure.modes.0.damping_ratio"].values) == {0.01}
 
 

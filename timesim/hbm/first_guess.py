@@ -1,12 +1,21 @@
-"""Guesses for the first solution of a curve."""
+"""Guesses for the first solution of a curve, the cheapest first; a motion of time integration always exists."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
+from timesim.engine.trajectory import RunError
 from timesim.hbm.balance import Array, Balance, contact_stiffness
 from timesim.hbm.continuation import Controls, Curve, Ending, follow
+from timesim.model.solver import PRESETS, Criterion
+from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.fourier import to_coefficients
+from timesim.orbit.settling import Chain, steady_states
+
+RAMP_POINTS = 200
+SOLVER, SETTLED = PRESETS["standard"], Criterion(1e-6, 500)
+"""How the motion of a time integration is sought; Newton's method needs it no closer."""
 
 
 def unknowns_of_modes(balance: Balance, modal: Array) -> Array:
@@ -27,22 +36,53 @@ def curve_near(
     balance: Balance, frequency: float, controls: Controls, guess: Array | None, followed: Callable[[Array], Curve]
 ) -> Curve:
     """The curve through a solution near a modal guess, or else near the first of `first_guesses` that leads to one."""
-    guesses = first_guesses(balance, frequency, controls) if guess is None else [unknowns_of_modes(balance, guess)]
-    for first in guesses:
-        curve = followed(first)
-        if curve.ending is not Ending.START:
-            break
-    return curve
+    if guess is not None:
+        return followed(unknowns_of_modes(balance, guess))
+    tried = []
+    for way, first in first_guesses(balance, frequency, controls):
+        tried.append(way)
+        if first is not None:
+            curve = followed(first)
+            if curve.ending is not Ending.START:
+                return curve
+    return replace(curve, message=f"{curve.message}; tried: {', '.join(tried)}")
 
 
-def first_guesses(balance: Balance, frequency: float, controls: Controls) -> Iterator[Array]:
-    """Linear responses with each contact stuck or absent; the last guess is reached under a load that grows from 0."""
+Guess = tuple[str, Array | None]
+"""A way to a first solution in words, and where it leads to; None if it leads nowhere."""
+
+
+def first_guesses(balance: Balance, frequency: float, controls: Controls) -> Iterator[Guess]:
+    """Linear responses, a load that grows from zero, and the motion to which a time integration settles."""
     closed = np.array([contact.preload > 0 for contact in balance.model.contacts], dtype=float)
     for stuck in (closed, np.ones_like(closed), np.zeros_like(closed), closed / 2):
-        yield _linear_guess(balance, frequency, stuck)
-    ramp = follow(_LoadRamp(balance, frequency), np.zeros(balance.num_unknowns), 0.0, 1.0, controls)
-    if ramp.complete:
-        yield ramp.x[-1]
+        contacts = ", ".join(f"{share:g}" for share in stuck)
+        yield f"the linear response with contacts stuck by {contacts}", _linear_guess(balance, frequency, stuck)
+    yield _ramped(balance, frequency, controls)
+    yield _settled(balance, frequency)
+
+
+def _ramped(balance: Balance, frequency: float, controls: Controls) -> Guess:
+    few = replace(controls, max_points=min(controls.max_points, RAMP_POINTS))
+    ramp = follow(_LoadRamp(balance, frequency), np.zeros(balance.num_unknowns), 0.0, 1.0, few)
+    reached = ramp.p[-1] if ramp.p.size else 0.0
+    return f"a load that grows from zero, up to {reached:.0%} of it", ramp.x[-1] if ramp.complete else None
+
+
+def _settled(balance: Balance, frequency: float) -> Guess:
+    """The last cycle of a march: of a motion that has not settled, or repeats after several cycles, a guess too."""
+    model = balance.model
+    ((orbit,),) = steady_states([Chain(model, (frequency,))], SOLVER, SETTLED)
+    if orbit.reason is not None:
+        return f"time integration, which fails ({orbit.reason})", None
+    kind = f"which does not settle in {SETTLED.max_cycles} cycles"
+    if orbit.settled:
+        kind = "which settles" if orbit.period == 1 else f"which repeats after {orbit.period} cycles"
+    try:
+        modal = modal_coefficients(replace(model, start=orbit.end), frequency, SOLVER)
+    except RunError as error:
+        return f"time integration, which fails ({error})", None
+    return f"time integration, {kind}", unknowns_of_modes(balance, modal)
 
 
 def _linear_guess(balance: Balance, frequency: float, stuck: Array) -> Array:
