@@ -110,11 +110,13 @@ def linearised(
     start = _stuck_start(law, basis, motion, period.stuck) if sticks.any() else np.zeros_like(by_motion)
     unique = (np.abs(np.linalg.det(change)) > 1e-13) & ~sticks
     start[unique] = np.linalg.solve(change[unique], by_motion[unique])
-    whole = tangents[..., :-2] + np.einsum("tcij,cjk->tcik", tangents[..., -2:], start)
-    force = np.stack(product(tuple(np.asarray(k)[:, None] for k in law.stiffness), (whole[:, :, 0], whole[:, :, 1])), 2)
-    num_contacts, size = whole.shape[1], basis.value.shape[1]
+    # Projected first: the samples are many, the coefficients few.
+    spectrum = np.tensordot(basis.project, tangents, 1).transpose(1, 2, 0, 3)
+    spectrum = spectrum[..., :-2] + spectrum[..., -2:] @ start[:, None]
+    stiffness = tuple(np.asarray(k)[:, None, None] for k in law.stiffness)
+    num_contacts, size = spectrum.shape[0], basis.value.shape[1]
     slope = np.zeros((num_contacts, 3, size, 3 * size))
-    slope[:, :2] = np.tensordot(basis.project, force, 1).transpose(1, 2, 0, 3)
+    slope[:, 0], slope[:, 1] = product(stiffness, (spectrum[:, 0], spectrum[:, 1]))
     touching = (np.asarray(period.force)[:, :, 2] > 0) * np.asarray(law.normal_stiffness)
     slope[:, 2, :, 2 * size :] = (basis.project * touching.T[:, None]) @ basis.value
     return forces_of(basis, period), slope.reshape(num_contacts, 3 * size, 3 * size)
