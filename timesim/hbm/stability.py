@@ -14,6 +14,7 @@ G. Floquet, Sur les équations différentielles linéaires à coefficients péri
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+import jax
 import numpy as np
 from scipy.linalg import expm
 
@@ -29,6 +30,8 @@ BORDER = 1 + 1e-3
 SAMPLES = 128
 # Entries of the maps over the intervals that are in memory at a time.
 MAX_ENTRIES = 2_000_000
+# Contacts, of several solutions, that one call evaluates.
+SIDE_BY_SIDE = 16
 
 
 def floquet_multipliers(balance: Balance, x: Array, frequency: Array, *, samples: int = SAMPLES) -> Array:
@@ -63,16 +66,19 @@ def _linearised(balance: Balance, coefficient: Array, samples: int) -> list[Arra
 
     Shapes (S, N, C, 2, 2), (S, N, C, 2, 3), (S, N, C, 2) and (S, N, C): the normal stiffness that acts at each sample.
     """
-    basis, law = basis_of(balance.scheme.harmonics, samples), balance.law
+    basis, count = basis_of(balance.scheme.harmonics, samples), max(1, SIDE_BY_SIDE // balance.num_contacts)
+    law = jax.tree.map(lambda leaf: np.tile(leaf, count), balance.law)
 
-    def local(own: Array) -> tuple[Array, ...]:
-        motion = motion_of(basis, own)
+    def local(own: Array) -> list[Array]:
+        motion = motion_of(basis, np.resize(own, (count, *own.shape[1:])).reshape(-1, *own.shape[2:]))
         period = closed_period(law, motion)
         slope = interval_slopes(law, starts_of(period), motion)
         touching = (np.asarray(period.force)[:, :, 2] > 0) * np.asarray(law.normal_stiffness)
-        return *map(np.asarray, (slope.carry, slope.change, slope.load)), touching
+        rows = (np.asarray(leaf) for leaf in (slope.carry, slope.change, slope.load, touching))
+        return [leaf.reshape(samples, count, -1, *leaf.shape[2:]).swapaxes(0, 1)[: len(own)] for leaf in rows]
 
-    return [np.stack(column) for column in zip(*map(local, coefficient), strict=True)]
+    parts = [local(coefficient[first : first + count]) for first in range(0, len(coefficient), count)]
+    return [np.concatenate(column) for column in zip(*parts, strict=True)]
 
 
 def _steps(balance: Balance, frequency: Array, samples: int) -> tuple[Array, Array, Array]:
