@@ -1,0 +1,96 @@
+"""Scenes of `configs` whose answers are known in closed form, or by symmetry; their comments derive them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import timesim
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+def run(name, **overrides):
+    return timesim.run(timesim.load_scene(CONFIGS / f"{name}.yaml", overrides))
+
+
+def turning_points(result):
+    """Extremes of the displacement along x, by the parabola through its rates at the samples beside them."""
+    x, v, t = (result[name].values.squeeze() for name in ("displacement", "velocity", "time"))
+    x, v = x[:, 0], v[:, 0]
+    i = np.flatnonzero(v[:-1] * v[1:] < 0)
+    until = v[i] / (v[i] - v[i + 1]) * np.diff(t)[i]
+    return x[i] + v[i] * until / 2
+
+
+def test_free_decay_under_dry_friction():
+    stiffness, limit, elastic = 2 * (2 * np.pi * 5) ** 2, 12.0, 6e-5
+    expected, here = [], 0.1
+    for sign in (-1, 1) * 4:
+        energy = stiffness * here**2 / 2 - limit * (here - 2 * elastic)
+        here = (np.sqrt(limit**2 + 2 * stiffness * energy) - limit) / stiffness
+        expected.append(sign * here)
+    np.testing.assert_allclose(turning_points(run("free_decay"))[:8], expected, rtol=0, atol=1e-7)
+    assert np.abs(expected[-1]) < 0.004
+    rigid = 0.1 - 2 * np.arange(1, 9) * limit / stiffness
+    np.testing.assert_allclose(np.abs(expected), rigid, atol=8 * 2 * elastic)
+
+
+def slider_frequencies(amplitude, force, limit=0.5, stiffness=1.0):
+    """Both frequencies [Hz] at which one harmonic of a given amplitude balances; NaN where it does not."""
+    elastic = limit / stiffness
+    theta = np.arccos(np.maximum(1 - 2 * elastic / amplitude, -1))
+    storing = stiffness / np.pi * (theta - np.sin(2 * theta) / 2)
+    losing = 4 * limit * np.maximum(amplitude - elastic, 0) / (np.pi * amplitude**2)
+    with np.errstate(invalid="ignore"):
+        drive = np.sqrt((force / amplitude) ** 2 - losing**2)
+        return np.sqrt([1 + storing - drive, 1 + storing + drive]) / (2 * np.pi)
+
+
+def test_one_harmonic_with_an_elastic_slider():
+    result = run("one_slider")
+    amplitude = result["harmonic_amplitude"].sel(point="body", axis="x", harmonic=1).values
+    slips = (amplitude > 0.51) & (amplitude < 0.999 * 0.5 / (1 - np.pi * 0.45 / 2))
+    assert np.count_nonzero(slips) > 20
+    known = slider_frequencies(amplitude[slips], 0.45)
+    error = np.abs(known / result["frequency"].values[slips] - 1).min(axis=0)
+    assert error.max() < 1e-5
+    assert amplitude.max() == pytest.approx(0.5 / (1 - np.pi * 0.45 / 2), rel=1e-3)
+
+
+def test_no_peak_where_the_force_exceeds_what_friction_can_dissipate():
+    """Above 4 mu N/pi the response grows without bound towards the natural frequency of the mass on its spring."""
+    ends = {"study.frequency": {"from": 0.127, "to": 0.1588}}
+    result = run("one_slider", **{"excitation.modal_force.0.amplitude": 0.7}, **ends)
+    amplitude = result["harmonic_amplitude"].sel(point="body", axis="x", harmonic=1).values[-1]
+    assert amplitude > 40
+    assert slider_frequencies(amplitude, 0.7)[0] == pytest.approx(0.1588, rel=1e-6)
+
+
+def test_the_loss_of_sliders_in_parallel_is_that_of_masing():
+    result = run("sliders")
+    amplitude = result["cycle_amplitude"].sel(point="body", axis="x").values[-1]
+    stiffness, limit = np.array([5.0, 10.0, 20.0]), np.array([0.4, 0.5, 0.3])
+    elastic = limit / stiffness
+    assert np.all(elastic < 0.5 * amplitude)
+    loading = np.where(amplitude > elastic, limit * (amplitude - elastic / 2), stiffness * amplitude**2 / 2)
+    loss = 8 * loading - 4 * amplitude * np.minimum(stiffness * amplitude, limit)
+    np.testing.assert_allclose(result["energy_friction"].values[-1], loss, rtol=1e-8)
+
+
+def test_two_masses_that_meet_move_as_one_at_a_wall():
+    both = run("two_masses")
+    x = both["displacement"].sel(axis="x").values
+    np.testing.assert_allclose(x[:, 0], -x[:, 1], atol=1e-9 * np.abs(x).max())
+    wall = {
+        "structure.matrices": {
+            "mass": [[25]], "stiffness": [[98696]], "damping_ratio": 0.07, "points": {"a": {"x": 0}}
+        },
+        "contacts.bumper.against": "ground",
+        "contacts.bumper.normal_stiffness": 5.76e7,
+        "excitation.forces": [{"point": "a", "direction": [1, 0, 0], "amplitude": 1000.0}],
+    }  # fmt: skip
+    alone = run("two_masses", **wall)
+    np.testing.assert_allclose(alone["displacement"].sel(axis="x").values[:, 0], x[:, 0], atol=1e-7 * np.abs(x).max())
+    assert alone.sizes["event"] == both.sizes["event"] > 40
+    assert np.abs(x).max() > 5 * x[:, 0].max()
