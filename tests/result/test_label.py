@@ -75,7 +75,7 @@ AXES = {
     "excitation.modal_force.0.phase_deg": [0.0],
 }
 OVER = {"over": AXES}
-RANGE = {"frequency": {"from": 1.245, "to": 1.265}, "step": 0.005, "width": 2e-3, "starts": 3}
+RANGE = {"frequency": {"from": 1.245, "to": 1.265}, "step": 0.005, "width": 2e-3, "starts": 5}
 ALONG = {"along": {"contacts.pad.preload": {"from": 3.0, "to": 4.4, "num": 3}}, "accuracy": 0.5}
 MOTION = {"A": 1.0, "B": 0.5, "phi_deg": 60.0, "D": 0.4, "psi_deg": 20.0}
 MAPS: dict[str, dict[str, Any]] = {

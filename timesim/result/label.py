@@ -77,7 +77,6 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "amplitude_band": ("smallest and largest amplitude of one of the cycles that were measured", "length"),
     "band": ("end of the band of amplitudes", None),
     "failure": ("why the point could not be computed; empty where it was", None),
-    "jump": ("number of the jump", None),
     "jump_low": ("lower end of the step of frequency over a jump; over a jump or a slope if jumps_bisected is 0", "Hz"),
     "jump_high": (
         "upper end of that step",
