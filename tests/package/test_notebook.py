@@ -87,8 +87,13 @@ def test_wrong_arguments_are_named(call, message):
         call()
 
 
-def test_the_example_of_the_readme_runs(tmp_path, monkeypatch):
+def test_the_examples_of_the_readme_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     section = (ROOT / "README.md").read_text().split("From Python")[1]
-    for code in re.findall(r"```python\n(.*?)```", section, re.S)[:2]:
-        exec(compile(code.replace("configs/", f"{ROOT}/configs/"), "README.md", "exec"), {})
+    from_file, from_arrays = re.findall(r"```python\n(.*?)```", section, re.S)
+    names = {}
+    for code in (from_file, from_arrays):
+        exec(compile(code.replace("configs/", f"{ROOT}/configs/"), "README.md", "exec"), names)
+    assert re.fullmatch(r"0\.\d+ \d+ transitions\n", capsys.readouterr().out)
+    assert names["run"].sizes["cycle"] == 5
+    assert len(list((tmp_path / "pictures").glob("*.png"))) == 7

@@ -751,5 +751,7 @@ def test_any_value_at_any_key_is_accepted_or_refused_by_name(key: str, value: An
 @settings(max_examples=100, deadline=None)
 @given(st.text(alphabet="ab:-[]{}&*!|>'\"# \n\t%,?1.e", max_size=60))
 def test_any_text_is_read_or_refused(text: str):
+    data = None
     with contextlib.suppress(RuleError):
-        parse(text)
+        data = {"document": parse(text)[0]}
+    assert data is None or parse(yaml_text(data))[0] == data
