@@ -49,6 +49,13 @@ class Structure:
         return 2 * np.pi * self.frequency
 
     @property
+    def damping_ratio(self) -> np.ndarray:
+        """Of each mode, shape (M,); of a damping matrix, its diagonal's. NaN where the frequency is 0."""
+        damping = np.diagonal(self.damping) if self.damping.ndim == 2 else self.damping
+        critical = 2 * self.mass * self.omega
+        return np.divide(damping, critical, out=np.full(critical.size, np.nan), where=critical > 0)
+
+    @property
     def stiffness(self) -> np.ndarray:
         """Modal stiffness ``m omega^2``, shape (M,)."""
         return self.mass * self.omega**2

@@ -123,8 +123,7 @@ def _structure_lines(model: Model) -> Iterator[str]:
     elif not np.any(structure.damping):
         yield "damping: none"
     else:
-        moving = frequency > 0
-        ratio = structure.damping[moving] / (2 * structure.mass * structure.omega)[moving]
+        ratio = structure.damping_ratio[frequency > 0]
         low, high = ratio.min(), ratio.max()
         yield f"damping ratio {low:.4g}" + ("" if np.isclose(low, high, rtol=1e-9) else f" to {high:.4g}")
     yield f"points: {', '.join(structure.points)}"

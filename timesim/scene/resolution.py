@@ -285,12 +285,10 @@ def _warnings(file: SceneFile, plan: Any, model: Model | None) -> Iterator[str]:
 
 def _large_numbers(plan: Any, model: Model) -> Iterator[str]:
     structure = model.structure
-    if structure.damping.ndim == 1:
-        critical = np.flatnonzero(structure.damping > 2 * structure.mass * structure.omega * (1 - 1e-9))
-        for mode in critical[structure.omega[critical] > 0][:1]:
-            ratio = structure.damping[mode] / (2 * structure.mass[mode] * structure.omega[mode])
-            place = f"mode {mode + 1} at {structure.frequency[mode]:.6g} Hz"
-            yield f"structure: damping ratio {ratio:.4g} of {place}: from 1 on it does not oscillate; 1 % is 0.01"
+    for mode in np.flatnonzero(structure.damping_ratio > 1 - 1e-9)[:1]:
+        place = f"mode {mode + 1} at {structure.frequency[mode]:.6g} Hz"
+        ratio = f"damping ratio {structure.damping_ratio[mode]:.4g} of {place}"
+        yield f"structure: {ratio}: from 1 on it does not oscillate; 1 % is 0.01"
     if isinstance(plan, Schedule):
         gigabytes = 8e-9 * plan.num_samples * (6 * len(structure.points) + 8 * model.num_contacts)
         if gigabytes > LARGE_RESULT:
