@@ -1,5 +1,6 @@
 """What the sections of the studies share: their base class, scalars of the scene that they vary, sweeps."""
 
+import abc
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
@@ -108,13 +109,13 @@ class StudySection(Section):
 
     kind: str
 
+    @abc.abstractmethod
     def plan(self, context: Context) -> Any:
         """What is to be computed, in numbers: a frozen dataclass that the study carries out.
 
         Raises:
             RuleError: the section does not fit the rest of the scene; the key is relative to the study.
         """
-        raise NotImplementedError
 
     def problems(self, model: Model) -> Iterator[RuleError]:
         """What is wrong with the study for a model, keys from the root of the scene; nothing by default."""
@@ -182,9 +183,9 @@ class SteadySection(StudySection):
         """When a motion counts as settled, in numbers."""
         return Criterion(self.settle.tolerance, self.settle.max_cycles, self.periodic == "shoot")
 
+    @abc.abstractmethod
     def sweep(self) -> SweepPlan:
         """The sweep that it consists of or begins with, in numbers."""
-        raise NotImplementedError
 
     def lowest_frequency(self) -> float:
         """The first of the sweep."""
