@@ -13,7 +13,8 @@ import systems
 
 from timesim.element import state_by_state
 from timesim.hbm.balance import Balance
-from timesim.hbm.continuation import Controls, Ending, solve
+from timesim.hbm.continuation import Controls, Ending
+from timesim.hbm.corrector import solve
 from timesim.hbm.curve import hbm_curve, solutions_at
 from timesim.hbm.first_guess import first_guesses, unknowns_of_modes
 from timesim.hbm.scheme import Scheme

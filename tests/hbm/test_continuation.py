@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from timesim.hbm.continuation import Controls, Ending, follow, follow_both_ways, solve
+from timesim.hbm.continuation import Controls, Ending, follow, follow_both_ways
+from timesim.hbm.corrector import solve
 
 CONTROLS = Controls(size=0.1)
 

@@ -158,17 +158,6 @@ def follow_both_ways(
     return replace(whole, ending=worse.ending, message=worse.message)
 
 
-def solve(residual: Residual, guess: Array, p: float, controls: Controls) -> tuple[Array, int] | None:
-    """Solution near a guess at one value of the parameter, and the sign of det dr/dx; None if Newton's method fails."""
-    corrector = Corrector(residual, controls, abs(p) or 1.0, guess)
-    normal = np.append(np.zeros(guess.size), 1.0)
-    try:
-        point = corrector.damped_newton(corrector.in_units(guess, p), normal)
-    except NoSolutionError:
-        return None
-    return corrector.unscaled(point.y)[0], point.determinant
-
-
 @dataclass(frozen=True)
 class _Step:
     """A step along the curve: where it leads, its length of arc, and the length to try next."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from timesim.hbm.balance import Array, Balance
-from timesim.hbm.continuation import Controls, solve
+from timesim.hbm.corrector import Controls, solve
 from timesim.hbm.scheme import MIN_SAMPLES, Scheme
 from timesim.model.model import Model
 from timesim.orbit.fourier import half_range

@@ -217,3 +217,14 @@ def _tangent(factors: Factors) -> tuple[Array, int]:
     num_negative = np.count_nonzero(np.diag(lu) < 0) + np.count_nonzero(pivots != np.arange(pivots.size))
     sign = int(np.sign(tangent[-1])) * (-1) ** int(num_negative)
     return tangent / np.linalg.norm(tangent), sign
+
+
+def solve(residual: Residual, guess: Array, p: float, controls: Controls) -> tuple[Array, int] | None:
+    """Solution near a guess at one value of the parameter, and the sign of det dr/dx; None if Newton's method fails."""
+    corrector = Corrector(residual, controls, abs(p) or 1.0, guess)
+    normal = np.append(np.zeros(guess.size), 1.0)
+    try:
+        point = corrector.damped_newton(corrector.in_units(guess, p), normal)
+    except NoSolutionError:
+        return None
+    return corrector.unscaled(point.y)[0], point.determinant

@@ -55,9 +55,17 @@ Guess = tuple[str, Array | None]
 def first_guesses(balance: Balance, frequency: float, controls: Controls) -> Iterator[Guess]:
     """Linear responses, a load that grows from zero, and the motion to which a time integration settles."""
     closed = np.array([contact.preload > 0 for contact in balance.model.contacts], dtype=float)
-    for stuck in (closed, np.ones_like(closed), np.zeros_like(closed), closed / 2):
-        contacts = ", ".join(f"{share:g}" for share in stuck)
-        yield f"the linear response with contacts stuck by {contacts}", _linear_guess(balance, frequency, stuck)
+    states = {
+        "stuck where they are closed at rest": closed,
+        "all stuck": np.ones_like(closed),
+        "absent": np.zeros_like(closed),
+        "half as stiff where they are closed at rest": closed / 2,
+    }
+    tried: set[tuple[float, ...]] = set()
+    for way, stuck in states.items():
+        if tuple(stuck) not in tried:
+            tried.add(tuple(stuck))
+            yield f"the linear response with contacts {way}", _linear_guess(balance, frequency, stuck)
     yield _ramped(balance, frequency, controls)
     yield _settled(balance, frequency)
 

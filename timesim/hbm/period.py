@@ -325,6 +325,11 @@ def starts_of(period: ClosedPeriod) -> Plane:
     return tuple(np.concatenate([np.asarray(first)[None], np.asarray(d)[:-1]]) for first, d in pairs)
 
 
+def touching_stiffness(law: ConeLaw, period: ClosedPeriod) -> NDArray[np.float64]:
+    """The normal stiffness that acts at each sample, shape (N, C)."""
+    return (np.asarray(period.force)[:, :, 2] > 0) * np.asarray(law.normal_stiffness)
+
+
 def forces_of(basis: Basis, period: ClosedPeriod) -> ContactForces:
     """Forces and shares of a closed period."""
     coefficient = np.moveaxis(np.tensordot(basis.project, np.asarray(period.force), 1), 0, 2)

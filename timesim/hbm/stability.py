@@ -20,7 +20,7 @@ from scipy.linalg import expm
 
 from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.balance import Array, Balance
-from timesim.hbm.period import basis_of, closed_period, motion_of, starts_of
+from timesim.hbm.period import basis_of, closed_period, motion_of, starts_of, touching_stiffness
 from timesim.hbm.tangent import interval_slopes
 
 # Modulus of a multiplier above which a solution is unstable: those of an undamped structure lie on the unit circle but
@@ -73,8 +73,7 @@ def _linearised(balance: Balance, coefficient: Array, samples: int) -> list[Arra
         motion = motion_of(basis, np.resize(own, (count, *own.shape[1:])).reshape(-1, *own.shape[2:]))
         period = closed_period(law, motion)
         slope = interval_slopes(law, starts_of(period), motion)
-        touching = (np.asarray(period.force)[:, :, 2] > 0) * np.asarray(law.normal_stiffness)
-        rows = (np.asarray(leaf) for leaf in (slope.carry, slope.change, slope.load, touching))
+        rows = map(np.asarray, (slope.carry, slope.change, slope.load, touching_stiffness(law, period)))
         return [leaf.reshape(samples, count, -1, *leaf.shape[2:]).swapaxes(0, 1)[: len(own)] for leaf in rows]
 
     parts = [local(coefficient[first : first + count]) for first in range(0, len(coefficient), count)]

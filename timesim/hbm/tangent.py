@@ -29,6 +29,7 @@ from timesim.hbm.period import (
     intervals_of,
     motion_of,
     starts_of,
+    touching_stiffness,
 )
 from timesim.hbm.stuck_offset import Offset, offset_slope
 
@@ -117,8 +118,7 @@ def linearised(
     num_contacts, size = spectrum.shape[0], basis.value.shape[1]
     slope = np.zeros((num_contacts, 3, size, 3 * size))
     slope[:, 0], slope[:, 1] = product(stiffness, (spectrum[:, 0], spectrum[:, 1]))
-    touching = (np.asarray(period.force)[:, :, 2] > 0) * np.asarray(law.normal_stiffness)
-    slope[:, 2, :, 2 * size :] = (basis.project * touching.T[:, None]) @ basis.value
+    slope[:, 2, :, 2 * size :] = (basis.project * touching_stiffness(law, period).T[:, None]) @ basis.value
     return forces_of(basis, period), slope.reshape(num_contacts, 3 * size, 3 * size)
 
 
