@@ -14,13 +14,12 @@ from timesim.element.motion import CYCLE, SplineMotion
 from timesim.element.state_by_state import steady_cycle
 from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.located import located_forces
+from timesim.hbm.interval import advance, intervals_of
 from timesim.hbm.period import (
     MAX_PASSES,
-    advance,
     basis_of,
     closed_period,
     contact_forces,
-    intervals_of,
     motion_of,
     starts_of,
 )

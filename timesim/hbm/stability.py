@@ -20,8 +20,8 @@ from scipy.linalg import expm
 
 from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.balance import Array, Balance
-from timesim.hbm.period import basis_of, closed_period, motion_of, starts_of, touching_stiffness
-from timesim.hbm.tangent import interval_slopes
+from timesim.hbm.period import basis_of, closed_period, motion_of, touching_stiffness
+from timesim.hbm.tangent import straight_slopes
 
 # Modulus of a multiplier above which a solution is unstable: those of an undamped structure lie on the unit circle but
 # for the error of the samples.
@@ -72,8 +72,9 @@ def _linearised(balance: Balance, coefficient: Array, samples: int) -> list[Arra
     def local(own: Array) -> list[Array]:
         motion = motion_of(basis, np.resize(own, (count, *own.shape[1:])).reshape(-1, *own.shape[2:]))
         period = closed_period(law, motion)
-        slope = interval_slopes(law, starts_of(period), motion)
-        rows = map(np.asarray, (slope.carry, slope.change, slope.load, touching_stiffness(law, period)))
+        slope = straight_slopes(law, period, motion)
+        change = np.concatenate([slope[..., 2:4], -slope[..., 4:5]], axis=-1)
+        rows = slope[..., :2], change, slope[..., 4] + slope[..., 5], touching_stiffness(law, motion)
         return [leaf.reshape(samples, count, -1, *leaf.shape[2:]).swapaxes(0, 1)[: len(own)] for leaf in rows]
 
     parts = [local(coefficient[first : first + count]) for first in range(0, len(coefficient), count)]

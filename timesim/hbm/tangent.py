@@ -1,14 +1,15 @@
 """Derivatives of the contact forces of a period by the Fourier coefficients of the motion.
 
-The law over one interval, `period.advance`, has 16 derivatives a contact, by forward differentiation. They are chained
-through the period; that d at its end is that at its start gives two linear equations a contact. All coefficients
-together cost some three passes of the law: differentiating the passes themselves would cost one for every coefficient.
+The law over one interval, `timesim.hbm.interval`, has 12 arguments and 8 results a contact and is differentiated
+forward. The derivatives are chained through the period; that d at its end is that at its start gives two linear
+equations a contact. All coefficients together cost a few passes of the law: differentiating the passes themselves would
+cost one for every coefficient.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,17 +17,14 @@ from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 from timesim.engine.law.cone import ConeLaw
-from timesim.engine.law.contact_law import Motion, Plane, Scalar, product
+from timesim.engine.law.contact_law import Motion, product
+from timesim.hbm.interval import Interval, advance, before, intervals_of
 from timesim.hbm.period import (
     Basis,
+    ClosedPeriod,
     ContactForces,
-    Interval,
-    advance,
-    bend_of,
-    change_of,
     closed_period,
     forces_of,
-    intervals_of,
     motion_of,
     starts_of,
     touching_stiffness,
@@ -34,65 +32,112 @@ from timesim.hbm.period import (
 from timesim.hbm.stuck_offset import Offset, offset_slope
 
 Array64 = NDArray[np.float64]
+# Intervals that are differentiated side by side.
+LANES = 128
 
 
-class Slope(eqx.Module):
-    """Derivatives of d at the end of each interval.
+class Slope(NamedTuple):
+    """Derivatives of what the law gives over each interval: d at its end, and the forces put on both samples, R = 8.
 
     Attributes:
-        carry: by d at its start.
-        change: by the change of (u, v) along it.
-        bend: by the change of the change of u.
-        load: by v.
+        start: by d at its start, shape (N, C, R, 2).
+        tangential: by the change and by the rates at both ends of u1 and u2, shape (N, C, R, 2, 3).
+        normal: by v at both ends and its rates there, shape (N, C, R, 4).
     """
 
-    carry: Float[Array, "sample contact 2 2"]
-    change: Float[Array, "sample contact 2 3"]
-    bend: Float[Array, "sample contact 2 2"]
-    load: Float[Array, "sample contact 2"]
+    start: Array64
+    tangential: Array64
+    normal: Array64
+
+
+def interval_slopes(law: ConeLaw, period: ClosedPeriod, motion: Motion) -> Slope:
+    """Derivatives of the law over the intervals of a closed period."""
+    of = intervals_of(motion)
+    slope = _slopes(law, period, (*of.change, *of.du0, *of.du1, of.v0, of.v1, of.dv0, of.dv1))
+    tangential = slope[..., 2:8].reshape(*slope.shape[:3], 3, 2).swapaxes(3, 4)
+    return Slope(slope[..., :2], tangential, slope[..., 8:])
+
+
+def straight_slopes(law: ConeLaw, period: ClosedPeriod, motion: Motion) -> Array64:
+    """Derivatives of d at the end of each interval by d at its start, by the change of u along it and by v at both
+    ends, the path between taken as straight: shape (N, C, 2, 6)."""
+    of = intervals_of(motion)
+    dv = of.v1 - of.v0
+    slope = _slopes(law, period, (*of.change, *of.change, *of.change, of.v0, of.v1, dv, dv))[:, :, :2]
+    change = slope[..., 2:8].reshape(*slope.shape[:3], 3, 2).sum(axis=3)
+    rate = slope[..., 10:].sum(axis=3, keepdims=True)
+    return np.concatenate([slope[..., :2], change, slope[..., 8:9] - rate, slope[..., 9:10] + rate], axis=3)
+
+
+def _slopes(law: ConeLaw, period: ClosedPeriod, motion: tuple[Array, ...]) -> Array64:
+    """Derivatives of the results by d at the start and by the motion, shape (N, C, 8, 12).
+
+    Most intervals stick or are apart all along: d follows u, or there is none. The others are gathered, so that one
+    program serves any number of samples and contacts.
+    """
+    slip, apart = np.asarray(period.ends.slip), np.asarray(period.ends.separation)
+    rubs = np.asarray(law.friction) > 0
+    changes = (apart > 0) & (apart < 1)
+    place = np.nonzero(changes | (rubs & (slip > 0)))
+    slope = np.zeros((*slip.shape, 8, 12))
+    sticks = rubs & ~changes & (apart == 0)
+    for i in range(2):
+        slope[..., i, i] = slope[..., i, 2 + i] = sticks
+    arguments = np.stack([np.asarray(x)[place] for x in (*starts_of(period), *motion)])
+    count = len(place[0])
+    for first in range(0, count, LANES):
+        # The last lanes are filled up with the last interval.
+        lanes = np.minimum(np.arange(first, first + LANES), count - 1)
+        own = jax.tree.map(lambda leaf, which=place[1][lanes]: np.asarray(leaf)[which], law)
+        part = np.asarray(_lane_slopes(own, arguments[:, lanes]))
+        slope[place[0][lanes], place[1][lanes]] = part
+    return slope
 
 
 @jax.jit
-def interval_slopes(law: ConeLaw, starts: Plane, motion: Motion) -> Slope:
-    """Derivatives of the law over each interval of a motion, from the elastic displacement at its start."""
-    intervals = intervals_of(motion)
+def _lane_slopes(law: ConeLaw, arguments: Float[Array, "12 lane"]) -> Float[Array, "lane 8 12"]:
+    def results(x: Float[Array, "12 lane"]) -> Float[Array, "8 lane"]:
+        end = advance(law, (x[0], x[1]), Interval((x[2], x[3]), (x[4], x[5]), (x[6], x[7]), *x[8:]))
+        return jnp.stack([*end.d, *end.before, *end.after])
 
-    def end(d1: Scalar, d2: Scalar, c1: Scalar, c2: Scalar, b1: Scalar, b2: Scalar, *v: Scalar) -> Plane:
-        return advance(law, (d1, d2), Interval((c1, c2), (b1, b2), *v)).d
+    def along(seed: Float[Array, " 12"]) -> Float[Array, "8 lane"]:
+        return jax.jvp(results, (arguments,), (jnp.broadcast_to(seed[:, None], arguments.shape),))[1]
 
-    def at(arguments: tuple[Scalar, ...]) -> Float[Array, "8 2 contact"]:
-        def along(seed: Float[Array, " 8"]) -> Plane:
-            seeds = (jnp.broadcast_to(x, y.shape) for x, y in zip(seed, arguments, strict=True))
-            return jax.jvp(end, arguments, tuple(seeds))[1]
-
-        return jnp.stack(jax.vmap(along)(jnp.eye(len(arguments))), axis=1)
-
-    # One sample after the other: as one array XLA computes the law anew for every derivative (13 ms, not 0.9).
-    arguments = (*starts, *intervals.change, *intervals.bend, intervals.v0, intervals.v1)
-    slope = jax.lax.map(at, arguments).transpose(0, 3, 2, 1)
-    by_start, by_end = slope[..., 6], slope[..., 7]
-    change = jnp.concatenate([slope[..., 2:4], -by_start[..., None]], axis=3)
-    return Slope(slope[..., :2], change, slope[..., 4:6], by_start + by_end)
+    return jax.vmap(along, out_axes=2)(jnp.eye(len(arguments))).swapaxes(0, 1)
 
 
 @jax.jit
-def _tangents(slope: Slope, value: Float[Array, "sample coefficient"]) -> Float[Array, "sample contact 2 column"]:
-    """Derivatives of d at the samples by the 3 (2H + 1) coefficients, d at the start kept, then by d at the start."""
-    moved = change_of(value)
-    num_contacts, size = slope.load.shape[1], 3 * value.shape[1]
-    none = jnp.zeros((num_contacts, 2, 2))
+def _tangents(
+    slope: Slope, value: Float[Array, "sample coefficient"], rate: Float[Array, "sample coefficient"]
+) -> Float[Array, "sample contact 2 column"]:
+    """Derivatives of d at the samples by the 3 (2H + 1) coefficients, d at the start kept, then by d at the start.
 
-    def step(x: Array, at: tuple[Slope, Array, Array, Array]) -> tuple[Array, Array]:
-        local, moved, bent, here = at
-        source = local.change[..., None] * moved
-        source = source.at[:, :, :2].add(local.bend[..., None] * bent).at[:, :, 2].add(local.load[..., None] * here)
-        source = jnp.concatenate([source.reshape(num_contacts, 2, size), none], axis=2)
-        x = local.carry[..., :1] * x[:, None, 0] + local.carry[..., 1:] * x[:, None, 1] + source
+    The slopes are those of d alone, R = 2.
+    """
+    of_u, of_v = _of_interval(value, rate)
+    tangential = jnp.einsum("ncoaj,njk->ncoak", slope.tangential, of_u)
+    normal = jnp.einsum("ncoj,njk->ncok", slope.normal, of_v)[:, :, :, None]
+    source = jnp.concatenate([tangential, normal], axis=3).reshape(*slope.normal.shape[:3], -1)
+    source = jnp.concatenate([source, jnp.zeros((*source.shape[:3], 2))], axis=3)
+
+    def step(x: Array, at: tuple[Array, Array]) -> tuple[Array, Array]:
+        by_start, own = at
+        x = by_start[..., :1] * x[:, None, 0] + by_start[..., 1:] * x[:, None, 1] + own
         return x, x
 
-    seed = jnp.concatenate([jnp.zeros((2, size)), jnp.eye(2)], axis=1)
-    start = jnp.broadcast_to(seed, (num_contacts, *seed.shape))
-    return jax.lax.scan(step, start, (slope, moved, bend_of(moved), value))[1]
+    seed = jnp.broadcast_to(_seed(source.shape[3]), source.shape[1:])
+    return jax.lax.scan(step, seed, (slope.start, source))[1]
+
+
+def _of_interval(value: Array, rate: Array) -> tuple[Array, Array]:
+    """What enters `Slope.tangential` and `Slope.normal`, by the coefficients: shapes (N, 3, 2H + 1), (N, 4, 2H + 1)."""
+    value0, rate0 = before(value), before(rate)
+    return jnp.stack([value - value0, rate0, rate], axis=1), jnp.stack([value0, value, rate0, rate], axis=1)
+
+
+def _seed(size: int) -> Array64:
+    """Derivatives of d at the start of the period, the same for each contact."""
+    return np.eye(2, size, size - 2)
 
 
 def linearised(
@@ -105,21 +150,41 @@ def linearised(
     """
     motion = motion_of(basis, coefficient)
     period = closed_period(law, motion)
-    tangents = np.asarray(_tangents(interval_slopes(law, starts_of(period), motion), basis.value))
+    slopes = interval_slopes(law, period, motion)
+    tangents = np.asarray(_tangents(Slope(*(part[:, :, :2] for part in slopes)), basis.value, basis.rate))
     by_motion, by_start = tangents[-1, ..., :-2], tangents[-1, ..., -2:]
-    change, sticks = np.eye(2) - by_start, np.asarray(period.stuck.sticks)
+    # What can stick at the samples may slip between two of them.
+    change, sticks = np.eye(2) - by_start, np.asarray(period.stuck.sticks) & (np.asarray(period.slip) == 0)
     start = _stuck_start(law, basis, motion, period.stuck) if sticks.any() else np.zeros_like(by_motion)
     unique = (np.abs(np.linalg.det(change)) > 1e-13) & ~sticks
     start[unique] = np.linalg.solve(change[unique], by_motion[unique])
     # Projected first: the samples are many, the coefficients few.
-    spectrum = np.tensordot(basis.project, tangents, 1).transpose(1, 2, 0, 3)
-    spectrum = spectrum[..., :-2] + spectrum[..., -2:] @ start[:, None]
+    num_contacts, size = len(start), basis.value.shape[1]
+    spectrum = np.zeros((num_contacts, 3, size, 3 * size + 2))
+    elastic = np.tensordot(basis.project, tangents, 1).transpose(2, 1, 0, 3)
     stiffness = tuple(np.asarray(k)[:, None, None] for k in law.stiffness)
-    num_contacts, size = spectrum.shape[0], basis.value.shape[1]
-    slope = np.zeros((num_contacts, 3, size, 3 * size))
-    slope[:, 0], slope[:, 1] = product(stiffness, (spectrum[:, 0], spectrum[:, 1]))
-    slope[:, 2, :, 2 * size :] = (basis.project * touching_stiffness(law, period).T[:, None]) @ basis.value
+    spectrum[:, 0], spectrum[:, 1] = product(stiffness, tuple(elastic))
+    spectrum[:, 2, :, 2 * size : -2] = (basis.project * touching_stiffness(law, motion).T[:, None]) @ basis.value
+    _add_kinks(spectrum, slopes, basis, tangents)
+    slope = spectrum[..., :-2] + spectrum[..., -2:] @ start[:, None]
     return forces_of(basis, period), slope.reshape(num_contacts, 3 * size, 3 * size)
+
+
+def _add_kinks(spectrum: Array64, slopes: Slope, basis: Basis, tangents: Array64) -> None:
+    """Add what the few intervals with kinks put on the samples before and after them."""
+    place = np.nonzero(
+        np.any(slopes.tangential[:, :, 2:], axis=(2, 3, 4)) | np.any(slopes.normal[:, :, 2:], axis=(2, 3))
+    )
+    sample, contact = place
+    value, rate, value0, rate0 = (x[i] for i in (sample, sample - 1) for x in (basis.value, basis.rate))
+    of_u, of_v = np.stack([value - value0, rate0, rate], axis=1), np.stack([value0, value, rate0, rate], axis=1)
+    tangential = np.einsum("poaj,pjk->poak", slopes.tangential[place][:, 2:], of_u)
+    direct = np.concatenate([tangential, (slopes.normal[place][:, 2:] @ of_v)[:, :, None]], axis=2)
+    start = np.where((sample == 0)[:, None, None], _seed(tangents.shape[3]), tangents[sample - 1, contact])
+    rows = slopes.start[place][:, 2:] @ start
+    rows[..., :-2] += direct.reshape(*direct.shape[:2], rows.shape[2] - 2)
+    for side, i in ((slice(0, 3), sample - 1), (slice(3, 6), sample)):
+        np.add.at(spectrum, contact, basis.project.T[i][:, None, :, None] * rows[:, side, None])
 
 
 def _stuck_start(law: ConeLaw, basis: Basis, motion: Motion, stuck: Offset) -> Array64:

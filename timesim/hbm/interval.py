@@ -1,0 +1,355 @@
+"""The contact law over one interval between two samples, from the elastic displacement at its start.
+
+The law is that of `engine.law.cone`, the motion (u, v) the cubic through its values and rates at both samples. With the
+elastic displacement ``d = u - w``, the friction force ``f = K_u d``, the force ``F`` of a contact that kept its slip,
+and primes for rates along the interval,
+
+    stick       f = F, up to where |F| - mu n rises through zero
+    slip        f = mu n e,   e' = (1 - e e^T) z / (mu n),   z = (u' - mu n' C e) / (e_t . C e_t),   C = K_u^-1,
+                up to where its speed, linear between those at its start and at the end of the interval, is zero
+    separation  f = 0; slip that starts with contact does so along the incipient direction
+
+where ``e_t`` is normal to ``e``. The contact may close or open, begin to slip and stop within the interval, in this
+order. For an isotropic K_u the direction of slip follows in closed form: ``z = K_u u'``, and over an interval ``e``
+turns towards it without further error, however small n is. For others the part of C that is not isotropic is evaluated
+midway.
+
+Sums over samples miss what happens between them: a curve of solutions would be a staircase of the width of the samples.
+Where the first two rates of a force change by J1 and J2, at the share s of an interval (its width the unit of time),
+the trapezoidal rule errs by ``J1 B2(s) / 2 - J2 B3(s) / 6`` and in its first moment about that place by
+``-J1 B3(s) / 3``, with Bernoulli's polynomials B2 and B3 (Euler and Maclaurin; F. W. J. Olver, Asymptotics and Special
+Functions (Academic Press 1974), chapter 8). Both are put on the two samples beside it. The error is of third order.
+"""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from timesim.engine.barrier import apart
+from timesim.engine.law.cone import ConeLaw, incipient_direction, slip_speed
+from timesim.engine.law.contact_law import Motion, Plane, Scalar, dot, length, minus, product, scaled, where
+from timesim.hbm.window import Cubic, Flag, Window, cubic_through, quotient, summit, window_of
+
+# Excess of |F| over mu n, relative to it, up to which a contact at rest on its cone does not slip: rounding.
+GRAZING = 1e-11
+# Relative shortfall of |f| below mu n up to which a contact is on its cone.
+ON_CONE = 1e-9
+# Least load in slip, relative to that at its other end, whose inverse is integrated.
+LEAST = 1e-12
+
+
+class Interval(eqx.Module):
+    """Motion from one sample to the next, time in units of the interval.
+
+    Attributes:
+        change: of u.
+        du0, du1: rate of u at both ends.
+        v0, v1: v at both ends.
+        dv0, dv1: its rate there.
+    """
+
+    change: Plane
+    du0: Plane
+    du1: Plane
+    v0: Scalar
+    v1: Scalar
+    dv0: Scalar
+    dv1: Scalar
+
+
+Force = tuple[Scalar, Scalar, Scalar]
+"""f1, f2, n."""
+
+
+class IntervalEnd(eqx.Module):
+    """What the law gives over an interval.
+
+    Attributes:
+        d: elastic displacement at its end.
+        slip, separation: the shares of it spent so.
+        before, after: forces to be added to the samples at its start and its end.
+    """
+
+    d: Plane
+    slip: Scalar
+    separation: Scalar
+    before: Force
+    after: Force
+
+
+def intervals_of(motion: Motion) -> Interval:
+    """The intervals that end at each sample of a periodic motion with its rates, shape (N, C)."""
+    change, du0 = tuple(u - before(u) for u in motion.u), tuple(map(before, motion.du))
+    return Interval(change, du0, motion.du, before(motion.v), motion.v, before(motion.dv), motion.dv)
+
+
+def before(samples: Array) -> Array:
+    """The sample before each one of a period, along the first axis."""
+    # By indices, so that arrays of numpy remain such.
+    return samples[np.arange(len(samples)) - 1]
+
+
+class _Path(eqx.Module):
+    """Motion over an interval: u since its start, mu n and v; `bend` is the change of the rate of u."""
+
+    u: tuple[Cubic, ...]
+    limit: Cubic
+    v: Cubic
+    bend: Plane
+
+    def at(self, t: Scalar) -> Plane:
+        return tuple(u.value(t) for u in self.u)
+
+    def rates(self, t: Scalar) -> Motion:
+        du, dv = tuple(u.rate(t) for u in self.u), self.v.rate(t)
+        return Motion(du, dv, du, dv)
+
+
+class _Slip(eqx.Module):
+    """Slip within an interval, from `start` to `end`, if it `slides` at all.
+
+    Attributes:
+        fresh: it begins with contact.
+        follows: it goes on from the interval before.
+        first, last: its directions at both ends.
+        speed, growth: its speed at the start and the rate of it.
+        d: elastic displacement at the end of the interval.
+    """
+
+    slides: Flag
+    fresh: Flag
+    follows: Flag
+    start: Scalar
+    end: Scalar
+    first: Plane
+    last: Plane
+    speed: Scalar
+    growth: Scalar
+    d: Plane
+
+
+def advance(law: ConeLaw, d: Plane, interval: Interval) -> IntervalEnd:
+    """The law over one interval, from the elastic displacement at its start."""
+    ends = zip(interval.change, interval.du0, interval.du1, strict=True)
+    u = tuple(cubic_through(jnp.zeros_like(change), change, *rates) for change, *rates in ends)
+    v = cubic_through(interval.v0, interval.v1 - interval.v0, interval.dv0, interval.dv1)
+    load = v.scaled(law.normal_stiffness)
+    load = Cubic(load.c0 + law.preload, load.c1, load.c2, load.c3)
+    path = _Path(u, load.scaled(law.friction), v, minus(interval.du1, interval.du0))
+    window = window_of(load)
+    slip = _slip(law, d, path, window)
+    before, after = _added(_kinks(law, d, path, load, window, slip))
+    slides = jnp.where(law.friction > 0, slip.end - slip.start, window.end - window.start)
+    share = jnp.where(slip.slides | (law.friction == 0), slides, 0.0)
+    return IntervalEnd(slip.d, share, window.separation, before, after)
+
+
+def _direction(force: Plane, instead: Plane) -> Plane:
+    """Unit vector along the one, or along the other where the one vanishes."""
+    vanishes = dot(force, force) < 1e-280
+    chosen = where(vanishes, instead, force)
+    return scaled(1 / length(where(dot(chosen, chosen) < 1e-280, (jnp.ones_like(chosen[0]),) * 2, chosen)), chosen)
+
+
+class _Trial(eqx.Module):
+    """F, the force of a contact that keeps its slip since it closed or since the start of the interval."""
+
+    law: ConeLaw
+    path: _Path
+    base: Plane
+
+
+@apart
+def _excess(trial: _Trial, t: Scalar) -> tuple[Scalar, Scalar, Plane]:
+    """|F| - mu n, its rate, and the direction of F."""
+    elastic, rates = (product(trial.law.stiffness, x) for x in (trial.path.at(t), trial.path.rates(t).du))
+    force = tuple(b + f for b, f in zip(trial.base, elastic, strict=True))
+    e, limit = _direction(force, rates), trial.path.limit
+    return length(force) - limit.value(t), dot(e, rates) - limit.rate(t), e
+
+
+def _slip(law: ConeLaw, d: Plane, path: _Path, window: Window) -> _Slip:
+    """Where in an interval a contact slips, and the elastic displacement at its end."""
+    a, b, rubs = window.start, window.end, (law.friction > 0) & (window.end > window.start)
+    at_start, rates = path.at(a), path.rates(a)
+    force = where(window.closes, scaled(jnp.zeros_like(a), d), product(law.stiffness, d))
+    trial = _Trial(law, path, minus(force, product(law.stiffness, at_start)))
+    excess, growth, _ = _excess(trial, a)
+    excess = jnp.where(window.closes, 0.0, jnp.minimum(excess, 0.0))
+    on_cone = window.closes | (excess > -ON_CONE * path.limit.value(a))
+    at_once = rubs & on_cone & (growth > 0)
+    slides, start = _onset(trial, path, window, excess, growth, at_once)
+    slides, fresh = rubs & (slides | at_once), at_once & window.closes
+    chord = Motion(minus(path.at(b), at_start), rates.v, minus(path.at(b), at_start), path.v.value(b) - path.v.value(a))
+    first = where(fresh, incipient_direction(law, chord), _excess(trial, start)[2])
+
+    def direction(t: Scalar) -> Plane:
+        return where(fresh, first, _turned(law, path, first, start, jnp.where(slides & ~fresh, t, start)))
+
+    speed = slip_speed(law, first, path.rates(start))
+    final = slip_speed(law, direction(b), path.rates(b))
+    span = jnp.where(slides & (b > start), b - start, 1.0)
+    loss = jnp.where(slides & (speed > 0) & (final < 0) & (b == 1), (speed - final) / span, 0.0)
+    end = jnp.where(loss > 0, start + quotient(speed, loss), b)
+    last = direction(end)
+    stuck = where(window.closes, scaled(jnp.zeros_like(a), d), d)
+    slid = product(law.compliance, scaled(path.limit.value(end), last))
+    until_end = minus(path.at(b), path.at(jnp.where(slides, end, a)))
+    finish = tuple(x + y for x, y in zip(where(slides, slid, stuck), until_end, strict=True))
+    finish = where((b == 1) & rubs, finish, scaled(jnp.zeros_like(a), d))
+    return _Slip(slides, fresh, at_once & ~fresh, start, end, first, last, speed, (final - speed) / span, finish)
+
+
+@apart
+def _onset(
+    trial: _Trial, path: _Path, window: Window, excess: Scalar, growth: Scalar, at_once: Flag
+) -> tuple[Flag, Scalar]:
+    """Whether the trial force leaves the cone in a window, and where it does first.
+
+    It does so before the maximum of its excess, or before the end of the window if the excess still grows there; in
+    between lies the root of a parabola, which Newton's method improves.
+    """
+    a, b = window.start, window.end
+    _, _, e = _excess(trial, (a + b) / 2)
+    along = path.limit.scaled(jnp.asarray(-1.0))
+    for x, u in zip(product(trial.law.stiffness, e), path.u, strict=True):
+        along = along.plus(u.scaled(x))
+    top, inside = summit(along)
+    latest, rising, _ = _excess(trial, b)
+    falls = inside & (top > a) & (top < b) & (rising < 0) & (b == 1)
+    high = jnp.where(falls, top, b)
+    highest = jnp.where(falls, _excess(trial, high)[0], latest)
+    slides = highest > GRAZING * path.limit.value(high)
+    width = high - a
+    place = a + width * _rising_root(highest - excess - growth * width, growth * width / 2, excess)
+    for _ in range(2):
+        place = stop_gradient(place)
+        value, rate, _ = _excess(trial, place)
+        sought = slides & ~at_once & (rate > 0)
+        place = jnp.clip(place - jnp.where(sought, quotient(value, rate), 0.0), stop_gradient(a), stop_gradient(high))
+    return slides, jnp.where(at_once | ~slides, a, place)
+
+
+def _rising_root(rise: Scalar, half_slope: Scalar, start: Scalar) -> Scalar:
+    """Root of ``rise t^2 + 2 half_slope t + start`` through which it rises, given start <= 0 and a positive end."""
+    root = jnp.sqrt(jnp.maximum(half_slope**2 - rise * start, 1e-300))
+    ahead = half_slope > 0
+    late = quotient(root - half_slope, jnp.where(ahead, 1.0, rise))
+    early = -start / jnp.where(ahead, half_slope + root, 1.0)
+    return jnp.clip(jnp.where(ahead, early, late), 0.0, 1.0)
+
+
+@apart
+def _turned(law: ConeLaw, path: _Path, e: Plane, start: Scalar, end: Scalar) -> Plane:
+    """Direction of slip at the end of a part of the interval, from that at its start."""
+    change, rest = minus(path.at(end), path.at(start)), end - start
+    limit0, limit1 = path.limit.value(start), path.limit.value(end)
+    sum_of_both = jnp.abs(limit0) + jnp.abs(limit1)
+    least = jnp.where(sum_of_both > 0, LEAST * sum_of_both, 1.0)
+    limit0, limit1 = jnp.maximum(limit0, least), jnp.maximum(limit1, least)
+    inverse, lever = _mean_inverse(limit0, limit1)
+    # The load is not quite linear: Simpson's rule for what that changes.
+    middle = jnp.maximum(path.limit.value((start + end) / 2), least)
+    inverse = inverse + (1 / middle - 2 / (limit0 + limit1)) * (2 / 3)
+    bend = scaled(rest**2, path.bend)
+    change_along = tuple(inverse * x + lever * y for x, y in zip(change, bend, strict=True))
+    if len(law.stiffness) == 1:
+        z = product(law.stiffness, change_along)
+        return _veered(_turned_by(e, z), z, scaled(inverse, product(law.stiffness, bend)))
+    growth = limit1 - limit0
+    weight, bare = _pull(law, e, growth)
+    halfway = _turned_by(e, scaled(weight / 2, minus(change_along, scaled(inverse, bare))))
+    weight, bare = _pull(law, halfway, growth)
+    z = scaled(weight, minus(change_along, scaled(inverse, bare)))
+    return _veered(_turned_by(e, z), z, scaled(inverse * weight, bend))
+
+
+def _turned_by(e: Plane, z: Plane) -> Plane:
+    """Solution of e' = (1 - e e^T) z after a unit of time, z constant."""
+    size = length(z)
+    loss = -jnp.expm1(-size)
+    once, decay = loss / size, 1 - loss
+    along, twice = dot(e, z), once * (1 + decay)
+    share = twice + along * once**2
+    norm = 1 + decay**2 + along * twice
+    return tuple((2 * decay * x + share * y) / norm for x, y in zip(e, z, strict=True))
+
+
+def _pull(law: ConeLaw, e: Plane, growth: Scalar) -> tuple[Scalar, Plane]:
+    """z mu n = weight (u' - drift), without the isotropic part of C in the drift, which turns nothing."""
+    ce = product(law.compliance, e)
+    trace = law.compliance[0] + law.compliance[2]
+    across = trace - dot(e, ce)
+    return 1 / jnp.where(across > 0, across, 1.0), scaled(growth, minus(ce, scaled(trace / 2, e)))
+
+
+def _veered(e: Plane, z: Plane, dz: Plane) -> Plane:
+    """Direction corrected for a z that changes by dz over the interval: the commutator of Magnus' series.
+
+    For a small |z| the angle is z x dz / 12; for a large one, where e is that of z at the end, z x dz / (2 |z|^2).
+    """
+    angle = (z[0] * dz[1] - z[1] * dz[0]) / (12 + 2 * dot(z, z))
+    turned = (e[0] - angle * e[1], e[1] + angle * e[0])
+    return scaled(1 / jnp.sqrt(1 + angle**2), turned)
+
+
+def _mean_inverse(a: Scalar, b: Scalar) -> tuple[Scalar, Scalar]:
+    """Mean of 1/x over x from a to b, ``m = log(b / a) / (b - a)``, and that of t/x, t from -1/2 to 1/2 along with x.
+
+    The latter is ``(1 - m (a + b) / 2) / (b - a)``.
+    """
+    ratio, total = (b - a) / (b + a), a + b
+    small = jnp.abs(ratio) < 1e-2
+    square, rise = ratio**2, jnp.where(small, 1.0, b - a)
+    series = 1 / 3 + square * (1 / 5 + square * (1 / 7 + square / 9))
+    mean = jnp.where(small, (1 + square * series) * 2 / total, jnp.log(b / a) / rise)
+    return mean, jnp.where(small, -ratio * series / total, (1 - mean * total / 2) / rise)
+
+
+Kink = tuple[Scalar, Flag, Force, Force]
+"""Where in the interval, whether at all, and the changes J1 and J2 of the first two rates of (f1, f2, n)."""
+
+
+@apart
+def _kinks(law: ConeLaw, d: Plane, path: _Path, load: Cubic, window: Window, slip: _Slip) -> list[Kink]:
+    """What the rates of the forces do where the contact closes, begins to slip, ceases to, and opens."""
+    rubs, none = law.friction > 0, jnp.zeros_like(window.start)
+    place, gap = window.start, window.gap
+    pull = product(law.stiffness, path.rates(place).du)
+    bend = product(law.stiffness, tuple(u.curvature(place) for u in path.u))
+    on_cone = (scaled(f, slip.first) for f in (path.limit.rate(place), path.limit.curvature(place)))
+    grips = ~slip.fresh
+    first, second = (
+        scaled(jnp.where(rubs, 1.0, 0.0), where(grips, s, c)) for s, c in zip((pull, bend), on_cone, strict=True)
+    )
+    closing = ((*first, load.rate(place)), (*second, load.curvature(place)))
+    gone = where(gap < place, _direction(d, slip.first), slip.last)
+    opening = tuple(
+        (*scaled(jnp.where(rubs, -x * law.friction, 0.0), gone), -x) for x in (load.rate(gap), load.curvature(gap))
+    )
+    begins = slip.slides & ~slip.fresh & ~slip.follows
+    ends = slip.slides & (slip.end < window.end)
+    lost = product(law.stiffness, slip.first)
+    back = product(law.stiffness, slip.last)
+    return [
+        (place, window.closes, *closing),
+        (slip.start, begins, (*scaled(-slip.speed, lost), none), (*scaled(-slip.growth, lost), none)),
+        (slip.end, ends, (none,) * 3, (*scaled(slip.growth, back), none)),
+        (gap, window.opens, *opening),
+    ]
+
+
+def _added(kinks: list[Kink]) -> tuple[Force, Force]:
+    """What kinks inside an interval add to the samples before and after it."""
+    before = after = (jnp.zeros_like(kinks[0][0]),) * 3
+    for s, happens, first, second in kinks:
+        b2, b3 = jnp.where(happens, s * (s - 1) + 1 / 6, 0.0), jnp.where(happens, s * (s - 0.5) * (s - 1), 0.0)
+        total = tuple(x * b2 / 2 - y * b3 / 6 for x, y in zip(first, second, strict=True))
+        moment = scaled(b3 / 3, first)
+        before = tuple(x + (1 - s) * y + z for x, y, z in zip(before, total, moment, strict=True))
+        after = tuple(x + s * y - z for x, y, z in zip(after, total, moment, strict=True))
+    return before, after
