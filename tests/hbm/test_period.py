@@ -13,14 +13,14 @@ from scipy.optimize import minimize
 from timesim.element.motion import CYCLE, SplineMotion
 from timesim.element.state_by_state import steady_cycle
 from timesim.engine.law.cone import ConeLaw
-from timesim.hbm.located import located_forces
 from timesim.hbm.interval import advance, intervals_of
+from timesim.hbm.located import located_forces
 from timesim.hbm.period import (
     MAX_PASSES,
     basis_of,
-    closed_period,
     contact_forces,
     motion_of,
+    period_of,
     starts_of,
 )
 from timesim.hbm.stuck_offset import stuck_offset, without_slip
@@ -243,8 +243,9 @@ def test_a_contact_that_changes_its_state_at_the_start_of_the_period(motion, cha
 def test_the_path_through_the_period_is_that_of_the_law(name, kind):
     """Each interval starts where the one before ends, the first one where the period does; the period is closed."""
     law, basis = law_of([element(STIFFNESS[kind])] * 3), basis_of(1, 64)
-    motion = motion_of(basis, shifted(prescribed(MOTIONS[name]), 3))
-    period = closed_period(law, motion)
+    coefficient = shifted(prescribed(MOTIONS[name]), 3)
+    motion = motion_of(basis, coefficient)
+    period = period_of(law, basis, coefficient)
     starts = np.array(starts_of(period))
     ends = np.array(jax.vmap(partial(advance, law))(starts_of(period), intervals_of(motion)).d)
     np.testing.assert_array_equal(starts[:, 0], np.array(period.start))

@@ -24,6 +24,8 @@ from timesim.hbm.stuck_offset import Offset, stuck_offset
 from timesim.orbit.fourier import fourier_basis
 
 MAX_PASSES = 100
+# Samples at which a contact must stick all along, for one of the others: between two of them a path may leave the cone.
+DENSE = 4
 # Change of d over a period, relative to the largest d, that counts as none; rounding adds to it with |u|.
 CLOSED = 1e-12
 ROUNDING = 1e-14
@@ -39,22 +41,25 @@ class Basis:
         value: shape (N, 2H + 1).
         rate: their derivatives, the interval between two samples as the unit of time, shape (N, 2H + 1).
         project: Fourier coefficients from samples, shape (2H + 1, N).
+        dense: the functions at `DENSE` times as many samples, shape (DENSE N, 2H + 1).
     """
 
     value: NDArray[np.float64]
     rate: NDArray[np.float64]
     project: NDArray[np.float64]
+    dense: NDArray[np.float64]
 
 
 @lru_cache(maxsize=64)
 def basis_of(harmonics: int, time_samples: int) -> Basis:
     """The functions of H harmonics on N equal samples."""
-    theta = 2 * np.pi * np.arange(1, time_samples + 1) / time_samples
-    value = fourier_basis(theta, 2 * harmonics + 1)
+    theta = 2 * np.pi * np.arange(1, DENSE * time_samples + 1) / (DENSE * time_samples)
+    dense = fourier_basis(theta, 2 * harmonics + 1)
+    value = dense[DENSE - 1 :: DENSE]
     rate, order = np.zeros_like(value), 2 * np.pi / time_samples * np.arange(1, harmonics + 1)
     rate[:, 1::2], rate[:, 2::2] = -order * value[:, 2::2], order * value[:, 1::2]
     weight = np.append(1.0, np.full(2 * harmonics, 2.0)) / time_samples
-    return Basis(value, rate, weight[:, None] * value.T)
+    return Basis(value, rate, weight[:, None] * value.T, dense)
 
 
 def onto_cone(law: ConeLaw, d: Plane, v: Scalar) -> Plane:
@@ -73,7 +78,8 @@ class ClosedPeriod(eqx.Module):
         force: (f1, f2, n) at the samples, with what is put on them for the kinks between, n not less the preload, shape
             (N, C, 3).
         slip, separation: shares of the period, shape (C,).
-        closure: change of d over the period over the tolerated one, at most 1 where it closed, shape (C,).
+        closure: distance of d at the start from where the period closes, over the tolerated one, at most 1 where it
+            closed, shape (C,).
         passes: through the period.
         stuck: which contacts stick all along, and the offset of their force.
     """
@@ -110,7 +116,7 @@ class _Passes(eqx.Module):
 
 
 @jax.jit
-def closed_period(law: ConeLaw, motion: Motion) -> ClosedPeriod:
+def closed_period(law: ConeLaw, motion: Motion, stuck: Offset) -> ClosedPeriod:
     """Pass through a periodic motion, shape (N, C), until d closes, at most `MAX_PASSES` times.
 
     A contact that can stick all along enters with the offset of `timesim.hbm.stuck_offset` and does. The others are
@@ -118,7 +124,6 @@ def closed_period(law: ConeLaw, motion: Motion) -> ClosedPeriod:
     plane on a curve, so the change over a pass has one direction. One program serves any number of harmonics.
     """
     intervals = intervals_of(motion)
-    stuck = stuck_offset(law, motion)
     elastic = tuple(u[-1] + c for u, c in zip(motion.u, product(law.compliance, stuck.force), strict=True))
     first_start = onto_cone(law, elastic, motion.v[-1])
     reach = jnp.max(length(motion.u), axis=0)
@@ -127,14 +132,15 @@ def closed_period(law: ConeLaw, motion: Motion) -> ClosedPeriod:
         start = last.next_start
         end, path = one_pass(law, start, intervals)
         change, before = minus(end, start), minus(last.end, last.start)
-        tolerated = CLOSED * jnp.max(length(path.d), axis=0) + ROUNDING * reach
-        closure = length(change) / jnp.maximum(tolerated, 1e-300)
         bend = minus(change, before)
         ratio = dot(change, bend) / jnp.maximum(dot(bend, bend), 1e-300)
         usable = (last.count >= 2) & (dot(change, change) < dot(before, before))
         leap = scaled(jnp.where(usable, ratio, 0.0), minus(end, last.end))
-        next_start = onto_cone(law, minus(end, leap), motion.v[-1])
-        return _Passes(next_start, start, end, path, closure, last.count + 1)
+        next_start = minus(end, leap)
+        tolerated = CLOSED * jnp.max(length(path.d), axis=0) + ROUNDING * reach
+        # Not the change alone: where slip is short, each pass makes up for a small share of what is left.
+        closure = length(minus(next_start, start)) / jnp.maximum(tolerated, 1e-300)
+        return _Passes(onto_cone(law, next_start, motion.v[-1]), start, end, path, closure, last.count + 1)
 
     path = IntervalEnd(motion.u, motion.v, motion.v, (motion.v,) * 3, (motion.v,) * 3)
     none = _Passes(first_start, first_start, first_start, path, jnp.full_like(reach, jnp.inf), jnp.asarray(0))
@@ -175,6 +181,17 @@ def motion_of(basis: Basis, coefficient: NDArray[np.float64]) -> Motion:
     return Motion((u1, u2), v, (du1, du2), dv)
 
 
+def period_of(law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64]) -> ClosedPeriod:
+    """The closed period of a motion given by its Fourier coefficients (u1, u2, v), shape (C, 3, 2H + 1)."""
+    return closed_period(law, motion_of(basis, coefficient), stuck_offset(law, dense_motion_of(basis, coefficient)))
+
+
+def dense_motion_of(basis: Basis, coefficient: NDArray[np.float64]) -> Motion:
+    """`motion_of` at the samples where a contact must stick all along, shape (DENSE N, C); no rates."""
+    u1, u2, v = (basis.dense @ coefficient[:, i].T for i in range(3))
+    return Motion((u1, u2), v, (), v)
+
+
 def starts_of(period: ClosedPeriod) -> Plane:
     """Elastic displacement at the start of each interval, shape (N, C)."""
     pairs = zip(period.start, period.ends.d, strict=True)
@@ -195,4 +212,4 @@ def forces_of(basis: Basis, period: ClosedPeriod) -> ContactForces:
 
 def contact_forces(law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64]) -> ContactForces:
     """Contact forces of a motion given by its Fourier coefficients (u1, u2, v), shape (C, 3, 2H + 1)."""
-    return forces_of(basis, closed_period(law, motion_of(basis, coefficient)))
+    return forces_of(basis, period_of(law, basis, coefficient))

@@ -20,7 +20,7 @@ from scipy.linalg import expm
 
 from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.balance import Array, Balance
-from timesim.hbm.period import basis_of, closed_period, motion_of, touching_stiffness
+from timesim.hbm.period import basis_of, motion_of, period_of, touching_stiffness
 from timesim.hbm.tangent import straight_slopes
 
 # Modulus of a multiplier above which a solution is unstable: those of an undamped structure lie on the unit circle but
@@ -70,8 +70,8 @@ def _linearised(balance: Balance, coefficient: Array, samples: int) -> list[Arra
     law = jax.tree.map(lambda leaf: np.tile(leaf, count), balance.law)
 
     def local(own: Array) -> list[Array]:
-        motion = motion_of(basis, np.resize(own, (count, *own.shape[1:])).reshape(-1, *own.shape[2:]))
-        period = closed_period(law, motion)
+        contacts = np.resize(own, (count, *own.shape[1:])).reshape(-1, *own.shape[2:])
+        motion, period = motion_of(basis, contacts), period_of(law, basis, contacts)
         slope = straight_slopes(law, period, motion)
         change = np.concatenate([slope[..., 2:4], -slope[..., 4:5]], axis=-1)
         rows = slope[..., :2], change, slope[..., 4] + slope[..., 5], touching_stiffness(law, motion)

@@ -113,6 +113,7 @@ def _must_slip(force: Plane, limit: Scalar) -> Bool[Array, " contact"]:
     return jnp.any(jnp.stack(blocked), axis=0)
 
 
+@jax.jit
 def stuck_offset(law: ConeLaw, motion: Motion) -> Offset:
     """The offset with which each contact only sticks under a periodic motion, shape (N, C); 0 where there is none."""
     force, limit, unit = without_slip(law, motion)

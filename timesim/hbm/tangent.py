@@ -23,9 +23,10 @@ from timesim.hbm.period import (
     Basis,
     ClosedPeriod,
     ContactForces,
-    closed_period,
+    dense_motion_of,
     forces_of,
     motion_of,
+    period_of,
     starts_of,
     touching_stiffness,
 )
@@ -149,13 +150,13 @@ def linearised(
     contact sticks all along, d0 follows from its offset.
     """
     motion = motion_of(basis, coefficient)
-    period = closed_period(law, motion)
+    period = period_of(law, basis, coefficient)
     slopes = interval_slopes(law, period, motion)
     tangents = np.asarray(_tangents(Slope(*(part[:, :, :2] for part in slopes)), basis.value, basis.rate))
     by_motion, by_start = tangents[-1, ..., :-2], tangents[-1, ..., -2:]
     # What can stick at the samples may slip between two of them.
     change, sticks = np.eye(2) - by_start, np.asarray(period.stuck.sticks) & (np.asarray(period.slip) == 0)
-    start = _stuck_start(law, basis, motion, period.stuck) if sticks.any() else np.zeros_like(by_motion)
+    start = _stuck_start(law, basis, coefficient, period.stuck) if sticks.any() else np.zeros_like(by_motion)
     unique = (np.abs(np.linalg.det(change)) > 1e-13) & ~sticks
     start[unique] = np.linalg.solve(change[unique], by_motion[unique])
     # Projected first: the samples are many, the coefficients few.
@@ -187,9 +188,9 @@ def _add_kinks(spectrum: Array64, slopes: Slope, basis: Basis, tangents: Array64
         np.add.at(spectrum, contact, basis.project.T[i][:, None, :, None] * rows[:, side, None])
 
 
-def _stuck_start(law: ConeLaw, basis: Basis, motion: Motion, stuck: Offset) -> Array64:
+def _stuck_start(law: ConeLaw, basis: Basis, coefficient: Array64, stuck: Offset) -> Array64:
     """Derivatives of d at the start of the period by the coefficients, for contacts that stick all along."""
-    weights = np.asarray(offset_slope(law, stuck.force, motion))
-    start = np.einsum("itca,tk->ciak", weights, basis.value)
+    weights = np.asarray(offset_slope(law, stuck.force, dense_motion_of(basis, coefficient)))
+    start = np.einsum("itca,tk->ciak", weights, basis.dense, optimize=True)
     start[:, [0, 1], [0, 1]] += basis.value[-1]
     return start.reshape(*start.shape[:2], -1)

@@ -20,7 +20,7 @@ from timesim.engine.history import Samples
 from timesim.hbm.balance import Array, Balance, Complex
 from timesim.hbm.continuation import joined, part_of
 from timesim.hbm.curve import HbmCurve, solutions_at
-from timesim.hbm.period import closed_period, motion_of
+from timesim.hbm.period import period_of
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.solver import Solver
 from timesim.orbit.basin import placed
@@ -180,7 +180,7 @@ def _contacts(balance: Balance, coefficient: Array) -> tuple[Array, Array]:
 
     The state is that over most of the interval of the balance's own samples.
     """
-    period = closed_period(balance.law, motion_of(balance.basis, coefficient))
+    period = period_of(balance.law, balance.basis, coefficient)
     slip, separation = np.asarray(period.ends.slip), np.asarray(period.ends.separation)
     shares = {STICK: 1 - slip - separation, SLIP: slip, SEPARATION: separation}
     states = np.argmax([shares[state] for state in sorted(shares)], axis=0)
