@@ -22,11 +22,12 @@ from timesim.engine.lanes import advance_lanes
 from timesim.engine.law.cone import ConeLaw, normal_load
 from timesim.engine.law.contact_law import Motion, Plane, Scalar, product
 
-MAX_ITERATIONS = 60
+MAX_ITERATIONS = 200
 CONVERGED = 1e-12  # change of g that counts as none, relative to R
-# Room left in the widened cones, and change of g, relative to the widening: below them the cones cannot be narrowed
-# to what they are.
-NO_ROOM, AT_REST = 0.02, 0.1
+# Room left in the widened cones relative to the widening, below which they cannot be narrowed to what they are.
+NO_ROOM = 0.02
+# Change of g, relative to the room, below which it has come to rest and the cones may be narrowed.
+AT_REST = 0.03
 FREE = 0.5
 SLIGHT = 0.01  # weight of |g|^2 as long as the cones are widened
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.5**0.5, 0.5**0.5), (0.5**0.5, -(0.5**0.5)))
@@ -51,7 +52,7 @@ class _Iterate(eqx.Module):
 
 def _phi(ratio: Scalar) -> Scalar:
     z = jnp.maximum(ratio - FREE, 0.0) / (1 - FREE)
-    return -jnp.log1p(-jnp.minimum(z, 1 - 1e-15)) - z - z**2 / 2
+    return z**3 / (1 - jnp.minimum(z, 1 - 1e-7)) ** 2
 
 
 def _objective(g: Plane, force: Plane, limit: Scalar, unit: Scalar, weight: Scalar) -> Scalar:
@@ -135,7 +136,9 @@ def stuck_offset(law: ConeLaw, motion: Motion) -> Offset:
         least, change, inside = least_widening(g), share * _size(step), now.widening == 0
         converged = inside & (change < CONVERGED * unit)
         stopped = (now.widening - least < NO_ROOM * now.widening) & (change < AT_REST * now.widening)
-        widening = jnp.where((least < 0) | inside, 0.0, (now.widening + least) / 2)
+        centred = change < AT_REST * (now.widening - least)
+        narrower = jnp.where(centred, (now.widening + least) / 2, now.widening)
+        widening = jnp.where((least < 0) | inside, 0.0, narrower)
         return (_Iterate(g, widening, ~converged & ~(stopped & ~inside), converged, now.count + 1),)
 
     middle = tuple(-(jnp.max(f, axis=0) + jnp.min(f, axis=0)) / 2 for f in force)
