@@ -40,6 +40,8 @@ GRAZING = 1e-11
 ON_CONE = 1e-9
 # Least load in slip, relative to that at its other end, whose inverse is integrated.
 LEAST = 1e-12
+# Pull below which a turn is that of the commutator of Magnus' series, z x dz / 12.
+SMALL_TURN = 1e-4
 
 
 class Interval(eqx.Module):
@@ -184,11 +186,10 @@ def _slip(law: ConeLaw, d: Plane, path: _Path, window: Window) -> _Slip:
     at_once = rubs & on_cone & (growth > 0)
     slides, start = _onset(trial, path, window, excess, growth, at_once)
     slides, fresh = rubs & (slides | at_once), at_once & window.closes
-    chord = Motion(minus(path.at(b), at_start), rates.v, minus(path.at(b), at_start), path.v.value(b) - path.v.value(a))
-    first = where(fresh, incipient_direction(law, chord), _excess(trial, start)[2])
+    first = where(fresh, incipient_direction(law, rates), _excess(trial, start)[2])
 
     def direction(t: Scalar) -> Plane:
-        return where(fresh, first, _turned(law, path, first, start, jnp.where(slides & ~fresh, t, start)))
+        return _turned(law, path, first, start, jnp.where(slides, t, start))
 
     speed = slip_speed(law, first, path.rates(start))
     final = slip_speed(law, direction(b), path.rates(b))
@@ -245,27 +246,46 @@ def _rising_root(rise: Scalar, half_slope: Scalar, start: Scalar) -> Scalar:
 
 @apart
 def _turned(law: ConeLaw, path: _Path, e: Plane, start: Scalar, end: Scalar) -> Plane:
-    """Direction of slip at the end of a part of the interval, from that at its start."""
+    """Direction of slip at the end of a part of the interval, from that at its start.
+
+    It follows that of the mean pull z, which itself turns by an angle phi. What the mean leaves out is exact for
+    directions close to the pull: with the angle psi between them, ``psi' = -|z| (M mu n)^-1 psi - phi``, M the mean of
+    1 / (mu n). So the direction is right for any |z|, where slip begins with contact too.
+    """
     change, rest = minus(path.at(end), path.at(start)), end - start
     limit0, limit1 = path.limit.value(start), path.limit.value(end)
     sum_of_both = jnp.abs(limit0) + jnp.abs(limit1)
     least = jnp.where(sum_of_both > 0, LEAST * sum_of_both, 1.0)
     limit0, limit1 = jnp.maximum(limit0, least), jnp.maximum(limit1, least)
     inverse, lever = _mean_inverse(limit0, limit1)
+    late, ahead = limit1 * inverse, (limit1 - limit0) * inverse
+    weight_at = 0.5 + lever / inverse
     # The load is not quite linear: Simpson's rule for what that changes.
     middle = jnp.maximum(path.limit.value((start + end) / 2), least)
     inverse = inverse + (1 / middle - 2 / (limit0 + limit1)) * (2 / 3)
     bend = scaled(rest**2, path.bend)
     change_along = tuple(inverse * x + lever * y for x, y in zip(change, bend, strict=True))
     if len(law.stiffness) == 1:
-        z = product(law.stiffness, change_along)
-        return _veered(_turned_by(e, z), z, scaled(inverse, product(law.stiffness, bend)))
-    growth = limit1 - limit0
-    weight, bare = _pull(law, e, growth)
-    halfway = _turned_by(e, scaled(weight / 2, minus(change_along, scaled(inverse, bare))))
-    weight, bare = _pull(law, halfway, growth)
-    z = scaled(weight, minus(change_along, scaled(inverse, bare)))
-    return _veered(_turned_by(e, z), z, scaled(inverse * weight, bend))
+        z, dz = product(law.stiffness, change_along), scaled(inverse, product(law.stiffness, bend))
+    else:
+        bare = scaled(inverse * (limit1 - limit0), _drift(law, e))
+        halfway = _turned_by(e, scaled(_weight(law, e) / 2, minus(change_along, bare)))
+        bare = scaled(inverse * (limit1 - limit0), _drift(law, halfway))
+        z, dz = scaled(_weight(law, halfway), minus(change_along, bare)), scaled(inverse * _weight(law, halfway), bend)
+    size = length(z)
+    decay = jnp.exp(-size)
+    exact = decay - late * _mean_decay(size + ahead) + (1 - weight_at) * (1 - decay)
+    share = jnp.where(size > SMALL_TURN, exact / jnp.maximum(size, SMALL_TURN) ** 2, 1 / 12)
+    angle = (z[0] * dz[1] - z[1] * dz[0]) * share
+    along = _turned_by(e, z)
+    turned = (along[0] - angle * along[1], along[1] + angle * along[0])
+    return scaled(1 / jnp.sqrt(1 + angle**2), turned)
+
+
+def _mean_decay(x: Scalar) -> Scalar:
+    """(1 - exp(-x)) / x."""
+    small = jnp.abs(x) < 1e-5
+    return jnp.where(small, 1 - x / 2, -jnp.expm1(-x) / jnp.where(small, 1.0, x))
 
 
 def _turned_by(e: Plane, z: Plane) -> Plane:
@@ -279,22 +299,15 @@ def _turned_by(e: Plane, z: Plane) -> Plane:
     return tuple((2 * decay * x + share * y) / norm for x, y in zip(e, z, strict=True))
 
 
-def _pull(law: ConeLaw, e: Plane, growth: Scalar) -> tuple[Scalar, Plane]:
-    """z mu n = weight (u' - drift), without the isotropic part of C in the drift, which turns nothing."""
-    ce = product(law.compliance, e)
-    trace = law.compliance[0] + law.compliance[2]
-    across = trace - dot(e, ce)
-    return 1 / jnp.where(across > 0, across, 1.0), scaled(growth, minus(ce, scaled(trace / 2, e)))
+def _weight(law: ConeLaw, e: Plane) -> Scalar:
+    """1 / (e_t . C e_t)."""
+    across = law.compliance[0] + law.compliance[2] - dot(e, product(law.compliance, e))
+    return 1 / jnp.where(across > 0, across, 1.0)
 
 
-def _veered(e: Plane, z: Plane, dz: Plane) -> Plane:
-    """Direction corrected for a z that changes by dz over the interval: the commutator of Magnus' series.
-
-    For a small |z| the angle is z x dz / 12; for a large one, where e is that of z at the end, z x dz / (2 |z|^2).
-    """
-    angle = (z[0] * dz[1] - z[1] * dz[0]) / (12 + 2 * dot(z, z))
-    turned = (e[0] - angle * e[1], e[1] + angle * e[0])
-    return scaled(1 / jnp.sqrt(1 + angle**2), turned)
+def _drift(law: ConeLaw, e: Plane) -> Plane:
+    """C e without the isotropic part of C, which turns nothing."""
+    return minus(product(law.compliance, e), scaled((law.compliance[0] + law.compliance[2]) / 2, e))
 
 
 def _mean_inverse(a: Scalar, b: Scalar) -> tuple[Scalar, Scalar]:
