@@ -40,8 +40,9 @@ GRAZING = 1e-11
 ON_CONE = 1e-9
 # Least load in slip, relative to that at its other end, whose inverse is integrated.
 LEAST = 1e-12
-# Pull below which a turn is that of the commutator of Magnus' series, z x dz / 12.
-SMALL_TURN = 1e-4
+# Pull, integrated over time, below which what its turn leaves behind is that of Magnus' series, and about which the
+# description changes to that of a strong one.
+WEAK, STRONG = 1e-4, 6.0
 
 
 class Interval(eqx.Module):
@@ -248,38 +249,53 @@ def _rising_root(rise: Scalar, half_slope: Scalar, start: Scalar) -> Scalar:
 def _turned(law: ConeLaw, path: _Path, e: Plane, start: Scalar, end: Scalar) -> Plane:
     """Direction of slip at the end of a part of the interval, from that at its start.
 
-    It follows that of the mean pull z, which itself turns by an angle phi. What the mean leaves out is exact for
-    directions close to the pull: with the angle psi between them, ``psi' = -|z| (M mu n)^-1 psi - phi``, M the mean of
-    1 / (mu n). So the direction is right for any |z|, where slip begins with contact too.
+    With the pull p, the direction of z, and ``z`` its integral over time, where the pull is weak ``far``: the direction
+    turns towards that of z, and by ``z x dz / 12`` as the pull turns (Magnus' series). Where it is strong, as next to
+    n = 0, ``near``: the angle psi between both obeys ``psi' = -(|z| / n) psi - p'`` and decays; what the turn of the
+    pull leaves behind is exact for a load that is linear, also where slip begins with contact.
     """
+    none = (jnp.zeros_like(start),) * 2
     change, rest = minus(path.at(end), path.at(start)), end - start
     limit0, limit1 = path.limit.value(start), path.limit.value(end)
     sum_of_both = jnp.abs(limit0) + jnp.abs(limit1)
     least = jnp.where(sum_of_both > 0, LEAST * sum_of_both, 1.0)
     limit0, limit1 = jnp.maximum(limit0, least), jnp.maximum(limit1, least)
     inverse, lever = _mean_inverse(limit0, limit1)
-    late, ahead = limit1 * inverse, (limit1 - limit0) * inverse
-    weight_at = 0.5 + lever / inverse
+    latest, ahead, weight_left = limit1 * inverse, (limit1 - limit0) * inverse, 0.5 - lever / inverse
     # The load is not quite linear: Simpson's rule for what that changes.
     middle = jnp.maximum(path.limit.value((start + end) / 2), least)
     inverse = inverse + (1 / middle - 2 / (limit0 + limit1)) * (2 / 3)
     bend = scaled(rest**2, path.bend)
     change_along = tuple(inverse * x + lever * y for x, y in zip(change, bend, strict=True))
     if len(law.stiffness) == 1:
-        z, dz = product(law.stiffness, change_along), scaled(inverse, product(law.stiffness, bend))
+        z, dz, drift = product(law.stiffness, change_along), scaled(inverse, product(law.stiffness, bend)), none
     else:
-        bare = scaled(inverse * (limit1 - limit0), _drift(law, e))
-        halfway = _turned_by(e, scaled(_weight(law, e) / 2, minus(change_along, bare)))
-        bare = scaled(inverse * (limit1 - limit0), _drift(law, halfway))
-        z, dz = scaled(_weight(law, halfway), minus(change_along, bare)), scaled(inverse * _weight(law, halfway), bend)
+        growth = inverse * (limit1 - limit0)
+        halfway = _turned_by(e, scaled(_weight(law, e) / 2, minus(change_along, scaled(growth, _drift(law, e)))))
+        drift = _drift(law, halfway)
+        z = scaled(_weight(law, halfway), minus(change_along, scaled(growth, drift)))
+        dz = scaled(inverse * _weight(law, halfway), bend)
     size = length(z)
     decay = jnp.exp(-size)
-    exact = decay - late * _mean_decay(size + ahead) + (1 - weight_at) * (1 - decay)
-    share = jnp.where(size > SMALL_TURN, exact / jnp.maximum(size, SMALL_TURN) ** 2, 1 / 12)
+    late = latest * _mean_decay(size + ahead)
+    p0, p1 = (_direction(minus(path.rates(t).du, scaled(path.limit.rate(t), drift)), e) for t in (start, end))
+    strong = 1 / (1 + (STRONG / jnp.maximum(size, 1e-30)) ** 8)
+    near = _turned_by(_rotated(e, p0, p1), scaled(size, p1))
+    angle = late * jnp.arctan2(p0[0] * p1[1] - p0[1] * p1[0], dot(p0, p1))
+    near = _rotated(near, (jnp.cos(angle), jnp.sin(angle)), (jnp.ones_like(angle), jnp.zeros_like(angle)))
+    left = decay - late + weight_left * (1 - decay)
+    share = jnp.where(size > WEAK, left / jnp.maximum(size, WEAK) ** 2, 1 / 12)
     angle = (z[0] * dz[1] - z[1] * dz[0]) * share
     along = _turned_by(e, z)
-    turned = (along[0] - angle * along[1], along[1] + angle * along[0])
-    return scaled(1 / jnp.sqrt(1 + angle**2), turned)
+    far = (along[0] - angle * along[1], along[1] + angle * along[0])
+    mixed = tuple((1 - strong) * x + strong * y for x, y in zip(far, near, strict=True))
+    return _direction(mixed, near)
+
+
+def _rotated(e: Plane, before: Plane, after: Plane) -> Plane:
+    """A vector turned by the angle between two unit vectors."""
+    c, s = dot(before, after), before[0] * after[1] - before[1] * after[0]
+    return (c * e[0] - s * e[1], s * e[0] + c * e[1])
 
 
 def _mean_decay(x: Scalar) -> Scalar:
