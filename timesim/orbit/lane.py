@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
+import equinox as eqx
 import jax
 import numpy as np
 
@@ -33,6 +34,7 @@ class Lane:
         system, control: dimensionless equations and step control.
         here: dimensionless state.
         phase: of the excitation at the start of a cycle [rad].
+        quiet: time since the last transition, or since the loop was called [rad of the excitation].
         status, culprit: as in `timesim.engine.step.Trajectory`.
     """
 
@@ -44,6 +46,7 @@ class Lane:
     control: Control
     here: HybridState
     phase: float
+    quiet: float = 0.0
     status: int = Status.RUNNING
     culprit: int = 0
 
@@ -63,7 +66,13 @@ class Lane:
     def after(self, now: Trajectory) -> Self:
         """The lane at the end of a loop."""
         here = HybridState(now.point, now.state)
-        return replace(self, here=here, status=int(now.status), culprit=int(now.culprit))
+        return replace(self, here=here, quiet=float(now.since), status=int(now.status), culprit=int(now.culprit))
+
+    def within(self, rtol: float) -> Self:
+        """The lane with another tolerance of a step."""
+        control, share = self.control, rtol / float(self.control.rtol)
+        finer = eqx.tree_at(lambda c: (c.rtol, c.atol), control, (control.rtol * share, control.atol * share))
+        return replace(self, control=finer)
 
     def at_start(self) -> Trajectory:
         """The trajectory for `record_cycles`; its rate is a placeholder."""
@@ -166,20 +175,46 @@ class Recorded:
         """Which entries of the state vector change over the cycles: all but the offsets of stuck contacts."""
         return ~np.all(self.slope == np.eye(len(self.slope)), axis=1)
 
-    def newton_step(self) -> np.ndarray:
-        """Newton step from the start towards the fixed point of the map over the cycles; 0 in free offsets."""
-        moves, change = self._moves, self.end.vector - self.start.vector
+    @property
+    def change(self) -> np.ndarray:
+        """Change of the state vector over the cycles."""
+        return self.end.vector - self.start.vector
+
+    @property
+    def returns(self) -> np.ndarray:
+        """Modal displacement and velocity at the end of each cycle, shape (cycles, 2 M)."""
+        steps = self.steps
+        last = np.searchsorted(steps.cycle, np.arange(self.cycles), side="right") - 1
+        return np.concatenate([steps.end.q[last], steps.end.p[last]], axis=1)
+
+    @property
+    def repeats_states(self) -> bool:
+        """Whether all cycles were done and each contact ends in the state in which it began."""
+        return self.complete and np.array_equal(self.end.here.state, self.start.here.state)
+
+    @property
+    def is_held(self) -> bool:
+        """Whether all cycles were done and no contact ever left its state."""
+        return self.complete and bool(np.all(self.steps.state_after == self.start.here.state))
+
+    def newton_step(self, change: np.ndarray) -> np.ndarray:
+        """The step after which a change over the cycles vanishes, to first order; 0 in the offsets that stay free."""
+        moves = self._moves
         step = np.zeros_like(change)
         matrix = np.eye(int(moves.sum())) - self.slope[np.ix_(moves, moves)]
         step[moves] = np.linalg.lstsq(matrix, change[moves], rcond=1e-12)[0]
         return step
 
-    def orbit(self, cycles: int, period: int) -> Orbit:
+    def orbit(self, cycles: int, period: int, settled_to: float, *, irregular: bool = False) -> Orbit:
         """The steady state that these cycles show, amplitudes from the extremes of the dense output.
 
         Args:
             cycles: integrated until their end.
             period: of the motion; 0 where it has not settled.
+            settled_to: how far it is from repeating.
+
+        Keyword Args:
+            irregular: whether it has shown that it never will.
         """
         lane, steps, multipliers = self.start, self.steps, self.multipliers
         shape = lane.shape
@@ -199,6 +234,8 @@ class Recorded:
             slip_share=self._share(steps, SLIP),
             separation_share=self._share(steps, SEPARATION),
             floquet=multipliers if period else np.full_like(multipliers, np.nan),
+            settled_to=settled_to,
+            irregular=irregular,
         )
 
     def _share(self, steps: Step, state: int) -> np.ndarray:

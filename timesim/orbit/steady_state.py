@@ -30,6 +30,9 @@ class Orbit:
         period: its period in excitation periods; 0 if the motion has not settled.
         slip_share, separation_share: share of the period in these states, shape (C,).
         floquet: Floquet multipliers, largest first, without those of free offsets; NaN where it has not settled.
+        settled_to: estimated distance of its state from one that repeats, relative to the largest entry; where the
+            motion has not settled, its change over the cycle, or the several cycles, after which it changes least.
+        irregular: whether it has been marched for long enough to show that it does not repeat.
         reason: why it could not be computed; None if it was.
     """
 
@@ -41,6 +44,8 @@ class Orbit:
     slip_share: np.ndarray
     separation_share: np.ndarray
     floquet: np.ndarray
+    settled_to: float = 0.0
+    irregular: bool = False
     reason: str | None = None
 
     @property
@@ -59,7 +64,7 @@ def without_orbit(model: Model, reason: str, cycles: int = 0) -> Orbit:
     nothing = np.full(model.num_contacts, np.nan)
     amplitude = np.full((len(model.structure.points), 3), np.nan)
     band = np.stack([amplitude, amplitude])
-    return Orbit(model.start, amplitude, band, cycles, 0, nothing, nothing, np.full(1, np.nan), reason)
+    return Orbit(model.start, amplitude, band, cycles, 0, nothing, nothing, np.full(1, np.nan), np.nan, reason=reason)
 
 
 # Two motions
@@ -111,7 +116,8 @@ Columns = Mapping[str, np.ndarray]
 """Steady states as arrays by the names of `COLUMNS`."""
 
 START = ("end_displacement", "end_velocity", "end_slip", "end_state")  # in the order of `Start`
-ARRAYS, NUMBERS = ("amplitude", "band", "slip_share", "separation_share"), ("cycles", "period")
+ARRAYS = ("amplitude", "band", "slip_share", "separation_share")
+NUMBERS = ("cycles", "period", "settled_to", "irregular")
 COLUMNS = (*ARRAYS, *NUMBERS, "settled", "floquet_max", "reason", *START)
 
 

@@ -65,6 +65,12 @@ LABELS: dict[str, tuple[str, str | None]] = {
     # sweep
     "amplitude": ("displacement amplitude, (max - min)/2 over a period", "length"),
     "settled": ("1 where the motion settled", None),
+    "settled_to": (
+        "estimated distance of the state from one that repeats, relative to its largest entry; of a motion that has "
+        "not settled, the least change over a period",
+        "1",
+    ),
+    "irregular": ("1 where the motion does not repeat, however long it goes on: quasi-periodic or irregular", None),
     "cycles": ("excitation cycles run", "1"),
     "period": ("period of the motion in excitation periods", "1"),
     "floquet_max": (
@@ -181,6 +187,7 @@ STATE_FLAGS = {0: "stick", 1: "slip", 2: "separation"}
 YES_NO = {0: "no", 1: "yes"}
 FLAGS = {
     "settled": YES_NO,
+    "irregular": YES_NO,
     "stable": YES_NO,
     "fold": YES_NO,
     "peak_at_end": YES_NO,

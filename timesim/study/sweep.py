@@ -123,6 +123,7 @@ def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[D
     arrays, jumps = grid.gathered(results, places)
     seconds = time.perf_counter() - clock - compiling
     attrs: dict[str, Any] = {"method": str(solver), "compile_seconds": compiling, "run_seconds": seconds}
+    attrs["settle_tolerance"] = plan.criterion.tolerance
     if plan.chained:
         attrs["jumps_bisected"] = int(plan.refine is not None)
     data = grid.data(arrays, jumps, attrs)
@@ -142,7 +143,7 @@ TAILS = {
     "end_state": ("contact",),
 }
 BLANK: dict[str, tuple[Any, type]] = {
-    **dict.fromkeys(("settled", "cycles", "period"), (0, np.int32)),
+    **dict.fromkeys(("settled", "cycles", "period", "irregular"), (0, np.int32)),
     "end_state": (-1, np.int8),
     "reason": ("", object),
 }
