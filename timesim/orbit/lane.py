@@ -111,23 +111,27 @@ class Lane:
         return self.frame.start(self.here.point, self.here.state, self.phase)
 
     def moved(self, vector: np.ndarray) -> "Lane | None":
-        """The lane at another state vector, contact states kept; None where these or the law do not allow it."""
+        """The lane at another state vector, its forces in their cones.
+
+        A contact that sticks slips where its force would lie outside, one that slips sticks where the cone runs ahead
+        of the force. None where a contact would touch that was apart, or the reverse, and for other laws than the cone.
+        """
         point, state, law = point_of(vector, self.here.point), self.here.state, self.system.law
         if not isinstance(law, ConeLaw):
             return None
-        w = np.stack(point.w)
-        u = np.stack([axis @ point.q for axis in self.system.shape[:-1]]) if state.size else w
-        n = law.preload + law.normal_stiffness * (self.system.shape[-1] @ point.q)
-        force = np.stack([law.stiffness[i % len(law.stiffness)] * row for i, row in enumerate(u - w)])
-        size, limit = np.linalg.norm(force, axis=0), law.friction * n
-        follows = slip_follows_motion(state, law.friction)
-        slips = (state == SLIP) & ~follows
-        outside = ((state == STICK) & (size > limit)) | (slips & (size <= 0))
-        if outside.any() or not np.array_equal(contact_state(n, law.friction, state), state):
+        w, (*along, across) = np.stack(point.w), self.system.shape
+        u, du = (np.stack([axis @ x for axis in along]) if state.size else w for x in (point.q, point.p))
+        n, dn = law.preload + law.normal_stiffness * (across @ point.q), law.normal_stiffness * (across @ point.p)
+        if not np.array_equal(contact_state(n, law.friction, state), state):
             return None
-        on_cone = force * np.where(slips, limit / np.where(size > 0, size, 1.0), 1.0)
-        kept = np.stack([law.compliance[i % len(law.compliance)] * row for i, row in enumerate(on_cone)])
-        w = np.where(follows, u, np.where(slips, u - kept, w))
+        K, C = (np.stack([part[i % len(part)] for i in range(len(w))]) for part in (law.stiffness, law.compliance))
+        force = K * (u - w)
+        size, limit, follows = np.linalg.norm(force, axis=0), law.friction * n, slip_follows_motion(state, law.friction)
+        on = force * (limit / np.where(size > 0, size, 1.0))
+        runs_ahead = (on * (K * du)).sum(axis=0) < limit * law.friction * dn
+        rubs = ((state == SLIP) & ~follows & (size > 0)) | ((state == STICK) & (size > limit))
+        w = np.where(follows, u, np.where(rubs, u - C * on, w))
+        state = np.where(follows, state, np.where(rubs & ~runs_ahead, SLIP, STICK))
         return replace(self, here=HybridState(Point(point.q, point.p, tuple(w), None), state))
 
 
@@ -188,9 +192,9 @@ class Recorded:
         return np.concatenate([steps.end.q[last], steps.end.p[last]], axis=1)
 
     @property
-    def repeats_states(self) -> bool:
-        """Whether all cycles were done and each contact ends in the state in which it began."""
-        return self.complete and np.array_equal(self.end.here.state, self.start.here.state)
+    def closes(self) -> bool:
+        """Whether all cycles were done and the contacts that are apart at the end are those that began so."""
+        return self.complete and np.array_equal(self.end.apart, self.start.apart)
 
     @property
     def is_held(self) -> bool:

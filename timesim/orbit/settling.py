@@ -17,7 +17,7 @@ from timesim.engine.trajectory import message_of
 from timesim.model.contact_state import start_states
 from timesim.model.model import Model, Start
 from timesim.model.reduction import reduction_of
-from timesim.model.solver import Criterion, Solver
+from timesim.model.solver import NEVER, Criterion, Solver
 from timesim.orbit.batch import SIZES, march, record
 from timesim.orbit.lane import Lane, Recorded
 from timesim.orbit.linear import held_lane, linear_orbit, proven_orbit, slowest_decay
@@ -62,6 +62,7 @@ class Search:
         period: of the motion to be measured; 0 where it has not settled.
         settled_to: as in `Orbit`.
         shot: the iterate of Newton's method in the phase SHOOT.
+        attempts: at shooting, so far.
         next_shot: cycle before which there is no further attempt at shooting.
         next_held: the same of a proof that no contact leaves its state any more.
         orbit: the result in the phase DONE.
@@ -77,6 +78,7 @@ class Search:
     period: int = 0
     settled_to: float = np.nan
     shot: Shot | None = None
+    attempts: int = 0
     next_shot: float = 0
     next_held: float = 0
     orbit: Orbit | None = None
@@ -92,15 +94,18 @@ def after_march(search: Search, lane: Lane, returns: np.ndarray, solver: Solver,
     if lane.status != Status.RUNNING:
         return _failed(search, solver)
     seen = recurrence_of(np.array(kept), criterion.tolerance, solver.rtol)
-    search = replace(search, settled_to=seen.left, changes=(*search.changes, seen.left))
+    search = replace(search, settled_to=seen.left, changes=(*search.changes, seen.left), period=seen.period)
+    if seen.period and seen.left > criterion.tolerance and criterion.first_shot < NEVER:
+        return replace(search, phase=Phase.SHOOT, shot=Shot(lane, seen.period))
     if seen.period or cycles >= criterion.max_cycles:
-        return replace(search, phase=Phase.MEASURE, period=seen.period)
+        return replace(search, phase=Phase.MEASURE)
     may_shoot = cycles >= max(search.next_shot, criterion.first_shot)
     if (may_shoot or cycles >= search.next_held) and lane.quiet > len(returns) * PERIOD:
         search = _held(search, solver, may_shoot=may_shoot)
     if may_shoot and search.phase is Phase.MARCH:
-        period = nearest_period(np.array(kept)) if search.next_shot else 1
-        return replace(search, phase=Phase.SHOOT, shot=Shot(lane, period))
+        # Every other time: a free vibration, too, may nearly repeat after several cycles while it decays.
+        period = nearest_period(np.array(kept)) if search.attempts % 2 else 1
+        return replace(search, phase=Phase.SHOOT, shot=Shot(lane, period), attempts=search.attempts + 1)
     return search
 
 
@@ -127,6 +132,8 @@ def after_shot(search: Search, recorded: Recorded, criterion: Criterion) -> Sear
         return replace(search, shot=led_to)
     if isinstance(led_to, Converged):
         return _done(replace(search, period=shot.period, settled_to=led_to.settled_to), recorded)
+    if search.period:  # as nearly as marching can tell
+        return replace(search, phase=Phase.MEASURE, shot=None)
     if shot.held:
         return replace(search, shot=Shot(search.lane))
     return replace(search, phase=Phase.MARCH, shot=None, next_shot=LATER * search.cycles)

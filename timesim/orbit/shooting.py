@@ -19,7 +19,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from timesim.orbit.lane import Lane, Recorded
-from timesim.orbit.threshold import FINER, FINEST, MOST_SHOTS, NOISY, REACH, SHORTER, SHORTEST_SHARE, UNSTABLE, VAGUE
+from timesim.orbit.threshold import (
+    FINER,
+    FINEST,
+    MOST_SHOTS,
+    NOISY,
+    QUICK,
+    REACH,
+    SHORTER,
+    SHORTEST_SHARE,
+    UNSTABLE,
+    VAGUE,
+)
 
 
 class Failure(enum.Enum):
@@ -67,29 +78,30 @@ def iterated(shot: Shot, recorded: Recorded, tolerance: float) -> Shot | Converg
     """
     if shot.held:
         return Converged(0.0) if recorded.is_held else Failure.ASTRAY
-    if not recorded.repeats_states:
+    if not recorded.closes:
         return _shorter(shot)
     step, size = recorded.newton_step(recorded.change), max(_largest(shot.lane.vector), 1e-300)
     left, change = _largest(step) / size, _largest(recorded.change) / size
     if left < tolerance:
         return _ended(shot, recorded, left)
-    if _leads_closer(shot, recorded):
-        return _moved(replace(shot, before=recorded, share=min(1.0, REACH / left)), step)
-    rtol = float(shot.lane.control.rtol)
-    if change > NOISY * rtol:
-        return _shorter(shot)
-    if rtol > FINEST:
+    closer, rtol = _led_closer(shot, recorded), float(shot.lane.control.rtol)
+    noisy = shot.before is not None and closer > QUICK and change < NOISY * rtol
+    if noisy and rtol > FINEST:
         finer = max(FINEST, min(FINER * rtol, FINER * tolerance * change / left))
         return _counted(replace(shot, lane=shot.lane.within(finer), before=None))
-    return _ended(shot, recorded, left) if left < VAGUE else Failure.ASTRAY
+    if noisy:
+        return _ended(shot, recorded, left) if left < VAGUE else Failure.ASTRAY
+    if closer > 1 - shot.share / 4:
+        return _shorter(shot)
+    return _moved(replace(shot, before=recorded, share=min(1.0, REACH / left)), step)
 
 
-def _leads_closer(shot: Shot, recorded: Recorded) -> bool:
-    """Whether the step to the iterate has led closer to the fixed point; True at the first."""
+def _led_closer(shot: Shot, recorded: Recorded) -> float:
+    """Distance from the fixed point as a share of that before the step to the iterate; 0 at the first."""
     if shot.before is None:
-        return True
+        return 0.0
     step, follows = (shot.before.newton_step(one.change) for one in (shot.before, recorded))
-    return _largest(follows) <= (1 - shot.share / 4) * _largest(step)
+    return _largest(follows) / max(_largest(step), 1e-300)
 
 
 def _shorter(shot: Shot) -> Shot | Failure:

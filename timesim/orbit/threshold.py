@@ -45,13 +45,15 @@ SHORTER, SHORTEST_SHARE = 0.25, 1 / 64
 """Factor by which a step that does not lead closer is shortened, and the smallest share of it that is tried."""
 MOST_SHOTS = 32
 """Iterations: near the fixed point five suffice, and a few steps of half the state lead anywhere."""
-TRIES = 2048
-"""Most steps tried in a cycle that is shot: eight calls of the loop that records."""
+TRIES = 2**14
+"""Most steps tried in a cycle that is shot: some hundred times as many as at usual tolerances, for a fine one."""
 UNSTABLE = 1 + 1e-6
 """Modulus of a Floquet multiplier above which a motion is unstable; multipliers are exact to 1e-6, as tested."""
-NOISY = 1e3
-"""Change over a period, in units of the tolerance of a step, that may be the noise of its steps: some hundred of
-them."""
+NOISY = 100.0
+"""Change over a period, in units of the tolerance of a step, that may be the noise of its steps: of some hundred, most
+are far more precise than they must be."""
+QUICK = 0.1
+"""Share of the distance that is left after a step of Newton's method, up to which noise does not stand in its way."""
 FINER, FINEST = 0.1, 1e-13
 """Factor by which the tolerance of a step is at least reduced where the noise stands in the way, its margin below the
 one that suffices, and the smallest tolerance: beyond it is rounding."""
