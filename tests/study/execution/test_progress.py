@@ -6,12 +6,17 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import toys
+from toys import chains
 
 from timesim import cli
+from timesim.result import checkpoint
 from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through, point_done
 from timesim.study.execution.progress import Phases, Standing
 
@@ -67,6 +72,26 @@ def test_points_of_a_chunk_count_before_it_is_done():
     chunks = [Chunk("a", 3, None, 3), Chunk("b", 5, "a", 3)]
     carry_through(chunks, work, Execution(lambda *now: seen.append(now), workers=1), identity="")
     assert seen == [(n, 6) for n in (1, 2, 2, 3, 4, 5, 5, 5, 5, 6)]
+
+
+def test_the_time_of_earlier_parts_is_kept_with_their_chunks(tmp_path: Path):
+    chunks = chains(1, 3, seconds=0.05)
+    execution = Execution(folder=tmp_path, workers=1, notice=lambda text: None)
+    carry_through(chunks, toys.work, execution, identity="")
+    first = checkpoint.seconds_worked(tmp_path)
+    assert first > 0.15
+    assert execution.earlier() == 0
+    resumed = replace(execution, resume=True)
+    assert resumed.earlier() == resumed.earlier("") == first
+    (tmp_path / "checkpoint" / "c-0-2.npz").unlink()
+    carry_through(chunks, toys.work, resumed, identity="")
+    assert checkpoint.seconds_worked(tmp_path) > first + 0.05
+    carry_through(chunks, toys.work, replace(execution, folder=tmp_path), identity="", stage="later")
+    assert resumed.earlier() == pytest.approx(resumed.earlier("") + resumed.earlier("later"), rel=1e-12)
+    carry_through(chunks[:1], toys.work, execution, identity="")
+    assert resumed.earlier("") < first
+    checkpoint.clear(tmp_path)
+    assert not (tmp_path / "checkpoint").exists()
 
 
 def test_without_a_terminal_there_is_a_line_a_minute(

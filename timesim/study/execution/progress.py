@@ -65,7 +65,7 @@ class Standing:
 
     def __init__(self, unit: str, earlier: float = 0.0, clock: Callable[[], float] = time.monotonic):
         """For a run that counts in a unit, and parts of which have taken so many seconds before."""
-        self.unit, self.clock, self.share, self.phase = unit, clock, 0.0, "starting"
+        self.unit, self.clock, self.share, self.phase = unit, clock, 0.0, "compiling programs, or loading them"
         self._earlier, self._number = earlier, 0.0
         self._begun = self._worked = clock()
 
