@@ -259,15 +259,15 @@ def _bar(standing: "Standing") -> AbstractContextManager[Any]:
 
         def render(self, task: Task) -> Text:
             task.completed = standing.share
-            return Text(self.words())
+            return Text(self.words(), no_wrap=True)
 
     progress = Progress(
-        Words(lambda: standing.phase),
         BarColumn(),
         Words(lambda: standing.percent),
         Words(lambda: standing.rate),
         Words(lambda: standing.time_so_far),
         Words(lambda: standing.time_left),
+        Words(lambda: standing.phase),
         console=Console(stderr=True),
         transient=True,
     )

@@ -3,6 +3,7 @@
     FOLDER/checkpoint/manifest.json        scene, version, and a fingerprint of every chunk
     FOLDER/checkpoint/NAME.npz             result of a chunk
     FOLDER/checkpoint/seconds              time that all of them took
+    FOLDER/checkpoint/growing.nc           of harmonic balance: the result so far, with the curve that is being followed
     FOLDER/checkpoint/STAGE/…              the same of a later stage of the study
 
 Every file appears whole or not at all, the manifest before the chunks, and it is the first that goes: whatever the
@@ -32,6 +33,7 @@ FOLDER_NAME = "checkpoint"
 MANIFEST_NAME = "manifest.json"
 LOCK_NAME = ".lock"
 SECONDS_NAME = "seconds"
+GROWING_NAME = "growing.nc"
 
 INTERRUPTED = "interrupted"  # how the reason of a campaign that was given up begins
 
@@ -229,7 +231,7 @@ def clear(run_folder: Path | str) -> None:
 
 def _empty(folder: Path) -> None:
     (folder / MANIFEST_NAME).unlink(missing_ok=True)
-    for pattern in ("*.npz", SECONDS_NAME, ".*.part"):
+    for pattern in ("*.npz", SECONDS_NAME, GROWING_NAME, ".*.part"):
         for path in folder.glob(pattern):
             path.unlink(missing_ok=True)
 

@@ -123,7 +123,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     states = f"{number_of_states(sweep)} steady states of both sweeps, and the search, in {running:.2f} s"
     lines, groups, reasons = [states, *unusual_lines(sweep)], {"sweep": sweep}, [reason or failure_line(sweep)]
     if plan.balance is not None and not (reason or "").startswith(INTERRUPTED):
-        hbm, _, hbm_reason = followed(scene, plan.balance, phases["balance"])
+        after = replace(execution, progress=phases["balance"])
+        hbm, _, hbm_reason = followed(scene, plan.balance, after, stage="balance")
         groups["hbm"] = hbm
         lines += fold_lines(hbm)
         compiling, running = (compiling + hbm.attrs["compile_seconds"], running + hbm.attrs["run_seconds"])

@@ -106,11 +106,12 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     phases = Phases(execution.progress, {"sweep": size, "balance": CURVE * sets, "comparison": size / 2})
     sweep, sweep_reason = sweep_record(scene, plan.sweep, replace(execution, progress=phases["sweep"]))
     seconds = sweep.attrs["run_seconds"]
+    # What is kept of the balance belongs to a whole sweep.
+    folder = execution.folder if sweep_reason is None else None
+    after = replace(execution, progress=phases["balance"], folder=folder)
     given_up = (sweep_reason or "").startswith(INTERRUPTED)
     hbm, curves, hbm_reason = (
-        left_out(scene, plan.balance)
-        if given_up
-        else followed(scene, plan.balance, phases["balance"], passing=states_in(sweep))
+        left_out(scene, plan.balance) if given_up else followed(scene, plan.balance, after, states_in(sweep), "balance")
     )
     faults = [f"{name}: {why}" for name, why in (("sweep", sweep_reason), ("hbm", hbm_reason)) if why]
     reason = "; ".join(faults) or None
