@@ -23,11 +23,14 @@ from timesim.orbit.two_motions import UP, Search, ranges_of
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import BistablePlan
-from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through, halted
+from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through, point_done
+from timesim.study.execution.progress import CURVE, Phases
 from timesim.study.hbm import followed
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import bistable_lines, failure_line, fold_lines, number_of_states, unusual_lines
 from timesim.study.sweep import STEPS_A_CHUNK, Grid, sizes_of
+
+SEARCH = "sweeps, ends and starts"  # phase of the progress
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class Payload:
 
     def steady(self, chains: Sequence[Chain]) -> list[list[Orbit]]:
         """Their steady states."""
-        return steady_states(chains, self.solver, self.criterion, halted=halted)
+        return steady_states(chains, self.solver, self.criterion, halted=point_done)
 
 
 @dataclass(frozen=True)
@@ -105,18 +108,24 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     """
     plan: BistablePlan = scene.plan
     solver, grid = scene.solver(), Grid(scene, plan.sweep)
-    clock = time.perf_counter()
+    earlier, clock = execution.earlier(""), time.perf_counter()
     sizes = SIZES if plan.starts**2 > SIZES[0] else SIZES[:1]
     warm_up([Chain(grid.any_model, (float(grid.frequency[0]),))], solver, sizes)
     compiling = time.perf_counter() - clock
-    results, reason = carry_through(chunks(grid, plan, solver), work, execution, identity=scene.resolved_yaml())
-    running = time.perf_counter() - clock - compiling
+    every = chunks(grid, plan, solver)
+    curves = 0 if plan.balance is None else 2 * len(grid.models)
+    phases = Phases(execution.progress, {SEARCH: sum(chunk.size for chunk in every), "balance": CURVE * curves})
+    searching = replace(execution, progress=phases[SEARCH])
+    searching.show(0, 1)
+    results, reason = carry_through(every, work, searching, identity=scene.resolved_yaml())
+    running = earlier + time.perf_counter() - clock - compiling
     gathered = Gathered(grid, plan, results)
     sweep = gathered.sweep({"method": str(solver), "compile_seconds": compiling, "run_seconds": running})
     states = f"{number_of_states(sweep)} steady states of both sweeps, and the search, in {running:.2f} s"
     lines, groups, reasons = [states, *unusual_lines(sweep)], {"sweep": sweep}, [reason or failure_line(sweep)]
     if plan.balance is not None and not (reason or "").startswith(INTERRUPTED):
-        hbm, _, hbm_reason = followed(scene, plan.balance)
+        after = replace(execution, progress=phases["balance"])
+        hbm, _, hbm_reason = followed(scene, plan.balance, after, stage="balance")
         groups["hbm"] = hbm
         lines += fold_lines(hbm)
         compiling, running = (compiling + hbm.attrs["compile_seconds"], running + hbm.attrs["run_seconds"])

@@ -24,7 +24,8 @@ from timesim.orbit.steady_state import COLUMNS, START, Columns, Orbit, columns_o
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan, combinations
-from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through, halted
+from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through, halted, point_done
+from timesim.study.execution.progress import Phases
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import failure_line, sweep_lines
 
@@ -56,7 +57,7 @@ def solve(segment: Segment, before: Result | None) -> Result:
     """The steady states of a segment as arrays: chain first, then its frequencies."""
     chains = list(segment.chains) if before is None else _continued(segment.chains, before)
     steady = partial(steady_states, solver=segment.solver, criterion=segment.criterion, halted=halted)
-    orbits = steady(chains, crowd=segment.crowd)
+    orbits = steady(chains, crowd=segment.crowd, halted=point_done)
     rows = columns_of(orbits)
     jumps = [] if segment.refine is None else list(_jumps(steady, segment.refine, chains, orbits, before))
     last = np.array([chain.frequencies[-1] for chain in chains])
@@ -100,7 +101,8 @@ def _continued(chains: Sequence[Chain], before: Result) -> list[Chain]:
 
 def study(scene: Scene, execution: Execution) -> Outcome:
     """Run a sweep; points that fail are marked, named with their reason, and make the result incomplete."""
-    data, reason = sweep_record(scene, scene.plan, execution)
+    phases = Phases(execution.progress, {"sweep": scene.plan.size})
+    data, reason = sweep_record(scene, scene.plan, replace(execution, progress=phases["sweep"]))
     method, compiling, running = (data.attrs[name] for name in ("method", "compile_seconds", "run_seconds"))
     attrs = attributes(scene, method, compiling, running, reason)
     return Outcome({"": data.assign_attrs(attrs)}, reason, tuple(sweep_lines(data)))
@@ -115,14 +117,16 @@ def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[D
     """
     solver, grid = scene.solver(), Grid(scene, plan)
     chunks, places = grid.chunks(solver)
+    earlier = execution.earlier("")
     clock = time.perf_counter()
     if execution.cluster is None:
         crowds = {chunk.payload.crowd for chunk in chunks}
         warm_up((chain for chunk in chunks for chain in chunk.payload.chains), solver, sorted(crowds))
     compiling = time.perf_counter() - clock
+    execution.show(0, plan.size)
     results, reason = carry_through(chunks, solve, execution, identity=scene.resolved_yaml())
     arrays, jumps = grid.gathered(results, places)
-    seconds = time.perf_counter() - clock - compiling
+    seconds = earlier + time.perf_counter() - clock - compiling
     attrs: dict[str, Any] = {"method": str(solver), "compile_seconds": compiling, "run_seconds": seconds}
     if plan.chained:
         attrs["jumps_bisected"] = int(plan.refine is not None)
