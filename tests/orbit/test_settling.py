@@ -56,6 +56,13 @@ def test_harmonics_and_power_of_a_settled_motion(orbits):
         np.testing.assert_allclose(orbit.dissipated_power, frequency * energy, rtol=1e-5)
 
 
+def test_harmonics_do_not_depend_on_the_phase_of_the_start(orbits):
+    model = oscillator(3.0, 1.39)
+    chain = Chain(replace(model, start=replace(model.start, phase=0.7)), (1.39,))
+    ((orbit,),) = steady_states([chain], PRESETS["standard"], Criterion())
+    np.testing.assert_allclose(orbit.phasor, orbits[0].phasor, rtol=0, atol=1e-6 * orbit.largest)
+
+
 def test_slip_in_a_circle():
     """The motion lags behind the force, and the slider moves on a circle of radius (R^2 - delta^2)^(1/2)."""
     omega, radius, elastic, limit = 1.2, circular_radius(1.0, 1.2), 0.3, 0.3
