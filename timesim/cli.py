@@ -9,13 +9,17 @@ import json
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, Self
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, Self
 
 import typer
+
+if TYPE_CHECKING:
+    from timesim.study.execution.progress import Standing
 
 app = typer.Typer(
     add_completion=False,
@@ -26,6 +30,9 @@ app = typer.Typer(
 
 LAST_SIGNAL = 3
 """Number of the Ctrl-C that is obeyed whatever is under way."""
+
+SECONDS_A_LINE = 60.0
+"""Between two lines on the progress of a run that nobody watches on a terminal."""
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -83,14 +90,16 @@ def _carry_out(loaded: Any, execution: Any, signals: "_Signals", *, plots: bool)
     """Run the study, save its result and draw it."""
     from timesim.result import checkpoint, netcdf
     from timesim.result.file import StoreError
+    from timesim.study.execution.progress import Standing
     from timesim.study.registry import carry_out, draw
 
-    with _progress(loaded.kind) as progress:
-        outcome = carry_out(loaded, replace(execution, progress=progress))
+    output = execution.folder
+    standing = Standing(loaded.file.study.counts, execution.earlier())
+    with _progress(standing):
+        outcome = carry_out(loaded, replace(execution, progress=standing))
     signals.saving = True
     for line in outcome.summary:
         print(line)
-    output = execution.folder
     try:
         path = netcdf.save(outcome.groups, output / netcdf.RESULT_NAME)
     except StoreError as error:
@@ -215,30 +224,55 @@ class _Signals:
 
 
 @contextmanager
-def _progress(kind: str) -> Iterator[Callable[[int, int], None] | None]:
-    """A bar with rate and time left, where somebody is watching."""
-    if not sys.stderr.isatty():
-        yield None
+def _progress(standing: "Standing") -> Iterator[None]:
+    """A bar where somebody is watching, else a line a minute."""
+    if sys.stderr.isatty():
+        with _bar(standing):
+            yield
         return
+    over = threading.Event()
+
+    def lines() -> None:
+        while not over.wait(SECONDS_A_LINE):
+            print(standing.line(), file=sys.stderr, flush=True)
+
+    thread = threading.Thread(target=lines, name="timesim-progress", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+def _bar(standing: "Standing") -> AbstractContextManager[Any]:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, ProgressColumn, Task
+    from rich.text import Text
 
-    columns = (
-        TextColumn("{task.description}"),
+    class Words(ProgressColumn):
+        """A part of the standing as it is when the bar is drawn."""
+
+        def __init__(self, words: Callable[[], str]):
+            self.words = words
+            super().__init__()
+
+        def render(self, task: Task) -> Text:
+            task.completed = standing.share
+            return Text(self.words(), no_wrap=True)
+
+    progress = Progress(
         BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
+        Words(lambda: standing.percent),
+        Words(lambda: standing.rate),
+        Words(lambda: standing.time_so_far),
+        Words(lambda: standing.time_left),
+        Words(lambda: standing.phase),
+        console=Console(stderr=True),
+        transient=True,
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(kind, total=None, rate="")
-
-        def show(done: int, number: int) -> None:
-            speed = bar.tasks[0].speed
-            rate = f"{speed:.3g}/s" if speed else ""
-            bar.update(task, completed=done, total=number, rate=rate)
-
-        yield show
+    progress.add_task("", total=1.0)
+    return progress
 
 
 def main() -> None:

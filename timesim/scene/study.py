@@ -107,6 +107,9 @@ class StudySection(Section):
     keeps_failures: ClassVar[bool] = False
     """Whether a combination of values that makes no scene becomes a failed point, beside others that do make one."""
 
+    counts: ClassVar[str] = "points"
+    """What its progress is counted in."""
+
     kind: str
 
     @abc.abstractmethod
@@ -167,6 +170,11 @@ class SweepPlan:
         """Whether the motion is carried along."""
         return self.directions != ("independent",)
 
+    @property
+    def size(self) -> int:
+        """Number of points."""
+        return self.frequency.size * prod(map(len, self.over.values())) * len(self.directions)
+
 
 class SteadySection(StudySection):
     """A study of steady states by time integration."""
@@ -198,8 +206,7 @@ class SteadySection(StudySection):
         factors += [f"{len(values)} values of {key}" for key, values in plan.over.items()]
         if len(plan.directions) > 1:
             factors.append(f"{len(plan.directions)} directions")
-        total = plan.frequency.size * prod(map(len, plan.over.values())) * len(plan.directions)
-        points = f"{' x '.join(factors)} = {total} points" if len(factors) > 1 else factors[0]
+        points = f"{' x '.join(factors)} = {plan.size} points" if len(factors) > 1 else factors[0]
         return f"{points}{self.search}"
 
 

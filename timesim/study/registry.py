@@ -41,12 +41,14 @@ class Study:
         run: the function ``(scene, execution) -> Outcome``.
         pictures: its pictures, a mapping from the name of a file to a function; empty if it has none.
         in_chunks: whether it works in chunks of points, so that it can be resumed and spread over processes.
+        in_curves: whether it keeps its finished curves, so that it can be resumed.
     """
 
     section: str
     run: str
     pictures: str = ""
     in_chunks: bool = False
+    in_curves: bool = False
 
 
 STUDIES = {
@@ -55,7 +57,7 @@ STUDIES = {
     "element": Study(".scene.element:Element", ".study.element:study", ".picture.element:PICTURES"),
     "element_map": Study(".scene.element:ElementMap", ".study.element_map:study", ".picture.element_map:PICTURES"),
     "sweep": Study(".scene.sweep:Sweep", ".study.sweep:study", ".picture.sweep:PICTURES", in_chunks=True),
-    "hbm": Study(".scene.hbm:Hbm", ".study.hbm:study", ".picture.hbm:PICTURES"),
+    "hbm": Study(".scene.hbm:Hbm", ".study.hbm:study", ".picture.hbm:PICTURES", in_curves=True),
     "compare": Study(".scene.hbm:Compare", ".study.compare:study", ".picture.compare:PICTURES", in_chunks=True),
     "bistable": Study(".scene.sweep:Bistable", ".study.bistable:study", ".picture.bistable:PICTURES", in_chunks=True),
     "optimum": Study(".scene.sweep:Optimum", ".study.optimum:study", ".picture.optimum:PICTURES", in_chunks=True),
@@ -146,7 +148,8 @@ def check_execution(kind: str, execution: Execution) -> None:
     Raises:
         ExecutionError: naming what must be left out.
     """
-    given = {"resume": execution.resume, "cluster": execution.cluster, "workers": execution.workers}
+    resume = execution.resume and not STUDIES[kind].in_curves
+    given = {"resume": resume, "cluster": execution.cluster, "workers": execution.workers}
     useless = [name for name, value in given.items() if value]
     if not STUDIES[kind].in_chunks and useless:
         able = ", ".join(name for name, study in STUDIES.items() if study.in_chunks)
