@@ -128,7 +128,6 @@ def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[D
     arrays, jumps = grid.gathered(results, places)
     seconds = earlier + time.perf_counter() - clock - compiling
     attrs: dict[str, Any] = {"method": str(solver), "compile_seconds": compiling, "run_seconds": seconds}
-    attrs["settle_tolerance"] = plan.criterion.tolerance
     if plan.chained:
         attrs["jumps_bisected"] = int(plan.refine is not None)
     data = grid.data(arrays, jumps, attrs)
@@ -301,7 +300,8 @@ class Grid:
             rows = self._jump_rows(jumps, place)
             variables[f"jump_{end}"] = ((*sizes, "jump"), rows.reshape(*sizes.values(), -1))
         coords = self.axes | {"direction": np.array(self.plan.directions), "frequency": self.frequency}
-        return dataset(variables, coords, attrs, self.any_model)
+        tolerance = {"settle_tolerance": self.plan.criterion.tolerance}
+        return dataset(variables, coords, dict(attrs) | tolerance, self.any_model)
 
     def _jump_rows(self, jumps: Sequence[tuple[int, int, float, float]], place: int) -> np.ndarray:
         """One end of the jumps of each chain, shape (sets, directions, jumps), NaN where a chain has fewer."""
