@@ -193,8 +193,7 @@ def _of_contacts(what: str, drawn: Callable[["Dataset", Sequence[str]], "Figure"
         if not contacts:
             return None
         hidden = left_out(data.sizes["contact"], len(contacts), "contacts", "the least active")
-        cycles = min(LAST_CYCLES, data.sizes["cycle"])
-        which = {0: "cycle not finished", 1: "one cycle"}.get(cycles, f"last {cycles} cycles")
+        which = "one cycle" if data.sizes["cycle"] == 1 else "last cycles"
         return finish(drawn(data, contacts), data, f"{what}, {which}", hidden)
 
     return picture
