@@ -1,13 +1,17 @@
 """Settled motions by marching, against amplitudes computed independently (DOP853 with located events, rtol 1e-12)."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from systems import oscillator
+from simulation import simulate
+from systems import circular, circular_radius, oscillator
 
 from timesim.engine.step import Status
 from timesim.model.solver import PRESETS, Criterion, Solver
+from timesim.orbit.cycle import modal_coefficients
+from timesim.orbit.fourier import phase_deg, to_phasors
 from timesim.orbit.recurrence import period_of
 from timesim.orbit.settling import Chain, Phase, Search, after_march, steady_states
 from timesim.orbit.threshold import CYCLES_A_ROUND
@@ -41,11 +45,44 @@ def test_the_settled_motion_slips_and_separates(orbits):
     assert list(apart > 0.05) == [False, True, False]
 
 
-def test_a_motion_that_has_not_settled_is_recognised():
+def test_harmonics_and_power_of_a_settled_motion(orbits):
+    """Against a cycle from the same state at the finest tolerance: its samples, and the energy that its loop counts."""
+    for orbit, (preload, frequency) in zip(orbits, SETTLED, strict=True):
+        model = replace(oscillator(preload, frequency), start=orbit.end)
+        modal = to_phasors(modal_coefficients(model, frequency, PRESETS["reference"]).T).T[:10]
+        expected = np.einsum("pam,hm->hpa", model.structure.shape, modal)
+        np.testing.assert_allclose(orbit.phasor, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
+        energy = simulate(model, 1, PRESETS["reference"], frequency).totals.work[0][2:]
+        np.testing.assert_allclose(orbit.dissipated_power, frequency * energy, rtol=1e-5)
+
+
+def test_harmonics_do_not_depend_on_the_phase_of_the_start(orbits):
+    model = oscillator(3.0, 1.39)
+    chain = Chain(replace(model, start=replace(model.start, phase=0.7)), (1.39,))
+    ((orbit,),) = steady_states([chain], PRESETS["standard"], Criterion())
+    np.testing.assert_allclose(orbit.phasor, orbits[0].phasor, rtol=0, atol=1e-6 * orbit.largest)
+
+
+def test_slip_in_a_circle():
+    """The motion lags behind the force, and the slider moves on a circle of radius (R^2 - delta^2)^(1/2)."""
+    omega, radius, elastic, limit = 1.2, circular_radius(1.0, 1.2), 0.3, 0.3
+    chain = Chain(circular(1.0, omega), (omega / (2 * np.pi),))
+    ((orbit,),) = steady_states([chain], PRESETS["standard"], Criterion())
+    assert orbit.dissipated_power[0] == pytest.approx(limit * omega * np.sqrt(radius**2 - elastic**2), rel=1e-6)
+    spring = (elastic / radius) ** 2
+    lag = np.arctan2(0.02 * omega + elastic * np.sqrt(radius**2 - elastic**2) / radius**2, 1 - omega**2 + spring)
+    phase = phase_deg(orbit.phasor)[0]
+    np.testing.assert_allclose(phase[:2], np.rad2deg([-lag, -lag - np.pi / 2]) % 360 - [360, 0], rtol=1e-6)
+    assert np.isnan(phase[2])
+
+
+def test_a_motion_that_has_not_settled_is_recognised(orbits):
     orbit = settled(3.0, 1.39, max_cycles=CYCLES_A_ROUND)
     assert not orbit.settled
     assert orbit.period == 0
     assert np.all(orbit.amplitude > 0)
+    assert np.isnan(orbit.phasor).all()
+    assert orbit.dissipated_power == pytest.approx(orbits[0].dissipated_power, rel=0.2)  # the mean of ten cycles
 
 
 def test_a_march_that_fails_says_why():

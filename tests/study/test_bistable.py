@@ -62,6 +62,11 @@ def test_the_motions_at_mid_range(result):
     shares = result["slip_share"].sel(contact="pad").values[0]
     assert np.all((shares > 0.05) & (shares < 0.95))
     assert np.all(result["floquet_max"].values < 1)
+    smaller, larger = result["dissipated_power"].sel(contact="pad").values[0]
+    assert larger > 1.5 * smaller > 0
+    ahead, behind = result["phase_deg"].sel(point="tip", axis="x").values[0]
+    assert -180 < behind < ahead - 5 < 0
+    assert result["sweep"]["phase_deg"].dims == ("direction", "frequency", "point", "axis")
 
 
 def test_each_end_is_a_jump_to_the_other_motion(result):

@@ -19,7 +19,7 @@ from timesim.hbm.period import contact_forces
 from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import BORDER, floquet_multipliers
 from timesim.model.model import Model
-from timesim.orbit.fourier import half_range
+from timesim.orbit.fourier import half_range, phase_deg, to_phasors
 
 Array = NDArray[np.float64]
 
@@ -74,6 +74,21 @@ class HbmCurve:
         amplitude = np.hypot(self.harmonic_cos, self.harmonic_sin)
         amplitude[:, 0] = self.harmonic_cos[:, 0]
         return amplitude
+
+    @property
+    def phase_deg(self) -> Array:
+        """Phase of the first harmonic against the excitation, shape (S, P, 3) [degree]; NaN along axes that rest."""
+        return phase_deg(self.harmonic_cos - 1j * self.harmonic_sin)
+
+    @property
+    def dissipated_power(self) -> Array:
+        """Power lost in each contact, f times the integral of f . u' over a period, shape (S, C) [force length/time].
+
+        Truncation leaves it exact: of the force, only the harmonics that the motion has do work on it.
+        """
+        u, f = (to_phasors(part[:, :, :2]) for part in (self.contact_motion, self.contact_force))
+        work = -np.pi * np.sum(np.arange(u.shape[-1]) * (f.conj() * u).imag, axis=(2, 3))
+        return self.frequency[:, None] * work
 
 
 Watch = Callable[[float, Callable[[], HbmCurve]], None]

@@ -11,6 +11,7 @@ import numpy as np
 
 from timesim.engine.history import between
 from timesim.engine.law.cone import ConeLaw
+from timesim.engine.quadrature import means
 from timesim.engine.solver import Control, step_control
 from timesim.engine.step import Status, Step, Trajectory
 from timesim.engine.system import Point, System, system_of
@@ -19,6 +20,7 @@ from timesim.model.contact_state import contact_state, slip_follows_motion
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.reduction import Reduction
 from timesim.model.solver import Solver
+from timesim.orbit.fourier import HARMONICS
 from timesim.orbit.monodromy import HybridState, Tries, point_of, vector_of
 from timesim.orbit.steady_state import Orbit, share
 
@@ -100,6 +102,12 @@ class Lane:
     def start(self) -> Start:
         """The state in the units of the scene."""
         return self.frame.start(self.here.point, self.here.state, self.phase)
+
+    def power(self, power: np.ndarray) -> np.ndarray:
+        """Power of each contact in the units of the scene, from that of the contacts in the loop, shape (C,)."""
+        whole = np.zeros(self.model.num_contacts)
+        whole[self.reduction.live] = power * self.frame.scales.energy * self.frame.scales.omega
+        return whole
 
     def moved(self, vector: np.ndarray) -> "Lane | None":
         """The lane at another state vector, contact states kept; None where these or the law do not allow it."""
@@ -190,6 +198,7 @@ class Recorded:
         least, most = np.minimum.reduceat(low, first), np.maximum.reduceat(high, first)
         each, place = 0.5 * (most - least), (len(lane.model.structure.points), 3)
         band = np.stack([each.min(axis=0), each.max(axis=0)]).reshape(2, *place)
+        phasor, power = means(lane.system, steps, self.cycles, HARMONICS)
         return Orbit(
             end=self.end.start(),
             amplitude=0.5 * (most.max(axis=0) - least.min(axis=0)).reshape(place),
@@ -198,6 +207,8 @@ class Recorded:
             period=period,
             slip_share=self._share(steps, SLIP),
             separation_share=self._share(steps, SEPARATION),
+            phasor=(phasor @ shape.T).reshape(-1, *place) if period else np.full((HARMONICS + 1, *place), np.nan + 0j),
+            dissipated_power=lane.power(power),
             floquet=multipliers if period else np.full_like(multipliers, np.nan),
         )
 

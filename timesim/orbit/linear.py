@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from timesim.engine.system import Point, System
-from timesim.orbit.fourier import half_range
+from timesim.orbit.fourier import HARMONICS, half_range
 from timesim.orbit.lane import Lane
 from timesim.orbit.monodromy import HybridState
 from timesim.orbit.steady_state import Orbit
@@ -31,8 +31,11 @@ def linear_orbit(lane: Lane) -> Orbit | None:
     turn = np.exp(1j * np.arange(len(phasor)) * float(system.phase))[:, None]
     q, p = ((turn * phasor).real.sum(axis=0), (1j * np.arange(len(phasor))[:, None] * turn * phasor).real.sum(axis=0))
     end = replace(lane, here=HybridState(Point(q, p, here.point.w, None), here.state)).start()
-    amplitude = half_range((phasor @ lane.shape.T)[None])[0].reshape(len(lane.model.structure.points), 3)
-    slips, apart = np.zeros((2, lane.model.num_contacts))
+    motion = (phasor @ lane.shape.T).reshape(-1, len(lane.model.structure.points), 3)
+    amplitude = half_range(motion[None])[0]
+    kept = np.zeros((HARMONICS + 1, *amplitude.shape), complex)
+    kept[: len(motion)] = motion[: HARMONICS + 1]
+    slips, apart, lost = np.zeros((3, lane.model.num_contacts))
     apart[lane.reduction.apart] = 1.0
     multipliers = np.exp(2 * np.pi * rates)
     return Orbit(
@@ -43,6 +46,8 @@ def linear_orbit(lane: Lane) -> Orbit | None:
         period=1,
         slip_share=slips,
         separation_share=apart,
+        phasor=kept,
+        dissipated_power=lost,
         floquet=multipliers[np.argsort(-np.abs(multipliers))],
     )
 

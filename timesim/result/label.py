@@ -64,6 +64,15 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "energy_friction": ("energy lost to friction in the cycle", "force*length"),
     # sweep
     "amplitude": ("displacement amplitude, (max - min)/2 over a period", "length"),
+    "phase_deg": (
+        "phase of the first harmonic of the excitation's frequency against the excitation, "
+        "x ~ A cos(2 pi f t + phase); NaN where the motion has no period",
+        "degree",
+    ),
+    "dissipated_power": (
+        "power lost in the contact, the mean over a period; where the motion has none, over the cycles measured",
+        "force*length/s",
+    ),
     "settled": ("1 where the motion settled", None),
     "cycles": ("excitation cycles run", "1"),
     "period": ("period of the motion in excitation periods", "1"),

@@ -16,6 +16,7 @@ from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
 from timesim.orbit.basin import LOWER, UPPER, explore, shares
 from timesim.orbit.batch import SIZES
+from timesim.orbit.fourier import phase_deg
 from timesim.orbit.settling import Chain, steady_states, warm_up
 from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of, end_of
 from timesim.orbit.two_motions import UP, Search, ranges_of
@@ -169,6 +170,8 @@ DIMS: dict[str, tuple[str, ...]] = {
     "floquet_max": ("motion",),
     "slip_share": ("motion", "contact"),
     "separation_share": ("motion", "contact"),
+    "phase_deg": ("motion", *SPOT),
+    "dissipated_power": ("motion", "contact"),
 }
 OF_STARTS: dict[str, tuple[str, ...]] = {
     "start_branch": ("share_lower", "share_upper"),
@@ -229,9 +232,16 @@ class Gathered:
         """A quantity of all ranges, shape (sets, ranges, ...); NaN, or -1, where there are fewer."""
         fill, kind = (-1, np.int32) if name in WHOLE else (np.nan, float)
         table = np.full((len(self.whole), self.count, *shape), fill, dtype=kind)
-        side = {"amplitude_lower": LOWER, "amplitude_upper": UPPER}.get(name)
         for v, result in enumerate(self.whole):
-            rows = None if result is None else result["amplitude"][:, side] if side is not None else result.get(name)
+            rows = None if result is None else _of_ranges(result, name)
             if rows is not None:
                 table[v, : len(rows)] = rows
         return table
+
+
+def _of_ranges(result: Result, name: str) -> np.ndarray | None:
+    """A quantity of the ranges of one set of values; None if it is not known."""
+    if name == "phase_deg":
+        return phase_deg(result["phasor"])
+    side = {"amplitude_lower": LOWER, "amplitude_upper": UPPER}.get(name)
+    return result.get(name) if side is None else result["amplitude"][:, side]

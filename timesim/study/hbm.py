@@ -289,9 +289,9 @@ def solutions(model: Model, curves: Curves, attrs: Mapping[str, Any], refined: C
     points, contacts, order = len(model.structure.points), model.num_contacts, curves.scheme.harmonics + 1
     shapes = {
         **dict.fromkeys(("frequency", "stable", "fold", "branch", "floquet_max", "closure"), ()),
-        "amplitude": (points, 3),
+        **dict.fromkeys(("amplitude", "phase_deg"), (points, 3)),
         **dict.fromkeys(("harmonic_amplitude", "harmonic_cos", "harmonic_sin"), (order, points, 3)),
-        **dict.fromkeys(("slip_share", "separation_share"), (contacts,)),
+        **dict.fromkeys(("slip_share", "separation_share", "dissipated_power"), (contacts,)),
     }
     arrays = {name: _stacked(curves, name, shape) for name, shape in shapes.items()}
     arrays |= {name: arrays[name].astype(np.int8) for name in ("stable", "fold")}

@@ -18,7 +18,7 @@ from timesim.fault import SceneError
 from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
 from timesim.orbit.settling import Chain, steady_states, warm_up
-from timesim.orbit.steady_state import Orbit, columns_of
+from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import OptimumPlan
@@ -26,12 +26,12 @@ from timesim.study.execution.campaign import Chunk, Execution, Result, carry_thr
 from timesim.study.execution.progress import Phases
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import failure_line, optimum_lines
+from timesim.study.sweep import Variables, blank_columns, variables_of
 
 NEARLY = 0.9  # of the largest: other maxima that may be larger between the points of the sweep
 FINE = 1e-3  # of a step of the sweep: the frequency of a peak, whose height depends on it in second order only
 TIE = 1e-7  # of a peak: smaller differences are those of the time integration
 CHECKS = 6  # times that a smaller peak beside the optimum is followed
-COLUMNS = ("amplitude", "settled", "cycles", "reason")
 
 
 FIRST, SEARCH = "values of the range", "search for the least"  # phases of the progress
@@ -69,7 +69,7 @@ def respond(response: Response, before: Result | None) -> Result:
     columns = columns_of(orbits)
     height, frequency, at_end, settled = _peak(response, orbits)
     peak = {"peak": height, "peak_frequency": frequency, "peak_at_end": int(at_end), "peak_settled": int(settled)}
-    return {name: columns[name] for name in COLUMNS} | {name: np.array(value) for name, value in peak.items()}
+    return columns | {name: np.array(value) for name, value in peak.items()}
 
 
 def _peak(response: Response, orbits: list[list[Orbit]]) -> tuple[float, float, bool, bool]:
@@ -239,23 +239,24 @@ def data_of(peaks: Peaks) -> Dataset:
     """The result file: all values that were looked at, ascending, and the best of them."""
     values = sorted(peaks.results)
     model = peaks.scene.model()
-    shape, points = (len(values), 2, peaks.frequency.size), len(model.structure.points)
+    key, grid = peaks.key, {peaks.key: len(values), "direction": 2, "frequency": peaks.frequency.size}
 
-    def column(name: str, *own: int) -> np.ndarray:
-        return np.array([peaks.results[value][name] for value in values]).reshape(len(values), *own)
-
-    key, grid = peaks.key, (peaks.key, "direction", "frequency")
+    columns = blank_columns(model, *grid.values())
+    for row, value in enumerate(values):
+        for name in COLUMNS:
+            columns[name][row] = peaks.results[value][name]
     least = peaks.least()
     best = peaks.results.get(least, {})
-    variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {
-        **{name: ((key,), column(name)) for name in ("peak", "peak_frequency", "peak_at_end", "peak_settled")},
+    variables: Variables = {
+        **variables_of(columns, grid),
+        **{
+            name: ((key,), np.array([peaks.results[value][name] for value in values]))
+            for name in ("peak", "peak_frequency", "peak_at_end", "peak_settled")
+        },
         "optimum": ((), np.array(least)),
         "optimum_peak": ((), np.array(best.get("peak", np.nan))),
         "optimum_frequency": ((), np.array(best.get("peak_frequency", np.nan))),
-        "amplitude": ((*grid, "point", "axis"), column("amplitude", *shape[1:], points, 3)),
-        "settled": (grid, column("settled", *shape[1:]).astype(np.int8)),
-        "cycles": (grid, column("cycles", *shape[1:]).astype(np.int32)),
-        "failure": (grid, column("reason", *shape[1:]).astype(str)),
+        "final_phase_deg": ((), np.array(np.rad2deg(model.start.phase) % 360)),
     }
     coords = {key: np.array(values), "direction": np.array(["up", "down"]), "frequency": peaks.frequency}
     data = dataset(variables, coords, {}, model)

@@ -17,9 +17,10 @@ from xarray import Dataset
 from timesim.fault import SceneError
 from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
+from timesim.orbit.fourier import HARMONICS, phase_deg, signed_amplitude
 from timesim.orbit.jump import Stretch, jumps_of, steps_of, suspects
 from timesim.orbit.settling import Chain, SteadyStates, steady_states, warm_up
-from timesim.orbit.steady_state import COLUMNS, START, Orbit, columns_of, end_of, orbit_of
+from timesim.orbit.steady_state import COLUMNS, START, Columns, Orbit, columns_of, end_of, orbit_of
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan, combinations
@@ -133,13 +134,16 @@ def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[D
     return data, reason or failure_line(data)
 
 
-# Dimensions of the columns after those of the sweep, what stands for a point not computed where that is not NaN, and
-# the names of some in the result file.
+# Dimensions of what is known of a point after those of the sweep, what stands for a point not computed where that is
+# not NaN, and the names of some columns in the result file.
 TAILS = {
-    "amplitude": ("point", "axis"),
+    **dict.fromkeys(("amplitude", "phase_deg"), ("point", "axis")),
+    **dict.fromkeys(("harmonic_amplitude", "harmonic_cos", "harmonic_sin"), ("harmonic", "point", "axis")),
+    "phasor": ("harmonic", "point", "axis"),
     "band": ("band", "point", "axis"),
     "slip_share": ("contact",),
     "separation_share": ("contact",),
+    "dissipated_power": ("contact",),
     "end_displacement": ("mode",),
     "end_velocity": ("mode",),
     "end_slip": ("contact", "tangent"),
@@ -148,6 +152,7 @@ TAILS = {
 BLANK: dict[str, tuple[Any, type]] = {
     **dict.fromkeys(("settled", "cycles", "period"), (0, np.int32)),
     "end_state": (-1, np.int8),
+    "phasor": (np.nan, complex),
     "reason": ("", object),
 }
 STORED = {
@@ -158,6 +163,40 @@ STORED = {
     "end_slip": "final_slip",
     "end_state": "final_contact_state",
 }
+
+Variables = dict[str, tuple[tuple[str, ...], np.ndarray]]
+
+
+def blank_columns(model: Model, *shape: int) -> dict[str, np.ndarray]:
+    """Columns of points of which nothing is known; shape: of the points."""
+    sizes, arrays = sizes_of(model), dict[str, np.ndarray]()
+    for name in COLUMNS:
+        fill, kind = BLANK.get(name, (np.nan, float))
+        arrays[name] = np.full((*shape, *(sizes[dim] for dim in TAILS.get(name, ()))), fill, dtype=kind)
+    return arrays
+
+
+def variables_of(columns: Columns, axes: Mapping[str, int]) -> Variables:
+    """Steady states as variables of a result file; no state is left of a point that failed.
+
+    Args:
+        columns: with any dimensions of the points first, as many points as the axes have.
+        axes: names and sizes of the dimensions that these become.
+    """
+    phasor, failed = columns["phasor"], columns["reason"] != ""
+    values = {name: array for name, array in columns.items() if name != "phasor"}
+    values |= {"phase_deg": phase_deg(phasor), "harmonic_amplitude": signed_amplitude(phasor)}
+    values |= {"harmonic_cos": phasor.real, "harmonic_sin": 0.0 - phasor.imag, "reason": columns["reason"].astype(str)}
+    for name in START:
+        blank, kind = BLANK.get(name, (np.nan, float))
+        missing = failed.reshape(*failed.shape, *[1] * len(TAILS[name]))
+        values[name] = np.where(missing, blank, values[name]).astype(kind)
+
+    def shaped(array: np.ndarray) -> np.ndarray:
+        return array.reshape(*axes.values(), *array.shape[failed.ndim :])
+
+    return {STORED.get(name, name): ((*axes, *TAILS.get(name, ())), shaped(value)) for name, value in values.items()}
+
 
 Place = tuple[int, int, slice | int]
 """Set of values, direction, and positions of the frequencies, for each chain of a chunk."""
@@ -221,7 +260,10 @@ class Grid:
         self, results: Mapping[str, Result], places: Mapping[str, list[Place]]
     ) -> tuple[dict[str, np.ndarray], list[tuple[int, int, float, float]]]:
         """Columns on (set, direction, order of the sweep), and jumps as (set, direction, low, high)."""
-        arrays = self._blank()
+        arrays = blank_columns(self.any_model, *self.shape)
+        for v, model in enumerate(self.models):
+            if isinstance(model, str):
+                arrays["reason"][v] = model
         jumps: list[tuple[int, int, float, float]] = []
         for name, result in results.items():
             for index, (v, d, f) in enumerate(places[name]):
@@ -233,8 +275,6 @@ class Grid:
                 jumps.append((v, d, low, high))
         if self.plan.refine is None and self.plan.chained:
             jumps += self._unrefined(arrays["amplitude"])
-        for name in START:
-            arrays[name][arrays["reason"] != ""] = -1 if name == "end_state" else np.nan
         for d, direction in enumerate(self.plan.directions):
             if direction == "down":
                 for array in arrays.values():
@@ -249,34 +289,16 @@ class Grid:
                 low, high = sorted(frequency[k : k + 2])
                 yield v, d, low, high
 
-    def _blank(self) -> dict[str, np.ndarray]:
-        sizes = sizes_of(self.any_model)
-        arrays: dict[str, np.ndarray] = {}
-        for name in COLUMNS:
-            fill, kind = BLANK.get(name, (np.nan, float))
-            arrays[name] = np.full((*self.shape, *(sizes[dim] for dim in TAILS.get(name, ()))), fill, dtype=kind)
-        for v, model in enumerate(self.models):
-            if isinstance(model, str):
-                arrays["reason"][v] = model
-        return arrays
-
     def data(
         self, arrays: Mapping[str, np.ndarray], jumps: Sequence[tuple[int, int, float, float]], attrs: Mapping[str, Any]
     ) -> Dataset:
         """The result file."""
-        sizes = tuple(values.size for values in self.axes.values())
-        dims = (*self.axes, "direction", "frequency")
-        variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
-        for name, array in arrays.items():
-            kept = array.astype(str) if name == "reason" else array
-            whole = kept.reshape(*sizes, *array.shape[1:])
-            variables[STORED.get(name, name)] = ((*dims, *TAILS.get(name, ())), whole)
+        sizes = {key: values.size for key, values in self.axes.items()} | {"direction": self.shape[1]}
+        variables = variables_of(arrays, sizes | {"frequency": self.frequency.size})
         variables["final_phase_deg"] = ((), np.array(np.rad2deg(self.any_model.start.phase) % 360))
         for end, place in (("low", 2), ("high", 3)):
-            variables[f"jump_{end}"] = (
-                (*dims[:-1], "jump"),
-                self._jump_rows(jumps, place).reshape(*sizes, self.shape[1], -1),
-            )
+            rows = self._jump_rows(jumps, place)
+            variables[f"jump_{end}"] = ((*sizes, "jump"), rows.reshape(*sizes.values(), -1))
         coords = self.axes | {"direction": np.array(self.plan.directions), "frequency": self.frequency}
         return dataset(variables, coords, attrs, self.any_model)
 
@@ -294,7 +316,7 @@ class Grid:
 def sizes_of(model: Model) -> dict[str, int]:
     """Lengths of the dimensions that a model determines, or that are the same everywhere."""
     own = {"point": len(model.structure.points), "contact": model.num_contacts, "mode": model.structure.num_modes}
-    return own | {"axis": 3, "band": 2, "tangent": 2}
+    return own | {"axis": 3, "band": 2, "tangent": 2, "harmonic": HARMONICS + 1}
 
 
 def _variant(scene: Scene, values: Mapping[str, float]) -> Model | str:
