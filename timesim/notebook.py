@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from timesim.fault import RuleError
+from timesim.study.point import point_again
 from timesim.study.registry import draw, run
 
 if TYPE_CHECKING:
@@ -281,6 +283,25 @@ def follow(
     study = {"kind": "hbm", "frequency": span, "harmonics": harmonics, "time_samples": time_samples}
     result: xarray.Dataset = run(system | {"study": study})
     return result
+
+
+def show(path: str | Path, at: Mapping[str, float | str]) -> "xarray.Dataset":
+    """The motion at a point of a sweep again, from the state that its result holds; see `timesim show`.
+
+    Args:
+        path: result file of a study with a sweep, or the folder of its run.
+        at: the point, values along the axes of the sweep by name: ``{"frequency": 0.945, "direction": "up"}``.
+
+    Returns:
+        A period of the motion, ten cycles where it has none: the result of a transient.
+
+    Raises:
+        ValueError: the result has no such point, or more than one.
+    """
+    try:
+        return point_again(path, at).motion
+    except RuleError as error:
+        raise ValueError(f"{'.'.join(map(str, error.key)) or path}: {error.rule} ({error.hint})") from None
 
 
 def plot(result: "xarray.Dataset", folder: str | Path) -> list[Path]:

@@ -193,7 +193,8 @@ def _of_contacts(what: str, drawn: Callable[["Dataset", Sequence[str]], "Figure"
         if not contacts:
             return None
         hidden = left_out(data.sizes["contact"], len(contacts), "contacts", "the least active")
-        return finish(drawn(data, contacts), data, f"{what}, last cycles", hidden)
+        which = "one cycle" if data.sizes["cycle"] == 1 else "last cycles"
+        return finish(drawn(data, contacts), data, f"{what}, {which}", hidden)
 
     return picture
 

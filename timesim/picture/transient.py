@@ -194,7 +194,7 @@ def _hidden(data: "Dataset") -> str:
 
 
 def _energy_figure(data: "Dataset") -> "Figure | None":
-    if not data.sizes["cycle"]:
+    if data.sizes["cycle"] < 2:
         return None
     fig, grid = figure(2, 1, width=9.0, height=2.0, right=2.3, sharex=True, height_ratios=[2, 1])
     energy(data, grid[0, 0]).set_xlabel("")
