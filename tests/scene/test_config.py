@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from timesim.fault import RuleError, SceneError
 from timesim.model.cost import cycles_to_settle
 from timesim.model.model import SEPARATION, SLIP, STICK
-from timesim.model.solver import Criterion
+from timesim.model.solver import NEVER, SHOOT, SLOW, Criterion
 from timesim.scene.report import advised_method, contact_line, describe
 from timesim.scene.text import MAX_BYTES, parse, yaml_text
 from timesim.study.registry import json_schema, load_scene
@@ -696,9 +696,10 @@ def test_cycles_to_settle_are_those_of_the_slowest_decay():
     needed = cycles_to_settle(model, Criterion(1e-8, 2000), 1.35)
     assert decay**needed <= 1e-8 < decay ** (needed - 1)
     assert cycles_to_settle(model, Criterion(1e-8, 100), 1.35) == 100
-    assert cycles_to_settle(model, Criterion(1e-8, 2000, shoot=True), 1.35) == 40
+    assert cycles_to_settle(model, Criterion(1e-8, 2000, SHOOT), 1.35) == 24
     undamped = load_scene(CONFIGS / "oscillator.yaml", ["structure.modes.0.damping_ratio=0"]).model()
-    assert cycles_to_settle(undamped, Criterion(1e-8, 2000), 1.35) == 2000
+    assert cycles_to_settle(undamped, Criterion(1e-8, 2000, NEVER), 1.35) == 2000
+    assert cycles_to_settle(undamped, Criterion(1e-8, 2000), 1.35) == SLOW + 8
 
 
 def test_nothing_moves_is_worth_a_warning():

@@ -23,8 +23,8 @@ STAGES = {"tsit5": 1.0, "dopri5": 1.0, "rk4": 0.6, "dopri8": 1.9}
 """Work of a step, as a multiple of that of tsit5."""
 SETTLING = 0.004
 """Seconds of a steady state beside its cycles: what is left out, amplitudes, multipliers."""
-SHOTS = 40
-"""Cycles of a steady state by shooting."""
+SHOTS = 8
+"""Cycles of Newton's method, beside those that are marched before it is tried."""
 SOLUTIONS = 200
 """Solutions on a curve of harmonic balance."""
 
@@ -57,13 +57,12 @@ def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side
 
 
 def cycles_to_settle(model: Model, criterion: Criterion, frequency: float) -> int:
-    """Cycles at a frequency [Hz] in which the mode that decays most slowly has decayed to the tolerance."""
-    if criterion.shoot:
-        return min(SHOTS, criterion.max_cycles)
+    """Cycles at a frequency [Hz] in which the mode that decays most slowly has decayed to the tolerance, or is shot."""
     structure = model.structure
     decay = 2 * np.pi * (structure.damping_ratio * structure.frequency)[structure.frequency > 0]
     slowest = max(decay.min(initial=np.inf), 1e-300)
-    return int(np.ceil(min(-np.log(criterion.tolerance) * frequency / slowest, criterion.max_cycles)))
+    marched = -np.log(criterion.tolerance) * frequency / slowest
+    return int(np.ceil(min(marched, criterion.first_shot + SHOTS, criterion.max_cycles)))
 
 
 def seconds_a_solution(model: Model, harmonics: int, *, stability: bool) -> float:
