@@ -332,6 +332,10 @@ def _bar(standing: "Standing") -> AbstractContextManager[Any]:
 
 def main() -> None:
     """Entry point of the ``timesim`` command."""
+    # The matrices are small and the work is spread over the processors already: where others compute too, a curve of
+    # harmonic balance takes eight times longer with the threads of OpenBLAS, which wait for each other (measured on two
+    # processors at load 5: 45 s against 5.7 s). Read when numpy is imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Imports and traces leave half a million objects that last. At Python's own threshold the collector walks them so
     # often that a second run of configs/oscillator.yaml takes 4.4 s of processor time in place of 3.8 (measured).
     gc.set_threshold(50_000)

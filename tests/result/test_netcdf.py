@@ -173,7 +173,7 @@ def test_flags_say_what_they_mean_and_are_of_the_type_of_their_variable(tmp_path
             attrs = data[name].attrs
             assert attrs["flag_values"].dtype == kind
             assert len(attrs["flag_meanings"].split()) == len(attrs["flag_values"])
-        assert data.start_branch.attrs["flag_meanings"] == "none smaller larger another"
+        assert data.start_branch.attrs["flag_meanings"] == "none smaller larger another irregular"
         assert data.range_cut.attrs["flag_values"].tolist() == [-1, 0, 1]
 
 

@@ -34,6 +34,9 @@ class Orbit:
             all cycles of a longer period, shape (H + 1, P, 3); NaN where the motion has not settled.
         dissipated_power: power lost in each contact, the mean over the cycles that show the motion, shape (C,).
         floquet: Floquet multipliers, largest first, without those of free offsets; NaN where it has not settled.
+        settled_to: estimated distance of its state from one that repeats, relative to the largest entry; where the
+            motion has not settled, its change over the cycle, or the several cycles, after which it changes least.
+        irregular: whether it has been marched for long enough to show that it does not repeat.
         reason: why it could not be computed; None if it was.
     """
 
@@ -47,6 +50,8 @@ class Orbit:
     phasor: np.ndarray
     dissipated_power: np.ndarray
     floquet: np.ndarray
+    settled_to: float = 0.0
+    irregular: bool = False
     reason: str | None = None
 
     @property
@@ -78,6 +83,7 @@ def without_orbit(model: Model, reason: str, cycles: int = 0) -> Orbit:
         phasor=unknown(HARMONICS + 1, *places).astype(complex),
         dissipated_power=unknown(contacts),
         floquet=unknown(1),
+        settled_to=np.nan,
         reason=reason,
     )
 
@@ -132,7 +138,7 @@ Columns = Mapping[str, np.ndarray]
 
 START = ("end_displacement", "end_velocity", "end_slip", "end_state")  # in the order of `Start`
 ARRAYS = ("amplitude", "band", "slip_share", "separation_share", "phasor", "dissipated_power")
-NUMBERS = ("cycles", "period")
+NUMBERS = ("cycles", "period", "settled_to", "irregular")
 COLUMNS = (*ARRAYS, *NUMBERS, "settled", "floquet_max", "reason", *START)
 
 

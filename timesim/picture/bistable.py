@@ -42,6 +42,7 @@ LED_TO = {
     0: ("to the smaller motion", BLUE),
     1: ("to the larger motion", VERMILION),
     2: ("to another motion", "0.55"),
+    3: ("to one that does not repeat", "0.25"),
 }
 """Label and colour of the motion that a start leads to."""
 
@@ -206,7 +207,7 @@ def starts(data: "DataTree", ax: "Axes | None" = None, *, at: Range | None = Non
     ax, item, root = axes(ax), at or ranges(data)[0], data.to_dataset()
     branch = root["start_branch"].isel(item.where).transpose("share_lower", "share_upper").values
     colours = ListedColormap([colour for _, colour in LED_TO.values()])
-    norm = BoundaryNorm([-1.5, -0.5, 0.5, 1.5, 2.5], colours.N)
+    norm = BoundaryNorm(np.arange(-1.5, len(LED_TO) - 1), colours.N)
     x, y = root["share_upper"].values, root["share_lower"].values
     ax.pcolormesh(x, y, branch, shading="nearest", cmap=colours, norm=norm, alpha=0.55, edgecolor="white")
     for spot, kind, name in (((0, 0), "o", "rest"), ((0, 1), "v", "smaller motion"), ((1, 0), "^", "larger motion")):

@@ -75,6 +75,12 @@ LABELS: dict[str, tuple[str, str | None]] = {
         "force*length/s",
     ),
     "settled": ("1 where the motion settled", None),
+    "settled_to": (
+        "estimated distance of the state from one that repeats, relative to its largest entry; of a motion that has "
+        "not settled, the least change over a period",
+        "1",
+    ),
+    "irregular": ("1 where the motion does not repeat, however long it goes on: quasi-periodic or irregular", None),
     "cycles": ("excitation cycles run", "1"),
     "period": ("period of the motion in excitation periods", "1"),
     "floquet_max": (
@@ -101,9 +107,17 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "jump_to": ("displacement amplitude beyond the end of the range, after the jump", "length"),
     "range_cut": ("1 where the search ends before the range does; -1: no range", None),
     "range_settled": ("1 where the motion next to the end had settled; -1: no range", None),
+    "range_irregular": (
+        "motion that loses its period at the end and no longer counts beyond: 0 none, 1 the smaller, 2 the larger; -1: "
+        "no range",
+        None,
+    ),
     "share_lower": ("share of the smaller motion's state in the start", "1"),
     "share_upper": ("share of the larger motion's state in the start", "1"),
-    "start_branch": ("motion that the start leads to: 0 the smaller, 1 the larger, 2 another, -1 none", None),
+    "start_branch": (
+        "motion that the start leads to: 0 the smaller, 1 the larger, 2 another, 3 one that does not repeat, -1 none",
+        None,
+    ),
     "start_cycles": ("excitation cycles run from the start", "1"),
     "start_amplitude": ("displacement amplitude of the motion that the start leads to", "length"),
     "offset_low": ("smallest slip displacement w over the starts; NaN where the contact does not stick", "length"),
@@ -191,13 +205,15 @@ STATE_FLAGS = {0: "stick", 1: "slip", 2: "separation"}
 YES_NO = {0: "no", 1: "yes"}
 FLAGS = {
     "settled": YES_NO,
+    "irregular": YES_NO,
     "stable": YES_NO,
     "fold": YES_NO,
     "peak_at_end": YES_NO,
     "peak_settled": YES_NO,
     "range_cut": {-1: "no_range", **YES_NO},
     "range_settled": {-1: "no_range", **YES_NO},
-    "start_branch": {-1: "none", 0: "smaller", 1: "larger", 2: "another"},
+    "range_irregular": {-1: "no_range", 0: "none", 1: "smaller", 2: "larger"},
+    "start_branch": {-1: "none", 0: "smaller", 1: "larger", 2: "another", 3: "irregular"},
 }
 """Meaning of the values of a variable that counts nothing."""
 

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from timesim.fault import Key, RuleError, nearest
 from timesim.model.model import Model
-from timesim.model.solver import Criterion
+from timesim.model.solver import SHOOT, SLOW, Criterion
 from timesim.scene.contact import ContactSection
 from timesim.scene.section import Section, refuse
 from timesim.scene.value import Count, Frequencies, Positive, Text, Values, axis_values, repeated
@@ -189,7 +189,7 @@ class SteadySection(StudySection):
 
     def criterion(self) -> Criterion:
         """When a motion counts as settled, in numbers."""
-        return Criterion(self.settle.tolerance, self.settle.max_cycles, self.periodic == "shoot")
+        return Criterion(self.settle.tolerance, self.settle.max_cycles, SHOOT if self.periodic == "shoot" else SLOW)
 
     @abc.abstractmethod
     def sweep(self) -> SweepPlan:

@@ -13,7 +13,7 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.model.model import Model
-from timesim.model.solver import Criterion, Solver
+from timesim.model.solver import NEVER, Criterion, Solver
 from timesim.orbit.basin import LOWER, UPPER, explore, shares
 from timesim.orbit.batch import SIZES
 from timesim.orbit.fourier import phase_deg
@@ -85,14 +85,15 @@ class Ends(Payload):
 
 @dataclass(frozen=True)
 class Starts(Payload):
-    """The ensemble of starts, so many along each side."""
+    """The ensemble of starts, so many along each side; they are marched, so that each leads where it would lead."""
 
     num: int
 
     def result(self, before: Result | None) -> Result:
         """What has become of them, beside the ranges."""
         assert before is not None
-        return dict(before) | explore(self.model, self.steady, before, self.num)
+        marching = replace(self, criterion=replace(self.criterion, first_shot=NEVER))
+        return dict(before) | explore(self.model, marching.steady, before, self.num)
 
 
 def work(payload: Part | Ends | Starts, before: Result | None) -> Result:
@@ -163,10 +164,12 @@ DIMS: dict[str, tuple[str, ...]] = {
     "range": ("end",),
     "range_cut": ("end",),
     "range_settled": ("end",),
+    "range_irregular": ("end",),
     "jump_from": ("end", *SPOT),
     "jump_to": ("end", *SPOT),
     "amplitude_lower": SPOT,
     "amplitude_upper": SPOT,
+    "period": ("motion",),
     "floquet_max": ("motion",),
     "slip_share": ("motion", "contact"),
     "separation_share": ("motion", "contact"),
@@ -180,7 +183,8 @@ OF_STARTS: dict[str, tuple[str, ...]] = {
     "offset_low": ("motion", "contact", "tangent"),
     "offset_high": ("motion", "contact", "tangent"),
 }
-WHOLE = ("range_cut", "range_settled", "start_branch", "start_cycles")  # numbers; -1 where there is no range
+# Numbers; -1 where there is no range.
+WHOLE = ("range_cut", "range_settled", "range_irregular", "period", "start_branch", "start_cycles")
 
 
 class Gathered:

@@ -80,6 +80,8 @@ def _text(value: float | str) -> str:
 def _kind(here: Dataset) -> str:
     """What kind of motion it is, in words."""
     period, cycles = int(here["period"]), int(here["cycles"])
+    if int(here["irregular"]):
+        return f"does not repeat in {cycles} cycles: quasi-periodic or irregular; {UNSETTLED_CYCLES} more are shown"
     if not period:
         return f"not settled after {cycles} cycles; {UNSETTLED_CYCLES} more are shown"
     return f"repeats {'every cycle' if period == 1 else f'after {period} cycles'}, settled after {cycles}"

@@ -150,7 +150,7 @@ TAILS = {
     "end_state": ("contact",),
 }
 BLANK: dict[str, tuple[Any, type]] = {
-    **dict.fromkeys(("settled", "cycles", "period"), (0, np.int32)),
+    **dict.fromkeys(("settled", "cycles", "period", "irregular"), (0, np.int32)),
     "end_state": (-1, np.int8),
     "phasor": (np.nan, complex),
     "reason": ("", object),
@@ -300,7 +300,8 @@ class Grid:
             rows = self._jump_rows(jumps, place)
             variables[f"jump_{end}"] = ((*sizes, "jump"), rows.reshape(*sizes.values(), -1))
         coords = self.axes | {"direction": np.array(self.plan.directions), "frequency": self.frequency}
-        return dataset(variables, coords, {**attrs, **unit_names(self.scene)}, self.any_model)
+        every_sweep = {"settle_tolerance": self.plan.criterion.tolerance, **unit_names(self.scene)}
+        return dataset(variables, coords, {**attrs, **every_sweep}, self.any_model)
 
     def _jump_rows(self, jumps: Sequence[tuple[int, int, float, float]], place: int) -> np.ndarray:
         """One end of the jumps of each chain, shape (sets, directions, jumps), NaN where a chain has fewer."""
