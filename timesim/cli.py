@@ -62,6 +62,7 @@ def run(
     ] = None,
 ) -> None:
     """Run a scene and write result.nc, scene.yaml and pictures."""
+    from timesim.picture.draw import KINDS
     from timesim.result import checkpoint
     from timesim.result.file import StoreError
     from timesim.result.folder import check_folder, locked_folder, prepare_folder
@@ -77,7 +78,7 @@ def run(
             return
         check_folder(output, overwrite=force or resume)
         with _Signals() as signals, locked_folder(output):
-            stale = picture_names(loaded.kind)
+            stale = picture_names(loaded.kind, KINDS)
             prepare_folder(output, loaded.resolved_yaml(), overwrite=force, source=scene, stale=stale)
             for warning in loaded.warnings():
                 print(f"warning: {warning}", file=sys.stderr)
@@ -144,6 +145,11 @@ def schema() -> None:
 @app.command()
 def plot(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run, or its result file.")],
+    kind: Annotated[str, typer.Option("--format", metavar="png|pdf|svg", help="Of the files.")] = "png",
+    log: Annotated[
+        list[str] | None,
+        typer.Option(metavar="amplitude|frequency", help="Logarithmic axes of this; may be repeated."),
+    ] = None,
 ) -> None:
     """Draw the pictures of a run again."""
     from timesim.result.file import StoreError
@@ -155,8 +161,10 @@ def plot(
     except StoreError as error:
         _stop(2, str(error))
     try:
-        for path in draw(result, folder if folder.is_dir() else folder.parent):
+        for path in draw(result, folder if folder.is_dir() else folder.parent, kind=kind, log=log or ()):
             print(path)
+    except ValueError as error:
+        _stop(2, f"--{error}")
     except StoreError as error:
         _stop(1, str(error))
 

@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from timesim.picture import style
 from timesim.picture import sweep as plot_sweep
 from timesim.picture.choice import MAX_CURVES, main_axes
+from timesim.picture.draw import make_logarithmic
 from timesim.result.dataset import dataset
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES
 from timesim.study import registry as plot
@@ -303,6 +304,42 @@ def test_all_pictures_of_a_sweep(both: xarray.Dataset, tmp_path: Path) -> None:
     assert names == ["response", "peak", "contact_states", "stability"]
     assert len(plot.draw(spoilt(data), tmp_path)) == 3
     assert len(plot.draw(both, tmp_path)) == 3
+
+
+def test_pictures_with_logarithmic_axes_and_of_other_kinds(both: xarray.Dataset, tmp_path: Path) -> None:
+    figure = plot_sweep.PICTURES["response"](both)
+    assert figure is not None
+    make_logarithmic(figure, ["amplitude"])
+    ax = figure.axes[0]
+    assert (ax.get_xscale(), ax.get_yscale()) == ("linear", "log")
+    low, high = ax.get_ylim()
+    known = both.amplitude.values[both.amplitude.values > 0]
+    assert 0 < low < high
+    assert high > known.max()
+    make_logarithmic(figure, ["frequency"])
+    assert ax.get_xscale() == "log"
+    for kind, start in (("pdf", b"%PDF"), ("svg", b"<?xml")):
+        first = plot.draw(both, tmp_path, kind=kind, log=["frequency"])[0]
+        assert first.name == f"response.{kind}"
+        written = first.read_bytes()
+        assert written.startswith(start)
+        plot.draw(both, tmp_path, kind=kind, log=["frequency"])
+        assert first.read_bytes() == written
+    with pytest.raises(ValueError, match="format must be one of png, pdf, svg, not eps"):
+        plot.draw(both, tmp_path, kind="eps")
+    with pytest.raises(ValueError, match="log must be one of amplitude, frequency, not phase"):
+        plot.draw(both, tmp_path, log=["phase"])
+
+
+def test_units_of_the_scene_are_those_of_the_labels() -> None:
+    data = sweep({PRELOAD: [0.0, 0.1]})
+    data.amplitude.attrs["units"], data[PRELOAD].attrs["units"] = "mm", "kN"
+    assert plot_sweep.response(data).get_ylabel() == "amplitude of tip y [mm]"
+    figure = plot_sweep.PICTURES["response"](data)
+    assert figure is not None
+    legend = figure.axes[0].get_legend()
+    assert legend is not None
+    assert "[kN]" in legend.get_title().get_text()
 
 
 def test_a_sweep_of_which_every_point_failed(tmp_path: Path) -> None:

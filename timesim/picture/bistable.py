@@ -127,7 +127,7 @@ def response(
         _range(data, ax, item, point, axis, middle=wide or near is not None)
     if "hbm" in data.children:
         _branch(data, ax, at, point, axis, window)
-    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(point, axis))
+    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(sweep, point, axis))
     if near is None:
         from_zero(ax)
     else:

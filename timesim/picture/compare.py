@@ -25,6 +25,7 @@ from timesim.picture.style import (
     short,
     stacked,
     state_bar,
+    unit,
 )
 from timesim.result.coordinate import over_keys
 
@@ -114,7 +115,7 @@ def waveform(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
     for method, style in zip(cycle.found_by.values, SERIES, strict=False):
         x = cycle.displacement.sel(found_by=method, point=point, axis=axis).values
         ax.plot(cycle.excitation_angle.values, x, color=style.colour, linestyle=style.line, label=METHODS[method])
-    ax.set_ylabel(f"{short(point, 16)} {axis} [length]")
+    ax.set_ylabel(f"{short(point, 16)} {axis}{unit(cycle, 'displacement')}")
     return _over_cycle(ax)
 
 
@@ -147,7 +148,7 @@ def harmonics(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
         look: dict[str, Any] = {"fillstyle": "none", "linestyle": "", "ms": 6 if method == "sweep" else 3.5}
         ax.plot(cycle.harmonic.values, np.where(height > 0, height, np.nan), style.marker, color=style.colour, **look)
     ax.set_yscale("log")
-    ax.set(xlabel="harmonic", ylabel="amplitude [length]")
+    ax.set(xlabel="harmonic", ylabel=f"amplitude{unit(cycle, 'harmonic_amplitude')}")
     ax.locator_params(axis="x", integer=True)
     return ax
 

@@ -25,6 +25,7 @@ from timesim.picture.style import (
     short,
     state_bar,
     state_curves,
+    unit,
 )
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def orbit(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = No
     w = np.where(state[:, None] == SEPARATION, np.nan, part.slip.values[last])
     _slider(ax, w, u[last])
     state_curves(ax, u[last, 0], u[last, 1], state)
-    ax.set(xlabel="u1 [length]", ylabel="u2 [length]")
+    ax.set(xlabel=f"u1{unit(data, 'contact_displacement')}", ylabel=f"u2{unit(data, 'contact_displacement')}")
     label_axes(ax, short(contact))
     ax.set_aspect("equal", adjustable="datalim")
     return ax
@@ -83,7 +84,8 @@ def hysteresis(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None
     ax.plot(u, f, color=PALE, linewidth=0.8, label=_if_seen("cycles before", loop, loop[last]))
     state_curves(ax, u[last], f[last], part.contact_state.values[last])
     number = tangent.removeprefix("t")
-    ax.set(xlabel=f"u{number} [length]", ylabel=f"f{number} [force]")
+    length, force = unit(data, "contact_displacement"), unit(data, "contact_force")
+    ax.set(xlabel=f"u{number}{length}", ylabel=f"f{number}{force}")
     label_axes(ax, f"{short(contact)}, {tangent}")
     return ax
 
@@ -99,7 +101,7 @@ def normal_load(data: "Dataset", ax: "Axes | None" = None, *, contact: str | Non
     ax.plot(time, force[:, 2], color=BLUE, linewidth=1.4, label="normal load n")
     tangential = np.hypot(force[:, 0], force[:, 1])
     ax.plot(time, tangential, color=VERMILION, linestyle="--", linewidth=1.0, label="friction force |f|")
-    ax.set(xlabel="time [s]", ylabel="n, |f| [force]", xlim=(time[0], time[-1]))
+    ax.set(xlabel="time [s]", ylabel=f"n, |f|{unit(data, 'contact_force')}", xlim=(time[0], time[-1]))
     label_axes(ax, short(contact))
     return ax
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from timesim.picture.style import Picture, axes, figure, finish
+from timesim.picture.style import Picture, axes, figure, finish, unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,7 +32,7 @@ def contour(data: "Dataset", ax: "Axes | None" = None, *, name: str = "f_s", tan
         ax.text(0.5, 0.5, f"{z.flat[0]:.4g} everywhere", transform=ax.transAxes, ha="center", fontsize=9)
         ax.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
     ax.set(xlabel=_axis_label(data, first), ylabel=_axis_label(data, second))
-    ax.set_title(_coefficient_label(name, tangent), fontsize=9)
+    ax.set_title(_coefficient_label(data, name, tangent), fontsize=9)
     ax.grid(False)
     return ax
 
@@ -49,7 +49,7 @@ def surface(data: "Dataset", ax: Any = None, *, name: str = "f_s", tangent: str 
     ax.plot_surface(x, y, z, cmap="viridis", rstride=step[0], cstride=step[1], edgecolor="0.25", linewidth=0.25)
     ax.set_xlabel(_axis_label(data, first), fontsize=8, labelpad=-3)
     ax.set_ylabel(_axis_label(data, second), fontsize=8, labelpad=-3)
-    ax.set_title(_coefficient_label(name, tangent), fontsize=9, pad=-6)
+    ax.set_title(_coefficient_label(data, name, tangent), fontsize=9, pad=-6)
     ax.tick_params(labelsize=7, pad=-2)
     ax.tick_params(axis="z", pad=1)
     ax.locator_params(axis="z", nbins=5)
@@ -65,13 +65,12 @@ def parameters(data: "Dataset") -> tuple[str, str]:
 
 
 def _axis_label(data: "Dataset", name: str) -> str:
-    units = data[name].attrs.get("units", "1")
     shown = name.removesuffix("_deg").replace("phi", "φ").replace("psi", "ψ").replace("_", " ")
-    return shown if units == "1" else f"{shown} [{units}]"
+    return shown if data[name].attrs.get("units", "1") == "1" else shown + unit(data, name)
 
 
-def _coefficient_label(name: str, tangent: str) -> str:
-    return f"{COEFFICIENTS[name]}, {name}{tangent.removeprefix('t')} [force]"
+def _coefficient_label(data: "Dataset", name: str, tangent: str) -> str:
+    return f"{COEFFICIENTS[name]}, {name}{tangent.removeprefix('t')}{unit(data, name)}"
 
 
 def _all_coefficients(data: "Dataset", draw: Callable[..., Any], **options: Any) -> "Figure | None":

@@ -14,7 +14,7 @@ import numpy as np
 from timesim.picture import response as shared
 from timesim.picture.choice import MAX_CURVES, left_out, motion, spread
 from timesim.picture.response import amplitude_label, axis_label, draw_branch, values_label
-from timesim.picture.style import Picture, Series, axes, finish, from_zero, short, stacked
+from timesim.picture.style import Picture, Series, axes, finish, from_zero, short, stacked, unit
 from timesim.result.coordinate import over_keys
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def response(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = N
     ax, (point, axis) = axes(ax), motion(data, point, axis)
     _draw(ax, data, data.amplitude.sel(point=point, axis=axis).values)
     from_zero(ax)
-    ax.set_ylabel(amplitude_label(point, axis))
+    ax.set_ylabel(amplitude_label(data, point, axis))
     return ax
 
 
@@ -81,7 +81,7 @@ def harmonics(
     ax.set_yscale("log")
     top = float(content.max(initial=0.0)) or 1.0
     ax.set_ylim(max(top * 1e-9, min(lowest, top) / 2), 2 * top)
-    ax.set(xlabel="harmonic", ylabel=f"harmonic of {short(point, 16)} {axis} [length]")
+    ax.set(xlabel="harmonic", ylabel=f"harmonic of {short(point, 16)} {axis}{unit(data, 'harmonic_amplitude')}")
     ax.locator_params(axis="x", integer=True)
     return ax
 

@@ -10,7 +10,18 @@ import numpy as np
 
 from timesim.picture.choice import motion
 from timesim.picture.response import amplitude_label, axis_label, styles
-from timesim.picture.style import BLUE, VERMILION, Picture, axes, finish, from_zero, labelled, legend_beside, stacked
+from timesim.picture.style import (
+    BLUE,
+    VERMILION,
+    Picture,
+    axes,
+    finish,
+    from_zero,
+    labelled,
+    legend_beside,
+    stacked,
+    unit,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +49,7 @@ def peak(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     if np.isfinite(best).all():
         name = f"least: {best[1]:.5g} at {best[0]:.5g}"
         ax.plot(*best, "*", color=VERMILION, markeredgecolor="black", ms=12, zorder=4, label=name)
-    ax.set(xlabel=axis_label(data, key), ylabel="peak amplitude [length]")
+    ax.set(xlabel=axis_label(data, key), ylabel=f"peak amplitude{unit(data, 'peak')}")
     return ax
 
 
@@ -67,7 +78,7 @@ def responses(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
         style: dict[str, Any] = {"color": "black", "linewidth": 2.0, "zorder": 3, "label": f"{best:.4g}, the least"}
         _curves(ax, data, amplitude, int(np.flatnonzero(values == best)[0]), style)
     from_zero(ax)
-    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(point, axis))
+    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(data, point, axis))
     return ax
 
 

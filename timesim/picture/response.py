@@ -21,6 +21,7 @@ from timesim.picture.style import (
     legend_beside,
     short,
     stacked,
+    unit,
 )
 
 if TYPE_CHECKING:
@@ -40,13 +41,12 @@ def key_words(key: str) -> str:
 
 def axis_label(data: "Dataset", name: str) -> str:
     """A variable or a scalar of the scene, with its unit."""
-    units = data[name].attrs.get("units")
-    return (key_words(name) if "." in name else name) + (f" [{units}]" if units else "")
+    return (key_words(name) if "." in name else name) + unit(data, name)
 
 
-def amplitude_label(point: str, axis: str) -> str:
+def amplitude_label(data: "Dataset", point: str, axis: str, name: str = "amplitude") -> str:
     """The amplitude of a point along an axis, with its unit."""
-    return f"amplitude of {short(point, 16)} {axis} [length]"
+    return f"amplitude of {short(point, 16)} {axis}{unit(data, name)}"
 
 
 def values_label(values: Iterable[float]) -> str:

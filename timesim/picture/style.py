@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from timesim.model.model import SEPARATION, SLIP, STATE_NAMES, STICK
+from timesim.result.label import attributes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -144,6 +145,12 @@ def from_zero(ax: "Axes") -> None:
 def label_axes(ax: "Axes", label: str) -> None:
     """Say at the upper right corner which of several things the axes show."""
     ax.set_title(label, fontsize=9, pad=4, loc="right")
+
+
+def unit(data: Any, name: str) -> str:
+    """The unit of a variable or coordinate, in brackets after a space; empty where it has none."""
+    units = {**attributes(name), **data[name].attrs}.get("units", "")
+    return f" [{units.replace('*', '·')}]" if units else ""
 
 
 def short(name: str, length: int = 24) -> str:

@@ -68,7 +68,7 @@ def response(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = N
         for frequency in _jumps(data, curve):
             ax.axvline(frequency, color=curve.style.colour, linestyle=":", linewidth=1.0, label=word)
     from_zero(ax)
-    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(point, axis))
+    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(data, point, axis))
     return ax
 
 
@@ -120,7 +120,7 @@ def peak(
     for (x, y), of in least.items():
         _star(ax, x, y, of, x in (value[0], value[-1]) and value.size > 1)
     from_zero(ax)
-    ax.set(xlabel=axis_label(data, key), ylabel=f"peak {amplitude_label(point, axis)}")
+    ax.set(xlabel=axis_label(data, key), ylabel=f"peak {amplitude_label(data, point, axis)}")
     return ax
 
 

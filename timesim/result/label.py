@@ -1,11 +1,12 @@
 """Names that occur in result files, with their meaning and units: the one table of them.
 
-Units are those of the scene's own consistent system, so the texts name quantities: ``length``, ``force``,
-``length/s``, ``force*length`` (energy), ``force/length`` (stiffness). Time is in ``s``, frequency in ``Hz``,
-angles in ``degree``, pure numbers in ``1``. Modal displacements are in ``modal length``: times the mode shape
-of the scene they give a length. Names, flags and text have no units.
+Units are those of the scene's own consistent system, so the texts name quantities where the scene does not name its
+units: ``length``, ``force``, ``length/s``, ``force*length`` (energy), ``force/length`` (stiffness). Time is in ``s``,
+frequency in ``Hz``, angles in ``degree``, pure numbers in ``1``. Modal displacements are in ``modal length``: times the
+mode shape of the scene they give a length. Names, flags and text have no units.
 """
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -217,10 +218,16 @@ FLAGS = {
 """Meaning of the values of a variable that counts nothing."""
 
 
-def attributes(name: str) -> dict[str, Any]:
+BASE = ("length", "force")
+"""Quantities whose units a scene may name; all other units follow, as that of power, ``N*m/s``."""
+
+
+def attributes(name: str, named: Mapping[str, str] | None = None) -> dict[str, Any]:
     """`long_name` and `units` of a variable or coordinate, and the meaning of flags; empty for a name not listed.
 
-    A name with a dot is the key of a scalar in the scene, such as ``contacts.pad.preload``.
+    Args:
+        name: one with a dot is the key of a scalar in the scene, such as ``contacts.pad.preload``.
+        named: units of the quantities of `BASE`, ``{"length": "mm"}``.
     """
     if "." in name:
         long_name, units = f"scene value {name}", SCENE_UNITS.get(name.rsplit(".", 1)[1])
@@ -228,10 +235,23 @@ def attributes(name: str) -> dict[str, Any]:
         long_name, units = LABELS[name]
     else:
         return {}
-    attrs = {"long_name": long_name} | ({} if units is None else {"units": units})
+    attrs: dict[str, Any] = {"long_name": long_name}
+    if units is not None:
+        attrs["units"] = re.sub("length|force", lambda quantity: (named or {}).get(quantity[0], quantity[0]), units)
     flags = STATE_FLAGS if long_name.startswith("contact state") else FLAGS.get(name, {})
     values = {"flag_values": np.array(list(flags), dtype=np.int8), "flag_meanings": " ".join(flags.values())}
     return attrs | (values if flags else {})
+
+
+def with_unit(number: str, attrs: Mapping[str, Any]) -> str:
+    """A number and its unit, where that is a name and no quantity.
+
+    Args:
+        number: as text.
+        attrs: attributes of its variable.
+    """
+    units = str(attrs.get("units", "1"))
+    return number if units == "1" or any(quantity in units for quantity in BASE) else f"{number} {units}"
 
 
 def in_words(values: Mapping[str, float], end: str = "") -> str:

@@ -114,7 +114,7 @@ def _table(here: Dataset, motion: Dataset) -> Iterator[str]:
 
 
 def _head(data: Dataset, name: str, words: str = "") -> str:
-    return f"{words or name} [{data[name].attrs['units']}]"
+    return f"{words or name} [{data[name].attrs['units'].replace('*', '·')}]"
 
 
 def _lines(columns: Mapping[str, Iterable[Any]]) -> Iterator[str]:

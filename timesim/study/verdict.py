@@ -10,7 +10,7 @@ from timesim.hbm.convergence import Convergence, order_of
 from timesim.hbm.curve import changes_of_stability, peak
 from timesim.orbit.steady_state import switches
 from timesim.result.coordinate import over_keys
-from timesim.result.label import in_words
+from timesim.result.label import in_words, with_unit
 from timesim.scene.study import combinations
 
 # Nearer to a fold than this share of its frequency a small error of either method moves the answer much.
@@ -51,7 +51,7 @@ def _curve_line(curve: Dataset) -> str:
         states = "full stick throughout, which says nothing of friction"
     name = f"{curve['point'].values[point]} {curve['axis'].values[axis]}"
     return (
-        f"peak {height:.5g} of {name} at {place:.6g}; {turning}{also}; "
+        f"peak {with_unit(f'{height:.5g}', curve['amplitude'].attrs)} of {name} at {place:.6g}; {turning}{also}; "
         f"{np.sum(~stable & ~fold)} unstable solutions; {states}"
     )
 
