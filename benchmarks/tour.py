@@ -146,12 +146,17 @@ def written(result: Result, key: str) -> float:
 
 
 def unsettled(result: Result) -> tuple[float, ...]:
-    """Span of a sweep in one direction, lone frequencies that did not settle, from where none does, and the budget."""
+    """Span of a sweep in one direction, where no point settles any more, the budget, and where the motion is irregular.
+
+    Nothing where a point before does not settle.
+    """
     data = of_run(result)
-    frequency, settled = data["frequency"].values, data["settled"].values.ravel() == 1
+    frequency, settled, irregular = (data[name].values.ravel() for name in ("frequency", "settled", "irregular"))
     from_here = int(np.flatnonzero(settled)[-1]) + 1
-    lone = frequency[:from_here][~settled[:from_here]]
-    return (frequency[0], frequency[-1], *lone, frequency[from_here], written(result, "max_cycles"))
+    if not settled[:from_here].all():
+        return ()
+    ends = (frequency[0], frequency[-1], frequency[from_here], written(result, "max_cycles"))
+    return (*ends, *frequency[irregular == 1])
 
 
 def states(result: Result) -> set[int]:
@@ -191,8 +196,8 @@ CLAIMS = (
     ),
     Claim(
         "response",
-        "the blade from # to # Hz: a broad top between the free and the stuck resonance; at #, # and # Hz and from "
-        "# Hz on the motion has not settled in # cycles",
+        "the blade from # to # Hz: a broad top between the free and the stuck resonance; from # Hz on the motion does "
+        "not settle in # cycles and is marked so, with the band of its amplitude; at # and # Hz it is",
         unsettled,
     ),
     Claim("two", "up and down differ between # and # Hz", jumps),

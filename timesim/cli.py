@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -303,29 +303,23 @@ def _progress(standing: "Standing") -> Iterator[None]:
 def _bar(standing: "Standing") -> AbstractContextManager[Any]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, ProgressColumn, Task
+    from rich.progress_bar import ProgressBar
     from rich.text import Text
 
     class Words(ProgressColumn):
-        """A part of the standing as it is when the bar is drawn."""
-
-        def __init__(self, words: Callable[[], str]):
-            self.words = words
-            super().__init__()
+        """The standing as it is when the bar is drawn."""
 
         def render(self, task: Task) -> Text:
-            task.completed = standing.share
-            return Text(self.words(), no_wrap=True)
+            return Text(standing.line(), no_wrap=True, overflow="ellipsis")
 
-    progress = Progress(
-        BarColumn(),
-        Words(lambda: standing.percent),
-        Words(lambda: standing.rate),
-        Words(lambda: standing.time_so_far),
-        Words(lambda: standing.time_left),
-        Words(lambda: standing.phase),
-        console=Console(stderr=True),
-        transient=True,
-    )
+    class Share(BarColumn):
+        """A bar as long as the share is when it is drawn."""
+
+        def render(self, task: Task) -> ProgressBar:
+            task.completed = standing.share
+            return super().render(task)
+
+    progress = Progress(Share(bar_width=20), Words(), console=Console(stderr=True), transient=True)
     progress.add_task("", total=1.0)
     return progress
 
