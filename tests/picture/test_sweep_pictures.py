@@ -331,6 +331,30 @@ def test_pictures_with_logarithmic_axes_and_of_other_kinds(both: xarray.Dataset,
         plot.draw(both, tmp_path, log=["phase"])
 
 
+def test_the_phase_stands_below_its_amplitude() -> None:
+    """It leaves its turn at the lower end and comes back at the upper one, with no line across."""
+    data = sweep({PRELOAD: [0.0, 0.1]}, ("up", "down"))
+    phase = np.linspace(-90, -270, data.sizes["frequency"])
+    wrapped = np.where(phase <= -180, phase + 360, phase)
+    data["phase_deg"] = data.amplitude.dims, np.broadcast_to(wrapped[:, None, None], data.amplitude.shape).copy()
+    figure = plot_sweep.PICTURES["response"](data)
+    assert figure is not None
+    assert [ax.get_ylabel().split()[0] for ax in figure.axes] == ["amplitude", "phase"] * 2
+    for line in figure.axes[1].get_lines():
+        if line.get_linestyle() != "None":
+            y = np.asarray(line.get_ydata(), dtype=float)
+            assert np.isnan(y).sum() == 1
+            assert np.nanmax(np.abs(np.diff(y))) < 90
+    assert figure.axes[1].get_yticks().tolist() == [-180, -90, 0, 90, 180]
+
+
+def test_a_stop_without_friction_has_a_share_closed() -> None:
+    data = sweep().assign_coords(friction=("contact", [0.0, 0.3]))
+    labels = [plot_sweep.share(data, contact=name).get_ylabel() for name in CONTACTS]
+    assert labels == ["share closed [1]", "share in slip [1]"]
+    assert plot_sweep.share(data, contact=CONTACTS[0], state="separation").get_ylabel() == "share in separation [1]"
+
+
 def test_units_of_the_scene_are_those_of_the_labels() -> None:
     data = sweep({PRELOAD: [0.0, 0.1]})
     data.amplitude.attrs["units"], data[PRELOAD].attrs["units"] = "mm", "kN"

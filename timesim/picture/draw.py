@@ -74,8 +74,10 @@ def make_logarithmic(figure: "Figure", quantities: Collection[str]) -> None:
             _plain_ticks(ax.xaxis, *ax.get_xlim())
         least, top = ax.dataLim.minposy, ax.dataLim.y1
         if not _words(ax.get_ylabel()).isdisjoint(quantities) and 0 < least < top < np.inf:
+            low = ax.get_ylim()[0]
             ax.set_yscale("log")
-            ax.set_ylim(max(0.8 * least, SMALLEST * top), 1.25 * top)
+            if low <= 0:
+                ax.set_ylim(max(0.8 * least, SMALLEST * top), 1.25 * top)
             _plain_ticks(ax.yaxis, *ax.get_ylim())
 
 

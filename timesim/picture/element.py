@@ -45,7 +45,7 @@ def force_path(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     size = np.hypot(*f.T)
     towards = np.divide(f, size[:, None], out=np.full_like(f, np.nan), where=size[:, None] > 0)
     ax.plot(*(towards * limit[:, None]).T, color="black", linewidth=0.8, linestyle="--", label="limit μn")
-    state_curves(ax, f[:, 0], f[:, 1], state)
+    state_curves(ax, f[:, 0], f[:, 1], state, stop=data.attrs["friction"] == 0)
     _transition_circles(data, ax)
     ax.set(xlabel=f"f1{unit(data, 'force')}", ylabel=f"f2{unit(data, 'force')}")
     ax.set_aspect("equal", adjustable="datalim")
@@ -57,7 +57,7 @@ def _transition_circles(data: "Dataset", ax: "Axes") -> None:
     circle = np.stack([np.cos(turn), np.sin(turn)])
     for f, angles in _transition_forces(data)[:MAX_CIRCLES]:
         radius = np.hypot(*f)
-        ax.plot(*(radius * circle), color="0.55", linewidth=0.6, label="limit circle there")
+        ax.plot(*(radius * circle), color="0.55", linewidth=0.7, linestyle=":", label="limit circle there")
         ax.plot(*f, "o", color="black", ms=4, label="transition")
         x, y = (f / radius if radius > 0 else np.array([0.3, -0.95])).tolist()
         beside: dict[str, Any] = {
@@ -88,7 +88,7 @@ def hysteresis(data: "Dataset", ax: "Axes | None" = None, *, tangent: str = "t1"
     u, f = (_closed(data[name].sel(tangent=tangent).values) for name in ("u", "force"))
     first, number = data.first_force.sel(tangent=tangent).values, tangent.removeprefix("t")
     ax.plot(u[:-1], first, color=PALE, linewidth=0.9, label="first cycle")
-    state_curves(ax, u, f, _closed(data.state.values))
+    state_curves(ax, u, f, _closed(data.state.values), stop=data.attrs["friction"] == 0)
     ax.set(xlabel=f"u{number}{unit(data, 'u')}", ylabel=f"f{number}{unit(data, 'force')}")
     return ax
 
@@ -112,7 +112,7 @@ def friction_limit(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
 def contact_states(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     """State over the angle, as a bar between the transitions."""
     ax = axes(ax)
-    state_bar(ax, 0, intervals(data), height=0.8)
+    state_bar(ax, 0, intervals(data), height=0.8, stop=data.attrs["friction"] == 0)
     ax.set(xlabel="angle θ [degree]", xlim=(0, 360), ylim=(-0.6, 0.6))
     ax.set_xticks(range(0, 361, 60))
     ax.set_yticks([0], ["state"])

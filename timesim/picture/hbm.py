@@ -46,21 +46,29 @@ def response(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = N
     return ax
 
 
+def phase(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None) -> "Axes":
+    """Phase of the first harmonic along the curves."""
+    ax, (point, axis) = axes(ax), motion(data, point, axis)
+    _draw(ax, data, data.phase_deg.sel(point=point, axis=axis).values, phase=True)
+    return shared.over_phase(ax)
+
+
 def share(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = None, state: str = "slip") -> "Axes":
     """Share of a period that a contact spends in a state, ``slip`` or ``separation``, along the curves."""
     ax = axes(ax)
-    _draw(ax, data, data[f"{state}_share"].sel(contact=contact or str(data.contact.values[0])).values)
-    ax.set(ylabel=f"share in {state} [1]", ylim=(-0.04, 1.04))
+    contact = contact or str(data.contact.values[0])
+    _draw(ax, data, data[f"{state}_share"].sel(contact=contact).values)
+    ax.set(ylabel=shared.share_label(data, contact, state), ylim=(-0.04, 1.04))
     return ax
 
 
-def _draw(ax: "Axes", data: "Dataset", y: np.ndarray) -> None:
-    """A quantity along all curves, against what they were followed in."""
+def _draw(ax: "Axes", data: "Dataset", y: np.ndarray, *, phase: bool = False) -> None:
+    """A quantity along all curves, against what they were followed in; ``phase`` as in `draw_branch`."""
     name = str(data.attrs.get("along", "frequency"))
     x, stable, fold = data[name].values, data.stable.values > 0, data.fold.values > 0
     for family in families(data):
         for rows in family.rows:
-            draw_branch(ax, x[rows], y[rows], stable[rows], fold[rows], colour=family.style.colour)
+            draw_branch(ax, x[rows], y[rows], stable[rows], fold[rows], colour=family.style.colour, phase=phase)
     ax.set_xlabel(axis_label(data, name))
 
 
@@ -133,7 +141,9 @@ def _harmonics_figure(data: "Dataset") -> "Figure":
 
 _SHARED: dict[str, Any] = {"legend": legend, "hidden": hidden}
 PICTURES: dict[str, Picture] = {
-    "response": partial(shared.response_figure, what="response by harmonic balance", response=response, **_SHARED),
+    "response": partial(
+        shared.response_figure, what="response by harmonic balance", response=response, phase=phase, **_SHARED
+    ),
     "harmonics": _harmonics_figure,
     "contact_states": partial(shared.states_figure, share=share, **_SHARED),
 }
