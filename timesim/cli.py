@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -62,6 +62,7 @@ def run(
     ] = None,
 ) -> None:
     """Run a scene and write result.nc, scene.yaml and pictures."""
+    from timesim.picture.draw import KINDS
     from timesim.result import checkpoint
     from timesim.result.file import StoreError
     from timesim.result.folder import check_folder, locked_folder, prepare_folder
@@ -77,7 +78,7 @@ def run(
             return
         check_folder(output, overwrite=force or resume)
         with _Signals() as signals, locked_folder(output):
-            stale = picture_names(loaded.kind)
+            stale = picture_names(loaded.kind, KINDS)
             prepare_folder(output, loaded.resolved_yaml(), overwrite=force, source=scene, stale=stale)
             for warning in loaded.warnings():
                 print(f"warning: {warning}", file=sys.stderr)
@@ -144,6 +145,11 @@ def schema() -> None:
 @app.command()
 def plot(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run, or its result file.")],
+    kind: Annotated[str, typer.Option("--format", metavar="png|pdf|svg", help="Of the files.")] = "png",
+    log: Annotated[
+        list[str] | None,
+        typer.Option(metavar="amplitude|frequency", help="Logarithmic axes of this; may be repeated."),
+    ] = None,
 ) -> None:
     """Draw the pictures of a run again."""
     from timesim.result.file import StoreError
@@ -155,8 +161,10 @@ def plot(
     except StoreError as error:
         _stop(2, str(error))
     try:
-        for path in draw(result, folder if folder.is_dir() else folder.parent):
+        for path in draw(result, folder if folder.is_dir() else folder.parent, kind=kind, log=log or ()):
             print(path)
+    except ValueError as error:
+        _stop(2, f"--{error}")
     except StoreError as error:
         _stop(1, str(error))
 
@@ -295,29 +303,23 @@ def _progress(standing: "Standing") -> Iterator[None]:
 def _bar(standing: "Standing") -> AbstractContextManager[Any]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, ProgressColumn, Task
+    from rich.progress_bar import ProgressBar
     from rich.text import Text
 
     class Words(ProgressColumn):
-        """A part of the standing as it is when the bar is drawn."""
-
-        def __init__(self, words: Callable[[], str]):
-            self.words = words
-            super().__init__()
+        """The standing as it is when the bar is drawn."""
 
         def render(self, task: Task) -> Text:
-            task.completed = standing.share
-            return Text(self.words(), no_wrap=True)
+            return Text(standing.line(), no_wrap=True, overflow="ellipsis")
 
-    progress = Progress(
-        BarColumn(),
-        Words(lambda: standing.percent),
-        Words(lambda: standing.rate),
-        Words(lambda: standing.time_so_far),
-        Words(lambda: standing.time_left),
-        Words(lambda: standing.phase),
-        console=Console(stderr=True),
-        transient=True,
-    )
+    class Share(BarColumn):
+        """A bar as long as the share is when it is drawn."""
+
+        def render(self, task: Task) -> ProgressBar:
+            task.completed = standing.share
+            return super().render(task)
+
+    progress = Progress(Share(bar_width=20), Words(), console=Console(stderr=True), transient=True)
     progress.add_task("", total=1.0)
     return progress
 

@@ -11,7 +11,7 @@ in any consistent unit system. Each function raises ValueError where the shape o
 `timesim.SceneError` where a value is, with its key, the value, what is allowed and what to do.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -304,10 +304,21 @@ def show(path: str | Path, at: Mapping[str, float | str]) -> "xarray.Dataset":
         raise ValueError(f"{'.'.join(map(str, error.key)) or path}: {error.rule} ({error.hint})") from None
 
 
-def plot(result: "xarray.Dataset", folder: str | Path) -> list[Path]:
-    """Draw the pictures of a result into a folder, creating it, and return the files; see `timesim plot`."""
+def plot(
+    result: "xarray.Dataset | xarray.DataTree", folder: str | Path, *, kind: str = "png", log: Collection[str] = ()
+) -> list[Path]:
+    """Draw the pictures of a result into a folder, creating it, and return the files; see `timesim plot`.
+
+    Args:
+        result: in memory.
+        folder: is made where it is missing.
+
+    Keyword Args:
+        kind: of the files: png, pdf or svg.
+        log: "amplitude", "frequency", or both: these axes are logarithmic.
+    """
     Path(folder).mkdir(parents=True, exist_ok=True)
-    return draw(result, folder)
+    return draw(result, folder, kind=kind, log=log)
 
 
 def _given(**options: Any) -> Section:

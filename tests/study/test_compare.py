@@ -133,6 +133,12 @@ SHAPE = (2, 1, 3)
 """Two values, one direction, three frequencies."""
 
 
+def test_a_stop_is_closed_where_others_slip():
+    """The largest share of slip is that of contacts with friction."""
+    assert any("a contact 0.40 of the cycle in slip" in line for line in lines_on(1e-4))
+    assert any("a contact 0.00 of the cycle in slip" in line for line in lines_on(1e-4, friction=np.zeros(1)))
+
+
 def lines_on(difference: float, missing: int = 0, **changes: np.ndarray) -> list[str]:
     """Lines on motions along x in which a contact slips and opens, the balance off by a share of each amplitude.
 
@@ -144,8 +150,14 @@ def lines_on(difference: float, missing: int = 0, **changes: np.ndarray) -> list
     dims = ("contacts.pad.preload", "direction", "frequency")
     shares = {"slip_share": np.full((*SHAPE, 1), 0.4), "separation_share": np.full((*SHAPE, 1), 0.1)}
     arrays: dict[str, Any] = {"settled": np.ones(SHAPE, int), "period": np.ones(SHAPE, int)} | shares | changes
+    friction = arrays.pop("friction", np.ones(1))
     variables = {name: ((*dims, "contact")[: array.ndim], array) for name, array in arrays.items()}
-    coords = {"contacts.pad.preload": [-4.0, 3.0], "direction": ["independent"], "frequency": [1.0, 2.0, 3.0]}
+    coords: dict[str, Any] = {
+        "contacts.pad.preload": [-4.0, 3.0],
+        "direction": ["independent"],
+        "frequency": [1.0, 2.0, 3.0],
+    }
+    coords["friction"] = ("contact", friction)
     hbm = {name: (("solution",), np.zeros(0)) for name in ("fold", "frequency", "contacts.pad.preload")}
     off = np.full((*SHAPE, 1, 3), np.nan)
     off[..., 0] = difference

@@ -14,6 +14,7 @@ from timesim.cli import app
 from timesim.result import netcdf
 from timesim.result.folder import prepare_folder
 
+UNITS = {"length": "mm", "force": "N"}
 PRELOAD = "contacts.pad.preload"
 STUDY = {"kind": "sweep", "frequency": {"values": [0.97, 1.2]}, "direction": "both", "over": {PRELOAD: [-1, 3]}}
 POINT = {"frequency": 0.97, "direction": "down", PRELOAD: -1}
@@ -21,7 +22,10 @@ POINT = {"frequency": 0.97, "direction": "down", PRELOAD: -1}
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    data, folder = timesim.run(oscillator_scene(3.0) | {"study": STUDY}), tmp_path_factory.mktemp("sweep")
+    data, folder = (
+        timesim.run(oscillator_scene(3.0) | {"study": STUDY, "units": UNITS}),
+        tmp_path_factory.mktemp("sweep"),
+    )
     netcdf.save(data, folder / "result.nc")
     return folder
 
@@ -51,6 +55,8 @@ def test_the_command_prints_a_table_and_draws(folder: Path):
     said = done.stdout.splitlines()
     assert said[0].startswith(f"{PRELOAD} -1, direction down, frequency 0.97: repeats every cycle, settled after")
     known = timesim.open_result(folder).sel(POINT)
+    assert said[1].split("  ")[-3:] == ["amplitude [mm]", "phase [degree]", "mean [mm]"]
+    assert "power [N·mm/s]  largest |f| [N]  largest n [N]" in done.stdout
     place = known.amplitude.sel(point="tip", axis="x").item(), known.phase_deg.sel(point="tip", axis="x").item()
     assert any(line.split()[:4] == ["tip", "x", f"{place[0]:.5g}", f"{place[1]:.5g}"] for line in said)
     assert any(line.startswith("pad") and f"{known.dissipated_power.item():.5g}" in line.split() for line in said)

@@ -1,11 +1,12 @@
 """Names that occur in result files, with their meaning and units: the one table of them.
 
-Units are those of the scene's own consistent system, so the texts name quantities: ``length``, ``force``,
-``length/s``, ``force*length`` (energy), ``force/length`` (stiffness). Time is in ``s``, frequency in ``Hz``,
-angles in ``degree``, pure numbers in ``1``. Modal displacements are in ``modal length``: times the mode shape
-of the scene they give a length. Names, flags and text have no units.
+Units are those of the scene's own consistent system, so the texts name quantities where the scene does not name its
+units: ``length``, ``force``, ``length/s``, ``force*length`` (energy), ``force/length`` (stiffness). Time is in ``s``,
+frequency in ``Hz``, angles in ``degree``, pure numbers in ``1``. Modal displacements are in ``modal length``: times the
+mode shape of the scene they give a length. Names, flags and text have no units.
 """
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -41,7 +42,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "modal_displacement": ("modal displacement", "modal length"),
     "modal_velocity": ("modal velocity", "modal length/s"),
     "contact_force": ("friction force on body 2 (t1, t2) and normal load (n)", "force"),
-    "contact_state": ("contact state: 0 stick, 1 slip, 2 separation", None),
+    "contact_state": ("contact state: 0 stick, 1 slip (of a frictionless stop: closed), 2 separation", None),
     "contact_displacement": ("relative motion (u1, u2, v) in the contact's axes", "length"),
     "slip": ("slip displacement w", "length"),
     "event_time": ("time of the transition", "s"),
@@ -91,7 +92,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
         "counts the multipliers 1, the time integration does not",
         "1",
     ),
-    "slip_share": ("share of a period in slip", "1"),
+    "slip_share": ("share of a period in slip; in which it is closed, of a frictionless stop", "1"),
     "separation_share": ("share of a period in separation", "1"),
     "amplitude_band": ("smallest and largest amplitude of one of the cycles that were measured", "length"),
     "band": ("end of the band of amplitudes", None),
@@ -221,10 +222,16 @@ FLAGS = {
 """Meaning of the values of a variable that counts nothing."""
 
 
-def attributes(name: str) -> dict[str, Any]:
+BASE = ("length", "force")
+"""Quantities whose units a scene may name; all other units follow, as that of power, ``N*m/s``."""
+
+
+def attributes(name: str, named: Mapping[str, str] | None = None) -> dict[str, Any]:
     """`long_name` and `units` of a variable or coordinate, and the meaning of flags; empty for a name not listed.
 
-    A name with a dot is the key of a scalar in the scene, such as ``contacts.pad.preload``.
+    Args:
+        name: one with a dot is the key of a scalar in the scene, such as ``contacts.pad.preload``.
+        named: units of the quantities of `BASE`, ``{"length": "mm"}``.
     """
     if "." in name:
         long_name, units = f"scene value {name}", SCENE_UNITS.get(name.rsplit(".", 1)[1])
@@ -232,10 +239,23 @@ def attributes(name: str) -> dict[str, Any]:
         long_name, units = LABELS[name]
     else:
         return {}
-    attrs = {"long_name": long_name} | ({} if units is None else {"units": units})
+    attrs: dict[str, Any] = {"long_name": long_name}
+    if units is not None:
+        attrs["units"] = re.sub("length|force", lambda quantity: (named or {}).get(quantity[0], quantity[0]), units)
     flags = STATE_FLAGS if long_name.startswith("contact state") else FLAGS.get(name, {})
     values = {"flag_values": np.array(list(flags), dtype=np.int8), "flag_meanings": " ".join(flags.values())}
     return attrs | (values if flags else {})
+
+
+def with_unit(number: str, attrs: Mapping[str, Any]) -> str:
+    """A number and its unit, where that is a name and no quantity.
+
+    Args:
+        number: as text.
+        attrs: attributes of its variable.
+    """
+    units = str(attrs.get("units", "1"))
+    return number if units == "1" or any(quantity in units for quantity in BASE) else f"{number} {units}"
 
 
 def in_words(values: Mapping[str, float], end: str = "") -> str:

@@ -203,6 +203,8 @@ def _study_lines(scene: Scene) -> Iterator[str]:
     if scene.file.title:
         yield scene.file.title
     written, initial = scene.source.data, scene.file.initial
+    if scene.file.units is not None:
+        yield f"units: {_keys(scene.file.units, ())}"
     yield f"study: {_keys(scene.file.study, ('kind', *written['study']))}"
     if extent := scene.file.study.extent():
         yield f"points: {extent}"

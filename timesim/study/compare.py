@@ -35,7 +35,7 @@ from timesim.scene.resolution import Scene
 from timesim.study.execution.campaign import INTERRUPTED, Execution
 from timesim.study.execution.progress import CURVE, Phases
 from timesim.study.hbm import Curves, followed, left_out
-from timesim.study.outcome import Outcome, attributes
+from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import jump_lines
 from timesim.study.sweep import sweep_record
 from timesim.study.verdict import compared_points, comparison_lines, curve_lines
@@ -178,7 +178,7 @@ def cycle_by_both(scene: Scene, curves: Curves, match: Match, place: tuple[int, 
     }
     coords = {"found_by": np.array(METHODS), "excitation_angle": np.rad2deg(angle)}
     where = ", ".join(filter(None, (f"{frequency:g} Hz", in_words(values))))
-    return dataset(variables, coords, {"place": where}, model)
+    return dataset(variables, coords, {"place": where} | unit_names(scene), model)
 
 
 def _contacts(balance: Balance, coefficient: Array) -> tuple[Array, Array]:

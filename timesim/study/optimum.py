@@ -24,7 +24,7 @@ from timesim.scene.resolution import Scene
 from timesim.scene.sweep import OptimumPlan
 from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through, point_done
 from timesim.study.execution.progress import Phases
-from timesim.study.outcome import Outcome, attributes
+from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import failure_line, optimum_lines
 from timesim.study.sweep import Variables, blank_columns, variables_of
 
@@ -259,6 +259,6 @@ def data_of(peaks: Peaks) -> Dataset:
         "final_phase_deg": ((), np.array(np.rad2deg(model.start.phase) % 360)),
     }
     coords = {key: np.array(values), "direction": np.array(["up", "down"]), "frequency": peaks.frequency}
-    data = dataset(variables, coords, {}, model)
+    data = dataset(variables, coords, unit_names(peaks.scene), model)
     data["optimum"].attrs |= {name: text for name, text in data[key].attrs.items() if name == "units"}
     return data

@@ -100,11 +100,12 @@ def _table(here: Dataset, motion: Dataset) -> Iterator[str]:
     yield from _lines(columns)
     if not here.sizes["contact"]:
         return
+    stops = here["friction"].values == 0
     force, slip, apart = motion["contact_force"].values, here["slip_share"].values, here["separation_share"].values
     columns = {
         "contact": here["contact"].values.tolist(),
         "stick": np.maximum(1 - slip - apart, 0.0),
-        "slip": slip,
+        "slip, closed" if stops.any() else "slip": slip,
         "separation": apart,
         _head(here, "dissipated_power", "power"): here["dissipated_power"].values,
         _head(motion, "contact_force", "largest |f|"): np.hypot(force[..., 0], force[..., 1]).max(axis=0),
@@ -114,7 +115,7 @@ def _table(here: Dataset, motion: Dataset) -> Iterator[str]:
 
 
 def _head(data: Dataset, name: str, words: str = "") -> str:
-    return f"{words or name} [{data[name].attrs['units']}]"
+    return f"{words or name} [{data[name].attrs['units'].replace('*', '·')}]"
 
 
 def _lines(columns: Mapping[str, Iterable[Any]]) -> Iterator[str]:

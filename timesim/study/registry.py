@@ -12,7 +12,7 @@ imported inside functions where these stand in one module.
 """
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -95,27 +95,34 @@ def json_schema() -> dict[str, Any]:
     return file.json_schema(sections())
 
 
-def draw(data: "xarray.Dataset | xarray.DataTree", folder: Path | str) -> list[Path]:
-    """Write the pictures of a result into a folder as PNG, replacing earlier ones.
+def draw(
+    data: "xarray.Dataset | xarray.DataTree", folder: Path | str, *, kind: str = "png", log: Collection[str] = ()
+) -> list[Path]:
+    """Write the pictures of a result into a folder, replacing earlier ones.
 
     Args:
         data: the result, a Dataset, or the DataTree of one with groups.
         folder: an existing folder.
+
+    Keyword Args:
+        kind: of the files: png, pdf or svg.
+        log: "amplitude", "frequency", or both: these axes are logarithmic.
 
     Returns:
         The files written, in order; none for a study that has no pictures, or a run that recorded nothing.
 
     Raises:
         StoreError: a file cannot be written.
+        ValueError: another kind or quantity.
     """
     from timesim.picture.draw import write
 
-    return write(data, folder, _pictures(data.attrs["study"]))
+    return write(data, folder, _pictures(data.attrs["study"]), kind=kind, log=log)
 
 
-def picture_names(kind: str) -> list[str]:
-    """Names of the files that `draw` may write for a kind of study."""
-    return [f"{name}.png" for name in _pictures(kind)]
+def picture_names(kind: str, files: Sequence[str] = ("png",)) -> list[str]:
+    """Names of the files that `draw` may write for a kind of study, of some kinds of files."""
+    return [f"{name}.{file}" for file in files for name in _pictures(kind)]
 
 
 def _pictures(kind: str) -> Mapping[str, Callable[..., Any]]:

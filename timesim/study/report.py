@@ -9,7 +9,7 @@ from xarray import Dataset
 from timesim.orbit.basin import ANOTHER, IRREGULAR, LOWER, NONE, UPPER, unique
 from timesim.orbit.two_motions import LARGER, NO_MOTION, SMALLER
 from timesim.result.coordinate import over_keys
-from timesim.result.label import in_words
+from timesim.result.label import in_words, with_unit
 from timesim.scene.transient import Schedule
 
 MOTIONS = ("lower", "upper")
@@ -39,7 +39,8 @@ def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
     for number, ((frequency, cycles), end) in enumerate(zip(plan.phases, ends, strict=True), 1 - plan.run_up):
         if end <= len(amplitude):
             which = f"phase {number}" if number > 0 else "run-up"
-            size = f"amplitude {amplitude[end - 1, point, axis]:.6g} of {name} at its end"
+            reached = with_unit(f"{amplitude[end - 1, point, axis]:.6g}", data["cycle_amplitude"].attrs)
+            size = f"amplitude {reached} of {name} at its end"
             yield f"{which}: {cycles} cycles at {frequency:.6g} Hz, {size}"
 
 
@@ -163,9 +164,10 @@ def _range_lines(one: Dataset, width: float) -> Iterator[str]:
     (low, high), smaller, larger = (one[name].values for name in ("range", "amplitude_lower", "amplitude_upper"))
     place = np.unravel_index(np.argmax(larger), larger.shape)
     name = f"{one['point'].values[place[0]]} {one['axis'].values[place[1]]}"
+    either = with_unit(f"{smaller[place]:.6g} or {larger[place]:.6g}", one["amplitude_upper"].attrs)
     yield (
         f"two motions from {low:.8g} to {high:.8g} Hz (each end to {width:g} Hz): amplitude of {name} "
-        f"{smaller[place]:.6g} or {larger[place]:.6g} at {0.5 * (low + high):.6g} Hz"
+        f"{either} at {0.5 * (low + high):.6g} Hz"
     )
     for end in one["end"].values[one["range_cut"].values > 0]:
         yield f"the {end} end of it is that of the search, not of the range: widen frequency"
@@ -239,7 +241,10 @@ def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
     if not np.isfinite(best):
         return
     at = int(np.flatnonzero(values == best)[0])
-    yield f"least peak {peak[at]:.7g} at {key} = {best:.6g}, at {float(data['optimum_frequency']):.6g} Hz"
+    least, value = (
+        with_unit(text, data[name].attrs) for text, name in ((f"{peak[at]:.7g}", "peak"), (f"{best:.6g}", key))
+    )
+    yield f"least peak {least} at {key} = {value}, at {float(data['optimum_frequency']):.6g} Hz"
     beside = [i for value in (best - accuracy, best + accuracy) for i in np.flatnonzero(values == value)]
     if data.attrs["complete"] and beside:
         heights = " and ".join(f"{peak[i]:.7g} at {values[i]:.6g}" for i in beside)

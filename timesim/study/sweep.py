@@ -26,7 +26,7 @@ from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan, combinations
 from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through, halted, point_done
 from timesim.study.execution.progress import Phases
-from timesim.study.outcome import Outcome, attributes
+from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import failure_line, sweep_lines
 
 POINTS_A_CHUNK = 128  # of independent points: their batch is kept full while some of them settle late
@@ -300,8 +300,8 @@ class Grid:
             rows = self._jump_rows(jumps, place)
             variables[f"jump_{end}"] = ((*sizes, "jump"), rows.reshape(*sizes.values(), -1))
         coords = self.axes | {"direction": np.array(self.plan.directions), "frequency": self.frequency}
-        tolerance = {"settle_tolerance": self.plan.criterion.tolerance}
-        return dataset(variables, coords, dict(attrs) | tolerance, self.any_model)
+        every_sweep = {"settle_tolerance": self.plan.criterion.tolerance, **unit_names(self.scene)}
+        return dataset(variables, coords, {**attrs, **every_sweep}, self.any_model)
 
     def _jump_rows(self, jumps: Sequence[tuple[int, int, float, float]], place: int) -> np.ndarray:
         """One end of the jumps of each chain, shape (sets, directions, jumps), NaN where a chain has fewer."""

@@ -35,11 +35,11 @@ def test_the_time_left_is_that_of_all_parts_so_far():
     standing = Standing("points", earlier=30.0, clock=clock)
     clock.now = 5.0
     standing(0, 100, "sweep, 0 of 100 points")
-    assert standing.line() == "sweep, 0 of 100 points, 0 %, 0:00:35 so far"
+    assert standing.line() == "0 %, 0:00:35 so far, sweep, 0 of 100 points"
     clock.now = 15.0
     standing(40, 100, "sweep, 40 of 100 points")
     # 40 points in the 30 s before and the 10 s after the programs were compiled.
-    assert standing.line() == "sweep, 40 of 100 points, 40 %, 1 points/s, 0:00:45 so far, 0:01:00 left"
+    assert standing.line() == "40 %, 1 points/s, 0:00:45 so far, 0:01:00 left, sweep, 40 of 100 points"
 
 
 def test_all_of_it_is_never_shown_as_done_and_the_share_never_falls():
@@ -107,7 +107,8 @@ def test_without_a_terminal_there_is_a_line_a_minute(
         time.sleep(0.2)
     said = capsys.readouterr().err.splitlines()
     assert 2 <= len(said) <= 10
-    assert said[0].startswith("sweep, 3 of 10 points, 30 %")
+    assert said[0].startswith("30 %, ")
+    assert said[0].endswith(" left, sweep, 3 of 10 points")
     time.sleep(0.05)
     assert capsys.readouterr().err == ""
 
@@ -127,14 +128,14 @@ print("over")
 
 def test_on_a_terminal_there_is_a_bar():
     reader, writer = pty.openpty()
-    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "100"}
     with subprocess.Popen([sys.executable, "-c", SHOWN], stdout=writer, stderr=writer, env=environment) as run:
         os.close(writer)
         said = b"".join(iter(_reading(reader), b"")).decode()
     os.close(reader)
     assert run.returncode == 0
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", said)
-    assert re.search(r"━.* 50 % .* points/s .* so far .* left .*sweep, 5 of 10 points", plain)
+    assert re.search(r"━.* 50 %, .* points/s, .* so far, .* left, sweep, 5 of 10 points", plain)
     assert "99 %" in plain
     assert "100 %" not in plain
     assert plain.rstrip().endswith("over")

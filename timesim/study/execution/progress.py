@@ -87,32 +87,19 @@ class Standing:
         return self._earlier + self.clock() - self._begun
 
     @property
-    def time_so_far(self) -> str:
-        """`elapsed` in words."""
-        return f"{_clock_time(self.elapsed)} so far"
-
-    @property
     def left(self) -> float | None:
         """Seconds left at the rate of all parts so far; None where nothing is done yet."""
         worked = self._earlier + self.clock() - self._worked
         return worked * (1 / self.share - 1) if self.share > 0 and worked > 0 else None
 
-    @property
-    def rate(self) -> str:
-        """How fast it goes; empty where nothing is done yet."""
-        left = self.left
-        return f"{(1 - self.share) * self._number / left:.3g} {self.unit}/s" if left else ""
-
-    @property
-    def time_left(self) -> str:
-        """The time left in words; empty where it is not known."""
-        left = self.left
-        return "" if left is None else f"{_clock_time(left)} left"
-
     def line(self) -> str:
-        """All of it in a line."""
-        parts = (self.phase, self.percent, self.rate, self.time_so_far, self.time_left)
-        return ", ".join(filter(None, parts))
+        """All of it in a line, that which may be long at its end."""
+        parts = [self.percent, f"{_clock_time(self.elapsed)} so far", self.phase]
+        if left := self.left:
+            rate = (1 - self.share) * self._number / left
+            parts[1:1] = [f"{rate:.0f} {self.unit}/s" if rate >= 100 else f"{rate:.3g} {self.unit}/s"]
+            parts[-1:-1] = [f"{_clock_time(left)} left"]
+        return ", ".join(parts)
 
 
 def _clock_time(seconds: float) -> str:
