@@ -193,6 +193,8 @@ CHANGES = (
     (BASE, (
         ("titel", "title: base", "titel: base", "did you mean title?"),
         ("title", "title: base", "title: 12", "must be text"),
+        ("units.length", "title: base", "units: {length: 1e-3 m}", "must be the name of a unit, letters only"),
+        ("units.time", "title: base", "units: {time: ms}", "is no key here"),
         ("structure", "structure:\n  modes:", "structure:\n  mods:", "exactly one of", "structure:"),
         ("structure.modes.0.frequency", "frequency: 0.9", "frequency: -0.9", "must be >= 0"),
         ("structure.modes.0.frequency", "frequency: 0.9", "frequency: .nan", "must be finite"),

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         plot,
         point_force,
         settle,
+        show,
         sweep,
         system,
     )
@@ -39,6 +40,7 @@ __all__ = [
     "point_force",
     "run",
     "settle",
+    "show",
     "sweep",
     "system",
 ]

@@ -9,13 +9,17 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import threading
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, Self
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, Self
 
 import typer
+
+if TYPE_CHECKING:
+    from timesim.study.execution.progress import Standing
 
 app = typer.Typer(
     add_completion=False,
@@ -26,6 +30,9 @@ app = typer.Typer(
 
 LAST_SIGNAL = 3
 """Number of the Ctrl-C that is obeyed whatever is under way."""
+
+SECONDS_A_LINE = 60.0
+"""Between two lines on the progress of a run that nobody watches on a terminal."""
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -55,6 +62,7 @@ def run(
     ] = None,
 ) -> None:
     """Run a scene and write result.nc, scene.yaml and pictures."""
+    from timesim.picture.draw import KINDS
     from timesim.result import checkpoint
     from timesim.result.file import StoreError
     from timesim.result.folder import check_folder, locked_folder, prepare_folder
@@ -70,7 +78,7 @@ def run(
             return
         check_folder(output, overwrite=force or resume)
         with _Signals() as signals, locked_folder(output):
-            stale = picture_names(loaded.kind)
+            stale = picture_names(loaded.kind, KINDS)
             prepare_folder(output, loaded.resolved_yaml(), overwrite=force, source=scene, stale=stale)
             for warning in loaded.warnings():
                 print(f"warning: {warning}", file=sys.stderr)
@@ -83,14 +91,16 @@ def _carry_out(loaded: Any, execution: Any, signals: "_Signals", *, plots: bool)
     """Run the study, save its result and draw it."""
     from timesim.result import checkpoint, netcdf
     from timesim.result.file import StoreError
+    from timesim.study.execution.progress import Standing
     from timesim.study.registry import carry_out, draw
 
-    with _progress(loaded.kind) as progress:
-        outcome = carry_out(loaded, replace(execution, progress=progress))
+    output = execution.folder
+    standing = Standing(loaded.file.study.counts, execution.earlier())
+    with _progress(standing):
+        outcome = carry_out(loaded, replace(execution, progress=standing))
     signals.saving = True
     for line in outcome.summary:
         print(line)
-    output = execution.folder
     try:
         path = netcdf.save(outcome.groups, output / netcdf.RESULT_NAME)
     except StoreError as error:
@@ -135,6 +145,11 @@ def schema() -> None:
 @app.command()
 def plot(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run, or its result file.")],
+    kind: Annotated[str, typer.Option("--format", metavar="png|pdf|svg", help="Of the files.")] = "png",
+    log: Annotated[
+        list[str] | None,
+        typer.Option(metavar="amplitude|frequency", help="Logarithmic axes of this; may be repeated."),
+    ] = None,
 ) -> None:
     """Draw the pictures of a run again."""
     from timesim.result.file import StoreError
@@ -146,10 +161,59 @@ def plot(
     except StoreError as error:
         _stop(2, str(error))
     try:
-        for path in draw(result, folder if folder.is_dir() else folder.parent):
+        for path in draw(result, folder if folder.is_dir() else folder.parent, kind=kind, log=log or ()):
             print(path)
+    except ValueError as error:
+        _stop(2, f"--{error}")
     except StoreError as error:
         _stop(1, str(error))
+
+
+@app.command()
+def show(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run with a sweep, or its result file.")],
+    at: Annotated[
+        list[str] | None,
+        typer.Option("--at", metavar="AXIS=VALUE", help="The point, by the axes of the sweep; may be repeated."),
+    ] = None,
+) -> None:
+    """Compute the motion at a point of a sweep again, print what it does and draw it: loops, orbit, contact states."""
+    from timesim.fault import RuleError, SceneError
+    from timesim.result import netcdf
+    from timesim.result.file import StoreError
+    from timesim.result.folder import SHOW_NAME
+    from timesim.study.point import point_again
+    from timesim.study.registry import draw
+
+    try:
+        point = point_again(folder, dict(map(_asked, at or ())))
+    except RuleError as error:
+        asked = f"--at {error.key[0]}={error.value}" if error.key else str(folder)
+        _stop(2, f"{asked}: {error.rule} ({error.hint})")
+    except (StoreError, SceneError) as error:
+        _stop(2, str(error))
+    for line in point.table:
+        print(line)
+    place = (folder if folder.is_dir() else folder.parent) / SHOW_NAME / point.name
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+        netcdf.save(point.motion, place / netcdf.RESULT_NAME)
+        pictures = draw(point.motion, place)
+    except (OSError, StoreError) as error:
+        _stop(1, str(error))
+    print(f"result: {place / netcdf.RESULT_NAME} and {len(pictures)} pictures")
+    if point.reason is not None:
+        _stop(1, f"incomplete: {point.reason}")
+
+
+def _asked(text: str) -> tuple[str, float | str]:
+    """An axis and a value along it."""
+    name, equals, value = text.partition("=")
+    if not equals:
+        _stop(2, f"--at {text}: write it as AXIS=VALUE, such as frequency=0.945")
+    with suppress(ValueError):
+        return name, float(value)
+    return name, value
 
 
 def _loaded(scene: Path, overrides: list[str] | None) -> Any:
@@ -215,34 +279,57 @@ class _Signals:
 
 
 @contextmanager
-def _progress(kind: str) -> Iterator[Callable[[int, int], None] | None]:
-    """A bar with rate and time left, where somebody is watching."""
-    if not sys.stderr.isatty():
-        yield None
+def _progress(standing: "Standing") -> Iterator[None]:
+    """A bar where somebody is watching, else a line a minute."""
+    if sys.stderr.isatty():
+        with _bar(standing):
+            yield
         return
+    over = threading.Event()
+
+    def lines() -> None:
+        while not over.wait(SECONDS_A_LINE):
+            print(standing.line(), file=sys.stderr, flush=True)
+
+    thread = threading.Thread(target=lines, name="timesim-progress", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+def _bar(standing: "Standing") -> AbstractContextManager[Any]:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, ProgressColumn, Task
+    from rich.progress_bar import ProgressBar
+    from rich.text import Text
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(kind, total=None, rate="")
+    class Words(ProgressColumn):
+        """The standing as it is when the bar is drawn."""
 
-        def show(done: int, number: int) -> None:
-            speed = bar.tasks[0].speed
-            rate = f"{speed:.3g}/s" if speed else ""
-            bar.update(task, completed=done, total=number, rate=rate)
+        def render(self, task: Task) -> Text:
+            return Text(standing.line(), no_wrap=True, overflow="ellipsis")
 
-        yield show
+    class Share(BarColumn):
+        """A bar as long as the share is when it is drawn."""
+
+        def render(self, task: Task) -> ProgressBar:
+            task.completed = standing.share
+            return super().render(task)
+
+    progress = Progress(Share(bar_width=20), Words(), console=Console(stderr=True), transient=True)
+    progress.add_task("", total=1.0)
+    return progress
 
 
 def main() -> None:
     """Entry point of the ``timesim`` command."""
+    # The matrices are small and the work is spread over the processors already: where others compute too, a curve of
+    # harmonic balance takes eight times longer with the threads of OpenBLAS, which wait for each other (measured on two
+    # processors at load 5: 45 s against 5.7 s). Read when numpy is imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Imports and traces leave half a million objects that last. At Python's own threshold the collector walks them so
     # often that a second run of configs/oscillator.yaml takes 4.4 s of processor time in place of 3.8 (measured).
     gc.set_threshold(50_000)

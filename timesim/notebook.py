@@ -11,13 +11,15 @@ in any consistent unit system. Each function raises ValueError where the shape o
 `timesim.SceneError` where a value is, with its key, the value, what is allowed and what to do.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from timesim.fault import RuleError
+from timesim.study.point import point_again
 from timesim.study.registry import draw, run
 
 if TYPE_CHECKING:
@@ -283,10 +285,40 @@ def follow(
     return result
 
 
-def plot(result: "xarray.Dataset", folder: str | Path) -> list[Path]:
-    """Draw the pictures of a result into a folder, creating it, and return the files; see `timesim plot`."""
+def show(path: str | Path, at: Mapping[str, float | str]) -> "xarray.Dataset":
+    """The motion at a point of a sweep again, from the state that its result holds; see `timesim show`.
+
+    Args:
+        path: result file of a study with a sweep, or the folder of its run.
+        at: the point, values along the axes of the sweep by name: ``{"frequency": 0.945, "direction": "up"}``.
+
+    Returns:
+        A period of the motion, ten cycles where it has none: the result of a transient.
+
+    Raises:
+        ValueError: the result has no such point, or more than one.
+    """
+    try:
+        return point_again(path, at).motion
+    except RuleError as error:
+        raise ValueError(f"{'.'.join(map(str, error.key)) or path}: {error.rule} ({error.hint})") from None
+
+
+def plot(
+    result: "xarray.Dataset | xarray.DataTree", folder: str | Path, *, kind: str = "png", log: Collection[str] = ()
+) -> list[Path]:
+    """Draw the pictures of a result into a folder, creating it, and return the files; see `timesim plot`.
+
+    Args:
+        result: in memory.
+        folder: is made where it is missing.
+
+    Keyword Args:
+        kind: of the files: png, pdf or svg.
+        log: "amplitude", "frequency", or both: these axes are logarithmic.
+    """
     Path(folder).mkdir(parents=True, exist_ok=True)
-    return draw(result, folder)
+    return draw(result, folder, kind=kind, log=log)
 
 
 def _given(**options: Any) -> Section:

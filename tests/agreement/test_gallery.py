@@ -56,6 +56,30 @@ def test_one_harmonic_with_an_elastic_slider():
     error = np.abs(known / result["frequency"].values[slips] - 1).min(axis=0)
     assert error.max() < 1e-5
     assert amplitude.max() == pytest.approx(0.5 / (1 - np.pi * 0.45 / 2), rel=1e-3)
+    height, frequency = amplitude[slips], result["frequency"].values[slips]
+    loss = 4 * 0.5 * (height - 0.5)
+    np.testing.assert_allclose(result["dissipated_power"].values[slips, 0], frequency * loss, rtol=1e-5)
+    # The force does the work that friction loses: pi F A sin(lag) = 4 mu N (A - d).
+    lag = -np.deg2rad(result["phase_deg"].sel(point="body", axis="x").values[slips])
+    np.testing.assert_allclose(np.sin(lag), loss / (np.pi * 0.45 * height), rtol=1e-4)
+    low = np.abs(known[0] / frequency - 1) < 1e-5
+    assert low.any()
+    assert np.all((np.cos(lag) > 0) == low)
+
+
+def test_the_loss_of_an_elastic_slider_in_time():
+    """Between two turning points 2 A apart it is 4 mu N (A - d) whatever the motion between them."""
+    study = {"kind": "sweep", "frequency": {"values": [0.175, 0.19, 0.22]}}
+    result = run("one_slider", study=study, **{"structure.modes.0.damping_ratio": 0.01})
+    amplitude, frequency = result["amplitude"].sel(point="body", axis="x").values[0], result["frequency"].values
+    assert np.all(result["settled"] == 1)
+    assert np.all(result["slip_share"] > 0.1)
+    expected = 4 * 0.5 * (amplitude - 0.5) * frequency
+    np.testing.assert_allclose(result["dissipated_power"].values[0, :, 0], expected, rtol=1e-6)
+    phase = result["phase_deg"].sel(point="body", axis="x").values[0]
+    assert np.all(np.diff(phase) < 0)
+    assert -90 < phase[0] < 0
+    assert -180 < phase[-1] < -90
 
 
 def test_no_peak_where_the_force_exceeds_what_friction_can_dissipate():

@@ -39,6 +39,10 @@ def test_the_response_to_several_harmonics():
     np.testing.assert_allclose(orbit.amplitude[0], np.ptp(x, axis=0) / 2, rtol=1e-6)
     assert orbit.settled
     assert orbit.separation_share[0] == 1
+    every = np.zeros((10, 2), complex)
+    every[np.append(0, HARMONIC)] = np.vstack([mean, phasor])
+    np.testing.assert_allclose(orbit.phasor[:, 0], every @ body.shape[0].T, rtol=0, atol=1e-12 * np.abs(mean).max())
+    assert orbit.dissipated_power.tolist() == [0]
 
 
 def test_its_multipliers_are_those_of_the_free_modes():

@@ -1,14 +1,18 @@
 """Settled motions by marching, against amplitudes computed independently (DOP853 with located events, rtol 1e-12)."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from systems import oscillator
+from simulation import simulate
+from systems import circular, circular_radius, oscillator
 
 from timesim.engine.step import Status
-from timesim.model.solver import PRESETS, Criterion, Solver
-from timesim.orbit.recurrence import period_of
+from timesim.model.solver import NEVER, PRESETS, SHOOT, SLOW, Criterion, Solver
+from timesim.orbit.cycle import modal_coefficients
+from timesim.orbit.fourier import phase_deg, to_phasors
+from timesim.orbit.recurrence import recurrence_of
 from timesim.orbit.settling import Chain, Phase, Search, after_march, steady_states
 from timesim.orbit.threshold import CYCLES_A_ROUND
 
@@ -41,11 +45,44 @@ def test_the_settled_motion_slips_and_separates(orbits):
     assert list(apart > 0.05) == [False, True, False]
 
 
-def test_a_motion_that_has_not_settled_is_recognised():
+def test_harmonics_and_power_of_a_settled_motion(orbits):
+    """Against a cycle from the same state at the finest tolerance: its samples, and the energy that its loop counts."""
+    for orbit, (preload, frequency) in zip(orbits, SETTLED, strict=True):
+        model = replace(oscillator(preload, frequency), start=orbit.end)
+        modal = to_phasors(modal_coefficients(model, frequency, PRESETS["reference"]).T).T[:10]
+        expected = np.einsum("pam,hm->hpa", model.structure.shape, modal)
+        np.testing.assert_allclose(orbit.phasor, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
+        energy = simulate(model, 1, PRESETS["reference"], frequency).totals.work[0][2:]
+        np.testing.assert_allclose(orbit.dissipated_power, frequency * energy, rtol=1e-5)
+
+
+def test_harmonics_do_not_depend_on_the_phase_of_the_start(orbits):
+    model = oscillator(3.0, 1.39)
+    chain = Chain(replace(model, start=replace(model.start, phase=0.7)), (1.39,))
+    ((orbit,),) = steady_states([chain], PRESETS["standard"], Criterion())
+    np.testing.assert_allclose(orbit.phasor, orbits[0].phasor, rtol=0, atol=1e-6 * orbit.largest)
+
+
+def test_slip_in_a_circle():
+    """The motion lags behind the force, and the slider moves on a circle of radius (R^2 - delta^2)^(1/2)."""
+    omega, radius, elastic, limit = 1.2, circular_radius(1.0, 1.2), 0.3, 0.3
+    chain = Chain(circular(1.0, omega), (omega / (2 * np.pi),))
+    ((orbit,),) = steady_states([chain], PRESETS["standard"], Criterion())
+    assert orbit.dissipated_power[0] == pytest.approx(limit * omega * np.sqrt(radius**2 - elastic**2), rel=1e-6)
+    spring = (elastic / radius) ** 2
+    lag = np.arctan2(0.02 * omega + elastic * np.sqrt(radius**2 - elastic**2) / radius**2, 1 - omega**2 + spring)
+    phase = phase_deg(orbit.phasor)[0]
+    np.testing.assert_allclose(phase[:2], np.rad2deg([-lag, -lag - np.pi / 2]) % 360 - [360, 0], rtol=1e-6)
+    assert np.isnan(phase[2])
+
+
+def test_a_motion_that_has_not_settled_is_recognised(orbits):
     orbit = settled(3.0, 1.39, max_cycles=CYCLES_A_ROUND)
     assert not orbit.settled
     assert orbit.period == 0
     assert np.all(orbit.amplitude > 0)
+    assert np.isnan(orbit.phasor).all()
+    assert orbit.dissipated_power == pytest.approx(orbits[0].dissipated_power, rel=0.2)  # the mean of ten cycles
 
 
 def test_a_march_that_fails_says_why():
@@ -59,14 +96,14 @@ def test_periods_of_sequences():
     """A slow drift is not taken for rest, and two or three cycles for one period."""
     cycles = np.arange(2 * CYCLES_A_ROUND)
     still = np.ones((cycles.size, 3))
-    assert period_of(still, 1e-8) == 1
-    assert period_of(still + 1e-10 * (cycles % 2)[:, None], 1e-8) == 1
-    assert period_of(still + 0.1 * (cycles % 2)[:, None], 1e-8) == 2
-    assert period_of(still + 0.1 * (cycles % 3)[:, None], 1e-8) == 3
+    assert recurrence_of(still, 1e-8).period == 1
+    assert recurrence_of(still + 1e-10 * (cycles % 2)[:, None], 1e-8).period == 1
+    assert recurrence_of(still + 0.1 * (cycles % 2)[:, None], 1e-8).period == 2
+    assert recurrence_of(still + 0.1 * (cycles % 3)[:, None], 1e-8).period == 3
     drift = still + (1e-6 * 0.999**cycles)[:, None]
     assert np.max(np.abs(np.diff(drift, axis=0))) < 1e-8
-    assert period_of(drift, 1e-8) == 0
-    assert period_of(still + (1e-6 * 0.3**cycles)[:, None], 1e-8) == 1
+    assert recurrence_of(drift, 1e-8).period == 0
+    assert recurrence_of(still + (1e-6 * 0.3**cycles)[:, None], 1e-8).period == 1
 
 
 def test_a_decaying_vibration_is_no_multiple_period():
@@ -74,25 +111,25 @@ def test_a_decaying_vibration_is_no_multiple_period():
     cycles = np.arange(200)
     free = np.stack([np.cos(2 * np.pi * cycles / 3), np.sin(2 * np.pi * cycles / 3)], axis=1)
     decays = 1 + 0.9 ** cycles[:, None] * free
-    found = [period_of(decays[max(0, n - 16) : n], 1e-8) for n in range(16, 200)]
+    found = [recurrence_of(decays[max(0, n - 16) : n], 1e-8).period for n in range(16, 200)]
     assert set(found) == {0, 1}
-    assert period_of(1 + 1e-3 * free[-16:], 1e-8) == 3
+    assert recurrence_of(1 + 1e-3 * free[-16:], 1e-8).period == 3
 
 
 @pytest.mark.parametrize("entry", range(4))
 def test_every_entry_of_the_state_must_repeat(entry):
     """One that drifts keeps a motion from settling, be it a slip while all displacements repeat."""
     returns = np.tile([1.0, -0.7, 0.3, 0.2], (2 * CYCLES_A_ROUND, 1))
-    assert period_of(returns, 1e-8) == 1
+    assert recurrence_of(returns, 1e-8).period == 1
     returns[:, entry] += 1e-5 * np.arange(len(returns))
-    assert period_of(returns, 1e-8) == 0
+    assert recurrence_of(returns, 1e-8).period == 0
 
 
 def test_the_tolerance_is_relative_to_the_largest_entry():
     """The change that is left, 1e-8 of 100 by a ratio of 0.5, is below the tolerance; that of 1 is not."""
     left = 0.5 ** np.arange(2 * CYCLES_A_ROUND)[:, None] * 1e-6 * 2**CYCLES_A_ROUND
     for size, settled_ in ((1.0, 0), (100.0, 1)):
-        assert period_of(np.concatenate([left, np.full_like(left, size)], axis=1), 1e-8) == settled_
+        assert recurrence_of(np.concatenate([left, np.full_like(left, size)], axis=1), 1e-8).period == settled_
 
 
 # A search from round to round
@@ -103,7 +140,7 @@ def marched(returns, *, cycles=CYCLES_A_ROUND, status=Status.RUNNING, **criterio
     before = Search(
         0, 0, SimpleNamespace(status=Status.RUNNING), returns=tuple(returns[:CYCLES_A_ROUND]), cycles=cycles
     )
-    lane, after = SimpleNamespace(status=status), returns[CYCLES_A_ROUND:]
+    lane, after = SimpleNamespace(status=status, quiet=0.0), returns[CYCLES_A_ROUND:]
     return after_march(before, lane, after, PRESETS["standard"], Criterion(**criterion))
 
 
@@ -120,7 +157,10 @@ def test_what_repeats_is_measured_and_what_drifts_is_marched_on():
 
 
 def test_it_is_shot_where_that_is_asked_for_and_not_too_early():
-    assert marched(DRIFT, shoot=True).phase is Phase.SHOOT
-    assert marched(DRIFT, shoot=True).shot.residual == np.inf
-    assert marched(DRIFT, shoot=True, cycles=CYCLES_A_ROUND - 1).phase is Phase.MARCH
-    assert marched(STILL, shoot=True).phase is Phase.MEASURE
+    assert marched(DRIFT, first_shot=SHOOT).phase is Phase.SHOOT
+    assert marched(DRIFT, first_shot=SHOOT).shot.period == 1
+    assert marched(DRIFT, first_shot=SHOOT, cycles=CYCLES_A_ROUND - 1).phase is Phase.MARCH
+    assert marched(STILL, first_shot=SHOOT).phase is Phase.MEASURE
+    for cycles, phase in ((SLOW - CYCLES_A_ROUND - 1, Phase.MARCH), (SLOW - CYCLES_A_ROUND, Phase.SHOOT)):
+        assert marched(DRIFT, cycles=cycles).phase is phase
+    assert marched(DRIFT, first_shot=NEVER, cycles=SLOW).phase is Phase.MARCH

@@ -9,11 +9,10 @@ from systems import generated_model, oscillator
 from timesim.engine.law.contact_law import Motion
 from timesim.model.model import SEPARATION, SLIP
 from timesim.model.reduction import reduction_of
-from timesim.model.solver import PRESETS, Criterion, Solver
+from timesim.model.solver import NEVER, PRESETS, SHOOT, Criterion, Solver
 from timesim.orbit.batch import march, record
 from timesim.orbit.lane import Lane
 from timesim.orbit.settling import Chain, begin_of, first_lane, steady_states
-from timesim.orbit.threshold import FIRST_SHOT
 
 FINE = Solver("tsit5", 1e-9, 1e-11, reduce=False)
 FINEST = replace(PRESETS["reference"], reduce=False)
@@ -26,8 +25,8 @@ def chain(model):
 
 def both_ways(models, solver=FINE, max_cycles=500):
     chains = [chain(model) for model in models]
-    by_march = steady_states(chains, solver, Criterion(TOLERANCE, max_cycles))
-    by_newton = steady_states(chains, solver, Criterion(TOLERANCE, max_cycles, shoot=True))
+    by_march = steady_states(chains, solver, Criterion(TOLERANCE, max_cycles, NEVER))
+    by_newton = steady_states(chains, solver, Criterion(TOLERANCE, max_cycles, SHOOT))
     return [orbit for (orbit,) in by_march], [orbit for (orbit,) in by_newton]
 
 
@@ -70,7 +69,7 @@ def test_shooting_finds_what_marching_finds_on_generated_scenes():
 
 
 def settled_lane(model, solver=FINEST):
-    (orbit,) = steady_states([chain(model)], solver, Criterion(TOLERANCE, 1500, shoot=True))[0]
+    (orbit,) = steady_states([chain(model)], solver, Criterion(TOLERANCE, 1500, SHOOT))[0]
     assert orbit.settled
     everything = reduction_of(model, [model.excitation.frequency], reduce=False)
     return Lane.begin(model, everything, model.excitation.frequency, solver, orbit.end), orbit
@@ -145,7 +144,7 @@ def test_a_closed_frictionless_stop_is_shot(preload):
     assert shot.settled
     assert (shot.separation_share[0] == 0) == (preload == 3.0)
     np.testing.assert_allclose(shot.amplitude, marched.amplitude, atol=1e-7 * np.max(marched.amplitude), rtol=0)
-    assert shot.cycles < FIRST_SHOT + 10 < marched.cycles
+    assert shot.cycles < SHOOT + 10 < marched.cycles
 
 
 def test_every_cycle_of_a_shot_counts_once(monkeypatch):
@@ -157,11 +156,11 @@ def test_every_cycle_of_a_shot_counts_once(monkeypatch):
         return record(lanes, solver, num_cycles, *most, size=size)
 
     monkeypatch.setattr("timesim.orbit.settling.record", counted)
-    (orbit,) = steady_states([chain(oscillator(3.0, 1.39))], FINE, Criterion(TOLERANCE, 500, shoot=True))[0]
+    (orbit,) = steady_states([chain(oscillator(3.0, 1.39))], FINE, Criterion(TOLERANCE, 500, SHOOT))[0]
     shots = sum(recorded)
     assert orbit.settled
     assert shots < 8
-    assert orbit.cycles == FIRST_SHOT + shots
+    assert orbit.cycles == SHOOT + shots
 
 
 @pytest.mark.parametrize("speed", [0.0, 1e-9, 0.3])

@@ -228,6 +228,36 @@ def test_normal_load_with_its_separations(run: xarray.Dataset) -> None:
     assert not plot_contact.normal_load(run, contact="stop").patches
 
 
+def with_friction(run: xarray.Dataset, *values: float) -> xarray.Dataset:
+    return run.assign_coords(friction=("contact", list(values)))
+
+
+def test_normal_load_beside_the_limit_of_the_cone(run: xarray.Dataset) -> None:
+    ax = plot_contact.normal_load(with_friction(run, FRICTION, 0.0), contact="pad")
+    limit, force = (_curve(ax, name)[1] for name in ("limit of the cone μn", "friction force |f|"))
+    np.testing.assert_allclose(limit, FRICTION * _curve(ax, "normal load n")[1])
+    assert (force <= limit + 1e-12).all()
+    assert ax.get_ylabel() == "n, μn, |f| [force]"
+    assert _labels(plot_contact.normal_load(with_friction(run, FRICTION, 0.0), contact="stop")) == [
+        "n = 0",
+        "normal load n",
+    ]
+
+
+def test_a_stop_without_friction_is_closed_where_others_slip(run: xarray.Dataset) -> None:
+    data = with_friction(run, FRICTION, 0.0)
+    names = {bar.get_label() for bar in plot_contact.contact_states(data, contacts=["stop"]).collections}
+    assert "closed" in names
+    assert "slip" not in names
+    assert "slip" in _labels(plot_contact.orbit(data, contact="pad"))
+    assert "closed" in _labels(plot_contact.orbit(data, contact="stop"))
+    figure = plot_contact.PICTURES["contact_states"](data)
+    assert figure is not None
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()][:3] == ["stick", "slip", "separation"]
+    assert "closed" in [text.get_text() for text in legend.get_texts()]
+
+
 def test_bars_stand_at_the_times_of_the_events(run: xarray.Dataset) -> None:
     ax = plot_contact.contact_states(run)
     start, end = ax.get_xlim()

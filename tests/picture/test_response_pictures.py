@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray
 from matplotlib.figure import Figure
+from matplotlib.markers import MarkerStyle
 
 from timesim.picture import bistable, compare, draw, element, element_map, hbm
 
@@ -126,6 +127,32 @@ def test_points_above_the_curves_are_shown() -> None:
     assert compare.overlay(tree).get_ylim()[1] > 3.0
 
 
+def test_up_and_down_are_told_apart_where_they_coincide() -> None:
+    """Each marker lies on its own side of the point."""
+    tree = xarray.DataTree.from_dict({"/sweep": _sweep([2.0]), "/hbm": _balance([2.0])})
+    looks = {str(line.get_label()): line.get_marker() for line in compare.overlay(tree).get_lines()}
+    up, down = (MarkerStyle(looks[f"time integration, {name}"]) for name in ("up", "down"))
+    extents = [mark.get_path().transformed(mark.get_transform()).get_extents() for mark in (up, down)]
+    assert extents[0].y0 > -1e-9 > extents[1].y0
+    assert extents[1].y1 < 1e-9 < extents[0].y1
+    two = bistable.response(two_motions([2.0]))
+    marks = {str(line.get_label()): line.get_marker() for line in two.get_lines()}
+    assert [marks[f"sweep {name}"] for name in ("up", "down")] == [up.get_marker(), down.get_marker()]
+
+
+def test_phases_by_both_methods_below_the_amplitudes() -> None:
+    balance, swept = _balance([2.0]), _sweep([2.0])
+    balance["phase_deg"] = balance.amplitude.dims, -90.0 * balance.amplitude.values
+    swept["phase_deg"] = swept.amplitude.dims, -90.0 * swept.amplitude.values
+    tree = xarray.DataTree.from_dict({"/": xarray.Dataset(attrs=ATTRS), "/sweep": swept, "/hbm": balance})
+    figure = compare.PICTURES["overlay"](tree)
+    assert figure is not None
+    above, below = figure.axes
+    assert (above.get_ylabel(), below.get_ylabel()) == ("amplitude of tip x [length]", "phase [degree]")
+    assert sum(str(line.get_label()).startswith("time integration") for line in below.get_lines()) == 2
+    assert below.get_ylim()[0] < -90
+
+
 @pytest.mark.parametrize("followed", [[2.0], []])
 def test_points_without_a_curve_are_shown_and_named(followed: list[float]) -> None:
     tree = xarray.DataTree.from_dict({"/": xarray.Dataset(attrs=ATTRS), "/sweep": _sweep([1.8, 2.0])})
@@ -160,6 +187,14 @@ def test_surfaces_whatever_is_in_memory(monkeypatch: pytest.MonkeyPatch, tmp_pat
     data = _map(1e-3 * np.add.outer(np.arange(8.0), np.arange(8.0)))
     monkeypatch.setattr(np, "empty", garbage)
     assert [path.stem for path in draw.write(data, tmp_path, element_map.PICTURES)] == ["surfaces", "contours"]
+
+
+def test_surfaces_and_contours_have_colour_bars() -> None:
+    data = _map(1e-3 * np.add.outer(np.arange(8.0), np.arange(8.0)))
+    for name in ("surfaces", "contours"):
+        figure = element_map.PICTURES[name](data)
+        assert figure is not None
+        assert sum(ax.get_label() == "<colorbar>" for ax in figure.axes) == 6
 
 
 def test_a_coefficient_that_is_the_same_everywhere_is_a_number() -> None:

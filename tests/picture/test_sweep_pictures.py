@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from timesim.picture import style
 from timesim.picture import sweep as plot_sweep
 from timesim.picture.choice import MAX_CURVES, main_axes
+from timesim.picture.draw import make_logarithmic
 from timesim.result.dataset import dataset
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES
 from timesim.study import registry as plot
@@ -303,6 +304,66 @@ def test_all_pictures_of_a_sweep(both: xarray.Dataset, tmp_path: Path) -> None:
     assert names == ["response", "peak", "contact_states", "stability"]
     assert len(plot.draw(spoilt(data), tmp_path)) == 3
     assert len(plot.draw(both, tmp_path)) == 3
+
+
+def test_pictures_with_logarithmic_axes_and_of_other_kinds(both: xarray.Dataset, tmp_path: Path) -> None:
+    figure = plot_sweep.PICTURES["response"](both)
+    assert figure is not None
+    make_logarithmic(figure, ["amplitude"])
+    ax = figure.axes[0]
+    assert (ax.get_xscale(), ax.get_yscale()) == ("linear", "log")
+    low, high = ax.get_ylim()
+    known = both.amplitude.values[both.amplitude.values > 0]
+    assert 0 < low < high
+    assert high > known.max()
+    make_logarithmic(figure, ["frequency"])
+    assert ax.get_xscale() == "log"
+    for kind, start in (("pdf", b"%PDF"), ("svg", b"<?xml")):
+        first = plot.draw(both, tmp_path, kind=kind, log=["frequency"])[0]
+        assert first.name == f"response.{kind}"
+        written = first.read_bytes()
+        assert written.startswith(start)
+        plot.draw(both, tmp_path, kind=kind, log=["frequency"])
+        assert first.read_bytes() == written
+    with pytest.raises(ValueError, match="format must be one of png, pdf, svg, not eps"):
+        plot.draw(both, tmp_path, kind="eps")
+    with pytest.raises(ValueError, match="log must be one of amplitude, frequency, not phase"):
+        plot.draw(both, tmp_path, log=["phase"])
+
+
+def test_the_phase_stands_below_its_amplitude() -> None:
+    """It leaves its turn at the lower end and comes back at the upper one, with no line across."""
+    data = sweep({PRELOAD: [0.0, 0.1]}, ("up", "down"))
+    phase = np.linspace(-90, -270, data.sizes["frequency"])
+    wrapped = np.where(phase <= -180, phase + 360, phase)
+    data["phase_deg"] = data.amplitude.dims, np.broadcast_to(wrapped[:, None, None], data.amplitude.shape).copy()
+    figure = plot_sweep.PICTURES["response"](data)
+    assert figure is not None
+    assert [ax.get_ylabel().split()[0] for ax in figure.axes] == ["amplitude", "phase"] * 2
+    for line in figure.axes[1].get_lines():
+        if line.get_linestyle() != "None":
+            y = np.asarray(line.get_ydata(), dtype=float)
+            assert np.isnan(y).sum() == 1
+            assert np.nanmax(np.abs(np.diff(y))) < 90
+    assert figure.axes[1].get_yticks().tolist() == [-180, -90, 0, 90, 180]
+
+
+def test_a_stop_without_friction_has_a_share_closed() -> None:
+    data = sweep().assign_coords(friction=("contact", [0.0, 0.3]))
+    labels = [plot_sweep.share(data, contact=name).get_ylabel() for name in CONTACTS]
+    assert labels == ["share closed [1]", "share in slip [1]"]
+    assert plot_sweep.share(data, contact=CONTACTS[0], state="separation").get_ylabel() == "share in separation [1]"
+
+
+def test_units_of_the_scene_are_those_of_the_labels() -> None:
+    data = sweep({PRELOAD: [0.0, 0.1]})
+    data.amplitude.attrs["units"], data[PRELOAD].attrs["units"] = "mm", "kN"
+    assert plot_sweep.response(data).get_ylabel() == "amplitude of tip y [mm]"
+    figure = plot_sweep.PICTURES["response"](data)
+    assert figure is not None
+    legend = figure.axes[0].get_legend()
+    assert legend is not None
+    assert "[kN]" in legend.get_title().get_text()
 
 
 def test_a_sweep_of_which_every_point_failed(tmp_path: Path) -> None:

@@ -53,6 +53,7 @@ LINEAR: dict[str, Any] = {
 }
 RICH: dict[str, Any] = {
     "title": "every key",
+    "units": {"length": "mm", "force": "N"},
     "structure": {"modes": MODES},
     "contacts": [
         PAD | {"preload": 3, "against": "side", "normal": [0, 0.1, 1], "tangent": [1, 0.2, 0]},

@@ -15,7 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from timesim.fault import RuleError, SceneError
+from timesim.model.cost import cycles_to_settle
 from timesim.model.model import SEPARATION, SLIP, STICK
+from timesim.model.solver import NEVER, SHOOT, SLOW, Criterion
 from timesim.scene.report import advised_method, contact_line, describe
 from timesim.scene.text import MAX_BYTES, parse, yaml_text
 from timesim.study.registry import json_schema, load_scene
@@ -654,12 +656,50 @@ def test_damping_given_in_percent_and_a_result_of_gigabytes_are_worth_a_warning(
     assert load_scene(CONFIGS / "oscillator.yaml", [*long, "study.record_last=10"]).warnings() == []
 
 
+def test_numbers_of_samples_that_make_no_sense_are_worth_a_warning():
+    (warning,) = load_scene(CONFIGS / "oscillator.yaml", ["study.samples_per_cycle=7"]).warnings()
+    assert warning.startswith("study: 7 samples of a cycle show little of its motion")
+    assert load_scene(CONFIGS / "oscillator.yaml", ["study.samples_per_cycle=8"]).warnings() == []
+    for name in ("figure10", "bistable", "one_slider"):
+        (warning,) = load_scene(CONFIGS / f"{name}.yaml", ["study.time_samples=500000"]).warnings()
+        assert warning.startswith("study.time_samples: 500000 samples of a period")
+        assert load_scene(CONFIGS / f"{name}.yaml", ["study.time_samples=65536"]).warnings() == []
+
+
 def test_natural_frequencies_with_contacts_absent_and_stuck():
     """Springs (2 pi)^2 along x and z; stuck, 10 and 20 are added to them."""
     lines = describe(load_scene(one_mass()))["structure"]
     stuck = np.sqrt((2 * np.pi) ** 2 + np.array([10.0, 20.0])) / (2 * np.pi)
     assert lines[1] == "natural frequencies without contacts: 1, 1 Hz"
     assert lines[2] == f"natural frequencies with every contact stuck: {stuck[0]:.6g}, {stuck[1]:.6g} Hz"
+
+
+def test_check_estimates_the_cost_of_each_phase():
+    def said(name: str, *overrides: str) -> tuple[str, ...]:
+        return describe(load_scene(CONFIGS / f"{name}.yaml", overrides)).get("cost", ())
+
+    # 75 + 4.9 x 2.19 steps for stability, of 3.8 + 0.16 x 2 modes x 1 contact µs each.
+    (run, source) = said("oscillator")
+    assert run == "about 60 cycles of 353 µs: 21 ms"
+    assert "one core" in source
+    assert said("oscillator", "study.cycles=10000000")[0] == "about 10000000 cycles of 353 µs: 59 min"
+    sweep, balance, _ = said("figure10")
+    assert sweep.startswith("about 774 points of ")
+    assert balance == "about 9 curves of harmonic balance of 200 solutions of 4.8 ms: 8.7 s"
+    assert said("preload")[0].endswith(", and the search for the least")
+    assert said("oscillator", "solver={method: kvaerno5}") == said("figure7") == ()
+
+
+def test_cycles_to_settle_are_those_of_the_slowest_decay():
+    model = load_scene(CONFIGS / "oscillator.yaml").model()
+    decay = np.exp(-2 * np.pi * 0.02 * 0.9 / 1.35)  # of the first mode over a cycle at 1.35 Hz
+    needed = cycles_to_settle(model, Criterion(1e-8, 2000), 1.35)
+    assert decay**needed <= 1e-8 < decay ** (needed - 1)
+    assert cycles_to_settle(model, Criterion(1e-8, 100), 1.35) == 100
+    assert cycles_to_settle(model, Criterion(1e-8, 2000, SHOOT), 1.35) == 24
+    undamped = load_scene(CONFIGS / "oscillator.yaml", ["structure.modes.0.damping_ratio=0"]).model()
+    assert cycles_to_settle(undamped, Criterion(1e-8, 2000, NEVER), 1.35) == 2000
+    assert cycles_to_settle(undamped, Criterion(1e-8, 2000), 1.35) == SLOW + 8
 
 
 def test_nothing_moves_is_worth_a_warning():
@@ -699,7 +739,7 @@ def test_check_loads_no_jax():
 
 def test_json_schema_knows_the_keys():
     schema = json.loads(json.dumps(json_schema()))
-    assert set(schema["properties"]) == set(parse(BASE)[0])
+    assert set(schema["properties"]) == {*parse(BASE)[0], "units"}
     contact = schema["$defs"]["ContactSection"]
     assert not contact["additionalProperties"]
     assert contact["properties"]["normal_stiffness"]["minimum"] == 0

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 import timesim
 from timesim.cli import app
 from timesim.model.model import SEPARATION, STICK, Model, Start
-from timesim.orbit.basin import ANOTHER, NONE, branch_of, offsets, placed, starts_between, unique
+from timesim.orbit.basin import ANOTHER, IRREGULAR, NONE, branch_of, offsets, placed, starts_between, unique
 from timesim.orbit.jump import Stretch, narrowed
 from timesim.orbit.settling import Chain
 from timesim.orbit.steady_state import Orbit, differ, without_orbit
@@ -31,6 +31,7 @@ from timesim.study import registry as plot
 from timesim.study.execution.campaign import Execution
 from timesim.study.hbm import Curves
 from timesim.study.registry import carry_out, load_scene
+from timesim.study.report import bistable_lines
 
 QUICK = {
     "study.frequency": "{from: 1.24, to: 1.27}",
@@ -62,6 +63,11 @@ def test_the_motions_at_mid_range(result):
     shares = result["slip_share"].sel(contact="pad").values[0]
     assert np.all((shares > 0.05) & (shares < 0.95))
     assert np.all(result["floquet_max"].values < 1)
+    smaller, larger = result["dissipated_power"].sel(contact="pad").values[0]
+    assert larger > 1.5 * smaller > 0
+    ahead, behind = result["phase_deg"].sel(point="tip", axis="x").values[0]
+    assert -180 < behind < ahead - 5 < 0
+    assert result["sweep"]["phase_deg"].dims == ("direction", "frequency", "point", "axis")
 
 
 def test_each_end_is_a_jump_to_the_other_motion(result):
@@ -103,6 +109,21 @@ def test_the_summary(folder):
     ):
         assert words in said
     assert (folder / "run" / "ranges.png").exists()
+
+
+def test_the_summary_names_motions_that_do_not_repeat_each_cycle(result):
+    data, sweep = (tree.to_dataset().copy(deep=True) for tree in (result, result["sweep"]))
+    assert data["range_irregular"].values.tolist() == [[0, 0]]
+    assert data["period"].values.tolist() == [[1, 1]]
+    data["range_irregular"][0, 1], data["period"][0, 0] = 2, 3
+    data["start_branch"][0, 0, :3] = [-1, 2, 3]
+    said = "; ".join(bistable_lines(data, sweep, 1e-4))
+    assert (
+        f"the high end of it is where the larger motion loses its period: beyond {data['range'].values[0, 1]:.8g}"
+        in said
+    )
+    assert "the smaller motion repeats after 3 cycles" in said
+    assert ", 1 to another motion, 1 to one that does not repeat, 1 did not settle" in said
 
 
 def test_the_pictures_show_the_ranges(result):
@@ -189,6 +210,9 @@ def test_resumed_it_is_the_same(tmp_path: Path):
 class Branches:
     """Motions 0, 1, ... that live from `low` to `high` each; one that is lost gives way to the next that is there."""
 
+    irregular = (np.inf, np.inf)
+    """Frequencies at which the last motion does not repeat."""
+
     def __init__(self, *spans: tuple[float, float], rise: float = 1.0, slope: float = 0.1):
         self.spans, self.rise, self.slope = spans, rise, slope
 
@@ -198,9 +222,11 @@ class Branches:
             number += 1 if frequency > self.spans[number][1] else -1
         amplitude = np.full((1, 3), 1 + self.rise * number + self.slope * (frequency - 1) ** 3)
         end = Start(np.full(2, float(number)), np.zeros(2), np.zeros((1, 2)), np.full(1, STICK))
+        irregular = number == len(self.spans) - 1 and self.irregular[0] < frequency < self.irregular[1]
         return replace(
             without_orbit(oscillator(2.0, 1.0), "", 8), end=end, amplitude=amplitude, band=np.stack([amplitude] * 2),
-            period=1, slip_share=np.zeros(1), separation_share=np.zeros(1), reason=None,
+            period=int(not irregular), irregular=irregular, slip_share=np.zeros(1), separation_share=np.zeros(1),
+            reason=None,
         )  # fmt: skip
 
     def along(self, start: Start, frequencies: Sequence[float]) -> list[Orbit]:
@@ -302,6 +328,26 @@ def test_a_range_that_the_search_cuts():
     assert np.isfinite(found.jumped[1]).all()
 
 
+@pytest.mark.parametrize(
+    ("irregular", "ends", "losers"),
+    [
+        ((1.463, 1.8), [(1.23, 1.463)], [(0, 2)]),
+        ((1.1, 1.463), [(1.463, 1.52)], [(2, 0)]),
+        ((1.3, 1.4), [(1.23, 1.3), (1.4, 1.52)], [(0, 2), (2, 0)]),
+        ((1.0, 1.9), [], []),
+    ],
+)
+def test_a_motion_that_does_not_repeat_is_not_one_of_two(irregular, ends, losers):
+    """The downward sweep carries the larger motion to where it loses its period, or finds it: there the range ends."""
+    toy = two_branches(1.23, 1.52)
+    toy.irregular = irregular
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    found = list(ranges(search, sweeps, list(losses(search, sweeps))))
+    np.testing.assert_allclose([(one.low, one.high) for one in found], ends, atol=2e-6)
+    assert [one.irregular for one in found] == losers
+    assert all(one.settled == (True, True) for one in found)
+
+
 def test_points_that_failed_do_not_hide_the_jumps():
     toy = two_branches(1.23, 1.52)
     search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
@@ -389,6 +435,7 @@ def test_where_a_start_has_led():
     motions = [toy.orbit(0, 1.5), toy.orbit(1, 1.5)]
     assert [branch_of(orbit, motions) for orbit in motions] == [0, 1]
     assert branch_of(replace(motions[0], period=0), motions) == NONE
+    assert branch_of(replace(motions[0], period=0, irregular=True), motions) == IRREGULAR
     assert branch_of(replace(motions[0], amplitude=3 * motions[0].amplitude), motions) == ANOTHER
 
 

@@ -19,6 +19,7 @@ from timesim.study.execution.campaign import Execution
 from timesim.study.optimum import Peaks, Response, SearchError, data_of
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.report import optimum_lines
+from timesim.study.sweep import blank_columns
 
 KEY = "contacts.pad.preload"
 QUICK = {
@@ -57,6 +58,17 @@ def test_a_peak_lies_between_the_points_of_the_sweep(result):
     chain = Chain(oscillator(value, frequency), (frequency,))
     ((orbit,),) = steady_states([chain], PRESETS["standard"], Criterion())
     assert float(result["peak"][place]) == pytest.approx(orbit.amplitude[0, 0], rel=1e-4)
+
+
+def test_its_points_are_those_of_a_sweep(result):
+    """The phase falls through resonance, what slips loses power, and a run may start from any of them."""
+    phase = result["phase_deg"].sel(point="tip", axis="x", direction="up")
+    assert phase.dims == (KEY, "frequency")
+    assert np.all(phase[:, 0] > phase[:, -1])
+    lost, slips = (result[name].sel(contact="pad").values for name in ("dissipated_power", "slip_share"))
+    assert np.all((lost > 0) == (slips > 0))
+    assert lost.max() > 0.1
+    assert np.all(np.isfinite(result["final_modal_displacement"]))
 
 
 def test_the_summary_and_the_pictures(folder, result):
@@ -114,7 +126,7 @@ class Known(Peaks):
         for value in values:
             self.computed.append(value)
             shape = (2, self.frequency.size)
-            self.results[value] = {
+            self.results[value] = blank_columns(self.scene.model(), *shape) | {
                 "peak": np.array(self.formula(value)), "peak_at_end": np.array(0), "peak_settled": np.array(1),
                 "peak_frequency": np.array(1.0), "cycles": np.zeros(shape, int), "settled": np.ones(shape, bool),
                 "amplitude": np.full((*shape, 1, 3), self.formula(value)),

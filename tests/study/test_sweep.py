@@ -444,6 +444,14 @@ def test_a_period_of_two_cycles_is_reported(tmp_path: Path) -> None:
     assert "1 of them repeat after more than one cycle (variable period)" in out
     low, high = result.amplitude_band.sel(axis="z", frequency=BOUNCES[1]).values.ravel()
     assert low < high
+    every = result.sel(axis="z", direction="independent", point="tip")
+    assert np.isfinite(every.phase_deg.values).all()
+    cosine, sine = every.harmonic_cos.sel(harmonic=1), every.harmonic_sin.sel(harmonic=1)
+    np.testing.assert_allclose(every.phase_deg, np.rad2deg(np.arctan2(-sine, cosine)))
+    # What the force puts in, pi F A sin(lag) a cycle, is what the damper takes: more than its share of harmonic 1.
+    work = np.pi * np.abs(np.sin(np.deg2rad(every.phase_deg))) * every.harmonic_amplitude.sel(harmonic=1)
+    damper = 2 * 0.3 * 2 * np.pi * 0.2 * 2 * np.pi**2 * every.frequency * every.harmonic_amplitude.sel(harmonic=1) ** 2
+    assert np.all(work > damper)
 
 
 BOUNCES = [0.3, 0.6]

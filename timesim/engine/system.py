@@ -145,11 +145,11 @@ def _response(system: System, time: Float[Array, ""], point: Point, acts: Reacti
         acceleration = acceleration + times(axis.T, force)
     power = None
     if point.work is not None:
-        power = Work(jnp.sum(drive * point.p), jnp.sum(drag * point.p), _lost(acts))
+        power = Work(jnp.sum(drive * point.p), jnp.sum(drag * point.p), power_lost(acts))
     return Point(point.p, acceleration, acts.dw, power)
 
 
-def _lost(acts: Reaction) -> Scalar:
+def power_lost(acts: Reaction) -> Scalar:
     """Power lost in each contact."""
     rubbing = dot(acts.f, acts.dw)
     return rubbing if acts.lost is None else rubbing + acts.lost

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -177,6 +178,7 @@ class _PathTracker:
         self.sign = float(np.sign(stop - start))
         self.ahead = np.append(np.zeros(guess.size), self.sign)  # normal of a plane of constant p
         self.solutions: list[Solution] = []
+        self.reached = 0.0  # share of the range
         self.cause = ""  # of the last failure of Newton's method
 
     def curve(self) -> Curve:
@@ -199,7 +201,11 @@ class _PathTracker:
         return Curve.of(self.solutions, self.guess.size, ending, message)
 
     def _keep(self, point: CurvePoint, *, fold: bool = False) -> None:
-        self.solutions.append((*self.corrector.unscaled(point.y), fold, 0 if fold else point.determinant))
+        x, p = self.corrector.unscaled(point.y)
+        self.solutions.append((x, p, fold, 0 if fold else point.determinant))
+        self.reached = max(self.reached, (p - self.start) / (self.stop - self.start))
+        if self.controls.watch is not None:
+            self.controls.watch(min(self.reached, 1.0), partial(self._curve, Ending.INTERRUPTED))
 
     def _follow(self, point: CurvePoint) -> Ending:
         """From the first point to the end; how the curve ends."""

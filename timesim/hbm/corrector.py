@@ -9,8 +9,9 @@ The Jacobian of both together, dr/dy bordered by the row b, is regular at a fold
 sign of det dr/dx, which changes at a fold.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -51,6 +52,7 @@ class Controls:
         tolerance: norm of the residual at a solution, relative to the size of x.
         max_newton: iterations for one point.
         turn: turn of the tangent over a step at which the step is neither lengthened nor shortened [rad].
+        watch: called after each point with the share of the range that the curve has reached, and what gives it so far.
     """
 
     size: float = 0.1
@@ -61,6 +63,7 @@ class Controls:
     tolerance: float = 1e-9
     max_newton: int = 8
     turn: float = 0.12
+    watch: Callable[[float, Callable[[], Any]], None] | None = None
 
     def __post_init__(self) -> None:
         steps = (self.min_step, self.first_step, self.max_step)

@@ -5,7 +5,7 @@ The balance is `timesim.hbm.balance`, the way along the curve `timesim.hbm.conti
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from timesim.hbm.period import contact_forces
 from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import BORDER, floquet_multipliers
 from timesim.model.model import Model
-from timesim.orbit.fourier import half_range
+from timesim.orbit.fourier import half_range, phase_deg, to_phasors
 
 Array = NDArray[np.float64]
 
@@ -75,6 +75,30 @@ class HbmCurve:
         amplitude[:, 0] = self.harmonic_cos[:, 0]
         return amplitude
 
+    @property
+    def phase_deg(self) -> Array:
+        """Phase of the first harmonic against the excitation, shape (S, P, 3) [degree]; NaN along axes that rest."""
+        return phase_deg(self.harmonic_cos - 1j * self.harmonic_sin)
+
+    @property
+    def dissipated_power(self) -> Array:
+        """Power lost in each contact, f times the integral of f . u' over a period, shape (S, C) [force length/time].
+
+        Truncation leaves it exact: of the force, only the harmonics that the motion has do work on it.
+        """
+        u, f = (to_phasors(part[:, :, :2]) for part in (self.contact_motion, self.contact_force))
+        work = -np.pi * np.sum(np.arange(u.shape[-1]) * (f.conj() * u).imag, axis=(2, 3))
+        return self.frequency[:, None] * work
+
+
+Watch = Callable[[float, Callable[[], HbmCurve]], None]
+"""Takes in the share of the range that a curve has reached, and what gives its solutions so far."""
+
+
+def watched(controls: Controls, watch: Watch, evaluate: Callable[[Curve], HbmCurve]) -> Controls:
+    """Steps of a continuation whose curve is watched while it grows."""
+    return replace(controls, watch=lambda share, so_far: watch(share, lambda: evaluate(so_far())))
+
 
 def hbm_curve(
     model: Model,
@@ -86,6 +110,7 @@ def hbm_curve(
     guess: Array | None = None,
     begin: float | None = None,
     stability: bool = True,
+    watch: Watch | None = None,
 ) -> HbmCurve:
     """Follow the periodic response of a model in frequency, around folds.
 
@@ -103,6 +128,7 @@ def hbm_curve(
         begin: frequency [Hz] inside the range from which the curve is followed to both sides; by default it begins
             at `start`.
         stability: compute Floquet multipliers; without them stability follows from the sign of the determinant alone.
+        watch: called while the curve grows.
 
     Returns:
         The curve; if the continuation fails, the part before, with the reason and the place in `message`.
@@ -113,6 +139,8 @@ def hbm_curve(
     _check_range(start, stop)
     balance = Balance(model, start, scheme or Scheme())
     steps, place = controls or Controls(), start if begin is None else begin
+    if watch is not None:
+        steps = watched(steps, watch, lambda curve: evaluated(balance, curve, stability=False))
 
     def followed(first: Array) -> Curve:
         if start < place < stop or stop < place < start:

@@ -11,8 +11,8 @@ from functools import lru_cache
 import numpy as np
 
 from timesim.hbm.balance import Array, Balance
-from timesim.hbm.continuation import Controls, follow, joined, part_of
-from timesim.hbm.curve import HbmCurve, evaluated
+from timesim.hbm.continuation import Controls, Curve, follow, joined, part_of
+from timesim.hbm.curve import HbmCurve, Watch, evaluated, watched
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
@@ -67,6 +67,7 @@ def parameter_curve(
     controls: Controls | None = None,
     guess: Array | None = None,
     stability: bool = True,
+    watch: Watch | None = None,
 ) -> HbmCurve:
     """Follow the periodic response at one frequency through a range of a scalar, around folds.
 
@@ -76,7 +77,7 @@ def parameter_curve(
         start, stop: range of the scalar; the curve begins at `start`.
 
     Keyword Args:
-        scheme, controls, guess, stability: as in `timesim.hbm.curve.hbm_curve`.
+        scheme, controls, guess, stability, watch: as in `timesim.hbm.curve.hbm_curve`.
 
     Returns:
         The curve; its `parameter` is the scalar.
@@ -86,10 +87,16 @@ def parameter_curve(
     """
     residual = ParameterBalance(model_at, frequency, scheme or Scheme(), (start, stop))
     steps, balance = controls or Controls(), residual.balance(start)
+    if watch is not None:
+        steps = watched(steps, watch, lambda curve: _evaluated(residual, curve, stability=False))
     curve = curve_near(balance, frequency, steps, guess, lambda first: follow(residual, first, start, stop, steps))
+    return _evaluated(residual, curve, stability=stability)
+
+
+def _evaluated(residual: ParameterBalance, curve: Curve, *, stability: bool) -> HbmCurve:
     if not curve.p.size:
-        return evaluated(balance, curve, stability=False)
-    here = replace(curve, p=np.full(curve.p.size, frequency))
+        return evaluated(residual.balance(residual.low), curve, stability=False)
+    here = replace(curve, p=np.full(curve.p.size, residual.frequency))
     points = [
         evaluated(residual.balance(float(p)), part_of(here, slice(i, i + 1)), stability=stability)
         for i, p in enumerate(curve.p)

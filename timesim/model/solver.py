@@ -58,6 +58,12 @@ PRESETS = {
 }
 
 
+SHOOT, SLOW, NEVER = 16, 256, np.inf
+"""Cycles marched before the first attempt at shooting: where it is asked for, a motion that settles at once having
+settled by then; where a motion settles so slowly that it would take thousands; and where it matters to which motion a
+start leads, since Newton's method may lead to another."""
+
+
 @dataclass(frozen=True)
 class Criterion:
     """When a motion counts as settled, and how it is sought.
@@ -65,9 +71,9 @@ class Criterion:
     Attributes:
         tolerance: of the state from cycle to cycle, relative to its largest entry.
         max_cycles: budget at each frequency.
-        shoot: whether to try Newton's method on the state after a period.
+        first_shot: cycles marched before Newton's method on the state after a period is tried.
     """
 
     tolerance: float = 1e-8
     max_cycles: int = 2000
-    shoot: bool = False
+    first_shot: float = SLOW

@@ -18,7 +18,7 @@ from timesim.orbit.steady_state import SAME, Columns, Orbit, differ, orbit_of
 SIDE = (-0.5, 1.5)  # shares of a motion at the ends of a side of the ensemble
 PULL = 1 / (SIDE[1] * (SIDE[1] - 1))  # the farthest starts pull a contact to the edge of its cone
 INSIDE = 1 - 1e-12  # share of the limit on which a force outside its cone is put: within rounding it would be outside
-LOWER, UPPER, ANOTHER, NONE = 0, 1, 2, -1
+LOWER, UPPER, ANOTHER, IRREGULAR, NONE = 0, 1, 2, 3, -1
 
 
 def shares(num: int) -> np.ndarray:
@@ -62,7 +62,9 @@ def starts_between(model: Model, motions: Sequence[Orbit], num: int) -> list[Sta
 
 
 def branch_of(orbit: Orbit, motions: Sequence[Orbit]) -> int:
-    """Motion to which a start has led: `LOWER`, `UPPER`, `ANOTHER`, or `NONE` where it has not settled."""
+    """Motion to which a start has led: `LOWER`, `UPPER`, `ANOTHER`, `IRREGULAR`, or `NONE` where it has not settled."""
+    if orbit.irregular:
+        return IRREGULAR
     if orbit.reason is not None or not orbit.settled:
         return NONE
     return next((number for number, motion in enumerate(motions) if not differ(orbit, motion)), ANOTHER)

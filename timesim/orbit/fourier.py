@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+HARMONICS = 9
+"""Harmonics of a steady motion that are kept: as many as harmonic balance takes by default."""
+# Of the largest: the first harmonic of what does not move has no phase.
+STILL = 1e-9
 # Samples of the motion, of the highest harmonic, among which an extreme is searched before Newton's method.
 SAMPLES_PER_WAVE = 16
 # Complex samples in memory at a time, of all motions together.
@@ -33,6 +37,27 @@ def to_coefficients(phasor: NDArray[Any]) -> Array:
     """The inverse of `to_phasors`."""
     pairs = np.stack([phasor[..., 1:].real, -phasor[..., 1:].imag], axis=-1)
     return np.concatenate([phasor[..., :1].real, pairs.reshape(*phasor.shape[:-1], 2 * pairs.shape[-2])], axis=-1)
+
+
+def phase_deg(phasor: Complex) -> Array:
+    """Phase [degree] of the first harmonic against the excitation, in (-180, 180]: x ~ A cos(2 pi f t + phase).
+
+    Args:
+        phasor: harmonics, then points and axes along the last three dimensions, shape (..., H + 1, P, 3).
+
+    Returns:
+        shape (..., P, 3); NaN where a motion has no period, and along axes that do not move with the excitation.
+    """
+    first = phasor[..., 1, :, :]
+    moves = np.abs(first) > STILL * np.max(np.abs(phasor), axis=(-3, -2, -1), initial=0.0)[..., None, None]
+    return np.where(moves, np.rad2deg(np.angle(first)), np.nan)
+
+
+def signed_amplitude(phasor: Complex) -> Array:
+    """Amplitude of each harmonic, of harmonic 0 the signed mean; harmonics along the third dimension from the end."""
+    amplitude = np.abs(phasor)
+    amplitude[..., 0, :, :] = phasor[..., 0, :, :].real
+    return amplitude
 
 
 def fourier_coefficients(samples: Array, phase: float) -> Array:

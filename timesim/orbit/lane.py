@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
+import equinox as eqx
 import jax
 import numpy as np
 
 from timesim.engine.history import between
 from timesim.engine.law.cone import ConeLaw
+from timesim.engine.quadrature import means
 from timesim.engine.solver import Control, step_control
 from timesim.engine.step import Status, Step, Trajectory
 from timesim.engine.system import Point, System, system_of
@@ -19,6 +21,7 @@ from timesim.model.contact_state import contact_state, slip_follows_motion
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.reduction import Reduction
 from timesim.model.solver import Solver
+from timesim.orbit.fourier import HARMONICS
 from timesim.orbit.monodromy import HybridState, Tries, point_of, vector_of
 from timesim.orbit.steady_state import Orbit, share
 
@@ -33,6 +36,7 @@ class Lane:
         system, control: dimensionless equations and step control.
         here: dimensionless state.
         phase: of the excitation at the start of a cycle [rad].
+        quiet: time since the last transition, or since the loop was called [rad of the excitation].
         status, culprit: as in `timesim.engine.step.Trajectory`.
     """
 
@@ -44,6 +48,7 @@ class Lane:
     control: Control
     here: HybridState
     phase: float
+    quiet: float = 0.0
     status: int = Status.RUNNING
     culprit: int = 0
 
@@ -63,7 +68,13 @@ class Lane:
     def after(self, now: Trajectory) -> Self:
         """The lane at the end of a loop."""
         here = HybridState(now.point, now.state)
-        return replace(self, here=here, status=int(now.status), culprit=int(now.culprit))
+        return replace(self, here=here, quiet=float(now.since), status=int(now.status), culprit=int(now.culprit))
+
+    def within(self, rtol: float) -> Self:
+        """The lane with another tolerance of a step."""
+        control, share = self.control, rtol / float(self.control.rtol)
+        finer = eqx.tree_at(lambda c: (c.rtol, c.atol), control, (control.rtol * share, control.atol * share))
+        return replace(self, control=finer)
 
     def at_start(self) -> Trajectory:
         """The trajectory for `record_cycles`; its rate is a placeholder."""
@@ -101,24 +112,34 @@ class Lane:
         """The state in the units of the scene."""
         return self.frame.start(self.here.point, self.here.state, self.phase)
 
+    def power(self, power: np.ndarray) -> np.ndarray:
+        """Power of each contact in the units of the scene, from that of the contacts in the loop, shape (C,)."""
+        whole = np.zeros(self.model.num_contacts)
+        whole[self.reduction.live] = power * self.frame.scales.energy * self.frame.scales.omega
+        return whole
+
     def moved(self, vector: np.ndarray) -> "Lane | None":
-        """The lane at another state vector, contact states kept; None where these or the law do not allow it."""
+        """The lane at another state vector, its forces in their cones.
+
+        A contact that sticks slips where its force would lie outside, one that slips sticks where the cone runs ahead
+        of the force. None where a contact would touch that was apart, or the reverse, and for other laws than the cone.
+        """
         point, state, law = point_of(vector, self.here.point), self.here.state, self.system.law
         if not isinstance(law, ConeLaw):
             return None
-        w = np.stack(point.w)
-        u = np.stack([axis @ point.q for axis in self.system.shape[:-1]]) if state.size else w
-        n = law.preload + law.normal_stiffness * (self.system.shape[-1] @ point.q)
-        force = np.stack([law.stiffness[i % len(law.stiffness)] * row for i, row in enumerate(u - w)])
-        size, limit = np.linalg.norm(force, axis=0), law.friction * n
-        follows = slip_follows_motion(state, law.friction)
-        slips = (state == SLIP) & ~follows
-        outside = ((state == STICK) & (size > limit)) | (slips & (size <= 0))
-        if outside.any() or not np.array_equal(contact_state(n, law.friction, state), state):
+        w, (*along, across) = np.stack(point.w), self.system.shape
+        u, du = (np.stack([axis @ x for axis in along]) if state.size else w for x in (point.q, point.p))
+        n, dn = law.preload + law.normal_stiffness * (across @ point.q), law.normal_stiffness * (across @ point.p)
+        if not np.array_equal(contact_state(n, law.friction, state), state):
             return None
-        on_cone = force * np.where(slips, limit / np.where(size > 0, size, 1.0), 1.0)
-        kept = np.stack([law.compliance[i % len(law.compliance)] * row for i, row in enumerate(on_cone)])
-        w = np.where(follows, u, np.where(slips, u - kept, w))
+        K, C = (np.stack([part[i % len(part)] for i in range(len(w))]) for part in (law.stiffness, law.compliance))
+        force = K * (u - w)
+        size, limit, follows = np.linalg.norm(force, axis=0), law.friction * n, slip_follows_motion(state, law.friction)
+        on = force * (limit / np.where(size > 0, size, 1.0))
+        runs_ahead = (on * (K * du)).sum(axis=0) < limit * law.friction * dn
+        rubs = ((state == SLIP) & ~follows & (size > 0)) | ((state == STICK) & (size > limit))
+        w = np.where(follows, u, np.where(rubs, u - C * on, w))
+        state = np.where(follows, state, np.where(rubs & ~runs_ahead, SLIP, STICK))
         return replace(self, here=HybridState(Point(point.q, point.p, tuple(w), None), state))
 
 
@@ -166,20 +187,46 @@ class Recorded:
         """Which entries of the state vector change over the cycles: all but the offsets of stuck contacts."""
         return ~np.all(self.slope == np.eye(len(self.slope)), axis=1)
 
-    def newton_step(self) -> np.ndarray:
-        """Newton step from the start towards the fixed point of the map over the cycles; 0 in free offsets."""
-        moves, change = self._moves, self.end.vector - self.start.vector
+    @property
+    def change(self) -> np.ndarray:
+        """Change of the state vector over the cycles."""
+        return self.end.vector - self.start.vector
+
+    @property
+    def returns(self) -> np.ndarray:
+        """Modal displacement and velocity at the end of each cycle, shape (cycles, 2 M)."""
+        steps = self.steps
+        last = np.searchsorted(steps.cycle, np.arange(self.cycles), side="right") - 1
+        return np.concatenate([steps.end.q[last], steps.end.p[last]], axis=1)
+
+    @property
+    def closes(self) -> bool:
+        """Whether all cycles were done and the contacts that are apart at the end are those that began so."""
+        return self.complete and np.array_equal(self.end.apart, self.start.apart)
+
+    @property
+    def is_held(self) -> bool:
+        """Whether all cycles were done and no contact ever left its state."""
+        return self.complete and bool(np.all(self.steps.state_after == self.start.here.state))
+
+    def newton_step(self, change: np.ndarray) -> np.ndarray:
+        """The step after which a change over the cycles vanishes, to first order; 0 in the offsets that stay free."""
+        moves = self._moves
         step = np.zeros_like(change)
         matrix = np.eye(int(moves.sum())) - self.slope[np.ix_(moves, moves)]
         step[moves] = np.linalg.lstsq(matrix, change[moves], rcond=1e-12)[0]
         return step
 
-    def orbit(self, cycles: int, period: int) -> Orbit:
+    def orbit(self, cycles: int, period: int, settled_to: float, *, irregular: bool = False) -> Orbit:
         """The steady state that these cycles show, amplitudes from the extremes of the dense output.
 
         Args:
             cycles: integrated until their end.
             period: of the motion; 0 where it has not settled.
+            settled_to: how far it is from repeating.
+
+        Keyword Args:
+            irregular: whether it has shown that it never will.
         """
         lane, steps, multipliers = self.start, self.steps, self.multipliers
         shape = lane.shape
@@ -190,6 +237,7 @@ class Recorded:
         least, most = np.minimum.reduceat(low, first), np.maximum.reduceat(high, first)
         each, place = 0.5 * (most - least), (len(lane.model.structure.points), 3)
         band = np.stack([each.min(axis=0), each.max(axis=0)]).reshape(2, *place)
+        phasor, power = means(lane.system, steps, self.cycles, HARMONICS)
         return Orbit(
             end=self.end.start(),
             amplitude=0.5 * (most.max(axis=0) - least.min(axis=0)).reshape(place),
@@ -198,7 +246,11 @@ class Recorded:
             period=period,
             slip_share=self._share(steps, SLIP),
             separation_share=self._share(steps, SEPARATION),
+            phasor=(phasor @ shape.T).reshape(-1, *place) if period else np.full((HARMONICS + 1, *place), np.nan + 0j),
+            dissipated_power=lane.power(power),
             floquet=multipliers if period else np.full_like(multipliers, np.nan),
+            settled_to=settled_to,
+            irregular=irregular,
         )
 
     def _share(self, steps: Step, state: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The steady state of a scene that is linear: no contact is left in it, so it needs no march.
+"""The steady state of a scene that is linear: no contact is left in it, or none leaves its state any more.
 
 With the contacts that a reduction has proven to stick taken into the stiffness, a lane is
 
@@ -12,7 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from timesim.engine.system import Point, System
-from timesim.orbit.fourier import half_range
+from timesim.model.model import CONE, SEPARATION, SLIP
+from timesim.model.reduction import Reduction, reduction_of
+from timesim.model.solver import Solver
+from timesim.orbit.fourier import HARMONICS, half_range
 from timesim.orbit.lane import Lane
 from timesim.orbit.monodromy import HybridState
 from timesim.orbit.steady_state import Orbit
@@ -31,8 +34,11 @@ def linear_orbit(lane: Lane) -> Orbit | None:
     turn = np.exp(1j * np.arange(len(phasor)) * float(system.phase))[:, None]
     q, p = ((turn * phasor).real.sum(axis=0), (1j * np.arange(len(phasor))[:, None] * turn * phasor).real.sum(axis=0))
     end = replace(lane, here=HybridState(Point(q, p, here.point.w, None), here.state)).start()
-    amplitude = half_range((phasor @ lane.shape.T)[None])[0].reshape(len(lane.model.structure.points), 3)
-    slips, apart = np.zeros((2, lane.model.num_contacts))
+    motion = (phasor @ lane.shape.T).reshape(-1, len(lane.model.structure.points), 3)
+    amplitude = half_range(motion[None])[0]
+    kept = np.zeros((HARMONICS + 1, *amplitude.shape), complex)
+    kept[: len(motion)] = motion[: HARMONICS + 1]
+    slips, apart, lost = np.zeros((3, lane.model.num_contacts))
     apart[lane.reduction.apart] = 1.0
     multipliers = np.exp(2 * np.pi * rates)
     return Orbit(
@@ -43,8 +49,46 @@ def linear_orbit(lane: Lane) -> Orbit | None:
         period=1,
         slip_share=slips,
         separation_share=apart,
+        phasor=kept,
+        dissipated_power=lost,
         floquet=multipliers[np.argsort(-np.abs(multipliers))],
     )
+
+
+def slowest_decay(lane: Lane) -> float:
+    """Least decay of a free vibration over a cycle, of the logarithm of its amplitude; friction adds to it."""
+    D = np.asarray(lane.system.damping)
+    return float(np.pi * (D.min() if D.ndim == 1 else np.linalg.eigvalsh(0.5 * (D + D.T))[0]))
+
+
+def proven_orbit(lane: Lane, solver: Solver) -> Orbit | None:
+    """The steady state of a lane in which no contact will ever leave its state from now on; None without a proof."""
+    model = replace(lane.model, start=lane.start())
+    reduction = reduction_of(model, [lane.frequency], reduce=solver.reduce)
+    if reduction.live.size:
+        return None
+    return linear_orbit(Lane.begin(model, reduction, lane.frequency, solver, model.start))
+
+
+def held_lane(lane: Lane, solver: Solver) -> Lane | None:
+    """A lane in the steady state that it has if every contact keeps its state and, stuck, its slip.
+
+    Whether it does shows over the next cycle. None where a contact slips with friction or has another law than the
+    cone, not all motions decay, or the cycle would not even start in those states.
+    """
+    start, model = lane.start(), lane.model
+    rubs = (start.state == SLIP) & (model.friction > 0)
+    if rubs.any() or any(contact.law != CONE for contact in model.contacts):
+        return None
+    # Without friction a closed contact has no tangential stiffness: it adds to the structure as a stuck one does.
+    apart, none = start.state == SEPARATION, np.zeros(0, dtype=int)
+    stuck = replace(model, start=start)
+    held = Reduction(stuck, lane.reduction.modes, none, np.flatnonzero(~apart), np.flatnonzero(apart), None, ())
+    orbit = linear_orbit(Lane.begin(stuck, held, lane.frequency, solver, start))
+    if orbit is None:
+        return None
+    steady = lane.at(lane.frequency, replace(orbit.end, state=start.state), solver)
+    return steady.moved(steady.vector)
 
 
 def _phasors(system: System, K: np.ndarray, D: np.ndarray) -> np.ndarray:

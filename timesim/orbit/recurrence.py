@@ -5,16 +5,42 @@ change from cycle to cycle falls: a slow drift changes little in a cycle and is 
 period two or three, as after a period doubling, are distinguished from vibrations that nearly repeat while they decay.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from timesim.orbit.extrapolation import remaining
-from timesim.orbit.threshold import CYCLES_A_ROUND, DOUBLED, LEADS_NOWHERE, PERIODS, REST, STILL_THERE
+from timesim.orbit.threshold import (
+    CLEARLY,
+    CYCLES_A_ROUND,
+    DOUBLED,
+    LEADS_NOWHERE,
+    NEARLY_LEAST,
+    PERIODS,
+    REST,
+    STILL_THERE,
+)
 
 HALF = CYCLES_A_ROUND // 2
 
 
-def period_of(returns: np.ndarray, tolerance: float, noise: float = 0.0) -> int:
-    """Period [cycles] after which the state repeats to the tolerance, extrapolated; 0 if it does not.
+@dataclass(frozen=True)
+class Recurrence:
+    """How nearly a motion repeats.
+
+    Attributes:
+        period: [cycles] after which the state repeats to the tolerance; 0 if it does not.
+        left: estimated distance from the limit relative to the largest entry; where the motion does not repeat, the
+            least change over a period.
+    """
+
+    period: int
+    left: float
+
+
+def recurrence_of(returns: np.ndarray, tolerance: float, noise: float = 0.0) -> Recurrence:
+    """Period after which the state repeats to the tolerance, extrapolated.
 
     Args:
         returns: the state at the end of consecutive cycles, shape (N, state).
@@ -23,27 +49,30 @@ def period_of(returns: np.ndarray, tolerance: float, noise: float = 0.0) -> int:
     """
     size = np.max(np.abs(returns), initial=0.0)
     if size == 0:
-        return 1
+        return Recurrence(1, 0.0)
     latest = [np.abs(returns[-1] - returns[-1 - period]).max() for period in PERIODS if period < len(returns)]
-    if min(latest, default=0.0) > max(tolerance, noise, REST) * size:
-        return 0  # as in most rounds
+    least = min(latest, default=np.inf) / size
+    if np.isfinite(least) and least > max(tolerance, noise, REST):
+        return Recurrence(0, least)  # as in most rounds
     for period in PERIODS:
         change = _changes(returns, period) / size
         if change.size < CYCLES_A_ROUND:
             continue
         before, last = _by_halves(change)
         ratio = (last / before) ** (1 / HALF) if before > 0 else 0.0
+        left = float(remaining(last, ratio))
         if last < noise and len(returns) == 2 * CYCLES_A_ROUND:
             led = np.max(np.abs(returns[-1] - returns[(len(returns) - 1) % period])) / size
-            ratio = 0.0 if max(led, before) < LEADS_NOWHERE * last else ratio
-            tolerance = max(tolerance, noise) if ratio == 0 else tolerance
-        if last < REST or (last < tolerance and remaining(last, ratio) < tolerance):
+            if max(led, before) < LEADS_NOWHERE * last:
+                left, tolerance = last, max(tolerance, noise)
+        left = min(left, last) if last < REST else left
+        if last < REST or (last < tolerance and left < tolerance):
             earlier, now = _by_halves(_changes(returns, 1) / size)
             if period == 1 or now < tolerance:
-                return 1
+                return Recurrence(1, left)
             if now > DOUBLED * tolerance and now > STILL_THERE * earlier:
-                return period
-    return 0
+                return Recurrence(period, left)
+    return Recurrence(0, least)
 
 
 def _changes(returns: np.ndarray, period: int) -> np.ndarray:
@@ -54,3 +83,24 @@ def _changes(returns: np.ndarray, period: int) -> np.ndarray:
 def _by_halves(change: np.ndarray) -> tuple[float, float]:
     """Largest change in both halves of the last round."""
     return np.max(change[-2 * HALF : -HALF]), np.max(change[-HALF:])
+
+
+def nearest_period(returns: np.ndarray) -> int:
+    """The shortest period [cycles] over which the state changes little more than over that of the least change."""
+    change = np.array([_changes(returns, period)[-HALF:].max() for period in range(1, HALF * 2 + 1)])
+    return int(np.argmax(change <= NEARLY_LEAST * change.min())) + 1
+
+
+def is_irregular(changes: Sequence[float], decay: float) -> bool:
+    """Whether a motion has shown that it does not repeat: its change falls by less than free vibrations decay.
+
+    Args:
+        changes: least change over a period, after each round.
+        decay: slowest decay of a free vibration, of its logarithm a cycle.
+    """
+    quarter = len(changes) // 4
+    if not quarter:
+        return False
+    early, late = (float(np.median(changes[first : first + quarter])) for first in (quarter, len(changes) - quarter))
+    due = decay * CYCLES_A_ROUND * (len(changes) - 2 * quarter)
+    return due > CLEARLY and late > 0 and np.log(early / late) < due / 2

@@ -12,19 +12,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from timesim.engine.step import Status
+from timesim.engine.step import PERIOD, Status
 from timesim.engine.trajectory import message_of
 from timesim.model.contact_state import start_states
 from timesim.model.model import Model, Start
 from timesim.model.reduction import reduction_of
-from timesim.model.solver import Criterion, Solver
+from timesim.model.solver import NEVER, Criterion, Solver
 from timesim.orbit.batch import SIZES, march, record
 from timesim.orbit.lane import Lane, Recorded
-from timesim.orbit.linear import linear_orbit
-from timesim.orbit.recurrence import period_of
-from timesim.orbit.shooting import Outcome, Shot, iterated
+from timesim.orbit.linear import held_lane, linear_orbit, proven_orbit, slowest_decay
+from timesim.orbit.recurrence import is_irregular, nearest_period, recurrence_of
+from timesim.orbit.shooting import Converged, Shot, iterated
 from timesim.orbit.steady_state import Orbit, without_orbit
-from timesim.orbit.threshold import CYCLES_A_ROUND, FIRST_SHOT, LONELY, SIDE_BY_SIDE, TRIES, UNSETTLED_CYCLES
+from timesim.orbit.threshold import CYCLES_A_ROUND, LATER, LONELY, SIDE_BY_SIDE, TRIES, UNSETTLED_CYCLES
 
 
 @dataclass(frozen=True)
@@ -57,10 +57,14 @@ class Search:
         lane: the trajectory after the last round of marching.
         phase: next piece of work.
         returns: state vectors at the end of the last cycles, two rounds at most.
+        changes: least change of the state over a period, relative, after each round.
         cycles: integrated so far.
         period: of the motion to be measured; 0 where it has not settled.
+        settled_to: as in `Orbit`.
         shot: the iterate of Newton's method in the phase SHOOT.
+        attempts: at shooting, so far.
         next_shot: cycle before which there is no further attempt at shooting.
+        next_held: the same of a proof that no contact leaves its state any more.
         orbit: the result in the phase DONE.
     """
 
@@ -69,10 +73,14 @@ class Search:
     lane: Lane
     phase: Phase = Phase.MARCH
     returns: tuple[np.ndarray, ...] = ()
+    changes: tuple[float, ...] = ()
     cycles: int = 0
     period: int = 0
+    settled_to: float = np.nan
     shot: Shot | None = None
-    next_shot: int = FIRST_SHOT
+    attempts: int = 0
+    next_shot: float = 0
+    next_held: float = 0
     orbit: Orbit | None = None
 
 
@@ -85,30 +93,50 @@ def after_march(search: Search, lane: Lane, returns: np.ndarray, solver: Solver,
     search = replace(search, lane=lane, returns=kept, cycles=cycles)
     if lane.status != Status.RUNNING:
         return _failed(search, solver)
-    period = period_of(np.array(kept), criterion.tolerance, solver.rtol)
-    if period or cycles >= criterion.max_cycles:
-        return replace(search, phase=Phase.MEASURE, period=period)
-    if criterion.shoot and cycles >= search.next_shot:
-        return replace(search, phase=Phase.SHOOT, shot=Shot(lane))
+    seen = recurrence_of(np.array(kept), criterion.tolerance, solver.rtol)
+    search = replace(search, settled_to=seen.left, changes=(*search.changes, seen.left), period=seen.period)
+    if seen.period and seen.left > criterion.tolerance and criterion.first_shot < NEVER:
+        return replace(search, phase=Phase.SHOOT, shot=Shot(lane, seen.period))
+    if seen.period or cycles >= criterion.max_cycles:
+        return replace(search, phase=Phase.MEASURE)
+    may_shoot = cycles >= max(search.next_shot, criterion.first_shot)
+    if (may_shoot or cycles >= search.next_held) and lane.quiet > len(returns) * PERIOD:
+        search = _held(search, solver, may_shoot=may_shoot)
+    if may_shoot and search.phase is Phase.MARCH:
+        # Every other time: a free vibration, too, may nearly repeat after several cycles while it decays.
+        period = nearest_period(np.array(kept)) if search.attempts % 2 else 1
+        return replace(search, phase=Phase.SHOOT, shot=Shot(lane, period), attempts=search.attempts + 1)
     return search
 
 
-def after_shot(search: Search, recorded: Recorded, criterion: Criterion) -> Search:
-    """The search after an iteration of Newton's method.
+def _held(search: Search, solver: Solver, *, may_shoot: bool) -> Search:
+    """The search after a round in which no contact has left its state.
 
-    After a failure the next attempt waits for half as many cycles again: a motion that never repeats costs far more
-    to shoot than to march.
+    With a proof that none ever will, the steady state is known; without one it is tried, if Newton's method may be.
     """
-    assert search.shot is not None
-    led_to = iterated(search.shot, recorded, criterion.tolerance)
+    orbit = proven_orbit(search.lane, solver)
+    if orbit is not None:
+        return replace(search, phase=Phase.DONE, orbit=replace(orbit, cycles=search.cycles))
+    search = replace(search, next_held=LATER * search.cycles)
+    steady = held_lane(search.lane, solver) if may_shoot else None
+    return search if steady is None else replace(search, phase=Phase.SHOOT, shot=Shot(steady, held=True))
+
+
+def after_shot(search: Search, recorded: Recorded, criterion: Criterion) -> Search:
+    """The search after an iteration of Newton's method."""
+    shot = search.shot
+    assert shot is not None
+    led_to = iterated(shot, recorded, criterion.tolerance)
     search = replace(search, cycles=search.cycles + recorded.cycles)
     if isinstance(led_to, Shot):
         return replace(search, shot=led_to)
-    if led_to is Outcome.CONVERGED:
-        return _done(replace(search, period=1), recorded)
-    later = search.cycles + max(CYCLES_A_ROUND, search.cycles // 2)
-    next_shot = criterion.max_cycles if led_to is Outcome.UNSTABLE else later
-    return replace(search, phase=Phase.MARCH, shot=None, next_shot=next_shot)
+    if isinstance(led_to, Converged):
+        return _done(replace(search, period=shot.period, settled_to=led_to.settled_to), recorded)
+    if search.period:  # as nearly as marching can tell
+        return replace(search, phase=Phase.MEASURE, shot=None)
+    if shot.held:
+        return replace(search, shot=Shot(search.lane))
+    return replace(search, phase=Phase.MARCH, shot=None, next_shot=LATER * search.cycles)
 
 
 def after_measure(search: Search, recorded: Recorded, solver: Solver) -> Search:
@@ -119,7 +147,9 @@ def after_measure(search: Search, recorded: Recorded, solver: Solver) -> Search:
 
 
 def _done(search: Search, recorded: Recorded) -> Search:
-    return replace(search, phase=Phase.DONE, orbit=recorded.orbit(search.cycles, search.period))
+    irregular = search.period == 0 and is_irregular(search.changes, slowest_decay(search.lane))
+    orbit = recorded.orbit(search.cycles, search.period, search.settled_to, irregular=irregular)
+    return replace(search, phase=Phase.DONE, orbit=orbit)
 
 
 def _failed(search: Search, solver: Solver) -> Search:
@@ -250,8 +280,9 @@ class _Work:
         return list(moved.values())
 
     def _shot(self, searches: Sequence[Search], size: int) -> Iterator[Search]:
-        lanes = [search.shot.lane for search in searches if search.shot is not None]
-        done = record(lanes, self.solver, [1] * len(lanes), TRIES, size=size)
+        shots = [search.shot for search in searches if search.shot is not None]
+        lanes, cycles = [shot.lane for shot in shots], [shot.period for shot in shots]
+        done = record(lanes, self.solver, cycles, TRIES * max(cycles, default=1), size=size)
         for search, recorded in zip(searches, done, strict=True):
             yield after_shot(search, recorded, self.criterion)
 

@@ -1,26 +1,50 @@
 """Shooting: Newton's method on the state after a period [1]_, with the exact derivative of `monodromy`.
 
-An iteration is one recorded cycle. Newton's method is given up where it does not converge at once and where it leaves
-the contact states, and an unstable motion is refused: so it converges to the motions to which marching would lead.
+An iteration is one recorded period. A step that does not lead closer is shortened, where closer is measured by the step
+that would follow with the derivative of the iterate before: the natural test of Deuflhard [2]_, for which a slow decay,
+which makes the change over a period small far away from the fixed point, is no nearness. The offset of a contact that
+sticks all along stays as it is. An unstable motion is refused.
+
+A cycle is known to the tolerance of its steps, and the fixed point only to that error times what a slow decay makes of
+it: 1 / (2 pi zeta), 300 at a damping ratio of 5e-4. Where the iteration comes to rest at that noise, the cycles that
+follow are integrated with a finer tolerance; where that does not help, the motion has settled to what was reached.
 
 .. [1] H. B. Keller, *Numerical Methods for Two-Point Boundary-Value Problems*, Blaisdell (1968).
+.. [2] P. Deuflhard, *Newton Methods for Nonlinear Problems*, Springer (2004), section 3.3.
 """
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from timesim.orbit.lane import Lane, Recorded
-from timesim.orbit.threshold import REACH, TAKES_OVER, UNSTABLE
+from timesim.orbit.threshold import (
+    FINER,
+    FINEST,
+    MOST_SHOTS,
+    NOISY,
+    QUICK,
+    REACH,
+    SHORTER,
+    SHORTEST_SHARE,
+    UNSTABLE,
+    VAGUE,
+)
 
 
-class Outcome(enum.Enum):
-    """How an iteration ends."""
+class Failure(enum.Enum):
+    """How an iteration fails."""
 
-    CONVERGED = enum.auto()
     UNSTABLE = enum.auto()
     ASTRAY = enum.auto()
+
+
+@dataclass(frozen=True)
+class Converged:
+    """The end of an iteration: how far from the fixed point it still is, relative to the state."""
+
+    settled_to: float
 
 
 @dataclass(frozen=True)
@@ -28,33 +52,94 @@ class Shot:
     """An iterate of Newton's method.
 
     Attributes:
-        lane: from where the next cycle is shot.
-        residual: change over the cycle before, relative to the state.
+        lane: from where the next period is shot.
+        period: in cycles.
+        held: whether it is the steady state in closed form while no contact leaves its state.
+        before: the period shot from the iterate before; None at the first.
+        share: of the step from there that has led here.
+        count: of the iterations before.
     """
 
     lane: Lane
-    residual: float = np.inf
+    period: int = 1
+    held: bool = False
+    before: Recorded | None = None
+    share: float = 1.0
+    count: int = 0
 
 
-def iterated(shot: Shot, recorded: Recorded, tolerance: float) -> Shot | Outcome:
+def iterated(shot: Shot, recorded: Recorded, tolerance: float) -> Shot | Converged | Failure:
     """An iteration of Newton's method: the next iterate, or how the iteration ends.
 
     Args:
         shot: the iterate.
-        recorded: the cycle from it.
+        recorded: the period from it.
         tolerance: of the step to the next iterate, relative to the state.
     """
-    here, end = shot.lane.vector, recorded.end
-    if not recorded.complete or not np.array_equal(end.here.state, shot.lane.here.state):
-        return Outcome.ASTRAY
-    step, size = recorded.newton_step(), max(_largest(here), 1e-300)
-    if _largest(step) < tolerance * size:
-        unstable = np.max(np.abs(recorded.multipliers), initial=0.0) > UNSTABLE
-        return Outcome.UNSTABLE if unstable else Outcome.CONVERGED
-    residual = _largest(end.vector - here) / size
-    takes_over = residual < TAKES_OVER * shot.residual and _largest(step) / size < REACH
-    moved = shot.lane.moved(here + step) if takes_over else None
-    return Outcome.ASTRAY if moved is None else Shot(moved, residual)
+    if shot.held:
+        return Converged(0.0) if recorded.is_held else Failure.ASTRAY
+    if not recorded.closes:
+        return _shorter(shot)
+    step, size = recorded.newton_step(recorded.change), max(_largest(shot.lane.vector), 1e-300)
+    left, change = _largest(step) / size, _largest(recorded.change) / size
+    if left < tolerance:
+        return _ended(shot, recorded, left)
+    closer, rtol = _led_closer(shot, recorded), float(shot.lane.control.rtol)
+    noisy = shot.before is not None and closer > QUICK and change < NOISY * rtol
+    if noisy and rtol > FINEST:
+        finer = max(FINEST, min(FINER * rtol, FINER * tolerance * change / left))
+        return _counted(replace(shot, lane=shot.lane.within(finer), before=None))
+    if noisy:
+        return _ended(shot, recorded, left) if left < VAGUE else Failure.ASTRAY
+    if closer > 1 - shot.share / 4:
+        return _shorter(shot)
+    return _moved(replace(shot, before=recorded, share=min(1.0, REACH / left)), step)
+
+
+def _led_closer(shot: Shot, recorded: Recorded) -> float:
+    """Distance from the fixed point as a share of that before the step to the iterate; 0 at the first.
+
+    By the derivative before or after the step, whichever shows it nearer: a contact may have closed in between.
+    """
+    if shot.before is None:
+        return 0.0
+    step, follows = (shot.before.newton_step(one.change) for one in (shot.before, recorded))
+    nearer = min(_largest(follows), _largest(recorded.newton_step(recorded.change)))
+    return nearer / max(_largest(step), 1e-300)
+
+
+def _shorter(shot: Shot) -> Shot | Failure:
+    """A shorter step from the iterate before."""
+    if shot.before is None:
+        return Failure.ASTRAY
+    return _moved(replace(shot, share=SHORTER * shot.share), shot.before.newton_step(shot.before.change))
+
+
+def _moved(shot: Shot, step: np.ndarray) -> Shot | Failure:
+    """A share of the step from the iterate before, a smaller one where the contacts do not allow it."""
+    assert shot.before is not None
+    share, start = shot.share, shot.before.start
+    while share >= SHORTEST_SHARE:
+        lane = start.moved(start.vector + share * step)
+        if lane is not None:
+            return _counted(replace(shot, lane=lane, share=share))
+        share *= SHORTER
+    return Failure.ASTRAY
+
+
+def _counted(shot: Shot) -> Shot | Failure:
+    return replace(shot, count=shot.count + 1) if shot.count < MOST_SHOTS else Failure.ASTRAY
+
+
+def _ended(shot: Shot, recorded: Recorded, left: float) -> Shot | Converged | Failure:
+    """The end of an iteration; a motion that repeats within the period is shot once more, over its own."""
+    size = max(_largest(shot.lane.vector), 1e-300)
+    repeats = [_largest(vector - recorded.returns[-1]) < VAGUE * size for vector in recorded.returns]
+    period = next(n for n, repeated in enumerate(repeats, 1) if repeated and shot.period % n == 0)
+    if period < shot.period:
+        return Shot(shot.lane, period)
+    unstable = np.max(np.abs(recorded.multipliers), initial=0.0) > UNSTABLE
+    return Failure.UNSTABLE if unstable else Converged(left)
 
 
 def _largest(vector: np.ndarray) -> float:

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from timesim.model.model import Model, Start
+from timesim.orbit.fourier import HARMONICS
 
 Shares = TypeVar("Shares", bound=Any)
 """An array of numpy or of xarray."""
@@ -29,7 +30,13 @@ class Orbit:
         cycles: excitation cycles integrated; 0 where the scene is linear and needs none.
         period: its period in excitation periods; 0 if the motion has not settled.
         slip_share, separation_share: share of the period in these states, shape (C,).
+        phasor: harmonics 0 to `HARMONICS` of the excitation's frequency, ``x = Re sum_h phasor_h exp(i h phase)``, over
+            all cycles of a longer period, shape (H + 1, P, 3); NaN where the motion has not settled.
+        dissipated_power: power lost in each contact, the mean over the cycles that show the motion, shape (C,).
         floquet: Floquet multipliers, largest first, without those of free offsets; NaN where it has not settled.
+        settled_to: estimated distance of its state from one that repeats, relative to the largest entry; where the
+            motion has not settled, its change over the cycle, or the several cycles, after which it changes least.
+        irregular: whether it has been marched for long enough to show that it does not repeat after a few cycles.
         reason: why it could not be computed; None if it was.
     """
 
@@ -40,7 +47,11 @@ class Orbit:
     period: int
     slip_share: np.ndarray
     separation_share: np.ndarray
+    phasor: np.ndarray
+    dissipated_power: np.ndarray
     floquet: np.ndarray
+    settled_to: float = 0.0
+    irregular: bool = False
     reason: str | None = None
 
     @property
@@ -56,10 +67,25 @@ class Orbit:
 
 def without_orbit(model: Model, reason: str, cycles: int = 0) -> Orbit:
     """Placeholder for a steady state that could not be computed."""
-    nothing = np.full(model.num_contacts, np.nan)
-    amplitude = np.full((len(model.structure.points), 3), np.nan)
-    band = np.stack([amplitude, amplitude])
-    return Orbit(model.start, amplitude, band, cycles, 0, nothing, nothing, np.full(1, np.nan), reason)
+    contacts, places = model.num_contacts, (len(model.structure.points), 3)
+
+    def unknown(*shape: int) -> np.ndarray:
+        return np.full(shape, np.nan)
+
+    return Orbit(
+        end=model.start,
+        amplitude=unknown(*places),
+        band=unknown(2, *places),
+        cycles=cycles,
+        period=0,
+        slip_share=unknown(contacts),
+        separation_share=unknown(contacts),
+        phasor=unknown(HARMONICS + 1, *places).astype(complex),
+        dissipated_power=unknown(contacts),
+        floquet=unknown(1),
+        settled_to=np.nan,
+        reason=reason,
+    )
 
 
 # Two motions
@@ -111,7 +137,8 @@ Columns = Mapping[str, np.ndarray]
 """Steady states as arrays by the names of `COLUMNS`."""
 
 START = ("end_displacement", "end_velocity", "end_slip", "end_state")  # in the order of `Start`
-ARRAYS, NUMBERS = ("amplitude", "band", "slip_share", "separation_share"), ("cycles", "period")
+ARRAYS = ("amplitude", "band", "slip_share", "separation_share", "phasor", "dissipated_power")
+NUMBERS = ("cycles", "period", "settled_to", "irregular")
 COLUMNS = (*ARRAYS, *NUMBERS, "settled", "floquet_max", "reason", *START)
 
 

@@ -9,9 +9,10 @@ CYCLES_A_ROUND = 8
 is a tenth of a round of 16 lanes."""
 SIDE_BY_SIDE = 128
 """Searches under way at a time: eight full batches, so that most stay full while some searches come to their end."""
-LONELY = 256
+LONELY = 1024
 """Cycles after which the last few searches march alone: a batch of four costs up to four times as much, and a scene
-that takes that many cycles takes thousands, more than compiling one more program does."""
+that takes that many cycles, though it is shot from time to time, takes thousands, more than compiling one more program
+does."""
 UNSETTLED_CYCLES = 10
 """Over which the amplitude of a motion that has not settled is taken, as the result file promises."""
 
@@ -28,16 +29,33 @@ STILL_THERE = 0.99
 excitation with a damping ratio above 4e-4 loses more."""
 DOUBLED = 30.0
 """In units of the tolerance: a smaller alternation may be the end of a decaying beat."""
+NEARLY_LEAST = 2.0
+"""Change over a period, as a multiple of the least over any: a period twice as long repeats as nearly."""
+CLEARLY = 0.7
+"""Logarithm by which the change of a motion that settles must at least have fallen, if one that has not is to tell
+itself from it: a half. Less would be lost in the scatter of an irregular motion."""
 
 # Shooting
-FIRST_SHOT = 2 * CYCLES_A_ROUND
-"""Cycles marched before the first attempt: a motion that settles at once has settled by then."""
-TAKES_OVER = 0.3
-"""Ratio by which an iteration of Newton's method must reduce the change over a period, or it is given up. Near a
-periodic motion it converges quadratically; where it reduces the change by less, marching does as well."""
+LATER = 1.5
+"""Cycles before the next attempt, as a multiple of those so far: a motion that never repeats costs little to shoot
+beside what it costs to march."""
 REACH = 0.5
 """Longest step, relative to the state: a longer one leaves the neighbourhood in which the linear map is valid."""
-TRIES = 2048
-"""Most steps tried in a cycle that is shot: eight calls of the loop that records."""
+SHORTER, SHORTEST_SHARE = 0.25, 1 / 64
+"""Factor by which a step that does not lead closer is shortened, and the smallest share of it that is tried."""
+MOST_SHOTS = 32
+"""Iterations: near the fixed point five suffice, and a few steps of half the state lead anywhere."""
+TRIES = 2**14
+"""Most steps tried in a cycle that is shot: some hundred times as many as at usual tolerances, for a fine one."""
 UNSTABLE = 1 + 1e-6
 """Modulus of a Floquet multiplier above which a motion is unstable; multipliers are exact to 1e-6, as tested."""
+NOISY = 100.0
+"""Change over a period, in units of the tolerance of a step, that may be the noise of its steps: of some hundred, most
+are far more precise than they must be."""
+QUICK = 0.1
+"""Share of the distance that is left after a step of Newton's method, up to which noise does not stand in its way."""
+FINER, FINEST = 0.1, 1e-13
+"""Factor by which the tolerance of a step is at least reduced where the noise stands in the way, its margin below the
+one that suffices, and the smallest tolerance: beyond it is rounding."""
+VAGUE = 1e-5
+"""Distance from the fixed point, relative to the state, from which on the motion has not settled at all."""

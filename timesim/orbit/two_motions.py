@@ -5,6 +5,9 @@ the sweeps up and down are on different motions there are two: such a range begi
 motion, and ends where the upward one does. A jump is sought in every step over which the amplitude changes more than
 over the steps beside it, and in those after which both sweeps are on one motion. Halving the step distinguishes a jump
 from a slope, so ranges far narrower than the step of the sweeps are resolved.
+
+A motion that does not repeat is not one of two. Where a motion that is carried along loses its period, without a jump,
+the range ends too: the place is bisected, and its end says so.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,6 +24,7 @@ from timesim.orbit.steady_state import Columns, Orbit, columns_of, differ, dista
 UP, DOWN = 0, 1
 WALK = 4  # least number of steps in which a motion is carried to mid-range, and parts of a step of the sweeps
 BOTH = 2  # ends of a range
+NO_MOTION, SMALLER, LARGER = 0, 1, 2
 FURTHER = 6  # times that a motion is followed on where it was lost by the length of a step alone
 
 
@@ -55,11 +59,14 @@ class Loss:
         direction: `UP` or `DOWN`.
         begin: last frequency of the sweep with the motion [Hz].
         jump: between the last frequency with the motion and the first one without.
+        of_period: whether it goes on without a period there; then the motion that repeats is the near one, even if the
+            sweep comes to it from the other side.
     """
 
     direction: int
     begin: float
     jump: Stretch
+    of_period: bool = False
 
 
 @dataclass(frozen=True)
@@ -111,22 +118,27 @@ def merging_steps(sweeps: Sweeps, direction: int) -> list[int]:
 
 
 def losses(search: Search, sweeps: Sweeps) -> Iterator[Loss]:
-    """All jumps of both sweeps, bisected."""
+    """All jumps of both sweeps, and places where they lose their period without one, bisected."""
     for direction in (UP, DOWN):
         frequency, orbits = sweeps.frequency, sweeps.orbits[direction]
         limit = float(frequency[-1 if direction == UP else 0])
         least = AT_LEAST * np.nanmax(sweeps.amplitude(direction), initial=0.0)
-        merging = merging_steps(sweeps, direction)
-        for k in suspect_steps(sweeps, direction):
+        merging, suspects = merging_steps(sweeps, direction), set(suspect_steps(sweeps, direction).tolist())
+        for k in range(frequency.size - 1):
             near, far = (k, k + 1) if direction == UP else (k + 1, k)
             step = Stretch(
                 search.model, float(frequency[near]), float(frequency[far]), orbits[near], orbits[far], least
             )
-            jump = _lost(search, step, limit)
+            jump = _lost(search, step, limit) if k in suspects else None
             if jump is None and k in merging:
                 jump = _merging(search, step)
             if jump is not None:
                 yield Loss(direction, step.near, jump)
+            elif step.on.settled and step.beyond.irregular:
+                yield Loss(direction, step.near, _without_period(search, step), of_period=True)
+            elif step.on.irregular and step.beyond.settled:
+                back = replace(step, near=step.far, far=step.near, on=step.beyond, beyond=step.on)
+                yield Loss(direction, back.near, _without_period(search, back), of_period=True)
 
 
 def _lost(search: Search, step: Stretch, limit: float) -> Stretch | None:
@@ -149,6 +161,15 @@ def _merging(search: Search, step: Stretch) -> Stretch:
     while abs(step.far - step.near) > search.width and (middle := step.middle) not in (step.near, step.far):
         (ahead,), (back,) = search.along(step.on.end, [middle]), search.along(step.beyond.end, [middle])
         step = replace(step, near=middle, on=ahead) if differ(ahead, back) else replace(step, far=middle, beyond=back)
+    return step
+
+
+def _without_period(search: Search, step: Stretch) -> Stretch:
+    """Bisect the place beyond which a motion does not repeat."""
+    while abs(step.far - step.near) > search.width and (middle := step.middle) not in (step.near, step.far):
+        (orbit,) = search.along(step.on.end, [middle])
+        repeats = orbit.reason is None and not orbit.irregular
+        step = replace(step, near=middle, on=orbit) if repeats else replace(step, far=middle, beyond=orbit)
     return step
 
 
@@ -180,6 +201,8 @@ class Range:
         low, high: its ends [Hz], at which both motions still exist.
         cut: whether it goes on beyond the low and the high end, where the sweeps end.
         settled: whether the motion that is lost there had settled at the low and the high end.
+        irregular: the motion that goes on without a period beyond the low and the high end: `NO_MOTION`, `SMALLER` or
+            `LARGER`.
         jumped: amplitude before and after the jump at each end, shape (2, 2, P, 3); NaN where it is cut.
         lower, upper: the motions at mid-range, that of the smaller amplitude first.
     """
@@ -188,6 +211,7 @@ class Range:
     high: float
     cut: tuple[bool, bool]
     settled: tuple[bool, bool]
+    irregular: tuple[int, int]
     jumped: np.ndarray
     lower: Orbit
     upper: Orbit
@@ -203,15 +227,17 @@ def ranges(search: Search, sweeps: Sweeps, lost: Sequence[Loss]) -> Iterator[Ran
         if high - low <= 2 * search.width or (jumps < BOTH and not within.any()):
             continue
         motions = [_at_middle(search, sweeps, lost, direction, (low, high)) for direction in (UP, DOWN)]
-        if any(orbit.reason is not None for orbit in motions) or not differ(*motions):
+        if any(orbit.reason is not None or orbit.irregular for orbit in motions) or not differ(*motions):
             continue
         lower, upper = sorted(motions, key=lambda orbit: orbit.largest)
-        at_ends = [[loss.jump for loss in lost if loss.jump.near == end] for end in (low, high)]
-        settled = [all(jump.on.settled for jump in here) for here in at_ends]
+        at_ends = [[loss for loss in lost if loss.jump.near == end] for end in (low, high)]
+        settled = [all(loss.jump.on.settled for loss in here) for here in at_ends]
+        number = [SMALLER if orbit is lower else LARGER for orbit in motions]
+        irregular = [next((number[one.direction] for one in here if one.of_period), NO_MOTION) for here in at_ends]
         none = [np.full_like(lower.amplitude, np.nan)] * 2
-        jumped = [[here[0].on.amplitude, here[0].beyond.amplitude] if here else none for here in at_ends]
-        cut = (low == first, high == last)
-        yield Range(low, high, cut, (settled[0], settled[1]), np.array(jumped), lower, upper)
+        jumped = [[here[0].jump.on.amplitude, here[0].jump.beyond.amplitude] if here else none for here in at_ends]
+        cut, ends_settled, losers = (low == first, high == last), (settled[0], settled[1]), (irregular[0], irregular[1])
+        yield Range(low, high, cut, ends_settled, losers, np.array(jumped), lower, upper)
 
 
 def _at_middle(
@@ -229,7 +255,7 @@ def _at_middle(
             if not 0 < sign * (f - loss.begin) < sign * (loss.jump.near - loss.begin)
         }
         known |= {loss.jump.near: loss.jump.on, loss.jump.far: loss.jump.beyond}
-    left = {loss.jump.near for loss in own} & {ends[0 if direction == UP else 1]}
+    left = {loss.jump.near for loss in own if not loss.of_period} & {ends[0 if direction == UP else 1]}
     behind = [f for f, orbit in known.items() if sign * (middle - f) >= 0 and f not in left and orbit.reason is None]
     if not behind:
         return without_orbit(search.model, "no motion is known before it")
@@ -248,7 +274,7 @@ def ranges_of(search: Search, sweeps: Columns) -> dict[str, np.ndarray]:
     # Of no range the columns have their shapes all the same.
     motions = [[one.lower, one.upper] for one in every] or [[without_orbit(model, "none")] * 2]
     jumped = np.array([one.jumped for one in every]).reshape(size, 2, 2, len(model.structure.points), 3)
-    jumps = [(loss.direction, *sorted((loss.jump.near, loss.jump.far))) for loss in lost]
+    jumps = [(loss.direction, *sorted((loss.jump.near, loss.jump.far))) for loss in lost if not loss.of_period]
     return {name: array[:size] for name, array in columns_of(motions).items()} | {
         "jumps": np.array(jumps, dtype=float).reshape(-1, 3),
         "jump_from": jumped[:, :, 0],
@@ -256,4 +282,5 @@ def ranges_of(search: Search, sweeps: Columns) -> dict[str, np.ndarray]:
         "range": np.array([(one.low, one.high) for one in every]).reshape(-1, 2),
         "range_cut": np.array([one.cut for one in every], dtype=np.int8).reshape(-1, 2),
         "range_settled": np.array([one.settled for one in every], dtype=np.int8).reshape(-1, 2),
+        "range_irregular": np.array([one.irregular for one in every], dtype=np.int8).reshape(-1, 2),
     }

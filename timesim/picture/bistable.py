@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from timesim.picture.choice import left_out, motion
-from timesim.picture.response import DIRECTIONS, amplitude_label, axis_label, draw_branch, key_words
+from timesim.picture.response import (
+    PAIRED,
+    amplitude_label,
+    axis_label,
+    draw_branch,
+    key_words,
+    over_phase,
+    turns,
+    with_phase,
+)
 from timesim.picture.style import (
     BLUE,
     VERMILION,
@@ -42,6 +51,7 @@ LED_TO = {
     0: ("to the smaller motion", BLUE),
     1: ("to the larger motion", VERMILION),
     2: ("to another motion", "0.55"),
+    3: ("to one that does not repeat", "0.25"),
 }
 """Label and colour of the motion that a start leads to."""
 
@@ -126,7 +136,7 @@ def response(
         _range(data, ax, item, point, axis, middle=wide or near is not None)
     if "hbm" in data.children:
         _branch(data, ax, at, point, axis, window)
-    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(point, axis))
+    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(sweep, point, axis))
     if near is None:
         from_zero(ax)
     else:
@@ -145,7 +155,7 @@ def _sweep(ax: "Axes", part: "Dataset", direction: str, colour: str, window: tup
     shown = (x >= window[0]) & (x <= window[1])
     if shown.all():
         ax.plot(x, y, color=colour, linewidth=0.8, label="_line")
-    look: dict[str, Any] = {"color": colour, "marker": DIRECTIONS[direction], "linestyle": "", "ms": 4}
+    look: dict[str, Any] = {"color": colour, "marker": PAIRED[direction], "linestyle": "", "ms": 6}
     ax.plot(x[settled & shown], y[settled & shown], label=f"sweep {direction}", **look)
     loose = ~settled & shown & np.isfinite(y)
     if loose.any():
@@ -159,6 +169,7 @@ def _branch(
     point: str,
     axis: str,
     window: tuple[float, float],
+    name: str = "amplitude",
 ) -> None:
     """The curves of harmonic balance with these values, their folds marked."""
     # In a tree the root's axes hide the variables of these names; without them points and axes go by number.
@@ -173,14 +184,33 @@ def _branch(
         shown = (x >= window[0]) & (x <= window[1])
         # A solution beyond each edge of the window, for the line to reach it.
         reached = shown | np.append(shown[1:], False) | np.append(False, shown[:-1])
-        y = np.where(reached, part.amplitude.values, np.nan)
+        y = np.where(reached, part[name].values, np.nan)
         look: dict[str, Any] = {
             "colour": BEHIND,
             "stable_label": "harmonic balance",
             "widths": (2.2, 1.4),
             "zorder": 1.5,
+            "phase": name == "phase_deg",
         }
         draw_branch(ax, x, y, part.stable.values > 0, fold & shown, **look)
+
+
+def phase(data: "DataTree", ax: "Axes | None" = None, *, at: Mapping[str, int] | None = None) -> "Axes":
+    """Phase of the same motion in both sweeps; arguments as of `response`."""
+    ax, sweep = axes(ax), data.children["sweep"].to_dataset()
+    point, axis = motion(sweep, None, None)
+    at = {key: (at or {}).get(key, 0) for key in _keys(data)}
+    for i, (direction, colour) in enumerate((("up", BLUE), ("down", VERMILION))):
+        part = sweep.isel(at).isel(direction=i).sel(point=point, axis=axis)
+        x, y = part.frequency.values, part.phase_deg.values
+        breaks = turns(y)
+        ax.plot(np.insert(x, breaks, np.nan), np.insert(y, breaks, np.nan), color=colour, linewidth=0.8)
+        look: dict[str, Any] = {"color": colour, "marker": PAIRED[direction], "linestyle": "", "ms": 6}
+        ax.plot(x, y, label=f"sweep {direction}", **look)
+    if "hbm" in data.children and "phase_deg" in data.children["hbm"]:
+        _branch(data, ax, at, point, axis, (0.0, np.inf), name="phase_deg")
+    ax.set_xlabel("frequency [Hz]")
+    return over_phase(ax)
 
 
 def _range(data: "DataTree", ax: "Axes", item: Range, point: str, axis: str, *, middle: bool) -> None:
@@ -206,7 +236,7 @@ def starts(data: "DataTree", ax: "Axes | None" = None, *, at: Range | None = Non
     ax, item, root = axes(ax), at or ranges(data)[0], data.to_dataset()
     branch = root["start_branch"].isel(item.where).transpose("share_lower", "share_upper").values
     colours = ListedColormap([colour for _, colour in LED_TO.values()])
-    norm = BoundaryNorm([-1.5, -0.5, 0.5, 1.5, 2.5], colours.N)
+    norm = BoundaryNorm(np.arange(-1.5, len(LED_TO) - 1), colours.N)
     x, y = root["share_upper"].values, root["share_lower"].values
     ax.pcolormesh(x, y, branch, shading="nearest", cmap=colours, norm=norm, alpha=0.55, edgecolor="white")
     for spot, kind, name in (((0, 0), "o", "rest"), ((0, 1), "v", "smaller motion"), ((1, 0), "^", "larger motion")):
@@ -236,9 +266,10 @@ def existence(data: "DataTree", ax: "Axes | None" = None, *, key: str | None = N
 def _response_figure(data: "DataTree") -> "Figure":
     sets, two = _sets(data), [item.at for item in ranges(data)]
     first = sorted(range(len(sets)), key=lambda i: sets[i] not in two)[:MAX_RANGES]
-    fig, axs = stacked(len(first), 4.0 if len(first) == 1 else 2.4)
-    for ax, i in zip(axs, sorted(first), strict=True):
-        label_axes(response(data, ax, at=sets[i]), _label(data, sets[i]))
+    shown = [response, phase] if "phase_deg" in data.children["sweep"] else [response]
+    fig, axs = with_phase(len(first), 4.0 if len(first) == 1 else 2.4, len(shown) > 1)
+    for ax, (i, draw) in zip(axs, product(sorted(first), shown), strict=True):
+        label_axes(draw(data, ax, at=sets[i]), _label(data, sets[i]))
         ax.label_outer()
     legend_beside(axs[0], labelled(*axs).values())
     return finish(fig, data, "sweeps up and down", left_out(len(sets), len(first), "sets of values"))

@@ -13,7 +13,7 @@ import numpy as np
 from timesim.orbit.steady_state import switches
 from timesim.picture import hbm as balance
 from timesim.picture.choice import MAX_ROWS, motion, motions
-from timesim.picture.response import DIRECTIONS, values_label
+from timesim.picture.response import PAIRED, values_label, with_phase
 from timesim.picture.style import (
     SERIES,
     Picture,
@@ -21,10 +21,12 @@ from timesim.picture.style import (
     figure,
     finish,
     from_zero,
+    is_stop,
     label_axes,
     short,
     stacked,
     state_bar,
+    unit,
 )
 from timesim.result.coordinate import over_keys
 
@@ -42,19 +44,31 @@ Points = tuple[dict[str, int], dict[str, Any]]
 """The points of a sweep with one set of values in one direction: positions along these axes, and how they are drawn."""
 
 
-def overlay(data: "DataTree", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None) -> "Axes":
-    """Curves of the harmonic balance and points of the sweep; hollow where they have not settled."""
+def overlay(
+    data: "DataTree",
+    ax: "Axes | None" = None,
+    *,
+    point: str | None = None,
+    axis: str | None = None,
+    name: str = "amplitude",
+) -> "Axes":
+    """Curves of the harmonic balance and points of the sweep; hollow where they have not settled.
+
+    ``name``: amplitude or phase_deg.
+    """
     hbm, sweep = _groups(data)
     point, axis = motion(hbm if hbm.sizes["solution"] else sweep, point, axis)
-    ax = balance.response(hbm, axes(ax), point=point, axis=axis)
+    drawn = balance.response if name == "amplitude" else balance.phase
+    ax = drawn(hbm, axes(ax), point=point, axis=axis)
     for where, look in _points(hbm, sweep):
         part = sweep.isel(where)
-        y, settled = part.amplitude.sel(point=point, axis=axis).values, part.settled.values > 0
+        y, settled = part[name].sel(point=point, axis=axis).values, part.settled.values > 0
         ax.plot(part.frequency.values[settled], y[settled], ms=3.2, **look)
         if not settled.all():
             hollow = look | {"label": "not settled", "fillstyle": "none", "ms": 5}
             ax.plot(part.frequency.values[~settled], y[~settled], **hollow)
-    from_zero(ax)
+    if name == "amplitude":
+        from_zero(ax)
     return ax
 
 
@@ -104,7 +118,7 @@ def _points(hbm: "Dataset", sweep: "Dataset") -> Iterator[Points]:
         for i, direction in enumerate(sweep.direction.values):
             words = (METHODS["sweep"], "" if direction == "independent" else direction)
             name = ", ".join(filter(None, (*words, "" if label in colours else "no curve")))
-            look = {"color": colours.get(label, "0.5"), "marker": DIRECTIONS[direction], "linestyle": "", "label": name}
+            look = {"color": colours.get(label, "0.5"), "marker": PAIRED[direction], "linestyle": "", "label": name}
             yield dict(zip(keys, where, strict=True)) | {"direction": i}, look
 
 
@@ -114,7 +128,7 @@ def waveform(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
     for method, style in zip(cycle.found_by.values, SERIES, strict=False):
         x = cycle.displacement.sel(found_by=method, point=point, axis=axis).values
         ax.plot(cycle.excitation_angle.values, x, color=style.colour, linestyle=style.line, label=METHODS[method])
-    ax.set_ylabel(f"{short(point, 16)} {axis} [length]")
+    ax.set_ylabel(f"{short(point, 16)} {axis}{unit(cycle, 'displacement')}")
     return _over_cycle(ax)
 
 
@@ -126,7 +140,8 @@ def contact_states(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
     for row, (contact, method) in enumerate(rows):
         state = cycle.contact_state.sel(contact=contact, found_by=method).values
         edges = [0, *(np.flatnonzero(np.diff(state)) + 1).tolist(), state.size]
-        state_bar(ax, row, ((angle[a], angle[b], int(state[a])) for a, b in pairwise(edges)))
+        parts = ((angle[a], angle[b], int(state[a])) for a, b in pairwise(edges))
+        state_bar(ax, row, parts, stop=is_stop(cycle, contact))
     ax.set_ylim(len(rows) - 0.4, -0.6)
     ax.set_yticks(range(len(rows)), [f"{short(str(contact), 8)}, {method}" for contact, method in rows])
     ax.grid(False)
@@ -147,7 +162,7 @@ def harmonics(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
         look: dict[str, Any] = {"fillstyle": "none", "linestyle": "", "ms": 6 if method == "sweep" else 3.5}
         ax.plot(cycle.harmonic.values, np.where(height > 0, height, np.nan), style.marker, color=style.colour, **look)
     ax.set_yscale("log")
-    ax.set(xlabel="harmonic", ylabel="amplitude [length]")
+    ax.set(xlabel="harmonic", ylabel=f"amplitude{unit(cycle, 'harmonic_amplitude')}")
     ax.locator_params(axis="x", integer=True)
     return ax
 
@@ -160,9 +175,10 @@ def _cycle(data: "DataTree") -> tuple["Dataset", str, str]:
 
 
 def _overlay_figure(data: "DataTree") -> "Figure":
-    hbm, _ = _groups(data)
-    fig, axs = stacked(1, 4.6)
-    overlay(data, axs[0])
+    hbm, sweep = _groups(data)
+    fig, axs = with_phase(1, 4.6, "phase_deg" in hbm and "phase_deg" in sweep)
+    for ax, name in zip(axs, ("amplitude", "phase_deg"), strict=False):
+        overlay(data, ax, name=name).label_outer()
     balance.legend(axs, hbm)
     return finish(fig, data, "harmonic balance (lines) and time integration (markers)", balance.hidden(hbm))
 

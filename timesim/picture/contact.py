@@ -20,11 +20,13 @@ from timesim.picture.style import (
     axes,
     figure,
     finish,
+    is_stop,
     label_axes,
     shade,
     short,
     state_bar,
     state_curves,
+    unit,
 )
 
 if TYPE_CHECKING:
@@ -46,8 +48,8 @@ def orbit(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = No
     state = part.contact_state.values[last]
     w = np.where(state[:, None] == SEPARATION, np.nan, part.slip.values[last])
     _slider(ax, w, u[last])
-    state_curves(ax, u[last, 0], u[last, 1], state)
-    ax.set(xlabel="u1 [length]", ylabel="u2 [length]")
+    state_curves(ax, u[last, 0], u[last, 1], state, stop=is_stop(data, contact))
+    ax.set(xlabel=f"u1{unit(data, 'contact_displacement')}", ylabel=f"u2{unit(data, 'contact_displacement')}")
     label_axes(ax, short(contact))
     ax.set_aspect("equal", adjustable="datalim")
     return ax
@@ -81,15 +83,16 @@ def hysteresis(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None
     u, f, last = part.contact_displacement.values, part.contact_force.values, last_cycles(part, 1)
     loop = np.stack([u, f], axis=1)
     ax.plot(u, f, color=PALE, linewidth=0.8, label=_if_seen("cycles before", loop, loop[last]))
-    state_curves(ax, u[last], f[last], part.contact_state.values[last])
+    state_curves(ax, u[last], f[last], part.contact_state.values[last], stop=is_stop(data, contact))
     number = tangent.removeprefix("t")
-    ax.set(xlabel=f"u{number} [length]", ylabel=f"f{number} [force]")
+    length, force = unit(data, "contact_displacement"), unit(data, "contact_force")
+    ax.set(xlabel=f"u{number}{length}", ylabel=f"f{number}{force}")
     label_axes(ax, f"{short(contact)}, {tangent}")
     return ax
 
 
 def normal_load(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = None) -> "Axes":
-    """Normal load and friction force of a contact over the last cycles; separations are shaded."""
+    """Normal load, friction force and its limit over the last cycles; separations are shaded. A stop has the load."""
     ax, contact = axes(ax), contact or busiest(data, 1)[0]
     part = data.isel(time=last_cycles(data)).sel(contact=contact)
     time, force = part.time.values, part.contact_force.values
@@ -97,9 +100,15 @@ def normal_load(data: "Dataset", ax: "Axes | None" = None, *, contact: str | Non
     shade(ax, ((start, end) for start, end, state in stays if state == SEPARATION), "separation")
     ax.axhline(0.0, color="black", linewidth=0.8, label="n = 0")
     ax.plot(time, force[:, 2], color=BLUE, linewidth=1.4, label="normal load n")
-    tangential = np.hypot(force[:, 0], force[:, 1])
-    ax.plot(time, tangential, color=VERMILION, linestyle="--", linewidth=1.0, label="friction force |f|")
-    ax.set(xlabel="time [s]", ylabel="n, |f| [force]", xlim=(time[0], time[-1]))
+    stop = is_stop(data, contact)
+    if not stop:
+        if "friction" in part.coords:
+            limit = float(part.friction) * force[:, 2]
+            ax.plot(time, limit, color="black", linestyle=(0, (1, 1.5)), linewidth=1.2, label="limit of the cone μn")
+        tangential = np.hypot(force[:, 0], force[:, 1])
+        ax.plot(time, tangential, color=VERMILION, linestyle="--", linewidth=1.0, label="friction force |f|")
+    what = "n" if stop else "n, μn, |f|"
+    ax.set(xlabel="time [s]", ylabel=what + unit(data, "contact_force"), xlim=(time[0], time[-1]))
     label_axes(ax, short(contact))
     return ax
 
@@ -109,7 +118,7 @@ def contact_states(data: "Dataset", ax: "Axes | None" = None, *, contacts: Seque
     ax, contacts = axes(ax), contacts or busiest(data, MAX_BARS)
     time = data.time.values[last_cycles(data)]
     for row, contact in enumerate(contacts):
-        state_bar(ax, row, intervals(data, contact, time[0], time[-1]))
+        state_bar(ax, row, intervals(data, contact, time[0], time[-1]), stop=is_stop(data, contact))
     starts = data.cycle_start.values
     for start in starts[(starts > time[0]) & (starts < time[-1])]:
         ax.axvline(start, color="black", linewidth=0.8, linestyle=":")
@@ -193,7 +202,8 @@ def _of_contacts(what: str, drawn: Callable[["Dataset", Sequence[str]], "Figure"
         if not contacts:
             return None
         hidden = left_out(data.sizes["contact"], len(contacts), "contacts", "the least active")
-        return finish(drawn(data, contacts), data, f"{what}, last cycles", hidden)
+        which = "one cycle" if data.sizes["cycle"] == 1 else "last cycles"
+        return finish(drawn(data, contacts), data, f"{what}, {which}", hidden)
 
     return picture
 

@@ -1,7 +1,7 @@
 """Pictures of a run, drawn into its folder."""
 
 import io
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,38 +11,106 @@ from timesim.picture.style import Picture
 from timesim.result.file import write_whole
 
 if TYPE_CHECKING:
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
     from xarray import Dataset, DataTree
 
 DPI = 110
+KINDS = ("png", "pdf", "svg")
+LOGARITHMIC = ("amplitude", "frequency")
+MANY_DECADES = 2.5  # from which on an axis bears powers of ten alone
+SMALLEST = 1e-6  # of the largest value that a logarithmic axis shows
 MARGIN = 9  # pixels of white around what is drawn
 LEAST = {"time": 2, "angle": 2, "solution": 1}
 """Length along these dimensions below which there is nothing to draw."""
 
 
-def write(data: "Dataset | DataTree", folder: Path | str, pictures: Mapping[str, Picture]) -> list[Path]:
-    """Write the pictures of a result into a folder as PNG, replacing earlier ones.
+def write(
+    data: "Dataset | DataTree",
+    folder: Path | str,
+    pictures: Mapping[str, Picture],
+    *,
+    kind: str = "png",
+    log: Collection[str] = (),
+) -> list[Path]:
+    """Write the pictures of a result into a folder, replacing earlier ones.
 
     Args:
         data: the result, a Dataset, or the DataTree of one with groups.
         folder: an existing folder.
         pictures: those of the kind of study, by the name of their file.
 
+    Keyword Args:
+        kind: of the files, one of `KINDS`.
+        log: quantities, of `LOGARITHMIC`, whose axes are logarithmic.
+
     Returns:
         The files written, in order; none for a study that has no pictures, or a run that recorded nothing.
 
     Raises:
         StoreError: a file cannot be written.
+        ValueError: another kind or quantity.
     """
+    for name, given, known in (("format", {kind}, KINDS), ("log", set(log), LOGARITHMIC)):
+        if unknown := given - set(known):
+            raise ValueError(f"{name} must be one of {', '.join(known)}, not {', '.join(sorted(unknown))}")
     written: list[Path] = []
     if any(data.sizes.get(name, least) < least for name, least in LEAST.items()):
         return written
     for name, picture in pictures.items():
         figure = picture(data)
         if figure is not None:
-            written.append(Path(folder) / f"{name}.png")
-            write_whole(written[-1], _png(figure))
+            make_logarithmic(figure, log)
+            written.append(Path(folder) / f"{name}.{kind}")
+            write_whole(written[-1], _png(figure) if kind == "png" else _vectors(figure, kind))
     return written
+
+
+def make_logarithmic(figure: "Figure", quantities: Collection[str]) -> None:
+    """Make the axes of a figure logarithmic whose labels name one of some quantities."""
+    for ax in figure.axes:
+        if not _words(ax.get_xlabel()).isdisjoint(quantities):
+            ax.set_xscale("log")
+            _plain_ticks(ax.xaxis, *ax.get_xlim())
+        least, top = ax.dataLim.minposy, ax.dataLim.y1
+        if not _words(ax.get_ylabel()).isdisjoint(quantities) and 0 < least < top < np.inf:
+            low = ax.get_ylim()[0]
+            ax.set_yscale("log")
+            if low <= 0:
+                ax.set_ylim(max(0.8 * least, SMALLEST * top), 1.25 * top)
+            _plain_ticks(ax.yaxis, *ax.get_ylim())
+
+
+def _plain_ticks(axis: "Axis", low: float, high: float) -> None:
+    """Numbers without powers of ten; over less than a decade those of a linear axis, over many decades powers only."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+
+    decades = np.log10(high / low)
+    steps = (1.0, 2.0, 5.0) if decades < MANY_DECADES else (1.0,)
+    axis.set_major_locator(MaxNLocator(6) if decades < 1 else LogLocator(subs=steps))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.6g}"))
+    axis.set_minor_locator(NullLocator())
+
+
+def _words(label: str) -> set[str]:
+    """The words of a label, without its unit."""
+    return set(label.partition("[")[0].split())
+
+
+def _vectors(figure: "Figure", kind: str) -> memoryview:
+    """A figure as vectors, cut to what is drawn; the same figure gives the same file."""
+    from matplotlib import rc_context
+
+    image = io.BytesIO()
+    with rc_context({"svg.hashsalt": "timesim"}):
+        figure.savefig(
+            image,
+            format=kind,
+            bbox_inches="tight",
+            pad_inches=MARGIN / DPI,
+            metadata={"Date" if kind == "svg" else "CreationDate": None},
+        )
+    return image.getbuffer()
 
 
 def _png(figure: "Figure") -> memoryview:

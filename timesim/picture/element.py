@@ -9,7 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from timesim.model.model import SEPARATION
-from timesim.picture.style import BLUE, PALE, VERMILION, Picture, axes, figure, finish, shade, state_bar, state_curves
+from timesim.picture.style import (
+    BLUE,
+    PALE,
+    VERMILION,
+    Picture,
+    axes,
+    figure,
+    finish,
+    shade,
+    state_bar,
+    state_curves,
+    unit,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,9 +45,9 @@ def force_path(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     size = np.hypot(*f.T)
     towards = np.divide(f, size[:, None], out=np.full_like(f, np.nan), where=size[:, None] > 0)
     ax.plot(*(towards * limit[:, None]).T, color="black", linewidth=0.8, linestyle="--", label="limit μn")
-    state_curves(ax, f[:, 0], f[:, 1], state)
+    state_curves(ax, f[:, 0], f[:, 1], state, stop=data.attrs["friction"] == 0)
     _transition_circles(data, ax)
-    ax.set(xlabel="f1 [force]", ylabel="f2 [force]")
+    ax.set(xlabel=f"f1{unit(data, 'force')}", ylabel=f"f2{unit(data, 'force')}")
     ax.set_aspect("equal", adjustable="datalim")
     return ax
 
@@ -45,7 +57,7 @@ def _transition_circles(data: "Dataset", ax: "Axes") -> None:
     circle = np.stack([np.cos(turn), np.sin(turn)])
     for f, angles in _transition_forces(data)[:MAX_CIRCLES]:
         radius = np.hypot(*f)
-        ax.plot(*(radius * circle), color="0.55", linewidth=0.6, label="limit circle there")
+        ax.plot(*(radius * circle), color="0.55", linewidth=0.7, linestyle=":", label="limit circle there")
         ax.plot(*f, "o", color="black", ms=4, label="transition")
         x, y = (f / radius if radius > 0 else np.array([0.3, -0.95])).tolist()
         beside: dict[str, Any] = {
@@ -76,8 +88,8 @@ def hysteresis(data: "Dataset", ax: "Axes | None" = None, *, tangent: str = "t1"
     u, f = (_closed(data[name].sel(tangent=tangent).values) for name in ("u", "force"))
     first, number = data.first_force.sel(tangent=tangent).values, tangent.removeprefix("t")
     ax.plot(u[:-1], first, color=PALE, linewidth=0.9, label="first cycle")
-    state_curves(ax, u, f, _closed(data.state.values))
-    ax.set(xlabel=f"u{number} [length]", ylabel=f"f{number} [force]")
+    state_curves(ax, u, f, _closed(data.state.values), stop=data.attrs["friction"] == 0)
+    ax.set(xlabel=f"u{number}{unit(data, 'u')}", ylabel=f"f{number}{unit(data, 'force')}")
     return ax
 
 
@@ -92,7 +104,7 @@ def friction_limit(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     ax.plot(angle, force, color=VERMILION, linestyle="--", linewidth=1.2, label="friction force |f|")
     for degrees in data.transition_angle_deg.values:
         ax.axvline(degrees, color="0.4", linewidth=0.7, linestyle=":")
-    ax.set(xlabel="angle θ [degree]", ylabel="μn, |f| [force]", xlim=(0, 360))
+    ax.set(xlabel="angle θ [degree]", ylabel=f"μn, |f|{unit(data, 'force')}", xlim=(0, 360))
     ax.set_xticks(range(0, 361, 60))
     return ax
 
@@ -100,7 +112,7 @@ def friction_limit(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
 def contact_states(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     """State over the angle, as a bar between the transitions."""
     ax = axes(ax)
-    state_bar(ax, 0, intervals(data), height=0.8)
+    state_bar(ax, 0, intervals(data), height=0.8, stop=data.attrs["friction"] == 0)
     ax.set(xlabel="angle θ [degree]", xlim=(0, 360), ylim=(-0.6, 0.6))
     ax.set_xticks(range(0, 361, 60))
     ax.set_yticks([0], ["state"])
@@ -133,7 +145,8 @@ def _hysteresis_figure(data: "Dataset") -> "Figure":
     fig, grid = figure(1, 2, width=8.5, height=3.2)
     for ax, tangent in zip(grid[0], ("t1", "t2"), strict=True):
         hysteresis(data, ax, tangent=tangent)
-    return finish(fig, data, f"hysteresis, steady cycle: {float(data.dissipation):.4g} [force·length] a cycle")
+    lost = f"{float(data.dissipation):.4g}{unit(data, 'dissipation')}"
+    return finish(fig, data, f"hysteresis, steady cycle: {lost} a cycle")
 
 
 def _cycle_figure(data: "Dataset") -> "Figure":

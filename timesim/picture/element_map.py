@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from timesim.picture.style import Picture, axes, figure, finish
+from timesim.picture.style import Picture, axes, figure, finish, unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,13 +26,14 @@ def contour(data: "Dataset", ax: "Axes | None" = None, *, name: str = "f_s", tan
     x, y, z = data[first].values, data[second].values, data[name].sel(tangent=tangent).values
     if np.ptp(z) > 0:
         shades = ax.contourf(x, y, z.T, levels=12, cmap="viridis")
+        _colour_bar(ax, shades)
         lines = ax.contour(x, y, z.T, levels=list(shades.levels), colors="black", linewidths=0.4)
         ax.clabel(lines, np.asarray(lines.levels)[1::2], fontsize=6, fmt="%.3g")
     else:
         ax.text(0.5, 0.5, f"{z.flat[0]:.4g} everywhere", transform=ax.transAxes, ha="center", fontsize=9)
         ax.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
     ax.set(xlabel=_axis_label(data, first), ylabel=_axis_label(data, second))
-    ax.set_title(_coefficient_label(name, tangent), fontsize=9)
+    ax.set_title(_coefficient_label(data, name, tangent), fontsize=9)
     ax.grid(False)
     return ax
 
@@ -46,16 +47,22 @@ def surface(data: "Dataset", ax: Any = None, *, name: str = "f_s", tangent: str 
     if (first, second) == ("a", "b"):
         z = np.where(y <= x * (1 + 1e-9), z, np.nan)
     step = [max(1, size // 27) for size in z.shape]
-    ax.plot_surface(x, y, z, cmap="viridis", rstride=step[0], cstride=step[1], edgecolor="0.25", linewidth=0.25)
-    ax.set_xlabel(_axis_label(data, first), fontsize=8, labelpad=-3)
-    ax.set_ylabel(_axis_label(data, second), fontsize=8, labelpad=-3)
-    ax.set_title(_coefficient_label(name, tangent), fontsize=9, pad=-6)
-    ax.tick_params(labelsize=7, pad=-2)
-    ax.tick_params(axis="z", pad=1)
+    faces = {"rstride": step[0], "cstride": step[1], "edgecolor": "0.25", "linewidth": 0.25}
+    _colour_bar(ax, ax.plot_surface(x, y, z, cmap="viridis", **faces), shrink=0.6, pad=0.1)
+    ax.set_xlabel(_axis_label(data, first), fontsize=8, labelpad=0)
+    ax.set_ylabel(_axis_label(data, second), fontsize=8, labelpad=0)
+    ax.set_title(_coefficient_label(data, name, tangent), fontsize=9, pad=-6)
+    ax.tick_params(labelsize=7, pad=0)
+    ax.tick_params(axis="z", pad=3)
     ax.locator_params(axis="z", nbins=5)
     ax.view_init(28, -120)
-    ax.set_box_aspect(None, zoom=0.9)
+    ax.set_box_aspect(None, zoom=1.05)
     return ax
+
+
+def _colour_bar(ax: Any, shades: Any, **options: Any) -> None:
+    bar = ax.figure.colorbar(shades, ax=ax, **options)
+    bar.ax.tick_params(labelsize=7)
 
 
 def parameters(data: "Dataset") -> tuple[str, str]:
@@ -65,13 +72,12 @@ def parameters(data: "Dataset") -> tuple[str, str]:
 
 
 def _axis_label(data: "Dataset", name: str) -> str:
-    units = data[name].attrs.get("units", "1")
     shown = name.removesuffix("_deg").replace("phi", "φ").replace("psi", "ψ").replace("_", " ")
-    return shown if units == "1" else f"{shown} [{units}]"
+    return shown if data[name].attrs.get("units", "1") == "1" else shown + unit(data, name)
 
 
-def _coefficient_label(name: str, tangent: str) -> str:
-    return f"{COEFFICIENTS[name]}, {name}{tangent.removeprefix('t')} [force]"
+def _coefficient_label(data: "Dataset", name: str, tangent: str) -> str:
+    return f"{COEFFICIENTS[name]}, {name}{tangent.removeprefix('t')}{unit(data, name)}"
 
 
 def _all_coefficients(data: "Dataset", draw: Callable[..., Any], **options: Any) -> "Figure | None":
@@ -89,7 +95,7 @@ def _contour_figure(data: "Dataset") -> "Figure | None":
 
 
 def _surface_figure(data: "Dataset") -> "Figure | None":
-    return _all_coefficients(data, surface, width=8.5, height=3.2, gap=0.2, left=0.3, subplot_kw={"projection": "3d"})
+    return _all_coefficients(data, surface, width=10.0, height=3.4, gap=0.2, left=0.3, subplot_kw={"projection": "3d"})
 
 
 PICTURES: dict[str, Picture] = {"surfaces": _surface_figure, "contours": _contour_figure}

@@ -14,7 +14,7 @@ import numpy as np
 from timesim.picture import response as shared
 from timesim.picture.choice import MAX_CURVES, left_out, motion, spread
 from timesim.picture.response import amplitude_label, axis_label, draw_branch, values_label
-from timesim.picture.style import Picture, Series, axes, finish, from_zero, short, stacked
+from timesim.picture.style import Picture, Series, axes, finish, from_zero, short, stacked, unit
 from timesim.result.coordinate import over_keys
 
 if TYPE_CHECKING:
@@ -42,25 +42,33 @@ def response(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = N
     ax, (point, axis) = axes(ax), motion(data, point, axis)
     _draw(ax, data, data.amplitude.sel(point=point, axis=axis).values)
     from_zero(ax)
-    ax.set_ylabel(amplitude_label(point, axis))
+    ax.set_ylabel(amplitude_label(data, point, axis))
     return ax
+
+
+def phase(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None) -> "Axes":
+    """Phase of the first harmonic along the curves."""
+    ax, (point, axis) = axes(ax), motion(data, point, axis)
+    _draw(ax, data, data.phase_deg.sel(point=point, axis=axis).values, phase=True)
+    return shared.over_phase(ax)
 
 
 def share(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = None, state: str = "slip") -> "Axes":
     """Share of a period that a contact spends in a state, ``slip`` or ``separation``, along the curves."""
     ax = axes(ax)
-    _draw(ax, data, data[f"{state}_share"].sel(contact=contact or str(data.contact.values[0])).values)
-    ax.set(ylabel=f"share in {state} [1]", ylim=(-0.04, 1.04))
+    contact = contact or str(data.contact.values[0])
+    _draw(ax, data, data[f"{state}_share"].sel(contact=contact).values)
+    ax.set(ylabel=shared.share_label(data, contact, state), ylim=(-0.04, 1.04))
     return ax
 
 
-def _draw(ax: "Axes", data: "Dataset", y: np.ndarray) -> None:
-    """A quantity along all curves, against what they were followed in."""
+def _draw(ax: "Axes", data: "Dataset", y: np.ndarray, *, phase: bool = False) -> None:
+    """A quantity along all curves, against what they were followed in; ``phase`` as in `draw_branch`."""
     name = str(data.attrs.get("along", "frequency"))
     x, stable, fold = data[name].values, data.stable.values > 0, data.fold.values > 0
     for family in families(data):
         for rows in family.rows:
-            draw_branch(ax, x[rows], y[rows], stable[rows], fold[rows], colour=family.style.colour)
+            draw_branch(ax, x[rows], y[rows], stable[rows], fold[rows], colour=family.style.colour, phase=phase)
     ax.set_xlabel(axis_label(data, name))
 
 
@@ -81,7 +89,7 @@ def harmonics(
     ax.set_yscale("log")
     top = float(content.max(initial=0.0)) or 1.0
     ax.set_ylim(max(top * 1e-9, min(lowest, top) / 2), 2 * top)
-    ax.set(xlabel="harmonic", ylabel=f"harmonic of {short(point, 16)} {axis} [length]")
+    ax.set(xlabel="harmonic", ylabel=f"harmonic of {short(point, 16)} {axis}{unit(data, 'harmonic_amplitude')}")
     ax.locator_params(axis="x", integer=True)
     return ax
 
@@ -133,7 +141,9 @@ def _harmonics_figure(data: "Dataset") -> "Figure":
 
 _SHARED: dict[str, Any] = {"legend": legend, "hidden": hidden}
 PICTURES: dict[str, Picture] = {
-    "response": partial(shared.response_figure, what="response by harmonic balance", response=response, **_SHARED),
+    "response": partial(
+        shared.response_figure, what="response by harmonic balance", response=response, phase=phase, **_SHARED
+    ),
     "harmonics": _harmonics_figure,
     "contact_states": partial(shared.states_figure, share=share, **_SHARED),
 }

@@ -12,7 +12,7 @@ import numpy as np
 from timesim.picture import transient
 from timesim.picture.choice import MAX_ROWS, motions
 from timesim.picture.response import amplitude_label
-from timesim.picture.style import BLUE, SERIES, VERMILION, Picture, axes, figure, finish, from_zero
+from timesim.picture.style import BLUE, SERIES, VERMILION, Picture, axes, figure, finish, from_zero, unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,7 +50,7 @@ def envelope(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
         amplitude = data.cycle_amplitude.sel(point=point, axis=axis).values
         ax.plot(data.cycle.values, amplitude, color=style.colour, linestyle=style.line, label=f"{point} {axis}")
     from_zero(ax)
-    ax.set_ylabel("amplitude [length]")
+    ax.set_ylabel(f"amplitude{unit(data, 'cycle_amplitude')}")
     return _along_schedule(ax, data)
 
 
@@ -105,7 +105,7 @@ def path(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None,
     for number, end in enumerate(ends if len(ends) <= MAX_NUMBERS else (), 1):
         ax.annotate(f"{number}", end, (7, 5), textcoords="offset points", fontsize=9)
     ax.margins(x=0.15, y=0.12)
-    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(point, axis))
+    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(data, point, axis, "cycle_amplitude"))
     return ax
 
 

@@ -9,8 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from timesim.picture.choice import motion
-from timesim.picture.response import amplitude_label, axis_label, styles
-from timesim.picture.style import BLUE, VERMILION, Picture, axes, finish, from_zero, labelled, legend_beside, stacked
+from timesim.picture.response import amplitude_label, axis_label, over_phase, styles, turns, with_phase
+from timesim.picture.style import (
+    BLUE,
+    VERMILION,
+    Picture,
+    axes,
+    finish,
+    from_zero,
+    labelled,
+    legend_beside,
+    stacked,
+    unit,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +49,7 @@ def peak(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     if np.isfinite(best).all():
         name = f"least: {best[1]:.5g} at {best[0]:.5g}"
         ax.plot(*best, "*", color=VERMILION, markeredgecolor="black", ms=12, zorder=4, label=name)
-    ax.set(xlabel=axis_label(data, key), ylabel="peak amplitude [length]")
+    ax.set(xlabel=axis_label(data, key), ylabel=f"peak amplitude{unit(data, 'peak')}")
     return ax
 
 
@@ -60,15 +71,37 @@ def responses(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     point, axis = motion(data, data.attrs.get("point"), data.attrs.get("axis"))
     amplitude = data["amplitude"].sel(point=point, axis=axis)
     values, best = data[scalar(data)].values, float(data["optimum"])
-    rows = [i for i in _spread(values) if values[i] != best]
-    for row, look in zip(rows, styles(len(rows), shades=True), strict=True):
-        _curves(ax, data, amplitude, row, {"color": look.colour, "linewidth": 1.0, "label": f"{values[row]:.4g}"})
-    if np.isfinite(best):
-        style: dict[str, Any] = {"color": "black", "linewidth": 2.0, "zorder": 3, "label": f"{best:.4g}, the least"}
-        _curves(ax, data, amplitude, int(np.flatnonzero(values == best)[0]), style)
+    for row, look in _looks(values, best):
+        _curves(ax, data, amplitude, row, look)
     from_zero(ax)
-    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(point, axis))
+    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(data, point, axis))
     return ax
+
+
+def phases(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
+    """Phase of the first harmonic against frequency for the same values."""
+    ax = axes(ax)
+    point, axis = motion(data, data.attrs.get("point"), data.attrs.get("axis"))
+    phase = data["phase_deg"].sel(point=point, axis=axis).transpose(scalar(data), "direction", "frequency").values
+    values, best, x = data[scalar(data)].values, float(data["optimum"]), data["frequency"].values
+    for row, look in _looks(values, best):
+        for y, line in zip(phase[row], ("-", "--"), strict=True):
+            breaks = turns(y)
+            ax.plot(np.insert(x, breaks, np.nan), np.insert(y, breaks, np.nan), **look | {"linestyle": line})
+    ax.set_xlabel("frequency [Hz]")
+    return over_phase(ax)
+
+
+def _looks(values: np.ndarray, best: float) -> list[tuple[int, dict[str, Any]]]:
+    """Positions of the values that are shown, and how: some of about equal distance, then the best one."""
+    rows = [i for i in _spread(values) if values[i] != best]
+    looks: list[tuple[int, dict[str, Any]]] = [
+        (row, {"color": look.colour, "linewidth": 1.0, "label": f"{values[row]:.4g}"})
+        for row, look in zip(rows, styles(len(rows), shades=True), strict=True)
+    ]
+    for row in np.flatnonzero(values == best):
+        looks.append((int(row), {"color": "black", "linewidth": 2.0, "zorder": 3, "label": f"{best:.4g}, the least"}))
+    return looks
 
 
 def _spread(values: np.ndarray) -> list[int]:
@@ -101,8 +134,10 @@ def _peak_figure(data: "Dataset") -> "Figure | None":
 def _responses_figure(data: "Dataset") -> "Figure | None":
     if not np.isfinite(data["peak"].values).any():
         return None
-    fig, axs = stacked(1, 4.0)
-    legend_beside(axs[0], labelled(responses(data, axs[0])).values(), axis_label(data, scalar(data)))
+    fig, axs = with_phase(1, 4.0, "phase_deg" in data)
+    for ax, draw in zip(axs, (responses, phases), strict=False):
+        draw(data, ax).label_outer()
+    legend_beside(axs[0], labelled(axs[0]).values(), axis_label(data, scalar(data)))
     return finish(fig, data, "responses, dashed where the sweep down differs; dots: refined peaks")
 
 

@@ -16,11 +16,13 @@ from timesim.picture.style import (
     SERIES,
     Series,
     finish,
+    is_stop,
     label_axes,
     labelled,
     legend_beside,
     short,
     stacked,
+    unit,
 )
 
 if TYPE_CHECKING:
@@ -29,7 +31,11 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 DIRECTIONS = {"up": "^", "down": "v", "independent": "o"}
+PAIRED: dict[str, Any] = {"up": 10, "down": 11, "independent": "o"}
+"""Triangles above and below the point, CARETUPBASE and CARETDOWNBASE: one does not cover the other."""
 DASHES = (0, (4, 2))
+HALF_TURN = 180.0  # degrees
+PHASE_HEIGHT = 1.4  # inch
 MARKERS = "osD<>phXPd"
 
 
@@ -40,13 +46,41 @@ def key_words(key: str) -> str:
 
 def axis_label(data: "Dataset", name: str) -> str:
     """A variable or a scalar of the scene, with its unit."""
-    units = data[name].attrs.get("units")
-    return (key_words(name) if "." in name else name) + (f" [{units}]" if units else "")
+    return (key_words(name) if "." in name else name) + unit(data, name)
 
 
-def amplitude_label(point: str, axis: str) -> str:
+def amplitude_label(data: "Dataset", point: str, axis: str, name: str = "amplitude") -> str:
     """The amplitude of a point along an axis, with its unit."""
-    return f"amplitude of {short(point, 16)} {axis} [length]"
+    return f"amplitude of {short(point, 16)} {axis}{unit(data, name)}"
+
+
+PHASE_LABEL = "phase [degree]"
+
+
+def over_phase(ax: "Axes") -> "Axes":
+    """Axes of a phase: the quarters of a turn in which it lies."""
+    low, high = (ax.dataLim.y0, ax.dataLim.y1) if np.isfinite(ax.dataLim.y1) else (-1.0, 0.0)
+    first, last = int(np.floor(low / 90)), max(int(np.ceil(high / 90)), int(np.floor(low / 90)) + 1)
+    ax.set(ylabel=PHASE_LABEL, ylim=(90 * first - 10, 90 * last + 10))
+    ax.set_yticks(range(90 * first, 90 * last + 1, 90))
+    return ax
+
+
+def turns(phase: np.ndarray) -> np.ndarray:
+    """Positions before which a phase in (-180, 180] has passed the end of its turn: no line goes across."""
+    return np.flatnonzero(np.abs(np.diff(phase)) > HALF_TURN) + 1
+
+
+def with_phase(rows: int, height: float, phase: bool) -> tuple["Figure", list["Axes"]]:
+    """Axes of a height [inch] one above the other, each with one for its phase below it where there is one."""
+    if not phase:
+        return stacked(rows, height)
+    return stacked(2 * rows, (height + PHASE_HEIGHT) / 2, height_ratios=[height, PHASE_HEIGHT] * rows)
+
+
+def share_label(data: "Dataset", contact: str, state: str) -> str:
+    """The share of a period in a state; a contact without friction is closed where another slips."""
+    return "share closed [1]" if state == "slip" and is_stop(data, contact) else f"share in {state} [1]"
 
 
 def values_label(values: Iterable[float]) -> str:
@@ -100,6 +134,7 @@ def draw_branch(
     stable_label: str = "stable",
     widths: tuple[float, float] = (1.4, 1.1),
     zorder: float = 2.0,
+    phase: bool = False,
 ) -> None:
     """A curve of solutions: solid where they are stable, dashed where not, a diamond at each fold.
 
@@ -113,7 +148,12 @@ def draw_branch(
         stable_label: what a legend says of its stable parts.
         widths: of its lines where it is stable and where not [point].
         zorder: of its lines; its folds lie above all lines.
+        phase: y is a phase [degree], whose lines begin anew after a turn.
     """
+    if phase:
+        breaks = turns(y)
+        x, y = np.insert(x, breaks, np.nan), np.insert(y, breaks, np.nan)
+        stable, fold = np.insert(stable, breaks, stable[breaks]), np.insert(fold, breaks, False)
     solid: dict[str, Any] = {"linestyle": "-", "linewidth": widths[0], "label": stable_label}
     dashed: dict[str, Any] = {"linestyle": DASHES, "linewidth": widths[1], "label": "unstable"}
     for part, firm in stable_parts(stable, fold):
@@ -144,14 +184,21 @@ Legend = Callable[[Sequence["Axes"], "Dataset"], None]
 
 
 def response_figure(
-    data: "Dataset", *, what: str, response: Callable[..., "Axes"], legend: Legend, hidden: Callable[["Dataset"], str]
+    data: "Dataset",
+    *,
+    what: str,
+    response: Callable[..., "Axes"],
+    phase: Callable[..., "Axes"],
+    legend: Legend,
+    hidden: Callable[["Dataset"], str],
 ) -> "Figure":
-    """The response of each point along its axis of largest amplitude, one above the other."""
+    """The response of each point along its axis of largest amplitude, one above the other, its phase below it."""
     points = list(main_axes(data))
     rows = min(len(points), MAX_ROWS)
-    fig, axs = stacked(rows, 4.0 if rows == 1 else 2.4)
-    for ax, point in zip(axs, points, strict=False):
-        response(data, ax, point=point).label_outer()
+    drawn = (response, phase) if "phase_deg" in data else (response,)
+    fig, axs = with_phase(rows, 4.0 if rows == 1 else 2.4, len(drawn) > 1)
+    for ax, (point, draw) in zip(axs, product(points, drawn), strict=False):
+        draw(data, ax, point=point).label_outer()
     legend(axs, data)
     note = left_out(len(points), rows, "points")
     return finish(fig, data, f"{what}, each point along its axis of largest amplitude", note, hidden(data))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from timesim.model.model import SEPARATION, SLIP, STATE_NAMES, STICK
+from timesim.result.label import attributes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,6 +53,10 @@ STATE_STYLE = {
     SLIP: StateStyle(VERMILION, (0, (3, 1)), "////"),
     SEPARATION: StateStyle(GREEN, (0, (1, 1)), "...."),
 }
+CLOSED_STYLE = StateStyle(ORANGE, "-", "\\\\\\\\")
+
+CLOSED = "closed"
+"""What a frictionless stop is where another contact slips."""
 
 Picture = Callable[[Any], "Figure | None"]
 """Draws a result, a Dataset or the DataTree of one with groups; None where there is nothing to show."""
@@ -111,12 +116,13 @@ def figure(
     return fig, grid
 
 
-def stacked(rows: int, height: float, *, share_x: bool = True) -> tuple["Figure", list["Axes"]]:
+def stacked(rows: int, height: float, *, share_x: bool = True, **options: Any) -> tuple["Figure", list["Axes"]]:
     """Axes of a height [inch] one above the other, with room for a legend on the right.
 
-    Without a common abscissa there is room for the label of each.
+    Without a common abscissa there is room for the label of each; options as of `figure`.
     """
-    fig, grid = figure(rows, 1, width=9.0, height=height, gap=0.3 if share_x else 0.8, right=2.4, sharex=share_x)
+    gap = 0.3 if share_x else 0.8
+    fig, grid = figure(rows, 1, width=9.0, height=height, gap=gap, right=2.4, sharex=share_x, **options)
     return fig, list(grid[:, 0])
 
 
@@ -146,25 +152,45 @@ def label_axes(ax: "Axes", label: str) -> None:
     ax.set_title(label, fontsize=9, pad=4, loc="right")
 
 
+def unit(data: Any, name: str) -> str:
+    """The unit of a variable or coordinate, in brackets after a space; empty where it has none."""
+    units = {**attributes(name), **data[name].attrs}.get("units", "")
+    return f" [{units.replace('*', '·')}]" if units else ""
+
+
 def short(name: str, length: int = 24) -> str:
     """The name, cut to a number of characters where it is longer."""
     return name if len(name) <= length else name[: length - 1] + "…"
 
 
-def state_curves(ax: "Axes", x: np.ndarray, y: np.ndarray, state: np.ndarray) -> None:
+def is_stop(data: Any, contact: str) -> bool:
+    """Whether a contact has no friction, so that it is open or closed."""
+    return "friction" in data.coords and float(data.friction.sel(contact=contact)) == 0
+
+
+def look_of(state: int, *, stop: bool) -> tuple[str, StateStyle]:
+    """Name and style of a contact state."""
+    return (CLOSED, CLOSED_STYLE) if stop and state == SLIP else (STATE_NAMES[state], STATE_STYLE[state])
+
+
+def state_curves(ax: "Axes", x: np.ndarray, y: np.ndarray, state: np.ndarray, *, stop: bool = False) -> None:
     """Draw a curve in the styles of its states, one artist for each state that occurs.
 
     Args:
         ax: axes to draw on.
         x, y: the curve, shape (T,).
         state: contact state from each sample to the next, shape (T,).
+
+    Keyword Args:
+        stop: the contact has no friction.
     """
     gapped = [np.append(values, np.nan) for values in (x, y)]
-    for number, style in STATE_STYLE.items():
+    for number in STATE_STYLE:
+        name, style = look_of(number, stop=stop)
         pieces = _pieces(state == number)
         if pieces.size:
             look: dict[str, Any] = {"color": style.colour, "linestyle": style.line, "linewidth": 1.6}
-            ax.plot(*(values[pieces] for values in gapped), label=STATE_NAMES[number], **look)
+            ax.plot(*(values[pieces] for values in gapped), label=name, **look)
 
 
 def _pieces(inside: np.ndarray) -> np.ndarray:
@@ -180,12 +206,14 @@ def shade(ax: "Axes", spans: Iterable[tuple[float, float]], label: str) -> None:
         ax.axvspan(*span, color="0.87", linewidth=0, zorder=0, label=None if number else label)
 
 
-def state_bar(ax: "Axes", row: float, intervals: Iterable[tuple[float, float, int]], height: float = 0.7) -> None:
-    """Draw the start, end and state of intervals as a bar, in a row of the axes."""
+def state_bar(
+    ax: "Axes", row: float, intervals: Iterable[tuple[float, float, int]], height: float = 0.7, *, stop: bool = False
+) -> None:
+    """Draw the start, end and state of intervals as a bar, in a row of the axes; ``stop`` as in `state_curves`."""
     for start, end, state in intervals:
-        style = STATE_STYLE[state]
+        name, style = look_of(state, stop=stop)
         bars = ax.broken_barh([(start, end - start)], (row - height / 2, height), facecolor=style.colour, linewidth=0)
-        bars.set(edgecolor="white", hatch=style.hatch, label=STATE_NAMES[state])
+        bars.set(edgecolor="white", hatch=style.hatch, label=name)
 
 
 def labelled(*axs: "Axes") -> dict[str, Any]:
@@ -200,7 +228,8 @@ def labelled(*axs: "Axes") -> dict[str, Any]:
 def _legend_below(fig: "Figure") -> None:
     """One legend for all axes of a figure, the states first."""
     handles = labelled(*fig.axes)
-    names = sorted(handles, key=lambda name: STATE_NAMES.index(name) if name in STATE_NAMES else 9)
+    states = (*STATE_NAMES, CLOSED)
+    names = sorted(handles, key=lambda name: states.index(name) if name in states else 9)
     if names:
         place: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 0.16 / fig.get_figheight())}
         fig.legend([handles[name] for name in names], names, ncols=len(names), fontsize=8, **place)

@@ -68,17 +68,31 @@ def response(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = N
         for frequency in _jumps(data, curve):
             ax.axvline(frequency, color=curve.style.colour, linestyle=":", linewidth=1.0, label=word)
     from_zero(ax)
-    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(point, axis))
+    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(data, point, axis))
     return ax
+
+
+def phase(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None) -> "Axes":
+    """Phase of the first harmonic against frequency; none where the motion does not repeat."""
+    ax, (point, axis), x = axes(ax), motion(data, point, axis), data.frequency.values
+    for curve in curves(data):
+        y = data.phase_deg.sel(point=point, axis=axis).isel(curve.where).values
+        breaks, label = shared.turns(y), "_" + curve.label
+        line: dict[str, Any] = {"color": curve.style.colour, "linestyle": curve.style.line, "linewidth": 1.0}
+        ax.plot(np.insert(x, breaks, np.nan), np.insert(y, breaks, np.nan), label=label, **line)
+        _curve(ax, x, y, curve.style._replace(line=""), np.zeros(x.size, dtype=bool), "", label=label)
+    ax.set_xlabel("frequency [Hz]")
+    return shared.over_phase(ax)
 
 
 def share(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = None, state: str = "slip") -> "Axes":
     """Share of a period that a contact spends in a state, ``slip`` or ``separation``, against frequency."""
     ax = axes(ax)
-    shares = data[f"{state}_share"].sel(contact=contact or str(data.contact.values[0]))
+    contact = contact or str(data.contact.values[0])
+    shares = data[f"{state}_share"].sel(contact=contact)
     for curve in curves(data):
         _draw(ax, data, curve, shares.isel(curve.where).values)
-    ax.set(xlabel="frequency [Hz]", ylabel=f"share in {state} [1]", ylim=(-0.04, 1.04))
+    ax.set(xlabel="frequency [Hz]", ylabel=shared.share_label(data, contact, state), ylim=(-0.04, 1.04))
     return ax
 
 
@@ -120,7 +134,7 @@ def peak(
     for (x, y), of in least.items():
         _star(ax, x, y, of, x in (value[0], value[-1]) and value.size > 1)
     from_zero(ax)
-    ax.set(xlabel=axis_label(data, key), ylabel=f"peak {amplitude_label(point, axis)}")
+    ax.set(xlabel=axis_label(data, key), ylabel=f"peak {amplitude_label(data, point, axis)}")
     return ax
 
 
@@ -262,7 +276,7 @@ def _peak_figure(data: "Dataset") -> "Figure | None":
 
 _SHARED: dict[str, Any] = {"legend": legend, "hidden": _hidden}
 PICTURES: dict[str, Picture] = {
-    "response": partial(shared.response_figure, what="response", response=response, **_SHARED),
+    "response": partial(shared.response_figure, what="response", response=response, phase=phase, **_SHARED),
     "peak": _peak_figure,
     "contact_states": partial(shared.states_figure, share=share, **_SHARED),
     "stability": _floquet_figure,

@@ -26,6 +26,7 @@ from timesim.picture.style import (
     labelled,
     legend_beside,
     short,
+    unit,
 )
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def displacement(
     ax.plot(part.time.values, x, color=BLUE, linewidth=0.9, label="displacement")
     if cycles is None:
         _envelope(data, ax, x, data.cycle_amplitude.sel(point=point, axis=axis).values)
-    ax.set(xlabel="time [s]", ylabel=f"{point} {axis} [length]")
+    ax.set(xlabel="time [s]", ylabel=f"{point} {axis}{unit(data, 'displacement')}")
     return ax
 
 
@@ -95,7 +96,7 @@ def spectrum(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     if peak > 0:
         ax.set_yscale("log")
         ax.set_ylim(1e-8 * peak, 3 * peak)
-    ax.set(xlabel="multiple of the excitation frequency", ylabel="displacement amplitude [length]")
+    ax.set(xlabel="multiple of the excitation frequency", ylabel=f"displacement amplitude{unit(data, 'displacement')}")
     return ax
 
 
@@ -135,7 +136,7 @@ def energy(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     terms["change of stored"] = data.energy_stored_change.values
     for (name, values), style in zip(terms.items(), SERIES, strict=False):
         _terms(ax, cycle, values, style, name)
-    ax.set_ylabel("energy a cycle [force·length]")
+    ax.set_ylabel(f"energy a cycle{unit(data, 'energy_input')}")
     return _along_cycles(ax)
 
 
@@ -148,7 +149,7 @@ def energy_residual(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
         if shown.any():
             ax.set_yscale("log")
         _terms(ax, cycle[shown], size[shown], style._replace(line="-"), f"|{name}|")
-    ax.set_ylabel("[force·length]")
+    ax.set_ylabel(unit(data, "energy_input").strip())
     return _along_cycles(ax)
 
 
@@ -194,7 +195,7 @@ def _hidden(data: "Dataset") -> str:
 
 
 def _energy_figure(data: "Dataset") -> "Figure | None":
-    if not data.sizes["cycle"]:
+    if data.sizes["cycle"] < 2:
         return None
     fig, grid = figure(2, 1, width=9.0, height=2.0, right=2.3, sharex=True, height_ratios=[2, 1])
     energy(data, grid[0, 0]).set_xlabel("")

@@ -2,6 +2,8 @@
 
     FOLDER/checkpoint/manifest.json        scene, version, and a fingerprint of every chunk
     FOLDER/checkpoint/NAME.npz             result of a chunk
+    FOLDER/checkpoint/seconds              time that all of them took
+    FOLDER/checkpoint/growing.nc           of harmonic balance: the result so far, with the curve that is being followed
     FOLDER/checkpoint/STAGE/…              the same of a later stage of the study
 
 Every file appears whole or not at all, the manifest before the chunks, and it is the first that goes: whatever the
@@ -10,9 +12,11 @@ moment a run is killed at, what is found afterwards is right.
 
 import io
 import json
+import time
 import zipfile
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -28,6 +32,8 @@ from timesim.result.netcdf import RESULT_NAME, read
 FOLDER_NAME = "checkpoint"
 MANIFEST_NAME = "manifest.json"
 LOCK_NAME = ".lock"
+SECONDS_NAME = "seconds"
+GROWING_NAME = "growing.nc"
 
 INTERRUPTED = "interrupted"  # how the reason of a campaign that was given up begins
 
@@ -83,10 +89,20 @@ class Manifest:
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """The finished chunks of a campaign, on disk."""
+    """The finished chunks of a campaign, on disk.
+
+    Attributes:
+        folder: where they are.
+        lock: keeps other runs out of it.
+        earlier: seconds that the chunks taken up took.
+        begun: when the work on the others began, as `time.monotonic` counts.
+        writer: writes them.
+    """
 
     folder: Path
     lock: filelock.BaseFileLock
+    earlier: float = 0.0
+    begun: float = field(default_factory=time.monotonic)
     # An interrupt reaches the main thread alone: what another one writes is never cut off by it.
     writer: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "timesim-checkpoint"))
 
@@ -108,6 +124,8 @@ class Checkpoint:
         except ValueError as error:
             raise StoreError(f"chunk {name}, '{key}': not an array of numbers or text: {error}") from error
         write_whole(self.folder / f"{name}.npz", image.getbuffer())
+        with suppress(OSError):  # nothing but the time that is shown depends on it
+            (self.folder / SECONDS_NAME).write_text(f"{self.earlier + time.monotonic() - self.begun:.3f}\n")
 
     def load(self, name: str) -> Result | None:
         """The result of a chunk; None if it is not finished.
@@ -152,7 +170,8 @@ def begin(run_folder: Path, manifest: Manifest, *, resume: bool, stage: str = ""
     except OSError as error:
         raise StoreError(f"checkpoint folder {folder} cannot be made: {error.strerror or error}") from error
     try:
-        return Checkpoint(folder, lock), _taken_up(folder, manifest, resume)
+        begun = _taken_up(folder, manifest, resume)
+        return Checkpoint(folder, lock, _seconds(folder) if begun else 0.0), begun
     except BaseException:
         lock.release()
         raise
@@ -212,7 +231,7 @@ def clear(run_folder: Path | str) -> None:
 
 def _empty(folder: Path) -> None:
     (folder / MANIFEST_NAME).unlink(missing_ok=True)
-    for pattern in ("*.npz", ".*.part"):
+    for pattern in ("*.npz", SECONDS_NAME, GROWING_NAME, ".*.part"):
         for path in folder.glob(pattern):
             path.unlink(missing_ok=True)
 
@@ -249,6 +268,19 @@ def chunks_done(run_folder: Path | str) -> int:
     """Finished chunks of a run that is not finished."""
     folder = Path(run_folder) / FOLDER_NAME
     return _count(folder) if (folder / MANIFEST_NAME).exists() else 0
+
+
+def seconds_worked(run_folder: Path | str, stage: str | None = None) -> float:
+    """Seconds that the finished chunks of a run took, or those of one of its stages."""
+    root = Path(run_folder) / FOLDER_NAME
+    folders = [path.parent for path in root.rglob(SECONDS_NAME)] if stage is None else [root / stage]
+    return sum(map(_seconds, folders))
+
+
+def _seconds(folder: Path) -> float:
+    with suppress(OSError, ValueError):
+        return float((folder / SECONDS_NAME).read_text())
+    return 0.0
 
 
 def resuming_helps(run_folder: Path | str, reason: str) -> bool:

@@ -23,8 +23,10 @@ FIRST = {"mode": 1, "cycle": 1, "harmonic": 0}
 """First number along the dimensions that are counted."""
 
 
-def coordinates(variables: Mapping[str, tuple[Any, ...]], model: Model | None = None) -> dict[str, np.ndarray]:
+def coordinates(variables: Mapping[str, tuple[Any, ...]], model: Model | None = None) -> dict[str, Any]:
     """Coordinates of those dimensions of variables that the model determines, or that are the same everywhere.
+
+    Beside the names of the contacts stands their coefficient of friction: one that is 0 is a stop.
 
     Args:
         variables: ``{name: (dimensions, array)}``.
@@ -38,7 +40,8 @@ def coordinates(variables: Mapping[str, tuple[Any, ...]], model: Model | None = 
     if model is not None:
         along["point"] = np.array(model.structure.points, dtype=str)
         along["contact"] = np.array([contact.name for contact in model.contacts], dtype=str)
-    return {dim: values for dim, values in along.items() if dim in sizes}
+    known: dict[str, Any] = {dim: values for dim, values in along.items() if dim in sizes}
+    return known | ({"friction": (("contact",), model.friction)} if model is not None and "contact" in known else {})
 
 
 def over_keys(data: "Dataset") -> list[str]:

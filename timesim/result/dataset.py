@@ -28,7 +28,7 @@ def dataset(
             have length 0.
         coords: ``{dimension: values}``, or the same as for `variables`; not those of
             `timesim.result.coordinate.coordinates`.
-        attrs: attributes of the whole result.
+        attrs: attributes of the whole result; those of `timesim.study.outcome.unit_names` give its units.
         model: gives the names of points and contacts.
 
     Raises:
@@ -39,9 +39,10 @@ def dataset(
 
     every = {**coords, **coordinates(variables, model), **coords}  # in the order of those that are given
     along = {name: given if _has_dims(given) else ((name,), given) for name, given in every.items()}
+    units = {quantity: attrs[f"{quantity}_unit"] for quantity in label.BASE if f"{quantity}_unit" in attrs}
     return xarray.Dataset(
-        {name: _labelled(name, *given) for name, given in variables.items()},
-        {name: _labelled(name, *given) for name, given in along.items()},
+        {name: _labelled(units, name, *given) for name, given in variables.items()},
+        {name: _labelled(units, name, *given) for name, given in along.items()},
         {name: int(value) if isinstance(value, bool | np.bool_) else value for name, value in attrs.items()},
     )
 
@@ -51,14 +52,14 @@ def _has_dims(given: Any) -> bool:
 
 
 def _labelled(
-    name: str, dims: Dims, values: Any, own: Mapping[str, Any] | None = None
+    units: Mapping[str, str], name: str, dims: Dims, values: Any, own: Mapping[str, Any] | None = None
 ) -> tuple[Dims, np.ndarray, dict[str, Any]]:
     array = np.asarray(values)
     if array.dtype.kind == "b":
         array = array.astype(np.int8)
     elif array.dtype.kind in "OT":
         array = array.astype(object).astype(str)
-    attrs = {**label.attributes(name), **(own or {})}
+    attrs = {**label.attributes(name, units), **(own or {})}
     if "long_name" not in attrs:
         raise StoreError(f"variable '{name}': give it a long_name of its own, or a line in timesim.result.label")
     if "flag_values" in attrs:  # of the variable's own type, as the CF conventions ask

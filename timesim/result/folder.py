@@ -1,6 +1,7 @@
 """The folder of a run: the resolved scene, the result, the pictures, and a lock while a run is at work in it."""
 
 import os
+import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -13,6 +14,8 @@ from timesim.result.netcdf import RESULT_NAME
 
 SCENE_NAME = "scene.yaml"
 LOCK_NAME = ".lock"
+SHOW_NAME = "show"
+"""Folder in that of a run, for points of its sweep."""
 
 LISTED = 3  # other files that a message names
 
@@ -98,6 +101,8 @@ def prepare_folder(
         try:
             for name in stale:
                 (folder / name).unlink(missing_ok=True)
+            if (folder / SHOW_NAME).exists():
+                shutil.rmtree(folder / SHOW_NAME)
         except OSError as error:
             raise StoreError(f"pictures in {folder} cannot be removed: {error.strerror or error}") from error
     write_whole(target, scene.encode())

@@ -1,11 +1,12 @@
 """Names that occur in result files, with their meaning and units: the one table of them.
 
-Units are those of the scene's own consistent system, so the texts name quantities: ``length``, ``force``,
-``length/s``, ``force*length`` (energy), ``force/length`` (stiffness). Time is in ``s``, frequency in ``Hz``,
-angles in ``degree``, pure numbers in ``1``. Modal displacements are in ``modal length``: times the mode shape
-of the scene they give a length. Names, flags and text have no units.
+Units are those of the scene's own consistent system, so the texts name quantities where the scene does not name its
+units: ``length``, ``force``, ``length/s``, ``force*length`` (energy), ``force/length`` (stiffness). Time is in ``s``,
+frequency in ``Hz``, angles in ``degree``, pure numbers in ``1``. Modal displacements are in ``modal length``: times the
+mode shape of the scene they give a length. Names, flags and text have no units.
 """
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -41,7 +42,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "modal_displacement": ("modal displacement", "modal length"),
     "modal_velocity": ("modal velocity", "modal length/s"),
     "contact_force": ("friction force on body 2 (t1, t2) and normal load (n)", "force"),
-    "contact_state": ("contact state: 0 stick, 1 slip, 2 separation", None),
+    "contact_state": ("contact state: 0 stick, 1 slip (of a frictionless stop: closed), 2 separation", None),
     "contact_displacement": ("relative motion (u1, u2, v) in the contact's axes", "length"),
     "slip": ("slip displacement w", "length"),
     "event_time": ("time of the transition", "s"),
@@ -64,7 +65,26 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "energy_friction": ("energy lost to friction in the cycle", "force*length"),
     # sweep
     "amplitude": ("displacement amplitude, (max - min)/2 over a period", "length"),
+    "phase_deg": (
+        "phase of the first harmonic of the excitation's frequency against the excitation, "
+        "x ~ A cos(2 pi f t + phase); NaN where the motion has no period",
+        "degree",
+    ),
+    "dissipated_power": (
+        "power lost in the contact, the mean over a period; where the motion has none, over the cycles measured",
+        "force*length/s",
+    ),
     "settled": ("1 where the motion settled", None),
+    "settled_to": (
+        "estimated distance of the state from one that repeats, relative to its largest entry; of a motion that has "
+        "not settled, the least change over a period",
+        "1",
+    ),
+    "irregular": (
+        "1 where the motion, however long it goes on, does not repeat after up to eight cycles: quasi-periodic or "
+        "irregular",
+        None,
+    ),
     "cycles": ("excitation cycles run", "1"),
     "period": ("period of the motion in excitation periods", "1"),
     "floquet_max": (
@@ -72,7 +92,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
         "counts the multipliers 1, the time integration does not",
         "1",
     ),
-    "slip_share": ("share of a period in slip", "1"),
+    "slip_share": ("share of a period in slip; in which it is closed, of a frictionless stop", "1"),
     "separation_share": ("share of a period in separation", "1"),
     "amplitude_band": ("smallest and largest amplitude of one of the cycles that were measured", "length"),
     "band": ("end of the band of amplitudes", None),
@@ -91,9 +111,17 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "jump_to": ("displacement amplitude beyond the end of the range, after the jump", "length"),
     "range_cut": ("1 where the search ends before the range does; -1: no range", None),
     "range_settled": ("1 where the motion next to the end had settled; -1: no range", None),
+    "range_irregular": (
+        "motion that loses its period at the end and no longer counts beyond: 0 none, 1 the smaller, 2 the larger; -1: "
+        "no range",
+        None,
+    ),
     "share_lower": ("share of the smaller motion's state in the start", "1"),
     "share_upper": ("share of the larger motion's state in the start", "1"),
-    "start_branch": ("motion that the start leads to: 0 the smaller, 1 the larger, 2 another, -1 none", None),
+    "start_branch": (
+        "motion that the start leads to: 0 the smaller, 1 the larger, 2 another, 3 one that does not repeat, -1 none",
+        None,
+    ),
     "start_cycles": ("excitation cycles run from the start", "1"),
     "start_amplitude": ("displacement amplitude of the motion that the start leads to", "length"),
     "offset_low": ("smallest slip displacement w over the starts; NaN where the contact does not stick", "length"),
@@ -181,21 +209,29 @@ STATE_FLAGS = {0: "stick", 1: "slip", 2: "separation"}
 YES_NO = {0: "no", 1: "yes"}
 FLAGS = {
     "settled": YES_NO,
+    "irregular": YES_NO,
     "stable": YES_NO,
     "fold": YES_NO,
     "peak_at_end": YES_NO,
     "peak_settled": YES_NO,
     "range_cut": {-1: "no_range", **YES_NO},
     "range_settled": {-1: "no_range", **YES_NO},
-    "start_branch": {-1: "none", 0: "smaller", 1: "larger", 2: "another"},
+    "range_irregular": {-1: "no_range", 0: "none", 1: "smaller", 2: "larger"},
+    "start_branch": {-1: "none", 0: "smaller", 1: "larger", 2: "another", 3: "irregular"},
 }
 """Meaning of the values of a variable that counts nothing."""
 
 
-def attributes(name: str) -> dict[str, Any]:
+BASE = ("length", "force")
+"""Quantities whose units a scene may name; all other units follow, as that of power, ``N*m/s``."""
+
+
+def attributes(name: str, named: Mapping[str, str] | None = None) -> dict[str, Any]:
     """`long_name` and `units` of a variable or coordinate, and the meaning of flags; empty for a name not listed.
 
-    A name with a dot is the key of a scalar in the scene, such as ``contacts.pad.preload``.
+    Args:
+        name: one with a dot is the key of a scalar in the scene, such as ``contacts.pad.preload``.
+        named: units of the quantities of `BASE`, ``{"length": "mm"}``.
     """
     if "." in name:
         long_name, units = f"scene value {name}", SCENE_UNITS.get(name.rsplit(".", 1)[1])
@@ -203,10 +239,23 @@ def attributes(name: str) -> dict[str, Any]:
         long_name, units = LABELS[name]
     else:
         return {}
-    attrs = {"long_name": long_name} | ({} if units is None else {"units": units})
+    attrs: dict[str, Any] = {"long_name": long_name}
+    if units is not None:
+        attrs["units"] = re.sub("length|force", lambda quantity: (named or {}).get(quantity[0], quantity[0]), units)
     flags = STATE_FLAGS if long_name.startswith("contact state") else FLAGS.get(name, {})
     values = {"flag_values": np.array(list(flags), dtype=np.int8), "flag_meanings": " ".join(flags.values())}
     return attrs | (values if flags else {})
+
+
+def with_unit(number: str, attrs: Mapping[str, Any]) -> str:
+    """A number and its unit, where that is a name and no quantity.
+
+    Args:
+        number: as text.
+        attrs: attributes of its variable.
+    """
+    units = str(attrs.get("units", "1"))
+    return number if units == "1" or any(quantity in units for quantity in BASE) else f"{number} {units}"
 
 
 def in_words(values: Mapping[str, float], end: str = "") -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 STATE = ("modal_displacement", "modal_velocity", "slip", "contact_state")
 POINT = ("amplitude", "settled", "period", "slip_share", "separation_share", "failure")
+LISTED = 12  # values, or points, that a message names
 SAME = 1e-9  # share of a value by which one asked for may differ from one of the axis
 
 
@@ -66,11 +68,22 @@ class SavedStates:
         places = self.places(asked)
         for name, positions in places.items():
             if len(positions) > 1:
-                raise RuleError((), f"must name the {name} of a point of the sweep", _listed(self.axes[name]))
+                raise RuleError((), f"must name the {name} of a point of the sweep", self._matches(places))
         arrays = self.at(tuple(positions[0] for positions in places.values()))
         if reason := str(arrays.get("failure", "")):
             raise RuleError((), f"names a point that could not be computed: {reason}", "take another")
         return arrays
+
+    def _matches(self, places: Mapping[str, Sequence[int]]) -> str:
+        """The points at some positions along each axis, in words: all of them, or the values along each axis."""
+        free = {name: positions for name, positions in places.items() if len(positions) > 1}
+        count = prod(map(len, free.values()))
+        if len(free) == 1 or count > LISTED:
+            return "; ".join(_listed(self.axes[name], subject=name) for name in free)
+        points = (zip(free, place, strict=True) for place in product(*free.values()))
+        return f"{count} match: " + "; ".join(
+            ", ".join(f"{name} {_word(self.axes[name][i])}" for name, i in point) for point in points
+        )
 
 
 SweepPoint = tuple[float, dict[str, np.ndarray]]
@@ -122,16 +135,20 @@ def _position(name: str, values: np.ndarray, value: float | str) -> int:
     return int(np.argmax(same))
 
 
-def _listed(values: np.ndarray, near: float | str | None = None) -> str:
+def _word(value: float | str) -> str:
+    return str(value) if isinstance(value, str) else f"{value:.10g}"
+
+
+def _listed(values: np.ndarray, near: float | str | None = None, subject: str = "it") -> str:
     """Values of an axis in words: all, or the range and those next to a value."""
-    words = [str(value) if values.dtype.kind in "US" else f"{value:.10g}" for value in values]
-    if len(words) <= 12:
-        return f"it has {', '.join(words)}"
+    words = [_word(value) for value in values]
+    if len(words) <= LISTED:
+        return f"{subject} has {', '.join(words)}"
     next_to = ""
     if near is not None and not isinstance(near, str):
         close = np.sort(np.argsort(np.abs(values - near))[:2])
         next_to = f", next to it {' and '.join(words[i] for i in close)}"
-    return f"it has {len(words)} from {words[0]} to {words[-1]}{next_to}"
+    return f"{subject} has {len(words)} from {words[0]} to {words[-1]}{next_to}"
 
 
 def saved_states(path: Path) -> SavedStates:

@@ -10,7 +10,7 @@ from functools import cache, reduce
 from operator import or_
 from typing import Annotated, Any, get_args, get_origin
 
-from pydantic import BeforeValidator, Field, Tag, ValidationError, create_model
+from pydantic import AfterValidator, BeforeValidator, Field, Tag, ValidationError, create_model
 
 from timesim.fault import RuleError, nearest
 from timesim.scene.contact import Contacts
@@ -24,10 +24,29 @@ Kinds = Mapping[str, type[StudySection]]
 """The section of each kind of study."""
 
 
+def _letters(name: str) -> str:
+    if not name.isalpha():
+        raise refuse("must be the name of a unit, letters only", hint="such as m, mm, in, N, kN, lbf")
+    return name
+
+
+UnitName = Annotated[Text, AfterValidator(_letters)]
+
+
+class UnitsSection(Section):
+    """Names of the units that the scene is written in: results and pictures are labelled with them, time is in s."""
+
+    length: UnitName | None = None
+    """Such as m or mm."""
+    force: UnitName | None = None
+    """Such as N or kN; the unit of mass is that which goes with both."""
+
+
 class SceneParts(Section):
     """What a scene holds besides its study."""
 
     title: Text = ""
+    units: UnitsSection | None = None
     structure: StructureSection | None = None
     contacts: Contacts = ()
     excitation: ExcitationSection | None = None

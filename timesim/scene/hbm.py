@@ -237,6 +237,8 @@ class BalanceSection(StudySection):
 class Hbm(BalanceSection):
     """Periodic responses along a curve, through folds, by harmonic balance."""
 
+    counts: ClassVar[str] = "curves"
+
     kind: Literal["hbm"]
     frequency: Annotated[
         Annotated[Positive, Tag("<number>")] | Annotated[FrequencySpan, Tag("<mapping>")],

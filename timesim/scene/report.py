@@ -2,18 +2,28 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from math import prod
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
 
+from timesim.model.cost import (
+    SETTLING,
+    SOLUTIONS,
+    cycles_to_settle,
+    seconds_a_cycle,
+    seconds_a_solution,
+    stable_steps,
+)
 from timesim.model.model import CONE, GROUND, Contact, Model
 from timesim.model.reduction import reduction_of
+from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
+from timesim.scene.study import SteadySection
 from timesim.scene.text import value_text
+from timesim.scene.transient import Schedule
 
-REACH = 3.3
-"""Largest |eigenvalue| times step at which an explicit fifth-order method stays stable on an oscillation."""
 LISTED = 6  # entries of a list that are all shown
 STIFF_STEPS = 20_000
 """Explicit steps of a cycle above which an implicit method is advised."""
@@ -49,6 +59,7 @@ def describe(scene: Scene) -> dict[str, tuple[str, ...]]:
         report["excitation"] = tuple(_excitation_lines(model))
         report["advised method"] = tuple(_advice_lines(scene, model))
         report["left out or simplified"] = _left_out(scene, model)
+        report["cost"] = tuple(_cost_lines(scene, model))
     report["warnings"] = tuple(scene.warnings())
     return {heading: lines for heading, lines in report.items() if lines}
 
@@ -69,6 +80,49 @@ def _advice_lines(scene: Scene, model: Model) -> Iterator[str]:
         yield f"{advice}{place}"
 
 
+def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
+    """About how long the phases of the study take, and where the figures come from; nothing where none is known."""
+    study, plan, solver = scene.file.study, scene.plan, scene.solver()
+    lines = []
+    if isinstance(plan, Schedule):
+        each = [seconds_a_cycle(model, solver, frequency) for frequency, _ in plan.phases]
+        if None not in each:
+            total = sum((own or 0.0) * cycles for own, (_, cycles) in zip(each, plan.phases, strict=True))
+            cycles = sum(cycles for _, cycles in plan.phases)
+            lines.append(f"{cycles} cycles of {_duration(total / cycles)}: {_duration(total)}")
+    elif isinstance(study, SteadySection):
+        sweep = study.sweep()
+        frequency = float(np.mean(sweep.frequency))
+        cycles = cycles_to_settle(model, sweep.criterion, frequency)
+        own = seconds_a_cycle(model, solver, frequency, FEW if sweep.chained else MANY)
+        if own is not None:
+            total = sweep.size * (cycles * own + SETTLING)
+            work = f"{cycles} cycles of {_duration(own)} and {_duration(SETTLING)} beside them"
+            lines.append(f"{sweep.size} points of {work}: {_duration(total)}{study.search}")
+    balance = plan if isinstance(plan, HbmPlan) else getattr(plan, "balance", None)
+    if balance is not None:
+        curves = prod(map(len, balance.over.values())) * (1 + balance.both_ends)
+        own = seconds_a_solution(model, balance.scheme.harmonics, stability=balance.stability)
+        work = f"{SOLUTIONS} solutions of {_duration(own)}"
+        lines.append(f"{curves} curves of harmonic balance of {work}: {_duration(curves * SOLUTIONS * own)}")
+    yield from (f"about {line}" for line in lines)
+    if lines:
+        yield "as measured on one core of a server (timesim/model/cost.py); a first run compiles before that"
+
+
+FEW, MANY = 2, 16  # that a sweep marches side by side where the motion is carried along, and where it is not
+
+DURATIONS = (("h", 3600.0, 7200.0), ("min", 60.0, 120.0), ("s", 1.0, 1.0), ("ms", 1e-3, 1e-3), ("µs", 1e-6, 0.0))
+"""Units of a time: seconds of one, and from how many on it is used."""
+
+
+def _duration(seconds: float) -> str:
+    """A time with about two digits, in the unit that suits it."""
+    unit, size = next((unit, size) for unit, size, least in DURATIONS if seconds >= least)
+    number = seconds / size
+    return f"{number:.{0 if number >= 10 else 1}f} {unit}"
+
+
 def advised_method(model: Model, frequency: float | None = None) -> Advice | None:
     """Explicit unless stability would ask for very many steps; None where no frequency is known.
 
@@ -79,7 +133,7 @@ def advised_method(model: Model, frequency: float | None = None) -> Advice | Non
     frequency = frequency or model.excitation.frequency
     if frequency is None:
         return None
-    steps = model.stuck_rate / (REACH * frequency)
+    steps = stable_steps(model, frequency)
     return Advice("kvaerno5" if steps > STIFF_STEPS else "tsit5", steps)
 
 
@@ -149,6 +203,8 @@ def _study_lines(scene: Scene) -> Iterator[str]:
     if scene.file.title:
         yield scene.file.title
     written, initial = scene.source.data, scene.file.initial
+    if scene.file.units is not None:
+        yield f"units: {_keys(scene.file.units, ())}"
     yield f"study: {_keys(scene.file.study, ('kind', *written['study']))}"
     if extent := scene.file.study.extent():
         yield f"points: {extent}"

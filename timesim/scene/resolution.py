@@ -19,6 +19,7 @@ from timesim.model.scales import out_of_range
 from timesim.model.solver import Solver
 from timesim.model.start import rest_start
 from timesim.scene.file import NO_NUMBER, Kinds, SceneFile, SceneParts, parsed, rule_errors
+from timesim.scene.hbm import HbmPlan
 from timesim.scene.integration import EndOfRun, InitialResult, start
 from timesim.scene.source import SceneSource, empty_values, overridden, read
 from timesim.scene.structure import BuiltStructure, ExcitationSection
@@ -28,6 +29,8 @@ from timesim.scene.transient import Schedule
 
 NO_FORCE = ExcitationSection()
 LARGE_RESULT = 1.0  # gigabytes of samples
+FEWEST_SAMPLES = 8  # of a cycle, between which its motion can be guessed
+MOST_SAMPLES = 2**16  # of a period of a balance
 FAR_ABOVE = 100.0
 """Modes from matrices above this multiple of the highest excitation frequency are worth a warning."""
 
@@ -294,6 +297,13 @@ def _large_numbers(plan: Any, model: Model) -> Iterator[str]:
         if gigabytes > LARGE_RESULT:
             advice = "record_last or a smaller samples_per_cycle would do with less"
             yield f"study: {plan.num_samples} samples make a result of {gigabytes:.2g} GB; {advice}"
+        if plan.samples_per_cycle < FEWEST_SAMPLES:
+            so = "cycle_amplitude is that of the continuous motion all the same"
+            yield f"study: {plan.samples_per_cycle} samples of a cycle show little of its motion; {so}"
+    balance = plan if isinstance(plan, HbmPlan) else getattr(plan, "balance", None)
+    if balance is not None and (balance.scheme.time_samples or 0) > MOST_SAMPLES:
+        so = "each solution takes seconds; study.convergence tells how few are enough"
+        yield f"study.time_samples: {balance.scheme.time_samples} samples of a period: {so}"
 
 
 def _still_parts(file: SceneFile, model: Model) -> Iterator[str]:

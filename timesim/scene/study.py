@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from timesim.fault import Key, RuleError, nearest
 from timesim.model.model import Model
-from timesim.model.solver import Criterion
+from timesim.model.solver import SHOOT, SLOW, Criterion
 from timesim.scene.contact import ContactSection
 from timesim.scene.section import Section, refuse
 from timesim.scene.value import Count, Frequencies, Positive, Text, Values, axis_values, repeated
@@ -107,6 +107,9 @@ class StudySection(Section):
     keeps_failures: ClassVar[bool] = False
     """Whether a combination of values that makes no scene becomes a failed point, beside others that do make one."""
 
+    counts: ClassVar[str] = "points"
+    """What its progress is counted in."""
+
     kind: str
 
     @abc.abstractmethod
@@ -167,6 +170,11 @@ class SweepPlan:
         """Whether the motion is carried along."""
         return self.directions != ("independent",)
 
+    @property
+    def size(self) -> int:
+        """Number of points."""
+        return self.frequency.size * prod(map(len, self.over.values())) * len(self.directions)
+
 
 class SteadySection(StudySection):
     """A study of steady states by time integration."""
@@ -177,11 +185,12 @@ class SteadySection(StudySection):
     settle: Settle = Settle()
     """When a motion counts as settled."""
     periodic: Literal["march", "shoot"] = "march"
-    """How a periodic motion is sought: marching until it settles, or Newton's method on the state after a period."""
+    """How a periodic motion is sought: marching, and Newton's method on the state after a period after 256 cycles, or,
+    with shoot, after 16."""
 
     def criterion(self) -> Criterion:
         """When a motion counts as settled, in numbers."""
-        return Criterion(self.settle.tolerance, self.settle.max_cycles, self.periodic == "shoot")
+        return Criterion(self.settle.tolerance, self.settle.max_cycles, SHOOT if self.periodic == "shoot" else SLOW)
 
     @abc.abstractmethod
     def sweep(self) -> SweepPlan:
@@ -198,8 +207,7 @@ class SteadySection(StudySection):
         factors += [f"{len(values)} values of {key}" for key, values in plan.over.items()]
         if len(plan.directions) > 1:
             factors.append(f"{len(plan.directions)} directions")
-        total = plan.frequency.size * prod(map(len, plan.over.values())) * len(plan.directions)
-        points = f"{' x '.join(factors)} = {total} points" if len(factors) > 1 else factors[0]
+        points = f"{' x '.join(factors)} = {plan.size} points" if len(factors) > 1 else factors[0]
         return f"{points}{self.search}"
 
 

@@ -50,6 +50,13 @@ class Schedule:
             cycle += cycles
         return np.concatenate([*times, edges[-1:]])
 
+    def place(self, cycles: int) -> str:
+        """Where a run is after a number of cycles, in words."""
+        ends = list(accumulate(cycles for _, cycles in self.phases))
+        phase = sum(end <= cycles for end in ends[:-1])
+        name = f"phase {phase - self.run_up + 1} of {len(ends) - self.run_up}" if phase >= self.run_up else "run-up"
+        return f"{name + ', ' if len(ends) > 1 else ''}{cycles} of {ends[-1]} cycles"
+
     def cycle_frequency(self) -> np.ndarray:
         """Frequency of each cycle [Hz], shape (cycles,)."""
         frequency, cycles = zip(*self.phases, strict=True)
@@ -61,6 +68,7 @@ class Transient(StudySection):
 
     requires: ClassVar[tuple[str, ...]] = ("structure", "excitation", "excitation.frequency")
     uses_frequency: ClassVar[bool] = True
+    counts: ClassVar[str] = "cycles"
 
     kind: Literal["transient"]
     cycles: Count
@@ -95,6 +103,8 @@ class FrequencyPhase(Section):
 
 class Jump(StudySection):
     """One run through a schedule of frequencies, the phase of the excitation continuous across its changes."""
+
+    counts: ClassVar[str] = "cycles"
 
     kind: Literal["jump"]
     phases: Annotated[tuple[FrequencyPhase, ...], Field(min_length=1)]

@@ -13,20 +13,24 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.model.model import Model
-from timesim.model.solver import Criterion, Solver
+from timesim.model.solver import NEVER, Criterion, Solver
 from timesim.orbit.basin import LOWER, UPPER, explore, shares
 from timesim.orbit.batch import SIZES
+from timesim.orbit.fourier import phase_deg
 from timesim.orbit.settling import Chain, steady_states, warm_up
 from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of, end_of
 from timesim.orbit.two_motions import UP, Search, ranges_of
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import BistablePlan
-from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through, halted
+from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through, point_done
+from timesim.study.execution.progress import CURVE, Phases
 from timesim.study.hbm import followed
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import bistable_lines, failure_line, fold_lines, number_of_states, unusual_lines
 from timesim.study.sweep import STEPS_A_CHUNK, Grid, sizes_of
+
+SEARCH = "sweeps, ends and starts"  # phase of the progress
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,7 @@ class Payload:
 
     def steady(self, chains: Sequence[Chain]) -> list[list[Orbit]]:
         """Their steady states."""
-        return steady_states(chains, self.solver, self.criterion, halted=halted)
+        return steady_states(chains, self.solver, self.criterion, halted=point_done)
 
 
 @dataclass(frozen=True)
@@ -81,14 +85,15 @@ class Ends(Payload):
 
 @dataclass(frozen=True)
 class Starts(Payload):
-    """The ensemble of starts, so many along each side."""
+    """The ensemble of starts, so many along each side; they are marched, so that each leads where it would lead."""
 
     num: int
 
     def result(self, before: Result | None) -> Result:
         """What has become of them, beside the ranges."""
         assert before is not None
-        return dict(before) | explore(self.model, self.steady, before, self.num)
+        marching = replace(self, criterion=replace(self.criterion, first_shot=NEVER))
+        return dict(before) | explore(self.model, marching.steady, before, self.num)
 
 
 def work(payload: Part | Ends | Starts, before: Result | None) -> Result:
@@ -104,18 +109,24 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     """
     plan: BistablePlan = scene.plan
     solver, grid = scene.solver(), Grid(scene, plan.sweep)
-    clock = time.perf_counter()
+    earlier, clock = execution.earlier(""), time.perf_counter()
     sizes = SIZES if plan.starts**2 > SIZES[0] else SIZES[:1]
     warm_up([Chain(grid.any_model, (float(grid.frequency[0]),))], solver, sizes)
     compiling = time.perf_counter() - clock
-    results, reason = carry_through(chunks(grid, plan, solver), work, execution, identity=scene.resolved_yaml())
-    running = time.perf_counter() - clock - compiling
+    every = chunks(grid, plan, solver)
+    curves = 0 if plan.balance is None else 2 * len(grid.models)
+    phases = Phases(execution.progress, {SEARCH: sum(chunk.size for chunk in every), "balance": CURVE * curves})
+    searching = replace(execution, progress=phases[SEARCH])
+    searching.show(0, 1)
+    results, reason = carry_through(every, work, searching, identity=scene.resolved_yaml())
+    running = earlier + time.perf_counter() - clock - compiling
     gathered = Gathered(grid, plan, results)
     sweep = gathered.sweep({"method": str(solver), "compile_seconds": compiling, "run_seconds": running})
     states = f"{number_of_states(sweep)} steady states of both sweeps, and the search, in {running:.2f} s"
     lines, groups, reasons = [states, *unusual_lines(sweep)], {"sweep": sweep}, [reason or failure_line(sweep)]
     if plan.balance is not None and not (reason or "").startswith(INTERRUPTED):
-        hbm, _, hbm_reason = followed(scene, plan.balance)
+        after = replace(execution, progress=phases["balance"])
+        hbm, _, hbm_reason = followed(scene, plan.balance, after, stage="balance")
         groups["hbm"] = hbm
         lines += fold_lines(hbm)
         compiling, running = (compiling + hbm.attrs["compile_seconds"], running + hbm.attrs["run_seconds"])
@@ -153,13 +164,17 @@ DIMS: dict[str, tuple[str, ...]] = {
     "range": ("end",),
     "range_cut": ("end",),
     "range_settled": ("end",),
+    "range_irregular": ("end",),
     "jump_from": ("end", *SPOT),
     "jump_to": ("end", *SPOT),
     "amplitude_lower": SPOT,
     "amplitude_upper": SPOT,
+    "period": ("motion",),
     "floquet_max": ("motion",),
     "slip_share": ("motion", "contact"),
     "separation_share": ("motion", "contact"),
+    "phase_deg": ("motion", *SPOT),
+    "dissipated_power": ("motion", "contact"),
 }
 OF_STARTS: dict[str, tuple[str, ...]] = {
     "start_branch": ("share_lower", "share_upper"),
@@ -168,7 +183,8 @@ OF_STARTS: dict[str, tuple[str, ...]] = {
     "offset_low": ("motion", "contact", "tangent"),
     "offset_high": ("motion", "contact", "tangent"),
 }
-WHOLE = ("range_cut", "range_settled", "start_branch", "start_cycles")  # numbers; -1 where there is no range
+# Numbers; -1 where there is no range.
+WHOLE = ("range_cut", "range_settled", "range_irregular", "period", "start_branch", "start_cycles")
 
 
 class Gathered:
@@ -220,9 +236,16 @@ class Gathered:
         """A quantity of all ranges, shape (sets, ranges, ...); NaN, or -1, where there are fewer."""
         fill, kind = (-1, np.int32) if name in WHOLE else (np.nan, float)
         table = np.full((len(self.whole), self.count, *shape), fill, dtype=kind)
-        side = {"amplitude_lower": LOWER, "amplitude_upper": UPPER}.get(name)
         for v, result in enumerate(self.whole):
-            rows = None if result is None else result["amplitude"][:, side] if side is not None else result.get(name)
+            rows = None if result is None else _of_ranges(result, name)
             if rows is not None:
                 table[v, : len(rows)] = rows
         return table
+
+
+def _of_ranges(result: Result, name: str) -> np.ndarray | None:
+    """A quantity of the ranges of one set of values; None if it is not known."""
+    if name == "phase_deg":
+        return phase_deg(result["phasor"])
+    side = {"amplitude_lower": LOWER, "amplitude_upper": UPPER}.get(name)
+    return result.get(name) if side is None else result["amplitude"][:, side]

@@ -7,10 +7,10 @@ motion is linear, so agreement there proves nothing, and the verdict leaves it o
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import product
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -33,8 +33,9 @@ from timesim.result.state import states_in
 from timesim.scene.hbm import ComparePlan
 from timesim.scene.resolution import Scene
 from timesim.study.execution.campaign import INTERRUPTED, Execution
+from timesim.study.execution.progress import CURVE, Phases
 from timesim.study.hbm import Curves, followed, left_out
-from timesim.study.outcome import Outcome, attributes
+from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import jump_lines
 from timesim.study.sweep import sweep_record
 from timesim.study.verdict import compared_points, comparison_lines, curve_lines
@@ -101,16 +102,21 @@ def _solutions(curves: Curves, values: Mapping[str, float], frequency: np.ndarra
 def study(scene: Scene, execution: Execution) -> Outcome:
     """Run a compare scene; marked incomplete where either method did not come to its end."""
     plan: ComparePlan = scene.plan
-    clock = time.perf_counter()
-    sweep, sweep_reason = sweep_record(scene, plan.sweep, execution)
-    seconds = time.perf_counter() - clock
+    size, sets = plan.sweep.size, prod(map(len, plan.sweep.over.values()))
+    phases = Phases(execution.progress, {"sweep": size, "balance": CURVE * sets, "comparison": size / 2})
+    sweep, sweep_reason = sweep_record(scene, plan.sweep, replace(execution, progress=phases["sweep"]))
+    seconds = sweep.attrs["run_seconds"]
+    # What is kept of the balance belongs to a whole sweep.
+    folder = execution.folder if sweep_reason is None else None
+    after = replace(execution, progress=phases["balance"], folder=folder)
     given_up = (sweep_reason or "").startswith(INTERRUPTED)
     hbm, curves, hbm_reason = (
-        left_out(scene, plan.balance) if given_up else followed(scene, plan.balance, passing=states_in(sweep))
+        left_out(scene, plan.balance) if given_up else followed(scene, plan.balance, after, states_in(sweep), "balance")
     )
     faults = [f"{name}: {why}" for name, why in (("sweep", sweep_reason), ("hbm", hbm_reason)) if why]
     reason = "; ".join(faults) or None
     amplitude = sweep["amplitude"]
+    phases["comparison"](0, 1, "comparison of the methods")
     match = matched(amplitude.values.reshape(-1, *amplitude.shape[-4:]), sweep["frequency"].values, curves)
     points = compared_points(sweep, hbm, match.difference)
     lines = [*jump_lines(sweep), *comparison_lines(points)]
@@ -172,7 +178,7 @@ def cycle_by_both(scene: Scene, curves: Curves, match: Match, place: tuple[int, 
     }
     coords = {"found_by": np.array(METHODS), "excitation_angle": np.rad2deg(angle)}
     where = ", ".join(filter(None, (f"{frequency:g} Hz", in_words(values))))
-    return dataset(variables, coords, {"place": where}, model)
+    return dataset(variables, coords, {"place": where} | unit_names(scene), model)
 
 
 def _contacts(balance: Balance, coefficient: Array) -> tuple[Array, Array]:

@@ -93,7 +93,7 @@ class March:
                 keep = np.concatenate(list(pool.map(partial(self._cycle, cycle), batches)))
                 waiting = waiting[keep]
                 if progress is not None:
-                    progress(done - waiting.size, done)
+                    progress(done - waiting.size, done, f"cycle {cycle}, {waiting.size} of {done} points to settle")
                 if not waiting.size:
                     break
         return self.result
@@ -180,6 +180,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     march, reason = March(elements, phase, solver), None
     result = march.result
     try:
+        execution.show(0, elements.size)
         march.run(execution.progress)
     except KeyboardInterrupt:
         reason = f"{INTERRUPTED} with {np.sum(~result.settled)} of {elements.size} points unsettled (settled = 0)"

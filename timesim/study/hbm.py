@@ -1,7 +1,8 @@
 """The `hbm` study: response curves by harmonic balance, one or several for each set of values of the further axes."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -19,14 +20,22 @@ from timesim.model.model import Model
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.steady_state import switches
 from timesim.result.dataset import dataset
+from timesim.result.file import StoreError
 from timesim.result.label import in_words
 from timesim.result.state import SavedStates, SweepPoint, settled_points, start_of
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
 from timesim.scene.study import combinations
-from timesim.study.execution.campaign import Execution, Progress
+from timesim.study.execution.campaign import Execution
+from timesim.study.execution.progress import Phases
+from timesim.study.kept_curves import KeptCurves, kept_curves
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.verdict import convergence_lines, curve_lines
+
+Sweep = tuple[SavedStates, Mapping[str, float | str]]
+"""Points of a sweep by the values along its axes."""
+
+FOLLOWED = 0.6  # of the time of a curve; its multipliers take the rest
 
 REFINED = 6  # solutions that harmonics and samples are refined for, beside the largest
 
@@ -61,11 +70,12 @@ class Curves:
         self.faults: list[str] = []
         self.notes: list[str] = []
 
-    def run(self, progress: Progress | None = None, passing: SavedStates | None = None) -> str | None:
+    def run(self, execution: Execution, kept: KeptCurves, passing: SavedStates | None = None) -> str | None:
         """Follow all curves.
 
         Args:
-            progress: called with the sets of values done and their number.
+            execution: takes in the progress, in sets of values.
+            kept: the curves that are taken up, and where the others are kept.
             passing: a sweep whose settled points are to be passed, beside that of the plan's start.
 
         Returns:
@@ -73,18 +83,39 @@ class Curves:
         """
         sweeps = [sweep for sweep in (self.plan.passing, passing and (passing, {})) if sweep]
         try:
-            for count, values in enumerate(self.values):
-                for curve in self._from_ends(values):
-                    self._add(curve)
-                for sweep in sweeps:
-                    for curve in self._through(values, *sweep):
-                        self.notes.append(_isolated(curve))
-                        self._add(curve)
-                if progress is not None:
-                    progress(count + 1, len(self.values))
+            for place, values in enumerate(self.values):
+                first, notes = len(self.curves), len(self.notes)
+                growth = Growth(self, values, execution, kept)
+                if (done := kept.load(place)) is None:
+                    self._follow(values, sweeps, growth)
+                    kept.save(place, [one.curve for one in self.curves[first:]], self.notes[notes:])
+                else:
+                    self.notes += done[1]
+                    for curve in done[0]:
+                        self._add(StudyCurve(values, self._model_at(values), curve))
+                execution.show(place + 1, len(self.values), "harmonic balance")
         except KeyboardInterrupt:
             self.faults.append(f"interrupted at curve {len(self.curves) + 1}")
+        except StoreError as error:
+            self.faults.append(str(error))
         return "; ".join(self.faults) or None
+
+    def _follow(self, values: dict[str, float], sweeps: Sequence[Sweep], growth: "Growth") -> None:
+        """The curves of a set of values."""
+        for curve in self._from_ends(values, growth):
+            self._add(curve)
+        for sweep in sweeps:
+            for curve in self._through(values, *sweep, growth):
+                self.notes.append(_isolated(curve))
+                self._add(curve)
+
+    def _model_at(self, values: dict[str, float]) -> Callable[[float], Model]:
+        """The model for a value of the parameter of a curve with these values."""
+        if self.plan.along is None:
+            model = self.scene.variant(values)
+            return lambda _: model
+        key = self.plan.along.key
+        return lambda p: self.scene.variant({**values, key: p})
 
     def _add(self, curve: StudyCurve) -> None:
         self.curves.append(curve)
@@ -93,13 +124,12 @@ class Curves:
         if curve.curve.ending is Ending.INTERRUPTED:
             raise KeyboardInterrupt
 
-    def _from_ends(self, values: dict[str, float]) -> Iterator[StudyCurve]:
+    def _from_ends(self, values: dict[str, float], growth: "Growth") -> Iterator[StudyCurve]:
         """The curves from the ends of the range, or from the motion that the plan gives."""
-        plan, along, options = self.plan, self.plan.along, self._options()
+        plan, along, options = self.plan, self.plan.along, self._options(growth)
+        model_at = self._model_at(values)
         guess, begin = (plan.motion.modal, plan.motion.frequency) if plan.motion is not None else (None, None)
         if along is not None:
-            key = along.key
-            model_at: Callable[[float], Model] = lambda p: self.scene.variant({**values, key: p})  # noqa: E731
             curve = parameter_curve(model_at, plan.span[0], along.first, along.last, guess=guess, **options)
             yield StudyCurve(values, model_at, curve)
             return
@@ -108,10 +138,10 @@ class Curves:
             curves = curves_from_both_ends(model, *plan.span, **options)
         else:
             curves = [hbm_curve(model, *plan.span, guess=guess, begin=begin, **options)]
-        yield from (StudyCurve(values, lambda _: model, curve) for curve in curves)
+        yield from (StudyCurve(values, model_at, curve) for curve in curves)
 
     def _through(
-        self, values: dict[str, float], states: SavedStates, asked: Mapping[str, float | str]
+        self, values: dict[str, float], states: SavedStates, asked: Mapping[str, float | str], growth: "Growth"
     ) -> Iterator[StudyCurve]:
         """Curves from settled points of a sweep that no other curve passes: isolated branches, it may be.
 
@@ -128,8 +158,8 @@ class Curves:
             for point in points
         ]
         known = [curve.curve for curve in self.curves if curve.values == values]
-        for curve in isolated_curves(model, known, motions, self.plan.span, **self._options()):
-            yield StudyCurve(values, lambda _: model, curve)
+        for curve in isolated_curves(model, known, motions, self.plan.span, **self._options(growth)):
+            yield StudyCurve(values, self._model_at(values), curve)
 
     def _coefficients(self, model: Model, states: SavedStates, point: SweepPoint) -> np.ndarray | None:
         """Modal Fourier coefficients of a point of a sweep; None with a note where this model cannot start from it."""
@@ -141,9 +171,9 @@ class Curves:
             return None
         return modal_coefficients(replace(model, start=start), frequency, self.scene.solver())
 
-    def _options(self) -> dict[str, Any]:
+    def _options(self, growth: "Growth") -> dict[str, Any]:
         controls = Controls(**self.plan.steps)
-        return {"scheme": self.scheme, "controls": controls, "stability": self.plan.stability}
+        return {"scheme": self.scheme, "controls": controls, "stability": self.plan.stability, "watch": growth}
 
     def to_refine(self) -> list[Known]:
         """Stable solutions where a contact switches, spread over all curves, and the largest of them."""
@@ -159,6 +189,31 @@ class Curves:
         chosen = set(np.linspace(0, len(rows) - 1, min(REFINED, len(rows))).round().astype(int).tolist())
         chosen.add(int(np.argmax([curve.curve.amplitude[i].max() for curve, i in rows])))
         return [_known(*rows[k]) for k in sorted(chosen)]
+
+
+class Growth:
+    """What is shown, and kept, of a curve while it is followed."""
+
+    def __init__(self, curves: Curves, values: Mapping[str, float], execution: Execution, kept: KeptCurves):
+        self.curves, self.values, self.execution, self.kept = curves, values, execution, kept
+        self.first = len(curves.curves)
+
+    def __call__(self, share: float, so_far: Callable[[], HbmCurve]) -> None:
+        curves, plan = self.curves, self.curves.plan
+        before = len(curves.curves) - self.first
+        # From how many points of a sweep a curve of its own begins is not known.
+        expected = max(before + 1, 1 + plan.both_ends)
+        sets = curves.values.index(dict(self.values)) + (before + FOLLOWED * share) / expected
+        words = f"curve {len(curves.curves) + 1}: {share:.0%} of the range"
+        self.execution.show(sets, len(curves.values), ", ".join(filter(None, (words, in_words(self.values)))))
+        self.kept.grow(lambda: self._record(so_far()))
+
+    def _record(self, curve: HbmCurve) -> Dataset:
+        """The result so far."""
+        scene, partial_ = self.curves.scene, copy(self.curves)
+        partial_.curves = [*self.curves.curves, StudyCurve(self.values, lambda _: scene.model(), curve)]
+        attrs = attributes(scene, str(partial_.scheme), 0.0, 0.0, curve.message)
+        return solutions(scene.model(), partial_, attrs)
 
 
 def _known(curve: StudyCurve, i: int) -> Known:
@@ -177,22 +232,41 @@ def _isolated(curve: StudyCurve) -> str:
 
 def study(scene: Scene, execution: Execution) -> Outcome:
     """Run an hbm scene; the result is marked incomplete where a curve could not be followed to its end."""
-    data, curves, reason = followed(scene, scene.plan, execution.progress)
+    data, curves, reason = followed(scene, scene.plan, execution)
     return Outcome({"": data}, reason, tuple(curve_lines(data, curves.notes)))
 
 
 def followed(
-    scene: Scene, plan: HbmPlan, progress: Progress | None = None, passing: SavedStates | None = None
+    scene: Scene, plan: HbmPlan, execution: Execution, passing: SavedStates | None = None, stage: str = ""
 ) -> tuple[Dataset, Curves, str | None]:
-    """All curves of a scene, those through the points of a sweep too: the result, they, and why some are not whole."""
+    """All curves of a scene, those through the points of a sweep too: the result, they, and why some are not whole.
+
+    Args:
+        scene, plan, execution: what is followed, and how.
+        passing: a sweep whose settled points are to be passed too.
+        stage: of the study in which the curves are kept; empty where they are the whole of it.
+    """
     curves = Curves(scene, plan)
+    phases = Phases(execution.progress, {"curves": len(curves.values), "convergence": int(plan.convergence)})
+    phases["curves"](0, 1, "harmonic balance, compiling")
     compiling = _warmed_up(scene, plan)
-    clock = time.perf_counter()
-    reason = curves.run(progress, passing)
+    phases["curves"](0, 1, "harmonic balance")
+    with kept_curves(execution, scene.resolved_yaml(), _sets(curves), stage) as kept:
+        clock = time.perf_counter() - kept.earlier
+        reason = curves.run(replace(execution, progress=phases["curves"]), kept, passing)
+    if plan.convergence:
+        phases["convergence"](0, 1, "convergence of the balance")
     refined = convergence(curves.to_refine(), curves.scheme) if plan.convergence and reason is None else None
     seconds = time.perf_counter() - clock
     attrs = attributes(scene, str(curves.scheme), compiling, seconds, reason)
     return solutions(scene.model(), curves, attrs, refined), curves, reason
+
+
+def _sets(curves: Curves) -> list[Any]:
+    """What the curves of each set of values are determined by beside the scene: files that it names."""
+    plan, states = curves.plan, curves.plan.passing
+    arrays = {name: array.astype(str) for name, array in states[0].arrays.items()} if states else {}
+    return [(curves.scene.variant(values), plan.motion, arrays) for values in curves.values]
 
 
 def left_out(scene: Scene, plan: HbmPlan) -> tuple[Dataset, Curves, str | None]:
@@ -215,9 +289,9 @@ def solutions(model: Model, curves: Curves, attrs: Mapping[str, Any], refined: C
     points, contacts, order = len(model.structure.points), model.num_contacts, curves.scheme.harmonics + 1
     shapes = {
         **dict.fromkeys(("frequency", "stable", "fold", "branch", "floquet_max", "closure"), ()),
-        "amplitude": (points, 3),
+        **dict.fromkeys(("amplitude", "phase_deg"), (points, 3)),
         **dict.fromkeys(("harmonic_amplitude", "harmonic_cos", "harmonic_sin"), (order, points, 3)),
-        **dict.fromkeys(("slip_share", "separation_share"), (contacts,)),
+        **dict.fromkeys(("slip_share", "separation_share", "dissipated_power"), (contacts,)),
     }
     arrays = {name: _stacked(curves, name, shape) for name, shape in shapes.items()}
     arrays |= {name: arrays[name].astype(np.int8) for name in ("stable", "fold")}

@@ -18,19 +18,23 @@ from timesim.fault import SceneError
 from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
 from timesim.orbit.settling import Chain, steady_states, warm_up
-from timesim.orbit.steady_state import Orbit, columns_of
+from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import OptimumPlan
-from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through, halted
-from timesim.study.outcome import Outcome, attributes
+from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through, point_done
+from timesim.study.execution.progress import Phases
+from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import failure_line, optimum_lines
+from timesim.study.sweep import Variables, blank_columns, variables_of
 
 NEARLY = 0.9  # of the largest: other maxima that may be larger between the points of the sweep
 FINE = 1e-3  # of a step of the sweep: the frequency of a peak, whose height depends on it in second order only
 TIE = 1e-7  # of a peak: smaller differences are those of the time integration
 CHECKS = 6  # times that a smaller peak beside the optimum is followed
-COLUMNS = ("amplitude", "settled", "cycles", "reason")
+
+
+FIRST, SEARCH = "values of the range", "search for the least"  # phases of the progress
 
 
 @dataclass(frozen=True)
@@ -60,12 +64,12 @@ def respond(response: Response, before: Result | None) -> Result:
     """Both sweeps of a scene and their peak."""
     model, up = response.model, response.frequencies
     chains = [Chain(model, up), Chain(model, up[::-1])]
-    orbits = steady_states(chains, response.solver, response.criterion, halted=halted)
+    orbits = steady_states(chains, response.solver, response.criterion, halted=point_done)
     orbits[1] = orbits[1][::-1]
     columns = columns_of(orbits)
     height, frequency, at_end, settled = _peak(response, orbits)
     peak = {"peak": height, "peak_frequency": frequency, "peak_at_end": int(at_end), "peak_settled": int(settled)}
-    return {name: columns[name] for name in COLUMNS} | {name: np.array(value) for name, value in peak.items()}
+    return columns | {name: np.array(value) for name, value in peak.items()}
 
 
 def _peak(response: Response, orbits: list[list[Orbit]]) -> tuple[float, float, bool, bool]:
@@ -96,7 +100,7 @@ def _refined(response: Response, orbit: Orbit, i: int) -> tuple[float, float]:
 
     def fall(frequency: float) -> float:
         chain = Chain(model, (float(frequency),))
-        ((there,),) = steady_states([chain], response.solver, response.criterion, halted=halted)
+        ((there,),) = steady_states([chain], response.solver, response.criterion, halted=point_done)
         size = response.size(there)
         seen.append((size if np.isfinite(size) else -np.inf, float(frequency)))
         return -seen[-1][0]
@@ -111,6 +115,9 @@ class Peaks:
     def __init__(self, scene: Scene, execution: Execution):
         plan: OptimumPlan = scene.plan
         self.scene, self.plan, self.execution = scene, plan, execution
+        points = 2 * plan.frequency.size
+        sizes = {FIRST: len(plan.values) * points, SEARCH: _stages(plan) * points}
+        self.phases = Phases(execution.progress, sizes)
         self.key, self.solver, self.frequency = plan.key, scene.solver(), plan.frequency
         self.results: dict[float, Result] = {}
         self.stages = 0
@@ -135,12 +142,18 @@ class Peaks:
         except SceneError as error:
             raise SearchError(str(error)) from None
         identity = self.scene.resolved_yaml()
-        results, reason = carry_through(chunks, respond, self.execution, identity=identity, stage=stage)
+        execution = replace(self.execution, progress=self._searched if stage else self.phases[FIRST])
+        results, reason = carry_through(chunks, respond, execution, identity=identity, stage=stage)
         for chunk, value in zip(chunks, values, strict=True):
             if chunk.name in results:
                 self.results[value] = results[chunk.name]
         if reason is not None:
             raise SearchError(reason)
+
+    def _searched(self, done: float, number: float, phase: str = "", /) -> None:
+        """Take in the progress of a stage of the search, which may need more of them than is expected."""
+        stages = max(_stages(self.plan), self.stages + 1)
+        self.phases[SEARCH](self.stages - 1 + done / number, stages, f"{SEARCH}, value {self.stages}")
 
     def at(self, value: float) -> float:
         """The peak at a value.
@@ -195,12 +208,19 @@ class Peaks:
         raise SearchError(f"the peak still falls beside {self.key} = {self.least():g}; give a larger accuracy")
 
 
+def _stages(plan: OptimumPlan) -> int:
+    """Values that the search is expected to take: golden sections down to the accuracy, and those beside the least."""
+    between = 2 * (plan.values[-1] - plan.values[0]) / (len(plan.values) - 1)
+    return 3 + round(np.log(max(between / plan.accuracy, 1.0)) / np.log((1 + np.sqrt(5)) / 2))
+
+
 def study(scene: Scene, execution: Execution) -> Outcome:
     """Run an optimum scene; incomplete where the least peak was not found, or points of a sweep failed."""
     peaks, reason = Peaks(scene, execution), None
-    clock = time.perf_counter()
+    earlier, clock = execution.earlier(), time.perf_counter()
     warm_up([Chain(scene.model(), (float(peaks.frequency[0]),))], peaks.solver, [2])
     compiling = time.perf_counter() - clock
+    execution.show(0, 1)
     try:
         peaks.first()
         peaks.search()
@@ -208,7 +228,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         reason = str(error)
     data = data_of(peaks)
     reason = reason or failure_line(data)
-    seconds = time.perf_counter() - clock - compiling
+    seconds = earlier + time.perf_counter() - clock - compiling
     attrs = attributes(scene, str(peaks.solver), compiling, seconds, reason)
     attrs |= {name: value for name, value in (("point", peaks.plan.point), ("axis", peaks.plan.axis)) if value}
     data = data.assign_attrs(attrs)
@@ -219,25 +239,26 @@ def data_of(peaks: Peaks) -> Dataset:
     """The result file: all values that were looked at, ascending, and the best of them."""
     values = sorted(peaks.results)
     model = peaks.scene.model()
-    shape, points = (len(values), 2, peaks.frequency.size), len(model.structure.points)
+    key, grid = peaks.key, {peaks.key: len(values), "direction": 2, "frequency": peaks.frequency.size}
 
-    def column(name: str, *own: int) -> np.ndarray:
-        return np.array([peaks.results[value][name] for value in values]).reshape(len(values), *own)
-
-    key, grid = peaks.key, (peaks.key, "direction", "frequency")
+    columns = blank_columns(model, *grid.values())
+    for row, value in enumerate(values):
+        for name in COLUMNS:
+            columns[name][row] = peaks.results[value][name]
     least = peaks.least()
     best = peaks.results.get(least, {})
-    variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {
-        **{name: ((key,), column(name)) for name in ("peak", "peak_frequency", "peak_at_end", "peak_settled")},
+    variables: Variables = {
+        **variables_of(columns, grid),
+        **{
+            name: ((key,), np.array([peaks.results[value][name] for value in values]))
+            for name in ("peak", "peak_frequency", "peak_at_end", "peak_settled")
+        },
         "optimum": ((), np.array(least)),
         "optimum_peak": ((), np.array(best.get("peak", np.nan))),
         "optimum_frequency": ((), np.array(best.get("peak_frequency", np.nan))),
-        "amplitude": ((*grid, "point", "axis"), column("amplitude", *shape[1:], points, 3)),
-        "settled": (grid, column("settled", *shape[1:]).astype(np.int8)),
-        "cycles": (grid, column("cycles", *shape[1:]).astype(np.int32)),
-        "failure": (grid, column("reason", *shape[1:]).astype(str)),
+        "final_phase_deg": ((), np.array(np.rad2deg(model.start.phase) % 360)),
     }
     coords = {key: np.array(values), "direction": np.array(["up", "down"]), "frequency": peaks.frequency}
-    data = dataset(variables, coords, {}, model)
+    data = dataset(variables, coords, unit_names(peaks.scene), model)
     data["optimum"].attrs |= {name: text for name, text in data[key].attrs.items() if name == "units"}
     return data

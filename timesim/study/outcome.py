@@ -26,12 +26,20 @@ class Outcome:
     summary: tuple[str, ...] = ()
 
 
+def unit_names(scene: Scene) -> dict[str, str]:
+    """Attributes of a Dataset that name the scene's own units, by which `timesim.result.dataset.dataset` labels it."""
+    units = scene.file.units
+    names = {} if units is None else {"length_unit": units.length, "force_unit": units.force}
+    return {attribute: name for attribute, name in names.items() if name}
+
+
 def attributes(scene: Scene, method: str, compiling: float, running: float, reason: str | None) -> dict[str, Any]:
     """Attributes of every result file; ``reason``: why the run ended early, None if it is complete."""
     attrs = {
         "timesim_version": version("timesim"),
         "scene": scene.resolved_yaml(),
         "title": scene.file.title,
+        **unit_names(scene),
         "study": scene.kind,
         "complete": int(reason is None),
         "method": method,

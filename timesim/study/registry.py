@@ -12,7 +12,7 @@ imported inside functions where these stand in one module.
 """
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -41,12 +41,14 @@ class Study:
         run: the function ``(scene, execution) -> Outcome``.
         pictures: its pictures, a mapping from the name of a file to a function; empty if it has none.
         in_chunks: whether it works in chunks of points, so that it can be resumed and spread over processes.
+        in_curves: whether it keeps its finished curves, so that it can be resumed.
     """
 
     section: str
     run: str
     pictures: str = ""
     in_chunks: bool = False
+    in_curves: bool = False
 
 
 STUDIES = {
@@ -55,7 +57,7 @@ STUDIES = {
     "element": Study(".scene.element:Element", ".study.element:study", ".picture.element:PICTURES"),
     "element_map": Study(".scene.element:ElementMap", ".study.element_map:study", ".picture.element_map:PICTURES"),
     "sweep": Study(".scene.sweep:Sweep", ".study.sweep:study", ".picture.sweep:PICTURES", in_chunks=True),
-    "hbm": Study(".scene.hbm:Hbm", ".study.hbm:study", ".picture.hbm:PICTURES"),
+    "hbm": Study(".scene.hbm:Hbm", ".study.hbm:study", ".picture.hbm:PICTURES", in_curves=True),
     "compare": Study(".scene.hbm:Compare", ".study.compare:study", ".picture.compare:PICTURES", in_chunks=True),
     "bistable": Study(".scene.sweep:Bistable", ".study.bistable:study", ".picture.bistable:PICTURES", in_chunks=True),
     "optimum": Study(".scene.sweep:Optimum", ".study.optimum:study", ".picture.optimum:PICTURES", in_chunks=True),
@@ -93,27 +95,34 @@ def json_schema() -> dict[str, Any]:
     return file.json_schema(sections())
 
 
-def draw(data: "xarray.Dataset | xarray.DataTree", folder: Path | str) -> list[Path]:
-    """Write the pictures of a result into a folder as PNG, replacing earlier ones.
+def draw(
+    data: "xarray.Dataset | xarray.DataTree", folder: Path | str, *, kind: str = "png", log: Collection[str] = ()
+) -> list[Path]:
+    """Write the pictures of a result into a folder, replacing earlier ones.
 
     Args:
         data: the result, a Dataset, or the DataTree of one with groups.
         folder: an existing folder.
+
+    Keyword Args:
+        kind: of the files: png, pdf or svg.
+        log: "amplitude", "frequency", or both: these axes are logarithmic.
 
     Returns:
         The files written, in order; none for a study that has no pictures, or a run that recorded nothing.
 
     Raises:
         StoreError: a file cannot be written.
+        ValueError: another kind or quantity.
     """
     from timesim.picture.draw import write
 
-    return write(data, folder, _pictures(data.attrs["study"]))
+    return write(data, folder, _pictures(data.attrs["study"]), kind=kind, log=log)
 
 
-def picture_names(kind: str) -> list[str]:
-    """Names of the files that `draw` may write for a kind of study."""
-    return [f"{name}.png" for name in _pictures(kind)]
+def picture_names(kind: str, files: Sequence[str] = ("png",)) -> list[str]:
+    """Names of the files that `draw` may write for a kind of study, of some kinds of files."""
+    return [f"{name}.{file}" for file in files for name in _pictures(kind)]
 
 
 def _pictures(kind: str) -> Mapping[str, Callable[..., Any]]:
@@ -146,7 +155,8 @@ def check_execution(kind: str, execution: Execution) -> None:
     Raises:
         ExecutionError: naming what must be left out.
     """
-    given = {"resume": execution.resume, "cluster": execution.cluster, "workers": execution.workers}
+    resume = execution.resume and not STUDIES[kind].in_curves
+    given = {"resume": resume, "cluster": execution.cluster, "workers": execution.workers}
     useless = [name for name, value in given.items() if value]
     if not STUDIES[kind].in_chunks and useless:
         able = ", ".join(name for name, study in STUDIES.items() if study.in_chunks)

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 from xarray import Dataset
 
-from timesim.orbit.basin import ANOTHER, LOWER, NONE, UPPER, unique
+from timesim.orbit.basin import ANOTHER, IRREGULAR, LOWER, NONE, UPPER, unique
+from timesim.orbit.two_motions import LARGER, NO_MOTION, SMALLER
 from timesim.result.coordinate import over_keys
-from timesim.result.label import in_words
+from timesim.result.label import in_words, with_unit
 from timesim.scene.transient import Schedule
 
 MOTIONS = ("lower", "upper")
@@ -38,7 +39,8 @@ def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
     for number, ((frequency, cycles), end) in enumerate(zip(plan.phases, ends, strict=True), 1 - plan.run_up):
         if end <= len(amplitude):
             which = f"phase {number}" if number > 0 else "run-up"
-            size = f"amplitude {amplitude[end - 1, point, axis]:.6g} of {name} at its end"
+            reached = with_unit(f"{amplitude[end - 1, point, axis]:.6g}", data["cycle_amplitude"].attrs)
+            size = f"amplitude {reached} of {name} at its end"
             yield f"{which}: {cycles} cycles at {frequency:.6g} Hz, {size}"
 
 
@@ -59,11 +61,23 @@ def sweep_lines(data: Dataset) -> Iterator[str]:
 
 
 def unusual_lines(data: Dataset) -> Iterator[str]:
-    """Steady states of a sweep that repeat after several cycles, and points that have not settled."""
-    done = np.isfinite(data["amplitude"].values).all(axis=(-2, -1))
-    several, lost = np.sum(data["period"].values > 1), done & (data["settled"].values != 1)
+    """Steady states of a sweep that repeat after several cycles, or to less than asked for, and points without one."""
+    done, settled = np.isfinite(data["amplitude"].values).all(axis=(-2, -1)), data["settled"].values == 1
+    several, irregular, left = np.sum(data["period"].values > 1), data["irregular"].values == 1, data["settled_to"]
     if several:
         yield f"{several} of them repeat after more than one cycle (variable period)"
+    vague = settled & (left.values > data.attrs["settle_tolerance"])
+    if vague.any():
+        yield (
+            f"{vague.sum()} of them are settled to {left.values[vague].max():.1e}, not to settle.tolerance, which is "
+            "below what the noise of the steps allows (variable settled_to)"
+        )
+    if irregular.any():
+        yield (
+            f"{irregular.sum()} points do not repeat, so their motion is quasi-periodic or irregular (irregular = 1, "
+            f"with the band of its amplitude): {_spans(data, irregular)}"
+        )
+    lost = done & ~settled & ~irregular
     if lost.any():
         yield (
             f"{lost.sum()} points did not settle in settle.max_cycles (settled = 0, with the band of their amplitude): "
@@ -150,12 +164,23 @@ def _range_lines(one: Dataset, width: float) -> Iterator[str]:
     (low, high), smaller, larger = (one[name].values for name in ("range", "amplitude_lower", "amplitude_upper"))
     place = np.unravel_index(np.argmax(larger), larger.shape)
     name = f"{one['point'].values[place[0]]} {one['axis'].values[place[1]]}"
+    either = with_unit(f"{smaller[place]:.6g} or {larger[place]:.6g}", one["amplitude_upper"].attrs)
     yield (
         f"two motions from {low:.8g} to {high:.8g} Hz (each end to {width:g} Hz): amplitude of {name} "
-        f"{smaller[place]:.6g} or {larger[place]:.6g} at {0.5 * (low + high):.6g} Hz"
+        f"{either} at {0.5 * (low + high):.6g} Hz"
     )
     for end in one["end"].values[one["range_cut"].values > 0]:
         yield f"the {end} end of it is that of the search, not of the range: widen frequency"
+    for motion, period in zip(("smaller", "larger"), one["period"].values, strict=True):
+        if period > 1:
+            yield f"the {motion} motion repeats after {period} cycles"
+    for end, place, loser in zip(one["end"].values, (low, high), one["range_irregular"].values, strict=True):
+        if loser > NO_MOTION:
+            motion = {SMALLER: "smaller", LARGER: "larger"}[int(loser)]
+            yield (
+                f"the {end} end of it is where the {motion} motion loses its period: beyond {place:.8g} Hz it is "
+                "quasi-periodic or irregular, and not counted"
+            )
     if not one["range_settled"].values.all():
         yield (
             "next to an end of it the motion had not settled after settle.max_cycles, "
@@ -169,14 +194,14 @@ def _range_lines(one: Dataset, width: float) -> Iterator[str]:
 def _start_lines(one: Dataset) -> Iterator[str]:
     """Where the starts at the middle of a range have led."""
     branch = one["start_branch"].values
-    count = {side: int(np.sum(branch == side)) for side in (LOWER, UPPER, ANOTHER, NONE)}
-    others = (f", {count[ANOTHER]} to another motion" if count[ANOTHER] else "") + (
-        f", {count[NONE]} did not settle" if count[NONE] else ""
-    )
+    count = {side: int(np.sum(branch == side)) for side in (LOWER, UPPER, ANOTHER, IRREGULAR, NONE)}
+    rest = ((ANOTHER, "to another motion"), (IRREGULAR, "to one that does not repeat"), (NONE, "did not settle"))
+    others = "".join(f", {count[side]} {words}" for side, words in rest if count[side])
     yield f"of {branch.size} starts {count[LOWER]} lead to the smaller motion, {count[UPPER]} to the larger{others}"
     at_rest = np.flatnonzero(np.isclose(one["share_lower"].values, 0.0))
     if at_rest.size:
         led = {LOWER: "the smaller motion", UPPER: "the larger motion", ANOTHER: "another motion"}
+        led |= {IRREGULAR: "a motion that does not repeat"}
         yield f"rest leads to {led.get(int(branch[at_rest[0], at_rest[0]]), 'no settled motion')}"
 
 
@@ -216,7 +241,10 @@ def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
     if not np.isfinite(best):
         return
     at = int(np.flatnonzero(values == best)[0])
-    yield f"least peak {peak[at]:.7g} at {key} = {best:.6g}, at {float(data['optimum_frequency']):.6g} Hz"
+    least, value = (
+        with_unit(text, data[name].attrs) for text, name in ((f"{peak[at]:.7g}", "peak"), (f"{best:.6g}", key))
+    )
+    yield f"least peak {least} at {key} = {value}, at {float(data['optimum_frequency']):.6g} Hz"
     beside = [i for value in (best - accuracy, best + accuracy) for i in np.flatnonzero(values == value)]
     if data.attrs["complete"] and beside:
         heights = " and ".join(f"{peak[i]:.7g} at {values[i]:.6g}" for i in beside)

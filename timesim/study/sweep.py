@@ -17,14 +17,16 @@ from xarray import Dataset
 from timesim.fault import SceneError
 from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
+from timesim.orbit.fourier import HARMONICS, phase_deg, signed_amplitude
 from timesim.orbit.jump import Stretch, jumps_of, steps_of, suspects
 from timesim.orbit.settling import Chain, SteadyStates, steady_states, warm_up
-from timesim.orbit.steady_state import COLUMNS, START, Orbit, columns_of, end_of, orbit_of
+from timesim.orbit.steady_state import COLUMNS, START, Columns, Orbit, columns_of, end_of, orbit_of
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan, combinations
-from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through, halted
-from timesim.study.outcome import Outcome, attributes
+from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through, halted, point_done
+from timesim.study.execution.progress import Phases
+from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import failure_line, sweep_lines
 
 POINTS_A_CHUNK = 128  # of independent points: their batch is kept full while some of them settle late
@@ -55,7 +57,7 @@ def solve(segment: Segment, before: Result | None) -> Result:
     """The steady states of a segment as arrays: chain first, then its frequencies."""
     chains = list(segment.chains) if before is None else _continued(segment.chains, before)
     steady = partial(steady_states, solver=segment.solver, criterion=segment.criterion, halted=halted)
-    orbits = steady(chains, crowd=segment.crowd)
+    orbits = steady(chains, crowd=segment.crowd, halted=point_done)
     rows = columns_of(orbits)
     jumps = [] if segment.refine is None else list(_jumps(steady, segment.refine, chains, orbits, before))
     last = np.array([chain.frequencies[-1] for chain in chains])
@@ -99,7 +101,8 @@ def _continued(chains: Sequence[Chain], before: Result) -> list[Chain]:
 
 def study(scene: Scene, execution: Execution) -> Outcome:
     """Run a sweep; points that fail are marked, named with their reason, and make the result incomplete."""
-    data, reason = sweep_record(scene, scene.plan, execution)
+    phases = Phases(execution.progress, {"sweep": scene.plan.size})
+    data, reason = sweep_record(scene, scene.plan, replace(execution, progress=phases["sweep"]))
     method, compiling, running = (data.attrs[name] for name in ("method", "compile_seconds", "run_seconds"))
     attrs = attributes(scene, method, compiling, running, reason)
     return Outcome({"": data.assign_attrs(attrs)}, reason, tuple(sweep_lines(data)))
@@ -114,14 +117,16 @@ def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[D
     """
     solver, grid = scene.solver(), Grid(scene, plan)
     chunks, places = grid.chunks(solver)
+    earlier = execution.earlier("")
     clock = time.perf_counter()
     if execution.cluster is None:
         crowds = {chunk.payload.crowd for chunk in chunks}
         warm_up((chain for chunk in chunks for chain in chunk.payload.chains), solver, sorted(crowds))
     compiling = time.perf_counter() - clock
+    execution.show(0, plan.size)
     results, reason = carry_through(chunks, solve, execution, identity=scene.resolved_yaml())
     arrays, jumps = grid.gathered(results, places)
-    seconds = time.perf_counter() - clock - compiling
+    seconds = earlier + time.perf_counter() - clock - compiling
     attrs: dict[str, Any] = {"method": str(solver), "compile_seconds": compiling, "run_seconds": seconds}
     if plan.chained:
         attrs["jumps_bisected"] = int(plan.refine is not None)
@@ -129,21 +134,25 @@ def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[D
     return data, reason or failure_line(data)
 
 
-# Dimensions of the columns after those of the sweep, what stands for a point not computed where that is not NaN, and
-# the names of some in the result file.
+# Dimensions of what is known of a point after those of the sweep, what stands for a point not computed where that is
+# not NaN, and the names of some columns in the result file.
 TAILS = {
-    "amplitude": ("point", "axis"),
+    **dict.fromkeys(("amplitude", "phase_deg"), ("point", "axis")),
+    **dict.fromkeys(("harmonic_amplitude", "harmonic_cos", "harmonic_sin"), ("harmonic", "point", "axis")),
+    "phasor": ("harmonic", "point", "axis"),
     "band": ("band", "point", "axis"),
     "slip_share": ("contact",),
     "separation_share": ("contact",),
+    "dissipated_power": ("contact",),
     "end_displacement": ("mode",),
     "end_velocity": ("mode",),
     "end_slip": ("contact", "tangent"),
     "end_state": ("contact",),
 }
 BLANK: dict[str, tuple[Any, type]] = {
-    **dict.fromkeys(("settled", "cycles", "period"), (0, np.int32)),
+    **dict.fromkeys(("settled", "cycles", "period", "irregular"), (0, np.int32)),
     "end_state": (-1, np.int8),
+    "phasor": (np.nan, complex),
     "reason": ("", object),
 }
 STORED = {
@@ -154,6 +163,40 @@ STORED = {
     "end_slip": "final_slip",
     "end_state": "final_contact_state",
 }
+
+Variables = dict[str, tuple[tuple[str, ...], np.ndarray]]
+
+
+def blank_columns(model: Model, *shape: int) -> dict[str, np.ndarray]:
+    """Columns of points of which nothing is known; shape: of the points."""
+    sizes, arrays = sizes_of(model), dict[str, np.ndarray]()
+    for name in COLUMNS:
+        fill, kind = BLANK.get(name, (np.nan, float))
+        arrays[name] = np.full((*shape, *(sizes[dim] for dim in TAILS.get(name, ()))), fill, dtype=kind)
+    return arrays
+
+
+def variables_of(columns: Columns, axes: Mapping[str, int]) -> Variables:
+    """Steady states as variables of a result file; no state is left of a point that failed.
+
+    Args:
+        columns: with any dimensions of the points first, as many points as the axes have.
+        axes: names and sizes of the dimensions that these become.
+    """
+    phasor, failed = columns["phasor"], columns["reason"] != ""
+    values = {name: array for name, array in columns.items() if name != "phasor"}
+    values |= {"phase_deg": phase_deg(phasor), "harmonic_amplitude": signed_amplitude(phasor)}
+    values |= {"harmonic_cos": phasor.real, "harmonic_sin": 0.0 - phasor.imag, "reason": columns["reason"].astype(str)}
+    for name in START:
+        blank, kind = BLANK.get(name, (np.nan, float))
+        missing = failed.reshape(*failed.shape, *[1] * len(TAILS[name]))
+        values[name] = np.where(missing, blank, values[name]).astype(kind)
+
+    def shaped(array: np.ndarray) -> np.ndarray:
+        return array.reshape(*axes.values(), *array.shape[failed.ndim :])
+
+    return {STORED.get(name, name): ((*axes, *TAILS.get(name, ())), shaped(value)) for name, value in values.items()}
+
 
 Place = tuple[int, int, slice | int]
 """Set of values, direction, and positions of the frequencies, for each chain of a chunk."""
@@ -217,7 +260,10 @@ class Grid:
         self, results: Mapping[str, Result], places: Mapping[str, list[Place]]
     ) -> tuple[dict[str, np.ndarray], list[tuple[int, int, float, float]]]:
         """Columns on (set, direction, order of the sweep), and jumps as (set, direction, low, high)."""
-        arrays = self._blank()
+        arrays = blank_columns(self.any_model, *self.shape)
+        for v, model in enumerate(self.models):
+            if isinstance(model, str):
+                arrays["reason"][v] = model
         jumps: list[tuple[int, int, float, float]] = []
         for name, result in results.items():
             for index, (v, d, f) in enumerate(places[name]):
@@ -229,8 +275,6 @@ class Grid:
                 jumps.append((v, d, low, high))
         if self.plan.refine is None and self.plan.chained:
             jumps += self._unrefined(arrays["amplitude"])
-        for name in START:
-            arrays[name][arrays["reason"] != ""] = -1 if name == "end_state" else np.nan
         for d, direction in enumerate(self.plan.directions):
             if direction == "down":
                 for array in arrays.values():
@@ -245,36 +289,19 @@ class Grid:
                 low, high = sorted(frequency[k : k + 2])
                 yield v, d, low, high
 
-    def _blank(self) -> dict[str, np.ndarray]:
-        sizes = sizes_of(self.any_model)
-        arrays: dict[str, np.ndarray] = {}
-        for name in COLUMNS:
-            fill, kind = BLANK.get(name, (np.nan, float))
-            arrays[name] = np.full((*self.shape, *(sizes[dim] for dim in TAILS.get(name, ()))), fill, dtype=kind)
-        for v, model in enumerate(self.models):
-            if isinstance(model, str):
-                arrays["reason"][v] = model
-        return arrays
-
     def data(
         self, arrays: Mapping[str, np.ndarray], jumps: Sequence[tuple[int, int, float, float]], attrs: Mapping[str, Any]
     ) -> Dataset:
         """The result file."""
-        sizes = tuple(values.size for values in self.axes.values())
-        dims = (*self.axes, "direction", "frequency")
-        variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
-        for name, array in arrays.items():
-            kept = array.astype(str) if name == "reason" else array
-            whole = kept.reshape(*sizes, *array.shape[1:])
-            variables[STORED.get(name, name)] = ((*dims, *TAILS.get(name, ())), whole)
+        sizes = {key: values.size for key, values in self.axes.items()} | {"direction": self.shape[1]}
+        variables = variables_of(arrays, sizes | {"frequency": self.frequency.size})
         variables["final_phase_deg"] = ((), np.array(np.rad2deg(self.any_model.start.phase) % 360))
         for end, place in (("low", 2), ("high", 3)):
-            variables[f"jump_{end}"] = (
-                (*dims[:-1], "jump"),
-                self._jump_rows(jumps, place).reshape(*sizes, self.shape[1], -1),
-            )
+            rows = self._jump_rows(jumps, place)
+            variables[f"jump_{end}"] = ((*sizes, "jump"), rows.reshape(*sizes.values(), -1))
         coords = self.axes | {"direction": np.array(self.plan.directions), "frequency": self.frequency}
-        return dataset(variables, coords, attrs, self.any_model)
+        every_sweep = {"settle_tolerance": self.plan.criterion.tolerance, **unit_names(self.scene)}
+        return dataset(variables, coords, {**attrs, **every_sweep}, self.any_model)
 
     def _jump_rows(self, jumps: Sequence[tuple[int, int, float, float]], place: int) -> np.ndarray:
         """One end of the jumps of each chain, shape (sets, directions, jumps), NaN where a chain has fewer."""
@@ -290,7 +317,7 @@ class Grid:
 def sizes_of(model: Model) -> dict[str, int]:
     """Lengths of the dimensions that a model determines, or that are the same everywhere."""
     own = {"point": len(model.structure.points), "contact": model.num_contacts, "mode": model.structure.num_modes}
-    return own | {"axis": 3, "band": 2, "tangent": 2}
+    return own | {"axis": 3, "band": 2, "tangent": 2, "harmonic": HARMONICS + 1}
 
 
 def _variant(scene: Scene, values: Mapping[str, float]) -> Model | str:

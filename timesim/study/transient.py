@@ -12,7 +12,7 @@ from timesim.model.contact_state import slip_follows_motion
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.transient import Schedule
-from timesim.study.execution.campaign import Execution, Progress
+from timesim.study.execution.campaign import Execution
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.recorder import Recorder, contact_forces
 from timesim.study.report import transient_lines
@@ -27,7 +27,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     run.time = float(plan.edges()[0])
     recorder = Recorder(run, plan)
     clock = time.perf_counter()
-    reason = _advance(recorder, execution.progress)
+    reason = _advance(recorder, execution)
     seconds = time.perf_counter() - clock
     attrs = attributes(scene, str(run.solver), run.compile_seconds, seconds, reason)
     attrs["peak_stored_energy"] = recorder.totals.peak
@@ -37,14 +37,13 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     return Outcome({"": record}, reason, tuple(transient_lines(record, plan)))
 
 
-def _advance(recorder: Recorder, progress: Progress | None) -> str | None:
+def _advance(recorder: Recorder, execution: Execution) -> str | None:
     """Advance a run to its end; why it ended early, if it did."""
     run = recorder.run
     try:
         for steps in run.batches():
             recorder.add(steps)
-            if progress is not None:
-                progress(run.completed, run.num_cycles)
+            execution.show(run.completed, run.num_cycles, recorder.plan.place(run.completed))
     except RunError as error:
         return str(error)
     except KeyboardInterrupt:

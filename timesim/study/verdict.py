@@ -10,7 +10,7 @@ from timesim.hbm.convergence import Convergence, order_of
 from timesim.hbm.curve import changes_of_stability, peak
 from timesim.orbit.steady_state import switches
 from timesim.result.coordinate import over_keys
-from timesim.result.label import in_words
+from timesim.result.label import in_words, with_unit
 from timesim.scene.study import combinations
 
 # Nearer to a fold than this share of its frequency a small error of either method moves the answer much.
@@ -45,15 +45,23 @@ def _curve_line(curve: Dataset) -> str:
     turning = f"folds at {folds}" if folds else "no fold"
     changes = ", ".join(f"{p:.6g}" for p in along[changes_of_stability(stable, fold)])
     also = f"; stability changes at {changes} without a fold" if changes else ""
-    slip, apart = (curve[f"{name}_share"].values.max(initial=0.0) for name in ("slip", "separation"))
-    states = f"at most {slip:.2f} of a period in slip, {apart:.2f} in separation"
-    if slip == apart == 0:
+    touching, apart = curve["slip_share"].values, curve["separation_share"].values.max(initial=0.0)
+    slip, closed = (touching[:, own].max(initial=0.0) for own in (_rubs(curve), ~_rubs(curve)))
+    stops = f", a stop closed for {closed:.2f}" if closed else ""
+    states = f"at most {slip:.2f} of a period in slip, {apart:.2f} in separation{stops}"
+    if slip == apart == closed == 0:
         states = "full stick throughout, which says nothing of friction"
     name = f"{curve['point'].values[point]} {curve['axis'].values[axis]}"
     return (
-        f"peak {height:.5g} of {name} at {place:.6g}; {turning}{also}; "
+        f"peak {with_unit(f'{height:.5g}', curve['amplitude'].attrs)} of {name} at {place:.6g}; {turning}{also}; "
         f"{np.sum(~stable & ~fold)} unstable solutions; {states}"
     )
+
+
+def _rubs(data: Dataset) -> np.ndarray:
+    """Which contacts have friction, shape (C,); where another slips, one without is closed."""
+    known = data.coords.get("friction")
+    return np.ones(data.sizes["contact"], dtype=bool) if known is None else known.values > 0
 
 
 def convergence_lines(refined: Convergence) -> list[str]:
@@ -139,7 +147,7 @@ def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarra
         doubled=(settled > 0) & (period > 1),
         linear=np.logical_not(switches(slip, apart).any(axis=-1)),
         near_fold=near_fold,
-        slip=slip.max(axis=-1, initial=0.0),
+        slip=slip[..., _rubs(sweep)].max(axis=-1, initial=0.0),
         separation=apart.max(axis=-1, initial=0.0),
     )
 

@@ -5,11 +5,13 @@ the same whoever does the work, in whatever order, and however often it is inter
 """
 
 import re
+import threading
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -17,6 +19,7 @@ from timesim.result import checkpoint
 from timesim.result.change import fingerprint
 from timesim.result.checkpoint import INTERRUPTED, Checkpoint, Manifest
 from timesim.result.file import StoreError
+from timesim.study.execution.progress import Progress
 from timesim.study.execution.worker import (
     Chunk,
     ExecutionError,
@@ -25,6 +28,7 @@ from timesim.study.execution.worker import (
     check_address,
     halted,
     perform,
+    point_done,
     processes,
     threads,
 )
@@ -39,9 +43,8 @@ __all__ = [
     "Work",
     "carry_through",
     "halted",
+    "point_done",
 ]
-
-Progress = Callable[[int, int], None]
 
 LISTED = 4  # failed chunks that a reason names
 
@@ -57,7 +60,7 @@ class Execution:
     """How a study is carried out.
 
     Attributes:
-        progress: called with the points done and their number.
+        progress: takes in the points done and their number.
         folder: run folder; checkpoints are kept in it while the study runs.
         resume: take up the checkpoints that are there.
         cluster: address of a dask scheduler, or "local" for processes of this machine; None for threads.
@@ -77,6 +80,15 @@ class Execution:
             raise ExecutionError(f"workers must be at least 1, not {self.workers}")
         if self.cluster is not None:
             check_address(self.cluster, self.workers)
+
+    def earlier(self, stage: str | None = None) -> float:
+        """Seconds that the parts before took of a run that is resumed, or of one of its stages."""
+        return checkpoint.seconds_worked(self.folder, stage) if self.resume and self.folder is not None else 0.0
+
+    def show(self, done: float, number: float, phase: str = "") -> None:
+        """Say how much is done, as `Progress` takes it in."""
+        if self.progress is not None:
+            self.progress(done, number, *([phase] if phase else []))
 
     def executor(self) -> AbstractContextManager[Executor]:
         """The threads or processes that do the work."""
@@ -142,6 +154,8 @@ class _Campaign:
             self.following.setdefault(chunk.after, []).append(chunk)
         self.total = sum(chunk.size for chunk in chunks)
         self.points = 0
+        self.under_way: dict[str, int] = {}
+        self.counting = threading.Lock()
         self.results: dict[str, Result] = {}
         self.failed: dict[str, str] = {}
         self.saved: set[str] = set()
@@ -194,7 +208,8 @@ class _Campaign:
 
     def _begin(self, executor: Executor, chunk: Chunk) -> None:
         before = None if chunk.after is None else self.results[chunk.after]
-        future = executor.submit(perform, self.work, chunk, before)
+        count = partial(self._count_point, chunk) if self.execution.cluster is None else None
+        future = executor.submit(perform, self.work, chunk, before, count)
         self.running[future] = chunk
         future.add_done_callback(self.arrived.put)
 
@@ -215,9 +230,19 @@ class _Campaign:
 
     def _count(self, chunk: Chunk, result: Result) -> None:
         self.results[chunk.name] = result
-        self.points += chunk.size
-        if self.execution.progress is not None:
-            self.execution.progress(self.points, self.total)
+        with self.counting:
+            self.points += chunk.size
+            self.under_way.pop(chunk.name, None)
+            self._show()
+
+    def _count_point(self, chunk: Chunk) -> None:
+        """A point of a chunk is done; the last one counts when the chunk is, which may search on."""
+        with self.counting:
+            self.under_way[chunk.name] = min(self.under_way.get(chunk.name, 0) + 1, chunk.size - 1)
+            self._show()
+
+    def _show(self) -> None:
+        self.execution.show(self.points + sum(self.under_way.values()), self.total)
 
     def _keep(self, name: str) -> None:
         if self.kept is not None and name not in self.saved:

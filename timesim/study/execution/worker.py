@@ -43,18 +43,33 @@ class ExecutionError(ValueError):
     """A study cannot be carried out in the way asked for; the message names it, the reason and what to do."""
 
 
-def perform(work: Work, chunk: Chunk, before: Result | None) -> Result:
-    """Do the work of a chunk; the result is the same whether it is handed on, sent or read from a file."""
+def perform(work: Work, chunk: Chunk, before: Result | None, count: Callable[[], None] | None = None) -> Result:
+    """Do the work of a chunk; the result is the same whether it is handed on, sent or read from a file.
+
+    Args:
+        work, chunk, before: what is done.
+        count: called after each of its points; None where it is done by another process.
+    """
+    _COUNT.set(count)
     return {str(name): np.asarray(array) for name, array in work(chunk.payload, before).items()}
 
 
 _HALT: ContextVar[threading.Event | None] = ContextVar("halt", default=None)
+_COUNT: ContextVar[Callable[[], None] | None] = ContextVar("count", default=None)
 
 
 def halted() -> bool:
     """Whether the chunk that this thread works on is to be given up; long work asks, and raises KeyboardInterrupt."""
     event = _HALT.get()
     return event is not None and event.is_set()
+
+
+def point_done() -> bool:
+    """Count a point of the chunk that this thread works on; whether the chunk is to be given up, as `halted`."""
+    count = _COUNT.get()
+    if count is not None:
+        count()
+    return halted()
 
 
 def default_workers() -> int:

@@ -1,0 +1,119 @@
+"""Curves of harmonic balance outlive their run: finished ones are taken up again, a growing one is on disk."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from systems import oscillator_scene
+
+import timesim
+from timesim.hbm.continuation import Ending
+from timesim.result.checkpoint import chunks_done, resuming_helps
+from timesim.result.file import StoreError
+from timesim.study import kept_curves
+from timesim.study.execution.campaign import Execution
+from timesim.study.registry import carry_out, load_scene
+
+RANGE = {"from": 1.0, "to": 0.97}
+STUDY = {"kind": "hbm", "frequency": RANGE, "harmonics": 5, "time_samples": 512, "stability": False}
+OVER = {"contacts.pad.preload": [-4, -3]}
+SCENE = oscillator_scene(preload=-4.0) | {"study": STUDY | {"over": OVER}}
+
+
+class Killed(BaseException):
+    """Ends a run as `kill -9` does: nothing is saved that is not on disk already."""
+
+
+class Watcher:
+    """Takes in the progress of a run, and may end it."""
+
+    def __init__(self, ending: type[BaseException] | None = None):
+        self.seen: list[tuple[float, str]] = []
+        self.ending = ending
+
+    def __call__(self, done: float, number: float, phase: str = "", /) -> None:
+        assert number == 2
+        self.seen.append((done, phase))
+        if self.ending is not None and done > 1.3:
+            raise self.ending
+
+
+@pytest.fixture(scope="module")
+def whole() -> Any:
+    """A run that nothing ends, and what it shows."""
+    watcher = Watcher()
+    return carry_out(load_scene(SCENE), Execution(progress=watcher)).groups[""], watcher.seen
+
+
+def execution_of(folder: Path, watcher: Watcher, **others: Any) -> tuple[Execution, list[str]]:
+    notices: list[str] = []
+    return Execution(progress=watcher, folder=folder, notice=notices.append, **others), notices
+
+
+def test_the_progress_of_a_curve_is_the_share_of_its_range(whole):
+    seen = whole[1]
+    done = [now for now, _ in seen]
+    assert done == sorted(done)
+    assert (done[0], done[-1]) == (0, 2)
+    shares = [int(share) for _, words in seen for share in re.findall(r"curve 1: (\d+)% of the range", words)]
+    assert len(shares) > 10
+    assert shares[-1] == 100
+    assert np.median(shares) < 90
+    assert seen[-2][1] == "curve 2: 100% of the range, contacts.pad.preload -3"
+
+
+@pytest.mark.parametrize("ending", [Killed, KeyboardInterrupt])
+def test_a_run_cut_off_goes_on_with_its_curves(
+    ending: type[BaseException], whole: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(kept_curves, "SECONDS_APART", 0.0)
+    monkeypatch.setattr(kept_curves, "TIMES_APART", 0.0)
+    scene, one = load_scene(SCENE), whole[0]["curve"].values == 0
+    execution, _ = execution_of(tmp_path, Watcher(ending))
+    if ending is Killed:
+        with pytest.raises(Killed):
+            carry_out(scene, execution)
+        found = timesim.open_result(tmp_path / "checkpoint" / "growing.nc")
+    else:
+        outcome = carry_out(scene, execution)
+        found = outcome.groups[""]
+        assert outcome.reason is not None
+        assert Ending.INTERRUPTED.value in outcome.reason
+        assert resuming_helps(tmp_path, outcome.reason)
+    assert found.attrs["complete"] == 0
+    assert "interrupted" in found.attrs["reason"]
+    partly = found.isel(solution=found["curve"].values == 1)
+    np.testing.assert_array_equal(found["amplitude"][found["curve"].values == 0], whole[0]["amplitude"][one])
+    assert 3 < partly.sizes["solution"] < np.sum(~one)
+    np.testing.assert_array_equal(partly["frequency"], whole[0]["frequency"][~one][: partly.sizes["solution"]])
+    assert set(partly["contacts.pad.preload"].values) == {-3.0}
+    assert chunks_done(tmp_path) == 1
+    watcher = Watcher()
+    resumed, notices = execution_of(tmp_path, watcher, resume=True)
+    earlier = resumed.earlier()
+    assert earlier > 0
+    again = carry_out(scene, resumed)
+    assert again.reason is None
+    folder = tmp_path / "checkpoint"
+    assert notices == [f"the curves of 1 of 2 sets of values are taken up from {folder}"]
+    assert not any("curve 1" in words for _, words in watcher.seen)
+    for name, array in whole[0].variables.items():
+        np.testing.assert_array_equal(again.groups[""][name], array, err_msg=name)
+    assert again.groups[""].attrs["run_seconds"] > earlier
+
+
+def test_curves_of_another_scene_are_not_taken_up(tmp_path: Path):
+    execution, _ = execution_of(tmp_path, Watcher(Killed))
+    with pytest.raises(Killed):
+        carry_out(load_scene(SCENE), execution)
+    other = load_scene(SCENE | {"study": STUDY | {"over": OVER, "harmonics": 7}})
+    with pytest.raises(StoreError, match=r"another scene: study\.harmonics was 5, is 7"):
+        carry_out(other, replace(execution, resume=True))
+    (tmp_path / "checkpoint" / "curves-00000.npz").write_bytes(b"PK")
+    resumed, notices = execution_of(tmp_path, Watcher(Killed), resume=True)
+    with pytest.raises(Killed):
+        carry_out(load_scene(SCENE), resumed)
+    assert "curves-00000.npz is damaged or cut off" in notices[1]

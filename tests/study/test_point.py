@@ -1,0 +1,105 @@
+"""A point of a sweep again: the motion that the result knows the amplitude of, and what is refused."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from systems import oscillator_scene
+from typer.testing import CliRunner
+
+import timesim
+from timesim.cli import app
+from timesim.result import netcdf
+from timesim.result.folder import prepare_folder
+
+UNITS = {"length": "mm", "force": "N"}
+PRELOAD = "contacts.pad.preload"
+STUDY = {"kind": "sweep", "frequency": {"values": [0.97, 1.2]}, "direction": "both", "over": {PRELOAD: [-1, 3]}}
+POINT = {"frequency": 0.97, "direction": "down", PRELOAD: -1}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    data, folder = (
+        timesim.run(oscillator_scene(3.0) | {"study": STUDY, "units": UNITS}),
+        tmp_path_factory.mktemp("sweep"),
+    )
+    netcdf.save(data, folder / "result.nc")
+    return folder
+
+
+def call(folder: Path, *at: str) -> Any:
+    return CliRunner().invoke(app, ["show", str(folder), *(part for one in at for part in ("--at", one))])
+
+
+@pytest.mark.parametrize("point", [POINT, POINT | {PRELOAD: 3, "direction": "up"}])
+def test_the_motion_is_that_of_the_point(folder: Path, point: dict[str, Any]):
+    known, motion = timesim.open_result(folder).sel(point), timesim.show(folder, point)
+    assert motion.sizes["cycle"] == 1
+    x = motion["displacement"].values
+    np.testing.assert_allclose(x[-1], x[0], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(motion["cycle_amplitude"].values[0], known["amplitude"].values, rtol=1e-6)
+    power = motion["energy_friction"].values[0] * point["frequency"]
+    np.testing.assert_allclose(power, known["dissipated_power"].values, rtol=1e-5)
+    share = np.mean(motion["contact_state"].values == 1, axis=0)
+    np.testing.assert_allclose(share, known["slip_share"].values, atol=0.01)
+    first = np.mean(x[1:] * np.exp(-2j * np.pi * np.arange(1, len(x)) / (len(x) - 1))[:, None, None], axis=0)
+    np.testing.assert_allclose(np.rad2deg(np.angle(first)), known["phase_deg"].values, atol=1e-3)
+
+
+def test_the_command_prints_a_table_and_draws(folder: Path):
+    done = call(folder, *(f"{name}={value}" for name, value in POINT.items()))
+    assert done.exit_code == 0, done.output
+    said = done.stdout.splitlines()
+    assert said[0].startswith(f"{PRELOAD} -1, direction down, frequency 0.97: repeats every cycle, settled after")
+    known = timesim.open_result(folder).sel(POINT)
+    assert said[1].split("  ")[-3:] == ["amplitude [mm]", "phase [degree]", "mean [mm]"]
+    assert "power [N·mm/s]  largest |f| [N]  largest n [N]" in done.stdout
+    place = known.amplitude.sel(point="tip", axis="x").item(), known.phase_deg.sel(point="tip", axis="x").item()
+    assert any(line.split()[:4] == ["tip", "x", f"{place[0]:.5g}", f"{place[1]:.5g}"] for line in said)
+    assert any(line.startswith("pad") and f"{known.dissipated_power.item():.5g}" in line.split() for line in said)
+    drawn = {path.name for path in (folder / "show" / f"{PRELOAD}=-1,direction=down,frequency=0.97").iterdir()}
+    assert {"hysteresis.png", "orbit.png", "contact_states.png", "result.nc"} <= drawn
+
+
+def test_a_point_goes_with_the_run_that_it_was_of(tmp_path: Path):
+    (tmp_path / "show" / "frequency=1").mkdir(parents=True)
+    (tmp_path / "result.nc").touch()
+    prepare_folder(tmp_path, "scene", overwrite=True)
+    assert not (tmp_path / "show").exists()
+
+
+@pytest.mark.parametrize(
+    ("at", "message"),
+    [
+        (["frequncy=0.97"], r"--at frequncy=0.97: is no axis of the result \(did you mean frequency\?\)"),
+        (["frequency=0.98"], r"--at frequency=0.98: must be a frequency of the result \(it has 0.97, 1.2\)"),
+        (["direction=left"], r"--at direction=left: must be a direction .*up, down"),
+        (["frequency"], "write it as AXIS=VALUE"),
+        (["frequency=0.97", "direction=up"], rf"must name the {PRELOAD} .*{PRELOAD} has -1, 3"),
+        (["frequency=0.97"], rf"4 match: {PRELOAD} -1, direction up; {PRELOAD} -1, direction down; {PRELOAD} 3"),
+    ],
+)
+def test_a_point_that_is_not_there_is_named(folder: Path, at: list[str], message: str):
+    done = call(folder, *at)
+    assert done.exit_code == 2
+    assert re.search(message, done.stderr), done.stderr
+
+
+def test_the_sweep_of_a_result_with_groups(folder: Path, tmp_path: Path):
+    data = timesim.open_result(folder)
+    netcdf.save({"": data[["final_phase_deg"]], "sweep": data.drop_attrs(deep=False)}, tmp_path / "result.nc")
+    one, other = (timesim.show(place, POINT) for place in (folder, tmp_path))
+    np.testing.assert_array_equal(one["displacement"], other["displacement"])
+
+
+def test_a_result_without_states_says_so(tmp_path: Path):
+    data = timesim.run(oscillator_scene(3.0) | {"study": STUDY | {"frequency": {"values": [0.97]}}})
+    netcdf.save(data.drop_vars("final_modal_displacement"), tmp_path / "result.nc")
+    done = call(tmp_path, "frequency=0.97")
+    assert done.exit_code == 2
+    assert "holds no final state" in done.stderr
+    with pytest.raises(ValueError, match="holds no final state"):
+        timesim.show(tmp_path, POINT)

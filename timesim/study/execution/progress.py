@@ -1,0 +1,106 @@
+"""How much of a run is done, over all its phases: the share, the rate and the time left, as a bar or a line shows them.
+
+Every kind of work counts as a number of points, so that one bar runs through all phases.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import timedelta
+from typing import Protocol
+
+CURVE = 100
+"""Points of a sweep that take about as long as a curve of harmonic balance: 20 ms each, 1 to 3 s (both measured on the
+oscillator)."""
+
+NEARLY_ALL = 0.99  # that is shown at most: a run that shows all of it done is over
+
+
+class Progress(Protocol):
+    """Takes in how much of some work is done."""
+
+    def __call__(self, done: float, number: float, phase: str = "", /) -> None:
+        """Take it in.
+
+        Args:
+            done: points, cycles or curves that are done.
+            number: all of them.
+            phase: what is being done, in words.
+        """
+
+
+@dataclass(frozen=True)
+class Phases:
+    """The phases of a study as one progress.
+
+    Attributes:
+        whole: takes in the progress of all phases; None where nobody is watching.
+        sizes: points that each phase counts as, in the order in which they come.
+    """
+
+    whole: Progress | None
+    sizes: Mapping[str, float]
+
+    def __getitem__(self, name: str) -> Progress:
+        """The progress of one phase, in any unit of its own."""
+        names = list(self.sizes)
+        before = sum(self.sizes[phase] for phase in names[: names.index(name)])
+
+        def show(done: float, number: float, phase: str = "", /) -> None:
+            if self.whole is not None:
+                share = min(done / number, 1.0) if number else 1.0
+                words = phase or f"{name}, {done:.0f} of {number:.0f} points"
+                self.whole(before + share * self.sizes[name], sum(self.sizes.values()), words)
+
+        return show
+
+
+class Standing:
+    """Where a run stands: takes in its progress, and puts it into words.
+
+    Attributes:
+        share: of the whole run, at most `NEARLY_ALL`; it never falls.
+        phase: what is being done, in words.
+    """
+
+    def __init__(self, unit: str, earlier: float = 0.0, clock: Callable[[], float] = time.monotonic):
+        """For a run that counts in a unit, and parts of which have taken so many seconds before."""
+        self.unit, self.clock, self.share, self.phase = unit, clock, 0.0, "compiling programs, or loading them"
+        self._earlier, self._number = earlier, 0.0
+        self._begun = self._worked = clock()
+
+    def __call__(self, done: float, number: float, phase: str = "", /) -> None:
+        if not done:
+            self._worked = self.clock()  # until now it was compiled
+        share = done / number if number else 0.0
+        self.share, self.phase = max(self.share, min(share, NEARLY_ALL)), phase
+        self._number = number
+
+    @property
+    def percent(self) -> str:
+        """The share in percent."""
+        return f"{int(100 * self.share + 1e-9)} %"
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds of all parts of the run."""
+        return self._earlier + self.clock() - self._begun
+
+    @property
+    def left(self) -> float | None:
+        """Seconds left at the rate of all parts so far; None where nothing is done yet."""
+        worked = self._earlier + self.clock() - self._worked
+        return worked * (1 / self.share - 1) if self.share > 0 and worked > 0 else None
+
+    def line(self) -> str:
+        """All of it in a line, that which may be long at its end."""
+        parts = [self.percent, f"{_clock_time(self.elapsed)} so far", self.phase]
+        if left := self.left:
+            rate = (1 - self.share) * self._number / left
+            parts[1:1] = [f"{rate:.0f} {self.unit}/s" if rate >= 100 else f"{rate:.3g} {self.unit}/s"]
+            parts[-1:-1] = [f"{_clock_time(left)} left"]
+        return ", ".join(parts)
+
+
+def _clock_time(seconds: float) -> str:
+    return str(timedelta(seconds=round(seconds)))

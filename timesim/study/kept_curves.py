@@ -1,0 +1,115 @@
+"""Curves of harmonic balance on disk while a study runs: those that are finished, and the one that grows."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from xarray import Dataset
+
+from timesim.hbm.continuation import Ending
+from timesim.hbm.curve import HbmCurve
+from timesim.result import checkpoint, netcdf
+from timesim.result.change import fingerprint
+from timesim.result.checkpoint import Checkpoint, Manifest, Result
+from timesim.result.file import StoreError
+from timesim.study.execution.campaign import Execution
+
+SECONDS_APART = 30.0
+"""Time between two states of a growing curve on disk, at least; and so many times as long as it takes to write one: """
+TIMES_APART = 20.0
+
+
+class KeptCurves:
+    """The curves of each set of values, as a chunk of a checkpoint; nothing is kept where there is no run folder.
+
+    Attributes:
+        earlier: seconds that the curves taken up took.
+    """
+
+    def __init__(self, kept: Checkpoint | None, notice: Callable[[str], None]):
+        self._kept, self._notice = kept, notice
+        self._next = time.monotonic() + SECONDS_APART
+        self.earlier = 0.0 if kept is None else kept.earlier
+
+    def load(self, place: int) -> tuple[list[HbmCurve], list[str]] | None:
+        """The curves of a set of values, and the notes on them; None where they are not finished."""
+        if self._kept is None:
+            return None
+        try:
+            result = self._kept.load(_name(place))
+        except StoreError as error:
+            self._notice(f"{error}: it is computed again")
+            return None
+        return None if result is None else _read(result)
+
+    def save(self, place: int, curves: Sequence[HbmCurve], notes: Sequence[str]) -> None:
+        """Keep the curves of a set of values.
+
+        Raises:
+            StoreError: the disk is full, or the folder may not be written.
+        """
+        if self._kept is not None:
+            self._kept.save(_name(place), _written(curves, notes))
+
+    def grow(self, record: Callable[[], Dataset]) -> None:
+        """Write all curves so far, the one that is being followed too, as a result file, unless one is new."""
+        begun = time.monotonic()
+        if self._kept is None or begun < self._next:
+            return
+        with suppress(StoreError):  # the next curve that is finished says so
+            netcdf.save(record(), self._kept.folder / checkpoint.GROWING_NAME)
+        now = time.monotonic()
+        self._next = now + max(SECONDS_APART, TIMES_APART * (now - begun))
+
+
+@contextmanager
+def kept_curves(execution: Execution, identity: str, sets: Sequence[Any], stage: str) -> Iterator[KeptCurves]:
+    """Where the curves of a study are kept.
+
+    Args:
+        execution: how the study is carried out.
+        identity: the resolved scene.
+        sets: what the curves of each set of values are determined by beside the scene.
+        stage: of the study; empty where it is the whole of it.
+
+    Raises:
+        StoreError: what is there belongs to something else, or the folder cannot be written.
+    """
+    if execution.folder is None:
+        yield KeptCurves(None, execution.notice)
+        return
+    manifest = Manifest(identity, {_name(place): fingerprint(own) for place, own in enumerate(sets)})
+    kept, begun = checkpoint.begin(execution.folder, manifest, resume=execution.resume, stage=stage)
+    try:
+        if execution.resume and not begun and not stage:
+            execution.notice(f"there is nothing to resume in {execution.folder}: it starts from the beginning")
+        elif begun:
+            done = sum((kept.folder / f"{name}.npz").exists() for name in manifest.chunks)
+            execution.notice(f"the curves of {done} of {len(sets)} sets of values are taken up from {kept.folder}")
+        yield KeptCurves(kept, execution.notice)
+    finally:
+        kept.close()
+
+
+def _name(place: int) -> str:
+    return f"curves-{place:05d}"
+
+
+def _written(curves: Sequence[HbmCurve], notes: Sequence[str]) -> Result:
+    arrays: dict[str, Any] = {"notes": np.array(notes, dtype=str), "count": np.array(len(curves))}
+    for place, curve in enumerate(curves):
+        values = {part.name: getattr(curve, part.name) for part in fields(curve)} | {"ending": curve.ending.name}
+        arrays |= {f"{place}-{name}": np.asarray(value) for name, value in values.items()}
+    return arrays
+
+
+def _read(arrays: Result) -> tuple[list[HbmCurve], list[str]]:
+    curves = []
+    for place in range(int(arrays["count"])):
+        own: Mapping[str, Any] = {part.name: arrays[f"{place}-{part.name}"] for part in fields(HbmCurve)}
+        texts = {"ending": Ending[str(own["ending"])], "message": str(own["message"])}
+        curves.append(HbmCurve(**{**own, **texts}))
+    return curves, [str(note) for note in arrays["notes"]]

@@ -1,0 +1,128 @@
+"""A point of a sweep again: its motion from the state that the result holds, with all that a transient records."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from xarray import Dataset
+
+from timesim.orbit.threshold import UNSETTLED_CYCLES
+from timesim.picture.choice import motions
+from timesim.result.netcdf import read
+from timesim.result.state import states_in
+from timesim.study.registry import carry_out, load_scene
+
+SAMPLES = 400  # of a cycle
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point of a sweep and its motion.
+
+    Attributes:
+        name: where it is along the axes of the sweep, ``frequency=0.945,direction=up``.
+        motion: a period of it, ten cycles where it has none: the result of a transient.
+        table: what the sweep and the motion say of it, a line each.
+        reason: why the motion could not be computed to its end; None if it was.
+    """
+
+    name: str
+    motion: Dataset
+    table: tuple[str, ...]
+    reason: str | None
+
+
+def point_again(path: Path | str, at: Mapping[str, float | str]) -> Point:
+    """Integrate the motion at a point of a sweep again.
+
+    Args:
+        path: result file of a study with a sweep, or the folder of its run.
+        at: the point, values along the axes of the sweep by name.
+
+    Raises:
+        RuleError: the result has no such point, or more than one, or holds no states; the key is the axis.
+        StoreError: no such result.
+        SceneError: the scene of the result cannot be built any more.
+    """
+    groups = read(path)
+    sweep = groups.get("sweep", groups[""])
+    states = states_in(sweep)
+    states.one(at)
+    places = {name: places[0] for name, places in states.places(at).items()}
+    where = {name: values[places[name]].item() for name, values in states.axes.items()}
+    here = sweep.isel(places)
+    overrides = {key: value for key, value in where.items() if "." in key and not key.startswith("initial.")}
+    words = ", ".join(f"{name} {_text(value)}" for name, value in where.items())
+    cycles = int(here["period"]) or UNSETTLED_CYCLES
+    outcome = carry_out(
+        load_scene(
+            groups[""].attrs["scene"],
+            overrides
+            | {
+                "title": ": ".join(filter(None, (groups[""].attrs["title"], words))),
+                "study": {"kind": "transient", "cycles": cycles, "samples_per_cycle": SAMPLES},
+                "excitation.frequency": where["frequency"],
+                "initial": {"from": str(Path(path).absolute()), "at": where},
+            },
+        )
+    )
+    motion = outcome.groups[""]
+    name = ",".join(f"{name}={_text(value)}" for name, value in where.items())
+    return Point(name, motion, (f"{words}: {_kind(here)}", *_table(here, motion)), outcome.reason)
+
+
+def _text(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:.10g}"
+
+
+def _kind(here: Dataset) -> str:
+    """What kind of motion it is, in words."""
+    period, cycles = int(here["period"]), int(here["cycles"])
+    if int(here["irregular"]):
+        return f"does not repeat in {cycles} cycles: quasi-periodic or irregular; {UNSETTLED_CYCLES} more are shown"
+    if not period:
+        return f"not settled after {cycles} cycles; {UNSETTLED_CYCLES} more are shown"
+    return f"repeats {'every cycle' if period == 1 else f'after {period} cycles'}, settled after {cycles}"
+
+
+def _table(here: Dataset, motion: Dataset) -> Iterator[str]:
+    """Amplitude, phase and mean of what moves; states, power and largest forces of the contacts."""
+    shown = [here.sel(point=point, axis=axis) for point, axis in motions(here, here["amplitude"].values)]
+    columns: dict[str, Iterable[Any]] = {
+        "point": [str(one["point"].values) for one in shown],
+        "axis": [str(one["axis"].values) for one in shown],
+        _head(here, "amplitude"): [float(one["amplitude"]) for one in shown],
+        _head(here, "phase_deg", "phase"): [float(one["phase_deg"]) for one in shown],
+        _head(here, "harmonic_amplitude", "mean"): [float(one["harmonic_amplitude"].sel(harmonic=0)) for one in shown],
+    }
+    yield from _lines(columns)
+    if not here.sizes["contact"]:
+        return
+    stops = here["friction"].values == 0
+    force, slip, apart = motion["contact_force"].values, here["slip_share"].values, here["separation_share"].values
+    columns = {
+        "contact": here["contact"].values.tolist(),
+        "stick": np.maximum(1 - slip - apart, 0.0),
+        "slip, closed" if stops.any() else "slip": slip,
+        "separation": apart,
+        _head(here, "dissipated_power", "power"): here["dissipated_power"].values,
+        _head(motion, "contact_force", "largest |f|"): np.hypot(force[..., 0], force[..., 1]).max(axis=0),
+        _head(motion, "contact_force", "largest n"): force[..., 2].max(axis=0),
+    }
+    yield from _lines(columns)
+
+
+def _head(data: Dataset, name: str, words: str = "") -> str:
+    return f"{words or name} [{data[name].attrs['units'].replace('*', '·')}]"
+
+
+def _lines(columns: Mapping[str, Iterable[Any]]) -> Iterator[str]:
+    """Columns by their headings as lines, text on the left, numbers on the right."""
+    cells = []
+    for head, values in columns.items():
+        column = [head, *(value if isinstance(value, str) else f"{value + 0.0:.5g}" for value in values)]
+        aligned = str.ljust if head in ("point", "axis", "contact") else str.rjust
+        cells.append([aligned(cell, max(map(len, column))) for cell in column])
+    yield from ("  ".join(line).rstrip() for line in zip(*cells, strict=True))
