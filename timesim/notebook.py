@@ -262,7 +262,7 @@ def settle(system: Section, frequency: float, *, tolerance: float = 1e-8, max_cy
 
 
 def follow(
-    system: Section, start: float, stop: float, *, harmonics: int = 9, time_samples: int = 1024
+    system: Section, start: float, stop: float, *, harmonics: int = 9, time_samples: int | str = "auto"
 ) -> "xarray.Dataset":
     """Follow periodic responses by harmonic balance from one frequency to another, through folds.
 
@@ -273,7 +273,7 @@ def follow(
 
     Keyword Args:
         harmonics: of the displacement, above the mean.
-        time_samples: of a period at which the contacts are evaluated.
+        time_samples: of a period at which the contacts are evaluated, a number or auto.
 
     Returns:
         The variables of the result file of a harmonic balance, along `solution`, `amplitude` (solution, point, axis)

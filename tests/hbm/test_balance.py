@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import systems
 
-from timesim.element import state_by_state
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, Ending
 from timesim.hbm.corrector import solve
@@ -123,17 +122,6 @@ def test_circular_motion_is_exact_but_for_the_samples(circle, omega):
     assert point.slip_share[0, 0] == pytest.approx(1)
     assert point.stable[0]
     assert point.closure[0] <= 1
-
-
-def test_circular_motion_with_located_transitions():
-    model, omega = systems.circular(0.5, 1.2), 1.2
-    balance = Balance(model, omega / TURN, Scheme(1, 256, "located"))
-    radius = systems.circular_radius(0.5, omega)
-    guess = np.array([0.0, 0.9, 0.0, 0.0, 0.0, 0.9, 0.0, 0.0, 0.0]) * radius / balance.length
-    solution = solve(balance, guess, omega / TURN, replace(Controls(), tolerance=1e-11))
-    assert solution is not None
-    motion = balance.coefficients(solution[0])[0] * balance.length
-    np.testing.assert_allclose(np.hypot(motion[:2, 1], motion[:2, 2]), radius, rtol=1e-8)
 
 
 @pytest.fixture(scope="module")
@@ -318,13 +306,3 @@ def test_time_integration_leads_to_the_first_solution():
     motion = balance.coefficients(solution[0])[0] * balance.length
     np.testing.assert_allclose(motion, known.contact_motion[0, 0], atol=1e-6)
     assert others[-1][0] == "a load that grows from zero, up to 100% of it"
-
-
-def test_too_many_transitions_end_a_curve_with_the_reason(monkeypatch: pytest.MonkeyPatch):
-    model, scheme = systems.circular(0.5, 1.0), Scheme(1, 64, "located")
-    monkeypatch.setattr(state_by_state, "MAX_TRANSITIONS", 0)
-    curve = hbm_curve(model, 0.8 / TURN, 0.9 / TURN, scheme=scheme)
-    assert curve.ending is Ending.START
-    assert curve.frequency.size == 0
-    assert "no solution at the start (contact pad: " in curve.message
-    assert "more than 0 transitions" in curve.message

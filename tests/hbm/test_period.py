@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import systems
+from located import located_forces
 from scipy.optimize import minimize
 
 from timesim.element.motion import CYCLE, SplineMotion
 from timesim.element.state_by_state import steady_cycle
 from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.interval import advance, intervals_of
-from timesim.hbm.located import located_forces
 from timesim.hbm.period import (
     MAX_PASSES,
     basis_of,

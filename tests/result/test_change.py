@@ -84,7 +84,6 @@ ONE = {"contacts.pad.preload": [900.0]}
 BALANCE = {
     "harmonics": 5,
     "time_samples": 64,
-    "located": True,
     "stability": False,
     "convergence": True,
     "continuation": {"first_step": 0.01, "min_step": 1e-5, "max_step": 0.04, "max_points": 50, "tolerance": 1e-8},

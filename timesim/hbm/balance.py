@@ -25,8 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from timesim.engine.law.cone import ConeLaw
-from timesim.hbm.corrector import NoSolutionError
-from timesim.hbm.located import located_forces
 from timesim.hbm.period import Basis, basis_of, contact_forces
 from timesim.hbm.scheme import Scheme, check_model
 from timesim.hbm.tangent import linearised
@@ -151,26 +149,7 @@ class Balance:
 
     def contact_forces(self, x: Array) -> Array:
         """(f1, f2, n) of each contact by their coefficients in units of `force`, shape (C, 3, 2H + 1)."""
-        sampled = contact_forces(self.law, self.basis, self.coefficients(x)).coefficient
-        return self.refined_forces(x, sampled)
-
-    def refined_forces(self, x: Array, sampled: Array) -> Array:
-        """(f1, f2, n) with located transitions, if the scheme asks for them, else those of the samples.
-
-        In full stick, where the offset is free, they are those of the samples too.
-
-        Raises:
-            NoSolutionError: a transition cannot be located.
-        """
-        forces = np.array(sampled)
-        if self.scheme.transitions == "located":
-            for i, contact in enumerate(self.model.contacts):
-                try:
-                    located = located_forces(contact, self.length * self.coefficients(x)[i])
-                except RuntimeError as error:
-                    raise NoSolutionError(f"contact {contact.name}: {error}") from None
-                forces[i] = forces[i] if located is None else located / self.force
-        return forces
+        return contact_forces(self.law, self.basis, self.coefficients(x)).coefficient
 
     def _on_body_1(self, forces: Array) -> Array:
         """g from (f1, f2, n), in units of force."""
@@ -197,7 +176,7 @@ class Balance:
         """r, and its derivatives by the unknowns and by the frequency."""
         sampled, slope = linearised(self.law, self.basis, self.coefficients(x))
         linear = self.linear(p)
-        acting, motion = self._response(x, self.refined_forces(x, sampled.coefficient), linear)
+        acting, motion = self._response(x, sampled.coefficient, linear)
         by_p = under(linear.slope, acting)
         matrix = np.eye(x.size) - self._matrix(linear.flexibility, slope)
         r = x - to_coefficients(motion.T).ravel() / self.length

@@ -209,7 +209,7 @@ def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmC
     size, order = curve.p.size, balance.scheme.harmonics + 1
     motion = balance.coefficients(curve.x)
     done = [contact_forces(balance.law, balance.basis, own) for own in motion]
-    forces = np.array([balance.refined_forces(x, own.coefficient) for x, own in zip(curve.x, done, strict=True)])
+    forces = np.array([own.coefficient for own in done])
     shape = balance.model.structure.shape
     phasor = np.zeros((size, order, *shape.shape[:2]), complex)
     for i, (x, p) in enumerate(zip(curve.x, curve.p, strict=True)):

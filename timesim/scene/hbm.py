@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, Tag, model_validator
 
 from timesim.fault import RuleError
-from timesim.hbm.scheme import BalanceError, Scheme, check_model
+from timesim.hbm.scheme import BalanceError, Scheme, check_model, enough_samples
 from timesim.model.model import Model
 from timesim.result.file import StoreError
 from timesim.result.last_cycle import PeriodicMotion, periodic_motion
@@ -158,14 +158,20 @@ StartSection = Annotated[
 ]
 
 
-def balanced(harmonics: int, time_samples: int, located: bool = False) -> Scheme:
+TimeSamples = Annotated[
+    Annotated[Literal["auto"], Tag("<text>")] | Annotated[Annotated[Whole, Field(le=10**6)], Tag("<number>")],
+    by_form("auto or a whole number"),
+]
+
+
+def balanced(harmonics: int, time_samples: int | Literal["auto"]) -> Scheme:
     """What is balanced, in numbers.
 
     Raises:
         PydanticCustomError: it is too coarse.
     """
     try:
-        return Scheme(harmonics, time_samples, "located" if located else "sampled")
+        return Scheme(harmonics, enough_samples(harmonics) if time_samples == "auto" else time_samples)
     except BalanceError as error:
         raise refuse(error.rule, key=(error.key,), value=error.value, hint=error.hint) from None
 
@@ -186,10 +192,9 @@ class BalanceSection(StudySection):
 
     harmonics: Annotated[Count, Field(le=1000)] = 9
     """Highest harmonic of the excitation frequency that is balanced, the mean beside them."""
-    time_samples: Annotated[Whole, Field(le=10**6)] = 1024
-    """Samples of a period on which the contact forces are evaluated; at least 16, and 4 a harmonic."""
-    located: Switch = False
-    """Locate every transition of the contacts instead: slow, a reference."""
+    time_samples: TimeSamples = "auto"
+    """Samples of a period on which the contact forces are evaluated; at least 16, and 4 a harmonic; auto: 256, or more
+    from 11 harmonics on."""
     stability: Switch = True
     """Floquet multipliers of every point; without, only folds tell stable from unstable."""
     start: StartSection = "linear"
@@ -217,7 +222,7 @@ class BalanceSection(StudySection):
             RuleError: the result to start from is none of this scene.
         """
         plan = HbmPlan(
-            scheme=balanced(self.harmonics, self.time_samples, self.located),
+            scheme=balanced(self.harmonics, self.time_samples),
             span=span,
             over=over,
             along=along,

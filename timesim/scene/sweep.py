@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from timesim.fault import RuleError
 from timesim.model.model import CONE, Model
 from timesim.model.solver import Criterion
-from timesim.scene.hbm import HbmPlan, balance_problems, balanced, default_steps
+from timesim.scene.hbm import HbmPlan, TimeSamples, balance_problems, balanced, default_steps
 from timesim.scene.section import refuse
 from timesim.scene.study import (
     AlongOne,
@@ -168,7 +168,7 @@ class Bistable(SteadySection):
     """Starts at mid-range, as many along each side of a square: sums of the two motions; 5, 9, 13, ..., 0 for none."""
     harmonics: Annotated[Whole, Field(ge=0, le=1000)] = 9
     """Highest harmonic of the branch by harmonic balance that is drawn behind; 0 draws none."""
-    time_samples: Annotated[Count, Field(le=10**6)] = 1024
+    time_samples: TimeSamples = "auto"
     """Samples of a period that the balance takes."""
 
     @model_validator(mode="after")
