@@ -21,7 +21,7 @@ from scipy.linalg import expm
 from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.period import basis_of, motion_of, period_of, touching_stiffness
-from timesim.hbm.tangent import straight_slopes
+from timesim.hbm.tangent import interval_slopes
 
 # Modulus of a multiplier above which a solution is unstable: those of an undamped structure lie on the unit circle but
 # for the error of the samples.
@@ -30,6 +30,8 @@ BORDER = 1 + 1e-3
 SAMPLES = 128
 # Entries of the maps over the intervals that are in memory at a time.
 MAX_ENTRIES = 2_000_000
+# What the law gives over an interval: d, and the forces put on the samples before and after it.
+RESULTS = (slice(0, 2), slice(2, 5), slice(5, 8))
 # Contacts, of several solutions, that one call evaluates.
 SIDE_BY_SIDE = 16
 
@@ -62,9 +64,11 @@ def floquet_multipliers(balance: Balance, x: Array, frequency: Array, *, samples
 
 
 def _linearised(balance: Balance, coefficient: Array, samples: int) -> list[Array]:
-    """Derivatives of d at the end of each interval by d at its start, by the change of y and by v, and the touch.
+    """Derivatives of what the law gives over each interval, and the normal stiffness that acts at its end.
 
-    Shapes (S, N, C, 2, 2), (S, N, C, 2, 3), (S, N, C, 2) and (S, N, C): the normal stiffness that acts at each sample.
+    The former are those of d at its end and of the forces put on both samples, 8 for a contact, by d at its start and
+    by the motion s = (u1, u2, v) and its rates at both ends, time in units of the interval: shapes (S, N, C, 8, 2),
+    twice (S, N, C, 8, 6), and (S, N, C).
     """
     basis, count = basis_of(balance.scheme.harmonics, samples), max(1, SIDE_BY_SIDE // balance.num_contacts)
     law = jax.tree.map(lambda leaf: np.tile(leaf, count), balance.law)
@@ -72,9 +76,14 @@ def _linearised(balance: Balance, coefficient: Array, samples: int) -> list[Arra
     def local(own: Array) -> list[Array]:
         contacts = np.resize(own, (count, *own.shape[1:])).reshape(-1, *own.shape[2:])
         motion, period = motion_of(basis, contacts), period_of(law, basis, contacts)
-        slope = straight_slopes(law, period, motion)
-        change = np.concatenate([slope[..., 2:4], -slope[..., 4:5]], axis=-1)
-        rows = slope[..., :2], change, slope[..., 4] + slope[..., 5], touching_stiffness(law, motion)
+        slope = interval_slopes(law, period, motion)
+        change, rate0, rate1 = np.moveaxis(slope.tangential, -1, 0)
+        v0, v1, dv0, dv1 = np.moveaxis(slope.normal[..., None], -2, 0)
+        before, after = (
+            np.concatenate([-change, v0, rate0, dv0], axis=-1),
+            np.concatenate([change, v1, rate1, dv1], axis=-1),
+        )
+        rows = slope.start, before, after, touching_stiffness(law, motion)
         return [leaf.reshape(samples, count, -1, *leaf.shape[2:]).swapaxes(0, 1)[: len(own)] for leaf in rows]
 
     parts = [local(coefficient[first : first + count]) for first in range(0, len(coefficient), count)]
@@ -135,35 +144,45 @@ def _kept(keep: Array, x: Array) -> Array:
 def _monodromy(balance: Balance, steps: tuple[Array, Array, Array], local: list[Array]) -> Array:
     """Product of the maps of (x, d) over the intervals of a period, shape (S, 2M + 2C, 2M + 2C).
 
-    With the motion y = E x and the force g = -K d - P y of the contacts at both ends of an interval, its end follows
-    from d1 = carry d0 + change (y1 - y0) + load v1.
+    The motion s = T x of the contacts and d at its end obey the law, with the force g = -K d - P s at both ends and
+    what is put on them for the kinks between.
     """
     keep, first, last = steps
-    carry, change, load, touching = local
-    ratio, shape = balance.force / balance.length, balance.shape
-    normal = np.zeros((*touching.shape, 3, 3))
-    normal[..., 2, 2] = ratio * touching
-    at_end = change.copy()
-    at_end[..., 2] += load
-    carry, change, rising, press = (_blocks(part) for part in (carry, change, at_end, normal))
-    spring = ratio * _spring(balance.law)
-    num_modes, size = shape.shape[1], 2 * (shape.shape[1] + balance.num_contacts)
+    *slopes, touching = local
+    ratio, num_modes = balance.force / balance.length, balance.shape.shape[1]
+    press = np.zeros((*touching.shape, 3, 6))
+    press[..., 2, 2] = touching
+    press, spring = ratio * _blocks(press), ratio * _spring(balance.law)
+    carry, begin, end = ([_blocks(part[..., rows, :]) for rows in RESULTS] for part in slopes)
+    seen = _seen(balance, touching.shape[1])
+    size = 2 * num_modes + carry[0].shape[-1]
     start = np.broadcast_to(np.eye(size), (len(first), size, size))
     x, d = start[:, : 2 * num_modes], start[:, 2 * num_modes :]
-    y = shape @ x[:, :num_modes]
-    g = -spring @ d - press[:, -1] @ y
-    both, seen_first = np.concatenate([first, last], axis=2), shape @ first[:, :num_modes]
-    seen_last = shape @ last[:, :num_modes]
-    back = seen_last[:, None] @ (spring @ rising + press)
-    inverse = np.linalg.inv(np.eye(len(shape)) + back)
-    for k in range(carry.shape[1]):
-        d = carry[:, k] @ d - change[:, k] @ y
-        x = _kept(keep, x)
-        y = inverse[:, k] @ (shape @ x[:, :num_modes] + seen_first @ g - seen_last @ (spring @ d))
-        d = d + rising[:, k] @ y
-        end = -spring @ d - press[:, k] @ y
-        x, g = x + both @ np.concatenate([g, end], axis=1), end
+    s = seen @ x
+    g = -spring @ d - press[:, -1] @ s
+    felt = (seen @ first)[:, None] @ (ratio * end[1]) + (seen @ last)[:, None] @ (
+        spring @ end[0] + press + ratio * end[2]
+    )
+    inverse = np.linalg.inv(np.eye(len(seen)) + felt)
+    for k in range(touching.shape[1]):
+        moved, early, late = (a[:, k] @ d + b[:, k] @ s for a, b in zip(carry, begin, strict=True))
+        free = _kept(keep, x) + first @ (g - ratio * early) - last @ (spring @ moved + ratio * late)
+        s = inverse[:, k] @ (seen @ free)
+        d = moved + end[0][:, k] @ s
+        x = (
+            free
+            - (first @ (ratio * end[1][:, k]) + last @ (spring @ end[0][:, k] + press[:, k] + ratio * end[2][:, k])) @ s
+        )
+        g = -spring @ d - press[:, k] @ s
     return np.concatenate([x, d], axis=1)
+
+
+def _seen(balance: Balance, samples: int) -> Array:
+    """T: (u1, u2, v) of each contact and their rates, time in units of the interval, from x, shape (6C, 2M)."""
+    shape = balance.shape.reshape(balance.num_contacts, 3, -1)
+    none = np.zeros_like(shape)
+    rows = [np.concatenate([shape, none], axis=2), np.concatenate([none, 2 * np.pi / samples * shape], axis=2)]
+    return np.concatenate(rows, axis=1).reshape(6 * balance.num_contacts, -1)
 
 
 def _blocks(small: Array) -> Array:

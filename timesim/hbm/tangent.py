@@ -59,17 +59,6 @@ def interval_slopes(law: ConeLaw, period: ClosedPeriod, motion: Motion) -> Slope
     return Slope(slope[..., :2], tangential, slope[..., 8:])
 
 
-def straight_slopes(law: ConeLaw, period: ClosedPeriod, motion: Motion) -> Array64:
-    """Derivatives of d at the end of each interval by d at its start, by the change of u along it and by v at both
-    ends, the path between taken as straight: shape (N, C, 2, 6)."""
-    of = intervals_of(motion)
-    dv = of.v1 - of.v0
-    slope = _slopes(law, period, (*of.change, *of.change, *of.change, of.v0, of.v1, dv, dv))[:, :, :2]
-    change = slope[..., 2:8].reshape(*slope.shape[:3], 3, 2).sum(axis=3)
-    rate = slope[..., 10:].sum(axis=3, keepdims=True)
-    return np.concatenate([slope[..., :2], change, slope[..., 8:9] - rate, slope[..., 9:10] + rate], axis=3)
-
-
 def _slopes(law: ConeLaw, period: ClosedPeriod, motion: tuple[Array, ...]) -> Array64:
     """Derivatives of the results by d at the start and by the motion, shape (N, C, 8, 12).
 
