@@ -91,6 +91,14 @@ def test_a_step_that_does_not_lead_closer_is_shortened_and_given_up_in_the_end()
     assert closer.share == 1.0
 
 
+def test_a_step_that_closes_a_contact_is_judged_by_the_derivative_there():
+    """By that before, a decay of a thousandth a cycle, the iterate would be a hundred times farther away."""
+    before, here = cycle(near(0.3), np.diag([0.999, 0.1])), near(0.2)
+    led_to = iterated(Shot(here, before=before), cycle(here, np.diag([0.5, 0.1])), TOLERANCE)
+    assert isinstance(led_to, Shot)
+    assert (led_to.share, led_to.before.start) == (1.0, here)
+
+
 def test_no_step_is_longer_than_half_of_the_state():
     far = at(FIXED * 4)
     led_to = iterated(Shot(far), cycle(far, turning(0.5)), TOLERANCE)

@@ -97,11 +97,15 @@ def iterated(shot: Shot, recorded: Recorded, tolerance: float) -> Shot | Converg
 
 
 def _led_closer(shot: Shot, recorded: Recorded) -> float:
-    """Distance from the fixed point as a share of that before the step to the iterate; 0 at the first."""
+    """Distance from the fixed point as a share of that before the step to the iterate; 0 at the first.
+
+    By the derivative before or after the step, whichever shows it nearer: a contact may have closed in between.
+    """
     if shot.before is None:
         return 0.0
     step, follows = (shot.before.newton_step(one.change) for one in (shot.before, recorded))
-    return _largest(follows) / max(_largest(step), 1e-300)
+    nearer = min(_largest(follows), _largest(recorded.newton_step(recorded.change)))
+    return nearer / max(_largest(step), 1e-300)
 
 
 def _shorter(shot: Shot) -> Shot | Failure:

@@ -80,7 +80,11 @@ LABELS: dict[str, tuple[str, str | None]] = {
         "not settled, the least change over a period",
         "1",
     ),
-    "irregular": ("1 where the motion does not repeat, however long it goes on: quasi-periodic or irregular", None),
+    "irregular": (
+        "1 where the motion, however long it goes on, does not repeat after up to eight cycles: quasi-periodic or "
+        "irregular",
+        None,
+    ),
     "cycles": ("excitation cycles run", "1"),
     "period": ("period of the motion in excitation periods", "1"),
     "floquet_max": (

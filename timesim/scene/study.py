@@ -185,7 +185,8 @@ class SteadySection(StudySection):
     settle: Settle = Settle()
     """When a motion counts as settled."""
     periodic: Literal["march", "shoot"] = "march"
-    """How a periodic motion is sought: marching until it settles, or Newton's method on the state after a period."""
+    """How a periodic motion is sought: marching, and Newton's method on the state after a period after 256 cycles, or,
+    with shoot, after 16."""
 
     def criterion(self) -> Criterion:
         """When a motion counts as settled, in numbers."""
