@@ -237,7 +237,8 @@ def test_a_cycle_that_does_not_settle_is_left_out_with_the_reason(monkeypatch: p
     study |= {"settle": {"tolerance": 1e-7}}
     seen = []
 
-    def impatient(chains, solver, criterion):
+    def impatient(chains, solver, criterion, *, crowd):
+        assert crowd == 1  # that of the sweep, whose program is compiled
         seen.append(criterion)
         return steady_states(chains, solver, replace(criterion, max_cycles=1))
 
