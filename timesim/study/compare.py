@@ -213,6 +213,7 @@ def _settled_cycle(model: Model, frequency: float, solver: Solver, plan: SweepPl
         raise NotSettledError(orbit.reason)
     if not orbit.settled or orbit.period != 1:
         budget = plan.criterion.max_cycles
-        many = f"repeats after {orbit.period} cycles" if orbit.settled else "does not settle"
+        never = "does not repeat" if orbit.irregular else "does not settle"
+        many = f"repeats after {orbit.period} cycles" if orbit.settled else never
         raise NotSettledError(f"at {frequency:g} Hz the motion {many} in settle.max_cycles = {budget}")
     return one_cycle(replace(model, start=orbit.end), frequency, solver, SAMPLES)
