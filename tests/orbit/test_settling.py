@@ -12,7 +12,7 @@ from timesim.engine.step import Status
 from timesim.model.solver import NEVER, PRESETS, SHOOT, SLOW, Criterion, Solver
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.fourier import phase_deg, to_phasors
-from timesim.orbit.recurrence import recurrence_of
+from timesim.orbit.recurrence import is_irregular, recurrence_of
 from timesim.orbit.settling import Chain, Phase, Search, after_march, steady_states
 from timesim.orbit.threshold import CYCLES_A_ROUND
 
@@ -114,6 +114,18 @@ def test_a_decaying_vibration_is_no_multiple_period():
     found = [recurrence_of(decays[max(0, n - 16) : n], 1e-8).period for n in range(16, 200)]
     assert set(found) == {0, 1}
     assert recurrence_of(1 + 1e-3 * free[-16:], 1e-8).period == 3
+
+
+def test_what_does_not_repeat_is_told_from_what_is_slow():
+    """Changes that neither fall nor are noise are of an irregular motion, if free vibrations would have decayed."""
+    rounds, scatter = np.arange(250), np.random.default_rng(5).uniform(0.8, 1.25, 250)
+    decays = 0.1 * np.exp(-0.003 * CYCLES_A_ROUND * rounds)
+    assert is_irregular(0.1 * scatter, 0.003, 1e-5)
+    assert not is_irregular(decays * scatter, 0.003, 1e-5)
+    assert not is_irregular(1e-5 * scatter, 0.003, 1e-4)  # noise
+    assert not is_irregular(scatter / (1 + rounds), 0.1, 1e-5)  # a contact that creeps
+    assert not is_irregular(0.1 * scatter, 1e-4, 1e-5)  # hardly damped at all
+    assert not is_irregular([0.1] * 3, 0.003, 1e-5)
 
 
 @pytest.mark.parametrize("entry", range(4))

@@ -145,6 +145,8 @@ def test_a_closed_frictionless_stop_is_shot(preload):
     assert (shot.separation_share[0] == 0) == (preload == 3.0)
     np.testing.assert_allclose(shot.amplitude, marched.amplitude, atol=1e-7 * np.max(marched.amplitude), rtol=0)
     assert shot.cycles < SHOOT + 10 < marched.cycles
+    if preload == 3.0:  # in closed form, and one cycle shows it
+        assert (shot.cycles, shot.settled_to) == (SHOOT + 1, 0.0)
 
 
 def test_every_cycle_of_a_shot_counts_once(monkeypatch):

@@ -149,7 +149,8 @@ def lines_on(difference: float, missing: int = 0, **changes: np.ndarray) -> list
     """
     dims = ("contacts.pad.preload", "direction", "frequency")
     shares = {"slip_share": np.full((*SHAPE, 1), 0.4), "separation_share": np.full((*SHAPE, 1), 0.1)}
-    arrays: dict[str, Any] = {"settled": np.ones(SHAPE, int), "period": np.ones(SHAPE, int)} | shares | changes
+    arrays: dict[str, Any] = {"settled": np.ones(SHAPE, int), "period": np.ones(SHAPE, int)}
+    arrays |= {"irregular": np.zeros(SHAPE, int)} | shares | changes
     friction = arrays.pop("friction", np.ones(1))
     variables = {name: ((*dims, "contact")[: array.ndim], array) for name, array in arrays.items()}
     coords: dict[str, Any] = {
@@ -229,6 +230,12 @@ def test_points_without_an_answer_are_named():
     assert "2 points have no stable solution of the balance: contacts.pad.preload -4 at 1 to 2 Hz" in text
     assert "1 points repeat after several cycles, which the balance cannot show: contacts.pad.preload 3 at 2 Hz" in text
     assert "1 points did not settle and are left out: contacts.pad.preload 3 at 3 Hz" in text
+    text = "\n".join(lines_on(1e-5, settled=settled, irregular=1 - settled))
+    assert (
+        "1 points do not repeat, being quasi-periodic or irregular, and are left out: contacts.pad.preload 3 at 3"
+        in text
+    )
+    assert "did not settle" not in text
 
 
 def test_a_cycle_that_does_not_settle_is_left_out_with_the_reason(monkeypatch: pytest.MonkeyPatch):
@@ -237,7 +244,8 @@ def test_a_cycle_that_does_not_settle_is_left_out_with_the_reason(monkeypatch: p
     study |= {"settle": {"tolerance": 1e-7}}
     seen = []
 
-    def impatient(chains, solver, criterion):
+    def impatient(chains, solver, criterion, *, crowd):
+        assert crowd == 1  # that of the sweep, whose program is compiled
         seen.append(criterion)
         return steady_states(chains, solver, replace(criterion, max_cycles=1))
 

@@ -103,3 +103,5 @@ def test_a_result_without_states_says_so(tmp_path: Path):
     assert "holds no final state" in done.stderr
     with pytest.raises(ValueError, match="holds no final state"):
         timesim.show(tmp_path, POINT)
+    netcdf.save(data.drop_vars("dissipated_power"), tmp_path / "result.nc")
+    assert "lacks dissipated_power (it is of an earlier version of timesim" in call(tmp_path).stderr

@@ -20,6 +20,7 @@ from timesim.orbit.threshold import (
     PERIODS,
     REST,
     STILL_THERE,
+    VAGUE,
 )
 
 HALF = CYCLES_A_ROUND // 2
@@ -91,16 +92,17 @@ def nearest_period(returns: np.ndarray) -> int:
     return int(np.argmax(change <= NEARLY_LEAST * change.min())) + 1
 
 
-def is_irregular(changes: Sequence[float], decay: float) -> bool:
-    """Whether a motion has shown that it does not repeat: its change falls by less than free vibrations decay.
+def is_irregular(changes: Sequence[float], decay: float, noise: float) -> bool:
+    """Whether a motion has shown that it does not repeat: its change does not fall where free vibrations decay.
 
     Args:
         changes: least change over a period, after each round.
         decay: slowest decay of a free vibration, of its logarithm a cycle.
+        noise: change that the steps may leave of a motion that repeats.
     """
     quarter = len(changes) // 4
     if not quarter:
         return False
     early, late = (float(np.median(changes[first : first + quarter])) for first in (quarter, len(changes) - quarter))
     due = decay * CYCLES_A_ROUND * (len(changes) - 2 * quarter)
-    return due > CLEARLY and late > 0 and np.log(early / late) < due / 2
+    return due > CLEARLY and late > max(VAGUE, noise) and np.log(early / late) < CLEARLY / 2

@@ -24,7 +24,7 @@ from timesim.orbit.linear import held_lane, linear_orbit, proven_orbit, slowest_
 from timesim.orbit.recurrence import is_irregular, nearest_period, recurrence_of
 from timesim.orbit.shooting import Converged, Shot, iterated
 from timesim.orbit.steady_state import Orbit, without_orbit
-from timesim.orbit.threshold import CYCLES_A_ROUND, LATER, LONELY, SIDE_BY_SIDE, TRIES, UNSETTLED_CYCLES
+from timesim.orbit.threshold import CYCLES_A_ROUND, LATER, LONELY, NOISY, SIDE_BY_SIDE, TRIES, UNSETTLED_CYCLES
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,8 @@ def after_measure(search: Search, recorded: Recorded, solver: Solver) -> Search:
 
 
 def _done(search: Search, recorded: Recorded) -> Search:
-    irregular = search.period == 0 and is_irregular(search.changes, slowest_decay(search.lane))
+    noise = NOISY * float(search.lane.control.rtol)
+    irregular = search.period == 0 and is_irregular(search.changes, slowest_decay(search.lane), noise)
     orbit = recorded.orbit(search.cycles, search.period, search.settled_to, irregular=irregular)
     return replace(search, phase=Phase.DONE, orbit=orbit)
 

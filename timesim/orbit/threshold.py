@@ -33,7 +33,8 @@ NEARLY_LEAST = 2.0
 """Change over a period, as a multiple of the least over any: a period twice as long repeats as nearly."""
 CLEARLY = 0.7
 """Logarithm by which the change of a motion that settles must at least have fallen, if one that has not is to tell
-itself from it: a half. Less would be lost in the scatter of an irregular motion."""
+itself from it: to a half. One that has fallen by less than its root, as that of a contact that creeps does not, has
+not fallen."""
 
 # Shooting
 LATER = 1.5

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 METHODS = {"sweep": "time integration", "hbm": "harmonic balance"}
 # Amplitudes of a point along an axis below this share of the largest do not count in the difference that is drawn.
 MINOR = 1e-3
+SMALL, WIDE = 3.2, 7.0  # sizes of a dot and of a triangle beside the point
 
 
 Points = tuple[dict[str, int], dict[str, Any]]
@@ -63,9 +64,14 @@ def overlay(
     for where, look in _points(hbm, sweep):
         part = sweep.isel(where)
         y, settled = part[name].sel(point=point, axis=axis).values, part.settled.values > 0
-        ax.plot(part.frequency.values[settled], y[settled], ms=3.2, **look)
+        ax.plot(part.frequency.values[settled], y[settled], **look)
         if not settled.all():
-            hollow = look | {"label": "not settled", "fillstyle": "none", "ms": 5}
+            hollow = look | {
+                "label": "not settled",
+                "fillstyle": "none",
+                "ms": 1.5 * look["ms"],
+                "markeredgecolor": look["color"],
+            }
             ax.plot(part.frequency.values[~settled], y[~settled], **hollow)
     if name == "amplitude":
         from_zero(ax)
@@ -80,8 +86,8 @@ def difference(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
     linear = ~switches(sweep.slip_share, sweep.separation_share).any("contact")
     for where, look in _points(hbm, sweep):
         x, y, pale = sweep.frequency.values, size.isel(where).values, linear.isel(where).values
-        ax.plot(x[~pale], y[~pale], ms=3.5, **look)
-        ax.plot(x[pale], y[pale], ms=3, alpha=0.25, **look)
+        ax.plot(x[~pale], y[~pale], **look)
+        ax.plot(x[pale], y[pale], alpha=0.25, **look)
     for fold in hbm.frequency.values[hbm.fold.values > 0]:
         ax.axvline(fold, color="0.6", linewidth=0.7, linestyle=":", label="frequency of a fold")
     ax.set_yscale("log")
@@ -97,7 +103,7 @@ def share(data: "DataTree", ax: "Axes | None" = None, *, state: str = "slip") ->
     ax = balance.share(hbm, axes(ax), contact=contact, state=state)
     for where, look in _points(hbm, sweep):
         part = sweep.isel(where)
-        ax.plot(part.frequency.values, part[name].sel(contact=contact).values, ms=2.5, **look)
+        ax.plot(part.frequency.values, part[name].sel(contact=contact).values, **look)
     label_axes(ax, short(contact))
     return ax
 
@@ -119,6 +125,8 @@ def _points(hbm: "Dataset", sweep: "Dataset") -> Iterator[Points]:
             words = (METHODS["sweep"], "" if direction == "independent" else direction)
             name = ", ".join(filter(None, (*words, "" if label in colours else "no curve")))
             look = {"color": colours.get(label, "0.5"), "marker": PAIRED[direction], "linestyle": "", "label": name}
+            edge = {} if direction == "independent" else {"markeredgecolor": "white", "markeredgewidth": 0.6}
+            look |= {"ms": SMALL if direction == "independent" else WIDE, **edge}
             yield dict(zip(keys, where, strict=True)) | {"direction": i}, look
 
 

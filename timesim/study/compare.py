@@ -26,18 +26,19 @@ from timesim.model.solver import Solver
 from timesim.orbit.basin import placed
 from timesim.orbit.cycle import one_cycle
 from timesim.orbit.fourier import fourier_basis, fourier_coefficients
-from timesim.orbit.settling import Chain, Criterion, steady_states
+from timesim.orbit.settling import Chain, steady_states
 from timesim.result.dataset import dataset
 from timesim.result.label import in_words
 from timesim.result.state import states_in
 from timesim.scene.hbm import ComparePlan
 from timesim.scene.resolution import Scene
+from timesim.scene.study import SweepPlan
 from timesim.study.execution.campaign import INTERRUPTED, Execution
 from timesim.study.execution.progress import CURVE, Phases
 from timesim.study.hbm import Curves, followed, left_out
 from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import jump_lines
-from timesim.study.sweep import sweep_record
+from timesim.study.sweep import crowd_of, sweep_record
 from timesim.study.verdict import compared_points, comparison_lines, curve_lines
 
 # Amplitudes below this share of the largest of a motion are those of axes that do not move.
@@ -163,7 +164,7 @@ def cycle_by_both(scene: Scene, curves: Curves, match: Match, place: tuple[int, 
     modal = balance.modes(coefficient.ravel(), solution.contact_force[0] / balance.force, frequency)
     elastic, states = _contacts(balance, coefficient)
     start = _start(model, balance, coefficient, modal, elastic, frequency)
-    marched = _settled_cycle(replace(model, start=start), frequency, scene.solver(), scene.plan.sweep.criterion)
+    marched = _settled_cycle(replace(model, start=start), frequency, scene.solver(), scene.plan.sweep)
     angle = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
     q = np.einsum("kh,hm->km", np.exp(1j * np.outer(angle, np.arange(len(modal)))), modal).real
     x = np.stack([np.einsum("pam,km->kpa", model.structure.shape, motion) for motion in (marched.q[:-1], q)])
@@ -204,12 +205,15 @@ def _start(
     return replace(placed(model, displacement, speed, (here[:, :2] - elastic) * balance.length), phase=0.0)
 
 
-def _settled_cycle(model: Model, frequency: float, solver: Solver, criterion: Criterion) -> Samples:
+def _settled_cycle(model: Model, frequency: float, solver: Solver, plan: SweepPlan) -> Samples:
     """A cycle of the motion that a model settles to, both ends sampled."""
-    ((orbit,),) = steady_states([Chain(model, (frequency,))], solver, criterion)
+    # In batches as large as those of the sweep, whose programs are compiled.
+    ((orbit,),) = steady_states([Chain(model, (frequency,))], solver, plan.criterion, crowd=crowd_of(plan))
     if orbit.reason is not None:
         raise NotSettledError(orbit.reason)
     if not orbit.settled or orbit.period != 1:
-        many = f"repeats after {orbit.period} cycles" if orbit.settled else "does not settle"
-        raise NotSettledError(f"at {frequency:g} Hz the motion {many} in settle.max_cycles = {criterion.max_cycles}")
+        budget = plan.criterion.max_cycles
+        never = "does not repeat" if orbit.irregular else "does not settle"
+        many = f"repeats after {orbit.period} cycles" if orbit.settled else never
+        raise NotSettledError(f"at {frequency:g} Hz the motion {many} in settle.max_cycles = {budget}")
     return one_cycle(replace(model, start=orbit.end), frequency, solver, SAMPLES)

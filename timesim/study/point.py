@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from xarray import Dataset
 
+from timesim.fault import RuleError
 from timesim.orbit.threshold import UNSETTLED_CYCLES
 from timesim.picture.choice import motions
 from timesim.result.netcdf import read
@@ -15,6 +16,8 @@ from timesim.result.state import states_in
 from timesim.study.registry import carry_out, load_scene
 
 SAMPLES = 400  # of a cycle
+SHOWN = ("phase_deg", "dissipated_power", "irregular")
+"""Of a point, beside what every sweep holds of it."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,8 @@ def point_again(path: Path | str, at: Mapping[str, float | str]) -> Point:
     groups = read(path)
     sweep = groups.get("sweep", groups[""])
     states = states_in(sweep)
+    if missing := [name for name in SHOWN if name not in sweep.variables]:
+        raise RuleError((), f"lacks {', '.join(missing)}", "it is of an earlier version of timesim: run it again")
     states.one(at)
     places = {name: places[0] for name, places in states.places(at).items()}
     where = {name: values[places[name]].item() for name, values in states.axes.items()}

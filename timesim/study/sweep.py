@@ -202,6 +202,12 @@ Place = tuple[int, int, slice | int]
 """Set of values, direction, and positions of the frequencies, for each chain of a chunk."""
 
 
+def crowd_of(plan: SweepPlan) -> int:
+    """Chains of the largest chunk of a sweep."""
+    chains = plan.size // plan.frequency.size
+    return min(chains, CHAINS_A_CHUNK[chains > MANY_CHAINS]) if plan.chained else min(plan.size, POINTS_A_CHUNK)
+
+
 class Grid:
     """The points of a sweep: sets of values of the further axes, directions, frequencies."""
 
@@ -222,9 +228,8 @@ class Grid:
         """The work, and where the results of each chunk belong."""
         chunks: list[Chunk] = []
         places: dict[str, list[Place]] = {}
-        pieces = list(self._pieces())
-        crowd = max((len(where) for _, _, where in pieces), default=0)
-        for name, after, where in pieces:
+        crowd = crowd_of(self.plan)
+        for name, after, where in self._pieces():
             chains = tuple(Chain(self._model(v), tuple(self._visited(d, f))) for v, d, f in where)
             size = sum(len(chain.frequencies) for chain in chains)
             payload = Segment(chains, solver, self.plan.criterion, self.plan.refine, crowd)

@@ -94,6 +94,7 @@ class Points:
         difference: largest of (balance - sweep) / sweep, without its sign, over points and axes, shape (V, D, F).
         solved: whether the balance has a stable solution there, shape (V, D, F).
         settled, doubled: whether the motion repeats after one cycle, after several, shape (V, D, F).
+        irregular: whether it does not repeat however long it goes on, shape (V, D, F).
         linear: whether no contact slips, or opens within the cycle, shape (V, D, F).
         near_fold: whether a fold of the balance is near, shape (V, D, F).
         slip, separation: largest share of a period over the contacts, each by itself, shape (V, D, F).
@@ -105,6 +106,7 @@ class Points:
     solved: np.ndarray
     settled: np.ndarray
     doubled: np.ndarray
+    irregular: np.ndarray
     linear: np.ndarray
     near_fold: np.ndarray
     slip: np.ndarray
@@ -145,6 +147,7 @@ def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarra
         solved=np.isfinite(difference).any(axis=-1),
         settled=(settled > 0) & (period == 1),
         doubled=(settled > 0) & (period > 1),
+        irregular=sweep["irregular"].values.reshape(shape) > 0,
         linear=np.logical_not(switches(slip, apart).any(axis=-1)),
         near_fold=near_fold,
         slip=slip[..., _rubs(sweep)].max(axis=-1, initial=0.0),
@@ -170,7 +173,8 @@ def comparison_lines(points: Points) -> Iterator[str]:
     for left_out, why in (
         (points.settled & ~points.solved, "have no stable solution of the balance"),
         (points.doubled, "repeat after several cycles, which the balance cannot show"),
-        (~points.settled & ~points.doubled, "did not settle and are left out"),
+        (points.irregular, "do not repeat, being quasi-periodic or irregular, and are left out"),
+        (~points.settled & ~points.doubled & ~points.irregular, "did not settle and are left out"),
     ):
         if left_out.any():
             yield f"{left_out.sum()} points {why}: {_places(points, left_out)}"
