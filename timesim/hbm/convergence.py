@@ -12,14 +12,43 @@ import numpy as np
 
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.corrector import Controls, solve
+from timesim.hbm.curve import HbmCurve
+from timesim.hbm.period import contact_forces
 from timesim.hbm.scheme import MIN_SAMPLES, Scheme
 from timesim.model.model import Model
-from timesim.orbit.fourier import half_range
+from timesim.orbit.fourier import half_range, to_coefficients, to_phasors
+from timesim.orbit.steady_state import switches
 
 HARMONICS = (1, 3, 5, 7, 9, 13, 19, 27, 39, 57, 81)
 MAX_DOUBLINGS = 15  # of one time sample
 # Changes below this end the refinement.
 ENOUGH = 1e-5
+
+
+# Share of a contact force that may depend on where the samples lie, and the solutions that are looked at.
+SAMPLED, LOOKED_AT = 1e-3, 12
+# Shift of the samples, as a share of their distance, that shows it.
+SHIFT = 0.38
+
+
+def sampling_error(model: Model, curve: HbmCurve, scheme: Scheme) -> float:
+    """Change of a contact force, relative to its largest coefficient, as the samples shift: the most along a curve.
+
+    It is looked for where contacts switch. No other program is compiled for it.
+    """
+    rows = np.flatnonzero(switches(curve.slip_share, curve.separation_share).any(axis=1))
+    if not rows.size:
+        return 0.0
+    balance, worst = Balance(model, float(curve.frequency[rows[0]]), scheme), 0.0
+    turn = np.exp(2j * np.pi * SHIFT / scheme.time_samples * np.arange(scheme.harmonics + 1))
+    for i in np.unique(rows[np.linspace(0, rows.size - 1, LOOKED_AT).round().astype(int)]):
+        motion = curve.contact_motion[i] / balance.length
+        moved = to_coefficients(to_phasors(motion) * turn)
+        here, there = (contact_forces(balance.law, balance.basis, own).coefficient for own in (motion, moved))
+        change = np.abs(there - to_coefficients(to_phasors(here) * turn)).max(axis=(1, 2))
+        at_work = switches(curve.slip_share[i], curve.separation_share[i])
+        worst = max(worst, float((change / np.abs(here).max(axis=(1, 2)))[at_work].max()))
+    return worst
 
 
 @dataclass(frozen=True)

@@ -32,17 +32,12 @@ from jaxtyping import Array
 from timesim.engine.barrier import apart
 from timesim.engine.law.cone import ConeLaw, incipient_direction, slip_speed
 from timesim.engine.law.contact_law import Motion, Plane, Scalar, dot, length, minus, product, scaled, where
-from timesim.hbm.window import Cubic, Flag, Window, cubic_through, quotient, summit, window_of
+from timesim.hbm.path import Cubic, Flag, Path, Window, cubic_through, direction_of, quotient, summit, turned, window_of
 
 # Excess of |F| over mu n, relative to it, up to which a contact at rest on its cone does not slip: rounding.
 GRAZING = 1e-11
 # Relative shortfall of |f| below mu n up to which a contact is on its cone.
 ON_CONE = 1e-9
-# Least load in slip, relative to that at its other end, whose inverse is integrated.
-LEAST = 1e-12
-# Pull, integrated over time, below which what its turn leaves behind is that of Magnus' series, and about which the
-# description changes to that of a strong one.
-WEAK, STRONG = 1e-4, 6.0
 
 
 class Interval(eqx.Module):
@@ -96,22 +91,6 @@ def before(samples: Array) -> Array:
     return samples[np.arange(len(samples)) - 1]
 
 
-class _Path(eqx.Module):
-    """Motion over an interval: u since its start, mu n and v; `bend` is the change of the rate of u."""
-
-    u: tuple[Cubic, ...]
-    limit: Cubic
-    v: Cubic
-    bend: Plane
-
-    def at(self, t: Scalar) -> Plane:
-        return tuple(u.value(t) for u in self.u)
-
-    def rates(self, t: Scalar) -> Motion:
-        du, dv = tuple(u.rate(t) for u in self.u), self.v.rate(t)
-        return Motion(du, dv, du, dv)
-
-
 class _Slip(eqx.Module):
     """Slip within an interval, from `start` to `end`, if it `slides` at all.
 
@@ -142,7 +121,7 @@ def advance(law: ConeLaw, d: Plane, interval: Interval) -> IntervalEnd:
     v = cubic_through(interval.v0, interval.v1 - interval.v0, interval.dv0, interval.dv1)
     load = v.scaled(law.normal_stiffness)
     load = Cubic(load.c0 + law.preload, load.c1, load.c2, load.c3)
-    path = _Path(u, load.scaled(law.friction), v, minus(interval.du1, interval.du0))
+    path = Path(u, load.scaled(law.friction), v, minus(interval.du1, interval.du0))
     window = window_of(load)
     slip = _slip(law, d, path, window)
     before, after = _added(_kinks(law, d, path, load, window, slip))
@@ -151,18 +130,11 @@ def advance(law: ConeLaw, d: Plane, interval: Interval) -> IntervalEnd:
     return IntervalEnd(slip.d, share, window.separation, before, after)
 
 
-def _direction(force: Plane, instead: Plane) -> Plane:
-    """Unit vector along the one, or along the other where the one vanishes."""
-    vanishes = dot(force, force) < 1e-280
-    chosen = where(vanishes, instead, force)
-    return scaled(1 / length(where(dot(chosen, chosen) < 1e-280, (jnp.ones_like(chosen[0]),) * 2, chosen)), chosen)
-
-
 class _Trial(eqx.Module):
     """F, the force of a contact that keeps its slip since it closed or since the start of the interval."""
 
     law: ConeLaw
-    path: _Path
+    path: Path
     base: Plane
 
 
@@ -171,11 +143,11 @@ def _excess(trial: _Trial, t: Scalar) -> tuple[Scalar, Scalar, Plane]:
     """|F| - mu n, its rate, and the direction of F."""
     elastic, rates = (product(trial.law.stiffness, x) for x in (trial.path.at(t), trial.path.rates(t).du))
     force = tuple(b + f for b, f in zip(trial.base, elastic, strict=True))
-    e, limit = _direction(force, rates), trial.path.limit
+    e, limit = direction_of(force, rates), trial.path.limit
     return length(force) - limit.value(t), dot(e, rates) - limit.rate(t), e
 
 
-def _slip(law: ConeLaw, d: Plane, path: _Path, window: Window) -> _Slip:
+def _slip(law: ConeLaw, d: Plane, path: Path, window: Window) -> _Slip:
     """Where in an interval a contact slips, and the elastic displacement at its end."""
     a, b, rubs = window.start, window.end, (law.friction > 0) & (window.end > window.start)
     at_start, rates = path.at(a), path.rates(a)
@@ -195,7 +167,7 @@ def _slip(law: ConeLaw, d: Plane, path: _Path, window: Window) -> _Slip:
     first = where(fresh, incipient_direction(law, rates), _excess(trial, start)[2])
 
     def direction(t: Scalar) -> Plane:
-        return _turned(law, path, first, start, jnp.where(slides, t, start))
+        return turned(law, path, first, start, jnp.where(slides, t, start))
 
     speed = slip_speed(law, first, path.rates(start))
     final = slip_speed(law, direction(b), path.rates(b))
@@ -213,7 +185,7 @@ def _slip(law: ConeLaw, d: Plane, path: _Path, window: Window) -> _Slip:
 
 @apart
 def _onset(
-    trial: _Trial, path: _Path, window: Window, excess: Scalar, growth: Scalar, at_once: Flag
+    trial: _Trial, path: Path, window: Window, excess: Scalar, growth: Scalar, at_once: Flag
 ) -> tuple[Flag, Scalar]:
     """Whether the trial force leaves the cone in a window, and where it does first.
 
@@ -250,106 +222,12 @@ def _rising_root(rise: Scalar, half_slope: Scalar, start: Scalar) -> Scalar:
     return jnp.clip(jnp.where(ahead, early, late), 0.0, 1.0)
 
 
-@apart
-def _turned(law: ConeLaw, path: _Path, e: Plane, start: Scalar, end: Scalar) -> Plane:
-    """Direction of slip at the end of a part of the interval, from that at its start.
-
-    With the pull p, the direction of z, and ``z`` its integral over time, where the pull is weak ``far``: the direction
-    turns towards that of z, and by ``z x dz / 12`` as the pull turns (Magnus' series). Where it is strong, as next to
-    n = 0, ``near``: the angle psi between both obeys ``psi' = -(|z| / n) psi - p'`` and decays; what the turn of the
-    pull leaves behind is exact for a load that is linear, also where slip begins with contact.
-    """
-    none = (jnp.zeros_like(start),) * 2
-    change, rest = minus(path.at(end), path.at(start)), end - start
-    limit0, limit1 = path.limit.value(start), path.limit.value(end)
-    sum_of_both = jnp.abs(limit0) + jnp.abs(limit1)
-    least = jnp.where(sum_of_both > 0, LEAST * sum_of_both, 1.0)
-    limit0, limit1 = jnp.maximum(limit0, least), jnp.maximum(limit1, least)
-    inverse, lever = _mean_inverse(limit0, limit1)
-    latest, ahead, weight_left = limit1 * inverse, (limit1 - limit0) * inverse, 0.5 - lever / inverse
-    # The load is not quite linear: Simpson's rule for what that changes.
-    middle = jnp.maximum(path.limit.value((start + end) / 2), least)
-    inverse = inverse + (1 / middle - 2 / (limit0 + limit1)) * (2 / 3)
-    bend = scaled(rest**2, path.bend)
-    change_along = tuple(inverse * x + lever * y for x, y in zip(change, bend, strict=True))
-    if len(law.stiffness) == 1:
-        z, dz, drift = product(law.stiffness, change_along), scaled(inverse, product(law.stiffness, bend)), none
-    else:
-        growth = inverse * (limit1 - limit0)
-        halfway = _turned_by(e, scaled(_weight(law, e) / 2, minus(change_along, scaled(growth, _drift(law, e)))))
-        drift = _drift(law, halfway)
-        z = scaled(_weight(law, halfway), minus(change_along, scaled(growth, drift)))
-        dz = scaled(inverse * _weight(law, halfway), bend)
-    size = length(z)
-    decay = jnp.exp(-size)
-    late = latest * _mean_decay(size + ahead)
-    p0, p1 = (_direction(minus(path.rates(t).du, scaled(path.limit.rate(t), drift)), e) for t in (start, end))
-    strong = 1 / (1 + (STRONG / jnp.maximum(size, 1e-30)) ** 8)
-    near = _turned_by(_rotated(e, p0, p1), scaled(size, p1))
-    angle = late * jnp.arctan2(p0[0] * p1[1] - p0[1] * p1[0], dot(p0, p1))
-    near = _rotated(near, (jnp.cos(angle), jnp.sin(angle)), (jnp.ones_like(angle), jnp.zeros_like(angle)))
-    left = decay - late + weight_left * (1 - decay)
-    share = jnp.where(size > WEAK, left / jnp.maximum(size, WEAK) ** 2, 1 / 12)
-    angle = (z[0] * dz[1] - z[1] * dz[0]) * share
-    along = _turned_by(e, z)
-    far = (along[0] - angle * along[1], along[1] + angle * along[0])
-    mixed = tuple((1 - strong) * x + strong * y for x, y in zip(far, near, strict=True))
-    return _direction(mixed, near)
-
-
-def _rotated(e: Plane, before: Plane, after: Plane) -> Plane:
-    """A vector turned by the angle between two unit vectors."""
-    c, s = dot(before, after), before[0] * after[1] - before[1] * after[0]
-    return (c * e[0] - s * e[1], s * e[0] + c * e[1])
-
-
-def _mean_decay(x: Scalar) -> Scalar:
-    """(1 - exp(-x)) / x."""
-    small = jnp.abs(x) < 1e-5
-    return jnp.where(small, 1 - x / 2, -jnp.expm1(-x) / jnp.where(small, 1.0, x))
-
-
-def _turned_by(e: Plane, z: Plane) -> Plane:
-    """Solution of e' = (1 - e e^T) z after a unit of time, z constant."""
-    size = length(z)
-    loss = -jnp.expm1(-size)
-    once, decay = loss / size, 1 - loss
-    along, twice = dot(e, z), once * (1 + decay)
-    share = twice + along * once**2
-    norm = 1 + decay**2 + along * twice
-    return tuple((2 * decay * x + share * y) / norm for x, y in zip(e, z, strict=True))
-
-
-def _weight(law: ConeLaw, e: Plane) -> Scalar:
-    """1 / (e_t . C e_t)."""
-    across = law.compliance[0] + law.compliance[2] - dot(e, product(law.compliance, e))
-    return 1 / jnp.where(across > 0, across, 1.0)
-
-
-def _drift(law: ConeLaw, e: Plane) -> Plane:
-    """C e without the isotropic part of C, which turns nothing."""
-    return minus(product(law.compliance, e), scaled((law.compliance[0] + law.compliance[2]) / 2, e))
-
-
-def _mean_inverse(a: Scalar, b: Scalar) -> tuple[Scalar, Scalar]:
-    """Mean of 1/x over x from a to b, ``m = log(b / a) / (b - a)``, and that of t/x, t from -1/2 to 1/2 along with x.
-
-    The latter is ``(1 - m (a + b) / 2) / (b - a)``.
-    """
-    ratio, total = (b - a) / (b + a), a + b
-    small = jnp.abs(ratio) < 1e-2
-    square, rise = ratio**2, jnp.where(small, 1.0, b - a)
-    series = 1 / 3 + square * (1 / 5 + square * (1 / 7 + square / 9))
-    mean = jnp.where(small, (1 + square * series) * 2 / total, jnp.log(b / a) / rise)
-    return mean, jnp.where(small, -ratio * series / total, (1 - mean * total / 2) / rise)
-
-
 Kink = tuple[Scalar, Flag, Force, Force]
 """Where in the interval, whether at all, and the changes J1 and J2 of the first two rates of (f1, f2, n)."""
 
 
 @apart
-def _kinks(law: ConeLaw, d: Plane, path: _Path, load: Cubic, window: Window, slip: _Slip) -> list[Kink]:
+def _kinks(law: ConeLaw, d: Plane, path: Path, load: Cubic, window: Window, slip: _Slip) -> list[Kink]:
     """What the rates of the forces do where the contact closes, begins to slip, ceases to, and opens."""
     rubs, none = law.friction > 0, jnp.zeros_like(window.start)
     place, gap = window.start, window.gap
@@ -361,7 +239,7 @@ def _kinks(law: ConeLaw, d: Plane, path: _Path, load: Cubic, window: Window, sli
         scaled(jnp.where(rubs, 1.0, 0.0), where(grips, s, c)) for s, c in zip((pull, bend), on_cone, strict=True)
     )
     closing = ((*first, load.rate(place)), (*second, load.curvature(place)))
-    gone = where(gap < place, _direction(d, slip.first), slip.last)
+    gone = where(gap < place, direction_of(d, slip.first), slip.last)
     opening = tuple(
         (*scaled(jnp.where(rubs, -x * law.friction, 0.0), gone), -x) for x in (load.rate(gap), load.curvature(gap))
     )

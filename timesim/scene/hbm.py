@@ -43,6 +43,7 @@ class HbmPlan:
 
     Attributes:
         scheme: what is balanced.
+        finer: whether more samples are taken where these prove too few.
         span: first and last frequency of the curves [Hz].
         over: the further axes, a curve or several for each combination of values.
         along: the scalar that the curves run along at the frequency `span[0]`; None: they run along the frequency.
@@ -61,6 +62,7 @@ class HbmPlan:
     stability: bool = True
     convergence: bool = False
     both_ends: bool = False
+    finer: bool = False
     motion: PeriodicMotion | None = None
     passing: tuple[SavedStates, Mapping[str, float | str]] | None = None
 
@@ -194,7 +196,7 @@ class BalanceSection(StudySection):
     """Highest harmonic of the excitation frequency that is balanced, the mean beside them."""
     time_samples: TimeSamples = "auto"
     """Samples of a period on which the contact forces are evaluated; at least 16, and 4 a harmonic; auto: 256, or more
-    from 11 harmonics on."""
+    from 11 harmonics on, and four times as many where a contact force still depends on where they lie."""
     stability: Switch = True
     """Floquet multipliers of every point; without, only folds tell stable from unstable."""
     start: StartSection = "linear"
@@ -223,6 +225,7 @@ class BalanceSection(StudySection):
         """
         plan = HbmPlan(
             scheme=balanced(self.harmonics, self.time_samples),
+            finer=self.time_samples == "auto",
             span=span,
             over=over,
             along=along,

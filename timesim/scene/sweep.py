@@ -201,7 +201,7 @@ class Bistable(SteadySection):
         if self.harmonics:
             span = (self.frequency.first, self.frequency.to)
             scheme, steps = balanced(self.harmonics, self.time_samples), default_steps().model_dump()
-            balance = HbmPlan(scheme, span, sweep.over, steps, both_ends=True)
+            balance = HbmPlan(scheme, span, sweep.over, steps, both_ends=True, finer=self.time_samples == "auto")
         return BistablePlan(sweep, self.width, self.starts, balance)
 
     def problems(self, model: Model) -> Iterator[RuleError]:

@@ -13,7 +13,7 @@ from xarray import Dataset
 from timesim.fault import RuleError
 from timesim.hbm.branches import SettledMotion, curves_from_both_ends, isolated_curves
 from timesim.hbm.continuation import Controls, Ending
-from timesim.hbm.convergence import Convergence, Known, convergence
+from timesim.hbm.convergence import SAMPLED, Convergence, Known, convergence, sampling_error
 from timesim.hbm.curve import HbmCurve, hbm_curve
 from timesim.hbm.parameter import parameter_curve
 from timesim.model.model import Model
@@ -37,6 +37,7 @@ Sweep = tuple[SavedStates, Mapping[str, float | str]]
 
 FOLLOWED = 0.6  # of the time of a curve; its multipliers take the rest
 
+FINER, MOST_SAMPLES = 4, 4096  # samples of a period, where the program chooses them
 REFINED = 6  # solutions that harmonics and samples are refined for, beside the largest
 
 
@@ -102,12 +103,26 @@ class Curves:
 
     def _follow(self, values: dict[str, float], sweeps: Sequence[Sweep], growth: "Growth") -> None:
         """The curves of a set of values."""
-        for curve in self._from_ends(values, growth):
+        curves = list(self._from_ends(values, growth))
+        while any(self._too_coarse(curve) for curve in curves):
+            self.scheme = replace(self.scheme, time_samples=FINER * self.scheme.time_samples)
+            curves = list(self._from_ends(values, growth))
+        for curve in curves:
             self._add(curve)
         for sweep in sweeps:
             for curve in self._through(values, *sweep, growth):
                 self.notes.append(_isolated(curve))
                 self._add(curve)
+
+    def _too_coarse(self, curve: StudyCurve) -> bool:
+        """Whether a curve is worth following again with more samples."""
+        solutions, scheme = curve.curve, self.scheme
+        if not self.plan.finer or FINER * scheme.time_samples > MOST_SAMPLES or not solutions.frequency.size:
+            return False
+        if solutions.ending is Ending.INTERRUPTED:
+            return False
+        model = curve.model_at(float(solutions.parameter[0]))
+        return sampling_error(model, solutions, scheme) > SAMPLED
 
     def _model_at(self, values: dict[str, float]) -> Callable[[float], Model]:
         """The model for a value of the parameter of a curve with these values."""
