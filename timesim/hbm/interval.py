@@ -164,7 +164,10 @@ def _slip(law: ConeLaw, d: Plane, path: Path, window: Window) -> _Slip:
     at_once = rubs & on_cone & (growth > 0)
     slides, start = _onset(trial, path, window, excess, growth, at_once)
     slides, fresh = rubs & (slides | at_once), at_once & window.closes
-    first = where(fresh, incipient_direction(law, rates), _excess(trial, start)[2])
+    # A motion that vanishes has no direction, and no derivative of one.
+    moving = where(dot(rates.du, rates.du) > 1e-280, rates.du, (jnp.ones_like(a),) * 2)
+    incipient = incipient_direction(law, Motion(moving, rates.v, moving, rates.dv))
+    first = where(fresh, incipient, _excess(trial, start)[2])
 
     def direction(t: Scalar) -> Plane:
         return turned(law, path, first, start, jnp.where(slides, t, start))

@@ -139,10 +139,10 @@ class Path(eqx.Module):
 
 
 def direction_of(force: Plane, instead: Plane) -> Plane:
-    """Unit vector along the one, or along the other where the one vanishes."""
-    vanishes = dot(force, force) < 1e-280
-    chosen = where(vanishes, instead, force)
-    return scaled(1 / length(where(dot(chosen, chosen) < 1e-280, (jnp.ones_like(chosen[0]),) * 2, chosen)), chosen)
+    """Unit vector along the one, or along the other where the one vanishes, or anywhere where both do."""
+    chosen = where(dot(force, force) < 1e-280, instead, force)
+    chosen = where(dot(chosen, chosen) < 1e-280, (jnp.ones_like(chosen[0]),) * 2, chosen)
+    return scaled(1 / length(chosen), chosen)
 
 
 @apart

@@ -37,7 +37,7 @@ Sweep = tuple[SavedStates, Mapping[str, float | str]]
 
 FOLLOWED = 0.6  # of the time of a curve; its multipliers take the rest
 
-FINER, MOST_SAMPLES = 4, 4096  # samples of a period, where the program chooses them
+FINER, MOST_SAMPLES = 4, 1024  # samples of a period, where the program chooses them
 REFINED = 6  # solutions that harmonics and samples are refined for, beside the largest
 
 
