@@ -71,7 +71,8 @@ def shifted(coefficient, num_shifts=6):
 
 @pytest.mark.parametrize("kind", STIFFNESS)
 @pytest.mark.parametrize("name", MOTIONS)
-def test_law_through_a_period_is_of_second_order(name, kind):
+def test_order_of_the_law_through_a_period(name, kind):
+    """Third, or second where the pull on slip depends on its direction."""
     contact, motion = element(STIFFNESS[kind]), prescribed(MOTIONS[name], 3)
     exact = located_forces(contact, motion)
     assert exact is not None
@@ -84,8 +85,8 @@ def test_law_through_a_period_is_of_second_order(name, kind):
         assert 1 <= done.passes < MAX_PASSES
         errors.append(np.sqrt(np.mean((np.asarray(done.coefficient) - exacts) ** 2)))
     order = -np.polyfit(np.log(numbers), np.log(errors), 1)[0]
-    assert order > 1.85, errors
-    assert errors[4] < 2e-6
+    assert order > (2.85 if kind == "isotropic" else 1.85), errors
+    assert errors[4] < (1e-8 if kind == "isotropic" else 1e-6)
 
 
 def test_slip_under_constant_load_is_of_third_order():
@@ -264,3 +265,62 @@ def test_shares_are_exact_where_the_state_never_changes(num, kind):
     done = contact_forces(law_of(contacts), basis_of(3, num), motion)
     np.testing.assert_array_equal(done.slip, [1.0, 0.0, 0.0])
     np.testing.assert_array_equal(done.separation, [0.0, 0.0, 1.0])
+
+
+# --- between two samples ---
+COARSE, SIDE_BY_SIDE = 64, 6
+
+
+def busy(name: str) -> np.ndarray:
+    """One of the motions with a second and third harmonic, so that no transition lies where symmetry puts it."""
+    motion = prescribed(MOTIONS[name], 3)
+    motion[0, 3], motion[1, 4], motion[2, 5] = 0.1, 0.05, 0.01
+    return motion
+
+
+@pytest.mark.parametrize("kind", STIFFNESS)
+@pytest.mark.parametrize("name", ["stick and slip", "separation", "straight"])
+def test_forces_hardly_depend_on_where_the_samples_lie(name, kind):
+    """Followed over more than the distance of two samples they neither jump nor, on 64 samples, vary by 1e-4."""
+    law, basis = law_of([element(STIFFNESS[kind])] * SIDE_BY_SIDE), basis_of(3, COARSE)
+    angles = np.linspace(0, 2 * np.pi / COARSE * 1.2, 50 * SIDE_BY_SIDE)
+    forces = []
+    for part in angles.reshape(-1, SIDE_BY_SIDE):
+        done = contact_forces(law, basis, np.array([turned(busy(name), angle) for angle in part]))
+        forces += [turned(own, -angle) for own, angle in zip(done.coefficient, part, strict=True)]
+    assert np.ptp(forces, axis=0).max() < 4e-5
+    assert np.abs(np.diff(forces, axis=0)).max() < 1e-5
+    assert 0.2 < done.slip[0] < 0.95
+
+
+@pytest.mark.parametrize("angle", [0.4, 0.43, 0.45, 0.47])
+def test_a_stop_that_is_hit_between_two_samples(angle):
+    """n = max(0, a cos(theta - angle) - 1): its mean is (a sin b - b) / pi with cos b = 1 / a."""
+    none = np.zeros(SIDE_BY_SIDE)
+    law, basis = ConeLaw(none, (none,), (none,), none + 1.0, none - 1.0), basis_of(3, COARSE)
+    height = np.array([1.00005, 1.0002, 1.0005, 1.001, 1.01, 1.1])
+    motion = np.zeros((SIDE_BY_SIDE, 3, 7))
+    motion[:, 2, 1], motion[:, 2, 2] = height * np.cos(angle), height * np.sin(angle)
+    done, slope = linearised(law, basis, motion)
+    half = np.arccos(1 / height)
+    np.testing.assert_allclose(done.coefficient[:, 2, 0], (height * np.sin(half) - half) / np.pi, rtol=1e-2, atol=4e-7)
+    np.testing.assert_allclose(1 - done.separation, half / np.pi, rtol=2e-2, atol=5e-4)
+    way = motion / height[:, None, None]
+    along = np.einsum("ckij,cij->ck", slope.reshape(SIDE_BY_SIDE, 21, 3, 7), way).reshape(SIDE_BY_SIDE, 3, 7)
+    more, less = (contact_forces(law, basis, motion + step * way).coefficient for step in (1e-8, -1e-8))
+    np.testing.assert_allclose(along, (more - less) / 2e-8, atol=1e-6, rtol=1e-3)
+    assert np.isfinite(slope).all()
+
+
+def test_slip_that_is_shorter_than_the_distance_of_samples():
+    """u = A cos, A a little above delta = mu n / k: slip at both turns dissipates 4 mu n (A - delta)."""
+    contact = replace(element(np.eye(2)), normal_stiffness=0.0)
+    law, basis = law_of([contact] * SIDE_BY_SIDE), basis_of(3, COARSE)
+    excess = np.array([1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 1e-2]) * 0.3
+    motion = np.zeros((SIDE_BY_SIDE, 3, 7))
+    motion[:, 0, 1], motion[:, 0, 2] = (0.3 + excess) * np.cos(0.43), (0.3 + excess) * np.sin(0.43)
+    done = contact_forces(law, basis, motion)
+    sine = done.coefficient[:, 0, 1] * np.sin(0.43) - done.coefficient[:, 0, 2] * np.cos(0.43)
+    work = np.pi * (0.3 + excess) * sine
+    np.testing.assert_allclose(np.abs(work), 4 * 0.3 * excess, rtol=2e-2, atol=1e-6)
+    assert done.slip[0] < 1 / COARSE

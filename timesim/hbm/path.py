@@ -16,8 +16,8 @@ from timesim.engine.barrier import apart
 from timesim.engine.law.cone import ConeLaw
 from timesim.engine.law.contact_law import Motion, Plane, Scalar, dot, length, minus, product, scaled, where
 
-# Newton's method from a secant or a parabola; the last step alone carries derivatives, exact at a root.
-MAX_NEWTON = 3
+# Iterations from a secant or a parabola; one more carries the derivatives, exact at a root.
+MAX_NEWTON = 6
 # Least load in slip, relative to that at its other end, whose inverse is integrated.
 LEAST = 1e-12
 # Pull, integrated over time, below which what its turn leaves behind is that of Magnus' series, and about which the
@@ -112,14 +112,21 @@ def window_of(load: Cubic) -> Window:
     return Window(start, end, (once & stays) | twice, (once & was) | twice, jnp.where(twice & was, first, end))
 
 
+@apart
 def _root(load: Cubic, guess: Scalar, low: Scalar, high: Scalar, sought: Flag) -> Scalar:
-    place = jnp.clip(stop_gradient(guess), low, high)
+    """The place between two where a cubic changes its sign: Newton's method, or bisection where it leaves them."""
+    first, last = stop_gradient(low), stop_gradient(high)
+    place, low, high = jnp.clip(stop_gradient(guess), first, last), first, last
+    rises = load.value(high) > load.value(low)
     for _ in range(MAX_NEWTON):
-        place = stop_gradient(place)
-        rate = load.rate(place)
-        step = jnp.where(sought & (rate != 0), quotient(load.value(place), rate), 0.0)
-        place = jnp.clip(place - step, stop_gradient(low), stop_gradient(high))
-    return place
+        value, rate = stop_gradient(load.value(place)), stop_gradient(load.rate(place))
+        below = (value > 0) != rises
+        low, high = jnp.where(below, place, low), jnp.where(below, high, place)
+        better = place - quotient(value, rate)
+        place = jnp.where((better >= low) & (better <= high), better, (low + high) / 2)
+    rate = load.rate(place)
+    step = jnp.where(sought & (rate != 0), quotient(load.value(place), rate), 0.0)
+    return jnp.clip(place - step, first, last)
 
 
 class Path(eqx.Module):

@@ -1,0 +1,26 @@
+"""Response curves of generated structures: they begin, they reach the end of the range, and they do so in time."""
+
+import time
+
+import numpy as np
+import pytest
+import zoo
+
+from timesim.hbm.curve import hbm_curve
+from timesim.hbm.scheme import Scheme
+
+
+def span_of(seed: int) -> tuple[float, float]:
+    """A range around the first mode without contacts and, where it is near, the first one with all of them stuck."""
+    model, free = zoo.structure(seed)
+    stuck = float(np.min(model.stuck_omega)) / (2 * np.pi)
+    return free / 2**0.75, (stuck if stuck <= 3 * free else 1.5 * free) * 2**0.75
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(24))
+def test_a_curve_begins_and_reaches_the_end(seed):
+    model, _ = zoo.structure(seed)
+    begin = time.process_time()
+    curve = hbm_curve(model, *span_of(seed), scheme=Scheme(9, 256))
+    assert curve.complete, (curve.message, time.process_time() - begin)
