@@ -427,7 +427,7 @@ def test_what_a_message_says(status: Status) -> None:
 def test_interrupt_keeps_what_there_is() -> None:
     scene = load_scene(CONFIGS / "oscillator.yaml", {"study.record_last": 60})
 
-    def impatient(done: int, total: int) -> None:
+    def impatient(done: float, total: float, phase: str) -> None:
         if done >= 20:
             raise KeyboardInterrupt
 

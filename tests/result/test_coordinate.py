@@ -15,6 +15,9 @@ def test_they_are_those_of_the_dimensions_in_use():
         "slip": (("mode", "contact", "tangent"), np.zeros((2, 1, 2)), {"long_name": "slip"}),
     }
     along = coordinates(variables, oscillator(3.0, 1.0))
+    dims, friction = along.pop("friction")
+    assert dims == ("contact",)
+    np.testing.assert_array_equal(friction, [0.5])
     assert {name: values.tolist() for name, values in along.items()} == {
         "point": ["tip"],
         "axis": ["x", "y", "z"],

@@ -324,7 +324,7 @@ def test_a_harmonic_that_is_excited_must_be_balanced():
 
 
 def test_convergence_gives_the_orders_and_what_is_enough(monkeypatch: pytest.MonkeyPatch):
-    """Harmonics and samples at two solutions; the samples are of second order."""
+    """Harmonics and samples at two solutions; the samples are of third order."""
     model = load_scene(scene()).model()
     curve = hbm_curve(model, 0.93, 0.9, scheme=Scheme(9, 256), stability=False)
     places = [Known(model, float(curve.frequency[i]), curve.contact_motion[i], curve.amplitude[i]) for i in (0, -1)]
@@ -334,13 +334,13 @@ def test_convergence_gives_the_orders_and_what_is_enough(monkeypatch: pytest.Mon
     changes = dict(zip(found.harmonics[:-1], found.with_harmonics[:-1], strict=True))
     assert changes[1] > 5 * changes[5] > 0
     assert found.harmonics.tolist() == [1, 5, 9]
-    assert found.time_samples.tolist() == [64, 128, 256, 512, 1024, 2048]
-    assert order_of(found.time_samples, found.with_samples) == pytest.approx(2.0, abs=0.4)
+    assert found.time_samples.tolist() == [64, 128, 256, 512]
+    assert order_of(found.time_samples, found.with_samples) > 2.5
     assert found.with_samples[-1] < 1e-4
     text = "\n".join(convergence_lines(found))
     assert "harmonics 1: " in text
     assert "time samples 64: " in text
-    assert re.search(r"order [12]\.\d", text)
+    assert re.search(r"order \d\.\d", text)
 
 
 def test_convergence_of_full_stick_says_that_it_says_nothing():

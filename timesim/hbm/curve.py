@@ -17,7 +17,7 @@ from timesim.hbm.corrector import solve
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.period import contact_forces
 from timesim.hbm.scheme import Scheme
-from timesim.hbm.stability import BORDER, floquet_multipliers
+from timesim.hbm.stability import BORDER, NEAR_ONE, floquet_multipliers
 from timesim.model.model import Model
 from timesim.orbit.fourier import half_range, phase_deg, to_phasors
 
@@ -214,13 +214,16 @@ def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmC
     phasor = np.zeros((size, order, *shape.shape[:2]), complex)
     for i, (x, p) in enumerate(zip(curve.x, curve.p, strict=True)):
         phasor[i] = np.einsum("pam,hm->hpa", shape, balance.modes(x, forces[i], p))
-    largest = np.full(size, np.nan)
+    largest, grows = np.full(size, np.nan), np.zeros(size, dtype=bool)
     if stability:
-        largest = np.abs(floquet_multipliers(balance, curve.x, curve.p)[:, 0])
+        multipliers = floquet_multipliers(balance, curve.x, curve.p)
+        largest = np.abs(multipliers[:, 0])
+        # Whether one has passed 1 itself, as at a fold, the determinant tells exactly.
+        grows[:] = ((np.abs(multipliers) > BORDER) & (np.abs(multipliers - 1) > NEAR_ONE)).any(axis=1)
     return HbmCurve(
         parameter=curve.p,
         frequency=curve.p,
-        stable=(curve.determinant > 0) & ~(largest > BORDER),
+        stable=(curve.determinant > 0) & ~grows,
         fold=curve.fold,
         branch=curve.branch,
         amplitude=half_range(phasor),
