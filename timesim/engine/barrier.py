@@ -9,7 +9,7 @@ see benchmarks/README.md.
 import timesim.runtime  # noqa: F401  isort: skip
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import ParamSpec, TypeVar
 
 import jax
@@ -19,15 +19,20 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def apart(function: Callable[P, T]) -> Callable[P, T]:
-    """The function as a call of its own, whose operations are not fused with those around it."""
+def apart(function: Callable[P, T], static: Sequence[int] = ()) -> Callable[P, T]:
+    """The function as a call of its own, whose operations are not fused with those around it.
+
+    Args:
+        function: of arrays.
+        static: places of arguments that are none.
+    """
 
     def inside(*args: P.args, **kwargs: P.kwargs) -> T:
         # Calls inside, such as every `jnp.where`, are functions too: they are to be inlined.
         with set_xla_metadata(inlineable="true"):
             return function(*args, **kwargs)
 
-    compiled = jax.jit(functools.wraps(function)(inside))
+    compiled = jax.jit(functools.wraps(function)(inside), static_argnums=static)
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:

@@ -8,6 +8,7 @@ again up to it, and decides there, on the solution itself.
 import timesim.runtime  # noqa: F401  isort: skip
 
 from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,6 +18,7 @@ from jaxtyping import Array, Bool, Float
 from timesim.engine import dense_output as hermite
 from timesim.engine.barrier import apart
 from timesim.engine.law.contact_law import ContinuousState, Dynamics, Motion, Path, Plane, State
+from timesim.engine.law.rule import Rule
 from timesim.engine.tolerance import AGREEMENT, SHORT, VIOLATED
 
 NUM_NODES = 6
@@ -71,6 +73,54 @@ def segment(
     return Segment(starts, ends, slips[0], slips[1], path, slip, h)
 
 
+class Nodes(NamedTuple):
+    """The contacts at the start and further nodes of a step, components of shape (node, contact).
+
+    Attributes:
+        x, dx: relative motion, normal last, and its rate.
+        w: slip.
+    """
+
+    x: Plane
+    dx: Plane
+    w: Plane
+
+
+def segment_of_nodes(
+    dynamics: Dynamics,
+    points: tuple[ContinuousState, ContinuousState],
+    rates: tuple[ContinuousState, ContinuousState],
+    h: Float[Array, ""],
+    nodes: Nodes,
+    rule: Rule,
+) -> Segment:
+    """The contacts' view of a step that is known at more places than its ends."""
+    starts, ends = (dynamics.path(*end) for end in zip(points, rates, strict=True))
+    slips = [(y.w, dy.w) for y, dy in zip(points, rates, strict=True)]
+    hermite, monomials = jnp.asarray(rule.hermite), jnp.asarray(rule.monomials)
+
+    def through(x: Array, dx: Array) -> tuple[Array, ...]:
+        coefficients = hermite @ jnp.concatenate([x - x[:1], h * dx])  # of the change: its digits are few in a short step
+        return x[0], *(coefficients[i] for i in range(1, hermite.shape[0]))
+
+    path = tuple(through(*component) for component in zip(nodes.x, nodes.dx, strict=True))
+    slip = tuple(tuple(row for row in monomials @ w) for w in nodes.w)
+    return Segment(starts, ends, slips[0], slips[1], path, slip, h)
+
+
+def shortened(
+    dynamics: Dynamics, part: Segment, end: ContinuousState, rate: ContinuousState, x: Float[Array, ""]
+) -> Segment:
+    """The first part of a segment, up to a fraction of it at which the state and its rate are known."""
+
+    def first(polynomials: tuple[tuple[Array, ...], ...]) -> tuple[tuple[Array, ...], ...]:
+        return tuple(tuple(c * x**power for power, c in enumerate(row)) for row in polynomials)
+
+    where = lambda s: (s.end, s.slip_end, s.path, s.slip, s.h)  # noqa: E731
+    own = (dynamics.path(end, rate), (end.w, rate.w), first(part.path), first(part.slip), x * part.h)
+    return eqx.tree_at(where, part, own)
+
+
 @apart
 def margins_inside(dynamics: Dynamics, state: State, part: Segment, x: Float[Array, "*#node #contact"]) -> Margins:
     """Margins on the dense output at fractions x of the step, made dimensionless by their scale."""
@@ -85,7 +135,7 @@ def _margins(dynamics: Dynamics, state: State, x: Plane, dx: Plane, w: Plane) ->
     return force / dynamics.law.scale(), speed
 
 
-def _margins_at(dynamics: Dynamics, state: State, ends: Path, slip: tuple[Plane, Plane]) -> tuple[Margins, Margins]:
+def margins_at(dynamics: Dynamics, state: State, ends: Path, slip: tuple[Plane, Plane]) -> tuple[Margins, Margins]:
     """Margins at an end of the step and their exact rates."""
     (x, dx, ddx), (w, dw) = ends, slip
     return jax.jvp(partial(_margins, dynamics, state), (x, dx, w), (dx, ddx, dw))
@@ -93,7 +143,7 @@ def _margins_at(dynamics: Dynamics, state: State, ends: Path, slip: tuple[Plane,
 
 def end_margins(dynamics: Dynamics, state: State, part: Segment) -> tuple[Margins, Margins]:
     """Margins at the end of the step and their exact rates."""
-    return _margins_at(dynamics, state, part.end, part.slip_end)
+    return margins_at(dynamics, state, part.end, part.slip_end)
 
 
 def first_crossing(
@@ -120,7 +170,7 @@ def first_crossing(
     if state.shape[0] == 0:
         return jnp.asarray(NONE)
     inner = margins_inside(dynamics, state, part, jnp.arange(NUM_NODES)[:, None] / NUM_NODES)
-    _, start_rate = _margins_at(dynamics, state, part.start, part.slip_start)
+    _, start_rate = margins_at(dynamics, state, part.start, part.slip_start)
     nodes, dips = [], []
     for margin, last, spare, falls, rises in zip(inner, end, spared, start_rate, end_rate, strict=True):
         # A step starts on a guard after each transition: what is there is rounding, and no crossing.

@@ -16,7 +16,7 @@ import timesim.runtime  # noqa: F401  isort: skip
 
 import abc
 import functools
-from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
@@ -26,19 +26,30 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from timesim.engine.barrier import apart
+from timesim.engine.collocation import Solved, solve
+from timesim.engine.law.contact_law import Dynamics, State
 from timesim.model.solver import Solver
 
 Y: TypeAlias = PyTree
 """A continuous state, a rate or an error: methods take any tree of arrays."""
-Field = Callable[[Float[Array, ""], Y], Y]
 
 
 class Advance(NamedTuple):
-    """State and rate at the end of a step, and the estimated error (None: the step is fixed)."""
+    """A step.
+
+    Attributes:
+        point, rate: at its end.
+        error: estimated; None where the step is fixed.
+        solved: the step of a method with a dense output of its own, else None.
+    """
 
     point: Y
     rate: Y
     error: Y | None
+    solved: Solved | None = None
+
+
+NUM_NODES, MORE_NODES = 3, 1e-7
 
 
 class Method(eqx.Module):
@@ -51,8 +62,19 @@ class Method(eqx.Module):
     order: eqx.AbstractVar[int]
 
     @abc.abstractmethod
-    def advance(self, field: Field, time: Float[Array, ""], point: Y, rate: Y, h: Float[Array, ""]) -> Advance:
-        """A step of length h from a point with its rate there."""
+    def advance(
+        self, dynamics: Dynamics, state: State, time: Array, point: Y, rate: Y, h: Array, tolerance: Array | None = None
+    ) -> Advance:
+        """A step in which every contact keeps its state.
+
+        Args:
+            dynamics: the system.
+            state: states of the contacts.
+            time: start of the step within the cycle.
+            point, rate: continuous state there and its rate.
+            h: length.
+            tolerance: error that is allowed, for a method that iterates; None where a derivative is wanted.
+        """
 
 
 class Explicit(Method):
@@ -64,7 +86,10 @@ class Explicit(Method):
     weights: tuple[float, ...] = eqx.field(static=True)
     error_weights: tuple[float, ...] = eqx.field(static=True)
 
-    def advance(self, field: Field, time: Float[Array, ""], point: Y, rate: Y, h: Float[Array, ""]) -> Advance:
+    def advance(
+        self, dynamics: Dynamics, state: State, time: Array, point: Y, rate: Y, h: Array, tolerance: Array | None = None
+    ) -> Advance:
+        field = partial(dynamics.field, state)
         slopes = [rate]
         for node, row in zip(self.nodes, self.stages, strict=True):
             slopes.append(field(time + node * h, moved(point, slopes, row, h)))
@@ -99,7 +124,10 @@ class Looped(Method):
     order: int = eqx.field(static=True)
     method: Explicit
 
-    def advance(self, field: Field, time: Float[Array, ""], point: Y, rate: Y, h: Float[Array, ""]) -> Advance:
+    def advance(
+        self, dynamics: Dynamics, state: State, time: Array, point: Y, rate: Y, h: Array, tolerance: Array | None = None
+    ) -> Advance:
+        field = partial(dynamics.field, state)
         num_slopes = len(self.method.nodes) + 1
         rows = [np.pad(row, (0, num_slopes - len(row))) for row in (*self.method.stages, self.method.weights)]
         slopes = jax.tree.map(lambda leaf: jnp.zeros((num_slopes, *leaf.shape)).at[0].set(leaf), rate)
@@ -134,16 +162,39 @@ class Implicit(Method):
     solver: eqx.Module
     fallback: Explicit
 
-    def advance(self, field: Field, time: Float[Array, ""], point: Y, rate: Y, h: Float[Array, ""]) -> Advance:
+    def advance(
+        self, dynamics: Dynamics, state: State, time: Array, point: Y, rate: Y, h: Array, tolerance: Array | None = None
+    ) -> Advance:
+        field = partial(dynamics.field, state)
         import diffrax
 
         term = diffrax.ODETerm(lambda t, y, args: field(t, y))
         start = self.solver.init(term, time, time + h, point, None)
         end, error, _, _, result = self.solver.step(term, time, time + h, point, None, start, made_jump=True)
         good = result == diffrax.RESULTS.successful
-        implicit, explicit = (end, error), self.fallback.advance(field, time, point, rate, h)
+        implicit, explicit = (end, error), self.fallback.advance(dynamics, state, time, point, rate, h)
         end, error = jax.tree.map(lambda a, b: jnp.where(good, a, b), implicit, (explicit.point, explicit.error))
         return Advance(end, field(time + h, end), error)
+
+
+class Exponential(Method):
+    """Exponential collocation (`timesim.engine.collocation`).
+
+    Attributes:
+        num_nodes: of the rule.
+    """
+
+    num_nodes: int = eqx.field(static=True)
+
+    @property
+    def order(self) -> int:  # type: ignore[override]
+        return self.num_nodes + 1
+
+    def advance(
+        self, dynamics: Dynamics, state: State, time: Array, point: Y, rate: Y, h: Array, tolerance: Array | None = None
+    ) -> Advance:
+        solved = solve(dynamics, state, time, point, h, num_nodes=self.num_nodes, tolerance=tolerance)
+        return Advance(solved.end, dynamics.field(state, time + h, solved.end), solved.error, solved)
 
 
 RK4 = Explicit(
@@ -186,4 +237,6 @@ def step_method(solver: Solver) -> Method:
     """The method that takes the steps."""
     if solver.name == "rk4":
         return RK4
+    if solver.name == "exponential":
+        return Exponential(NUM_NODES if solver.rtol > MORE_NODES else 5)
     return _kvaerno5(solver.rtol, solver.atol) if solver.name == "kvaerno5" else _explicit(solver.name)

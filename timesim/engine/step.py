@@ -19,13 +19,28 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from timesim.engine.barrier import apart
-from timesim.engine.guard import NONE, Margins, end_margins, first_crossing, segment
+from timesim.engine.collocation import Inside, state_inside
+from timesim.engine.guard import (
+    NONE,
+    Margins,
+    Segment,
+    end_margins,
+    first_crossing,
+    margins_at,
+    segment,
+    segment_of_nodes,
+    shortened,
+)
 from timesim.engine.law.contact_law import ContinuousState, Dynamics, State
+from timesim.engine.law.rule import rule_of
 from timesim.engine.method import Method
 from timesim.engine.solver import Control, error_size, next_length
 from timesim.engine.tolerance import LANDING, NO_LOAD, NO_TIME, SHORTEST, TOGETHER, VIOLATED
 
 PERIOD = 2 * jnp.pi
+NUM_CORRECTIONS = 2  # of the time at which a step is cut: the first leaves some 1e-10 of it
+NEARBY = 0.02  # of a step, in which such a correction lies
+UNSOLVED = 10.0  # error over its tolerance of a step whose equations are not solved
 MOST_REPEATS = 100  # transitions in a row with no time between them: more are an accumulation
 
 
@@ -118,6 +133,7 @@ class Step(eqx.Module):
     end_rate: ContinuousState
     state: State
     state_after: State
+    inside: Inside | None = None
 
 
 def begin(dynamics: Dynamics, point: ContinuousState, state: State, length: Float[Array, ""]) -> Trajectory:
@@ -132,15 +148,16 @@ def try_step(
     method: Method, control: Control, dynamics: Dynamics, now: Trajectory
 ) -> tuple[Trajectory, Step, Bool[Array, ""]]:
     """Try one step; the trajectory after it, the step, and whether it was accepted."""
-    h, last = length_of_try(now)
-    trial = integrated(method, control, dynamics, now, h)
+    asked, last = length_of_try(now)
+    trial = integrated(method, control, dynamics, now, asked)
+    h, last = trial.part.h, last & (trial.part.h == asked)
     landing = landed(control, dynamics, now, trial, h, last)
     span = h + landing.correction
     end = jax.tree.map(lambda y, dy: y + landing.correction * dy, trial.end, trial.rate)
     after, state = transition(dynamics, now.state, landing.crossed, end)
-    step = Step(now.cycle, now.time, span, now.point, now.rate, end, trial.rate, now.state, state)
+    step = Step(now.cycle, now.time, span, now.point, now.rate, end, trial.rate, now.state, state, trial.inside)
 
-    length = next_length(control, method.order, (now.length, now.last_error), trial.error, h, trial.precise)
+    length = next_length(control, method.order, (now.length, now.last_error), trial.error, asked, trial.precise)
     limit = limit_of_next(trial, landing, h)
     moved = advanced(dynamics, now, after, state, span, last & ~landing.early, landing.crossed)
     kept = eqx.tree_at(lambda t: t.limit, now, jnp.where(landing.accepted, jnp.inf, limit))
@@ -159,20 +176,66 @@ def length_of_try(now: Trajectory) -> tuple[Float[Array, ""], Bool[Array, ""]]:
 
 
 class Trial(NamedTuple):
-    """A step with every contact keeping its state: its end, the rate there, and the error over its tolerance."""
+    """A step with every contact keeping its state.
+
+    Attributes:
+        end, rate: continuous state at its end, and its rate there.
+        error: over its tolerance.
+        precise: whether it is within it.
+        part: the step as the contacts see it.
+        inside: its dense output, of a method that has its own.
+    """
 
     end: ContinuousState
     rate: ContinuousState
     error: Float[Array, ""]
     precise: Bool[Array, ""]
+    part: Segment
+    inside: Inside | None
 
 
 def integrated(method: Method, control: Control, dynamics: Dynamics, now: Trajectory, h: Float[Array, ""]) -> Trial:
-    """The step of the method."""
-    end, rate, error = method.advance(partial(dynamics.field, now.state), now.time, now.point, now.rate, h)
+    """The step of the method; one with a dense output of its own ends it where the first contact leaves its state."""
+    tolerance = control.atol + control.rtol * now.point.size()
+    end, rate, error, solved = method.advance(dynamics, now.state, now.time, now.point, now.rate, h, tolerance)
     size = jnp.zeros(()) if error is None else error_size(control, end, error)
+    if solved is not None:
+        size = jnp.where(solved.converged, size, jnp.maximum(size, UNSOLVED))
     size = jnp.where(jnp.isfinite(size), size, 1e9)
-    return Trial(end, rate, size, size <= 1)
+    points, rates = (now.point, end), (now.rate, rate)
+    if solved is None:
+        return Trial(end, rate, size, size <= 1, segment(dynamics, points, rates, h), None)
+    part = segment_of_nodes(dynamics, points, rates, h, solved.nodes, rule_of(method.order - 1))
+    whole = Trial(end, rate, size, size <= 1, part, solved.inside)
+    return cut(dynamics, now, whole)
+
+
+def cut(dynamics: Dynamics, now: Trajectory, trial: Trial) -> Trial:
+    """The step up to the first crossing inside it, which Newton's method places on the dense output."""
+    inside, part = trial.inside, trial.part
+    none = jnp.zeros(now.state.shape, dtype=bool)
+    crossing = first_crossing(dynamics, now.state, part, *end_margins(dynamics, now.state, part), (none, none))
+
+    def at(x: Array) -> tuple[ContinuousState, ContinuousState]:
+        point = state_inside(dynamics, (now.state, now.time, now.point), inside, x)
+        return point, dynamics.field(now.state, now.time + x * part.h, point)
+
+    def nearer(_: int, x: Array) -> Array:
+        point, rate = at(x)
+        margin, slope = margins_at(dynamics, now.state, dynamics.path(point, rate), (point.w, rate.w))
+        soonest = jnp.full((), jnp.inf)
+        for value, falls in zip(margin, slope, strict=True):
+            time = -value / jnp.where(falls < 0, falls, -1.0)
+            near = (falls < 0) & (jnp.abs(time) <= NEARBY * part.h)
+            soonest = jnp.minimum(soonest, jnp.where(near, time, jnp.inf).min(initial=jnp.inf))
+        return jnp.clip(jnp.where(jnp.isfinite(soonest), x + soonest / part.h, x), SHORTEST / part.h, 1.0)
+
+    def cut_there(whole: Trial) -> Trial:
+        x = jax.lax.fori_loop(0, NUM_CORRECTIONS, nearer, jnp.maximum(crossing, SHORTEST / part.h))
+        point, rate = at(x)
+        return whole._replace(end=point, rate=rate, part=shortened(dynamics, part, point, rate, x))
+
+    return jax.lax.cond(trial.precise & (crossing < NONE), cut_there, lambda whole: whole, trial)
 
 
 class Landing(NamedTuple):
@@ -200,10 +263,9 @@ class Landing(NamedTuple):
 
 def landed(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, h: Array, last: Array) -> Landing:
     """Follow the margins over a step: the first crossing inside, else the transitions that are due at its end."""
-    part = segment(dynamics, (now.point, trial.end), (now.rate, trial.rate), h)
-    margin, slope = end_margins(dynamics, now.state, part)
+    margin, slope = end_margins(dynamics, now.state, trial.part)
     to_zero, due = arriving(control, margin, slope, h, last)
-    crossing = first_crossing(dynamics, now.state, part, margin, slope, due)
+    crossing = first_crossing(dynamics, now.state, trial.part, margin, slope, due)
     accepted = trial.precise & (crossing >= NONE)
     on_guard = accepted & (due[0] | due[1]).any()
     soonest = [jnp.where(d, t, jnp.inf).min(initial=jnp.inf) for d, t in zip(due, to_zero, strict=True)]

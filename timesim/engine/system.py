@@ -131,9 +131,9 @@ def _motion(system: System, point: Point) -> Motion:
     return Motion(x[:-1], x[-1], dx[:-1], dx[-1])
 
 
-def contact_force(system: System, acts: Reaction) -> tuple[Float[Array, " contact"], ...]:
+def contact_force(system: System, f: Plane, n: Scalar) -> Plane:
     """g, the force on body 1 in the axes of the contact."""
-    return *(-f for f in acts.f), jnp.maximum(system.law.preload, 0.0) - acts.n
+    return *(-x for x in f), jnp.maximum(system.law.preload, 0.0) - n
 
 
 @apart
@@ -141,7 +141,7 @@ def _response(system: System, time: Float[Array, ""], point: Point, acts: Reacti
     drive = excitation(system, time)
     drag = times(system.damping, point.p)
     acceleration = drive - drag - times(system.stiffness, point.q)
-    for axis, force in zip(system.shape, contact_force(system, acts), strict=True):
+    for axis, force in zip(system.shape, contact_force(system, acts.f, acts.n), strict=True):
         acceleration = acceleration + times(axis.T, force)
     power = None
     if point.work is not None:

@@ -84,9 +84,9 @@ def _first_guard(system: System, step: Step, vector: Float[Array, " state"]) -> 
 
 def _image(method: Method, system: System, step: Step, start: Float[Array, " state"]) -> Float[Array, " state"]:
     """Where a start close to that of the step is led to, at the fixed time of its end."""
-    rate = partial(system.field, step.state)
     point = point_of(start, step.start)
-    end = vector_of(method.advance(rate, step.time, point, rate(step.time, point), step.h).point)
+    rate = system.field(step.state, step.time, point)
+    end = vector_of(method.advance(system, step.state, step.time, point, rate, step.h).point)
     crossed = step.state != step.state_after
     before, middle = vector_of(step.end_rate), jax.lax.stop_gradient(end)
     guard = partial(_first_guard, system, step)

@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from timesim.engine.barrier import apart
+from timesim.engine.law import slip_angle
 from timesim.engine.law.contact_law import (
     ContactLaw,
     Motion,
@@ -32,6 +33,7 @@ from timesim.engine.law.contact_law import (
     Reaction,
     Scalar,
     State,
+    Within,
     dot,
     length,
     minus,
@@ -39,6 +41,7 @@ from timesim.engine.law.contact_law import (
     scaled,
     where,
 )
+from timesim.engine.law.rule import Rule
 from timesim.engine.tolerance import FORCE_FLOOR, SINGULAR
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact
 from timesim.model.scales import Scales
@@ -118,6 +121,29 @@ class ConeLaw(ContactLaw):
         on_cone = minus(motion.u, product(self.compliance, scaled(sliding, slip_direction(self, motion, w))))
         w = where(before == SLIP, on_cone, w)
         return where((before == SEPARATION) | (after == SEPARATION), motion.u, w)
+
+    def inner(self, state: State, motion: Motion, w: Plane) -> Scalar:
+        return slip_angle.angle_of(slip_direction(self, motion, w))
+
+    def collocated(self, state: State, w: Plane, motion: Motion, inner: Scalar, h: Scalar, rule: Rule) -> Within:
+        n, du, dn = normal_load(self, motion.v), motion.du, self.normal_stiffness * motion.dv
+        if len(w) == 2:
+            slips = (state == SLIP) & (self.friction > 0)
+            turning = slip_angle.Turning(self.friction, self.stiffness, n, dn, du)
+            inner = slip_angle.newton_step(turning, slips, inner, h, rule)
+        e = slip_angle.direction_of(inner[1:], len(w))
+        slip = self._slip(state, w, motion, e)
+        elastic = product(self.stiffness, minus(motion.u, slip))
+        f = where(state == SLIP, scaled(self.friction * n, e), where(state == STICK, elastic, scaled(0.0 * n, e)))
+        return Within(inner, f, jnp.where(state == SEPARATION, 0.0, n), slip)
+
+    def slip_inside(self, state: State, w: Plane, motion: Motion, inner: Scalar) -> Plane:
+        return self._slip(state, w, motion, slip_angle.direction_of(inner, len(w)))
+
+    def _slip(self, state: State, w: Plane, motion: Motion, e: Plane) -> Plane:
+        """w of contacts that slip along e: on the cone."""
+        on_cone = minus(motion.u, product(self.compliance, scaled(self.friction * normal_load(self, motion.v), e)))
+        return where(state == SLIP, on_cone, where(state == SEPARATION, motion.u, w))
 
     def scale(self) -> Scalar:
         tangential = sum((jnp.abs(k) for k in self.stiffness), start=jnp.zeros(()))

@@ -9,14 +9,15 @@ from timesim.runtime import Leaf  # isort: skip
 
 import abc
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from timesim.model.model import Contact
+from timesim.engine.law.rule import Rule
+from timesim.model.model import SEPARATION, SLIP, Contact
 from timesim.model.scales import Scales
 
 if TYPE_CHECKING:
@@ -53,6 +54,21 @@ class Reaction(eqx.Module):
     n: Scalar
     dw: Plane
     lost: Scalar | None = None
+
+
+class Within(NamedTuple):
+    """Contacts at the nodes of a step.
+
+    Attributes:
+        inner: what the law iterates on, its first axis that of the nodes, the start of the step among them.
+        f, n: friction force and normal load, components of shape (node, contact).
+        w: slip, the same.
+    """
+
+    inner: PyTree
+    f: Plane
+    n: Scalar
+    w: Plane
 
 
 class ContactLaw(eqx.Module):
@@ -97,6 +113,31 @@ class ContactLaw(eqx.Module):
     @abc.abstractmethod
     def slip_at_transition(self, before: State, after: State, motion: Motion, w: Plane) -> Plane:
         """Slip with which a contact goes on after a step, its state changed or not."""
+
+    def inner(self, state: State, motion: Motion, w: Plane) -> PyTree:
+        """What the law iterates on in a step that is taken at all its nodes at once: the slip, unless it knows better."""
+        return w
+
+    def collocated(self, state: State, w: Plane, motion: Motion, inner: PyTree, h: Scalar, rule: Rule) -> Within:
+        """Contacts at the nodes of a rule, from a better inner value than the one given.
+
+        Args:
+            state: states during the step.
+            w: slip at its start.
+            motion: at the nodes, their axis the first.
+            inner: at the start and the nodes.
+            h: length of the step.
+            rule: the rule.
+        """
+        acts = self.reaction(state, motion, tuple(x[1:] for x in inner))
+        moved = tuple(x + h * (jnp.asarray(rule.integrals) @ dw) for x, dw in zip(w, acts.dw, strict=True))
+        moved = where(state == SEPARATION, motion.u, moved)
+        new = tuple(jnp.concatenate([old[:1], x]) for old, x in zip(inner, moved, strict=True))
+        return Within(new, acts.f, acts.n, moved)
+
+    def slip_inside(self, state: State, w: Plane, motion: Motion, inner: PyTree) -> Plane:
+        """Slip inside a step, from that at its start and the motion and the inner value there."""
+        return where(state == SLIP, inner, where(state == SEPARATION, motion.u, w))
 
     @abc.abstractmethod
     def scale(self) -> Scalar:

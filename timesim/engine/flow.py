@@ -1,0 +1,124 @@
+"""The exact flow of modes between transitions, under forces that are polynomials of time.
+
+A mode obeys ``z'' + d z' + k z = sum_m c_m (t / h)^m``. With J_0 its response to a unit impulse and J_(m+1) the integral
+of J_m,
+
+    z  = (1 - k J_1) z_0 + J_0 z'_0 + sum_m c_m m! h^-m J_(m+1),
+    z' = -k J_0 z_0 + (1 - k J_1 - d J_0) z'_0 + sum_m c_m m! h^-m J_m.
+
+The integrals are had as ``J_m = t^(m+1) psi_m(k t^2, d t)``, by real arithmetic for any mode: of a rigid body, underdamped,
+critically damped or overdamped. ``psi_(m-1) + d t psi_m + k t^2 psi_(m+1) = 1 / m!`` links three of them; it is used
+downwards from a series where t is short and upwards from the closed form where it is long. They take the place of the phi
+functions of exponential integrators (Hochbruck & Ostermann, Exponential integrators, Acta Numerica 19 (2010) 209-286).
+
+The functions take numpy or JAX arrays; modes are the last axis.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+NUM_TERMS = 38  # of the series: (2 + sqrt 8)^38 / 38! = 2e-19
+SHORT = 4.0  # k t^2, and d t, up to which the series is used
+
+
+class Weights(NamedTuple):
+    """The flow over a time t as numbers to multiply with, each of the shape of t and the modes.
+
+    Attributes:
+        q_q, q_p: displacement at the end for a unit of displacement and velocity at the start.
+        p_q, p_p: velocity for the same.
+        q_force, p_force: displacement and velocity for a unit of each coefficient of the force, lowest first.
+    """
+
+    q_q: Any
+    q_p: Any
+    p_q: Any
+    p_p: Any
+    q_force: tuple[Any, ...]
+    p_force: tuple[Any, ...]
+
+
+def weights(stiffness: Any, damping: Any, t: Any, h: Any, num: int, xp: Any = np) -> Weights:
+    """The flow over a time t under forces with ``num`` coefficients of powers of a fraction of h.
+
+    Args:
+        stiffness, damping: k and d of each mode, not negative.
+        t, h: times, of shapes that broadcast with those.
+        num: number of coefficients.
+        xp: the library that the arrays are of.
+    """
+    k, d = stiffness, damping
+    psi = impulse_integrals(k * t * t, d * t, num + 1, xp)
+    impulse, step = t * psi[0], t * t * psi[1]
+    share = t / h
+    q_force = tuple(math.factorial(m) * share**m * t * t * psi[m + 1] for m in range(num))
+    p_force = tuple(math.factorial(m) * share**m * t * psi[m] for m in range(num))
+    rest = 1 - k * step
+    return Weights(rest, impulse, -k * impulse, rest - d * impulse, q_force, p_force)
+
+
+def impulse_integrals(a: Any, b: Any, num: int, xp: Any = np) -> list[Any]:
+    """psi_0, ..., psi_(num - 1) of a = k t^2 and b = d t, elementwise."""
+    short = (a <= SHORT) & (b <= SHORT)
+    series = _by_series(xp.where(short, a, 0.0), xp.where(short, b, 0.0), num)
+    apart = ~short & (b > 2.5 * xp.sqrt(a)) & ((a <= SHORT) | (b > a))
+    upward = _upwards(xp.where(short | apart, SHORT, a), xp.where(short | apart, 1.0, b), num, xp)
+    creeping = _by_two_decays(xp.where(apart, a, 1.0), xp.where(apart, b, 4.0), num, xp)
+    parts = zip(series, upward, creeping, strict=True)
+    return [xp.where(short, x, xp.where(apart, z, y)) for x, y, z in parts]
+
+
+def _by_series(a: Any, b: Any, num: int) -> list[Any]:
+    """Both highest by their power series, the others downwards."""
+    before, sigma = 0.0 * a, 1.0 + 0.0 * a
+    first, second = 0.0 * a, 0.0 * a
+    for j in range(NUM_TERMS):
+        first = first + sigma * (1 / math.factorial(j + num))
+        second = second + sigma * (1 / math.factorial(j + num + 1))
+        before, sigma = sigma, -b * sigma - a * before
+    down = [second, first]
+    for m in range(num - 1, 0, -1):
+        down.append(1 / math.factorial(m) - b * down[-1] - a * down[-2])
+    return down[:0:-1]
+
+
+def _upwards(a: Any, b: Any, num: int, xp: Any) -> list[Any]:
+    """From the closed form of the impulse; a is not small."""
+    decay, square = xp.exp(-0.5 * b), a - 0.25 * b * b
+    turn = xp.sqrt(xp.abs(square))
+    near = turn < 1e-2
+    safe = xp.where(near, 1.0, turn)
+    # Where the mode is overdamped, exp(-b / 2) is taken into the hyperbolic functions: they alone would overflow.
+    slow, fast = xp.exp(xp.where(square < 0, turn, 0.0) - 0.5 * b), xp.exp(-0.5 * b - xp.where(square < 0, turn, 0.0))
+    sine = xp.where(square < 0, 0.5 * (slow - fast), decay * xp.sin(turn))
+    cosine = xp.where(square < 0, 0.5 * (slow + fast), decay * xp.cos(turn))
+    first = xp.where(near, decay * (1 - square / 6 + square * square / 120), sine / safe)
+    before, psi = cosine - 0.5 * b * first, [first]
+    for m in range(num - 1):
+        psi.append((1 / math.factorial(m) - before - b * psi[-1]) / a)
+        before = psi[-2]
+    return psi
+
+
+def _by_two_decays(a: Any, b: Any, num: int, xp: Any) -> list[Any]:
+    """Of an overdamped mode whose decays lie well apart, as divided differences of the phi functions of both."""
+    fast = -0.5 * (b + xp.sqrt(b * b - 4 * a))
+    slow = a / fast  # as a difference of two large numbers it would lose its digits
+    phi = [_phi(z, num, xp) for z in (slow, fast)]
+    return [(x - y) / (slow - fast) for x, y in zip(*phi, strict=True)]
+
+
+def _phi(z: Any, num: int, xp: Any) -> list[Any]:
+    """phi_0, ..., phi_(num - 1) of z <= 0."""
+    short = z > -1.0
+    small, large = xp.where(short, z, 0.0), xp.where(short, -1.0, z)
+    top = sum(small**j * (1 / math.factorial(j + num - 1)) for j in range(18))
+    down = [top]
+    for k in range(num - 2, -1, -1):
+        down.append(1 / math.factorial(k) + small * down[-1])
+    up = [xp.exp(large)]
+    for k in range(num - 1):
+        up.append((up[-1] - 1 / math.factorial(k)) / large)
+    return [xp.where(short, x, y) for x, y in zip(down[::-1], up, strict=True)]
