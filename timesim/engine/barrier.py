@@ -13,6 +13,8 @@ from collections.abc import Callable, Sequence
 from typing import ParamSpec, TypeVar
 
 import jax
+import jax.numpy as jnp
+from jax import Array
 from jax.experimental.xla_metadata import set_xla_metadata
 
 P = ParamSpec("P")
@@ -40,3 +42,14 @@ def apart(function: Callable[P, T], static: Sequence[int] = ()) -> Callable[P, T
             return compiled(*args, **kwargs)
 
     return call
+
+
+SMALL = 4096
+"""Products of numbers up to which a loop is quicker than the call of a library: some 2 us of any size."""
+
+
+def matmul(a: Array, b: Array) -> Array:
+    """The product of two matrices."""
+    if a.shape[0] * b.shape[0] * b.shape[1] > SMALL:
+        return jnp.dot(a, b)
+    return (a[:, :, None] * b[None]).sum(axis=1)

@@ -24,17 +24,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
-from timesim.engine.barrier import apart
-from timesim.engine.flow import Weights, weights
+from timesim.engine.barrier import apart, matmul
+from timesim.engine.flow import weights
 from timesim.engine.guard import Nodes
 from timesim.engine.law.contact_law import Motion, Plane, Scalar, State, Within
-from timesim.engine.law.rule import Rule, rule_of
+from timesim.engine.law.rule import Rule
 from timesim.engine.system import Point, System, contact_force
 from timesim.model.model import SLIP
 
 NEAR_RESONANCE = 1e-3  # of |k - i^2 + i d| in k + i^2: below it the force is taken into the polynomial
 CONVERGED = 1e-3  # change that sweeps leave undone, in the tolerance of a step
 MOST_SWEEPS = 12
+NUM_RUNGS = 64  # of lengths: the shortest is 3e-10 of the longest
+ON_RUNG = 1e-6  # of a rung: rounding of its length
 SLOWEST = 0.7  # ratio of changes from which on a shorter step costs less than more sweeps
 
 
@@ -84,7 +86,8 @@ class Steady(eqx.Module):
 
 def diagonals(system: System) -> tuple[Array, Array]:
     """Stiffness and damping of the modes that the flow is exact in."""
-    return tuple(x if x.ndim == 1 else jnp.diagonal(x) for x in (system.stiffness, system.damping))
+    stiffness, damping = (x if x.ndim == 1 else jnp.diagonal(x) for x in (system.stiffness, system.damping))
+    return stiffness, damping
 
 
 def coupling(system: System, q: Float[Array, "*node mode"], p: Float[Array, "*node mode"]) -> Array:
@@ -92,8 +95,57 @@ def coupling(system: System, q: Float[Array, "*node mode"], p: Float[Array, "*no
     force = jnp.zeros_like(q)
     for matrix, x in ((system.stiffness, q), (system.damping, p)):
         if matrix.ndim == 2:
-            force = force + x @ (matrix - jnp.diag(jnp.diagonal(matrix))).T
+            force = force - x @ (matrix - jnp.diag(jnp.diagonal(matrix))).T
     return force
+
+
+class Flow(eqx.Module):
+    """Motion of the modes at the nodes of a step, per unit of what it starts from and of the force at each node.
+
+    Attributes:
+        h: length of the step.
+        q_q, q_p, p_q, p_p: from displacement and velocity at the start, (node, mode).
+        q_force, p_force: from the modal force at the start and the nodes, (node, node, mode).
+    """
+
+    h: Float[Array, ""]
+    q_q: Array
+    q_p: Array
+    p_q: Array
+    p_p: Array
+    q_force: Array
+    p_force: Array
+
+    @classmethod
+    def of(cls, system: System, rule: Rule, h: Float[Array, "*length"]) -> "Flow":
+        """For steps of one length, or of many: then that is the first axis of all."""
+        nodes = jnp.asarray(rule.nodes[1:])[:, None]
+        flow = weights(*diagonals(system), h[..., None, None] * nodes, h[..., None, None], len(rule.nodes), jnp)
+        by_power = (jnp.stack(part, axis=-2) for part in (flow.q_force, flow.p_force))
+        q_force, p_force = (jnp.einsum("...jpm,pk->...jkm", part, jnp.asarray(rule.monomials)) for part in by_power)
+        return cls(h, flow.q_q, flow.q_p, flow.p_q, flow.p_p, q_force, p_force)
+
+
+class Ladder(eqx.Module):
+    """What steps of a system need, computed once: flows for lengths that halve every second rung.
+
+    Attributes:
+        flows: of the lengths, longest first, their axis the first.
+        steady: motion that the excitation forces.
+    """
+
+    flows: Flow
+    steady: Steady
+
+    @classmethod
+    def of(cls, system: System, rule: Rule, longest: Float[Array, ""]) -> "Ladder":
+        return cls(Flow.of(system, rule, longest * 2.0 ** (-0.5 * jnp.arange(NUM_RUNGS))), Steady.of(system))
+
+    def rung(self, wanted: Float[Array, ""], needed: Float[Array, ""]) -> Flow:
+        """The longest flow that is not longer than is wanted; the shortest that is as long as is needed, if less."""
+        at = 2 * jnp.log2(self.flows.h[0] / jnp.stack([wanted, needed]))
+        index = jnp.maximum(jnp.ceil(at[0] - ON_RUNG), jnp.floor(at[1] + ON_RUNG)).astype(int)
+        return jax.tree.map(lambda rows: rows[jnp.clip(index, 0, NUM_RUNGS - 1)], self.flows)
 
 
 class Inside(eqx.Module):
@@ -125,34 +177,20 @@ class Start(NamedTuple):
 
     Attributes:
         state: of the contacts during the step.
-        time: within the cycle.
-        point: continuous state.
+        w: slip.
         motion: of the contacts.
         force: modal force that the polynomial begins with, shape (1, mode).
-        free: motion of the nodes without contact forces.
+        q, p: displacement and velocity of the nodes without contact forces, shape (node, mode).
+        left: force there that the steady motion leaves to the polynomial.
     """
 
     state: State
-    time: Float[Array, ""]
-    point: Point
+    w: Plane
     motion: Motion
-    force: Float[Array, "one mode"]
-    free: "Free"
-
-
-class Free(NamedTuple):
-    """The nodes of a step without contact forces, arrays of shape (node, mode).
-
-    Attributes:
-        q, p: displacement and velocity.
-        left: force that the steady motion leaves to the polynomial.
-        weights: of the flow from the start.
-    """
-
+    force: Array
     q: Array
     p: Array
     left: Array
-    weights: Weights
 
 
 class Guess(NamedTuple):
@@ -164,40 +202,39 @@ class Guess(NamedTuple):
 
 def solve(
     system: System,
+    flow: Flow,
     state: State,
     time: Float[Array, ""],
     point: Point,
-    h: Float[Array, ""],
     *,
-    num_nodes: int,
+    rule: Rule,
     tolerance: Float[Array, ""] | None,
 ) -> Solved:
     """A step with every contact keeping its state.
 
     Args:
         system: the system.
+        flow: of its modes over the step.
         state: states of the contacts.
         time: start of the step within the cycle.
         point: continuous state there.
-        h: length.
 
     Keyword Args:
-        num_nodes: of the rule.
+        rule: with the nodes.
         tolerance: error that is allowed; None to sweep as often as is needed in any case, so that the derivative is
             that of the solution.
     """
-    rule = rule_of(num_nodes)
-    start = _start(rule, system, state, time, point, h)
+    start = _start(tuple(rule.nodes.tolist()), system, flow, state, time, point)
     inner = system.law.inner(state, start.motion, point.w)
-    constant = jax.tree.map(lambda x: jnp.broadcast_to(x, (num_nodes + 1, *x.shape)), inner)
-    guess = Guess(jnp.broadcast_to(start.force, start.free.q.shape), constant)
-    guess, converged = _swept(partial(_sweep, rule, system, start, h), guess, tolerance)
-    q, p, nodes, within = _at_nodes(rule, system, start, h, guess)
+    constant = jax.tree.map(lambda x: jnp.broadcast_to(x, (len(rule.nodes), *x.shape)), inner)
+    guess = Guess(jnp.broadcast_to(start.force, start.q.shape), constant)
+    guess, converged = _swept(partial(_sweep, rule, system, flow, start), guess, tolerance)
+    q, p, nodes, within = _at_nodes(rule, system, flow, start, guess)
     power = jnp.asarray(rule.monomials)
-    force = power @ jnp.concatenate([start.force, guess.force])
-    inside = Inside(force, jax.tree.map(lambda x: power @ x, within.inner), h)
+    force = matmul(power, jnp.concatenate([start.force, guess.force]))
+    inside = Inside(force, jax.tree.map(lambda x: matmul(power, x), within.inner), flow.h)
     end = Point(q[-1], p[-1], tuple(w[-1] for w in within.w), None)
-    return Solved(end, _error(rule, system, state, force[-1], nodes.w, h), converged, nodes, inside)
+    return Solved(end, _error(rule, system, flow.h, state, force[-1], nodes.w), converged, nodes, inside)
 
 
 @apart
@@ -205,8 +242,8 @@ def state_inside(system: System, start: tuple[State, Array, Point], inside: Insi
     """The continuous state at a fraction of a step, from its start: state of the contacts, time and point."""
     state, time, point = start
     span, num = x * inside.h, inside.force.shape[0]
-    flow = _weights(*diagonals(system), span, inside.h, num)
-    steady = Steady.of(system)
+    flow = weights(*diagonals(system), span, inside.h, num, jnp)
+    steady = steady_of(system)
     (q0, p0), (q, p) = (steady.motion(system, t[None]) for t in (time, time + span))
     z, dz = point.q - q0, point.p - p0
     q = q + flow.q_q * z + flow.q_p * dz + sum(w * f for w, f in zip(flow.q_force, inside.force, strict=True))
@@ -217,53 +254,52 @@ def state_inside(system: System, start: tuple[State, Array, Point], inside: Insi
     return eqx.tree_at(lambda y: y.w, here, system.law.slip_inside(state, point.w, system.motion(here), inner))
 
 
-@partial(apart, static=(4,))
-def _weights(stiffness: Array, damping: Array, t: Array, h: Array, num: int) -> Weights:
-    return weights(stiffness, damping, t, h, num, jnp)
+def steady_of(system: System) -> Steady:
+    """The motion that the excitation forces, from the ladder where there is one."""
+    return Steady.of(system) if system.ladder is None else system.ladder.steady
 
 
-@apart
-def _start(rule: Rule, system: System, state: State, time: Array, point: Point, h: Array) -> Start:
-    steady, nodes = Steady.of(system), jnp.asarray(rule.nodes)[:, None]
-    q, p = steady.motion(system, time + h * nodes)
-    left = steady.remainder(system, time + h * nodes)
-    flow = _weights(*diagonals(system), h * nodes[1:], h, nodes.shape[0])
+@partial(apart, static=(0,))
+def _start(nodes: tuple[float, ...], system: System, flow: Flow, state: State, time: Array, point: Point) -> Start:
+    steady = steady_of(system)
+    times = time + flow.h * jnp.asarray(nodes)[:, None]
+    q, p = steady.motion(system, times)
+    left = steady.remainder(system, times)
     z, dz = point.q - q[0], point.p - p[0]
-    free = Free(q[1:] + flow.q_q * z + flow.q_p * dz, p[1:] + flow.p_q * z + flow.p_p * dz, left[1:], flow)
     motion = system.motion(point)
     acts = system.law.reaction(state, motion, point.w)
-    force = _modal_force(system, acts.f, acts.n, left[0]) - coupling(system, point.q, point.p)
-    return Start(state, time, point, motion, force[None], free)
+    force = _modal_force(system, tuple(f[None] for f in acts.f), acts.n[None], left[:1]) + coupling(system, point.q[None], point.p[None])
+    free_q, free_p = q[1:] + flow.q_q * z + flow.q_p * dz, p[1:] + flow.p_q * z + flow.p_p * dz
+    return Start(state, point.w, motion, force, free_q, free_p, left[1:])
 
 
 def _modal_force(system: System, f: Plane, n: Scalar, left: Array) -> Array:
     """Modal force of the contacts, at one place or at several, and what is left of the excitation."""
-    for axis, force in zip(system.shape, contact_force(system, f, n), strict=True):
-        left = left + force @ axis
-    return left
+    force = jnp.concatenate(contact_force(system, f, n), axis=-1)
+    return left + matmul(force, jnp.concatenate(system.shape))
 
 
-def _at_nodes(rule: Rule, system: System, start: Start, h: Array, guess: Guess) -> tuple[Array, Array, Nodes, Within]:
+def _at_nodes(rule: Rule, system: System, flow: Flow, start: Start, guess: Guess) -> tuple[Array, Array, Nodes, Within]:
     """Displacements and velocities of modes and contacts at the nodes, and what the contacts do there."""
-    force = jnp.asarray(rule.monomials) @ jnp.concatenate([start.force, guess.force])
-    q, p = start.free.q, start.free.p
-    for power, to_q, to_p in zip(force, start.free.weights.q_force, start.free.weights.p_force, strict=True):
-        q, p = q + to_q * power, p + to_p * power
-    x, dx = (tuple(y @ axis.T for axis in system.shape) for y in (q, p))
+    q = start.q + flow.q_force[:, 0] * start.force + sum(flow.q_force[:, k + 1] * guess.force[k] for k in range(len(guess.force)))
+    p = start.p + flow.p_force[:, 0] * start.force + sum(flow.p_force[:, k + 1] * guess.force[k] for k in range(len(guess.force)))
+    moves = matmul(jnp.concatenate([q, p]), jnp.concatenate(system.shape).T)
+    parts = jnp.split(moves, len(system.shape), axis=1)
+    x, dx = (tuple(part[rows] for part in parts) for rows in (slice(0, len(q)), slice(len(q), None)))
     motion = Motion(x[:-1], x[-1], dx[:-1], dx[-1])
-    within = system.law.collocated(start.state, start.point.w, motion, guess.inner, h, rule)
+    within = system.law.collocated(start.state, start.w, motion, guess.inner, flow.h, rule)
     first = start.motion
-    pairs = (((*first.u, first.v), x), ((*first.du, first.dv), dx), (start.point.w, within.w))
-    parts = (tuple(jnp.concatenate([a[None], b]) for a, b in zip(*pair, strict=True)) for pair in pairs)
-    return q, p, Nodes(*parts), within
+    pairs = (((*first.u, first.v), x), ((*first.du, first.dv), dx), (start.w, within.w))
+    whole = (tuple(jnp.concatenate([a[None], b]) for a, b in zip(*pair, strict=True)) for pair in pairs)
+    return q, p, Nodes(*whole), within
 
 
 @apart
-def _sweep(rule: Rule, system: System, start: Start, h: Array, guess: Guess) -> tuple[Guess, Float[Array, ""]]:
+def _sweep(rule: Rule, system: System, flow: Flow, start: Start, guess: Guess) -> tuple[Guess, Float[Array, ""]]:
     """A better guess, and how much the velocity changes with it."""
-    q, p, _, within = _at_nodes(rule, system, start, h, guess)
-    force = _modal_force(system, within.f, within.n, start.free.left) - coupling(system, q, p)
-    return Guess(force, within.inner), h * jnp.abs(force - guess.force).max()
+    q, p, _, within = _at_nodes(rule, system, flow, start, guess)
+    force = _modal_force(system, within.f, within.n, start.left) + coupling(system, q, p)
+    return Guess(force, within.inner), flow.h * jnp.abs(force - guess.force).max()
 
 
 def _swept(
@@ -293,7 +329,7 @@ def _swept(
     return guess, left(before, change) <= CONVERGED * tolerance
 
 
-def _error(rule: Rule, system: System, state: State, highest: Array, w: Plane, h: Array) -> Point:
+def _error(rule: Rule, system: System, h: Array, state: State, highest: Array, w: Plane) -> Point:
     """What the highest power does in a step to the modes, and what it is in the slip of contacts that slip."""
     stiffness, damping = diagonals(system)
     reach = jnp.maximum(jnp.sqrt(stiffness), damping) * h

@@ -28,6 +28,7 @@ def advance(
     Returns:
         The trajectory, the accepted steps (leading axis ``capacity``), and how many there are.
     """
+    dynamics = method.prepared(dynamics, control.longest)
     blank = jax.eval_shape(partial(try_step, method, control, dynamics), start)[1]
     record = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), blank)
 
@@ -84,6 +85,7 @@ def _march_together(
 ) -> tuple[Trajectory, Int[Array, " batch"]]:
     per_run = jax.tree.map(lambda leaf: -1 if leaf.ndim else None, control)
     dynamics, start = batch_last((dynamics, start))
+    dynamics = over_lanes(method.prepared, in_axes=(-1, per_run.longest))(dynamics, control.longest)
     attempt = partial(over_lanes(partial(try_step, method), in_axes=(per_run, -1, -1)), control, dynamics)
 
     def running(now: Trajectory) -> Array:

@@ -13,10 +13,11 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from timesim.engine import dense_output as hermite
-from timesim.engine.barrier import apart
+from timesim.engine.barrier import apart, matmul
 from timesim.engine.law.contact_law import ContinuousState, Dynamics, Motion, Path, Plane, State
 from timesim.engine.law.rule import Rule
 from timesim.engine.tolerance import AGREEMENT, SHORT, VIOLATED
@@ -98,13 +99,17 @@ def segment_of_nodes(
     starts, ends = (dynamics.path(*end) for end in zip(points, rates, strict=True))
     slips = [(y.w, dy.w) for y, dy in zip(points, rates, strict=True)]
     hermite, monomials = jnp.asarray(rule.hermite), jnp.asarray(rule.monomials)
+    integral = np.zeros((len(rule.hermite), len(rule.nodes)))
+    integral[1 : len(rule.nodes) + 1] = rule.monomials / np.arange(1, len(rule.nodes) + 1)[:, None]
 
     def through(x: Array, dx: Array) -> tuple[Array, ...]:
-        coefficients = hermite @ jnp.concatenate([x - x[:1], h * dx])  # of the change: its digits are few in a short step
-        return x[0], *(coefficients[i] for i in range(1, hermite.shape[0]))
+        # In a short step the change of the values has few digits, and its slope none.
+        by_values = matmul(hermite, jnp.concatenate([x - x[:1], h * dx]))
+        rows = jnp.where(h < SHORT, matmul(jnp.asarray(integral), h * dx), by_values)
+        return x[0], *(rows[i] for i in range(1, len(rule.hermite)))
 
     path = tuple(through(*component) for component in zip(nodes.x, nodes.dx, strict=True))
-    slip = tuple(tuple(row for row in monomials @ w) for w in nodes.w)
+    slip = tuple(tuple(row for row in matmul(monomials, w)) for w in nodes.w)
     return Segment(starts, ends, slips[0], slips[1], path, slip, h)
 
 

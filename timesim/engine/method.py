@@ -26,8 +26,10 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from timesim.engine.barrier import apart
-from timesim.engine.collocation import Solved, solve
+from timesim.engine.collocation import Flow, Ladder, Solved, solve
 from timesim.engine.law.contact_law import Dynamics, State
+from timesim.engine.law.rule import rule_of
+from timesim.engine.tolerance import NO_TIME
 from timesim.model.solver import Solver
 
 Y: TypeAlias = PyTree
@@ -75,6 +77,17 @@ class Method(eqx.Module):
             h: length.
             tolerance: error that is allowed, for a method that iterates; None where a derivative is wanted.
         """
+
+
+    def prepared(self, dynamics: Any, longest: Float[Array, ""]) -> Any:
+        """The system with what the steps of the method need of it; none is longer than ``longest``."""
+        return dynamics
+
+    def length(self, dynamics: Any, wanted: Array, limit: Array, remaining: Array) -> Array:
+        """Length of the step to try, where the error control wants one, and it is to end at a limit or a cycle's end."""
+        wanted = jnp.minimum(wanted, limit)
+        # The length of a step is no function of the parameters; only what is left of a cycle after an event is.
+        return jnp.where(wanted < remaining * (1 - NO_TIME), jax.lax.stop_gradient(wanted), remaining)
 
 
 class Explicit(Method):
@@ -190,10 +203,20 @@ class Exponential(Method):
     def order(self) -> int:  # type: ignore[override]
         return self.num_nodes + 1
 
+    def prepared(self, dynamics: Any, longest: Float[Array, ""]) -> Any:
+        ladder = Ladder.of(dynamics, rule_of(self.num_nodes), longest)
+        return eqx.tree_at(lambda system: system.ladder, dynamics, ladder, is_leaf=lambda x: x is None)
+
+    def length(self, dynamics: Any, wanted: Array, limit: Array, remaining: Array) -> Array:
+        # What is not needed of a step is cut off.
+        return dynamics.ladder.rung(wanted, jnp.minimum(limit, remaining)).h
+
     def advance(
-        self, dynamics: Dynamics, state: State, time: Array, point: Y, rate: Y, h: Array, tolerance: Array | None = None
+        self, dynamics: Any, state: State, time: Array, point: Y, rate: Y, h: Array, tolerance: Array | None = None
     ) -> Advance:
-        solved = solve(dynamics, state, time, point, h, num_nodes=self.num_nodes, tolerance=tolerance)
+        rule = rule_of(self.num_nodes)
+        flow = Flow.of(dynamics, rule, h) if dynamics.ladder is None else dynamics.ladder.rung(h, h)
+        solved = solve(dynamics, flow, state, time, point, rule=rule, tolerance=tolerance)
         return Advance(solved.end, dynamics.field(state, time + h, solved.end), solved.error, solved)
 
 

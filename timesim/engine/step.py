@@ -38,7 +38,8 @@ from timesim.engine.solver import Control, error_size, next_length
 from timesim.engine.tolerance import LANDING, NO_LOAD, NO_TIME, SHORTEST, TOGETHER, VIOLATED
 
 PERIOD = 2 * jnp.pi
-NUM_CORRECTIONS = 2  # of the time at which a step is cut: the first leaves some 1e-10 of it
+NUM_CORRECTIONS = 8  # of the time at which a step is cut; the force of the polynomial is not quite that of the law, so that
+# each leaves a share of what was missing, and two or three are the rule
 NEARBY = 0.02  # of a step, in which such a correction lies
 UNSOLVED = 10.0  # error over its tolerance of a step whose equations are not solved
 MOST_REPEATS = 100  # transitions in a row with no time between them: more are an accumulation
@@ -148,9 +149,9 @@ def try_step(
     method: Method, control: Control, dynamics: Dynamics, now: Trajectory
 ) -> tuple[Trajectory, Step, Bool[Array, ""]]:
     """Try one step; the trajectory after it, the step, and whether it was accepted."""
-    asked, last = length_of_try(now)
-    trial = integrated(method, control, dynamics, now, asked)
-    h, last = trial.part.h, last & (trial.part.h == asked)
+    asked, reach, last = length_of_try(method, dynamics, now)
+    trial = integrated(method, control, dynamics, now, asked, reach)
+    h, last = trial.part.h, last & ~trial.early
     landing = landed(control, dynamics, now, trial, h, last)
     span = h + landing.correction
     end = jax.tree.map(lambda y, dy: y + landing.correction * dy, trial.end, trial.rate)
@@ -166,13 +167,15 @@ def try_step(
     return judged(control, result), step, landing.accepted
 
 
-def length_of_try(now: Trajectory) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-    """Length of the step to try, and whether it ends the cycle."""
+def length_of_try(
+    method: Method, dynamics: Dynamics, now: Trajectory
+) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
+    """Length of the step to try, how far it is needed, and whether that is the end of the cycle."""
     remaining = PERIOD - now.time
-    wanted = jnp.minimum(now.length, now.limit)
-    last = wanted >= remaining * (1 - NO_TIME)
-    # The length of a step is no function of the parameters; only what is left of a cycle after an event is.
-    return jnp.where(last, remaining, jax.lax.stop_gradient(wanted)), last
+    h = method.length(dynamics, now.length, now.limit, remaining)
+    reach = jnp.minimum(h, jnp.minimum(now.limit, remaining))
+    last = reach >= remaining * (1 - NO_TIME)
+    return h, jnp.where(last, remaining, reach), last
 
 
 class Trial(NamedTuple):
@@ -182,6 +185,7 @@ class Trial(NamedTuple):
         end, rate: continuous state at its end, and its rate there.
         error: over its tolerance.
         precise: whether it is within it.
+        early: whether it has been cut because a contact leaves its state.
         part: the step as the contacts see it.
         inside: its dense output, of a method that has its own.
     """
@@ -190,52 +194,67 @@ class Trial(NamedTuple):
     rate: ContinuousState
     error: Float[Array, ""]
     precise: Bool[Array, ""]
+    early: Bool[Array, ""]
     part: Segment
     inside: Inside | None
 
 
-def integrated(method: Method, control: Control, dynamics: Dynamics, now: Trajectory, h: Float[Array, ""]) -> Trial:
-    """The step of the method; one with a dense output of its own ends it where the first contact leaves its state."""
+def integrated(
+    method: Method, control: Control, dynamics: Dynamics, now: Trajectory, h: Float[Array, ""], reach: Float[Array, ""]
+) -> Trial:
+    """The step of the method; one with a dense output of its own is cut where it is needed no longer."""
     tolerance = control.atol + control.rtol * now.point.size()
     end, rate, error, solved = method.advance(dynamics, now.state, now.time, now.point, now.rate, h, tolerance)
     size = jnp.zeros(()) if error is None else error_size(control, end, error)
     if solved is not None:
         size = jnp.where(solved.converged, size, jnp.maximum(size, UNSOLVED))
     size = jnp.where(jnp.isfinite(size), size, 1e9)
-    points, rates = (now.point, end), (now.rate, rate)
+    points, rates, whole = (now.point, end), (now.rate, rate), jnp.asarray(False)
     if solved is None:
-        return Trial(end, rate, size, size <= 1, segment(dynamics, points, rates, h), None)
+        return Trial(end, rate, size, size <= 1, whole, segment(dynamics, points, rates, h), None)
     part = segment_of_nodes(dynamics, points, rates, h, solved.nodes, rule_of(method.order - 1))
-    whole = Trial(end, rate, size, size <= 1, part, solved.inside)
-    return cut(dynamics, now, whole)
+    return cut(control, dynamics, now, Trial(end, rate, size, size <= 1, whole, part, solved.inside), reach)
 
 
-def cut(dynamics: Dynamics, now: Trajectory, trial: Trial) -> Trial:
-    """The step up to the first crossing inside it, which Newton's method places on the dense output."""
+def cut(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, reach: Float[Array, ""]) -> Trial:
+    """The step up to where it is needed, or to the first crossing, which Newton's method places on the dense output."""
     inside, part = trial.inside, trial.part
     none = jnp.zeros(now.state.shape, dtype=bool)
     crossing = first_crossing(dynamics, now.state, part, *end_margins(dynamics, now.state, part), (none, none))
+    needed = reach / part.h
+    early = crossing <= needed
 
     def at(x: Array) -> tuple[ContinuousState, ContinuousState]:
         point = state_inside(dynamics, (now.state, now.time, now.point), inside, x)
         return point, dynamics.field(now.state, now.time + x * part.h, point)
 
-    def nearer(_: int, x: Array) -> Array:
-        point, rate = at(x)
-        margin, slope = margins_at(dynamics, now.state, dynamics.path(point, rate), (point.w, rate.w))
-        soonest = jnp.full((), jnp.inf)
-        for value, falls in zip(margin, slope, strict=True):
-            time = -value / jnp.where(falls < 0, falls, -1.0)
-            near = (falls < 0) & (jnp.abs(time) <= NEARBY * part.h)
-            soonest = jnp.minimum(soonest, jnp.where(near, time, jnp.inf).min(initial=jnp.inf))
-        return jnp.clip(jnp.where(jnp.isfinite(soonest), x + soonest / part.h, x), SHORTEST / part.h, 1.0)
+    def nearer(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        x, _, count = carry
+        time = time_to_guard(dynamics, now.state, *at(x), NEARBY * part.h)
+        return jnp.clip(x + time / part.h, SHORTEST / part.h, needed), jnp.abs(time), count + 1
 
     def cut_there(whole: Trial) -> Trial:
-        x = jax.lax.fori_loop(0, NUM_CORRECTIONS, nearer, jnp.maximum(crossing, SHORTEST / part.h))
+        start = jnp.clip(crossing, SHORTEST / part.h, needed), jnp.where(early, jnp.inf, 0.0), jnp.zeros((), dtype=int)
+        off = 0.1 * LANDING / control.stiffest
+        x, _, _ = jax.lax.while_loop(lambda c: (c[1] > off) & (c[2] < NUM_CORRECTIONS), nearer, start)
         point, rate = at(x)
-        return whole._replace(end=point, rate=rate, part=shortened(dynamics, part, point, rate, x))
+        shorter = shortened(dynamics, part, point, rate, x)
+        return whole._replace(end=point, rate=rate, early=early, part=shorter)
 
-    return jax.lax.cond(trial.precise & (crossing < NONE), cut_there, lambda whole: whole, trial)
+    return jax.lax.cond(trial.precise & (early | (needed < 1)), cut_there, lambda whole: whole, trial)
+
+
+def time_to_guard(
+    dynamics: Dynamics, state: State, point: ContinuousState, rate: ContinuousState, most: Float[Array, ""]
+) -> Float[Array, ""]:
+    """Time to the first zero of a falling margin that is at most so far ahead or behind; 0 if there is none."""
+    margin, slope = margins_at(dynamics, state, dynamics.path(point, rate), (point.w, rate.w))
+    soonest = jnp.full((), jnp.inf)
+    for value, falls in zip(margin, slope, strict=True):
+        time = -value / jnp.where(falls < 0, falls, -1.0)
+        near = (falls < 0) & (jnp.abs(time) <= most)
+        soonest = jnp.minimum(soonest, jnp.where(near, time, jnp.inf).min(initial=jnp.inf))
+    return jnp.where(jnp.isfinite(soonest), soonest, 0.0)
 
 
 class Landing(NamedTuple):

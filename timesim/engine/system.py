@@ -10,6 +10,8 @@ by the structure at rest, so only its change acts.
 
 from timesim.runtime import Leaf  # isort: skip
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -82,6 +84,7 @@ class System(Dynamics):
         cosine, sine: modal forces at them.
         constant: constant modal force.
         phase: phase of the excitation at the start of a cycle [rad].
+        ladder: what a method has prepared for its steps, see `timesim.engine.collocation`.
     """
 
     law: ContactLaw
@@ -93,6 +96,7 @@ class System(Dynamics):
     sine: Float[Leaf, "harmonic mode"]
     constant: Float[Leaf, " mode"]
     phase: Float[Leaf, ""]
+    ladder: Any = None
 
     def field(self, state: State, time: Float[Array, ""], point: Point) -> Point:
         acts = self.law.reaction(state, self.motion(point), point.w)

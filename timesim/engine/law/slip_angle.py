@@ -16,6 +16,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from timesim.engine.barrier import matmul
 from timesim.engine.law.contact_law import Plane, Scalar
 from timesim.engine.law.rule import Rule
 
@@ -58,7 +59,7 @@ def newton_step(
     own = angle[1:]
     cosine, sine = jnp.cos(own), jnp.sin(own)
     along, across = cosine * du[0] + sine * du[1], cosine * du[1] - sine * du[0]
-    slopes = jnp.asarray(rule.slopes) @ (angle - angle[:1])
+    slopes = matmul(jnp.asarray(rule.slopes), angle - angle[:1])
     k1, k2 = stiffness[0], stiffness[-1]
     # Over k_1, so that neither a stiff contact nor a soft one leaves the range of numbers.
     ratio = k2 / jnp.where(k1 > 0, k1, 1.0)
