@@ -17,7 +17,7 @@ import timesim.runtime  # noqa: F401  isort: skip
 import abc
 import functools
 from functools import partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -59,9 +59,11 @@ class Method(eqx.Module):
 
     Attributes:
         order: order of the solution that is carried on.
+        integrates_work: whether the energies are part of the state that it advances.
     """
 
     order: eqx.AbstractVar[int]
+    integrates_work: ClassVar[bool] = True
 
     @abc.abstractmethod
     def advance(
@@ -198,6 +200,7 @@ class Exponential(Method):
     """
 
     num_nodes: int = eqx.field(static=True)
+    integrates_work: ClassVar[bool] = False
 
     @property
     def order(self) -> int:  # type: ignore[override]

@@ -1,25 +1,138 @@
 """Means over whole cycles of the loop: harmonics of the motion and power lost in the contacts.
 
-Gauss-Legendre quadrature of the dense output, step by step: a transition always lies between two steps.
+Gauss-Legendre quadrature of the dense output, step by step: a transition always lies between two steps. A step whose
+dense output is not the polynomial through its ends is taken in parts for which it is.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-from typing import Any
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Array, PyTree
 
 from timesim.engine import dense_output as hermite
-from timesim.engine.law.contact_law import ContactLaw, Motion, Scalar
+from timesim.engine.collocation import Steady, diagonals
+from timesim.engine.flow import weights
+from timesim.engine.law.contact_law import ContactLaw, Motion, Scalar, State
 from timesim.engine.step import Step
-from timesim.engine.system import System, power_lost
+from timesim.engine.system import Point, System, Work, power_lost
 
 # Six nodes of a step: over 2.8 rad of the highest harmonic, as with 20 steps a cycle, they leave 1e-10 of an integral.
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 NODE, WEIGHT = (1 + _POINTS) / 2, _WEIGHTS / 2  # as fractions of the step
 ROWS = 1024  # nodes at which the law is evaluated at a time: a fixed number, so that it is compiled once
 TURN = 2 * np.pi
+PARTS_PER_RADIAN = 3.0  # of the fastest mode: a quintic through both ends of a part leaves 2e-8 of that mode's motion
+NUM_OF_PART = 3  # nodes of a part, for its energies
+
+
+class Parts(NamedTuple):
+    """Parts of steps that are short for the fastest mode.
+
+    Attributes:
+        whole: the step that each is part of.
+        start, end: times since the start of that step, shape (N,).
+        first, last: whether it begins or ends the step.
+    """
+
+    whole: Step
+    start: np.ndarray
+    end: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+
+
+def parts_of(system: System, steps: Step) -> Parts:
+    """Parts of all steps, in the order of time; steps are numpy arrays, their axis the first."""
+    stiffness, damping = (np.asarray(x) for x in diagonals(system))
+    fastest = max(np.sqrt(stiffness.max()), damping.max(), np.max(system.harmonic, initial=1.0))
+    num = np.maximum(np.ceil(steps.h * fastest * PARTS_PER_RADIAN), 1).astype(int)
+    row = np.repeat(np.arange(num.size), num)
+    part = np.arange(row.size) - np.repeat(np.cumsum(num) - num, num)
+    start, end = (steps.h[row] * (part + side) / num[row] for side in (0, 1))
+    return Parts(jax.tree.map(lambda rows: rows[row], steps), start, end, part == 0, part + 1 == num[row])
+
+
+def short_steps(system: System, steps: Step, *, energies: bool = False) -> Step:
+    """Steps in parts so short that values and rates at both ends of each are as good as the flow inside.
+
+    Args:
+        system: in which the steps were taken.
+        steps: numpy arrays, the first axis that of the steps.
+
+    Keyword Args:
+        energies: whether the parts are to hold the energies since the first of them.
+    """
+    if steps.inside is None or not len(steps.h):
+        return steps
+    parts = parts_of(system, steps)
+    whole = parts.whole
+    (start, start_rate), (end, end_rate) = (_inside(system, whole, span) for span in (parts.start, parts.end))
+    start, start_rate = _chosen(parts.first, (whole.start, whole.start_rate), (start, start_rate))
+    end, end_rate = _chosen(parts.last, (whole.end, whole.end_rate), (end, end_rate))
+    if energies:
+        end = eqx.tree_at(lambda y: y.work, end, _works(system, parts), is_leaf=lambda x: x is None)
+    after = np.where(parts.last[:, None], whole.state_after, whole.state)
+    where = lambda s: (s.time, s.h, s.start, s.start_rate, s.end, s.end_rate, s.state_after, s.inside)  # noqa: E731
+    new = (whole.time + parts.start, parts.end - parts.start, start, start_rate, end, end_rate, after, None)
+    short: Step = eqx.tree_at(where, whole, new, is_leaf=lambda x: x is None)
+    return short
+
+
+def _chosen(known: np.ndarray, own: Any, other: Any) -> Any:
+    """One tree where a row is known, else the other."""
+    return jax.tree.map(lambda a, b: np.where(known.reshape(-1, *[1] * (a.ndim - 1)), a, b), own, other)
+
+
+def _works(system: System, parts: Parts) -> Work:
+    """Energies since the first part at the end of each."""
+    nodes, shares = np.polynomial.legendre.leggauss(NUM_OF_PART)
+    total: Any = 0.0
+    for node, share in zip((1 + nodes) / 2, shares / 2, strict=True):
+        length = parts.end - parts.start
+        power = _inside(system, parts.whole, parts.start + node * length, powers=True)[1].work
+        weighted = jax.tree.map(lambda rows, h=share * length: rows * h.reshape(-1, *[1] * (rows.ndim - 1)), power)
+        total = weighted if total == 0.0 else jax.tree.map(np.add, total, weighted)
+    done: Work = jax.tree.map(lambda rows: np.cumsum(rows, axis=0), total)
+    return done
+
+
+def _inside(system: System, own: Step, span: np.ndarray, *, powers: bool = False) -> tuple[Point, Point]:
+    """State and rate at a time after the start of each step; the rates with the powers or without."""
+    inside, t = own.inside, span[:, None]
+    force = np.moveaxis(inside.force, 1, 0)
+    flow = weights(*(np.asarray(x) for x in diagonals(system)), t, inside.h[:, None], len(force), np)
+    steady = Steady.of(system)
+    (q0, p0), (q, p) = (tuple(map(np.asarray, steady.motion(system, x[:, None]))) for x in (own.time, own.time + span))
+    z, dz = own.start.q - q0, own.start.p - p0
+    q = q + flow.q_q * z + flow.q_p * dz + sum(w * f for w, f in zip(flow.q_force, force, strict=True))
+    p = p + flow.p_q * z + flow.p_p * dz + sum(w * f for w, f in zip(flow.p_force, force, strict=True))
+    power = (span / inside.h)[:, None] ** np.arange(len(force))
+    inner = jax.tree.map(lambda c: np.einsum("np,npc->nc", power, c), inside.inner)
+    work = Work(np.zeros(len(q)), np.zeros(len(q)), np.zeros(own.state.shape)) if powers else None
+    columns = (own.state, own.time + span, Point(q, p, own.start.w, work), inner)
+    found = []
+    for first in range(0, len(q), ROWS):
+        rows = jax.tree.map(lambda c: c[np.minimum(np.arange(first, first + ROWS), len(q) - 1)], columns)  # noqa: B023
+        found.append(jax.tree.map(np.asarray, _rates_inside(system, *rows)))
+    joined: tuple[Point, Point] = jax.tree.map(lambda *rows: np.concatenate(rows)[: len(q)], *found)
+    return joined
+
+
+@jax.jit
+def _rates_inside(system: System, state: State, time: Array, point: Point, inner: PyTree) -> tuple[Point, Point]:
+    """Points with their slip, and their rates."""
+
+    def one(state: Array, time: Array, point: Point, inner: PyTree) -> tuple[Point, Point]:
+        w = system.law.slip_inside(state, point.w, system.motion(point), inner)
+        here = eqx.tree_at(lambda y: y.w, point, w)
+        return here, system.field(state, time, here)
+
+    done: tuple[Point, Point] = jax.vmap(one)(state, time, point, inner)
+    return done
 
 
 def means(system: System, steps: Step, cycles: int, harmonics: int) -> tuple[np.ndarray, np.ndarray]:
@@ -36,17 +149,24 @@ def means(system: System, steps: Step, cycles: int, harmonics: int) -> tuple[np.
         and the power lost in each contact, shape (C,).
     """
     steps = jax.tree.map(lambda rows: rows[steps.h > 0], steps)
+    angle, q, p, h = _nodes(steps)
+    share = (h * WEIGHT).ravel() / (TURN * cycles)
+    turn = np.exp(-1j * np.outer(np.arange(harmonics + 1), angle + float(system.phase)))
+    phasor = (turn * share) @ q
+    phasor[1:] *= 2
+    return phasor, share @ _power(system, steps, q, p)
+
+
+def _nodes(steps: Step) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Angle, modal displacement and velocity at the nodes of all steps, and the length of each step, shape (N, 1)."""
     h = steps.h[:, None]
-    angle, share = (steps.time[:, None] + h * NODE).ravel(), (h * WEIGHT).ravel() / (TURN * cycles)
+    angle = (steps.time[:, None] + h * NODE).ravel()
     start, end = (
         [part[:, None] for part in (y.q, y.p, dy.p)]
         for y, dy in ((steps.start, steps.start_rate), (steps.end, steps.end_rate))
     )
     q, p = (part.reshape(angle.size, -1) for part in hermite.quintic(NODE[:, None], h[:, None], (*start,), (*end,)))
-    turn = np.exp(-1j * np.outer(np.arange(harmonics + 1), angle + float(system.phase)))
-    phasor = (turn * share) @ q
-    phasor[1:] *= 2
-    return phasor, share @ _power(system, steps, q, p)
+    return angle, q, p, h
 
 
 def _power(system: System, steps: Step, q: np.ndarray, p: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ import timesim.runtime  # noqa: F401  isort: skip
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ import numpy as np
 from timesim.engine.event_loop import advance
 from timesim.engine.history import Steps
 from timesim.engine.method import step_method
+from timesim.engine.quadrature import short_steps
 from timesim.engine.solver import step_control
 from timesim.engine.step import Status, Trajectory, begin
 from timesim.engine.step import Step as LoopStep
@@ -90,7 +91,7 @@ class Run:
         system = system_of(self.model, phase.frequency, self.phase, self.reduction)
         stiffest = self.model.stuck_rate / frame.scales.omega
         method, control = step_method(self.solver), step_control(self.solver, stiffest)
-        now = frame.begin(system, self, self.solver.first_step(stiffest))
+        now = frame.begin(system, self, self.solver.first_step(stiffest), work=method.integrates_work)
         origin = Origin(self.time, self.phase, self.completed, self.work.copy())
         while self.completed < origin.completed + phase.cycles:
             clock = time.perf_counter()
@@ -100,8 +101,15 @@ class Run:
             if first:
                 self.compile_seconds = time.perf_counter() - clock
             self._go_on(frame, now, origin)
-            yield frame.steps(loop, origin)
+            yield self._in_parts(frame, system, loop, origin) if loop.inside is not None else frame.steps(loop, origin)
             self.judge(int(now.status), int(now.culprit))
+
+    def _in_parts(self, frame: "Frame", system: System, loop: LoopStep, origin: "Origin") -> Steps:
+        """Steps of a method that leaves its energies to its dense output."""
+        steps = frame.steps(short_steps(system, loop, energies=True), replace(origin, work=self.work))
+        if steps.h.size:
+            self.work = np.concatenate([[steps.input[-1], steps.damping[-1]], steps.friction[-1]])
+        return steps
 
     def _go_on(self, frame: "Frame", now: Trajectory, origin: "Origin") -> None:
         """Take up the present state of the loop."""
@@ -111,7 +119,8 @@ class Run:
         self.slip, self.state, self.phase = here.slip, here.state, here.phase
         self.completed = origin.completed + int(now.cycle)
         self.time = origin.time + float(PERIOD * now.cycle + now.time) / frame.scales.omega
-        self.work = frame.work(now.point.work, origin.work)
+        if now.point.work is not None:
+            self.work = frame.work(now.point.work, origin.work)
 
     def judge(self, status: int, culprit: int) -> None:
         """Raise what a status of the loop means.

@@ -43,7 +43,9 @@ class Solver:
         Args:
             stiffest: fastest rate of the stuck structure, in units of the excitation's frequency.
         """
-        return self.longest if self.name == "rk4" else min(0.02, 0.2 / max(stiffest, 1.0))
+        if self.name in ("rk4", "exponential"):
+            return self.longest
+        return min(0.02, 0.2 / max(stiffest, 1.0))
 
     def __str__(self) -> str:
         if self.name == "rk4":

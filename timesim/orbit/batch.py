@@ -43,6 +43,7 @@ def march_cycles(
         the trajectories, and `state_vector` at the end of each cycle, 0 for cycles not reached; batch first.
     """
     controls, systems, starts = batch_last((controls, systems, starts))
+    systems = over_lanes(method.prepared)(systems, controls.longest)
     now = over_lanes(begin)(systems, starts.point, starts.state, controls.opening)
     attempt = partial(over_lanes(partial(try_step, method)), controls, systems)
     vectors = over_lanes(lambda now: state_vector(now.point, now.state))
@@ -74,6 +75,7 @@ def record_cycles(
         the trajectories, batch first, and the tries.
     """
     controls, systems, now = batch_last((controls, systems, now))
+    systems = over_lanes(method.prepared)(systems, controls.longest)
     rate = over_lanes(System.field)(systems, now.state, now.time, now.point)
     now = eqx.tree_at(lambda t: t.rate, now, rate)
     attempt = partial(over_lanes(partial(try_step, method)), controls, systems)

@@ -12,7 +12,7 @@ import numpy as np
 
 from timesim.engine.history import between
 from timesim.engine.law.cone import ConeLaw
-from timesim.engine.quadrature import means
+from timesim.engine.quadrature import means, short_steps
 from timesim.engine.solver import Control, step_control
 from timesim.engine.step import Status, Step, Trajectory
 from timesim.engine.system import Point, System, system_of
@@ -228,7 +228,8 @@ class Recorded:
         Keyword Args:
             irregular: whether it has shown that it never will.
         """
-        lane, steps, multipliers = self.start, self.steps, self.multipliers
+        lane, multipliers = self.start, self.multipliers
+        steps = short_steps(lane.system, self.steps)
         shape = lane.shape
         ends = ((steps.start, steps.start_rate), (steps.end, steps.end_rate))
         start, end = ([part @ shape.T for part in (y.q, y.p, dy.p)] for y, dy in ends)

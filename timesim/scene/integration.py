@@ -115,7 +115,7 @@ def start(initial: InitialSection, physics: Model, order: np.ndarray, end: EndOf
     return physics.start if initial == "rest" else static_start(physics)
 
 
-ADAPTIVE = ("tsit5", "dopri5", "dopri8", "kvaerno5")
+ADAPTIVE = ("exponential", "tsit5", "dopri5", "dopri8", "kvaerno5")
 
 
 class SolverSection(Section):
@@ -123,8 +123,9 @@ class SolverSection(Section):
 
     accuracy: Literal["draft", "standard", "reference"] | None = None
     """A preset; standard by default."""
-    method: Literal["tsit5", "dopri5", "dopri8", "kvaerno5", "rk4"] | None = None
-    """In place of an accuracy; kvaerno5 for stiff contacts, rk4 with fixed steps for comparison."""
+    method: Literal["exponential", "tsit5", "dopri5", "dopri8", "kvaerno5", "rk4"] | None = None
+    """In place of an accuracy; exponential for many modes, kvaerno5 for stiff contacts, rk4 with fixed steps for
+    comparison."""
     rtol: Annotated[Number, Field(ge=1e-15, lt=1)] | None = None
     """Tolerance of a step relative to the state, 1e-8 by default."""
     atol: Annotated[Number, Field(gt=0, lt=1)] | None = None

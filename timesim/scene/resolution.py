@@ -216,9 +216,10 @@ class _Build:
     def plan(self) -> Any:
         """What the study carries out."""
         study, contacts = self.file.study, self.file.contacts
-        if study.explicit_only and self.file.solver.method == "kvaerno5":
+        method = self.file.solver.method
+        if study.explicit_only and method in ("kvaerno5", "exponential"):
             rule = f"must be an explicit method in an {study.kind} study"
-            self.errors.append(RuleError(("solver", "method"), rule, "tsit5 or dopri8, or an accuracy", "kvaerno5"))
+            self.errors.append(RuleError(("solver", "method"), rule, "tsit5 or dopri8, or an accuracy", method))
         if (study.cone_only or self.file.initial == "static") and contacts and contacts[0].law_name != CONE:
             rule = f"must be {CONE} " + (f"in {study.kind} studies" if study.cone_only else "where initial is static")
             self.errors.append(RuleError(("contacts", 0, "law"), rule, value=contacts[0].law_name))
