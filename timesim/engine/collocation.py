@@ -1,8 +1,9 @@
 """Exponential collocation: the exact flow of the structure, and contact forces that are polynomials through nodes.
 
 Between transitions the structure is linear, so its flow is known (`timesim.engine.flow`); only the contact forces are
-not. They are taken as the polynomial through their values at the start of the step and at the nodes of Radau's right-hand
-rule, and found by sweeps: motion of the contacts from the forces, forces from the motion, until they no longer change.
+not. They are taken as the polynomial through their values at the start of the step and at the nodes of Radau's
+right-hand rule, and found by sweeps: motion of the contacts from the forces, forces from the motion, until they no
+longer change.
 The modes are exact, however fast they are and wherever a step is cut: the dense output is the flow itself.
 
 The excitation has its own steady motion in every mode, ``a_i cos(i theta) + b_i sin(i theta)``; where that would be far
@@ -26,8 +27,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from timesim.engine.barrier import apart, matmul
 from timesim.engine.flow import weights
-from timesim.engine.guard import Nodes
-from timesim.engine.law.contact_law import Motion, Plane, Scalar, State, Within
+from timesim.engine.law.contact_law import Motion, Nodes, Plane, Scalar, State, Within
 from timesim.engine.law.rule import Rule
 from timesim.engine.system import Point, System, contact_force
 from timesim.model.model import SLIP
@@ -194,7 +194,7 @@ class Start(NamedTuple):
 
 
 class Guess(NamedTuple):
-    """What the sweeps improve: modal force at the nodes, and inner values of the contacts at the start and the nodes."""
+    """What sweeps improve: modal force at the nodes, and inner values of the contacts at the start and the nodes."""
 
     force: Float[Array, "node mode"]
     inner: PyTree
@@ -268,7 +268,9 @@ def _start(nodes: tuple[float, ...], system: System, flow: Flow, state: State, t
     z, dz = point.q - q[0], point.p - p[0]
     motion = system.motion(point)
     acts = system.law.reaction(state, motion, point.w)
-    force = _modal_force(system, tuple(f[None] for f in acts.f), acts.n[None], left[:1]) + coupling(system, point.q[None], point.p[None])
+    force = _modal_force(system, tuple(f[None] for f in acts.f), acts.n[None], left[:1]) + coupling(
+        system, point.q[None], point.p[None]
+    )
     free_q, free_p = q[1:] + flow.q_q * z + flow.q_p * dz, p[1:] + flow.p_q * z + flow.p_p * dz
     return Start(state, point.w, motion, force, free_q, free_p, left[1:])
 
@@ -281,8 +283,16 @@ def _modal_force(system: System, f: Plane, n: Scalar, left: Array) -> Array:
 
 def _at_nodes(rule: Rule, system: System, flow: Flow, start: Start, guess: Guess) -> tuple[Array, Array, Nodes, Within]:
     """Displacements and velocities of modes and contacts at the nodes, and what the contacts do there."""
-    q = start.q + flow.q_force[:, 0] * start.force + sum(flow.q_force[:, k + 1] * guess.force[k] for k in range(len(guess.force)))
-    p = start.p + flow.p_force[:, 0] * start.force + sum(flow.p_force[:, k + 1] * guess.force[k] for k in range(len(guess.force)))
+    q = (
+        start.q
+        + flow.q_force[:, 0] * start.force
+        + sum(flow.q_force[:, k + 1] * guess.force[k] for k in range(len(guess.force)))
+    )
+    p = (
+        start.p
+        + flow.p_force[:, 0] * start.force
+        + sum(flow.p_force[:, k + 1] * guess.force[k] for k in range(len(guess.force)))
+    )
     moves = matmul(jnp.concatenate([q, p]), jnp.concatenate(system.shape).T)
     parts = jnp.split(moves, len(system.shape), axis=1)
     x, dx = (tuple(part[rows] for part in parts) for rows in (slice(0, len(q)), slice(len(q), None)))

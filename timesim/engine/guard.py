@@ -7,8 +7,8 @@ again up to it, and decides there, on the solution itself.
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,12 +18,15 @@ from jaxtyping import Array, Bool, Float
 
 from timesim.engine import dense_output as hermite
 from timesim.engine.barrier import apart, matmul
-from timesim.engine.law.contact_law import ContinuousState, Dynamics, Motion, Path, Plane, State
+from timesim.engine.law.contact_law import ContinuousState, Dynamics, Motion, Nodes, Path, Plane, State
 from timesim.engine.law.rule import Rule
-from timesim.engine.tolerance import AGREEMENT, SHORT, VIOLATED
+from timesim.engine.tolerance import AGREEMENT, SHORT, SHORTEST, TOGETHER, VIOLATED
 
 NUM_NODES = 6
 NUM_SECANTS = 3
+NUM_CORRECTIONS = 8  # of the time at which a step is cut: the force of its polynomial is not quite that of the law, so
+# that each leaves a share of what was missing; two or three are the rule
+NEARBY = 0.02  # of a step, in which such a correction lies
 NONE = 2.0  # a fraction beyond the step
 
 Margins = tuple[Float[Array, "*node contact"], Float[Array, "*node contact"]]
@@ -72,19 +75,6 @@ def segment(
     )
     slip = tuple(hermite.cubic_coefficients(h, row[:2], row[2:]) for row in zip(*slips[0], *slips[1], strict=True))
     return Segment(starts, ends, slips[0], slips[1], path, slip, h)
-
-
-class Nodes(NamedTuple):
-    """The contacts at the start and further nodes of a step, components of shape (node, contact).
-
-    Attributes:
-        x, dx: relative motion, normal last, and its rate.
-        w: slip.
-    """
-
-    x: Plane
-    dx: Plane
-    w: Plane
 
 
 def segment_of_nodes(
@@ -140,7 +130,7 @@ def _margins(dynamics: Dynamics, state: State, x: Plane, dx: Plane, w: Plane) ->
     return force / dynamics.law.scale(), speed
 
 
-def margins_at(dynamics: Dynamics, state: State, ends: Path, slip: tuple[Plane, Plane]) -> tuple[Margins, Margins]:
+def _margins_at(dynamics: Dynamics, state: State, ends: Path, slip: tuple[Plane, Plane]) -> tuple[Margins, Margins]:
     """Margins at an end of the step and their exact rates."""
     (x, dx, ddx), (w, dw) = ends, slip
     return jax.jvp(partial(_margins, dynamics, state), (x, dx, w), (dx, ddx, dw))
@@ -148,7 +138,7 @@ def margins_at(dynamics: Dynamics, state: State, ends: Path, slip: tuple[Plane, 
 
 def end_margins(dynamics: Dynamics, state: State, part: Segment) -> tuple[Margins, Margins]:
     """Margins at the end of the step and their exact rates."""
-    return margins_at(dynamics, state, part.end, part.slip_end)
+    return _margins_at(dynamics, state, part.end, part.slip_end)
 
 
 def first_crossing(
@@ -175,7 +165,7 @@ def first_crossing(
     if state.shape[0] == 0:
         return jnp.asarray(NONE)
     inner = margins_inside(dynamics, state, part, jnp.arange(NUM_NODES)[:, None] / NUM_NODES)
-    _, start_rate = margins_at(dynamics, state, part.start, part.slip_start)
+    _, start_rate = _margins_at(dynamics, state, part.start, part.slip_start)
     nodes, dips = [], []
     for margin, last, spare, falls, rises in zip(inner, end, spared, start_rate, end_rate, strict=True):
         # A step starts on a guard after each transition: what is there is rounding, and no crossing.
@@ -186,6 +176,81 @@ def first_crossing(
         before = _edge_dip(node[-1], -part.h / NUM_NODES * rises, node[-2])
         dips += [_dip(node), after, jnp.where(before < NONE, 1 - before, NONE)]
     return jnp.stack([_root(dynamics, state, part, nodes), *(dip.min() for dip in dips)]).min()
+
+
+def first_exit(
+    dynamics: Dynamics,
+    state: State,
+    part: Segment,
+    at: Callable[[Array], tuple[ContinuousState, ContinuousState]],
+    reach: Float[Array, ""],
+    off: Float[Array, ""],
+) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+    """Fraction of a step at which it is to be cut on its dense output, and whether a contact leaves its state there.
+
+    Args:
+        dynamics: the system.
+        state: states of the contacts during the step.
+        part: the step.
+        at: the continuous state and its rate at a fraction of the step, as good as at its end.
+        reach: fraction up to which the step is needed.
+        off: time from a guard that is near enough.
+    """
+    none = jnp.zeros(state.shape, dtype=bool)
+    crossing = first_crossing(dynamics, state, part, *end_margins(dynamics, state, part), (none, none))
+    least, leaves = SHORTEST / part.h, crossing <= reach
+
+    def goes_on(carry: tuple[Array, Array, Array]) -> Array:
+        _, missed, count = carry
+        return (missed > off) & (count < NUM_CORRECTIONS)
+
+    def corrected(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        x, _, count = carry
+        time = _time_to_guard(dynamics, state, *at(x), NEARBY * part.h)
+        return jnp.clip(x + time / part.h, least, reach), jnp.abs(time), count + 1
+
+    missed = jnp.where(leaves, jnp.inf, 0.0)
+    start = jnp.clip(crossing, least, reach), missed, jnp.zeros((), dtype=jnp.int64)
+    return jax.lax.while_loop(goes_on, corrected, start)[0], leaves
+
+
+def _time_to_guard(
+    dynamics: Dynamics, state: State, point: ContinuousState, rate: ContinuousState, most: Float[Array, ""]
+) -> Float[Array, ""]:
+    """Time to the first zero of a falling margin that is at most so far ahead or behind; 0 if there is none."""
+    margin, slope = _margins_at(dynamics, state, dynamics.path(point, rate), (point.w, rate.w))
+    soonest = jnp.full((), jnp.inf)
+    for value, falls in zip(margin, slope, strict=True):
+        time = -value / jnp.where(falls < 0, falls, -1.0)
+        near = (falls < 0) & (jnp.abs(time) <= most)
+        soonest = jnp.minimum(soonest, jnp.where(near, time, jnp.inf).min(initial=jnp.inf))
+    return jnp.where(jnp.isfinite(soonest), soonest, 0.0)
+
+
+@apart
+def arriving(
+    margin: Margins, slope: Margins, h: Float[Array, ""], last: Bool[Array, ""], reach: Float[Array, ""]
+) -> tuple[Margins, tuple[Bool[Array, " contact"], ...]]:
+    """Time from the end of the step to the zero of each margin, and which of them take their transition there.
+
+    A margin that is still violated after the shortest step has jumped through zero: that is a transition too. So is one
+    that is negative by no more than rounding and falling, however slowly.
+
+    Args:
+        margin, slope: at the end of the step, and their rates.
+        h: its length.
+        last: whether it is to end a cycle, beyond which no transition is taken.
+        reach: time from a guard that a correction may span.
+    """
+    times, due = [], []
+    for value, rate in zip(margin, slope, strict=True):
+        time = -value / jnp.where(rate < 0, rate, -1.0)
+        near = (rate < 0) & (jnp.abs(time) <= reach) & ~(last & (time > 0))
+        passed = (rate < 0) & (value <= 0) & (value >= -TOGETHER)
+        jumped = (h <= 1.01 * SHORTEST) & (value < -VIOLATED)
+        times.append(jnp.where(near, time, 0.0))
+        due.append(near | passed | jumped)
+    return (times[0], times[1]), (due[0], due[1])
 
 
 @apart

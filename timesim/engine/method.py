@@ -80,13 +80,12 @@ class Method(eqx.Module):
             tolerance: error that is allowed, for a method that iterates; None where a derivative is wanted.
         """
 
-
     def prepared(self, dynamics: Any, longest: Float[Array, ""]) -> Any:
         """The system with what the steps of the method need of it; none is longer than ``longest``."""
         return dynamics
 
     def length(self, dynamics: Any, wanted: Array, limit: Array, remaining: Array) -> Array:
-        """Length of the step to try, where the error control wants one, and it is to end at a limit or a cycle's end."""
+        """Length of the step to try, from the one that the error control wants, a limit, and the rest of the cycle."""
         wanted = jnp.minimum(wanted, limit)
         # The length of a step is no function of the parameters; only what is left of a cycle after an event is.
         return jnp.where(wanted < remaining * (1 - NO_TIME), jax.lax.stop_gradient(wanted), remaining)
@@ -203,7 +202,7 @@ class Exponential(Method):
     integrates_work: ClassVar[bool] = False
 
     @property
-    def order(self) -> int:  # type: ignore[override]
+    def order(self) -> int:
         return self.num_nodes + 1
 
     def prepared(self, dynamics: Any, longest: Float[Array, ""]) -> Any:

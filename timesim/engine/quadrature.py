@@ -103,8 +103,10 @@ def _works(system: System, parts: Parts) -> Work:
 def _inside(system: System, own: Step, span: np.ndarray, *, powers: bool = False) -> tuple[Point, Point]:
     """State and rate at a time after the start of each step; the rates with the powers or without."""
     inside, t = own.inside, span[:, None]
+    assert inside is not None
+    stiffness, damping = (np.asarray(x) for x in diagonals(system))
     force = np.moveaxis(inside.force, 1, 0)
-    flow = weights(*(np.asarray(x) for x in diagonals(system)), t, inside.h[:, None], len(force), np)
+    flow = weights(stiffness, damping, t, inside.h[:, None], len(force), np)
     steady = Steady.of(system)
     (q0, p0), (q, p) = (tuple(map(np.asarray, steady.motion(system, x[:, None]))) for x in (own.time, own.time + span))
     z, dz = own.start.q - q0, own.start.p - p0

@@ -10,7 +10,6 @@ pass through the transition exactly.
 from timesim.runtime import Leaf  # isort: skip
 
 import enum
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -22,11 +21,11 @@ from timesim.engine.barrier import apart
 from timesim.engine.collocation import Inside, state_inside
 from timesim.engine.guard import (
     NONE,
-    Margins,
     Segment,
+    arriving,
     end_margins,
     first_crossing,
-    margins_at,
+    first_exit,
     segment,
     segment_of_nodes,
     shortened,
@@ -35,12 +34,9 @@ from timesim.engine.law.contact_law import ContinuousState, Dynamics, State
 from timesim.engine.law.rule import rule_of
 from timesim.engine.method import Method
 from timesim.engine.solver import Control, error_size, next_length
-from timesim.engine.tolerance import LANDING, NO_LOAD, NO_TIME, SHORTEST, TOGETHER, VIOLATED
+from timesim.engine.tolerance import LANDING, NO_LOAD, NO_TIME, SHORTEST, TOGETHER
 
 PERIOD = 2 * jnp.pi
-NUM_CORRECTIONS = 8  # of the time at which a step is cut; the force of the polynomial is not quite that of the law, so that
-# each leaves a share of what was missing, and two or three are the rule
-NEARBY = 0.02  # of a step, in which such a correction lies
 UNSOLVED = 10.0  # error over its tolerance of a step whose equations are not solved
 MOST_REPEATS = 100  # transitions in a row with no time between them: more are an accumulation
 
@@ -217,44 +213,22 @@ def integrated(
 
 
 def cut(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, reach: Float[Array, ""]) -> Trial:
-    """The step up to where it is needed, or to the first crossing, which Newton's method places on the dense output."""
+    """The step up to where it is needed, or to the first transition."""
     inside, part = trial.inside, trial.part
-    none = jnp.zeros(now.state.shape, dtype=bool)
-    crossing = first_crossing(dynamics, now.state, part, *end_margins(dynamics, now.state, part), (none, none))
-    needed = reach / part.h
-    early = crossing <= needed
+    assert inside is not None
 
     def at(x: Array) -> tuple[ContinuousState, ContinuousState]:
         point = state_inside(dynamics, (now.state, now.time, now.point), inside, x)
         return point, dynamics.field(now.state, now.time + x * part.h, point)
 
-    def nearer(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        x, _, count = carry
-        time = time_to_guard(dynamics, now.state, *at(x), NEARBY * part.h)
-        return jnp.clip(x + time / part.h, SHORTEST / part.h, needed), jnp.abs(time), count + 1
+    needed = reach / part.h
+    x, early = first_exit(dynamics, now.state, part, at, needed, 0.1 * LANDING / control.stiffest)
 
-    def cut_there(whole: Trial) -> Trial:
-        start = jnp.clip(crossing, SHORTEST / part.h, needed), jnp.where(early, jnp.inf, 0.0), jnp.zeros((), dtype=int)
-        off = 0.1 * LANDING / control.stiffest
-        x, _, _ = jax.lax.while_loop(lambda c: (c[1] > off) & (c[2] < NUM_CORRECTIONS), nearer, start)
+    def shorter(whole: Trial) -> Trial:
         point, rate = at(x)
-        shorter = shortened(dynamics, part, point, rate, x)
-        return whole._replace(end=point, rate=rate, early=early, part=shorter)
+        return whole._replace(end=point, rate=rate, early=early, part=shortened(dynamics, part, point, rate, x))
 
-    return jax.lax.cond(trial.precise & (early | (needed < 1)), cut_there, lambda whole: whole, trial)
-
-
-def time_to_guard(
-    dynamics: Dynamics, state: State, point: ContinuousState, rate: ContinuousState, most: Float[Array, ""]
-) -> Float[Array, ""]:
-    """Time to the first zero of a falling margin that is at most so far ahead or behind; 0 if there is none."""
-    margin, slope = margins_at(dynamics, state, dynamics.path(point, rate), (point.w, rate.w))
-    soonest = jnp.full((), jnp.inf)
-    for value, falls in zip(margin, slope, strict=True):
-        time = -value / jnp.where(falls < 0, falls, -1.0)
-        near = (falls < 0) & (jnp.abs(time) <= most)
-        soonest = jnp.minimum(soonest, jnp.where(near, time, jnp.inf).min(initial=jnp.inf))
-    return jnp.where(jnp.isfinite(soonest), soonest, 0.0)
+    return jax.lax.cond(trial.precise & (early | (needed < 1)), shorter, lambda whole: whole, trial)
 
 
 class Landing(NamedTuple):
@@ -283,7 +257,7 @@ class Landing(NamedTuple):
 def landed(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, h: Array, last: Array) -> Landing:
     """Follow the margins over a step: the first crossing inside, else the transitions that are due at its end."""
     margin, slope = end_margins(dynamics, now.state, trial.part)
-    to_zero, due = arriving(control, margin, slope, h, last)
+    to_zero, due = arriving(margin, slope, h, last, LANDING / control.stiffest)
     crossing = first_crossing(dynamics, now.state, trial.part, margin, slope, due)
     accepted = trial.precise & (crossing >= NONE)
     on_guard = accepted & (due[0] | due[1]).any()
@@ -299,27 +273,6 @@ def limit_of_next(trial: Trial, landing: Landing, h: Array) -> Float[Array, ""]:
     fraction = jnp.where(landing.crossing < NONE, landing.crossing, 1.0)
     inside = trial.precise & (landing.crossing < NONE)
     return jnp.where(inside, jnp.maximum(fraction * h, SHORTEST), jnp.inf)
-
-
-@apart
-def arriving(
-    control: Control, margin: Margins, slope: Margins, h: Array, last: Array
-) -> tuple[Margins, tuple[Bool[Array, " contact"], ...]]:
-    """Time from the end of the step to the zero of each margin, and which of them take their transition there.
-
-    A margin that is still violated after the shortest step has jumped through zero: that is a transition too. So is one
-    that is negative by no more than rounding and falling, however slowly.
-    """
-    reach = LANDING / control.stiffest
-    times, due = [], []
-    for value, rate in zip(margin, slope, strict=True):
-        time = -value / jnp.where(rate < 0, rate, -1.0)
-        near = (rate < 0) & (jnp.abs(time) <= reach) & ~(last & (time > 0))
-        passed = (rate < 0) & (value <= 0) & (value >= -TOGETHER)
-        jumped = (h <= 1.01 * SHORTEST) & (value < -VIOLATED)
-        times.append(jnp.where(near, time, 0.0))
-        due.append(near | passed | jumped)
-    return (times[0], times[1]), (due[0], due[1])
 
 
 @apart

@@ -71,6 +71,19 @@ class Within(NamedTuple):
     w: Plane
 
 
+class Nodes(NamedTuple):
+    """The contacts at the start and further nodes of a step, components of shape (node, contact).
+
+    Attributes:
+        x, dx: relative motion, normal last, and its rate.
+        w: slip.
+    """
+
+    x: Plane
+    dx: Plane
+    w: Plane
+
+
 class ContactLaw(eqx.Module):
     """A law of contacts: forces, slip rate, what ends a state and what follows it.
 
@@ -115,7 +128,7 @@ class ContactLaw(eqx.Module):
         """Slip with which a contact goes on after a step, its state changed or not."""
 
     def inner(self, state: State, motion: Motion, w: Plane) -> PyTree:
-        """What the law iterates on in a step that is taken at all its nodes at once: the slip, unless it knows better."""
+        """What the law iterates on in a step that is taken at all its nodes at once: by default the slip."""
         return w
 
     def collocated(self, state: State, w: Plane, motion: Motion, inner: PyTree, h: Scalar, rule: Rule) -> Within:

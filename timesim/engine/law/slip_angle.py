@@ -4,9 +4,9 @@ With ``f = mu n e``, ``e = (cos alpha, sin alpha)``, and the slip speed eliminat
 
     mu n (e . K_u e) alpha' = det(K_u) (e x u') - mu n' ((K_u e)^perp . e),
 
-where ``a x b = a_1 b_2 - a_2 b_1`` and the last term is ``(k_1 - k_2) sin(alpha) cos(alpha)`` along the principal axes of
-K_u. At n = 0 the left side vanishes, and what remains is the direction in which a slip starts or ends (equation 18 for
-isotropic K_u): a step may reach it, where an explicit one meets a rate without bound.
+where ``a x b = a_1 b_2 - a_2 b_1`` and the last factor is ``(k_1 - k_2) sin(alpha) cos(alpha)`` along the principal
+axes of K_u. At n = 0 the left side vanishes, and what remains is the direction in which a slip starts or ends (equation
+18 for isotropic K_u): a step may reach it, where an explicit one meets a rate without bound.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
