@@ -99,10 +99,20 @@ def test_modes_coupled_by_damping(preload, frequency):
     assert np.abs(paired(loose, exact) - exact).max() > 0.05
 
 
-@pytest.mark.parametrize(("largest", "stable"), [(1 + 5e-4, True), (1 + 2e-3, False)])
-def test_a_multiplier_beyond_the_unit_circle_is_unstable(largest, stable, monkeypatch):
-    """Also where the determinant says nothing of it: a pair of complex multipliers, or one that passes -1."""
-    pair = largest * np.exp([2j, -2j])
+@pytest.mark.parametrize(
+    ("largest", "turn", "stable"),
+    [
+        (1 + 5e-4, 2.0, True),
+        (1 + 2e-3, 2.0, False),
+        (1 + 2e-3, 0.01, False),
+        (1 + 2e-2, 0.0, True),
+        (1 + 4e-2, 0.0, False),
+        (1 + 2e-3, np.pi, False),
+    ],
+)
+def test_a_multiplier_beyond_the_unit_circle_is_unstable(largest, turn, stable, monkeypatch):
+    """Also where the determinant says nothing of it: a complex pair, near 1 too, or one that passes -1."""
+    pair = largest * np.exp([1j * turn, -1j * turn])
     monkeypatch.setattr("timesim.hbm.curve.floquet_multipliers", lambda _, x, p: np.tile(pair, (len(x), 1)))
     controls = Controls(max_points=2)
     curve = hbm_curve(systems.oscillator(32.0, 1.0), 1.2, 1.3, scheme=Scheme(1, 64), controls=controls)
