@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import systems
 from scipy.optimize import linear_sum_assignment
-from simulation import FINE
+from simulation import FINE, after_a_cycle
 
 from timesim.hbm.balance import Balance
 from timesim.hbm.corrector import Controls, solve
@@ -14,7 +14,6 @@ from timesim.hbm.curve import hbm_curve
 from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import floquet_multipliers
 from timesim.model.solver import PRESETS, Criterion
-from timesim.orbit.batch import march
 from timesim.orbit.settling import Chain, first_lane, steady_states
 
 
@@ -64,7 +63,7 @@ def return_map_multipliers(model, frequency, start):
     state = lane.vector
     step = 1e-5 * np.abs(state).max()
     lanes = [lane.moved(state + sign * step * e) for e in np.eye(state.size) for sign in (1, -1)]
-    ends = np.array([end.vector for end, _ in march(lanes, FINE, 1)])
+    ends = after_a_cycle(lanes, FINE)
     return np.linalg.eigvals((ends[::2] - ends[1::2]).T / (2 * step))
 
 
