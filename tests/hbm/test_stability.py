@@ -27,7 +27,7 @@ def test_multipliers_of_a_stuck_structure():
     stiffness = np.diag(body.stiffness) + 20 * shape.T @ shape
     state = np.block([[np.zeros((2, 2)), np.eye(2)], [-stiffness, -np.diag(body.damping)]])
     exact = np.append(np.exp(np.linalg.eigvals(state) / frequency), [1.0, 1.0])
-    found = floquet_multipliers(balance, solution[0][None], np.array([frequency]), samples=512)[0]
+    found = floquet_multipliers(balance, solution[0][None], np.array([frequency]), samples=1024)[0]
     np.testing.assert_allclose(np.sort(np.abs(found)), np.sort(np.abs(exact)), rtol=1e-4)
 
 
