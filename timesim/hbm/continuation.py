@@ -29,6 +29,8 @@ from timesim.hbm.corrector import Array, Controls, Corrector, CurvePoint, NoSolu
 
 # Lengths of a jump over a place where the residual is not smooth, as shares of the longest step, tried in turn.
 JUMPS = (0.02, 0.06, 0.2, 0.6, 1.0)
+# Share of the way over such a place that lies along the tangent behind it, where the way is long.
+ALONG = 0.9
 # Distance of two solutions that are one, relative to their size.
 SAME = 1e-5
 # Length of a step, relative to the longest, below which a tangent that turns at once has met a corner of the curve.
@@ -247,7 +249,7 @@ class _PathTracker:
         return self._jump(point)
 
     def _jump(self, point: CurvePoint) -> _Step | None:
-        """Over a place where no short step succeeds; a point much farther than asked for is on another curve.
+        """Over a place where no short step succeeds; a point to which the way is not along its tangent is elsewhere.
 
         The derivatives may mean little where it starts: after the tangent, a change of the parameter alone is tried,
         the way it went before, with x a little larger or smaller.
@@ -266,7 +268,8 @@ class _PathTracker:
                     continue
                 way = new.y - point.y
                 distance = float(np.linalg.norm(way))
-                if distance <= 8 * length and way[-1] * ahead[-1] > 0:
+                near = distance <= 8 * length or ALONG * distance <= abs(way @ new.tangent) <= self.controls.max_step
+                if near and way[-1] * ahead[-1] > 0 and new.orientation * point.orientation >= 0:
                     return _Step(new, distance, length)
         return None
 
