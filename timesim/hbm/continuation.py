@@ -218,7 +218,8 @@ class _PathTracker:
         while ending is None:
             ratio = max(float(np.linalg.norm(point.y[:-1])), self.controls.size / self.corrector.x_unit)
             if not 0.6 < ratio < 1.6:
-                before, (point, last) = None, self.corrector.rescaled(point, last)
+                factor, before = self.corrector.rescale(self.corrector.unscaled(point.y)[0]), None
+                point, last = point.rescaled(factor), last and last.rescaled(factor)
             step = self._step(point, before, length)
             if step is None:
                 return Ending.STEP

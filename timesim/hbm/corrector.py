@@ -89,14 +89,16 @@ class CurvePoint:
     determinant: int
     iterations: int
 
-    @property
-    def orientation(self) -> float:
-        """Its sign stays the same along a curve, but for bifurcations (Allgower and Georg 2003, chapter 2)."""
-        return self.determinant * float(self.tangent[-1])
+    def rescaled(self, factor: float) -> "CurvePoint":
+        """The point with another unit of x."""
+        y, tangent = self.y.copy(), self.tangent.copy()
+        y[:-1] *= factor
+        tangent[:-1] *= factor
+        return replace(self, y=y, tangent=tangent / np.linalg.norm(tangent))
 
     @property
     def orientation(self) -> float:
-        """Of the curve: its sign stays the same along it (Allgower and Georg 2003, chapter 2), but for bifurcations."""
+        """Its sign stays the same along a curve, but for bifurcations (Allgower and Georg 2003, chapter 2)."""
         return self.determinant * float(self.tangent[-1])
 
 
@@ -120,15 +122,14 @@ class Corrector:
         """x and p of a point."""
         return y[:-1] * self.x_unit, float(y[-1] * self.p_unit)
 
-    def rescaled(self, *points: CurvePoint | None) -> list[CurvePoint | None]:
-        """Points with x measured by the size of the first one from now on."""
-        before = self.x_unit
-        self.x_unit = max(self.controls.size, float(np.linalg.norm(points[0].y[:-1])) * before)
-        unit = np.append(np.full(points[0].y.size - 1, before / self.x_unit), 1.0)
-        return [
-            point and replace(point, y=point.y * unit, tangent=point.tangent * unit / np.linalg.norm(point.tangent * unit))
-            for point in points
-        ]
+    def rescale(self, x: Array) -> float:
+        """Measure x by the size of a solution from now on.
+
+        Returns:
+            the unit before, in units of the one that holds now.
+        """
+        before, self.x_unit = self.x_unit, max(self.controls.size, float(np.linalg.norm(x)))
+        return before / self.x_unit
 
     def simplified_newton(self, guess: Array, normal: Array, *, fresh: bool = False) -> CurvePoint:
         """Solution near a good guess on the plane through it; its tangent points to the side of the normal.
