@@ -76,7 +76,7 @@ def test_residual_derivatives_against_differences(name):
     """Among the models are whole damping matrices, general K_u, stops, constant loads and higher harmonics."""
     model = balanced_models()[name]
     frequency = model.excitation.frequency
-    balance = Balance(model, frequency, Scheme(3, 128))
+    balance = Balance(model, frequency, Scheme(3, 256))
     x = 0.7 * np.random.default_rng(5).normal(size=balance.num_unknowns)
     r, by_x, by_p = balance.linearised(x, frequency)
     np.testing.assert_allclose(r, balance.value(x, frequency), atol=1e-12)
@@ -147,7 +147,7 @@ def test_circular_motion_is_exact_but_for_the_samples(circle, omega):
 
 @pytest.fixture(scope="module")
 def fine():
-    return Scheme(15, 4096)
+    return Scheme(15, 1024)
 
 
 def test_jenkins_element(fine):

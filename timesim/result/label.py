@@ -81,8 +81,8 @@ LABELS: dict[str, tuple[str, str | None]] = {
         "1",
     ),
     "irregular": (
-        "1 where the motion, however long it goes on, does not repeat after up to eight cycles: quasi-periodic or "
-        "irregular",
+        "1 where the motion repeats after no number of cycles up to 64, while free vibrations would have decayed: "
+        "quasi-periodic, irregular, or of a longer period",
         None,
     ),
     "cycles": ("excitation cycles run", "1"),

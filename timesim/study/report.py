@@ -7,6 +7,7 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.orbit.basin import ANOTHER, IRREGULAR, LOWER, NONE, UPPER, unique
+from timesim.orbit.threshold import LONGEST
 from timesim.orbit.two_motions import LARGER, NO_MOTION, SMALLER
 from timesim.result.coordinate import over_keys
 from timesim.result.label import in_words, with_unit
@@ -74,8 +75,8 @@ def unusual_lines(data: Dataset) -> Iterator[str]:
         )
     if irregular.any():
         yield (
-            f"{irregular.sum()} points do not repeat, so their motion is quasi-periodic or irregular (irregular = 1, "
-            f"with the band of its amplitude): {_spans(data, irregular)}"
+            f"{irregular.sum()} points do not repeat after up to {LONGEST} cycles: their motion is quasi-periodic or "
+            f"irregular (irregular = 1, with the band of its amplitude): {_spans(data, irregular)}"
         )
     lost = done & ~settled & ~irregular
     if lost.any():
