@@ -186,7 +186,7 @@ def grazing_stop(part: float, stiffness: float) -> Model:
 
 
 def stopped_chain(ratio: float) -> Model:
-    """Two unit masses between springs of stiffness 1; the second meets a stop so many times as stiff, with a gap of 1."""
+    """Two unit masses between unit springs; the second meets a stop so many times as stiff, at a gap of 1."""
     natural, points = np.sqrt([1.0, 3.0]) / TURN, ("first", "second")
     shape = np.zeros((2, 3, 2))
     shape[:, 2] = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2)
