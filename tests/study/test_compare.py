@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
-from commands import CONFIGS, run_of_config
+from commands import CONFIGS, options, run_of_config
 from systems import oscillator_scene
 from typer.testing import CliRunner
 
@@ -279,6 +279,26 @@ def test_a_cycle_that_does_not_settle_is_left_out_with_the_reason(monkeypatch: p
     assert "cycle" not in outcome.groups
     (line,) = [line for line in outcome.summary if "no cycle is shown" in line]
     assert "at 1.39 Hz the motion does not settle in settle.max_cycles" in line
+
+
+@pytest.mark.parametrize("at", ["matched", "cycle_by_both"])
+def test_a_comparison_that_is_interrupted_keeps_both_methods(at, monkeypatch, tmp_path):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    short = SHORT | {"study.frequency": {"values": [1.2, 1.42]}, "study.over": {"contacts.pad.preload": [3]}}
+    monkeypatch.setattr(compare, at, interrupted)
+    call = ["run", str(CONFIGS / "figure10.yaml"), "-o", str(tmp_path), "--force", *options(short)]
+    said = CliRunner().invoke(app, call)
+    assert said.exit_code == 1
+    assert "interrupted while the methods were compared" in said.output
+    kept = timesim.open_result(tmp_path)
+    assert kept.attrs["complete"] == 0
+    assert set(kept.children) == {"sweep", "hbm"}
+    assert kept["sweep"].settled.values.all()
+    assert np.isfinite(kept["relative_difference"].values).any() == (at == "cycle_by_both")
+    assert (tmp_path / "overlay.png").exists()
+    assert (tmp_path / "difference.png").exists() == (at == "cycle_by_both")
 
 
 def test_the_sweep_carries_its_state():
