@@ -1,5 +1,6 @@
 """Runs of the program under test, with all that the tests look at."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,9 @@ from timesim.engine.history import CycleTotals, Events, events, stored_energy
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import SLIP, Model
 from timesim.model.solver import PRESETS, Solver
+from timesim.orbit.batch import SIZES, march
+from timesim.orbit.lane import Lane
+from timesim.orbit.threshold import CYCLES_A_ROUND
 
 FINE = Solver("tsit5", 1e-10, 1e-12)
 REFERENCE = PRESETS["reference"]
@@ -69,6 +73,11 @@ def follow(run: Run) -> Trace:
         count += steps.time.size
     columns = (np.concatenate([getattr(log, name) for log in logs]) for name in ("time", "contact", "before", "after"))
     return Trace(run, Events(*columns), totals, count)
+
+
+def after_a_cycle(lanes: Sequence[Lane], solver: Solver) -> np.ndarray:
+    """State vectors after the first cycle; marched on as settling does, whose program is compiled already."""
+    return np.array([returns[0] for _, returns in march(lanes, solver, CYCLES_A_ROUND, size=SIZES[0])])
 
 
 def relative_error(found: np.ndarray, true: Any) -> float:

@@ -18,6 +18,7 @@ from timesim.element.motion import HarmonicMotion
 from timesim.model.model import GROUND, Contact, Excitation, Model, Start, Structure
 
 GENERATED_CYCLES = 12
+TURN = 2 * np.pi
 
 
 Numbers = Sequence[float] | np.ndarray
@@ -182,6 +183,16 @@ def grazing_stop(part: float, stiffness: float) -> Model:
     stop = pad(0.0, 0.0, stiffness, -stiffness * part * abs(response))
     start = Start(np.array([response.real]), np.array([-omega * response.imag]), np.zeros((1, 2)), np.array([-1]))
     return Model(body, (stop,), excitation(1.0, [1.0], [0.0]), start)
+
+
+def stopped_chain(ratio: float) -> Model:
+    """Two unit masses between unit springs; the second meets a stop so many times as stiff, at a gap of 1."""
+    natural, points = np.sqrt([1.0, 3.0]) / TURN, ("first", "second")
+    shape = np.zeros((2, 3, 2))
+    shape[:, 2] = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2)
+    body = Structure(natural, np.ones(2), 0.02 * TURN * natural, points, shape)
+    stop = Contact("stop", "second", GROUND, np.eye(3), 0.0, np.zeros((2, 2)), ratio, -ratio)
+    return Model(body, (stop,), excitation(0.15, 0.1 * shape[0, 2], [0.0, 0.0]), at_rest(2, 1))
 
 
 def scene(path: Path) -> Model:

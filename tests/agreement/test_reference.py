@@ -24,13 +24,15 @@ from systems import (
 
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import STATE_NAMES, Model
-from timesim.model.solver import PRESETS
+from timesim.model.solver import PRESETS, Solver
 from timesim.scene.report import advised_method
 from timesim.study.registry import load_scene
 
 DATA = Path(__file__).parents[1] / "data"
 CONFIGS = Path(__file__).parents[2] / "configs"
 ALLOWED = {"reference": 1e-8, "standard": 1e-6, "draft": 1e-4}
+# Of many modes; the reference has 13 stages, which take twice as long to compile as seven.
+SOLVERS = [pytest.param(FINE, id="fine"), pytest.param(REFERENCE, id="reference", marks=pytest.mark.slow)]
 
 
 def truth(name: str) -> dict[str, Any]:
@@ -86,9 +88,10 @@ def test_settled_amplitudes_of_the_oscillator() -> None:
 # --- 20 modes and three contacts ---
 
 
-def test_twenty_modes_and_three_contacts() -> None:
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_twenty_modes_and_three_contacts(solver: Solver) -> None:
     true = truth("many_modes_truth.json")
-    trace = simulate(load_scene(DATA / "many_modes.yaml").model(), true["cycles"], REFERENCE)
+    trace = simulate(load_scene(DATA / "many_modes.yaml").model(), true["cycles"], solver)
     first = np.array(true["events"])
     assert len(trace.log.time) == true["n_events"] == 328
     assert trace.sequence[: len(first)] == [tuple(row) for row in first[:, 1:].astype(int)]
@@ -143,12 +146,13 @@ def agree(trace: Trace, case: str, *, state: float, velocity: float, time: float
     assert relative_error(trace.amplitude[-1, model.structure.points.index("tip")], last) < 1e-6
 
 
+@pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("source", SOURCES)
 @pytest.mark.parametrize(
     ("case", "count"), [("slip_720Hz", 625), ("separation_640Hz", 623)], ids=["slips", "separates"]
 )
-def test_blade(case: str, count: int, source: str) -> None:
-    trace = simulate(blade(case, source), 80, REFERENCE)
+def test_blade(case: str, count: int, source: str, solver: Solver) -> None:
+    trace = simulate(blade(case, source), 80, solver)
     assert len(trace.log.time) == count
     agree(trace, case, state=1e-7, velocity=1e-7, time=1e-8)
     assert trace.energy_residual < 1e-8
@@ -158,7 +162,7 @@ def test_blade_slips_by_the_shares_of_the_truth() -> None:
     """So that the agreement is not one of a stuck blade; a share of the truth is a count of 4000 samples."""
     for case in ("slip_720Hz", "separation_640Hz"):
         true = blade_truth()[case]["transient"]["last_cycle"]["share_stick_slip_separation"]
-        trace = simulate(blade(case, "blade_modes.yaml"), 80, REFERENCE)
+        trace = simulate(blade(case, "blade_modes.yaml"), 80, FINE)
         slip = slip_share(trace, 79 / blade_truth()[case]["frequency"])
         np.testing.assert_allclose(slip, [true["left"][1], true["right"][1]], atol=1e-3)
         assert np.any((slip > 0.05) & (slip < 0.95))

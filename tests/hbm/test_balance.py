@@ -44,6 +44,27 @@ def test_a_curve_from_the_stuck_end_passes_the_onset_of_slip(preload):
         np.testing.assert_allclose(ends[0].harmonic_amplitude[0, 1:], ends[1].harmonic_amplitude[0, 1:], atol=1e-8)
 
 
+def test_a_chain_turns_at_the_first_touch_of_a_stiff_stop():
+    """By more than a right angle, within 1e-6 of the range; the curve goes on, without a fold."""
+    curve = hbm_curve(systems.stopped_chain(1000.0), 0.154, 0.157, scheme=Scheme(21, 512), stability=False)
+    assert curve.complete, curve.message
+    assert not curve.fold.any()
+    touching = np.flatnonzero(curve.separation_share[:, 0] < 1)
+    assert np.all(np.diff(touching) == 1)
+    assert curve.frequency[touching[0]] == pytest.approx(0.15554725, abs=1e-8)
+
+
+def test_a_chain_that_meets_a_stop_has_two_folds():
+    """The curve is almost upright below the upper one, and the samples turn its tangent to and fro. The amplitudes are
+    those to which a time integration settles from the solution."""
+    model, scheme = systems.stopped_chain(100.0), Scheme(21, 512)
+    curve = hbm_curve(model, 0.15, 0.2, scheme=scheme, stability=False)
+    assert curve.complete, curve.message
+    np.testing.assert_allclose(curve.frequency[curve.fold], [0.199450, 0.162846], atol=3e-6)
+    upper = solutions_at(model, curve, np.array([0.17, 0.197]), scheme=scheme, stability=False).amplitude[[0, 3], :, 2]
+    np.testing.assert_allclose(upper, [[1.142204, 0.9720597], [2.195337, 1.243855]], rtol=4e-4)
+
+
 def balanced_models():
     zoo = systems.generated_models()
     picked = dict(list(zoo.items())[1::10])
@@ -55,7 +76,7 @@ def test_residual_derivatives_against_differences(name):
     """Among the models are whole damping matrices, general K_u, stops, constant loads and higher harmonics."""
     model = balanced_models()[name]
     frequency = model.excitation.frequency
-    balance = Balance(model, frequency, Scheme(3, 128))
+    balance = Balance(model, frequency, Scheme(3, 256))
     x = 0.7 * np.random.default_rng(5).normal(size=balance.num_unknowns)
     r, by_x, by_p = balance.linearised(x, frequency)
     np.testing.assert_allclose(r, balance.value(x, frequency), atol=1e-12)
@@ -126,7 +147,7 @@ def test_circular_motion_is_exact_but_for_the_samples(circle, omega):
 
 @pytest.fixture(scope="module")
 def fine():
-    return Scheme(15, 4096)
+    return Scheme(15, 1024)
 
 
 def test_jenkins_element(fine):

@@ -1,7 +1,6 @@
 """The contact law through a period, on samples and with located transitions, and its derivatives."""
 
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -35,6 +34,9 @@ MOTIONS = {
     "separation": (1.0, 0.5, 1.5, 45.0),
     "straight": (1.0, 0.0, 1.5, 45.0),
 }
+# Contacts that a test follows at once, and samples of a period: other numbers are other programs to compile. 98 times
+# the rounded 1/98 is less than 1.
+SIDE_BY_SIDE, SAMPLES = 6, (64, 98, 256)
 STIFFNESS = {"isotropic": np.eye(2), "general": np.array([[1.0, 0.3], [0.3, 0.6]])}
 
 
@@ -63,49 +65,52 @@ def law_of(contacts):
     return ConeLaw(friction, tuple(map(jnp.asarray, stiffness)), tuple(map(jnp.asarray, compliance)), normal, preload)
 
 
-def shifted(coefficient, num_shifts=6):
+def shifted(coefficient):
     """The same cycle begun at other angles within a sample, so that the samples meet transitions in many ways."""
-    turn = np.exp(1j * np.outer(0.37 * np.arange(num_shifts), np.arange(coefficient.shape[-1] // 2 + 1)))
+    turn = np.exp(1j * np.outer(0.37 * np.arange(SIDE_BY_SIDE), np.arange(coefficient.shape[-1] // 2 + 1)))
     return to_coefficients(to_phasors(coefficient) * turn[:, None])
 
 
 @pytest.mark.parametrize("kind", STIFFNESS)
 @pytest.mark.parametrize("name", MOTIONS)
-def test_order_of_the_law_through_a_period(name, kind):
+@pytest.mark.parametrize("finest", [256, pytest.param(1024, marks=pytest.mark.slow)])
+def test_order_of_the_law_through_a_period(name, kind, finest):
     """Third, or second where the pull on slip depends on its direction."""
     contact, motion = element(STIFFNESS[kind]), prescribed(MOTIONS[name], 3)
     exact = located_forces(contact, motion)
     assert exact is not None
-    numbers = np.array([64, 128, 256, 512, 1024])
+    order = 3 if kind == "isotropic" else 2
+    numbers = np.array([*SAMPLES, 512, 1024])
+    numbers = numbers[numbers <= finest]
     motions, exacts = shifted(motion), shifted(exact)
-    errors, law = [], law_of([contact] * len(motions))
+    errors, law = [], law_of([contact] * SIDE_BY_SIDE)
     for num in numbers:
         done = contact_forces(law, basis_of(3, int(num)), motions)
         assert np.max(done.closure) <= 1
         assert 1 <= done.passes < MAX_PASSES
         errors.append(np.sqrt(np.mean((np.asarray(done.coefficient) - exacts) ** 2)))
-    order = -np.polyfit(np.log(numbers), np.log(errors), 1)[0]
-    assert order > (2.85 if kind == "isotropic" else 1.85), errors
-    assert errors[4] < (1e-8 if kind == "isotropic" else 1e-6)
+    assert -np.polyfit(np.log(numbers), np.log(errors), 1)[0] > order - 0.15, errors
+    assert errors[-1] < (1e-8 if kind == "isotropic" else 1e-6) * (1024 / finest) ** order
 
 
 def test_slip_under_constant_load_is_of_third_order():
     contact, motion = element(np.eye(2)), prescribed(MOTIONS["ellipse"])
     exact = located_forces(contact, motion)
-    numbers = np.array([64, 128, 256])
-    law = law_of([contact])
-    found = (contact_forces(law, basis_of(1, int(n)), motion[None]) for n in numbers)
-    errors = [np.abs(np.asarray(done.coefficient[0]) - exact).max() for done in found]
+    numbers = np.array(SAMPLES)
+    law, motions = law_of([contact] * SIDE_BY_SIDE), np.stack([motion] * SIDE_BY_SIDE)
+    found = (contact_forces(law, basis_of(1, int(n)), motions) for n in numbers)
+    errors = [np.abs(np.asarray(done.coefficient) - exact).max() for done in found]
     assert -np.polyfit(np.log(numbers), np.log(errors), 1)[0] > 2.8, errors
 
 
 def test_full_stick_starts_from_no_slip():
     motion = prescribed((0.1, 0.05, 0.2, 30.0))
-    done = contact_forces(law_of([element(np.eye(2))]), basis_of(1, 64), motion[None])
-    expected = motion.copy()
-    expected[2, 0] += 1.0
-    np.testing.assert_allclose(done.coefficient[0], expected, atol=1e-14)
-    assert done.slip[0] == done.separation[0] == 0
+    law, motions = law_of([element(np.eye(2))] * SIDE_BY_SIDE), np.stack([motion] * SIDE_BY_SIDE)
+    done = contact_forces(law, basis_of(1, 64), motions)
+    motions[:, 2, 0] += 1.0
+    np.testing.assert_allclose(done.coefficient, motions, atol=1e-14)
+    assert not np.any(done.slip)
+    assert not np.any(done.separation)
 
 
 def differences(value, x, step):
@@ -116,17 +121,16 @@ def differences(value, x, step):
 @pytest.mark.parametrize("preload", [1.0, 0.3, -0.3])
 def test_force_derivatives_against_differences(kind, preload):
     rng = np.random.default_rng(3)
-    contacts = [element(STIFFNESS[kind], preload)] * 3
-    law, basis = law_of(contacts), basis_of(2, 128)
-    y = rng.normal(size=(3, 3, 5)) * np.array([1.0, 1.0, 1.0, 0.2, 0.2])
+    law, basis = law_of([element(STIFFNESS[kind], preload)] * SIDE_BY_SIDE), basis_of(2, 98)
+    y = rng.normal(size=(SIDE_BY_SIDE, 3, 5)) * np.array([1.0, 1.0, 1.0, 0.2, 0.2])
     acts, slope = linearised(law, basis, y)
     assert np.max(acts.slip) > 0.2
 
     def value(flat):
         return np.asarray(contact_forces(law, basis, flat.reshape(y.shape)).coefficient).ravel()
 
-    whole = differences(value, y.ravel(), 1e-6).reshape(3, 15, 3, 15)
-    own = np.stack([whole[i, :, i] for i in range(3)])
+    whole = differences(value, y.ravel(), 1e-6).reshape(SIDE_BY_SIDE, 15, SIDE_BY_SIDE, 15)
+    own = np.stack([whole[i, :, i] for i in range(SIDE_BY_SIDE)])
     np.testing.assert_allclose(slope, own, atol=2e-8)
     assert np.abs(whole).sum() == pytest.approx(np.abs(own).sum())
 
@@ -134,9 +138,9 @@ def test_force_derivatives_against_differences(kind, preload):
 @pytest.mark.parametrize("kind", STIFFNESS)
 def test_derivatives_where_slip_is_too_short_to_forget_the_start(kind):
     """Across the direction of slip a part of the elastic displacement lasts: the period closes over several passes."""
-    law, basis = law_of([element(STIFFNESS[kind], 1.0)] * 3), basis_of(2, 128)
-    y = np.zeros((3, 3, 5))
-    y[:, 0, 1], y[:, 1, 2], y[:, 2, 3] = [0.34, 0.35, 0.36], [0.1, -0.05, 0.02], [0.05, 0.0, -0.05]
+    law, basis = law_of([element(STIFFNESS[kind], 1.0)] * SIDE_BY_SIDE), basis_of(2, 98)
+    y = np.zeros((SIDE_BY_SIDE, 3, 5))
+    y[:, 0, 1], y[:, 1, 2], y[:, 2, 3] = np.tile([[0.34, 0.35, 0.36], [0.1, -0.05, 0.02], [0.05, 0.0, -0.05]], 2)
     acts, slope = linearised(law, basis, jnp.asarray(y))
     assert 0.1 < np.max(acts.slip) < 0.5
     assert acts.passes > 3
@@ -144,34 +148,33 @@ def test_derivatives_where_slip_is_too_short_to_forget_the_start(kind):
     def value(flat):
         return np.asarray(contact_forces(law, basis, jnp.asarray(flat.reshape(y.shape))).coefficient).ravel()
 
-    whole = differences(value, y.ravel(), 1e-6).reshape(3, 15, 3, 15)
-    np.testing.assert_allclose(slope, np.stack([whole[i, :, i] for i in range(3)]), atol=2e-8)
+    whole = differences(value, y.ravel(), 1e-6).reshape(SIDE_BY_SIDE, 15, SIDE_BY_SIDE, 15)
+    np.testing.assert_allclose(slope, np.stack([whole[i, :, i] for i in range(SIDE_BY_SIDE)]), atol=2e-8)
 
 
 @pytest.mark.parametrize("kind", STIFFNESS)
 def test_derivatives_where_no_slip_at_all_would_leave_the_cone(kind):
     """w = 0 lies outside: the contact sticks with an offset, which follows the motion."""
-    contact = element(STIFFNESS[kind], 1.0)
-    motion = np.zeros((1, 3, 3))
-    motion[0] = [0.15, 0.2, 0.05], [-0.3, 0.02, -0.1], [0.1, 0.2, -0.1]
-    law, basis = law_of([contact]), basis_of(1, 128)
+    motion = np.array([[[0.15, 0.2, 0.05], [-0.3, 0.02, -0.1], [0.1, 0.2, -0.1]]] * SIDE_BY_SIDE)
+    law, basis = law_of([element(STIFFNESS[kind], 1.0)] * SIDE_BY_SIDE), basis_of(1, 98)
     acts, slope = linearised(law, basis, motion)
     offset = acts.coefficient[0, :2, 0] - STIFFNESS[kind] @ motion[0, :2, 0]
     assert acts.slip[0] == acts.separation[0] == 0
     assert np.linalg.norm(offset) > 0.03
 
     def value(flat):
-        return np.asarray(contact_forces(law, basis, flat.reshape(motion.shape)).coefficient).ravel()
+        moved = np.stack([flat.reshape(3, 3)] * SIDE_BY_SIDE)
+        return np.asarray(contact_forces(law, basis, moved).coefficient[0]).ravel()
 
-    np.testing.assert_allclose(slope[0], differences(value, motion.ravel(), 1e-6), atol=1e-7)
+    np.testing.assert_allclose(slope[0], differences(value, motion[0].ravel(), 1e-6), atol=1e-7)
 
 
 def test_offset_where_little_room_is_left():
     """|F cos + g| <= R (1 + cos / 2) leaves F - R/2 <= g <= 3R/2 - F: one offset where F reaches R, none beyond."""
-    law, basis = law_of([element(np.eye(2), 1.0)]), basis_of(1, 256)
+    law, basis = law_of([element(np.eye(2), 1.0)] * SIDE_BY_SIDE), basis_of(1, 256)
     for force, sticks, expected, within in ((0.9, 1, 0.15, 0.04), (0.999, 1, 0.15, 4e-4), (1.001, 0, 0.0, 0.0)):
-        motion = np.zeros((1, 3, 3))
-        motion[0, 0, 1], motion[0, 2, 1] = 0.3 * force, 0.5
+        motion = np.zeros((SIDE_BY_SIDE, 3, 3))
+        motion[:, 0, 1], motion[:, 2, 1] = 0.3 * force, 0.5
         found = stuck_offset(law, motion_of(basis, motion))
         assert found.sticks[0] == sticks
         assert abs(float(found.force[0][0]) - expected) <= within
@@ -180,12 +183,13 @@ def test_offset_where_little_room_is_left():
 
 def test_a_contact_sticks_wherever_it_can():
     """Against a search for the offset with which the force stays deepest in its cone, under motions in the plane."""
-    rng, law, basis = np.random.default_rng(11), law_of([element(STIFFNESS["general"], 1.0)]), basis_of(3, 128)
+    rng, contact, basis = np.random.default_rng(11), element(STIFFNESS["general"], 1.0), basis_of(3, 256)
+    law, one = law_of([contact] * SIDE_BY_SIDE), law_of([contact])
     sticks = []
     for scale in np.linspace(0.05, 0.35, 60):
         y = rng.normal(size=(1, 3, 7)) * scale * np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.2, 0.2])
         motion = motion_of(basis, y)
-        force, limit, _ = without_slip(law, motion)
+        force, limit, _ = without_slip(one, motion)
         path, limit = np.stack([np.asarray(f)[:, 0] for f in force]), np.asarray(limit)[:, 0]
         if limit.min() <= 0:
             continue
@@ -196,7 +200,7 @@ def test_a_contact_sticks_wherever_it_can():
         starts = (np.zeros(2), -path.mean(axis=1), -(path.max(axis=1) + path.min(axis=1)) / 2)
         fine = {"xatol": 1e-9, "fatol": 1e-9}
         best = min(minimize(excess, start, method="Nelder-Mead", options=fine).fun for start in starts)
-        found = stuck_offset(law, motion)
+        found = stuck_offset(law, motion_of(basis, np.repeat(y, SIDE_BY_SIDE, axis=0)))
         if abs(best) > 1e-4:
             sticks.append(bool(found.sticks[0]))
             assert sticks[-1] == (best < 0), best
@@ -228,27 +232,31 @@ def test_a_contact_that_changes_its_state_at_the_start_of_the_period(motion, cha
     assert kinds == changes
     exact, num = located_forces(contact, motion), 256
     angles = np.array([item.angle + shift for item in cycle.transitions for shift in (-1e-13, 0.0, 1e-13)])
-    motions = np.array([turned(motion, angle) for angle in angles])
-    done = contact_forces(law_of([contact] * angles.size), basis_of(3, num), motions)
-    assert np.max(done.closure) <= 1
-    errors = np.asarray(done.coefficient) - [turned(exact, angle) for angle in angles]
-    assert np.abs(errors).max() < 5e-5
     shares = [sum(stay.stop - stay.start for stay in cycle.stays if stay.state == state) for state in (1, 2)]
-    # Slip ends at a sample; the other transitions are located.
-    np.testing.assert_allclose(done.slip, shares[0] / CYCLE, atol=1 / num)
-    np.testing.assert_allclose(done.separation, shares[1] / CYCLE, atol=1e-2 / num)
+    law = law_of([contact] * SIDE_BY_SIDE)
+    for some in np.resize(angles, (-(-angles.size // SIDE_BY_SIDE), SIDE_BY_SIDE)):
+        done = contact_forces(law, basis_of(3, num), np.array([turned(motion, angle) for angle in some]))
+        assert np.max(done.closure) <= 1
+        errors = np.asarray(done.coefficient) - [turned(exact, angle) for angle in some]
+        assert np.abs(errors).max() < 5e-5
+        # Slip ends at a sample; the other transitions are located.
+        np.testing.assert_allclose(done.slip, shares[0] / CYCLE, atol=1 / num)
+        np.testing.assert_allclose(done.separation, shares[1] / CYCLE, atol=1e-2 / num)
 
 
-@pytest.mark.parametrize("kind", STIFFNESS)
+side_by_side = jax.jit(jax.vmap(advance, (None, 0, 0)))
+
+
+@pytest.mark.parametrize("kind", ["general", pytest.param("isotropic", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", MOTIONS)
 def test_the_path_through_the_period_is_that_of_the_law(name, kind):
     """Each interval starts where the one before ends, the first one where the period does; the period is closed."""
-    law, basis = law_of([element(STIFFNESS[kind])] * 3), basis_of(1, 64)
-    coefficient = shifted(prescribed(MOTIONS[name]), 3)
+    law, basis = law_of([element(STIFFNESS[kind])] * SIDE_BY_SIDE), basis_of(1, 64)
+    coefficient = shifted(prescribed(MOTIONS[name]))
     motion = motion_of(basis, coefficient)
     period = period_of(law, basis, coefficient)
     starts = np.array(starts_of(period))
-    ends = np.array(jax.vmap(partial(advance, law))(starts_of(period), intervals_of(motion)).d)
+    ends = np.array(side_by_side(law, starts_of(period), intervals_of(motion)).d)
     np.testing.assert_array_equal(starts[:, 0], np.array(period.start))
     np.testing.assert_array_equal(starts[:, 1:], np.array(period.ends.d)[:, :-1])
     np.testing.assert_allclose(ends, np.array(period.ends.d), atol=1e-14)
@@ -257,18 +265,18 @@ def test_the_path_through_the_period_is_that_of_the_law(name, kind):
 
 
 @pytest.mark.parametrize("kind", STIFFNESS)
-@pytest.mark.parametrize("num", [64, 98, 1000])
+@pytest.mark.parametrize("num", [64, 98, pytest.param(1000, marks=pytest.mark.slow)])
 def test_shares_are_exact_where_the_state_never_changes(num, kind):
-    """Contacts that slip all along, stick all along and stay apart; 98 times the rounded 1/98 is less than 1."""
-    contacts = [element(STIFFNESS[kind], preload) for preload in (1.0, 100.0, -10.0)]
-    motion = np.stack([prescribed((3.0, 2.5, 0.1, 30.0), 3)] * 3)
+    """Contacts that slip all along, stick all along and stay apart."""
+    contacts = [element(STIFFNESS[kind], preload) for preload in (1.0, 1.0, 100.0, 100.0, -10.0, -10.0)]
+    motion = np.stack([prescribed((3.0, 2.5, 0.1, 30.0), 3)] * SIDE_BY_SIDE)
     done = contact_forces(law_of(contacts), basis_of(3, num), motion)
-    np.testing.assert_array_equal(done.slip, [1.0, 0.0, 0.0])
-    np.testing.assert_array_equal(done.separation, [0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(done.slip, [1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(done.separation, [0.0, 0.0, 0.0, 0.0, 1.0, 1.0])
 
 
 # --- between two samples ---
-COARSE, SIDE_BY_SIDE = 64, 6
+COARSE = 64
 
 
 def busy(name: str) -> np.ndarray:
@@ -302,6 +310,7 @@ def test_a_stop_that_is_hit_between_two_samples(angle):
     motion = np.zeros((SIDE_BY_SIDE, 3, 7))
     motion[:, 2, 1], motion[:, 2, 2] = height * np.cos(angle), height * np.sin(angle)
     done, slope = linearised(law, basis, motion)
+    assert done.passes == 1  # a stop has no elastic displacement that must close
     half = np.arccos(1 / height)
     np.testing.assert_allclose(done.coefficient[:, 2, 0], (height * np.sin(half) - half) / np.pi, rtol=1e-2, atol=4e-7)
     np.testing.assert_allclose(1 - done.separation, half / np.pi, rtol=2e-2, atol=5e-4)

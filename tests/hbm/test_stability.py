@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import systems
 from scipy.optimize import linear_sum_assignment
-from simulation import FINE
+from simulation import FINE, after_a_cycle
 
 from timesim.hbm.balance import Balance
 from timesim.hbm.corrector import Controls, solve
@@ -14,7 +14,6 @@ from timesim.hbm.curve import hbm_curve
 from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import floquet_multipliers
 from timesim.model.solver import PRESETS, Criterion
-from timesim.orbit.batch import march
 from timesim.orbit.settling import Chain, first_lane, steady_states
 
 
@@ -28,7 +27,7 @@ def test_multipliers_of_a_stuck_structure():
     stiffness = np.diag(body.stiffness) + 20 * shape.T @ shape
     state = np.block([[np.zeros((2, 2)), np.eye(2)], [-stiffness, -np.diag(body.damping)]])
     exact = np.append(np.exp(np.linalg.eigvals(state) / frequency), [1.0, 1.0])
-    found = floquet_multipliers(balance, solution[0][None], np.array([frequency]), samples=512)[0]
+    found = floquet_multipliers(balance, solution[0][None], np.array([frequency]), samples=1024)[0]
     np.testing.assert_allclose(np.sort(np.abs(found)), np.sort(np.abs(exact)), rtol=1e-4)
 
 
@@ -64,7 +63,7 @@ def return_map_multipliers(model, frequency, start):
     state = lane.vector
     step = 1e-5 * np.abs(state).max()
     lanes = [lane.moved(state + sign * step * e) for e in np.eye(state.size) for sign in (1, -1)]
-    ends = np.array([end.vector for end, _ in march(lanes, FINE, 1)])
+    ends = after_a_cycle(lanes, FINE)
     return np.linalg.eigvals((ends[::2] - ends[1::2]).T / (2 * step))
 
 
@@ -99,10 +98,20 @@ def test_modes_coupled_by_damping(preload, frequency):
     assert np.abs(paired(loose, exact) - exact).max() > 0.05
 
 
-@pytest.mark.parametrize(("largest", "stable"), [(1 + 5e-4, True), (1 + 2e-3, False)])
-def test_a_multiplier_beyond_the_unit_circle_is_unstable(largest, stable, monkeypatch):
-    """Also where the determinant says nothing of it: a pair of complex multipliers, or one that passes -1."""
-    pair = largest * np.exp([2j, -2j])
+@pytest.mark.parametrize(
+    ("largest", "turn", "stable"),
+    [
+        (1 + 5e-4, 2.0, True),
+        (1 + 2e-3, 2.0, False),
+        (1 + 2e-3, 0.01, False),
+        (1 + 2e-2, 0.0, True),
+        (1 + 4e-2, 0.0, False),
+        (1 + 2e-3, np.pi, False),
+    ],
+)
+def test_a_multiplier_beyond_the_unit_circle_is_unstable(largest, turn, stable, monkeypatch):
+    """Also where the determinant says nothing of it: a complex pair, near 1 too, or one that passes -1."""
+    pair = largest * np.exp([1j * turn, -1j * turn])
     monkeypatch.setattr("timesim.hbm.curve.floquet_multipliers", lambda _, x, p: np.tile(pair, (len(x), 1)))
     controls = Controls(max_points=2)
     curve = hbm_curve(systems.oscillator(32.0, 1.0), 1.2, 1.3, scheme=Scheme(1, 64), controls=controls)

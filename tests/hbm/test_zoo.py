@@ -1,6 +1,4 @@
-"""Response curves of generated structures: they begin, they reach the end of the range, and they do so in time."""
-
-import time
+"""Response curves of generated structures: they begin, and they reach the end of the range."""
 
 import numpy as np
 import pytest
@@ -21,6 +19,5 @@ def span_of(seed: int) -> tuple[float, float]:
 @pytest.mark.parametrize("seed", range(24))
 def test_a_curve_begins_and_reaches_the_end(seed):
     model, _ = zoo.structure(seed)
-    begin = time.process_time()
     curve = hbm_curve(model, *span_of(seed), scheme=Scheme(9, 256))
-    assert curve.complete, (curve.message, time.process_time() - begin)
+    assert curve.complete, curve.message

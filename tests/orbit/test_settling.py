@@ -13,8 +13,8 @@ from timesim.model.solver import NEVER, PRESETS, SHOOT, SLOW, Criterion, Solver
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.fourier import phase_deg, to_phasors
 from timesim.orbit.recurrence import is_irregular, recurrence_of
-from timesim.orbit.settling import Chain, Phase, Search, after_march, steady_states
-from timesim.orbit.threshold import CYCLES_A_ROUND
+from timesim.orbit.settling import Chain, Phase, Search, after_march, after_shot, steady_states
+from timesim.orbit.threshold import CYCLES_A_ROUND, LONGEST
 
 SETTLED = {(3.0, 1.39): 0.15612878, (-1.0, 0.97): 0.28839155, (5.0, 1.52): 0.15680399}
 
@@ -124,6 +124,7 @@ def test_what_does_not_repeat_is_told_from_what_is_slow():
     assert not is_irregular(decays * scatter, 0.003, 1e-5)
     assert not is_irregular(1e-5 * scatter, 0.003, 1e-4)  # noise
     assert not is_irregular(scatter / (1 + rounds), 0.1, 1e-5)  # a contact that creeps
+    assert is_irregular(0.1 * scatter * np.exp(-0.002 * rounds), 0.1, 1e-5)  # decays far less than is due
     assert not is_irregular(0.1 * scatter, 1e-4, 1e-5)  # hardly damped at all
     assert not is_irregular([0.1] * 3, 0.003, 1e-5)
 
@@ -176,3 +177,23 @@ def test_it_is_shot_where_that_is_asked_for_and_not_too_early():
     for cycles, phase in ((SLOW - CYCLES_A_ROUND - 1, Phase.MARCH), (SLOW - CYCLES_A_ROUND, Phase.SHOOT)):
         assert marched(DRIFT, cycles=cycles).phase is phase
     assert marched(DRIFT, first_shot=NEVER, cycles=SLOW).phase is Phase.MARCH
+
+
+def test_what_nearly_repeats_after_a_long_period_is_shot_once_the_budget_is_spent():
+    cycles = np.arange(LONGEST + CYCLES_A_ROUND)
+    turning = np.stack([np.cos(2 * np.pi * cycles * 5 / 12), np.sin(2 * np.pi * cycles * 5 / 12)], axis=1)
+    never = np.stack([np.cos(cycles * np.sqrt(2)), np.sin(cycles * np.sqrt(3))], axis=1)
+
+    def spent(returns, **criterion):
+        lane = SimpleNamespace(status=Status.RUNNING, quiet=0.0)
+        before = Search(0, 0, lane, returns=tuple(returns[:-CYCLES_A_ROUND]), cycles=LONGEST)
+        last, criterion = returns[-CYCLES_A_ROUND:], Criterion(max_cycles=len(returns), **criterion)
+        return after_march(before, lane, last, PRESETS["standard"], criterion)
+
+    found = spent(turning)
+    assert (found.phase, found.shot.period, found.last) == (Phase.SHOOT, 12, True)
+    assert spent(turning, first_shot=NEVER).phase is Phase.MEASURE  # it may lead elsewhere
+    assert spent(never).phase is Phase.MEASURE
+    assert spent(turning[CYCLES_A_ROUND:]).phase is Phase.MEASURE  # too short a march
+    failed = after_shot(found, SimpleNamespace(closes=False, cycles=12), Criterion())
+    assert failed.phase is Phase.MEASURE

@@ -4,18 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulation import after_a_cycle
 from systems import generated_model, oscillator
 
 from timesim.engine.law.contact_law import Motion
 from timesim.model.model import SEPARATION, SLIP
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import NEVER, PRESETS, SHOOT, Criterion, Solver
-from timesim.orbit.batch import march, record
+from timesim.orbit.batch import SIZES, march, record
 from timesim.orbit.lane import Lane
 from timesim.orbit.settling import Chain, begin_of, first_lane, steady_states
+from timesim.orbit.threshold import CYCLES_A_ROUND
 
 FINE = Solver("tsit5", 1e-9, 1e-11, reduce=False)
-FINEST = replace(PRESETS["reference"], reduce=False)
+FINEST = replace(FINE, rtol=1e-12, atol=1e-14)
 TOLERANCE = 1e-10
 
 
@@ -87,24 +89,31 @@ def differences(lane, solver, reach=1e-5):
     free = np.flatnonzero(~lane.apart)
     lanes = [lane.moved(here + side * reach * size * np.eye(here.size)[i]) for i in free for side in (1, -1)]
     assert None not in lanes
-    ends = [rows[-1] for _, rows in march(lanes, solver, 1)]
+    ends = after_a_cycle(lanes, solver)
     slope = np.zeros((here.size, here.size))
-    slope[:, free] = ((np.array(ends[::2]) - np.array(ends[1::2])) / (2 * reach * size)).T
+    slope[:, free] = ((ends[::2] - ends[1::2]) / (2 * reach * size)).T
     return slope
 
 
-@pytest.mark.parametrize("case", [(-1.0, 0.97), (-4.0, 0.93), (3.0, 1.39), (0.5, 1.0)])
-def test_multipliers_are_those_of_the_return_map(case):
+@pytest.mark.parametrize(
+    ("case", "solver"),
+    [
+        *(((n0, frequency), FINEST) for n0, frequency in ((-1.0, 0.97), (-4.0, 0.93), (3.0, 1.39), (0.5, 1.0))),
+        pytest.param((-1.0, 0.97), replace(PRESETS["reference"], reduce=False), marks=pytest.mark.slow),
+    ],
+)
+def test_multipliers_are_those_of_the_return_map(case, solver):
     """Of motions that slip, stick and separate; in slip at the section the state on the cone is moved along it."""
-    lane, orbit = settled_lane(oscillator(*case))
+    lane, orbit = settled_lane(oscillator(*case), solver)
     assert partly(orbit)[0]
-    exact = record([lane], FINEST, [1])[0]
-    expected = np.linalg.eigvals(differences(lane, FINEST))
+    exact = record([lane], solver, [1], size=SIZES[0])[0]
+    slope = differences(lane, solver)
+    expected = np.linalg.eigvals(slope)
     expected = expected[np.argsort(-np.abs(expected))]
     found = np.zeros(expected.size, dtype=complex)
     found[: exact.multipliers.size] = exact.multipliers
     np.testing.assert_allclose(np.abs(found), np.abs(expected), atol=1e-6)
-    np.testing.assert_allclose(exact.slope, differences(lane, FINEST), atol=3e-6 * max(1, np.abs(exact.slope).max()))
+    np.testing.assert_allclose(exact.slope, slope, atol=3e-6 * max(1, np.abs(exact.slope).max()))
 
 
 def test_a_stuck_offset_is_free_and_left_alone():
@@ -179,7 +188,7 @@ def test_no_reversal_ends_the_slip_of_a_frictionless_stop(speed):
 
 def test_the_state_after_a_cycle_is_that_of_the_lane():
     """Displacements, velocities and slips: what is compared from cycle to cycle is the whole state."""
-    ((lane, returns),) = march([lane_at_rest(oscillator(3.0, 1.39))], FINE, 2)
+    ((lane, returns),) = march([lane_at_rest(oscillator(3.0, 1.39))], FINE, CYCLES_A_ROUND, size=SIZES[0])
     point = lane.here.point
     assert np.all(lane.here.state != SEPARATION)
     np.testing.assert_array_equal(returns[-1], np.concatenate([point.q, point.p, *point.w]))

@@ -17,6 +17,7 @@ from timesim.model.solver import PRESETS, SHOOT, Criterion
 from timesim.orbit.batch import march
 from timesim.orbit.settling import Chain, first_lane, steady_states
 from timesim.orbit.steady_state import Orbit
+from timesim.orbit.threshold import LONGEST
 
 DAMPING = (5e-4, 5e-3)
 STANDARD, REFERENCE = PRESETS["standard"], PRESETS["reference"]
@@ -78,6 +79,9 @@ def check(seeds: Iterable[int], criterion: Criterion, share: float) -> tuple[lis
     """
     chains = [chain for seed in seeds for chain in points(seed)]
     orbits = settled(chains, criterion)
+    for place, orbit in enumerate(orbits):
+        if not orbit.settled and not orbit.irregular:  # free vibrations have not decayed: with more cycles it shows
+            (orbits[place],) = settled([chains[place]], replace(criterion, max_cycles=3 * criterion.max_cycles))
     irregular = [chain for chain, orbit in zip(chains, orbits, strict=True) if orbit.irregular]
     assert len(irregular) <= share * len(chains)
     for orbit in orbits:
@@ -96,6 +100,14 @@ def test_what_repeats_settles_in_few_cycles():
     assert np.median(cycles) < 50
 
 
+def test_long_periods_are_recognised():
+    """After the budget, of motions that repeat after nine and 37 cycles."""
+    chains = list(islice(points(41_543), 6, 9))
+    orbits = [orbit for (orbit,) in steady_states(chains, STANDARD, Criterion(max_cycles=1000), crowd=16)]
+    assert all(8 < orbit.period <= LONGEST and not orbit.irregular for orbit in orbits)
+    assert max(changes(chains, orbits)) < 1e-5  # over as many cycles
+
+
 @pytest.mark.slow
 def test_what_does_not_repeat_is_irregular_indeed():
     """At default settings; marched on to 20,000 cycles by fine steps, what is called irregular has no short period."""
@@ -107,4 +119,4 @@ def test_what_does_not_repeat_is_irregular_indeed():
         print(f"{seed}: {len(cycles)} points in {sum(cycles)} cycles, {len(lost)} do not repeat")
     assert irregular
     for chain in irregular:
-        assert least_change(chain, 8) > 1e-6
+        assert least_change(chain, LONGEST) > 1e-6

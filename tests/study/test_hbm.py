@@ -13,7 +13,8 @@ from systems import oscillator_scene
 import timesim
 from timesim.fault import SceneError
 from timesim.hbm import convergence as hbm_convergence
-from timesim.hbm.convergence import Known, convergence, order_of
+from timesim.hbm import scheme as hbm_scheme
+from timesim.hbm.convergence import SAMPLED, Known, convergence, order_of, sampling_error
 from timesim.hbm.curve import hbm_curve, solutions_at
 from timesim.hbm.scheme import Scheme
 from timesim.picture import hbm as plot_hbm
@@ -268,7 +269,9 @@ def test_points_of_a_sweep_begin_curves_where_the_first_has_no_solution(tmp_path
     sweep = timesim.run(base | {"study": {"kind": "sweep", "frequency": {"values": [1.15, 1.2, 1.25]}, "over": over}})
     assert sweep.slip_share.values.min() > 0.02
     start = {"from": str(save(sweep, tmp_path / "result.nc"))}
-    study = scene(frequency={"from": 1.0, "to": 1.3}, over=over, start=start)["study"]
+    # Towards the singular place the curve takes ever smaller steps.
+    steps = {"max_points": 100}
+    study = scene(frequency={"from": 1.0, "to": 1.3}, over=over, start=start, continuation=steps)["study"]
     with np.errstate(all="ignore"):
         outcome = carry_out(load_scene(base | {"study": study}))
     assert outcome.reason is not None
@@ -341,6 +344,24 @@ def test_convergence_gives_the_orders_and_what_is_enough(monkeypatch: pytest.Mon
     assert "harmonics 1: " in text
     assert "time samples 64: " in text
     assert re.search(r"order \d\.\d", text)
+
+
+def test_samples_that_prove_too_few_are_taken_finer(monkeypatch: pytest.MonkeyPatch):
+    """A contact closes for a moment only: its force depends on where 64 samples lie, and hardly on where 256 do."""
+    monkeypatch.setattr(hbm_scheme, "ENOUGH_SAMPLES", 64)
+    monkeypatch.setattr(hbm_scheme, "SAMPLES_PER_WAVE", 8)
+    narrow: dict[str, Any] = {"frequency": {"from": 0.9422, "to": 0.9417}, "stability": False}
+    chosen = timesim.run(scene(time_samples="auto", **narrow))
+    assert "256 time samples" in chosen.attrs["method"]
+    few, enough = (timesim.run(scene(time_samples=count, **narrow)) for count in (64, 256))
+    assert "64 time samples" in few.attrs["method"]
+    np.testing.assert_array_equal(chosen.amplitude, enough.amplitude)
+    model, errors = load_scene(scene()).model(), []
+    for count in (64, 256):
+        curve = hbm_curve(model, 0.9422, 0.9417, scheme=Scheme(5, count), stability=False)
+        errors.append(sampling_error(model, curve, Scheme(5, count)))
+    assert errors[0] > 2 * SAMPLED
+    assert 0 < errors[1] < SAMPLED / 2
 
 
 def test_convergence_of_full_stick_says_that_it_says_nothing():

@@ -24,16 +24,19 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from timesim.hbm.corrector import Array, Controls, Corrector, CurvePoint, NoSolutionError, Residual
 
 # Lengths of a jump over a place where the residual is not smooth, as shares of the longest step, tried in turn.
 JUMPS = (0.02, 0.06, 0.2, 0.6, 1.0)
+# Share of the way over such a place that lies along the tangent behind it, where the way is long.
+ALONG = 0.9
 # Distance of two solutions that are one, relative to their size.
 SAME = 1e-5
-# Share of the parameter in the tangent at which a fold counts as met: its own error is of second order in it.
-FLAT = 1e-5
+# Length of a step, relative to the longest, below which a tangent that turns at once has met a corner of the curve.
+CORNER = 1e-4
+# Growth of a step at most, and of one that is shorter than the first, as behind a corner.
+GROWTH, CATCHING_UP = 1.6, 3.0
 
 
 class Ending(Enum):
@@ -200,9 +203,9 @@ class _PathTracker:
         message = f"continuation at {place:.10g}, after {count} points: {ending.value}{cause}"
         return Curve.of(self.solutions, self.guess.size, ending, message)
 
-    def _keep(self, point: CurvePoint, *, fold: bool = False) -> None:
+    def _keep(self, point: CurvePoint) -> None:
         x, p = self.corrector.unscaled(point.y)
-        self.solutions.append((x, p, fold, 0 if fold else point.determinant))
+        self.solutions.append((x, p, False, point.determinant))
         self.reached = max(self.reached, (p - self.start) / (self.stop - self.start))
         if self.controls.watch is not None:
             self.controls.watch(min(self.reached, 1.0), partial(self._curve, Ending.INTERRUPTED))
@@ -211,15 +214,17 @@ class _PathTracker:
         """From the first point to the end; how the curve ends."""
         length, ending = self.controls.first_step, None
         before: tuple[CurvePoint, float] | None = None
+        last: CurvePoint | None = None
         while ending is None:
             ratio = max(float(np.linalg.norm(point.y[:-1])), self.controls.size / self.corrector.x_unit)
             if not 0.6 < ratio < 1.6:
-                point, before = self.corrector.rescaled(point), None
+                factor, before = self.corrector.rescale(self.corrector.unscaled(point.y)[0]), None
+                point, last = point.rescaled(factor), last and last.rescaled(factor)
             step = self._step(point, before, length)
             if step is None:
                 return Ending.STEP
-            ending = self._take(point, step)
-            before, point, length = (point, step.length), step.point, step.next_length
+            ending = self._take(last, point, step)
+            before, last, point, length = (point, step.length), point, step.point, step.next_length
         return ending
 
     def _step(self, point: CurvePoint, before: tuple[CurvePoint, float] | None, length: float) -> _Step | None:
@@ -231,18 +236,21 @@ class _PathTracker:
                 self.cause, length = str(error), length / 4
                 continue
             turn = float(np.arccos(np.clip(point.tangent @ new.tangent, -1.0, 1.0)))
+            elsewhere = new.orientation * point.orientation < 0
             # A tangent that jumps, as where slip begins, does so however short the step.
-            if turn > 4 * self.controls.turn and length > self.controls.max_step / 20:
+            corner = length <= CORNER * self.controls.max_step and not elsewhere
+            if turn > self.controls.turn * (1 if elsewhere else 4) and not corner:
                 length /= 3
                 continue
-            growth = np.clip(np.sqrt(self.controls.turn / max(turn, 1e-9)), 0.5, 1.6)
+            fastest = GROWTH if length > self.controls.first_step else CATCHING_UP
+            growth = np.clip(np.sqrt(self.controls.turn / max(turn, 1e-9)), 0.5, fastest)
             if new.iterations > 4:
                 growth = min(growth, 0.7)
             return _Step(new, length, min(float(growth) * length, self.controls.max_step))
         return self._jump(point)
 
     def _jump(self, point: CurvePoint) -> _Step | None:
-        """Over a place where no short step succeeds; a point much farther than asked for is on another curve.
+        """Over a place where no short step succeeds; a point to which the way is not along its tangent is elsewhere.
 
         The derivatives may mean little where it starts: after the tangent, a change of the parameter alone is tried,
         the way it went before, with x a little larger or smaller.
@@ -261,19 +269,19 @@ class _PathTracker:
                     continue
                 way = new.y - point.y
                 distance = float(np.linalg.norm(way))
-                if distance <= 8 * length and way[-1] * ahead[-1] > 0:
+                near = distance <= 8 * length or ALONG * distance <= abs(way @ new.tangent) <= self.controls.max_step
+                if near and way[-1] * ahead[-1] > 0 and new.orientation * point.orientation >= 0:
                     return _Step(new, distance, length)
         return None
 
-    def _take(self, before: CurvePoint, step: _Step) -> Ending | None:
+    def _take(self, last: CurvePoint | None, before: CurvePoint, step: _Step) -> Ending | None:
         """Keep the point that a step leads to, with the fold or the end of the range before it.
 
         Returns:
             How the curve ends, if it does.
         """
         point, inside = step.point, self.behind != self.start
-        if before.tangent[-1] * point.tangent[-1] < 0 and (fold := self._fold(before, step)) is not None:
-            self._keep(fold, fold=True)
+        self._keep_fold(last, before, point)
         if inside and (again := self._start_again(before, point)) is not None:
             self._keep(again)
             return Ending.CLOSED
@@ -313,28 +321,23 @@ class _PathTracker:
             self.cause = str(error)
             return None
 
-    def _fold(self, before: CurvePoint, step: _Step) -> CurvePoint | None:
-        """Where the tangent's share of the parameter changes its sign on the arc of a step.
+    def _keep_fold(self, last: CurvePoint | None, point: CurvePoint, new: CurvePoint) -> None:
+        """Keep the fold beside a point if its parameter lies beyond those of both its neighbours.
 
-        The share jumps through zero where the residual is not smooth. None if Newton's method fails.
+        Tangents alone make no fold: where contacts switch, their share of the parameter may change its sign for a
+        moment while the curve goes on.
         """
-        length = float((step.point.y - before.y) @ before.tangent)
-        ends = {0.0: float(before.tangent[-1]), length: float(step.point.tangent[-1])}
-        points: dict[float, CurvePoint] = {}
-
-        def share(s: float) -> float:
-            if s in ends:
-                return ends[s]
-            guess = before.y + s * before.tangent
-            points[s] = self.corrector.simplified_newton(guess, before.tangent, fresh=True)
-            value = float(points[s].tangent[-1])
-            return value if abs(value) > FLAT else 0.0
-
-        with suppress(NoSolutionError):
-            root = brentq(share, 0.0, length, xtol=1e-3 * FLAT * step.length, disp=False)
-            if root in points:
-                return points[root]
-        return min(points.values(), key=lambda point: abs(point.tangent[-1]), default=None)
+        came = point.tangent[-1] if last is None else point.y[-1] - last.y[-1]
+        if came * (new.y[-1] - point.y[-1]) >= 0:
+            return
+        for one, other, place in ((point, new, len(self.solutions)), (last, point, len(self.solutions) - 1)):
+            if one is not None and one.tangent[-1] * other.tangent[-1] < 0:
+                with suppress(NoSolutionError):
+                    x, p = self.corrector.unscaled(self.corrector.fold_between(one, other).y)
+                    self.solutions.insert(place, (x, p, True, 0))
+                    return
+        x, p, _, _ = self.solutions[-1]
+        self.solutions[-1] = (x, p, True, 0)
 
 
 def _predicted(point: CurvePoint, before: tuple[CurvePoint, float] | None, length: float) -> Array:

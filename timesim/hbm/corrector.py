@@ -10,7 +10,7 @@ sign of det dr/dx, which changes at a fold.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,6 +23,9 @@ Factors = tuple[Array, NDArray[np.int32]]
 # A Newton step that is longer than this share of the one before asks for new derivatives.
 CONTRACTION = 0.1
 MAX_DAMPED, MAX_FULL = 60, 30  # iterations
+# Share of the parameter in the tangent at which a fold counts as met: its own error is of second order in it.
+FLAT = 1e-6
+MAX_FOLD = 12  # evaluations; at a corner the bracket only shrinks to a share of itself each time
 # A Newton step this long, in units of the solution, leads nowhere.
 MAX_STEP = 10.0
 
@@ -57,7 +60,7 @@ class Controls:
 
     size: float = 0.1
     first_step: float = 0.01
-    min_step: float = 1e-6
+    min_step: float = 1e-8
     max_step: float = 0.05
     max_points: int = 5000
     tolerance: float = 1e-9
@@ -86,6 +89,18 @@ class CurvePoint:
     determinant: int
     iterations: int
 
+    def rescaled(self, factor: float) -> "CurvePoint":
+        """The point with another unit of x."""
+        y, tangent = self.y.copy(), self.tangent.copy()
+        y[:-1] *= factor
+        tangent[:-1] *= factor
+        return replace(self, y=y, tangent=tangent / np.linalg.norm(tangent))
+
+    @property
+    def orientation(self) -> float:
+        """Its sign stays the same along a curve, but for bifurcations (Allgower and Georg 2003, chapter 2)."""
+        return self.determinant * float(self.tangent[-1])
+
 
 class NoSolutionError(Exception):
     """Newton's method does not converge; the message names the cause where the residual knows one."""
@@ -107,14 +122,14 @@ class Corrector:
         """x and p of a point."""
         return y[:-1] * self.x_unit, float(y[-1] * self.p_unit)
 
-    def rescaled(self, point: CurvePoint) -> CurvePoint:
-        """The point with x measured by its own size from now on."""
-        x, y_p = point.y[:-1] * self.x_unit, point.y[-1]
-        tangent = np.append(point.tangent[:-1] * self.x_unit, point.tangent[-1])
-        self.x_unit = max(self.controls.size, float(np.linalg.norm(x)))
-        tangent[:-1] /= self.x_unit
-        y, tangent = np.append(x / self.x_unit, y_p), tangent / np.linalg.norm(tangent)
-        return CurvePoint(y, tangent, point.determinant, point.iterations)
+    def rescale(self, x: Array) -> float:
+        """Measure x by the size of a solution from now on.
+
+        Returns:
+            the unit before, in units of the one that holds now.
+        """
+        before, self.x_unit = self.x_unit, max(self.controls.size, float(np.linalg.norm(x)))
+        return before / self.x_unit
 
     def simplified_newton(self, guess: Array, normal: Array, *, fresh: bool = False) -> CurvePoint:
         """Solution near a good guess on the plane through it; its tangent points to the side of the normal.
@@ -185,6 +200,29 @@ class Corrector:
             y = y + share * step
             r, factors = self._bordered(y, normal)
         raise NoSolutionError
+
+    def fold_between(self, low: CurvePoint, high: CurvePoint) -> CurvePoint:
+        """The point between two others at which the parameter turns, which it does where the cubic through them does.
+
+        Raises:
+            NoSolutionError: Newton's method fails.
+        """
+        first, normal = low, low.tangent
+        for _ in range(MAX_FOLD):
+            begin, length = (low.y - first.y) @ normal, (high.y - low.y) @ normal
+            change, *rates = high.y - low.y, *(length / (x.tangent @ normal) * x.tangent for x in (low, high))
+            bend, third = 3 * change - 2 * rates[0] - rates[1], rates[0] + rates[1] - 2 * change
+            # p' has one root inside, since it differs in sign at both ends.
+            slope, half, lead = rates[0][-1], bend[-1], 3 * third[-1]
+            root = slope / (np.sign(slope) * np.sqrt(max(half**2 - lead * slope, 0.0)) - half)
+            t = float(np.clip(root, 0.02, 0.98))
+            guess = low.y + t * (rates[0] + t * (bend + t * third))
+            guess += (begin + t * length - (guess - first.y) @ normal) * normal
+            point = self.simplified_newton(guess, normal, fresh=True)
+            if abs(point.tangent[-1]) < FLAT:
+                return point
+            low, high = (point, high) if point.tangent[-1] * low.tangent[-1] > 0 else (low, point)
+        return min(low, high, key=lambda point: abs(point.tangent[-1]))
 
     def _vanishes(self, r: Array, y: Array) -> bool:
         size = max(self.controls.size, float(np.linalg.norm(y[:-1])) * self.x_unit)

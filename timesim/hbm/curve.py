@@ -218,8 +218,9 @@ def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmC
     if stability:
         multipliers = floquet_multipliers(balance, curve.x, curve.p)
         largest = np.abs(multipliers[:, 0])
-        # Whether one has passed 1 itself, as at a fold, the determinant tells exactly.
-        grows[:] = ((np.abs(multipliers) > BORDER) & (np.abs(multipliers - 1) > NEAR_ONE)).any(axis=1)
+        # Whether a real one has passed 1, as at a fold, the determinant tells exactly; a complex pair it does not see.
+        at_one = (multipliers.imag == 0) & (np.abs(multipliers - 1) <= NEAR_ONE)
+        grows[:] = ((np.abs(multipliers) > BORDER) & ~at_one).any(axis=1)
     return HbmCurve(
         parameter=curve.p,
         frequency=curve.p,

@@ -139,7 +139,8 @@ def closed_period(law: ConeLaw, motion: Motion, stuck: Offset) -> ClosedPeriod:
         next_start = minus(end, leap)
         tolerated = CLOSED * jnp.max(length(path.d), axis=0) + ROUNDING * reach
         # Not the change alone: where slip is short, each pass makes up for a small share of what is left.
-        closure = length(minus(next_start, start)) / jnp.maximum(tolerated, 1e-300)
+        # Not less than the length of no vector at all, as of a stop, which never has an elastic displacement.
+        closure = length(minus(next_start, start)) / jnp.maximum(tolerated, 1e-140)
         return _Passes(onto_cone(law, next_start, motion.v[-1]), start, end, path, closure, last.count + 1)
 
     path = IntervalEnd(motion.u, motion.v, motion.v, (motion.v,) * 3, (motion.v,) * 3)

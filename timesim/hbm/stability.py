@@ -26,7 +26,8 @@ from timesim.hbm.tangent import interval_slopes
 # Modulus of a multiplier above which a solution is unstable: those of an undamped structure lie on the unit circle but
 # for the error of the samples.
 BORDER = 1 + 1e-3
-# Distance from 1 within which the determinant of the balance decides: the samples leave an error of this size.
+# Distance of a real multiplier from 1 within which the determinant of the balance decides: the samples leave an error
+# of this size.
 NEAR_ONE = 0.03
 # With so many the largest multiplier errs by at most 2e-2 on the paper's oscillator in slip and separation (measured).
 SAMPLES = 128

@@ -51,6 +51,8 @@ class _Iterate(eqx.Module):
 
 
 def _phi(ratio: Scalar) -> Scalar:
+    # So steep because the mean over time is taken: at a touch of the cone 1 - z falls to 0 as t^2, where the mean of a
+    # log barrier stays finite, and the offset did not tend to the one that the motion leaves; that of a pole grows.
     z = jnp.maximum(ratio - FREE, 0.0) / (1 - FREE)
     return z**3 / (1 - jnp.minimum(z, 1 - 1e-7)) ** 2
 

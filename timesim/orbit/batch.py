@@ -8,6 +8,7 @@ import timesim.runtime  # noqa: F401  isort: skip
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import equinox as eqx
@@ -19,7 +20,7 @@ from jaxtyping import Array, Float, Int
 from timesim.engine.lanes import advance_lanes, batch_first, batch_last, over_lanes
 from timesim.engine.method import Method, step_method
 from timesim.engine.solver import Control
-from timesim.engine.step import Status, Trajectory, begin, try_step
+from timesim.engine.step import Status, Step, Trajectory, begin, try_step
 from timesim.engine.system import System
 from timesim.model.solver import Solver
 from timesim.orbit.lane import Lane, Recorded
@@ -27,6 +28,7 @@ from timesim.orbit.monodromy import HybridState, Tries, derivative, state_vector
 
 SIZES = (4, 16)  # of a batch: few, so that little is compiled
 CAPACITY = 256  # tries of one call that records
+PIECE = 32  # most steps whose derivative is one piece of work: 16 of them take longer than to prepare them
 
 
 def _unfinished(now: Trajectory, cycles: Any) -> Any:
@@ -129,27 +131,66 @@ def record(
         size: of the batches.
     """
     pairs = list(zip(lanes, num_cycles, strict=True))
-    return [one for batch in _batches(pairs, size) for one in _recorded(batch, solver, most, size)]
+    ends = [end for batch in _batches(pairs, size) for end in _advanced(batch, solver, most, size)]
+    slopes = _slopes(lanes, step_method(solver), [steps for _, steps in ends])
+    done = []
+    for lane, num, (now, steps), slope in zip(lanes, num_cycles, ends, slopes, strict=True):
+        end = lane.after(now)
+        slope = np.where(end.apart[:, None] | lane.apart, 0.0, slope)
+        done.append(Recorded(lane, end, num, bool(now.cycle >= num), steps, slope))
+    return done
 
 
-def _recorded(batch: list[tuple[Lane, int]], solver: Solver, most: int | None, size: int) -> list[Recorded]:
+def _advanced(batch: list[tuple[Lane, int]], solver: Solver, most: int | None, size: int) -> list[tuple[Any, Step]]:
+    """The end of each lane of a batch, and its steps, the first axis that of the steps."""
     method, padded = step_method(solver), _padded(batch, size)
     controls, systems, now = _stacked([(lane.control, lane.system, lane.at_start()) for lane, _ in padded])
-    cycles, slopes = np.array([num for _, num in padded]), None
+    cycles = np.array([num for _, num in padded])
     parts: list[Tries] = []
     while sum(int(part.count) for part in parts) < (most or np.inf):
-        now, tries = record_cycles(method, controls, systems, now, cycles, CAPACITY)
-        slopes = derivative(method, systems, tries, slopes)
-        parts.append(_on_host(tries))
-        if not _unfinished(_on_host(now), cycles).any():
+        now, tries = _on_host(record_cycles(method, controls, systems, now, cycles, CAPACITY))
+        parts.append(tries)
+        if not _unfinished(now, cycles).any():
             break
-    now, slopes = _on_host(now), np.asarray(slopes)
-    done = []
-    for i, (lane, num) in enumerate(batch):
-        end, complete = lane.after(_entry(now, i)), bool(now.cycle[i] >= num)
-        slope = np.where(end.apart[:, None] | lane.apart, 0.0, slopes[i])
-        done.append(Recorded(lane, end, num, complete, parts, i, slope))
-    return done
+    steps = jax.tree.map(lambda *rows: np.concatenate(rows), *(part.step for part in parts))
+    taken = np.concatenate([part.accepted for part in parts])
+    return [(_entry(now, i), _of_lane(steps, taken[:, i], i)) for i in range(len(batch))]
+
+
+def _of_lane(steps: Step, taken: np.ndarray, index: int) -> Step:
+    """The steps of one lane of a batch that were taken."""
+    own: Step = jax.tree.map(lambda rows: rows[taken, ..., index], steps)
+    return own
+
+
+def _slopes(lanes: Sequence[Lane], method: Method, steps: Sequence[Step]) -> list[np.ndarray]:
+    """Derivative of the state of each lane after its steps by that before them.
+
+    The steps of each are cut into pieces whose derivatives are computed side by side: no lane waits for a longer one.
+    """
+    slopes = [np.eye(lane.vector.size) for lane in lanes]
+    pieces = []
+    for index, own in enumerate(steps):
+        num = -(-own.h.size // PIECE)
+        ends = [k * own.h.size // num for k in range(num + 1)] if num else []
+        pieces += [(index, first, end) for first, end in pairwise(ends)]
+    for batch in _batches(pieces, SIZES[1]):
+        padded = _padded(batch, SIZES[1])
+        rows = [_entry(steps[i], slice(first, end)) for i, first, end in padded]
+        count, opens = np.array([[end - first, first == 0] for _, first, end in padded]).T
+        systems = _stacked([lanes[i].system for i, _, _ in padded])
+        products = np.asarray(derivative(method, systems, jax.tree.map(_columns, *rows), count, opens.astype(bool)))
+        for (i, _, _), product in zip(batch, products, strict=False):
+            slopes[i] = product @ slopes[i]
+    return slopes
+
+
+def _columns(*pieces: np.ndarray) -> np.ndarray:
+    """Pieces side by side, the batch last, with empty rows up to the length of a piece."""
+    whole = np.zeros((PIECE, *pieces[0].shape[1:], len(pieces)), pieces[0].dtype)
+    for index, rows in enumerate(pieces):
+        whole[: len(rows), ..., index] = rows
+    return whole
 
 
 def _batches(lanes: Sequence[Any], size: int) -> list[list[Any]]:
@@ -166,8 +207,8 @@ def _stacked(trees: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *rows: np.stack(rows), *trees)
 
 
-def _entry(tree: Any, index: int) -> Any:
-    """One of a batch."""
+def _entry(tree: Any, index: int | slice) -> Any:
+    """One of a batch, or some."""
     return jax.tree.map(lambda leaf: leaf[index], tree)
 
 

@@ -2,7 +2,6 @@
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -22,7 +21,7 @@ from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.reduction import Reduction
 from timesim.model.solver import Solver
 from timesim.orbit.fourier import HARMONICS
-from timesim.orbit.monodromy import HybridState, Tries, point_of, vector_of
+from timesim.orbit.monodromy import HybridState, point_of, vector_of
 from timesim.orbit.steady_state import Orbit, share
 
 
@@ -151,8 +150,7 @@ class Recorded:
         start, end: the lane at both ends.
         cycles: how many.
         complete: whether all of them were done.
-        tries: of the whole batch, one entry a call of the loop.
-        index: of the lane in the batch.
+        steps: of which they are made up, numpy arrays, the first axis that of the steps.
         slope: derivative of the state vector at the end by that at the start.
     """
 
@@ -160,20 +158,8 @@ class Recorded:
     end: Lane
     cycles: int
     complete: bool
-    tries: Sequence[Tries]
-    index: int
+    steps: Step
     slope: np.ndarray
-
-    @property
-    def steps(self) -> Step:
-        """The steps of the lane, the first axis that of the steps."""
-        taken = [part.accepted[:, self.index] for part in self.tries]
-
-        def joined(*parts: np.ndarray) -> np.ndarray:
-            return np.concatenate([rows[own, ..., self.index] for rows, own in zip(parts, taken, strict=True)])
-
-        steps: Step = jax.tree.map(joined, *(part.step for part in self.tries))
-        return steps
 
     @property
     def multipliers(self) -> np.ndarray:

@@ -100,23 +100,25 @@ def _image(method: Method, system: System, step: Step, start: Float[Array, " sta
 
 @eqx.filter_jit
 def derivative(
-    method: Method, systems: System, tries: Tries, before: Float[Array, "batch state state"] | None = None
+    method: Method, systems: System, steps: Step, count: Int[Array, " batch"], opens: Bool[Array, " batch"]
 ) -> Float[Array, "batch state state"]:
-    """Product over the steps of the derivative of each, in the order of `vector_of`.
+    """Products over the steps of the derivative of each, in the order of `vector_of`.
 
     Args:
         method: that of the steps.
         systems: batch first.
-        tries: as `timesim.orbit.batch.record_cycles` gives them.
-        before: the product up to the first of them; None at the start of a cycle.
+        steps: accepted steps in a row of each, the first axis that of the steps, the last one that of the batch.
+        count: how many of them there are; rows beyond are empty.
+        opens: whether they begin with the state from which the cycles do, which may be moved off the friction cone: w
+            of a contact that slips is put back on it.
     """
     systems = batch_last(systems)
 
-    def on_cone(system: System, step: Step) -> Float[Array, "state state"]:
-        """Derivative of the state from which the first step starts; w of a contact that slips is put on the cone."""
-        quiet = jnp.zeros(step.state.shape, dtype=bool)
+    def on_cone(system: System, step: Step, opens: Bool[Array, ""]) -> Float[Array, "state state"]:
+        """Derivative of the state from which the first step starts by that from which its lane does."""
+        quiet, start = jnp.zeros(step.state.shape, dtype=bool), vector_of(step.start)
         put = lambda y: vector_of(transition(system, step.state, quiet, point_of(y, step.start))[0])  # noqa: E731
-        return jax.jacfwd(put)(vector_of(step.start))
+        return jnp.where(opens, jax.jacfwd(put)(start), jnp.eye(start.size))
 
     def push(system: System, step: Step, columns: Float[Array, "state state"]) -> Float[Array, "state state"]:
         image, start = partial(_image, looped(method), system, step), vector_of(step.start)
@@ -124,14 +126,10 @@ def derivative(
 
     def body(carry: tuple) -> tuple:
         index, product = carry
-        step = jax.tree.map(lambda rows: rows[index], tries.step)
-        pushed = over_lanes(push)(systems, step, product)
-        return index + 1, jnp.where(tries.accepted[index], pushed, product)
+        step = jax.tree.map(lambda rows: rows[index], steps)
+        return index + 1, jnp.where(index < count, over_lanes(push)(systems, step, product), product)
 
-    if before is None:
-        first = jax.tree.map(lambda rows: rows[0], tries.step)
-        product = over_lanes(on_cone)(systems, first)
-    else:
-        product = jnp.moveaxis(before, 0, -1)
-    _, product = jax.lax.while_loop(lambda c: c[0] < tries.count, body, (jnp.zeros((), dtype=jnp.int64), product))
+    product = over_lanes(on_cone)(systems, jax.tree.map(lambda rows: rows[0], steps), opens)
+    begin = jnp.zeros((), dtype=jnp.int64), product
+    _, product = jax.lax.while_loop(lambda carry: carry[0] < count.max(), body, begin)
     return jnp.moveaxis(product, -1, 0)

@@ -86,10 +86,18 @@ def _by_halves(change: np.ndarray) -> tuple[float, float]:
     return np.max(change[-2 * HALF : -HALF]), np.max(change[-HALF:])
 
 
-def nearest_period(returns: np.ndarray) -> int:
-    """The shortest period [cycles] over which the state changes little more than over that of the least change."""
-    change = np.array([_changes(returns, period)[-HALF:].max() for period in range(1, HALF * 2 + 1)])
-    return int(np.argmax(change <= NEARLY_LEAST * change.min())) + 1
+def nearest_period(returns: np.ndarray, longest: int = CYCLES_A_ROUND) -> Recurrence:
+    """The shortest period over which the state changes little more than over that of the least change.
+
+    Args:
+        returns: the state at the end of consecutive cycles, shape (N, state).
+        longest: period [cycles] to be looked at; of a short march, that over which its last cycles show a change.
+    """
+    longest = min(longest, len(returns) - HALF)
+    size = max(np.max(np.abs(returns)), 1e-300)
+    change = np.array([_changes(returns, period)[-HALF:].max() for period in range(1, longest + 1)]) / size
+    place = int(np.argmax(change <= NEARLY_LEAST * max(change.min(), REST)))
+    return Recurrence(place + 1, float(change[place]))
 
 
 def is_irregular(changes: Sequence[float], decay: float, noise: float) -> bool:
@@ -105,4 +113,4 @@ def is_irregular(changes: Sequence[float], decay: float, noise: float) -> bool:
         return False
     early, late = (float(np.median(changes[first : first + quarter])) for first in (quarter, len(changes) - quarter))
     due = decay * CYCLES_A_ROUND * (len(changes) - 2 * quarter)
-    return due > CLEARLY and late > max(VAGUE, noise) and np.log(early / late) < CLEARLY / 2
+    return due > CLEARLY and late > max(VAGUE, noise) and np.log(early / late) < min(due, 2 * CLEARLY) / 2

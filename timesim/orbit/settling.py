@@ -21,10 +21,23 @@ from timesim.model.solver import NEVER, Criterion, Solver
 from timesim.orbit.batch import SIZES, march, record
 from timesim.orbit.lane import Lane, Recorded
 from timesim.orbit.linear import held_lane, linear_orbit, proven_orbit, slowest_decay
-from timesim.orbit.recurrence import is_irregular, nearest_period, recurrence_of
+from timesim.orbit.recurrence import Recurrence, is_irregular, nearest_period, recurrence_of
 from timesim.orbit.shooting import Converged, Shot, iterated
 from timesim.orbit.steady_state import Orbit, without_orbit
-from timesim.orbit.threshold import CYCLES_A_ROUND, LATER, LONELY, NOISY, SIDE_BY_SIDE, TRIES, UNSETTLED_CYCLES
+from timesim.orbit.threshold import (
+    CYCLES_A_ROUND,
+    FEW_SHOTS,
+    LATER,
+    LONELY,
+    LONGEST,
+    MOST_SHOTS,
+    NEARLY_REPEATS,
+    NOISY,
+    SIDE_BY_SIDE,
+    TRIES,
+    UNSETTLED_CYCLES,
+    VAGUE,
+)
 
 
 @dataclass(frozen=True)
@@ -56,7 +69,7 @@ class Search:
         chain, place: position of the chain, and of the frequency in it.
         lane: the trajectory after the last round of marching.
         phase: next piece of work.
-        returns: state vectors at the end of the last cycles, two rounds at most.
+        returns: state vectors at the end of the last cycles, as many as show the longest period.
         changes: least change of the state over a period, relative, after each round.
         cycles: integrated so far.
         period: of the motion to be measured; 0 where it has not settled.
@@ -65,6 +78,7 @@ class Search:
         attempts: at shooting, so far.
         next_shot: cycle before which there is no further attempt at shooting.
         next_held: the same of a proof that no contact leaves its state any more.
+        last: whether its budget is spent, and it is shot for the last time.
         orbit: the result in the phase DONE.
     """
 
@@ -81,6 +95,7 @@ class Search:
     attempts: int = 0
     next_shot: float = 0
     next_held: float = 0
+    last: bool = False
     orbit: Orbit | None = None
 
 
@@ -89,24 +104,43 @@ class Search:
 
 def after_march(search: Search, lane: Lane, returns: np.ndarray, solver: Solver, criterion: Criterion) -> Search:
     """The search after a round of marching."""
-    kept, cycles = (*search.returns, *returns)[-2 * CYCLES_A_ROUND :], search.cycles + len(returns)
+    kept, cycles = (*search.returns, *returns)[-LONGEST - CYCLES_A_ROUND :], search.cycles + len(returns)
     search = replace(search, lane=lane, returns=kept, cycles=cycles)
     if lane.status != Status.RUNNING:
         return _failed(search, solver)
-    seen = recurrence_of(np.array(kept), criterion.tolerance, solver.rtol)
+    latest = np.array(kept[-2 * CYCLES_A_ROUND :])
+    seen = recurrence_of(latest, criterion.tolerance, solver.rtol)
     search = replace(search, settled_to=seen.left, changes=(*search.changes, seen.left), period=seen.period)
     if seen.period and seen.left > criterion.tolerance and criterion.first_shot < NEVER:
         return replace(search, phase=Phase.SHOOT, shot=Shot(lane, seen.period))
-    if seen.period or cycles >= criterion.max_cycles:
+    if seen.period:
         return replace(search, phase=Phase.MEASURE)
+    if cycles >= criterion.max_cycles:
+        return _spent(search, criterion)
     may_shoot = cycles >= max(search.next_shot, criterion.first_shot)
     if (may_shoot or cycles >= search.next_held) and lane.quiet > len(returns) * PERIOD:
         search = _held(search, solver, may_shoot=may_shoot)
     if may_shoot and search.phase is Phase.MARCH:
         # Every other time: a free vibration, too, may nearly repeat after several cycles while it decays.
-        period = nearest_period(np.array(kept)) if search.attempts % 2 else 1
+        period = nearest_period(latest).period if search.attempts % 2 else 1
         return replace(search, phase=Phase.SHOOT, shot=Shot(lane, period), attempts=search.attempts + 1)
     return search
+
+
+def _spent(search: Search, criterion: Criterion) -> Search:
+    """The search at the end of its budget: what nearly repeats after a long period is shot."""
+    long = _long_recurrence(search)
+    if criterion.first_shot == NEVER or long.period <= CYCLES_A_ROUND or long.left > NEARLY_REPEATS:
+        return replace(search, phase=Phase.MEASURE)
+    shot = Shot(search.lane, long.period, count=MOST_SHOTS - FEW_SHOTS)
+    return replace(search, phase=Phase.SHOOT, shot=shot, last=True)
+
+
+def _long_recurrence(search: Search) -> Recurrence:
+    """How nearly a motion repeats after up to the longest period; one that was marched for less does not count."""
+    if len(search.returns) < LONGEST + CYCLES_A_ROUND:
+        return Recurrence(0, np.inf)
+    return nearest_period(np.array(search.returns), LONGEST)
 
 
 def _held(search: Search, solver: Solver, *, may_shoot: bool) -> Search:
@@ -132,7 +166,7 @@ def after_shot(search: Search, recorded: Recorded, criterion: Criterion) -> Sear
         return replace(search, shot=led_to)
     if isinstance(led_to, Converged):
         return _done(replace(search, period=shot.period, settled_to=led_to.settled_to), recorded)
-    if search.period:  # as nearly as marching can tell
+    if search.period or search.last:  # as nearly as marching can tell
         return replace(search, phase=Phase.MEASURE, shot=None)
     if shot.held:
         return replace(search, shot=Shot(search.lane))
@@ -148,7 +182,8 @@ def after_measure(search: Search, recorded: Recorded, solver: Solver) -> Search:
 
 def _done(search: Search, recorded: Recorded) -> Search:
     noise = NOISY * float(search.lane.control.rtol)
-    irregular = search.period == 0 and is_irregular(search.changes, slowest_decay(search.lane), noise)
+    repeats = search.period > 0 or _long_recurrence(search).left < VAGUE
+    irregular = not repeats and is_irregular(search.changes, slowest_decay(search.lane), noise)
     orbit = recorded.orbit(search.cycles, search.period, search.settled_to, irregular=irregular)
     return replace(search, phase=Phase.DONE, orbit=orbit)
 

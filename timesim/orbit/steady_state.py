@@ -36,7 +36,8 @@ class Orbit:
         floquet: Floquet multipliers, largest first, without those of free offsets; NaN where it has not settled.
         settled_to: estimated distance of its state from one that repeats, relative to the largest entry; where the
             motion has not settled, its change over the cycle, or the several cycles, after which it changes least.
-        irregular: whether it has been marched for long enough to show that it does not repeat after a few cycles.
+        irregular: whether it has been marched for long enough to show that it repeats after no number of cycles up to
+            `timesim.orbit.threshold.LONGEST`.
         reason: why it could not be computed; None if it was.
     """
 

@@ -29,12 +29,16 @@ STILL_THERE = 0.99
 excitation with a damping ratio above 4e-4 loses more."""
 DOUBLED = 30.0
 """In units of the tolerance: a smaller alternation may be the end of a decaying beat."""
+LONGEST = 64
+"""Longest period that is looked for, once the budget is spent: it is shot in a fraction of what was marched."""
+NEARLY_REPEATS = 1e-2
+"""Change over it from which on it is not worth a shot: what converges within hundreds of cycles has come closer."""
 NEARLY_LEAST = 2.0
 """Change over a period, as a multiple of the least over any: a period twice as long repeats as nearly."""
 CLEARLY = 0.7
 """Logarithm by which the change of a motion that settles must at least have fallen, if one that has not is to tell
-itself from it: to a half. One that has fallen by less than its root, as that of a contact that creeps does not, has
-not fallen."""
+itself from it: to a half. One that has fallen by less than half of what is due has not fallen; nor by less than this
+where much more is due, as not even that of a contact that creeps."""
 
 # Shooting
 LATER = 1.5
@@ -44,8 +48,9 @@ REACH = 0.5
 """Longest step, relative to the state: a longer one leaves the neighbourhood in which the linear map is valid."""
 SHORTER, SHORTEST_SHARE = 0.25, 1 / 64
 """Factor by which a step that does not lead closer is shortened, and the smallest share of it that is tried."""
-MOST_SHOTS = 32
-"""Iterations: near the fixed point five suffice, and a few steps of half the state lead anywhere."""
+MOST_SHOTS, FEW_SHOTS = 32, 8
+"""Iterations: near the fixed point five suffice, of a motion that nearly repeats eight, and a few steps of half the
+state lead anywhere."""
 TRIES = 2**14
 """Most steps tried in a cycle that is shot: some hundred times as many as at usual tolerances, for a fine one."""
 UNSTABLE = 1 + 1e-6

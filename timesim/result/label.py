@@ -81,8 +81,8 @@ LABELS: dict[str, tuple[str, str | None]] = {
         "1",
     ),
     "irregular": (
-        "1 where the motion, however long it goes on, does not repeat after up to eight cycles: quasi-periodic or "
-        "irregular",
+        "1 where the motion repeats after no number of cycles up to 64, while free vibrations would have decayed: "
+        "quasi-periodic, irregular, or of a longer period",
         None,
     ),
     "cycles": ("excitation cycles run", "1"),
@@ -131,6 +131,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "peak_frequency": ("frequency of the largest displacement amplitude", "Hz"),
     "peak_at_end": ("1 where the largest amplitude is at the first or last frequency", None),
     "peak_settled": ("1 where the motion of the largest amplitude has settled", None),
+    "peak_irregular": ("1 where that motion is quasi-periodic or irregular, as in the variable irregular", None),
     "optimum": ("value of the scalar with the least peak", None),
     "optimum_peak": ("least peak", "length"),
     "optimum_frequency": ("frequency of the least peak", "Hz"),
@@ -214,6 +215,7 @@ FLAGS = {
     "fold": YES_NO,
     "peak_at_end": YES_NO,
     "peak_settled": YES_NO,
+    "peak_irregular": YES_NO,
     "range_cut": {-1: "no_range", **YES_NO},
     "range_settled": {-1: "no_range", **YES_NO},
     "range_irregular": {-1: "no_range", 0: "none", 1: "smaller", 2: "larger"},

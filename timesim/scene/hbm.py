@@ -81,7 +81,7 @@ class Continuation(Section):
 
     first_step: Positive | None = None
     """Length of the first step; by default a fifth of the longest."""
-    min_step: Positive = 1e-6
+    min_step: Positive = 1e-8
     """Step below which the curve is given up."""
     max_step: Positive = 0.05
     """Longest step; shorter ones follow where the curve bends."""

@@ -302,7 +302,7 @@ def _large_numbers(plan: Any, model: Model) -> Iterator[str]:
             so = "cycle_amplitude is that of the continuous motion all the same"
             yield f"study: {plan.samples_per_cycle} samples of a cycle show little of its motion; {so}"
     balance = plan if isinstance(plan, HbmPlan) else getattr(plan, "balance", None)
-    if balance is not None and (balance.scheme.time_samples or 0) > MOST_SAMPLES:
+    if balance is not None and balance.scheme.time_samples > MOST_SAMPLES:
         so = "each solution takes seconds; study.convergence tells how few are enough"
         yield f"study.time_samples: {balance.scheme.time_samples} samples of a period: {so}"
 

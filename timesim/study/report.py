@@ -7,6 +7,7 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.orbit.basin import ANOTHER, IRREGULAR, LOWER, NONE, UPPER, unique
+from timesim.orbit.threshold import LONGEST
 from timesim.orbit.two_motions import LARGER, NO_MOTION, SMALLER
 from timesim.result.coordinate import over_keys
 from timesim.result.label import in_words, with_unit
@@ -74,8 +75,8 @@ def unusual_lines(data: Dataset) -> Iterator[str]:
         )
     if irregular.any():
         yield (
-            f"{irregular.sum()} points do not repeat, so their motion is quasi-periodic or irregular (irregular = 1, "
-            f"with the band of its amplitude): {_spans(data, irregular)}"
+            f"{irregular.sum()} points do not repeat after up to {LONGEST} cycles: their motion is quasi-periodic or "
+            f"irregular (irregular = 1, with the band of its amplitude): {_spans(data, irregular)}"
         )
     lost = done & ~settled & ~irregular
     if lost.any():
@@ -253,5 +254,8 @@ def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
         yield f"it is at an end of the range of {key}, so beyond it the peak may be smaller still"
     if data["peak_at_end"].values[at]:
         yield "its peak is at an end of frequency, so beyond it the response may be larger"
-    if not data["peak_settled"].values[at]:
+    if data["peak_irregular"].values[at]:
+        yield f"its motion does not repeat after up to {LONGEST} cycles: it is quasi-periodic or irregular"
+    elif not data["peak_settled"].values[at]:
         yield "its motion had not settled in settle.max_cycles"
+    yield from unusual_lines(data)
