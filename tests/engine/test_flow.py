@@ -1,0 +1,43 @@
+"""The exact flow of a mode against matrix exponentials."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from timesim.engine.flow import weights
+
+POWERS = 6
+
+MODES = {
+    "rigid body": (0.0, 0.0),
+    "rigid body in a fluid": (0.0, 3.0),
+    "undamped": (1.7, 0.0),
+    "light": (1.7, 0.01),
+    "just below critical": (2.0, 2 * np.sqrt(2.0) * (1 - 1e-9)),
+    "critical": (2.25, 3.0),
+    "overdamped": (0.5, 9.0),
+    "creeping": (1e-6, 40.0),
+    "fast": (1.6e5, 8.0),
+    "fast and overdamped": (400.0, 300.0),
+}
+
+
+@pytest.mark.parametrize("t", [1e-9, 1e-3, 0.3, 2.0, 9.0])
+@pytest.mark.parametrize("mode", MODES)
+def test_flow_is_that_of_the_matrix_exponential(mode: str, t: float) -> None:
+    k, d = MODES[mode]
+    h = 1.3 * t
+    # z, z', and the powers of the fraction of h, each the derivative of the next but for a factor.
+    matrix = np.zeros((2 + POWERS, 2 + POWERS))
+    matrix[0, 1], matrix[1, 0], matrix[1, 1] = 1.0, -k, -d
+    for m in range(1, POWERS):
+        matrix[2 + m, 1 + m] = m / h
+    for m in range(POWERS):
+        forced = matrix.copy()
+        forced[1, 2 + m] = 1.0
+        exact = expm(forced * t)
+        flow = weights(np.array(k), np.array(d), t, h, POWERS)
+        np.testing.assert_allclose(flow.q_force[m], exact[0, 2], rtol=1e-11, atol=1e-14 * min(t * t, 1.0))
+        np.testing.assert_allclose(flow.p_force[m], exact[1, 2], rtol=1e-11, atol=1e-14 * min(t, 1.0))
+        ours = [[flow.q_q, flow.q_p], [flow.p_q, flow.p_p]]
+        np.testing.assert_allclose(ours, exact[:2, :2], rtol=1e-10, atol=1e-12 * max(1.0, np.sqrt(k)))
