@@ -67,6 +67,9 @@ def march(
         The trajectories, and the number of transitions of each.
     """
     size = cycles.shape[0]
+    if method.one_by_one:
+        own = jax.tree.map(lambda leaf: leaf if leaf.ndim else jnp.broadcast_to(leaf, size), control)
+        return jax.lax.map(lambda lane: _march_alone(method, *lane), (own, dynamics, start, cycles))
     if size <= SIDE_BY_SIDE:
         return _march_together(method, control, dynamics, start, cycles)
     lanes = (jnp.arange(-(-size // SIDE_BY_SIDE) * SIDE_BY_SIDE) % size).reshape(-1, SIDE_BY_SIDE)
@@ -80,12 +83,27 @@ def march(
     return whole
 
 
+def _march_alone(
+    method: Method, control: Control, dynamics: Dynamics, start: Trajectory, cycles: Int[Array, ""]
+) -> tuple[Trajectory, Int[Array, ""]]:
+    dynamics = method.prepared(dynamics, control.longest)
+
+    def goes_on(carry: tuple[Trajectory, Array]) -> Array:
+        return (carry[0].cycle < cycles) & (carry[0].status == Status.RUNNING)
+
+    def body(carry: tuple[Trajectory, Array]) -> tuple[Trajectory, Array]:
+        now, step, accepted = try_step(method, control, dynamics, carry[0])
+        return now, carry[1] + accepted * (step.state != step.state_after).sum()
+
+    end: tuple[Trajectory, Array] = jax.lax.while_loop(goes_on, body, (start, jnp.zeros((), dtype=jnp.int64)))
+    return end
+
+
 def _march_together(
     method: Method, control: Control, dynamics: Dynamics, start: Trajectory, cycles: Int[Array, " batch"]
 ) -> tuple[Trajectory, Int[Array, " batch"]]:
     per_run = jax.tree.map(lambda leaf: -1 if leaf.ndim else None, control)
     dynamics, start = batch_last((dynamics, start))
-    dynamics = over_lanes(method.prepared, in_axes=(-1, per_run.longest))(dynamics, control.longest)
     attempt = partial(over_lanes(partial(try_step, method), in_axes=(per_run, -1, -1)), control, dynamics)
 
     def running(now: Trajectory) -> Array:

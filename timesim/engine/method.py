@@ -60,10 +60,13 @@ class Method(eqx.Module):
     Attributes:
         order: order of the solution that is carried on.
         integrates_work: whether the energies are part of the state that it advances.
+        one_by_one: whether of many trajectories each is advanced by itself: where a step has loops and branches of its
+            own, all of those side by side would take the longest of each.
     """
 
     order: eqx.AbstractVar[int]
     integrates_work: ClassVar[bool] = True
+    one_by_one: ClassVar[bool] = False
 
     @abc.abstractmethod
     def advance(
@@ -200,6 +203,7 @@ class Exponential(Method):
 
     num_nodes: int = eqx.field(static=True)
     integrates_work: ClassVar[bool] = False
+    one_by_one: ClassVar[bool] = True
 
     @property
     def order(self) -> int:

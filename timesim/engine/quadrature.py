@@ -6,17 +6,19 @@ dense output is not the polynomial through its ends is taken in parts for which 
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PyTree
 
 from timesim.engine import dense_output as hermite
 from timesim.engine.collocation import Steady, diagonals
 from timesim.engine.flow import weights
-from timesim.engine.law.contact_law import ContactLaw, Motion, Scalar, State
+from timesim.engine.law.contact_law import ContactLaw, Motion, Plane, Scalar
 from timesim.engine.step import Step
 from timesim.engine.system import Point, System, Work, power_lost
 
@@ -128,26 +130,26 @@ def _inside(system: System, own: Step, span: np.ndarray, *, powers: bool = False
     p = p + flow.p_q * z + flow.p_p * dz + sum(w * f for w, f in zip(flow.p_force, force, strict=True))
     power = (span / inside.h)[:, None] ** np.arange(len(force))
     inner = jax.tree.map(lambda c: np.einsum("np,npc->nc", power, c), inside.inner)
-    work = Work(np.zeros(len(q)), np.zeros(len(q)), np.zeros(own.state.shape)) if powers else None
-    columns = (own.state, own.time + span, Point(q, p, own.start.w, work), inner)
+    columns = (own.state, own.time + span, q, p, own.start.w, inner)
     found = []
     for first in range(0, len(q), ROWS):
         rows = jax.tree.map(lambda c: c[np.minimum(np.arange(first, first + ROWS), len(q) - 1)], columns)  # noqa: B023
-        found.append(jax.tree.map(np.asarray, _rates_inside(system, *rows)))
+        found.append(jax.tree.map(np.asarray, _rates_inside(system, powers, *rows)))
     joined: tuple[Point, Point] = jax.tree.map(lambda *rows: np.concatenate(rows)[: len(q)], *found)
     return joined
 
 
-@jax.jit
-def _rates_inside(system: System, state: State, time: Array, point: Point, inner: PyTree) -> tuple[Point, Point]:
-    """Points with their slip, and their rates."""
+@partial(jax.jit, static_argnums=1)
+def _rates_inside(system: System, powers: bool, *columns: Any) -> tuple[Point, Point]:
+    """Points with their slip, and their rates, with the powers or without."""
 
-    def one(state: Array, time: Array, point: Point, inner: PyTree) -> tuple[Point, Point]:
-        w = system.law.slip_inside(state, point.w, system.motion(point), inner)
-        here = eqx.tree_at(lambda y: y.w, point, w)
+    def one(state: Array, time: Array, q: Array, p: Array, w: Plane, inner: PyTree) -> tuple[Point, Point]:
+        work = Work(jnp.zeros(()), jnp.zeros(()), jnp.zeros(state.shape)) if powers else None
+        point = Point(q, p, w, work)
+        here = Point(q, p, system.law.slip_inside(state, w, system.motion(point), inner), work)
         return here, system.field(state, time, here)
 
-    done: tuple[Point, Point] = jax.vmap(one)(state, time, point, inner)
+    done: tuple[Point, Point] = jax.vmap(one)(*columns)
     return done
 
 

@@ -34,9 +34,10 @@ from timesim.engine.law.contact_law import ContinuousState, Dynamics, State
 from timesim.engine.law.rule import rule_of
 from timesim.engine.method import Method
 from timesim.engine.solver import Control, error_size, next_length
-from timesim.engine.tolerance import LANDING, NO_LOAD, NO_TIME, SHORTEST, TOGETHER
+from timesim.engine.tolerance import LANDING, NO_LOAD, NO_TIME, SHORTEST, TOGETHER, VIOLATED
 
 PERIOD = 2 * jnp.pi
+SHORTER = 0.9  # share of a cut step that ends beyond a guard
 UNSOLVED = 10.0  # error over its tolerance of a step whose equations are not solved
 MOST_REPEATS = 100  # transitions in a row with no time between them: more are an accumulation
 
@@ -258,7 +259,11 @@ def landed(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, 
     """Follow the margins over a step: the first crossing inside, else the transitions that are due at its end."""
     margin, slope = end_margins(dynamics, now.state, trial.part)
     to_zero, due = arriving(margin, slope, h, last, LANDING / control.stiffest)
-    crossing = first_crossing(dynamics, now.state, trial.part, margin, slope, due)
+    if trial.inside is None:
+        crossing = first_crossing(dynamics, now.state, trial.part, margin, slope, due)
+    else:  # It was cut at the first crossing; where its end is beyond one after all, a little less is taken of it.
+        beyond = [(m < -VIOLATED) & ~d for m, d in zip(margin, due, strict=True)]
+        crossing = jnp.where((beyond[0] | beyond[1]).any(), SHORTER, NONE)
     accepted = trial.precise & (crossing >= NONE)
     on_guard = accepted & (due[0] | due[1]).any()
     soonest = [jnp.where(d, t, jnp.inf).min(initial=jnp.inf) for d, t in zip(due, to_zero, strict=True)]

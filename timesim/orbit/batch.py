@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from timesim.engine.lanes import advance_lanes, batch_first, batch_last, over_lanes
 from timesim.engine.method import Method, step_method
@@ -44,8 +44,9 @@ def march_cycles(
     Returns:
         the trajectories, and `state_vector` at the end of each cycle, 0 for cycles not reached; batch first.
     """
+    if method.one_by_one:
+        return jax.lax.map(partial(_march_alone, method, num_cycles), (controls, systems, starts))
     controls, systems, starts = batch_last((controls, systems, starts))
-    systems = over_lanes(method.prepared)(systems, controls.longest)
     now = over_lanes(begin)(systems, starts.point, starts.state, controls.opening)
     attempt = partial(over_lanes(partial(try_step, method)), controls, systems)
     vectors = over_lanes(lambda now: state_vector(now.point, now.state))
@@ -58,6 +59,26 @@ def march_cycles(
     returns = jnp.zeros((num_cycles, *vectors(now).shape))
     end, returns = advance_lanes(attempt, partial(_unfinished, cycles=num_cycles), now, returns, keep)
     return batch_first(end), jnp.moveaxis(returns, -1, 0)
+
+
+def _march_alone(
+    method: Method, num_cycles: int, lane: tuple[Control, System, HybridState]
+) -> tuple[Trajectory, Float[Array, "cycle state"]]:
+    """`march_cycles` of one of a batch."""
+    control, system, start = lane
+    system = method.prepared(system, control.longest)
+    begun = begin(system, start.point, start.state, control.opening)
+    row = jnp.arange(num_cycles)
+
+    def body(carry: tuple[Trajectory, Array]) -> tuple[Trajectory, Array]:
+        before, returns = carry
+        now = try_step(method, control, system, before)[0]
+        ended = (row == before.cycle) & (now.cycle > before.cycle)
+        return now, jnp.where(ended[:, None], state_vector(now.point, now.state), returns)
+
+    none = jnp.zeros((num_cycles, state_vector(begun.point, begun.state).size))
+    end: tuple[Trajectory, Array] = jax.lax.while_loop(lambda c: _unfinished(c[0], num_cycles), body, (begun, none))
+    return end
 
 
 @eqx.filter_jit
@@ -76,8 +97,10 @@ def record_cycles(
     Returns:
         the trajectories, batch first, and the tries.
     """
+    if method.one_by_one:
+        ends, *rows, counts = jax.lax.map(partial(_record_alone, method, capacity), (controls, systems, now, cycles))
+        return ends, Tries(*batch_last(rows), counts.max())
     controls, systems, now = batch_last((controls, systems, now))
-    systems = over_lanes(method.prepared)(systems, controls.longest)
     rate = over_lanes(System.field)(systems, now.state, now.time, now.point)
     now = eqx.tree_at(lambda t: t.rate, now, rate)
     attempt = partial(over_lanes(partial(try_step, method)), controls, systems)
@@ -93,6 +116,32 @@ def record_cycles(
     running = partial(_unfinished, cycles=cycles)
     end, tries = advance_lanes(attempt, running, now, none, keep, lambda tries: tries.count < capacity)
     return batch_first(end), tries
+
+
+def _record_alone(
+    method: Method, capacity: int, lane: tuple[Control, System, Trajectory, Int[Array, ""]]
+) -> tuple[Trajectory, Step, Bool[Array, " try"], Int[Array, ""]]:
+    """`record_cycles` of one of a batch."""
+    control, system, now, cycles = lane
+    system = method.prepared(system, control.longest)
+    now = eqx.tree_at(lambda t: t.rate, now, system.field(now.state, now.time, now.point))
+    blank = jax.eval_shape(partial(try_step, method, control, system), now)[1]
+    rows = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), blank)
+
+    def goes_on(carry: tuple) -> Array:
+        now, *_, count = carry
+        room: Array = count < capacity
+        return _unfinished(now, cycles) & room
+
+    def body(carry: tuple) -> tuple:
+        now, rows, taken, count = carry
+        now, step, accepted = try_step(method, control, system, now)
+        rows = jax.tree.map(lambda rows, row: rows.at[count].set(row), rows, step)
+        return now, rows, taken.at[count].set(accepted), count + 1
+
+    none = (now, rows, jnp.zeros(capacity, dtype=bool), jnp.zeros((), dtype=jnp.int64))
+    end: tuple[Trajectory, Step, Array, Array] = jax.lax.while_loop(goes_on, body, none)
+    return end
 
 
 def march(

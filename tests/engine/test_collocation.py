@@ -1,0 +1,117 @@
+"""Exponential collocation: against Runge-Kutta, closed forms, and itself; its order, energies and transitions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulation import REFERENCE, relative_error, simulate
+from systems import at_rest, excitation, generated_models, pad, structure
+
+from timesim.engine.law.rule import rule_of
+from timesim.engine.method import Exponential, step_method
+from timesim.model.model import Model
+from timesim.model.solver import Criterion, Solver
+from timesim.orbit.settling import Chain, steady_states
+
+LOOSE, THREE_NODES, FINE, FINEST = (Solver("exponential", rtol, 1e-2 * rtol) for rtol in (1e-4, 2e-7, 1e-7, 1e-10))
+
+COUPLED = "seed0-3modes-2contacts"
+"""Full K_u, and a damping matrix that the modes do not diagonalise."""
+
+
+def test_rule_integrates_and_differentiates_its_polynomials() -> None:
+    for num in (1, 3, 5):
+        rule = rule_of(num)
+        x, powers = rule.nodes, np.arange(num + 1)
+        values = x[:, None] ** powers
+        np.testing.assert_allclose(rule.monomials @ values, np.eye(num + 1), atol=1e-10)
+        np.testing.assert_allclose(rule.slopes @ values, powers * x[1:, None] ** np.maximum(powers - 1, 0), atol=1e-10)
+        lower = np.arange(num)
+        np.testing.assert_allclose(rule.integrals @ x[1:, None] ** lower, x[1:, None] ** (lower + 1) / (lower + 1))
+        # Radau's rule is exact up to degree 2 s - 2.
+        high = np.arange(2 * num - 1)
+        np.testing.assert_allclose(rule.integrals[-1] @ x[1:, None] ** high, 1 / (high + 1), rtol=1e-12)
+
+
+def test_more_nodes_where_more_is_asked() -> None:
+    nodes = [step_method(Solver("exponential", rtol, rtol)) for rtol in (1e-4, 1e-10)]
+    assert [method.num_nodes for method in nodes if isinstance(method, Exponential)] == [3, 5]
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [LOOSE, pytest.param(FINE, marks=pytest.mark.slow), pytest.param(FINEST, marks=pytest.mark.slow)],
+    ids=["loose", "fine", "finest"],
+)
+def test_a_generated_model_with_coupled_modes(solver: Solver) -> None:
+    model = generated_models()[COUPLED]
+    assert model.structure.damping.ndim == 2
+    true, trace = simulate(model, 12, REFERENCE), simulate(model, 12, solver)
+    assert trace.sequence == true.sequence
+    assert len(trace.sequence) > 50
+    error = relative_error(trace.motion, true.motion)
+    print(f"{solver}: error {error:.1e}, energy residual {trace.energy_residual:.1e}, {trace.num_steps} parts")
+    assert error < 10 * solver.rtol
+    assert trace.energy_residual < 10 * solver.rtol
+    np.testing.assert_allclose(trace.log.time, true.log.time, rtol=0, atol=100 * solver.rtol)
+    assert relative_error(trace.amplitude, true.amplitude) < 10 * solver.rtol
+    work = [np.array(t.totals.work) for t in (trace, true)]
+    assert relative_error(*work) < 100 * solver.rtol
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-5])
+def test_resonance_without_contacts(damping: float) -> None:
+    """Excited at its natural frequency from rest: t sin(t) / 2 without damping, which has no steady motion."""
+    free = Model(
+        structure([1.0], [damping], [[1.0, 0.0, 0.0]]), (), excitation(1 / (2 * np.pi), [1.0], [0.0]), at_rest(1, 0)
+    )
+    trace = simulate(free, 5, THREE_NODES)
+    t = 10 * np.pi
+    decay = np.exp(-0.5 * damping * t)
+    turn = np.sqrt(1 - 0.25 * damping**2)
+    if damping == 0:
+        expected = [0.5 * t * np.sin(t), 0.5 * (np.sin(t) + t * np.cos(t))]
+    else:
+        # x = (sin t - exp(-d t / 2) sin(turn t) / turn) / d
+        sine, cosine = np.sin(turn * t), np.cos(turn * t)
+        expected = [(np.sin(t) - decay * sine / turn) / damping]
+        expected.append((np.cos(t) - decay * (cosine - 0.5 * damping * sine / turn)) / damping)
+    np.testing.assert_allclose(trace.motion, expected, atol=2e-7)
+    assert trace.energy_residual < 1e-7
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "damping"),
+    [([0.0, 4.0, 9.0], [0.0, 0.02, 30.0]), ([0.0, 4.0, 9.0], [0.3, 4.0, 6.0]), ([1.0, 1e4, 1e6], [0.02, 0.5, 10.0])],
+    ids=["free and overdamped", "critically damped", "fast"],
+)
+def test_modes_of_any_kind(stiffness: list[float], damping: list[float]) -> None:
+    body = structure(stiffness, damping, [[1.0, 0.2, 0.5], [0.3, 1.0, 0.4], [0.2, -0.3, 1.0]])
+    contact = pad(0.4, 3.0, 3.0, 0.4)
+    force = excitation(0.6 / (2 * np.pi), [0.5, 1.0, 0.7], [0.2, 0.0, 0.3])
+    model = Model(body, (contact,), force, at_rest(3, 1))
+    true, trace = (
+        simulate(model, 3, replace(REFERENCE, reduce=False)),
+        simulate(model, 3, replace(THREE_NODES, reduce=False)),
+    )
+    assert trace.sequence == true.sequence
+    assert len(trace.sequence) > 4
+    assert relative_error(trace.run.displacement, true.run.displacement) < 1e-7
+    assert trace.energy_residual < 1e-6
+
+
+def settled(model: Model, frequency: float, solver: Solver) -> tuple:
+    ((orbit,),) = steady_states([Chain(model, (frequency,))], solver, Criterion())
+    return orbit, orbit.amplitude, orbit.slip_share, np.abs(orbit.floquet[:2])
+
+
+@pytest.mark.slow
+def test_steady_states_and_their_multipliers_are_those_of_runge_kutta() -> None:
+    model = generated_models()["seed2-2modes-1contacts"]
+    frequency = model.excitation.frequency
+    assert frequency is not None
+    (orbit, *ours), (_, *theirs) = (settled(model, frequency, s) for s in (FINE, Solver("tsit5", 1e-8, 1e-10)))
+    assert orbit.settled
+    assert 0.05 < orbit.slip_share[0] < 0.95
+    for own, other in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(own, other, rtol=1e-5, atol=1e-7)
