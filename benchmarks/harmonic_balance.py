@@ -25,7 +25,7 @@ from scipy.interpolate import CubicSpline
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, follow
 from timesim.hbm.curve import evaluated, hbm_curve, peak, solutions_at
-from timesim.hbm.scheme import Scheme
+from timesim.hbm.scheme import Scheme, enough_samples
 from timesim.model.model import GROUND, Contact, Excitation, Model, Start, Structure
 from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.settling import Chain, steady_states
@@ -53,6 +53,11 @@ def chain(num_modes: int, num_contacts: int) -> Model:
     load = Excitation(None, np.array([1]), force, np.zeros_like(force), np.zeros(num_modes))
     rest = Start(np.zeros(num_modes), np.zeros(num_modes), np.zeros((num_contacts, 2)), np.full(num_contacts, -1))
     return Model(body, contacts, load, rest)
+
+
+def by_default(harmonics: int) -> Scheme:
+    """The number of samples that a scene has where it gives none."""
+    return Scheme(harmonics, enough_samples(harmonics))
 
 
 def seconds(model: Model, scheme: Scheme, controls: Controls, repeats: int) -> tuple[int, float, float, float]:
@@ -99,11 +104,11 @@ def growth(repeats: int) -> dict[str, list[tuple[int, float]]]:
         found[kind].append((number, 1e3 * floquet / points))
 
     for harmonics in (1, 3, 5, 9, 15, 21):
-        add("harmonics", harmonics, f"50 modes, 5 contacts, H = {harmonics}", chain(50, 5), Scheme(harmonics, 1024))
+        add("harmonics", harmonics, f"50 modes, 5 contacts, H = {harmonics}", chain(50, 5), by_default(harmonics))
     for count in (1, 2, 3, 8):
-        add("contacts", count, f"50 modes, {count} contacts, H = 9", chain(50, count), Scheme(9, 1024))
+        add("contacts", count, f"50 modes, {count} contacts, H = 9", chain(50, count), by_default(9))
     for count in (3, 12, 50):
-        add("modes", count, f"{count} modes, 1 contact, H = 9", chain(count, 1), Scheme(9, 1024))
+        add("modes", count, f"{count} modes, 1 contact, H = 9", chain(count, 1), by_default(9))
     return found
 
 
@@ -156,7 +161,7 @@ def peaks() -> None:
     """Largest amplitude of tip x from 0.8 to 1.65 Hz with 15 harmonics, and settled, both from 9 points about it."""
     print("| n0 | harmonic balance | at [Hz] | time integration | at [Hz] | difference | share in slip or separation |")
     print("|---|---|---|---|---|---|---|")
-    scheme = Scheme(15, 1024)
+    scheme = by_default(15)
     for preload in PRELOADS:
         model = oscillator(preload)
         curve = hbm_curve(model, 1.65, 0.8, scheme=scheme, stability=False)
@@ -176,15 +181,15 @@ def folds() -> None:
     for harmonics in (1, 3, 9, 15):
         cells = []
         for preload, span in ((-4.0, (1.0, 0.92)), (2.0, (1.32, 1.2))):
-            curve = hbm_curve(oscillator(preload), *span, scheme=Scheme(harmonics, 1024), stability=False)
+            curve = hbm_curve(oscillator(preload), *span, scheme=by_default(harmonics), stability=False)
             turning = np.sort(curve.frequency[curve.fold])
             cells += [f"{place:.6f}" for place in turning] if turning.size == 2 else [f"{turning.size} folds", ""]
         print(f"| {harmonics} | {' | '.join(cells)} |", flush=True)
 
 
 def beside_pyharm(python: str) -> None:
-    """A curve at n0 = 3, 9 harmonics and 512 samples, by both; errors against settled time integration."""
-    preload, span, scheme = 3.0, (0.8, 1.65), Scheme(9, 512)
+    """A curve at n0 = 3, 9 harmonics, by both; errors against settled time integration. pyHarm has 512 samples."""
+    preload, span, scheme, samples = 3.0, (0.8, 1.65), by_default(9), 512
     model, script = oscillator(preload), Path(__file__).parent / "opponent_pyharm.py"
     at = np.round(np.arange(1.32, 1.65, 0.01), 10)
     exact, share = settled(model, at)
@@ -203,7 +208,7 @@ def beside_pyharm(python: str) -> None:
 
     for step in (1.0, 0.2, 0.05):
         call = [python, str(script.resolve()), "--step", str(step), "--harmonics", str(scheme.harmonics)]
-        call += ["--samples", str(scheme.time_samples), "--preload", str(preload)]
+        call += ["--samples", str(samples), "--preload", str(preload)]
         with TemporaryDirectory() as folder:  # it leaves a folder of its own where it runs
             done = subprocess.run(call, capture_output=True, text=True, check=True, cwd=folder)
         said = json.loads(done.stdout.splitlines()[-1])
@@ -240,7 +245,7 @@ def main() -> None:
         "|---|---|---|---|---|---|"
     )
     fine = replace(Controls(), first_step=0.005, max_step=0.022)
-    row("3 modes, 3 contacts, H = 7, N = 1024", chain(3, 3), Scheme(7, 1024), fine, options.repeats)
+    row("3 modes, 3 contacts, H = 7", chain(3, 3), by_default(7), fine, options.repeats)
     if not options.quick:
         found = growth(options.repeats)
         if options.picture:

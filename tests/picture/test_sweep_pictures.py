@@ -14,6 +14,7 @@ from timesim.picture import style
 from timesim.picture import sweep as plot_sweep
 from timesim.picture.choice import MAX_CURVES, main_axes
 from timesim.picture.draw import make_logarithmic
+from timesim.picture.response import PAIRED
 from timesim.result.dataset import dataset
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES
 from timesim.study import registry as plot
@@ -136,6 +137,14 @@ def test_without_further_axes_the_directions_have_colours() -> None:
     assert [line.get_color() for line in _lines(ax, "_")] == [style.BLUE, style.VERMILION]
     plot_sweep.legend([ax], data)
     assert _legend(ax) == ["up", "down"]
+
+
+def test_up_and_down_do_not_cover_each_other_where_neither_has_settled() -> None:
+    data = sweep(directions=("up", "down"))
+    data["settled"][:] = 0
+    up, down = _lines(plot_sweep.response(data), "not settled")
+    assert up.get_xdata().tolist() == down.get_xdata().tolist()
+    assert (up.get_marker(), down.get_marker()) == (PAIRED["up"], PAIRED["down"])
 
 
 def test_what_is_not_settled_is_hollow_and_what_failed_is_marked() -> None:

@@ -128,6 +128,7 @@ class Known(Peaks):
             shape = (2, self.frequency.size)
             self.results[value] = blank_columns(self.scene.model(), *shape) | {
                 "peak": np.array(self.formula(value)), "peak_at_end": np.array(0), "peak_settled": np.array(1),
+                "peak_irregular": np.array(0),
                 "peak_frequency": np.array(1.0), "cycles": np.zeros(shape, int), "settled": np.ones(shape, bool),
                 "amplitude": np.full((*shape, 1, 3), self.formula(value)),
                 "reason": np.full(shape, "it broke" if np.isnan(self.formula(value)) else ""),
@@ -161,6 +162,23 @@ def test_a_value_without_a_motion_is_named():
     lines = list(optimum_lines(data_of(peaks).assign_attrs(complete=0), 1e-3))
     assert any("least peak 0.25" in line for line in lines)
     assert not any("not smaller" in line for line in lines)
+
+
+def test_the_kind_of_a_motion_without_a_period_is_named():
+    """Of the least peak, and of the points of the sweeps."""
+    peaks = Known(lambda value: (value - 3) ** 2)
+    peaks.first()
+    peaks.search()
+    peaks.results[3.0]["settled"][0, 2:4], peaks.results[3.0]["irregular"][0, 2] = False, 1
+    for settled, irregular, said in ((1, 0, None), (0, 0, "its motion had not settled"), (0, 1, "its motion does not")):
+        peaks.results[3.0] |= {"peak_settled": np.array(settled), "peak_irregular": np.array(irregular)}
+        lines = list(optimum_lines(data_of(peaks).assign_attrs(complete=1), 1e-3))
+        of_peak = [line for line in lines if line.startswith("its motion")]
+        assert len(of_peak) == (said is not None)
+        assert all(line.startswith(said) for line in of_peak)
+        points = [line for line in lines if f"{KEY} 3, direction up: at 1.1" in line]
+        assert "1 points do not repeat" in points[0]
+        assert "1 points did not settle" in points[1]
 
 
 def test_the_size_of_a_response():

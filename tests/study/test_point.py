@@ -1,6 +1,7 @@
 """A point of a sweep again: the motion that the result knows the amplitude of, and what is refused."""
 
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -65,8 +66,14 @@ def test_the_command_prints_a_table_and_draws(folder: Path):
 
 
 def test_a_point_goes_with_the_run_that_it_was_of(tmp_path: Path):
-    (tmp_path / "show" / "frequency=1").mkdir(parents=True)
-    (tmp_path / "result.nc").touch()
+    point, own = tmp_path / "show" / "frequency=1", tmp_path / "show" / "own"
+    for name in (point / "result.nc", own / "thesis.tex", tmp_path / "result.nc"):
+        name.parent.mkdir(parents=True, exist_ok=True)
+        name.touch()
+    prepare_folder(tmp_path, "scene", overwrite=True)
+    assert not point.exists()
+    assert (own / "thesis.tex").exists()
+    shutil.rmtree(own)
     prepare_folder(tmp_path, "scene", overwrite=True)
     assert not (tmp_path / "show").exists()
 

@@ -193,7 +193,7 @@ def _overlay_figure(data: "DataTree") -> "Figure":
 
 def _difference_figure(data: "DataTree") -> "Figure | None":
     hbm, _ = _groups(data)
-    if not hbm.sizes["solution"]:
+    if not np.isfinite(np.asarray(data["relative_difference"])).any():
         return None
     shares = ("slip", "separation") if hbm.sizes["contact"] else ()
     fig, axs = stacked(1 + len(shares), 2.2)

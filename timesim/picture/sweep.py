@@ -15,7 +15,7 @@ import numpy as np
 
 from timesim.picture import response as shared
 from timesim.picture.choice import MAX_CURVES, left_out, motion, spread
-from timesim.picture.response import DIRECTIONS, amplitude_label, axis_label, values_label
+from timesim.picture.response import DIRECTIONS, PAIRED, amplitude_label, axis_label, values_label
 from timesim.picture.style import (
     NEUTRAL,
     SERIES,
@@ -228,7 +228,8 @@ def _curve(
     ax.plot(x, y, linestyle=style.line, ms=3.5, markevery=np.flatnonzero(filled).tolist(), **look)
     hollow = hollow & np.isfinite(y)
     if hollow.any():
-        look |= {"label": meaning, "fillstyle": "none"}
+        paired = {marker: PAIRED[direction] for direction, marker in DIRECTIONS.items()}
+        look |= {"label": meaning, "fillstyle": "none", "marker": paired.get(style.marker, style.marker)}
         ax.plot(x[hollow], y[hollow], linestyle="", ms=6, **look)
 
 

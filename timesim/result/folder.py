@@ -101,11 +101,19 @@ def prepare_folder(
         try:
             for name in stale:
                 (folder / name).unlink(missing_ok=True)
-            if (folder / SHOW_NAME).exists():
-                shutil.rmtree(folder / SHOW_NAME)
+            _remove_shown(folder / SHOW_NAME)
         except OSError as error:
             raise StoreError(f"pictures in {folder} cannot be removed: {error.strerror or error}") from error
     write_whole(target, scene.encode())
+
+
+def _remove_shown(folder: Path) -> None:
+    """Remove the points of a sweep that were shown, and nothing else that is in their folder."""
+    for point in folder.iterdir() if folder.is_dir() else ():
+        if (point / RESULT_NAME).exists():
+            shutil.rmtree(point)
+    with suppress(OSError):  # there is none, or it holds something else
+        folder.rmdir()
 
 
 def _check_scene_file(target: Path, scene: str, overwrite: bool, source: Path | None) -> None:

@@ -116,19 +116,11 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     )
     faults = [f"{name}: {why}" for name, why in (("sweep", sweep_reason), ("hbm", hbm_reason)) if why]
     reason = "; ".join(faults) or None
-    amplitude = sweep["amplitude"]
     phases["comparison"](0, 1, "comparison of the methods")
-    match = matched(amplitude.values.reshape(-1, *amplitude.shape[-4:]), sweep["frequency"].values, curves)
-    points = compared_points(sweep, hbm, match.difference)
-    lines = [*jump_lines(sweep), *comparison_lines(points)]
-    groups = {"sweep": sweep, "hbm": hbm}
-    if points.worst is not None and reason is None:
-        try:
-            groups["cycle"] = cycle_by_both(scene, curves, match, points.worst)
-        except NotSettledError as error:
-            lines.append(f"no cycle is shown by both methods: {error}")
+    difference, compared, cycle, interrupted = _compared(scene, sweep, hbm, curves, whole=reason is None)
+    lines, groups, reason = [*jump_lines(sweep), *compared], {"sweep": sweep, "hbm": hbm} | cycle, reason or interrupted
     lines.append(
-        f"time integration: {points.settled.size} points in {seconds:.2f} s; harmonic balance: "
+        f"time integration: {sweep['settled'].size} points in {seconds:.2f} s; harmonic balance: "
         f"{hbm.sizes['solution']} solutions in {hbm.attrs['run_seconds']:.2f} s"
     )
     attrs = attributes(
@@ -138,10 +130,33 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         seconds + hbm.attrs["run_seconds"],
         reason,
     )
-    variables = {"relative_difference": (tuple(map(str, amplitude.dims)), match.difference.reshape(amplitude.shape))}
+    variables = {"relative_difference": (tuple(map(str, sweep["amplitude"].dims)), difference)}
     coords = {name: sweep[name].values for name in ("direction", "point", "axis")}
     root = dataset(variables, coords, attrs | {"verdict": "\n".join(lines)})
     return Outcome({"": root, **groups}, reason, (*curve_lines(hbm, curves.notes), *lines))
+
+
+def _compared(
+    scene: Scene, sweep: Dataset, hbm: Dataset, curves: Curves, *, whole: bool
+) -> tuple[np.ndarray, list[str], dict[str, Dataset], str | None]:
+    """The difference of the methods on the axes of the sweep's amplitude, what it says, and a cycle by both of them.
+
+    The last entry is why a part of it is missing; None if none is.
+    """
+    amplitude, lines, cycle = sweep["amplitude"].values, list[str](), dict[str, Dataset]()
+    difference = np.full_like(amplitude, np.nan)
+    try:
+        match = matched(amplitude.reshape(-1, *amplitude.shape[-4:]), sweep["frequency"].values, curves)
+        difference = match.difference.reshape(amplitude.shape)
+        points = compared_points(sweep, hbm, match.difference)
+        lines += comparison_lines(points)
+        if points.worst is not None and whole:
+            cycle["cycle"] = cycle_by_both(scene, curves, match, points.worst)
+    except NotSettledError as error:
+        lines.append(f"no cycle is shown by both methods: {error}")
+    except KeyboardInterrupt:
+        return difference, lines, cycle, f"{INTERRUPTED} while the methods were compared"
+    return difference, lines, cycle, None
 
 
 class NotSettledError(Exception):

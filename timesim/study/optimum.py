@@ -34,6 +34,9 @@ TIE = 1e-7  # of a peak: smaller differences are those of the time integration
 CHECKS = 6  # times that a smaller peak beside the optimum is followed
 
 
+# The largest amplitude of a value, its frequency [Hz], whether that is an end of the sweep, and the kind of its motion.
+PEAK = ("peak", "peak_frequency", "peak_at_end", "peak_settled", "peak_irregular")
+
 FIRST, SEARCH = "values of the range", "search for the least"  # phases of the progress
 
 
@@ -67,42 +70,43 @@ def respond(response: Response, before: Result | None) -> Result:
     orbits = steady_states(chains, response.solver, response.criterion, halted=point_done)
     orbits[1] = orbits[1][::-1]
     columns = columns_of(orbits)
-    height, frequency, at_end, settled = _peak(response, orbits)
-    peak = {"peak": height, "peak_frequency": frequency, "peak_at_end": int(at_end), "peak_settled": int(settled)}
-    return columns | {name: np.array(value) for name, value in peak.items()}
+    height, frequency, *kinds = _peak(response, orbits)
+    peak = (height, frequency, *map(int, kinds))
+    return columns | {name: np.array(value) for name, value in zip(PEAK, peak, strict=True)}
 
 
-def _peak(response: Response, orbits: list[list[Orbit]]) -> tuple[float, float, bool, bool]:
-    """Height and frequency of the largest amplitude, whether it is at an end of the sweep, and whether it settled."""
+def _peak(response: Response, orbits: list[list[Orbit]]) -> tuple[float, float, bool, bool, bool]:
+    """The largest amplitude, by the names of `PEAK`."""
     size = np.array([[response.size(orbit) for orbit in own] for own in orbits])
     if not np.isfinite(size).any():
-        return np.nan, np.nan, False, False
+        return np.nan, np.nan, False, False, False
     known = np.where(np.isfinite(size), size, -np.inf)
-    best = (-np.inf, np.nan, False, False)
+    best = (-np.inf, np.nan, False, False, False)
     last = size.shape[1] - 1
     for d, i in np.argwhere(known >= NEARLY * known.max()).tolist():
         if known[d, i] < known[d, max(i - 1, 0) : i + 2].max():
             continue
         frequency, at_end = response.frequencies[i], last > 0 and i in (0, last)
-        best = max(best, (size[d, i], frequency, at_end, orbits[d][i].settled))
+        best = max(best, (size[d, i], frequency, at_end, orbits[d][i].settled, orbits[d][i].irregular))
         if d == 1 and np.isclose(size[0, i], size[1, i], rtol=1e-6):
             continue
         if 0 < i < last:
-            best = max(best, (*_refined(response, orbits[d][i], i), False, orbits[d][i].settled))
+            best = max(best, _refined(response, orbits[d][i], i))
     return best
 
 
-def _refined(response: Response, orbit: Orbit, i: int) -> tuple[float, float]:
-    """Height and frequency of the peak between the neighbours of a point of the sweep, its motion carried along."""
+def _refined(response: Response, orbit: Orbit, i: int) -> tuple[float, float, bool, bool, bool]:
+    """The peak between the neighbours of a point of the sweep, its motion carried along, by the names of `PEAK`."""
     low, high = response.frequencies[i - 1], response.frequencies[i + 1]
     model = replace(response.model, start=orbit.end)
-    seen: list[tuple[float, float]] = []
+    seen: list[tuple[float, float, bool, bool, bool]] = []
 
     def fall(frequency: float) -> float:
         chain = Chain(model, (float(frequency),))
         ((there,),) = steady_states([chain], response.solver, response.criterion, halted=point_done)
         size = response.size(there)
-        seen.append((size if np.isfinite(size) else -np.inf, float(frequency)))
+        known = size if np.isfinite(size) else -np.inf
+        seen.append((known, float(frequency), False, there.settled, there.irregular))
         return -seen[-1][0]
 
     minimize_scalar(fall, bounds=(low, high), method="bounded", options={"xatol": FINE * (high - low) / 2})
@@ -249,16 +253,14 @@ def data_of(peaks: Peaks) -> Dataset:
     best = peaks.results.get(least, {})
     variables: Variables = {
         **variables_of(columns, grid),
-        **{
-            name: ((key,), np.array([peaks.results[value][name] for value in values]))
-            for name in ("peak", "peak_frequency", "peak_at_end", "peak_settled")
-        },
+        **{name: ((key,), np.array([peaks.results[value][name] for value in values])) for name in PEAK},
         "optimum": ((), np.array(least)),
         "optimum_peak": ((), np.array(best.get("peak", np.nan))),
         "optimum_frequency": ((), np.array(best.get("peak_frequency", np.nan))),
         "final_phase_deg": ((), np.array(np.rad2deg(model.start.phase) % 360)),
     }
     coords = {key: np.array(values), "direction": np.array(["up", "down"]), "frequency": peaks.frequency}
-    data = dataset(variables, coords, unit_names(peaks.scene), model)
+    attrs = unit_names(peaks.scene) | {"settle_tolerance": peaks.plan.criterion.tolerance}
+    data = dataset(variables, coords, attrs, model)
     data["optimum"].attrs |= {name: text for name, text in data[key].attrs.items() if name == "units"}
     return data

@@ -254,5 +254,8 @@ def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
         yield f"it is at an end of the range of {key}, so beyond it the peak may be smaller still"
     if data["peak_at_end"].values[at]:
         yield "its peak is at an end of frequency, so beyond it the response may be larger"
-    if not data["peak_settled"].values[at]:
+    if data["peak_irregular"].values[at]:
+        yield f"its motion does not repeat after up to {LONGEST} cycles: it is quasi-periodic or irregular"
+    elif not data["peak_settled"].values[at]:
         yield "its motion had not settled in settle.max_cycles"
+    yield from unusual_lines(data)
