@@ -385,6 +385,9 @@ def test_a_sample_has_the_state_of_its_step() -> None:
     steps = next(iter(Run(oscillator(3.0, 1.39), [Phase(1.39, 3)], FINE).batches()))
     assert np.any(steps.state != steps.state_after)
     np.testing.assert_array_equal(sample(steps, steps.time + 0.5 * steps.h).state, steps.state)
+    at = np.flatnonzero(np.any(steps.state[1:] != steps.state[:-1], axis=1)) + 1
+    np.testing.assert_array_equal(sample(steps, steps.time[at]).state, steps.state[at])
+    np.testing.assert_array_equal(sample(steps, steps.time[at]).state, steps.state_after[at - 1])
 
 
 def test_no_finite_state() -> None:

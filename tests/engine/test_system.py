@@ -5,11 +5,12 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from systems import generated_model
+from systems import excitation as modal_force
+from systems import generated_model, pad, structure
 
 from timesim.engine.system import Point, Work, excitation, system_of
 from timesim.engine.trajectory import Frame
-from timesim.model.model import SLIP
+from timesim.model.model import SEPARATION, SLIP, Model, Start
 from timesim.model.reduction import reduction_of
 from timesim.model.scales import scales_of
 
@@ -43,6 +44,22 @@ def test_the_power_of_each_force_is_its_own():
     assert float(power.damping) == pytest.approx(p @ np.asarray(system.damping) @ p, rel=1e-12)
     rubbing = np.sum([np.asarray(f) * np.asarray(dw) for f, dw in zip(acts.f, acts.dw, strict=True)], axis=0)
     np.testing.assert_allclose(power.friction, rubbing, rtol=1e-12)
+
+
+def test_a_contact_that_is_proven_open_gives_its_preload_to_the_structure():
+    """Left out, it acts as one that is there and apart: the preload that the structure carries at rest is missing."""
+    body = structure([1.0], [0.02], [[0, 0, 1]])
+    start = Start(np.array([-9.0]), np.zeros(1), np.zeros((1, 2)), np.array([-1]))
+    model = Model(body, (pad(0.5, 1.0, 2.0, 1.0),), modal_force(0.3, [0.0], [0.0], [-6.0]), start)
+    reduction = reduction_of(model, [0.3])
+    assert (reduction.apart.tolist(), reduction.live.size) == ([0], 0)
+    q, p, time = jnp.asarray([-0.7]), jnp.asarray([0.2]), jnp.asarray(0.4)
+    rates = []
+    for system, w in ((system_of(model, 0.3), jnp.zeros(1)), (system_of(model, 0.3, 0.0, reduction), jnp.zeros(0))):
+        state = jnp.full(w.shape, SEPARATION)
+        rates.append(system.field(state, time, Point(q, p, (w, w)[: len(system.shape) - 1], None)).p)
+    np.testing.assert_allclose(rates[1], rates[0], rtol=1e-13)
+    assert np.abs(rates[0]).min() > 0.1
 
 
 def test_friction_losses_stand_under_their_contacts():

@@ -1,5 +1,6 @@
 """Two methods on one scene: the study that sets them side by side, and what it shows of the paper's oscillator."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -139,12 +140,15 @@ def test_a_stop_is_closed_where_others_slip():
     assert any("a contact 0.00 of the cycle in slip" in line for line in lines_on(1e-4, friction=np.zeros(1)))
 
 
-def lines_on(difference: float, missing: int = 0, **changes: np.ndarray) -> list[str]:
+def lines_on(
+    difference: float | np.ndarray, missing: int = 0, folds: Sequence[tuple[float, float]] = (), **changes: np.ndarray
+) -> list[str]:
     """Lines on motions along x in which a contact slips and opens, the balance off by a share of each amplitude.
 
     Args:
         difference: of the methods.
         missing: points without a solution of the balance.
+        folds: preload and frequency of each.
         changes: variables of the sweep.
     """
     dims = ("contacts.pad.preload", "direction", "frequency")
@@ -159,9 +163,11 @@ def lines_on(difference: float, missing: int = 0, **changes: np.ndarray) -> list
         "frequency": [1.0, 2.0, 3.0],
     }
     coords["friction"] = ("contact", friction)
-    hbm = {name: (("solution",), np.zeros(0)) for name in ("fold", "frequency", "contacts.pad.preload")}
+    at = np.array(folds).reshape(-1, 2)
+    columns = {"fold": np.ones(len(at)), "contacts.pad.preload": at[:, 0], "frequency": at[:, 1]}
+    hbm = {name: (("solution",), column) for name, column in columns.items()}
     off = np.full((*SHAPE, 1, 3), np.nan)
-    off[..., 0] = difference
+    off[..., 0] = np.asarray(difference)[..., None]
     off.reshape(-1, 3)[:missing] = np.nan
     points = verdict.compared_points(xarray.Dataset(variables, coords), xarray.Dataset(hbm), off)
     return list(verdict.comparison_lines(points))
@@ -173,6 +179,22 @@ def test_the_verdict_follows_the_difference(size, word):
     assert lines[0].startswith(f"the methods {word}: 6 points")
     assert ("convergence" in lines[0]) == (size > 2e-3)
     assert len(lines) == 1
+
+
+def test_the_verdict_gives_the_median_of_what_it_judges():
+    lines = lines_on(np.array([1, 2, 3, 4, 5, 600]).reshape(SHAPE) * 1e-6)
+    assert "differ by at most 6.0e-04 of the amplitude (median 3.5e-06" in lines[0]
+    assert "most at 3 Hz with contacts.pad.preload 3" in lines[0]
+
+
+def test_points_next_to_a_fold_of_their_own_curve_are_judged_apart():
+    """Within 1e-3 of its frequency; the other preload's curve has no fold there."""
+    sizes = np.full(SHAPE, 1e-5)
+    sizes[0, 0, 1:] = 0.3, 0.2
+    lines = lines_on(sizes, folds=[(-4.0, 2.0019), (-4.0, 3.0031)])
+    assert lines[0].startswith("the methods differ: 5 points")
+    assert "most at 3 Hz with contacts.pad.preload -4" in lines[0]
+    assert lines[1] == "1 points within 0.001 of a fold's frequency differ by up to 3.0e-01"
 
 
 def test_a_motion_that_no_curve_passes_begins_one():

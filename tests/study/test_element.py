@@ -13,7 +13,7 @@ from systems import contact, slipping_pair
 from typer.testing import CliRunner
 
 from timesim.cli import app
-from timesim.element.cycle import Transition
+from timesim.element.cycle import ElementCycle, Transition
 from timesim.element.elements import harmonic_elements
 from timesim.element.loop import difference, loop_cycle
 from timesim.element.motion import CYCLE, HarmonicMotion, SplineMotion
@@ -179,6 +179,14 @@ def scene(study, **pad):
 
 def element(**keys):
     return {"kind": "element", "cross_check": False} | keys
+
+
+def test_the_loop_area_and_the_work_of_slip_are_told_apart(monkeypatch):
+    """They are equal where a cycle is closed, each being a check of the other."""
+    for name, value in (("dissipation", 2.0), ("work", 3.0)):
+        monkeypatch.setattr(ElementCycle, name, value)
+    data = run(scene(element(A=1.0, B=0.2)))
+    assert (float(data.dissipation), float(data.friction_work)) == (2.0, 3.0)
 
 
 def test_element_result():

@@ -25,6 +25,12 @@ def law(stiffness: np.ndarray, *, friction: float = 0.4, normal: float = 1.3, pr
     )
 
 
+def both_forms(full: ConeLaw) -> tuple[ConeLaw, ConeLaw]:
+    """A law, and the same by the one number of an isotropic K_u."""
+    one = (full.stiffness[:1], full.compliance[:1])
+    return full, ConeLaw(full.friction, *one, full.normal_stiffness, full.preload)
+
+
 def plane(values: np.ndarray) -> tuple[jax.Array, jax.Array]:
     return jnp.asarray(values[:1]), jnp.asarray(values[1:])
 
@@ -75,22 +81,19 @@ def test_the_incipient_direction_solves_its_equation(case: int):
 
 
 def test_the_incipient_direction_of_isotropic_stiffness_is_that_of_the_velocity():
-    contact = law(2 * np.eye(2))
-    isotropic = ConeLaw(
-        contact.friction, contact.stiffness[:1], contact.compliance[:1], contact.normal_stiffness, contact.preload
-    )
     moves = moving(np.zeros(2), 0.0, np.array([3.0, -4.0]), 0.1)
-    for each in (contact, isotropic):
+    for each in both_forms(law(2 * np.eye(2))):
         np.testing.assert_allclose(np.concatenate(incipient_direction(each, moves)), [0.6, -0.8], atol=1e-13)
 
 
 def test_the_direction_goes_smoothly_through_separation():
     """Beyond n = 0 the stretch points backwards; the direction of slip does not."""
-    contact = law(np.eye(2), normal=1.0, preload=0.0)
     e = np.array([0.8, 0.6])
-    for v in (0.1, -0.1):
-        moves = moving(0.4 * v * e, v, np.array([1.0, 0.0]), -1.0)
-        np.testing.assert_allclose(np.concatenate(slip_direction(contact, moves, plane(np.zeros(2)))), e, atol=1e-13)
+    for contact in both_forms(law(np.eye(2), normal=1.0, preload=0.0)):
+        for v in (0.1, -0.1):
+            moves = moving(0.4 * v * e, v, np.array([1.0, 0.0]), -1.0)
+            found = np.concatenate(slip_direction(contact, moves, plane(np.zeros(2))))
+            np.testing.assert_allclose(found, e, atol=1e-13)
 
 
 # State, n, u', n' and the state that follows.
