@@ -3,10 +3,14 @@
 The law over the interval between two samples is that of `timesim.hbm.interval`. A contact that can stick all along
 does, with the offset of `timesim.hbm.stuck_offset`. Any other begins the period with ``w = 0``, put on the cone where
 it would lie outside, and the period is repeated until the elastic displacement at its end is that at its start.
+
+The number of samples is data of the compiled program, which has room for many; contacts go through it a few at a time.
+So one program serves any number of samples, contacts and harmonics.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -19,13 +23,15 @@ from numpy.typing import NDArray
 
 from timesim.engine.law.cone import ConeLaw, normal_load
 from timesim.engine.law.contact_law import Motion, Plane, Scalar, dot, length, minus, product, scaled
-from timesim.hbm.interval import Interval, IntervalEnd, advance, intervals_of
+from timesim.hbm.interval import Interval, IntervalEnd, advance
 from timesim.hbm.stuck_offset import Offset, stuck_offset
 from timesim.orbit.fourier import fourier_basis
 
 MAX_PASSES = 100
-# Samples at which a contact must stick all along, for one of the others: between two of them a path may leave the cone.
-DENSE = 4
+# Contacts that go through the period at a time, and the samples that its compiled programs have room for.
+LANES, ROOM = 4, (2048, 32768)
+# Samples at which a contact must stick all along, at least: between those of the period a path may leave the cone.
+DENSE = 2048
 # Change of d over a period, relative to the largest d, that counts as none; rounding adds to it with |u|.
 CLOSED = 1e-12
 ROUNDING = 1e-14
@@ -41,7 +47,7 @@ class Basis:
         value: shape (N, 2H + 1).
         rate: their derivatives, the interval between two samples as the unit of time, shape (N, 2H + 1).
         project: Fourier coefficients from samples, shape (2H + 1, N).
-        dense: the functions at `DENSE` times as many samples, shape (DENSE N, 2H + 1).
+        dense: the functions at the samples where a contact must stick all along, shape (max(DENSE, N), 2H + 1).
     """
 
     value: NDArray[np.float64]
@@ -53,9 +59,10 @@ class Basis:
 @lru_cache(maxsize=64)
 def basis_of(harmonics: int, time_samples: int) -> Basis:
     """The functions of H harmonics on N equal samples."""
-    theta = 2 * np.pi * np.arange(1, DENSE * time_samples + 1) / (DENSE * time_samples)
-    dense = fourier_basis(theta, 2 * harmonics + 1)
-    value = dense[DENSE - 1 :: DENSE]
+    value, dense = (
+        fourier_basis(2 * np.pi * np.arange(1, count + 1) / count, 2 * harmonics + 1)
+        for count in (time_samples, max(DENSE, time_samples))
+    )
     rate, order = np.zeros_like(value), 2 * np.pi / time_samples * np.arange(1, harmonics + 1)
     rate[:, 1::2], rate[:, 2::2] = -order * value[:, 2::2], order * value[:, 1::2]
     weight = np.append(1.0, np.full(2 * harmonics, 2.0)) / time_samples
@@ -69,93 +76,141 @@ def onto_cone(law: ConeLaw, d: Plane, v: Scalar) -> Plane:
     return scaled(jnp.where(force > limit, limit / force, jnp.where(law.friction > 0, 1.0, 0.0)), d)
 
 
-class ClosedPeriod(eqx.Module):
+@dataclass(frozen=True)
+class ClosedPeriod:
     """A period at whose end the elastic displacement is that at its start; N samples, C contacts.
 
     Attributes:
         start: elastic displacement at the start, shape (C,).
-        ends: the same at the end of each interval, and its shares, shape (N, C).
-        force: (f1, f2, n) at the samples, with what is put on them for the kinks between, n not less the preload, shape
-            (N, C, 3).
-        slip, separation: shares of the period, shape (C,).
+        ends: the same at the end of each interval, its shares, and what is put on the samples beside it, shape (N, C).
         closure: distance of d at the start from where the period closes, over the tolerated one, at most 1 where it
             closed, shape (C,).
-        passes: through the period.
+        passes: through the period, at most.
         stuck: which contacts stick all along, and the offset of their force.
     """
 
     start: Plane
     ends: IntervalEnd
-    force: Float[Array, "sample contact 3"]
-    slip: Float[Array, " contact"]
-    separation: Float[Array, " contact"]
-    closure: Float[Array, " contact"]
-    passes: Int[Array, ""]
+    closure: NDArray[np.float64]
+    passes: int
     stuck: Offset
 
+    @property
+    def slip(self) -> NDArray[np.float64]:
+        """Share of the period spent in slip, shape (C,)."""
+        return _share(np.asarray(self.ends.slip))
 
-def one_pass(law: ConeLaw, start: Plane, intervals: Interval) -> tuple[Plane, IntervalEnd]:
-    """Through the period: d at its end, and the ends of all intervals."""
+    @property
+    def separation(self) -> NDArray[np.float64]:
+        """The same in separation."""
+        return _share(np.asarray(self.ends.separation))
 
-    def step(d: Plane, interval: Interval) -> tuple[Plane, IntervalEnd]:
-        end = advance(law, d, interval)
-        return end.d, end
 
-    return jax.lax.scan(step, start, intervals)
+def _share(part: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Share of the period; exactly 1 where it is the whole of every interval."""
+    return np.where(np.all(part > WHOLE, axis=0), 1.0, np.mean(part, axis=0))
 
 
 class _Passes(eqx.Module):
-    """Passes so far: where the next one starts, and start, end and intervals of the last one."""
+    """Passes so far: where the next one starts, and start, end and path of the last one.
+
+    The path holds, for each interval, d at its end, both shares, and what is put on the samples before and after it.
+    """
 
     next_start: Plane
     start: Plane
     end: Plane
-    path: IntervalEnd
+    path: Float[Array, "room 10 lane"]
     closure: Scalar
     count: Scalar
 
 
 @jax.jit
-def closed_period(law: ConeLaw, motion: Motion, stuck: Offset) -> ClosedPeriod:
-    """Pass through a periodic motion, shape (N, C), until d closes, at most `MAX_PASSES` times.
+def _closed(law: ConeLaw, motion: Float[Array, "room+1 6 lane"], count: Int[Array, ""], stuck: Plane) -> _Passes:
+    """Pass through a periodic motion until d closes, at most `MAX_PASSES` times.
 
     A contact that can stick all along enters with the offset of `timesim.hbm.stuck_offset` and does. The others are
     accelerated from the third pass on (D. G. Anderson, J. ACM 12 (1965) 547, with one pass remembered): slip maps the
-    plane on a curve, so the change over a pass has one direction. One program serves any number of harmonics.
+    plane on a curve, so the change over a pass has one direction.
+
+    Args:
+        law: of the contacts.
+        motion: (u1, u2, v) and their rates at the samples, the last one first too.
+        count: of the samples.
+        stuck: offset of the friction force.
     """
-    intervals = intervals_of(motion)
-    elastic = tuple(u[-1] + c for u, c in zip(motion.u, product(law.compliance, stuck.force), strict=True))
-    first_start = onto_cone(law, elastic, motion.v[-1])
-    reach = jnp.max(length(motion.u), axis=0)
+    last_u, last_v = (motion[0, 0], motion[0, 1]), motion[0, 2]
+    elastic = tuple(u + c for u, c in zip(last_u, product(law.compliance, stuck), strict=True))
+    reach = jnp.max(length((motion[:, 0], motion[:, 1])), axis=0)
+
+    def one_pass(start: Plane, path: Array) -> tuple[Plane, Scalar, Array]:
+        def step(k: Scalar, so_far: tuple[Plane, Scalar, Array]) -> tuple[Plane, Scalar, Array]:
+            d, largest, path = so_far
+            (u1, u2, v0, *du0, dv0), (w1, w2, v1, *du1, dv1) = motion[k], motion[k + 1]
+            end = advance(law, d, Interval((w1 - u1, w2 - u2), tuple(du0), tuple(du1), v0, v1, dv0, dv1))
+            row = jnp.stack([*end.d, end.slip, end.separation, *end.before, *end.after])
+            return end.d, jnp.maximum(largest, length(end.d)), path.at[k].set(row)
+
+        return jax.lax.fori_loop(0, count, step, (start, jnp.zeros_like(reach), path))
 
     def again(last: _Passes) -> _Passes:
         start = last.next_start
-        end, path = one_pass(law, start, intervals)
+        end, largest, path = one_pass(start, last.path)
         change, before = minus(end, start), minus(last.end, last.start)
         bend = minus(change, before)
         ratio = dot(change, bend) / jnp.maximum(dot(bend, bend), 1e-300)
         usable = (last.count >= 2) & (dot(change, change) < dot(before, before))
         leap = scaled(jnp.where(usable, ratio, 0.0), minus(end, last.end))
         next_start = minus(end, leap)
-        tolerated = CLOSED * jnp.max(length(path.d), axis=0) + ROUNDING * reach
+        tolerated = CLOSED * largest + ROUNDING * reach
         # Not the change alone: where slip is short, each pass makes up for a small share of what is left.
         # Not less than the length of no vector at all, as of a stop, which never has an elastic displacement.
         closure = length(minus(next_start, start)) / jnp.maximum(tolerated, 1e-140)
-        return _Passes(onto_cone(law, next_start, motion.v[-1]), start, end, path, closure, last.count + 1)
+        return _Passes(onto_cone(law, next_start, last_v), start, end, path, closure, last.count + 1)
 
-    path = IntervalEnd(motion.u, motion.v, motion.v, (motion.v,) * 3, (motion.v,) * 3)
-    none = _Passes(first_start, first_start, first_start, path, jnp.full_like(reach, jnp.inf), jnp.asarray(0))
-    last = jax.lax.while_loop(lambda last: jnp.any(last.closure > 1) & (last.count < MAX_PASSES), again, none)
-    sampled = *product(law.stiffness, last.path.d), jnp.maximum(normal_load(law, motion.v), 0.0)
-    parts = zip(sampled, last.path.before, last.path.after, strict=True)
-    force = jnp.stack([f + jnp.roll(before, -1, axis=0) + after for f, before, after in parts], axis=2)
-    shares = _share(last.path.slip), _share(last.path.separation)
-    return ClosedPeriod(last.start, last.path, force, *shares, last.closure, last.count, stuck)
+    first = onto_cone(law, elastic, last_v)
+    path = jnp.zeros((len(motion) - 1, 10, reach.size))
+    none = _Passes(first, first, first, path, jnp.full_like(reach, jnp.inf), jnp.zeros((), int))
+    return jax.lax.while_loop(lambda last: jnp.any(last.closure > 1) & (last.count < MAX_PASSES), again, none)
 
 
-def _share(part: Float[Array, "sample contact"]) -> Float[Array, " contact"]:
-    """Share of the period; exactly 1 where it is the whole of every interval."""
-    return jnp.where(jnp.all(part > WHOLE, axis=0), 1.0, jnp.mean(part, axis=0))
+def in_lanes(num_contacts: int) -> Iterator[NDArray[np.int64]]:
+    """Groups of contacts that go through a program together; the last one is filled up with its last contact."""
+    for first in range(0, num_contacts, LANES):
+        yield np.minimum(np.arange(first, first + LANES), num_contacts - 1)
+
+
+def law_of(law: ConeLaw, lanes: NDArray[np.int64]) -> ConeLaw:
+    """The law of some contacts."""
+    own: ConeLaw = jax.tree.map(lambda leaf: np.asarray(leaf)[lanes], law)
+    return own
+
+
+def period_of(law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64]) -> ClosedPeriod:
+    """The closed period of a motion given by its Fourier coefficients (u1, u2, v), shape (C, 3, 2H + 1)."""
+    motion, (count, num_contacts) = motion_of(basis, coefficient), (len(basis.value), len(coefficient))
+    room = next((room for room in ROOM if room >= count), count)
+    parts = []
+    for lanes in in_lanes(num_contacts):
+        own, table = law_of(law, lanes), np.zeros((room + 1, 6, LANES))
+        for i, part in enumerate((*motion.u, motion.v, *motion.du, motion.dv)):
+            table[1 : count + 1, i] = part[:, lanes]
+        table[0] = table[count]
+        stuck = stuck_offset(own, dense_motion_of(basis, coefficient[lanes]))
+        parts.append((_closed(own, table, count, stuck.force), stuck))
+
+    def joined(leaves: Iterable[Array]) -> NDArray[np.float64]:
+        return np.concatenate([np.asarray(leaf) for leaf in leaves], axis=-1)[..., :num_contacts]
+
+    d1, d2, slip, separation, *put = np.moveaxis(joined(np.asarray(last.path)[:count] for last, _ in parts), 1, 0)
+    ends = IntervalEnd((d1, d2), slip, separation, tuple(put[:3]), tuple(put[3:]))
+    start = tuple(joined(last.start[i] for last, _ in parts) for i in range(2))
+    stuck = Offset(
+        tuple(joined(offset.force[i] for _, offset in parts) for i in range(2)),
+        joined(offset.sticks for _, offset in parts),
+    )
+    passes = max(int(last.count) for last, _ in parts)
+    return ClosedPeriod(start, ends, joined(last.closure for last, _ in parts), passes, stuck)
 
 
 @dataclass(frozen=True)
@@ -182,13 +237,8 @@ def motion_of(basis: Basis, coefficient: NDArray[np.float64]) -> Motion:
     return Motion((u1, u2), v, (du1, du2), dv)
 
 
-def period_of(law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64]) -> ClosedPeriod:
-    """The closed period of a motion given by its Fourier coefficients (u1, u2, v), shape (C, 3, 2H + 1)."""
-    return closed_period(law, motion_of(basis, coefficient), stuck_offset(law, dense_motion_of(basis, coefficient)))
-
-
 def dense_motion_of(basis: Basis, coefficient: NDArray[np.float64]) -> Motion:
-    """`motion_of` at the samples where a contact must stick all along, shape (DENSE N, C); no rates."""
+    """`motion_of` at the samples where a contact must stick all along, shape (max(DENSE, N), C); no rates."""
     u1, u2, v = (basis.dense @ coefficient[:, i].T for i in range(3))
     return Motion((u1, u2), v, (), v)
 
@@ -204,13 +254,16 @@ def touching_stiffness(law: ConeLaw, motion: Motion) -> NDArray[np.float64]:
     return (np.asarray(normal_load(law, motion.v)) > 0) * np.asarray(law.normal_stiffness)
 
 
-def forces_of(basis: Basis, period: ClosedPeriod) -> ContactForces:
+def forces_of(law: ConeLaw, basis: Basis, motion: Motion, period: ClosedPeriod) -> ContactForces:
     """Forces and shares of a closed period."""
-    coefficient = np.moveaxis(np.tensordot(basis.project, np.asarray(period.force), 1), 0, 2)
-    shares = np.asarray(period.slip), np.asarray(period.separation)
-    return ContactForces(coefficient, *shares, np.asarray(period.closure), int(period.passes))
+    ends, stiffness = period.ends, tuple(map(np.asarray, law.stiffness))
+    load = np.maximum(np.asarray(law.preload) + np.asarray(law.normal_stiffness) * motion.v, 0.0)
+    parts = zip((*product(stiffness, ends.d), load), ends.before, ends.after, strict=True)
+    force = [basis.project @ (f + np.roll(before, -1, axis=0) + after) for f, before, after in parts]
+    coefficient = np.stack(force).transpose(2, 0, 1).copy()
+    return ContactForces(coefficient, period.slip, period.separation, period.closure, period.passes)
 
 
 def contact_forces(law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64]) -> ContactForces:
     """Contact forces of a motion given by its Fourier coefficients (u1, u2, v), shape (C, 3, 2H + 1)."""
-    return forces_of(basis, period_of(law, basis, coefficient))
+    return forces_of(law, basis, motion_of(basis, coefficient), period_of(law, basis, coefficient))

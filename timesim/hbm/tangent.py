@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from timesim.engine.law.cone import ConeLaw
 from timesim.engine.law.contact_law import Motion, product
@@ -25,6 +26,8 @@ from timesim.hbm.period import (
     ContactForces,
     dense_motion_of,
     forces_of,
+    in_lanes,
+    law_of,
     motion_of,
     period_of,
     starts_of,
@@ -96,33 +99,35 @@ def _lane_slopes(law: ConeLaw, arguments: Float[Array, "12 lane"]) -> Float[Arra
     return jax.vmap(along, out_axes=2)(jnp.eye(len(arguments))).swapaxes(0, 1)
 
 
-@jax.jit
-def _tangents(
-    slope: Slope, value: Float[Array, "sample coefficient"], rate: Float[Array, "sample coefficient"]
-) -> Float[Array, "sample contact 2 column"]:
-    """Derivatives of d at the samples by the 3 (2H + 1) coefficients, d at the start kept, then by d at the start.
+def _tangents(slopes: Slope, basis: Basis) -> Array64:
+    """Derivatives of d at the end of each interval by the coefficients and by d at the start of the period.
 
-    The slopes are those of d alone, R = 2.
+    Shape (N, C, 2, 3 (2H + 1) + 2). Each follows from that of the interval before, x_k = A_k x_(k-1) + b_k: a banded
+    triangular system for all of them.
     """
-    of_u, of_v = _of_interval(value, rate)
-    tangential = jnp.einsum("ncoaj,njk->ncoak", slope.tangential, of_u)
-    normal = jnp.einsum("ncoj,njk->ncok", slope.normal, of_v)[:, :, :, None]
-    source = jnp.concatenate([tangential, normal], axis=3).reshape(*slope.normal.shape[:3], -1)
-    source = jnp.concatenate([source, jnp.zeros((*source.shape[:3], 2))], axis=3)
+    count, size = basis.value.shape
+    of_u, of_v = _of_interval(basis)
+    tangents = np.empty((count, slopes.start.shape[1], 2, 3 * size + 2))
+    for contact in range(tangents.shape[1]):
+        start, tangential, normal = (part[:, contact, :2] for part in slopes)
+        source = np.zeros((3 * size + 2, count, 2))
+        along = (tangential.reshape(count, 4, 3) @ of_u).reshape(count, 2, 2, size)
+        source[: 2 * size] = along.transpose(2, 3, 0, 1).reshape(2 * size, count, 2)
+        source[2 * size : -2] = (normal @ of_v).transpose(2, 0, 1)
+        source[-2:, 0] = start[0].T
+        band = np.zeros((4, count, 2))
+        for i, j in np.ndindex(2, 2):
+            band[2 + i - j, :-1, j] = -start[1:, i, j]
+        done, _ = lapack.dtbtrs(band.reshape(4, -1), source.reshape(len(source), -1).T, uplo="L", diag="U")
+        tangents[:, contact] = done.reshape(count, 2, -1)
+    return tangents
 
-    def step(x: Array, at: tuple[Array, Array]) -> tuple[Array, Array]:
-        by_start, own = at
-        x = by_start[..., :1] * x[:, None, 0] + by_start[..., 1:] * x[:, None, 1] + own
-        return x, x
 
-    seed = jnp.broadcast_to(_seed(source.shape[3]), source.shape[1:])
-    return jax.lax.scan(step, seed, (slope.start, source))[1]
-
-
-def _of_interval(value: Array, rate: Array) -> tuple[Array, Array]:
+def _of_interval(basis: Basis) -> tuple[Array64, Array64]:
     """What enters `Slope.tangential` and `Slope.normal`, by the coefficients: shapes (N, 3, 2H + 1), (N, 4, 2H + 1)."""
+    value, rate = basis.value, basis.rate
     value0, rate0 = before(value), before(rate)
-    return jnp.stack([value - value0, rate0, rate], axis=1), jnp.stack([value0, value, rate0, rate], axis=1)
+    return np.stack([value - value0, rate0, rate], axis=1), np.stack([value0, value, rate0, rate], axis=1)
 
 
 def _seed(size: int) -> Array64:
@@ -141,7 +146,7 @@ def linearised(
     motion = motion_of(basis, coefficient)
     period = period_of(law, basis, coefficient)
     slopes = interval_slopes(law, period, motion)
-    tangents = np.asarray(_tangents(Slope(*(part[:, :, :2] for part in slopes)), basis.value, basis.rate))
+    tangents = _tangents(slopes, basis)
     by_motion, by_start = tangents[-1, ..., :-2], tangents[-1, ..., -2:]
     # What can stick at the samples may slip between two of them.
     change, sticks = np.eye(2) - by_start, np.asarray(period.stuck.sticks) & (np.asarray(period.slip) == 0)
@@ -157,7 +162,7 @@ def linearised(
     spectrum[:, 2, :, 2 * size : -2] = (basis.project * touching_stiffness(law, motion).T[:, None]) @ basis.value
     _add_kinks(spectrum, slopes, basis, tangents)
     slope = spectrum[..., :-2] + spectrum[..., -2:] @ start[:, None]
-    return forces_of(basis, period), slope.reshape(num_contacts, 3 * size, 3 * size)
+    return forces_of(law, basis, motion, period), slope.reshape(num_contacts, 3 * size, 3 * size)
 
 
 def _add_kinks(spectrum: Array64, slopes: Slope, basis: Basis, tangents: Array64) -> None:
@@ -166,8 +171,7 @@ def _add_kinks(spectrum: Array64, slopes: Slope, basis: Basis, tangents: Array64
         np.any(slopes.tangential[:, :, 2:], axis=(2, 3, 4)) | np.any(slopes.normal[:, :, 2:], axis=(2, 3))
     )
     sample, contact = place
-    value, rate, value0, rate0 = (x[i] for i in (sample, sample - 1) for x in (basis.value, basis.rate))
-    of_u, of_v = np.stack([value - value0, rate0, rate], axis=1), np.stack([value0, value, rate0, rate], axis=1)
+    of_u, of_v = (part[sample] for part in _of_interval(basis))
     tangential = np.einsum("poaj,pjk->poak", slopes.tangential[place][:, 2:], of_u)
     direct = np.concatenate([tangential, (slopes.normal[place][:, 2:] @ of_v)[:, :, None]], axis=2)
     start = np.where((sample == 0)[:, None, None], _seed(tangents.shape[3]), tangents[sample - 1, contact])
@@ -179,7 +183,13 @@ def _add_kinks(spectrum: Array64, slopes: Slope, basis: Basis, tangents: Array64
 
 def _stuck_start(law: ConeLaw, basis: Basis, coefficient: Array64, stuck: Offset) -> Array64:
     """Derivatives of d at the start of the period by the coefficients, for contacts that stick all along."""
-    weights = np.asarray(offset_slope(law, stuck.force, dense_motion_of(basis, coefficient)))
-    start = np.einsum("itca,tk->ciak", weights, basis.dense, optimize=True)
+    weights = [
+        offset_slope(
+            law_of(law, lanes), tuple(f[lanes] for f in stuck.force), dense_motion_of(basis, coefficient[lanes])
+        )
+        for lanes in in_lanes(len(coefficient))
+    ]
+    whole = np.concatenate([np.asarray(part) for part in weights], axis=2)[:, :, : len(coefficient)]
+    start = np.einsum("itca,tk->ciak", whole, basis.dense, optimize=True)
     start[:, [0, 1], [0, 1]] += basis.value[-1]
     return start.reshape(*start.shape[:2], -1)
