@@ -32,7 +32,14 @@ DATA = Path(__file__).parents[1] / "data"
 CONFIGS = Path(__file__).parents[2] / "configs"
 ALLOWED = {"reference": 1e-8, "standard": 1e-6, "draft": 1e-4}
 # Of many modes; the reference has 13 stages, which take twice as long to compile as seven.
-SOLVERS = [pytest.param(FINE, id="fine"), pytest.param(REFERENCE, id="reference", marks=pytest.mark.slow)]
+SOLVERS = [
+    pytest.param(FINE, id="fine"),
+    pytest.param(REFERENCE, id="reference", marks=pytest.mark.slow),
+    pytest.param(Solver("exponential", 1e-9, 1e-11), id="exponential", marks=pytest.mark.slow),
+]
+
+
+COLLOCATION = Solver("exponential", 2e-7, 2e-9)
 
 
 def truth(name: str) -> dict[str, Any]:
@@ -83,6 +90,17 @@ def test_settled_amplitudes_of_the_oscillator() -> None:
     for case, amplitude in zip(OSCILLATOR, (0.15612878, 0.28839155, 0.15680399), strict=True):
         last = simulate(oscillator(case), 400, PRESETS["standard"]).amplitude[-1, 0, 0]
         assert last == pytest.approx(amplitude, abs=6e-9 + 1e-7 * amplitude)
+
+
+@pytest.mark.parametrize("case", list(OSCILLATOR))
+def test_oscillator_by_collocation(case: str) -> None:
+    true, trace = truth("oscillator.json")["cases"][case], simulate(oscillator(case), 60, COLLOCATION)
+    assert relative_error(trace.motion, true["state_end"]) < 1e-7
+    assert len(trace.log.time) == true["n_events"]
+    first = np.array(true["events"])
+    assert [row[:2] for row in trace.sequence[: len(first)]] == [tuple(row) for row in first[:, 1:].astype(int)]
+    np.testing.assert_allclose(trace.log.time[: len(first)], first[:, 0], atol=1e-6, rtol=0)
+    assert trace.energy_residual < 1e-7
 
 
 # --- 20 modes and three contacts ---
