@@ -153,8 +153,9 @@ def marched(problem: Problem, batch: int, solver: Solver) -> Callable[[], Run]:
     def run() -> Run:
         end, count = march(step_method(solver), step_control(solver, stiffest), systems, starts, cycles)
         assert int(jnp.max(end.status)) == 0
-        frames[0].store(jax.tree.map(lambda leaf: leaf[0], end), start, 0.0, start.work)
-        return Run(start.displacement, start.velocity, start.slip, start.state, int(count[0]), [])
+        first = jax.tree.map(lambda leaf: np.asarray(leaf)[0], end)
+        own = frames[0].start(first.point, first.state, 0.0)
+        return Run(own.displacement, own.velocity, own.slip, own.state, int(count[0]), [])
 
     return run
 

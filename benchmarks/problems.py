@@ -78,3 +78,19 @@ def many_contacts(frequency: float | None = None) -> Model:
 
 
 MANY_CONTACTS_FREQUENCY = 1.0
+
+
+def many_modes(num_modes: int, num_contacts: int, frequency: float | None = None) -> Model:
+    """Modes up to 40 times the excitation of 1 Hz, with contacts to the ground that stick, slip and separate."""
+    random = np.random.default_rng(3)
+    natural = np.geomspace(0.8, 40.0, num_modes)
+    names = tuple(f"p{k}" for k in range(num_contacts))
+    shape = random.uniform(-1, 1, (num_contacts, 3, num_modes)) * 3 / np.sqrt(num_modes * natural)
+    structure = Structure(natural, np.ones(num_modes), 2 * 0.02 * 2 * np.pi * natural, names, shape)
+    contacts = tuple(
+        Contact(f"c{k}", name, GROUND, np.eye(3), 0.4, 20 * np.eye(2), 20.0, float(random.uniform(-0.2, 1.0)))
+        for k, name in enumerate(names)
+    )
+    cosine, sine = (random.uniform(-1, 1, (1, num_modes)) / natural for _ in range(2))
+    excitation = Excitation(frequency, np.array([1]), cosine, sine, np.zeros(num_modes))
+    return Model(structure, contacts, excitation, rest(num_modes, num_contacts))

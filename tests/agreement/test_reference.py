@@ -39,7 +39,7 @@ SOLVERS = [
 ]
 
 
-COLLOCATION = Solver("exponential", 2e-7, 2e-9)
+COLLOCATION = Solver("exponential", 1e-8, 1e-10)
 
 
 def truth(name: str) -> dict[str, Any]:

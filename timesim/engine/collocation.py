@@ -35,6 +35,8 @@ from timesim.model.model import SLIP
 NEAR_RESONANCE = 1e-3  # of |k - i^2 + i d| in k + i^2: below it the force is taken into the polynomial
 CONVERGED = 1e-3  # change that sweeps leave undone, in the tolerance of a step
 MOST_SWEEPS = 12
+ERROR = 0.1  # of what the highest power does: measured, a tolerance of 1e-4 to 1e-8 then leaves about as much after
+# 20 cycles of 20 modes with 3 contacts (benchmarks/README.md)
 NUM_RUNGS = 64  # of lengths: the shortest is 3e-10 of the longest
 ON_RUNG = 1e-6  # of a rung: rounding of its length
 SLOWEST = 0.7  # ratio of changes from which on a shorter step costs less than more sweeps
@@ -343,6 +345,8 @@ def _error(rule: Rule, system: System, h: Array, state: State, highest: Array, w
     """What the highest power does in a step to the modes, and what it is in the slip of contacts that slip."""
     stiffness, damping = diagonals(system)
     reach = jnp.maximum(jnp.sqrt(stiffness), damping) * h
-    p = rule.share * h * jnp.abs(highest) / jnp.maximum(1.0, reach)
-    slip = tuple(jnp.where(state == SLIP, rule.share * (jnp.asarray(rule.monomials[-1]) @ own), 0.0) for own in w)
+    p = ERROR * rule.share * h * jnp.abs(highest) / jnp.maximum(1.0, reach)
+    slip = tuple(
+        jnp.where(state == SLIP, ERROR * rule.share * (jnp.asarray(rule.monomials[-1]) @ own), 0.0) for own in w
+    )
     return Point(jnp.zeros_like(p), p, slip, None)

@@ -51,7 +51,9 @@ class Advance(NamedTuple):
     solved: Solved | None = None
 
 
-NUM_NODES, MORE_NODES = 3, 1e-7
+FEW_NODES, MANY_NODES = 3, 5
+MANY_FROM = 1e-5
+"""Tolerance from which on down more nodes of a collocated step cost less than shorter steps."""
 
 
 class Method(eqx.Module):
@@ -267,5 +269,5 @@ def step_method(solver: Solver) -> Method:
     if solver.name == "rk4":
         return RK4
     if solver.name == "exponential":
-        return Exponential(NUM_NODES if solver.rtol > MORE_NODES else 5)
+        return Exponential(FEW_NODES if solver.rtol > MANY_FROM else MANY_NODES)
     return _kvaerno5(solver.rtol, solver.atol) if solver.name == "kvaerno5" else _explicit(solver.name)
