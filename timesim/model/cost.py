@@ -68,5 +68,5 @@ def cycles_to_settle(model: Model, criterion: Criterion, frequency: float) -> in
 def seconds_a_solution(model: Model, harmonics: int, *, stability: bool) -> float:
     """Of a solution of a harmonic balance, with its multipliers or without (benchmarks/harmonic_balance.py)."""
     contacts, modes = model.num_contacts, model.structure.num_modes
-    each = 4 + (0.2 * modes + 3.5 * (contacts - 1) if stability else 2.0 * (contacts - 1))
-    return 1e-3 * each * (0.8 + 0.02 * harmonics)
+    each = 7 + (3 + 0.18 * modes + 3.5 * (contacts - 1) if stability else 1.7 * (contacts - 1))
+    return 1e-3 * each * max(1.0, harmonics / 10)  # beyond ten harmonics there are more samples
