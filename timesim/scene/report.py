@@ -102,7 +102,7 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
     balance = plan if isinstance(plan, HbmPlan) else getattr(plan, "balance", None)
     if balance is not None:
         curves = prod(map(len, balance.over.values())) * (1 + balance.both_ends)
-        own = seconds_a_solution(model, balance.scheme.harmonics, stability=balance.stability)
+        own = seconds_a_solution(model, balance.scheme.time_samples, stability=balance.stability)
         work = f"{SOLUTIONS} solutions of {_duration(own)}"
         lines.append(f"{curves} curves of harmonic balance of {work}: {_duration(curves * SOLUTIONS * own)}")
     yield from (f"about {line}" for line in lines)
