@@ -6,9 +6,8 @@ import pytest
 from simulation import FINE
 from systems import at_rest, excitation, pad, structure
 
-from timesim.engine.guard import NONE, end_margins, first_crossing, segment
+from timesim.engine.guard import NONE, arriving, end_margins, first_crossing, segment
 from timesim.engine.solver import step_control
-from timesim.engine.step import arriving
 from timesim.engine.system import Point, system_of
 from timesim.engine.tolerance import LANDING
 from timesim.model.model import SEPARATION, Model
@@ -42,5 +41,5 @@ def test_the_fastest_motion_bounds_the_time_over_which_a_landing_is_corrected():
     for stiffest, ahead, due in ((1.0, 0.5, True), (100.0, 0.5, False), (100.0, 0.005, True), (1.0, 2.0, False)):
         margin, away = jnp.asarray([ahead * LANDING]), jnp.asarray([1.0])
         slope, end = (jnp.asarray([-1.0]), jnp.zeros(1)), jnp.asarray(False)
-        _, (first, _) = arriving(step_control(FINE, stiffest), (margin, away), slope, jnp.asarray(0.1), end)
+        _, (first, _) = arriving((margin, away), slope, jnp.asarray(0.1), end, step_control(FINE, stiffest).landing)
         assert bool(first[0]) == due, (stiffest, ahead)

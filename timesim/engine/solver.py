@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from timesim.engine.barrier import apart
 from timesim.engine.law.contact_law import ContinuousState
-from timesim.engine.tolerance import NO_TIME
+from timesim.engine.tolerance import LANDING, NO_TIME
 from timesim.model.solver import Solver
 
 
@@ -31,6 +31,11 @@ class Control(eqx.Module):
     opening: Float[Leaf, ""]
     budget: Int[Leaf, ""]
     stiffest: Float[Leaf, ""]
+
+    @property
+    def landing(self) -> Float[Array, ""]:
+        """Time from a guard over which an Euler step corrects the end of a step."""
+        return LANDING / jnp.asarray(self.stiffest)
 
 
 def step_control(solver: Solver, stiffest: float) -> Control:

@@ -34,7 +34,7 @@ from timesim.engine.law.contact_law import ContinuousState, Dynamics, State
 from timesim.engine.law.rule import rule_of
 from timesim.engine.method import Method
 from timesim.engine.solver import Control, error_size, next_length
-from timesim.engine.tolerance import LANDING, NO_LOAD, NO_TIME, SHORTEST, TOGETHER, VIOLATED
+from timesim.engine.tolerance import NO_LOAD, NO_TIME, SHORTEST, TOGETHER, VIOLATED
 
 PERIOD = 2 * jnp.pi
 SHORTER = 0.9  # share of a cut step that ends beyond a guard
@@ -223,7 +223,7 @@ def cut(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, rea
         return point, dynamics.field(now.state, now.time + x * part.h, point)
 
     needed = reach / part.h
-    x, early = first_exit(dynamics, now.state, part, at, needed, 0.1 * LANDING / control.stiffest)
+    x, early = first_exit(dynamics, now.state, part, at, needed, 0.1 * control.landing)
 
     def shorter(whole: Trial) -> Trial:
         point, rate = at(x)
@@ -258,7 +258,7 @@ class Landing(NamedTuple):
 def landed(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, h: Array, last: Array) -> Landing:
     """Follow the margins over a step: the first crossing inside, else the transitions that are due at its end."""
     margin, slope = end_margins(dynamics, now.state, trial.part)
-    to_zero, due = arriving(margin, slope, h, last, LANDING / control.stiffest)
+    to_zero, due = arriving(margin, slope, h, last, control.landing)
     if trial.inside is None:
         crossing = first_crossing(dynamics, now.state, trial.part, margin, slope, due)
     else:  # It was cut at the first crossing; where its end is beyond one after all, a little less is taken of it.
