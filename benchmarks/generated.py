@@ -70,7 +70,7 @@ def scene_of(model: Model, free: float) -> dict[str, Any]:
 
 
 def differences(result: DataTree) -> np.ndarray:
-    """Of the amplitudes of each settled point of period one from the balance's, by the largest; NaN without a solution."""
+    """Of the amplitudes of settled points of period one from the balance's, by the largest; NaN without a solution."""
     sweep = result["sweep"].to_dataset()
     amplitude = sweep.amplitude.transpose("direction", "frequency", "point", "axis").values[0]
     relative = result["relative_difference"].transpose("direction", "frequency", "point", "axis").values[0]

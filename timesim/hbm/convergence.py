@@ -98,7 +98,9 @@ def sampling_error(
         here, there = (contact_forces(balance.law, balance.basis, own).coefficient for own in (motion, moved))
         change = np.abs(there - to_coefficients(to_phasors(here) * turn)).max(axis=(1, 2))
         at_work = switches(curve.slip_share[i], curve.separation_share[i])
-        worst = max(worst, float((change / np.abs(here).max(axis=(1, 2)))[at_work].max()))
+        # A contact may touch between two of the samples only, or miss all of those that are shifted.
+        size = np.maximum(np.abs(here), np.abs(there)).max(axis=(1, 2))
+        worst = max(worst, float((change / np.maximum(size, 1e-300))[at_work].max()))
     return worst
 
 
