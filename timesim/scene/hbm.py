@@ -25,7 +25,7 @@ from timesim.scene.study import (
     SweepSection,
     axes_of,
 )
-from timesim.scene.value import Positive, Span, Switch, Whole
+from timesim.scene.value import Count, Positive, Span, Switch, Whole
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,11 @@ TimeSamples = Annotated[
 
 
 Harmonics = Annotated[
-    Annotated[Literal["auto"], Tag("<text>")] | Annotated[Annotated[Whole, Field(le=1000)], Tag("<number>")],
+    Annotated[Literal["auto"], Tag("<text>")] | Annotated[Annotated[Count, Field(le=1000)], Tag("<number>")],
+    by_form("auto or a whole number"),
+]
+HarmonicsOrNone = Annotated[
+    Annotated[Literal["auto"], Tag("<text>")] | Annotated[Annotated[Whole, Field(ge=0, le=1000)], Tag("<number>")],
     by_form("auto or a whole number"),
 ]
 
