@@ -125,8 +125,10 @@ def draw(found: dict[str, list[tuple[int, float]]], path: Path) -> None:
         ax.minorticks_off()
         ax.set(xlabel=f"{kind} ({told[kind]})")
     grid[0, 0].set_ylabel("ms a point")
-    grid[0, 0].set_yticks([2, 5, 10, 20, 50], ["2", "5", "10", "20", "50"])
-    grid[0, 0].set_ylim(2, 60)
+    costs = [cost for points in found.values() for _, cost in points]
+    ticks = [tick for tick in (2, 5, 10, 20, 50, 100, 200) if min(costs) / 3 < tick < 3 * max(costs)]
+    grid[0, 0].set_yticks(ticks, [str(tick) for tick in ticks])
+    grid[0, 0].set_ylim(0.8 * min(costs), 1.25 * max(costs))
     made.suptitle("a point of a response curve by harmonic balance, Floquet multipliers included", fontsize=10)
     made.savefig(path, dpi=110)
 

@@ -284,7 +284,9 @@ def faults_of_the_results(text: str, folder: Path) -> Iterator[str]:
 
     @cache
     def result(name: str) -> Result:
-        said = spaced((folder / f"{name}.txt").read_text())
+        if not (printed := folder / f"{name}.txt").exists():
+            sys.exit(f"{folder} has no run of {name}: run it without --check, or with --only {name}")
+        said = spaced(printed.read_text())
         return Result(read(folder / name), said, len(list((folder / name).glob("*.png"))))
 
     for claim in CLAIMS:

@@ -30,7 +30,7 @@ with install_import_hook(list(CHECKED), "beartype.beartype"):
 
 import jax  # noqa: E402
 
-LARGE, VERY_LARGE = 0.9e9, 1.2e9
+LARGE, VERY_LARGE = 0.9e9, 1.1e9
 """Resident bytes of a worker above which compiled programs are let go: after a module, and after any test."""
 
 

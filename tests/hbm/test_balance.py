@@ -32,7 +32,7 @@ def test_a_curve_from_the_stuck_end_passes_the_onset_of_slip(preload):
     """From either end the same curve: the offset of the stuck part leads to the one with which slip begins."""
     model, curves = systems.oscillator(preload, 1.0), []
     for span in ((0.8, 1.65), (1.65, 0.8)):
-        curve = hbm_curve(model, *span, scheme=Scheme(7, 512), stability=False)
+        curve = hbm_curve(model, *span, scheme=Scheme(7, 256), stability=False)
         assert curve.complete
         curves.append(curve)
     there, back = curves
@@ -40,7 +40,7 @@ def test_a_curve_from_the_stuck_end_passes_the_onset_of_slip(preload):
     slips = [np.sort(curve.frequency[(curve.slip_share > 0).any(axis=1)])[0] for curve in curves]
     assert slips[0] == pytest.approx(slips[1], abs=2e-3)
     for frequency in (0.9, 1.5):
-        ends = [solutions_at(model, c, frequency, scheme=Scheme(7, 512), stability=False) for c in curves]
+        ends = [solutions_at(model, c, frequency, scheme=Scheme(7, 256), stability=False) for c in curves]
         np.testing.assert_allclose(ends[0].harmonic_amplitude[0, 1:], ends[1].harmonic_amplitude[0, 1:], atol=1e-8)
 
 
@@ -131,13 +131,13 @@ def oscillating_free(stiffness):
 
 @pytest.fixture(scope="module")
 def circle():
-    return hbm_curve(systems.circular(0.5, 1.0), 0.8 / TURN, 1.5 / TURN, scheme=Scheme(1, 1024))
+    return hbm_curve(systems.circular(0.5, 1.0), 0.8 / TURN, 1.5 / TURN, scheme=Scheme(1, 256))
 
 
 @pytest.mark.parametrize("omega", [0.8, 1.0, 1.1, 1.2, 1.3, 1.5])
 def test_circular_motion_is_exact_but_for_the_samples(circle, omega):
     assert circle.complete
-    point = solutions_at(systems.circular(0.5, 1.0), circle, omega / TURN, scheme=Scheme(1, 1024))
+    point = solutions_at(systems.circular(0.5, 1.0), circle, omega / TURN, scheme=Scheme(1, 256))
     radius = systems.circular_radius(0.5, omega)
     np.testing.assert_allclose(point.amplitude[0, 0, :2], radius, rtol=1e-6)
     assert point.slip_share[0, 0] == pytest.approx(1)
@@ -147,7 +147,7 @@ def test_circular_motion_is_exact_but_for_the_samples(circle, omega):
 
 @pytest.fixture(scope="module")
 def fine():
-    return Scheme(15, 1024)
+    return Scheme(15, 512)
 
 
 def test_jenkins_element(fine):
@@ -198,7 +198,7 @@ def test_all_solutions_at_one_frequency(jump, fine, omega, amplitudes):
 )
 def test_two_degrees_under_variable_load(force, omega, tangential, normal):
     model = systems.two_degrees(force, omega)
-    curve = hbm_curve(model, omega / TURN, 1.01 * omega / TURN, scheme=Scheme(8, 1024), stability=False)
+    curve = hbm_curve(model, omega / TURN, 1.01 * omega / TURN, scheme=Scheme(8, 256), stability=False)
     assert curve.amplitude[0, 0, 0] == pytest.approx(tangential, rel=2e-6)
     assert curve.amplitude[0, 0, 2] == pytest.approx(normal, abs=1e-6)
     assert curve.harmonic_amplitude[0, 0, 0, 2] * 21 == pytest.approx(100 * 21 / 42, rel=1e-9)
@@ -213,7 +213,7 @@ def test_two_degrees_under_variable_load(force, omega, tangential, normal):
 )
 def test_jumps_of_the_oscillator(preload, span, folds, at, amplitudes):
     """Folds where the time-domain sweeps jump, to their step of 1e-4 Hz, and the amplitudes of both branches."""
-    model, scheme = systems.oscillator(preload, 1.0), Scheme(9, 1024)
+    model, scheme = systems.oscillator(preload, 1.0), Scheme(9, 256)
     curve = hbm_curve(model, *span, scheme=scheme)
     assert curve.complete
     np.testing.assert_allclose(np.sort(curve.frequency[curve.fold]), np.sort(folds), atol=1e-4)
@@ -229,7 +229,7 @@ def test_jumps_of_the_oscillator(preload, span, folds, at, amplitudes):
 def test_harmonics_lead_to_the_settled_response(preload, frequency, amplitude):
     model, errors = systems.oscillator(preload, frequency), []
     for harmonics in (1, 5, 15):
-        curve = hbm_curve(model, frequency, 1.001 * frequency, scheme=Scheme(harmonics, 1024), stability=False)
+        curve = hbm_curve(model, frequency, 1.001 * frequency, scheme=Scheme(harmonics, 256), stability=False)
         assert curve.slip_share[0, 0] > 0.05
         errors.append(abs(curve.amplitude[0, 0, 0] / amplitude - 1))
     assert errors[0] > 1e-3
@@ -292,7 +292,7 @@ def third_harmonic():
 
 def test_an_incomplete_curve_says_where_it_ended():
     controls = Controls(size=0.1, max_points=5)
-    curve = hbm_curve(systems.circular(0.5, 1.0), 0.8 / TURN, 1.5 / TURN, scheme=Scheme(1, 1024), controls=controls)
+    curve = hbm_curve(systems.circular(0.5, 1.0), 0.8 / TURN, 1.5 / TURN, scheme=Scheme(1, 256), controls=controls)
     assert not curve.complete
     assert curve.frequency.size == 5
     assert f"{curve.frequency[-1]:.10g}" in curve.message

@@ -34,8 +34,8 @@ MOTIONS = {
     "separation": (1.0, 0.5, 1.5, 45.0),
     "straight": (1.0, 0.0, 1.5, 45.0),
 }
-# Contacts that a test follows at once, and samples of a period: other numbers are other programs to compile. 98 times
-# the rounded 1/98 is less than 1.
+# Contacts that a test follows at once, and samples of a period: for others more is compiled. 98 times the rounded 1/98
+# is less than 1.
 SIDE_BY_SIDE, SAMPLES = 6, (64, 98, 256)
 STIFFNESS = {"isotropic": np.eye(2), "general": np.array([[1.0, 0.3], [0.3, 0.6]])}
 

@@ -114,9 +114,10 @@ def test_what_does_not_repeat_is_irregular_indeed():
     seeds = [*range(1000, 1012), *islice(of_one_size(30_000, 2, 1), 12), *islice(of_one_size(30_000, 4, 1), 6)]
     irregular = []
     for seed in seeds:
-        cycles, lost = check([seed], Criterion(), 0.5)
+        cycles, lost = check([seed], Criterion(), 1.0)
         irregular += lost
         print(f"{seed}: {len(cycles)} points in {sum(cycles)} cycles, {len(lost)} do not repeat")
-    assert irregular
+    # Of all together: 1002 alone has eight of its twelve points so, and is as far from repeating after 20,000 cycles.
+    assert 0 < len(irregular) <= 6 * len(seeds)
     for chain in irregular:
         assert least_change(chain, LONGEST) > 1e-6

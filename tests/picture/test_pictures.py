@@ -385,6 +385,20 @@ def test_long_names_are_cut_where_there_is_no_room(run: xarray.Dataset) -> None:
     assert figure.get_suptitle() == "t" * 89 + "…\nharmonics of the last cycles"
 
 
+def test_a_contact_that_does_not_move_in_its_plane_has_no_orbit(run: xarray.Dataset) -> None:
+    motion = run.contact_displacement.copy()
+    motion.loc[{"contact": "stop", "component": ["t1", "t2"]}] = 0.0
+    drawn = [run, run.assign(contact_displacement=motion), run.assign(contact_displacement=0 * motion)]
+    figures = [plot_transient.PICTURES["orbit"](data) for data in drawn]
+    assert [[ax.get_title("right") for ax in figure.axes] for figure in figures] == [["pad", "stop"], ["pad"], ["pad"]]
+
+
+def test_the_last_cycles_are_drawn_apart_where_they_are_not_all(run: xarray.Dataset) -> None:
+    for cycles, panels in ((CYCLES, 2), (3, 1)):
+        figure = plot_transient.PICTURES["displacement"](run.isel(cycle=slice(cycles)))
+        assert len({round(ax.get_position().x0, 3) for ax in figure.axes}) == panels
+
+
 def test_one_legend_names_every_state_once(run: xarray.Dataset) -> None:
     figure = plot_transient.PICTURES["orbit"](run)
     assert figure is not None

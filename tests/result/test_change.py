@@ -296,8 +296,8 @@ TOGETHER: dict[str, set[Key]] = {
 }
 
 
-# Scenes that read a result are slow to load: here what only they have.
-ONLY = {"hbm": ("study",), "jump": ("initial", "solver", "study")}
+# Of scenes that read a result, which is slow, and of those that differ from others by their study: what only they have.
+ONLY = dict.fromkeys(("hbm", "compare", "bistable", "optimum"), ("study",)) | {"jump": ("initial", "solver", "study")}
 
 
 @pytest.mark.parametrize("name", KINDS)

@@ -5,8 +5,9 @@ lower motion lives to 1.2560 Hz and is gone at 1.2561, the upper one to 1.2511 a
 0.2 the upper motion lives to 0.9472 Hz, the lower one to 0.9416.
 """
 
+import shutil
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +27,12 @@ from timesim.orbit.steady_state import Orbit, differ, without_orbit
 from timesim.orbit.two_motions import DOWN, UP, Search, Sweeps, losses, ranges, suspect_steps
 from timesim.picture import bistable as plot_bistable
 from timesim.result.netcdf import open_result, save
+from timesim.scene.resolution import Scene
 from timesim.study import bistable
 from timesim.study import registry as plot
 from timesim.study.execution.campaign import Execution
 from timesim.study.hbm import Curves
+from timesim.study.outcome import Outcome
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.report import bistable_lines
 
@@ -154,17 +157,39 @@ def test_no_jump_is_a_result(tmp_path: Path):
     assert {path.name for path in tmp_path.glob("*.png")} == {"response.png"}
 
 
+@dataclass(frozen=True)
+class Searched:
+    """A study without its balance: the folder of its chunks, their results, and the outcome."""
+
+    scene: Scene
+    folder: Path
+    chunks: dict[str, Any]
+    outcome: Outcome
+
+
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory: pytest.TempPathFactory) -> Searched:
+    scene = load_scene(CONFIGS / "softening.yaml", [f"{k}={v}" for k, v in (QUICK | {"study.harmonics": "0"}).items()])
+    folder, chunks, work = tmp_path_factory.mktemp("searched"), {}, bistable.carry_through
+
+    def kept(*given: Any, **options: Any) -> Any:
+        results, reason = work(*given, **options)
+        chunks.update(results)
+        return results, reason
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bistable, "carry_through", kept)
+        return Searched(scene, folder, chunks, carry_out(scene, Execution(folder=folder)))
+
+
 @pytest.mark.parametrize("num", [0, 3])
-def test_more_jumps_than_ranges_or_fewer(num: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_more_jumps_than_ranges_or_fewer(searched: Searched, num: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A tree of Datasets shares its dimensions: both must have room along `jump`."""
-    found = bistable.ranges_of
-
-    def with_jumps(*given: Any) -> Any:
-        return {**found(*given), "jumps": np.tile([0, 1.25, 1.26], (num, 1))}
-
-    monkeypatch.setattr(bistable, "ranges_of", with_jumps)
-    overrides = QUICK | {"study.starts": "0", "study.harmonics": "0"}
-    outcome = carry_out(load_scene(CONFIGS / "softening.yaml", [f"{k}={v}" for k, v in overrides.items()]))
+    jumps = {"jumps": np.tile([0, 1.25, 1.26], (num, 1))}
+    changed = {name: dict(chunk) | (jumps if "jumps" in chunk else {}) for name, chunk in searched.chunks.items()}
+    assert sum("jumps" in chunk for chunk in searched.chunks.values()) == 2
+    monkeypatch.setattr(bistable, "carry_through", lambda *_, **__: (changed, None))
+    outcome = carry_out(searched.scene)
     data = open_result(save(outcome.groups, tmp_path / "result.nc"))
     assert data["range"].shape == (max(num, 1), 2)
     assert np.isfinite(data["range"]).all(axis=1).sum() == 1
@@ -187,16 +212,14 @@ def test_a_balance_that_comes_to_no_end_leaves_the_study_whole(monkeypatch: pyte
     assert carry_out(scene).reason == "hbm: interrupted at curve 1"
 
 
-def test_resumed_it_is_the_same(tmp_path: Path):
-    given = [f"{key}={value}" for key, value in (QUICK | {"study.starts": "5", "study.harmonics": "0"}).items()]
-    scene = load_scene(CONFIGS / "softening.yaml", given)
+def test_resumed_it_is_the_same(searched: Searched, tmp_path: Path):
+    scene, whole, folder = searched.scene, searched.outcome, tmp_path / "checkpoint"
+    shutil.copytree(searched.folder / "checkpoint", folder)
+    (folder / "00000-starts.npz").unlink()
+    (folder / "00000-ends.npz").unlink()
     notices: list[str] = []
-    execution = Execution(folder=tmp_path, notice=notices.append)
-    whole = carry_out(scene, execution)
-    (tmp_path / "checkpoint" / "00000-starts.npz").unlink()
-    (tmp_path / "checkpoint" / "00000-ends.npz").unlink()
-    again = carry_out(scene, replace(execution, resume=True))
-    assert notices == [f"1 of 3 chunks are taken up from {tmp_path / 'checkpoint'}"]
+    again = carry_out(scene, Execution(folder=tmp_path, notice=notices.append, resume=True))
+    assert notices == [f"1 of 3 chunks are taken up from {folder}"]
     assert again.reason is whole.reason is None
     for group in ("", "sweep"):
         for name, array in whole.groups[group].variables.items():

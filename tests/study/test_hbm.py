@@ -302,7 +302,7 @@ def test_points_of_a_sweep_begin_curves_where_the_first_has_no_solution(tmp_path
         ({"frequency": 1, "along": {"contacts.pad.friction": {"from": 1, "to": -2}}}, "must be >= 0"),
         ({"start": "left"}, "must be 'linear' or 'both_ends'"),
         ({"start": {"from": "no/result.nc"}}, "does not exist"),
-        ({"continuation": {"max_step": 1e-9}}, "must be at most first_step"),
+        ({"continuation": {"max_step": 1e-8}}, "must be at most first_step"),
         ({"continuation": {"max_points": 1}}, "must be >= 2"),
     ],
 )

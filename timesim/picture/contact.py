@@ -155,8 +155,11 @@ def intervals(data: "Dataset", contact: str, start: float, end: float) -> list[t
 
 
 def _orbit_figure(data: "Dataset", contacts: Sequence[str]) -> "Figure":
-    fig, grid = figure(1, len(contacts), width=1.1 + 3.8 * len(contacts), height=3.2)
-    for ax, contact in zip(grid[0], contacts, strict=True):
+    u = data.contact_displacement.isel(time=last_cycles(data))
+    moved = [contact for contact in contacts if np.ptp(u.sel(contact=contact).values[:, :2], axis=0).any()]
+    moved = moved or [contacts[0]]
+    fig, grid = figure(1, len(moved), width=1.1 + 3.8 * len(moved), height=3.2)
+    for ax, contact in zip(grid[0], moved, strict=True):
         orbit(data, ax, contact=contact)
     return fig
 

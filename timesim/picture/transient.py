@@ -174,11 +174,14 @@ def moving(data: "Dataset") -> list[tuple[str, str]]:
 
 def _displacement_figure(data: "Dataset") -> "Figure":
     shown = moving(data)[:MAX_ROWS]
-    fig, grid = figure(len(shown), 2, width=10.0, height=1.6, width_ratios=[2, 1], sharex="col")
-    for (left, right), (point, axis) in zip(grid, shown, strict=True):
-        displacement(data, left, point=point, axis=axis).label_outer()
-        displacement(data, right, point=point, axis=axis, cycles=LAST_CYCLES).set(ylabel="", xlabel="")
-    grid[-1, 1].set_xlabel("time [s]")
+    ratios = [2, 1] if data.sizes["cycle"] > LAST_CYCLES else [1]  # else the last cycles are all of them
+    fig, grid = figure(len(shown), len(ratios), width=10.0, height=1.6, width_ratios=ratios, sharex="col")
+    for row, (point, axis) in zip(grid, shown, strict=True):
+        displacement(data, row[0], point=point, axis=axis).label_outer()
+        for ax in row[1:]:
+            displacement(data, ax, point=point, axis=axis, cycles=LAST_CYCLES).set(ylabel="", xlabel="")
+    for ax in grid[-1]:
+        ax.set_xlabel("time [s]")
     return finish(fig, data, "displacement", _hidden(data))
 
 

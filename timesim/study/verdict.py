@@ -23,7 +23,7 @@ def curve_lines(data: Dataset, notes: Sequence[str]) -> Iterator[str]:
     """Response curves: how many, notes of the study, each curve, and how well harmonics and samples suffice."""
     numbers, attrs = np.unique(data["curve"].values), data.attrs
     yield (
-        f"{data.sizes['solution']} solutions on {numbers.size} curves by {attrs['method']} "
+        f"{data.sizes['solution']} solutions on {numbers.size} curve{'s' * (numbers.size != 1)} by {attrs['method']} "
         f"in {attrs['run_seconds']:.2f} s"
     )
     yield from notes
