@@ -35,7 +35,7 @@ def test_multipliers_of_a_stuck_structure():
 def test_multipliers_against_those_of_the_return_map(preload, frequency):
     """Motions with slip or separation; the others are exact derivatives of the event loop."""
     model = systems.oscillator(preload, frequency)
-    curve = hbm_curve(model, frequency, 1.001 * frequency, scheme=Scheme(15, 1024))
+    curve = hbm_curve(model, frequency, 1.001 * frequency, scheme=Scheme(15, 256))
     ((marched,),) = steady_states([Chain(model, (frequency,))], PRESETS["standard"], Criterion())
     assert marched.settled
     assert curve.slip_share[0, 0] > 0.05
@@ -43,7 +43,7 @@ def test_multipliers_against_those_of_the_return_map(preload, frequency):
     exact = np.abs(marched.floquet[0])
     assert 0.5 < exact < 0.9
     assert curve.floquet_max[0] == pytest.approx(exact, abs=3e-2)
-    balance = Balance(model, frequency, Scheme(15, 1024))
+    balance = Balance(model, frequency, Scheme(15, 256))
     x = curve.contact_motion[:1].reshape(1, -1) / balance.length
     fine = np.abs(floquet_multipliers(balance, x, curve.frequency[:1], samples=1024)[0])
     np.testing.assert_allclose(fine[:4], np.abs(marched.floquet[:4]), atol=4e-3)
@@ -77,7 +77,7 @@ def paired(found, expected):
 @pytest.mark.parametrize(("preload", "frequency"), [(-1.0, 0.97), (2.0, 1.3), (3.0, 1.39)])
 def test_modes_coupled_by_damping(preload, frequency):
     """Response and complex multipliers against time integration; without the coupling both are quite different."""
-    model, scheme = coupled(preload, frequency), Scheme(15, 1024)
+    model, scheme = coupled(preload, frequency), Scheme(15, 256)
     curve = hbm_curve(model, frequency, 1.001 * frequency, scheme=scheme)
     ((marched,),) = steady_states([Chain(model, (frequency,))], FINE, Criterion(tolerance=1e-11))
     assert curve.slip_share[0, 0] > 0.2

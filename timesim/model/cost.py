@@ -65,8 +65,11 @@ def cycles_to_settle(model: Model, criterion: Criterion, frequency: float) -> in
     return int(np.ceil(min(marched, criterion.first_shot + SHOTS, criterion.max_cycles)))
 
 
-def seconds_a_solution(model: Model, harmonics: int, *, stability: bool) -> float:
-    """Of a solution of a harmonic balance, with its multipliers or without (benchmarks/harmonic_balance.py)."""
+def seconds_a_solution(model: Model, time_samples: int, *, stability: bool) -> float:
+    """Of a solution of a harmonic balance, with its multipliers or without (benchmarks/harmonic_balance.py).
+
+    Up to nine harmonics cost nothing beside the samples, more bring more samples with them.
+    """
     contacts, modes = model.num_contacts, model.structure.num_modes
-    each = 4 + (0.2 * modes + 3.5 * (contacts - 1) if stability else 2.0 * (contacts - 1))
-    return 1e-3 * each * (0.8 + 0.02 * harmonics)
+    each = 7 + (3 + 0.18 * modes + 3.5 * (contacts - 1) if stability else 1.7 * (contacts - 1))
+    return 1e-3 * each * (0.2 + 0.8 * time_samples / 256)

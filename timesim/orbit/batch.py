@@ -144,20 +144,22 @@ def _advanced(batch: list[tuple[Lane, int]], solver: Solver, most: int | None, s
     method, padded = step_method(solver), _padded(batch, size)
     controls, systems, now = _stacked([(lane.control, lane.system, lane.at_start()) for lane, _ in padded])
     cycles = np.array([num for _, num in padded])
-    parts: list[Tries] = []
-    while sum(int(part.count) for part in parts) < (most or np.inf):
+    parts: list[list[Step]] = []  # of the steps that were taken: the tries of a long period would fill the memory
+    count = 0
+    while count < (most or np.inf):
         now, tries = _on_host(record_cycles(method, controls, systems, now, cycles, CAPACITY))
-        parts.append(tries)
+        parts.append([_of_lane(tries, i) for i in range(len(batch))])
+        count += int(tries.count)
         if not _unfinished(now, cycles).any():
             break
-    steps = jax.tree.map(lambda *rows: np.concatenate(rows), *(part.step for part in parts))
-    taken = np.concatenate([part.accepted for part in parts])
-    return [(_entry(now, i), _of_lane(steps, taken[:, i], i)) for i in range(len(batch))]
+    joined = [jax.tree.map(lambda *rows: np.concatenate(rows), *own) for own in zip(*parts, strict=True)]
+    return [(_entry(now, i), steps) for i, steps in enumerate(joined)]
 
 
-def _of_lane(steps: Step, taken: np.ndarray, index: int) -> Step:
+def _of_lane(tries: Tries, index: int) -> Step:
     """The steps of one lane of a batch that were taken."""
-    own: Step = jax.tree.map(lambda rows: rows[taken, ..., index], steps)
+    taken = tries.accepted[:, index]
+    own: Step = jax.tree.map(lambda rows: rows[taken, ..., index], tries.step)
     return own
 
 

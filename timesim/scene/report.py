@@ -105,9 +105,8 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
         curves = prod(map(len, balance.over.values())) * (1 + balance.both_ends)
         scheme, most = balance.scheme_for(model), most_harmonics(model.num_contacts)
         if "harmonics" in balance.chosen and most > scheme.harmonics:
-            longer = seconds_a_solution(model, most, stability=balance.stability)
-            lines.append(f"{scheme}, and up to {most} harmonics ({_duration(longer)} a solution) where they are needed")
-        own = seconds_a_solution(model, scheme.harmonics, stability=balance.stability)
+            lines.append(f"{scheme}, and up to {most} harmonics where they are needed")
+        own = seconds_a_solution(model, scheme.time_samples, stability=balance.stability)
         work = f"{SOLUTIONS} solutions of {_duration(own)}"
         lines.append(f"{curves} curves of harmonic balance of {work}: {_duration(curves * SOLUTIONS * own)}")
     yield from (f"about {line}" for line in lines)
