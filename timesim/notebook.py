@@ -262,7 +262,7 @@ def settle(system: Section, frequency: float, *, tolerance: float = 1e-8, max_cy
 
 
 def follow(
-    system: Section, start: float, stop: float, *, harmonics: int = 9, time_samples: int | str = "auto"
+    system: Section, start: float, stop: float, *, harmonics: int | str = "auto", time_samples: int | str = "auto"
 ) -> "xarray.Dataset":
     """Follow periodic responses by harmonic balance from one frequency to another, through folds.
 
@@ -272,7 +272,7 @@ def follow(
         stop: frequency where it ends [Hz].
 
     Keyword Args:
-        harmonics: of the displacement, above the mean.
+        harmonics: of the displacement, above the mean, a number or auto.
         time_samples: of a period at which the contacts are evaluated, a number or auto.
 
     Returns:

@@ -14,12 +14,14 @@ import timesim
 from timesim.fault import SceneError
 from timesim.hbm import convergence as hbm_convergence
 from timesim.hbm import scheme as hbm_scheme
-from timesim.hbm.convergence import SAMPLED, Known, convergence, order_of, sampling_error
+from timesim.hbm.convergence import NEGLECTED, SAMPLED, Known, convergence, neglected, order_of, sampling_error
 from timesim.hbm.curve import hbm_curve, solutions_at
-from timesim.hbm.scheme import Scheme
+from timesim.hbm.scheme import Scheme, most_harmonics
 from timesim.picture import hbm as plot_hbm
 from timesim.picture.response import stable_parts
 from timesim.result.netcdf import save
+from timesim.scene import hbm as scene_hbm
+from timesim.scene.report import describe
 from timesim.study import registry as plot
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.verdict import convergence_lines
@@ -359,9 +361,43 @@ def test_samples_that_prove_too_few_are_taken_finer(monkeypatch: pytest.MonkeyPa
     model, errors = load_scene(scene()).model(), []
     for count in (64, 256):
         curve = hbm_curve(model, 0.9422, 0.9417, scheme=Scheme(5, count), stability=False)
-        errors.append(sampling_error(model, curve, Scheme(5, count)))
+        errors.append(sampling_error(lambda _: model, curve, Scheme(5, count), np.array([0, -1])))
     assert errors[0] > 2 * SAMPLED
     assert 0 < errors[1] < SAMPLED / 2
+
+
+def test_harmonics_are_as_many_as_the_answer_needs(monkeypatch: pytest.MonkeyPatch):
+    """By the tail of the residual three are too few; the first set of values, which needs no more, has zeros there."""
+    monkeypatch.setattr(scene_hbm, "FIRST_HARMONICS", 3)
+    narrow: dict[str, Any] = {"frequency": {"from": 0.93, "to": 0.935}, "stability": False, "time_samples": "auto"}
+    chosen = timesim.run(scene(harmonics="auto", over={"contacts.pad.preload": [-100, -4]}, **narrow))
+    count = chosen.sizes["harmonic"] - 1
+    assert f"{count} harmonics, 512 time samples" in chosen.attrs["method"]
+    assert 4 < count < most_harmonics(1)
+    apart = chosen["contacts.pad.preload"].values == -100
+    assert apart.any()
+    assert not chosen.harmonic_cos.values[apart, 4:].any()
+    same = timesim.run(scene(harmonics=count, **narrow))
+    np.testing.assert_array_equal(chosen.amplitude.values[~apart], same.amplitude)
+    model, rows, tails = load_scene(scene()).model(), np.array([0, -1]), []
+    for number in (3, count):
+        scheme = Scheme(number, 512)
+        curve = hbm_curve(model, 0.93, 0.935, scheme=scheme, stability=False)
+        tails.append(neglected(lambda _: model, curve, scheme, rows)[number])
+    assert tails[0] > NEGLECTED > tails[1]
+
+
+@pytest.mark.parametrize("harmonics", ["auto", 12])
+def test_an_excited_harmonic_is_among_those_chosen(harmonics):
+    load = [{"point": "tip", "direction": [1, 0, 0], "amplitude": 0.5, "harmonic": 12}]
+    excited = BASE | {"excitation": BASE["excitation"] | {"forces": load}}
+    study = scene(harmonics=harmonics, time_samples="auto")["study"]
+    plan, model = (loaded := load_scene(excited | {"study": study})).plan, loaded.model()
+    assert plan.scheme_for(model) == Scheme(12, 512)
+    if harmonics == "auto":
+        assert f"up to {most_harmonics(1)} harmonics" in " ".join(
+            line for part in describe(loaded).values() for line in part
+        )
 
 
 def test_convergence_of_full_stick_says_that_it_says_nothing():

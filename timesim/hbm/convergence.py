@@ -5,16 +5,17 @@ same harmonics. The measure is the largest difference of an amplitude from that 
 largest amplitude of the motion.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.corrector import Controls, solve
 from timesim.hbm.curve import HbmCurve
 from timesim.hbm.period import contact_forces
-from timesim.hbm.scheme import MIN_SAMPLES, Scheme
+from timesim.hbm.scheme import MIN_SAMPLES, Scheme, enough_samples, most_harmonics
 from timesim.model.model import Model
 from timesim.orbit.fourier import half_range, to_coefficients, to_phasors
 from timesim.orbit.steady_state import switches
@@ -25,29 +26,81 @@ MAX_DOUBLINGS = 15  # of one time sample
 ENOUGH = 1e-5
 
 
-# Share of a contact force that may depend on where the samples lie, and the solutions that are looked at.
-SAMPLED, LOOKED_AT = 1e-3, 12
+# Share of a contact force that may depend on where the samples lie, share of the amplitude that harmonics above those
+# balanced may add, and the solutions that are looked at.
+SAMPLED, NEGLECTED, LOOKED_AT = 1e-3, 1e-4, 12
 # Shift of the samples, as a share of their distance, that shows it.
 SHIFT = 0.38
+# How many times as many samples are taken where they are too few, and the most that the program chooses.
+FINER, MOST_SAMPLES = 4, 2048
 
 
-def sampling_error(model: Model, curve: HbmCurve, scheme: Scheme) -> float:
-    """Change of a contact force, relative to its largest coefficient, as the samples shift: the most along a curve.
+def finer_scheme(
+    model_at: Callable[[float], Model], curve: HbmCurve, scheme: Scheme, chosen: Collection[str]
+) -> Scheme | None:
+    """A scheme that suffices where that of a curve does not.
 
-    It is looked for where contacts switch. No other program is compiled for it.
+    Args:
+        model_at: the model for a value of the curve's parameter.
+        curve, scheme: the solutions, and what they are computed with.
+        chosen: the keys of the scheme that may be changed.
+
+    Returns:
+        The scheme; None where that of the curve is enough, or where no finer one is chosen.
     """
     rows = np.flatnonzero(switches(curve.slip_share, curve.separation_share).any(axis=1))
-    if not rows.size:
-        return 0.0
-    balance, worst = Balance(model, float(curve.frequency[rows[0]]), scheme), 0.0
-    turn = np.exp(2j * np.pi * SHIFT / scheme.time_samples * np.arange(scheme.harmonics + 1))
-    for i in np.unique(rows[np.linspace(0, rows.size - 1, LOOKED_AT).round().astype(int)]):
+    rows = np.unique(rows[np.linspace(0, rows.size - 1, LOOKED_AT).round().astype(int)]) if rows.size else rows
+    if "harmonics" in chosen and rows.size:
+        left = neglected(model_at, curve, scheme, rows)
+        most = max(most_harmonics(curve.slip_share.shape[1]), scheme.harmonics)
+        # Half of it, since more harmonics make short contacts shorter.
+        wanted = min(int(np.argmax(np.append(left <= NEGLECTED / 2, True))), most)
+        if left[scheme.harmonics] > NEGLECTED and wanted > scheme.harmonics:
+            least = enough_samples(wanted) if "time_samples" in chosen else 4 * wanted
+            return Scheme(wanted, max(scheme.time_samples, least))
+    samples = FINER * scheme.time_samples
+    if "time_samples" not in chosen or samples > MOST_SAMPLES or not rows.size:
+        return None
+    return replace(scheme, time_samples=samples) if sampling_error(model_at, curve, scheme, rows) > SAMPLED else None
+
+
+def neglected(model_at: Callable[[float], Model], curve: HbmCurve, scheme: Scheme, rows: NDArray[np.int64]) -> Array:
+    """Displacement that the harmonics of the contact forces above each order would add, shape (N/4 + 1,).
+
+    It is the tail of the residual with more harmonics, as far as the samples resolve them: the most along the curve,
+    relative to the largest amplitude.
+    """
+    wide, worst = replace(scheme, harmonics=scheme.time_samples // 4), 0.0
+    for i in rows:
+        balance = Balance(model_at(float(curve.parameter[i])), float(curve.frequency[i]), wide)
+        motion = np.zeros((balance.num_contacts, 3, balance.size))
+        motion[..., : curve.contact_motion.shape[-1]] = curve.contact_motion[i] / balance.length
+        x = motion.ravel()
+        modes = balance.modes(x, balance.contact_forces(x), float(curve.frequency[i]))
+        heights = np.abs(np.einsum("pam,hm->hpa", balance.model.structure.shape, modes)).max(axis=(1, 2))
+        above = np.append(np.cumsum(heights[:0:-1])[::-1], 0.0)
+        worst = np.maximum(worst, above / curve.amplitude[i].max())
+    return np.asarray(worst)
+
+
+def sampling_error(
+    model_at: Callable[[float], Model], curve: HbmCurve, scheme: Scheme, rows: NDArray[np.int64]
+) -> float:
+    """Change of a contact force, relative to its largest coefficient, as the samples shift: the most along a curve.
+
+    No other program is compiled for it.
+    """
+    worst, turn = 0.0, np.exp(2j * np.pi * SHIFT / scheme.time_samples * np.arange(scheme.harmonics + 1))
+    for i in rows:
+        balance = Balance(model_at(float(curve.parameter[i])), float(curve.frequency[i]), scheme)
         motion = curve.contact_motion[i] / balance.length
         moved = to_coefficients(to_phasors(motion) * turn)
         here, there = (contact_forces(balance.law, balance.basis, own).coefficient for own in (motion, moved))
         change = np.abs(there - to_coefficients(to_phasors(here) * turn)).max(axis=(1, 2))
         at_work = switches(curve.slip_share[i], curve.separation_share[i])
-        worst = max(worst, float((change / np.abs(here).max(axis=(1, 2)))[at_work].max()))
+        # A contact may touch between two of the samples only, or miss all of those that are shifted.
+        size = np.maximum(np.abs(here), np.abs(there)).max(axis=(1, 2))
+        worst = max(worst, float((change / np.maximum(size, 1e-300))[at_work].max()))
     return worst
 
 

@@ -68,6 +68,20 @@ class HbmCurve:
         """Whether the whole range was followed."""
         return self.ending.complete
 
+    def with_harmonics(self, count: int) -> "HbmCurve":
+        """The same with more harmonics, which are zero."""
+
+        def longer(part: Array, axis: int, size: int) -> Array:
+            return np.pad(part, [(0, size - part.shape[axis] if i == axis else 0) for i in range(part.ndim)])
+
+        return replace(
+            self,
+            harmonic_cos=longer(self.harmonic_cos, 1, count + 1),
+            harmonic_sin=longer(self.harmonic_sin, 1, count + 1),
+            contact_motion=longer(self.contact_motion, 3, 2 * count + 1),
+            contact_force=longer(self.contact_force, 3, 2 * count + 1),
+        )
+
     @property
     def harmonic_amplitude(self) -> Array:
         """Amplitude of each harmonic, shape (S, H + 1, P, 3); harmonic 0 is the signed mean [length]."""

@@ -11,6 +11,8 @@ MIN_SAMPLES = 16
 # With so many samples of the shortest wave, and of the period, the contact forces err by less than 1e-6 of the largest
 # under the motions of tests/hbm/test_period.py, 1e-5 where K_u is not isotropic.
 SAMPLES_PER_WAVE, ENOUGH_SAMPLES = 24, 256
+# Where the program chooses them: harmonics at first, and unknowns at most, beyond which a solution takes seconds.
+FIRST_HARMONICS, MOST_UNKNOWNS = 9, 400
 
 
 class BalanceError(ValueError):
@@ -51,8 +53,24 @@ def enough_samples(harmonics: int) -> int:
     return max(ENOUGH_SAMPLES, 2 ** ceil(log2(SAMPLES_PER_WAVE * harmonics)))
 
 
-def check_model(model: Model, harmonics: int) -> None:
+def most_harmonics(num_contacts: int) -> int:
+    """Harmonics that the program chooses at most."""
+    return max(FIRST_HARMONICS, (MOST_UNKNOWNS // (3 * num_contacts) - 1) // 2)
+
+
+def highest_excited(model: Model) -> int:
+    """The highest harmonic of the excitation; 0 where nothing is periodic."""
+    excited = model.excitation
+    moving = np.any(excited.cosine != 0, axis=1) | np.any(excited.sine != 0, axis=1)
+    return int(excited.harmonic[moving].max(initial=0))
+
+
+def check_model(model: Model, harmonics: int | None) -> None:
     """Refuse a model without contacts or periodic excitation, or with excited harmonics that are not balanced.
+
+    Args:
+        model: the scene.
+        harmonics: those balanced; None: as many as are needed.
 
     Raises:
         BalanceError: the model allows no balance.
@@ -60,13 +78,11 @@ def check_model(model: Model, harmonics: int) -> None:
     if not model.contacts:
         rule = "must hold at least one contact, since the response without is linear"
         raise BalanceError("contacts", rule, None, "a sweep gives the linear response")
-    excited = model.excitation
-    moving = np.any(excited.cosine != 0, axis=1) | np.any(excited.sine != 0, axis=1)
-    if not moving.any():
+    highest = highest_excited(model)
+    if not highest:
         rule = "has no periodic part, so there is no periodic response to balance"
         hint = "give excitation.modal_force or excitation.forces an amplitude"
         raise BalanceError("excitation", rule, None, hint)
-    highest = int(excited.harmonic[moving].max())
-    if highest > harmonics:
+    if harmonics is not None and highest > harmonics:
         rule = f"must be at least {highest}, since harmonic {highest} is excited"
         raise BalanceError("harmonics", rule, harmonics, f"set harmonics to at least {highest}")

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, Tag, model_validator
 
 from timesim.fault import RuleError
-from timesim.hbm.scheme import BalanceError, Scheme, check_model, enough_samples
+from timesim.hbm.scheme import FIRST_HARMONICS, BalanceError, Scheme, check_model, enough_samples, highest_excited
 from timesim.model.model import Model
 from timesim.result.file import StoreError
 from timesim.result.last_cycle import PeriodicMotion, periodic_motion
@@ -42,8 +42,8 @@ class HbmPlan:
     """Response curves by harmonic balance.
 
     Attributes:
-        scheme: what is balanced.
-        finer: whether more samples are taken where these prove too few.
+        scheme: what is balanced, at first where the program chooses it.
+        chosen: the keys of the scheme that the program raises where what it is proves too coarse.
         span: first and last frequency of the curves [Hz].
         over: the further axes, a curve or several for each combination of values.
         along: the scalar that the curves run along at the frequency `span[0]`; None: they run along the frequency.
@@ -62,9 +62,17 @@ class HbmPlan:
     stability: bool = True
     convergence: bool = False
     both_ends: bool = False
-    finer: bool = False
+    chosen: tuple[str, ...] = ()
     motion: PeriodicMotion | None = None
     passing: tuple[SavedStates, Mapping[str, float | str]] | None = None
+
+    def scheme_for(self, model: Model) -> Scheme:
+        """What is balanced at first of a model: harmonics that are excited too."""
+        if "harmonics" not in self.chosen:
+            return self.scheme
+        harmonics = max(self.scheme.harmonics, highest_excited(model))
+        least = enough_samples(harmonics) if "time_samples" in self.chosen else 4 * harmonics
+        return Scheme(harmonics, max(self.scheme.time_samples, least))
 
 
 class FrequencySpan(Span):
@@ -166,22 +174,35 @@ TimeSamples = Annotated[
 ]
 
 
-def balanced(harmonics: int, time_samples: int | Literal["auto"]) -> Scheme:
-    """What is balanced, in numbers.
+Harmonics = Annotated[
+    Annotated[Literal["auto"], Tag("<text>")] | Annotated[Annotated[Count, Field(le=1000)], Tag("<number>")],
+    by_form("auto or a whole number"),
+]
+HarmonicsOrNone = Annotated[
+    Annotated[Literal["auto"], Tag("<text>")] | Annotated[Annotated[Whole, Field(ge=0, le=1000)], Tag("<number>")],
+    by_form("auto or a whole number"),
+]
+
+
+def balanced(harmonics: int | Literal["auto"], time_samples: int | Literal["auto"]) -> tuple[Scheme, tuple[str, ...]]:
+    """What is balanced at first, and which of the two the program chooses.
 
     Raises:
         PydanticCustomError: it is too coarse.
     """
+    keys = {"harmonics": harmonics, "time_samples": time_samples}
+    count = FIRST_HARMONICS if harmonics == "auto" else harmonics
     try:
-        return Scheme(harmonics, enough_samples(harmonics) if time_samples == "auto" else time_samples)
+        scheme = Scheme(count, enough_samples(count) if time_samples == "auto" else time_samples)
     except BalanceError as error:
         raise refuse(error.rule, key=(error.key,), value=error.value, hint=error.hint) from None
+    return scheme, tuple(key for key, value in keys.items() if value == "auto")
 
 
-def balance_problems(model: Model, harmonics: int) -> Iterator[RuleError]:
+def balance_problems(model: Model, harmonics: int | Literal["auto"]) -> Iterator[RuleError]:
     """Why a model cannot be balanced, keys from the root of the scene."""
     try:
-        check_model(model, harmonics)
+        check_model(model, None if harmonics == "auto" else harmonics)
     except BalanceError as error:
         key = (error.key,) if error.key in ("contacts", "excitation") else ("study", error.key)
         yield RuleError(key, error.rule, error.hint, error.value)
@@ -192,8 +213,9 @@ class BalanceSection(StudySection):
 
     cone_only: ClassVar[bool] = True
 
-    harmonics: Annotated[Count, Field(le=1000)] = 9
-    """Highest harmonic of the excitation frequency that is balanced, the mean beside them."""
+    harmonics: Harmonics = "auto"
+    """Highest harmonic of the excitation frequency that is balanced, the mean beside them; auto: 9, and more where
+    those above would add more than 1e-4 of the amplitude, up to a number that `check` names."""
     time_samples: TimeSamples = "auto"
     """Samples of a period on which the contact forces are evaluated; at least 16, and 4 a harmonic; auto: 256, or more
     from 11 harmonics on, and four times as many where a contact force still depends on where they lie."""
@@ -223,9 +245,10 @@ class BalanceSection(StudySection):
         Raises:
             RuleError: the result to start from is none of this scene.
         """
+        scheme, chosen = balanced(self.harmonics, self.time_samples)
         plan = HbmPlan(
-            scheme=balanced(self.harmonics, self.time_samples),
-            finer=self.time_samples == "auto",
+            scheme=scheme,
+            chosen=chosen,
             span=span,
             over=over,
             along=along,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
+from timesim.hbm.scheme import most_harmonics
 from timesim.model.cost import (
     SETTLING,
     SOLUTIONS,
@@ -102,7 +103,10 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
     balance = plan if isinstance(plan, HbmPlan) else getattr(plan, "balance", None)
     if balance is not None:
         curves = prod(map(len, balance.over.values())) * (1 + balance.both_ends)
-        own = seconds_a_solution(model, balance.scheme.time_samples, stability=balance.stability)
+        scheme, most = balance.scheme_for(model), most_harmonics(model.num_contacts)
+        if "harmonics" in balance.chosen and most > scheme.harmonics:
+            lines.append(f"{scheme}, and up to {most} harmonics where they are needed")
+        own = seconds_a_solution(model, scheme.time_samples, stability=balance.stability)
         work = f"{SOLUTIONS} solutions of {_duration(own)}"
         lines.append(f"{curves} curves of harmonic balance of {work}: {_duration(curves * SOLUTIONS * own)}")
     yield from (f"about {line}" for line in lines)

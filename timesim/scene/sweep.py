@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from timesim.fault import RuleError
 from timesim.model.model import CONE, Model
 from timesim.model.solver import Criterion
-from timesim.scene.hbm import HbmPlan, TimeSamples, balance_problems, balanced, default_steps
+from timesim.scene.hbm import HarmonicsOrNone, HbmPlan, TimeSamples, balance_problems, balanced, default_steps
 from timesim.scene.section import refuse
 from timesim.scene.study import (
     AlongOne,
@@ -166,8 +166,8 @@ class Bistable(SteadySection):
     """When a motion counts as settled; near the end of a range it does so very slowly."""
     starts: Annotated[Whole, Field(ge=0, le=101)] = 9
     """Starts at mid-range, as many along each side of a square: sums of the two motions; 5, 9, 13, ..., 0 for none."""
-    harmonics: Annotated[Whole, Field(ge=0, le=1000)] = 9
-    """Highest harmonic of the branch by harmonic balance that is drawn behind; 0 draws none."""
+    harmonics: HarmonicsOrNone = "auto"
+    """Highest harmonic of the branch by harmonic balance that is drawn behind, or auto; 0 draws none."""
     time_samples: TimeSamples = "auto"
     """Samples of a period that the balance takes."""
 
@@ -200,8 +200,8 @@ class Bistable(SteadySection):
         sweep, balance = self.sweep(), None
         if self.harmonics:
             span = (self.frequency.first, self.frequency.to)
-            scheme, steps = balanced(self.harmonics, self.time_samples), default_steps().model_dump()
-            balance = HbmPlan(scheme, span, sweep.over, steps, both_ends=True, finer=self.time_samples == "auto")
+            (scheme, chosen), steps = balanced(self.harmonics, self.time_samples), default_steps().model_dump()
+            balance = HbmPlan(scheme, span, sweep.over, steps, both_ends=True, chosen=chosen)
         return BistablePlan(sweep, self.width, self.starts, balance)
 
     def problems(self, model: Model) -> Iterator[RuleError]:

@@ -13,9 +13,10 @@ from xarray import Dataset
 from timesim.fault import RuleError
 from timesim.hbm.branches import SettledMotion, curves_from_both_ends, isolated_curves
 from timesim.hbm.continuation import Controls, Ending
-from timesim.hbm.convergence import SAMPLED, Convergence, Known, convergence, sampling_error
+from timesim.hbm.convergence import Convergence, Known, convergence, finer_scheme
 from timesim.hbm.curve import HbmCurve, hbm_curve
 from timesim.hbm.parameter import parameter_curve
+from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.steady_state import switches
@@ -37,7 +38,6 @@ Sweep = tuple[SavedStates, Mapping[str, float | str]]
 
 FOLLOWED = 0.6  # of the time of a curve; its multipliers take the rest
 
-FINER, MOST_SAMPLES = 4, 1024  # samples of a period, where the program chooses them
 REFINED = 6  # solutions that harmonics and samples are refined for, beside the largest
 
 
@@ -65,7 +65,8 @@ class Curves:
     """The curves of a study; `values` are the combinations of its further axes, one after the other."""
 
     def __init__(self, scene: Scene, plan: HbmPlan):
-        self.scene, self.plan, self.scheme = scene, plan, plan.scheme
+        self.scene, self.plan = scene, plan
+        self.scheme = plan.scheme_for(scene.model())
         self.values = list(combinations(plan.over))
         self.curves: list[StudyCurve] = []
         self.faults: list[str] = []
@@ -92,6 +93,7 @@ class Curves:
                     kept.save(place, [one.curve for one in self.curves[first:]], self.notes[notes:])
                 else:
                     self.notes += done[1]
+                    self._refine(max((curve.harmonic_cos.shape[1] - 1 for curve in done[0]), default=1))
                     for curve in done[0]:
                         self._add(StudyCurve(values, self._model_at(values), curve))
                 execution.show(place + 1, len(self.values), "harmonic balance")
@@ -104,8 +106,8 @@ class Curves:
     def _follow(self, values: dict[str, float], sweeps: Sequence[Sweep], growth: "Growth") -> None:
         """The curves of a set of values."""
         curves = list(self._from_ends(values, growth))
-        while any(self._too_coarse(curve) for curve in curves):
-            self.scheme = replace(self.scheme, time_samples=FINER * self.scheme.time_samples)
+        while (scheme := self._finer(curves)) is not None:
+            self._refine(scheme.harmonics, scheme.time_samples)
             curves = list(self._from_ends(values, growth))
         for curve in curves:
             self._add(curve)
@@ -114,15 +116,21 @@ class Curves:
                 self.notes.append(_isolated(curve))
                 self._add(curve)
 
-    def _too_coarse(self, curve: StudyCurve) -> bool:
-        """Whether a curve is worth following again with more samples."""
-        solutions, scheme = curve.curve, self.scheme
-        if not self.plan.finer or FINER * scheme.time_samples > MOST_SAMPLES or not solutions.frequency.size:
-            return False
-        if solutions.ending is Ending.INTERRUPTED:
-            return False
-        model = curve.model_at(float(solutions.parameter[0]))
-        return sampling_error(model, solutions, scheme) > SAMPLED
+    def _finer(self, curves: Sequence[StudyCurve]) -> Scheme | None:
+        """With what curves are worth following again, if with anything."""
+        chosen, endings = self.plan.chosen, [curve.curve.ending for curve in curves]
+        if not chosen or Ending.INTERRUPTED in endings:
+            return None
+        wanted = [finer_scheme(curve.model_at, curve.curve, self.scheme, chosen) for curve in curves]
+        schemes = [scheme for scheme in wanted if scheme is not None]
+        return max(schemes, key=lambda scheme: (scheme.harmonics, scheme.time_samples), default=None)
+
+    def _refine(self, harmonics: int, time_samples: int = 0) -> None:
+        """Take more harmonics and samples from now on; those that curves before do not have are zero."""
+        harmonics = max(harmonics, self.scheme.harmonics)
+        samples = max(time_samples, self.scheme.time_samples, 4 * harmonics)
+        self.scheme = Scheme(harmonics, samples)
+        self.curves = [replace(one, curve=one.curve.with_harmonics(harmonics)) for one in self.curves]
 
     def _model_at(self, values: dict[str, float]) -> Callable[[float], Model]:
         """The model for a value of the parameter of a curve with these values."""
@@ -133,7 +141,7 @@ class Curves:
         return lambda p: self.scene.variant({**values, key: p})
 
     def _add(self, curve: StudyCurve) -> None:
-        self.curves.append(curve)
+        self.curves.append(replace(curve, curve=curve.curve.with_harmonics(self.scheme.harmonics)))
         if not curve.curve.complete:
             self.faults.append(curve.label + curve.curve.message)
         if curve.curve.ending is Ending.INTERRUPTED:
@@ -293,9 +301,9 @@ def left_out(scene: Scene, plan: HbmPlan) -> tuple[Dataset, Curves, str | None]:
 def _warmed_up(scene: Scene, plan: HbmPlan) -> float:
     """Seconds that the first points of a curve took, most of them compilation."""
     clock = time.perf_counter()
-    model, frequency = scene.variant(next(combinations(plan.over))), plan.span[0]
-    few = Controls(max_points=2)
-    hbm_curve(model, frequency, 1.001 * frequency, scheme=plan.scheme, controls=few, stability=plan.stability)
+    model, frequency, few = scene.variant(next(combinations(plan.over))), plan.span[0], Controls(max_points=2)
+    scheme = plan.scheme_for(model)
+    hbm_curve(model, frequency, 1.001 * frequency, scheme=scheme, controls=few, stability=plan.stability)
     return time.perf_counter() - clock
 
 
