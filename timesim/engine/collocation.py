@@ -285,16 +285,8 @@ def _modal_force(system: System, f: Plane, n: Scalar, left: Array) -> Array:
 
 def _at_nodes(rule: Rule, system: System, flow: Flow, start: Start, guess: Guess) -> tuple[Array, Array, Nodes, Within]:
     """Displacements and velocities of modes and contacts at the nodes, and what the contacts do there."""
-    q = (
-        start.q
-        + flow.q_force[:, 0] * start.force
-        + sum(flow.q_force[:, k + 1] * guess.force[k] for k in range(len(guess.force)))
-    )
-    p = (
-        start.p
-        + flow.p_force[:, 0] * start.force
-        + sum(flow.p_force[:, k + 1] * guess.force[k] for k in range(len(guess.force)))
-    )
+    force = jnp.concatenate([start.force, guess.force])
+    q, p = start.q + (flow.q_force * force).sum(axis=1), start.p + (flow.p_force * force).sum(axis=1)
     moves = matmul(jnp.concatenate([q, p]), jnp.concatenate(system.shape).T)
     parts = jnp.split(moves, len(system.shape), axis=1)
     x, dx = (tuple(part[rows] for part in parts) for rows in (slice(0, len(q)), slice(len(q), None)))
