@@ -209,7 +209,11 @@ def integrated(
     points, rates, whole = (now.point, end), (now.rate, rate), jnp.asarray(False)
     if solved is None:
         return Trial(end, rate, size, size <= 1, whole, segment(dynamics, points, rates, h), None)
-    part = segment_of_nodes(dynamics, points, rates, h, solved.nodes, rule_of(method.order - 1))
+    rule = rule_of(method.order - 1)
+    part = segment_of_nodes(dynamics, points, rates, h, solved.nodes, rule)
+    # A contact that is apart asks for no short step; the guards look at the path, which has to be known as well.
+    unseen = jnp.stack([jnp.abs(polynomial[-1]).max(initial=0.0) for polynomial in part.path]).max()
+    size = jnp.maximum(size, rule.touch * unseen / tolerance)
     return cut(control, dynamics, now, Trial(end, rate, size, size <= 1, whole, part, solved.inside), reach)
 
 

@@ -19,6 +19,7 @@ class Rule(NamedTuple):
         integrals: integrals from 0 to the nodes of the rule from values at those, shape (s, s).
         hermite: coefficients of powers from values at all nodes, then rates there, shape (2 s + 2, 2 s + 2).
         share: integral of |prod (x - node)|.
+        touch: largest value of its square, which multiplies the remainder of ``hermite``.
     """
 
     nodes: np.ndarray
@@ -27,6 +28,7 @@ class Rule(NamedTuple):
     integrals: np.ndarray
     hermite: np.ndarray
     share: float
+    touch: float
 
 
 @functools.cache
@@ -45,5 +47,6 @@ def rule_of(num: int) -> Rule:
     values, rates = nodes[:, None] ** high, high * nodes[:, None] ** np.maximum(high - 1, 0)
     hermite = np.linalg.inv(np.concatenate([values, rates]))
     x = np.linspace(0, 1, 20_001)
-    share = float(np.trapezoid(np.abs(np.prod(x[:, None] - nodes, axis=1)), x))
-    return Rule(nodes, monomials, lowered @ monomials, integrals, hermite, share)
+    apart = np.abs(np.prod(x[:, None] - nodes, axis=1))
+    share, touch = float(np.trapezoid(apart, x)), float(apart.max() ** 2)
+    return Rule(nodes, monomials, lowered @ monomials, integrals, hermite, share, touch)
