@@ -23,7 +23,8 @@ from problems import many_contacts, many_modes, oscillator
 from timesim.engine.event_loop import march
 from timesim.engine.method import step_method
 from timesim.engine.solver import step_control
-from timesim.engine.step import Status, Trajectory
+from timesim.engine.status import Status
+from timesim.engine.step import Trajectory
 from timesim.engine.system import system_of
 from timesim.engine.trajectory import Frame, Phase, Run
 from timesim.model.model import Model

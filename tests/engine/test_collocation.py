@@ -2,14 +2,21 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from simulation import FINE as RUNGE_KUTTA
 from simulation import REFERENCE, relative_error, simulate
-from systems import at_rest, excitation, generated_model, generated_models, pad, structure
+from systems import at_rest, excitation, generated_model, generated_models, oscillator, pad, structure
 
+from timesim.engine.event_loop import advance
+from timesim.engine.law.cone import ConeLaw
+from timesim.engine.law.contact_law import ContactLaw
 from timesim.engine.law.rule import rule_of
 from timesim.engine.method import Exponential, step_method
+from timesim.engine.solver import step_control
+from timesim.engine.system import system_of
+from timesim.engine.trajectory import Frame, Phase, Run
 from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
 from timesim.orbit.settling import Chain, steady_states
@@ -148,3 +155,32 @@ def test_more_generated_models(seed: int, size: tuple[int, int]) -> None:
         )
         assert relative_error(trace.motion, true.motion) < 10 * solver.rtol
         assert trace.energy_residual < 100 * solver.rtol
+
+
+class Plain(ConeLaw):
+    """The cone as a law that knows nothing better than its reaction: slip by its rate, in place of its angle."""
+
+    inner = ContactLaw.inner
+    collocated = ContactLaw.collocated
+    slip_inside = ContactLaw.slip_inside
+
+
+def test_a_law_that_only_has_a_reaction_is_collocated_too() -> None:
+    model, frequency = oscillator(3.0, 1.39), 1.39
+    run = Run(model, [Phase(frequency, 4)], LOOSE)
+    frame = Frame(model, run.reduction, frequency)
+    system = system_of(model, frequency, 0.0, run.reduction)
+    control = step_control(LOOSE, model.stuck_rate / frame.scales.omega)
+    start = frame.begin(system, run, LOOSE.first_step(1.0), work=False)
+    law = system.law
+    assert isinstance(law, ConeLaw)
+    plain = Plain(law.friction, law.stiffness, law.compliance, law.normal_stiffness, law.preload)
+    ends = []
+    for own in (system, replace(system, law=plain)):
+        now, steps, count = advance(step_method(LOOSE), control, own, start, jnp.asarray(4), 1024)
+        assert int(now.cycle) == 4
+        switched = np.asarray(steps.state != steps.state_after)[: int(count)]
+        ends.append((np.concatenate([now.point.q, now.point.p]), switched.sum()))
+    (mine, count), (theirs, other) = ends
+    assert count == other > 8
+    assert relative_error(theirs, mine) < 10 * LOOSE.rtol

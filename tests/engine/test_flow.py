@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from timesim.engine.flow import weights
+from timesim.engine.exponential.flow import weights
 
 POWERS = 6
 

@@ -12,7 +12,7 @@ from systems import excitation, inclined
 from timesim.engine.event_loop import advance
 from timesim.engine.method import Advance, Exponential, Method, step_method
 from timesim.engine.solver import step_control
-from timesim.engine.step import Status
+from timesim.engine.status import Status
 from timesim.engine.system import system_of
 from timesim.engine.trajectory import Frame, Phase, Run
 from timesim.model.model import SEPARATION, SLIP, STICK, Model

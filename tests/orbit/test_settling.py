@@ -8,7 +8,7 @@ import pytest
 from simulation import simulate
 from systems import circular, circular_radius, oscillator
 
-from timesim.engine.step import Status
+from timesim.engine.status import Status
 from timesim.model.solver import NEVER, PRESETS, SHOOT, SLOW, Criterion, Solver
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.fourier import phase_deg, to_phasors

@@ -45,7 +45,8 @@ from timesim.engine.law.contact_law import (
 from timesim.engine.law.contact_law import Motion as RelativeMotion
 from timesim.engine.method import Method
 from timesim.engine.solver import Control
-from timesim.engine.step import Status, Step, Trajectory, begin
+from timesim.engine.status import Status
+from timesim.engine.step import Step, Trajectory, begin
 
 FIRST_STEP = 0.02
 CAPACITY = 2048  # steps recorded of one cycle

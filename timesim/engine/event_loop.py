@@ -12,11 +12,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from timesim.engine.lanes import advance_lanes, batch_first, batch_last, over_lanes
+from timesim.engine.lanes import Over, advance_lanes, batch_first, batch_last, by_itself, over_lanes
 from timesim.engine.law.contact_law import Dynamics
 from timesim.engine.method import Method
 from timesim.engine.solver import Control
-from timesim.engine.step import Status, Step, Trajectory, try_step
+from timesim.engine.status import Status
+from timesim.engine.step import Step, Trajectory, try_step
 
 
 @eqx.filter_jit
@@ -69,7 +70,8 @@ def march(
     size = cycles.shape[0]
     if method.one_by_one:
         own = jax.tree.map(lambda leaf: leaf if leaf.ndim else jnp.broadcast_to(leaf, size), control)
-        return jax.lax.map(lambda lane: _march_alone(method, *lane), (own, dynamics, start, cycles))
+        alone = partial(_marched, method, over=by_itself)
+        return jax.lax.map(lambda lane: alone(*lane), (own, dynamics, start, cycles))
     if size <= SIDE_BY_SIDE:
         return _march_together(method, control, dynamics, start, cycles)
     lanes = (jnp.arange(-(-size // SIDE_BY_SIDE) * SIDE_BY_SIDE) % size).reshape(-1, SIDE_BY_SIDE)
@@ -83,28 +85,23 @@ def march(
     return whole
 
 
-def _march_alone(
-    method: Method, control: Control, dynamics: Dynamics, start: Trajectory, cycles: Int[Array, ""]
-) -> tuple[Trajectory, Int[Array, ""]]:
-    dynamics = method.prepared(dynamics, control.longest)
-
-    def goes_on(carry: tuple[Trajectory, Array]) -> Array:
-        return (carry[0].cycle < cycles) & (carry[0].status == Status.RUNNING)
-
-    def body(carry: tuple[Trajectory, Array]) -> tuple[Trajectory, Array]:
-        now, step, accepted = try_step(method, control, dynamics, carry[0])
-        return now, carry[1] + accepted * (step.state != step.state_after).sum()
-
-    end: tuple[Trajectory, Array] = jax.lax.while_loop(goes_on, body, (start, jnp.zeros((), dtype=jnp.int64)))
-    return end
-
-
 def _march_together(
     method: Method, control: Control, dynamics: Dynamics, start: Trajectory, cycles: Int[Array, " batch"]
 ) -> tuple[Trajectory, Int[Array, " batch"]]:
     per_run = jax.tree.map(lambda leaf: -1 if leaf.ndim else None, control)
-    dynamics, start = batch_last((dynamics, start))
-    attempt = partial(over_lanes(partial(try_step, method), in_axes=(per_run, -1, -1)), control, dynamics)
+    end, count = _marched(
+        method, control, *batch_last((dynamics, start)), cycles, partial(over_lanes, in_axes=(per_run, -1, -1))
+    )
+    return batch_first(end), count
+
+
+def _marched(
+    method: Method, control: Control, dynamics: Dynamics, start: Trajectory, cycles: Array, over: Over
+) -> tuple[Trajectory, Array]:
+    """`march` with the batch last, or of one trajectory."""
+    if method.one_by_one:
+        dynamics = method.prepared(dynamics, control.longest)
+    attempt = partial(over(partial(try_step, method)), control, dynamics)
 
     def running(now: Trajectory) -> Array:
         return (now.cycle < cycles) & (now.status == Status.RUNNING)
@@ -112,5 +109,4 @@ def _march_together(
     def counted(count: Array, moves: Array, before: Trajectory, after: Trajectory, step: Step, done: Array) -> Array:
         return count + jnp.where(moves & done, (step.state != step.state_after).sum(axis=0), 0)
 
-    end, count = advance_lanes(attempt, running, start, jnp.zeros(cycles.shape, dtype=jnp.int64), counted)
-    return batch_first(end), count
+    return advance_lanes(attempt, running, start, jnp.zeros(cycles.shape, dtype=jnp.int64), counted)

@@ -15,6 +15,8 @@ from jaxtyping import Array, Bool
 Lanes = TypeVar("Lanes")
 Kept = TypeVar("Kept")
 Tree = TypeVar("Tree")
+Over = Callable[..., Callable[..., Any]]
+"""`over_lanes` or `by_itself`."""
 
 
 def batch_last(tree: Tree) -> Tree:
@@ -34,6 +36,11 @@ def over_lanes(function: Callable[..., Any], in_axes: Any = -1) -> Callable[...,
     return jax.vmap(function, in_axes=in_axes, out_axes=-1)
 
 
+def by_itself(function: Callable[..., Any], in_axes: Any = None) -> Callable[..., Any]:
+    """In place of `over_lanes` where there is one trajectory: the function itself."""
+    return function
+
+
 def advance_lanes(
     attempt: Callable[[Lanes], tuple[Any, ...]],
     running: Callable[[Lanes], Bool[Array, " batch"]],
@@ -42,7 +49,7 @@ def advance_lanes(
     keep: Callable[..., Kept],
     has_room: Callable[[Kept], Bool[Array, ""]] | None = None,
 ) -> tuple[Lanes, Kept]:
-    """Advance a batch until none of it is running, or what is kept has no more room.
+    """Advance a batch, or one trajectory, until none of it is running or what is kept has no more room.
 
     Args:
         attempt: tries a step of every trajectory: the trajectories after it, and what else is known of the step.

@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from timesim.engine.barrier import apart
-from timesim.engine.collocation import Flow, Ladder, Solved, solve
+from timesim.engine.exponential.collocation import Flow, Ladder, Solved, solve
 from timesim.engine.law.contact_law import Dynamics, State
 from timesim.engine.law.rule import rule_of
 from timesim.engine.tolerance import NO_TIME
@@ -184,9 +184,9 @@ class Implicit(Method):
     def advance(
         self, dynamics: Dynamics, state: State, time: Array, point: Y, rate: Y, h: Array, tolerance: Array | None = None
     ) -> Advance:
-        field = partial(dynamics.field, state)
         import diffrax
 
+        field = partial(dynamics.field, state)
         term = diffrax.ODETerm(lambda t, y, args: field(t, y))
         start = self.solver.init(term, time, time + h, point, None)
         end, error, _, _, result = self.solver.step(term, time, time + h, point, None, start, made_jump=True)
@@ -197,7 +197,7 @@ class Implicit(Method):
 
 
 class Exponential(Method):
-    """Exponential collocation (`timesim.engine.collocation`).
+    """Exponential collocation (`timesim.engine.exponential.collocation`).
 
     Attributes:
         num_nodes: of the rule.

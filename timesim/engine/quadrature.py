@@ -13,12 +13,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PyTree
+from jaxtyping import Array
 
 from timesim.engine import dense_output as hermite
-from timesim.engine.collocation import Steady, diagonals
-from timesim.engine.flow import weights
-from timesim.engine.law.contact_law import ContactLaw, Motion, Plane, Scalar
+from timesim.engine.exponential.collocation import Inside, diagonals, state_inside
+from timesim.engine.law.contact_law import ContactLaw, Motion, Scalar
 from timesim.engine.step import Step
 from timesim.engine.system import Point, System, Work, power_lost
 
@@ -118,36 +117,23 @@ def _works(system: System, parts: Parts) -> Work:
 
 def _inside(system: System, own: Step, span: np.ndarray, *, powers: bool = False) -> tuple[Point, Point]:
     """State and rate at a time after the start of each step; the rates with the powers or without."""
-    inside, t = own.inside, span[:, None]
-    assert inside is not None
-    stiffness, damping = (np.asarray(x) for x in diagonals(system))
-    force = np.moveaxis(inside.force, 1, 0)
-    flow = weights(stiffness, damping, t, inside.h[:, None], len(force), np)
-    steady = Steady.of(system)
-    (q0, p0), (q, p) = (tuple(map(np.asarray, steady.motion(system, x[:, None]))) for x in (own.time, own.time + span))
-    z, dz = own.start.q - q0, own.start.p - p0
-    q = q + flow.q_q * z + flow.q_p * dz + sum(w * f for w, f in zip(flow.q_force, force, strict=True))
-    p = p + flow.p_q * z + flow.p_p * dz + sum(w * f for w, f in zip(flow.p_force, force, strict=True))
-    power = (span / inside.h)[:, None] ** np.arange(len(force))
-    inner = jax.tree.map(lambda c: np.einsum("np,npc->nc", power, c), inside.inner)
-    columns = (own.state, own.time + span, q, p, own.start.w, inner)
+    assert own.inside is not None
+    columns = (own.state, own.time, own.start, own.inside, span / own.inside.h)
     found = []
-    for first in range(0, len(q), ROWS):
-        rows = jax.tree.map(lambda c: c[np.minimum(np.arange(first, first + ROWS), len(q) - 1)], columns)  # noqa: B023
-        found.append(jax.tree.map(np.asarray, _rates_inside(system, powers, *rows)))
-    joined: tuple[Point, Point] = jax.tree.map(lambda *rows: np.concatenate(rows)[: len(q)], *found)
+    for first in range(0, len(span), ROWS):
+        rows = jax.tree.map(lambda c: c[np.minimum(np.arange(first, first + ROWS), len(span) - 1)], columns)  # noqa: B023
+        found.append(jax.tree.map(np.asarray, _points_and_rates(system, powers, *rows)))
+    joined: tuple[Point, Point] = jax.tree.map(lambda *rows: np.concatenate(rows)[: len(span)], *found)
     return joined
 
 
 @partial(jax.jit, static_argnums=1)
-def _rates_inside(system: System, powers: bool, *columns: Any) -> tuple[Point, Point]:
-    """Points with their slip, and their rates, with the powers or without."""
-
-    def one(state: Array, time: Array, q: Array, p: Array, w: Plane, inner: PyTree) -> tuple[Point, Point]:
+def _points_and_rates(system: System, powers: bool, *columns: Any) -> tuple[Point, Point]:
+    def one(state: Array, time: Array, start: Point, inside: Inside, x: Array) -> tuple[Point, Point]:
+        point = state_inside(system, (state, time, start), inside, x)
         work = Work(jnp.zeros(()), jnp.zeros(()), jnp.zeros(state.shape)) if powers else None
-        point = Point(q, p, w, work)
-        here = Point(q, p, system.law.slip_inside(state, w, system.motion(point), inner), work)
-        return here, system.field(state, time, here)
+        point = Point(point.q, point.p, point.w, work)
+        return point, system.field(state, time + x * inside.h, point)
 
     done: tuple[Point, Point] = jax.vmap(one)(*columns)
     return done

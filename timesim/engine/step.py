@@ -9,7 +9,6 @@ pass through the transition exactly.
 
 from timesim.runtime import Leaf  # isort: skip
 
-import enum
 from typing import NamedTuple
 
 import equinox as eqx
@@ -18,7 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from timesim.engine.barrier import apart
-from timesim.engine.collocation import Inside, state_inside
+from timesim.engine.exponential.collocation import Inside, state_inside
 from timesim.engine.guard import (
     NONE,
     Segment,
@@ -34,56 +33,13 @@ from timesim.engine.law.contact_law import ContinuousState, Dynamics, State
 from timesim.engine.law.rule import rule_of
 from timesim.engine.method import Method
 from timesim.engine.solver import Control, error_size, next_length
+from timesim.engine.status import Status
 from timesim.engine.tolerance import NO_LOAD, NO_TIME, SHORTEST, TOGETHER, VIOLATED
 
 PERIOD = 2 * jnp.pi
 SHORTER = 0.9  # share of a cut step that ends beyond a guard
 UNSOLVED = 10.0  # error over its tolerance of a step whose equations are not solved
 MOST_REPEATS = 100  # transitions in a row with no time between them: more are an accumulation
-
-
-class Status(enum.IntEnum):
-    """How a trajectory stands. All but RUNNING end it.
-
-    Attributes:
-        reason, advice: the message for the user; may name {solver} and {budget}.
-    """
-
-    reason: str
-    advice: str
-
-    def __new__(cls, value: int, reason: str = "", advice: str = "") -> "Status":
-        member = int.__new__(cls, value)
-        member._value_, member.reason, member.advice = value, reason, advice
-        return member
-
-    RUNNING = 0
-    ZENO = (
-        1,
-        "transitions follow one another over and over without time passing (Zeno-like accumulation)",
-        "Smooth the scene (a little damping in its modes, softer contacts) or ask for solver.accuracy: reference",
-    )
-    TOO_SHORT = (
-        2,
-        "the step fell below rounding",
-        "The problem is too stiff for {solver}: try solver.method: kvaerno5, fewer modes (structure.keep_modes), or a "
-        "larger rtol",
-    )
-    BUDGET = (
-        3,
-        "the budget of {budget} steps a cycle is spent",
-        "Raise solver.max_steps, keep fewer modes (structure.keep_modes), or try solver.method: kvaerno5",
-    )
-    NOT_FINITE = (
-        4,
-        "the state is no longer finite",
-        "Check the scene for negative damping or forces that are far too large, and try a smaller rtol",
-    )
-
-    def message(self, *, solver: str, budget: int, contact: str | None) -> str:
-        """What has ended a trajectory, and what to try; ``contact``: that of the last transition, if there is any."""
-        last = f"; contact '{contact}' switched last" if contact else ""
-        return f"{self.reason}{last}. {self.advice}".format(solver=solver, budget=budget)
 
 
 class Trajectory(eqx.Module):

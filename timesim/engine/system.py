@@ -84,7 +84,7 @@ class System(Dynamics):
         cosine, sine: modal forces at them.
         constant: constant modal force.
         phase: phase of the excitation at the start of a cycle [rad].
-        ladder: what a method has prepared for its steps, see `timesim.engine.collocation`.
+        ladder: what a method has prepared for its steps, see `timesim.engine.exponential.collocation`.
     """
 
     law: ContactLaw

@@ -18,8 +18,9 @@ from timesim.engine.history import Steps
 from timesim.engine.method import step_method
 from timesim.engine.quadrature import short_steps
 from timesim.engine.solver import step_control
-from timesim.engine.step import Status, Trajectory, begin
+from timesim.engine.status import Status
 from timesim.engine.step import Step as LoopStep
+from timesim.engine.step import Trajectory, begin
 from timesim.engine.system import Point, System, Work, contact_axes, system_of
 from timesim.model.contact_state import start_states
 from timesim.model.model import SEPARATION, STICK, Model, Start

@@ -15,12 +15,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
-from timesim.engine.lanes import advance_lanes, batch_first, batch_last, over_lanes
+from timesim.engine.lanes import Over, advance_lanes, batch_first, batch_last, by_itself, over_lanes
 from timesim.engine.method import Method, step_method
 from timesim.engine.solver import Control
-from timesim.engine.step import Status, Step, Trajectory, begin, try_step
+from timesim.engine.status import Status
+from timesim.engine.step import Step, Trajectory, begin, try_step
 from timesim.engine.system import System
 from timesim.model.solver import Solver
 from timesim.orbit.lane import Lane, Recorded
@@ -44,41 +45,30 @@ def march_cycles(
     Returns:
         the trajectories, and `state_vector` at the end of each cycle, 0 for cycles not reached; batch first.
     """
+    problem = (controls, systems, starts)
     if method.one_by_one:
-        return jax.lax.map(partial(_march_alone, method, num_cycles), (controls, systems, starts))
-    controls, systems, starts = batch_last((controls, systems, starts))
-    now = over_lanes(begin)(systems, starts.point, starts.state, controls.opening)
-    attempt = partial(over_lanes(partial(try_step, method)), controls, systems)
-    vectors = over_lanes(lambda now: state_vector(now.point, now.state))
-    row = jnp.arange(num_cycles)[:, None]
+        return jax.lax.map(lambda lane: _marched(method, lane, num_cycles, by_itself), problem)
+    end, returns = _marched(method, batch_last(problem), num_cycles, over_lanes)
+    return batch_first(end), jnp.moveaxis(returns, -1, 0)
+
+
+def _marched(
+    method: Method, problem: tuple[Control, System, HybridState], num_cycles: int, over: Over
+) -> tuple[Trajectory, Array]:
+    """`march_cycles` with the batch last, or of one trajectory."""
+    controls, systems, starts = problem
+    systems = over(method.prepared)(systems, controls.longest)
+    now = over(begin)(systems, starts.point, starts.state, controls.opening)
+    attempt = partial(over(partial(try_step, method)), controls, systems)
+    vectors = over(lambda now: state_vector(now.point, now.state))
+    row = jnp.arange(num_cycles).reshape(-1, *(1 for _ in now.cycle.shape))
 
     def keep(returns: Array, _: Array, before: Trajectory, after: Trajectory, *step: Any) -> Array:
         ended = (row == before.cycle) & (after.cycle > before.cycle)
         return jnp.where(ended[:, None], vectors(after), returns)
 
     returns = jnp.zeros((num_cycles, *vectors(now).shape))
-    end, returns = advance_lanes(attempt, partial(_unfinished, cycles=num_cycles), now, returns, keep)
-    return batch_first(end), jnp.moveaxis(returns, -1, 0)
-
-
-def _march_alone(
-    method: Method, num_cycles: int, lane: tuple[Control, System, HybridState]
-) -> tuple[Trajectory, Float[Array, "cycle state"]]:
-    """`march_cycles` of one of a batch."""
-    control, system, start = lane
-    system = method.prepared(system, control.longest)
-    begun = begin(system, start.point, start.state, control.opening)
-    row = jnp.arange(num_cycles)
-
-    def body(carry: tuple[Trajectory, Array]) -> tuple[Trajectory, Array]:
-        before, returns = carry
-        now = try_step(method, control, system, before)[0]
-        ended = (row == before.cycle) & (now.cycle > before.cycle)
-        return now, jnp.where(ended[:, None], state_vector(now.point, now.state), returns)
-
-    none = jnp.zeros((num_cycles, state_vector(begun.point, begun.state).size))
-    end: tuple[Trajectory, Array] = jax.lax.while_loop(lambda c: _unfinished(c[0], num_cycles), body, (begun, none))
-    return end
+    return advance_lanes(attempt, partial(_unfinished, cycles=num_cycles), now, returns, keep)
 
 
 @eqx.filter_jit
@@ -97,51 +87,33 @@ def record_cycles(
     Returns:
         the trajectories, batch first, and the tries.
     """
+    problem = (controls, systems, now)
     if method.one_by_one:
-        ends, *rows, counts = jax.lax.map(partial(_record_alone, method, capacity), (controls, systems, now, cycles))
-        return ends, Tries(*batch_last(rows), counts.max())
-    controls, systems, now = batch_last((controls, systems, now))
-    rate = over_lanes(System.field)(systems, now.state, now.time, now.point)
-    now = eqx.tree_at(lambda t: t.rate, now, rate)
-    attempt = partial(over_lanes(partial(try_step, method)), controls, systems)
+        alone = partial(_kept, method, capacity=capacity, over=by_itself)
+        end, (rows, taken, count) = jax.lax.map(lambda lane: alone(*lane), (problem, cycles))
+        return end, Tries(*batch_last((rows, taken)), count.max())
+    end, tries = _kept(method, batch_last(problem), cycles, capacity, over_lanes)
+    return batch_first(end), Tries(*tries)
+
+
+def _kept(
+    method: Method, problem: tuple[Control, System, Trajectory], cycles: Array, capacity: int, over: Over
+) -> tuple[Trajectory, tuple[Step, Array, Array]]:
+    """`record_cycles` with the batch last, or of one trajectory: its end, and the parts of `Tries`."""
+    controls, systems, now = problem
+    systems = over(method.prepared)(systems, controls.longest)
+    now = eqx.tree_at(lambda t: t.rate, now, over(System.field)(systems, now.state, now.time, now.point))
+    attempt = partial(over(partial(try_step, method)), controls, systems)
     blank = jax.eval_shape(attempt, now)[1]
     rows = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), blank)
-    none = Tries(rows, jnp.zeros((capacity, *cycles.shape), dtype=bool), jnp.zeros((), dtype=jnp.int64))
+    none = (rows, jnp.zeros((capacity, *cycles.shape), dtype=bool), jnp.zeros((), dtype=jnp.int64))
 
-    def keep(tries: Tries, moves: Array, before: Trajectory, after: Trajectory, step: Any, accepted: Array) -> Tries:
-        count = tries.count
-        rows = jax.tree.map(lambda rows, row: rows.at[count].set(row), tries.step, step)
-        return Tries(rows, tries.accepted.at[count].set(moves & accepted), count + 1)
-
-    running = partial(_unfinished, cycles=cycles)
-    end, tries = advance_lanes(attempt, running, now, none, keep, lambda tries: tries.count < capacity)
-    return batch_first(end), tries
-
-
-def _record_alone(
-    method: Method, capacity: int, lane: tuple[Control, System, Trajectory, Int[Array, ""]]
-) -> tuple[Trajectory, Step, Bool[Array, " try"], Int[Array, ""]]:
-    """`record_cycles` of one of a batch."""
-    control, system, now, cycles = lane
-    system = method.prepared(system, control.longest)
-    now = eqx.tree_at(lambda t: t.rate, now, system.field(now.state, now.time, now.point))
-    blank = jax.eval_shape(partial(try_step, method, control, system), now)[1]
-    rows = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), blank)
-
-    def goes_on(carry: tuple) -> Array:
-        now, *_, count = carry
-        room: Array = count < capacity
-        return _unfinished(now, cycles) & room
-
-    def body(carry: tuple) -> tuple:
-        now, rows, taken, count = carry
-        now, step, accepted = try_step(method, control, system, now)
+    def keep(kept: tuple, moves: Array, before: Trajectory, after: Trajectory, step: Step, accepted: Array) -> tuple:
+        rows, taken, count = kept
         rows = jax.tree.map(lambda rows, row: rows.at[count].set(row), rows, step)
-        return now, rows, taken.at[count].set(accepted), count + 1
+        return rows, taken.at[count].set(moves & accepted), count + 1
 
-    none = (now, rows, jnp.zeros(capacity, dtype=bool), jnp.zeros((), dtype=jnp.int64))
-    end: tuple[Trajectory, Step, Array, Array] = jax.lax.while_loop(goes_on, body, none)
-    return end
+    return advance_lanes(attempt, partial(_unfinished, cycles=cycles), now, none, keep, lambda kept: kept[2] < capacity)
 
 
 def march(

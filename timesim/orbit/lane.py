@@ -13,7 +13,8 @@ from timesim.engine.history import between
 from timesim.engine.law.cone import ConeLaw
 from timesim.engine.quadrature import means, short_steps
 from timesim.engine.solver import Control, step_control
-from timesim.engine.step import Status, Step, Trajectory
+from timesim.engine.status import Status
+from timesim.engine.step import Step, Trajectory
 from timesim.engine.system import Point, System, system_of
 from timesim.engine.trajectory import Frame
 from timesim.model.contact_state import contact_state, slip_follows_motion

@@ -124,7 +124,7 @@ class SolverSection(Section):
     accuracy: Literal["draft", "standard", "reference"] | None = None
     """A preset; standard by default."""
     method: Literal["exponential", "tsit5", "dopri5", "dopri8", "kvaerno5", "rk4"] | None = None
-    """In place of an accuracy; exponential for many modes, kvaerno5 for stiff contacts, rk4 with fixed steps for
+    """In place of an accuracy; exponential for very fast modes, kvaerno5 for stiff contacts, rk4 with fixed steps for
     comparison."""
     rtol: Annotated[Number, Field(ge=1e-15, lt=1)] | None = None
     """Tolerance of a step relative to the state, 1e-8 by default."""

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from timesim.engine.law.rule import Rule
-from timesim.model.model import SEPARATION, SLIP, Contact
+from timesim.model.model import SEPARATION, Contact
 from timesim.model.scales import Scales
 
 if TYPE_CHECKING:
@@ -150,7 +150,7 @@ class ContactLaw(eqx.Module):
 
     def slip_inside(self, state: State, w: Plane, motion: Motion, inner: PyTree) -> Plane:
         """Slip inside a step, from that at its start and the motion and the inner value there."""
-        return where(state == SLIP, inner, where(state == SEPARATION, motion.u, w))
+        return where(state == SEPARATION, motion.u, inner)
 
     @abc.abstractmethod
     def scale(self) -> Scalar:

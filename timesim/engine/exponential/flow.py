@@ -12,13 +12,16 @@ it is used downwards from a series where t is short and upwards from the closed 
 place of the phi functions of exponential integrators (M. Hochbruck & A. Ostermann, Exponential integrators, Acta
 Numerica 19 (2010) 209-286).
 
-The functions take numpy or JAX arrays; modes are the last axis.
+Modes are the last axis.
 """
 
-import math
-from typing import Any, NamedTuple
+import timesim.runtime  # noqa: F401  isort: skip
 
-import numpy as np
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array
 
 NUM_TERMS = 38  # of the series: (2 + sqrt 8)^38 / 38! = 2e-19
 SHORT = 4.0  # k t^2, and d t, up to which the series is used
@@ -33,25 +36,24 @@ class Weights(NamedTuple):
         q_force, p_force: displacement and velocity for a unit of each coefficient of the force, lowest first.
     """
 
-    q_q: Any
-    q_p: Any
-    p_q: Any
-    p_p: Any
-    q_force: tuple[Any, ...]
-    p_force: tuple[Any, ...]
+    q_q: Array
+    q_p: Array
+    p_q: Array
+    p_p: Array
+    q_force: tuple[Array, ...]
+    p_force: tuple[Array, ...]
 
 
-def weights(stiffness: Any, damping: Any, t: Any, h: Any, num: int, xp: Any = np) -> Weights:
+def weights(stiffness: Array, damping: Array, t: Array, h: Array, num: int) -> Weights:
     """The flow over a time t under forces with ``num`` coefficients of powers of a fraction of h.
 
     Args:
         stiffness, damping: k and d of each mode, not negative.
         t, h: times, of shapes that broadcast with those.
         num: number of coefficients.
-        xp: the library that the arrays are of.
     """
     k, d = stiffness, damping
-    psi = impulse_integrals(k * t * t, d * t, num + 1, xp)
+    psi = impulse_integrals(k * t * t, d * t, num + 1)
     impulse, step = t * psi[0], t * t * psi[1]
     share = t / h
     q_force = tuple(math.factorial(m) * share**m * t * t * psi[m + 1] for m in range(num))
@@ -60,18 +62,18 @@ def weights(stiffness: Any, damping: Any, t: Any, h: Any, num: int, xp: Any = np
     return Weights(rest, impulse, -k * impulse, rest - d * impulse, q_force, p_force)
 
 
-def impulse_integrals(a: Any, b: Any, num: int, xp: Any = np) -> list[Any]:
+def impulse_integrals(a: Array, b: Array, num: int) -> list[Array]:
     """psi_0, ..., psi_(num - 1) of a = k t^2 and b = d t, elementwise."""
     short = (a <= SHORT) & (b <= SHORT)
-    series = _by_series(xp.where(short, a, 0.0), xp.where(short, b, 0.0), num)
-    apart = ~short & (b > 2.5 * xp.sqrt(a)) & ((a <= SHORT) | (b > a))
-    upward = _upwards(xp.where(short | apart, SHORT, a), xp.where(short | apart, 1.0, b), num, xp)
-    creeping = _by_two_decays(xp.where(apart, a, 1.0), xp.where(apart, b, 4.0), num, xp)
+    series = _by_series(jnp.where(short, a, 0.0), jnp.where(short, b, 0.0), num)
+    apart = ~short & (b > 2.5 * jnp.sqrt(a)) & ((a <= SHORT) | (b > a))
+    upward = _upwards(jnp.where(short | apart, SHORT, a), jnp.where(short | apart, 1.0, b), num)
+    creeping = _by_two_decays(jnp.where(apart, a, 1.0), jnp.where(apart, b, 4.0), num)
     parts = zip(series, upward, creeping, strict=True)
-    return [xp.where(short, x, xp.where(apart, z, y)) for x, y, z in parts]
+    return [jnp.where(short, x, jnp.where(apart, z, y)) for x, y, z in parts]
 
 
-def _by_series(a: Any, b: Any, num: int) -> list[Any]:
+def _by_series(a: Array, b: Array, num: int) -> list[Array]:
     """Both highest by their power series, the others downwards."""
     before, sigma = 0.0 * a, 1.0 + 0.0 * a
     first, second = 0.0 * a, 0.0 * a
@@ -85,17 +87,18 @@ def _by_series(a: Any, b: Any, num: int) -> list[Any]:
     return down[:0:-1]
 
 
-def _upwards(a: Any, b: Any, num: int, xp: Any) -> list[Any]:
+def _upwards(a: Array, b: Array, num: int) -> list[Array]:
     """From the closed form of the impulse; a is not small."""
-    decay, square = xp.exp(-0.5 * b), a - 0.25 * b * b
-    turn = xp.sqrt(xp.abs(square))
+    decay, square = jnp.exp(-0.5 * b), a - 0.25 * b * b
+    turn = jnp.sqrt(jnp.abs(square))
     near = turn < 1e-2
-    safe = xp.where(near, 1.0, turn)
+    safe = jnp.where(near, 1.0, turn)
     # Where the mode is overdamped, exp(-b / 2) is taken into the hyperbolic functions: they alone would overflow.
-    slow, fast = xp.exp(xp.where(square < 0, turn, 0.0) - 0.5 * b), xp.exp(-0.5 * b - xp.where(square < 0, turn, 0.0))
-    sine = xp.where(square < 0, 0.5 * (slow - fast), decay * xp.sin(turn))
-    cosine = xp.where(square < 0, 0.5 * (slow + fast), decay * xp.cos(turn))
-    first = xp.where(near, decay * (1 - square / 6 + square * square / 120), sine / safe)
+    spread = jnp.where(square < 0, turn, 0.0)
+    slow, fast = jnp.exp(spread - 0.5 * b), jnp.exp(-spread - 0.5 * b)
+    sine = jnp.where(square < 0, 0.5 * (slow - fast), decay * jnp.sin(turn))
+    cosine = jnp.where(square < 0, 0.5 * (slow + fast), decay * jnp.cos(turn))
+    first = jnp.where(near, decay * (1 - square / 6 + square * square / 120), sine / safe)
     before, psi = cosine - 0.5 * b * first, [first]
     for m in range(num - 1):
         psi.append((1 / math.factorial(m) - before - b * psi[-1]) / a)
@@ -103,23 +106,23 @@ def _upwards(a: Any, b: Any, num: int, xp: Any) -> list[Any]:
     return psi
 
 
-def _by_two_decays(a: Any, b: Any, num: int, xp: Any) -> list[Any]:
+def _by_two_decays(a: Array, b: Array, num: int) -> list[Array]:
     """Of an overdamped mode whose decays lie well apart, as divided differences of the phi functions of both."""
-    fast = -0.5 * (b + xp.sqrt(b * b - 4 * a))
+    fast = -0.5 * (b + jnp.sqrt(b * b - 4 * a))
     slow = a / fast  # as a difference of two large numbers it would lose its digits
-    phi = [_phi(z, num, xp) for z in (slow, fast)]
+    phi = [_phi(z, num) for z in (slow, fast)]
     return [(x - y) / (slow - fast) for x, y in zip(*phi, strict=True)]
 
 
-def _phi(z: Any, num: int, xp: Any) -> list[Any]:
+def _phi(z: Array, num: int) -> list[Array]:
     """phi_0, ..., phi_(num - 1) of z <= 0."""
     short = z > -1.0
-    small, large = xp.where(short, z, 0.0), xp.where(short, -1.0, z)
+    small, large = jnp.where(short, z, 0.0), jnp.where(short, -1.0, z)
     top = sum(small**j * (1 / math.factorial(j + num - 1)) for j in range(18))
     down = [top]
     for k in range(num - 2, -1, -1):
         down.append(1 / math.factorial(k) + small * down[-1])
-    up = [xp.exp(large)]
+    up = [jnp.exp(large)]
     for k in range(num - 1):
         up.append((up[-1] - 1 / math.factorial(k)) / large)
-    return [xp.where(short, x, y) for x, y in zip(down[::-1], up, strict=True)]
+    return [jnp.where(short, x, y) for x, y in zip(down[::-1], up, strict=True)]

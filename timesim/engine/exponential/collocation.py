@@ -1,10 +1,9 @@
 """Exponential collocation: the exact flow of the structure, and contact forces that are polynomials through nodes.
 
-Between transitions the structure is linear, so its flow is known (`timesim.engine.flow`); only the contact forces are
-not. They are taken as the polynomial through their values at the start of the step and at the nodes of Radau's
-right-hand rule, and found by sweeps: motion of the contacts from the forces, forces from the motion, until they no
-longer change.
-The modes are exact, however fast they are and wherever a step is cut: the dense output is the flow itself.
+Between transitions the structure is linear, so its flow is known (`timesim.engine.exponential.flow`); only the contact
+forces are not. They are taken as the polynomial through their values at the start of the step and at the nodes of
+Radau's right-hand rule, and found by sweeps: motion of the contacts from the forces, forces from the motion, until they
+no longer change. The modes are exact, however fast they are and wherever a step is cut: the dense output is the flow.
 
 The excitation has its own steady motion in every mode, ``a_i cos(i theta) + b_i sin(i theta)``; where that would be far
 larger than what the force does in a step (light damping, at resonance), the force is taken into the polynomial instead.
@@ -26,7 +25,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
 from timesim.engine.barrier import apart, matmul
-from timesim.engine.flow import weights
+from timesim.engine.exponential.flow import weights
 from timesim.engine.law.contact_law import Motion, Nodes, Plane, Scalar, State, Within
 from timesim.engine.law.rule import Rule
 from timesim.engine.system import Point, System, contact_force
@@ -122,7 +121,7 @@ class Flow(eqx.Module):
     def of(cls, system: System, rule: Rule, h: Float[Array, "*length"]) -> "Flow":
         """For steps of one length, or of many: then that is the first axis of all."""
         nodes = jnp.asarray(rule.nodes[1:])[:, None]
-        flow = weights(*diagonals(system), h[..., None, None] * nodes, h[..., None, None], len(rule.nodes), jnp)
+        flow = weights(*diagonals(system), h[..., None, None] * nodes, h[..., None, None], len(rule.nodes))
         by_power = (jnp.stack(part, axis=-2) for part in (flow.q_force, flow.p_force))
         q_force, p_force = (jnp.einsum("...jpm,pk->...jkm", part, jnp.asarray(rule.monomials)) for part in by_power)
         return cls(h, flow.q_q, flow.q_p, flow.p_q, flow.p_p, q_force, p_force)
@@ -244,7 +243,7 @@ def state_inside(system: System, start: tuple[State, Array, Point], inside: Insi
     """The continuous state at a fraction of a step, from its start: state of the contacts, time and point."""
     state, time, point = start
     span, num = x * inside.h, inside.force.shape[0]
-    flow = weights(*diagonals(system), span, inside.h, num, jnp)
+    flow = weights(*diagonals(system), span, inside.h, num)
     steady = steady_of(system)
     (q0, p0), (q, p) = (steady.motion(system, t[None]) for t in (time, time + span))
     z, dz = point.q - q0, point.p - p0

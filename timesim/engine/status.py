@@ -1,0 +1,47 @@
+"""How a trajectory stands: data in the compiled loop, and a message at its boundary."""
+
+import enum
+
+
+class Status(enum.IntEnum):
+    """How a trajectory stands. All but RUNNING end it.
+
+    Attributes:
+        reason, advice: the message for the user; may name {solver} and {budget}.
+    """
+
+    reason: str
+    advice: str
+
+    def __new__(cls, value: int, reason: str = "", advice: str = "") -> "Status":
+        member = int.__new__(cls, value)
+        member._value_, member.reason, member.advice = value, reason, advice
+        return member
+
+    RUNNING = 0
+    ZENO = (
+        1,
+        "transitions follow one another over and over without time passing (Zeno-like accumulation)",
+        "Smooth the scene (a little damping in its modes, softer contacts) or ask for solver.accuracy: reference",
+    )
+    TOO_SHORT = (
+        2,
+        "the step fell below rounding",
+        "The problem is too stiff for {solver}: try solver.method: kvaerno5, fewer modes (structure.keep_modes), or a "
+        "larger rtol",
+    )
+    BUDGET = (
+        3,
+        "the budget of {budget} steps a cycle is spent",
+        "Raise solver.max_steps, keep fewer modes (structure.keep_modes), or try solver.method: kvaerno5",
+    )
+    NOT_FINITE = (
+        4,
+        "the state is no longer finite",
+        "Check the scene for negative damping or forces that are far too large, and try a smaller rtol",
+    )
+
+    def message(self, *, solver: str, budget: int, contact: str | None) -> str:
+        """What has ended a trajectory, and what to try; ``contact``: that of the last transition, if there is any."""
+        last = f"; contact '{contact}' switched last" if contact else ""
+        return f"{self.reason}{last}. {self.advice}".format(solver=solver, budget=budget)
