@@ -13,9 +13,9 @@ import numpy as np
 from timesim.hbm.continuation.corrector import Corrector, CurvePoint, NoSolutionError
 from timesim.hbm.continuation.solutions import Solution
 
-# Share of the range by which the parameter goes back behind a fold: at the onset of slip of the paper's oscillator it
-# does so by up to 6e-6 without one, of a range of 0.06 Hz.
-NOISE = 1e-5
+# How far the parameter may go back without a fold, as shares of its range and of its value: where slip of the paper's
+# oscillator begins it does so by up to 4e-7 Hz at 1.37 Hz, in a range of 0.06 Hz.
+NOISE_OF_RANGE, NOISE_OF_VALUE = 1e-5, 1e-6
 
 
 @dataclass
@@ -56,8 +56,9 @@ class Trace:
         summit, noise = self._summit, False
         if summit is not None:
             back = self.direction * (summit.point.y[-1] - point.y[-1])
-            summit.after, noise = summit.after or point, 0 < back <= NOISE
-            if back > NOISE:
+            least = max(NOISE_OF_RANGE, NOISE_OF_VALUE * abs(summit.point.y[-1]))
+            summit.after, noise = summit.after or point, 0 < back <= least
+            if back > least:
                 self.direction = -self.direction
                 self._turn_at(summit)
             elif not noise:
