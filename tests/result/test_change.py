@@ -71,7 +71,7 @@ RICH: dict[str, Any] = {
         "modal_velocity": [0.1, -0.1],
         "slip": {"pad": [1e-3, 2e-3], "stop": [0.0, 1e-3]},
     },
-    "solver": {"accuracy": "draft", "reduce": False, "max_steps": 5000},
+    "solver": {"accuracy": "draft", "reduce": False, "estimate_error": False, "max_steps": 5000},
 }
 MASS = [[2.0, 0.1, 0.0], [0.1, 1.0, 0.2], [0.0, 0.2, 1.5]]
 STIFFNESS = [[50.0, -4.0, 1.0], [-4.0, 60.0, 2.0], [1.0, 2.0, 90.0]]

@@ -15,6 +15,7 @@ from timesim.picture import jump as plot_jump
 from timesim.picture import transient as plot_transient
 from timesim.result import netcdf
 from timesim.study import registry as plot
+from timesim.study.execution.campaign import Execution
 from timesim.study.registry import carry_out, load_scene
 
 FIGURE12 = Path(__file__).parents[2] / "configs" / "figure12.yaml"
@@ -103,6 +104,31 @@ def test_a_run_up_is_as_other_phases_but_for_its_samples(short: xarray.Dataset) 
     assert np.abs(whole.cycle_amplitude.values - short.cycle_amplitude.values).max() < 1e-12
     assert whole.event_time.values == pytest.approx(short.event_time.values + RUN_UP_END, abs=1e-9)
     assert whole.event_to.values.tolist() == short.event_to.values.tolist()
+
+
+def test_the_error_is_estimated_over_all_phases(short: xarray.Dataset) -> None:
+    outcome = carry_out(load_scene(SHORT))
+    line = next(line for line in outcome.summary if line.startswith("estimated error"))
+    assert 1e-14 < short.attrs["estimated_error"] < 1e-9
+    assert f"{short.attrs['estimated_error']:.1e}" in line
+    assert short.cycle_amplitude_error.shape == (9,)
+    assert float(short.cycle_amplitude_error.max()) < 1e-9
+    assert short.cycle_amplitude_error.attrs["units"] == "1"
+    without = timesim.run(SHORT, {"solver.estimate_error": False})
+    assert "estimated_error" not in without.attrs
+    assert "cycle_amplitude_error" not in without
+    np.testing.assert_array_equal(without.displacement, short.displacement)
+
+
+def test_a_run_is_whole_where_its_estimate_is_interrupted() -> None:
+    def impatient(done: float, number: float, phase: str = "") -> None:
+        if phase.startswith("estimating"):
+            raise KeyboardInterrupt
+
+    outcome = carry_out(load_scene(SHORT), Execution(progress=impatient))
+    assert outcome.reason is None
+    assert np.isnan(outcome.groups[""].attrs["estimated_error"])
+    assert any("not known, interrupted" in line for line in outcome.summary)
 
 
 def test_the_phase_of_the_excitation_is_continuous() -> None:

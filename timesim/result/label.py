@@ -50,6 +50,10 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "event_from": ("contact state before the transition", None),
     "event_to": ("contact state after the transition", None),
     "cycle_amplitude": ("displacement amplitude of the cycle, (max - min)/2", "length"),
+    "cycle_amplitude_error": (
+        "estimated error of the amplitudes of the cycle, relative to the largest of them; NaN where it is not known",
+        "1",
+    ),
     "cycle_start": ("time at the start of the cycle", "s"),
     "cycle_period": ("length of the cycle", "s"),
     "cycle_frequency": ("excitation frequency of the cycle", "Hz"),

@@ -32,6 +32,8 @@ def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
     largest = max(np.max(np.abs(data["energy_input"].values)), attrs["peak_stored_energy"])
     residual = np.max(np.abs(data["energy_residual"].values)) / largest if largest > 0 else 0.0
     yield f"energy balance of a cycle closes to {residual:.1e} of the larger of input and stored energy"
+    if "estimated_error" in attrs:
+        yield error_line(data)
     if not 1 < len(plan.phases) <= PHASES:
         return
     _, point, axis = np.unravel_index(np.argmax(amplitude), amplitude.shape)
@@ -43,6 +45,16 @@ def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
             reached = with_unit(f"{amplitude[end - 1, point, axis]:.6g}", data["cycle_amplitude"].attrs)
             size = f"amplitude {reached} of {name} at its end"
             yield f"{which}: {cycles} cycles at {frequency:.6g} Hz, {size}"
+
+
+def error_line(data: Dataset) -> str:
+    """The estimated error of a run."""
+    error, remark = data.attrs["estimated_error"], data.attrs["estimate_remark"]
+    if not np.isfinite(error):
+        return f"estimated error of the state at the end: not known, {remark}"
+    largest = float(data["cycle_amplitude_error"].max())
+    sizes = f"{error:.1e} of its size, of the amplitude of a cycle at most {largest:.1e}"
+    return f"estimated error of the state at the end: {sizes}{f' ({remark})' if remark else ''}"
 
 
 def number_of_states(data: Dataset) -> int:

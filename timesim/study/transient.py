@@ -7,8 +7,10 @@ import time
 
 import numpy as np
 
+from timesim.engine.companion import Estimate, companion_of, estimate, unknown
 from timesim.engine.trajectory import Phase, Run, RunError
 from timesim.model.contact_state import slip_follows_motion
+from timesim.model.solver import COMPANION
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.transient import Schedule
@@ -26,29 +28,51 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     run = Run(scene.model(), [Phase(*phase) for phase in plan.phases], scene.solver())
     run.time = float(plan.edges()[0])
     recorder = Recorder(run, plan)
+    wanted = scene.file.solver.estimate_error
     clock = time.perf_counter()
-    reason = _advance(recorder, execution)
+    reason = _advance(recorder, execution, whole=1 + COMPANION * wanted)
     seconds = time.perf_counter() - clock
     attrs = attributes(scene, str(run.solver), run.compile_seconds, seconds, reason)
     attrs["peak_stored_energy"] = recorder.totals.peak
     variables, times = _sample_variables(recorder)
     variables |= final_variables(run) | _cycle_variables(recorder)
+    if wanted:
+        error = _estimate(recorder, execution, reason)
+        variables["cycle_amplitude_error"] = (("cycle",), error.amplitude)
+        attrs |= {"estimated_error": error.state, "estimate_remark": error.remark}
     record = dataset(variables, {"time": times}, attrs, run.model)
     return Outcome({"": record}, reason, tuple(transient_lines(record, plan)))
 
 
-def _advance(recorder: Recorder, execution: Execution) -> str | None:
-    """Advance a run to its end; why it ended early, if it did."""
+def _advance(recorder: Recorder, execution: Execution, whole: float) -> str | None:
+    """Advance a run to its end, of so many times its cycles that are to be done; why it ended early, if it did."""
     run = recorder.run
     try:
         for steps in run.batches():
             recorder.add(steps)
-            execution.show(run.completed, run.num_cycles, recorder.plan.place(run.completed))
+            execution.show(run.completed, whole * run.num_cycles, recorder.plan.place(run.completed))
     except RunError as error:
         return str(error)
     except KeyboardInterrupt:
         return f"interrupted in cycle {run.completed + 1} of {run.num_cycles}"
     return None
+
+
+def _estimate(recorder: Recorder, execution: Execution, reason: str | None) -> Estimate:
+    """The error of a run that has ended, ``reason`` being why it did so early."""
+    run, totals = recorder.run, recorder.totals
+    if reason is not None:
+        return unknown(totals, "the run ended early")
+    whole = (1 + COMPANION) * run.num_cycles
+
+    def show(companion: Run) -> None:
+        done = run.num_cycles + COMPANION * companion.completed
+        execution.show(done, whole, f"estimating the error, {companion.completed} of {run.num_cycles} cycles")
+
+    try:
+        return estimate(run, totals, companion_of(run), show)
+    except KeyboardInterrupt:
+        return unknown(totals, "interrupted")
 
 
 def _sample_variables(recorder: Recorder) -> tuple[Variables, np.ndarray]:
