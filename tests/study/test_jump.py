@@ -11,10 +11,12 @@ from scipy.integrate import solve_ivp
 from systems import oscillator_scene
 
 import timesim
+from timesim.model import promise
 from timesim.picture import jump as plot_jump
 from timesim.picture import transient as plot_transient
 from timesim.result import netcdf
 from timesim.study import registry as plot
+from timesim.study import transient
 from timesim.study.execution.campaign import Execution
 from timesim.study.registry import carry_out, load_scene
 
@@ -118,6 +120,27 @@ def test_the_error_is_estimated_over_all_phases(short: xarray.Dataset) -> None:
     assert "estimated_error" not in without.attrs
     assert "cycle_amplitude_error" not in without
     np.testing.assert_array_equal(without.displacement, short.displacement)
+
+
+def test_a_broken_promise_is_mended_or_else_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a scene that errs more than was foreseen: its tolerances are taken as proportional to its error."""
+    monkeypatch.setattr(promise, "GROWTH", 1e-9)
+    monkeypatch.setitem(promise.PROMISE, "standard", 1e-8)
+    standard = scene() | {"solver": {"accuracy": "standard"}}
+    outcome = carry_out(load_scene(standard))
+    first, mended = outcome.summary[0], outcome.groups[""]
+    assert first.startswith("by tsit5, rtol 1e-07, atol 1e-09 the error is estimated at ")
+    assert first.endswith(f"promised is 1e-08: repeated by {mended.attrs['method']}")
+    assert mended.attrs["rtol"] < 5e-8
+    assert mended.attrs["estimated_error"] < mended.attrs["promised_error"] == 1e-8
+    exact = timesim.run(SHORT).final_modal_displacement.values
+    true = np.abs(mended.final_modal_displacement.values - exact).max() / np.abs(exact).max()
+    assert true < 1e-8
+
+    monkeypatch.setattr(transient, "tightened", lambda solver, share: solver)
+    said = carry_out(load_scene(standard)).summary
+    block = next(line for line in said if line.startswith("warning: that is more than the 1e-08"))
+    assert "solver: {method: tsit5, rtol: 2.4e-08, atol: 2.4e-10}" in block
 
 
 def test_a_run_is_whole_where_its_estimate_is_interrupted() -> None:

@@ -55,11 +55,13 @@ class Estimate:
         state: relative error of the state at the end; NaN where it is not known.
         amplitude: error of the amplitudes of each cycle, relative to the largest of them, shape (cycle,).
         remark: why it is not known, or to be taken with care; empty otherwise.
+        proportional: whether the error can be taken as proportional to the tolerance.
     """
 
     state: float
     amplitude: np.ndarray
     remark: str = ""
+    proportional: bool = False
 
 
 def unknown(totals: CycleTotals, why: str) -> Estimate:
@@ -89,16 +91,22 @@ def estimate(run: Run, totals: CycleTotals, companion: Run, show: Callable[[Run]
             show(companion)
     except RunError as error:
         return unknown(totals, f"the coarser companion failed {error}")
-    apart = state_error(run, companion, totals.size)
-    remark, share = "", 1 / (15 if run.solver.name == "rk4" else RATIO - 1)
+    return compared(run, totals, companion, other)
+
+
+def compared(run: Run, totals: CycleTotals, companion: Run, other: CycleTotals) -> Estimate:
+    """The error of a run from a coarser one; both have come to their end."""
+    ratio = companion.solver.rtol / run.solver.rtol if run.solver.name != "rk4" else 16.0
+    apart, share, remark = state_error(run, companion, totals.size), 1 / (ratio - 1), ""
     if other.transitions != totals.transitions:
         counts = f"{other.transitions} transitions against {totals.transitions}"
-        remark = f"a run at {RATIO:g} times the tolerance takes {counts}: an order of magnitude at best"
-    if remark or apart > PROPORTIONAL:
-        share = np.sqrt(share)
+        remark = f"a run at {ratio:.2g} times the tolerance takes {counts}: an order of magnitude at best"
+    proportional = not remark and apart < PROPORTIONAL
+    if not proportional:
+        share = 1 / np.sqrt(RATIO - 1)
     mine, coarse = np.array(totals.amplitude), np.array(other.amplitude)
     largest = np.max(mine, axis=(1, 2), initial=0.0)
     difference = np.max(np.abs(mine - coarse), axis=(1, 2), initial=0.0)
     relative = np.divide(difference, largest, out=np.zeros_like(largest), where=largest > 0)
     rounding = ROUNDING * np.sqrt(np.arange(1, largest.size + 1))
-    return Estimate(max(share * apart, rounding[-1]), np.maximum(share * relative, rounding), remark)
+    return Estimate(max(share * apart, rounding[-1]), np.maximum(share * relative, rounding), remark, proportional)
