@@ -1,9 +1,9 @@
 """What do the presets cost, and how large is their error?
 
-Run `python benchmarks/accuracy.py`. Each preset, with the tolerances that it has for the scene, on each reference case of `tests/data` (computed independently with
-DOP853 and located events at rtol 1e-12): error of the last state, transitions found of those that there are, steps and
-microseconds a cycle. A run is the whole of it: every step recorded and handed to the host, compiled before. Median of
-several runs, the presets in turn.
+Run `python benchmarks/accuracy.py`. Each preset, with the tolerances that it has for the scene, on each reference case
+of `tests/data` (computed independently with DOP853 and located events at rtol 1e-12): error of the last state,
+transitions found of those that there are, steps and microseconds a cycle. A run is the whole of it: every step recorded
+and handed to the host, compiled before. Median of several runs, the presets in turn.
 """
 
 import argparse

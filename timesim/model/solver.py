@@ -1,16 +1,6 @@
 """The numbers of an integration: a method with its tolerances, and when a motion counts as settled.
 
-The presets, each with the largest error of the last state that was measured for it, relative to the largest
-displacement and velocity (`python benchmarks/accuracy.py`): on the paper's oscillator, on a blade with two contacts,
-and on 20 modes up to 40 times the excitation with three contacts.
-
-=========  ======  =====  ==========  ======  ========
-accuracy   method  rtol   oscillator  blade   20 modes
-=========  ======  =====  ==========  ======  ========
-draft      tsit5   1e-5   8.0e-6      3.4e-5  7.6e-4
-standard   tsit5   1e-7   8.4e-8      2.0e-7  3.1e-6
-reference  dopri8  1e-11  1.6e-11     1.8e-12 6.7e-12
-=========  ======  =====  ==========  ======  ========
+The presets are the tolerances of an easy scene; one that needs finer ones gets them (`timesim.model.promise`).
 """
 
 from dataclasses import dataclass, replace
