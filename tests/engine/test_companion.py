@@ -40,7 +40,7 @@ def test_estimate_is_within_a_factor_of_ten(preload: float, frequency: float, so
     displacement, velocity = np.split(np.array(TRUTH[f"osc_n0={preload}_f={frequency:g}"]["state_end"]), 2)
     truth = companion_of(run)
     truth.displacement, truth.velocity = displacement, velocity
-    true, own = state_error(run, truth, totals.size), error_of(run, totals)
+    true, own = state_error(run.model, frequency, run, truth, totals.size), error_of(run, totals)
     print(f"{solver}: true {true:.1e}, estimated {own.state:.1e}")
     assert 0.1 < own.state / true < 10
     assert own.amplitude.shape == (60,)
@@ -82,4 +82,4 @@ def test_error_of_a_motion_that_comes_to_rest_off_the_origin() -> None:
     run, _ = finished(oscillator(3, 1.39), 1, PRESETS["standard"])
     other = companion_of(run)
     run.velocity, other.displacement = np.array([1e-12, 0]), run.displacement
-    assert state_error(run, other, np.array([1.0, 1e-12])) < 1e-11
+    assert state_error(run.model, 1.39, run, other, np.array([1.0, 1e-12])) < 1e-11

@@ -13,11 +13,13 @@ import timesim.runtime  # noqa: F401  isort: skip
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from timesim.engine.history import CycleTotals, stored_energy
 from timesim.engine.trajectory import Run, RunError
+from timesim.model.model import Model
 from timesim.model.solver import RATIO, coarser
 
 PROPORTIONAL = 1e-2
@@ -32,19 +34,37 @@ def totals_of(run: Run) -> CycleTotals:
     return CycleTotals(run.model, float(stored_energy(run.model, *(part[None] for part in now))[0]))
 
 
-def state_error(run: Run, other: Run, size: np.ndarray) -> float:
-    """Largest difference of the states of two runs, relative to the size of the motion.
+class End(Protocol):
+    """A state at the end of a run: displacement and velocity of its modes, shape (M,)."""
+
+    @property
+    def displacement(self) -> np.ndarray: ...
+
+    @property
+    def velocity(self) -> np.ndarray: ...
+
+
+def state_error(model: Model, frequency: float, one: End, other: End, size: np.ndarray) -> float:
+    """Largest difference of two states, relative to the size of the motion.
 
     Args:
-        run, other: at the same time.
+        model: what is simulated.
+        frequency: of the excitation [Hz].
+        one, other: states at the same time.
         size: largest displacement and velocity, of `CycleTotals`.
     """
-    root = np.sqrt(run.model.structure.mass)
-    omega = 2 * np.pi * run.phases[-1].frequency
-    whole = (size[0], max(size[1], omega * size[0]))
-    apart = (run.displacement - other.displacement, run.velocity - other.velocity)
+    root = np.sqrt(model.structure.mass)
+    whole = (size[0], max(size[1], 2 * np.pi * frequency * size[0]))
+    apart = (one.displacement - other.displacement, one.velocity - other.velocity)
     parts = zip(apart, whole, strict=True)
     return max((float(np.max(np.abs(part) * root)) / unit for part, unit in parts if unit > 0), default=0.0)
+
+
+def amplitude_error(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Largest difference of the amplitudes of each cycle, of shape (cycle, point, axis), by the largest of them."""
+    largest = np.max(one, axis=(1, 2), initial=0.0)
+    difference = np.max(np.abs(one - other), axis=(1, 2), initial=0.0)
+    return np.divide(difference, largest, out=np.zeros_like(largest), where=largest > 0)
 
 
 @dataclass(frozen=True)
@@ -97,16 +117,14 @@ def estimate(run: Run, totals: CycleTotals, companion: Run, show: Callable[[Run]
 def compared(run: Run, totals: CycleTotals, companion: Run, other: CycleTotals) -> Estimate:
     """The error of a run from a coarser one; both have come to their end."""
     ratio = companion.solver.rtol / run.solver.rtol if run.solver.name != "rk4" else 16.0
-    apart, share, remark = state_error(run, companion, totals.size), 1 / (ratio - 1), ""
+    apart = state_error(run.model, run.phases[-1].frequency, run, companion, totals.size)
+    share, remark = 1 / (ratio - 1), ""
     if other.transitions != totals.transitions:
         counts = f"{other.transitions} transitions against {totals.transitions}"
         remark = f"a run at {ratio:.2g} times the tolerance takes {counts}: an order of magnitude at best"
     proportional = not remark and apart < PROPORTIONAL
     if not proportional:
         share = 1 / np.sqrt(RATIO - 1)
-    mine, coarse = np.array(totals.amplitude), np.array(other.amplitude)
-    largest = np.max(mine, axis=(1, 2), initial=0.0)
-    difference = np.max(np.abs(mine - coarse), axis=(1, 2), initial=0.0)
-    relative = np.divide(difference, largest, out=np.zeros_like(largest), where=largest > 0)
-    rounding = ROUNDING * np.sqrt(np.arange(1, largest.size + 1))
+    relative = amplitude_error(np.array(totals.amplitude), np.array(other.amplitude))
+    rounding = ROUNDING * np.sqrt(np.arange(1, relative.size + 1))
     return Estimate(max(share * apart, rounding[-1]), np.maximum(share * relative, rounding), remark, proportional)

@@ -168,7 +168,8 @@ class Frame:
         point, state = self.point(start)
         nothing = Work(jnp.zeros(()), jnp.zeros(()), jnp.zeros(state.size)) if work else None
         point, state = jax.tree.map(jnp.asarray, (Point(point.q, point.p, point.w, nothing), state))
-        return begin(system, point, state, jnp.asarray(first_step))
+        # Not of a weak type, as the loop returns it: the second call would compile the program again.
+        return begin(system, point, state, jnp.asarray(first_step, dtype=float))
 
     def point(self, start: Start) -> tuple[Point, np.ndarray]:
         """The loop's continuous state and contact states (C,) of a start whose contact states are known."""

@@ -28,6 +28,8 @@ LONGEST = 100.0
 """Cycles that count at most in a steady state, which a periodic motion reaches by whatever way."""
 FINEST = 1e-13
 """Tolerance below which rounding rules."""
+CLOSE = 0.5
+"""Share of what is promised from which on a run is repeated: an estimate errs by more than that in one of ten."""
 MARGIN = 3.0
 """By how much a run that is repeated is to be better than promised: what its estimate leaves open."""
 

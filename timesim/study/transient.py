@@ -12,7 +12,7 @@ from xarray import Dataset
 from timesim.engine.companion import Estimate, companion_of, compared, estimate, unknown
 from timesim.engine.trajectory import Phase, Run, RunError
 from timesim.model.contact_state import slip_follows_motion
-from timesim.model.promise import MARGIN, tightened
+from timesim.model.promise import CLOSE, MARGIN, tightened
 from timesim.model.solver import COMPANION, Solver
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
@@ -38,7 +38,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     done = _carried(scene, scene.solver(), execution)
     for _ in range(REPETITIONS):
         state = done.error.state if done.error else 0.0
-        better = tightened(done.solver, promise / (MARGIN * state)) if state > promise else done.solver
+        better = tightened(done.solver, promise / (MARGIN * state)) if state > CLOSE * promise else done.solver
         if better == done.solver:
             break
         again = _carried(scene, better, execution, first=done)
