@@ -196,8 +196,8 @@ def scenes(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 KINDS = (
-    "transient", "tradeoff", "jump", "sweep", "listed", "static", "hbm", "along", "compare", "bistable", "optimum", "element",
-    "motion", "file", "element_map",
+    "transient", "tradeoff", "jump", "sweep", "listed", "static", "hbm", "along", "compare", "bistable", "optimum",
+    "element", "motion", "file", "element_map",
 )  # fmt: skip
 
 
