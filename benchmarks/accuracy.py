@@ -1,9 +1,9 @@
 """What do the presets cost, and how large is their error?
 
-Run `python benchmarks/accuracy.py`. Each preset on each reference case of `tests/data` (computed independently with
-DOP853 and located events at rtol 1e-12): error of the last state, transitions found of those that there are, steps and
-microseconds a cycle. A run is the whole of it: every step recorded and handed to the host, compiled before. Median of
-several runs, the presets in turn.
+Run `python benchmarks/accuracy.py`. Each preset, with the tolerances that it has for the scene, on each reference case
+of `tests/data` (computed independently with DOP853 and located events at rtol 1e-12): error of the last state,
+transitions found of those that there are, steps and microseconds a cycle. A run is the whole of it: every step recorded
+and handed to the host, compiled before. Median of several runs, the presets in turn.
 """
 
 import argparse
@@ -19,7 +19,8 @@ import numpy as np
 from timesim.engine.history import events
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import Model
-from timesim.model.solver import PRESETS, Solver
+from timesim.model.promise import PROMISE, preset
+from timesim.model.solver import Solver
 from timesim.study.registry import load_scene
 
 DATA = Path(__file__).parents[1] / "tests" / "data"
@@ -77,17 +78,20 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     options = parser.parse_args()
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}\n")
-    print("| case | accuracy | error | transitions | steps a cycle | µs a cycle |\n|---|---|---|---|---|---|")
+    print(
+        "| case | accuracy | rtol | error | transitions | steps a cycle | µs a cycle |\n|---|---|---|---|---|---|---|"
+    )
     for case in cases():
-        results = {name: [run(case, solver)] for name, solver in PRESETS.items()}
+        solvers = {name: preset(name, case.model, case.frequency, case.cycles) for name in PROMISE}
+        results = {name: [run(case, solver)] for name, solver in solvers.items()}
         for _ in range(options.repeats):
-            for name, solver in PRESETS.items():
+            for name, solver in solvers.items():
                 results[name].append(run(case, solver))
         for name, rows in results.items():
             error, count, steps, _ = rows[0]
             seconds = statistics.median(row[3] for row in rows[1:])
             print(
-                f"| {case.name} | {name} | {error:.1e} | {count} of {case.num_events} "
+                f"| {case.name} | {name} | {solvers[name].rtol:g} | {error:.1e} | {count} of {case.num_events} "
                 f"| {steps / case.cycles:.0f} | {seconds / case.cycles * 1e6:.0f} |",
                 flush=True,
             )

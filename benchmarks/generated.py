@@ -19,52 +19,26 @@ import numpy as np
 from xarray import DataTree
 
 import timesim
-from timesim.model.model import Contact, Model
+from timesim.model.model import Model
 from timesim.study import compare
 from timesim.study.hbm import followed
 
 POINTS = 16
-STRUCTURE = runpy.run_path(str(Path(__file__).parents[1] / "tests" / "zoo.py"))["structure"]
+ZOO = runpy.run_path(str(Path(__file__).parents[1] / "tests" / "zoo.py"))
+STRUCTURE, SCENE = ZOO["structure"], ZOO["scene_of"]
 SAME_BRANCH, AGREE = 0.05, 1e-3
-
-
-def contact_section(contact: Contact) -> dict[str, Any]:
-    tangent, _, normal = contact.frame.tolist()
-    return {
-        "name": contact.name,
-        "point": contact.point,
-        "against": contact.against,
-        "normal": normal,
-        "tangent": tangent,
-        "friction": float(contact.friction),
-        "tangential_stiffness": float(contact.tangential_stiffness[0, 0]),
-        "normal_stiffness": float(contact.normal_stiffness),
-        "preload": float(contact.preload),
-    }
 
 
 def scene_of(model: Model, free: float) -> dict[str, Any]:
     """The `compare` scene of a structure whose first mode without contacts is at a frequency [Hz]."""
-    body, force = model.structure, model.excitation.cosine[0]
     stuck = float(np.min(model.stuck_omega)) / (2 * np.pi)
     low, high = free / 2**0.75, (stuck if stuck <= 3 * free else 1.5 * free) * 2**0.75
-    modes = [
-        {
-            "frequency": float(body.frequency[i]),
-            "mass": float(body.mass[i]),
-            "damping_ratio": float(body.damping_ratio[i]),
-            "shape": {name: body.shape[p, :, i].tolist() for p, name in enumerate(body.points)},
-        }
-        for i in range(body.num_modes)
-    ]
-    load = [{"amplitude": abs(float(f)), "phase_deg": 0.0 if f >= 0 else 180.0} for f in force]
     study = {
         "kind": "compare",
         "frequency": {"from": low, "to": high, "step": (high - low) / POINTS},
         "settle": {"tolerance": 1e-7, "max_cycles": 1000},
     }
-    contacts = [contact_section(contact) for contact in model.contacts]
-    return {"structure": {"modes": modes}, "contacts": contacts, "excitation": {"modal_force": load}, "study": study}
+    return SCENE(model) | {"study": study}
 
 
 def differences(result: DataTree) -> np.ndarray:

@@ -149,6 +149,8 @@ study:
 """
 )
 
+TRADEOFF = BASE[: BASE.index("study:")] + "study: {kind: tradeoff, cycles: 6, error: 1e-4, budget: 5}\n"
+
 SWEEP = (
     BASE[: BASE.index("study:")]
     + """\
@@ -419,6 +421,8 @@ BAD_SCENES = (
         "at least 1",
     ),
     BadScene("study.phases", JUMP[: JUMP.index("  phases:")], "study:", "is required"),
+    BadScene("study.error", TRADEOFF.replace("1e-4", "2"), "error: 2", "must be < 1"),
+    BadScene("study.budget", TRADEOFF.replace("budget: 5", "budget: 0"), "budget: 0", "must be > 0"),
     BadScene(
         "excitation",
         HBM[: HBM.index("excitation:")]

@@ -21,6 +21,7 @@ from systems import GENERATED_CYCLES, generated_models, oscillator
 
 import timesim
 from timesim.engine import dense_output as hermite
+from timesim.engine import trajectory
 from timesim.engine.event_loop import advance
 from timesim.engine.history import sample
 from timesim.engine.method import step_method
@@ -469,6 +470,21 @@ def compilations(work: Callable[[], Any]) -> int:
     finally:
         jax.monitoring.unregister_event_duration_listener(listener)
     return seen.count(SECONDS_TO_COMPILE)
+
+
+def test_a_long_run_is_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The loop goes on from what it has returned by the same program: a weak type at its start would be another one."""
+    seen: list[list[tuple[str, bool]]] = []
+    compiled = trajectory.advance
+
+    def advance(method: Any, control: Any, system: Any, now: Any, *more: Any) -> Any:
+        seen.append([(str(leaf.dtype), leaf.weak_type) for leaf in jax.tree.leaves(now)])
+        return compiled(method, control, system, now, *more)
+
+    monkeypatch.setattr(trajectory, "advance", advance)
+    simulate(oscillator(3.0, 1.39), 12)
+    assert len(seen) > 1
+    assert all(leaves == seen[0] for leaves in seen)
 
 
 def test_nothing_compiles_anew() -> None:

@@ -354,7 +354,7 @@ def test_all_pictures_of_a_run(run: xarray.Dataset, tmp_path: Path) -> None:
     names = ["displacement", "orbit", "hysteresis", "normal_load", "contact_states", "spectrum", "energy"]
     assert [file.name for file in files] == [f"{name}.png" for name in names] == plot.picture_names("transient")
     assert all(file.read_bytes().startswith(b"\x89PNG") for file in files)
-    assert plot.draw(run.assign_attrs(study="tradeoff"), tmp_path / "missing") == []
+    assert plot.draw(run.assign_attrs(study="unknown"), tmp_path / "missing") == []
 
 
 def _texts(figure: object) -> list[str]:

@@ -71,7 +71,7 @@ RICH: dict[str, Any] = {
         "modal_velocity": [0.1, -0.1],
         "slip": {"pad": [1e-3, 2e-3], "stop": [0.0, 1e-3]},
     },
-    "solver": {"accuracy": "draft", "reduce": False, "max_steps": 5000},
+    "solver": {"accuracy": "draft", "reduce": False, "estimate_error": False, "max_steps": 5000},
 }
 MASS = [[2.0, 0.1, 0.0], [0.1, 1.0, 0.2], [0.0, 0.2, 1.5]]
 STIFFNESS = [[50.0, -4.0, 1.0], [-4.0, 60.0, 2.0], [1.0, 2.0, 90.0]]
@@ -110,6 +110,8 @@ def scenes(folder: Path) -> dict[str, dict[str, Any]]:
     phases = [{"frequency": 1.2, "cycles": 4}, {"frequency": 1.3, "cycles": 5}]
     return {
         "transient": RICH | {"study": {"kind": "transient", "cycles": 6, "samples_per_cycle": 20, "record_last": 2}},
+        "tradeoff": RICH
+        | {"study": {"kind": "tradeoff", "cycles": 6, "error": 1e-4, "budget": 5.0, "amplitude": True}},
         "jump": LINEAR
         | own
         | {"initial": held}
@@ -194,8 +196,8 @@ def scenes(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 KINDS = (
-    "transient", "jump", "sweep", "listed", "static", "hbm", "along", "compare", "bistable", "optimum", "element",
-    "motion", "file", "element_map",
+    "transient", "tradeoff", "jump", "sweep", "listed", "static", "hbm", "along", "compare", "bistable", "optimum",
+    "element", "motion", "file", "element_map",
 )  # fmt: skip
 
 
@@ -297,7 +299,9 @@ TOGETHER: dict[str, set[Key]] = {
 
 
 # Of scenes that read a result, which is slow, and of those that differ from others by their study: what only they have.
-ONLY = dict.fromkeys(("hbm", "compare", "bistable", "optimum"), ("study",)) | {"jump": ("initial", "solver", "study")}
+ONLY = dict.fromkeys(("tradeoff", "hbm", "compare", "bistable", "optimum"), ("study",)) | {
+    "jump": ("initial", "solver", "study")
+}
 
 
 @pytest.mark.parametrize("name", KINDS)

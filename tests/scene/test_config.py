@@ -604,6 +604,29 @@ def test_describe_says_what_is_left_out_and_why():
     assert said(contacts__pad__preload=100, solver__reduce=False) == ("nothing: solver.reduce is false",)
 
 
+def test_describe_says_that_the_error_will_be_estimated():
+    def said(name: str, *overrides: str) -> tuple[str, ...]:
+        return describe(load_scene(CONFIGS / f"{name}.yaml", overrides)).get("accuracy", ())
+
+    (line,) = said("oscillator", "solver={method: dopri8, rtol: 1e-9}")
+    assert "second run (dopri8, rtol 1e-08, atol 1e-10), 0.6 of the time" in line
+    assert said("oscillator", "solver={method: dopri8, rtol: 1e-9, estimate_error: false}") == ()
+    assert said("bistable", "solver={method: dopri8, rtol: 1e-9}") == ()
+
+
+def test_describe_says_what_is_promised_and_by_which_tolerances():
+    def said(name: str, *overrides: str) -> str:
+        return describe(load_scene(CONFIGS / f"{name}.yaml", overrides))["accuracy"][0]
+
+    run = "promised is a relative error of 1e-06 of the state at the end of the run, by tsit5, rtol "
+    assert said("oscillator") == run + "1e-07, atol 1e-09"
+    assert said("blade").startswith(run)
+    assert said("blade").endswith("(most scenes do with rtol 1e-07)")
+    assert said("bistable", "solver.accuracy=draft").startswith(
+        "promised is a relative error of 1e-04 of a steady state"
+    )
+
+
 def test_describe_counts_points_and_advises_at_the_lowest_frequency():
     def report(*overrides: str) -> dict[str, tuple[str, ...]]:
         return describe(load_scene(BASE, overrides))

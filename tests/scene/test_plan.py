@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
-from bad_scenes import BASE, BISTABLE, ELEMENT, ELEMENT_MAP, HBM, JUMP, MATRICES, OPTIMUM, SWEEP
+from bad_scenes import BASE, BISTABLE, ELEMENT, ELEMENT_MAP, HBM, JUMP, MATRICES, OPTIMUM, SWEEP, TRADEOFF
 
 from timesim.fault import SceneError
 from timesim.model.model import Model
@@ -19,7 +19,7 @@ from timesim.study.registry import load_scene
 PRELOAD, FRICTION, STIFFNESS = (f"contacts.pad.{key}" for key in ("preload", "friction", "normal_stiffness"))
 
 
-@pytest.mark.parametrize("text", [BASE, JUMP, ELEMENT, ELEMENT_MAP, HBM, BISTABLE, OPTIMUM, SWEEP])
+@pytest.mark.parametrize("text", [BASE, JUMP, ELEMENT, ELEMENT_MAP, HBM, BISTABLE, OPTIMUM, SWEEP, TRADEOFF])
 def test_plans_are_frozen_and_hold_no_sections(text: str):
     plan = load_scene(text).plan
     with pytest.raises(dataclasses.FrozenInstanceError):

@@ -11,10 +11,13 @@ from scipy.integrate import solve_ivp
 from systems import oscillator_scene
 
 import timesim
+from timesim.model import promise
 from timesim.picture import jump as plot_jump
 from timesim.picture import transient as plot_transient
 from timesim.result import netcdf
 from timesim.study import registry as plot
+from timesim.study import transient
+from timesim.study.execution.campaign import Execution
 from timesim.study.registry import carry_out, load_scene
 
 FIGURE12 = Path(__file__).parents[2] / "configs" / "figure12.yaml"
@@ -103,6 +106,52 @@ def test_a_run_up_is_as_other_phases_but_for_its_samples(short: xarray.Dataset) 
     assert np.abs(whole.cycle_amplitude.values - short.cycle_amplitude.values).max() < 1e-12
     assert whole.event_time.values == pytest.approx(short.event_time.values + RUN_UP_END, abs=1e-9)
     assert whole.event_to.values.tolist() == short.event_to.values.tolist()
+
+
+def test_the_error_is_estimated_over_all_phases(short: xarray.Dataset) -> None:
+    outcome = carry_out(load_scene(SHORT))
+    line = next(line for line in outcome.summary if line.startswith("estimated error"))
+    assert 1e-14 < short.attrs["estimated_error"] < 1e-9
+    assert f"{short.attrs['estimated_error']:.1e}" in line
+    assert short.cycle_amplitude_error.shape == (9,)
+    assert float(short.cycle_amplitude_error.max()) < 1e-9
+    assert short.cycle_amplitude_error.attrs["units"] == "1"
+    without = timesim.run(SHORT, {"solver.estimate_error": False})
+    assert "estimated_error" not in without.attrs
+    assert "cycle_amplitude_error" not in without
+    np.testing.assert_array_equal(without.displacement, short.displacement)
+
+
+def test_a_broken_promise_is_mended_or_else_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a scene that errs more than was foreseen: its tolerances are taken as proportional to its error."""
+    monkeypatch.setattr(promise, "GROWTH", 1e-9)
+    monkeypatch.setitem(promise.PROMISE, "standard", 1e-8)
+    standard = scene() | {"solver": {"accuracy": "standard"}}
+    outcome = carry_out(load_scene(standard))
+    first, mended = outcome.summary[0], outcome.groups[""]
+    assert first.startswith("by tsit5, rtol 1e-07, atol 1e-09 the error is estimated at ")
+    assert first.endswith(f"promised is 1e-08: repeated by {mended.attrs['method']}")
+    assert mended.attrs["rtol"] < 5e-8
+    assert mended.attrs["estimated_error"] < mended.attrs["promised_error"] == 1e-8
+    exact = timesim.run(SHORT).final_modal_displacement.values
+    true = np.abs(mended.final_modal_displacement.values - exact).max() / np.abs(exact).max()
+    assert true < 1e-8
+
+    monkeypatch.setattr(transient, "tightened", lambda solver, share: solver)
+    said = carry_out(load_scene(standard)).summary
+    block = next(line for line in said if line.startswith("warning: that is more than the 1e-08"))
+    assert "solver: {method: tsit5, rtol: 2.4e-08, atol: 2.4e-10}" in block
+
+
+def test_a_run_is_whole_where_its_estimate_is_interrupted() -> None:
+    def impatient(done: float, number: float, phase: str = "") -> None:
+        if phase.startswith("estimating"):
+            raise KeyboardInterrupt
+
+    outcome = carry_out(load_scene(SHORT), Execution(progress=impatient))
+    assert outcome.reason is None
+    assert np.isnan(outcome.groups[""].attrs["estimated_error"])
+    assert any("not known, interrupted" in line for line in outcome.summary)
 
 
 def test_the_phase_of_the_excitation_is_continuous() -> None:

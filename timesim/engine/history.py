@@ -142,7 +142,19 @@ def stored_energy(model: Model, q: np.ndarray, p: np.ndarray, w: np.ndarray, sta
 
 @dataclass
 class CycleTotals:
-    """Amplitudes and energies of each completed cycle, gathered from batches of steps."""
+    """Amplitudes and energies of each completed cycle, gathered from batches of steps.
+
+    Attributes:
+        model: what is simulated.
+        initial: energy stored at the start.
+        amplitude: (max - min)/2 of each cycle, of each point along each axis.
+        start, end: times of each cycle.
+        work: done until the end of each cycle.
+        stored: energy stored there.
+        peak: largest energy stored.
+        size: largest displacement and velocity in the last cycle, modes normalised to unit mass, shape (2,).
+        transitions: how many there were.
+    """
 
     model: Model
     initial: float
@@ -152,6 +164,8 @@ class CycleTotals:
     work: list[np.ndarray] = field(default_factory=list)
     stored: list[float] = field(default_factory=list)
     peak: float = 0.0
+    size: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    transitions: int = 0
     _low: Any = None
     _high: Any = None
     _open: int = -1
@@ -164,9 +178,13 @@ class CycleTotals:
         low, high = extremes(steps, shape)
         energy = stored_energy(self.model, steps.end[0], steps.end[1], steps.slip_end[0], steps.state_after)
         self.peak = max(self.peak, float(np.max(np.abs(energy))))
+        self.transitions += int(np.sum(steps.state != steps.state_after))
+        root = np.sqrt(self.model.structure.mass)
+        size = np.stack([np.max(np.abs(part) * root, axis=1) for part in steps.end[:2]])
         for cycle in np.unique(steps.cycle):
             rows = np.nonzero(steps.cycle == cycle)[0]
             self._extend(int(cycle), float(steps.time[rows[0]]), low[rows].min(axis=0), high[rows].max(axis=0))
+            self.size = np.maximum(self.size, size[:, rows].max(axis=1))
             if cycle < completed:
                 last = rows[-1]
                 self.end.append(float(steps.time[last] + steps.h[last]))
@@ -177,6 +195,7 @@ class CycleTotals:
     def _extend(self, cycle: int, time: float, low: np.ndarray, high: np.ndarray) -> None:
         if cycle != self._open:
             self._open, self._low, self._high = cycle, low, high
+            self.size = np.zeros(2)
             self.start.append(time)
         else:
             self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)

@@ -7,7 +7,7 @@ import timesim.runtime  # noqa: F401  isort: skip
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ import numpy as np
 
 from timesim.engine.event_loop import advance
 from timesim.engine.history import Steps
-from timesim.engine.method import step_method
+from timesim.engine.method import Method, step_method
 from timesim.engine.quadrature import short_steps
 from timesim.engine.solver import step_control
 from timesim.engine.status import Status
@@ -52,6 +52,7 @@ class Run:
         model: what is simulated.
         phases: the schedule; the phase of the excitation is continuous across its changes.
         solver: method and tolerances.
+        method: what takes the steps, by default that of the solver.
         displacement, velocity, slip, state: the present state, in the units of the scene.
         phase: present phase of the excitation [rad].
         time: time since the start [s].
@@ -62,8 +63,10 @@ class Run:
     model: Model
     phases: Sequence[Phase]
     solver: Solver
+    method: Method = field(default=None)  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
+        self.method = self.method or step_method(self.solver)
         frequencies = sorted({phase.frequency for phase in self.phases})
         self.reduction = reduction_of(self.model, frequencies, reduce=self.solver.reduce)
         start = self.model.start
@@ -91,7 +94,7 @@ class Run:
         frame = Frame(self.model, self.reduction, phase.frequency)
         system = system_of(self.model, phase.frequency, self.phase, self.reduction)
         stiffest = self.model.stuck_rate / frame.scales.omega
-        method, control = step_method(self.solver), step_control(self.solver, stiffest)
+        method, control = self.method, step_control(self.solver, stiffest)
         now = frame.begin(system, self, self.solver.first_step(stiffest), work=method.integrates_work)
         origin = Origin(self.time, self.phase, self.completed, self.work.copy())
         while self.completed < origin.completed + phase.cycles:
@@ -165,7 +168,8 @@ class Frame:
         point, state = self.point(start)
         nothing = Work(jnp.zeros(()), jnp.zeros(()), jnp.zeros(state.size)) if work else None
         point, state = jax.tree.map(jnp.asarray, (Point(point.q, point.p, point.w, nothing), state))
-        return begin(system, point, state, jnp.asarray(first_step))
+        # Not of a weak type, as the loop returns it: the second call would compile the program again.
+        return begin(system, point, state, jnp.asarray(first_step, dtype=float))
 
     def point(self, start: Start) -> tuple[Point, np.ndarray]:
         """The loop's continuous state and contact states (C,) of a start whose contact states are known."""

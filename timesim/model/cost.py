@@ -49,7 +49,8 @@ def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side
     steps = 2 * np.pi / solver.longest
     if solver.name != "rk4":
         near = min(PRESETS, key=lambda name: abs(np.log(PRESETS[name].rtol / solver.rtol)))
-        steps = STEPS[near][0] + STEPS[near][1] * stable_steps(model, frequency)
+        finer = (PRESETS[near].rtol / solver.rtol) ** (1 / 8 if solver.name == "dopri8" else 1 / 5)
+        steps = finer * STEPS[near][0] + max(finer, 1.0) * STEPS[near][1] * stable_steps(model, frequency)
     each, share = RECORDED if side_by_side is None else SIDE_BY_SIDE
     alone = 1.0 if side_by_side is None else max(1.0, ALONE ** (1 - np.log(side_by_side) / np.log(16)))
     size = model.structure.num_modes * model.num_contacts

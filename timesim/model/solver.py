@@ -1,19 +1,9 @@
 """The numbers of an integration: a method with its tolerances, and when a motion counts as settled.
 
-The presets, each with the largest error of the last state that was measured for it, relative to the largest
-displacement and velocity (`python benchmarks/accuracy.py`): on the paper's oscillator, on a blade with two contacts,
-and on 20 modes up to 40 times the excitation with three contacts.
-
-=========  ======  =====  ==========  ======  ========
-accuracy   method  rtol   oscillator  blade   20 modes
-=========  ======  =====  ==========  ======  ========
-draft      tsit5   1e-5   8.0e-6      3.4e-5  7.6e-4
-standard   tsit5   1e-7   8.4e-8      2.0e-7  3.1e-6
-reference  dopri8  1e-11  1.6e-11     1.8e-12 6.7e-12
-=========  ======  =====  ==========  ======  ========
+The presets are the tolerances of an easy scene; one that needs finer ones gets them (`timesim.model.promise`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,6 +41,20 @@ class Solver:
         if self.name == "rk4":
             return f"rk4, {round(2 * np.pi / self.longest)} steps a cycle"
         return f"{self.name}, rtol {self.rtol:g}, atol {self.atol:g}"
+
+
+RATIO = 10.0
+"""Tolerance of the coarser run that a run is compared with to estimate its error, as a multiple of its own."""
+COMPANION = 0.6
+"""Time that it takes, as a share of that of the run: the share of the steps by a method of order five."""
+
+
+def coarser(solver: Solver) -> Solver:
+    """The solver of the run that one by this solver is compared with."""
+    if solver.name == "rk4":
+        return replace(solver, longest=2 * solver.longest)
+    # Where the longest step rules, the same steps would hide the error.
+    return replace(solver, rtol=RATIO * solver.rtol, atol=RATIO * solver.atol, longest=1.5 * solver.longest)
 
 
 PRESETS = {

@@ -19,6 +19,7 @@ from timesim.model.cost import (
 )
 from timesim.model.model import CONE, GROUND, Contact, Model
 from timesim.model.reduction import reduction_of
+from timesim.model.solver import COMPANION, coarser
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SteadySection
@@ -58,6 +59,7 @@ def describe(scene: Scene) -> dict[str, tuple[str, ...]]:
         report["structure"] = tuple(_structure_lines(model))
         report["contacts"] = tuple(map(contact_line, model.contacts)) or ("none",)
         report["excitation"] = tuple(_excitation_lines(model))
+        report["accuracy"] = tuple(_accuracy_lines(scene, model))
         report["advised method"] = tuple(_advice_lines(scene, model))
         report["left out or simplified"] = _left_out(scene, model)
         report["cost"] = tuple(_cost_lines(scene, model))
@@ -79,6 +81,18 @@ def _advice_lines(scene: Scene, model: Model) -> Iterator[str]:
     if frequency is not None and (advice := advised_method(model, frequency)) is not None:
         place = "" if study.uses_frequency else f" (at {frequency:g} Hz, the lowest, where it asks most)"
         yield f"{advice}{place}"
+
+
+def _accuracy_lines(scene: Scene, model: Model) -> Iterator[str]:
+    """What is promised, by which tolerances, and how the error becomes known."""
+    if scene.promise is not None:
+        end = "of the state at the end of the run" if isinstance(scene.plan, Schedule) else "of a steady state"
+        numbers, least = scene.solver(), scene.file.solver.build()
+        why = "" if numbers.rtol == least.rtol else f" (most scenes do with rtol {least.rtol:g})"
+        yield f"promised is a relative error of {scene.promise:.0e} {end}, by {numbers}{why}"
+    if isinstance(scene.plan, Schedule) and scene.file.solver.estimate_error:
+        coarse = coarser(scene.solver())
+        yield f"the error at the end is estimated by a second run ({coarse}), {COMPANION:g} of the time of the first"
 
 
 def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:

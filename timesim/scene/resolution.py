@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from timesim.fault import Problem, RuleError, SceneError
 from timesim.model.model import CONE, Model
+from timesim.model.promise import PROMISE, preset
 from timesim.model.scales import out_of_range
 from timesim.model.solver import Solver
 from timesim.model.start import rest_start
@@ -23,7 +24,7 @@ from timesim.scene.hbm import HbmPlan
 from timesim.scene.integration import EndOfRun, InitialResult, start
 from timesim.scene.source import SceneSource, empty_values, overridden, read
 from timesim.scene.structure import BuiltStructure, ExcitationSection
-from timesim.scene.study import Context, combinations
+from timesim.scene.study import Context, SteadySection, combinations
 from timesim.scene.text import yaml_text
 from timesim.scene.transient import Schedule
 
@@ -64,9 +65,23 @@ class Scene:
         """What its study carries out: the frozen dataclass that the section of the study builds."""
         return self._built.plan
 
+    @property
+    def promise(self) -> float | None:
+        """Relative error that its accuracy promises; None where a method is given, or nothing is integrated in time."""
+        accuracy = self.file.solver.accuracy
+        in_time = isinstance(self.plan, Schedule) or isinstance(self.file.study, SteadySection)
+        return PROMISE[accuracy] if accuracy is not None and in_time else None
+
     def solver(self) -> Solver:
-        """How it is integrated, in numbers."""
-        return self.file.solver.build()
+        """How it is integrated, in numbers: of an accuracy those that keep its promise."""
+        numbers, accuracy, study = self.file.solver.build(), self.file.solver.accuracy, self.file.study
+        if self.promise is None or accuracy is None:
+            return numbers
+        frequency, cycles = study.lowest_frequency() or 1.0, None
+        if isinstance(self.plan, Schedule):
+            frequency, cycles = min(self.plan.phases)[0], sum(cycles for _, cycles in self.plan.phases)
+        own = preset(accuracy, self.model(), frequency, cycles)
+        return replace(numbers, rtol=own.rtol, atol=own.atol)
 
     def model(self) -> Model:
         """What is modelled, in numbers.

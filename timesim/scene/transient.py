@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from timesim.scene.section import Section, refuse
 from timesim.scene.study import Context, StudySection
-from timesim.scene.value import Count, Positive, Whole
+from timesim.scene.value import Count, Positive, Switch, Whole
 
 Samples = Annotated[Whole, Field(ge=2)]
 
@@ -90,6 +90,48 @@ class Transient(StudySection):
         assert context.frequency is not None
         first = self.cycles - (self.record_last or self.cycles)
         return Schedule(((context.frequency, self.cycles),), 0, first, self.samples_per_cycle)
+
+
+@dataclass(frozen=True)
+class TradeoffPlan:
+    """A run that is made by many solvers.
+
+    Attributes:
+        frequency: of the excitation [Hz].
+        cycles: of the run.
+        error: wanted, relative.
+        budget: of time [s].
+        amplitude: whether the error is that of the amplitude of the last cycle, in place of the state at its end.
+    """
+
+    frequency: float
+    cycles: int
+    error: float
+    budget: float
+    amplitude: bool
+
+
+class Tradeoff(StudySection):
+    """Error against time of one run, over methods, tolerances, modes kept and reductions."""
+
+    requires: ClassVar[tuple[str, ...]] = ("structure", "excitation", "excitation.frequency")
+    uses_frequency: ClassVar[bool] = True
+    counts: ClassVar[str] = "seconds"
+
+    kind: Literal["tradeoff"]
+    cycles: Count = 60
+    """Excitation cycles of the run, from the scene's start."""
+    error: Annotated[Positive, Field(ge=1e-12, lt=1)] = 1e-6
+    """Wanted error of the state at the end, relative to its size."""
+    budget: Positive = 60.0
+    """Seconds for all runs and their compilation; what goes beyond it is left out, the cheapest come first."""
+    amplitude: Switch = False
+    """Judge the amplitude of the last cycle in place of the state at its end: what a sweep needs."""
+
+    def plan(self, context: Context) -> TradeoffPlan:
+        """The run and what is asked of it."""
+        assert context.frequency is not None
+        return TradeoffPlan(context.frequency, self.cycles, self.error, self.budget, self.amplitude)
 
 
 class FrequencyPhase(Section):

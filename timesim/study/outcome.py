@@ -46,4 +46,7 @@ def attributes(scene: Scene, method: str, compiling: float, running: float, reas
         "compile_seconds": compiling,
         "run_seconds": running,
     }
+    if scene.promise is not None:
+        solver = scene.solver()
+        attrs |= {"promised_error": scene.promise, "rtol": solver.rtol, "atol": solver.atol}
     return attrs if reason is None else attrs | {"reason": reason}

@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from timesim.engine.history import CycleTotals, Events, Samples, Steps, events, sample, stored_energy
+from timesim.engine.companion import totals_of
+from timesim.engine.history import Events, Samples, Steps, events, sample
 from timesim.engine.law.contact_law import ContactLaw, Motion
 from timesim.engine.law.table import law_class
 from timesim.engine.trajectory import Run
@@ -25,8 +26,7 @@ class Recorder:
 
     def __init__(self, run: Run, plan: Schedule):
         self.run, self.plan = run, plan
-        now = (run.displacement, run.velocity, run.slip, run.state)
-        self.totals = CycleTotals(run.model, float(stored_energy(run.model, *(part[None] for part in now))[0]))
+        self.totals = totals_of(run)
         self._samples: list[Samples] = []
         self._events: list[Events] = []
         self._times, self._taken = plan.sample_times(), 0

@@ -54,6 +54,7 @@ class Study:
 STUDIES = {
     "transient": Study(".scene.transient:Transient", ".study.transient:study", ".picture.transient:PICTURES"),
     "jump": Study(".scene.transient:Jump", ".study.transient:study", ".picture.jump:PICTURES"),
+    "tradeoff": Study(".scene.transient:Tradeoff", ".study.tradeoff.study:study", ".picture.tradeoff:PICTURES"),
     "element": Study(".scene.element:Element", ".study.element:study", ".picture.element:PICTURES"),
     "element_map": Study(".scene.element:ElementMap", ".study.element_map:study", ".picture.element_map:PICTURES"),
     "sweep": Study(".scene.sweep:Sweep", ".study.sweep:study", ".picture.sweep:PICTURES", in_chunks=True),

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from xarray import Dataset
 
+from timesim.model.promise import MARGIN, tightened
+from timesim.model.solver import Solver
 from timesim.orbit.basin import ANOTHER, IRREGULAR, LOWER, NONE, UPPER, unique
 from timesim.orbit.threshold import LONGEST
 from timesim.orbit.two_motions import LARGER, NO_MOTION, SMALLER
@@ -32,6 +34,8 @@ def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
     largest = max(np.max(np.abs(data["energy_input"].values)), attrs["peak_stored_energy"])
     residual = np.max(np.abs(data["energy_residual"].values)) / largest if largest > 0 else 0.0
     yield f"energy balance of a cycle closes to {residual:.1e} of the larger of input and stored energy"
+    if "estimated_error" in attrs:
+        yield from error_lines(data)
     if not 1 < len(plan.phases) <= PHASES:
         return
     _, point, axis = np.unravel_index(np.argmax(amplitude), amplitude.shape)
@@ -43,6 +47,27 @@ def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
             reached = with_unit(f"{amplitude[end - 1, point, axis]:.6g}", data["cycle_amplitude"].attrs)
             size = f"amplitude {reached} of {name} at its end"
             yield f"{which}: {cycles} cycles at {frequency:.6g} Hz, {size}"
+
+
+def error_lines(data: Dataset) -> Iterator[str]:
+    """The estimated error of a run, and what would keep a promise that it has not kept."""
+    attrs = data.attrs
+    error, remark, promise = attrs["estimated_error"], attrs["estimate_remark"], attrs.get("promised_error", np.inf)
+    if not np.isfinite(error):
+        yield f"estimated error of the state at the end: not known, {remark}"
+        return
+    largest = float(data["cycle_amplitude_error"].max())
+    sizes = f"{error:.1e} of its size, of the amplitude of a cycle at most {largest:.1e}"
+    yield f"estimated error of the state at the end: {sizes}{f' ({remark})' if remark else ''}"
+    if error <= promise:
+        return
+    now = Solver(attrs["method"].partition(",")[0], attrs["rtol"], attrs["atol"])
+    better = tightened(now, promise / (MARGIN * error))
+    over = f"warning: that is more than the {promise:.0e} that the accuracy promises"
+    if better.rtol == now.rtol:
+        yield f"{over}, and rounding allows no finer tolerance: the motion amplifies any error"
+    else:
+        yield f"{over}; what may keep it: solver: {{method: {now.name}, rtol: {better.rtol:g}, atol: {better.atol:g}}}"
 
 
 def number_of_states(data: Dataset) -> int:

@@ -4,11 +4,16 @@ What is recorded of them is the same (sections 5.2 and 5.3 of the paper).
 """
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
+from xarray import Dataset
 
+from timesim.engine.companion import Estimate, companion_of, compared, estimate, unknown
 from timesim.engine.trajectory import Phase, Run, RunError
 from timesim.model.contact_state import slip_follows_motion
+from timesim.model.promise import CLOSE, MARGIN, tightened
+from timesim.model.solver import COMPANION, Solver
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.transient import Schedule
@@ -17,24 +22,85 @@ from timesim.study.outcome import Outcome, attributes
 from timesim.study.recorder import Recorder, contact_forces
 from timesim.study.report import transient_lines
 
+REPETITIONS = 2
+"""Of a run that errs more than promised: a first estimate may be far off where the error is not proportional yet."""
+
 Variables = dict[str, tuple[tuple[str, ...], np.ndarray]]
 
 
 def study(scene: Scene, execution: Execution) -> Outcome:
-    """Run a scene of a transient or a jump; the result is marked incomplete where the run ended early."""
+    """Run a scene of a transient or a jump; the result is marked incomplete where the run ended early.
+
+    Where the estimated error is above what the accuracy promises, the run is repeated with tighter tolerances.
+    """
+    clock = time.perf_counter()
+    promise, lines = scene.promise or np.inf, []
+    done = _carried(scene, scene.solver(), execution)
+    for _ in range(REPETITIONS):
+        state = done.error.state if done.error else 0.0
+        better = tightened(done.solver, promise / (MARGIN * state)) if state > CLOSE * promise else done.solver
+        if better == done.solver:
+            break
+        again = _carried(scene, better, execution, first=done)
+        ended = f"repeated by {better}" if again.reason is None else f"and the repetition {again.reason}"
+        lines.append(f"by {done.solver} the error is estimated at {state:.1e}, promised is {promise:.0e}: {ended}")
+        if again.reason is not None:
+            break
+        done = again
+    record = _record(scene, done, time.perf_counter() - clock)
+    return Outcome({"": record}, done.reason, (*lines, *transient_lines(record, scene.plan)))
+
+
+@dataclass(frozen=True)
+class _Carried:
+    """A run that has ended.
+
+    Attributes:
+        recorder: what there is of it.
+        reason: why it ended early; None if it did not.
+        error: estimated; None where that was not asked for.
+        compiling: seconds.
+    """
+
+    recorder: Recorder
+    reason: str | None
+    error: Estimate | None
+    compiling: float
+
+    @property
+    def solver(self) -> Solver:
+        return self.recorder.run.solver
+
+
+def _carried(scene: Scene, solver: Solver, execution: Execution, first: _Carried | None = None) -> _Carried:
+    """Run a scene by a solver, and estimate the error if that is wanted; ``first``: a coarser run of the same."""
     plan: Schedule = scene.plan
-    run = Run(scene.model(), [Phase(*phase) for phase in plan.phases], scene.solver())
+    run = Run(scene.model(), [Phase(*phase) for phase in plan.phases], solver)
     run.time = float(plan.edges()[0])
     recorder = Recorder(run, plan)
-    clock = time.perf_counter()
     reason = _advance(recorder, execution)
-    seconds = time.perf_counter() - clock
-    attrs = attributes(scene, str(run.solver), run.compile_seconds, seconds, reason)
+    compiling = run.compile_seconds if first is None else first.compiling
+    if not scene.file.solver.estimate_error:
+        return _Carried(recorder, reason, None, compiling)
+    if first is not None and first.error is not None and first.error.proportional and reason is None:
+        before = first.recorder
+        return _Carried(recorder, reason, compared(run, recorder.totals, before.run, before.totals), compiling)
+    return _Carried(recorder, reason, _estimate(recorder, execution, reason), compiling)
+
+
+def _record(scene: Scene, done: _Carried, seconds: float) -> Dataset:
+    """The result of a run."""
+    recorder, run = done.recorder, done.recorder.run
+    attrs = attributes(scene, str(run.solver), done.compiling, seconds, done.reason)
+    if run.solver.name != "rk4":
+        attrs |= {"rtol": run.solver.rtol, "atol": run.solver.atol}
     attrs["peak_stored_energy"] = recorder.totals.peak
     variables, times = _sample_variables(recorder)
     variables |= final_variables(run) | _cycle_variables(recorder)
-    record = dataset(variables, {"time": times}, attrs, run.model)
-    return Outcome({"": record}, reason, tuple(transient_lines(record, plan)))
+    if done.error is not None:
+        variables["cycle_amplitude_error"] = (("cycle",), done.error.amplitude)
+        attrs |= {"estimated_error": done.error.state, "estimate_remark": done.error.remark}
+    return dataset(variables, {"time": times}, attrs, run.model)
 
 
 def _advance(recorder: Recorder, execution: Execution) -> str | None:
@@ -43,12 +109,29 @@ def _advance(recorder: Recorder, execution: Execution) -> str | None:
     try:
         for steps in run.batches():
             recorder.add(steps)
-            execution.show(run.completed, run.num_cycles, recorder.plan.place(run.completed))
+            execution.show(run.completed, (1 + COMPANION) * run.num_cycles, recorder.plan.place(run.completed))
     except RunError as error:
         return str(error)
     except KeyboardInterrupt:
         return f"interrupted in cycle {run.completed + 1} of {run.num_cycles}"
     return None
+
+
+def _estimate(recorder: Recorder, execution: Execution, reason: str | None) -> Estimate:
+    """The error of a run that has ended, ``reason`` being why it did so early."""
+    run, totals = recorder.run, recorder.totals
+    if reason is not None:
+        return unknown(totals, "the run ended early")
+
+    def show(companion: Run) -> None:
+        done = run.num_cycles + COMPANION * companion.completed
+        words = f"estimating the error, {companion.completed} of {run.num_cycles} cycles"
+        execution.show(done, (1 + COMPANION) * run.num_cycles, words)
+
+    try:
+        return estimate(run, totals, companion_of(run), show)
+    except KeyboardInterrupt:
+        return unknown(totals, "interrupted")
 
 
 def _sample_variables(recorder: Recorder) -> tuple[Variables, np.ndarray]:

@@ -1,0 +1,107 @@
+"""Do the presets keep their promise, and is the estimated error right, on structures that nobody tuned on?
+
+    python benchmarks/promise.py --seeds 1000:1010
+
+Generated structures (`driven` of tests/zoo.py: 2 to 20 modes, 1 to 4 contacts) run as scenes of the command line, each
+by `draft` and `standard`. The truth is dopri8 at rtol 1e-12, and certain where dopri8 at 1e-11 is a tenth as far
+from it as the run. Kept are structures of which a contact slips for 5 to 95 % of the last cycle. A row a run: the
+tolerance in the end, whether it was repeated, the true error of the last state, the estimated one, the promise.
+"""
+
+import argparse
+import runpy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from xarray import Dataset
+
+import timesim
+from timesim.model.model import SEPARATION, SLIP
+from timesim.model.promise import PROMISE
+from timesim.study.registry import carry_out, load_scene
+
+ZOO = runpy.run_path(str(Path(__file__).parents[1] / "tests" / "zoo.py"))
+SIZES = ((2, 1), (4, 2), (8, 3), (20, 4))
+
+
+def shares(run: Dataset, state: int) -> np.ndarray:
+    """Share of the last cycle that each contact is in a state."""
+    found: np.ndarray = np.mean(run.contact_state.values == state, axis=0)
+    return found
+
+
+def error_of(run: Dataset, true: Dataset, omega: float, mass: np.ndarray) -> float:
+    """Error of the last state in the norm of `timesim.engine.companion`."""
+    root = np.sqrt(mass)
+    q, p = (np.max(np.abs(true[f"modal_{name}"].values) * root) for name in ("displacement", "velocity"))
+    parts = zip(("displacement", "velocity"), (q, max(p, omega * q)), strict=True)
+    return max(
+        float(np.max(np.abs(run[f"final_modal_{name}"] - true[f"final_modal_{name}"]).values * root)) / size
+        for name, size in parts
+    )
+
+
+def rows(seed: int, size: tuple[int, int]) -> list[dict[str, Any]]:
+    """The runs of a structure; none where no contact slips for a part of the cycle, or the truth is not certain."""
+    model, cycles = ZOO["driven"](seed, size)
+    scene = ZOO["scene_of"](model) | {"study": {"kind": "transient", "cycles": cycles, "record_last": 1}}
+    exact = {"method": "dopri8", "rtol": 1e-12, "estimate_error": False}
+    true, near = (timesim.run(scene, {"solver": exact | {"rtol": rtol}}) for rtol in (1e-12, 1e-11))
+    slip, apart = shares(true, SLIP), shares(true, SEPARATION)
+    if not np.any((slip > 0.05) & (slip < 0.95)):
+        return []
+    measure = (2 * np.pi * model.excitation.frequency, model.structure.mass)
+    sure, found = error_of(near, true, *measure), []
+    for accuracy in ("draft", "standard"):
+        outcome = carry_out(load_scene(scene, {"solver.accuracy": accuracy}))
+        run = outcome.groups[""]
+        found.append(
+            {
+                "structure": f"{size[0]} modes, {size[1]} contacts, seed {seed}",
+                "cycles": cycles,
+                "transitions": true.sizes["event"],
+                "separates": bool(np.any((apart > 0.02) & (apart < 0.98))),
+                "accuracy": accuracy,
+                "rtol": run.attrs["rtol"],
+                "repeated": "promised is" in outcome.summary[0],
+                "true": error_of(run, true, *measure),
+                "estimated": run.attrs["estimated_error"],
+                "promised": PROMISE[accuracy],
+                "sure": sure,
+                "said": run.attrs["estimated_error"] > PROMISE[accuracy] or bool(run.attrs["estimate_remark"]),
+            }
+        )
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", default="1000:1010", help="first and one behind the last")
+    first, last = map(int, parser.parse_args().seeds.split(":"))
+    every = []
+    for size in SIZES:
+        for seed in range(first, last):
+            for row in rows(seed, size):
+                every.append(row)
+                print(
+                    "| " + " | ".join(f"{v:.2g}" if isinstance(v, float) else str(v) for v in row.values()) + " |",
+                    flush=True,
+                )
+    known = [row for row in every if row["sure"] < 0.1 * row["true"]]
+    near = [row for row in known if 0.1 < row["estimated"] / row["true"] < 10]
+    print(f"{len(known)} of {len(every)} runs with a certain truth; estimated within a factor of 10 in {len(near)}")
+    for accuracy in ("draft", "standard"):
+        promise = PROMISE[accuracy]
+        own = [row for row in every if row["accuracy"] == accuracy]
+        judged = [row for row in own if row["sure"] < 0.3 * promise]
+        kept, again = (sum(row["true"] <= promise for row in judged), sum(row["repeated"] for row in judged))
+        unknown = len(own) - len(judged)
+        print(f"{accuracy}: kept in {kept} of {len(judged)}, {again} repeated; beside them {unknown} of unknown truth")
+        for row in own:
+            if row["true"] > promise:
+                print(f"   broken: {row['structure']}, {row['true']:.1e}, {'said' if row['said'] else 'not said'}")
+
+
+if __name__ == "__main__":
+    main()

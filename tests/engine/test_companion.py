@@ -1,0 +1,85 @@
+"""The estimated error of a run against the true one."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from simulation import FINE
+from systems import oscillator
+
+from timesim.engine.companion import ROUNDING, Estimate, companion_of, estimate, state_error, totals_of
+from timesim.engine.history import CycleTotals
+from timesim.engine.trajectory import Phase, Run
+from timesim.model.model import Model
+from timesim.model.solver import PRESETS, Solver
+
+TRUTH = json.loads((Path(__file__).parents[1] / "data" / "oscillator.json").read_text())["cases"]
+
+
+def finished(model: Model, cycles: int, solver: Solver) -> tuple[Run, CycleTotals]:
+    assert model.excitation.frequency is not None
+    run = Run(model, [Phase(model.excitation.frequency, cycles)], solver)
+    totals = totals_of(run)
+    for steps in run.batches():
+        totals.add(steps, run.completed)
+    return run, totals
+
+
+def error_of(run: Run, totals: CycleTotals, companion: Run | None = None) -> Estimate:
+    return estimate(run, totals, companion or companion_of(run), lambda _: None)
+
+
+@pytest.mark.parametrize(
+    "solver", [PRESETS["draft"], PRESETS["standard"], FINE, Solver("rk4", 1e-8, 1e-10, 0.03)], ids=str
+)
+@pytest.mark.parametrize(("preload", "frequency"), [(3, 1.39), (-1, 0.97), (5, 1.52)])
+def test_estimate_is_within_a_factor_of_ten(preload: float, frequency: float, solver: Solver) -> None:
+    run, totals = finished(oscillator(preload, frequency), 60, solver)
+    displacement, velocity = np.split(np.array(TRUTH[f"osc_n0={preload}_f={frequency:g}"]["state_end"]), 2)
+    truth = companion_of(run)
+    truth.displacement, truth.velocity = displacement, velocity
+    true, own = state_error(run.model, frequency, run, truth, totals.size), error_of(run, totals)
+    print(f"{solver}: true {true:.1e}, estimated {own.state:.1e}")
+    assert 0.1 < own.state / true < 10
+    assert own.amplitude.shape == (60,)
+    assert not own.remark
+
+
+def test_estimate_of_the_amplitude_of_each_cycle() -> None:
+    model = oscillator(3, 1.39)
+    (run, totals), (_, fine) = (finished(model, 60, solver) for solver in (PRESETS["draft"], FINE))
+    exact = np.array(fine.amplitude)
+    true = np.abs(np.array(totals.amplitude) - exact).max(axis=(1, 2)) / exact.max(axis=(1, 2))
+    ratio = error_of(run, totals).amplitude / true
+    assert np.mean((ratio > 0.1) & (ratio < 10)) > 0.9
+
+
+def test_estimate_is_no_smaller_than_rounding_and_needs_no_motion() -> None:
+    model = oscillator(3, 1.39)
+    still = replace(model, excitation=replace(model.excitation, cosine=np.zeros((1, 2))))
+    assert error_of(*finished(still, 4, PRESETS["standard"])).state == 2 * ROUNDING
+
+
+def test_estimate_says_where_it_cannot_be_trusted() -> None:
+    run, totals = finished(oscillator(3, 1.39), 60, PRESETS["standard"])
+    trusted = error_of(run, totals)
+    totals.transitions += 2
+    doubtful = error_of(run, totals)
+    assert "235 transitions against 237" in doubtful.remark
+    assert doubtful.state == pytest.approx(3 * trusted.state)
+    tired = companion_of(run)
+    tired.solver = replace(tired.solver, budget=3)
+    failed = error_of(run, totals, tired)
+    assert np.isnan(failed.state)
+    assert "companion failed at time 0" in failed.remark
+    assert "budget of 3 steps" in failed.remark
+
+
+def test_error_of_a_motion_that_comes_to_rest_off_the_origin() -> None:
+    """Velocity vanishes there: by its own size it would have no correct digit."""
+    run, _ = finished(oscillator(3, 1.39), 1, PRESETS["standard"])
+    other = companion_of(run)
+    run.velocity, other.displacement = np.array([1e-12, 0]), run.displacement
+    assert state_error(run.model, 1.39, run, other, np.array([1.0, 1e-12])) < 1e-11

@@ -1,0 +1,170 @@
+"""The study `tradeoff`: which runs it makes, how they are judged, what it recommends, what it says when cut short."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import timesim
+from timesim.engine.trajectory import RunError
+from timesim.model.solver import Solver
+from timesim.picture.tradeoff import error_against_time
+from timesim.scene.transient import TradeoffPlan
+from timesim.study.execution.campaign import Execution
+from timesim.study.registry import carry_out, draw, load_scene
+from timesim.study.tradeoff import bench as benches
+from timesim.study.tradeoff import study
+from timesim.study.tradeoff.bench import Bench, Trial, lowest_modes
+from timesim.study.tradeoff.study import fewer, judge
+
+CONFIG = Path(__file__).parents[2] / "configs" / "tradeoff.yaml"
+SCENE = load_scene(CONFIG)
+TRUE = np.array([1.0, 0.5])
+
+
+def trial(name: str, rtol: float, error: float, seconds: float, **more: Any) -> Trial:
+    """A run that is off the truth by an error."""
+    start = Trial(
+        solver=Solver(name, rtol, rtol / 100),
+        num_modes=2,
+        preset="",
+        seconds=seconds,
+        compiling=0.0,
+        steps=600,
+        transitions=9,
+        displacement=TRUE * [1 + error, 1],
+        velocity=np.zeros(2),
+        size=np.array([1.0, 0.0]),
+        amplitude=np.array([[1.0 + error / 10, 0.0, 0.0]]),
+    )
+    return replace(start, **more)
+
+
+TRIALS = [
+    trial("tsit5", 1e-3, 1e-2, 1.0),
+    trial("tsit5", 1e-7, 1e-6, 3.0),
+    trial("dopri8", 1e-5, 5e-6, 1.5),
+    trial("dopri8", 1e-6, 5e-7, 2.0),
+    trial("tsit5", 1e-11, 2e-11, 9.0),
+    trial("dopri8", 1e-11, 0.0, 4.0),
+    trial("tsit5", 1e-7, 1e-6, 0.1, num_modes=1),
+    trial("rk4", 1e-8, 1e-4, 8.0),
+]
+
+
+def bench(trials: list[Trial], **plan: Any) -> Bench:
+    given = {"frequency": 1.39, "cycles": 60, "error": 1e-6, "budget": 60.0, "amplitude": False} | plan
+    made = Bench(SCENE.model(), TradeoffPlan(**given), Execution())
+    made.trials = list(trials)
+    return made
+
+
+def test_runs_are_judged_by_the_finest_and_known_as_well_as_a_second_method_agrees() -> None:
+    judged = judge(bench(TRIALS))
+    assert judged.known == pytest.approx(2e-11)
+    assert judged.verified == "dopri8, rtol 1e-11, atol 1e-13 and tsit5, rtol 1e-11, atol 1e-13"
+    assert judged.error == pytest.approx([1e-2, 1e-6, 5e-6, 5e-7, 2e-11, 2e-11, 1e-6, 1e-4])
+    # The run with a mode left out is faster than all, and is no run of this scene.
+    assert judged.pareto.tolist() == [True, False, True, True, False, True, False, False]
+    assert judged.recommended == 3
+
+
+def test_a_truth_without_a_second_method_says_so_and_a_single_run_has_no_error() -> None:
+    alone = judge(bench([trial for trial in TRIALS if trial.solver.name == "tsit5"]))
+    assert alone.verified == ""
+    assert alone.known == pytest.approx(1e-6, rel=1e-3)
+    assert np.isnan(judge(bench(TRIALS[:1])).error).all()
+    assert judge(bench([])).recommended == -1
+
+
+def test_the_wanted_error_or_else_the_best() -> None:
+    assert judge(bench(TRIALS, error=1e-13)).recommended == 5
+    assert judge(bench(TRIALS, amplitude=True)).recommended == 2
+
+
+def test_a_tolerance_between_two_for_half_the_wanted_error() -> None:
+    made, tried = bench(TRIALS, error=2e-6), []
+    made.try_ = lambda solver, **_: tried.append(solver)  # type: ignore[method-assign, assignment, return-value]
+    study._between(made, "dopri8")
+    (between,) = tried
+    assert between.rtol == pytest.approx(10 ** (-5 - np.log10(5)), rel=0.02)
+    assert between.atol == pytest.approx(between.rtol / 100)
+
+
+def test_what_has_no_time_left_or_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = bench(TRIALS[:1], budget=0.0)
+    made._compiling[benches.program(TRIALS[0].solver, 2)] = 3.0
+    assert made.try_(Solver("dopri8", 1e-9, 1e-11), num_modes=1) is None
+    made.plan = replace(made.plan, budget=1e9)
+
+    def failing(*_: Any) -> Any:
+        raise RunError("at time 1 s: too stiff")
+
+    monkeypatch.setattr(benches, "_through", failing)
+    made.try_(Solver("rk4", 1e-8, 1e-10, longest=0.1))
+    assert made.left_out == [
+        "dopri8, rtol 1e-09, atol 1e-11, 1 modes: no time left",
+        "rk4, 63 steps a cycle: at time 1 s: too stiff",
+    ]
+
+
+def test_the_lowest_modes_of_a_model() -> None:
+    assert fewer(12) == [9, 6, 3]
+    assert fewer(2) == [1]
+    assert fewer(1) == []
+    model = SCENE.model()
+    one = lowest_modes(model, 1)
+    np.testing.assert_array_equal(one.structure.frequency, model.structure.frequency[:1])
+    np.testing.assert_array_equal(one.contact_shape, model.contact_shape[..., :1])
+    assert one.excitation.cosine.shape == (1, 1)
+    assert lowest_modes(model, 2) is model
+
+
+def two_methods(made: Bench, settings: dict[str, Any]) -> None:
+    for solver in (Solver("tsit5", 1e-4, 1e-6), Solver("tsit5", 1e-7, 1e-9), Solver("rk4", 1e-8, 1e-10, 0.03)):
+        made.try_(solver)
+    made.try_(Solver("tsit5", 1e-7, 1e-9), preset="standard")
+
+
+def test_a_scene_of_a_tradeoff(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(study, "_try_all", two_methods)
+    outcome = carry_out(load_scene(CONFIG, {"study.cycles": 20, "study.error": 1e-4}))
+    data, text = outcome.groups[""], "\n".join(outcome.summary)
+    assert outcome.reason is None
+    assert data.method.values.tolist() == ["tsit5", "tsit5", "rk4"]
+    assert data.preset.values.tolist() == ["", "standard", ""]
+    assert data.transitions.values.tolist() == [75, 75, 75]
+    assert 1e-6 < float(data.error[0]) < 1e-4
+    assert data.seconds_a_cycle.attrs["units"] == "s"
+    assert json.loads(data.attrs["recommended"]) == {"method": "tsit5", "rtol": 1e-4, "atol": 1e-6}
+    assert "for an error of 1e-04: solver: {method: tsit5, rtol: 0.0001, atol: 1e-06}" in text
+    assert "by no second method" in text
+    (picture,) = draw(data, tmp_path)
+    assert picture.name == "tradeoff.png"
+    shown = {line.get_label() for line in error_against_time(data).lines}
+    assert {"tsit5", "rk4", "recommended", "wanted, 1e-04"} <= shown
+    pasted = timesim.run(CONFIG, {"study": {"kind": "transient", "cycles": 20}, "solver": json.loads(data.recommended)})
+    assert pasted.attrs["estimated_error"] < 1e-3
+
+
+def test_an_interrupted_tradeoff_keeps_what_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(made: Bench, settings: dict[str, Any]) -> None:
+        two_methods(made, settings)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(study, "_try_all", interrupted)
+    outcome = carry_out(load_scene(CONFIG, {"study.cycles": 20}))
+    assert outcome.reason == "interrupted after 3 runs"
+    assert outcome.groups[""].sizes["trial"] == 3
+    assert outcome.groups[""].attrs["complete"] == 0
+
+
+def test_what_is_over_the_budget_is_left_out() -> None:
+    outcome = carry_out(load_scene(CONFIG, {"study.cycles": 3, "study.budget": 1e-3}))
+    assert outcome.reason is None
+    assert outcome.groups[""].sizes["trial"] == 1
+    assert outcome.groups[""].attrs["left_out"].count("no time left") > 10
+    assert "one run says nothing of its error" in outcome.summary[-2]

@@ -1,0 +1,130 @@
+"""The error of a run, estimated from a coarser companion: the same run again, with a tolerance ten times as large.
+
+The error of a solution under step size control is nearly proportional to the tolerance (L. F. Shampine, Tolerance
+proportionality in ODE codes, Lecture Notes in Mathematics 1386, 1989), also through located transitions. So what lies
+between the two runs is nearly all the error of the companion, and the run has a share of it.
+
+Errors of a state are those of the modes normalised to unit mass, displacement and velocity each relative to the largest
+in the last cycle, where a velocity is no smaller than the displacement times the frequency of the excitation: a motion
+that comes to rest off its origin is not divided by nothing.
+"""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from timesim.engine.history import CycleTotals, stored_energy
+from timesim.engine.trajectory import Run, RunError
+from timesim.model.model import Model
+from timesim.model.solver import RATIO, coarser
+
+PROPORTIONAL = 1e-2
+"""Difference of the states up to which it is proportional to the tolerance."""
+ROUNDING = 1e-14
+"""Error that rounding leaves of a cycle, which adds up at random."""
+
+
+def totals_of(run: Run) -> CycleTotals:
+    """Totals to gather of a run that has not begun."""
+    now = (run.displacement, run.velocity, run.slip, run.state)
+    return CycleTotals(run.model, float(stored_energy(run.model, *(part[None] for part in now))[0]))
+
+
+class End(Protocol):
+    """A state at the end of a run: displacement and velocity of its modes, shape (M,)."""
+
+    @property
+    def displacement(self) -> np.ndarray: ...
+
+    @property
+    def velocity(self) -> np.ndarray: ...
+
+
+def state_error(model: Model, frequency: float, one: End, other: End, size: np.ndarray) -> float:
+    """Largest difference of two states, relative to the size of the motion.
+
+    Args:
+        model: what is simulated.
+        frequency: of the excitation [Hz].
+        one, other: states at the same time.
+        size: largest displacement and velocity, of `CycleTotals`.
+    """
+    root = np.sqrt(model.structure.mass)
+    whole = (size[0], max(size[1], 2 * np.pi * frequency * size[0]))
+    apart = (one.displacement - other.displacement, one.velocity - other.velocity)
+    parts = zip(apart, whole, strict=True)
+    return max((float(np.max(np.abs(part) * root)) / unit for part, unit in parts if unit > 0), default=0.0)
+
+
+def amplitude_error(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Largest difference of the amplitudes of each cycle, of shape (cycle, point, axis), by the largest of them."""
+    largest = np.max(one, axis=(1, 2), initial=0.0)
+    difference = np.max(np.abs(one - other), axis=(1, 2), initial=0.0)
+    return np.divide(difference, largest, out=np.zeros_like(largest), where=largest > 0)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """How far a run is from the solution, estimated.
+
+    Attributes:
+        state: relative error of the state at the end; NaN where it is not known.
+        amplitude: error of the amplitudes of each cycle, relative to the largest of them, shape (cycle,).
+        remark: why it is not known, or to be taken with care; empty otherwise.
+        proportional: whether the error can be taken as proportional to the tolerance.
+    """
+
+    state: float
+    amplitude: np.ndarray
+    remark: str = ""
+    proportional: bool = False
+
+
+def unknown(totals: CycleTotals, why: str) -> Estimate:
+    """No estimate."""
+    return Estimate(np.nan, np.full(len(totals.amplitude), np.nan), why)
+
+
+def companion_of(run: Run) -> Run:
+    """The companion of a run, at its start; it takes the same compiled program."""
+    companion = Run(run.model, run.phases, coarser(run.solver), run.method)
+    return companion
+
+
+def estimate(run: Run, totals: CycleTotals, companion: Run, show: Callable[[Run], None]) -> Estimate:
+    """The error of a run that has come to its end.
+
+    Args:
+        run: the run.
+        totals: of it.
+        companion: at its start.
+        show: called as the companion goes on.
+    """
+    other = totals_of(companion)
+    try:
+        for steps in companion.batches():
+            other.add(steps, companion.completed)
+            show(companion)
+    except RunError as error:
+        return unknown(totals, f"the coarser companion failed {error}")
+    return compared(run, totals, companion, other)
+
+
+def compared(run: Run, totals: CycleTotals, companion: Run, other: CycleTotals) -> Estimate:
+    """The error of a run from a coarser one; both have come to their end."""
+    ratio = companion.solver.rtol / run.solver.rtol if run.solver.name != "rk4" else 16.0
+    apart = state_error(run.model, run.phases[-1].frequency, run, companion, totals.size)
+    share, remark = 1 / (ratio - 1), ""
+    if other.transitions != totals.transitions:
+        counts = f"{other.transitions} transitions against {totals.transitions}"
+        remark = f"a run at {ratio:.2g} times the tolerance takes {counts}: an order of magnitude at best"
+    proportional = not remark and apart < PROPORTIONAL
+    if not proportional:
+        share = 1 / np.sqrt(RATIO - 1)
+    relative = amplitude_error(np.array(totals.amplitude), np.array(other.amplitude))
+    rounding = ROUNDING * np.sqrt(np.arange(1, relative.size + 1))
+    return Estimate(max(share * apart, rounding[-1]), np.maximum(share * relative, rounding), remark, proportional)

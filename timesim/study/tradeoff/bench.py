@@ -1,0 +1,179 @@
+"""Runs of one scene by different methods, each compiled before it is timed, within a budget of seconds."""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from timesim.engine.companion import totals_of
+from timesim.engine.method import MANY_FROM
+from timesim.engine.trajectory import Phase, Run, RunError
+from timesim.model.model import Model, Start
+from timesim.model.solver import Solver
+from timesim.scene.transient import TradeoffPlan
+from timesim.study.execution.campaign import Execution
+
+REPEATED, REPEATS = 0.3, 5
+"""Seconds of a run below which it is repeated so often: the least counts, since other work of the machine adds time."""
+STEP = {"tsit5": 1.0, "rk4": 0.6, "dopri8": 2.0, "exponential": 4.0, "kvaerno5": 5.0}
+COMPILED = {"tsit5": 1.0, "rk4": 0.6, "dopri8": 2.5, "exponential": 12.0, "kvaerno5": 12.0}
+"""Time of a step, and of compilation, roughly, as multiples of that of tsit5 (measured)."""
+ORDER = {"dopri8": 8, "exponential": 6}
+"""Where it is not five: the steps grow with the tolerance to the power of minus its inverse."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A run that has been timed, in the units of the scene.
+
+    Attributes:
+        solver: method, tolerances and whether the reductions were on.
+        num_modes: modes kept, the lowest.
+        preset: name of the preset that it is; empty otherwise.
+        seconds: of the run, compiled.
+        compiling: seconds of compilation before it; 0 where the program was there.
+        steps: how many it took.
+        transitions: how many it found.
+        displacement, velocity: of all modes at the end, 0 for those not kept.
+        size: largest of both in the last cycle, as of `timesim.engine.history.CycleTotals`.
+        amplitude: of the last cycle, of each point along each axis.
+    """
+
+    solver: Solver
+    num_modes: int
+    preset: str
+    seconds: float
+    compiling: float
+    steps: int
+    transitions: int
+    displacement: np.ndarray
+    velocity: np.ndarray
+    size: np.ndarray
+    amplitude: np.ndarray
+
+
+class Bench:
+    """What runs and times, while there is time left.
+
+    Attributes:
+        trials: those that have come to their end.
+        left_out: runs that were not made, or failed, each with the reason.
+    """
+
+    def __init__(self, model: Model, plan: TradeoffPlan, execution: Execution):
+        self.model, self.plan, self.execution = model, plan, execution
+        self.begun = time.perf_counter()
+        self.trials: list[Trial] = []
+        self.left_out: list[str] = []
+        self._compiling: dict[tuple[str, int, int, bool], float] = {}
+
+    @property
+    def left(self) -> float:
+        """Seconds left."""
+        return self.plan.budget - (time.perf_counter() - self.begun)
+
+    def try_(self, solver: Solver, *, num_modes: int | None = None, preset: str = "") -> Trial | None:
+        """Run and time a solver with the lowest modes; None where there is no time for it, or it fails."""
+        kept = num_modes or self.model.structure.num_modes
+        for i, trial in enumerate(self.trials):
+            if (trial.solver, trial.num_modes) == (solver, kept):
+                self.trials[i] = replace(trial, preset=preset)
+                return self.trials[i]
+        name = f"{solver}{f', {kept} modes' if kept < self.model.structure.num_modes else ''}"
+        name += "" if solver.reduce else ", nothing left out"
+        self.execution.show(self.plan.budget - max(self.left, 0.0), self.plan.budget, name)
+        if self.trials and self._guess(solver, kept) > self.left:
+            self.left_out.append(f"{name}: no time left")
+            return None
+        try:
+            trial = self._timed(solver, kept, preset)
+        except RunError as error:
+            self.left_out.append(f"{name}: {error}")
+            return None
+        self.trials.append(trial)
+        return trial
+
+    def time_again(self) -> None:
+        """Time the short runs once more, those before having been made when the machine may have had other work."""
+        for i, trial in enumerate(self.trials):
+            if trial.seconds < min(REPEATED, self.left):
+                self.execution.show(self.plan.budget - self.left, self.plan.budget, f"{trial.solver} again")
+                model, clock = lowest_modes(self.model, trial.num_modes), time.perf_counter()
+                _through(model, trial.solver, self.plan.frequency, self.plan.cycles)
+                self.trials[i] = replace(trial, seconds=min(trial.seconds, time.perf_counter() - clock))
+
+    def _timed(self, solver: Solver, num_modes: int, preset: str) -> Trial:
+        model, key = lowest_modes(self.model, num_modes), program(solver, num_modes)
+        # Of a program that is not there the first run is with its compilation.
+        first, seconds = key not in self._compiling, list[float]()
+        while len(seconds) < 1 + first or (min(seconds) < REPEATED and len(seconds) < REPEATS):
+            clock = time.perf_counter()
+            run, totals, steps = _through(model, solver, self.plan.frequency, self.plan.cycles)
+            seconds.append(time.perf_counter() - clock)
+        compiling = seconds[0] - min(seconds) if first else 0.0
+        self._compiling.setdefault(key, compiling)
+        missing = (0, self.model.structure.num_modes - num_modes)
+        return Trial(
+            solver=solver,
+            num_modes=num_modes,
+            preset=preset,
+            seconds=min(seconds),
+            compiling=compiling,
+            steps=steps,
+            transitions=totals.transitions,
+            displacement=np.pad(run.displacement, missing),
+            velocity=np.pad(run.velocity, missing),
+            size=totals.size,
+            amplitude=np.array(totals.amplitude[-1]),
+        )
+
+    def _guess(self, solver: Solver, num_modes: int) -> float:
+        """Seconds that a run may take, its compilation included, from those before it."""
+        key = program(solver, num_modes)
+        like = [trial for trial in self.trials if program(trial.solver, trial.num_modes) == key] or self.trials
+        last = like[-1]
+        power = 1 / ORDER.get(solver.name, 5)
+        share = STEP[solver.name] / STEP[last.solver.name] * max((last.solver.rtol / solver.rtol) ** power, 1.0)
+        own = last.seconds * share
+        first = next(iter(self._compiling.values())) * COMPILED[solver.name]
+        return min(max(own, REPEATED), REPEATS * own) + (0.0 if key in self._compiling else first)
+
+
+def program(solver: Solver, num_modes: int) -> tuple[str, int, int, bool]:
+    """What tells compiled programs apart."""
+    few_nodes = solver.name == "exponential" and solver.rtol > MANY_FROM
+    return solver.name, int(few_nodes), num_modes, solver.reduce
+
+
+def _through(model: Model, solver: Solver, frequency: float, cycles: int) -> tuple:
+    """A run as a transient makes it, its samples left out: the run, its totals and the number of its steps."""
+    run = Run(model, [Phase(frequency, cycles)], solver)
+    totals, count = totals_of(run), 0
+    for steps in run.batches():
+        totals.add(steps, run.completed)
+        count += steps.time.size
+    return run, totals, count
+
+
+def lowest_modes(model: Model, count: int) -> Model:
+    """The model with its lowest modes alone."""
+    if count == model.structure.num_modes:
+        return model
+    body, load, start = model.structure, model.excitation, model.start
+    few = slice(count)
+    damping = body.damping[few] if body.damping.ndim == 1 else body.damping[few, few]
+    return Model(
+        replace(
+            body,
+            frequency=body.frequency[few],
+            mass=body.mass[few],
+            damping=damping,
+            shape=body.shape[:, :, few],
+        ),
+        model.contacts,
+        replace(load, cosine=load.cosine[:, few], sine=load.sine[:, few], constant=load.constant[few]),
+        Start(start.displacement[few], start.velocity[few], start.slip, start.state, start.phase),
+        model.notes,
+    )

@@ -1,0 +1,114 @@
+"""What a tradeoff tells the user: its runs, those that are worth their time, the blocks to paste."""
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from xarray import Dataset
+
+from timesim.scene.text import value_text
+
+
+def lines(data: Dataset) -> Iterator[str]:
+    """The table of a tradeoff, and what follows from it."""
+    attrs = data.attrs
+    if data.sizes["trial"]:
+        yield from table(data)
+        yield from _verdict(data)
+    if attrs["left_out"]:
+        yield f"left out: {attrs['left_out']}"
+
+
+def _verdict(data: Dataset) -> Iterator[str]:
+    """What is known of the errors, and what follows from it."""
+    attrs = data.attrs
+    known, truth = attrs["error_known_to"], attrs["truth"]
+    by = f"by two methods, {truth}" if truth else "by no second method: give it a larger study.budget"
+    what = "of the amplitude of the last cycle" if attrs["judged_by_amplitude"] else "of the state at the end"
+    if not np.isfinite(known):
+        yield "one run says nothing of its error: give it a larger study.budget"
+        return
+    yield "* no other run of the whole scene is both faster and better"
+    yield f"errors are those {what}, relative to its size, known to {known:.1e} {by}"
+    yield from _advice(data)
+    yield from _modes(data)
+    yield from _reductions(data)
+
+
+def table(data: Dataset) -> Iterator[str]:
+    """A line a run, from the largest error to the smallest; a star where none is both faster and better."""
+    cycles = data.attrs["cycles"]
+    yield f"  {'error':>8} {'seconds':>9} {'steps/cycle':>11} {'transitions':>11} {'compiled in':>11}  solver"
+    for i in np.argsort(-data["error"].values, kind="stable"):
+        one = data.isel(trial=i)
+        star, whole = "*" if one.pareto else " ", int(one.modes_kept) == data.attrs["num_modes"]
+        words = [words_of(one)] + ([] if whole else [f"{int(one.modes_kept)} of {data.attrs['num_modes']} modes"])
+        words += [] if one.reduced else ["nothing left out"]
+        words += [f"({one.preset.item()})"] if one.preset.item() else []
+        compiled = f"{float(one.compile_seconds_before):.1f} s" if one.compile_seconds_before > 0 else ""
+        seconds = float(one.seconds_a_cycle) * cycles
+        yield (
+            f"{star} {float(one.error):8.1e} {seconds:9.2g} {float(one.steps_a_cycle):11.0f} "
+            f"{int(one.transitions):11d} {compiled:>11}  {' '.join(words)}"
+        )
+
+
+def words_of(one: Dataset) -> str:
+    """Method and tolerance of a run."""
+    steps = "" if np.isfinite(one.rtol) else f", {int(one.steps_asked)} steps a cycle"
+    return f"{one.method.item()}{steps or f' {float(one.rtol):.2g}'}"
+
+
+def _advice(data: Dataset) -> Iterator[str]:
+    """The block for the wanted error, and how much a block of the front gives for its time."""
+    attrs, chosen = data.attrs, json.loads(data.attrs["recommended"])
+    if not chosen:
+        return
+    section = f"solver: {value_text(chosen)}"
+    row = data.isel(trial=int(attrs["recommended_trial"]))
+    error, seconds = float(row.error), float(row.seconds_a_cycle) * attrs["cycles"]
+    wanted = attrs["error_wanted"]
+    if error <= wanted:
+        yield f"for an error of {wanted:.0e}: {section}, {error:.1e} in {seconds:.2g} s"
+    else:
+        yield f"no run keeps an error of {wanted:.0e}; the best: {section}, {error:.1e} in {seconds:.2g} s"
+    front = data.isel(trial=np.flatnonzero(data["pareto"].values)).sortby("seconds_a_cycle")
+    yield "for other times:"
+    for i in np.unique(np.linspace(0, front.sizes["trial"] - 1, 5).astype(int)):
+        one = front.isel(trial=i)
+        seconds = float(one.seconds_a_cycle) * attrs["cycles"]
+        yield f"  {seconds:.2g} s, error {float(one.error):.0e}: solver: {value_text(block(one))}"
+
+
+def block(one: Dataset) -> dict[str, Any]:
+    """The section `solver` of a scene file by which a run is made."""
+    rtol = float(one.rtol)
+    if np.isfinite(rtol):
+        return {"method": one.method.item(), "rtol": rtol, "atol": float(f"{rtol / 100:.2g}")}
+    return {"method": one.method.item(), "steps_per_cycle": int(one.steps_asked)}
+
+
+def _modes(data: Dataset) -> Iterator[str]:
+    """How many modes the answer needs."""
+    count, wanted = data.attrs["num_modes"], data.attrs["error_wanted"]
+    few = data.isel(trial=np.flatnonzero(data["modes_kept"].values < count))
+    if not few.sizes["trial"]:
+        return
+    each = ", ".join(
+        f"{kept}: {error:.1e}" for kept, error in zip(few.modes_kept.values, few.error.values, strict=True)
+    )
+    enough = few.modes_kept.values[few.error.values <= wanted]
+    verdict = f"the lowest {enough.min()} do" if enough.size else f"all {count} are needed"
+    yield f"error by the number of lowest modes kept: {each}; for {wanted:.0e} {verdict}"
+
+
+def _reductions(data: Dataset) -> Iterator[str]:
+    """What leaving out what the scene cannot need gains."""
+    for i in np.flatnonzero(data["reduced"].values == 0):
+        one = data.isel(trial=i)
+        same = (data.method == one.method) & (data.rtol == one.rtol) & (data.reduced == 1)
+        same &= data.modes_kept == one.modes_kept
+        if same.any():
+            gain = float(one.seconds_a_cycle / data.seconds_a_cycle[same].min())
+            yield f"with nothing left out (solver.reduce: false) a run takes {gain:.2g} times as long"

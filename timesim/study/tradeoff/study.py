@@ -1,0 +1,196 @@
+"""The study `tradeoff`: one run by many solvers, which of them are worth their time, and the block that is recommended.
+
+The truth is the finest run. How far a run of another method is from it says how well it is known: an error below that
+counts as that much.
+"""
+
+import json
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from xarray import Dataset
+
+from timesim.engine.companion import amplitude_error, state_error
+from timesim.model.cost import stable_steps
+from timesim.model.promise import PROMISE, preset
+from timesim.model.reduction import reduction_of
+from timesim.model.solver import Solver
+from timesim.result.dataset import dataset
+from timesim.scene.resolution import Scene
+from timesim.scene.transient import TradeoffPlan
+from timesim.study.execution.campaign import Execution
+from timesim.study.outcome import Outcome, attributes
+from timesim.study.tradeoff.bench import Bench, Trial
+from timesim.study.tradeoff.report import block, lines
+
+FINE = 1e-11
+"""Tolerance of the runs that the others are judged by."""
+STIFF_STEPS = 2000
+"""Explicit steps of a cycle that stability asks for, from which on an implicit method is tried."""
+SAFETY = 0.5
+"""Share of the wanted error that a tolerance between two that were tried is chosen for."""
+
+
+def study(scene: Scene, execution: Execution) -> Outcome:
+    """Run a scene of a tradeoff; interrupted, it judges the runs that it has by the finest of them."""
+    plan: TradeoffPlan = scene.plan
+    bench, reason = Bench(scene.model(), plan, execution), None
+    settings = {"budget": scene.file.solver.max_steps}
+    try:
+        _try_all(bench, settings)
+        _between(bench, "exponential")
+        bench.time_again()
+    except KeyboardInterrupt:
+        reason = f"interrupted after {len(bench.trials)} runs"
+    if not bench.trials and reason is None:
+        reason = f"no run has come to its end: {bench.left_out[0]}"
+    judged = judge(bench)
+    data = _record(scene, bench, judged, reason)
+    return Outcome({"": data}, reason, tuple(lines(data)))
+
+
+def _try_all(bench: Bench, settings: dict[str, Any]) -> None:
+    """The runs, the cheapest first; those that are compiled anew after those that are not."""
+    model, plan = bench.model, bench.plan
+
+    def by(method: str, rtol: float, **more: Any) -> Solver:
+        return Solver(method, rtol, float(f"{rtol / 100:.3g}"), **settings, **more)
+
+    own = {name: replace(preset(name, model, plan.frequency, plan.cycles), **settings) for name in PROMISE}
+    for rtol in 10.0 ** -np.arange(3, 10):
+        bench.try_(by("tsit5", float(f"{rtol:g}")))
+    for name in ("draft", "standard"):
+        bench.try_(own[name], preset=name)
+    bench.try_(by("tsit5", FINE))
+    bench.try_(by("dopri8", FINE))
+    for rtol in (1e-4, 1e-6, 1e-8):
+        bench.try_(by("dopri8", rtol))
+    bench.try_(own["reference"], preset="reference")
+    for method in ("tsit5", "dopri8"):
+        _between(bench, method)
+    if reduction_of(model, [plan.frequency]).findings:
+        bench.try_(by("tsit5", 1e-7, reduce=False))
+    for steps in (200, 800):
+        bench.try_(Solver("rk4", 1e-8, 1e-10, longest=2 * np.pi / steps, **settings))
+    for count in fewer(model.structure.num_modes):
+        if not np.any(model.start.displacement[count:]):
+            bench.try_(by("tsit5", 1e-7), num_modes=count)
+    for rtol in (1e-5, 1e-7, 1e-9):
+        bench.try_(by("exponential", rtol))
+    if stable_steps(model, plan.frequency) > STIFF_STEPS:
+        for rtol in (1e-5, 1e-7):
+            bench.try_(by("kvaerno5", rtol))
+
+
+def fewer(num_modes: int) -> list[int]:
+    """Numbers of modes that are tried beside all of them: three quarters, half and a quarter."""
+    return sorted({-(-num_modes * share // 4) for share in (1, 2, 3)} - {num_modes}, reverse=True)
+
+
+def _between(bench: Bench, method: str) -> None:
+    """A run of a method by the tolerance that would give half the wanted error, from the errors of its others."""
+    judged, wanted = judge(bench), SAFETY * bench.plan.error
+    own = [
+        (error, trial.solver.rtol)
+        for trial, error in zip(bench.trials, judged.error, strict=True)
+        if trial.solver.name == method and comparable(trial, bench) and judged.known < 0.3 * error < np.inf
+    ]
+    coarse = [pair for pair in own if pair[0] > wanted]
+    fine = [pair for pair in own if pair[0] <= wanted]
+    if not coarse or not fine:
+        return
+    (above, a), (below, b) = min(coarse), max(fine)
+    share = np.log(above / wanted) / np.log(above / below)
+    rtol = float(f"{a * (b / a) ** share:.1e}")
+    if b < rtol < a:
+        bench.try_(replace(bench.trials[0].solver, name=method, rtol=rtol, atol=float(f"{rtol / 100:.3g}")))
+
+
+def comparable(trial: Trial, bench: Bench) -> bool:
+    """Whether a run is of the whole scene, reduced, so that it may be recommended."""
+    return trial.solver.reduce and trial.num_modes == bench.model.structure.num_modes
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The runs by their errors.
+
+    Attributes:
+        error: of each, at least `known`.
+        known: how well the truth is known.
+        verified: by which two solvers it is known; empty where no other method has verified it.
+        pareto: whether no other run of the whole scene is both faster and better.
+        recommended: position of the fastest run of the whole scene that keeps the wanted error, of the best where none
+            does; -1 where there is none.
+    """
+
+    error: np.ndarray
+    known: float
+    verified: str
+    pareto: np.ndarray
+    recommended: int
+
+
+def judge(bench: Bench) -> Judged:
+    """The runs so far, judged by the finest of them."""
+    trials = bench.trials
+    whole = [trial for trial in trials if comparable(trial, bench) and trial.solver.name != "rk4"]
+    if len(whole) < 2:
+        return Judged(np.full(len(trials), np.nan), np.nan, "", np.zeros(len(trials), dtype=bool), -1)
+    # Of equal tolerances the one of higher order is taken for the truth.
+    true = min(whole, key=lambda trial: (trial.solver.rtol, trial.solver.name != "dopri8"))
+    others = [trial for trial in whole if trial.solver.name != true.solver.name]
+    second = min(others, key=lambda trial: trial.solver.rtol, default=None)
+    if second is None or second.solver.rtol > FINE:
+        second, verified = min((t for t in whole if t is not true), key=lambda t: t.solver.rtol), ""
+    else:
+        verified = f"{true.solver} and {second.solver}"
+    known = max(_apart(bench, second, true), 1e-14)
+    error = np.array([known if trial is true else max(_apart(bench, trial, true), known) for trial in trials])
+    seconds = np.array([trial.seconds for trial in trials])
+    may = np.array([comparable(trial, bench) for trial in trials])
+    better = (error[None] <= error[:, None]) & (seconds[None] <= seconds[:, None]) & may[None]
+    better &= (error[None] < error[:, None]) | (seconds[None] < seconds[:, None])
+    keeps = may & (error <= bench.plan.error)
+    choice = np.where(keeps, seconds, np.inf) if keeps.any() else np.where(may, error, np.inf)
+    return Judged(error, known, verified, may & ~better.any(axis=1), int(np.lexsort((seconds, choice))[0]))
+
+
+def _apart(bench: Bench, trial: Trial, true: Trial) -> float:
+    """Error of a run against another."""
+    if bench.plan.amplitude:
+        return float(amplitude_error(true.amplitude[None], trial.amplitude[None])[0])
+    return state_error(bench.model, bench.plan.frequency, trial, true, true.size)
+
+
+def _record(scene: Scene, bench: Bench, judged: Judged, reason: str | None) -> Dataset:
+    trials, cycles = bench.trials, bench.plan.cycles
+    rk4 = np.array([trial.solver.name == "rk4" for trial in trials], dtype=bool)
+    of_run = {"long_name": "transitions in the run"}
+    columns: dict[str, Any] = {
+        "method": [trial.solver.name for trial in trials],
+        "rtol": np.where(rk4, np.nan, [trial.solver.rtol for trial in trials]),
+        "error": judged.error,
+        "seconds_a_cycle": np.array([trial.seconds for trial in trials]) / cycles,
+        "steps_a_cycle": np.array([trial.steps for trial in trials]) / cycles,
+        "steps_asked": np.round(
+            [2 * np.pi / trial.solver.longest if trial.solver.name == "rk4" else 0 for trial in trials]
+        ),
+        "pareto": judged.pareto,
+        "modes_kept": np.array([trial.num_modes for trial in trials], dtype=int),
+        "reduced": np.array([trial.solver.reduce for trial in trials], dtype=bool),
+        "preset": [trial.preset for trial in trials],
+        "compile_seconds_before": np.array([trial.compiling for trial in trials]),
+    }
+    variables: dict[str, Any] = {name: (("trial",), np.asarray(values)) for name, values in columns.items()}
+    variables["transitions"] = (("trial",), np.array([trial.transitions for trial in trials], dtype=int), of_run)
+    compiling = sum(trial.compiling for trial in trials)
+    attrs = attributes(scene, f"{len(trials)} runs", compiling, bench.plan.budget - bench.left - compiling, reason)
+    attrs |= {"error_known_to": judged.known, "truth": judged.verified}
+    attrs |= {"error_wanted": bench.plan.error, "cycles": cycles, "judged_by_amplitude": bench.plan.amplitude}
+    attrs |= {"recommended_trial": judged.recommended, "num_modes": bench.model.structure.num_modes}
+    attrs["left_out"] = "; ".join(bench.left_out)
+    data = dataset(variables, {}, attrs)
+    chosen = block(data.isel(trial=judged.recommended)) if judged.recommended >= 0 else {}
+    return data.assign_attrs(recommended=json.dumps(chosen))
