@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from timesim.hbm.continuation import Controls, Ending, follow, follow_both_ways
-from timesim.hbm.corrector import solve
+from timesim.hbm.continuation import Controls, Ending, follow, follow_both_ways, solve
 
 CONTROLS = Controls(size=0.1)
 
@@ -135,6 +134,34 @@ def test_a_corner_is_passed():
     assert curve.complete, curve.message
     assert not curve.fold.any()
     assert curve.p.size < 200
+
+
+@dataclass
+class Waver:
+    """p = x - 3/2 x exp(-x^2 / width^2): the parameter goes back on the way by 0.4 of the width."""
+
+    width: float
+
+    def value(self, x, p):
+        return x * (1 - 1.5 * np.exp(-((x / self.width) ** 2))) - p
+
+    def linearised(self, x, p):
+        square = (x[0] / self.width) ** 2
+        return self.value(x, p), np.array([[1 - 1.5 * (1 - 2 * square) * np.exp(-square)]]), -np.ones(1)
+
+
+@pytest.mark.parametrize(("width", "folds"), [(1e-6, 0), (1e-3, 2)])
+def test_what_goes_back_by_less_than_the_noise_of_samples_is_no_fold(width, folds):
+    controls = Controls(
+        size=1.0, first_step=width / 20, min_step=width / 1e4, max_step=width / 10, max_points=200, tolerance=1e-14
+    )
+    curve = follow(Waver(width), np.array([-5 * width]), -5 * width, 1.0, controls)
+    assert curve.ending is Ending.POINTS
+    assert curve.x[-1, 0] > 5 * width
+    assert np.any(np.diff(curve.p) < 0)
+    assert curve.fold.sum() == folds
+    between = (np.cumsum(curve.fold) == 1) & ~curve.fold
+    np.testing.assert_array_equal(curve.determinant[~curve.fold], np.where(between, -1, 1)[~curve.fold])
 
 
 def test_a_curve_that_comes_back_says_so():

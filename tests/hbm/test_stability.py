@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from simulation import FINE, after_a_cycle
 
 from timesim.hbm.balance import Balance
-from timesim.hbm.corrector import Controls, solve
+from timesim.hbm.continuation import Controls, solve
 from timesim.hbm.curve import hbm_curve
 from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import floquet_multipliers

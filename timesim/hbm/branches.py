@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from timesim.hbm.balance import Array, Balance
-from timesim.hbm.continuation import SAME, Ending
-from timesim.hbm.corrector import Controls, solve
+from timesim.hbm.continuation import SAME, Controls, Ending, solve
 from timesim.hbm.curve import HbmCurve, crossings, hbm_curve, solutions_at
 from timesim.hbm.first_guess import unknowns_of_modes
 from timesim.hbm.scheme import Scheme

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from timesim.hbm.balance import Array, Balance
-from timesim.hbm.corrector import Controls, solve
+from timesim.hbm.continuation import Controls, solve
 from timesim.hbm.curve import HbmCurve
 from timesim.hbm.period import contact_forces
 from timesim.hbm.scheme import MIN_SAMPLES, Scheme, enough_samples, most_harmonics

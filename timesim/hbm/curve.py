@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from timesim.hbm.balance import Balance
-from timesim.hbm.continuation import Controls, Curve, Ending, Solution, follow, follow_both_ways
-from timesim.hbm.corrector import solve
+from timesim.hbm.continuation import Controls, Curve, Ending, Solution, follow, follow_both_ways, solve
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.period import contact_forces
 from timesim.hbm.scheme import Scheme

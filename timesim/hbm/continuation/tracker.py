@@ -6,26 +6,22 @@ that a step is a step in either. From a point with the unit tangent t the next o
     r(x, p) = 0,    t . ((x, p) - predicted) = 0
 
 The predictor is of second order: the tangent, and how it has turned over the step before. The step follows the turn of
-the tangent and the convergence of Newton's method (`timesim.hbm.corrector`). Where the tangent's share of p changes its
-sign the curve has a fold; it is located on the arc by Brent's method and is a point of the curve.
+the tangent and the convergence of Newton's method (`timesim.hbm.continuation.corrector`). Folds are points of the curve
+(`timesim.hbm.continuation.trace`).
 
 H. B. Keller, Numerical solution of bifurcation and nonlinear eigenvalue problems, in: P. H. Rabinowitz (ed.),
 Applications of Bifurcation Theory (Academic Press 1977) 359-384, for the arclength; E. L. Allgower and K. Georg,
-Introduction to Numerical Continuation Methods (SIAM 2003), chapters 2 and 6, for predictor and step; R. P. Brent,
-Algorithms for Minimization without Derivatives (Prentice-Hall 1973), chapter 4.
+Introduction to Numerical Continuation Methods (SIAM 2003), chapters 2 and 6, for predictor and step.
 """
 
-from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from enum import Enum
 from functools import partial
-from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from timesim.hbm.corrector import Array, Controls, Corrector, CurvePoint, NoSolutionError, Residual
+from timesim.hbm.continuation.corrector import Array, Controls, Corrector, CurvePoint, NoSolutionError, Residual
+from timesim.hbm.continuation.solutions import Curve, Ending, joined, part_of
+from timesim.hbm.continuation.trace import Trace
 
 # Lengths of a jump over a place where the residual is not smooth, as shares of the longest step, tried in turn.
 JUMPS = (0.02, 0.06, 0.2, 0.6, 1.0)
@@ -37,84 +33,6 @@ SAME = 1e-5
 CORNER = 1e-4
 # Growth of a step at most, and of one that is shorter than the first, as behind a corner.
 GROWTH, CATCHING_UP = 1.6, 3.0
-
-
-class Ending(Enum):
-    """Why a curve ends; the value is the message for the user."""
-
-    COMPLETE = "complete: the whole range was followed"
-    CLOSED = "complete: the curve is closed, it comes back to where it began"
-    START = "no solution at the start"
-    STEP = "Newton's method fails even at the smallest step; smaller min_step, or a smoother residual, may help"
-    POINTS = "the largest number of points is reached; raise max_points or max_step"
-    LEFT = "the curve turned back and left the range where it began; begin at the other end of the range"
-    INTERRUPTED = "interrupted"
-
-    @property
-    def complete(self) -> bool:
-        """Whether the whole range, or the whole of a closed curve, was followed."""
-        return self in (Ending.COMPLETE, Ending.CLOSED)
-
-
-Solution = tuple[Array, float, bool, int]
-"""Unknowns, parameter, whether it is a fold, and the sign of det dr/dx."""
-
-
-@dataclass(frozen=True)
-class Curve:
-    """Solutions in the order of the curve.
-
-    Attributes:
-        x: unknowns, shape (S, n).
-        p: parameter, shape (S,).
-        fold: whether the parameter turns here, shape (S,).
-        determinant: sign of det dr/dx, 0 at a fold, shape (S,).
-        ending: why it ends.
-        message: the same with the place.
-    """
-
-    x: Array
-    p: Array
-    fold: NDArray[np.bool_]
-    determinant: NDArray[np.int64]
-    ending: Ending
-    message: str
-
-    @classmethod
-    def of(cls, solutions: Sequence[Solution], num_unknowns: int, ending: Ending, message: str) -> "Curve":
-        """From its solutions."""
-        x, p, fold, determinant = zip(*solutions, strict=True) if solutions else ((),) * 4
-        unknowns, flags = np.array(x).reshape(len(solutions), num_unknowns), np.array(fold, dtype=bool)
-        return cls(unknowns, np.array(p, dtype=float), flags, np.array(determinant, dtype=np.int64), ending, message)
-
-    @property
-    def branch(self) -> NDArray[np.int64]:
-        """Folds passed before, shape (S,); a fold belongs to the branch that it ends."""
-        return np.cumsum(self.fold) - self.fold
-
-    @property
-    def complete(self) -> bool:
-        """Whether the whole range was followed."""
-        return self.ending.complete
-
-
-Solutions = TypeVar("Solutions", bound=Any)
-"""A record whose arrays have one entry for each solution along the first axis, as `Curve`."""
-
-
-def part_of(curve: Solutions, rows: slice) -> Solutions:
-    """Some of the solutions."""
-    return replace(curve, **{name: array[rows] for name, array in _arrays(curve).items()})
-
-
-def joined(parts: Sequence[Solutions]) -> Solutions:
-    """The solutions of several records, one after the other; they end as the last one does."""
-    arrays = [_arrays(part) for part in parts]
-    return replace(parts[-1], **{name: np.concatenate([own[name] for own in arrays]) for name in arrays[-1]})
-
-
-def _arrays(curve: Any) -> dict[str, Any]:
-    return {name: value for name, value in vars(curve).items() if isinstance(value, np.ndarray)}
 
 
 def follow(
@@ -180,7 +98,7 @@ class _PathTracker:
         self.start, self.stop, self.behind = start, stop, behind
         self.sign = float(np.sign(stop - start))
         self.ahead = np.append(np.zeros(guess.size), self.sign)  # normal of a plane of constant p
-        self.solutions: list[Solution] = []
+        self.trace = Trace(self.corrector, self.sign)
         self.reached = 0.0  # share of the range
         self.cause = ""  # of the last failure of Newton's method
 
@@ -199,13 +117,14 @@ class _PathTracker:
 
     def _curve(self, ending: Ending) -> Curve:
         cause = f" ({self.cause})" if self.cause and ending in (Ending.START, Ending.STEP) else ""
-        place, count = self.solutions[-1][1] if self.solutions else self.start, len(self.solutions)
+        solutions = self.trace.solutions
+        place, count = solutions[-1][1] if solutions else self.start, len(solutions)
         message = f"continuation at {place:.10g}, after {count} points: {ending.value}{cause}"
-        return Curve.of(self.solutions, self.guess.size, ending, message)
+        return Curve.of(solutions, self.guess.size, ending, message)
 
     def _keep(self, point: CurvePoint) -> None:
-        x, p = self.corrector.unscaled(point.y)
-        self.solutions.append((x, p, False, point.determinant))
+        self.trace.add(point)
+        p = self.corrector.unscaled(point.y)[1]
         self.reached = max(self.reached, (p - self.start) / (self.stop - self.start))
         if self.controls.watch is not None:
             self.controls.watch(min(self.reached, 1.0), partial(self._curve, Ending.INTERRUPTED))
@@ -214,17 +133,17 @@ class _PathTracker:
         """From the first point to the end; how the curve ends."""
         length, ending = self.controls.first_step, None
         before: tuple[CurvePoint, float] | None = None
-        last: CurvePoint | None = None
         while ending is None:
             ratio = max(float(np.linalg.norm(point.y[:-1])), self.controls.size / self.corrector.x_unit)
             if not 0.6 < ratio < 1.6:
                 factor, before = self.corrector.rescale(self.corrector.unscaled(point.y)[0]), None
-                point, last = point.rescaled(factor), last and last.rescaled(factor)
+                point = point.rescaled(factor)
+                self.trace.rescale(factor)
             step = self._step(point, before, length)
             if step is None:
                 return Ending.STEP
-            ending = self._take(last, point, step)
-            before, last, point, length = (point, step.length), point, step.point, step.next_length
+            ending = self._take(point, step)
+            before, point, length = (point, step.length), step.point, step.next_length
         return ending
 
     def _step(self, point: CurvePoint, before: tuple[CurvePoint, float] | None, length: float) -> _Step | None:
@@ -255,8 +174,7 @@ class _PathTracker:
         The derivatives may mean little where it starts: after the tangent, a change of the parameter alone is tried,
         the way it went before, with x a little larger or smaller.
         """
-        turned = len(self.solutions) > 1 and (self.solutions[-1][1] - self.solutions[-2][1]) * self.sign < 0
-        ahead = -self.ahead if turned else self.ahead
+        ahead = self.ahead * (self.sign * self.trace.direction)
         for share in JUMPS:
             length = share * self.controls.max_step
             guesses = [(point.y + length * point.tangent, point.tangent)]
@@ -274,14 +192,13 @@ class _PathTracker:
                     return _Step(new, distance, length)
         return None
 
-    def _take(self, last: CurvePoint | None, before: CurvePoint, step: _Step) -> Ending | None:
-        """Keep the point that a step leads to, with the fold or the end of the range before it.
+    def _take(self, before: CurvePoint, step: _Step) -> Ending | None:
+        """Keep the point that a step leads to, or the end of the range before it.
 
         Returns:
             How the curve ends, if it does.
         """
         point, inside = step.point, self.behind != self.start
-        self._keep_fold(last, before, point)
         if inside and (again := self._start_again(before, point)) is not None:
             self._keep(again)
             return Ending.CLOSED
@@ -297,17 +214,18 @@ class _PathTracker:
                 self._keep(last)
                 return ending
         self._keep(point)
-        return Ending.POINTS if len(self.solutions) >= self.controls.max_points else None
+        return Ending.POINTS if len(self.trace.solutions) >= self.controls.max_points else None
 
     def _start_again(self, before: CurvePoint, after: CurvePoint) -> CurvePoint | None:
         """The point where the curve began, if it comes through it again in the same direction."""
-        start = self.start / self.corrector.p_unit
-        if len(self.solutions) < 4 or not (before.y[-1] - start) * self.sign < 0 <= (after.y[-1] - start) * self.sign:
+        start, solutions = self.start / self.corrector.p_unit, self.trace.solutions
+        before_start, behind_start = ((point.y[-1] - start) * self.sign for point in (before, after))
+        if len(solutions) < 4 or not before_start < 0 <= behind_start:
             return None
         last = self._between(before, after, self.start)
         if last is None:
             return None
-        first = self.solutions[0][0] / self.corrector.x_unit
+        first = solutions[0][0] / self.corrector.x_unit
         return last if np.linalg.norm(last.y[:-1] - first) < SAME * np.linalg.norm(last.y[:-1]) else None
 
     def _between(self, before: CurvePoint, after: CurvePoint, p: float) -> CurvePoint | None:
@@ -315,29 +233,12 @@ class _PathTracker:
         share = (p / self.corrector.p_unit - before.y[-1]) / (after.y[-1] - before.y[-1])
         guess = before.y + share * (after.y - before.y)
         guess[-1] = p / self.corrector.p_unit
+        onwards = np.append(np.zeros(self.guess.size), np.sign(after.y[-1] - before.y[-1]))
         try:
-            return self.corrector.damped_newton(guess, self.ahead)
+            return self.corrector.damped_newton(guess, onwards)
         except NoSolutionError as error:
             self.cause = str(error)
             return None
-
-    def _keep_fold(self, last: CurvePoint | None, point: CurvePoint, new: CurvePoint) -> None:
-        """Keep the fold beside a point if its parameter lies beyond those of both its neighbours.
-
-        Tangents alone make no fold: where contacts switch, their share of the parameter may change its sign for a
-        moment while the curve goes on.
-        """
-        came = point.tangent[-1] if last is None else point.y[-1] - last.y[-1]
-        if came * (new.y[-1] - point.y[-1]) >= 0:
-            return
-        for one, other, place in ((point, new, len(self.solutions)), (last, point, len(self.solutions) - 1)):
-            if one is not None and one.tangent[-1] * other.tangent[-1] < 0:
-                with suppress(NoSolutionError):
-                    x, p = self.corrector.unscaled(self.corrector.fold_between(one, other).y)
-                    self.solutions.insert(place, (x, p, True, 0))
-                    return
-        x, p, _, _ = self.solutions[-1]
-        self.solutions[-1] = (x, p, True, 0)
 
 
 def _predicted(point: CurvePoint, before: tuple[CurvePoint, float] | None, length: float) -> Array:

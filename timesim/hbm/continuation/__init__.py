@@ -1,0 +1,20 @@
+"""Continuation of the solutions of any residual in a parameter: points, steps, folds."""
+
+from timesim.hbm.continuation.corrector import Controls, NoSolutionError, Residual, solve
+from timesim.hbm.continuation.solutions import Curve, Ending, Solution, joined, part_of
+from timesim.hbm.continuation.tracker import SAME, follow, follow_both_ways
+
+__all__ = [
+    "SAME",
+    "Controls",
+    "Curve",
+    "Ending",
+    "NoSolutionError",
+    "Residual",
+    "Solution",
+    "follow",
+    "follow_both_ways",
+    "joined",
+    "part_of",
+    "solve",
+]

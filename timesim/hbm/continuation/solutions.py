@@ -1,0 +1,89 @@
+"""Solutions of a residual in the order of a curve, and why the curve ends."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from timesim.hbm.continuation.corrector import Array
+
+
+class Ending(Enum):
+    """Why a curve ends; the value is the message for the user."""
+
+    COMPLETE = "complete: the whole range was followed"
+    CLOSED = "complete: the curve is closed, it comes back to where it began"
+    START = "no solution at the start"
+    STEP = "Newton's method fails even at the smallest step; smaller min_step, or a smoother residual, may help"
+    POINTS = "the largest number of points is reached; raise max_points or max_step"
+    LEFT = "the curve turned back and left the range where it began; begin at the other end of the range"
+    INTERRUPTED = "interrupted"
+
+    @property
+    def complete(self) -> bool:
+        """Whether the whole range, or the whole of a closed curve, was followed."""
+        return self in (Ending.COMPLETE, Ending.CLOSED)
+
+
+Solution = tuple[Array, float, bool, int]
+"""Unknowns, parameter, whether it is a fold, and the sign of det dr/dx."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Solutions in the order of the curve.
+
+    Attributes:
+        x: unknowns, shape (S, n).
+        p: parameter, shape (S,).
+        fold: whether the parameter turns here, shape (S,).
+        determinant: sign of det dr/dx, 0 at a fold, shape (S,).
+        ending: why it ends.
+        message: the same with the place.
+    """
+
+    x: Array
+    p: Array
+    fold: NDArray[np.bool_]
+    determinant: NDArray[np.int64]
+    ending: Ending
+    message: str
+
+    @classmethod
+    def of(cls, solutions: Sequence[Solution], num_unknowns: int, ending: Ending, message: str) -> "Curve":
+        """From its solutions."""
+        x, p, fold, determinant = zip(*solutions, strict=True) if solutions else ((),) * 4
+        unknowns, flags = np.array(x).reshape(len(solutions), num_unknowns), np.array(fold, dtype=bool)
+        return cls(unknowns, np.array(p, dtype=float), flags, np.array(determinant, dtype=np.int64), ending, message)
+
+    @property
+    def branch(self) -> NDArray[np.int64]:
+        """Folds passed before, shape (S,); a fold belongs to the branch that it ends."""
+        return np.cumsum(self.fold) - self.fold
+
+    @property
+    def complete(self) -> bool:
+        """Whether the whole range was followed."""
+        return self.ending.complete
+
+
+Solutions = TypeVar("Solutions", bound=Any)
+"""A record whose arrays have one entry for each solution along the first axis, as `Curve`."""
+
+
+def part_of(curve: Solutions, rows: slice) -> Solutions:
+    """Some of the solutions."""
+    return replace(curve, **{name: array[rows] for name, array in _arrays(curve).items()})
+
+
+def joined(parts: Sequence[Solutions]) -> Solutions:
+    """The solutions of several records, one after the other; they end as the last one does."""
+    arrays = [_arrays(part) for part in parts]
+    return replace(parts[-1], **{name: np.concatenate([own[name] for own in arrays]) for name in arrays[-1]})
+
+
+def _arrays(curve: Any) -> dict[str, Any]:
+    return {name: value for name, value in vars(curve).items() if isinstance(value, np.ndarray)}

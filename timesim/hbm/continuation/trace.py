@@ -1,0 +1,90 @@
+"""A curve as it is traced: its solutions, the direction of the parameter, and folds where the curve turns indeed.
+
+A tangent whose share of the parameter changes its sign makes no fold, nor does a parameter that goes back for a moment:
+where contacts begin to slip or to touch, the samples of a period turn a curve to and fro. A fold is where the parameter
+goes back from its summit by more than that.
+"""
+
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from timesim.hbm.continuation.corrector import Corrector, CurvePoint, NoSolutionError
+from timesim.hbm.continuation.solutions import Solution
+
+# How far the parameter may go back without a fold, as shares of its range and of its value: where slip of the paper's
+# oscillator begins it does so by up to 4e-7 Hz at 1.37 Hz, in a range of 0.06 Hz.
+NOISE_OF_RANGE, NOISE_OF_VALUE = 1e-5, 1e-6
+
+
+@dataclass
+class _Summit:
+    """The farthest point of a branch so far, its place among the solutions, and its neighbours along the curve."""
+
+    point: CurvePoint
+    place: int
+    before: CurvePoint | None = None
+    after: CurvePoint | None = None
+
+
+class Trace:
+    """Solutions in the order of the curve, folds among them.
+
+    Attributes:
+        solutions: so far.
+        direction: in which the parameter goes but for noise, 1 or -1.
+    """
+
+    def __init__(self, corrector: Corrector, direction: float):
+        self.corrector, self.direction = corrector, direction
+        self.solutions: list[Solution] = []
+        self._summit: _Summit | None = None
+        self._last: CurvePoint | None = None
+
+    def rescale(self, factor: float) -> None:
+        """Take over another unit of x of the corrector, that before in units of it."""
+        if self._last is None or self._summit is None:
+            return
+        summit = self._summit
+        self._last, summit.point = self._last.rescaled(factor), summit.point.rescaled(factor)
+        summit.before = summit.before and summit.before.rescaled(factor)
+        summit.after = summit.after and summit.after.rescaled(factor)
+
+    def add(self, point: CurvePoint) -> None:
+        """Take in the next point; its tangent points along the curve."""
+        summit, noise = self._summit, False
+        if summit is not None:
+            back = self.direction * (summit.point.y[-1] - point.y[-1])
+            least = max(NOISE_OF_RANGE, NOISE_OF_VALUE * abs(summit.point.y[-1]))
+            summit.after, noise = summit.after or point, 0 < back <= least
+            if back > least:
+                self.direction = -self.direction
+                self._turn_at(summit)
+            elif not noise:
+                self._forget_noise(summit)
+        if not noise:
+            self._summit = _Summit(point, len(self.solutions), self._last)
+        # Behind a summit that of the branch after a fold, until the summit is passed.
+        sign = np.sign(point.orientation) * (-self.direction if noise else self.direction)
+        self.solutions.append((*self.corrector.unscaled(point.y), False, int(sign)))
+        self._last = point
+
+    def _forget_noise(self, summit: _Summit) -> None:
+        """The parameter passes a summit again: what lies behind is of the same branch."""
+        for i in range(summit.place + 1, len(self.solutions)):
+            x, p, fold, determinant = self.solutions[i]
+            self.solutions[i] = (x, p, fold, -determinant)
+
+    def _turn_at(self, summit: _Summit) -> None:
+        """Put a fold where the parameter turns at a summit, or as close to it as one is found."""
+        x, p, _, determinant = self.solutions[summit.place]
+        for one, other, side in ((summit.point, summit.after, 1), (summit.before, summit.point, 0)):
+            if one is not None and other is not None and one.tangent[-1] * other.tangent[-1] < 0:
+                with suppress(NoSolutionError):
+                    fold = self.corrector.unscaled(self.corrector.fold_between(one, other).y)
+                    if side == 0:
+                        self.solutions[summit.place] = (x, p, False, -determinant)
+                    self.solutions.insert(summit.place + side, (*fold, True, 0))
+                    return
+        self.solutions[summit.place] = (x, p, True, 0)
