@@ -194,7 +194,7 @@ def end_on_guard(
     dynamics: Dynamics,
     state: State,
     at: Callable[[Array], tuple[ContinuousState, ContinuousState]],
-    h: Float[Array, ""],
+    whole: tuple[Array, ContinuousState, ContinuousState],
     cut: tuple[Array, Array, Array],
     off: Float[Array, ""],
 ) -> tuple[Float[Array, ""], ContinuousState, ContinuousState]:
@@ -204,30 +204,27 @@ def end_on_guard(
         dynamics: the system.
         state: states of the contacts during the step.
         at: the continuous state and its rate after a time since the start of the step, as good as at its end.
-        h: length of the whole step.
+        whole: what is returned of a step that is not cut.
         cut: time at which it is to be cut, whether a contact leaves its state there, and how far it may be moved.
         off: time from a guard that is near enough.
     """
     near, leaves, reach = cut
 
-    def missed(point: ContinuousState, rate: ContinuousState) -> Array:
-        return jnp.where(leaves, _time_to_guard(dynamics, state, point, rate, NEARBY * h), 0.0)
-
     def goes_on(carry: tuple) -> Array:
-        *_, time, count = carry
-        return (jnp.abs(time) > off) & (count < NUM_CORRECTIONS)
+        _, (span, _, _), (left, count) = carry
+        # Held by a bound the end is as near as it can be.
+        return (count == 0) | ((jnp.abs(left) > off) & (carry[0] != span) & (count < NUM_CORRECTIONS))
 
     def corrected(carry: tuple) -> tuple:
-        span, _, _, time, count = carry
-        moved = jnp.clip(span + time, SHORTEST, reach)
-        end = at(moved)
-        # Held by a bound it is there as near as it can be.
-        return moved, *end, jnp.where(moved == span, 0.0, missed(*end)), count + 1
+        span, _, (_, count) = carry
+        end = at(span)
+        left = jnp.where(leaves, _time_to_guard(dynamics, state, *end, NEARBY * whole[0]), 0.0)
+        return jnp.clip(span + left, SHORTEST, reach), (span, *end), (left, count + 1)
 
-    end = at(near)
-    start = near, *end, missed(*end), jnp.zeros((), dtype=jnp.int64)
-    span, point, rate, *_ = jax.lax.while_loop(goes_on, corrected, start)
-    return span, point, rate
+    none = jnp.zeros(()), jnp.zeros((), dtype=jnp.int64)
+    # One place in the loop where the flow is evaluated: each is compiled anew.
+    end: tuple[Array, ContinuousState, ContinuousState] = jax.lax.while_loop(goes_on, corrected, (near, whole, none))[1]
+    return end
 
 
 def _time_to_guard(

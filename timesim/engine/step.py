@@ -186,8 +186,8 @@ def cut(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, rea
 
     x, early = first_exit(dynamics, now.state, part, reach / part.h)
     wanted = (x * part.h, early, reach)
-    part_of_it = partial(end_on_guard, dynamics, now.state, at, part.h, wanted, 0.1 * control.landing)
     whole = (part.h, trial.end, trial.rate)
+    part_of_it = partial(end_on_guard, dynamics, now.state, at, whole, wanted, 0.1 * control.landing)
     h, end, rate = jax.lax.cond(trial.precise & (early | (reach < part.h)), part_of_it, lambda: whole)
     return trial._replace(end=end, rate=rate, early=early, part=shortened(dynamics, part, end, rate, h))
 

@@ -65,7 +65,6 @@ def weights(stiffness: Array, damping: Array, t: Array, h: Array, num: int) -> W
     return Weights(rest, impulse, -k * impulse, rest - d * impulse, q_force, p_force)
 
 
-@partial(apart, static=(2,))
 def impulse_integrals(a: Array, b: Array, num: int) -> list[Array]:
     """psi_0, ..., psi_(num - 1) of a = k t^2 and b = d t, elementwise."""
     short = (a <= SHORT) & (b <= SHORT)
@@ -79,16 +78,22 @@ def impulse_integrals(a: Array, b: Array, num: int) -> list[Array]:
 
 def _by_series(a: Array, b: Array, num: int) -> list[Array]:
     """Both highest by their power series, the others downwards."""
+    down = [*_highest(a, b, num)]
+    for m in range(num - 1, 0, -1):
+        down.append(1 / math.factorial(m) - b * down[-1] - a * down[-2])
+    return down[:0:-1]
+
+
+@partial(apart, static=(2,))
+def _highest(a: Array, b: Array, num: int) -> tuple[Array, Array]:
+    """psi_num and psi_(num - 1)."""
     before, sigma = 0.0 * a, 1.0 + 0.0 * a
     first, second = 0.0 * a, 0.0 * a
     for j in range(NUM_TERMS):
         first = first + sigma * (1 / math.factorial(j + num))
         second = second + sigma * (1 / math.factorial(j + num + 1))
         before, sigma = sigma, -b * sigma - a * before
-    down = [second, first]
-    for m in range(num - 1, 0, -1):
-        down.append(1 / math.factorial(m) - b * down[-1] - a * down[-2])
-    return down[:0:-1]
+    return second, first
 
 
 def _upwards(a: Array, b: Array, num: int) -> list[Array]:
