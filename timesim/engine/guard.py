@@ -103,17 +103,13 @@ def segment_of_nodes(
     return Segment(starts, ends, slips[0], slips[1], path, slip, h)
 
 
+@apart
 def shortened(
-    dynamics: Dynamics, part: Segment, end: ContinuousState, rate: ContinuousState, x: Float[Array, ""]
+    dynamics: Dynamics, part: Segment, end: ContinuousState, rate: ContinuousState, h: Float[Array, ""]
 ) -> Segment:
-    """The first part of a segment, up to a fraction of it at which the state and its rate are known."""
-
-    def first(polynomials: tuple[tuple[Array, ...], ...]) -> tuple[tuple[Array, ...], ...]:
-        return tuple(tuple(c * x**power for power, c in enumerate(row)) for row in polynomials)
-
-    where = lambda s: (s.end, s.slip_end, s.path, s.slip, s.h)  # noqa: E731
-    own = (dynamics.path(end, rate), (end.w, rate.w), first(part.path), first(part.slip), x * part.h)
-    return eqx.tree_at(where, part, own)
+    """The segment with another end, at which the state and its rate are known; its polynomials stay those of it all."""
+    where = lambda s: (s.end, s.slip_end, s.h)  # noqa: E731
+    return eqx.tree_at(where, part, (dynamics.path(end, rate), (end.w, rate.w), h))
 
 
 @apart
@@ -179,39 +175,59 @@ def first_crossing(
 
 
 def first_exit(
-    dynamics: Dynamics,
-    state: State,
-    part: Segment,
-    at: Callable[[Array], tuple[ContinuousState, ContinuousState]],
-    reach: Float[Array, ""],
-    off: Float[Array, ""],
+    dynamics: Dynamics, state: State, part: Segment, reach: Float[Array, ""]
 ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-    """Fraction of a step at which it is to be cut on its dense output, and whether a contact leaves its state there.
+    """Fraction of a step at which it is to be cut, and whether a contact leaves its state there.
 
     Args:
         dynamics: the system.
         state: states of the contacts during the step.
         part: the step.
-        at: the continuous state and its rate at a fraction of the step, as good as at its end.
         reach: fraction up to which the step is needed.
-        off: time from a guard that is near enough.
     """
     none = jnp.zeros(state.shape, dtype=bool)
     crossing = first_crossing(dynamics, state, part, *end_margins(dynamics, state, part), (none, none))
-    least, leaves = SHORTEST / part.h, crossing <= reach
+    return jnp.clip(crossing, SHORTEST / part.h, reach), crossing <= reach
 
-    def goes_on(carry: tuple[Array, Array, Array]) -> Array:
-        _, missed, count = carry
-        return (missed > off) & (count < NUM_CORRECTIONS)
 
-    def corrected(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        x, _, count = carry
-        time = _time_to_guard(dynamics, state, *at(x), NEARBY * part.h)
-        return jnp.clip(x + time / part.h, least, reach), jnp.abs(time), count + 1
+def end_on_guard(
+    dynamics: Dynamics,
+    state: State,
+    at: Callable[[Array], tuple[ContinuousState, ContinuousState]],
+    h: Float[Array, ""],
+    cut: tuple[Array, Array, Array],
+    off: Float[Array, ""],
+) -> tuple[Float[Array, ""], ContinuousState, ContinuousState]:
+    """Length of a step that is cut, and the continuous state and its rate there.
 
-    missed = jnp.where(leaves, jnp.inf, 0.0)
-    start = jnp.clip(crossing, least, reach), missed, jnp.zeros((), dtype=jnp.int64)
-    return jax.lax.while_loop(goes_on, corrected, start)[0], leaves
+    Args:
+        dynamics: the system.
+        state: states of the contacts during the step.
+        at: the continuous state and its rate after a time since the start of the step, as good as at its end.
+        h: length of the whole step.
+        cut: time at which it is to be cut, whether a contact leaves its state there, and how far it may be moved.
+        off: time from a guard that is near enough.
+    """
+    near, leaves, reach = cut
+
+    def missed(point: ContinuousState, rate: ContinuousState) -> Array:
+        return jnp.where(leaves, _time_to_guard(dynamics, state, point, rate, NEARBY * h), 0.0)
+
+    def goes_on(carry: tuple) -> Array:
+        *_, time, count = carry
+        return (jnp.abs(time) > off) & (count < NUM_CORRECTIONS)
+
+    def corrected(carry: tuple) -> tuple:
+        span, _, _, time, count = carry
+        moved = jnp.clip(span + time, SHORTEST, reach)
+        end = at(moved)
+        # Held by a bound it is there as near as it can be.
+        return moved, *end, jnp.where(moved == span, 0.0, missed(*end)), count + 1
+
+    end = at(near)
+    start = near, *end, missed(*end), jnp.zeros((), dtype=jnp.int64)
+    span, point, rate, *_ = jax.lax.while_loop(goes_on, corrected, start)
+    return span, point, rate
 
 
 def _time_to_guard(
