@@ -13,7 +13,7 @@ from timesim.engine.companion import ROUNDING, Estimate, companion_of, estimate,
 from timesim.engine.history import CycleTotals
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import Model
-from timesim.model.solver import PRESETS, Solver
+from timesim.model.solver import PRESETS, Solver, coarser
 
 TRUTH = json.loads((Path(__file__).parents[1] / "data" / "oscillator.json").read_text())["cases"]
 
@@ -75,6 +75,14 @@ def test_estimate_says_where_it_cannot_be_trusted() -> None:
     assert np.isnan(failed.state)
     assert "companion failed at time 0" in failed.remark
     assert "budget of 3 steps" in failed.remark
+
+
+def test_the_companion_is_coarser_also_where_the_longest_step_rules() -> None:
+    """By the same steps it would be the same run, and no error be seen."""
+    loose, fixed = Solver("tsit5", 1e-2, 1e-4), Solver("rk4", 1e-8, 1e-10, longest=0.02)
+    assert coarser(loose).rtol == pytest.approx(0.1)
+    assert coarser(loose).longest > 1.4 * loose.longest
+    assert coarser(fixed) == replace(fixed, longest=0.04)
 
 
 def test_error_of_a_motion_that_comes_to_rest_off_the_origin() -> None:

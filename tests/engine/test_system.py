@@ -2,17 +2,22 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from systems import excitation as modal_force
 from systems import generated_model, pad, structure
 
+from timesim.engine.barrier import matmul
+from timesim.engine.event_loop import one_by_one
+from timesim.engine.method import step_method
 from timesim.engine.system import Point, Work, excitation, system_of
 from timesim.engine.trajectory import Frame
 from timesim.model.model import SEPARATION, SLIP, Model, Start
 from timesim.model.reduction import reduction_of
 from timesim.model.scales import scales_of
+from timesim.model.solver import Solver
 
 
 @pytest.mark.parametrize("phase", [0.0, 0.7])
@@ -71,3 +76,37 @@ def test_friction_losses_stand_under_their_contacts():
     done = Work(jnp.asarray(1.0), jnp.asarray(2.0), jnp.asarray([3.0, 4.0]))
     found = frame.work(done, before)
     np.testing.assert_allclose((found - before) / energy, [1.0, 2.0, 3.0, 0.0, 4.0], rtol=0, atol=1e-12)
+
+
+def test_a_system_by_itself_has_the_rates_that_it_has_in_a_batch():
+    """Its products are others; modes that damping couples, more than are added in one loop."""
+    model = generated_model(1, 40, 3)
+    assert model.structure.damping.ndim == 2
+    system, rng = system_of(model, 1.3), np.random.default_rng(3)
+    q, p, w = rng.normal(size=40), rng.normal(size=40), rng.normal(size=(2, 3))
+    point, state = Point(jnp.asarray(q), jnp.asarray(p), tuple(map(jnp.asarray, w)), None), jnp.asarray([0, 1, 1])
+    found, own = (x.field(state, jnp.asarray(0.4), point) for x in (system, system.single()))
+    assert system.single().by_itself
+    assert not system.by_itself
+    size = np.abs(np.asarray(system.stiffness)).max()
+    np.testing.assert_allclose(own.p, found.p, rtol=0, atol=1e-13 * size)
+    np.testing.assert_allclose(own.w, found.w, rtol=1e-11)
+
+
+@pytest.mark.parametrize("shape", [(3, 4, 5), (6, 30, 40)], ids=["summed", "by rows"])
+def test_a_product_of_matrices_is_that_of_numpy(shape: tuple[int, int, int]):
+    rows, inner, columns = shape
+    rng = np.random.default_rng(1)
+    a, b = rng.normal(size=(rows, inner)), rng.normal(size=(inner, columns))
+    np.testing.assert_allclose(matmul(jnp.asarray(a), jnp.asarray(b)), a @ b, rtol=0, atol=1e-13)
+
+
+def test_many_modes_or_contacts_go_one_after_the_other():
+    """A few lanes of few modes are quicker side by side, whatever the method; collocation never is."""
+    tsit5, collocation = (step_method(Solver(name, 1e-6, 1e-8)) for name in ("tsit5", "exponential"))
+    for modes, contacts, wide in ((2, 1, False), (20, 3, False), (20, 8, True), (40, 1, True)):
+        system = system_of(generated_model(1, modes, contacts), 1.3)
+        assert one_by_one(tsit5, system) == wide
+        assert one_by_one(collocation, system)
+        batch = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), system)
+        assert batch.wide == wide

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulation import after_a_cycle
-from systems import generated_model, oscillator
+from simulation import after_a_cycle, simulate
+from systems import at_rest, excitation, generated_model, oscillator, pad, structure
 
 from timesim.engine.law.contact_law import Motion
-from timesim.model.model import SEPARATION, SLIP
+from timesim.model.model import SEPARATION, SLIP, Model
 from timesim.model.reduction import reduction_of
+from timesim.model.scales import scales_of
 from timesim.model.solver import NEVER, PRESETS, SHOOT, Criterion, Solver
 from timesim.orbit.batch import SIZES, march, record
 from timesim.orbit.lane import Lane
@@ -75,6 +76,16 @@ def settled_lane(model, solver=FINEST):
     assert orbit.settled
     everything = reduction_of(model, [model.excitation.frequency], reduce=False)
     return Lane.begin(model, everything, model.excitation.frequency, solver, orbit.end), orbit
+
+
+def wide_model(frequency):
+    """The oscillator on its contact beside 32 modes that move it little."""
+    rows = np.arange(32)
+    natural = 2 * np.pi * np.concatenate([[0.9, 1.1], 1.5 + 0.1 * rows])
+    little = 0.05 * np.cos(np.add.outer(rows, [0.0, 1.0, 2.0]))
+    body = structure(natural**2, 0.04 * natural, [[1.0, 1.0, 0.8], [1.0, -1.0, 0.6], *little])
+    force = excitation(frequency, [5.0, 5.0, *np.zeros(32)], np.zeros(34))
+    return Model(body, (pad(0.5, 20.0, 20.0, 3.0),), force, at_rest(34, 1))
 
 
 def lane_at_rest(model):
@@ -184,6 +195,18 @@ def test_no_reversal_ends_the_slip_of_a_frictionless_stop(speed):
     assert load[0] == pytest.approx(law.preload[0] + law.normal_stiffness[0] * v[0])
     touching = Motion((none, none), none, (none + speed, none), none + 1.0)
     assert law.successor(np.array([SEPARATION]), touching, tiny=0.0)[0] == SLIP
+
+
+def test_lanes_of_a_wide_system_end_where_each_ends_alone():
+    """One after the other: each keeps its own frequency, and the same transitions."""
+    lanes = [lane_at_rest(wide_model(frequency)) for frequency in (1.0, 1.1)]
+    assert lanes[0].system.wide
+    done = march(lanes, FINE, CYCLES_A_ROUND, size=SIZES[0])
+    for frequency, (_, returns) in zip((1.0, 1.1), done, strict=True):
+        trace = simulate(wide_model(frequency), CYCLES_A_ROUND, FINE)
+        scales = scales_of(wide_model(frequency), frequency)
+        np.testing.assert_allclose(returns[-1][:34] * scales.mode, trace.run.displacement, rtol=0, atol=1e-11)
+        assert len(trace.sequence) > 2 * CYCLES_A_ROUND
 
 
 def test_the_state_after_a_cycle_is_that_of_the_lane():

@@ -26,6 +26,7 @@ from timesim.orbit.settling import Chain, first_lane
 from timesim.picture import sweep as plot_sweep
 from timesim.result.netcdf import read, save
 from timesim.study import sweep
+from timesim.study.outcome import attributes
 from timesim.study.registry import load_scene
 from timesim.study.report import jump_lines
 
@@ -766,3 +767,12 @@ def test_a_run_goes_on_from_a_point_of_a_sweep(tmp_path: Path):
     ):
         with pytest.raises(SceneError, match=said):
             load_scene(scene(study, contacts=gap, excitation=force, initial=start | {"at": at}))
+
+
+def test_the_promise_of_its_accuracy_is_in_the_result() -> None:
+    scene = load_scene(CONFIGS / "blade_response.yaml")
+    own = attributes(scene, "tsit5", 0.0, 0.0, None)
+    assert own["promised_error"] == 1e-6
+    assert own["rtol"] == scene.solver().rtol < 1e-7
+    given = scene.with_overrides(["solver={method: tsit5}"])
+    assert "promised_error" not in attributes(given, "tsit5", 0.0, 0.0, None)

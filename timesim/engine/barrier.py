@@ -44,12 +44,16 @@ def apart(function: Callable[P, T], static: Sequence[int] = ()) -> Callable[P, T
     return call
 
 
-SMALL = 4096
-"""Products of numbers up to which a loop is quicker than the call of a library: some 2 us of any size."""
+SMALL = 1024
+"""Products of numbers up to which one loop over all of them is quickest."""
 
 
 def matmul(a: Array, b: Array) -> Array:
-    """The product of two matrices."""
+    """The product of two matrices, the first of few rows.
+
+    A product of matrices by a library is no part of the function that a loop is compiled to: the whole loop is then a
+    sequence of kernels. One with a vector is.
+    """
     if a.shape[0] * b.shape[0] * b.shape[1] > SMALL:
-        return jnp.dot(a, b)
+        return jnp.stack([jnp.dot(row, b) for row in a])
     return (a[:, :, None] * b[None]).sum(axis=1)

@@ -29,7 +29,7 @@ def advance(
     Returns:
         The trajectory, the accepted steps (leading axis ``capacity``), and how many there are.
     """
-    dynamics = method.prepared(dynamics, control.longest)
+    dynamics = method.prepared(dynamics.single(), control.longest)
     blank = jax.eval_shape(partial(try_step, method, control, dynamics), start)[1]
     record = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), blank)
 
@@ -46,7 +46,12 @@ def advance(
     return jax.lax.while_loop(goes_on, body, (start, record, jnp.zeros((), dtype=jnp.int64)))
 
 
-SIDE_BY_SIDE = 32  # trajectories whose numbers stay in the nearest caches, also with many modes and contacts
+SIDE_BY_SIDE = 32  # trajectories whose numbers stay in the nearest caches
+
+
+def one_by_one(method: Method, dynamics: Dynamics) -> bool:
+    """Whether the trajectories of a batch are advanced one after the other."""
+    return method.one_by_one or dynamics.wide
 
 
 @eqx.filter_jit
@@ -68,10 +73,10 @@ def march(
         The trajectories, and the number of transitions of each.
     """
     size = cycles.shape[0]
-    if method.one_by_one:
+    if one_by_one(method, dynamics):
         own = jax.tree.map(lambda leaf: leaf if leaf.ndim else jnp.broadcast_to(leaf, size), control)
         alone = partial(_marched, method, over=by_itself)
-        return jax.lax.map(lambda lane: alone(*lane), (own, dynamics, start, cycles))
+        return jax.lax.map(lambda lane: alone(lane[0], lane[1].single(), *lane[2:]), (own, dynamics, start, cycles))
     if size <= SIDE_BY_SIDE:
         return _march_together(method, control, dynamics, start, cycles)
     lanes = (jnp.arange(-(-size // SIDE_BY_SIDE) * SIDE_BY_SIDE) % size).reshape(-1, SIDE_BY_SIDE)
@@ -99,7 +104,7 @@ def _marched(
     method: Method, control: Control, dynamics: Dynamics, start: Trajectory, cycles: Array, over: Over
 ) -> tuple[Trajectory, Array]:
     """`march` with the batch last, or of one trajectory."""
-    if method.one_by_one:
+    if over is by_itself:
         dynamics = method.prepared(dynamics, control.longest)
     attempt = partial(over(partial(try_step, method)), control, dynamics)
 

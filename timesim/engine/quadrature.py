@@ -27,7 +27,8 @@ NODE, WEIGHT = (1 + _POINTS) / 2, _WEIGHTS / 2  # as fractions of the step
 ROWS = 1024  # nodes at which the law is evaluated at a time: a fixed number, so that it is compiled once
 TURN = 2 * np.pi
 FOLLOWED = 1e-9  # of the largest modal displacement: what a part may leave out
-NUM_OF_PART = 3  # nodes of a part, for its energies
+# Of a part, for its energies: nodes between its ends, and weights of all four, exact to the fifth power.
+LOBATTO = (0.5 - 0.05**0.5, 0.5 + 0.05**0.5), (1 / 12, 5 / 12, 5 / 12, 1 / 12)
 
 
 class Parts(NamedTuple):
@@ -60,14 +61,15 @@ def _length_of_part(system: System, steps: Step) -> float:
 
     A vibration ``a cos(omega t)`` leaves it by ``a (omega h)^6 / 46,080`` (Hairer, Norsett & Wanner, Solving Ordinary
     Differential Equations I, section II.6, for the interpolation error): a fast mode may be followed in few parts where
-    it hardly moves.
+    it hardly moves. What decays fast of an overdamped mode is known by its velocity; the rest of it creeps.
     """
     stiffness, damping = (np.asarray(x) for x in diagonals(system))
-    rate = np.maximum(np.maximum(np.sqrt(stiffness), damping), 1.0)
+    natural = np.sqrt(stiffness)
+    rate = np.maximum(np.maximum(natural, damping), 1.0)
     ends = ((steps.start.q, steps.end.q), (steps.start.p, steps.end.p))
     q, p = (np.abs(np.concatenate(pair)).max(axis=0) for pair in ends)
-    size = np.maximum(q, p / rate)
-    allowed = 46_080 * FOLLOWED * max(size.max(), 1e-300) / np.maximum(size, 1e-300)
+    vibration = np.where(damping > 2 * natural, p / rate, np.maximum(q, p / rate))
+    allowed = 46_080 * FOLLOWED * max(q.max(), (p / rate).max(), 1e-300) / np.maximum(vibration, 1e-300)
     return float((allowed ** (1 / 6) / rate).min())
 
 
@@ -85,11 +87,13 @@ def short_steps(system: System, steps: Step, *, energies: bool = False) -> Step:
         return steps
     parts = parts_of(system, steps)
     whole = parts.whole
-    (start, start_rate), (end, end_rate) = (_inside(system, whole, span) for span in (parts.start, parts.end))
-    start, start_rate = _chosen(parts.first, (whole.start, whole.start_rate), (start, start_rate))
+    end, end_rate = _inside(system, whole, parts.end, powers=energies)
+    work = None if end_rate.work is None else _works(system, parts, end_rate.work)
+    end, end_rate = (eqx.tree_at(lambda y: y.work, y, None, is_leaf=lambda x: x is None) for y in (end, end_rate))
+    before = jax.tree.map(lambda rows: np.roll(rows, 1, axis=0), (end, end_rate))
+    start, start_rate = _chosen(parts.first, (whole.start, whole.start_rate), before)
     end, end_rate = _chosen(parts.last, (whole.end, whole.end_rate), (end, end_rate))
-    if energies:
-        end = eqx.tree_at(lambda y: y.work, end, _works(system, parts), is_leaf=lambda x: x is None)
+    end = eqx.tree_at(lambda y: y.work, end, work, is_leaf=lambda x: x is None)
     after = np.where(parts.last[:, None], whole.state_after, whole.state)
     where = lambda s: (s.time, s.h, s.start, s.start_rate, s.end, s.end_rate, s.state_after, s.inside)  # noqa: E731
     new = (whole.time + parts.start, parts.end - parts.start, start, start_rate, end, end_rate, after, None)
@@ -102,17 +106,22 @@ def _chosen(known: np.ndarray, own: Any, other: Any) -> Any:
     return jax.tree.map(lambda a, b: np.where(known.reshape(-1, *[1] * (a.ndim - 1)), a, b), own, other)
 
 
-def _works(system: System, parts: Parts) -> Work:
-    """Energies since the first part at the end of each."""
-    nodes, shares = np.polynomial.legendre.leggauss(NUM_OF_PART)
-    total: Any = 0.0
-    for node, share in zip((1 + nodes) / 2, shares / 2, strict=True):
-        length = parts.end - parts.start
-        power = _inside(system, parts.whole, parts.start + node * length, powers=True)[1].work
-        weighted = jax.tree.map(lambda rows, h=share * length: rows * h.reshape(-1, *[1] * (rows.ndim - 1)), power)
-        total = weighted if total == 0.0 else jax.tree.map(np.add, total, weighted)
-    done: Work = jax.tree.map(lambda rows: np.cumsum(rows, axis=0), total)
-    return done
+def _works(system: System, parts: Parts, last: Work) -> Work:
+    """Energies since the first part at the end of each, from the powers there: by Lobatto's rule."""
+    length, steps = parts.end - parts.start, jax.tree.map(lambda rows: rows[parts.first], parts.whole)
+    first: Work = jax.tree.map(lambda rows: np.roll(rows, 1, axis=0), last)
+    begun = _inside(system, steps, np.zeros(len(steps.h)), powers=True)[1].work
+    for rows, own in zip(jax.tree.leaves(first), jax.tree.leaves(begun), strict=True):
+        rows[parts.first] = own
+    inner = [_inside(system, parts.whole, parts.start + x * length, powers=True)[1].work for x in LOBATTO[0]]
+
+    def energy(*powers: np.ndarray) -> np.ndarray:
+        mean = sum(share * power for share, power in zip(LOBATTO[1], powers, strict=True))
+        done: np.ndarray = np.cumsum(mean * length.reshape(-1, *[1] * (powers[0].ndim - 1)), axis=0)
+        return done
+
+    whole: Work = jax.tree.map(energy, first, *inner, last)
+    return whole
 
 
 def _inside(system: System, own: Step, span: np.ndarray, *, powers: bool = False) -> tuple[Point, Point]:

@@ -9,6 +9,7 @@ pass through the transition exactly.
 
 from timesim.runtime import Leaf  # isort: skip
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -23,6 +24,7 @@ from timesim.engine.guard import (
     Segment,
     arriving,
     end_margins,
+    end_on_guard,
     first_crossing,
     first_exit,
     segment,
@@ -178,18 +180,16 @@ def cut(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, rea
     inside, part = trial.inside, trial.part
     assert inside is not None
 
-    def at(x: Array) -> tuple[ContinuousState, ContinuousState]:
-        point = state_inside(dynamics, (now.state, now.time, now.point), inside, x)
-        return point, dynamics.field(now.state, now.time + x * part.h, point)
+    def at(span: Array) -> tuple[ContinuousState, ContinuousState]:
+        point = state_inside(dynamics, (now.state, now.time, now.point), inside, span / part.h)
+        return point, dynamics.field(now.state, now.time + span, point)
 
-    needed = reach / part.h
-    x, early = first_exit(dynamics, now.state, part, at, needed, 0.1 * control.landing)
-
-    def shorter(whole: Trial) -> Trial:
-        point, rate = at(x)
-        return whole._replace(end=point, rate=rate, early=early, part=shortened(dynamics, part, point, rate, x))
-
-    return jax.lax.cond(trial.precise & (early | (needed < 1)), shorter, lambda whole: whole, trial)
+    x, early = first_exit(dynamics, now.state, part, reach / part.h)
+    wanted = (x * part.h, early, reach)
+    part_of_it = partial(end_on_guard, dynamics, now.state, at, part.h, wanted, 0.1 * control.landing)
+    whole = (part.h, trial.end, trial.rate)
+    h, end, rate = jax.lax.cond(trial.precise & (early | (reach < part.h)), part_of_it, lambda: whole)
+    return trial._replace(end=end, rate=rate, early=early, part=shortened(dynamics, part, end, rate, h))
 
 
 class Landing(NamedTuple):

@@ -10,6 +10,7 @@ by the structure at rest, so only its change acts.
 
 from timesim.runtime import Leaf  # isort: skip
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -71,6 +72,12 @@ class Point(ContinuousState):
         return jnp.isfinite(self.q).all() & jnp.isfinite(self.p).all()
 
 
+MOST_SUMMED = 32
+"""Terms up to which XLA adds in one loop; more of them it adds in parts, which takes longer than its own product."""
+WIDE = 100
+"""Entries of the matrix of contacts and modes from which on 16 trajectories take longer side by side: measured."""
+
+
 class System(Dynamics):
     """A model at one frequency, dimensionless. Leaves only: what changes between runs needs no new compilation.
 
@@ -85,6 +92,7 @@ class System(Dynamics):
         constant: constant modal force.
         phase: phase of the excitation at the start of a cycle [rad].
         ladder: what a method has prepared for its steps, see `timesim.engine.exponential.collocation`.
+        by_itself: whether its trajectory is advanced `single`.
     """
 
     law: ContactLaw
@@ -97,6 +105,15 @@ class System(Dynamics):
     constant: Float[Leaf, " mode"]
     phase: Float[Leaf, ""]
     ladder: Any = None
+    by_itself: bool = eqx.field(static=True, default=False)
+
+    def single(self) -> "System":
+        return replace(self, by_itself=True)
+
+    @property
+    def wide(self) -> bool:
+        *_, contacts, modes = self.shape[0].shape
+        return modes > MOST_SUMMED or contacts * modes > WIDE
 
     def field(self, state: State, time: Float[Array, ""], point: Point) -> Point:
         acts = self.law.reaction(state, self.motion(point), point.w)
@@ -118,15 +135,17 @@ def excitation(system: System, time: Float[Array, ""]) -> Float[Array, " mode"]:
     return force
 
 
-def times(matrix: Array, x: Float[Array, " column"]) -> Float[Array, " row"]:
+def times(matrix: Array, x: Float[Array, " column"], by_itself: bool) -> Float[Array, " row"]:
     """A matrix times a vector; a modal matrix may be given by its diagonal."""
-    # A sum of products is fused with what uses it; XLA's own product of matrices is not.
-    return matrix * x if matrix.ndim == 1 else (matrix * x).sum(axis=-1)
+    if matrix.ndim == 1:
+        return matrix * x
+    # A sum of products is fused with what uses it, and in lanes it is no product of many matrices.
+    return jnp.dot(matrix, x) if by_itself and matrix.shape[1] > MOST_SUMMED else (matrix * x).sum(axis=-1)
 
 
 def relative(system: System, x: Float[Array, " mode"]) -> tuple[Float[Array, " contact"], ...]:
     """Relative motion at the contacts, normal last."""
-    return tuple(times(axis, x) for axis in system.shape)
+    return tuple(times(axis, x, system.by_itself) for axis in system.shape)
 
 
 @apart
@@ -143,10 +162,10 @@ def contact_force(system: System, f: Plane, n: Scalar) -> Plane:
 @apart
 def _response(system: System, time: Float[Array, ""], point: Point, acts: Reaction) -> Point:
     drive = excitation(system, time)
-    drag = times(system.damping, point.p)
-    acceleration = drive - drag - times(system.stiffness, point.q)
+    drag = times(system.damping, point.p, system.by_itself)
+    acceleration = drive - drag - times(system.stiffness, point.q, system.by_itself)
     for axis, force in zip(system.shape, contact_force(system, acts.f, acts.n), strict=True):
-        acceleration = acceleration + times(axis.T, force)
+        acceleration = acceleration + times(axis.T, force, system.by_itself)
     power = None
     if point.work is not None:
         power = Work(jnp.sum(drive * point.p), jnp.sum(drag * point.p), power_lost(acts))

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from timesim.engine.event_loop import one_by_one
 from timesim.engine.lanes import Over, advance_lanes, batch_first, batch_last, by_itself, over_lanes
 from timesim.engine.method import Method, step_method
 from timesim.engine.solver import Control
@@ -46,10 +47,15 @@ def march_cycles(
         the trajectories, and `state_vector` at the end of each cycle, 0 for cycles not reached; batch first.
     """
     problem = (controls, systems, starts)
-    if method.one_by_one:
-        return jax.lax.map(lambda lane: _marched(method, lane, num_cycles, by_itself), problem)
+    if one_by_one(method, systems):
+        return jax.lax.map(lambda lane: _marched(method, _single(lane), num_cycles, by_itself), problem)
     end, returns = _marched(method, batch_last(problem), num_cycles, over_lanes)
     return batch_first(end), jnp.moveaxis(returns, -1, 0)
+
+
+def _single(problem: tuple[Control, System, Any]) -> tuple[Control, System, Any]:
+    controls, systems, starts = problem
+    return controls, systems.single(), starts
 
 
 def _marched(
@@ -88,9 +94,9 @@ def record_cycles(
         the trajectories, batch first, and the tries.
     """
     problem = (controls, systems, now)
-    if method.one_by_one:
+    if one_by_one(method, systems):
         alone = partial(_kept, method, capacity=capacity, over=by_itself)
-        end, (rows, taken, count) = jax.lax.map(lambda lane: alone(*lane), (problem, cycles))
+        end, (rows, taken, count) = jax.lax.map(lambda lane: alone(_single(lane[0]), lane[1]), (problem, cycles))
         return end, Tries(*batch_last((rows, taken)), count.max())
     end, tries = _kept(method, batch_last(problem), cycles, capacity, over_lanes)
     return batch_first(end), Tries(*tries)

@@ -18,13 +18,14 @@ from timesim.model.cost import (
     stable_steps,
 )
 from timesim.model.model import CONE, GROUND, Contact, Model
+from timesim.model.promise import PROMISE, preset
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import COMPANION, coarser
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SteadySection
 from timesim.scene.text import value_text
-from timesim.scene.transient import Schedule
+from timesim.scene.transient import Schedule, TradeoffPlan
 
 LISTED = 6  # entries of a list that are all shown
 STIFF_STEPS = 20_000
@@ -90,6 +91,11 @@ def _accuracy_lines(scene: Scene, model: Model) -> Iterator[str]:
         numbers, least = scene.solver(), scene.file.solver.build()
         why = "" if numbers.rtol == least.rtol else f" (most scenes do with rtol {least.rtol:g})"
         yield f"promised is a relative error of {scene.promise:.0e} {end}, by {numbers}{why}"
+    if isinstance(scene.plan, TradeoffPlan):
+        plan = scene.plan
+        own = ", ".join(f"{name} {preset(name, model, plan.frequency, plan.cycles)}" for name in PROMISE)
+        yield f"methods and tolerances are tried for {plan.budget:g} s; of solver only max_steps is used"
+        yield f"accuracies of this scene: {own}"
     if isinstance(scene.plan, Schedule) and scene.file.solver.estimate_error:
         coarse = coarser(scene.solver())
         yield f"the error at the end is estimated by a second run ({coarse}), {COMPANION:g} of the time of the first"

@@ -18,10 +18,13 @@ Modes are the last axis.
 import timesim.runtime  # noqa: F401  isort: skip
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array
+
+from timesim.engine.barrier import apart
 
 NUM_TERMS = 38  # of the series: (2 + sqrt 8)^38 / 38! = 2e-19
 SHORT = 4.0  # k t^2, and d t, up to which the series is used
@@ -62,6 +65,7 @@ def weights(stiffness: Array, damping: Array, t: Array, h: Array, num: int) -> W
     return Weights(rest, impulse, -k * impulse, rest - d * impulse, q_force, p_force)
 
 
+@partial(apart, static=(2,))
 def impulse_integrals(a: Array, b: Array, num: int) -> list[Array]:
     """psi_0, ..., psi_(num - 1) of a = k t^2 and b = d t, elementwise."""
     short = (a <= SHORT) & (b <= SHORT)

@@ -216,6 +216,15 @@ class Dynamics(eqx.Module):
     def path(self, point: P, rate: P) -> Path:
         """Relative motion of the contacts, normal last, with two derivatives; ``rate`` is that of the point."""
 
+    def single(self) -> "Dynamics":
+        """The same, where its trajectory is advanced by itself and not in one operation with others."""
+        return self
+
+    @property
+    def wide(self) -> bool:
+        """Whether so much goes into a rate that many trajectories take longer side by side than one after the other."""
+        return False
+
 
 def dot(a: Plane, b: Plane) -> Scalar:
     """Scalar product in the contact plane."""

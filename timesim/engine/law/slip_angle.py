@@ -11,12 +11,13 @@ axes of K_u. At n = 0 the left side vanishes, and what remains is the direction 
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from timesim.engine.barrier import matmul
+from timesim.engine.barrier import apart, matmul
 from timesim.engine.law.contact_law import Plane, Scalar
 from timesim.engine.law.rule import Rule
 
@@ -45,6 +46,7 @@ def angle_of(e: Plane) -> Scalar:
     return jnp.arctan2(e[1] if len(e) == 2 else jnp.zeros_like(e[0]), e[0])
 
 
+@partial(apart, static=(1,))
 def direction_of(angle: Scalar, size: int) -> Plane:
     """The inverse of `angle_of`."""
     return (jnp.cos(angle), jnp.sin(angle))[:size]
@@ -57,7 +59,7 @@ def newton_step(
     mu, stiffness, n, dn, du = turning
     n = jnp.maximum(n, 0.0)
     own = angle[1:]
-    cosine, sine = jnp.cos(own), jnp.sin(own)
+    cosine, sine = direction_of(own, 2)
     along, across = cosine * du[0] + sine * du[1], cosine * du[1] - sine * du[0]
     slopes = matmul(jnp.asarray(rule.slopes), angle - angle[:1])
     k1, k2 = stiffness[0], stiffness[-1]
