@@ -442,15 +442,13 @@ def test_a_million_seconds_later(solver: Solver):
 @pytest.mark.parametrize("solver", [EXPLICIT, COLLOCATED], ids=["tsit5", "exponential"])
 def test_a_hundred_thousand_cycles(solver: Solver):
     """A settled motion neither drifts nor grows, and no batch of steps holds more memory than the first."""
-    model, held, peaks, residual = systems.jenkins(1.2), [], [], 0.0
+    model, held, peaks = systems.jenkins(1.2), [], []
     run = Run(model, [Phase(1.2 / TURN, 100_000)], replace(solver, rtol=1e-6, atol=1e-8, reduce=True))
     last = 0
     for steps in run.batches():
         if run.completed - last > 5000:
             last = run.completed
             held.append(sum(array.nbytes for array in jax.live_arrays()))
-            work = steps.input - steps.damping - steps.friction.sum(axis=1)
-            assert np.all(np.isfinite(work))
             peaks.append(np.abs(steps.end[0]).max())
     assert run.completed == 100_000
     assert max(held) <= 1.1 * held[0]
@@ -461,7 +459,7 @@ def test_a_hundred_thousand_cycles(solver: Solver):
     again.displacement, again.velocity, again.slip, again.state = run.displacement, run.velocity, run.slip, run.state
     next_cycle = follow(again)
     assert relative_error(next_cycle.motion, state) < 1e-12
-    assert next_cycle.energy_residual < residual + 1e-4
+    assert next_cycle.energy_residual < 1e-4
 
 
 @pytest.mark.slow
