@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 BENCHMARK = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "promise.py"))
-SEEDS = range(4000, 4016)
+SEEDS = range(4000, 4020)
 
 
 @cache

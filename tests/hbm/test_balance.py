@@ -131,6 +131,17 @@ def test_modes_of_frequency_zero():
     np.testing.assert_allclose(values[1].amplitude[-1], values[0].amplitude[-1], rtol=1e-5)
 
 
+def test_an_undamped_mode_at_its_natural_frequency():
+    """The contact holds it: the curve that begins there is the limit of a hardly damped one."""
+    model, values = systems.inclined(1.2), []
+    for damping in (0.0, 1e-9, 1e-5):
+        still = replace(model, structure=replace(model.structure, damping=np.array([damping])))
+        values.append(hbm_curve(still, 1.0 / TURN, 1.05 / TURN, scheme=Scheme(3, 256)))
+    assert all(v.complete for v in values)
+    for value in values[:2]:
+        np.testing.assert_allclose(value.amplitude[-1], values[2].amplitude[-1], rtol=1e-4)
+
+
 def oscillating_free(stiffness):
     model = systems.inclined(1.2)
     body = model.structure

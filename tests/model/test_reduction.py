@@ -478,7 +478,7 @@ def test_what_hangs_together_stays_live_together(coupling: str) -> None:
         shape = model.structure.shape.copy()
         shape[1, 0, 0] = 1e-9
         model = replace(model, structure=replace(model.structure, shape=shape))
-    assert reduction_of(model, [1.0]).live.tolist() == [0, 1]
+    assert sorted(reduction_of(model, [1.0]).live) == [0, 1]
 
 
 # --- proofs against runs ---------------------------------------------------------------------------
@@ -669,7 +669,7 @@ def test_stuck_matrix_and_force_have_the_rows_of_the_modes_kept() -> None:
 def test_reduce_off_keeps_everything() -> None:
     found = reduction_of(mixed(), [1.0], reduce=False)
     assert found.modes.tolist() == [0, 1, 2, 3, 4]
-    assert found.live.tolist() == [0, 1, 2]
+    assert sorted(found.live) == [0, 1, 2]
     assert found.stuck.size == found.apart.size == 0
     assert found.line is None
     assert not found.findings

@@ -770,6 +770,7 @@ def test_json_schema_knows_the_keys():
     assert "from" in schema["$defs"]["InitialResult"]["properties"]
     assert "null" not in json.dumps(schema)
     assert schema["$defs"]["ExcitationSection"]["properties"]["frequency"]["exclusiveMinimum"] == 0
+    assert schema["$defs"]["Range"]["properties"]["num"].items() >= {"minimum": 2, "maximum": 10_000}.items()
 
 
 # Whatever is written

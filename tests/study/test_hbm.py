@@ -14,15 +14,17 @@ import timesim
 from timesim.fault import SceneError
 from timesim.hbm import convergence as hbm_convergence
 from timesim.hbm import scheme as hbm_scheme
-from timesim.hbm.convergence import NEGLECTED, SAMPLED, Known, convergence, neglected, order_of, sampling_error
+from timesim.hbm.convergence import SAMPLED, Known, convergence, neglected, order_of, sampling_error
 from timesim.hbm.curve import hbm_curve, solutions_at
-from timesim.hbm.scheme import Scheme, most_harmonics
+from timesim.hbm.scheme import NEGLECTED, Scheme, most_harmonics
 from timesim.picture import hbm as plot_hbm
 from timesim.picture.response import stable_parts
 from timesim.result.netcdf import save
 from timesim.scene import hbm as scene_hbm
 from timesim.scene.report import describe
 from timesim.study import registry as plot
+from timesim.study.execution.campaign import Execution
+from timesim.study.hbm import study as followed_study
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.verdict import convergence_lines
 
@@ -385,6 +387,21 @@ def test_harmonics_are_as_many_as_the_answer_needs(monkeypatch: pytest.MonkeyPat
         curve = hbm_curve(model, 0.93, 0.935, scheme=scheme, stability=False)
         tails.append(neglected(lambda _: model, curve, scheme, rows)[number])
     assert tails[0] > NEGLECTED > tails[1]
+
+
+def test_what_the_most_harmonics_leave_out_is_said(monkeypatch: pytest.MonkeyPatch):
+    """In the result and on the console, with what is reached and what is wanted."""
+    monkeypatch.setattr(scene_hbm, "FIRST_HARMONICS", 3)
+    monkeypatch.setattr(hbm_convergence, "most_harmonics", lambda num_contacts: 4)
+    narrow: dict[str, Any] = {"frequency": {"from": 0.93, "to": 0.935}, "stability": False}
+    loaded = load_scene(scene(harmonics="auto", time_samples=256, **narrow))
+    outcome = followed_study(loaded, Execution())
+    (said,) = re.findall(
+        r"auto ends at 4 harmonics: .* add up to (\S+) of the amplitude, where 0.0001 is wanted",
+        outcome.groups[""].attrs["notes"],
+    )
+    assert float(said) > NEGLECTED
+    assert outcome.groups[""].attrs["notes"] in outcome.summary
 
 
 @pytest.mark.parametrize("harmonics", ["auto", 12])

@@ -134,8 +134,9 @@ def stored_energy(model: Model, q: np.ndarray, p: np.ndarray, w: np.ndarray, sta
     """Kinetic and elastic energy of structure and contacts, shape (N,), from states with N as the first axis."""
     structure, law = model.structure, law_class(model.contacts)
     energy = 0.5 * (p**2 @ structure.mass + q**2 @ structure.stiffness)
-    for index, (contact, shape) in enumerate(zip(model.contacts, model.contact_shape, strict=True)):
-        for part in law.stored_energy(contact, q @ shape.T, w[:, index], state[:, index]):
+    shapes = model.contact_shape
+    for c in model.summation_order:
+        for part in law.stored_energy(model.contacts[c], q @ shapes[c].T, w[:, c], state[:, c]):
             energy = energy + part
     return energy
 

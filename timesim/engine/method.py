@@ -261,7 +261,9 @@ def _kvaerno5(rtol: float, atol: float) -> Implicit:
     # slip begins at n = 0 the Jacobian changes over any step, however short: diffrax's own VeryChord, which keeps it,
     # diverges there until the step is rounding (and takes 18 times as many steps elsewhere).
     root_finder: Any = optimistix.Newton(rtol=max(rtol * 1e-2, 1e-13), atol=max(atol * 1e-2, 1e-14))
-    return Implicit(order=5, solver=diffrax.Kvaerno5(root_finder=root_finder), fallback=_explicit("tsit5"))
+    # Of its own loops over the stages only the plain one has a derivative in forward mode, which multipliers ask for.
+    solver = diffrax.Kvaerno5(root_finder=root_finder, scan_kind="lax")
+    return Implicit(order=5, solver=solver, fallback=_explicit("tsit5"))
 
 
 def step_method(solver: Solver) -> Method:

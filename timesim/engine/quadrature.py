@@ -61,14 +61,15 @@ def _length_of_part(system: System, steps: Step) -> float:
 
     A vibration ``a cos(omega t)`` leaves it by ``a (omega h)^6 / 46,080`` (Hairer, Norsett & Wanner, Solving Ordinary
     Differential Equations I, section II.6, for the interpolation error): a fast mode may be followed in few parts where
-    it hardly moves.
+    it hardly moves. What decays fast of an overdamped mode is known by its velocity; the rest of it creeps.
     """
     stiffness, damping = (np.asarray(x) for x in diagonals(system))
-    rate = np.maximum(np.maximum(np.sqrt(stiffness), damping), 1.0)
+    natural = np.sqrt(stiffness)
+    rate = np.maximum(np.maximum(natural, damping), 1.0)
     ends = ((steps.start.q, steps.end.q), (steps.start.p, steps.end.p))
     q, p = (np.abs(np.concatenate(pair)).max(axis=0) for pair in ends)
-    size = np.maximum(q, p / rate)
-    allowed = 46_080 * FOLLOWED * max(size.max(), 1e-300) / np.maximum(size, 1e-300)
+    vibration = np.where(damping > 2 * natural, p / rate, np.maximum(q, p / rate))
+    allowed = 46_080 * FOLLOWED * max(q.max(), (p / rate).max(), 1e-300) / np.maximum(vibration, 1e-300)
     return float((allowed ** (1 / 6) / rate).min())
 
 

@@ -33,7 +33,8 @@ class Status(enum.IntEnum):
     BUDGET = (
         3,
         "the budget of {budget} steps a cycle is spent",
-        "Raise solver.max_steps, keep fewer modes (structure.keep_modes), or try solver.method: kvaerno5",
+        "Raise solver.max_steps, keep fewer modes (structure.keep_modes), or try solver.method: exponential "
+        "or kvaerno5",
     )
     NOT_FINITE = (
         4,

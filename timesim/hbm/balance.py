@@ -37,6 +37,8 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 # Solutions whose contacts are evaluated together: a fixed number, so that not every curve compiles anew.
 BATCH = 16
+UNDAMPED = 1e-6
+"""Loss of a mode at resonance, over its stiffness, up to which its response there is too large for a balance."""
 
 
 @dataclass(frozen=True)
@@ -111,8 +113,9 @@ class Balance:
         self.load[excited.harmonic[kept]] = (excited.cosine - 1j * excited.sine)[kept] / root
         self.damping = structure.damping / (np.outer(root, root) if structure.damping.ndim == 2 else root**2)
         # Stiffness added to the structure at its contacts and taken from their forces again: without it modes of
-        # frequency zero make the structure singular.
-        supported = self.damping.ndim == 2 or np.any(structure.omega == 0)
+        # frequency zero make the structure singular, and those with next to no damping in resonance.
+        omega = structure.omega
+        supported = self.damping.ndim == 2 or np.any((omega == 0) | (self.damping <= UNDAMPED * omega))
         self.support = contact_stiffness(model, np.full(model.num_contacts, float(supported)))
 
     def linear(self, frequency: float) -> LinearResponse:

@@ -15,7 +15,7 @@ from timesim.hbm.balance import Array, Balance
 from timesim.hbm.continuation import Controls, solve
 from timesim.hbm.curve import HbmCurve
 from timesim.hbm.period import contact_forces
-from timesim.hbm.scheme import MIN_SAMPLES, Scheme, enough_samples, most_harmonics
+from timesim.hbm.scheme import MIN_SAMPLES, NEGLECTED, Scheme, enough_samples, most_harmonics
 from timesim.model.model import Model
 from timesim.orbit.fourier import half_range, to_coefficients, to_phasors
 from timesim.orbit.steady_state import switches
@@ -26,28 +26,36 @@ MAX_DOUBLINGS = 15  # of one time sample
 ENOUGH = 1e-5
 
 
-# Share of a contact force that may depend on where the samples lie, share of the amplitude that harmonics above those
-# balanced may add, and the solutions that are looked at.
-SAMPLED, NEGLECTED, LOOKED_AT = 1e-3, 1e-4, 12
+# Share of a contact force that may depend on where the samples lie, and the solutions that are looked at.
+SAMPLED, LOOKED_AT = 1e-3, 12
 # Shift of the samples, as a share of their distance, that shows it.
 SHIFT = 0.38
 # How many times as many samples are taken where they are too few, and the most that the program chooses.
 FINER, MOST_SAMPLES = 4, 2048
 
 
-def finer_scheme(
-    model_at: Callable[[float], Model], curve: HbmCurve, scheme: Scheme, chosen: Collection[str]
-) -> Scheme | None:
-    """A scheme that suffices where that of a curve does not.
+@dataclass(frozen=True)
+class Verdict:
+    """Whether the scheme of a curve suffices.
+
+    Attributes:
+        finer: one that does; None where that of the curve is enough, or where no finer one is chosen.
+        neglected: share of the amplitude that harmonics above those balanced would add; 0 where they are given.
+    """
+
+    finer: Scheme | None
+    neglected: float = 0.0
+
+
+def verdict_on(model_at: Callable[[float], Model], curve: HbmCurve, scheme: Scheme, chosen: Collection[str]) -> Verdict:
+    """Whether the scheme of a curve suffices, and one that does.
 
     Args:
         model_at: the model for a value of the curve's parameter.
         curve, scheme: the solutions, and what they are computed with.
         chosen: the keys of the scheme that may be changed.
-
-    Returns:
-        The scheme; None where that of the curve is enough, or where no finer one is chosen.
     """
+    above = 0.0
     rows = np.flatnonzero(switches(curve.slip_share, curve.separation_share).any(axis=1))
     rows = np.unique(rows[np.linspace(0, rows.size - 1, LOOKED_AT).round().astype(int)]) if rows.size else rows
     if "harmonics" in chosen and rows.size:
@@ -55,13 +63,15 @@ def finer_scheme(
         most = max(most_harmonics(curve.slip_share.shape[1]), scheme.harmonics)
         # Half of it, since more harmonics make short contacts shorter.
         wanted = min(int(np.argmax(np.append(left <= NEGLECTED / 2, True))), most)
-        if left[scheme.harmonics] > NEGLECTED and wanted > scheme.harmonics:
+        above = float(left[scheme.harmonics])
+        if above > NEGLECTED and wanted > scheme.harmonics:
             least = enough_samples(wanted) if "time_samples" in chosen else 4 * wanted
-            return Scheme(wanted, max(scheme.time_samples, least))
+            return Verdict(Scheme(wanted, max(scheme.time_samples, least)), above)
     samples = FINER * scheme.time_samples
     if "time_samples" not in chosen or samples > MOST_SAMPLES or not rows.size:
-        return None
-    return replace(scheme, time_samples=samples) if sampling_error(model_at, curve, scheme, rows) > SAMPLED else None
+        return Verdict(None, above)
+    few = sampling_error(model_at, curve, scheme, rows) > SAMPLED
+    return Verdict(replace(scheme, time_samples=samples) if few else None, above)
 
 
 def neglected(model_at: Callable[[float], Model], curve: HbmCurve, scheme: Scheme, rows: NDArray[np.int64]) -> Array:

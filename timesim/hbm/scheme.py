@@ -13,6 +13,8 @@ MIN_SAMPLES = 16
 SAMPLES_PER_WAVE, ENOUGH_SAMPLES = 24, 256
 # Where the program chooses them: harmonics at first, and unknowns at most, beyond which a solution takes seconds.
 FIRST_HARMONICS, MOST_UNKNOWNS = 9, 400
+# Share of the amplitude that harmonics above those balanced may add.
+NEGLECTED = 1e-4
 
 
 class BalanceError(ValueError):

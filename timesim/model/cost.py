@@ -6,6 +6,8 @@
 Another machine, separation within the cycle and many transitions change them by a factor of two or three.
 """
 
+import math
+
 import numpy as np
 
 from timesim.model.model import Model
@@ -61,8 +63,8 @@ def cycles_to_settle(model: Model, criterion: Criterion, frequency: float) -> in
     """Cycles at a frequency [Hz] in which the mode that decays most slowly has decayed to the tolerance, or is shot."""
     structure = model.structure
     decay = 2 * np.pi * (structure.damping_ratio * structure.frequency)[structure.frequency > 0]
-    slowest = max(decay.min(initial=np.inf), 1e-300)
-    marched = -np.log(criterion.tolerance) * frequency / slowest
+    slowest = max(float(decay.min(initial=np.inf)), 1e-300)
+    marched = -math.log(criterion.tolerance) * frequency / slowest
     return int(np.ceil(min(marched, criterion.first_shot + SHOTS, criterion.max_cycles)))
 
 

@@ -28,7 +28,8 @@ def left_out(structure: Structure, still: np.ndarray, share: float) -> str:
 
 def straight(model: Model, live: np.ndarray, line: np.ndarray) -> Iterator[str]:
     """Contacts that move along a line of their plane."""
-    for c, (first, second) in zip(live, line, strict=True):
+    for row in np.argsort(live):
+        c, (first, second) = live[row], line[row]
         if model.contacts[c].friction > 0:
             where = f"along ({first:.6g}, {second:.6g}) of its plane"
             name = model.contacts[c].name

@@ -10,6 +10,7 @@ body 2 is ``(u1, u2, v)``, and ``v`` grows as the bodies press together.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -168,11 +169,38 @@ class Model:
             return np.zeros((0, 3, self.structure.num_modes))
         return np.stack([self._relative_shape(contact) for contact in self.contacts])
 
+    @cached_property
+    def summation_order(self) -> np.ndarray:
+        """Contacts by their numbers and not by their place, shape (C,).
+
+        Summed in this order, and computed side by side in it, they act the same to the last bit in whatever order a
+        scene lists them.
+        """
+        start, shapes = self.start, self.contact_shape
+        rows = [
+            np.concatenate(
+                [
+                    [
+                        c.friction,
+                        c.normal_stiffness,
+                        c.preload,
+                        *(value for _, value in sorted(c.law_parameters.items())),
+                        start.state[i],
+                    ],
+                    *(np.ravel(part) for part in (c.tangential_stiffness, shapes[i], start.slip[i], c.frame)),
+                ]
+            )
+            for i, c in enumerate(self.contacts)
+        ]
+        return np.lexsort(np.array(rows).T[::-1]) if rows else np.zeros(0, dtype=int)
+
     @property
     def stuck_omega(self) -> np.ndarray:
         """Circular natural frequencies with every contact stuck, ascending, shape (M,) [rad/time]."""
         stiffness = np.diag(self.structure.omega**2)
-        for contact, shape in zip(self.contacts, self.contact_shape / np.sqrt(self.structure.mass), strict=True):
+        shapes = self.contact_shape / np.sqrt(self.structure.mass)
+        for c in self.summation_order:
+            shape, contact = shapes[c], self.contacts[c]
             stiffness += shape[:2].T @ contact.tangential_stiffness @ shape[:2]
             stiffness += contact.normal_stiffness * np.outer(shape[2], shape[2])
         return np.sqrt(np.maximum(np.linalg.eigvalsh(stiffness), 0.0))

@@ -50,7 +50,7 @@ class Reduction:
     Attributes:
         model: the original.
         modes: modes kept, ascending; never none of all, shape (K,).
-        live: contacts that remain in the event loop, ascending, shape (L,).
+        live: contacts that remain in the event loop, shape (L,); these and the next two as in `Model.summation_order`.
         stuck: contacts proven to stick from start to end with w their start slip.
         apart: contacts proven never to touch.
         line: unit vector of the contact plane along which each live contact moves, shape (L, 2), where all
@@ -76,7 +76,7 @@ def reduction_of(model: Model, frequencies: Sequence[float], *, reduce: bool = T
             contact forces use the response at it; else they hold for every schedule, and are much wider.
         reduce: False keeps everything; so does a contact of another law than the cone, which the proofs do not know.
     """
-    every, none = np.arange(model.num_contacts), np.arange(0)
+    every, none = model.summation_order, np.arange(0)
     if not reduce or any(contact.law != CONE for contact in model.contacts):
         return Reduction(model, np.arange(model.structure.num_modes), every, none, none, None, ())
     scene = _normalised(model)
@@ -88,14 +88,18 @@ def reduction_of(model: Model, frequencies: Sequence[float], *, reduce: bool = T
     for part in parts:
         margins |= _proof(scene, part, omega)
     live = np.array([c for c in every if c not in margins], dtype=int)
-    stuck = np.array([c for c in sorted(margins) if scene.state[c] == STICK], dtype=int)
-    apart = np.array([c for c in sorted(margins) if scene.state[c] == SEPARATION], dtype=int)
+    stuck = np.array([c for c in every if c in margins and scene.state[c] == STICK], dtype=int)
+    apart = np.array([c for c in every if c in margins and scene.state[c] == SEPARATION], dtype=int)
     line = _line(scene, modes, live)
     findings = (
         *still,
         *(proven(model.contacts[c], margins[c], stuck=scene.state[c] == STICK) for c in sorted(margins)),
         *(() if line is None else straight(model, live, line)),
-        *(text for c in live for text in simplified(model.contacts[c], scene.shape[c], is_straight=line is not None)),
+        *(
+            text
+            for c in sorted(live)
+            for text in simplified(model.contacts[c], scene.shape[c], is_straight=line is not None)
+        ),
     )
     return Reduction(model, modes, live, stuck, apart, line, findings)
 
@@ -207,7 +211,7 @@ def _kept_modes(scene: _Scene, parts: list[_Part], frequency: float) -> tuple[np
     """Modes that something moves, and a sentence about those that nothing does."""
     structure = scene.model.structure
     floor = np.maximum(structure.omega, 2 * np.pi * frequency)
-    floor = np.where(floor > 0, floor, 1.0)
+    floor = np.where(floor**2 > 0, floor, 1.0)
     start = np.hypot(scene.displacement, scene.velocity / floor)
     scale = float(np.max(np.maximum(scene.force / floor**2, start), initial=0.0))
     reach = _reach(scene)

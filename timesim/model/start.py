@@ -97,9 +97,11 @@ def _equilibrium(physics: Model, closed: np.ndarray) -> tuple[np.ndarray, bool]:
     """Displacement with these contacts closed, and whether no force acts on a motion that nothing restrains."""
     matrix = np.diag(physics.structure.stiffness)
     force = physics.excitation.constant.copy()
-    for contact, shape, is_closed in zip(physics.contacts, physics.contact_shape, closed, strict=True):
+    shapes = physics.contact_shape
+    for c in physics.summation_order:
+        contact, shape = physics.contacts[c], shapes[c]
         carried = max(contact.preload, 0.0)
-        if not is_closed:
+        if not closed[c]:
             force += shape[2] * carried
             continue
         matrix += shape[:2].T @ contact.tangential_stiffness @ shape[:2]

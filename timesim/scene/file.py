@@ -119,16 +119,21 @@ def _missing(data: Mapping[str, Any], kinds: Kinds) -> Iterator[RuleError]:
 def json_schema(kinds: Kinds) -> dict[str, Any]:
     """JSON Schema of the scene file, for editors."""
     schema = file_type(kinds).model_json_schema()
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_without_null(schema)}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_for_editors(schema)}
 
 
-def _without_null(part: Any) -> Any:
-    """The same without the null that stands for an optional key, which a file leaves out."""
+BOUNDS = {"ge": "minimum", "le": "maximum"}
+"""Of a number that a validator reads first pydantic writes the bounds by its own names, which editors do not know."""
+
+
+def _for_editors(part: Any) -> Any:
+    """The same with bounds by their names, and without the null that stands for a key that a file leaves out."""
     if isinstance(part, list):
-        return [_without_null(item) for item in part if item != {"type": "null"}]
+        return [_for_editors(item) for item in part if item != {"type": "null"}]
     if not isinstance(part, dict):
         return part
-    kept = {key: _without_null(item) for key, item in part.items() if key != "default" or item is not None}
+    given = {BOUNDS.get(key, key): item for key, item in part.items() if key != "default" or item is not None}
+    kept = {key: _for_editors(item) for key, item in given.items()}
     (one,) = kept.pop("anyOf") if len(kept.get("anyOf", ())) == 1 else ({},)
     return kept | one
 

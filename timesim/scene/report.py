@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from timesim.hbm.scheme import most_harmonics
+from timesim.hbm.scheme import NEGLECTED, most_harmonics
 from timesim.model.cost import (
     SETTLING,
     SOLUTIONS,
@@ -124,8 +124,9 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
     if balance is not None:
         curves = prod(map(len, balance.over.values())) * (1 + balance.both_ends)
         scheme, most = balance.scheme_for(model), most_harmonics(model.num_contacts)
-        if "harmonics" in balance.chosen and most > scheme.harmonics:
-            lines.append(f"{scheme}, and up to {most} harmonics where they are needed")
+        if "harmonics" in balance.chosen:
+            more = f", and up to {most} harmonics where they are needed" if most > scheme.harmonics else ""
+            lines.append(f"{scheme}{more}; where those above would add over {NEGLECTED:g} of the amplitude, it is said")
         own = seconds_a_solution(model, scheme.time_samples, stability=balance.stability)
         work = f"{SOLUTIONS} solutions of {_duration(own)}"
         lines.append(f"{curves} curves of harmonic balance of {work}: {_duration(curves * SOLUTIONS * own)}")

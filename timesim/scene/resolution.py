@@ -292,8 +292,8 @@ def _warnings(file: SceneFile, plan: Any, model: Model | None) -> Iterator[str]:
     yield from model.notes
     yield from _still_parts(file, model)
     yield from _large_numbers(plan, model)
-    highest = (frequency or 0.0) * model.excitation.harmonic.max()
-    ratio = model.structure.frequency[-1] / highest if highest else 0.0
+    highest = (frequency or 0.0) * float(model.excitation.harmonic.max())
+    ratio = float(model.structure.frequency[-1]) / highest if highest else 0.0
     if ratio > FAR_ABOVE and not hasattr(file.structure, "modes"):
         keep = max(1, int(np.sum(model.structure.frequency <= 20 * highest)))
         top = f"{model.structure.frequency[-1]:.6g} Hz, {ratio:.3g} times the excitation"

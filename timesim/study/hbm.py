@@ -13,10 +13,10 @@ from xarray import Dataset
 from timesim.fault import RuleError
 from timesim.hbm.branches import SettledMotion, curves_from_both_ends, isolated_curves
 from timesim.hbm.continuation import Controls, Ending
-from timesim.hbm.convergence import Convergence, Known, convergence, finer_scheme
+from timesim.hbm.convergence import Convergence, Known, Verdict, convergence, verdict_on
 from timesim.hbm.curve import HbmCurve, hbm_curve
 from timesim.hbm.parameter import parameter_curve
-from timesim.hbm.scheme import Scheme
+from timesim.hbm.scheme import NEGLECTED, Scheme
 from timesim.model.model import Model
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.steady_state import switches
@@ -106,9 +106,14 @@ class Curves:
     def _follow(self, values: dict[str, float], sweeps: Sequence[Sweep], growth: "Growth") -> None:
         """The curves of a set of values."""
         curves = list(self._from_ends(values, growth))
-        while (scheme := self._finer(curves)) is not None:
-            self._refine(scheme.harmonics, scheme.time_samples)
+        while (verdict := self._verdict(curves)).finer is not None:
+            self._refine(verdict.finer.harmonics, verdict.finer.time_samples)
             curves = list(self._from_ends(values, growth))
+        if verdict.neglected > NEGLECTED:
+            self.notes.append(
+                f"{in_words(values, ': ')}auto ends at {self.scheme.harmonics} harmonics: those above would add up to "
+                f"{verdict.neglected:.1e} of the amplitude, where {NEGLECTED:g} is wanted; set harmonics to more"
+            )
         for curve in curves:
             self._add(curve)
         for sweep in sweeps:
@@ -116,14 +121,15 @@ class Curves:
                 self.notes.append(_isolated(curve))
                 self._add(curve)
 
-    def _finer(self, curves: Sequence[StudyCurve]) -> Scheme | None:
-        """With what curves are worth following again, if with anything."""
+    def _verdict(self, curves: Sequence[StudyCurve]) -> Verdict:
+        """With what curves are worth following again, if with anything, and what the harmonics leave out."""
         chosen, endings = self.plan.chosen, [curve.curve.ending for curve in curves]
         if not chosen or Ending.INTERRUPTED in endings:
-            return None
-        wanted = [finer_scheme(curve.model_at, curve.curve, self.scheme, chosen) for curve in curves]
-        schemes = [scheme for scheme in wanted if scheme is not None]
-        return max(schemes, key=lambda scheme: (scheme.harmonics, scheme.time_samples), default=None)
+            return Verdict(None)
+        own = [verdict_on(curve.model_at, curve.curve, self.scheme, chosen) for curve in curves]
+        finer = [one.finer for one in own if one.finer is not None]
+        finest = max(finer, key=lambda scheme: (scheme.harmonics, scheme.time_samples), default=None)
+        return Verdict(finest, max(one.neglected for one in own))
 
     def _refine(self, harmonics: int, time_samples: int = 0) -> None:
         """Take more harmonics and samples from now on; those that curves before do not have are zero."""
@@ -282,6 +288,8 @@ def followed(
     refined = convergence(curves.to_refine(), curves.scheme) if plan.convergence and reason is None else None
     seconds = time.perf_counter() - clock
     attrs = attributes(scene, str(curves.scheme), compiling, seconds, reason)
+    if curves.notes:
+        attrs["notes"] = "\n".join(curves.notes)
     return solutions(scene.model(), curves, attrs, refined), curves, reason
 
 
