@@ -91,8 +91,7 @@ def unknown(totals: CycleTotals, why: str) -> Estimate:
 
 def companion_of(run: Run) -> Run:
     """The companion of a run, at its start; it takes the same compiled program."""
-    companion = Run(run.model, run.phases, coarser(run.solver), run.method)
-    return companion
+    return Run(run.model, run.phases, coarser(run.solver), run.method)
 
 
 def estimate(run: Run, totals: CycleTotals, companion: Run, show: Callable[[Run], None]) -> Estimate:

@@ -6,6 +6,7 @@ A call advances by a number of cycles, or until its record of steps is full: mem
 import timesim.runtime  # noqa: F401  isort: skip
 
 from functools import partial
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -19,6 +20,8 @@ from timesim.engine.solver import Control
 from timesim.engine.status import Status
 from timesim.engine.step import Step, Trajectory, try_step
 
+D = TypeVar("D", bound=Dynamics)
+
 
 @eqx.filter_jit
 def advance(
@@ -29,7 +32,7 @@ def advance(
     Returns:
         The trajectory, the accepted steps (leading axis ``capacity``), and how many there are.
     """
-    dynamics = method.prepared(dynamics.single(), control.longest)
+    dynamics = alone(method, control, dynamics)
     blank = jax.eval_shape(partial(try_step, method, control, dynamics), start)[1]
     record = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), blank)
 
@@ -54,6 +57,12 @@ def one_by_one(method: Method, dynamics: Dynamics) -> bool:
     return method.one_by_one or dynamics.wide
 
 
+def alone(method: Method, control: Control, dynamics: D) -> D:
+    """The system for a trajectory that is advanced by itself, with what the method needs of it."""
+    prepared: D = method.prepared(dynamics.single(), control.longest)
+    return prepared
+
+
 @eqx.filter_jit
 def march(
     method: Method, control: Control, dynamics: Dynamics, start: Trajectory, cycles: Int[Array, " batch"]
@@ -75,8 +84,12 @@ def march(
     size = cycles.shape[0]
     if one_by_one(method, dynamics):
         own = jax.tree.map(lambda leaf: leaf if leaf.ndim else jnp.broadcast_to(leaf, size), control)
-        alone = partial(_marched, method, over=by_itself)
-        return jax.lax.map(lambda lane: alone(lane[0], lane[1].single(), *lane[2:]), (own, dynamics, start, cycles))
+
+        def march_one(lane: tuple) -> tuple[Trajectory, Array]:
+            control, dynamics, start, cycles = lane
+            return _marched(method, control, alone(method, control, dynamics), start, cycles, by_itself)
+
+        return jax.lax.map(march_one, (own, dynamics, start, cycles))
     if size <= SIDE_BY_SIDE:
         return _march_together(method, control, dynamics, start, cycles)
     lanes = (jnp.arange(-(-size // SIDE_BY_SIDE) * SIDE_BY_SIDE) % size).reshape(-1, SIDE_BY_SIDE)
@@ -104,8 +117,6 @@ def _marched(
     method: Method, control: Control, dynamics: Dynamics, start: Trajectory, cycles: Array, over: Over
 ) -> tuple[Trajectory, Array]:
     """`march` with the batch last, or of one trajectory."""
-    if over is by_itself:
-        dynamics = method.prepared(dynamics, control.longest)
     attempt = partial(over(partial(try_step, method)), control, dynamics)
 
     def running(now: Trajectory) -> Array:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from timesim.engine.event_loop import one_by_one
+from timesim.engine.event_loop import alone, one_by_one
 from timesim.engine.lanes import Over, advance_lanes, batch_first, batch_last, by_itself, over_lanes
 from timesim.engine.method import Method, step_method
 from timesim.engine.solver import Control
@@ -31,6 +31,9 @@ from timesim.orbit.monodromy import HybridState, Tries, derivative, state_vector
 SIZES = (4, 16)  # of a batch: few, so that little is compiled
 CAPACITY = 256  # tries of one call that records
 PIECE = 32  # most steps whose derivative is one piece of work: 16 of them take longer than to prepare them
+
+Problem = tuple[Control, System, Any]
+"""Of one trajectory or of a batch: control, system, and where it goes on from."""
 
 
 def _unfinished(now: Trajectory, cycles: Any) -> Any:
@@ -48,22 +51,20 @@ def march_cycles(
     """
     problem = (controls, systems, starts)
     if one_by_one(method, systems):
-        return jax.lax.map(lambda lane: _marched(method, _single(lane), num_cycles, by_itself), problem)
+        return jax.lax.map(lambda lane: _marched(method, _alone(method, lane), num_cycles, by_itself), problem)
     end, returns = _marched(method, batch_last(problem), num_cycles, over_lanes)
     return batch_first(end), jnp.moveaxis(returns, -1, 0)
 
 
-def _single(problem: tuple[Control, System, Any]) -> tuple[Control, System, Any]:
-    controls, systems, starts = problem
-    return controls, systems.single(), starts
+def _alone(method: Method, problem: Problem) -> Problem:
+    """The problem of one of a batch that is advanced by itself."""
+    control, system, start = problem
+    return control, alone(method, control, system), start
 
 
-def _marched(
-    method: Method, problem: tuple[Control, System, HybridState], num_cycles: int, over: Over
-) -> tuple[Trajectory, Array]:
+def _marched(method: Method, problem: Problem, num_cycles: int, over: Over) -> tuple[Trajectory, Array]:
     """`march_cycles` with the batch last, or of one trajectory."""
     controls, systems, starts = problem
-    systems = over(method.prepared)(systems, controls.longest)
     now = over(begin)(systems, starts.point, starts.state, controls.opening)
     attempt = partial(over(partial(try_step, method)), controls, systems)
     vectors = over(lambda now: state_vector(now.point, now.state))
@@ -95,19 +96,18 @@ def record_cycles(
     """
     problem = (controls, systems, now)
     if one_by_one(method, systems):
-        alone = partial(_kept, method, capacity=capacity, over=by_itself)
-        end, (rows, taken, count) = jax.lax.map(lambda lane: alone(_single(lane[0]), lane[1]), (problem, cycles))
+        one = partial(_kept, method, capacity=capacity, over=by_itself)
+        end, (rows, taken, count) = jax.lax.map(lambda lane: one(_alone(method, lane[0]), lane[1]), (problem, cycles))
         return end, Tries(*batch_last((rows, taken)), count.max())
     end, tries = _kept(method, batch_last(problem), cycles, capacity, over_lanes)
     return batch_first(end), Tries(*tries)
 
 
 def _kept(
-    method: Method, problem: tuple[Control, System, Trajectory], cycles: Array, capacity: int, over: Over
+    method: Method, problem: Problem, cycles: Array, capacity: int, over: Over
 ) -> tuple[Trajectory, tuple[Step, Array, Array]]:
     """`record_cycles` with the batch last, or of one trajectory: its end, and the parts of `Tries`."""
     controls, systems, now = problem
-    systems = over(method.prepared)(systems, controls.longest)
     now = eqx.tree_at(lambda t: t.rate, now, over(System.field)(systems, now.state, now.time, now.point))
     attempt = partial(over(partial(try_step, method)), controls, systems)
     blank = jax.eval_shape(attempt, now)[1]

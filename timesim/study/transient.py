@@ -78,9 +78,10 @@ def _carried(scene: Scene, solver: Solver, execution: Execution, first: _Carried
     run = Run(scene.model(), [Phase(*phase) for phase in plan.phases], solver)
     run.time = float(plan.edges()[0])
     recorder = Recorder(run, plan)
-    reason = _advance(recorder, execution)
+    estimated = scene.file.solver.estimate_error
+    reason = _advance(recorder, execution, (1 + COMPANION * estimated) * run.num_cycles)
     compiling = run.compile_seconds if first is None else first.compiling
-    if not scene.file.solver.estimate_error:
+    if not estimated:
         return _Carried(recorder, reason, None, compiling)
     if first is not None and first.error is not None and first.error.proportional and reason is None:
         before = first.recorder
@@ -103,13 +104,13 @@ def _record(scene: Scene, done: _Carried, seconds: float) -> Dataset:
     return dataset(variables, {"time": times}, attrs, run.model)
 
 
-def _advance(recorder: Recorder, execution: Execution) -> str | None:
-    """Advance a run to its end; why it ended early, if it did."""
+def _advance(recorder: Recorder, execution: Execution, whole: float) -> str | None:
+    """Advance a run to its end, of work as long as ``whole`` cycles; why it ended early, if it did."""
     run = recorder.run
     try:
         for steps in run.batches():
             recorder.add(steps)
-            execution.show(run.completed, (1 + COMPANION) * run.num_cycles, recorder.plan.place(run.completed))
+            execution.show(run.completed, whole, recorder.plan.place(run.completed))
     except RunError as error:
         return str(error)
     except KeyboardInterrupt:
