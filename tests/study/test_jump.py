@@ -154,6 +154,18 @@ def test_a_run_is_whole_where_its_estimate_is_interrupted() -> None:
     assert any("not known, interrupted" in line for line in outcome.summary)
 
 
+@pytest.mark.parametrize("estimated", [True, False])
+def test_the_progress_of_a_run_ends_with_all_of_it(estimated: bool) -> None:
+    shares: list[float] = []
+    solver = {"accuracy": "reference", "estimate_error": estimated}
+    carry_out(
+        load_scene(SHORT | {"solver": solver}),
+        Execution(progress=lambda done, whole, _="": shares.append(done / whole)),
+    )
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(1.0)
+
+
 def test_the_phase_of_the_excitation_is_continuous() -> None:
     """Against a march of the modal equations whose force follows the integral of the frequency."""
     free = scene() | {"contacts": []}
