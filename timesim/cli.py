@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -118,7 +118,7 @@ def _carry_out(loaded: Any, execution: Any, signals: "_Signals", *, plots: bool)
         pictures = draw(netcdf.joined(outcome.groups), output) if plots else []
     except StoreError as error:
         faults.append(f"{error}\nthe result is saved; timesim plot {output} draws the pictures again")
-    print(f"result: {path}" + (f" and {len(pictures)} pictures" if pictures else ""))
+    print(_written(path, pictures))
     if faults:
         _stop(1, "\n".join(faults))
 
@@ -201,7 +201,7 @@ def show(
         pictures = draw(point.motion, place)
     except (OSError, StoreError) as error:
         _stop(1, str(error))
-    print(f"result: {place / netcdf.RESULT_NAME} and {len(pictures)} pictures")
+    print(_written(place / netcdf.RESULT_NAME, pictures))
     if point.reason is not None:
         _stop(1, f"incomplete: {point.reason}")
 
@@ -233,6 +233,11 @@ def _safe_chunks(output: Path) -> str:
     done = checkpoint.chunks_done(output)
     folder = output / checkpoint.FOLDER_NAME
     return f"; the {done} chunks done are safe in {folder}, and --resume goes on with them" if done else ""
+
+
+def _written(result: Path, pictures: Sequence[Path]) -> str:
+    """Where a result is, and how many pictures lie beside it."""
+    return f"result: {result}" + (f" and {len(pictures)} picture{'s' * (len(pictures) > 1)}" if pictures else "")
 
 
 def _incomplete(reason: str, output: Path, path: Path) -> str:
