@@ -249,7 +249,7 @@ def _offsets(law: ConeLaw, dense: Motion) -> Offset:
 
 
 def _apart(law: ConeLaw, dense: Motion) -> NDArray[np.bool_]:
-    """Which contacts are apart all along: between two samples v rises by less than an eighth of its second difference."""
+    """Which contacts are apart all along: v rises between two samples by less than its second difference."""
     bend = np.abs(np.roll(dense.v, -1, axis=0) - 2 * dense.v + np.roll(dense.v, 1, axis=0)).max(axis=0)
     highest = np.asarray(dense.v).max(axis=0) + bend / 4
     return np.asarray(law.preload) + np.asarray(law.normal_stiffness) * highest < 0

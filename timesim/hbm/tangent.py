@@ -175,13 +175,13 @@ def _working(law: ConeLaw, basis: Basis, motion: Motion, period: ClosedPeriod) -
 def _stuck(law: ConeLaw, basis: Basis, coefficient: Array64, stuck: Offset) -> Array64:
     """The same of contacts that stick all along: their forces follow the motion, but for the offset."""
     num_contacts, _, size = coefficient.shape
-    weights = [
-        offset_slope(part_of(law, lanes), part_of(stuck, lanes).force, dense_motion_of(basis, coefficient[lanes]))
-        for lanes in in_lanes(num_contacts)
-    ]
-    whole = np.concatenate([np.asarray(part) for part in weights], axis=2)[:, :, :num_contacts]
     elastic = np.zeros((2, num_contacts, size, 3, size))
-    elastic[:, :, 0] = np.einsum("itca,tk->icak", whole, basis.dense, optimize=True)
+    # An offset that is zero stays so.
+    moved = np.flatnonzero(np.any(stuck.force, axis=0))
+    for lanes in in_lanes(moved.size):
+        own = moved[lanes]
+        weight = offset_slope(part_of(law, own), part_of(stuck, own).force, dense_motion_of(basis, coefficient[own]))
+        elastic[:, own, 0] = np.einsum("itca,tk->icak", np.asarray(weight), basis.dense, optimize=True)
     each = np.arange(size)
     for i in range(2):
         elastic[i, :, each, i, each] += 1.0
