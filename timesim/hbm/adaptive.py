@@ -15,8 +15,7 @@ from timesim.hbm.period import basis_of, forces_of, motion_of, period_of
 from timesim.hbm.scheme import NEGLECTED, Scheme
 from timesim.orbit.fourier import to_phasors
 
-# Share of `NEGLECTED` that harmonics may add which a solution does without again. Their sum exceeds the error of
-# the amplitude, by ten where no harmonic resounds (measured).
+# Share of `NEGLECTED` that harmonics may add which a solution does without again.
 SPARED = 0.7
 # Solutions after which the next one is asked what it leaves out.
 ASKED = 4
@@ -111,8 +110,12 @@ class AdaptiveBalance:
 
 
 def _above(size: Array) -> Array:
-    """What harmonics above each order add to a motion, relative to the largest, from the size of each of 0 ... H."""
-    return np.append(np.cumsum(size[:0:-1])[::-1], 0.0) / max(float(size[1:].max(initial=0.0)), 1e-300)
+    """What harmonics above each order add to a motion, relative to the largest, from the size of each of 0 ... H.
+
+    The root of the sum of their squares: where none of them resounds the sum is ten times the error of the amplitude.
+    """
+    square = np.append(np.cumsum(size[:0:-1] ** 2)[::-1], 0.0)
+    return np.sqrt(square) / max(float(size[1:].max(initial=0.0)), 1e-300)
 
 
 def tail(balance: Balance, x: Array, frequency: float) -> Array:

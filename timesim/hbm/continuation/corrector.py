@@ -84,7 +84,7 @@ class Controls:
     max_points: int = 5000
     tolerance: float = 1e-9
     max_newton: int = 8
-    turn: float = 0.2
+    turn: float = 0.15
     watch: Callable[[float, Callable[[], Any]], None] | None = None
 
     def __post_init__(self) -> None:
