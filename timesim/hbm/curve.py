@@ -29,7 +29,7 @@ from timesim.hbm.continuation import (
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.period import contact_forces
 from timesim.hbm.scheme import Scheme
-from timesim.hbm.stability import BORDER, NEAR_ONE, SAMPLES, floquet_multipliers
+from timesim.hbm.stability import BORDER, NEAR_ONE, floquet_multipliers
 from timesim.model.model import Model
 from timesim.orbit.fourier import half_range, phase_deg, to_phasors
 
@@ -269,7 +269,7 @@ def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmC
         phasor[i] = np.einsum("pam,hm->hpa", shape, balance.modes(x, forces[i], p))
     largest, grows = np.full(size, np.nan), np.zeros(size, dtype=bool)
     if stability:
-        multipliers = floquet_multipliers(balance, curve.x, curve.p, samples=max(SAMPLES, 4 * balance.scheme.harmonics))
+        multipliers = floquet_multipliers(balance, curve.x, curve.p)
         largest = np.abs(multipliers[:, 0])
         # Whether a real one has passed 1, as at a fold, the determinant tells exactly; a complex pair it does not see.
         at_one = (multipliers.imag == 0) & (np.abs(multipliers - 1) <= NEAR_ONE)
