@@ -40,12 +40,12 @@ class Parts(NamedTuple):
     """Parts of steps that are short for the fastest mode.
 
     Attributes:
-        whole: the step that each is part of.
+        step: number of the step that each is part of, shape (N,).
         start, end: times since the start of that step, shape (N,).
         first, last: whether it begins or ends the step.
     """
 
-    whole: Step
+    step: np.ndarray
     start: np.ndarray
     end: np.ndarray
     first: np.ndarray
@@ -60,12 +60,12 @@ def parts_of(system: System, steps: Step, rtol: float) -> Parts:
     assert steps.inside is not None
     whole = np.maximum(np.ceil(steps.inside.h / _length_of_part(system, steps, max(FOLLOWED * rtol, FINEST))), 1)
     num = np.maximum(np.ceil(steps.h * whole / steps.inside.h - NO_PART), 1).astype(int)
-    row = np.repeat(np.arange(num.size), num)
-    part = np.arange(row.size) - np.repeat(np.cumsum(num) - num, num)
-    start, end = (steps.inside.h[row] * (part + side) / whole[row] for side in (0, 1))
-    last = part + 1 == num[row]
-    end = np.where(last, steps.h[row], end)
-    return Parts(jax.tree.map(lambda rows: rows[row], steps), start, end, part == 0, last)
+    step = np.repeat(np.arange(num.size), num)
+    part = np.arange(step.size) - np.repeat(np.cumsum(num) - num, num)
+    start, end = (steps.inside.h[step] * (part + side) / whole[step] for side in (0, 1))
+    last = part + 1 == num[step]
+    end = np.where(last, steps.h[step], end)
+    return Parts(step, start, end, part == 0, last)
 
 
 def _length_of_part(system: System, steps: Step, followed: float) -> float:
@@ -99,60 +99,64 @@ def short_steps(system: System, steps: Step, rtol: float, *, energies: bool = Fa
     if steps.inside is None or not len(steps.h):
         return steps
     parts, system = parts_of(system, steps, rtol), system.single()
-    whole, first = parts.whole, parts.first
-    ends = _modes_at(system, whole, parts.end)
-    begins = _chosen(first, (whole.start.q, whole.start.p), _before(ends))
-    columns = (whole.state, whole.time, whole.start, whole.inside, (parts.start, parts.end), (begins, ends))
-    end, end_rate, work = _by_rows(_filled, (system, energies), columns)
-    start, start_rate = _chosen(first, (whole.start, whole.start_rate), _before((end, end_rate)))
-    end, end_rate = _chosen(parts.last, (whole.end, whole.end_rate), (end, end_rate))
+    ends = _modes_at(system, steps, parts)
+    begins = _begun(parts.first, (steps.start.q, steps.start.p), ends)
+    held = (steps.state, steps.time, steps.start, steps.inside)
+    columns = ((parts.start, parts.end), (begins, ends))
+    end, end_rate, work = _by_rows(_filled, (system, energies), columns, (held, parts.step))
+    start, start_rate = _begun(parts.first, (steps.start, steps.start_rate), (end, end_rate))
+    state = steps.state[parts.step]
+    after = state.copy()
+    _set(parts.last, (end, end_rate, after), (steps.end, steps.end_rate, steps.state_after))
     done = jax.tree.map(lambda each: np.cumsum(each, axis=0), work)
     end = eqx.tree_at(lambda y: y.work, end, done, is_leaf=lambda x: x is None)
-    after = np.where(parts.last[:, None], whole.state_after, whole.state)
-    where = lambda s: (s.time, s.h, s.start, s.start_rate, s.end, s.end_rate, s.state_after, s.inside)  # noqa: E731
-    new = (whole.time + parts.start, parts.end - parts.start, start, start_rate, end, end_rate, after, None)
-    short: Step = eqx.tree_at(where, whole, new, is_leaf=lambda x: x is None)
-    return short
+    time, length = steps.time[parts.step] + parts.start, parts.end - parts.start
+    return Step(steps.cycle[parts.step], time, length, start, start_rate, end, end_rate, state, after)
 
 
-def _before(ends: Any) -> Any:
-    """The end of the part before each."""
-    return jax.tree.map(lambda rows: np.roll(rows, 1, axis=0), ends)
+def _begun(first: np.ndarray, own: Any, ends: Any) -> Any:
+    """What parts begin with: the first of each step with its own, others with the end of the part before."""
+    begins = jax.tree.map(lambda rows: np.roll(rows, 1, axis=0), ends)
+    _set(first, begins, own)
+    return begins
 
 
-def _chosen(known: np.ndarray, own: Any, other: Any) -> Any:
-    """One tree where a row is known, else the other."""
-    return jax.tree.map(lambda a, b: np.where(known.reshape(-1, *[1] * (a.ndim - 1)), a, b), own, other)
+def _set(known: np.ndarray, rows: Any, own: Any) -> None:
+    """Put one row of each step where it is known."""
+    for target, values in zip(jax.tree.leaves(rows), jax.tree.leaves(own), strict=True):
+        target[known] = values
 
 
-def _modes_at(system: System, own: Step, span: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement and velocity of the modes at a time after the start of each step.
+def _modes_at(system: System, steps: Step, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement and velocity of the modes at the end of each part.
 
     The flow until there is the same for all steps of one length, and the dearest part: it is computed once.
     """
-    assert own.inside is not None
-    _, first, number = np.unique(span + 1j * own.inside.h, return_index=True, return_inverse=True)
-    flow = _by_rows(_flows, (*diagonals(system), own.inside.force.shape[1]), (span[first], own.inside.h[first]))
-    found: tuple[np.ndarray, np.ndarray] = _by_rows(
-        lambda number, *columns: _modes(system, jax.tree.map(lambda rows: rows[number], flow), *columns),
-        (),
-        (number, own.time, own.start, own.inside, span),
-    )
+    inside = steps.inside
+    assert inside is not None
+    pairs, number = np.unique(parts.end + 1j * inside.h[parts.step], return_inverse=True)
+    flow = _by_rows(_flows, (*diagonals(system), inside.force.shape[1]), (pairs.real, pairs.imag))
+    held = (steps.time, steps.start, inside)
+    found: tuple[np.ndarray, np.ndarray] = _by_rows(_modes, (system,), (parts.end,), (flow, number), (held, parts.step))
     return found
 
 
-def _by_rows(function: Callable[..., Any], common: tuple, columns: Any) -> Any:
-    """A compiled function of rows, of as many at a time as it is compiled for."""
+def _by_rows(function: Callable[..., Any], common: tuple, columns: tuple, *chosen: tuple[Any, np.ndarray]) -> Any:
+    """A compiled function of rows, of as many at a time as it is compiled for.
+
+    Args:
+        function: of what is common, the rows, and the rows that are chosen.
+        common: what all rows share.
+        columns: rows as they are.
+        chosen: rows, and which of them each row has. Chosen a few at a time they stay in the caches.
+    """
     size, found = len(jax.tree.leaves(columns)[0]), []
     for first in range(0, size, ROWS):
-        rows = jax.tree.map(lambda column: _padded(column[first : first + ROWS]), columns)  # noqa: B023
+        at = np.minimum(np.arange(first, first + ROWS), size - 1)
+        rows = [*jax.tree.map(operator.itemgetter(at), columns)]
+        rows += [jax.tree.map(operator.itemgetter(index[at]), table) for table, index in chosen]
         found.append(jax.tree.map(np.asarray, function(*common, *rows)))
     return jax.tree.map(lambda *rows: np.concatenate(rows)[:size], *found)
-
-
-def _padded(rows: np.ndarray) -> np.ndarray:
-    """As many rows as are compiled for, the last of them repeated."""
-    return rows if len(rows) == ROWS else rows[np.minimum(np.arange(ROWS), len(rows) - 1)]
 
 
 @partial(jax.jit, static_argnums=2)
@@ -161,11 +165,11 @@ def _flows(stiffness: Array, damping: Array, num: int, span: Array, h: Array) ->
 
 
 @jax.jit
-def _modes(system: System, flow: Weights, *columns: Any) -> tuple[Array, Array]:
-    def one(flow: Weights, time: Array, start: Point, inside: Inside, span: Array) -> tuple[Array, Array]:
-        return modes_after(system, time, start, inside, span, flow)
+def _modes(system: System, *columns: Any) -> tuple[Array, Array]:
+    def one(span: Array, flow: Weights, held: tuple[Array, Point, Inside]) -> tuple[Array, Array]:
+        return modes_after(system, *held, span, flow)
 
-    done: tuple[Array, Array] = jax.vmap(one)(flow, *columns)
+    done: tuple[Array, Array] = jax.vmap(one)(*columns)
     return done
 
 
@@ -174,8 +178,10 @@ def _filled(system: System, energies: bool, *columns: Any) -> tuple[Point, Point
     """State and rate at the end of each part, and the energies in it if they are asked for, by Lobatto's rule."""
 
     def one(
-        state: Array, time: Array, start: Point, inside: Inside, span: tuple[Array, Array], modes: tuple
+        span: tuple[Array, Array], modes: tuple, held: tuple[Array, Array, Point, Inside]
     ) -> tuple[Point, Point, Work | None]:
+        state, time, start, inside = held
+
         def at(since: Array, q: Array, p: Array, work: Work | None) -> tuple[Point, Point]:
             point = point_inside(system, (state, time, start), inside, since / inside.h, q, p)
             return point, system.field(state, time + since, Point(point.q, point.p, point.w, work))
