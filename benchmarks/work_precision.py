@@ -214,8 +214,7 @@ def measure(problem: Problem, entries: list[Entry], repeats: int, budget: float)
     ends = [timed(entry.run) for entry in entries]
     # What compiles nothing need not run twice where that takes long.
     taken = [
-        [first] if entry.family.startswith("scipy") else []
-        for entry, (_, first) in zip(entries, ends, strict=True)
+        [first] if entry.family.startswith("scipy") else [] for entry, (_, first) in zip(entries, ends, strict=True)
     ]
     for _ in range(repeats):
         for entry, (end, _), times in zip(entries, ends, taken, strict=True):
