@@ -111,7 +111,10 @@ def short_steps(system: System, steps: Step, rtol: float, *, energies: bool = Fa
     done = jax.tree.map(lambda each: np.cumsum(each, axis=0), work)
     end = eqx.tree_at(lambda y: y.work, end, done, is_leaf=lambda x: x is None)
     time, length = steps.time[parts.step] + parts.start, parts.end - parts.start
-    return Step(steps.cycle[parts.step], time, length, start, start_rate, end, end_rate, state, after)
+    rows = (steps.cycle[parts.step], time, length, start, start_rate, end, end_rate, state, after, None)
+    where = lambda s: (s.cycle, s.time, s.h, s.start, s.start_rate, s.end, s.end_rate, s.state, s.state_after, s.inside)  # noqa: E731
+    short: Step = eqx.tree_at(where, steps, rows, is_leaf=lambda x: x is None)
+    return short
 
 
 def _begun(first: np.ndarray, own: Any, ends: Any) -> Any:
