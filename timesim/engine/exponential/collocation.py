@@ -25,7 +25,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
 from timesim.engine.barrier import apart, matmul
-from timesim.engine.exponential.flow import weights
+from timesim.engine.exponential.flow import Weights, weights
 from timesim.engine.law.contact_law import Motion, Nodes, Plane, Scalar, State, Within
 from timesim.engine.law.rule import Rule
 from timesim.engine.system import Point, System, contact_force
@@ -241,16 +241,31 @@ def solve(
 @apart
 def state_inside(system: System, start: tuple[State, Array, Point], inside: Inside, x: Float[Array, ""]) -> Point:
     """The continuous state at a fraction of a step, from its start: state of the contacts, time and point."""
-    state, time, point = start
-    span, num = x * inside.h, inside.force.shape[0]
-    flow = weights(*diagonals(system), span, inside.h, num)
+    span = x * inside.h
+    flow = weights(*diagonals(system), span, inside.h, inside.force.shape[0])
+    q, p = modes_after(system, *start[1:], inside, span, flow)
+    return point_inside(system, start, inside, x, q, p)
+
+
+def modes_after(
+    system: System, time: Float[Array, ""], point: Point, inside: Inside, span: Float[Array, ""], flow: Weights
+) -> tuple[Array, Array]:
+    """Displacement and velocity of the modes at a time after the start of a step, by the flow until there."""
     steady = steady_of(system)
     (q0, p0), (q, p) = (steady.motion(system, t[None]) for t in (time, time + span))
     z, dz = point.q - q0, point.p - p0
     q = q + flow.q_q * z + flow.q_p * dz + sum(w * f for w, f in zip(flow.q_force, inside.force, strict=True))
     p = p + flow.p_q * z + flow.p_p * dz + sum(w * f for w, f in zip(flow.p_force, inside.force, strict=True))
+    return q, p
+
+
+def point_inside(
+    system: System, start: tuple[State, Array, Point], inside: Inside, x: Float[Array, ""], q: Array, p: Array
+) -> Point:
+    """The continuous state at a fraction of a step where the modes are known."""
+    state, _, point = start
     here = Point(q, p, point.w, None)
-    powers = x ** jnp.arange(num)
+    powers = x ** jnp.arange(inside.force.shape[0])
     inner = jax.tree.map(lambda c: powers @ c, inside.inner)
     return eqx.tree_at(lambda y: y.w, here, system.law.slip_inside(state, point.w, system.motion(here), inner))
 
