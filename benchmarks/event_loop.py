@@ -148,12 +148,12 @@ def marched(problem: Problem, batch: int, solver: Solver) -> Callable[[], Run]:
         for frame, system in zip(frames, systems, strict=True)
     ]
     systems, starts = (jax.tree.map(lambda *leaves: jnp.stack(leaves), *each) for each in (systems, starts))
-    cycles = jnp.full(batch, problem.cycles)
+    cycles, method, control = jnp.full(batch, problem.cycles), step_method(solver), step_control(solver, stiffest)
 
     def run() -> Run:
-        end, count = march(step_method(solver), step_control(solver, stiffest), systems, starts, cycles)
-        assert int(jnp.max(end.status)) == 0
-        first = jax.tree.map(lambda leaf: np.asarray(leaf)[0], end)
+        end, count = jax.tree.map(np.asarray, march(method, control, systems, starts, cycles))
+        assert np.max(end.status) == 0
+        first = jax.tree.map(lambda leaf: leaf[0], end)
         own = frames[0].start(first.point, first.state, 0.0)
         return Run(own.displacement, own.velocity, own.slip, own.state, int(count[0]), [])
 

@@ -1,4 +1,4 @@
-"""The scipy opponent of the benchmarks gives the reference states and transitions (this needs no numba)."""
+"""The opponents of the benchmarks are right, each to its order; those in numba are tested where it is."""
 
 import importlib
 import json
@@ -17,8 +17,8 @@ CASES = {"osc_n0=3_f=1.39": (3.0, 1.39), "osc_n0=-1_f=0.97": (-1.0, 0.97), "osc_
 def load(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     yield importlib.import_module
-    for name in ("problems", "opponents_scipy"):
-        sys.modules.pop(name, None)
+    for name in [name for name in sys.modules if name == "problems" or name.startswith("opponents_")]:
+        sys.modules.pop(name)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -57,3 +57,50 @@ def test_many_contacts_stick_slip_and_separate(load):
     assert ((share[:, 1] > 0.05) & (share[:, 1] < 0.97)).all(), share
     assert (share[:, 2] > 0.03).sum() == 3, share
     assert run.num_events > 6 * 12
+
+
+def test_scipy_as_most_write_it_meets_the_one_with_events(load):
+    """Its error is that of the places where a contact stops slipping, which it steps over."""
+    problems = load("problems")
+    model = problems.oscillator(3.0)
+    truth = load("opponents_scipy").simulate(model, 1.39, 3, rtol=1e-8)
+
+    run = load("opponents_plain").simulate(model, 1.39, 3, method="RK45", rtol=1e-6, steps_per_cycle=50)
+
+    assert truth.num_events > 5
+    assert problems.error(run, truth) < 1e-4
+    np.testing.assert_allclose(run.slip, truth.slip, atol=1e-4 * np.abs(truth.slip).max())
+    assert run.state.tolist() == truth.state.tolist()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("preload", "frequency"), [(3.0, 1.39), (-1.0, 0.97)])
+def test_opponents_in_numba_meet_the_others_at_their_order(load, preload: float, frequency: float):
+    pytest.importorskip("numba")
+    problems = load("problems")
+    what = (problems.oscillator(preload), frequency, 6)
+    truth = load("opponents_scipy").simulate(*what, rtol=1e-11, lag=3e-5)
+
+    def error(name: str, settings: dict[str, float]) -> float:
+        module, _, function = name.rpartition(".")
+        return float(problems.error(getattr(load(module), function)(*what, **settings), truth))
+
+    assert truth.num_events >= 10
+    for name, finest, order in (
+        ("opponents_numba.simulate", 400, 3.0),
+        ("opponents_capture.capture", 3200, 1.0),
+        ("opponents_capture.regularised", 12800, 1.0),
+    ):
+        coarse, fine = (error(name, {"steps_per_cycle": n}) for n in (finest // 4, finest))
+        assert np.log(coarse / fine) / np.log(4) > order - 0.3, (name, coarse, fine)
+    for rtol in (1e-4, 1e-6, 1e-8):
+        assert error("opponents_tsit5.simulate", {"rtol": rtol}) < 30 * rtol
+
+
+@pytest.mark.slow
+def test_cvode_meets_the_others(load):
+    pytest.importorskip("sksundae")
+    problems = load("problems")
+    what = (problems.oscillator(-1.0), 0.97, 6)
+    run = load("opponents_cvode").simulate(*what, rtol=1e-8)
+    assert problems.error(run, load("opponents_scipy").simulate(*what, rtol=1e-10)) < 1e-6

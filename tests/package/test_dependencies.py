@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
-MODULES = {"ruamel.yaml": "ruamel"}
+MODULES = {"ruamel.yaml": "ruamel", "scikit-sundae": "sksundae"}
 """Top modules of distributions that bear another name."""
 
 TOOLS = {"pytest-xdist", "beartype", "ruff", "mypy", "timesim"}
