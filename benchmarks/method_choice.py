@@ -145,7 +145,7 @@ def measured(case: Case, methods: list[str]) -> dict[str, Any]:
         for rtol in METHODS[name] if known < ERRORS[0] else ():
             own = timed(problem, Solver(name, rtol, 1e-2 * rtol, budget=1_000_000, reduce=False), true)
             trials.append(own)
-            if own["error"] < ERRORS[-1] or own["cycle"] * problem.cycles > LONGEST:
+            if own["error"] < ERRORS[-1] or (own["error"] < np.inf and own["cycle"] * problem.cycles > LONGEST):
                 break
     model, turn = problem.model, 2 * np.pi * problem.frequency
     about = {

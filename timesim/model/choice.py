@@ -97,7 +97,7 @@ TABLE = (
         accuracies=("draft", "standard"),
         share=(0.6, 0.8),
         compiling=(5.0, 15.0),
-        fast=2.0,
+        fast=1.5,
     ),
 )
 
