@@ -18,8 +18,9 @@ import numpy as np
 from jaxtyping import Array
 
 from timesim.engine import dense_output as hermite
-from timesim.engine.exponential.collocation import Inside, diagonals, modes_after, point_inside
+from timesim.engine.exponential.collocation import Inside, modes_after, point_inside
 from timesim.engine.exponential.flow import Weights, weights
+from timesim.engine.exponential.steady import diagonals
 from timesim.engine.law.contact_law import ContactLaw, Motion, Scalar
 from timesim.engine.step import Step
 from timesim.engine.system import Point, System, Work, power_lost
