@@ -224,8 +224,8 @@ class BalanceSection(StudySection):
     cone_only: ClassVar[bool] = True
 
     harmonics: Harmonics = "auto"
-    """Highest harmonic of the excitation frequency that is balanced, the mean beside them; auto: 9, and more where
-    those above would add more than 1e-4 of the amplitude, up to a number that `check` names."""
+    """Highest harmonic of the excitation frequency that is balanced, the mean beside them; auto: 9, and more at each
+    solution where those above would add more than 1e-4 of the amplitude, up to a number that `check` names."""
     time_samples: TimeSamples = "auto"
     """Samples of a period on which the contact forces are evaluated; at least 16, and 4 a harmonic; auto: 256, or more
     from 11 harmonics on, and four times as many where a contact force still depends on where they lie."""
