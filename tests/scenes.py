@@ -258,7 +258,7 @@ def _along(study: dict[str, Any]) -> None:
 
 def _solver(solver: dict[str, Any]) -> None:
     """An accuracy, or a method with its own numbers."""
-    if "accuracy" in solver or "method" not in solver:
+    if "accuracy" in solver or solver.get("method", "auto") == "auto":
         solver.pop("method", None)
         unused = ("rtol", "atol", "steps_per_cycle")
     else:

@@ -18,7 +18,7 @@ from timesim.fault import RuleError, SceneError
 from timesim.model.cost import cycles_to_settle
 from timesim.model.model import SEPARATION, SLIP, STICK
 from timesim.model.solver import NEVER, SHOOT, SLOW, Criterion
-from timesim.scene.report import advised_method, contact_line, describe
+from timesim.scene.report import contact_line, describe
 from timesim.scene.text import MAX_BYTES, parse, yaml_text
 from timesim.study.registry import json_schema, load_scene
 
@@ -368,6 +368,8 @@ def test_solver_defaults():
         return load_scene(BASE.replace("  accuracy: standard", f"  {text}")).file.solver
 
     assert (solver("reduce: false").accuracy, solver("reduce: false").reduce) == ("standard", False)
+    assert (solver("reduce: false").method, solver("method: tsit5").accuracy) == ("auto", None)
+    assert solver("{accuracy: draft, method: auto}") == solver("accuracy: draft")
     assert (solver("method: tsit5").rtol, solver("method: tsit5").atol) == (1e-8, 1e-10)
     assert solver("{method: kvaerno5, rtol: 1e-6}").atol == pytest.approx(1e-8)
     assert solver("{method: rk4}").steps_per_cycle == 200
@@ -627,7 +629,7 @@ def test_describe_says_what_is_promised_and_by_which_tolerances():
     )
 
 
-def test_describe_counts_points_and_advises_at_the_lowest_frequency():
+def test_describe_counts_points_and_names_the_method_at_the_lowest_frequency():
     def report(*overrides: str) -> dict[str, tuple[str, ...]]:
         return describe(load_scene(BASE, overrides))
 
@@ -637,7 +639,7 @@ def test_describe_counts_points_and_advises_at_the_lowest_frequency():
     written = "direction both, frequency {from: 1.0, to: 2.0, step: 0.5}"
     assert study.startswith(f"study: kind sweep, {written}, over {{contacts.pad.preload: [0.0, 1.0, 2.0, …, 8.0]}}, ")
     assert points == "points: 3 frequencies x 9 values of contacts.pad.preload x 2 directions = 54 points"
-    (advice,) = headings["advised method"]
+    (advice,) = headings["method"]
     assert advice.startswith("tsit5: ")
     assert advice.endswith("(at 1 Hz, the lowest, where it asks most)")
     assert "points: 3 frequencies" in report("study={kind: sweep, frequency: {values: [1, 2, 3]}}")["scene"]
@@ -646,10 +648,10 @@ def test_describe_counts_points_and_advises_at_the_lowest_frequency():
         "points: 41 frequencies x 2 directions = 82 points in the sweeps, and the search for the ends"
         in ranges["scene"]
     )
-    assert "at 1 Hz" in ranges["advised method"][0]
+    assert "at 1 Hz" in ranges["method"][0]
     jump = report("study={kind: jump, phases: [{frequency: 2, cycles: 3}, {frequency: 1.5, cycles: 3}]}")
-    assert "at 1.5 Hz" in jump["advised method"][0]
-    assert "advised method" not in report("study={kind: hbm, frequency: {from: 1, to: 2}, harmonics: 7}")
+    assert "at 1.5 Hz" in jump["method"][0]
+    assert "method" not in report("study={kind: hbm, frequency: {from: 1, to: 2}, harmonics: 7}")
 
 
 def test_describe_contacts():
@@ -739,15 +741,6 @@ def test_a_force_that_acts_on_nothing_is_worth_a_warning():
     ]
     forces[1]["amplitude"] = 0
     assert load_scene(one_mass(excitation=excitation)).warnings() == []
-
-
-def test_advised_method_follows_the_fastest_rate():
-    model = load_scene(one_mass()).model()
-    assert model.stuck_rate == pytest.approx(np.sqrt(K + 20))
-    assert advised_method(model).steps_per_cycle == pytest.approx(np.sqrt(K + 20) / 3.3)
-    assert advised_method(model).method == "tsit5"
-    stiff = load_scene(one_mass(contact={"normal_stiffness": 1e10})).model()
-    assert advised_method(stiff).method == "kvaerno5"
 
 
 def test_check_loads_no_jax():

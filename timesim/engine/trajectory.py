@@ -112,7 +112,8 @@ class Run:
 
     def _in_parts(self, frame: "Frame", system: System, loop: LoopStep, origin: "Origin") -> Steps:
         """Steps of a method that leaves its energies to its dense output."""
-        steps = frame.steps(short_steps(system, loop, energies=True), replace(origin, work=self.work))
+        parts = short_steps(system, loop, self.solver.rtol, energies=True)
+        steps = frame.steps(parts, replace(origin, work=self.work))
         self.work = np.concatenate([[steps.input[-1], steps.damping[-1]], steps.friction[-1]])
         return steps
 

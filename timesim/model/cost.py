@@ -7,11 +7,12 @@ Another machine, separation within the cycle and many transitions change them by
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from timesim.model.model import Model
-from timesim.model.solver import PRESETS, Criterion, Solver
+from timesim.model.solver import COMPANION, PRESETS, Criterion, Solver
 
 REACH = 3.3
 """Largest |eigenvalue| times step at which an explicit fifth-order method stays stable on an oscillation."""
@@ -21,8 +22,17 @@ RECORDED, SIDE_BY_SIDE = (3.8, 0.16), (0.47, 0.045)
 """Microseconds of a step of tsit5, and for each mode and contact: of a run that is recorded, of one of sixteen."""
 ALONE = 2.8
 """Work of a step of one that is alone and not recorded, as a multiple of that of one of sixteen."""
-STAGES = {"tsit5": 1.0, "dopri5": 1.0, "rk4": 0.6, "dopri8": 1.9}
-"""Work of a step, as a multiple of that of tsit5."""
+STAGES = {"tsit5": 1.0, "dopri5": 1.0, "rk4": 0.6, "dopri8": 1.9, "exponential": 0.6}
+"""Work of a step, as a multiple of that of tsit5; of `exponential`, of a cycle (benchmarks/method_choice.py)."""
+SLIP_STIFF = (120.0, 5.0)
+"""Least steps of a cycle that the direction of slip asks for, and the least multiple of those that stability asks for,
+from which on it rules the time of an explicit method (benchmarks/method_choice.py)."""
+LITTLE_FRICTION = 0.05
+"""Coefficient up to which that was seen; above it a contact with so little load is mostly apart or sticks."""
+SLIPPING = 0.4
+"""Steps that the direction of slip is seen to take, as a share of those that it asks for at its fastest."""
+FEW, MANY = 2, 16
+"""Points that a sweep marches side by side where the motion is carried along, and where it is not."""
 SETTLING = 0.004
 """Seconds of a steady state beside its cycles: what is left out, amplitudes, multipliers."""
 SHOTS = 8
@@ -31,9 +41,82 @@ SOLUTIONS = 200
 """Solutions on a curve of harmonic balance."""
 
 
+@dataclass(frozen=True)
+class Work:
+    """What is integrated in time.
+
+    Attributes:
+        phases: frequencies [Hz], and how many cycles at each; of a sweep its mean, and the cycles of all points.
+        lowest: of all frequencies.
+        side_by_side: points of a sweep that are marched together; None: it is one run, and recorded.
+        again: time that it takes as a multiple of that of its cycles, a second run being made to estimate its error.
+    """
+
+    phases: tuple[tuple[float, float], ...]
+    lowest: float
+    side_by_side: int | None = None
+    again: float = 1.0
+
+    @classmethod
+    def of_run(cls, phases: tuple[tuple[float, int], ...], *, estimated: bool) -> "Work":
+        """One run through phases, its error estimated or not."""
+        return cls(phases, min(phases)[0], again=1 + COMPANION * estimated)
+
+    @property
+    def run_cycles(self) -> float | None:
+        """Cycles of a run; None where it goes on until it is steady."""
+        return sum(cycles for _, cycles in self.phases) if self.side_by_side is None else None
+
+
 def stable_steps(model: Model, frequency: float) -> float:
     """Explicit steps of a cycle at a frequency [Hz] that stability alone asks for."""
     return model.stuck_rate / (REACH * frequency)
+
+
+def slip_rates(model: Model, frequency: float) -> np.ndarray:
+    """Rate k|u'|/(mu n) at which the direction of slip turns in each contact, about, shape (C,) [rad/time].
+
+    By the response to the excitation at a frequency [Hz] with the contacts closed along their normals and free to
+    slide. It is 0 where nothing slides, or only along a line, and of a gap that the response without it does not close.
+    """
+    shapes, normal_stiffness = model.contact_shape, model.normal_stiffness
+    speed, press = _sliding(model, frequency, np.ones(model.num_contacts))
+    _, reach = _sliding(model, frequency, model.preload > 0)
+    touches = (model.preload > 0) | (model.preload + normal_stiffness * reach > 0)
+    normal = model.friction * (np.maximum(model.preload, 0.0) + normal_stiffness * press)
+    turns = np.array([np.linalg.matrix_rank(shape[:2]) == 2 for shape in shapes], dtype=bool)
+    stiffest = np.linalg.eigvalsh(model.tangential_stiffness)[:, -1:].sum(axis=1)
+    with np.errstate(over="ignore"):
+        return np.divide(stiffest * speed, normal, out=np.zeros_like(normal), where=turns & touches & (normal > 0))
+
+
+def _sliding(model: Model, frequency: float, closed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Largest tangential speed and normal displacement of each contact, some being closed along their normals."""
+    body, shapes, load = model.structure, model.contact_shape, model.excitation
+    damping = np.diag(body.damping) if body.damping.ndim == 1 else body.damping
+    stiffness = np.einsum("c,ci,cj->ij", closed * model.normal_stiffness, shapes[:, 2], shapes[:, 2])
+    stiffness += np.diag(body.stiffness)
+    speed, press = np.zeros(model.num_contacts), np.zeros(model.num_contacts)
+    for order, force in zip(load.harmonic, load.cosine - 1j * load.sine, strict=True):
+        turn = 2 * np.pi * frequency * order
+        # No resonance is without bound: a little of the stiffness is taken for damping.
+        matrix = stiffness * (1 + 1e-3j) - turn**2 * np.diag(body.mass) + 1j * turn * damping
+        motion = shapes @ np.linalg.solve(matrix, force)
+        speed += turn * np.linalg.norm(motion[:, :2], axis=1)
+        press += np.abs(motion[:, 2])
+    return speed, press
+
+
+def slip_steps(model: Model, frequency: float) -> float:
+    """Explicit steps of a cycle at a frequency [Hz] that the direction of slip under little friction asks for."""
+    rates = slip_rates(model, frequency)[model.friction <= LITTLE_FRICTION]
+    return float(rates.max(initial=0.0)) / (REACH * frequency)
+
+
+def slip_stiff(model: Model, frequency: float) -> bool:
+    """Whether the direction of slip asks for far more explicit steps than the structure does at a frequency [Hz]."""
+    least, multiple = SLIP_STIFF
+    return slip_steps(model, frequency) >= max(least, multiple * stable_steps(model, frequency))
 
 
 def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side: int | None = None) -> float | None:
@@ -53,10 +136,17 @@ def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side
         near = min(PRESETS, key=lambda name: abs(np.log(PRESETS[name].rtol / solver.rtol)))
         finer = (PRESETS[near].rtol / solver.rtol) ** (1 / 8 if solver.name == "dopri8" else 1 / 5)
         steps = finer * STEPS[near][0] + max(finer, 1.0) * STEPS[near][1] * stable_steps(model, frequency)
+        steps = max(steps, SLIPPING * slip_steps(model, frequency) * (solver.name != "exponential"))
     each, share = RECORDED if side_by_side is None else SIDE_BY_SIDE
     alone = 1.0 if side_by_side is None else max(1.0, ALONE ** (1 - np.log(side_by_side) / np.log(16)))
     size = model.structure.num_modes * model.num_contacts
     return float(1e-6 * STAGES[solver.name] * alone * steps * (each + share * size))
+
+
+def seconds(model: Model, solver: Solver, work: Work) -> float:
+    """Of all cycles; 0 for a method that was not measured."""
+    each = [cycles * (seconds_a_cycle(model, solver, f, work.side_by_side) or 0.0) for f, cycles in work.phases]
+    return work.again * sum(each)
 
 
 def cycles_to_settle(model: Model, criterion: Criterion, frequency: float) -> int:

@@ -216,7 +216,7 @@ class Recorded:
             irregular: whether it has shown that it never will.
         """
         lane, multipliers = self.start, self.multipliers
-        steps = short_steps(lane.system, self.steps)
+        steps = short_steps(lane.system, self.steps, float(lane.control.rtol))
         shape = lane.shape
         ends = ((steps.start, steps.start_rate), (steps.end, steps.end_rate))
         start, end = ([part @ shape.T for part in (y.q, y.p, dy.p)] for y, dy in ends)

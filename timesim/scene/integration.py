@@ -123,9 +123,9 @@ class SolverSection(Section):
 
     accuracy: Literal["draft", "standard", "reference"] | None = None
     """A preset; standard by default."""
-    method: Literal["exponential", "tsit5", "dopri5", "dopri8", "kvaerno5", "rk4"] | None = None
-    """In place of an accuracy; exponential for very fast modes, kvaerno5 for stiff contacts, rk4 with fixed steps for
-    comparison."""
+    method: Literal["auto", "exponential", "tsit5", "dopri5", "dopri8", "kvaerno5", "rk4"] | None = None
+    """auto, the default, goes with an accuracy: what takes least time, by the scene. The others stand in place of one;
+    rk4 with fixed steps for comparison."""
     rtol: Annotated[Number, Field(ge=1e-15, lt=1)] | None = None
     """Tolerance of a step relative to the state, 1e-8 by default."""
     atol: Annotated[Number, Field(gt=0, lt=1)] | None = None
@@ -141,26 +141,29 @@ class SolverSection(Section):
 
     @model_validator(mode="after")
     def _together(self) -> Self:
-        if self.accuracy and self.method:
-            raise refuse("excludes accuracy", key=("method",), hint="give one of the two", value=self.method)
-        allowed = {"rk4": ("steps_per_cycle",), None: ()}.get(self.method, ("rtol", "atol"))
+        chosen = self.method in (None, "auto")
+        if self.accuracy and not chosen:
+            hint = "give one of the two, or method: auto"
+            raise refuse("excludes accuracy", key=("method",), hint=hint, value=self.method)
+        allowed = () if chosen else {"rk4": ("steps_per_cycle",)}.get(str(self.method), ("rtol", "atol"))
         owners = {"rtol": ", ".join(ADAPTIVE), "atol": ", ".join(ADAPTIVE), "steps_per_cycle": "rk4"}
         for key, owner in owners.items():
             if getattr(self, key) is not None and key not in allowed:
-                hint = f"here {'method is ' + self.method if self.method else 'an accuracy rules'}"
+                hint = "here an accuracy rules" if chosen else f"here method is {self.method}"
                 raise refuse(f"goes with method {owner} only", key=(key,), hint=hint, value=getattr(self, key))
-        if self.method is None:
-            return self.completed(accuracy="standard")
+        if chosen:
+            return self.completed(accuracy="standard", method="auto")
         if self.method == "rk4":
             return self.completed(steps_per_cycle=200)
         rtol = self.rtol or 1e-8
         return self.completed(rtol=rtol, atol=rtol / 100)
 
     def build(self) -> Solver:
-        """The method in numbers."""
+        """The method in numbers; of an accuracy, those of an easy scene."""
         if self.steps_per_cycle is not None:
             numbers = Solver("rk4", 1e-8, 1e-10, longest=2 * np.pi / self.steps_per_cycle)
-        elif self.method is not None:
+        elif self.accuracy is None:
+            assert self.method is not None
             assert self.rtol is not None
             assert self.atol is not None
             numbers = Solver(self.method, self.rtol, self.atol)

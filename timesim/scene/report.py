@@ -1,7 +1,6 @@
-"""What `timesim check` says of a scene: what would be modelled, what is left out, warnings, the method advised."""
+"""What `timesim check` says of a scene: what would be modelled, what is left out, the method, warnings."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from math import prod
 from typing import Any
 
@@ -10,15 +9,19 @@ from pydantic import BaseModel
 
 from timesim.hbm.scheme import NEGLECTED, most_harmonics
 from timesim.model.cost import (
+    LITTLE_FRICTION,
+    REACH,
     SETTLING,
     SOLUTIONS,
-    cycles_to_settle,
     seconds_a_cycle,
     seconds_a_solution,
+    slip_rates,
+    slip_stiff,
     stable_steps,
 )
+from timesim.model.finding import turning
 from timesim.model.model import CONE, GROUND, Contact, Model
-from timesim.model.promise import PROMISE, preset
+from timesim.model.promise import PROMISE
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import COMPANION, coarser
 from timesim.scene.hbm import HbmPlan
@@ -28,26 +31,6 @@ from timesim.scene.text import value_text
 from timesim.scene.transient import Schedule, TradeoffPlan
 
 LISTED = 6  # entries of a list that are all shown
-STIFF_STEPS = 20_000
-"""Explicit steps of a cycle above which an implicit method is advised."""
-
-
-@dataclass(frozen=True)
-class Advice:
-    """The method advised for a scene.
-
-    Attributes:
-        method: tsit5 or kvaerno5.
-        steps_per_cycle: steps that stability alone asks of an explicit method.
-    """
-
-    method: str
-    steps_per_cycle: float
-
-    def __str__(self) -> str:
-        steps = f"stability asks about {self.steps_per_cycle:.3g} explicit steps a cycle"
-        bound = f"more than {STIFF_STEPS}" if self.method == "kvaerno5" else f"not above {STIFF_STEPS}"
-        return f"{self.method}: {steps}, {bound}"
 
 
 def describe(scene: Scene) -> dict[str, tuple[str, ...]]:
@@ -61,7 +44,7 @@ def describe(scene: Scene) -> dict[str, tuple[str, ...]]:
         report["contacts"] = tuple(map(contact_line, model.contacts)) or ("none",)
         report["excitation"] = tuple(_excitation_lines(model))
         report["accuracy"] = tuple(_accuracy_lines(scene, model))
-        report["advised method"] = tuple(_advice_lines(scene, model))
+        report["method"] = tuple(_method_lines(scene, model))
         report["left out or simplified"] = _left_out(scene, model)
         report["cost"] = tuple(_cost_lines(scene, model))
     report["warnings"] = tuple(scene.warnings())
@@ -76,12 +59,21 @@ def _left_out(scene: Scene, model: Model) -> tuple[str, ...]:
     return findings or ("nothing: every mode, contact and direction is needed",)
 
 
-def _advice_lines(scene: Scene, model: Model) -> Iterator[str]:
+def _method_lines(scene: Scene, model: Model) -> Iterator[str]:
+    """What integrates in time, and why; contacts that make it hard for explicit methods."""
     study = scene.file.study
     frequency = model.excitation.frequency if study.uses_frequency else study.lowest_frequency()
-    if frequency is not None and (advice := advised_method(model, frequency)) is not None:
+    if frequency is None:
+        return
+    if not isinstance(scene.plan, TradeoffPlan):
+        name, chosen = scene.solver().name, scene.choice
         place = "" if study.uses_frequency else f" (at {frequency:g} Hz, the lowest, where it asks most)"
-        yield f"{advice}{place}"
+        steps = f"stability asks about {stable_steps(model, frequency):.3g} explicit steps a cycle{place}"
+        yield f"{name}: {'given' if chosen is None else chosen.why}; {steps}"
+    if slip_stiff(model, frequency):
+        for contact, rate in zip(model.contacts, slip_rates(model, frequency), strict=True):
+            if rate > 0 and contact.friction <= LITTLE_FRICTION:
+                yield turning(contact, rate, rate / (REACH * frequency))
 
 
 def _accuracy_lines(scene: Scene, model: Model) -> Iterator[str]:
@@ -93,7 +85,7 @@ def _accuracy_lines(scene: Scene, model: Model) -> Iterator[str]:
         yield f"promised is a relative error of {scene.promise:.0e} {end}, by {numbers}{why}"
     if isinstance(scene.plan, TradeoffPlan):
         plan = scene.plan
-        own = ", ".join(f"{name} {preset(name, model, plan.frequency, plan.cycles)}" for name in PROMISE)
+        own = ", ".join(f"{name} {plan.preset(name, model, scene.file.solver.max_steps)}" for name in PROMISE)
         yield f"methods and tolerances are tried for {plan.budget:g} s; of solver only max_steps is used"
         yield f"accuracies of this scene: {own}"
     if isinstance(scene.plan, Schedule) and scene.file.solver.estimate_error:
@@ -113,9 +105,9 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
             lines.append(f"{cycles} cycles of {_duration(total / cycles)}: {_duration(total)}")
     elif isinstance(study, SteadySection):
         sweep = study.sweep()
-        frequency = float(np.mean(sweep.frequency))
-        cycles = cycles_to_settle(model, sweep.criterion, frequency)
-        own = seconds_a_cycle(model, solver, frequency, FEW if sweep.chained else MANY)
+        whole = sweep.work(model)
+        ((frequency, every),) = whole.phases
+        cycles, own = round(every / sweep.size), seconds_a_cycle(model, solver, frequency, whole.side_by_side)
         if own is not None:
             total = sweep.size * (cycles * own + SETTLING)
             work = f"{cycles} cycles of {_duration(own)} and {_duration(SETTLING)} beside them"
@@ -135,8 +127,6 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
         yield "as measured on one core of a server (timesim/model/cost.py); a first run compiles before that"
 
 
-FEW, MANY = 2, 16  # that a sweep marches side by side where the motion is carried along, and where it is not
-
 DURATIONS = (("h", 3600.0, 7200.0), ("min", 60.0, 120.0), ("s", 1.0, 1.0), ("ms", 1e-3, 1e-3), ("µs", 1e-6, 0.0))
 """Units of a time: seconds of one, and from how many on it is used."""
 
@@ -146,20 +136,6 @@ def _duration(seconds: float) -> str:
     unit, size = next((unit, size) for unit, size, least in DURATIONS if seconds >= least)
     number = seconds / size
     return f"{number:.{0 if number >= 10 else 1}f} {unit}"
-
-
-def advised_method(model: Model, frequency: float | None = None) -> Advice | None:
-    """Explicit unless stability would ask for very many steps; None where no frequency is known.
-
-    Args:
-        model: what is modelled.
-        frequency: base frequency of the excitation [Hz], the scene's own by default.
-    """
-    frequency = frequency or model.excitation.frequency
-    if frequency is None:
-        return None
-    steps = stable_steps(model, frequency)
-    return Advice("kvaerno5" if steps > STIFF_STEPS else "tsit5", steps)
 
 
 def contact_line(contact: Contact) -> str:

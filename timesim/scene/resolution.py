@@ -14,8 +14,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from timesim.fault import Problem, RuleError, SceneError
+from timesim.model.choice import Choice, choice
+from timesim.model.cost import Work
 from timesim.model.model import CONE, Model
-from timesim.model.promise import PROMISE, preset
+from timesim.model.promise import PROMISE
 from timesim.model.scales import out_of_range
 from timesim.model.solver import Solver
 from timesim.model.start import rest_start
@@ -72,16 +74,25 @@ class Scene:
         in_time = isinstance(self.plan, Schedule) or isinstance(self.file.study, SteadySection)
         return PROMISE[accuracy] if accuracy is not None and in_time else None
 
+    @cached_property
+    def choice(self) -> Choice | None:
+        """What integrates it by its accuracy, one for all its points; None where a method is given, or nothing is."""
+        accuracy, study = self.file.solver.accuracy, self.file.study
+        if self.promise is None or accuracy is None:
+            return None
+        if isinstance(study, SteadySection):
+            work = study.sweep().work(self.model())
+        else:
+            work = Work.of_run(self.plan.phases, estimated=self.file.solver.estimate_error)
+        return choice(accuracy, self.model(), work, self.file.solver.max_steps)
+
     def solver(self) -> Solver:
         """How it is integrated, in numbers: of an accuracy those that keep its promise."""
-        numbers, accuracy, study = self.file.solver.build(), self.file.solver.accuracy, self.file.study
-        if self.promise is None or accuracy is None:
+        numbers = self.file.solver.build()
+        if self.choice is None:
             return numbers
-        frequency, cycles = study.lowest_frequency() or 1.0, None
-        if isinstance(self.plan, Schedule):
-            frequency, cycles = min(self.plan.phases)[0], sum(cycles for _, cycles in self.plan.phases)
-        own = preset(accuracy, self.model(), frequency, cycles)
-        return replace(numbers, rtol=own.rtol, atol=own.atol)
+        own = self.choice.solver
+        return replace(numbers, name=own.name, rtol=own.rtol, atol=own.atol)
 
     def model(self) -> Model:
         """What is modelled, in numbers.

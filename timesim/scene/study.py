@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from timesim.fault import Key, RuleError, nearest
+from timesim.model.cost import FEW, MANY, Work, cycles_to_settle
 from timesim.model.model import Model
 from timesim.model.solver import SHOOT, SLOW, Criterion
 from timesim.scene.contact import ContactSection
@@ -174,6 +175,12 @@ class SweepPlan:
     def size(self) -> int:
         """Number of points."""
         return self.frequency.size * prod(map(len, self.over.values())) * len(self.directions)
+
+    def work(self, model: Model) -> Work:
+        """About the cycles that it takes, in which the slowest mode of the model decays."""
+        mean = float(np.mean(self.frequency))
+        cycles = self.size * cycles_to_settle(model, self.criterion, mean)
+        return Work(((mean, cycles),), float(self.frequency[0]), FEW if self.chained else MANY)
 
 
 class SteadySection(StudySection):

@@ -7,6 +7,10 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from timesim.model.choice import choice
+from timesim.model.cost import Work
+from timesim.model.model import Model
+from timesim.model.solver import Solver
 from timesim.scene.section import Section, refuse
 from timesim.scene.study import Context, StudySection
 from timesim.scene.value import Count, Positive, Switch, Whole
@@ -109,6 +113,10 @@ class TradeoffPlan:
     error: float
     budget: float
     amplitude: bool
+
+    def preset(self, accuracy: str, model: Model, max_steps: int) -> Solver:
+        """What an accuracy would run a transient of so many cycles by."""
+        return choice(accuracy, model, Work.of_run(((self.frequency, self.cycles),), estimated=True), max_steps).solver
 
 
 class Tradeoff(StudySection):

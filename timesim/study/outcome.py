@@ -46,7 +46,8 @@ def attributes(scene: Scene, method: str, compiling: float, running: float, reas
         "compile_seconds": compiling,
         "run_seconds": running,
     }
-    if scene.promise is not None:
+    if scene.choice is not None:
         solver = scene.solver()
         attrs |= {"promised_error": scene.promise, "rtol": solver.rtol, "atol": solver.atol}
+        attrs["method_choice"] = f"{solver.name}: {scene.choice.why}"
     return attrs if reason is None else attrs | {"reason": reason}

@@ -5,9 +5,8 @@ forces are not. They are taken as the polynomial through their values at the sta
 Radau's right-hand rule, and found by sweeps: motion of the contacts from the forces, forces from the motion, until they
 no longer change. The modes are exact, however fast they are and wherever a step is cut: the dense output is the flow.
 
-The excitation has its own steady motion in every mode, ``a_i cos(i theta) + b_i sin(i theta)``; where that would be far
-larger than what the force does in a step (light damping, at resonance), the force is taken into the polynomial instead.
-So is what couples the modes: a damping matrix or stuck contacts that they do not diagonalise.
+What the excitation does is known too (`timesim.engine.exponential.steady`), but for what is taken into the polynomial:
+forces at resonance, and what couples the modes.
 
 Sources: E. Hairer & G. Wanner, Solving Ordinary Differential Equations II, section IV.5 (Radau IIA); M. Hochbruck &
 A. Ostermann, Exponential integrators, Acta Numerica 19 (2010) 209-286, section 2.2 (collocation).
@@ -25,13 +24,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
 from timesim.engine.barrier import apart, matmul
-from timesim.engine.exponential.flow import weights
+from timesim.engine.exponential.flow import Weights, weights
+from timesim.engine.exponential.steady import Steady, coupling, diagonals, steady_of
 from timesim.engine.law.contact_law import Motion, Nodes, Plane, Scalar, State, Within
 from timesim.engine.law.rule import Rule
 from timesim.engine.system import Point, System, contact_force
 from timesim.model.model import SLIP
 
-NEAR_RESONANCE = 1e-3  # of |k - i^2 + i d| in k + i^2: below it the force is taken into the polynomial
 CONVERGED = 1e-3  # change that sweeps leave undone, in the tolerance of a step
 MOST_SWEEPS = 12
 ERROR = 0.1  # of what the highest power does: measured, a tolerance of 1e-4 to 1e-8 then leaves about as much after
@@ -39,65 +38,6 @@ ERROR = 0.1  # of what the highest power does: measured, a tolerance of 1e-4 to 
 NUM_RUNGS = 64  # of lengths: the shortest is 3e-10 of the longest
 ON_RUNG = 1e-6  # of a rung: rounding of its length
 SLOWEST = 0.7  # ratio of changes from which on a shorter step costs less than more sweeps
-
-
-class Steady(eqx.Module):
-    """The motion that each harmonic of the excitation forces on each mode: cosine and sine parts, (harmonic, mode).
-
-    Attributes:
-        a, b: cosine and sine part.
-        left: 1 where a force has no such motion and is left to the polynomial, else 0.
-    """
-
-    a: Float[Array, "harmonic mode"]
-    b: Float[Array, "harmonic mode"]
-    left: Float[Array, "harmonic mode"]
-
-    @classmethod
-    def of(cls, system: System) -> "Steady":
-        stiffness, damping = diagonals(system)
-        order = system.harmonic[:, None]
-        reactance, loss = stiffness - order**2, damping * order
-        square, size = reactance**2 + loss**2, (stiffness + order**2) * NEAR_RESONANCE
-        near = square < size**2
-        inverse = jnp.where(near, 0.0, 1 / jnp.where(near, 1.0, square))
-        a = (reactance * system.cosine - loss * system.sine) * inverse
-        b = (reactance * system.sine + loss * system.cosine) * inverse
-        return cls(a, b, jnp.where(near, 1.0, 0.0))
-
-    def motion(self, system: System, time: Float[Array, "*node 1"]) -> tuple[Array, Array]:
-        """Displacement and velocity at times within the cycle."""
-        order = system.harmonic[:, None]
-        q = p = jnp.zeros((*time.shape[:-1], system.constant.shape[0]))
-        for i in range(order.shape[0]):
-            angle = order[i] * (time + system.phase)
-            cosine, sine = jnp.cos(angle), jnp.sin(angle)
-            q = q + self.a[i] * cosine + self.b[i] * sine
-            p = p + order[i] * (self.b[i] * cosine - self.a[i] * sine)
-        return q, p
-
-    def remainder(self, system: System, time: Float[Array, "*node 1"]) -> Array:
-        """Modal force at times within the cycle that the steady motion leaves to the polynomial."""
-        force = jnp.broadcast_to(system.constant, (*time.shape[:-1], system.constant.shape[0]))
-        for i in range(system.harmonic.shape[0]):
-            angle = system.harmonic[i] * (time + system.phase)
-            force = force + self.left[i] * (system.cosine[i] * jnp.cos(angle) + system.sine[i] * jnp.sin(angle))
-        return force
-
-
-def diagonals(system: System) -> tuple[Array, Array]:
-    """Stiffness and damping of the modes that the flow is exact in."""
-    stiffness, damping = (x if x.ndim == 1 else jnp.diagonal(x) for x in (system.stiffness, system.damping))
-    return stiffness, damping
-
-
-def coupling(system: System, q: Float[Array, "*node mode"], p: Float[Array, "*node mode"]) -> Array:
-    """Modal force by which stiffness and damping couple the modes: what the matrices add to their diagonals."""
-    force = jnp.zeros_like(q)
-    for matrix, x in ((system.stiffness, q), (system.damping, p)):
-        if matrix.ndim == 2:
-            force = force - x @ (matrix - jnp.diag(jnp.diagonal(matrix))).T
-    return force
 
 
 class Flow(eqx.Module):
@@ -241,23 +181,33 @@ def solve(
 @apart
 def state_inside(system: System, start: tuple[State, Array, Point], inside: Inside, x: Float[Array, ""]) -> Point:
     """The continuous state at a fraction of a step, from its start: state of the contacts, time and point."""
-    state, time, point = start
-    span, num = x * inside.h, inside.force.shape[0]
-    flow = weights(*diagonals(system), span, inside.h, num)
+    span = x * inside.h
+    flow = weights(*diagonals(system), span, inside.h, inside.force.shape[0])
+    q, p = modes_after(system, *start[1:], inside, span, flow)
+    return point_inside(system, start, inside, x, q, p)
+
+
+def modes_after(
+    system: System, time: Float[Array, ""], point: Point, inside: Inside, span: Float[Array, ""], flow: Weights
+) -> tuple[Array, Array]:
+    """Displacement and velocity of the modes at a time after the start of a step, by the flow until there."""
     steady = steady_of(system)
     (q0, p0), (q, p) = (steady.motion(system, t[None]) for t in (time, time + span))
     z, dz = point.q - q0, point.p - p0
     q = q + flow.q_q * z + flow.q_p * dz + sum(w * f for w, f in zip(flow.q_force, inside.force, strict=True))
     p = p + flow.p_q * z + flow.p_p * dz + sum(w * f for w, f in zip(flow.p_force, inside.force, strict=True))
+    return q, p
+
+
+def point_inside(
+    system: System, start: tuple[State, Array, Point], inside: Inside, x: Float[Array, ""], q: Array, p: Array
+) -> Point:
+    """The continuous state at a fraction of a step where the modes are known."""
+    state, _, point = start
     here = Point(q, p, point.w, None)
-    powers = x ** jnp.arange(num)
+    powers = x ** jnp.arange(inside.force.shape[0])
     inner = jax.tree.map(lambda c: powers @ c, inside.inner)
     return eqx.tree_at(lambda y: y.w, here, system.law.slip_inside(state, point.w, system.motion(here), inner))
-
-
-def steady_of(system: System) -> Steady:
-    """The motion that the excitation forces, from the ladder where there is one."""
-    return Steady.of(system) if system.ladder is None else system.ladder.steady
 
 
 @partial(apart, static=(0,))

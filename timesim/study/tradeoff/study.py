@@ -13,7 +13,7 @@ from xarray import Dataset
 
 from timesim.engine.companion import amplitude_error, state_error
 from timesim.model.cost import stable_steps
-from timesim.model.promise import PROMISE, preset
+from timesim.model.promise import PROMISE
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import Solver
 from timesim.result.dataset import dataset
@@ -57,7 +57,7 @@ def _try_all(bench: Bench, settings: dict[str, Any]) -> None:
     def by(method: str, rtol: float, **more: Any) -> Solver:
         return Solver(method, rtol, float(f"{rtol / 100:.3g}"), **settings, **more)
 
-    own = {name: replace(preset(name, model, plan.frequency, plan.cycles), **settings) for name in PROMISE}
+    own = {name: replace(plan.preset(name, model, settings["budget"]), **settings) for name in PROMISE}
     for rtol in 10.0 ** -np.arange(3, 10):
         bench.try_(by("tsit5", float(f"{rtol:g}")))
     for name in ("draft", "standard"):

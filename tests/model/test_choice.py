@@ -1,0 +1,190 @@
+"""Which method integrates where none is given."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from systems import oscillator, scene
+
+from timesim.model.choice import TABLE, choice, contact_rate
+from timesim.model.cost import REACH, Work, seconds, seconds_a_cycle, slip_rates, slip_steps, stable_steps
+from timesim.model.model import Model
+from timesim.model.promise import preset
+from timesim.model.solver import Solver
+from timesim.scene.report import describe
+from timesim.study.outcome import attributes
+from timesim.study.registry import load_scene
+
+ROOT = Path(__file__).parents[2]
+OSCILLATOR = ROOT / "configs" / "oscillator.yaml"
+MANY_MODES = ROOT / "tests" / "data" / "many_modes.yaml"
+LONG, BUDGET = 10_000_000, 100_000
+
+
+def taken(model: Model, cycles: float = LONG, accuracy: str = "standard", budget: int = BUDGET) -> Solver:
+    assert model.excitation.frequency is not None
+    work = Work(((model.excitation.frequency, cycles),), model.excitation.frequency)
+    return choice(accuracy, model, work, budget).solver
+
+
+def slowly_driven() -> Model:
+    """The oscillator far below its modes."""
+    return oscillator(3.0, 0.3)
+
+
+def slippery(friction: float = 1e-4) -> Model:
+    model = oscillator(3.0, 1.39)
+    return replace(model, contacts=(replace(model.contacts[0], friction=friction),))
+
+
+def test_the_table_by_the_rates_of_a_scene() -> None:
+    """Little friction; a structure faster than its contacts; one faster than its excitation; none of these."""
+    assert taken(slippery()).name == "exponential"
+    assert taken(scene(MANY_MODES)).name == "exponential"
+    assert taken(slowly_driven()).name == "dopri8"
+    assert taken(oscillator(3.0, 1.39)).name == "tsit5"
+    methods = [line.method for line in TABLE]
+    assert methods == ["exponential", "exponential", "dopri8"]
+
+
+@pytest.mark.parametrize("model", [slippery(), scene(MANY_MODES), slowly_driven()], ids=["slip", "fast", "slow"])
+def test_a_short_run_does_not_pay_for_what_takes_longer_to_compile(model: Model) -> None:
+    """The border is where what is saved of the time by tsit5 is what is lost in compiling."""
+    line = next(line for line in TABLE if line.method == taken(model).name and line.applies(model, _frequency(model)))
+    own = preset("standard", model, _frequency(model), 10_000)
+    each = seconds_a_cycle(model, own, _frequency(model))
+    assert each is not None
+    border = line.compiling[0] / (1 - line.share[0]) / each
+    assert own.name == "tsit5"
+    assert taken(model, 0.9 * border) == preset("standard", model, _frequency(model), 0.9 * border)
+    assert taken(model, 1.1 * border).name == line.method
+
+
+def _frequency(model: Model) -> float:
+    assert model.excitation.frequency is not None
+    return model.excitation.frequency
+
+
+def test_the_finest_accuracy_keeps_its_method_but_where_slip_is_stiff() -> None:
+    assert taken(slippery(), accuracy="reference").name == "exponential"
+    for model in (scene(MANY_MODES), slowly_driven(), oscillator(3.0, 1.39)):
+        assert taken(model, accuracy="reference").name == "dopri8"
+
+
+def test_collocation_of_stiff_slip_takes_no_loose_tolerance() -> None:
+    """At 1e-5 and 1e-6 one in eight such runs came to no end."""
+    assert taken(slippery(), accuracy="draft").rtol == 1e-7
+    assert taken(slippery(), accuracy="draft").atol == pytest.approx(1e-9)
+    assert taken(scene(MANY_MODES), accuracy="draft") == replace(
+        preset("draft", scene(MANY_MODES), 1.0, LONG), name="exponential"
+    )
+
+
+def test_what_explicit_steps_cannot_do_within_the_budget_is_left_to_collocation_however_short() -> None:
+    steps = slip_steps(slippery(), 1.39)
+    assert taken(slippery(), 3, budget=int(0.39 * steps)).name == "exponential"
+    assert taken(slippery(), 3, budget=int(0.41 * steps)).name == "tsit5"
+
+
+def test_rate_at_which_the_direction_of_slip_turns() -> None:
+    """By hand: one mass on springs along x, y, z, driven along x and z; k u' / (mu n) with n = n0 + k_v v."""
+    model = load_scene(_mass(friction=0.04)).model()
+    stiffness, omega = np.array([30.0, 30.0, 40.0 + 7.0]), 2 * np.pi * 1.5
+    motion = np.abs(np.array([1.0, 0.0, 1.0]) / (stiffness * (1 + 1e-3j) - omega**2))
+    assert slip_rates(model, 1.5) == pytest.approx(5 * omega * motion[0] / (0.04 * (3 + 7 * motion[2])))
+    assert slip_steps(model, 1.5) == pytest.approx(slip_rates(model, 1.5)[0] / (REACH * 1.5))
+    assert contact_rate(model) == pytest.approx(np.sqrt(7.0))
+    assert slip_steps(load_scene(_mass(friction=0.06)).model(), 1.5) == 0.0
+
+
+def test_nothing_turns_where_nothing_slides_or_only_along_a_line() -> None:
+    assert slip_rates(load_scene(_mass(friction=0.0, tangential_stiffness=0)).model(), 1.5) == [0.0]
+    free = 1 / abs(40.0 * (1 + 1e-3j) - (2 * np.pi * 1.5) ** 2)
+    assert slip_rates(load_scene(_mass(preload=-7.0 * free * 1.001)).model(), 1.5) == [0.0]
+    assert slip_rates(load_scene(_mass(preload=-7.0 * free * 0.999)).model(), 1.5) > [0.0]
+    assert slip_rates(load_scene(_mass(modes=[0, 2])).model(), 1.5) == [0.0]
+    assert slip_steps(oscillator(3.0, 1.39), 0.9) < stable_steps(oscillator(3.0, 1.39), 0.9)
+
+
+def _mass(modes: Any = (0, 1, 2), **contact: Any) -> dict[str, Any]:
+    frequency = np.sqrt([30.0, 30.0, 40.0]) / (2 * np.pi)
+    return {
+        "structure": {
+            "modes": [
+                {
+                    "frequency": float(frequency[i]),
+                    "damping_ratio": 0.0,
+                    "mass": 1.0,
+                    "shape": {"m": np.eye(3)[i].tolist()},
+                }
+                for i in modes
+            ]
+        },
+        "contacts": [
+            {"name": "pad", "point": "m", "friction": 0.2, "tangential_stiffness": 5.0, "normal_stiffness": 7.0}
+            | {"preload": 3.0}
+            | contact
+        ],
+        "excitation": {
+            "frequency": 1.5,
+            "modal_force": [{"amplitude": float(i != 1)} for i in modes],
+        },
+        "study": {"kind": "transient", "cycles": 2},
+    }
+
+
+def test_steps_that_slip_asks_for_count_for_explicit_methods_alone() -> None:
+    model, work = slippery(), Work(((1.39, 10),), 1.39)
+    explicit, other = (Solver(name, 1e-7, 1e-9) for name in ("tsit5", "exponential"))
+    assert seconds(model, explicit, work) > 50 * seconds(model, other, work)
+    assert seconds(model, other, work) < seconds(oscillator(3.0, 1.39), explicit, work)
+
+
+# Through the scene file
+
+
+LONG_SCENE = ["study.cycles=10000000", "study.record_last=1", "excitation.frequency=0.3"]
+
+
+def test_check_and_run_take_the_same_and_say_why() -> None:
+    given = load_scene(OSCILLATOR, LONG_SCENE)
+    (line,) = describe(given)["method"]
+    assert line.startswith("dopri8: of order 8, it takes about half of the time of tsit5")
+    assert given.solver().name == "dopri8"
+    assert "by dopri8, rtol " in describe(given)["accuracy"][0]
+    said = attributes(given, str(given.solver()), 0.0, 0.0, None)
+    assert said["method_choice"] == f"dopri8: {given.choice.why}"
+    short = load_scene(OSCILLATOR, ["excitation.frequency=0.3"])
+    assert short.solver().name == "tsit5"
+    assert "since dopri8 would save about 0.0" in describe(short)["method"][0]
+
+
+def test_a_method_that_is_given_is_obeyed() -> None:
+    given = load_scene(OSCILLATOR, [*LONG_SCENE, "solver={method: tsit5}"])
+    assert given.solver() == Solver("tsit5", 1e-8, 1e-10)
+    assert given.choice is None
+    assert describe(given)["method"][0].startswith("tsit5: given; stability asks")
+    assert "method_choice" not in attributes(given, "tsit5", 0.0, 0.0, None)
+
+
+def test_check_names_contacts_whose_slip_is_stiff() -> None:
+    lines = describe(load_scene(OSCILLATOR, ["contacts.pad.friction=1e-4", "solver={method: tsit5}"]))["method"]
+    rate = slip_rates(slippery(), 1.39)[0]
+    assert lines[1].startswith("contact pad: friction 0.0001 lets the direction of its slip turn at a rate of about ")
+    assert f"{rate:.2g} a second" in lines[1]
+    assert len(describe(load_scene(OSCILLATOR))["method"]) == 1
+
+
+def test_all_points_of_a_sweep_take_one_method() -> None:
+    """Values of `over` that alone would ask for another one do not: programs are shared."""
+    study = (
+        "study={kind: sweep, frequency: {from: 0.2, to: 0.4, step: 1e-5}, over: {contacts.pad.friction: [0.5, 1e-5]}}"
+    )
+    given = load_scene(OSCILLATOR, [study, "excitation.frequency=null"])
+    assert given.solver().name == "dopri8"
+    one = load_scene(OSCILLATOR, [study.replace("0.4, step: 1e-5", "0.4, step: 0.1"), "excitation.frequency=null"])
+    assert one.solver().name == "tsit5"
+    assert one.resolved_yaml() == load_scene(one.resolved_yaml()).resolved_yaml()
+    assert "method: auto" in one.resolved_yaml()

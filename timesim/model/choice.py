@@ -1,0 +1,134 @@
+"""Which method integrates a scene where none is given: the first line of a table that applies, if compiling it pays.
+
+A method of the table is worth it where what it saves of the time that the preset's own method would take is more than
+what its programs take longer to compile, both in a first run. Short runs keep the method of the preset: sixty cycles of
+the oscillator take 20 ms, its program 5 s. What is known of a scene beforehand are its rates; how often its contacts
+switch is not.
+
+Measured by `benchmarks/method_choice.py`: microseconds of a cycle at errors of 1e-4 and 1e-6, compiled, CPU seconds of
+compilation by whole runs with an empty cache; the tables are in benchmarks/README.md.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from timesim.model.cost import SLIPPING, Work, seconds, slip_steps, slip_stiff, stable_steps
+from timesim.model.model import Model
+from timesim.model.promise import preset, tightened
+from timesim.model.solver import Solver
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of the table.
+
+    Attributes:
+        method: its name.
+        why: it is taken, in words.
+        accuracies: presets at which it was measured.
+        share: of the time that the preset's own method takes, in one run and in a sweep.
+        compiling: CPU seconds that its programs take longer to compile, for one run and for a sweep.
+        slippery: only where the direction of slip turns fast (`timesim.model.cost.slip_stiff`).
+        passive: least ratio of the fastest rate of the stuck structure to that of its contacts (`contact_rate`).
+        fast: least ratio of the fastest rate of the stuck structure to the excitation's.
+        largest: tolerance of a step.
+    """
+
+    method: str
+    why: str
+    accuracies: tuple[str, ...]
+    share: tuple[float, float]
+    compiling: tuple[float, float]
+    slippery: bool = False
+    passive: float = 0.0
+    fast: float = 0.0
+    largest: float = 1.0
+
+    def applies(self, model: Model, frequency: float) -> bool:
+        """Whether it does by the rates of a model at a frequency [Hz]."""
+        if self.slippery and not slip_stiff(model, frequency):
+            return False
+        return model.stuck_rate >= max(self.passive * contact_rate(model), self.fast * 2 * np.pi * frequency)
+
+
+def contact_rate(model: Model) -> float:
+    """Fastest rate that the contacts would have on the masses of the structure, without its springs [rad/time]."""
+    shapes = model.contact_shape / np.sqrt(model.structure.mass)
+    matrix = np.einsum("cam,cab,cbn->mn", shapes[:, :2], model.tangential_stiffness, shapes[:, :2])
+    matrix += np.einsum("c,cm,cn->mn", model.normal_stiffness, shapes[:, 2], shapes[:, 2])
+    return float(np.sqrt(max(np.linalg.eigvalsh(matrix)[-1], 0.0)))
+
+
+TABLE = (
+    # 4 modes, 2 contacts, friction 1e-2 to 1e-4, where slip asks for 350 to 1e6 steps (20 structures that slip): 300 to
+    # 1,600 at rtol 1e-7 against 800 to 90,000 by tsit5, of which two run out of steps; dopri8 takes as long. Where it
+    # asks for 90: 330 and 450 against 240 and 340. At rtol 1e-5 and 1e-6 four of 30 runs came to no end.
+    Line(
+        method="exponential",
+        why="slip under little friction asks explicit methods for very short steps",
+        accuracies=("draft", "standard", "reference"),
+        share=(0.2, 0.2),
+        compiling=(7.0, 20.0),
+        slippery=True,
+        largest=1e-7,
+    ),
+    # Modes to 40 times the excitation with contacts as soft as the first: 20 x 3 470 and 520 against 720 and 1,130 by
+    # tsit5, 820 and 1,060 by dopri8; 50 x 10 2,670 and 2,680 against 2,140 and 3,790, 2,550 and 3,570; the blade with
+    # 24 modes 1,630 and 4,180 against 5,950 and 8,130, 2,880 and 3,460. Where contacts are as stiff as the fastest
+    # modes (a ratio of 1 to 4) dopri8 takes a half to a quarter of it: 50 x 10, generated, 2,100 and 2,970 against
+    # 8,180 and 11,700. In a sweep explicit lanes side by side gain as much, and its derivative takes twelve sweeps.
+    Line(
+        method="exponential",
+        why="the structure is far faster than its contacts, and its own motion needs no steps",
+        accuracies=("draft", "standard"),
+        share=(0.6, 1.0),
+        compiling=(7.0, 20.0),
+        passive=6.0,
+        fast=10.0,
+    ),
+    # 4 x 2: 110, 90, 410, 180 and 160, 130, 510, 230 against 220, 120, 520, 250 and 430, 230, 1,180, 390 by tsit5;
+    # 8 x 3: 530, 490, 560, 90 and 710, 730, 960, 120 against 810, 870, 520, 100 and 1,410, 1,790, 850, 190; contacts
+    # 1e4 times stiffer or a mode at 1,000 times: two fifths. The oscillator, hardly faster than it is driven: 76, 63,
+    # 44 and 87, 78, 44 against 60, 39, 30 and 75, 61, 43. Sixteen side by side: 33 and 41 against 36 and 58.
+    Line(
+        method="dopri8",
+        why="of order 8, it takes about half of the time of tsit5 where the structure is faster than its excitation",
+        accuracies=("draft", "standard"),
+        share=(0.6, 0.8),
+        compiling=(5.0, 15.0),
+        fast=1.5,
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A solver, and why it is taken, in words."""
+
+    solver: Solver
+    why: str
+
+
+def choice(accuracy: str, model: Model, work: Work, budget: int) -> Choice:
+    """The solver that keeps what a preset promises in the least time, that of a first run.
+
+    Args:
+        accuracy: name of the preset.
+        model: what is integrated.
+        work: the cycles that it takes.
+        budget: of steps in a cycle.
+    """
+    own, frequency = preset(accuracy, model, work.lowest, work.run_cycles), float(np.mean([f for f, _ in work.phases]))
+    lines = (line for line in TABLE if accuracy in line.accuracies and line.applies(model, frequency))
+    line = next(lines, None)
+    if line is None or line.method == own.name:
+        return Choice(own, f"the method of accuracy {accuracy}, no other being quicker on such a structure")
+    sweep = work.side_by_side is not None
+    saved, compiling = (1 - line.share[sweep]) * seconds(model, own, work), line.compiling[sweep]
+    hopeless = max(stable_steps(model, frequency), SLIPPING * slip_steps(model, frequency)) > budget
+    if saved <= compiling and not (hopeless and line.method == "exponential"):
+        shorter = f"{line.method} would save about {saved:.1g} s and take {compiling:g} s longer to compile"
+        return Choice(own, f"the method of accuracy {accuracy}, since {shorter}")
+    taken = tightened(own, line.largest / own.rtol)
+    return Choice(replace(taken, name=line.method), line.why)
