@@ -138,7 +138,7 @@ def timesim_rows(problem: Problem, batch: int, methods: list[str]) -> list[Conte
 
 def marched(problem: Problem, batch: int, solver: Solver) -> Callable[[], Run]:
     frequencies = problem.frequency * (1 + 0.01 * np.arange(batch) / batch)
-    reduction = reduction_of(problem.model, frequencies)
+    reduction = reduction_of(problem.model, frequencies, reduce=solver.reduce)
     frames = [Frame(problem.model, reduction, frequency) for frequency in frequencies]
     stiffest = problem.model.stuck_rate / frames[0].scales.omega
     start = Simulation(problem.model, [Phase(problem.frequency, problem.cycles)], solver)

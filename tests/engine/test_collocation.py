@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from simulation import FINE as RUNGE_KUTTA
 from simulation import REFERENCE, relative_error, simulate
 from systems import at_rest, excitation, generated_model, generated_models, oscillator, pad, structure
 
-from timesim.engine.event_loop import advance
+from timesim.engine.event_loop import advance, march
 from timesim.engine.law.cone import ConeLaw
 from timesim.engine.law.contact_law import ContactLaw
 from timesim.engine.law.rule import rule_of
@@ -123,6 +124,37 @@ def test_steady_states_and_their_multipliers_are_those_of_runge_kutta() -> None:
     assert 0.05 < orbit.slip_share[0] < 0.95
     for own, other in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(own, other, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.slow
+def test_a_lightly_damped_motion_repeats_to_rounding() -> None:
+    """A beam of six modes that slips: explicit steps ride on the stability limit of the sixth; their noise stays."""
+    omega = 2 * np.pi * np.array([1.0, 6.27, 17.55, 34.4, 56.8, 84.9])
+    shape = np.random.default_rng(5).normal(size=(6, 3)) * [1.0, 1.0, 0.3]
+    body = structure(omega**2, 0.004 * omega, shape.tolist())  # 0.2 % of critical damping
+    model = Model(body, (pad(0.3, 60.0, 60.0, 0.5),), excitation(1.02, [0.3] * 6, [0.0] * 6), at_rest(6, 1))
+    change, transitions = {}, {}
+    for name in ("exponential", "tsit5"):
+        ends, counts = zip(
+            *(after(model, 1.02, cycles, Solver(name, 1e-7, 1e-9)) for cycles in (4000, 4001)), strict=True
+        )
+        change[name], transitions[name] = relative_error(*ends), counts[1] - counts[0]
+    print(change)
+    assert transitions == {"exponential": 4, "tsit5": 4}
+    assert change["exponential"] < 1e-13
+    assert change["tsit5"] > 1e-10
+
+
+def after(model: Model, frequency: float, cycles: int, solver: Solver) -> tuple[np.ndarray, int]:
+    """The modes after a number of cycles, and how many transitions there were."""
+    run = Run(model, [Phase(frequency, cycles)], solver)
+    frame, method = Frame(model, run.reduction, frequency), step_method(solver)
+    stiffest = model.stuck_rate / frame.scales.omega
+    system = system_of(model, frequency, 0.0, run.reduction)
+    start = frame.begin(system, run, solver.first_step(stiffest), work=False)
+    one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (system, start))
+    end, count = march(method, step_control(solver, stiffest), *one, jnp.array([cycles]))
+    return np.concatenate([np.asarray(end.point.q)[0], np.asarray(end.point.p)[0]]), int(count[0])
 
 
 def test_a_fast_vibration_that_touches_a_stop_between_the_nodes_is_seen() -> None:

@@ -1,0 +1,194 @@
+"""How do time and memory grow with modes, contacts, transitions, cycles, lanes and points?
+
+    python benchmarks/growth.py --picture configs/pictures/growth.png
+
+One number grows at a time, each value in a process of its own that keeps to one core: CPU after a first run, which
+compiles, in all and for a piece of the work; the exponent of the latter between a value and the one before; peak memory
+of the process. Modes, contacts and transitions are those of `many_modes` (tsit5, rtol 1e-6, 10 cycles), with the more
+transitions the larger the load, and nothing left out; cycles (as `timesim run` records them), lanes and points are
+those of the paper's oscillator.
+"""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+import argparse
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import sweep_memory
+from event_loop import Problem, marched
+from problems import many_modes, oscillator
+
+from timesim.engine.trajectory import Phase
+from timesim.engine.trajectory import Run as Simulation
+from timesim.model.model import Model
+from timesim.model.solver import Solver
+from timesim.study.registry import carry_out, load_scene
+
+SOLVER = Solver("tsit5", 1e-6, 1e-8, reduce=False)
+CYCLES, REPEATS = 10, 5
+
+
+class Cost(NamedTuple):
+    """What a value costs: the number itself, the pieces of its work, CPU seconds."""
+
+    number: float
+    pieces: float
+    seconds: float
+
+
+class Row(NamedTuple):
+    cost: Cost
+    peak: float  # MB
+
+
+def cpu(run: Callable[[], object]) -> float:
+    clock = time.process_time()
+    run()
+    return time.process_time() - clock
+
+
+def timed(run: Callable[[], object]) -> float:
+    """Median CPU seconds after a first run."""
+    run()
+    return statistics.median(cpu(run) for _ in range(REPEATS))
+
+
+def steps(model: Model, number: float) -> Cost:
+    """A trajectory by its steps."""
+    run = Simulation(model, [Phase(1.0, CYCLES)], SOLVER)
+    count = sum(batch.time.size for batch in run.batches())
+    return Cost(number, count, timed(marched(Problem("", model, 1.0, CYCLES), 1, SOLVER)))
+
+
+def of_modes(number: int) -> Cost:
+    return steps(many_modes(number, 3), number)
+
+
+def of_contacts(number: int) -> Cost:
+    return steps(many_modes(40, number), number)
+
+
+def of_transitions(percent: int) -> Cost:
+    """20 modes with 4 contacts under a preload of 1, by a percentage of the load."""
+    model = many_modes(20, 4)
+    x, contacts = model.excitation, tuple(replace(contact, preload=1.0) for contact in model.contacts)
+    load = replace(x, cosine=percent / 100 * x.cosine, sine=percent / 100 * x.sine)
+    model = replace(model, contacts=contacts, excitation=load)
+    return steps(model, marched(Problem("", model, 1.0, CYCLES), 1, SOLVER)().num_events / CYCLES)
+
+
+def of_cycles(number: int) -> Cost:
+    def run(cycles: int) -> object:
+        study = {"kind": "transient", "cycles": cycles, "record_last": 10}
+        return carry_out(load_scene(sweep_memory.SCENE, {"study": study, "solver.estimate_error": False}))
+
+    run(10)
+    return Cost(number, number, cpu(lambda: run(number)))
+
+
+def of_lanes(number: int) -> Cost:
+    return Cost(number, number, timed(marched(Problem("", oscillator(3.0), 1.39, CYCLES), number, SOLVER)))
+
+
+def of_points(number: int) -> Cost:
+    with tempfile.TemporaryDirectory() as first, tempfile.TemporaryDirectory() as second:
+        sweep_memory.measure(100, first)
+        return Cost(number, number, cpu(lambda: sweep_memory.measure(number, second)))
+
+
+class Axis(NamedTuple):
+    values: tuple[int, ...]
+    piece: str
+    title: str
+    cost: Callable[[int], Cost]
+
+
+AXES = {
+    "modes": Axis((10, 20, 40, 80, 160, 320), "step", "3 contacts", of_modes),
+    "contacts": Axis((1, 2, 4, 8, 16, 32), "step", "40 modes", of_contacts),
+    "transitions a cycle": Axis((50, 100, 200, 400), "step", "20 modes, 4 contacts", of_transitions),
+    "cycles": Axis((30, 100, 300, 1000, 3000, 10000), "cycle", "recorded run of the oscillator", of_cycles),
+    "lanes": Axis((1, 4, 16, 64, 256, 1024), "lane and cycle", "oscillator", of_lanes),
+    "points": Axis((200, 500, 1000), "point", "sweep of the oscillator", of_points),
+}
+
+
+def measure(axis: str) -> list[Row]:
+    rows = []
+    for value in AXES[axis].values:
+        command = [sys.executable, __file__, "--one", axis, str(value)]
+        done = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()[-1])
+        rows.append(Row(Cost(*done["cost"]), done["peak"]))
+    return rows
+
+
+def table(axis: str, rows: list[Row]) -> str:
+    piece = AXES[axis].piece
+    cycles = CYCLES if piece == "lane and cycle" else 1
+    lines = [
+        f"\n#### {axis} ({AXES[axis].title})\n",
+        f"| {axis} | pieces | µs a {piece} | exponent | CPU s in all | peak MB |",
+        "|---|---|---|---|---|---|",
+    ]
+    before: tuple[float, float] | None = None
+    for (number, pieces, seconds), peak in rows:
+        each = 1e6 * seconds / pieces / cycles
+        exponent = f"{np.log(each / before[1]) / np.log(number / before[0]):+.2f}" if before and before[0] else ""
+        lines.append(f"| {number:g} | {pieces:g} | {each:.3g} | {exponent} | {seconds:.3g} | {peak:.0f} |")
+        before = (number, each)
+    return "\n".join(lines)
+
+
+def draw(found: dict[str, list[Row]], path: Path) -> None:
+    from timesim.picture.style import SERIES, figure
+
+    fig, grid = figure(2, 3, width=10.0, height=2.2, gap=0.75)
+    for ax, (axis, rows) in zip(grid.flat, found.items(), strict=False):
+        number = np.array([max(row.cost.number, 0.1) for row in rows])
+        each = np.array([1e6 * row.cost.seconds / row.cost.pieces for row in rows])
+        peak = np.array([row.peak for row in rows])
+        for values, label, look in ((each, "µs of CPU a piece", SERIES[0]), (peak, "peak memory [MB]", SERIES[1])):
+            ax.plot(number, values, marker=look.marker, color=look.colour, linestyle=look.line, label=label)
+        ax.set(xscale="log", yscale="log", xlabel=f"{axis} ({AXES[axis].title}; piece: {AXES[axis].piece})")
+        ax.xaxis.label.set_fontsize(8)
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    fig.legend(handles, labels, loc="lower center", ncol=3, fontsize=8, frameon=False)
+    fig.suptitle("Growth of time and memory", fontsize=11)
+    fig.savefig(path, dpi=90)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--axis", nargs="+", choices=list(AXES), default=list(AXES))
+    parser.add_argument("--picture", type=Path)
+    parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    if options.one:
+        cost = AXES[options.one[0]].cost(int(options.one[1]))
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(json.dumps({"cost": cost, "peak": peak}))
+        return
+    print(f"one of {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+    found = {}
+    for axis in options.axis:
+        found[axis] = measure(axis)
+        print(table(axis, found[axis]), flush=True)
+    if options.picture:
+        draw(found, options.picture)
+
+
+if __name__ == "__main__":
+    main()
