@@ -209,6 +209,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
         "(harmonic balance - sweep)/sweep of the amplitude; the values along its axes are those of the group sweep",
         "1",
     ),
+    "other_offset": ("1: the methods differ since a contact that sticks all the time keeps another offset", "1"),
 }
 
 # Units of the scene's own scalars, by the last part of their key: these become axes of a parameter study.

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from timesim.hbm.scheme import NEGLECTED, most_harmonics
+from timesim.hbm.scheme import NEGLECTED
 from timesim.model.cost import (
     LITTLE_FRICTION,
     REACH,
@@ -114,9 +114,9 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
     balance = plan if isinstance(plan, HbmPlan) else getattr(plan, "balance", None)
     if balance is not None:
         curves = prod(map(len, balance.over.values())) * (1 + balance.both_ends)
-        scheme, most = balance.scheme_for(model), most_harmonics(model.num_contacts)
+        scheme, *finer = balance.schemes_for(model)
         if "harmonics" in balance.chosen:
-            more = f", and up to {most} harmonics where they are needed" if most > scheme.harmonics else ""
+            more = f", and up to {finer[-1].harmonics} harmonics where they are needed" if finer else ""
             lines.append(f"{scheme}{more}; where those above would add over {NEGLECTED:g} of the amplitude, it is said")
         own = seconds_a_solution(model, scheme.time_samples, stability=balance.stability)
         work = f"{SOLUTIONS} solutions of {_duration(own)}"
