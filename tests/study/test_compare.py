@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
+import zoo
 from commands import CONFIGS, options, run_of_config
 from systems import oscillator_scene
 from typer.testing import CliRunner
@@ -140,10 +141,10 @@ def test_a_stop_is_closed_where_others_slip():
     assert any("a contact 0.00 of the cycle in slip" in line for line in lines_on(1e-4, friction=np.zeros(1)))
 
 
-def lines_on(
+def points_on(
     difference: float | np.ndarray, missing: int = 0, folds: Sequence[tuple[float, float]] = (), **changes: np.ndarray
-) -> list[str]:
-    """Lines on motions along x in which a contact slips and opens, the balance off by a share of each amplitude.
+) -> verdict.Points:
+    """Points of motions along x in which a contact slips and opens, the balance off by a share of each amplitude.
 
     Args:
         difference: of the methods.
@@ -169,8 +170,12 @@ def lines_on(
     off = np.full((*SHAPE, 1, 3), np.nan)
     off[..., 0] = np.asarray(difference)[..., None]
     off.reshape(-1, 3)[:missing] = np.nan
-    points = verdict.compared_points(xarray.Dataset(variables, coords), xarray.Dataset(hbm), off)
-    return list(verdict.comparison_lines(points))
+    return verdict.compared_points(xarray.Dataset(variables, coords), xarray.Dataset(hbm), off)
+
+
+def lines_on(*given: Any, **changes: Any) -> list[str]:
+    """The lines on these points."""
+    return list(verdict.comparison_lines(points_on(*given, **changes)))
 
 
 @pytest.mark.parametrize(("size", "word"), [(1e-4, "agree"), (1e-2, "nearly agree"), (0.1, "differ")])
@@ -232,6 +237,38 @@ def test_jumps_of_the_sweeps_are_listed_beside_the_folds():
     jumps = [line for line in said if "the motion jumps between" in line]
     assert [line.split(":")[0] for line in jumps] == ["direction up", "direction down"]
     assert any("folds at 0.947" in line for line in said)
+
+
+def test_points_with_another_offset_are_listed_with_the_reason():
+    """A contact sticks all the time at points of the first preload: doubtful, and not judged once it is known."""
+    slip = np.full((*SHAPE, 2), 0.4)
+    slip[0, ..., 1] = 0.0
+    sizes = np.full(SHAPE, 1e-5)
+    sizes[0, 0, 1:] = 3e-3
+    sizes[1, 0, 0] = 4e-3
+    known = np.zeros(SHAPE, dtype=bool)
+    known[0, 0, 1:] = True
+    shares = {"slip_share": slip, "separation_share": np.zeros((*SHAPE, 2)), "friction": np.ones(2)}
+    points = points_on(sizes, **shares)
+    np.testing.assert_array_equal(points.doubtful, known)
+    lines = list(verdict.comparison_lines(replace(points, other_offset=known)))
+    assert lines[0].startswith("the methods nearly agree: 4 points")
+    assert lines[1].startswith(
+        "2 points differ by up to 3.0e-03 since a contact that sticks all the time keeps another"
+    )
+    assert lines[1].endswith("contacts.pad.preload -4 at 2 to 3 Hz")
+
+
+@pytest.mark.slow
+def test_a_contact_that_sticks_with_another_offset_explains_a_difference():
+    """The sweep from rest leaves a mean force in a contact that sticks; it loads another, which slips."""
+    model, _ = zoo.structure(101)
+    model = replace(model, excitation=replace(model.excitation, cosine=30.4 * model.excitation.cosine))
+    study = {"kind": "compare", "frequency": {"values": [26.2, 38.0]}, "stability": False}
+    found = timesim.run(zoo.scene_of(model) | {"study": study})
+    assert found["other_offset"].values.ravel().tolist() == [1, 1]
+    assert float(abs(found["relative_difference"]).max()) > 1e-3
+    assert "keeps another offset" in found.attrs["verdict"]
 
 
 @pytest.mark.parametrize("rounding", [0.0, 2e-16])

@@ -20,6 +20,7 @@ frequency/time domain method for calculating the steady-state response of nonlin
 import timesim.runtime  # noqa: F401  isort: skip
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,6 +142,19 @@ class Balance:
                 response, dynamic = np.full_like(right, np.nan), one
             change = np.linalg.solve(dynamic, (2 * order**2 * omega * one - 1j * order * damping) @ response)
         return LinearResponse(response, self.shape @ response, self.shape @ change)
+
+    @lru_cache(maxsize=8)  # noqa: B019 a balance lives as long as its curve
+    def with_scheme(self, scheme: Scheme) -> "Balance":
+        """The same by another scheme."""
+        return Balance(self.model, 1.0, scheme, self.units)
+
+    def at(self, p: float) -> "Balance":
+        """The balance at a value of the parameter."""
+        return self
+
+    def frequency_at(self, p: float) -> float:
+        """Frequency of the excitation [Hz] at a value of the parameter, which it is."""
+        return p
 
     @property
     def num_unknowns(self) -> int:

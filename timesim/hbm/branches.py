@@ -8,7 +8,7 @@ import numpy as np
 
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.continuation import SAME, Controls, Ending, solve
-from timesim.hbm.curve import HbmCurve, crossings, hbm_curve, solutions_at
+from timesim.hbm.curve import HbmCurve, crossings, hbm_curve, schemes_of, solutions_at
 from timesim.hbm.first_guess import unknowns_of_modes
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
@@ -53,7 +53,7 @@ def isolated_curves(
     motions: Sequence[SettledMotion],
     span: tuple[float, float],
     *,
-    scheme: Scheme,
+    scheme: Scheme | Sequence[Scheme],
     **options: Any,
 ) -> Iterator[HbmCurve]:
     """Curves through settled motions that no other curve passes.
@@ -74,7 +74,7 @@ def isolated_curves(
         # The middle one of those that are left is far from the folds at the ends of its branch.
         motion = left.pop(len(left) // 2)
         guess = motion.coefficients()
-        if guess is None or not _leads_elsewhere(model, known, motion.frequency, guess, scheme):
+        if guess is None or not _leads_elsewhere(model, known, motion.frequency, guess, schemes_of(scheme)):
             continue
         curve = hbm_curve(model, *span, guess=guess, begin=motion.frequency, scheme=scheme, **options)
         known.append(curve)
@@ -91,8 +91,13 @@ def passes(curve: HbmCurve, motion: SettledMotion) -> bool:
     return False
 
 
-def _leads_elsewhere(model: Model, curves: list[HbmCurve], frequency: float, guess: Array, scheme: Scheme) -> bool:
+def _leads_elsewhere(
+    model: Model, known: list[HbmCurve], frequency: float, guess: Array, schemes: Sequence[Scheme]
+) -> bool:
     """Whether a guess leads to a solution that is on none of the curves."""
+    count = max((curve.harmonic_cos.shape[1] - 1 for curve in known), default=schemes[0].harmonics)
+    scheme = next(own for own in schemes if own.harmonics >= count)
+    curves = [curve.with_harmonics(scheme.harmonics) for curve in known]
     balance = Balance(model, frequency, scheme)
     solution = solve(balance, unknowns_of_modes(balance, guess), frequency, Controls())
     if solution is None:
@@ -111,5 +116,6 @@ def _meet(one: HbmCurve, i: int, other: HbmCurve, j: int) -> bool:
     """Whether two curves share a solution at these positions."""
     if not one.frequency.size or not other.frequency.size or not np.isclose(one.frequency[i], other.frequency[j]):
         return False
-    x, y = one.contact_motion[i], other.contact_motion[j]
+    count = max(curve.harmonic_cos.shape[1] for curve in (one, other)) - 1
+    x, y = one.with_harmonics(count).contact_motion[i], other.with_harmonics(count).contact_motion[j]
     return bool(np.linalg.norm(x - y) <= SAME * np.linalg.norm(y))

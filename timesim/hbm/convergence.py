@@ -5,17 +5,18 @@ same harmonics. The measure is the largest difference of an amplitude from that 
 largest amplitude of the motion.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from timesim.hbm.adaptive import tail
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.continuation import Controls, solve
 from timesim.hbm.curve import HbmCurve
 from timesim.hbm.period import contact_forces
-from timesim.hbm.scheme import MIN_SAMPLES, NEGLECTED, Scheme, enough_samples, most_harmonics
+from timesim.hbm.scheme import MIN_SAMPLES, Scheme
 from timesim.model.model import Model
 from timesim.orbit.fourier import half_range, to_coefficients, to_phasors
 from timesim.orbit.steady_state import switches
@@ -34,76 +35,56 @@ SHIFT = 0.38
 FINER, MOST_SAMPLES = 4, 2048
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """Whether the scheme of a curve suffices.
-
-    Attributes:
-        finer: one that does; None where that of the curve is enough, or where no finer one is chosen.
-        neglected: share of the amplitude that harmonics above those balanced would add; 0 where they are given.
-    """
-
-    finer: Scheme | None
-    neglected: float = 0.0
-
-
-def verdict_on(model_at: Callable[[float], Model], curve: HbmCurve, scheme: Scheme, chosen: Collection[str]) -> Verdict:
-    """Whether the scheme of a curve suffices, and one that does.
-
-    Args:
-        model_at: the model for a value of the curve's parameter.
-        curve, scheme: the solutions, and what they are computed with.
-        chosen: the keys of the scheme that may be changed.
-    """
-    above = 0.0
+def looked_at(curve: HbmCurve) -> NDArray[np.int64]:
+    """Some solutions of a curve at which a contact slips, or opens within the period."""
     rows = np.flatnonzero(switches(curve.slip_share, curve.separation_share).any(axis=1))
-    rows = np.unique(rows[np.linspace(0, rows.size - 1, LOOKED_AT).round().astype(int)]) if rows.size else rows
-    if "harmonics" in chosen and rows.size:
-        left = neglected(model_at, curve, scheme, rows)
-        most = max(most_harmonics(curve.slip_share.shape[1]), scheme.harmonics)
-        # Half of it, since more harmonics make short contacts shorter.
-        wanted = min(int(np.argmax(np.append(left <= NEGLECTED / 2, True))), most)
-        above = float(left[scheme.harmonics])
-        if above > NEGLECTED and wanted > scheme.harmonics:
-            least = enough_samples(wanted) if "time_samples" in chosen else 4 * wanted
-            return Verdict(Scheme(wanted, max(scheme.time_samples, least)), above)
-    samples = FINER * scheme.time_samples
-    if "time_samples" not in chosen or samples > MOST_SAMPLES or not rows.size:
-        return Verdict(None, above)
-    few = sampling_error(model_at, curve, scheme, rows) > SAMPLED
-    return Verdict(replace(scheme, time_samples=samples) if few else None, above)
+    return np.unique(rows[np.linspace(0, rows.size - 1, LOOKED_AT).round().astype(int)]) if rows.size else rows
 
 
-def neglected(model_at: Callable[[float], Model], curve: HbmCurve, scheme: Scheme, rows: NDArray[np.int64]) -> Array:
-    """Displacement that the harmonics of the contact forces above each order would add, shape (N/4 + 1,).
+def neglected(model_at: Callable[[float], Model], curve: HbmCurve, schemes: Sequence[Scheme]) -> float:
+    """Share of the amplitude that harmonics above those of a curve would add, the most at the solutions looked at."""
+    worst = 0.0
+    for i in looked_at(curve):
+        motion = curve.contact_motion[i]
+        scheme, frequency = scheme_of(motion, schemes), float(curve.frequency[i])
+        balance = Balance(model_at(float(curve.parameter[i])), frequency, scheme)
+        x = motion[..., : balance.size].ravel() / balance.length
+        worst = max(worst, float(tail(balance, x, frequency)[scheme.harmonics]))
+    return worst
 
-    It is the tail of the residual with more harmonics, as far as the samples resolve them: the most along the curve,
-    relative to the largest amplitude.
-    """
-    wide, worst = replace(scheme, harmonics=scheme.time_samples // 4), 0.0
-    for i in rows:
-        balance = Balance(model_at(float(curve.parameter[i])), float(curve.frequency[i]), wide)
-        motion = np.zeros((balance.num_contacts, 3, balance.size))
-        motion[..., : curve.contact_motion.shape[-1]] = curve.contact_motion[i] / balance.length
-        x = motion.ravel()
-        modes = balance.modes(x, balance.contact_forces(x), float(curve.frequency[i]))
-        heights = np.abs(np.einsum("pam,hm->hpa", balance.model.structure.shape, modes)).max(axis=(1, 2))
-        above = np.append(np.cumsum(heights[:0:-1])[::-1], 0.0)
-        worst = np.maximum(worst, above / curve.amplitude[i].max())
-    return np.asarray(worst)
+
+def scheme_of(motion: Array, schemes: Sequence[Scheme]) -> Scheme:
+    """The coarsest of several schemes that has all harmonics of a motion, shape (C, 3, 2H + 1)."""
+    used = np.flatnonzero(motion.any(axis=(0, 1)))
+    return next(own for own in schemes if used.size == 0 or used[-1] <= 2 * own.harmonics)
+
+
+def with_more_samples(
+    model_at: Callable[[float], Model], curve: HbmCurve, schemes: Sequence[Scheme]
+) -> tuple[Scheme, ...] | None:
+    """The schemes with more samples where those of a curve are too few; None where they are enough."""
+    samples = [FINER * scheme.time_samples for scheme in schemes]
+    if samples[0] > MOST_SAMPLES or sampling_error(model_at, curve, schemes, looked_at(curve)) <= SAMPLED:
+        return None
+    return tuple(
+        replace(scheme, time_samples=max(min(count, MOST_SAMPLES), scheme.time_samples))
+        for scheme, count in zip(schemes, samples, strict=True)
+    )
 
 
 def sampling_error(
-    model_at: Callable[[float], Model], curve: HbmCurve, scheme: Scheme, rows: NDArray[np.int64]
+    model_at: Callable[[float], Model], curve: HbmCurve, schemes: Sequence[Scheme], rows: NDArray[np.int64]
 ) -> float:
     """Change of a contact force, relative to its largest coefficient, as the samples shift: the most along a curve.
 
     No other program is compiled for it.
     """
-    worst, turn = 0.0, np.exp(2j * np.pi * SHIFT / scheme.time_samples * np.arange(scheme.harmonics + 1))
+    worst = 0.0
     for i in rows:
+        scheme = scheme_of(curve.contact_motion[i], schemes)
+        turn = np.exp(2j * np.pi * SHIFT / scheme.time_samples * np.arange(scheme.harmonics + 1))
         balance = Balance(model_at(float(curve.parameter[i])), float(curve.frequency[i]), scheme)
-        motion = curve.contact_motion[i] / balance.length
+        motion = curve.contact_motion[i][..., : balance.size] / balance.length
         moved = to_coefficients(to_phasors(motion) * turn)
         here, there = (contact_forces(balance.law, balance.basis, own).coefficient for own in (motion, moved))
         change = np.abs(there - to_coefficients(to_phasors(here) * turn)).max(axis=(1, 2))

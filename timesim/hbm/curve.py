@@ -5,14 +5,27 @@ The balance is `timesim.hbm.balance`, the way along the curve `timesim.hbm.conti
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from timesim.hbm.adaptive import AdaptiveBalance
 from timesim.hbm.balance import Balance
-from timesim.hbm.continuation import Controls, Curve, Ending, Solution, follow, follow_both_ways, solve
+from timesim.hbm.continuation import (
+    Controls,
+    Curve,
+    Ending,
+    Solution,
+    follow,
+    follow_both_ways,
+    joined,
+    part_of,
+    solve,
+)
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.period import contact_forces
 from timesim.hbm.scheme import Scheme
@@ -118,7 +131,7 @@ def hbm_curve(
     start: float,
     stop: float,
     *,
-    scheme: Scheme | None = None,
+    scheme: Scheme | Sequence[Scheme] | None = None,
     controls: Controls | None = None,
     guess: Array | None = None,
     begin: float | None = None,
@@ -132,7 +145,8 @@ def hbm_curve(
         start, stop: range [Hz]; the curve begins at `start`, which may be the larger.
 
     Keyword Args:
-        scheme: harmonics and time samples.
+        scheme: harmonics and time samples; or several, with more and more harmonics, of which each solution takes the
+            first that leaves out little enough.
         controls: steps of the continuation.
         guess: modal displacement at `begin` by its Fourier coefficients 1, cos, sin, ..., shape (2K + 1, M), of a
             time integration for instance: so isolated branches are reached. By default the linear response with the
@@ -150,17 +164,43 @@ def hbm_curve(
         ValueError: the range, the scheme or the excitation does not allow a balance.
     """
     _check_range(start, stop)
-    balance = Balance(model, start, scheme or Scheme())
+    balance = AdaptiveBalance(lambda own: Balance(model, start, own), schemes_of(scheme), model.num_contacts)
     steps, place = controls or Controls(), start if begin is None else begin
     if watch is not None:
-        steps = watched(steps, watch, lambda curve: evaluated(balance, curve, stability=False))
+        steps = watched(steps, watch, lambda curve: by_schemes(balance, curve, partial(evaluated, stability=False)))
 
     def followed(first: Array) -> Curve:
         if start < place < stop or stop < place < start:
             return follow_both_ways(balance, first, place, (start, stop), steps)
         return follow(balance, first, start, stop, steps)
 
-    return evaluated(balance, curve_near(balance, place, steps, guess, followed), stability=stability)
+    curve = curve_near(balance, place, place, steps, guess, followed)
+    return by_schemes(balance, curve, partial(evaluated, stability=stability))
+
+
+def schemes_of(scheme: Scheme | Sequence[Scheme] | None) -> Sequence[Scheme]:
+    """One or several schemes; the default is one."""
+    return (scheme or Scheme(),) if scheme is None or isinstance(scheme, Scheme) else scheme
+
+
+def by_schemes(balance: AdaptiveBalance, curve: Curve, evaluate: Callable[[Any, Curve], HbmCurve]) -> HbmCurve:
+    """The solutions of a curve evaluated each by its own scheme, with the harmonics of the finest of these.
+
+    Args:
+        balance, curve: what was followed, and the solutions.
+        evaluate: the solutions of the balance by one scheme.
+    """
+    places = np.array([balance.place_of(x) for x in curve.x], dtype=int)
+    used = np.unique(places) if places.size else np.zeros(1, dtype=int)
+    parts, rows = [], []
+    for place in used:
+        own = np.flatnonzero(places == place)
+        part = replace(part_of(curve, own), x=curve.x[own][:, balance.positions(place)])
+        done = evaluate(balance.residual_of(balance.schemes[place]), part)
+        parts.append(done.with_harmonics(balance.schemes[used[-1]].harmonics))
+        rows.append(own)
+    whole: HbmCurve = part_of(joined(parts), np.argsort(np.concatenate(rows)))
+    return replace(whole, branch=curve.branch)
 
 
 def _check_range(start: float, stop: float) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from timesim.engine.trajectory import RunError
+from timesim.hbm.adaptive import AdaptiveBalance
 from timesim.hbm.balance import Array, Balance, contact_stiffness
 from timesim.hbm.continuation import Controls, Curve, Ending, follow
 from timesim.model.solver import PRESETS, Criterion
@@ -33,16 +34,30 @@ def unknowns_of_modes(balance: Balance, modal: Array) -> Array:
 
 
 def curve_near(
-    balance: Balance, frequency: float, controls: Controls, guess: Array | None, followed: Callable[[Array], Curve]
+    adaptive: AdaptiveBalance,
+    p: float,
+    frequency: float,
+    controls: Controls,
+    guess: Array | None,
+    followed: Callable[[Array], Curve],
 ) -> Curve:
-    """The curve through a solution near a modal guess, or else near the first of `first_guesses` that leads to one."""
+    """The curve through a solution near a modal guess, or else near the first of `first_guesses` that leads to one.
+
+    Args:
+        adaptive: the balance.
+        p, frequency: where the curve begins: the parameter, and the frequency of the excitation [Hz].
+        controls: steps of the continuation.
+        guess: modal Fourier coefficients 1, cos, sin, ....
+        followed: the curve from a guess of the unknowns.
+    """
+    coarse, fine = (adaptive.residual_of(adaptive.schemes[place]).at(p) for place in (0, -1))
     if guess is not None:
-        return followed(unknowns_of_modes(balance, guess))
+        return followed(unknowns_of_modes(fine, guess))
     tried = []
-    for way, first in first_guesses(balance, frequency, controls):
+    for way, first in first_guesses(coarse, frequency, controls, fine):
         tried.append(way)
         if first is not None:
-            curve = followed(first)
+            curve = followed(first if first.size == fine.num_unknowns else adaptive.whole(first))
             if curve.ending is not Ending.START:
                 return curve
     return replace(curve, message=f"{curve.message}; tried: {', '.join(tried)}")
@@ -52,8 +67,13 @@ Guess = tuple[str, Array | None]
 """A way to a first solution in words, and where it leads to; None if it leads nowhere."""
 
 
-def first_guesses(balance: Balance, frequency: float, controls: Controls) -> Iterator[Guess]:
-    """Linear responses, a load that grows from zero, and the motion to which a time integration settles."""
+def first_guesses(
+    balance: Balance, frequency: float, controls: Controls, fine: Balance | None = None
+) -> Iterator[Guess]:
+    """Linear responses, a load that grows from zero, and the motion to which a time integration settles.
+
+    The last one has the unknowns of a finer balance, if one is given: it may be far from any solution with few of them.
+    """
     closed = np.array([contact.preload > 0 for contact in balance.model.contacts], dtype=float)
     states = {
         "stuck where they are closed at rest": closed,
@@ -67,7 +87,7 @@ def first_guesses(balance: Balance, frequency: float, controls: Controls) -> Ite
             tried.add(tuple(stuck))
             yield f"the linear response with contacts {way}", _linear_guess(balance, frequency, stuck)
     yield _ramped(balance, frequency, controls)
-    yield _settled(balance, frequency)
+    yield _settled(fine or balance, frequency)
 
 
 def _ramped(balance: Balance, frequency: float, controls: Controls) -> Guess:

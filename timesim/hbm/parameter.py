@@ -4,15 +4,16 @@ The model is built anew at each value. The derivative by the scalar is a differe
 steps of the continuation, and the solutions do not depend on it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
+from timesim.hbm.adaptive import AdaptiveBalance
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.continuation import Controls, Curve, follow, joined, part_of
-from timesim.hbm.curve import HbmCurve, Watch, evaluated, watched
+from timesim.hbm.curve import HbmCurve, Watch, by_schemes, evaluated, schemes_of, watched
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
@@ -32,28 +33,32 @@ class ParameterBalance:
         self.model_at, self.frequency, self.scheme = model_at, frequency, scheme
         self.low, self.high = sorted(map(float, ends))
         self.units = scales_of(model_at(float(ends[0])), frequency)
-        self.balance = lru_cache(maxsize=8)(self._balance)
+        self.at = lru_cache(maxsize=8)(self._balance)
 
     def _balance(self, p: float) -> Balance:
-        return Balance(self.model_at(p), self.frequency, self.scheme, self.units)
+        return Balance(self.model_at(min(max(p, self.low), self.high)), self.frequency, self.scheme, self.units)
+
+    def frequency_at(self, p: float) -> float:
+        """Frequency of the excitation [Hz]."""
+        return self.frequency
 
     def value(self, x: Array, p: float) -> Array:
         """r in units of length."""
         inside = min(max(p, self.low), self.high)
-        r = self.balance(inside).value(x, self.frequency)
+        r = self.at(inside).value(x, self.frequency)
         return r if inside == p else r + (p - inside) * self._slope(x, inside)
 
     def linearised(self, x: Array, p: float) -> tuple[Array, Array, Array]:
         """r, and its derivatives by the unknowns and by the scalar."""
         inside = min(max(p, self.low), self.high)
-        r, by_x, _ = self.balance(inside).linearised(x, self.frequency)
+        r, by_x, _ = self.at(inside).linearised(x, self.frequency)
         slope = self._slope(x, inside)
         return r + (p - inside) * slope, by_x, slope
 
     def _slope(self, x: Array, p: float) -> Array:
         step = DIFFERENCE * (self.high - self.low)
         middle = min(max(p, self.low + step), self.high - step)
-        low, here, high = (self.balance(q).value(x, self.frequency) for q in (middle - step, middle, middle + step))
+        low, here, high = (self.at(q).value(x, self.frequency) for q in (middle - step, middle, middle + step))
         return (high - low) / (2 * step) + (high - 2 * here + low) * ((p - middle) / step**2)
 
 
@@ -63,7 +68,7 @@ def parameter_curve(
     start: float,
     stop: float,
     *,
-    scheme: Scheme | None = None,
+    scheme: Scheme | Sequence[Scheme] | None = None,
     controls: Controls | None = None,
     guess: Array | None = None,
     stability: bool = True,
@@ -85,20 +90,26 @@ def parameter_curve(
     Raises:
         ValueError: the range, the scheme or the excitation does not allow a balance.
     """
-    residual = ParameterBalance(model_at, frequency, scheme or Scheme(), (start, stop))
-    steps, balance = controls or Controls(), residual.balance(start)
+    balance = AdaptiveBalance(
+        lambda own: ParameterBalance(model_at, frequency, own, (start, stop)),
+        schemes_of(scheme),
+        model_at(start).num_contacts,
+    )
+    steps = controls or Controls()
     if watch is not None:
-        steps = watched(steps, watch, lambda curve: _evaluated(residual, curve, stability=False))
-    curve = curve_near(balance, frequency, steps, guess, lambda first: follow(residual, first, start, stop, steps))
-    return _evaluated(residual, curve, stability=stability)
+        steps = watched(steps, watch, lambda curve: by_schemes(balance, curve, partial(_evaluated, stability=False)))
+    curve = curve_near(
+        balance, start, frequency, steps, guess, lambda first: follow(balance, first, start, stop, steps)
+    )
+    return by_schemes(balance, curve, partial(_evaluated, stability=stability))
 
 
 def _evaluated(residual: ParameterBalance, curve: Curve, *, stability: bool) -> HbmCurve:
     if not curve.p.size:
-        return evaluated(residual.balance(residual.low), curve, stability=False)
+        return evaluated(residual.at(residual.low), curve, stability=False)
     here = replace(curve, p=np.full(curve.p.size, residual.frequency))
     points = [
-        evaluated(residual.balance(float(p)), part_of(here, slice(i, i + 1)), stability=stability)
+        evaluated(residual.at(float(p)), part_of(here, slice(i, i + 1)), stability=stability)
         for i, p in enumerate(curve.p)
     ]
     return replace(joined(points), parameter=curve.p, branch=curve.branch)

@@ -1,8 +1,9 @@
 """Contact forces through one period of a given relative motion, on equal time samples.
 
 The law over the interval between two samples is that of `timesim.hbm.interval`. A contact that can stick all along
-does, with the offset of `timesim.hbm.stuck_offset`. Any other begins the period with ``w = 0``, put on the cone where
-it would lie outside, and the period is repeated until the elastic displacement at its end is that at its start.
+does, with the offset of `timesim.hbm.stuck_offset`, and one that is apart all along has no force: neither needs a pass
+through the period. Any other begins it with ``w = 0``, put on the cone where it would lie outside, and the period is
+repeated until the elastic displacement at its end is that at its start.
 
 The number of samples is data of the compiled program, which has room for many; contacts go through it a few at a time.
 So one program serves any number of samples, contacts and harmonics.
@@ -11,8 +12,9 @@ So one program serves any number of samples, contacts and harmonics.
 import timesim.runtime  # noqa: F401  isort: skip
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -88,6 +90,7 @@ class ClosedPeriod:
             closed, shape (C,).
         passes: through the period, at most.
         stuck: which contacts stick all along, and the offset of their force.
+        works: which contacts neither stick nor are apart all along, shape (C,).
     """
 
     start: Plane
@@ -95,6 +98,12 @@ class ClosedPeriod:
     closure: NDArray[np.float64]
     passes: int
     stuck: Offset
+    works: NDArray[np.bool_]
+
+    def of(self, places: NDArray[np.int64]) -> "ClosedPeriod":
+        """The period of some contacts."""
+        names = ("start", "ends", "closure", "stuck", "works")
+        return replace(self, **{name: part_of(getattr(self, name), places) for name in names})
 
     @property
     def slip(self) -> NDArray[np.float64]:
@@ -112,6 +121,9 @@ def _share(part: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(np.all(part > WHOLE, axis=0), 1.0, np.mean(part, axis=0))
 
 
+T = TypeVar("T")
+
+
 class _Passes(eqx.Module):
     """Passes so far: where the next one starts, and start, end and path of the last one.
 
@@ -127,21 +139,18 @@ class _Passes(eqx.Module):
 
 
 @jax.jit
-def _closed(law: ConeLaw, motion: Float[Array, "room+1 6 lane"], count: Int[Array, ""], stuck: Plane) -> _Passes:
+def _closed(law: ConeLaw, motion: Float[Array, "room+1 6 lane"], count: Int[Array, ""]) -> _Passes:
     """Pass through a periodic motion until d closes, at most `MAX_PASSES` times.
 
-    A contact that can stick all along enters with the offset of `timesim.hbm.stuck_offset` and does. The others are
-    accelerated from the third pass on (D. G. Anderson, J. ACM 12 (1965) 547, with one pass remembered): slip maps the
-    plane on a curve, so the change over a pass has one direction.
+    They are accelerated from the third pass on (D. G. Anderson, J. ACM 12 (1965) 547, with one pass remembered): slip
+    maps the plane on a curve, so the change over a pass has one direction.
 
     Args:
         law: of the contacts.
         motion: (u1, u2, v) and their rates at the samples, the last one first too.
         count: of the samples.
-        stuck: offset of the friction force.
     """
-    last_u, last_v = (motion[0, 0], motion[0, 1]), motion[0, 2]
-    elastic = tuple(u + c for u, c in zip(last_u, product(law.compliance, stuck), strict=True))
+    elastic, last_v = (motion[0, 0], motion[0, 1]), motion[0, 2]
     reach = jnp.max(length((motion[:, 0], motion[:, 1])), axis=0)
 
     def one_pass(start: Plane, path: Array) -> tuple[Plane, Scalar, Array]:
@@ -182,37 +191,68 @@ def in_lanes(num_contacts: int) -> Iterator[NDArray[np.int64]]:
         yield np.minimum(np.arange(first, first + size), num_contacts - 1)
 
 
-def law_of(law: ConeLaw, lanes: NDArray[np.int64]) -> ConeLaw:
-    """The law of some contacts."""
-    own: ConeLaw = jax.tree.map(lambda leaf: np.asarray(leaf)[lanes], law)
-    return own
+def part_of(whole: T, places: NDArray[np.int64]) -> T:
+    """That of some contacts, which are along the last axis of each array."""
+    part: T = jax.tree.map(lambda leaf: np.asarray(leaf)[..., places], whole)
+    return part
 
 
 def period_of(law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64]) -> ClosedPeriod:
     """The closed period of a motion given by its Fourier coefficients (u1, u2, v), shape (C, 3, 2H + 1)."""
-    motion, (count, num_contacts) = motion_of(basis, coefficient), (len(basis.value), len(coefficient))
+    motion, num_contacts = motion_of(basis, coefficient), len(coefficient)
+    dense = dense_motion_of(basis, coefficient)
+    stuck = _offsets(law, dense)
+    works = ~stuck.sticks & ~_apart(law, dense)
+    # Of those that stick all along: d follows u.
+    offset = product(tuple(map(np.asarray, law.compliance)), stuck.force)
+    d = [np.where(stuck.sticks, u + c, 0.0) for u, c in zip(motion.u, offset, strict=True)]
+    slip, separation = (np.zeros_like(motion.v) for _ in range(2))
+    separation[:, ~stuck.sticks & ~works] = 1.0
+    put = np.zeros((6, *motion.v.shape))
+    start, closure, passes = [part[-1].copy() for part in d], np.zeros(num_contacts), 1
+    places = np.flatnonzero(works)
+    for lanes in in_lanes(places.size):
+        own = places[lanes]
+        last = _closed_part(part_of(law, own), motion, own)
+        path = np.moveaxis(np.asarray(last.path)[: len(motion.v)], 1, 0)
+        for whole, part in zip((*d, slip, separation, *put), path, strict=True):
+            whole[:, own] = part
+        for i in range(2):
+            start[i][own] = last.start[i]
+        closure[own], passes = last.closure, max(passes, int(last.count))
+    ends = IntervalEnd((d[0], d[1]), slip, separation, tuple(put[:3]), tuple(put[3:]))
+    return ClosedPeriod((start[0], start[1]), ends, closure, passes, stuck, works)
+
+
+def _closed_part(law: ConeLaw, motion: Motion, places: NDArray[np.int64]) -> _Passes:
+    """The passes through the period of some of the contacts; the law is theirs."""
+    count = len(motion.v)
     room = next((room for room in ROOM if room >= count), count)
-    parts = []
+    table = np.zeros((room + 1, 6, places.size))
+    for i, part in enumerate((*motion.u, motion.v, *motion.du, motion.dv)):
+        table[1 : count + 1, i] = part[:, places]
+    table[0] = table[count]
+    return _closed(law, table, count)
+
+
+def _offsets(law: ConeLaw, dense: Motion) -> Offset:
+    """Which contacts stick all along a motion at its dense samples, and the offset of their force."""
+    num_contacts, parts = dense.v.shape[1], []
     for lanes in in_lanes(num_contacts):
-        own, table = law_of(law, lanes), np.zeros((room + 1, 6, lanes.size))
-        for i, part in enumerate((*motion.u, motion.v, *motion.du, motion.dv)):
-            table[1 : count + 1, i] = part[:, lanes]
-        table[0] = table[count]
-        stuck = stuck_offset(own, dense_motion_of(basis, coefficient[lanes]))
-        parts.append((_closed(own, table, count, stuck.force), stuck))
+        parts.append(stuck_offset(part_of(law, lanes), part_of(dense, lanes)))
 
     def joined(leaves: Iterable[Array]) -> NDArray[np.float64]:
         return np.concatenate([np.asarray(leaf) for leaf in leaves], axis=-1)[..., :num_contacts]
 
-    d1, d2, slip, separation, *put = np.moveaxis(joined(np.asarray(last.path)[:count] for last, _ in parts), 1, 0)
-    ends = IntervalEnd((d1, d2), slip, separation, tuple(put[:3]), tuple(put[3:]))
-    start = tuple(joined(last.start[i] for last, _ in parts) for i in range(2))
-    stuck = Offset(
-        tuple(joined(offset.force[i] for _, offset in parts) for i in range(2)),
-        joined(offset.sticks for _, offset in parts),
-    )
-    passes = max(int(last.count) for last, _ in parts)
-    return ClosedPeriod(start, ends, joined(last.closure for last, _ in parts), passes, stuck)
+    force = tuple(joined(own.force[i] for own in parts) for i in range(2))
+    return Offset(force, joined(own.sticks for own in parts))
+
+
+def _apart(law: ConeLaw, dense: Motion) -> NDArray[np.bool_]:
+    """Which contacts are apart all along: v rises between two samples by less than its second difference."""
+    bend = np.abs(np.roll(dense.v, -1, axis=0) - 2 * dense.v + np.roll(dense.v, 1, axis=0)).max(axis=0)
+    highest = np.asarray(dense.v).max(axis=0) + bend / 4
+    return np.asarray(law.preload) + np.asarray(law.normal_stiffness) * highest < 0
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ MIN_SAMPLES = 16
 # With so many samples of the shortest wave, and of the period, the contact forces err by less than 1e-6 of the largest
 # under the motions of tests/hbm/test_period.py, 1e-5 where K_u is not isotropic.
 SAMPLES_PER_WAVE, ENOUGH_SAMPLES = 24, 256
-# Where the program chooses them: harmonics at first, and unknowns at most, beyond which a solution takes seconds.
-FIRST_HARMONICS, MOST_UNKNOWNS = 9, 400
+# Where the program chooses them: harmonics at first, and those that are tried after them; unknowns at most, beyond
+# which a solution takes a second.
+FIRST_HARMONICS, MORE_HARMONICS, MOST_UNKNOWNS = 9, (13, 19, 27, 39, 57, 81), 1000
 # Share of the amplitude that harmonics above those balanced may add.
 NEGLECTED = 1e-4
 
@@ -57,7 +58,21 @@ def enough_samples(harmonics: int) -> int:
 
 def most_harmonics(num_contacts: int) -> int:
     """Harmonics that the program chooses at most."""
-    return max(FIRST_HARMONICS, (MOST_UNKNOWNS // (3 * num_contacts) - 1) // 2)
+    return max(FIRST_HARMONICS, min(MORE_HARMONICS[-1], (MOST_UNKNOWNS // (3 * num_contacts) - 1) // 2))
+
+
+def finer_schemes(first: Scheme, most: int, *, choose_samples: bool) -> tuple[Scheme, ...]:
+    """A scheme, and those with more harmonics, up to a number, that the program may take after it.
+
+    Args:
+        first: the coarsest.
+        most: harmonics.
+        choose_samples: take as many samples as suit each number of harmonics, else as few as it allows.
+    """
+    more = [count for count in MORE_HARMONICS if first.harmonics < count < most]
+    more += [most] if most > first.harmonics else []
+    least = enough_samples if choose_samples else lambda count: 4 * count
+    return first, *(Scheme(count, max(first.time_samples, least(count))) for count in more)
 
 
 def highest_excited(model: Model) -> int:

@@ -39,7 +39,7 @@ RESULTS = (slice(0, 2), slice(2, 5), slice(5, 8))
 SIDE_BY_SIDE = 16
 
 
-def floquet_multipliers(balance: Balance, x: Array, frequency: Array, *, samples: int = SAMPLES) -> Array:
+def floquet_multipliers(balance: Balance, x: Array, frequency: Array, *, samples: int | None = None) -> Array:
     """Multipliers of solutions, largest first; a contact in full stick gives two that are 1.
 
     Args:
@@ -48,7 +48,7 @@ def floquet_multipliers(balance: Balance, x: Array, frequency: Array, *, samples
         frequency: of the excitation [Hz], shape (S,).
 
     Keyword Args:
-        samples: of the period; second order.
+        samples: of the period; second order; by default as many as the harmonics need.
 
     Returns:
         multipliers, complex, shape (S, 2M + 2C).
@@ -56,6 +56,7 @@ def floquet_multipliers(balance: Balance, x: Array, frequency: Array, *, samples
     size = 2 * (balance.model.structure.num_modes + balance.num_contacts)
     if not len(x):
         return np.zeros((0, size), complex)
+    samples = samples or max(SAMPLES, 4 * balance.scheme.harmonics)
     local = _linearised(balance, balance.coefficients(x), samples)
     count = max(1, MAX_ENTRIES // (samples * size**2))
     parts = [slice(i, i + count) for i in range(0, len(x), count)]

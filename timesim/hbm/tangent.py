@@ -27,8 +27,8 @@ from timesim.hbm.period import (
     dense_motion_of,
     forces_of,
     in_lanes,
-    law_of,
     motion_of,
+    part_of,
     period_of,
     starts_of,
     touching_stiffness,
@@ -138,20 +138,27 @@ def _seed(size: int) -> Array64:
 def linearised(
     law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64]
 ) -> tuple[ContactForces, NDArray[np.float64]]:
-    """`contact_forces`, and their derivatives by the coefficients of the same contact: 3 (2H + 1) rows and columns.
-
-    With d at the end of the last pass e(y, d0) and d0 = e, ``(1 - de/dd0) dd0/dy = de/dy`` closes the period; where a
-    contact sticks all along, d0 follows from its offset.
-    """
-    motion = motion_of(basis, coefficient)
+    """`contact_forces`, and their derivatives by the coefficients of the same contact: 3 (2H + 1) rows and columns."""
+    motion, size = motion_of(basis, coefficient), 3 * basis.value.shape[1]
     period = period_of(law, basis, coefficient)
+    slope = np.zeros((len(coefficient), size, size))
+    if (own := np.flatnonzero(period.works)).size:
+        slope[own] = _working(part_of(law, own), basis, part_of(motion, own), period.of(own))
+    if (own := np.flatnonzero(period.stuck.sticks)).size:
+        slope[own] = _stuck(part_of(law, own), basis, coefficient[own], part_of(period.stuck, own))
+    return forces_of(law, basis, motion, period), slope
+
+
+def _working(law: ConeLaw, basis: Basis, motion: Motion, period: ClosedPeriod) -> Array64:
+    """Derivatives of the forces of contacts that slip, or open and close, shape (C, 3 (2H + 1), 3 (2H + 1)).
+
+    With d at the end of the last pass e(y, d0) and d0 = e, ``(1 - de/dd0) dd0/dy = de/dy`` closes the period.
+    """
     slopes = interval_slopes(law, period, motion)
     tangents = _tangents(slopes, basis)
     by_motion, by_start = tangents[-1, ..., :-2], tangents[-1, ..., -2:]
-    # What can stick at the samples may slip between two of them.
-    change, sticks = np.eye(2) - by_start, np.asarray(period.stuck.sticks) & (np.asarray(period.slip) == 0)
-    start = _stuck_start(law, basis, coefficient, period.stuck) if sticks.any() else np.zeros_like(by_motion)
-    unique = (np.abs(np.linalg.det(change)) > 1e-13) & ~sticks
+    change, start = np.eye(2) - by_start, np.zeros_like(by_motion)
+    unique = np.abs(np.linalg.det(change)) > 1e-13
     start[unique] = np.linalg.solve(change[unique], by_motion[unique])
     # Projected first: the samples are many, the coefficients few.
     num_contacts, size = len(start), basis.value.shape[1]
@@ -162,7 +169,27 @@ def linearised(
     spectrum[:, 2, :, 2 * size : -2] = (basis.project * touching_stiffness(law, motion).T[:, None]) @ basis.value
     _add_kinks(spectrum, slopes, basis, tangents)
     slope = spectrum[..., :-2] + spectrum[..., -2:] @ start[:, None]
-    return forces_of(law, basis, motion, period), slope.reshape(num_contacts, 3 * size, 3 * size)
+    return slope.reshape(num_contacts, 3 * size, 3 * size)
+
+
+def _stuck(law: ConeLaw, basis: Basis, coefficient: Array64, stuck: Offset) -> Array64:
+    """The same of contacts that stick all along: their forces follow the motion, but for the offset."""
+    num_contacts, _, size = coefficient.shape
+    elastic = np.zeros((2, num_contacts, size, 3, size))
+    # An offset that is zero stays so.
+    moved = np.flatnonzero(np.any(stuck.force, axis=0))
+    for lanes in in_lanes(moved.size):
+        own = moved[lanes]
+        weight = offset_slope(part_of(law, own), part_of(stuck, own).force, dense_motion_of(basis, coefficient[own]))
+        elastic[:, own, 0] = np.einsum("itca,tk->icak", np.asarray(weight), basis.dense, optimize=True)
+    each = np.arange(size)
+    for i in range(2):
+        elastic[i, :, each, i, each] += 1.0
+    stiffness = tuple(np.asarray(k)[:, None, None, None] for k in law.stiffness)
+    slope = np.zeros((num_contacts, 3, size, 3, size))
+    slope[:, 0], slope[:, 1] = product(stiffness, tuple(elastic))
+    slope[:, 2, each, 2, each] = np.asarray(law.normal_stiffness)[:, None]
+    return slope.reshape(num_contacts, 3 * size, 3 * size)
 
 
 def _add_kinks(spectrum: Array64, slopes: Slope, basis: Basis, tangents: Array64) -> None:
@@ -179,17 +206,3 @@ def _add_kinks(spectrum: Array64, slopes: Slope, basis: Basis, tangents: Array64
     rows[..., :-2] += direct.reshape(*direct.shape[:2], rows.shape[2] - 2)
     for side, i in ((slice(0, 3), sample - 1), (slice(3, 6), sample)):
         np.add.at(spectrum, contact, basis.project.T[i][:, None, :, None] * rows[:, side, None])
-
-
-def _stuck_start(law: ConeLaw, basis: Basis, coefficient: Array64, stuck: Offset) -> Array64:
-    """Derivatives of d at the start of the period by the coefficients, for contacts that stick all along."""
-    weights = [
-        offset_slope(
-            law_of(law, lanes), tuple(f[lanes] for f in stuck.force), dense_motion_of(basis, coefficient[lanes])
-        )
-        for lanes in in_lanes(len(coefficient))
-    ]
-    whole = np.concatenate([np.asarray(part) for part in weights], axis=2)[:, :, : len(coefficient)]
-    start = np.einsum("itca,tk->ciak", whole, basis.dense, optimize=True)
-    start[:, [0, 1], [0, 1]] += basis.value[-1]
-    return start.reshape(*start.shape[:2], -1)

@@ -22,7 +22,7 @@ RECORDED, SIDE_BY_SIDE = (3.8, 0.16), (0.47, 0.045)
 """Microseconds of a step of tsit5, and for each mode and contact: of a run that is recorded, of one of sixteen."""
 ALONE = 2.8
 """Work of a step of one that is alone and not recorded, as a multiple of that of one of sixteen."""
-STAGES = {"tsit5": 1.0, "dopri5": 1.0, "rk4": 0.6, "dopri8": 1.9, "exponential": 0.6}
+STAGES = {"tsit5": 1.0, "rk4": 0.6, "dopri8": 1.9, "exponential": 0.6}
 """Work of a step, as a multiple of that of tsit5; of `exponential`, of a cycle (benchmarks/method_choice.py)."""
 SLIP_STIFF = (120.0, 5.0)
 """Least steps of a cycle that the direction of slip asks for, and the least multiple of those that stability asks for,
@@ -119,7 +119,7 @@ def slip_stiff(model: Model, frequency: float) -> bool:
     return slip_steps(model, frequency) >= max(least, multiple * stable_steps(model, frequency))
 
 
-def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side: int | None = None) -> float | None:
+def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side: int | None = None) -> float:
     """Of a cycle at a frequency [Hz].
 
     Args:
@@ -127,10 +127,8 @@ def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side
         side_by_side: how many are marched side by side; None: it is one run, and recorded.
 
     Returns:
-        The time of a cycle of one of them; None for a method that was not measured.
+        The time of a cycle of one of them.
     """
-    if solver.name not in STAGES:
-        return None
     steps = 2 * np.pi / solver.longest
     if solver.name != "rk4":
         near = min(PRESETS, key=lambda name: abs(np.log(PRESETS[name].rtol / solver.rtol)))
@@ -144,8 +142,8 @@ def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side
 
 
 def seconds(model: Model, solver: Solver, work: Work) -> float:
-    """Of all cycles; 0 for a method that was not measured."""
-    each = [cycles * (seconds_a_cycle(model, solver, f, work.side_by_side) or 0.0) for f, cycles in work.phases]
+    """Of all cycles."""
+    each = (cycles * seconds_a_cycle(model, solver, f, work.side_by_side) for f, cycles in work.phases)
     return work.again * sum(each)
 
 

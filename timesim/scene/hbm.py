@@ -7,7 +7,16 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, Tag, model_validator
 
 from timesim.fault import RuleError
-from timesim.hbm.scheme import FIRST_HARMONICS, BalanceError, Scheme, check_model, enough_samples, highest_excited
+from timesim.hbm.scheme import (
+    FIRST_HARMONICS,
+    BalanceError,
+    Scheme,
+    check_model,
+    enough_samples,
+    finer_schemes,
+    highest_excited,
+    most_harmonics,
+)
 from timesim.model.model import Model
 from timesim.result.file import StoreError
 from timesim.result.last_cycle import PeriodicMotion, periodic_motion
@@ -66,13 +75,14 @@ class HbmPlan:
     motion: PeriodicMotion | None = None
     passing: tuple[SavedStates, Mapping[str, float | str]] | None = None
 
-    def scheme_for(self, model: Model) -> Scheme:
-        """What is balanced at first of a model: harmonics that are excited too."""
+    def schemes_for(self, model: Model) -> tuple[Scheme, ...]:
+        """What a model is balanced with at first, harmonics that are excited too, and what may be taken after that."""
         if "harmonics" not in self.chosen:
-            return self.scheme
-        harmonics = max(self.scheme.harmonics, highest_excited(model))
-        least = enough_samples(harmonics) if "time_samples" in self.chosen else 4 * harmonics
-        return Scheme(harmonics, max(self.scheme.time_samples, least))
+            return (self.scheme,)
+        harmonics, choose = max(self.scheme.harmonics, highest_excited(model)), "time_samples" in self.chosen
+        least = enough_samples(harmonics) if choose else 4 * harmonics
+        first = Scheme(harmonics, max(self.scheme.time_samples, least))
+        return finer_schemes(first, most_harmonics(model.num_contacts), choose_samples=choose)
 
 
 class FrequencySpan(Span):
@@ -214,8 +224,8 @@ class BalanceSection(StudySection):
     cone_only: ClassVar[bool] = True
 
     harmonics: Harmonics = "auto"
-    """Highest harmonic of the excitation frequency that is balanced, the mean beside them; auto: 9, and more where
-    those above would add more than 1e-4 of the amplitude, up to a number that `check` names."""
+    """Highest harmonic of the excitation frequency that is balanced, the mean beside them; auto: 9, and more at each
+    solution where those above would add more than 1e-4 of the amplitude, up to a number that `check` names."""
     time_samples: TimeSamples = "auto"
     """Samples of a period on which the contact forces are evaluated; at least 16, and 4 a harmonic; auto: 256, or more
     from 11 harmonics on, and four times as many where a contact force still depends on where they lie."""

@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from timesim.hbm.scheme import NEGLECTED, most_harmonics
+from timesim.hbm.scheme import NEGLECTED
 from timesim.model.cost import (
     LITTLE_FRICTION,
     REACH,
     SETTLING,
     SOLUTIONS,
+    Work,
+    seconds,
     seconds_a_cycle,
     seconds_a_solution,
     slip_rates,
@@ -98,26 +100,23 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
     study, plan, solver = scene.file.study, scene.plan, scene.solver()
     lines = []
     if isinstance(plan, Schedule):
-        each = [seconds_a_cycle(model, solver, frequency) for frequency, _ in plan.phases]
-        if None not in each:
-            total = sum((own or 0.0) * cycles for own, (_, cycles) in zip(each, plan.phases, strict=True))
-            cycles = sum(cycles for _, cycles in plan.phases)
-            lines.append(f"{cycles} cycles of {_duration(total / cycles)}: {_duration(total)}")
+        cycles = sum(cycles for _, cycles in plan.phases)
+        total = seconds(model, solver, Work.of_run(plan.phases, estimated=False))
+        lines.append(f"{cycles} cycles of {_duration(total / cycles)}: {_duration(total)}")
     elif isinstance(study, SteadySection):
         sweep = study.sweep()
         whole = sweep.work(model)
         ((frequency, every),) = whole.phases
         cycles, own = round(every / sweep.size), seconds_a_cycle(model, solver, frequency, whole.side_by_side)
-        if own is not None:
-            total = sweep.size * (cycles * own + SETTLING)
-            work = f"{cycles} cycles of {_duration(own)} and {_duration(SETTLING)} beside them"
-            lines.append(f"{sweep.size} points of {work}: {_duration(total)}{study.search}")
+        total = sweep.size * (cycles * own + SETTLING)
+        each = f"{cycles} cycles of {_duration(own)} and {_duration(SETTLING)} beside them"
+        lines.append(f"{sweep.size} points of {each}: {_duration(total)}{study.search}")
     balance = plan if isinstance(plan, HbmPlan) else getattr(plan, "balance", None)
     if balance is not None:
         curves = prod(map(len, balance.over.values())) * (1 + balance.both_ends)
-        scheme, most = balance.scheme_for(model), most_harmonics(model.num_contacts)
+        scheme, *finer = balance.schemes_for(model)
         if "harmonics" in balance.chosen:
-            more = f", and up to {most} harmonics where they are needed" if most > scheme.harmonics else ""
+            more = f", and up to {finer[-1].harmonics} harmonics where they are needed" if finer else ""
             lines.append(f"{scheme}{more}; where those above would add over {NEGLECTED:g} of the amplitude, it is said")
         own = seconds_a_solution(model, scheme.time_samples, stability=balance.stability)
         work = f"{SOLUTIONS} solutions of {_duration(own)}"

@@ -39,7 +39,7 @@ from timesim.study.hbm import Curves, followed, left_out
 from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import jump_lines
 from timesim.study.sweep import crowd_of, sweep_record
-from timesim.study.verdict import compared_points, comparison_lines, curve_lines
+from timesim.study.verdict import WORTH_ASKING, Points, compared_points, comparison_lines, curve_lines
 
 # Amplitudes below this share of the largest of a motion are those of axes that do not move.
 STILL = 1e-9
@@ -117,7 +117,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     faults = [f"{name}: {why}" for name, why in (("sweep", sweep_reason), ("hbm", hbm_reason)) if why]
     reason = "; ".join(faults) or None
     phases["comparison"](0, 1, "comparison of the methods")
-    difference, compared, cycle, interrupted = _compared(scene, sweep, hbm, curves, whole=reason is None)
+    arrays, compared, cycle, interrupted = _compared(scene, sweep, hbm, curves, whole=reason is None)
     lines, groups, reason = [*jump_lines(sweep), *compared], {"sweep": sweep, "hbm": hbm} | cycle, reason or interrupted
     lines.append(
         f"time integration: {sweep['settled'].size} points in {seconds:.2f} s; harmonic balance: "
@@ -130,7 +130,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         seconds + hbm.attrs["run_seconds"],
         reason,
     )
-    variables = {"relative_difference": (tuple(map(str, sweep["amplitude"].dims)), difference)}
+    dims = tuple(map(str, sweep["amplitude"].dims))
+    variables = {name: (dims[: array.ndim], array) for name, array in arrays.items()}
     coords = {name: sweep[name].values for name in ("direction", "point", "axis")}
     root = dataset(variables, coords, attrs | {"verdict": "\n".join(lines)})
     return Outcome({"": root, **groups}, reason, (*curve_lines(hbm, curves.notes), *lines))
@@ -138,25 +139,30 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 
 def _compared(
     scene: Scene, sweep: Dataset, hbm: Dataset, curves: Curves, *, whole: bool
-) -> tuple[np.ndarray, list[str], dict[str, Dataset], str | None]:
+) -> tuple[dict[str, np.ndarray], list[str], dict[str, Dataset], str | None]:
     """The difference of the methods on the axes of the sweep's amplitude, what it says, and a cycle by both of them.
+
+    Beside it, where another offset explains it.
 
     The last entry is why a part of it is missing; None if none is.
     """
     amplitude, lines, cycle = sweep["amplitude"].values, list[str](), dict[str, Dataset]()
-    difference = np.full_like(amplitude, np.nan)
+    arrays = {"relative_difference": np.full_like(amplitude, np.nan)}
+    arrays["other_offset"] = np.zeros(amplitude.shape[:-2], dtype=np.int8)
     try:
         match = matched(amplitude.reshape(-1, *amplitude.shape[-4:]), sweep["frequency"].values, curves)
-        difference = match.difference.reshape(amplitude.shape)
+        arrays["relative_difference"][:] = match.difference.reshape(amplitude.shape)
         points = compared_points(sweep, hbm, match.difference)
+        points = replace(points, other_offset=other_offsets(scene, curves, match, points))
+        arrays["other_offset"][:] = points.other_offset.reshape(amplitude.shape[:-2])
         lines += comparison_lines(points)
         if points.worst is not None and whole:
             cycle["cycle"] = cycle_by_both(scene, curves, match, points.worst)
     except NotSettledError as error:
         lines.append(f"no cycle is shown by both methods: {error}")
     except KeyboardInterrupt:
-        return difference, lines, cycle, f"{INTERRUPTED} while the methods were compared"
-    return difference, lines, cycle, None
+        return arrays, lines, cycle, f"{INTERRUPTED} while the methods were compared"
+    return arrays, lines, cycle, None
 
 
 class NotSettledError(Exception):
@@ -169,13 +175,9 @@ def cycle_by_both(scene: Scene, curves: Curves, match: Match, place: tuple[int, 
     Raises:
         NotSettledError: time integration does not lead to a motion that repeats each cycle.
     """
-    values, solutions = curves.values[place[0]], match.solutions[place[0]]
-    assert solutions is not None
-    at, model = int(match.solution[place]), scene.variant(values)
-    solution = part_of(solutions, slice(at, at + 1))
+    values, model = curves.values[place[0]], scene.variant(curves.values[place[0]])
+    solution, balance, coefficient = _solution(model, curves, match, place)
     frequency, order = float(solution.frequency[0]), curves.scheme.harmonics + 1
-    balance = Balance(model, frequency, curves.scheme)
-    coefficient = solution.contact_motion[0] / balance.length
     modal = balance.modes(coefficient.ravel(), solution.contact_force[0] / balance.force, frequency)
     elastic, states = _contacts(balance, coefficient)
     start = _start(model, balance, coefficient, modal, elastic, frequency)
@@ -195,6 +197,44 @@ def cycle_by_both(scene: Scene, curves: Curves, match: Match, place: tuple[int, 
     coords = {"found_by": np.array(METHODS), "excitation_angle": np.rad2deg(angle)}
     where = ", ".join(filter(None, (f"{frequency:g} Hz", in_words(values))))
     return dataset(variables, coords, {"place": where} | unit_names(scene), model)
+
+
+def other_offsets(scene: Scene, curves: Curves, match: Match, points: Points) -> np.ndarray:
+    """Doubtful points where time integration from the balance's solution settles to it, shape (V, D, F).
+
+    The sweep comes to the same frequency with another offset of a contact that sticks all along. This moves the other
+    contacts' loads, and is free.
+    """
+    found, chains, places = np.zeros(points.doubtful.shape, dtype=bool), [], np.argwhere(points.doubtful)
+    for v, d, f in places:
+        model = scene.variant(curves.values[v])
+        solution, balance, coefficient = _solution(model, curves, match, (v, d, f))
+        frequency = float(solution.frequency[0])
+        modal = balance.modes(coefficient.ravel(), solution.contact_force[0] / balance.force, frequency)
+        start = _start(model, balance, coefficient, modal, _contacts(balance, coefficient)[0], frequency)
+        chains.append(Chain(replace(model, start=start), (frequency,)))
+    if not chains:
+        return found
+    plan = scene.plan.sweep
+    orbits = steady_states(chains, scene.solver(), plan.criterion, crowd=crowd_of(plan))
+    for (v, d, f), (orbit,) in zip(places, orbits, strict=True):
+        own = match.solutions[v]
+        assert own is not None
+        amplitude = own.amplitude[match.solution[v, d, f]]
+        off = np.max(np.abs(orbit.amplitude - amplitude)) / np.max(amplitude)
+        found[v, d, f] = orbit.reason is None and orbit.period == 1 and off <= WORTH_ASKING
+    return found
+
+
+def _solution(
+    model: Model, curves: Curves, match: Match, place: tuple[int, int, int]
+) -> tuple[HbmCurve, Balance, Array]:
+    """The solution at a point of the sweep, its balance, and the motion of the contacts in units of this."""
+    solutions, at = match.solutions[place[0]], int(match.solution[place])
+    assert solutions is not None
+    solution = part_of(solutions, slice(at, at + 1))
+    balance = Balance(model, float(solution.frequency[0]), curves.scheme)
+    return solution, balance, solution.contact_motion[0] / balance.length
 
 
 def _contacts(balance: Balance, coefficient: Array) -> tuple[Array, Array]:

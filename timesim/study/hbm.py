@@ -13,7 +13,7 @@ from xarray import Dataset
 from timesim.fault import RuleError
 from timesim.hbm.branches import SettledMotion, curves_from_both_ends, isolated_curves
 from timesim.hbm.continuation import Controls, Ending
-from timesim.hbm.convergence import Convergence, Known, Verdict, convergence, verdict_on
+from timesim.hbm.convergence import Convergence, Known, convergence, neglected, with_more_samples
 from timesim.hbm.curve import HbmCurve, hbm_curve
 from timesim.hbm.parameter import parameter_curve
 from timesim.hbm.scheme import NEGLECTED, Scheme
@@ -66,7 +66,8 @@ class Curves:
 
     def __init__(self, scene: Scene, plan: HbmPlan):
         self.scene, self.plan = scene, plan
-        self.scheme = plan.scheme_for(scene.model())
+        self.schemes = plan.schemes_for(scene.model())
+        self.scheme = self.schemes[0]
         self.values = list(combinations(plan.over))
         self.curves: list[StudyCurve] = []
         self.faults: list[str] = []
@@ -93,7 +94,6 @@ class Curves:
                     kept.save(place, [one.curve for one in self.curves[first:]], self.notes[notes:])
                 else:
                     self.notes += done[1]
-                    self._refine(max((curve.harmonic_cos.shape[1] - 1 for curve in done[0]), default=1))
                     for curve in done[0]:
                         self._add(StudyCurve(values, self._model_at(values), curve))
                 execution.show(place + 1, len(self.values), "harmonic balance")
@@ -106,14 +106,16 @@ class Curves:
     def _follow(self, values: dict[str, float], sweeps: Sequence[Sweep], growth: "Growth") -> None:
         """The curves of a set of values."""
         curves = list(self._from_ends(values, growth))
-        while (verdict := self._verdict(curves)).finer is not None:
-            self._refine(verdict.finer.harmonics, verdict.finer.time_samples)
+        while (finer := self._with_more_samples(curves)) is not None:
+            self.schemes = finer
             curves = list(self._from_ends(values, growth))
-        if verdict.neglected > NEGLECTED:
-            self.notes.append(
-                f"{in_words(values, ': ')}auto ends at {self.scheme.harmonics} harmonics: those above would add up to "
-                f"{verdict.neglected:.1e} of the amplitude, where {NEGLECTED:g} is wanted; set harmonics to more"
-            )
+        if "harmonics" in self.plan.chosen:
+            left = max(neglected(own.model_at, own.curve, self.schemes) for own in curves)
+            if left > NEGLECTED:
+                self.notes.append(
+                    f"{in_words(values, ': ')}auto ends at {self.schemes[-1].harmonics} harmonics: those above would "
+                    f"add up to {left:.1e} of the amplitude, where {NEGLECTED:g} is wanted; set harmonics to more"
+                )
         for curve in curves:
             self._add(curve)
         for sweep in sweeps:
@@ -121,22 +123,18 @@ class Curves:
                 self.notes.append(_isolated(curve))
                 self._add(curve)
 
-    def _verdict(self, curves: Sequence[StudyCurve]) -> Verdict:
-        """With what curves are worth following again, if with anything, and what the harmonics leave out."""
-        chosen, endings = self.plan.chosen, [curve.curve.ending for curve in curves]
-        if not chosen or Ending.INTERRUPTED in endings:
-            return Verdict(None)
-        own = [verdict_on(curve.model_at, curve.curve, self.scheme, chosen) for curve in curves]
-        finer = [one.finer for one in own if one.finer is not None]
-        finest = max(finer, key=lambda scheme: (scheme.harmonics, scheme.time_samples), default=None)
-        return Verdict(finest, max(one.neglected for one in own))
+    def _with_more_samples(self, curves: Sequence[StudyCurve]) -> tuple[Scheme, ...] | None:
+        """With what curves are worth following again, if with anything."""
+        endings = [curve.curve.ending for curve in curves]
+        if "time_samples" not in self.plan.chosen or Ending.INTERRUPTED in endings:
+            return None
+        finer = (with_more_samples(own.model_at, own.curve, self.schemes) for own in curves)
+        return next((own for own in finer if own is not None), None)
 
-    def _refine(self, harmonics: int, time_samples: int = 0) -> None:
-        """Take more harmonics and samples from now on; those that curves before do not have are zero."""
-        harmonics = max(harmonics, self.scheme.harmonics)
-        samples = max(time_samples, self.scheme.time_samples, 4 * harmonics)
-        self.scheme = Scheme(harmonics, samples)
-        self.curves = [replace(one, curve=one.curve.with_harmonics(harmonics)) for one in self.curves]
+    def _take_over(self, harmonics: int) -> None:
+        """Report at least so many harmonics, and the samples that go with them; those of curves before are zero."""
+        self.scheme = next(own for own in self.schemes if own.harmonics >= max(harmonics, self.scheme.harmonics))
+        self.curves = [replace(one, curve=one.curve.with_harmonics(self.scheme.harmonics)) for one in self.curves]
 
     def _model_at(self, values: dict[str, float]) -> Callable[[float], Model]:
         """The model for a value of the parameter of a curve with these values."""
@@ -147,6 +145,7 @@ class Curves:
         return lambda p: self.scene.variant({**values, key: p})
 
     def _add(self, curve: StudyCurve) -> None:
+        self._take_over(curve.curve.harmonic_cos.shape[1] - 1)
         self.curves.append(replace(curve, curve=curve.curve.with_harmonics(self.scheme.harmonics)))
         if not curve.curve.complete:
             self.faults.append(curve.label + curve.curve.message)
@@ -202,7 +201,7 @@ class Curves:
 
     def _options(self, growth: "Growth") -> dict[str, Any]:
         controls = Controls(**self.plan.steps)
-        return {"scheme": self.scheme, "controls": controls, "stability": self.plan.stability, "watch": growth}
+        return {"scheme": self.schemes, "controls": controls, "stability": self.plan.stability, "watch": growth}
 
     def to_refine(self) -> list[Known]:
         """Stable solutions where a contact switches, spread over all curves, and the largest of them."""
@@ -310,7 +309,7 @@ def _warmed_up(scene: Scene, plan: HbmPlan) -> float:
     """Seconds that the first points of a curve took, most of them compilation."""
     clock = time.perf_counter()
     model, frequency, few = scene.variant(next(combinations(plan.over))), plan.span[0], Controls(max_points=2)
-    scheme = plan.scheme_for(model)
+    scheme = plan.schemes_for(model)[0]
     hbm_curve(model, frequency, 1.001 * frequency, scheme=scheme, controls=few, stability=plan.stability)
     return time.perf_counter() - clock
 

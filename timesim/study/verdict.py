@@ -15,8 +15,9 @@ from timesim.scene.study import combinations
 
 # Nearer to a fold than this share of its frequency a small error of either method moves the answer much.
 NEAR_FOLD = 1e-3
-# Difference of the methods, relative to the amplitude, up to which they agree and nearly agree.
-AGREE, NEARLY = 2e-3, 2e-2
+# Difference of the methods, relative to the amplitude, up to which they agree and nearly agree, and from which on it is
+# worth asking for its cause.
+AGREE, NEARLY, WORTH_ASKING = 2e-3, 2e-2, 5e-4
 
 
 def curve_lines(data: Dataset, notes: Sequence[str]) -> Iterator[str]:
@@ -98,6 +99,8 @@ class Points:
         linear: whether no contact slips, or opens within the cycle, shape (V, D, F).
         near_fold: whether a fold of the balance is near, shape (V, D, F).
         slip, separation: largest share of a period over the contacts, each by itself, shape (V, D, F).
+        sticks: whether a contact sticks all the time beside others that do not, shape (V, D, F).
+        other_offset: whether the methods differ only since it keeps another offset, shape (V, D, F).
     """
 
     values: Sequence[Mapping[str, float]]
@@ -111,11 +114,18 @@ class Points:
     near_fold: np.ndarray
     slip: np.ndarray
     separation: np.ndarray
+    sticks: np.ndarray
+    other_offset: np.ndarray
 
     @property
     def judged(self) -> np.ndarray:
         """Points that say something of the contacts, away from folds, shape (V, D, F)."""
-        return self.settled & self.solved & ~self.linear & ~self.near_fold
+        return self.settled & self.solved & ~self.linear & ~self.near_fold & ~self.other_offset
+
+    @property
+    def doubtful(self) -> np.ndarray:
+        """Judged points whose difference the offset of a contact that sticks may explain, shape (V, D, F)."""
+        return self.judged & self.sticks & (self.difference > WORTH_ASKING)
 
     @property
     def worst(self) -> tuple[int, int, int] | None:
@@ -152,6 +162,8 @@ def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarra
         near_fold=near_fold,
         slip=slip[..., _rubs(sweep)].max(axis=-1, initial=0.0),
         separation=apart.max(axis=-1, initial=0.0),
+        sticks=((slip + apart == 0) & _rubs(sweep)).any(axis=-1),
+        other_offset=np.zeros(shape, dtype=bool),
     )
 
 
@@ -170,6 +182,12 @@ def comparison_lines(points: Points) -> Iterator[str]:
         )
     if close.any():
         yield f"{close.sum()} points within {NEAR_FOLD:g} of a fold's frequency differ by up to {size[close].max():.1e}"
+    if points.other_offset.any():
+        yield (
+            f"{points.other_offset.sum()} points differ by up to {size[points.other_offset].max():.1e} since a contact "
+            "that sticks all the time keeps another offset, which is free: time integration that begins from the "
+            f"balance's motion stays there: {_places(points, points.other_offset)}"
+        )
     for left_out, why in (
         (points.settled & ~points.solved, "have no stable solution of the balance"),
         (points.doubled, "repeat after several cycles, which the balance cannot show"),

@@ -11,7 +11,7 @@ sign of det dr/dx, which changes at a fold.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,7 @@ Factors = tuple[Array, NDArray[np.int32]]
 # A Newton step that is longer than this share of the one before asks for new derivatives.
 CONTRACTION = 0.1
 MAX_DAMPED, MAX_FULL = 60, 30  # iterations
+MAX_ADAPTED = 3  # changes of the unknowns in use at one point
 # Share of the parameter in the tangent at which a fold counts as met: its own error is of second order in it.
 FLAT = 1e-6
 MAX_FOLD = 12  # evaluations; at a corner the bracket only shrinks to a share of itself each time
@@ -41,6 +42,24 @@ class Residual(Protocol):
 
     def linearised(self, x: Array, p: float) -> tuple[Array, Array, Array]:
         """r, shape (n,), its derivatives by x, shape (n, n), and by p, shape (n,)."""
+
+
+@runtime_checkable
+class Adaptive(Residual, Protocol):
+    """A residual of some of its unknowns, the others being zero: of as many as a solution asks for."""
+
+    @property
+    def active(self) -> NDArray[np.int64]:
+        """Positions of the unknowns that it is of."""
+
+    def begin(self, x: Array) -> None:
+        """Take those that a guess, shape (n,), asks for."""
+
+    def adapt(self, x: Array, p: float) -> bool:
+        """Take those that a solution, shape (n,), asks for; whether they are others than before."""
+
+    def restore(self) -> None:
+        """Take those from before."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +84,7 @@ class Controls:
     max_points: int = 5000
     tolerance: float = 1e-9
     max_newton: int = 8
-    turn: float = 0.12
+    turn: float = 0.15
     watch: Callable[[float, Callable[[], Any]], None] | None = None
 
     def __post_init__(self) -> None:
@@ -112,7 +131,8 @@ class Corrector:
     def __init__(self, residual: Residual, controls: Controls, p_unit: float, x: Array):
         """For solutions about as large as x."""
         self.residual, self.controls, self.p_unit = residual, controls, p_unit
-        self.x_unit = max(controls.size, float(np.linalg.norm(x)))
+        self.adaptive = residual if isinstance(residual, Adaptive) else None
+        self.x_unit, self.size = max(controls.size, float(np.linalg.norm(x))), x.size
 
     def in_units(self, x: Array, p: float) -> Array:
         """y of a point."""
@@ -140,7 +160,8 @@ class Corrector:
         Raises:
             NoSolutionError: the steps grow, or there are too many.
         """
-        y, before, outdated = guess, np.inf, True
+        y = guess = self._in_use(guess)
+        before, outdated = np.inf, True
         for count in range(self.controls.max_newton + 1):
             if outdated:
                 r, factors = self._bordered(y, normal)
@@ -149,7 +170,7 @@ class Corrector:
             if self._vanishes(r, y):
                 if fresh and count:
                     factors = self._bordered(y, normal)[1]
-                return CurvePoint(y, *_tangent(factors), count)
+                return self._point(y, factors, count)
             step = self._step(factors, r, normal @ (guess - y))
             size = float(np.linalg.norm(step))
             if not np.isfinite(size) or size > 2 * before:
@@ -163,16 +184,28 @@ class Corrector:
         Raises:
             NoSolutionError: a step is far too long, or there are too many.
         """
-        y = guess
+        y = guess = self._in_use(guess)
         for count in range(MAX_FULL):
             r, factors = self._bordered(y, normal)
             if self._vanishes(r, y):
-                return CurvePoint(y, *_tangent(factors), count)
+                return self._point(y, factors, count)
             step = self._step(factors, r, normal @ (guess - y))
             if not float(np.linalg.norm(step)) < MAX_STEP:
                 break
             y = y + step
         raise NoSolutionError
+
+    def adapted(self, point: CurvePoint, normal: Array | None = None) -> CurvePoint:
+        """A solution by as many unknowns as it asks for, on the plane through it, normal to its tangent by default."""
+        for _ in range(MAX_ADAPTED):
+            if self.adaptive is None or not self.adaptive.adapt(*self.unscaled(point.y)):
+                break
+            try:
+                point = self.damped_newton(point.y, point.tangent if normal is None else normal)
+            except NoSolutionError:
+                self.adaptive.restore()
+                break
+        return point
 
     def damped_newton(self, guess: Array, normal: Array) -> CurvePoint:
         """The same from a poor guess: steps are halved until the residual falls, or else taken in full.
@@ -186,10 +219,11 @@ class Corrector:
             return self.full_newton(guess, normal)
 
     def _damped_newton(self, guess: Array, normal: Array) -> CurvePoint:
-        y, (r, factors) = guess, self._bordered(guess, normal)
+        y = self._in_use(guess)
+        r, factors = self._bordered(y, normal)
         for count in range(MAX_DAMPED):
             if self._vanishes(r, y):
-                return CurvePoint(y, *_tangent(factors), count)
+                return self._point(y, factors, count)
             step = self._step(factors, r, 0.0)
             for share in 0.5 ** np.arange(12):
                 trial = self._value(y + share * step)
@@ -228,16 +262,36 @@ class Corrector:
         size = max(self.controls.size, float(np.linalg.norm(y[:-1])) * self.x_unit)
         return bool(np.linalg.norm(r) <= self.controls.tolerance * size)
 
+    def _in_use(self, y: Array) -> Array:
+        """A vector whose other unknowns are zero."""
+        return y if self.adaptive is None else self._spread(self._gathered(y), y.size)
+
+    def _gathered(self, y: Array) -> Array:
+        """The unknowns in use, and the parameter."""
+        return y if self.adaptive is None else np.append(y[:-1][self.adaptive.active], y[-1])
+
+    def _spread(self, own: Array, size: int) -> Array:
+        """All unknowns and the parameter, from those in use."""
+        if self.adaptive is None:
+            return own
+        y = np.zeros(size)
+        y[:-1][self.adaptive.active], y[-1] = own[:-1], own[-1]
+        return y
+
+    def _point(self, y: Array, factors: Factors, count: int) -> CurvePoint:
+        tangent, sign = _tangent(factors)
+        return CurvePoint(y, self._spread(tangent, y.size), sign, count)
+
     def _value(self, y: Array) -> Array:
-        return self.residual.value(*self.unscaled(y))
+        return self.residual.value(*self.unscaled(self._gathered(y)))
 
     def _bordered(self, y: Array, normal: Array) -> tuple[Array, Factors]:
         """r, and the LU factors of the derivatives of r / x_unit by y with `normal` as the last row."""
-        r, by_x, by_p = self.residual.linearised(*self.unscaled(y))
-        matrix = np.empty((y.size, y.size))
+        r, by_x, by_p = self.residual.linearised(*self.unscaled(self._gathered(y)))
+        matrix = np.empty((r.size + 1, r.size + 1))
         matrix[:-1, :-1] = by_x
         matrix[:-1, -1] = by_p * (self.p_unit / self.x_unit)
-        matrix[-1] = normal
+        matrix[-1] = self._gathered(normal)
         if not np.isfinite(matrix).all():
             raise NoSolutionError
         lu, pivots, singular = lapack.dgetrf(matrix)
@@ -246,7 +300,8 @@ class Corrector:
         return r, (lu, pivots)
 
     def _step(self, factors: Factors, r: Array, off_plane: ArrayLike) -> Array:
-        return np.asarray(lu_solve(factors, np.append(-r / self.x_unit, off_plane), check_finite=False))
+        step = lu_solve(factors, np.append(-r / self.x_unit, off_plane), check_finite=False)
+        return self._spread(np.asarray(step), self.size + 1)
 
 
 def _tangent(factors: Factors) -> tuple[Array, int]:

@@ -74,7 +74,7 @@ Solutions = TypeVar("Solutions", bound=Any)
 """A record whose arrays have one entry for each solution along the first axis, as `Curve`."""
 
 
-def part_of(curve: Solutions, rows: slice) -> Solutions:
+def part_of(curve: Solutions, rows: slice | NDArray[np.intp]) -> Solutions:
     """Some of the solutions."""
     return replace(curve, **{name: array[rows] for name, array in _arrays(curve).items()})
 

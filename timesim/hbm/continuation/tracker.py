@@ -104,11 +104,14 @@ class _PathTracker:
 
     def curve(self) -> Curve:
         """From the guess to the end."""
+        if self.corrector.adaptive is not None:
+            self.corrector.adaptive.begin(self.guess)
         try:
             point = self.corrector.damped_newton(self.corrector.in_units(self.guess, self.start), self.ahead)
         except NoSolutionError as error:
             self.cause = str(error)
             return self._curve(Ending.START)
+        point = self.corrector.adapted(point, self.ahead)
         self._keep(point)
         try:
             return self._curve(self._follow(point))
@@ -142,6 +145,7 @@ class _PathTracker:
             step = self._step(point, before, length)
             if step is None:
                 return Ending.STEP
+            step = replace(step, point=self.corrector.adapted(step.point))
             ending = self._take(point, step)
             before, point, length = (point, step.length), step.point, step.next_length
         return ending

@@ -12,7 +12,6 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.engine.companion import amplitude_error, state_error
-from timesim.model.cost import stable_steps
 from timesim.model.promise import PROMISE
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import Solver
@@ -26,8 +25,6 @@ from timesim.study.tradeoff.report import block, lines
 
 FINE = 1e-11
 """Tolerance of the runs that the others are judged by."""
-STIFF_STEPS = 2000
-"""Explicit steps of a cycle that stability asks for, from which on an implicit method is tried."""
 SAFETY = 0.5
 """Share of the wanted error that a tolerance between two that were tried is chosen for."""
 
@@ -78,9 +75,6 @@ def _try_all(bench: Bench, settings: dict[str, Any]) -> None:
             bench.try_(by("tsit5", 1e-7), num_modes=count)
     for rtol in (1e-5, 1e-7, 1e-9):
         bench.try_(by("exponential", rtol))
-    if stable_steps(model, plan.frequency) > STIFF_STEPS:
-        for rtol in (1e-5, 1e-7):
-            bench.try_(by("kvaerno5", rtol))
 
 
 def fewer(num_modes: int) -> list[int]:
@@ -189,6 +183,7 @@ def _record(scene: Scene, bench: Bench, judged: Judged, reason: str | None) -> D
     attrs = attributes(scene, f"{len(trials)} runs", compiling, bench.plan.budget - bench.left - compiling, reason)
     attrs |= {"error_known_to": judged.known, "truth": judged.verified}
     attrs |= {"error_wanted": bench.plan.error, "cycles": cycles, "judged_by_amplitude": bench.plan.amplitude}
+    attrs["settled_to"] = bench.settled_to
     attrs |= {"recommended_trial": judged.recommended, "num_modes": bench.model.structure.num_modes}
     attrs["left_out"] = "; ".join(bench.left_out)
     data = dataset(variables, {}, attrs)
