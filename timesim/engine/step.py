@@ -108,6 +108,10 @@ def try_step(
     trial = integrated(method, control, dynamics, now, asked, reach)
     h, last = trial.part.h, last & ~trial.early
     landing = landed(control, dynamics, now, trial, h, last)
+    trial = trial._replace(
+        error=jnp.where(landing.astray, jnp.maximum(trial.error, UNSOLVED), trial.error),
+        precise=trial.precise & ~landing.astray,
+    )
     span = h + landing.correction
     end = jax.tree.map(lambda y, dy: y + landing.correction * dy, trial.end, trial.rate)
     after, state = transition(dynamics, now.state, landing.crossed, end)
@@ -201,6 +205,8 @@ class Landing(NamedTuple):
         on_guard: whether a contact takes a transition at its end.
         correction: time by which the end is moved onto the guard.
         crossed: contacts that take their transition there.
+        astray: whether the step was cut at its very start, where no contact is near a guard: the guards were looked for
+            on polynomials that do not follow the slip between its nodes, as under little friction.
     """
 
     crossing: Float[Array, ""]
@@ -208,6 +214,7 @@ class Landing(NamedTuple):
     on_guard: Bool[Array, ""]
     correction: Float[Array, ""]
     crossed: Bool[Array, " contact"]
+    astray: Bool[Array, ""]
 
     @property
     def early(self) -> Bool[Array, ""]:
@@ -224,13 +231,15 @@ def landed(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, 
     else:  # It was cut at the first crossing; where its end is beyond one after all, a little less is taken of it.
         beyond = [(m < -VIOLATED) & ~d for m, d in zip(margin, due, strict=True)]
         crossing = jnp.where((beyond[0] | beyond[1]).any(), SHORTER, NONE)
-    accepted = trial.precise & (crossing >= NONE)
+    nearest = jnp.minimum(*(m.min(initial=jnp.inf) for m in margin))
+    astray = trial.early & (h <= 1.01 * SHORTEST) & (nearest > TOGETHER)
+    accepted = trial.precise & (crossing >= NONE) & ~astray
     on_guard = accepted & (due[0] | due[1]).any()
     soonest = [jnp.where(d, t, jnp.inf).min(initial=jnp.inf) for d, t in zip(due, to_zero, strict=True)]
     correction = jnp.where(on_guard, jnp.minimum(*soonest), 0.0)
     left = tuple(d & (m + correction * s <= TOGETHER) for d, m, s in zip(due, margin, slope, strict=True))
     crossed = on_guard & (left[0] | left[1])
-    return Landing(crossing, accepted, on_guard, correction, crossed)
+    return Landing(crossing, accepted, on_guard, correction, crossed, astray)
 
 
 def limit_of_next(trial: Trial, landing: Landing, h: Array) -> Float[Array, ""]:
