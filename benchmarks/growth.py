@@ -134,39 +134,46 @@ def measure(axis: str) -> list[Row]:
     return rows
 
 
+def each(axis: str, row: Row) -> float:
+    """Microseconds a piece."""
+    return 1e6 * row.cost.seconds / row.cost.pieces / (CYCLES if axis == "lanes" else 1)
+
+
 def table(axis: str, rows: list[Row]) -> str:
-    piece = AXES[axis].piece
-    cycles = CYCLES if piece == "lane and cycle" else 1
     lines = [
         f"\n#### {axis} ({AXES[axis].title})\n",
-        f"| {axis} | pieces | µs a {piece} | exponent | CPU s in all | peak MB |",
+        f"| {axis} | pieces | µs a {AXES[axis].piece} | exponent | CPU s in all | peak MB |",
         "|---|---|---|---|---|---|",
     ]
     before: tuple[float, float] | None = None
-    for (number, pieces, seconds), peak in rows:
-        each = 1e6 * seconds / pieces / cycles
-        exponent = f"{np.log(each / before[1]) / np.log(number / before[0]):+.2f}" if before and before[0] else ""
-        lines.append(f"| {number:g} | {pieces:g} | {each:.3g} | {exponent} | {seconds:.3g} | {peak:.0f} |")
-        before = (number, each)
+    for row in rows:
+        (number, pieces, seconds), one = row.cost, each(axis, row)
+        exponent = f"{np.log(one / before[1]) / np.log(number / before[0]):+.2f}" if before and before[0] else ""
+        lines.append(f"| {number:g} | {pieces:g} | {one:.3g} | {exponent} | {seconds:.3g} | {row.peak:.0f} |")
+        before = (number, one)
     return "\n".join(lines)
 
 
 def draw(found: dict[str, list[Row]], path: Path) -> None:
+    """Time of a piece against each number."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
     from timesim.picture.style import SERIES, figure
 
-    fig, grid = figure(2, 3, width=10.0, height=2.2, gap=0.75)
+    fig, grid = figure(2, 3, width=10.0, height=2.1, gap=0.75)
     for ax, (axis, rows) in zip(grid.flat, found.items(), strict=False):
-        number = np.array([max(row.cost.number, 0.1) for row in rows])
-        each = np.array([1e6 * row.cost.seconds / row.cost.pieces for row in rows])
-        peak = np.array([row.peak for row in rows])
-        for values, label, look in ((each, "µs of CPU a piece", SERIES[0]), (peak, "peak memory [MB]", SERIES[1])):
-            ax.plot(number, values, marker=look.marker, color=look.colour, linestyle=look.line, label=label)
-        ax.set(xscale="log", yscale="log", xlabel=f"{axis} ({AXES[axis].title}; piece: {AXES[axis].piece})")
-        ax.xaxis.label.set_fontsize(8)
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    fig.legend(handles, labels, loc="lower center", ncol=3, fontsize=8, frameon=False)
-    fig.suptitle("Growth of time and memory", fontsize=11)
-    fig.savefig(path, dpi=90)
+        number, cost, look = [row.cost.number for row in rows], [each(axis, row) for row in rows], SERIES[0]
+        ax.plot(number, cost, marker=look.marker, color=look.colour)
+        ax.set(xscale="linear" if 0 in number else "log", yscale="log", ylim=(min(cost) / 3, 3 * max(cost)))
+        ax.set_xticks(number, [f"{value:g}" for value in number])
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        for side in (ax.xaxis, ax.yaxis):
+            side.set_minor_locator(NullLocator())
+        ax.set_xlabel(f"{axis} ({AXES[axis].title})", fontsize=8)
+        ax.set_ylabel(f"µs a {AXES[axis].piece}", fontsize=8)
+    fig.suptitle("Time of a piece of work against what there is of it", fontsize=11)
+    fig.savefig(path, dpi=75)
 
 
 def main() -> None:

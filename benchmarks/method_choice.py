@@ -36,7 +36,8 @@ from timesim.model.solver import Solver
 
 ZOO = runpy.run_path(str(Path(__file__).parents[1] / "tests" / "zoo.py"))
 ERRORS = (1e-4, 1e-6, 1e-8)
-METHODS = dict.fromkeys(("tsit5", "dopri8"), 10.0 ** -np.arange(3, 12)) | {"exponential": 10.0 ** -np.arange(5, 12)}
+METHODS: dict[str, np.ndarray] = dict.fromkeys(("tsit5", "dopri5", "dopri8"), 10.0 ** -np.arange(3, 12))
+METHODS |= {"exponential": 10.0 ** -np.arange(5, 12), "kvaerno5": 10.0 ** -np.array([4, 6])}
 SECOND = Solver("exponential", 1e-11, 1e-13, budget=1_000_000)
 LONGEST = 2.0
 """CPU seconds of a run after which finer tolerances of the method are left out."""
@@ -62,6 +63,13 @@ def stiffer(model: Model, factor: float) -> Model:
         for own in model.contacts
     )
     return replace(model, contacts=contacts)
+
+
+def pressed(model: Model, factor: float) -> Model:
+    """The model with contacts so many times as stiff, under preloads at which they mostly stick."""
+    stiff = stiffer(model, factor)
+    load = 3 * float(np.abs(model.excitation.cosine).sum())
+    return replace(stiff, contacts=tuple(replace(own, preload=load) for own in stiff.contacts))
 
 
 def with_fast_mode(model: Model, factor: float) -> Model:
@@ -93,6 +101,8 @@ FAMILIES: dict[str, tuple[tuple[int, int], Any]] = {
     "stiff 1e4": ((4, 2), lambda model: stiffer(model, 1e4)),
     "fast 100": ((4, 2), lambda model: with_fast_mode(model, 100.0)),
     "fast 1000": ((4, 2), lambda model: with_fast_mode(model, 1000.0)),
+    "stuck 1e4": ((4, 2), lambda model: pressed(model, 1e4)),
+    "stuck 1e8": ((4, 2), lambda model: pressed(model, 1e8)),
     "friction 1e-2": ((4, 2), lambda model: slippery(model, 1e-2)),
     "friction 1e-3": ((4, 2), lambda model: slippery(model, 1e-3)),
     "friction 1e-4": ((4, 2), lambda model: slippery(model, 1e-4)),

@@ -4,6 +4,8 @@ The rows, guards and transitions of `opponents_numba`, with seven stages of Tsit
 step that the embedded error controls. A step at whose end a guard is violated, or whose cubic dips below zero, is
 taken again until it ends on the earliest guard. The bound on the rate at which the direction of slip relaxes as
 n -> 0 follows the tolerance, since what it leaves is of third order in it.
+
+Numba keeps what it compiled by the date of this file alone: after a change of `opponents_numba` delete its cache.
 """
 
 from typing import NamedTuple

@@ -264,7 +264,7 @@ CHANGES = (
         ("solver.accuracy", "accuracy: standard", "accuracy: fine", "'draft', 'standard' or 'reference'"),
         ("solver.method", "accuracy: standard", "accuracy: standard\n  method: tsit5", "excludes accuracy",
          "method: tsit5"),
-        ("solver.method", "accuracy: standard", "method: euler", "'tsit5', 'dopri8'"),
+        ("solver.method", "accuracy: standard", "method: euler", "'tsit5', 'dopri5'"),
         ("solver.rtol", "accuracy: standard", "rtol: 1e-8", "goes with method"),
         ("solver.rtol", "accuracy: standard", "{method: tsit5, rtol: 2}", "must be < 1"),
         ("solver.steps_per_cycle", "accuracy: standard", "method: rk4\n  steps_per_cycle: 100", "must be >= 200",

@@ -335,7 +335,7 @@ SOLVERS = (
     {"accuracy": "draft"},
     {"accuracy": "standard"},
     {"method": "exponential", "rtol": 1e-6},
-    {"method": "dopri8", "rtol": 1e-5},
+    {"method": "kvaerno5", "rtol": 1e-5},
     {"accuracy": "draft", "reduce": False},
 )
 

@@ -207,7 +207,9 @@ def test_order_of_fixed_steps() -> None:
     ("name", "expected", "tolerances"),
     [
         ("tsit5", 5, np.geomspace(1e-5, 1e-10, 11)),
+        ("dopri5", 5, np.geomspace(1e-5, 1e-10, 11)),
         ("dopri8", 8, np.geomspace(1e-6, 1e-11, 11)),
+        ("kvaerno5", 5, np.geomspace(1e-5, 1e-9, 9)),
     ],
 )
 def test_order_of_adaptive_steps(name: str, expected: int, tolerances: np.ndarray) -> None:
@@ -216,6 +218,41 @@ def test_order_of_adaptive_steps(name: str, expected: int, tolerances: np.ndarra
     assert order(steps, error) > expected - 0.1
     slope = np.polyfit(np.log(tolerances), np.log(error), 1)[0]
     assert 0.7 < slope < 1.3
+
+
+# --- stiff contacts ---
+
+
+def stiff(stiffness: float) -> Model:
+    """The oscillator with a gap of 0.05 before a pad that is stiffer than its modes by far."""
+    model = oscillator(-1.0, 0.97)
+    hard = replace(
+        model.contacts[0],
+        tangential_stiffness=stiffness * np.eye(2),
+        normal_stiffness=stiffness,
+        preload=-0.05 * stiffness,
+    )
+    return replace(model, contacts=(hard,))
+
+
+@pytest.mark.parametrize("stiffness", [1e4, 1e6, 1e8])
+@pytest.mark.parametrize("rtol", [1e-4, 1e-6])
+def test_kvaerno5_on_stiff_contacts(stiffness: float, rtol: float) -> None:
+    """It steps over what an explicit method must follow, and agrees with it."""
+    model = stiff(stiffness)
+    trace = simulate(model, 4, Solver("kvaerno5", rtol, 1e-2 * rtol))
+    fine = simulate(model, 4, Solver("tsit5", 1e-8, 1e-10, budget=10_000_000))
+    assert trace.num_steps < 400
+    assert trace.sequence == fine.sequence
+    assert relative_error(trace.amplitude[-1], fine.amplitude[-1]) < 100 * rtol
+
+
+def test_kvaerno5_takes_the_steps_of_explicit_methods_where_nothing_is_stiff() -> None:
+    trace = simulate(oscillator(-1.0, 0.97), 6, Solver("kvaerno5", 1e-6, 1e-8))
+    true = simulate(oscillator(-1.0, 0.97), 6, FINE)
+    assert trace.num_steps < 600
+    assert trace.sequence == true.sequence
+    assert relative_error(trace.motion, true.motion) < 1e-5
 
 
 # --- parts of scenes that may be missing ---
@@ -458,7 +495,7 @@ def test_nothing_compiles_anew() -> None:
             simulate(oscillator(preload, frequency), cycles, FINE)
             simulate(oscillator(preload, frequency), cycles, PRESETS["draft"])
 
-    fresh = compilations(lambda: simulate(oscillator(3.0, 1.39), 1, replace(FINE, name="dopri8")))
+    fresh = compilations(lambda: simulate(oscillator(3.0, 1.39), 1, replace(FINE, name="dopri5")))
     simulate(oscillator(3.0, 1.39), 1, FINE)
     assert compilations(many) == 0
     # That the count can see one: the loop of a method is compiled once at the most.

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -67,6 +68,8 @@ def in_fixed_steps(method: Method, count: int) -> tuple[np.ndarray, list[tuple[i
     [
         ("rk4", 3.75, 4.25, DECADE),
         ("tsit5", 4.75, 5.25, DECADE),
+        ("dopri5", 4.75, 5.25, DECADE),
+        ("kvaerno5", 4.75, 5.25, DECADE),
         ("exponential", 4.5, 5.25, np.array([30, 42, 58, 80, 112, 155])),
         # Rounding comes after half a decade, and errors of eighth order are small beside those of ninth.
         ("dopri8", 7.75, 9.25, np.array([30, 35, 41, 48, 56, 65, 77, 90])),
@@ -82,3 +85,19 @@ def test_order_through_transitions(name: str, lowest: float, highest: float, ste
     order = -np.polyfit(np.log(steps), np.log(error), 1)[0]
     print(name, error, order)
     assert lowest < order < highest
+
+
+def test_an_implicit_method_has_a_derivative_in_forward_mode() -> None:
+    """That of the return map asks for it, and the loops of its library's own have none."""
+    model = pressed_and_lifted()
+    run = Run(model, [Phase(OMEGA / (2 * np.pi), 1)], ANY_ERROR)
+    frame = Frame(model, run.reduction, OMEGA / (2 * np.pi))
+    system = system_of(model, OMEGA / (2 * np.pi), 0.0, run.reduction)
+    start, method = frame.begin(system, run, 0.01, work=False), step_method(Solver("kvaerno5", 1e-6, 1e-8))
+
+    def end(velocity: jax.Array) -> jax.Array:
+        point = replace(start.point, p=velocity)
+        return method.advance(system, start.state, start.time, point, start.rate, jnp.asarray(0.01)).point.p
+
+    derivative = jax.eval_shape(jax.jit(jax.jacfwd(end)), start.point.p)
+    assert derivative.shape == (1, 1)

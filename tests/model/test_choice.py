@@ -55,6 +55,7 @@ def test_a_short_run_does_not_pay_for_what_takes_longer_to_compile(model: Model)
     line = next(line for line in TABLE if line.method == taken(model).name and line.applies(model, _frequency(model)))
     own = preset("standard", model, _frequency(model), 10_000)
     each = seconds_a_cycle(model, own, _frequency(model))
+    assert each is not None
     border = line.compiling[0] / (1 - line.share[0]) / each
     assert own.name == "tsit5"
     assert taken(model, 0.9 * border) == preset("standard", model, _frequency(model), 0.9 * border)

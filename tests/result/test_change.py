@@ -102,7 +102,7 @@ def scenes(folder: Path) -> dict[str, dict[str, Any]]:
     files = {name: str(folder / f"{name}.mtx") for name in ("mass", "stiffness", "damping")}
     held = {"from": result, "at": {"frequency": 0.9, "direction": "up"}}
     rk4 = {"solver": {"method": "rk4", "steps_per_cycle": 250, "reduce": True, "max_steps": 900}}
-    own = {"solver": {"method": "dopri8", "rtol": 1e-6, "atol": 1e-8, "reduce": True, "max_steps": 900}}
+    own = {"solver": {"method": "dopri5", "rtol": 1e-6, "atol": 1e-8, "reduce": True, "max_steps": 900}}
     plain = {key: value for key, value in RICH.items() if key != "initial"}
     alone = {"contacts": [PAD | {"preload": 3}, PAD | {"name": "other", "preload": 2}]}
     forces = {"excitation": {"forces": RICH["excitation"]["forces"]}}

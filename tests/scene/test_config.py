@@ -371,7 +371,7 @@ def test_solver_defaults():
     assert (solver("reduce: false").method, solver("method: tsit5").accuracy) == ("auto", None)
     assert solver("{accuracy: draft, method: auto}") == solver("accuracy: draft")
     assert (solver("method: tsit5").rtol, solver("method: tsit5").atol) == (1e-8, 1e-10)
-    assert solver("{method: dopri8, rtol: 1e-6}").atol == pytest.approx(1e-8)
+    assert solver("{method: kvaerno5, rtol: 1e-6}").atol == pytest.approx(1e-8)
     assert solver("{method: rk4}").steps_per_cycle == 200
     assert solver("max_steps: 2e3").max_steps == 2000
 

@@ -150,6 +150,27 @@ def test_a_scene_of_a_tradeoff(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
     assert pasted.attrs["estimated_error"] < 1e-3
 
 
+def test_runs_whose_amplitude_is_judged_begin_where_it_has_settled() -> None:
+    """The settled amplitude is known (tests/agreement); three cycles from rest are far from it."""
+    made, from_rest = bench([], cycles=3, amplitude=True), bench([], cycles=3)
+    solver = Solver("tsit5", 1e-7, 1e-9)
+    settled, begun = made.try_(solver), from_rest.try_(solver)
+    assert settled is not None
+    assert begun is not None
+    assert settled.amplitude[0, 0] == pytest.approx(0.15612878, rel=1e-6)
+    assert abs(begun.amplitude[0, 0] / 0.15612878 - 1) > 1e-2
+    assert made.settled_to < 1e-7
+    assert np.isnan(from_rest.settled_to)
+    made.time_again()
+    assert made.model_of(2) is made.model_of(2)
+
+
+def test_what_has_not_settled_is_said() -> None:
+    made = bench([], cycles=3, amplitude=True, budget=1e-9)
+    made.model_of(2)
+    assert made.settled_to > 1e-6
+
+
 def test_an_interrupted_tradeoff_keeps_what_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(made: Bench, settings: dict[str, Any]) -> None:
         two_methods(made, settings)

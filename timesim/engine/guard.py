@@ -68,7 +68,7 @@ def segment(
 
     def change(x0: Array, v0: Array, a0: Array, x1: Array, v1: Array, a1: Array) -> Array:
         smooth, difference = h * (0.5 * (v0 + v1) + h / 12 * (a0 - a1)), x1 - x0
-        # In a step of stiff contacts they need not agree, and where the dense output ends beside the
+        # In an implicit step of stiff contacts they need not agree, and where the dense output ends beside the
         # solution, a step that overshoots is cut shorter without end.
         agree = jnp.abs(smooth - difference) <= AGREEMENT * (1 + jnp.abs(x1))
         return jnp.where((h < SHORT) & agree, smooth, difference)

@@ -22,7 +22,7 @@ RECORDED, SIDE_BY_SIDE = (3.8, 0.16), (0.47, 0.045)
 """Microseconds of a step of tsit5, and for each mode and contact: of a run that is recorded, of one of sixteen."""
 ALONE = 2.8
 """Work of a step of one that is alone and not recorded, as a multiple of that of one of sixteen."""
-STAGES = {"tsit5": 1.0, "rk4": 0.6, "dopri8": 1.9, "exponential": 0.6}
+STAGES = {"tsit5": 1.0, "dopri5": 1.0, "rk4": 0.6, "dopri8": 1.9, "kvaerno5": 15.0, "exponential": 0.6}
 """Work of a step, as a multiple of that of tsit5; of `exponential`, of a cycle (benchmarks/method_choice.py)."""
 SLIP_STIFF = (120.0, 5.0)
 """Least steps of a cycle that the direction of slip asks for, and the least multiple of those that stability asks for,

@@ -62,7 +62,7 @@ def error_against_time(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     }
     if chosen >= 0:
         ax.plot(seconds[chosen], error[chosen], label="recommended", zorder=5, **star)
-    what = "amplitude of the last cycle" if data.attrs["judged_by_amplitude"] else "state at the end"
+    what = "settled amplitude" if data.attrs["judged_by_amplitude"] else "state at the end"
     ax.set(xscale="log", yscale="log", ylabel=f"relative error, {what}")
     ax.set_xlabel(f"time of {data.attrs['cycles']} cycles, compiled [s]")
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

@@ -142,7 +142,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     # tradeoff
     "method": ("method of integration", None),
     "rtol": ("tolerance of a step, relative to the state", "1"),
-    "error": ("relative error of the state at the end, or of the amplitude of the last cycle", "1"),
+    "error": ("relative error of the state at the end, or of the settled amplitude", "1"),
     "seconds_a_cycle": ("time that a cycle of the excitation takes", "s"),
     "steps_a_cycle": ("steps of a cycle", "1"),
     "steps_asked": ("fixed steps of a cycle; 0 where a tolerance rules", "1"),

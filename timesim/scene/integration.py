@@ -115,7 +115,7 @@ def start(initial: InitialSection, physics: Model, order: np.ndarray, end: EndOf
     return physics.start if initial == "rest" else static_start(physics)
 
 
-ADAPTIVE = ("exponential", "tsit5", "dopri8")
+ADAPTIVE = ("exponential", "tsit5", "dopri5", "dopri8", "kvaerno5")
 
 
 class SolverSection(Section):
@@ -123,7 +123,7 @@ class SolverSection(Section):
 
     accuracy: Literal["draft", "standard", "reference"] | None = None
     """A preset; standard by default."""
-    method: Literal["auto", "exponential", "tsit5", "dopri8", "rk4"] | None = None
+    method: Literal["auto", "exponential", "tsit5", "dopri5", "dopri8", "kvaerno5", "rk4"] | None = None
     """auto, the default, goes with an accuracy: what takes least time, by the scene. The others stand in place of one;
     rk4 with fixed steps for comparison."""
     rtol: Annotated[Number, Field(ge=1e-15, lt=1)] | None = None

@@ -243,7 +243,7 @@ class _Build:
         """What the study carries out."""
         study, contacts = self.file.study, self.file.contacts
         method = self.file.solver.method
-        if study.explicit_only and method == "exponential":
+        if study.explicit_only and method in ("kvaerno5", "exponential"):
             rule = f"must be an explicit method in an {study.kind} study"
             self.errors.append(RuleError(("solver", "method"), rule, "tsit5 or dopri8, or an accuracy", method))
         if (study.cone_only or self.file.initial == "static") and contacts and contacts[0].law_name != CONE:

@@ -105,7 +105,7 @@ class TradeoffPlan:
         cycles: of the run.
         error: wanted, relative.
         budget: of time [s].
-        amplitude: whether the error is that of the amplitude of the last cycle, in place of the state at its end.
+        amplitude: whether the error is that of the settled amplitude, in place of the state at the end.
     """
 
     frequency: float
@@ -134,7 +134,8 @@ class Tradeoff(StudySection):
     budget: Positive = 60.0
     """Seconds for all runs and their compilation; what goes beyond it is left out, the cheapest come first."""
     amplitude: Switch = False
-    """Judge the amplitude of the last cycle in place of the state at its end: what a sweep needs."""
+    """Judge the settled amplitude in place of the state at the end, what a sweep needs: the runs begin where it has
+    settled."""
 
     def plan(self, context: Context) -> TradeoffPlan:
         """The run and what is asked of it."""

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from timesim.engine.companion import totals_of
+from timesim.engine.companion import amplitude_error, totals_of
 from timesim.engine.method import MANY_FROM
 from timesim.engine.trajectory import Phase, Run, RunError
+from timesim.model.cost import cycles_to_settle
 from timesim.model.model import Model, Start
-from timesim.model.solver import Solver
+from timesim.model.solver import NEVER, Criterion, Solver
 from timesim.scene.transient import TradeoffPlan
 from timesim.study.execution.campaign import Execution
 
@@ -20,6 +21,12 @@ REPEATED, REPEATS = 0.3, 5
 STEP = {"tsit5": 1.0, "rk4": 0.6, "dopri8": 2.0, "exponential": 4.0}
 COMPILED = {"tsit5": 1.0, "rk4": 0.6, "dopri8": 2.5, "exponential": 12.0}
 """Time of a step, and of compilation, roughly, as multiples of that of tsit5 (measured)."""
+SETTLING = Solver("tsit5", 1e-9, 1e-11)
+"""What leads to the settled motion, of which the amplitude is judged."""
+LEFT = 0.1
+"""Of the wanted error: to what a free vibration has decayed then."""
+MOST_CYCLES, MOST_TIME = 2000, 0.3
+"""Cycles, and share of the budget, that this may take."""
 ORDER = {"dopri8": 8, "exponential": 6}
 """Where it is not five: the steps grow with the tolerance to the power of minus its inverse."""
 
@@ -60,6 +67,7 @@ class Bench:
     Attributes:
         trials: those that have come to their end.
         left_out: runs that were not made, or failed, each with the reason.
+        settled_to: change of the amplitude over the last cycle before the runs, where it is judged; else NaN.
     """
 
     def __init__(self, model: Model, plan: TradeoffPlan, execution: Execution):
@@ -67,7 +75,9 @@ class Bench:
         self.begun = time.perf_counter()
         self.trials: list[Trial] = []
         self.left_out: list[str] = []
+        self.settled_to = np.nan
         self._compiling: dict[tuple[str, int, int, bool], float] = {}
+        self._models: dict[int, Model] = {}
 
     @property
     def left(self) -> float:
@@ -100,12 +110,37 @@ class Bench:
         for i, trial in enumerate(self.trials):
             if trial.seconds < min(REPEATED, self.left):
                 self.execution.show(self.plan.budget - self.left, self.plan.budget, f"{trial.solver} again")
-                model, clock = lowest_modes(self.model, trial.num_modes), time.perf_counter()
+                model, clock = self.model_of(trial.num_modes), time.perf_counter()
                 _through(model, trial.solver, self.plan.frequency, self.plan.cycles)
                 self.trials[i] = replace(trial, seconds=min(trial.seconds, time.perf_counter() - clock))
 
+    def model_of(self, num_modes: int) -> Model:
+        """The lowest modes from the scene's start, or, where the amplitude is judged, from their settled motion."""
+        if num_modes not in self._models:
+            model = lowest_modes(self.model, num_modes)
+            self._models[num_modes] = self._settled(model) if self.plan.amplitude else model
+        return self._models[num_modes]
+
+    def _settled(self, model: Model) -> Model:
+        """The model with its motion after as many cycles as its slowest mode takes to decay, or there is time for."""
+        frequency, until = self.plan.frequency, self.left - MOST_TIME * self.plan.budget
+        criterion = Criterion(LEFT * self.plan.error, MOST_CYCLES, NEVER)
+        cycles = max(2, cycles_to_settle(model, criterion, frequency))
+        run = Run(model, [Phase(frequency, cycles)], SETTLING)
+        totals = totals_of(run)
+        for steps in run.batches():
+            totals.add(steps, run.completed)
+            self.execution.show(self.plan.budget - max(self.left, 0.0), self.plan.budget, "settling")
+            if self.left < until and run.completed > 1:
+                break
+        self._compiling.setdefault(program(SETTLING, model.structure.num_modes), run.compile_seconds)
+        before, after = np.array(totals.amplitude)[: run.completed][-2:]
+        self.settled_to = float(np.nanmax([self.settled_to, amplitude_error(after[None], before[None])[0]]))
+        start = Start(run.displacement, run.velocity, run.slip, run.state, run.phase % (2 * np.pi))
+        return replace(model, start=start)
+
     def _timed(self, solver: Solver, num_modes: int, preset: str) -> Trial:
-        model, key = lowest_modes(self.model, num_modes), program(solver, num_modes)
+        model, key = self.model_of(num_modes), program(solver, num_modes)
         # Of a program that is not there the first run is with its compilation.
         first, seconds = key not in self._compiling, list[float]()
         while len(seconds) < 1 + first or (min(seconds) < REPEATED and len(seconds) < REPEATS):

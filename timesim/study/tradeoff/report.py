@@ -25,12 +25,14 @@ def _verdict(data: Dataset) -> Iterator[str]:
     attrs = data.attrs
     known, truth = attrs["error_known_to"], attrs["truth"]
     by = f"by two methods, {truth}" if truth else "by no second method: give it a larger study.budget"
-    what = "of the amplitude of the last cycle" if attrs["judged_by_amplitude"] else "of the state at the end"
+    what = "of the settled amplitude" if attrs["judged_by_amplitude"] else "of the state at the end"
     if not np.isfinite(known):
         yield "one run says nothing of its error: give it a larger study.budget"
         return
     yield "* no other run of the whole scene is both faster and better"
     yield f"errors are those {what}, relative to its size, known to {known:.1e} {by}"
+    if attrs["settled_to"] > attrs["error_wanted"]:
+        yield f"before the runs the amplitude still changed by {attrs['settled_to']:.1e} in a cycle: it had not settled"
     yield from _advice(data)
     yield from _modes(data)
     yield from _reductions(data)

@@ -183,6 +183,7 @@ def _record(scene: Scene, bench: Bench, judged: Judged, reason: str | None) -> D
     attrs = attributes(scene, f"{len(trials)} runs", compiling, bench.plan.budget - bench.left - compiling, reason)
     attrs |= {"error_known_to": judged.known, "truth": judged.verified}
     attrs |= {"error_wanted": bench.plan.error, "cycles": cycles, "judged_by_amplitude": bench.plan.amplitude}
+    attrs["settled_to"] = bench.settled_to
     attrs |= {"recommended_trial": judged.recommended, "num_modes": bench.model.structure.num_modes}
     attrs["left_out"] = "; ".join(bench.left_out)
     data = dataset(variables, {}, attrs)
