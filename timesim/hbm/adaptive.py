@@ -17,7 +17,7 @@ from timesim.orbit.fourier import to_phasors
 
 # Share of `NEGLECTED` that harmonics may add which a solution does without again.
 SPARED = 0.7
-# Solutions after which the next one is asked what it leaves out.
+# Solutions after which the next one is asked what it leaves out, where the last one left out less than that share.
 ASKED = 4
 
 
@@ -84,7 +84,7 @@ class AdaptiveBalance:
         elif self.place and above[orders[self.place - 1]] < SPARED * NEGLECTED:
             self.place -= 1
         if self.place == self._before:
-            self._unasked = ASKED
+            self._unasked = ASKED if above[orders[self.place]] < SPARED * NEGLECTED else 1
         return self.place != self._before
 
     def restore(self) -> None:
