@@ -17,8 +17,6 @@ from timesim.orbit.fourier import to_phasors
 
 # Share of `NEGLECTED` that harmonics may add which a solution does without again.
 SPARED = 0.7
-# Solutions after which the next one is asked what it leaves out.
-ASKED = 4
 
 
 class Family(Residual, Protocol):
@@ -41,7 +39,7 @@ class AdaptiveBalance:
         """From the equations by a scheme, and schemes with more and more harmonics."""
         self.schemes, self.residual_of = tuple(schemes), lru_cache(maxsize=None)(residual_of)
         self.shape = 3 * num_contacts, 2 * self.schemes[-1].harmonics + 1
-        self.place = self._before = self._unasked = 0
+        self.place = self._before = 0
 
     @property
     def residual(self) -> Family:
@@ -69,12 +67,10 @@ class AdaptiveBalance:
         """Take the coarsest scheme that has the harmonics of a guess."""
         size = np.abs(to_phasors(x.reshape(self.shape))).max(axis=0)
         self.place = self._before = self._enough(_above(size), NEGLECTED)
-        self._unasked = 0
 
     def adapt(self, x: Array, p: float) -> bool:
         """Take the scheme that a solution asks for; whether it is another one than before."""
-        self._unasked -= 1
-        if len(self.schemes) == 1 or self._unasked > 0:
+        if len(self.schemes) == 1:
             return False
         own, orders = self.residual, [scheme.harmonics for scheme in self.schemes]
         above = tail(own.at(p), x[self.active], own.frequency_at(p))
@@ -83,13 +79,11 @@ class AdaptiveBalance:
             self.place = max(self.place, self._enough(above, NEGLECTED))
         elif self.place and above[orders[self.place - 1]] < SPARED * NEGLECTED:
             self.place -= 1
-        if self.place == self._before:
-            self._unasked = ASKED
         return self.place != self._before
 
     def restore(self) -> None:
         """Take the scheme that was in use before."""
-        self.place, self._unasked = self._before, ASKED
+        self.place = self._before
 
     def whole(self, x: Array, place: int = 0) -> Array:
         """All unknowns from those of a scheme."""

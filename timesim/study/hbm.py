@@ -111,9 +111,10 @@ class Curves:
             curves = list(self._from_ends(values, growth))
         if "harmonics" in self.plan.chosen:
             left = max(neglected(own.model_at, own.curve, self.schemes) for own in curves)
+            count = max(own.curve.harmonic_cos.shape[1] - 1 for own in curves)
             if left > NEGLECTED:
                 self.notes.append(
-                    f"{in_words(values, ': ')}auto ends at {self.schemes[-1].harmonics} harmonics: those above would "
+                    f"{in_words(values, ': ')}auto ends at {count} harmonics: those above would "
                     f"add up to {left:.1e} of the amplitude, where {NEGLECTED:g} is wanted; set harmonics to more"
                 )
         for curve in curves:

@@ -18,6 +18,8 @@ NEAR_FOLD = 1e-3
 # Difference of the methods, relative to the amplitude, up to which they agree and nearly agree, and from which on it is
 # worth asking for its cause.
 AGREE, NEARLY, WORTH_ASKING = 2e-3, 2e-2, 5e-4
+# Share of the period for which a contact that has slipped to its cone, and no further, may slip by rounding.
+SHAKEN_DOWN = 1e-5
 
 
 def curve_lines(data: Dataset, notes: Sequence[str]) -> Iterator[str]:
@@ -162,7 +164,7 @@ def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarra
         near_fold=near_fold,
         slip=slip[..., _rubs(sweep)].max(axis=-1, initial=0.0),
         separation=apart.max(axis=-1, initial=0.0),
-        sticks=((slip + apart == 0) & _rubs(sweep)).any(axis=-1),
+        sticks=((slip + apart < SHAKEN_DOWN) & _rubs(sweep)).any(axis=-1),
         other_offset=np.zeros(shape, dtype=bool),
     )
 
