@@ -710,8 +710,9 @@ def test_check_estimates_the_cost_of_each_phase():
     assert said("oscillator", "study.cycles=10000000")[0] == "about 10000000 cycles of 353 µs: 59 min"
     sweep, balance, _ = said("figure10")
     assert sweep.startswith("about 774 points of ")
-    # 7 + 3 + 0.18 x 2 modes, of which 0.2 are fixed and 0.8 go with 1024 / 256 samples.
-    assert balance == "about 9 curves of harmonic balance of 200 solutions of 35 ms: 63 s"
+    # 7 + 3 + 0.18 x 2 modes, of 256 samples; 0.8 of it goes with them.
+    assert balance == "about 9 curves of harmonic balance of 200 solutions of 10 ms: 19 s"
+    assert "of 35 ms: 63 s" in said("figure10", "study.time_samples=1024")[1]
     assert said("preload")[0].endswith(", and the search for the least")
     assert said("figure7") == ()
 
