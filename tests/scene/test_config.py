@@ -363,6 +363,11 @@ def test_null_takes_a_key_out():
     assert problems(BASE, "study.kind=null")[0][0] in ("study", "study.kind")
 
 
+def test_a_missing_key_says_what_it_is():
+    with pytest.raises(SceneError, match=r"contacts\.pad\.friction: is required \(Coefficient of friction\)"):
+        load_scene(BASE, ["contacts.pad.friction=null"])
+
+
 def test_solver_defaults():
     def solver(text: str) -> Any:
         return load_scene(BASE.replace("  accuracy: standard", f"  {text}")).file.solver

@@ -5,12 +5,13 @@ are checked there and raise `RuleError`. Frequencies are in Hz, angles in degree
 units.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache, reduce
 from operator import or_
 from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import AfterValidator, BeforeValidator, Field, Tag, ValidationError, create_model
+from pydantic.fields import FieldInfo
 
 from timesim.fault import RuleError, nearest
 from timesim.scene.contact import Contacts
@@ -220,7 +221,9 @@ def _hint(
     kind: str, location: Sequence[str | int], value: Any, context: Mapping[str, Any], tree: type[SceneParts]
 ) -> str:
     if kind == "extra_forbidden":
-        return nearest(str(location[-1]), _keys_at(location[:-1], tree))
+        return nearest(str(location[-1]), _fields_at(location[:-1], tree))
+    if kind == "missing" and (field := _fields_at(location[:-1], tree).get(str(location[-1]))):
+        return (field.description or "").rstrip(".").replace("\n", " ")
     if kind == "literal_error":
         close = nearest(value, str(context["expected"]).replace(" or ", ", ").replace("'", "").split(", "))
         return close if close.startswith("did") else ""
@@ -231,12 +234,12 @@ def _hint(
     return ""
 
 
-def _keys_at(location: Sequence[str | int], kind: Any) -> Collection[str]:
-    """Keys that the section at a place below another allows."""
+def _fields_at(location: Sequence[str | int], kind: Any) -> dict[str, FieldInfo]:
+    """Keys that the section at a place below another allows, each with what is said of it."""
     for part in location:
         kind = _below(kind, part)
     sections = [item for item in _options(kind) if isinstance(item, type) and issubclass(item, Section)]
-    return [field.alias or name for section in sections[:1] for name, field in section.model_fields.items()]
+    return {field.alias or name: field for section in sections[:1] for name, field in section.model_fields.items()}
 
 
 def _below(kind: Any, part: str | int) -> Any:
