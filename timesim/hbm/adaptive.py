@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from timesim.hbm.balance import Array, Balance, contact_stiffness
 from timesim.hbm.continuation import Residual
 from timesim.hbm.period import basis_of, forces_of, motion_of, period_of
-from timesim.hbm.scheme import NEGLECTED, Scheme
+from timesim.hbm.scheme import NEGLECTED, Scheme, coarsest
 from timesim.orbit.fourier import to_phasors
 
 # Share of `NEGLECTED` that harmonics may add which a solution does without again.
@@ -93,9 +93,7 @@ class AdaptiveBalance:
 
     def place_of(self, x: Array) -> int:
         """The coarsest scheme that has all harmonics of a solution."""
-        used = np.flatnonzero(x.reshape(self.shape).any(axis=0))
-        highest = used[-1] if used.size else 0
-        return next(i for i, own in enumerate(self.schemes) if highest <= 2 * own.harmonics)
+        return coarsest(self.schemes, x.reshape(self.shape))
 
     def _enough(self, above: Array, share: float) -> int:
         """The coarsest scheme above which no more is left than a share, or the finest."""

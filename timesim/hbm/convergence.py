@@ -16,7 +16,7 @@ from timesim.hbm.balance import Array, Balance
 from timesim.hbm.continuation import Controls, solve
 from timesim.hbm.curve import HbmCurve
 from timesim.hbm.period import contact_forces
-from timesim.hbm.scheme import MIN_SAMPLES, Scheme
+from timesim.hbm.scheme import MIN_SAMPLES, Scheme, coarsest
 from timesim.model.model import Model
 from timesim.orbit.fourier import half_range, to_coefficients, to_phasors
 from timesim.orbit.steady_state import switches
@@ -46,17 +46,11 @@ def neglected(model_at: Callable[[float], Model], curve: HbmCurve, schemes: Sequ
     worst = 0.0
     for i in looked_at(curve):
         motion = curve.contact_motion[i]
-        scheme, frequency = scheme_of(motion, schemes), float(curve.frequency[i])
+        scheme, frequency = schemes[coarsest(schemes, motion)], float(curve.frequency[i])
         balance = Balance(model_at(float(curve.parameter[i])), frequency, scheme)
         x = motion[..., : balance.size].ravel() / balance.length
         worst = max(worst, float(tail(balance, x, frequency)[scheme.harmonics]))
     return worst
-
-
-def scheme_of(motion: Array, schemes: Sequence[Scheme]) -> Scheme:
-    """The coarsest of several schemes that has all harmonics of a motion, shape (C, 3, 2H + 1)."""
-    used = np.flatnonzero(motion.any(axis=(0, 1)))
-    return next(own for own in schemes if used.size == 0 or used[-1] <= 2 * own.harmonics)
 
 
 def with_more_samples(
@@ -81,7 +75,7 @@ def sampling_error(
     """
     worst = 0.0
     for i in rows:
-        scheme = scheme_of(curve.contact_motion[i], schemes)
+        scheme = schemes[coarsest(schemes, curve.contact_motion[i])]
         turn = np.exp(2j * np.pi * SHIFT / scheme.time_samples * np.arange(scheme.harmonics + 1))
         balance = Balance(model_at(float(curve.parameter[i])), float(curve.frequency[i]), scheme)
         motion = curve.contact_motion[i][..., : balance.size] / balance.length

@@ -1,5 +1,6 @@
 """Numerical scheme of a harmonic balance, and the models that allow one. Checks of a scene import it: no JAX here."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, log2
 
@@ -73,6 +74,18 @@ def finer_schemes(first: Scheme, most: int, *, choose_samples: bool) -> tuple[Sc
     more += [most] if most > first.harmonics else []
     least = enough_samples if choose_samples else lambda count: 4 * count
     return first, *(Scheme(count, max(first.time_samples, least(count))) for count in more)
+
+
+def coarsest(schemes: Sequence[Scheme], motion: np.ndarray) -> int:
+    """Which of several schemes, coarsest first, is the first that has all harmonics of a motion.
+
+    Args:
+        schemes: with more and more harmonics, the last one with all of them.
+        motion: coefficients 1, cos, sin, ... of any components, shape (..., 2H + 1).
+    """
+    used = np.flatnonzero(motion.reshape(-1, motion.shape[-1]).any(axis=0))
+    highest = int(used[-1]) if used.size else 0
+    return next(place for place, own in enumerate(schemes) if highest <= 2 * own.harmonics)
 
 
 def highest_excited(model: Model) -> int:

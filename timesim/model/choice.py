@@ -54,10 +54,8 @@ class Line:
 
 def contact_rate(model: Model) -> float:
     """Fastest rate that the contacts would have on the masses of the structure, without its springs [rad/time]."""
-    shapes = model.contact_shape / np.sqrt(model.structure.mass)
-    matrix = np.einsum("cam,cab,cbn->mn", shapes[:, :2], model.tangential_stiffness, shapes[:, :2])
-    matrix += np.einsum("c,cm,cn->mn", model.normal_stiffness, shapes[:, 2], shapes[:, 2])
-    return float(np.sqrt(max(np.linalg.eigvalsh(matrix)[-1], 0.0)))
+    alone = model.with_contacts(np.zeros((model.structure.num_modes,) * 2))
+    return float(np.sqrt(max(np.linalg.eigvalsh(alone)[-1], 0.0)))
 
 
 TABLE = (
@@ -123,7 +121,7 @@ def choice(accuracy: str, model: Model, work: Work, budget: int) -> Choice:
     lines = (line for line in TABLE if accuracy in line.accuracies and line.applies(model, frequency))
     line = next(lines, None)
     if line is None or line.method == own.name:
-        return Choice(own, f"the method of accuracy {accuracy}, no other being quicker on such a structure")
+        return Choice(own, f"the method of accuracy {accuracy}, no other being much quicker on such a structure")
     sweep = work.side_by_side is not None
     saved, compiling = (1 - line.share[sweep]) * seconds(model, own, work), line.compiling[sweep]
     hopeless = max(stable_steps(model, frequency), SLIPPING * slip_steps(model, frequency)) > budget

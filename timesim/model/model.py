@@ -197,13 +197,17 @@ class Model:
     @property
     def stuck_omega(self) -> np.ndarray:
         """Circular natural frequencies with every contact stuck, ascending, shape (M,) [rad/time]."""
-        stiffness = np.diag(self.structure.omega**2)
-        shapes = self.contact_shape / np.sqrt(self.structure.mass)
+        stiffness = self.with_contacts(np.diag(self.structure.omega**2))
+        return np.sqrt(np.maximum(np.linalg.eigvalsh(stiffness), 0.0))
+
+    def with_contacts(self, stiffness: np.ndarray) -> np.ndarray:
+        """A stiffness of the modes, normalised to unit mass, and that of every contact beside it, shape (M, M)."""
+        whole, shapes = stiffness.copy(), self.contact_shape / np.sqrt(self.structure.mass)
         for c in self.summation_order:
             shape, contact = shapes[c], self.contacts[c]
-            stiffness += shape[:2].T @ contact.tangential_stiffness @ shape[:2]
-            stiffness += contact.normal_stiffness * np.outer(shape[2], shape[2])
-        return np.sqrt(np.maximum(np.linalg.eigvalsh(stiffness), 0.0))
+            whole += shape[:2].T @ contact.tangential_stiffness @ shape[:2]
+            whole += contact.normal_stiffness * np.outer(shape[2], shape[2])
+        return whole
 
     @property
     def stuck_rate(self) -> float:
