@@ -5,11 +5,13 @@ Inside, the batch is the last axis: the kernels run along it. Arguments and resu
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+import operator
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool
 
 Lanes = TypeVar("Lanes")
@@ -78,3 +80,24 @@ def advance_lanes(
 
     end: tuple[Lanes, Kept] = jax.lax.while_loop(goes_on, body, (start, kept))
     return end
+
+
+ROWS = 256  # evaluated at a time: a fixed number, so that a function of rows is compiled once
+
+
+def by_rows(function: Callable[..., Any], common: tuple, columns: tuple, *chosen: tuple[Any, np.ndarray]) -> Any:
+    """A compiled function of rows, of as many at a time as it is compiled for.
+
+    Args:
+        function: of what is common, the rows, and the rows that are chosen.
+        common: what all rows share.
+        columns: rows as they are.
+        chosen: rows, and which of them each row has. Chosen a few at a time they stay in the caches.
+    """
+    size, found = len(jax.tree.leaves(columns)[0]), []
+    for first in range(0, size, ROWS):
+        at = np.minimum(np.arange(first, first + ROWS), size - 1)
+        rows = [*jax.tree.map(operator.itemgetter(at), columns)]
+        rows += [jax.tree.map(operator.itemgetter(index[at]), table) for table, index in chosen]
+        found.append(jax.tree.map(np.asarray, function(*common, *rows)))
+    return jax.tree.map(lambda *rows: np.concatenate(rows)[:size], *found)

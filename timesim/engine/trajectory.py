@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from timesim.engine.event_loop import advance
+from timesim.engine.exponential.parts import short_steps
 from timesim.engine.history import Steps
 from timesim.engine.method import Method, step_method
-from timesim.engine.quadrature import short_steps
 from timesim.engine.solver import step_control
 from timesim.engine.status import Status
 from timesim.engine.step import Step as LoopStep

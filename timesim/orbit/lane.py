@@ -9,9 +9,10 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from timesim.engine.exponential.parts import short_steps
 from timesim.engine.history import between
 from timesim.engine.law.cone import ConeLaw
-from timesim.engine.quadrature import means, short_steps
+from timesim.engine.quadrature import means
 from timesim.engine.solver import Control, step_control
 from timesim.engine.status import Status
 from timesim.engine.step import Step, Trajectory

@@ -11,14 +11,13 @@ import numpy as np
 
 from timesim.engine.companion import totals_of
 from timesim.engine.history import Events, Samples, Steps, events, sample
+from timesim.engine.lanes import by_rows
 from timesim.engine.law.contact_law import ContactLaw, Motion
 from timesim.engine.law.table import law_class
 from timesim.engine.trajectory import Run
 from timesim.model.model import Model
 from timesim.model.scales import scales_of
 from timesim.scene.transient import Schedule
-
-ROWS = 1024  # samples evaluated at a time: a fixed number, so that the law is compiled once
 
 
 class Recorder:
@@ -71,14 +70,8 @@ def contact_forces(model: Model, samples: Samples) -> tuple[np.ndarray, np.ndarr
     scales = scales_of(model, 1.0)
     law = law_class(model.contacts).of(model.contacts, scales)
     whole = (x / scales.length, dx / (scales.length * scales.omega), samples.w / scales.length, samples.state)
-    force = np.zeros_like(x)
-    for begin in range(0, len(x), ROWS):
-        rows = slice(begin, begin + ROWS)
-        parts = [part[rows] for part in whole]
-        few = len(parts[0])
-        padded = [np.pad(part, ((0, ROWS - few), *[(0, 0)] * (part.ndim - 1))) for part in parts]
-        force[rows] = np.asarray(_force(law, *padded))[:few] * scales.force
-    return force, x
+    force: np.ndarray = by_rows(_force, (law,), whole) if len(x) else x
+    return force * scales.force, x
 
 
 @jax.jit
