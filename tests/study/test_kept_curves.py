@@ -117,3 +117,22 @@ def test_curves_of_another_scene_are_not_taken_up(tmp_path: Path):
     with pytest.raises(Killed):
         carry_out(load_scene(SCENE), resumed)
     assert "curves-00000.npz is damaged or cut off" in notices[1]
+
+
+def test_a_growing_curve_takes_more_harmonics_than_the_first_scheme_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(kept_curves, "SECONDS_APART", 0.0)
+    monkeypatch.setattr(kept_curves, "TIMES_APART", 0.0)
+    study = {"kind": "hbm", "frequency": {"from": 0.25, "to": 0.26}, "stability": False}
+    scene = load_scene(oscillator_scene(preload=-0.3) | {"study": study})
+
+    def killed_half_way(done: float, number: float, phase: str = "", /) -> None:
+        if done > 0.5 * number:
+            raise Killed
+
+    with pytest.raises(Killed):
+        carry_out(scene, Execution(progress=killed_half_way, folder=tmp_path))
+    found = timesim.open_result(tmp_path / "checkpoint" / "growing.nc")
+    assert found.sizes["harmonic"] - 1 > scene.plan.schemes_for(scene.model())[0].harmonics
+    assert np.all(np.isfinite(found["amplitude"]))

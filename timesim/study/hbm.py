@@ -132,10 +132,13 @@ class Curves:
         finer = (with_more_samples(own.model_at, own.curve, self.schemes) for own in curves)
         return next((own for own in finer if own is not None), None)
 
-    def _take_over(self, harmonics: int) -> None:
-        """Report at least so many harmonics, and the samples that go with them; those of curves before are zero."""
-        self.scheme = next(own for own in self.schemes if own.harmonics >= max(harmonics, self.scheme.harmonics))
-        self.curves = [replace(one, curve=one.curve.with_harmonics(self.scheme.harmonics)) for one in self.curves]
+    def with_curve(self, curve: StudyCurve) -> "Curves":
+        """With one more, all with the harmonics of the one that has the most: those that it lacks are zero."""
+        grown, curves = copy(self), [*self.curves, curve]
+        most = max(self.scheme.harmonics, curve.curve.harmonic_cos.shape[1] - 1)
+        grown.scheme = next(own for own in self.schemes if own.harmonics >= most)
+        grown.curves = [replace(one, curve=one.curve.with_harmonics(grown.scheme.harmonics)) for one in curves]
+        return grown
 
     def _model_at(self, values: dict[str, float]) -> Callable[[float], Model]:
         """The model for a value of the parameter of a curve with these values."""
@@ -146,8 +149,8 @@ class Curves:
         return lambda p: self.scene.variant({**values, key: p})
 
     def _add(self, curve: StudyCurve) -> None:
-        self._take_over(curve.curve.harmonic_cos.shape[1] - 1)
-        self.curves.append(replace(curve, curve=curve.curve.with_harmonics(self.scheme.harmonics)))
+        grown = self.with_curve(curve)
+        self.scheme, self.curves = grown.scheme, grown.curves
         if not curve.curve.complete:
             self.faults.append(curve.label + curve.curve.message)
         if curve.curve.ending is Ending.INTERRUPTED:
@@ -239,10 +242,9 @@ class Growth:
 
     def _record(self, curve: HbmCurve) -> Dataset:
         """The result so far."""
-        scene, partial_ = self.curves.scene, copy(self.curves)
-        partial_.curves = [*self.curves.curves, StudyCurve(self.values, lambda _: scene.model(), curve)]
-        attrs = attributes(scene, str(partial_.scheme), 0.0, 0.0, curve.message)
-        return solutions(scene.model(), partial_, attrs)
+        scene = self.curves.scene
+        grown = self.curves.with_curve(StudyCurve(self.values, lambda _: scene.model(), curve))
+        return solutions(scene.model(), grown, attributes(scene, str(grown.scheme), 0.0, 0.0, curve.message))
 
 
 def _known(curve: StudyCurve, i: int) -> Known:
