@@ -1,6 +1,7 @@
 """The study `jump`: figure 12 of the paper, continuous phase, the run-up, starts from its result, its pictures."""
 
 import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -141,6 +142,21 @@ def test_a_broken_promise_is_mended_or_else_said(monkeypatch: pytest.MonkeyPatch
     said = carry_out(load_scene(standard)).summary
     block = next(line for line in said if line.startswith("warning: that is more than the 1e-08"))
     assert "solver: {method: tsit5, rtol: 2.4e-08, atol: 2.4e-10}" in block
+
+    monkeypatch.setattr(transient, "tightened", promise.tightened)
+    carried = transient._carried
+
+    def cut_off(*given: Any, first: Any = None) -> Any:
+        done = carried(*given, first=first)
+        return done if first is None else replace(done, reason="ended in cycle 3")
+
+    monkeypatch.setattr(transient, "_carried", cut_off)
+    failed = carry_out(load_scene(standard))
+    assert failed.reason is None
+    assert failed.groups[""].attrs["repetition"].endswith(": ended in cycle 3")
+    ends = "promises; a repetition with finer tolerances did not reach the end"
+    assert any(line.endswith(ends) for line in failed.summary)
+    assert not any("what may keep it" in line for line in failed.summary)
 
 
 def test_a_run_is_whole_where_its_estimate_is_interrupted() -> None:

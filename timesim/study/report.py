@@ -64,7 +64,9 @@ def error_lines(data: Dataset) -> Iterator[str]:
     now = Solver(attrs["method"].partition(",")[0], attrs["rtol"], attrs["atol"])
     better = tightened(now, promise / (MARGIN * error))
     over = f"warning: that is more than the {promise:.0e} that the accuracy promises"
-    if better.rtol == now.rtol:
+    if "repetition" in attrs:
+        yield f"{over}; a repetition with finer tolerances did not reach the end"
+    elif better.rtol == now.rtol:
         yield f"{over}, and rounding allows no finer tolerance: the motion amplifies any error"
     else:
         yield f"{over}; what may keep it: solver: {{method: {now.name}, rtol: {better.rtol:g}, atol: {better.atol:g}}}"

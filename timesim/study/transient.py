@@ -34,7 +34,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     Where the estimated error is above what the accuracy promises, the run is repeated with tighter tolerances.
     """
     clock = time.perf_counter()
-    promise, lines = scene.promise or np.inf, []
+    promise, lines, more = scene.promise or np.inf, [], {}
     done = _carried(scene, scene.solver(), execution)
     for _ in range(REPETITIONS):
         state = done.error.state if done.error else 0.0
@@ -45,9 +45,10 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         ended = f"repeated by {better}" if again.reason is None else f"and the repetition {again.reason}"
         lines.append(f"by {done.solver} the error is estimated at {state:.1e}, promised is {promise:.0e}: {ended}")
         if again.reason is not None:
+            more["repetition"] = f"{better}: {again.reason}"
             break
         done = again
-    record = _record(scene, done, time.perf_counter() - clock)
+    record = _record(scene, done, time.perf_counter() - clock).assign_attrs(more)
     return Outcome({"": record}, done.reason, (*lines, *transient_lines(record, scene.plan)))
 
 
