@@ -1,5 +1,7 @@
 """Harmonics that follow the solution along a curve, and what is said of those that are left out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import systems
@@ -7,7 +9,8 @@ import systems
 from timesim.hbm.adaptive import tail
 from timesim.hbm.balance import Balance
 from timesim.hbm.curve import hbm_curve, solutions_at
-from timesim.hbm.scheme import NEGLECTED, Scheme
+from timesim.hbm.scheme import NEGLECTED, Scheme, coarsest
+from timesim.model.model import Excitation, Model, Structure
 
 SCHEMES = [Scheme(harmonics, 256) for harmonics in (3, 7, 11, 15)]
 FINE = Scheme(25, 256)
@@ -60,3 +63,51 @@ def test_the_tail_says_what_few_harmonics_leave_out(preload, frequency):
     for order in (3, 5, 8):
         left = np.sqrt(np.sum(size[order + 1 :] ** 2)) / size[1]
         assert left / 3 < expected[order] < 3 * left
+
+
+def resounding(stiffness: float, frequency: float) -> Model:
+    """The oscillator with a hub, of one more mode, whose contact sticks: so it resounds to higher harmonics."""
+    model = systems.oscillator(0.5, frequency)
+    body, load, none = model.structure, model.excitation, np.zeros((1, 1))
+    hub_shape = np.array([[[0.8, 0.3], [0.5, -0.6], [0.2, 0.4]]])
+    third = np.array([[0.7, -0.5, 0.3], [-0.9, 0.6, 0.5]])
+    shape = np.concatenate([np.concatenate([body.shape, hub_shape]), third[:, :, None]], axis=2)
+    structure = Structure(
+        np.append(body.frequency, 3.1),
+        np.ones(3),
+        np.append(body.damping, 0.04 * 2 * np.pi * 3.1),
+        ("tip", "hub"),
+        shape,
+    )
+    pad, stiff = model.contacts[0], stiffness * np.eye(2)
+    hub = replace(
+        pad, name="hub", point="hub", preload=1e3, tangential_stiffness=stiff, normal_stiffness=float(stiffness)
+    )
+    waves = (np.append(3 * own, none, axis=1) for own in (load.cosine, load.sine))
+    force = Excitation(frequency, load.harmonic, *waves, np.zeros(3))
+    return Model(structure, (pad, hub), force, systems.at_rest(3, 2))
+
+
+@pytest.mark.parametrize(("stiffness", "frequency", "order"), [(300.0, 0.6, 3), (600.0, 0.45, 5)])
+def test_the_tail_knows_how_stiff_contacts_are_that_stick(stiffness, frequency, order):
+    """The harmonics that resound with the stuck structure, which are up to six times as large as without contacts."""
+    model, few = resounding(stiffness, frequency), Scheme(3, 256)
+    curve = hbm_curve(model, frequency, 1.001 * frequency, scheme=few, stability=False)
+    assert curve.slip_share[0, 0] > 0.2
+    assert curve.slip_share[0, 1] == 0
+    balance = Balance(model, frequency, few)
+    expected = tail(balance, curve.contact_motion[0].ravel() / balance.length, frequency)
+    fine = solutions_at(model, curve.with_harmonics(FINE.harmonics), frequency, scheme=FINE, stability=False)
+    size = fine.harmonic_amplitude[0].max(axis=(1, 2))
+    left = np.sqrt(np.sum(size[order + 1 :] ** 2)) / size[1]
+    assert left / 2.5 < expected[order] < 2.5 * left
+
+
+def test_the_coarsest_scheme_of_a_motion_has_all_its_harmonics():
+    motion = np.zeros((2, 3, 31))
+    assert coarsest(SCHEMES, motion) == 0
+    for place, scheme in enumerate(SCHEMES[:-1]):
+        motion[1, 2, 2 * scheme.harmonics] = 1.0  # the sine of the highest
+        assert coarsest(SCHEMES, motion) == place
+        motion[0, 1, 2 * scheme.harmonics + 1] = 1.0  # the cosine of the next
+        assert coarsest(SCHEMES, motion) == place + 1
