@@ -3,11 +3,13 @@
 The law over one interval, `timesim.hbm.interval`, has 12 arguments and 8 results a contact and is differentiated
 forward. The derivatives are chained through the period; that d at its end is that at its start gives two linear
 equations a contact. All coefficients together cost a few passes of the law: differentiating the passes themselves would
-cost one for every coefficient.
+cost one for every coefficient. Only intervals that neither stick nor are apart all along are links of that chain: in
+between d follows the motion, or there is none.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -63,18 +65,27 @@ def interval_slopes(law: ConeLaw, period: ClosedPeriod, motion: Motion) -> Slope
     return Slope(slope[..., :2], tangential, slope[..., 8:])
 
 
+def _kinds(law: ConeLaw, period: ClosedPeriod) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which intervals slip or change their state, and which stick all along, shape (N, C); the others are apart."""
+    slip, apart = np.asarray(period.ends.slip), np.asarray(period.ends.separation)
+    rubs, changes = np.asarray(law.friction) > 0, (apart > 0) & (apart < 1)
+    active = changes | (rubs & (slip > 0))
+    sticks = rubs & ~active & (apart == 0)
+    # A contact that closes or opens at a sample changes its state within no interval.
+    rests = ~active & ~sticks
+    active |= (sticks & before(rests)) | (rests & before(sticks))
+    return active, sticks & ~active
+
+
 def _slopes(law: ConeLaw, period: ClosedPeriod, motion: tuple[Array, ...]) -> Array64:
     """Derivatives of the results by d at the start and by the motion, shape (N, C, 8, 12).
 
-    Most intervals stick or are apart all along: d follows u, or there is none. The others are gathered, so that one
-    program serves any number of samples and contacts.
+    Most intervals stick or are apart all along. The others are gathered, so that one program serves any number of
+    samples and contacts.
     """
-    slip, apart = np.asarray(period.ends.slip), np.asarray(period.ends.separation)
-    rubs = np.asarray(law.friction) > 0
-    changes = (apart > 0) & (apart < 1)
-    place = np.nonzero(changes | (rubs & (slip > 0)))
-    slope = np.zeros((*slip.shape, 8, 12))
-    sticks = rubs & ~changes & (apart == 0)
+    active, sticks = _kinds(law, period)
+    place = np.nonzero(active)
+    slope = np.zeros((*active.shape, 8, 12))
     for i in range(2):
         slope[..., i, i] = slope[..., i, 2 + i] = sticks
     arguments = np.stack([np.asarray(x)[place] for x in (*starts_of(period), *motion)])
@@ -100,40 +111,82 @@ def _lane_slopes(law: ConeLaw, arguments: Float[Array, "12 lane"]) -> Float[Arra
     return jax.vmap(along, out_axes=2)(jnp.eye(len(arguments))).swapaxes(0, 1)
 
 
-def _tangents(slopes: Slope, basis: Basis) -> Array64:
-    """Derivatives of d at the end of each interval by the coefficients and by d at the start of the period.
+@dataclass(frozen=True)
+class _Chain:
+    """Derivatives of a contact's elastic displacement d by the coefficients and by d at the start of the period.
 
-    Shape (N, C, 2, 3 (2H + 1) + 2). Each follows from that of the interval before, x_k = A_k x_(k-1) + b_k: a banded
-    triangular system for all of them.
+    Attributes:
+        places: of the intervals that slip or change their state, in order; the first, -1, is the start of the period.
+        follows: whether d follows the motion after each of them; else there is none.
+        rows: derivatives of d at their ends, shape (G, 2, 3 (2H + 1) + 2).
     """
-    count, size = basis.value.shape
-    of_u, of_v = _of_interval(basis)
-    tangents = np.empty((count, slopes.start.shape[1], 2, 3 * size + 2))
-    for contact in range(tangents.shape[1]):
-        start, tangential, normal = (part[:, contact, :2] for part in slopes)
-        source = np.zeros((3 * size + 2, count, 2))
-        along = (tangential.reshape(count, 4, 3) @ of_u).reshape(count, 2, 2, size)
-        source[: 2 * size] = along.transpose(2, 3, 0, 1).reshape(2 * size, count, 2)
-        source[2 * size : -2] = (normal @ of_v).transpose(2, 0, 1)
-        source[-2:, 0] = start[0].T
-        band = np.zeros((4, count, 2))
+
+    places: NDArray[np.int64]
+    follows: NDArray[np.bool_]
+    rows: Array64
+
+    @classmethod
+    def of(
+        cls, slopes: Slope, contact: int, basis: Basis, kinds: tuple[NDArray[np.bool_], NDArray[np.bool_]]
+    ) -> "_Chain":
+        """Each follows from the one before, x_k = A_k x_(k-1) + b_k: a banded triangular system for all of them."""
+        active, sticks = (kind[:, contact] for kind in kinds)
+        places = np.append(-1, np.flatnonzero(active))
+        follows = np.append(active | sticks, True)[places + 1]
+        own, size = places[1:], basis.value.shape[1]
+        start, tangential, normal = (part[own, contact, :2] for part in slopes)
+        of_u, of_v = _of_intervals(basis, own)
+        source = np.zeros((3 * size + 2, places.size, 2))
+        along = tangential.reshape(-1, 4, 3) @ of_u
+        along += start.reshape(-1, 4, 1) * _followed(basis, follows, places)[:-1, None]
+        source[: 2 * size, 1:] = along.reshape(-1, 2, 2, size).transpose(2, 3, 0, 1).reshape(2 * size, -1, 2)
+        source[2 * size : -2, 1:] = (normal @ of_v).transpose(2, 0, 1)
+        source[-2:, 0] = np.eye(2)
+        band = np.zeros((4, places.size, 2))
         for i, j in np.ndindex(2, 2):
-            band[2 + i - j, :-1, j] = -start[1:, i, j]
-        done, _ = lapack.dtbtrs(band.reshape(4, -1), source.reshape(len(source), -1).T, uplo="L", diag="U")
-        tangents[:, contact] = done.reshape(count, 2, -1)
-    return tangents
+            band[2 + i - j, :-1, j] = -start[:, i, j] * follows[:-1]
+        done, _ = lapack.dtbtrs(
+            band.reshape(4, -1), source.reshape(len(source), -1).T, uplo="L", diag="U", overwrite_b=True
+        )
+        return cls(places, follows, np.ascontiguousarray(done).reshape(places.size, 2, -1))
+
+    def starts(self, basis: Basis) -> Array64:
+        """The same at the start of each of the intervals but the first, and at the end of the period."""
+        rows = self.rows * self.follows[:, None, None]
+        _add_to_both(rows, _followed(basis, self.follows, self.places))
+        return rows
+
+    def spectrum(self, basis: Basis) -> Array64:
+        """Fourier coefficients of d, shape (2H + 1, 2, 3 (2H + 1) + 2)."""
+        count, own = len(basis.value), self.places[1:]
+        sums = np.concatenate([np.zeros((len(basis.project), 1)), np.cumsum(basis.project, axis=1)], axis=1)
+        weight = (sums[:, np.append(own, count)] - sums[:, self.places + 1]) * self.follows
+        sticks = np.repeat(self.follows, np.diff(np.append(self.places, count)))[1:]
+        sticks[own] = False
+        direct = basis.project[:, sticks] @ basis.value[sticks] - weight @ basis.value[self.places]
+        weight[:, 1:] += basis.project[:, own]
+        whole = np.tensordot(weight, self.rows, 1)
+        _add_to_both(whole, direct)
+        return whole
 
 
-def _of_interval(basis: Basis) -> tuple[Array64, Array64]:
-    """What enters `Slope.tangential` and `Slope.normal`, by the coefficients: shapes (N, 3, 2H + 1), (N, 4, 2H + 1)."""
-    value, rate = basis.value, basis.rate
-    value0, rate0 = before(value), before(rate)
+def _add_to_both(rows: Array64, part: Array64) -> None:
+    """Add to the derivatives of d1 by u1 and to those of d2 by u2."""
+    size = part.shape[1]
+    for i in range(2):
+        rows[:, i, i * size : (i + 1) * size] += part
+
+
+def _followed(basis: Basis, follows: NDArray[np.bool_], places: NDArray[np.int64]) -> Array64:
+    """Change of u from the end of each of some intervals to the start of the next, if d follows it; (G, 2H + 1)."""
+    until = np.append(places[1:], len(basis.value)) - 1
+    return (basis.value[until] - basis.value[places]) * follows[:, None]
+
+
+def _of_intervals(basis: Basis, places: NDArray[np.int64]) -> tuple[Array64, Array64]:
+    """What enters `Slope.tangential` and `Slope.normal`, by the coefficients: shapes (P, 3, 2H + 1), (P, 4, 2H + 1)."""
+    value0, value, rate0, rate = (part[i] for part in (basis.value, basis.rate) for i in (places - 1, places))
     return np.stack([value - value0, rate0, rate], axis=1), np.stack([value0, value, rate0, rate], axis=1)
-
-
-def _seed(size: int) -> Array64:
-    """Derivatives of d at the start of the period, the same for each contact."""
-    return np.eye(2, size, size - 2)
 
 
 def linearised(
@@ -155,22 +208,23 @@ def _working(law: ConeLaw, basis: Basis, motion: Motion, period: ClosedPeriod) -
 
     With d at the end of the last pass e(y, d0) and d0 = e, ``(1 - de/dd0) dd0/dy = de/dy`` closes the period.
     """
-    slopes = interval_slopes(law, period, motion)
-    tangents = _tangents(slopes, basis)
-    by_motion, by_start = tangents[-1, ..., :-2], tangents[-1, ..., -2:]
-    change, start = np.eye(2) - by_start, np.zeros_like(by_motion)
-    unique = np.abs(np.linalg.det(change)) > 1e-13
-    start[unique] = np.linalg.solve(change[unique], by_motion[unique])
-    # Projected first: the samples are many, the coefficients few.
-    num_contacts, size = len(start), basis.value.shape[1]
-    spectrum = np.zeros((num_contacts, 3, size, 3 * size + 2))
-    elastic = np.tensordot(basis.project, tangents, 1).transpose(2, 1, 0, 3)
-    stiffness = tuple(np.asarray(k)[:, None, None] for k in law.stiffness)
-    spectrum[:, 0], spectrum[:, 1] = product(stiffness, tuple(elastic))
-    spectrum[:, 2, :, 2 * size : -2] = (basis.project * touching_stiffness(law, motion).T[:, None]) @ basis.value
-    _add_kinks(spectrum, slopes, basis, tangents)
-    slope = spectrum[..., :-2] + spectrum[..., -2:] @ start[:, None]
-    return slope.reshape(num_contacts, 3 * size, 3 * size)
+    slopes, kinds = interval_slopes(law, period, motion), _kinds(law, period)
+    touching, size = touching_stiffness(law, motion), basis.value.shape[1]
+    slope = np.zeros((touching.shape[1], 3, size, 3 * size))
+    for contact, whole in enumerate(slope):
+        chain = _Chain.of(slopes, contact, basis, kinds)
+        starts = chain.starts(basis)
+        spectrum = np.zeros((3, size, 3 * size + 2))
+        stiffness = tuple(np.asarray(k)[contact, None, None] for k in law.stiffness)
+        spectrum[0], spectrum[1] = product(stiffness, tuple(chain.spectrum(basis).swapaxes(0, 1)))
+        spectrum[2, :, 2 * size : -2] = (basis.project * touching[:, contact]) @ basis.value
+        _add_kinks(spectrum, slopes, contact, basis, chain.places[1:], starts)
+        by_motion, by_start = starts[-1, :, :-2], starts[-1, :, -2:]
+        change = np.eye(2) - by_start
+        unique = np.abs(np.linalg.det(change)) > 1e-13
+        start = np.linalg.solve(change, by_motion) if unique else np.zeros_like(by_motion)
+        whole[:] = spectrum[..., :-2] + spectrum[..., -2:] @ start
+    return slope.reshape(-1, 3 * size, 3 * size)
 
 
 def _stuck(law: ConeLaw, basis: Basis, coefficient: Array64, stuck: Offset) -> Array64:
@@ -193,17 +247,24 @@ def _stuck(law: ConeLaw, basis: Basis, coefficient: Array64, stuck: Offset) -> A
     return slope.reshape(num_contacts, 3 * size, 3 * size)
 
 
-def _add_kinks(spectrum: Array64, slopes: Slope, basis: Basis, tangents: Array64) -> None:
-    """Add what the few intervals with kinks put on the samples before and after them."""
-    place = np.nonzero(
-        np.any(slopes.tangential[:, :, 2:], axis=(2, 3, 4)) | np.any(slopes.normal[:, :, 2:], axis=(2, 3))
-    )
-    sample, contact = place
-    of_u, of_v = (part[sample] for part in _of_interval(basis))
-    tangential = np.einsum("poaj,pjk->poak", slopes.tangential[place][:, 2:], of_u)
-    direct = np.concatenate([tangential, (slopes.normal[place][:, 2:] @ of_v)[:, :, None]], axis=2)
-    start = np.where((sample == 0)[:, None, None], _seed(tangents.shape[3]), tangents[sample - 1, contact])
-    rows = slopes.start[place][:, 2:] @ start
-    rows[..., :-2] += direct.reshape(*direct.shape[:2], rows.shape[2] - 2)
-    for side, i in ((slice(0, 3), sample - 1), (slice(3, 6), sample)):
-        np.add.at(spectrum, contact, basis.project.T[i][:, None, :, None] * rows[:, side, None])
+def _add_kinks(
+    spectrum: Array64, slopes: Slope, contact: int, basis: Basis, places: NDArray[np.int64], starts: Array64
+) -> None:
+    """Add what the few intervals with kinks put on the samples before and after them.
+
+    Args:
+        spectrum: derivatives of the coefficients of a contact's forces.
+        slopes, contact, basis: as in `_Chain.of`.
+        places, starts: intervals that slip or change their state, and the derivatives of d at their starts.
+    """
+    start, tangential, normal = (part[places, contact, 2:] for part in slopes)
+    kinks = np.flatnonzero(np.any(tangential, axis=(1, 2, 3)) | np.any(normal, axis=(1, 2)))
+    if not kinks.size:
+        return
+    of_u, of_v = _of_intervals(basis, places[kinks])
+    along = (tangential[kinks].reshape(kinks.size, 12, 3) @ of_u).reshape(kinks.size, 6, -1)
+    rows = start[kinks] @ starts[kinks]
+    rows[..., :-2] += np.concatenate([along, normal[kinks] @ of_v], axis=2)
+    for side, at in ((slice(0, 3), places[kinks] - 1), (slice(3, 6), places[kinks])):
+        put = basis.project[:, at] @ rows[:, side].reshape(kinks.size, -1)
+        spectrum += put.reshape(len(put), 3, -1).swapaxes(0, 1)
