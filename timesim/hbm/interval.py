@@ -23,6 +23,8 @@ Functions (Academic Press 1974), chapter 8). Both are put on the two samples bes
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+from functools import reduce
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -128,6 +130,24 @@ def advance(law: ConeLaw, d: Plane, interval: Interval) -> IntervalEnd:
     slides = jnp.where(law.friction > 0, slip.end - slip.start, window.end - window.start)
     share = jnp.where(slip.slides | (law.friction == 0), slides, 0.0)
     return IntervalEnd(slip.d, share, window.separation, before, after)
+
+
+def unchanging(law: ConeLaw, d: Plane, interval: Interval) -> tuple[Flag, IntervalEnd]:
+    """Whether a contact plainly sticks, is apart, or is closed without friction all along, and its end if so.
+
+    A cubic lies within the hull of its four control points (S. Bernstein). Where they do not tell, `advance` does.
+    """
+    ends = zip(d, interval.change, interval.du0, interval.du1, strict=True)
+    path = [(x, x + rate0 / 3, x + change - rate1 / 3, x + change) for x, change, rate0, rate1 in ends]
+    pull = [length(product(law.stiffness, place)) for place in zip(*path, strict=True)]
+    v = (interval.v0, interval.v0 + interval.dv0 / 3, interval.v1 - interval.dv1 / 3, interval.v1)
+    least, most = (law.preload + law.normal_stiffness * reduce(pick, v) for pick in (jnp.minimum, jnp.maximum))
+    sticks = reduce(jnp.maximum, pull) < (1 - ON_CONE) * law.friction * least
+    apart, free = most < 0, (law.friction == 0) & (least > 0)
+    none = jnp.zeros_like(least)
+    held = where(sticks, tuple(x[-1] for x in path), (none, none))
+    end = IntervalEnd(held, jnp.where(free, 1.0, none), jnp.where(apart, 1.0, none), (none,) * 3, (none,) * 3)
+    return sticks | apart | free, end
 
 
 class _Trial(eqx.Module):

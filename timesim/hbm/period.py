@@ -5,13 +5,13 @@ does, with the offset of `timesim.hbm.stuck_offset`, and one that is apart all a
 through the period. Any other begins it with ``w = 0``, put on the cone where it would lie outside, and the period is
 repeated until the elastic displacement at its end is that at its start.
 
-The number of samples is data of the compiled program, which has room for many; contacts go through it a few at a time.
-So one program serves any number of samples, contacts and harmonics.
+The number of samples is data of the compiled program, which has room for many; contacts go through it one at a time, so
+that intervals in which one sticks or is apart cost next to nothing. So one program serves any number of samples,
+contacts and harmonics.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TypeVar
@@ -25,15 +25,14 @@ from numpy.typing import NDArray
 
 from timesim.engine.law.cone import ConeLaw, normal_load
 from timesim.engine.law.contact_law import Motion, Plane, Scalar, dot, length, minus, product, scaled
-from timesim.hbm.interval import Interval, IntervalEnd, advance
+from timesim.hbm.interval import Interval, IntervalEnd, advance, unchanging
 from timesim.hbm.stuck_offset import Offset, stuck_offset
 from timesim.orbit.fourier import fourier_basis
 from timesim.program import program
 
 MAX_PASSES = 100
-# Contacts that go through the period at a time, where there are several, and the samples that its compiled programs
-# have room for. A contact alone goes alone: beside three copies of itself a curve takes 1.7 times as long.
-LANES, ROOM = 4, (2048, 32768)
+# Samples that the compiled programs of a period have room for.
+ROOM = 2048, 32768
 # Samples at which a contact must stick all along, at least: between those of the period a path may leave the cone.
 DENSE = 2048
 # Change of d over a period, relative to the largest d, that counts as none; rounding adds to it with |u|.
@@ -158,7 +157,9 @@ def _closed(law: ConeLaw, motion: Float[Array, "room+1 6 lane"], count: Int[Arra
         def step(k: Scalar, so_far: tuple[Plane, Scalar, Array]) -> tuple[Plane, Scalar, Array]:
             d, largest, path = so_far
             (u1, u2, v0, *du0, dv0), (w1, w2, v1, *du1, dv1) = motion[k], motion[k + 1]
-            end = advance(law, d, Interval((w1 - u1, w2 - u2), tuple(du0), tuple(du1), v0, v1, dv0, dv1))
+            interval = Interval((w1 - u1, w2 - u2), tuple(du0), tuple(du1), v0, v1, dv0, dv1)
+            plain, simple = unchanging(law, d, interval)
+            end = jax.lax.cond(jnp.all(plain), lambda: simple, lambda: advance(law, d, interval))
             row = jnp.stack([*end.d, end.slip, end.separation, *end.before, *end.after])
             return end.d, jnp.maximum(largest, length(end.d)), path.at[k].set(row)
 
@@ -185,13 +186,6 @@ def _closed(law: ConeLaw, motion: Float[Array, "room+1 6 lane"], count: Int[Arra
     return jax.lax.while_loop(lambda last: jnp.any(last.closure > 1) & (last.count < MAX_PASSES), again, none)
 
 
-def in_lanes(num_contacts: int) -> Iterator[NDArray[np.int64]]:
-    """Groups of contacts that go through a program together; the last one is filled up with its last contact."""
-    size = LANES if num_contacts > 1 else 1
-    for first in range(0, num_contacts, size):
-        yield np.minimum(np.arange(first, first + size), num_contacts - 1)
-
-
 def part_of(whole: T, places: NDArray[np.int64]) -> T:
     """That of some contacts, which are along the last axis of each array."""
     part: T = jax.tree.map(lambda leaf: np.asarray(leaf)[..., places], whole)
@@ -211,9 +205,7 @@ def period_of(law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64]) -> C
     separation[:, ~stuck.sticks & ~works] = 1.0
     put = np.zeros((6, *motion.v.shape))
     start, closure, passes = [part[-1].copy() for part in d], np.zeros(num_contacts), 1
-    places = np.flatnonzero(works)
-    for lanes in in_lanes(places.size):
-        own = places[lanes]
+    for own in np.flatnonzero(works)[:, None]:
         last = _closed_part(part_of(law, own), motion, own)
         path = np.moveaxis(np.asarray(last.path)[: len(motion.v)], 1, 0)
         for whole, part in zip((*d, slip, separation, *put), path, strict=True):
@@ -238,15 +230,10 @@ def _closed_part(law: ConeLaw, motion: Motion, places: NDArray[np.int64]) -> _Pa
 
 def _offsets(law: ConeLaw, dense: Motion) -> Offset:
     """Which contacts stick all along a motion at its dense samples, and the offset of their force."""
-    num_contacts, parts = dense.v.shape[1], []
-    for lanes in in_lanes(num_contacts):
-        parts.append(stuck_offset(part_of(law, lanes), part_of(dense, lanes)))
-
-    def joined(leaves: Iterable[Array]) -> NDArray[np.float64]:
-        return np.concatenate([np.asarray(leaf) for leaf in leaves], axis=-1)[..., :num_contacts]
-
-    force = tuple(joined(own.force[i] for own in parts) for i in range(2))
-    return Offset(force, joined(own.sticks for own in parts))
+    each = np.arange(dense.v.shape[1])[:, None]
+    parts = [stuck_offset(part_of(law, own), part_of(dense, own)) for own in each]
+    force = tuple(np.concatenate([part.force[i] for part in parts]) for i in range(2))
+    return Offset(force, np.concatenate([part.sticks for part in parts]))
 
 
 def _apart(law: ConeLaw, dense: Motion) -> NDArray[np.bool_]:

@@ -28,7 +28,6 @@ from timesim.hbm.period import (
     ContactForces,
     dense_motion_of,
     forces_of,
-    in_lanes,
     motion_of,
     part_of,
     period_of,
@@ -232,9 +231,7 @@ def _stuck(law: ConeLaw, basis: Basis, coefficient: Array64, stuck: Offset) -> A
     num_contacts, _, size = coefficient.shape
     elastic = np.zeros((2, num_contacts, size, 3, size))
     # An offset that is zero stays so.
-    moved = np.flatnonzero(np.any(stuck.force, axis=0))
-    for lanes in in_lanes(moved.size):
-        own = moved[lanes]
+    for own in np.flatnonzero(np.any(stuck.force, axis=0))[:, None]:
         weight = offset_slope(part_of(law, own), part_of(stuck, own).force, dense_motion_of(basis, coefficient[own]))
         elastic[:, own, 0] = np.einsum("itca,tk->icak", np.asarray(weight), basis.dense, optimize=True)
     each = np.arange(size)
