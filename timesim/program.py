@@ -45,7 +45,7 @@ def program(function: Callable[P, T]) -> Callable[P, T]:
         return function(*args, **kwargs)
 
     flat.__name__ = flat.__qualname__ = function.__name__  # the name of the program
-    traced = jax.jit(flat, static_argnums=0)
+    traced = jax.jit(flat, static_argnums=0, keep_unused=True)  # so that the lowered program names all of them
     ready: dict[tuple, Any] = {}
     locks: dict[tuple, threading.Lock] = {}
 
@@ -74,7 +74,7 @@ def _ready(base: Path, key: tuple, traced: Any, arrays: list) -> Any:
     if (loaded := _loaded(asked, arrays)) is not None:
         return loaded
     lowered = traced.lower(key[0], *arrays)
-    own = _named(base, lowered.as_text())
+    own = _named(base, f"{lowered.as_text()} {lowered.out_tree} {key[1]}")
     if (loaded := _loaded(own, arrays)) is None:
         loaded = lowered.compile()
         with suppress(Exception):

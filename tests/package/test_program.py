@@ -73,16 +73,26 @@ def test_what_it_is_asked_for_tells_it_from_others(start, tmp_path):
     others = [
         (PAIR, 3),
         (PAIR, True),
-        (Pair(PAIR.first, PAIR.second, "b"), 2),
+        (Pair(PAIR.first, PAIR.second, "b"), 3),
         (Pair(np.arange(4.0), PAIR.second, "a"), 2),
         (Pair(np.arange(3), PAIR.second, "a"), 2),
         (Pair(jnp.asarray(1.0), PAIR.second, "a"), 2),
         (Pair(jnp.asarray(1.0, dtype=float), PAIR.second, "a"), 2),
     ]
-    for number, arguments in enumerate(others, start=1):
+    for number, (pair, by) in enumerate(others, start=1):
         for _ in range(2):
-            np.testing.assert_array_equal(start(*arguments).first, arguments[1] * arguments[0].first)
+            end = start(pair, by)
+            np.testing.assert_array_equal(end.first, by * pair.first)
+            assert end.name == f"{pair.name} scaled"
         assert len(names(tmp_path)) == len(start.traced) == number
+
+
+def test_one_that_leaves_out_another_argument_is_another(start):
+    def one_of(which, *numbers):
+        return numbers[which] + 1
+
+    for which in (0, 1):
+        assert program(one_of)(which, np.asarray(1.0), np.asarray(2.0)) == which + 2
 
 
 def test_other_sources_are_traced_and_other_versions_are_compiled(start, tmp_path, monkeypatch):
