@@ -338,4 +338,9 @@ def main() -> None:
     # Imports and traces leave half a million objects that last. At Python's own threshold the collector walks them so
     # often that a second run of configs/oscillator.yaml takes 4.4 s of processor time in place of 3.8 (measured).
     gc.set_threshold(50_000)
+    # The next run takes 1 s less where programs are kept ready to run (see `timesim.program`).
+    os.environ.setdefault("TIMESIM_KEEP_PROGRAMS", "1")
+    # xarray imports dask, if it is installed, with its first Dataset: 0.3 s. What stands as None cannot be imported.
+    if not any(word.startswith("--cluster") for word in sys.argv):
+        sys.modules.setdefault("dask", None)  # type: ignore[arg-type]
     app()

@@ -46,6 +46,8 @@ _IDENTITY |= {
     "CPU part",
     "Features",
 }  # as Linux on ARM names them
+KEEP = "TIMESIM_KEEP_PROGRAMS"
+"""Set in the environment by a command, for itself and its worker processes."""
 _MOST_PROBES = 10
 """Entries of the same small program from which on it is plain that no process meets those of another."""
 
@@ -91,11 +93,16 @@ def _check_start() -> None:
         )
 
 
-def _keep_programs() -> None:
-    """Keep compiled programs in the folder; warn where they do not stay, or are never met again."""
+def _keep_programs() -> Path | None:
+    """Keep compiled programs in the folder; warn where they do not stay, or are never met again.
+
+    Returns:
+        where `timesim.program` is to keep them, which it does for commands; None where JAX does it.
+    """
     if _SETTINGS.jax_compilation_cache_dir or not _SETTINGS.jax_enable_compilation_cache:
-        return  # set by the host
+        return None  # set by the host
     folder = cache_folder()
+    ours = KEEP in os.environ and jax.default_backend() == "cpu"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -103,18 +110,25 @@ def _keep_programs() -> None:
     except OSError as error:
         reason: str | None = str(error)
     else:
-        jax.config.update("jax_compilation_cache_dir", str(folder))
-        jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
-        # A bounded cache is the one that JAX guards with a file lock, so two runs may share it.
-        jax.config.update("jax_compilation_cache_max_size", 2 * 1024**3)
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-        reason = _lost(folder)
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+        reason = None if ours else _kept_by_jax(folder)
     if reason:
         _warn(
             f"compiled programs are not kept in {folder}: {reason}. Each run compiles its own, which takes minutes; "
             "name another folder by TIMESIM_CACHE, or empty this one."
         )
+    return folder / "ready" if ours and not reason else None
+
+
+def _kept_by_jax(folder: Path) -> str | None:
+    """Have JAX keep programs; why that is of no use, or None."""
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+    # A bounded cache is the one that JAX guards with a file lock, so two runs may share it.
+    jax.config.update("jax_compilation_cache_max_size", 2 * 1024**3)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    reason = _lost(folder)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    return reason
 
 
 def _lost(folder: Path) -> str | None:
@@ -139,4 +153,5 @@ def _lost(folder: Path) -> str | None:
 if _STARTED_BY_OTHERS:
     _check_start()
 jax.config.update("jax_enable_x64", True)
-_keep_programs()
+READY = _keep_programs()
+"""Folder of programs that are ready to run; None where `timesim.program` keeps none."""

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import systems
 
-from timesim.hbm.adaptive import tail
+from timesim.hbm import adaptive
+from timesim.hbm.adaptive import AdaptiveBalance, tail
 from timesim.hbm.balance import Balance
 from timesim.hbm.curve import hbm_curve, solutions_at
 from timesim.hbm.scheme import NEGLECTED, Scheme, coarsest
@@ -111,3 +112,13 @@ def test_the_coarsest_scheme_of_a_motion_has_all_its_harmonics():
         assert coarsest(SCHEMES, motion) == place
         motion[0, 1, 2 * scheme.harmonics + 1] = 1.0  # the cosine of the next
         assert coarsest(SCHEMES, motion) == place + 1
+
+
+def test_harmonics_are_added_one_scheme_after_the_other(model, monkeypatch):
+    """From a solution with few harmonics, one with many is out of reach of Newton's method where contacts are stiff."""
+    balance = AdaptiveBalance(lambda own: Balance(model, 1.6, own), SCHEMES, 1)
+    monkeypatch.setattr(adaptive, "tail", lambda own, x, frequency: np.ones(65))
+    places = []
+    while balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6):
+        places.append(balance.place)
+    assert places == [1, 2, 3]

@@ -278,6 +278,31 @@ def test_solve_at_one_place():
     assert solve(Circle(), np.array([1.0]), 2.0, CONTROLS) is None
 
 
+class Combined:
+    """Equations that Newton's method only solves with shorter steps, combined by a matrix."""
+
+    def __init__(self, matrix):
+        self.matrix, self.places = np.array(matrix), []
+
+    def value(self, x, p):
+        self.places.append(x)
+        return self.matrix @ np.array([np.arctan(x[0] - p) + x[1] / 10, x[1] ** 3 + x[1] - x[0] ** 2 - 1])
+
+    def linearised(self, x, p):
+        slope = 1 / (1 + (x[0] - p) ** 2)
+        matrix = self.matrix @ np.array([[slope, 0.1], [-2 * x[0], 3 * x[1] ** 2 + 1]])
+        return self.value(x, p), matrix, self.matrix @ np.array([-slope, 0.0])
+
+
+@pytest.mark.parametrize("matrix", [[[1.0, 1e4], [0.0, 1.0]], [[1e4, 0.0], [0.0, 1.0]], [[1e-4, 1.0], [1.0, 1.0]]])
+def test_shorter_steps_do_not_depend_on_how_equations_are_combined(matrix):
+    plain, combined = Combined(np.eye(2)), Combined(matrix)
+    for residual in (plain, combined):
+        assert solve(residual, np.array([6.0, -3.0]), 1.0, Controls(tolerance=1e-10)) is not None
+    assert 15 < len(plain.places) < 30
+    np.testing.assert_allclose(plain.places, combined.places, rtol=0, atol=1e-7)
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_the_sign_of_the_determinant(seed):
     """Of linear equations, whatever rows the factorisation swaps."""

@@ -16,6 +16,7 @@ SOURCES = sorted(PACKAGE.rglob("*.py"))
 ORDER = (
     "fault",
     "runtime",
+    "program",
     "model",
     "engine",
     "orbit",

@@ -47,6 +47,7 @@ from timesim.engine.method import Method
 from timesim.engine.solver import Control
 from timesim.engine.status import Status
 from timesim.engine.step import Step, Trajectory, begin
+from timesim.program import program
 
 FIRST_STEP = 0.02
 CAPACITY = 2048  # steps recorded of one cycle
@@ -170,7 +171,7 @@ def cycle_start(dynamics: PrescribedContacts, w: Plane, state: State) -> Traject
     return begin(dynamics, point, state, jnp.asarray(FIRST_STEP))
 
 
-@eqx.filter_jit
+@program
 def march_cycle(
     method: Method, control: Control, dynamics: PrescribedContacts, w: Plane, state: State
 ) -> tuple[Trajectory, Array]:
@@ -184,7 +185,7 @@ def march_cycle(
     return march(method, control, lanes, starts, jnp.ones(state.shape[0], dtype=jnp.int64))
 
 
-@eqx.filter_jit
+@program
 def record_cycle(
     method: Method, control: Control, dynamics: PrescribedContacts, w: Plane, state: State
 ) -> tuple[Trajectory, Step, Array]:

@@ -8,7 +8,6 @@ import timesim.runtime  # noqa: F401  isort: skip
 from functools import partial
 from typing import TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
@@ -19,11 +18,12 @@ from timesim.engine.method import Method
 from timesim.engine.solver import Control
 from timesim.engine.status import Status
 from timesim.engine.step import Step, Trajectory, try_step
+from timesim.program import program
 
 D = TypeVar("D", bound=Dynamics)
 
 
-@eqx.filter_jit
+@program
 def advance(
     method: Method, control: Control, dynamics: Dynamics, start: Trajectory, cycles: Int[Array, ""], capacity: int
 ) -> tuple[Trajectory, Step, Int[Array, ""]]:
@@ -63,7 +63,7 @@ def alone(method: Method, control: Control, dynamics: D) -> D:
     return prepared
 
 
-@eqx.filter_jit
+@program
 def march(
     method: Method, control: Control, dynamics: Dynamics, start: Trajectory, cycles: Int[Array, " batch"]
 ) -> tuple[Trajectory, Int[Array, " batch"]]:

@@ -96,26 +96,63 @@ class Method(eqx.Module):
         return jnp.where(wanted < remaining * (1 - NO_TIME), jax.lax.stop_gradient(wanted), remaining)
 
 
-class Explicit(Method):
-    """An explicit Runge-Kutta method with an embedded error estimate."""
+class Tableau(NamedTuple):
+    """An explicit Runge-Kutta method with an embedded error estimate, as of Butcher."""
 
-    order: int = eqx.field(static=True)
-    nodes: tuple[float, ...] = eqx.field(static=True)
-    stages: tuple[tuple[float, ...], ...] = eqx.field(static=True)
-    weights: tuple[float, ...] = eqx.field(static=True)
-    error_weights: tuple[float, ...] = eqx.field(static=True)
+    order: int
+    nodes: tuple[float, ...]
+    stages: tuple[tuple[float, ...], ...]
+    weights: tuple[float, ...]
+    error_weights: tuple[float, ...]
+
+
+RK4 = Tableau(
+    order=4,
+    nodes=(0.5, 0.5, 1.0),
+    stages=((0.5,), (0.0, 0.5), (0.0, 0.0, 1.0)),
+    weights=(1 / 6, 1 / 3, 1 / 3, 1 / 6),
+    error_weights=(0.0, 0.0, 0.0, 0.0),
+)
+
+
+@functools.cache
+def tableau(name: str) -> Tableau:
+    """The tableau of an explicit method."""
+    if name == "rk4":
+        return RK4
+    import diffrax
+
+    solver = {"tsit5": diffrax.Tsit5, "dopri5": diffrax.Dopri5, "dopri8": diffrax.Dopri8}[name]
+    own = solver.tableau
+    return Tableau(
+        order=solver().order(None),
+        nodes=tuple(np.asarray(own.c, dtype=float).tolist()),
+        stages=tuple(tuple(np.asarray(row, dtype=float).tolist()) for row in own.a_lower),
+        weights=tuple(np.asarray(own.b_sol, dtype=float).tolist()),
+        error_weights=tuple(np.asarray(own.b_error, dtype=float).tolist()),
+    )
+
+
+class Explicit(Method):
+    """An explicit Runge-Kutta method, known by its name: a step that is compiled already needs no tableau."""
+
+    name: str = eqx.field(static=True)
+
+    @property
+    def order(self) -> int:
+        return tableau(self.name).order
 
     def advance(
         self, dynamics: Dynamics, state: State, time: Array, point: Y, rate: Y, h: Array, tolerance: Array | None = None
     ) -> Advance:
         field = partial(dynamics.field, state)
-        slopes = [rate]
-        for node, row in zip(self.nodes, self.stages, strict=True):
+        own, slopes = tableau(self.name), [rate]
+        for node, row in zip(own.nodes, own.stages, strict=True):
             slopes.append(field(time + node * h, moved(point, slopes, row, h)))
-        end = moved(point, slopes, self.weights, h)
-        first_same_as_last = self.nodes[-1] == 1 and self.stages[-1] == self.weights[:-1]
+        end = moved(point, slopes, own.weights, h)
+        first_same_as_last = own.nodes[-1] == 1 and own.stages[-1] == own.weights[:-1]
         end_rate = slopes[-1] if first_same_as_last else field(time + h, end)
-        error = moved(None, slopes, self.error_weights, h) if any(self.error_weights) else None
+        error = moved(None, slopes, own.error_weights, h) if any(own.error_weights) else None
         return Advance(end, end_rate, error)
 
 
@@ -147,8 +184,9 @@ class Looped(Method):
         self, dynamics: Dynamics, state: State, time: Array, point: Y, rate: Y, h: Array, tolerance: Array | None = None
     ) -> Advance:
         field = partial(dynamics.field, state)
-        num_slopes = len(self.method.nodes) + 1
-        rows = [np.pad(row, (0, num_slopes - len(row))) for row in (*self.method.stages, self.method.weights)]
+        own = tableau(self.method.name)
+        num_slopes = len(own.nodes) + 1
+        rows = [np.pad(row, (0, num_slopes - len(row))) for row in (*own.stages, own.weights)]
         slopes = jax.tree.map(lambda leaf: jnp.zeros((num_slopes, *leaf.shape)).at[0].set(leaf), rate)
 
         def combined(row: Array, slopes: Y) -> Y:
@@ -159,7 +197,7 @@ class Looped(Method):
             slope = field(time + node * h, combined(row, slopes))
             return jax.tree.map(lambda dy, own: dy.at[index].set(own), slopes, slope), None
 
-        turns = (jnp.arange(1, num_slopes), jnp.asarray(self.method.nodes), jnp.asarray(rows[:-1]))
+        turns = (jnp.arange(1, num_slopes), jnp.asarray(own.nodes), jnp.asarray(rows[:-1]))
         slopes, _ = jax.lax.scan(stage, slopes, turns)
         end = combined(jnp.asarray(rows[-1]), slopes)
         return Advance(end, field(time + h, end), None)
@@ -228,30 +266,6 @@ class Exponential(Method):
         return Advance(solved.end, dynamics.field(state, time + h, solved.end), solved.error, solved)
 
 
-RK4 = Explicit(
-    order=4,
-    nodes=(0.5, 0.5, 1.0),
-    stages=((0.5,), (0.0, 0.5), (0.0, 0.0, 1.0)),
-    weights=(1 / 6, 1 / 3, 1 / 3, 1 / 6),
-    error_weights=(0.0, 0.0, 0.0, 0.0),
-)
-
-
-@functools.cache
-def _explicit(name: str) -> Explicit:
-    import diffrax
-
-    solver = {"tsit5": diffrax.Tsit5, "dopri5": diffrax.Dopri5, "dopri8": diffrax.Dopri8}[name]
-    tableau = solver.tableau
-    return Explicit(
-        order=solver().order(None),
-        nodes=tuple(np.asarray(tableau.c, dtype=float).tolist()),
-        stages=tuple(tuple(np.asarray(row, dtype=float).tolist()) for row in tableau.a_lower),
-        weights=tuple(np.asarray(tableau.b_sol, dtype=float).tolist()),
-        error_weights=tuple(np.asarray(tableau.b_error, dtype=float).tolist()),
-    )
-
-
 @functools.cache
 def _kvaerno5(rtol: float, atol: float) -> Implicit:
     import diffrax
@@ -263,13 +277,11 @@ def _kvaerno5(rtol: float, atol: float) -> Implicit:
     root_finder: Any = optimistix.Newton(rtol=max(rtol * 1e-2, 1e-13), atol=max(atol * 1e-2, 1e-14))
     # Of its own loops over the stages only the plain one has a derivative in forward mode, which multipliers ask for.
     solver = diffrax.Kvaerno5(root_finder=root_finder, scan_kind="lax")
-    return Implicit(order=5, solver=solver, fallback=_explicit("tsit5"))
+    return Implicit(order=5, solver=solver, fallback=Explicit("tsit5"))
 
 
 def step_method(solver: Solver) -> Method:
     """The method that takes the steps."""
-    if solver.name == "rk4":
-        return RK4
     if solver.name == "exponential":
         return Exponential(FEW_NODES if solver.rtol > MANY_FROM else MANY_NODES)
-    return _kvaerno5(solver.rtol, solver.atol) if solver.name == "kvaerno5" else _explicit(solver.name)
+    return _kvaerno5(solver.rtol, solver.atol) if solver.name == "kvaerno5" else Explicit(solver.name)

@@ -15,6 +15,7 @@ from timesim.engine.lanes import by_rows
 from timesim.engine.law.contact_law import ContactLaw, Motion, Scalar
 from timesim.engine.step import Step
 from timesim.engine.system import System, power_lost
+from timesim.program import program
 
 # Six nodes of a step: over 2.8 rad of the highest harmonic, as with 20 steps a cycle, they leave 1e-10 of an integral.
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(6)
@@ -75,6 +76,6 @@ def _slip(h: np.ndarray, w0: np.ndarray, dw0: np.ndarray, w1: np.ndarray, dw1: n
     return hermite.cubic(NODE[:, None], h[:, None, None], start, end)
 
 
-@jax.jit
+@program
 def _lost(law: ContactLaw, state: Any, motion: Motion, w: Any) -> Scalar:
     return power_lost(law.reaction(state, motion, w))

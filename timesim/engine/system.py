@@ -40,9 +40,9 @@ from timesim.model.scales import scales_of
 class Work(eqx.Module):
     """Energy put in by the excitation, lost in modal damping, and lost in each contact."""
 
-    input: Float[Array, ""]
-    damping: Float[Array, ""]
-    friction: Float[Array, " contact"]
+    input: Float[Leaf, ""]
+    damping: Float[Leaf, ""]
+    friction: Float[Leaf, " contact"]
 
 
 class Point(ContinuousState):

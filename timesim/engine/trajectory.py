@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from timesim.engine.event_loop import advance
@@ -27,6 +26,9 @@ from timesim.model.model import SEPARATION, STICK, Model, Start
 from timesim.model.reduction import Reduction, reduction_of
 from timesim.model.scales import Scales, scales_of
 from timesim.model.solver import Solver
+from timesim.program import program
+
+_begin = program(begin)
 
 BATCH = 512  # steps handed over at a time
 PERIOD = 2 * np.pi
@@ -100,7 +102,7 @@ class Run:
         while self.completed < origin.completed + phase.cycles:
             clock = time.perf_counter()
             first = self.compile_seconds == 0.0
-            now, record, count = advance(method, control, system, now, jnp.asarray(phase.cycles), BATCH)
+            now, record, count = advance(method, control, system, now, np.asarray(phase.cycles), BATCH)
             loop = first_rows(record, int(count))
             if first:
                 self.compile_seconds = time.perf_counter() - clock
@@ -168,10 +170,8 @@ class Frame:
         """The loop's trajectory from the present state of a run, with or without its energies."""
         start = Start(run.displacement, run.velocity, run.slip, run.state)
         point, state = self.point(start)
-        nothing = Work(jnp.zeros(()), jnp.zeros(()), jnp.zeros(state.size)) if work else None
-        point, state = jax.tree.map(jnp.asarray, (Point(point.q, point.p, point.w, nothing), state))
-        # Not of a weak type, as the loop returns it: the second call would compile the program again.
-        return begin(system, point, state, jnp.asarray(first_step, dtype=float))
+        nothing = Work(np.zeros(()), np.zeros(()), np.zeros(state.size)) if work else None
+        return _begin(system, Point(point.q, point.p, point.w, nothing), state, np.asarray(first_step))
 
     def point(self, start: Start) -> tuple[Point, np.ndarray]:
         """The loop's continuous state and contact states (C,) of a start whose contact states are known."""

@@ -76,7 +76,7 @@ class AdaptiveBalance:
         above = tail(own.at(p), x[self.active], own.frequency_at(p))
         self._before = self.place
         if above[orders[self.place]] > NEGLECTED:
-            self.place = max(self.place, self._enough(above, NEGLECTED))
+            self.place = min(self.place + 1, len(orders) - 1)
         elif self.place and above[orders[self.place - 1]] < SPARED * NEGLECTED:
             self.place -= 1
         return self.place != self._before

@@ -28,6 +28,7 @@ from timesim.engine.law.contact_law import Motion, Plane, Scalar, dot, length, m
 from timesim.hbm.interval import Interval, IntervalEnd, advance, unchanging
 from timesim.hbm.stuck_offset import Offset, stuck_offset
 from timesim.orbit.fourier import fourier_basis
+from timesim.program import program
 
 MAX_PASSES = 100
 # Samples that the compiled programs of a period have room for.
@@ -137,7 +138,7 @@ class _Passes(eqx.Module):
     count: Scalar
 
 
-@jax.jit
+@program
 def _closed(law: ConeLaw, motion: Float[Array, "room+1 6 lane"], count: Int[Array, ""]) -> _Passes:
     """Pass through a periodic motion until d closes, at most `MAX_PASSES` times.
 
@@ -224,7 +225,7 @@ def _closed_part(law: ConeLaw, motion: Motion, places: NDArray[np.int64]) -> _Pa
     for i, part in enumerate((*motion.u, motion.v, *motion.du, motion.dv)):
         table[1 : count + 1, i] = part[:, places]
     table[0] = table[count]
-    return _closed(law, table, count)
+    return _closed(law, table, np.asarray(count))
 
 
 def _offsets(law: ConeLaw, dense: Motion) -> Offset:

@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float
 from timesim.engine.lanes import advance_lanes
 from timesim.engine.law.cone import ConeLaw, normal_load
 from timesim.engine.law.contact_law import Motion, Plane, Scalar, product
+from timesim.program import program
 
 MAX_ITERATIONS = 200
 CONVERGED = 1e-12  # change of g that counts as none, relative to R
@@ -116,7 +117,7 @@ def _must_slip(force: Plane, limit: Scalar) -> Bool[Array, " contact"]:
     return jnp.any(jnp.stack(blocked), axis=0)
 
 
-@jax.jit
+@program
 def stuck_offset(law: ConeLaw, motion: Motion) -> Offset:
     """The offset with which each contact only sticks under a periodic motion, shape (N, C); 0 where there is none."""
     force, limit, unit = without_slip(law, motion)
@@ -155,7 +156,7 @@ def stuck_offset(law: ConeLaw, motion: Motion) -> Offset:
     return Offset(tuple(jnp.where(last.converged, x, 0.0) for x in last.g), last.converged)
 
 
-@jax.jit
+@program
 def offset_slope(law: ConeLaw, g: Plane, motion: Motion) -> Float[Array, "2 sample contact 3"]:
     """Derivatives of C g, of the offset g of a contact that sticks, by (u1, u2, v) at each sample."""
     one, none = jnp.ones_like(g[0]), jnp.zeros_like(g[0])

@@ -35,6 +35,7 @@ from timesim.hbm.period import (
     touching_stiffness,
 )
 from timesim.hbm.stuck_offset import Offset, offset_slope
+from timesim.program import program
 
 Array64 = NDArray[np.float64]
 # Intervals that are differentiated side by side.
@@ -97,7 +98,7 @@ def _slopes(law: ConeLaw, period: ClosedPeriod, motion: tuple[Array, ...]) -> Ar
     return slope
 
 
-@jax.jit
+@program
 def _lane_slopes(law: ConeLaw, arguments: Float[Array, "12 lane"]) -> Float[Array, "lane 8 12"]:
     def results(x: Float[Array, "12 lane"]) -> Float[Array, "8 lane"]:
         end = advance(law, (x[0], x[1]), Interval((x[2], x[3]), (x[4], x[5]), (x[6], x[7]), *x[8:]))

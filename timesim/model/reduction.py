@@ -21,8 +21,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import block_diag
-from scipy.sparse.csgraph import connected_components
 
 from timesim.model.contact_state import start_states
 from timesim.model.finding import left_out, proven, simplified, straight
@@ -129,7 +127,9 @@ def stuck_force(reduction: Reduction) -> np.ndarray:
 
 
 def _springs(contact: Contact) -> np.ndarray:
-    return block_diag(contact.tangential_stiffness, contact.normal_stiffness)
+    springs = np.zeros((3, 3))
+    springs[:2, :2], springs[2, 2] = contact.tangential_stiffness, contact.normal_stiffness
+    return springs
 
 
 def _constant_force(contact: Contact, slip: np.ndarray, *, stuck: bool) -> np.ndarray:
@@ -202,9 +202,20 @@ def _parts(scene: _Scene) -> list[_Part]:
     damped = np.abs(scene.damping) > COUPLED * np.outer(rate, rate)
     touched = np.any(scene.shape != 0, axis=1)
     graph = np.block([[damped, touched.T], [touched, np.zeros((num_contacts, num_contacts), dtype=bool)]])
-    count, label = connected_components(graph, directed=False)
+    label = _connected(graph)
     of_mode, of_contact = label[:num_modes], label[num_modes:]
-    return [_Part(np.flatnonzero(of_mode == k), np.flatnonzero(of_contact == k)) for k in range(count)]
+    return [_Part(np.flatnonzero(of_mode == k), np.flatnonzero(of_contact == k)) for k in np.unique(label)]
+
+
+def _connected(graph: np.ndarray) -> np.ndarray:
+    """The first of the nodes that each node is connected with, itself included."""
+    near, label = graph | graph.T, np.full(len(graph), -1)
+    for first in range(len(graph)):
+        fresh = np.flatnonzero([label[first] < 0]) + first
+        while fresh.size:
+            label[fresh] = first
+            fresh = np.flatnonzero(near[fresh].any(axis=0) & (label < 0))
+    return label
 
 
 def _kept_modes(scene: _Scene, parts: list[_Part], frequency: float) -> tuple[np.ndarray, tuple[str, ...]]:

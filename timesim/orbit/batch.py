@@ -27,6 +27,7 @@ from timesim.engine.system import System
 from timesim.model.solver import Solver
 from timesim.orbit.lane import Lane, Recorded
 from timesim.orbit.monodromy import HybridState, Tries, derivative, state_vector
+from timesim.program import program
 
 SIZES = (4, 16)  # of a batch: few, so that little is compiled
 CAPACITY = 256  # tries of one call that records
@@ -40,7 +41,7 @@ def _unfinished(now: Trajectory, cycles: Any) -> Any:
     return (now.cycle < cycles) & (now.status == Status.RUNNING)
 
 
-@eqx.filter_jit
+@program
 def march_cycles(
     method: Method, controls: Control, systems: System, starts: HybridState, num_cycles: int
 ) -> tuple[Trajectory, Float[Array, "batch cycle state"]]:
@@ -78,7 +79,7 @@ def _marched(method: Method, problem: Problem, num_cycles: int, over: Over) -> t
     return advance_lanes(attempt, partial(_unfinished, cycles=num_cycles), now, returns, keep)
 
 
-@eqx.filter_jit
+@program
 def record_cycles(
     method: Method, controls: Control, systems: System, now: Trajectory, cycles: Int[Array, " batch"], capacity: int
 ) -> tuple[Trajectory, Tries]:
@@ -137,7 +138,7 @@ def march(
     """
     done: list[tuple[Lane, np.ndarray]] = []
     for batch in _batches(lanes, size):
-        problem = _stacked([(lane.control, lane.system, lane.here) for lane in _padded(batch, size)])
+        problem: Problem = _stacked([(lane.control, lane.system, lane.here) for lane in _padded(batch, size)])
         now, returns = _on_host(march_cycles(step_method(solver), *problem, num_cycles))
         done += [(lane.after(_entry(now, i)), returns[i, : now.cycle[i]]) for i, lane in enumerate(batch)]
     return done

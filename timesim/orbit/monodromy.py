@@ -32,6 +32,7 @@ from timesim.engine.method import Method, looped
 from timesim.engine.step import Step, transition
 from timesim.engine.system import Point, System
 from timesim.model.model import SEPARATION, SLIP, STICK
+from timesim.program import program
 
 
 class HybridState(eqx.Module):
@@ -98,7 +99,7 @@ def _image(method: Method, system: System, step: Step, start: Float[Array, " sta
     return vector_of(at_event) - after * delay
 
 
-@eqx.filter_jit
+@program
 def derivative(
     method: Method, systems: System, steps: Step, count: Int[Array, " batch"], opens: Bool[Array, " batch"]
 ) -> Float[Array, "batch state state"]:

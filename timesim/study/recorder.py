@@ -5,7 +5,6 @@ import timesim.runtime  # noqa: F401  isort: skip
 from dataclasses import fields
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,6 +16,7 @@ from timesim.engine.law.table import law_class
 from timesim.engine.trajectory import Run
 from timesim.model.model import Model
 from timesim.model.scales import scales_of
+from timesim.program import program
 from timesim.scene.transient import Schedule
 
 
@@ -74,7 +74,7 @@ def contact_forces(model: Model, samples: Samples) -> tuple[np.ndarray, np.ndarr
     return force * scales.force, x
 
 
-@jax.jit
+@program
 def _force(law: ContactLaw, x: Any, dx: Any, w: Any, state: Any) -> Any:
     moves = Motion((x[..., 0], x[..., 1]), x[..., 2], (dx[..., 0], dx[..., 1]), dx[..., 2])
     acts = law.reaction(state, moves, (w[..., 0], w[..., 1]))

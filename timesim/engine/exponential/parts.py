@@ -7,7 +7,6 @@ that moves asks for.
 import timesim.runtime  # noqa: F401  isort: skip
 
 import operator
-from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -23,6 +22,7 @@ from timesim.engine.exponential.steady import diagonals
 from timesim.engine.lanes import by_rows
 from timesim.engine.step import Step
 from timesim.engine.system import Point, System, Work
+from timesim.program import program
 
 FOLLOWED = 1e-3  # of the tolerance of a step: what a part may leave out of the motion
 FINEST = 1e-9  # of the largest modal displacement, what it may leave out in any case
@@ -139,12 +139,12 @@ def _modes_at(system: System, steps: Step, parts: Parts) -> tuple[np.ndarray, np
     return found
 
 
-@partial(jax.jit, static_argnums=2)
+@program
 def _flows(stiffness: Array, damping: Array, num: int, span: Array, h: Array) -> Weights:
     return weights(stiffness, damping, span[:, None], h[:, None], num)
 
 
-@jax.jit
+@program
 def _modes(system: System, *columns: Any) -> tuple[Array, Array]:
     def one(span: Array, flow: Weights, held: tuple[Array, Point, Inside]) -> tuple[Array, Array]:
         return modes_after(system, *held, span, flow)
@@ -153,7 +153,7 @@ def _modes(system: System, *columns: Any) -> tuple[Array, Array]:
     return done
 
 
-@partial(jax.jit, static_argnums=1)
+@program
 def _filled(system: System, energies: bool, *columns: Any) -> tuple[Point, Point, Work | None]:
     """State and rate at the end of each part, and the energies in it if they are asked for, by Lobatto's rule."""
 

@@ -23,7 +23,7 @@ Factors = tuple[Array, NDArray[np.int32]]
 # A Newton step that is longer than this share of the one before asks for new derivatives.
 CONTRACTION = 0.1
 MAX_DAMPED, MAX_FULL = 60, 30  # iterations
-MAX_ADAPTED = 3  # changes of the unknowns in use at one point
+MAX_ADAPTED = 8  # changes of the unknowns in use at one point
 # Share of the parameter in the tangent at which a fold counts as met: its own error is of second order in it.
 FLAT = 1e-6
 MAX_FOLD = 12  # evaluations; at a corner the bracket only shrinks to a share of itself each time
@@ -229,7 +229,10 @@ class Corrector:
         return point
 
     def damped_newton(self, guess: Array, normal: Array) -> CurvePoint:
-        """The same from a poor guess: steps are halved until the residual falls, or else taken in full.
+        """The same from a poor guess: steps are halved until the next one would be shorter, or else taken in full.
+
+        The next one by the derivatives at hand: unlike the residual, it does not depend on how stiff contacts are
+        against the structure (the natural monotonicity test of Deuflhard, Newton Methods for Nonlinear Problems, 2004).
 
         Raises:
             NoSolutionError: neither leads to a solution.
@@ -247,8 +250,8 @@ class Corrector:
                 return self._point(y, factors, count)
             step = self._step(factors, r, 0.0)
             for share in 0.5 ** np.arange(12):
-                trial = self._value(y + share * step)
-                if np.linalg.norm(trial) < (1 - 0.1 * share) * np.linalg.norm(r):
+                onwards = self._step(factors, self._value(y + share * step), 0.0)
+                if np.linalg.norm(onwards) < (1 - 0.25 * share) * np.linalg.norm(step):
                     break
             else:
                 raise NoSolutionError
