@@ -27,6 +27,8 @@ MAX_ADAPTED = 8  # changes of the unknowns in use at one point
 # Share of the parameter in the tangent at which a fold counts as met: its own error is of second order in it.
 FLAT = 1e-6
 MAX_FOLD = 12  # evaluations; at a corner the bracket only shrinks to a share of itself each time
+# Distance by which the tangents of two points miss each other, as a share of the way, up to which a corner is between.
+STRAIGHT = 0.1
 # A Newton step this long, in units of the solution, leads nowhere.
 MAX_STEP = 10.0
 
@@ -84,7 +86,7 @@ class Controls:
     max_points: int = 5000
     tolerance: float = 1e-9
     max_newton: int = 8
-    turn: float = 0.15
+    turn: float = 0.3
     watch: Callable[[float, Callable[[], Any]], None] | None = None
 
     def __post_init__(self) -> None:
@@ -195,6 +197,25 @@ class Corrector:
             y = y + step
         raise NoSolutionError
 
+    def corner_ahead(self, point: CurvePoint, length: float) -> tuple[float, Array]:
+        """How far ahead of a point a corner of the curve lies, up to a length, and the tangent behind it.
+
+        Derivatives from behind the corner give the line on which the curve goes on, in the direction that keeps the
+        orientation (see `CurvePoint.orientation`), which may lead back; it meets the tangent at the corner.
+
+        Raises:
+            NoSolutionError: there is none.
+        """
+        ahead = self._in_use(point.y + length * point.tangent)
+        r, factors = self._bordered(ahead, point.tangent)
+        behind = self._point(ahead + self._step(factors, r, 0.0), factors, 0)
+        if behind.orientation * point.orientation < 0:
+            behind = replace(behind, tangent=-behind.tangent)
+        along, gap = meeting(point, behind)
+        if not (0 <= along <= 2 * length and gap <= STRAIGHT * length):
+            raise NoSolutionError
+        return along, behind.tangent
+
     def adapted(self, point: CurvePoint, normal: Array | None = None) -> CurvePoint:
         """A solution by as many unknowns as it asks for, on the plane through it, normal to its tangent by default."""
         for _ in range(MAX_ADAPTED):
@@ -298,6 +319,13 @@ class Corrector:
 
     def _step(self, factors: Bordered, r: Array, off_plane: float) -> Array:
         return self._spread(factors.solve(-r / self.x_unit, off_plane), self.size + 1)
+
+
+def meeting(point: CurvePoint, other: CurvePoint) -> tuple[float, float]:
+    """How far along the tangent of a point that of another one comes closest to it, and their distance there."""
+    way, lines = other.y - point.y, np.column_stack([point.tangent, other.tangent])
+    share = np.linalg.lstsq(lines, way, rcond=None)[0]
+    return float(share[0]), float(np.linalg.norm(way - lines @ share))
 
 
 def solve(residual: Residual, guess: Array, p: float, controls: Controls) -> tuple[Array, int] | None:
