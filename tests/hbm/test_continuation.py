@@ -136,6 +136,31 @@ def test_a_corner_is_passed():
     assert curve.p.size < 200
 
 
+class Reversal:
+    """p = x up to x = 0, then p = -3 x: the curve turns by more than a right angle at once; y = x + p goes along."""
+
+    def __init__(self):
+        self.evaluations = 0
+
+    def value(self, x, p):
+        self.evaluations += 1
+        return np.array([(x[0] if x[0] < 0 else -3 * x[0]) - p, x[0] + p - x[1]])
+
+    def linearised(self, x, p):
+        return self.value(x, p), np.array([[1.0 if x[0] < 0 else -3.0, 0.0], [1.0, -1.0]]), np.array([-1.0, 1.0])
+
+
+def test_a_corner_at_which_the_curve_turns_back():
+    """It is a fold; no solution lies ahead of the last tangent, and the line behind the corner tells where to go on."""
+    residual = Reversal()
+    curve = follow(residual, np.array([-1.0, -2.0]), -1.0, 1.0, CONTROLS)
+    assert curve.ending is Ending.LEFT
+    assert curve.fold.sum() == 1
+    assert abs(curve.p[curve.fold][0]) < 1e-5
+    assert curve.x[:, 0].max() > 0.3
+    assert residual.evaluations < 3 * curve.p.size
+
+
 @dataclass
 class Waver:
     """p = x - 3/2 x exp(-x^2 / width^2): the parameter goes back on the way by 0.4 of the width."""

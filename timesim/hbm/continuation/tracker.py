@@ -19,7 +19,16 @@ from functools import partial
 
 import numpy as np
 
-from timesim.hbm.continuation.corrector import Array, Controls, Corrector, CurvePoint, NoSolutionError, Residual
+from timesim.hbm.continuation.corrector import (
+    STRAIGHT,
+    Array,
+    Controls,
+    Corrector,
+    CurvePoint,
+    NoSolutionError,
+    Residual,
+    meeting,
+)
 from timesim.hbm.continuation.solutions import Curve, Ending, joined, part_of
 from timesim.hbm.continuation.trace import Trace
 
@@ -29,8 +38,10 @@ JUMPS = (0.02, 0.06, 0.2, 0.6, 1.0)
 ALONG = 0.9
 # Distance of two solutions that are one, relative to their size.
 SAME = 1e-5
-# Length of a step, relative to the longest, below which a tangent that turns at once has met a corner of the curve.
-CORNER = 1e-4
+# Length of a step up to which a tangent that turns by much may have met a corner of the curve.
+NEAR_CORNER = 0.01
+# Cosine of the turn at a corner beyond which the curve goes to it, how close, and the share of the way at a time.
+SHARP, AT_CORNER, APPROACH = 0.5**0.5, 1e-6, 0.95
 # Growth of a step at most, and of one that is shorter than the first, as behind a corner.
 GROWTH, CATCHING_UP = 1.6, 3.0
 
@@ -82,11 +93,12 @@ def follow_both_ways(
 
 @dataclass(frozen=True)
 class _Step:
-    """A step along the curve: where it leads, its length of arc, and the length to try next."""
+    """A step along the curve: where it leads, its length of arc, the length to try next, and whether round a corner."""
 
     point: CurvePoint
     length: float
     next_length: float
+    corner: bool = False
 
 
 class _PathTracker:
@@ -147,7 +159,8 @@ class _PathTracker:
                 return Ending.STEP
             step = replace(step, point=self.corrector.adapted(step.point))
             ending = self._take(point, step)
-            before, point, length = (point, step.length), step.point, step.next_length
+            before = None if step.corner else (point, step.length)
+            point, length = step.point, step.next_length
         return ending
 
     def _step(self, point: CurvePoint, before: tuple[CurvePoint, float] | None, length: float) -> _Step | None:
@@ -156,13 +169,16 @@ class _PathTracker:
             try:
                 new = self.corrector.simplified_newton(_predicted(point, before, length), point.tangent)
             except NoSolutionError as error:
-                self.cause, length = str(error), length / 4
+                self.cause = str(error)
+                if (step := self._around_corner(point, length)) is not None:
+                    return step
+                length /= 4
                 continue
             turn = float(np.arccos(np.clip(point.tangent @ new.tangent, -1.0, 1.0)))
             elsewhere = new.orientation * point.orientation < 0
-            # A tangent that jumps, as where slip begins, does so however short the step.
-            corner = length <= CORNER * self.controls.max_step and not elsewhere
-            if turn > self.controls.turn * (1 if elsewhere else 4) and not corner:
+            if turn > self.controls.turn * (0.5 if elsewhere else 2):
+                if not elsewhere and (step := self._around_corner(point, length, new)) is not None:
+                    return step
                 length /= 3
                 continue
             fastest = GROWTH if length > self.controls.first_step else CATCHING_UP
@@ -171,6 +187,42 @@ class _PathTracker:
                 growth = min(growth, 0.7)
             return _Step(new, length, min(float(growth) * length, self.controls.max_step))
         return self._jump(point)
+
+    def _around_corner(self, point: CurvePoint, length: float, new: CurvePoint | None = None) -> _Step | None:
+        """Behind a corner of the curve, as where slip begins; or to a sharp one, since it is an extreme of something.
+
+        A corner may turn the curve by more than a right angle. Then no solution lies ahead; else `new` does.
+        """
+        try:
+            if new is None:
+                along, tangent = self.corrector.corner_ahead(point, length)
+                if point.tangent @ tangent > SHARP:
+                    guess = point.y + along * point.tangent + length * tangent
+                    new = self.corrector.simplified_newton(guess, tangent)
+            if new is not None:
+                if new.orientation * point.orientation < 0 or not _is_corner(point, new):
+                    return None
+                if point.tangent @ new.tangent > SHARP:
+                    return _Step(new, float(np.linalg.norm(new.y - point.y)), length, corner=True)
+                along, tangent = meeting(point, new)[0], new.tangent
+            return self._at_corner(point, along, tangent)
+        except NoSolutionError:
+            return None
+
+    def _at_corner(self, point: CurvePoint, along: float, tangent: Array) -> _Step | None:
+        """Next to a sharp corner ahead, or right behind it, where the curve has another tangent.
+
+        Raises:
+            NoSolutionError: Newton's method fails.
+        """
+        if along > AT_CORNER:
+            way = APPROACH * along
+            near = self.corrector.simplified_newton(point.y + way * point.tangent, point.tangent)
+            return _Step(near, way, along / 4) if point.tangent @ near.tangent > SHARP else None
+        guess = point.y + along * point.tangent + AT_CORNER * tangent
+        new = self.corrector.simplified_newton(guess, tangent)
+        same = new.orientation * point.orientation >= 0
+        return _Step(new, along + AT_CORNER, self.controls.first_step / 10, corner=True) if same else None
 
     def _jump(self, point: CurvePoint) -> _Step | None:
         """Over a place where no short step succeeds; a point to which the way is not along its tangent is elsewhere.
@@ -243,6 +295,14 @@ class _PathTracker:
         except NoSolutionError as error:
             self.cause = str(error)
             return None
+
+
+def _is_corner(point: CurvePoint, new: CurvePoint) -> bool:
+    """Whether the short way between two points is along the tangent of the one, then along that of the other."""
+    way = float(np.linalg.norm(new.y - point.y))
+    along, gap = meeting(point, new)
+    back, _ = meeting(new, point)
+    return way <= NEAR_CORNER and along > 0 > back and gap <= STRAIGHT * way
 
 
 def _predicted(point: CurvePoint, before: tuple[CurvePoint, float] | None, length: float) -> Array:
