@@ -342,3 +342,56 @@ def test_a_range_needs_two_ends(start, stop):
 def test_a_guess_must_be_finite():
     with pytest.raises(ValueError, match="finite numbers"):
         follow(Circle(), np.array([np.nan]), 0.0, 1.0, CONTROLS)
+
+
+class Growing:
+    """x^3 - 0.06 x + 4 x' = p, where x' = share x, or 0 as long as it is not in use: then there are two folds."""
+
+    def __init__(self, share, wall=np.inf):
+        self.share, self.wall, self.count = share, wall, 1
+
+    @property
+    def active(self):
+        return np.arange(self.count)
+
+    def begin(self, x):
+        self.count = 1
+
+    def adapt(self, x, p):
+        return False
+
+    def refine(self):
+        more, self.count = self.count == 1, 2
+        return more
+
+    def restore(self):
+        self.count = 1
+
+    def value(self, x, p):
+        if self.count == 1:
+            return np.array([x[0] ** 3 - 0.06 * x[0] - p if p < self.wall else np.nan])
+        return np.array([x[0] ** 3 - 0.06 * x[0] + 4 * x[1] - p, x[1] - self.share * x[0]])
+
+    def linearised(self, x, p):
+        slope = 3 * x[0] ** 2 - 0.06
+        matrix = [[slope, 4.0], [-self.share, 1.0]] if self.count == 2 else [[slope]]
+        return self.value(x, p), np.array(matrix), np.array([-1.0, 0.0][: self.count])
+
+
+@pytest.mark.parametrize(("share", "folds"), [(0.02, 0), (0.001, 2)])
+def test_a_fold_that_is_none_with_more_unknowns_is_none(share, folds):
+    residual = Growing(share)
+    curve = follow(residual, np.array([-1.5, 0.0]), -2.0, 2.0, CONTROLS)
+    assert curve.complete, curve.message
+    assert np.count_nonzero(curve.fold) == folds
+    assert residual.count == (2 if folds == 0 else 1)
+    assert np.all(curve.determinant[~curve.fold] == 1) == (folds == 0)
+
+
+def test_where_the_way_ends_more_unknowns_lead_on():
+    residual = Growing(0.02, wall=-1.0)
+    curve = follow(residual, np.array([-1.5, 0.0]), -2.0, 2.0, CONTROLS)
+    assert curve.complete, curve.message
+    assert np.all(curve.x[curve.p < -1.0, 1] == 0)
+    np.testing.assert_allclose(curve.x[curve.p > -0.9, 1], 0.02 * curve.x[curve.p > -0.9, 0], atol=1e-7)
+    assert curve.p.size < 200

@@ -39,7 +39,7 @@ class AdaptiveBalance:
         """From the equations by a scheme, and schemes with more and more harmonics."""
         self.schemes, self.residual_of = tuple(schemes), lru_cache(maxsize=None)(residual_of)
         self.shape = 3 * num_contacts, 2 * self.schemes[-1].harmonics + 1
-        self.place = self._before = 0
+        self.place = self._before = self._least = 0
 
     @property
     def residual(self) -> Family:
@@ -67,6 +67,7 @@ class AdaptiveBalance:
         """Take the coarsest scheme that has the harmonics of a guess."""
         size = np.abs(to_phasors(x.reshape(self.shape))).max(axis=0)
         self.place = self._before = self._enough(_above(size), NEGLECTED)
+        self._least = 0
 
     def adapt(self, x: Array, p: float) -> bool:
         """Take the scheme that a solution asks for; whether it is another one than before."""
@@ -77,13 +78,22 @@ class AdaptiveBalance:
         self._before = self.place
         if above[orders[self.place]] > NEGLECTED:
             self.place = min(self.place + 1, len(orders) - 1)
-        elif self.place and above[orders[self.place - 1]] < SPARED * NEGLECTED:
+        elif self.place > self._least and above[orders[self.place - 1]] < SPARED * NEGLECTED:
             self.place -= 1
         return self.place != self._before
 
     def restore(self) -> None:
         """Take the scheme that was in use before."""
         self.place = self._before
+        self._least = min(self._least, self.place)
+
+    def refine(self) -> bool:
+        """Take the next scheme, and none before it from now on; False at the finest."""
+        if self.place == len(self.schemes) - 1:
+            return False
+        self._before, self.place = self.place, self.place + 1
+        self._least = self.place
+        return True
 
     def whole(self, x: Array, place: int = 0) -> Array:
         """All unknowns from those of a scheme."""

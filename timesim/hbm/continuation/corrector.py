@@ -10,13 +10,15 @@ sign of det dr/dx, which changes at a fold.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from timesim.hbm.continuation.bordered import Bordered, Condensed
+from timesim.hbm.continuation.bordered import Bordered
+from timesim.hbm.continuation.residual import Adaptive, NoSolutionError, Residual
 
 Array = NDArray[np.float64]
 
@@ -31,37 +33,6 @@ MAX_FOLD = 12  # evaluations; at a corner the bracket only shrinks to a share of
 STRAIGHT = 0.1
 # A Newton step this long, in units of the solution, leads nowhere.
 MAX_STEP = 10.0
-
-
-class Residual(Protocol):
-    """A system of as many equations as unknowns.
-
-    Either method may raise `NoSolutionError` where it cannot be evaluated; the message says why.
-    """
-
-    def value(self, x: Array, p: float) -> Array:
-        """r, shape (n,)."""
-
-    def linearised(self, x: Array, p: float) -> tuple[Array, Array | Condensed, Array]:
-        """r, shape (n,), its derivatives by x, shape (n, n) or `Condensed`, and by p, shape (n,)."""
-
-
-@runtime_checkable
-class Adaptive(Residual, Protocol):
-    """A residual of some of its unknowns, the others being zero: of as many as a solution asks for."""
-
-    @property
-    def active(self) -> NDArray[np.int64]:
-        """Positions of the unknowns that it is of."""
-
-    def begin(self, x: Array) -> None:
-        """Take those that a guess, shape (n,), asks for."""
-
-    def adapt(self, x: Array, p: float) -> bool:
-        """Take those that a solution, shape (n,), asks for; whether they are others than before."""
-
-    def restore(self) -> None:
-        """Take those from before."""
 
 
 @dataclass(frozen=True)
@@ -121,10 +92,6 @@ class CurvePoint:
     def orientation(self) -> float:
         """Its sign stays the same along a curve, but for bifurcations (Allgower and Georg 2003, chapter 2)."""
         return self.determinant * float(self.tangent[-1])
-
-
-class NoSolutionError(Exception):
-    """Newton's method does not converge; the message names the cause where the residual knows one."""
 
 
 class Corrector:
@@ -227,6 +194,24 @@ class Corrector:
                 self.adaptive.restore()
                 break
         return point
+
+    def refined(self, point: CurvePoint, ahead: Array) -> CurvePoint | None:
+        """The solution at the same p by more unknowns, its tangent along the curve as before; None if there is none."""
+        while self.adaptive is not None and self.adaptive.refine():
+            with suppress(NoSolutionError):
+                new = self.damped_newton(point.y, ahead)
+                return new if new.orientation * point.orientation > 0 else replace(new, tangent=-new.tangent)
+        return None
+
+    def is_false_fold(self, before: CurvePoint, after: CurvePoint) -> bool:
+        """Whether the curve turns between two points, but would not by a few more unknowns."""
+        if before.tangent[-1] * after.tangent[-1] > 0 or self.adaptive is None or not self.adaptive.refine():
+            return False
+        determinant = after.determinant
+        with suppress(NoSolutionError):
+            determinant = self.damped_newton(after.y, after.tangent).determinant
+        self.adaptive.restore()
+        return determinant != after.determinant
 
     def damped_newton(self, guess: Array, normal: Array) -> CurvePoint:
         """The same from a poor guess: steps are halved until the next one would be shorter, or else taken in full.

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from timesim.hbm.continuation.corrector import Corrector, CurvePoint, NoSolutionError
+from timesim.hbm.continuation.corrector import Corrector, CurvePoint
+from timesim.hbm.continuation.residual import NoSolutionError
 from timesim.hbm.continuation.solutions import Solution
 
 # How far the parameter may go back without a fold, as shares of its range and of its value: where slip of the paper's

@@ -25,10 +25,9 @@ from timesim.hbm.continuation.corrector import (
     Controls,
     Corrector,
     CurvePoint,
-    NoSolutionError,
-    Residual,
     meeting,
 )
+from timesim.hbm.continuation.residual import NoSolutionError, Residual
 from timesim.hbm.continuation.solutions import Curve, Ending, joined, part_of
 from timesim.hbm.continuation.trace import Trace
 
@@ -155,8 +154,11 @@ class _PathTracker:
                 point = point.rescaled(factor)
                 self.trace.rescale(factor)
             step = self._step(point, before, length)
-            if step is None:
-                return Ending.STEP
+            if step is None or self.corrector.is_false_fold(point, step.point):
+                if (finer := self.corrector.refined(point, self.ahead)) is None:
+                    return Ending.STEP
+                point, before, length = finer, None, self.controls.first_step
+                continue
             step = replace(step, point=self.corrector.adapted(step.point))
             ending = self._take(point, step)
             before = None if step.corner else (point, step.length)

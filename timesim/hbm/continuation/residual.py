@@ -1,0 +1,46 @@
+"""What continuation follows: equations, with their derivatives, in as many unknowns."""
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from timesim.hbm.continuation.bordered import Array, Condensed
+
+
+class Residual(Protocol):
+    """A system of as many equations as unknowns.
+
+    Either method may raise `NoSolutionError` where it cannot be evaluated; the message says why.
+    """
+
+    def value(self, x: Array, p: float) -> Array:
+        """r, shape (n,)."""
+
+    def linearised(self, x: Array, p: float) -> tuple[Array, Array | Condensed, Array]:
+        """r, shape (n,), its derivatives by x, shape (n, n) or `Condensed`, and by p, shape (n,)."""
+
+
+@runtime_checkable
+class Adaptive(Residual, Protocol):
+    """A residual of some of its unknowns, the others being zero: of as many as a solution asks for."""
+
+    @property
+    def active(self) -> NDArray[np.int64]:
+        """Positions of the unknowns that it is of."""
+
+    def begin(self, x: Array) -> None:
+        """Take those that a guess, shape (n,), asks for."""
+
+    def adapt(self, x: Array, p: float) -> bool:
+        """Take those that a solution, shape (n,), asks for; whether they are others than before."""
+
+    def restore(self) -> None:
+        """Take those from before."""
+
+    def refine(self) -> bool:
+        """Take more, and not less from now on; False if there are no more."""
+
+
+class NoSolutionError(Exception):
+    """Newton's method does not converge; the message names the cause where the residual knows one."""
