@@ -15,10 +15,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 IMPORTS = ("-c", "import jax, xarray")
-RUN = ("-m", "timesim", "run", "configs/oscillator.yaml", "--no-plots", "--force", "-o", "{folder}")
+RUN = ("-m", "timesim", "run", "configs/oscillator.yaml", "--force", "-o", "{folder}")
 COMMANDS = {
     'python -c "import jax, xarray"': IMPORTS,
-    "timesim run configs/oscillator.yaml --no-plots": RUN,
+    "timesim run configs/oscillator.yaml --no-plots": (*RUN, "--no-plots"),
+    "timesim run configs/oscillator.yaml": RUN,
     "timesim check configs/oscillator.yaml": ("-m", "timesim", "check", "configs/oscillator.yaml"),
     "timesim --help": ("-m", "timesim", "--help"),
 }

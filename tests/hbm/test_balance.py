@@ -13,6 +13,7 @@ import systems
 
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, Ending, solve
+from timesim.hbm.continuation.bordered import Bordered
 from timesim.hbm.curve import hbm_curve, solutions_at
 from timesim.hbm.first_guess import first_guesses, unknowns_of_modes
 from timesim.hbm.scheme import Scheme
@@ -79,22 +80,34 @@ def balanced_models():
     return {"oscillator": systems.oscillator(-1.0, 0.97), "inclined": systems.inclined(1.27), **picked}
 
 
+@pytest.mark.parametrize("size", [0.7, 1e-2])
 @pytest.mark.parametrize("name", balanced_models())
-def test_residual_derivatives_against_differences(name):
-    """Among the models are whole damping matrices, general K_u, stops, constant loads and higher harmonics."""
+def test_residual_derivatives_against_differences(name, size):
+    """Among the models are whole damping matrices, general K_u, stops, constant loads and higher harmonics.
+
+    Of a small motion, contacts stick or are apart all along: what is solved is smaller then.
+    """
     model = balanced_models()[name]
-    frequency = model.excitation.frequency
+    frequency, rng = model.excitation.frequency, np.random.default_rng(5)
     balance = Balance(model, frequency, Scheme(3, 256))
-    x = 0.7 * np.random.default_rng(5).normal(size=balance.num_unknowns)
+    x = size * rng.normal(size=balance.num_unknowns)
     r, by_x, by_p = balance.linearised(x, frequency)
     np.testing.assert_allclose(r, balance.value(x, frequency), atol=1e-12)
-    scale = np.abs(by_x).max()
-    np.testing.assert_allclose(
-        by_x / scale, differences(lambda z: balance.value(z, frequency), x, 1e-6) / scale, atol=2e-7
-    )
     step = 1e-6 * frequency
     slope = (balance.value(x, frequency + step) - balance.value(x, frequency - step)) / (2 * step)
     np.testing.assert_allclose(by_p / np.abs(by_p).max(), slope / np.abs(by_p).max(), atol=1e-7)
+    row = rng.normal(size=x.size + 1)
+    factors, each = Bordered(by_x, by_p, row), np.eye(x.size + 1)
+    inverse = np.stack([factors.solve(right[:-1], right[-1]) for right in each], axis=1)
+    change = differences(lambda z: balance.value(z, frequency), x, 1e-6 * size)
+    whole = np.block([[change, by_p[:, None]], [row[None]]])
+    scale = np.linalg.norm(whole, axis=1)[:, None] * np.linalg.norm(inverse, axis=0)
+    np.testing.assert_allclose(whole @ inverse / scale, each / scale, atol=2e-7)
+    tangent, sign = factors.tangent()
+    np.testing.assert_allclose(tangent, inverse[:, -1] / np.linalg.norm(inverse[:, -1]), atol=1e-12)
+    assert sign == np.sign(np.linalg.det(change))
+    if size < 0.1:
+        assert by_x.outer.size >= 2 * balance.size
 
 
 @pytest.mark.parametrize("coupling", [0.0, 0.5])

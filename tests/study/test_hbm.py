@@ -410,7 +410,7 @@ def test_an_excited_harmonic_is_among_those_chosen(harmonics):
     excited = BASE | {"excitation": BASE["excitation"] | {"forces": load}}
     study = scene(harmonics=harmonics, time_samples="auto")["study"]
     plan, model = (loaded := load_scene(excited | {"study": study})).plan, loaded.model()
-    assert plan.schemes_for(model)[0] == Scheme(12, 512)
+    assert plan.schemes_for(model)[0] == Scheme(12, 256)
     if harmonics == "auto":
         assert f"up to {most_harmonics(1)} harmonics" in " ".join(
             line for part in describe(loaded).values() for line in part

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from timesim.hbm.balance import Array, Balance, contact_stiffness
-from timesim.hbm.continuation import Residual
+from timesim.hbm.continuation import Condensed, Residual
 from timesim.hbm.period import basis_of, forces_of, motion_of, period_of
 from timesim.hbm.scheme import NEGLECTED, Scheme, coarsest
 from timesim.orbit.fourier import to_phasors
@@ -59,7 +59,7 @@ class AdaptiveBalance:
         """r of the unknowns in use."""
         return self.residual.value(x, p)
 
-    def linearised(self, x: Array, p: float) -> tuple[Array, Array, Array]:
+    def linearised(self, x: Array, p: float) -> tuple[Array, Array | Condensed, Array]:
         """r and its derivatives by those."""
         return self.residual.linearised(x, p)
 

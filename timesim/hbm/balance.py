@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from timesim.engine.law.cone import ConeLaw
+from timesim.hbm.condensation import Condensation
 from timesim.hbm.period import Basis, basis_of, contact_forces
 from timesim.hbm.scheme import Scheme, check_model
 from timesim.hbm.tangent import linearised
@@ -189,29 +190,24 @@ class Balance:
         _, motion = self._response(x, self.contact_forces(x), self.linear(p))
         return x - to_coefficients(motion.T).ravel() / self.length
 
-    def linearised(self, x: Array, p: float) -> tuple[Array, Array, Array]:
+    def linearised(self, x: Array, p: float) -> tuple[Array, Condensation, Array]:
         """r, and its derivatives by the unknowns and by the frequency."""
         sampled, slope = linearised(self.law, self.basis, self.coefficients(x))
         linear = self.linear(p)
         acting, motion = self._response(x, sampled.coefficient, linear)
         by_p = under(linear.slope, acting)
-        matrix = np.eye(x.size) - self._matrix(linear.flexibility, slope)
+        by_x = Condensation(linear.flexibility, self._stiffness(slope))
         r = x - to_coefficients(motion.T).ravel() / self.length
-        return r, matrix, to_coefficients(by_p.T).ravel() * (-2 * np.pi / self.length)
+        return r, by_x, to_coefficients(by_p.T).ravel() * (-2 * np.pi / self.length)
 
-    def _matrix(self, flexibility: Complex, slope: Array) -> Array:
-        """Derivatives of F g by the unknowns, from those of (f1, f2, n) of each contact by its own."""
-        size, rows = self.size, 3 * self.num_contacts
-        matrix = np.empty((rows, size, rows * size))
-        for i, block in enumerate(slope):
-            own = slice(3 * i, 3 * i + 3)
-            stiffness = -block * (self.force / self.length)
-            if self.support.any():
-                stiffness = stiffness + np.kron(self.support[own, own], np.eye(size))
-            force = to_phasors(stiffness.reshape(3, size, -1).swapaxes(1, 2)).transpose(2, 0, 1)
-            motion = flexibility[:, :, own] @ force
-            matrix[:, :, 3 * size * i : 3 * size * (i + 1)] = to_coefficients(motion.transpose(1, 2, 0)).swapaxes(1, 2)
-        return matrix.reshape(rows * size, rows * size)
+    def _stiffness(self, slope: Array) -> Array:
+        """Derivatives of the forces on the supported structure, from those of (f1, f2, n) of each contact."""
+        stiffness = -slope.reshape(-1, 3, self.size, 3, self.size) * (self.force / self.length)
+        if self.support.any():
+            own = self.support.reshape(self.num_contacts, 3, self.num_contacts, 3)
+            each, alike = np.arange(self.num_contacts), np.eye(self.size)
+            stiffness += own[each, :, each][:, :, None, :, None] * alike[:, None, :]
+        return stiffness
 
     def modes(self, x: Array, forces: Array, frequency: float) -> Complex:
         """Modal displacement by phasors, shape (H + 1, M), from the unknowns and (f1, f2, n) in units of `force`."""

@@ -8,7 +8,7 @@ import numpy as np
 from timesim.engine.trajectory import RunError
 from timesim.hbm.adaptive import AdaptiveBalance
 from timesim.hbm.balance import Array, Balance, contact_stiffness
-from timesim.hbm.continuation import Controls, Curve, Ending, follow
+from timesim.hbm.continuation import Condensed, Controls, Curve, Ending, follow
 from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.fourier import to_coefficients
@@ -134,6 +134,6 @@ class _LoadRamp:
     def value(self, x: Array, p: float) -> Array:
         return self.balance.value(x, self.frequency) + (1 - p) * self.free
 
-    def linearised(self, x: Array, p: float) -> tuple[Array, Array, Array]:
+    def linearised(self, x: Array, p: float) -> tuple[Array, Array | Condensed, Array]:
         r, by_x, _ = self.balance.linearised(x, self.frequency)
         return r + (1 - p) * self.free, by_x, -self.free

@@ -204,18 +204,15 @@ class Curves:
         return modal_coefficients(replace(model, start=start), frequency, self.scene.solver())
 
     def _options(self, growth: "Growth") -> dict[str, Any]:
-        controls = Controls(**self.plan.steps)
-        return {"scheme": self.schemes, "controls": controls, "stability": self.plan.stability, "watch": growth}
+        steps, stable = Controls(**self.plan.steps), self.plan.stability
+        return {"scheme": self.schemes, "controls": steps, "stability": stable, "watch": growth}
 
     def to_refine(self) -> list[Known]:
         """Stable solutions where a contact switches, spread over all curves, and the largest of them."""
-        rows = [
-            (curve, i)
-            for curve in self.curves
-            for i in np.flatnonzero(
-                curve.curve.stable & switches(curve.curve.slip_share, curve.curve.separation_share).any(axis=1)
-            )
-        ]
+        rows = []
+        for one in self.curves:
+            works = switches(one.curve.slip_share, one.curve.separation_share).any(axis=1)
+            rows += [(one, i) for i in np.flatnonzero(one.curve.stable & works)]
         if not rows:
             return []
         chosen = set(np.linspace(0, len(rows) - 1, min(REFINED, len(rows))).round().astype(int).tolist())

@@ -1,11 +1,13 @@
 """Continuation of the solutions of any residual in a parameter: points, steps, folds."""
 
+from timesim.hbm.continuation.bordered import Condensed
 from timesim.hbm.continuation.corrector import Controls, NoSolutionError, Residual, solve
 from timesim.hbm.continuation.solutions import Curve, Ending, Solution, joined, part_of
 from timesim.hbm.continuation.tracker import SAME, follow, follow_both_ways
 
 __all__ = [
     "SAME",
+    "Condensed",
     "Controls",
     "Curve",
     "Ending",

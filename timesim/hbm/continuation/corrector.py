@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import lapack, lu_solve
+from numpy.typing import NDArray
+
+from timesim.hbm.continuation.bordered import Bordered, Condensed
 
 Array = NDArray[np.float64]
-Factors = tuple[Array, NDArray[np.int32]]
 
 # A Newton step that is longer than this share of the one before asks for new derivatives.
 CONTRACTION = 0.1
@@ -42,8 +42,8 @@ class Residual(Protocol):
     def value(self, x: Array, p: float) -> Array:
         """r, shape (n,)."""
 
-    def linearised(self, x: Array, p: float) -> tuple[Array, Array, Array]:
-        """r, shape (n,), its derivatives by x, shape (n, n), and by p, shape (n,)."""
+    def linearised(self, x: Array, p: float) -> tuple[Array, Array | Condensed, Array]:
+        """r, shape (n,), its derivatives by x, shape (n, n) or `Condensed`, and by p, shape (n,)."""
 
 
 @runtime_checkable
@@ -173,7 +173,7 @@ class Corrector:
                 if fresh and count:
                     factors = self._bordered(y, normal)[1]
                 return self._point(y, factors, count)
-            step = self._step(factors, r, normal @ (guess - y))
+            step = self._step(factors, r, float(normal @ (guess - y)))
             size = float(np.linalg.norm(step))
             if not np.isfinite(size) or size > 2 * before:
                 break
@@ -191,7 +191,7 @@ class Corrector:
             r, factors = self._bordered(y, normal)
             if self._vanishes(r, y):
                 return self._point(y, factors, count)
-            step = self._step(factors, r, normal @ (guess - y))
+            step = self._step(factors, r, float(normal @ (guess - y)))
             if not float(np.linalg.norm(step)) < MAX_STEP:
                 break
             y = y + step
@@ -302,41 +302,23 @@ class Corrector:
         y[:-1][self.adaptive.active], y[-1] = own[:-1], own[-1]
         return y
 
-    def _point(self, y: Array, factors: Factors, count: int) -> CurvePoint:
-        tangent, sign = _tangent(factors)
+    def _point(self, y: Array, factors: Bordered, count: int) -> CurvePoint:
+        tangent, sign = factors.tangent()
         return CurvePoint(y, self._spread(tangent, y.size), sign, count)
 
     def _value(self, y: Array) -> Array:
         return self.residual.value(*self.unscaled(self._gathered(y)))
 
-    def _bordered(self, y: Array, normal: Array) -> tuple[Array, Factors]:
-        """r, and the LU factors of the derivatives of r / x_unit by y with `normal` as the last row."""
-        r, by_x, by_p = self.residual.linearised(*self.unscaled(self._gathered(y)))
-        matrix = np.empty((r.size + 1, r.size + 1))
-        matrix[:-1, :-1] = by_x
-        matrix[:-1, -1] = by_p * (self.p_unit / self.x_unit)
-        matrix[-1] = self._gathered(normal)
-        if not np.isfinite(matrix).all():
-            raise NoSolutionError
-        lu, pivots, singular = lapack.dgetrf(matrix)
-        if singular:
-            raise NoSolutionError
-        return r, (lu, pivots)
+    def _bordered(self, y: Array, normal: Array) -> tuple[Array, Bordered]:
+        """r, and the derivatives of r / x_unit by y with `normal` as the last row."""
+        try:
+            r, by_x, by_p = self.residual.linearised(*self.unscaled(self._gathered(y)))
+            return r, Bordered(by_x, by_p * (self.p_unit / self.x_unit), self._gathered(normal))
+        except np.linalg.LinAlgError:
+            raise NoSolutionError from None
 
-    def _step(self, factors: Factors, r: Array, off_plane: ArrayLike) -> Array:
-        step = lu_solve(factors, np.append(-r / self.x_unit, off_plane), check_finite=False)
-        return self._spread(np.asarray(step), self.size + 1)
-
-
-def _tangent(factors: Factors) -> tuple[Array, int]:
-    """Unit tangent, and the sign of det dr/dx: t_p is its ratio to the determinant of the bordered matrix."""
-    lu, pivots = factors
-    last = np.zeros(len(lu))
-    last[-1] = 1.0
-    tangent = lu_solve(factors, last, check_finite=False)
-    num_negative = np.count_nonzero(np.diag(lu) < 0) + np.count_nonzero(pivots != np.arange(pivots.size))
-    sign = int(np.sign(tangent[-1])) * (-1) ** int(num_negative)
-    return tangent / np.linalg.norm(tangent), sign
+    def _step(self, factors: Bordered, r: Array, off_plane: float) -> Array:
+        return self._spread(factors.solve(-r / self.x_unit, off_plane), self.size + 1)
 
 
 def meeting(point: CurvePoint, other: CurvePoint) -> tuple[float, float]:

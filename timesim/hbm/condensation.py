@@ -1,0 +1,103 @@
+"""Derivatives of a balance by few of its unknowns: those that contacts depend on which slip, or open and close.
+
+A contact that sticks or is apart all along is linear, as is the tangential motion at one without friction. With such
+components L and the others W, and with the derivatives K of the forces on the structure by the motion, those of the
+balance are, harmonic by harmonic but for K_W,
+
+    1 - F K = (1 - F K_L) (1 - F' K_W),    F' = (1 - F K_L)^-1 F
+
+where F' is the flexibility of the structure with its linear contacts; the unknowns of L follow from those of W.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from timesim.orbit.fourier import to_coefficients, to_phasors
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+# Of the largest derivative of a contact: what rounding leaves of one that is zero.
+ROUNDING = 1e-12
+
+
+class Condensation:
+    """The derivatives of a balance, for `timesim.hbm.continuation`.
+
+    Its unknowns are the coefficients of all components of all contacts, shape (3C, 2H + 1) made flat.
+    """
+
+    def __init__(self, flexibility: Complex, stiffness: Array):
+        """From the flexibility of the structure and the derivatives of the contact forces on it.
+
+        Args:
+            flexibility: F, shape (H + 1, 3C, 3C).
+            stiffness: K of each contact by its own components, shape (C, 3, 2H + 1, 3, 2H + 1).
+
+        Raises:
+            numpy.linalg.LinAlgError: the flexibility is not finite, or the structure with its contacts singular.
+        """
+        self.stiffness, self.size = stiffness, stiffness.shape[2]
+        linear, constant = _linear_part(stiffness)
+        self.works = ~linear
+        change = np.eye(linear.size) - flexibility @ constant
+        if not np.isfinite(change).all():
+            raise np.linalg.LinAlgError("the structure is singular")
+        self.inverse = np.linalg.inv(change)
+        self.flexibility = self.inverse @ flexibility
+        # That of a complex matrix is positive as the determinant of a real one.
+        self.sign = int(np.sign(np.linalg.det(change[0].real)))
+        places = np.arange(linear.size * self.size).reshape(linear.size, self.size)
+        self.inner, self.outer = places[self.works].ravel(), places[linear].ravel()
+        self.matrix = self._matrix()
+
+    def solve(self, r: Array) -> Array:
+        """(1 - F K_L)^-1 r."""
+        return self._by_harmonics(self.inverse, self._rows(r)).ravel()
+
+    def others(self, x: Array) -> Array:
+        """Motion of the components of L under the contact forces that motions of W give."""
+        rows = np.zeros((self.works.size, self.size))
+        rows[self.works] = self._rows(x)
+        forces = np.einsum("cjhkl,ckl->cjh", self.stiffness, rows.reshape(-1, 3, self.size))
+        return self._by_harmonics(self.flexibility, self._rows(forces))[~self.works].ravel()
+
+    def on_others(self, row: Array) -> Array:
+        """The transpose of that."""
+        rows = np.zeros((self.works.size, self.size))
+        rows[~self.works] = self._rows(row)
+        forces = self._by_harmonics(self.flexibility.conj().swapaxes(1, 2), rows).reshape(-1, 3, self.size)
+        return np.einsum("cjhkl,cjh->ckl", self.stiffness, forces).reshape(rows.shape)[self.works].ravel()
+
+    def _matrix(self) -> Array:
+        """1 - F' K_W in the rows and columns of W."""
+        own, size = self.works.reshape(-1, 3), self.size
+        count = np.count_nonzero(own)
+        motion, first = np.empty((count, size, count * size)), 0
+        for i in np.flatnonzero(own.any(axis=1)):
+            columns = self.stiffness[i][:, :, own[i]].reshape(3, size, -1)
+            force = to_phasors(columns.swapaxes(1, 2)).transpose(2, 0, 1)
+            given = self.flexibility[:, self.works, 3 * i : 3 * i + 3] @ force
+            last = first + columns.shape[2]
+            motion[:, :, first:last] = to_coefficients(given.transpose(1, 2, 0)).swapaxes(1, 2)
+            first = last
+        return np.eye(count * size) - motion.reshape(count * size, count * size)
+
+    def _rows(self, x: Array) -> Array:
+        return x.reshape(-1, self.size)
+
+    def _by_harmonics(self, matrix: NDArray[np.complexfloating], rows: Array) -> Array:
+        """The product of a matrix of each harmonic, shape (H + 1, J, J), and components by coefficients."""
+        return to_coefficients((matrix @ to_phasors(rows).T[:, :, None])[..., 0].T)
+
+
+def _linear_part(stiffness: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Which components act alike on each coefficient, and by what: shapes (3C,), (3C, 3C)."""
+    num_contacts, size = stiffness.shape[0], stiffness.shape[2]
+    constant = stiffness[:, :, 1, :, 1]
+    alike = constant[:, :, None, :, None] * np.eye(size)[:, None, :]
+    largest = np.abs(stiffness).max(axis=(1, 2, 3, 4))
+    linear = np.abs(stiffness - alike).max(axis=(1, 2, 4)) <= ROUNDING * largest[:, None]
+    whole = np.zeros((num_contacts, 3, num_contacts, 3))
+    each = np.arange(num_contacts)
+    whole[each, :, each] = constant * linear[:, None, :]
+    return linear.ravel(), whole.reshape(3 * num_contacts, -1)

@@ -1,0 +1,99 @@
+"""Derivatives of a residual by its unknowns, bordered by a column and a row, with which Newton's method steps.
+
+Where most unknowns follow from a few, the equations are those of the few: `Condensed`.
+"""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack, lu_solve
+
+Array = NDArray[np.float64]
+
+
+class Condensed(Protocol):
+    """Derivatives ``J (1 - E P)`` by n unknowns, where P takes k of them, on which all others depend by E.
+
+    Attributes:
+        inner, outer: positions of the k unknowns, and of the others.
+        matrix: the part of 1 - E in the rows of the k unknowns, shape (k, k).
+        sign: of det J.
+    """
+
+    inner: NDArray[np.intp]
+    outer: NDArray[np.intp]
+    matrix: Array
+    sign: int
+
+    def solve(self, r: Array) -> Array:
+        """J^-1 r, shape (n,)."""
+
+    def others(self, x: Array) -> Array:
+        """What the k unknowns, shape (k,), add to the others, shape (n - k,)."""
+
+    def on_others(self, row: Array) -> Array:
+        """The transpose of that: from a row of the others, shape (n - k,), to one of the k unknowns."""
+
+
+class Whole:
+    """The same of a matrix: no unknown is another's."""
+
+    sign = 1
+
+    def __init__(self, matrix: Array):
+        self.matrix = matrix
+        self.inner, self.outer = np.arange(len(matrix)), np.zeros(0, dtype=np.intp)
+
+    def solve(self, r: Array) -> Array:
+        return r
+
+    def others(self, x: Array) -> Array:
+        return np.zeros(0)
+
+    def on_others(self, row: Array) -> Array:
+        return np.zeros(len(self.inner))
+
+
+class Bordered:
+    """LU factors of the derivatives by the unknowns and a parameter, with one more row."""
+
+    def __init__(self, by_x: Array | Condensed, by_p: Array, row: Array):
+        """From the derivatives by the unknowns and by the parameter, shape (n,), and the row, shape (n + 1,).
+
+        Raises:
+            numpy.linalg.LinAlgError: they are singular, or not finite.
+        """
+        self.by_x: Condensed = Whole(by_x) if isinstance(by_x, np.ndarray) else by_x
+        inner, outer = self.by_x.inner, self.by_x.outer
+        self.column, self.row = self.by_x.solve(by_p), row
+        matrix = np.empty((inner.size + 1,) * 2)
+        matrix[:-1, :-1] = self.by_x.matrix
+        matrix[:-1, -1] = self.column[inner]
+        matrix[-1, :-1] = row[inner] + self.by_x.on_others(row[outer])
+        matrix[-1, -1] = row[-1] - row[outer] @ self.column[outer]
+        if not np.isfinite(matrix).all():
+            raise np.linalg.LinAlgError("not finite")
+        self.lu, self.pivots, singular = lapack.dgetrf(matrix)
+        if singular:
+            raise np.linalg.LinAlgError("singular")
+
+    def solve(self, r: Array, last: float) -> Array:
+        """Solution y, shape (n + 1,), for the right sides of the equations, shape (n,), and of the row."""
+        inner, outer = self.by_x.inner, self.by_x.outer
+        right = self.by_x.solve(r)
+        few = lu_solve(
+            (self.lu, self.pivots), np.append(right[inner], last - self.row[outer] @ right[outer]), check_finite=False
+        )
+        y = np.empty(self.row.size)
+        y[inner], y[-1] = few[:-1], few[-1]
+        y[outer] = right[outer] - few[-1] * self.column[outer] + self.by_x.others(few[:-1])
+        return y
+
+    def tangent(self) -> tuple[Array, int]:
+        """Unit tangent, and the sign of det dr/dx: t_p is its ratio to the determinant of the bordered matrix."""
+        tangent = self.solve(np.zeros(self.row.size - 1), 1.0)
+        swapped = self.pivots != np.arange(self.pivots.size)
+        num_negative = np.count_nonzero(np.diag(self.lu) < 0) + np.count_nonzero(swapped)
+        sign = self.by_x.sign * int(np.sign(tangent[-1])) * (-1) ** int(num_negative)
+        return tangent / np.linalg.norm(tangent), sign
