@@ -28,7 +28,7 @@ from timesim.engine.law.cone import ConeLaw, normal_load
 from timesim.engine.law.contact_law import Motion, Plane, Scalar, product
 from timesim.program import program
 
-MAX_ITERATIONS = 200
+MAX_ITERATIONS = 1000
 CONVERGED = 1e-12  # change of g that counts as none, relative to R
 # Room left in the widened cones relative to the widening, below which they cannot be narrowed to what they are.
 NO_ROOM = 0.02
