@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from simulation import FINE, after_a_cycle
 
 from timesim.hbm.balance import Balance
-from timesim.hbm.continuation import Controls, solve
+from timesim.hbm.continuation import Controls, Ending, solve
 from timesim.hbm.curve import hbm_curve
 from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import floquet_multipliers
@@ -123,3 +123,15 @@ def test_a_diagonal_damping_matrix_is_that_of_modes_left_apart():
     model = systems.oscillator(-1.0, 0.97)
     found = [hbm_curve(m, 0.97, 0.971, scheme=Scheme(5, 256)).floquet_max for m in (model, coupled(-1.0, 0.97, 0.0))]
     np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
+
+
+def test_an_interrupt_among_the_multipliers_keeps_the_curve(monkeypatch):
+    def interrupted(*given):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("timesim.hbm.curve.floquet_multipliers", interrupted)
+    curve = hbm_curve(systems.oscillator(-1.0, 0.97), 0.97, 0.975, scheme=Scheme(3, 64))
+    assert curve.ending is Ending.INTERRUPTED
+    assert curve.frequency.size > 2
+    assert np.isnan(curve.floquet_max).all()
+    assert curve.message.endswith("interrupted before the multipliers")

@@ -175,12 +175,22 @@ def hbm_curve(
         return follow(balance, first, start, stop, steps)
 
     curve = curve_near(balance, place, place, steps, guess, followed)
-    return by_schemes(balance, curve, partial(evaluated, stability=stability))
+    return finished(balance, curve, evaluated, stability)
 
 
 def schemes_of(scheme: Scheme | Sequence[Scheme] | None) -> Sequence[Scheme]:
     """One or several schemes; the default is one."""
     return (scheme or Scheme(),) if scheme is None or isinstance(scheme, Scheme) else scheme
+
+
+def finished(balance: AdaptiveBalance, curve: Curve, evaluate: Callable[..., HbmCurve], stability: bool) -> HbmCurve:
+    """`by_schemes`; without multipliers, which take long, where an interrupt comes meanwhile."""
+    try:
+        return by_schemes(balance, curve, partial(evaluate, stability=stability))
+    except KeyboardInterrupt:
+        ending = Ending.INTERRUPTED
+        cut = replace(curve, ending=ending, message=f"{curve.message}; {ending.value} before the multipliers")
+        return by_schemes(balance, cut, partial(evaluate, stability=False))
 
 
 def by_schemes(balance: AdaptiveBalance, curve: Curve, evaluate: Callable[[Any, Curve], HbmCurve]) -> HbmCurve:

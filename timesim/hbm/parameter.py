@@ -13,7 +13,7 @@ import numpy as np
 from timesim.hbm.adaptive import AdaptiveBalance
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.continuation import Condensed, Controls, Curve, follow, joined, part_of
-from timesim.hbm.curve import HbmCurve, Watch, by_schemes, evaluated, schemes_of, watched
+from timesim.hbm.curve import HbmCurve, Watch, by_schemes, evaluated, finished, schemes_of, watched
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
@@ -101,7 +101,7 @@ def parameter_curve(
     curve = curve_near(
         balance, start, frequency, steps, guess, lambda first: follow(balance, first, start, stop, steps)
     )
-    return by_schemes(balance, curve, partial(_evaluated, stability=stability))
+    return finished(balance, curve, _evaluated, stability)
 
 
 def _evaluated(residual: ParameterBalance, curve: Curve, *, stability: bool) -> HbmCurve:
