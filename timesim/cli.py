@@ -34,8 +34,6 @@ LAST_SIGNAL = 3
 SECONDS_A_LINE = 60.0
 """Between two lines on the progress of a run that nobody watches on a terminal."""
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE.yaml", help="The scene file.")]
 Overrides = Annotated[
     list[str] | None,
@@ -129,9 +127,15 @@ def check(scene: SceneFile, overrides: Overrides = None) -> None:
     from timesim.scene.report import describe
 
     for heading, lines in describe(_loaded(scene, overrides)).items():
-        print(f"{heading}:")
-        for line in lines:
-            print(f"  {line}")
+        print("\n  ".join([f"{heading}:", *lines]))
+
+
+@app.command()
+def warm() -> None:
+    """Compile beforehand what usual studies take, so that first runs of them start as quickly as later ones."""
+    from timesim.warm import warm_up
+
+    print(warm_up())
 
 
 @app.command()
@@ -192,8 +196,7 @@ def show(
         _stop(2, f"{asked}: {error.rule} ({error.hint})")
     except (StoreError, SceneError) as error:
         _stop(2, str(error))
-    for line in point.table:
-        print(line)
+    print(*point.table, sep="\n")
     place = (folder if folder.is_dir() else folder.parent) / SHOW_NAME / point.name
     try:
         place.mkdir(parents=True, exist_ok=True)
@@ -266,7 +269,8 @@ class _Signals:
 
     def __enter__(self) -> Self:
         # What a shell lets its background ignore stays ignored.
-        caught = [number for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+        numbers = (signal.SIGINT, signal.SIGTERM)
+        caught = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
         self._before = {number: signal.signal(number, self._take) for number in caught}
         return self
 

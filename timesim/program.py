@@ -36,6 +36,22 @@ _BUILT_ON = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "num
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
 
 
+class _Hits(threading.local):
+    """How many programs this thread has met in the cache of JAX itself."""
+
+    number = 0
+
+
+_HITS = _Hits()
+
+
+def _count(event: str, **_: Any) -> None:
+    _HITS.number += event.endswith("/cache_hits")
+
+
+jax.monitoring.register_event_listener(_count)
+
+
 def program(function: Callable[P, T]) -> Callable[P, T]:
     """The function, compiled: its arguments may be any trees; leaves that are no arrays are static."""
 
@@ -60,10 +76,13 @@ def program(function: Callable[P, T]) -> Callable[P, T]:
         if key not in ready:
             with locks.setdefault(key, threading.Lock()):
                 if key not in ready:
-                    ready[key] = _ready(
-                        runtime.READY / f"{function.__module__}.{function.__name__}", key, traced, arrays
-                    )
-        return ready[key](*arrays)
+                    base = runtime.READY / f"{function.__module__}.{function.__name__}"
+                    ready[key] = _ready(base, key, traced, arrays)
+        try:
+            return jax.block_until_ready(ready[key](*arrays))
+        except jax.errors.JaxRuntimeError:  # it was kept, and is not whole
+            ready[key] = traced.lower(form, *arrays).compile()
+            return ready[key](*arrays)
 
     return call
 
@@ -76,7 +95,9 @@ def _ready(base: Path, key: tuple, traced: Any, arrays: list) -> Any:
     lowered = traced.lower(key[0], *arrays)
     own = _named(base, f"{lowered.as_text()} {lowered.out_tree} {key[1]}")
     if (loaded := _loaded(own, arrays)) is None:
-        loaded = lowered.compile()
+        hits, loaded = _HITS.number, lowered.compile()
+        if _HITS.number > hits:
+            return loaded  # from JAX's own cache: XLA would write it without some of its kernels
         with suppress(Exception):
             _keep(own, loaded)
     if " at 0x" not in str(key):  # a function, known by its place in the memory of this process
@@ -103,10 +124,7 @@ def _loaded(path: Path, arrays: list) -> Any:
 
 
 def _keep(path: Path, compiled: Any) -> None:
-    """Keep a program, and let those go that were not used for the longest time.
-
-    It must be fresh from the compiler: XLA writes one that it has loaded without its kernels.
-    """
+    """Keep a program, and let those go that were not used for the longest time."""
     binary, _, tree = serialize(compiled)
     path.parent.mkdir(exist_ok=True)
     part = path.with_name(f"{path.name}.{os.getpid()}.{threading.get_ident()}")

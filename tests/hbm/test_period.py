@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 from timesim.element.motion import CYCLE, SplineMotion
 from timesim.element.state_by_state import steady_cycle
 from timesim.engine.law.cone import ConeLaw
-from timesim.hbm.interval import advance, intervals_of
+from timesim.hbm.interval import Interval, advance, intervals_of
 from timesim.hbm.period import (
     MAX_PASSES,
     basis_of,
@@ -319,6 +319,23 @@ def test_a_stop_that_is_hit_between_two_samples(angle):
     more, less = (contact_forces(law, basis, motion + step * way).coefficient for step in (1e-8, -1e-8))
     np.testing.assert_allclose(along, (more - less) / 2e-8, atol=1e-6, rtol=1e-3)
     assert np.isfinite(slope).all()
+
+
+def test_slip_that_begins_within_an_interval_is_short_at_first():
+    """The friction force turns on the way and touches its cone late in the interval, not where a straight one would."""
+    law = law_of([element(np.eye(2), 1.0)])
+    each = [np.array([x]) for x in (0.03, 0.02, 0.1, -0.04, -0.08, 0.08, 0.0, -0.02, 0.0, -0.02)]
+    interval = Interval(tuple(each[:2]), tuple(each[2:4]), tuple(each[4:6]), *each[6:])
+
+    def slip(size):
+        return float(jax.jit(advance)(law, (np.array([size]), np.array([0.08])), interval).slip[0])
+
+    low, high = 0.1, 0.28
+    assert slip(low) == 0 < slip(high) < 1
+    while high - low > 1e-12:
+        middle = (low + high) / 2
+        low, high = (middle, high) if slip(middle) == 0 else (low, middle)
+    assert 0 < slip(high) < 1e-4
 
 
 def test_slip_that_is_shorter_than_the_distance_of_samples():

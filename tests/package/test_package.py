@@ -26,6 +26,7 @@ ORDER = (
     "scene",
     "picture",
     "study",
+    "warm",
     "notebook",
     "cli",
 )

@@ -221,6 +221,7 @@ def _onset(
     for x, u in zip(product(trial.law.stiffness, e), path.u, strict=True):
         along = along.plus(u.scaled(x))
     top, inside = summit(along)
+    top, curvature = _highest(trial, path, top)
     latest, rising, _ = _excess(trial, b)
     falls = inside & (top > a) & (top < b) & (rising < 0) & (b == 1)
     high = jnp.where(falls, top, b)
@@ -228,12 +229,35 @@ def _onset(
     slides = highest > GRAZING * path.limit.value(high)
     width = high - a
     place = a + width * _rising_root(highest - excess - growth * width, growth * width / 2, excess)
+    # Close to a touch of the cone the parabola at the summit tells, where Newton's method would halve the way only.
+    touches = falls & (highest > 0) & (highest < -excess) & (curvature < 0)
+    half = jnp.sqrt(jnp.where(touches, 2 * highest, 1.0) / jnp.where(touches, -curvature, 1.0))
+    place = jnp.where(touches, jnp.clip(top - half, a, high), place)
     for _ in range(2):
         place = stop_gradient(place)
         value, rate, _ = _excess(trial, place)
         sought = slides & ~at_once & (rate > 0)
         place = jnp.clip(place - jnp.where(sought, quotient(value, rate), 0.0), stop_gradient(a), stop_gradient(high))
     return slides, jnp.where(at_once | ~slides, a, place)
+
+
+def _highest(trial: _Trial, path: Path, place: Scalar) -> tuple[Scalar, Scalar]:
+    """Where the excess has its maximum near a place, by Newton's method, and its curvature there.
+
+    It must be met: slip that begins beside it does so with a length of its own, at which the forces would jump.
+    """
+    place, curvature = stop_gradient(place), jnp.zeros_like(place)
+    for _ in range(3):
+        _, rate, e = _excess(trial, place)
+        stiffness = trial.law.stiffness
+        pull, elastic = product(stiffness, path.rates(place).du), product(stiffness, path.at(place))
+        force = length(tuple(b + f for b, f in zip(trial.base, elastic, strict=True)))
+        bend = dot(e, product(stiffness, tuple(u.curvature(place) for u in path.u)))
+        turning = quotient(dot(pull, pull) - dot(e, pull) ** 2, force)
+        curvature = bend + turning - path.limit.curvature(place)
+        step = jnp.where(curvature < 0, quotient(rate, curvature), 0.0)
+        place = stop_gradient(jnp.clip(place - step, 0.0, 1.0))
+    return place, stop_gradient(curvature)
 
 
 def _rising_root(rise: Scalar, half_slope: Scalar, start: Scalar) -> Scalar:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from timesim.engine.law.cone import ConeLaw, normal_load
 from timesim.engine.law.contact_law import Motion, Plane, Scalar, dot, length, minus, product, scaled
 from timesim.hbm.interval import Interval, IntervalEnd, advance, unchanging
-from timesim.hbm.stuck_offset import Offset, stuck_offset
+from timesim.hbm.stuck_offset import Offset, plainly_works, stuck_offset
 from timesim.orbit.fourier import fourier_basis
 from timesim.program import program
 
@@ -195,9 +195,7 @@ def part_of(whole: T, places: NDArray[np.int64]) -> T:
 def period_of(law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64]) -> ClosedPeriod:
     """The closed period of a motion given by its Fourier coefficients (u1, u2, v), shape (C, 3, 2H + 1)."""
     motion, num_contacts = motion_of(basis, coefficient), len(coefficient)
-    dense = dense_motion_of(basis, coefficient)
-    stuck = _offsets(law, dense)
-    works = ~stuck.sticks & ~_apart(law, dense)
+    stuck, works = _offsets(law, basis, coefficient, motion)
     # Of those that stick all along: d follows u.
     offset = product(tuple(map(np.asarray, law.compliance)), stuck.force)
     d = [np.where(stuck.sticks, u + c, 0.0) for u, c in zip(motion.u, offset, strict=True)]
@@ -228,12 +226,18 @@ def _closed_part(law: ConeLaw, motion: Motion, places: NDArray[np.int64]) -> _Pa
     return _closed(law, table, np.asarray(count))
 
 
-def _offsets(law: ConeLaw, dense: Motion) -> Offset:
-    """Which contacts stick all along a motion at its dense samples, and the offset of their force."""
-    each = np.arange(dense.v.shape[1])[:, None]
-    parts = [stuck_offset(part_of(law, own), part_of(dense, own)) for own in each]
-    force = tuple(np.concatenate([part.force[i] for part in parts]) for i in range(2))
-    return Offset(force, np.concatenate([part.sticks for part in parts]))
+def _offsets(
+    law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64], motion: Motion
+) -> tuple[Offset, NDArray[np.bool_]]:
+    """Which contacts stick all along, and the offset of their force; and which neither do nor are apart all along."""
+    works = plainly_works(law, motion)
+    sticks, force = np.zeros_like(works), np.zeros((2, works.size))
+    for own in np.flatnonzero(~works)[:, None]:
+        part, dense = part_of(law, own), dense_motion_of(basis, coefficient[own])
+        found = stuck_offset(part, dense)
+        force[:, own], sticks[own] = found.force, found.sticks
+        works[own] = ~sticks[own] & ~_apart(part, dense)
+    return Offset((force[0], force[1]), sticks), works
 
 
 def _apart(law: ConeLaw, dense: Motion) -> NDArray[np.bool_]:

@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 CONTRACTION = 0.1
 MAX_DAMPED, MAX_FULL = 60, 30  # iterations
 MAX_ADAPTED = 8  # changes of the unknowns in use at one point
+MAX_FAILURES = 6  # of such changes, after which 2 to this power of points are not asked
 # Share of the parameter in the tangent at which a fold counts as met: its own error is of second order in it.
 FLAT = 1e-6
 MAX_FOLD = 12  # evaluations; at a corner the bracket only shrinks to a share of itself each time
@@ -102,6 +103,7 @@ class Corrector:
         self.residual, self.controls, self.p_unit = residual, controls, p_unit
         self.adaptive = residual if isinstance(residual, Adaptive) else None
         self.x_unit, self.size = max(controls.size, float(np.linalg.norm(x))), x.size
+        self.failures = self.unasked = 0  # of `adapted`: in a row, and points that it lets pass
 
     def in_units(self, x: Array, p: float) -> Array:
         """y of a point."""
@@ -184,15 +186,24 @@ class Corrector:
         return along, behind.tangent
 
     def adapted(self, point: CurvePoint, normal: Array | None = None) -> CurvePoint:
-        """A solution by as many unknowns as it asks for, on the plane through it, normal to its tangent by default."""
+        """A solution by as many unknowns as it asks for, on the plane through it, normal to its tangent by default.
+
+        Where there is none with them it stays what it is, and the next points are not asked, more and more of them.
+        """
+        if self.adaptive is None or self.unasked > 0:
+            self.unasked -= 1
+            return point
         for _ in range(MAX_ADAPTED):
-            if self.adaptive is None or not self.adaptive.adapt(*self.unscaled(point.y)):
+            if not self.adaptive.adapt(*self.unscaled(point.y)):
                 break
             try:
                 point = self.damped_newton(point.y, point.tangent if normal is None else normal)
             except NoSolutionError:
                 self.adaptive.restore()
-                break
+                self.failures = min(self.failures + 1, MAX_FAILURES)
+                self.unasked = 2**self.failures
+                return point
+        self.failures = 0
         return point
 
     def refined(self, point: CurvePoint, ahead: Array) -> CurvePoint | None:

@@ -246,9 +246,19 @@ class _PathTracker:
                 way = new.y - point.y
                 distance = float(np.linalg.norm(way))
                 near = distance <= 8 * length or ALONG * distance <= abs(way @ new.tangent) <= self.controls.max_step
-                if near and way[-1] * ahead[-1] > 0 and new.orientation * point.orientation >= 0:
+                onwards = way[-1] * ahead[-1] > 0 and new.orientation * point.orientation >= 0
+                if near and onwards and not self._is_known(new):
                     return _Step(new, distance, length)
         return None
+
+    def _is_known(self, point: CurvePoint) -> bool:
+        """Whether the curve passed a point before."""
+        rows = np.array([self.corrector.in_units(x, p) for x, p, *_ in self.trace.solutions])
+        first, way = rows[:-1], np.diff(rows, axis=0)
+        square = np.maximum(np.sum(way**2, axis=1), 1e-300)
+        share = np.clip(np.sum((point.y - first) * way, axis=1) / square, 0.0, 1.0)
+        distance = np.linalg.norm(first + share[:, None] * way - point.y, axis=1)
+        return bool(np.any(distance <= STRAIGHT * np.sqrt(square)))
 
     def _take(self, before: CurvePoint, step: _Step) -> Ending | None:
         """Keep the point that a step leads to, or the end of the range before it.
