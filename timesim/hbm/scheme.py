@@ -8,8 +8,8 @@ import numpy as np
 from timesim.model.model import Model
 
 MIN_SAMPLES = 16
-# With so many samples of the shortest wave, and of the period, the contact forces of generated structures err by at
-# most 2e-5, a fifth of what harmonics may leave out (with 24: 1e-5, with 12: 4e-5), and those under the motions of
+# With so many samples of the shortest wave, and of the period, the contact forces of most generated structures err by
+# less than 1e-5 (benchmarks/samples.py), a tenth of what harmonics may leave out, and those under the motions of
 # tests/hbm/test_period.py by less than 1e-6 of the largest, 1e-5 where K_u is not isotropic.
 SAMPLES_PER_WAVE, ENOUGH_SAMPLES = 16, 256
 # Where the program chooses them: harmonics at first, and those that are tried after them; unknowns at most, beyond
