@@ -12,8 +12,10 @@ from systems import oscillator_scene
 
 import timesim
 from timesim.fault import SceneError
+from timesim.hbm import branches
 from timesim.hbm import convergence as hbm_convergence
 from timesim.hbm import scheme as hbm_scheme
+from timesim.hbm.continuation import solve
 from timesim.hbm.convergence import SAMPLED, Known, convergence, neglected, order_of, sampling_error
 from timesim.hbm.curve import hbm_curve, solutions_at
 from timesim.hbm.scheme import NEGLECTED, Scheme, most_harmonics
@@ -168,6 +170,16 @@ def test_a_branch_of_its_own_is_begun_from_a_sweep(swept: Path):
         order = np.argsort(upper.frequency.values)
         here = np.interp(frequency, upper.frequency.values[order], upper.amplitude.values[order, 0, 0])
         assert here == pytest.approx(expected, rel=3e-3)
+
+
+def test_a_motion_that_few_harmonics_do_not_have_begins_a_branch_with_more(swept: Path, monkeypatch):
+    def solved(balance, *given):
+        return None if balance.scheme.harmonics < 13 else solve(balance, *given)
+
+    monkeypatch.setattr(branches, "solve", solved)
+    start = {"from": str(swept), "at": {"contacts.pad.preload": -4}}
+    found = timesim.run(scene(start=start, harmonics="auto", **INSIDE))
+    assert set(found.curve.values) == {0, 1}
 
 
 def _height(curve: xarray.Dataset) -> float:

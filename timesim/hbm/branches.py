@@ -94,14 +94,16 @@ def passes(curve: HbmCurve, motion: SettledMotion) -> bool:
 def _leads_elsewhere(
     model: Model, known: list[HbmCurve], frequency: float, guess: Array, schemes: Sequence[Scheme]
 ) -> bool:
-    """Whether a guess leads to a solution that is on none of the curves."""
+    """Whether a guess leads to a solution that is on none of the curves, with as few harmonics as lead to one."""
     count = max((curve.harmonic_cos.shape[1] - 1 for curve in known), default=schemes[0].harmonics)
-    scheme = next(own for own in schemes if own.harmonics >= count)
-    curves = [curve.with_harmonics(scheme.harmonics) for curve in known]
-    balance = Balance(model, frequency, scheme)
-    solution = solve(balance, unknowns_of_modes(balance, guess), frequency, Controls())
-    if solution is None:
+    for scheme in (own for own in schemes if own.harmonics >= count):
+        balance = Balance(model, frequency, scheme)
+        solution = solve(balance, unknowns_of_modes(balance, guess), frequency, Controls())
+        if solution is not None:
+            break
+    else:
         return False
+    curves = [curve.with_harmonics(scheme.harmonics) for curve in known]
     # Not the mean: it may hold the offset of a contact that sticks, which is free.
     waves = balance.coefficients(solution[0])[..., 1:] * balance.length
     at_frequency = (solutions_at(model, curve, frequency, scheme=scheme, stability=False) for curve in curves)
