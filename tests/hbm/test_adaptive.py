@@ -122,3 +122,28 @@ def test_harmonics_are_added_one_scheme_after_the_other(model, monkeypatch):
     while balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6):
         places.append(balance.place)
     assert places == [1, 2, 3]
+
+
+def test_a_finer_scheme_is_the_least_until_it_is_given_back(model, monkeypatch):
+    balance = AdaptiveBalance(lambda own: Balance(model, 1.6, own), SCHEMES, 1)
+    monkeypatch.setattr(adaptive, "tail", lambda own, x, frequency: np.zeros(65))
+
+    def adapted():
+        return balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6)
+
+    assert balance.refine()
+    assert not adapted()
+    assert [balance.refine(), balance.refine(), balance.refine()] == [True, True, False]
+    balance.restore()
+    balance.restore()
+    assert balance.place == 1
+    assert not adapted()
+    assert balance.refine()
+    balance.restore()
+    assert balance.place == 1
+    balance.begin(np.zeros(np.prod(balance.shape)))
+    balance.place = 2
+    assert balance.refine()
+    balance.restore()
+    assert adapted()
+    assert balance.place == 1

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from timesim.hbm.continuation import Controls, Ending, follow, follow_both_ways, solve
+from timesim.hbm.continuation.corrector import Corrector
 
 CONTROLS = Controls(size=0.1)
 
@@ -395,3 +396,19 @@ def test_where_the_way_ends_more_unknowns_lead_on():
     assert np.all(curve.x[curve.p < -1.0, 1] == 0)
     np.testing.assert_allclose(curve.x[curve.p > -0.9, 1], 0.02 * curve.x[curve.p > -0.9, 0], atol=1e-7)
     assert curve.p.size < 200
+
+
+def test_a_false_fold_that_more_unknowns_do_not_lead_past_is_passed_without_them(monkeypatch):
+    monkeypatch.setattr(Corrector, "refined", lambda *given: None)
+    residual = Growing(0.02)
+    curve = follow(residual, np.array([-1.5, 0.0]), -2.0, 2.0, CONTROLS)
+    assert curve.complete, curve.message
+    assert np.count_nonzero(curve.fold) == 2
+    assert residual.count == 1
+
+
+def test_more_unknowns_that_lead_nowhere_are_given_back():
+    residual = Growing(np.nan, wall=-1.0)
+    curve = follow(residual, np.array([-1.5, 0.0]), -2.0, 2.0, CONTROLS)
+    assert curve.ending is Ending.STEP
+    assert residual.count == 1

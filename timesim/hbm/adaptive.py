@@ -39,7 +39,8 @@ class AdaptiveBalance:
         """From the equations by a scheme, and schemes with more and more harmonics."""
         self.schemes, self.residual_of = tuple(schemes), lru_cache(maxsize=None)(residual_of)
         self.shape = 3 * num_contacts, 2 * self.schemes[-1].harmonics + 1
-        self.place = self._before = self._least = 0
+        self.place = self._least = 0
+        self._before: list[tuple[int, int]] = []
 
     @property
     def residual(self) -> Family:
@@ -66,8 +67,7 @@ class AdaptiveBalance:
     def begin(self, x: Array) -> None:
         """Take the coarsest scheme that has the harmonics of a guess."""
         size = np.abs(to_phasors(x.reshape(self.shape))).max(axis=0)
-        self.place = self._before = self._enough(_above(size), NEGLECTED)
-        self._least = 0
+        self.place, self._least = self._enough(_above(size), NEGLECTED), 0
 
     def adapt(self, x: Array, p: float) -> bool:
         """Take the scheme that a solution asks for; whether it is another one than before."""
@@ -75,24 +75,24 @@ class AdaptiveBalance:
             return False
         own, orders = self.residual, [scheme.harmonics for scheme in self.schemes]
         above = tail(own.at(p), x[self.active], own.frequency_at(p))
-        self._before = self.place
+        before = self.place
+        self._before = [(before, self._least)]
         if above[orders[self.place]] > NEGLECTED:
             self.place = min(self.place + 1, len(orders) - 1)
         elif self.place > self._least and above[orders[self.place - 1]] < SPARED * NEGLECTED:
             self.place -= 1
-        return self.place != self._before
+        return self.place != before
 
     def restore(self) -> None:
-        """Take the scheme that was in use before."""
-        self.place = self._before
-        self._least = min(self._least, self.place)
+        """Undo the last change of scheme."""
+        self.place, self._least = self._before.pop()
 
     def refine(self) -> bool:
         """Take the next scheme, and none before it from now on; False at the finest."""
         if self.place == len(self.schemes) - 1:
             return False
-        self._before, self.place = self.place, self.place + 1
-        self._least = self.place
+        self._before.append((self.place, self._least))
+        self.place = self._least = self.place + 1
         return True
 
     def whole(self, x: Array, place: int = 0) -> Array:

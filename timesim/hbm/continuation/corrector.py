@@ -208,10 +208,16 @@ class Corrector:
 
     def refined(self, point: CurvePoint, ahead: Array) -> CurvePoint | None:
         """The solution at the same p by more unknowns, its tangent along the curve as before; None if there is none."""
-        while self.adaptive is not None and self.adaptive.refine():
+        if self.adaptive is None:
+            return None
+        steps = 0
+        while self.adaptive.refine():
+            steps += 1
             with suppress(NoSolutionError):
                 new = self.damped_newton(point.y, ahead)
                 return new if new.orientation * point.orientation > 0 else replace(new, tangent=-new.tangent)
+        for _ in range(steps):
+            self.adaptive.restore()
         return None
 
     def is_false_fold(self, before: CurvePoint, after: CurvePoint) -> bool:

@@ -36,7 +36,7 @@ class Adaptive(Residual, Protocol):
         """Take those that a solution, shape (n,), asks for; whether they are others than before."""
 
     def restore(self) -> None:
-        """Take those from before."""
+        """Undo the last `adapt` or `refine`; of several `refine`, one after the other."""
 
     def refine(self) -> bool:
         """Take more, and not less from now on; False if there are no more."""

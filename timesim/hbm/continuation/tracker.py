@@ -155,10 +155,11 @@ class _PathTracker:
                 self.trace.rescale(factor)
             step = self._step(point, before, length)
             if step is None or self.corrector.is_false_fold(point, step.point):
-                if (finer := self.corrector.refined(point, self.ahead)) is None:
+                if (finer := self.corrector.refined(point, self.ahead)) is not None:
+                    point, before, length = finer, None, self.controls.first_step
+                    continue
+                if step is None:
                     return Ending.STEP
-                point, before, length = finer, None, self.controls.first_step
-                continue
             step = replace(step, point=self.corrector.adapted(step.point))
             ending = self._take(point, step)
             before = None if step.corner else (point, step.length)
