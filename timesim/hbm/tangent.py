@@ -49,19 +49,30 @@ class Slope(NamedTuple):
         start: by d at its start, shape (N, C, R, 2).
         tangential: by the change and by the rates at both ends of u1 and u2, shape (N, C, R, 2, 3).
         normal: by v at both ends and its rates there, shape (N, C, R, 4).
+        active, sticks: as `_kinds` gives them.
     """
 
     start: Array64
     tangential: Array64
     normal: Array64
+    active: NDArray[np.bool_]
+    sticks: NDArray[np.bool_]
+
+    def of(self, places: NDArray[np.int64], contact: int, results: slice) -> list[Array64]:
+        """Derivatives of some of the results over some intervals of a contact: by d, by u1 and u2, and by v."""
+        return [part[places, contact, results] for part in (self.start, self.tangential, self.normal)]
 
 
 def interval_slopes(law: ConeLaw, period: ClosedPeriod, motion: Motion) -> Slope:
     """Derivatives of the law over the intervals of a closed period."""
-    of = intervals_of(motion)
-    slope = _slopes(law, period, (*of.change, *of.du0, *of.du1, of.v0, of.v1, of.dv0, of.dv1))
+    of, (active, sticks) = intervals_of(motion), _kinds(law, period)
+    arguments = (*starts_of(period), *of.change, *of.du0, *of.du1, of.v0, of.v1, of.dv0, of.dv1)
+    slope = _slopes(law, arguments, active)
+    for i in range(2):
+        slope[..., i, i] += sticks
+        slope[..., i, 2 + i] += sticks
     tangential = slope[..., 2:8].reshape(*slope.shape[:3], 3, 2).swapaxes(3, 4)
-    return Slope(slope[..., :2], tangential, slope[..., 8:])
+    return Slope(slope[..., :2], tangential, slope[..., 8:], active, sticks)
 
 
 def _kinds(law: ConeLaw, period: ClosedPeriod) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -76,18 +87,14 @@ def _kinds(law: ConeLaw, period: ClosedPeriod) -> tuple[NDArray[np.bool_], NDArr
     return active, sticks & ~active
 
 
-def _slopes(law: ConeLaw, period: ClosedPeriod, motion: tuple[Array, ...]) -> Array64:
-    """Derivatives of the results by d at the start and by the motion, shape (N, C, 8, 12).
+def _slopes(law: ConeLaw, motion: tuple[Array | Array64, ...], active: NDArray[np.bool_]) -> Array64:
+    """Derivatives of the results over the active intervals by d at the start and by the motion, shape (N, C, 8, 12).
 
-    Most intervals stick or are apart all along. The others are gathered, so that one program serves any number of
-    samples and contacts.
+    They are gathered, so that one program serves any number of samples and contacts.
     """
-    active, sticks = _kinds(law, period)
     place = np.nonzero(active)
     slope = np.zeros((*active.shape, 8, 12))
-    for i in range(2):
-        slope[..., i, i] = slope[..., i, 2 + i] = sticks
-    arguments = np.stack([np.asarray(x)[place] for x in (*starts_of(period), *motion)])
+    arguments = np.stack([np.asarray(x)[place] for x in motion])
     count = len(place[0])
     for first in range(0, count, LANES):
         # The last lanes are filled up with the last interval.
@@ -125,15 +132,13 @@ class _Chain:
     rows: Array64
 
     @classmethod
-    def of(
-        cls, slopes: Slope, contact: int, basis: Basis, kinds: tuple[NDArray[np.bool_], NDArray[np.bool_]]
-    ) -> "_Chain":
+    def of(cls, slopes: Slope, contact: int, basis: Basis) -> "_Chain":
         """Each follows from the one before, x_k = A_k x_(k-1) + b_k: a banded triangular system for all of them."""
-        active, sticks = (kind[:, contact] for kind in kinds)
+        active, sticks = slopes.active[:, contact], slopes.sticks[:, contact]
         places = np.append(-1, np.flatnonzero(active))
         follows = np.append(active | sticks, True)[places + 1]
         own, size = places[1:], basis.value.shape[1]
-        start, tangential, normal = (part[own, contact, :2] for part in slopes)
+        start, tangential, normal = slopes.of(own, contact, slice(2))
         of_u, of_v = _of_intervals(basis, own)
         source = np.zeros((3 * size + 2, places.size, 2))
         along = tangential.reshape(-1, 4, 3) @ of_u
@@ -207,11 +212,11 @@ def _working(law: ConeLaw, basis: Basis, motion: Motion, period: ClosedPeriod) -
 
     With d at the end of the last pass e(y, d0) and d0 = e, ``(1 - de/dd0) dd0/dy = de/dy`` closes the period.
     """
-    slopes, kinds = interval_slopes(law, period, motion), _kinds(law, period)
+    slopes = interval_slopes(law, period, motion)
     touching, size = touching_stiffness(law, motion), basis.value.shape[1]
     slope = np.zeros((touching.shape[1], 3, size, 3 * size))
     for contact, whole in enumerate(slope):
-        chain = _Chain.of(slopes, contact, basis, kinds)
+        chain = _Chain.of(slopes, contact, basis)
         starts = chain.starts(basis)
         spectrum = np.zeros((3, size, 3 * size + 2))
         stiffness = tuple(np.asarray(k)[contact, None, None] for k in law.stiffness)
@@ -254,7 +259,7 @@ def _add_kinks(
         slopes, contact, basis: as in `_Chain.of`.
         places, starts: intervals that slip or change their state, and the derivatives of d at their starts.
     """
-    start, tangential, normal = (part[places, contact, 2:] for part in slopes)
+    start, tangential, normal = slopes.of(places, contact, slice(2, None))
     kinks = np.flatnonzero(np.any(tangential, axis=(1, 2, 3)) | np.any(normal, axis=(1, 2)))
     if not kinks.size:
         return

@@ -117,10 +117,11 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
         scheme, *finer = balance.schemes_for(model)
         if "harmonics" in balance.chosen:
             more = f", and up to {finer[-1].harmonics} harmonics where they are needed" if finer else ""
-            lines.append(f"{scheme}{more}; where those above would add over {NEGLECTED:g} of the amplitude, it is said")
+            yield f"{scheme}{more}; where those above would add over {NEGLECTED:g} of the amplitude, it is said"
         own = seconds_a_solution(model, scheme.time_samples, stability=balance.stability)
         work = f"{SOLUTIONS} solutions of {_duration(own)}"
-        lines.append(f"{curves} curves of harmonic balance of {work}: {_duration(curves * SOLUTIONS * own)}")
+        which = "1 curve" if curves == 1 else f"{curves} curves"
+        lines.append(f"{which} of harmonic balance of {work}: {_duration(curves * SOLUTIONS * own)}")
     yield from (f"about {line}" for line in lines)
     if lines:
         yield "as measured on one core of a server (timesim/model/cost.py); a first run compiles before that"
