@@ -120,15 +120,7 @@ def slip_stiff(model: Model, frequency: float) -> bool:
 
 
 def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side: int | None = None) -> float:
-    """Of a cycle at a frequency [Hz].
-
-    Args:
-        model, solver, frequency: what is integrated.
-        side_by_side: how many are marched side by side; None: it is one run, and recorded.
-
-    Returns:
-        The time of a cycle of one of them.
-    """
+    """Of a cycle of one run at a frequency [Hz]; of several marched side by side, or of one that is recorded: None."""
     steps = 2 * np.pi / solver.longest
     if solver.name != "rk4":
         near = min(PRESETS, key=lambda name: abs(np.log(PRESETS[name].rtol / solver.rtol)))
