@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 import timesim
 from timesim.cli import app
+from timesim.engine.trajectory import RunError
 from timesim.orbit.settling import steady_states
 from timesim.picture import compare as plot_compare
 from timesim.study import compare, verdict
@@ -316,6 +317,14 @@ def test_a_cycle_that_does_not_settle_is_left_out_with_the_reason(monkeypatch: p
     assert "cycle" not in outcome.groups
     (line,) = [line for line in outcome.summary if "no cycle is shown" in line]
     assert "at 1.39 Hz the motion does not settle in settle.max_cycles" in line
+
+    def failing(*_):
+        raise RunError("the budget is spent")
+
+    monkeypatch.undo()
+    monkeypatch.setattr(compare, "one_cycle", failing)
+    outcome = carry_out(load_scene(oscillator_scene(preload=3.0) | {"study": study}))
+    assert "no cycle is shown by both methods: the budget is spent" in outcome.summary
 
 
 @pytest.mark.parametrize("at", ["matched", "cycle_by_both"])

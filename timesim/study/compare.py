@@ -17,6 +17,7 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.engine.history import Samples
+from timesim.engine.trajectory import RunError
 from timesim.hbm.balance import Array, Balance, Complex
 from timesim.hbm.continuation import joined, part_of
 from timesim.hbm.curve import HbmCurve, solutions_at
@@ -269,4 +270,7 @@ def _settled_cycle(model: Model, frequency: float, solver: Solver, plan: SweepPl
         never = "does not repeat" if orbit.irregular else "does not settle"
         many = f"repeats after {orbit.period} cycles" if orbit.settled else never
         raise NotSettledError(f"at {frequency:g} Hz the motion {many} in settle.max_cycles = {budget}")
-    return one_cycle(replace(model, start=orbit.end), frequency, solver, SAMPLES)
+    try:
+        return one_cycle(replace(model, start=orbit.end), frequency, solver, SAMPLES)
+    except RunError as error:
+        raise NotSettledError(str(error)) from None
