@@ -337,16 +337,16 @@ def test_map_batches_do_not_matter(monkeypatch):
     whole = March(elements, phase, loaded.solver()).run()
     monkeypatch.setattr(element_map, "BATCH", 4)
     parts = March(elements, phase, loaded.solver()).run()
-    np.testing.assert_allclose(parts.f_s, whole.f_s, atol=1e-12)
-    np.testing.assert_array_equal(parts.cycles, whole.cycles)
+    np.testing.assert_allclose(parts["f_s"], whole["f_s"], atol=1e-12)
+    np.testing.assert_array_equal(parts["cycles"], whole["cycles"])
 
 
 def test_elements_that_never_touch_are_zero():
     phasor = np.array([[1.0, 0.5j, 0.3], [1.0, 0.5j, 1.5]])
     elements = harmonic_elements(0.3, 1.0, -0.5, np.eye(2), phasor)
     found = March(elements, np.array([[0.0, np.pi / 2]] * 2), load_scene(scene(element(A=1))).solver()).run()
-    assert (found.dissipation[0], found.transitions[0]) == (0.0, 0)
-    assert found.dissipation[1] > 0
+    assert (found["dissipation"][0], found["transitions"][0]) == (0.0, 0)
+    assert found["dissipation"][1] > 0
 
 
 # Scenes, commands, pictures --------------------------------------------------------------------------
