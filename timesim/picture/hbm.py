@@ -1,8 +1,7 @@
 """Pictures of response curves by harmonic balance.
 
-``f(data, ax=None) -> ax``, where `data` is the result of an `hbm` study. A curve has a colour for each set of values of
-the further axes; it is solid where it is stable and dashed where not, and a diamond marks each fold. `PICTURES` are the
-figures that a run writes.
+A curve has a colour for each set of values of the further axes; it is solid where it is stable and dashed where not,
+and a diamond marks each fold.
 """
 
 from collections.abc import Sequence

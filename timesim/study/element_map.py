@@ -57,7 +57,8 @@ class March:
         self.forces[:, -1] = elements.start_force(self.slip, self.state)
         self.since = np.zeros(count, dtype=int)
         self.reach, self.best = np.ones(count), np.full(count, np.inf)
-        self.result = {name: np.full((count, 2), np.nan) for name in ("f_b", "f_s", "f_c")}
+        pair = np.full((count, 2), np.nan)
+        self.result: dict[str, np.ndarray] = {name: pair.copy() for name in ("f_b", "f_s", "f_c")}
         self.result["dissipation"] = np.full(count, np.nan)
         self.result |= {name: np.zeros(count, dtype=int) for name in ("transitions", "cycles")}
         self.result["settled"] = np.zeros(count, dtype=bool)
