@@ -472,7 +472,7 @@ class Reference:
         return log, z[2:4], z[4:6] + 1j * z[6:8], z[8]
 
 
-def compare_with_reference(seed, count):
+def assert_agrees_with_reference(seed, count):
     rng = np.random.default_rng(seed)
     seen = Counter()
     for k in range(count):
@@ -493,13 +493,13 @@ def compare_with_reference(seed, count):
 
 
 def test_against_a_second_integrator():
-    seen = compare_with_reference(31, 14)
+    seen = assert_agrees_with_reference(31, 14)
     assert len(seen) >= 5
 
 
 @pytest.mark.slow
 def test_against_a_second_integrator_at_length():
-    seen = compare_with_reference(32, 120)
+    seen = assert_agrees_with_reference(32, 120)
     assert min(seen.values()) >= 5
 
 
