@@ -245,7 +245,7 @@ class Gathered:
 
 def _of_ranges(result: Result, name: str) -> np.ndarray | None:
     """A quantity of the ranges of one set of values; None if it is not known."""
-    if name == "phase_deg":
-        return phase_deg(result["phasor"])
     side = {"amplitude_lower": LOWER, "amplitude_upper": UPPER}.get(name)
-    return result.get(name) if side is None else result["amplitude"][:, side]
+    if not len(result["range"]) or (side is None and name != "phase_deg"):
+        return result.get(name)
+    return phase_deg(result["phasor"]) if side is None else result["amplitude"][:, side]
