@@ -117,7 +117,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     curves = 0 if plan.balance is None else 2 * len(grid.models)
     phases = Phases(execution.progress, {SEARCH: sum(chunk.size for chunk in every), "balance": CURVE * curves})
     searching = replace(execution, progress=phases[SEARCH])
-    searching.show(0, 1)
+    searching.progress(0, 1)
     results, reason = carry_through(every, work, searching, identity=scene.resolved_yaml())
     running = earlier + time.perf_counter() - clock - compiling
     gathered = Gathered(grid, plan, results)

@@ -46,7 +46,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         compared, doubt = _cross_check(contact, motion, cycle)
         reason = reason or doubt
     seconds = time.perf_counter() - clock
-    execution.show(1, 1)
+    execution.progress(1, 1)
     record = record_of(scene, plan, cycle, compared, seconds, reason)
     return Outcome({"": record}, reason, tuple(summary(cycle, compared)))
 

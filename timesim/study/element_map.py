@@ -26,7 +26,8 @@ from timesim.orbit.extrapolation import limits, remaining
 from timesim.result.dataset import dataset
 from timesim.scene.element import MAP_AXES, MapPlan
 from timesim.scene.resolution import Scene
-from timesim.study.execution.campaign import INTERRUPTED, Execution, Progress
+from timesim.study.execution.campaign import INTERRUPTED, Execution
+from timesim.study.execution.progress import Progress, unwatched
 from timesim.study.execution.worker import threads
 from timesim.study.outcome import Outcome, attributes
 
@@ -63,7 +64,7 @@ class March:
         self.result |= {name: np.zeros(count, dtype=int) for name in ("transitions", "cycles")}
         self.result["settled"] = np.zeros(count, dtype=bool)
 
-    def run(self, progress: Progress | None = None, max_cycles: int = MAX_CYCLES) -> dict[str, np.ndarray]:
+    def run(self, progress: Progress = unwatched, max_cycles: int = MAX_CYCLES) -> dict[str, np.ndarray]:
         """March until every cycle repeats, or has been tried often enough."""
         # What the force does to the slip within a cycle sets the steps; those alike share a batch.
         stiffness = np.linalg.norm(self.elements.stiffness, axis=(1, 2))
@@ -77,8 +78,7 @@ class March:
                 batches = [waiting[i : i + BATCH] for i in range(0, waiting.size, BATCH)]
                 keep = np.concatenate(list(pool.map(partial(self._cycle, cycle), batches)))
                 waiting = waiting[keep]
-                if progress is not None:
-                    progress(done - waiting.size, done, f"cycle {cycle}, {waiting.size} of {done} points to settle")
+                progress(done - waiting.size, done, f"cycle {cycle}, {waiting.size} of {done} points to settle")
                 if not waiting.size:
                     break
         return self.result
@@ -165,7 +165,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     march, reason = March(elements, phase, solver), None
     result = march.result
     try:
-        execution.show(0, elements.size)
+        execution.progress(0, elements.size)
         march.run(execution.progress)
     except KeyboardInterrupt:
         reason = f"{INTERRUPTED} with {np.sum(~result['settled'])} of {elements.size} points unsettled (settled = 0)"

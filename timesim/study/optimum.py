@@ -224,7 +224,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     earlier, clock = execution.earlier(), time.perf_counter()
     warm_up([Chain(scene.model(), (float(peaks.frequency[0]),))], peaks.solver, [2])
     compiling = time.perf_counter() - clock
-    execution.show(0, 1)
+    execution.progress(0, 1)
     try:
         peaks.first()
         peaks.search()

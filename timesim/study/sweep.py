@@ -121,7 +121,7 @@ def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[D
         crowds = {chunk.payload.crowd for chunk in chunks}
         warm_up((chain for chunk in chunks for chain in chunk.payload.chains), solver, sorted(crowds))
     compiling = time.perf_counter() - clock
-    execution.show(0, plan.size)
+    execution.progress(0, plan.size)
     results, reason = carry_through(chunks, solve, execution, identity=scene.resolved_yaml())
     arrays, jumps = grid.gathered(results, places)
     seconds = earlier + time.perf_counter() - clock - compiling

@@ -111,7 +111,7 @@ def _advance(recorder: Recorder, execution: Execution, whole: float) -> str | No
     try:
         for steps in run.batches():
             recorder.add(steps)
-            execution.show(run.completed, whole, recorder.plan.place(run.completed))
+            execution.progress(run.completed, whole, recorder.plan.place(run.completed))
     except RunError as error:
         return str(error)
     except KeyboardInterrupt:
@@ -128,7 +128,7 @@ def _estimate(recorder: Recorder, execution: Execution, reason: str | None) -> E
     def show(companion: Run) -> None:
         done = run.num_cycles + COMPANION * companion.completed
         words = f"estimating the error, {companion.completed} of {run.num_cycles} cycles"
-        execution.show(done, (1 + COMPANION) * run.num_cycles, words)
+        execution.progress(done, (1 + COMPANION) * run.num_cycles, words)
 
     try:
         return estimate(run, totals, companion_of(run), show)

@@ -93,7 +93,7 @@ class Bench:
                 return self.trials[i]
         name = f"{solver}{f', {kept} modes' if kept < self.model.structure.num_modes else ''}"
         name += "" if solver.reduce else ", nothing left out"
-        self.execution.show(self.plan.budget - max(self.left, 0.0), self.plan.budget, name)
+        self.execution.progress(self.plan.budget - max(self.left, 0.0), self.plan.budget, name)
         if self.trials and self._guess(solver, kept) > self.left:
             self.left_out.append(f"{name}: no time left")
             return None
@@ -109,7 +109,7 @@ class Bench:
         """Time the short runs once more, those before having been made when the machine may have had other work."""
         for i, trial in enumerate(self.trials):
             if trial.seconds < min(REPEATED, self.left):
-                self.execution.show(self.plan.budget - self.left, self.plan.budget, f"{trial.solver} again")
+                self.execution.progress(self.plan.budget - self.left, self.plan.budget, f"{trial.solver} again")
                 model, clock = self.model_of(trial.num_modes), time.perf_counter()
                 _through(model, trial.solver, self.plan.frequency, self.plan.cycles)
                 self.trials[i] = replace(trial, seconds=min(trial.seconds, time.perf_counter() - clock))
@@ -130,7 +130,7 @@ class Bench:
         totals = totals_of(run)
         for steps in run.batches():
             totals.add(steps, run.completed)
-            self.execution.show(self.plan.budget - max(self.left, 0.0), self.plan.budget, "settling")
+            self.execution.progress(self.plan.budget - max(self.left, 0.0), self.plan.budget, "settling")
             if self.left < until and run.completed > 1:
                 break
         self._compiling.setdefault(program(SETTLING, model.structure.num_modes), run.compile_seconds)
