@@ -258,11 +258,8 @@ def _notice(text: str) -> None:
 class _Signals:
     """Ctrl-C, or a termination as at the time limit of a cluster, during a run.
 
-    The first ends the study, which keeps what it has. From then on, and while any result is saved, only the third is
-    obeyed.
-
-    Attributes:
-        saving: whether what is computed is being put together or saved.
+    The first ends the study, which keeps what it has. From then on, and while any result is put together or saved, only
+    the third is obeyed.
     """
 
     def __init__(self) -> None:

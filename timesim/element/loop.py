@@ -30,14 +30,11 @@ BRIEF = 1e-8
 
 @dataclass(frozen=True)
 class LoopCycle:
-    """The steady cycle by the event loop.
+    """The steady cycle by the event loop; transitions, counts and residual as of `ElementCycle`.
 
     Attributes:
-        transitions: of the cycle, angles in [0, 2 pi).
         f_b, f_s, f_c: coefficients of (19), each of shape (2,) [force].
         dissipation: work of friction in the cycle [force length].
-        num_cycles: cycles marched, this one included.
-        residual: change of the friction force over the cycle, relative to the largest mu n.
     """
 
     transitions: tuple[Transition, ...]

@@ -30,13 +30,7 @@ FURTHER = 6  # times that a motion is followed on where it was lost by the lengt
 
 @dataclass(frozen=True)
 class Search:
-    """Where to look for the ends of ranges.
-
-    Attributes:
-        model: the scene.
-        steady: computes steady states with the solver and criterion of the sweeps.
-        width: wanted of each end [Hz].
-    """
+    """Where to look for the ends of ranges, each to a width [Hz], by steady states as those of the sweeps."""
 
     model: Model
     steady: SteadyStates

@@ -57,13 +57,9 @@ LED_TO = {
 
 
 class Range(NamedTuple):
-    """A range of frequency [Hz] with two motions.
+    """A range of frequency with two motions.
 
-    Attributes:
-        at: position along the further axes.
-        number: of the range there.
-        label: the values of the further axes; empty where there are none.
-        low, high: its ends.
+    Its position along the further axes, its number there, the values of these axes in words, and its ends [Hz].
     """
 
     at: Mapping[str, int]

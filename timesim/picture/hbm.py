@@ -23,13 +23,7 @@ if TYPE_CHECKING:
 
 
 class Family(NamedTuple):
-    """The curves of one set of values of the further axes.
-
-    Attributes:
-        label: the values; empty where there are none.
-        rows: positions of the solutions of each curve.
-        style: how it is drawn.
-    """
+    """The curves of one set of values of the further axes: these in words, the rows of each curve's solutions, a style."""
 
     label: str
     rows: list[np.ndarray]

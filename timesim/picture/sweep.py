@@ -47,8 +47,6 @@ class Curve(NamedTuple):
     Attributes:
         label: the values of the further axes; empty where there are none.
         where: position along each of these axes and along the direction, for `isel`.
-        direction: of the sweep.
-        style: how it is drawn.
     """
 
     label: str

@@ -73,13 +73,7 @@ class ElementSection(StudySection):
 
 @dataclass(frozen=True, eq=False)
 class ElementPlan:
-    """A contact under prescribed motion.
-
-    Attributes:
-        contact: the contact.
-        motion: of body 1 relative to body 2 in the axes of the contact.
-        harmonics, principal_axes, samples, cross_check: as in `Element`.
-    """
+    """A contact under prescribed motion of body 1 relative to body 2 in its axes; the rest as in `Element`."""
 
     contact: Contact
     motion: "Motion"

@@ -33,13 +33,7 @@ NO_FORCE = ExcitationSection()
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene that has passed every check.
-
-    Attributes:
-        source: the text it comes from, with the overrides applied.
-        file: the sections of the scene file.
-        kinds: the kinds of study that are known.
-    """
+    """A scene that has passed every check: its text with the overrides, its sections, the kinds of study that are known."""
 
     source: SceneSource
     file: SceneFile

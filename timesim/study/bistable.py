@@ -35,11 +35,7 @@ SEARCH = "sweeps, ends and starts"  # phase of the progress
 
 @dataclass(frozen=True)
 class Payload:
-    """What is done for one set of values; each kind of work goes on from the result of the one before.
-
-    Attributes:
-        model, solver, criterion: the scene, and how its steady states are sought.
-    """
+    """What is done for one set of values; each kind of work goes on from the result of the one before."""
 
     model: Model
     solver: Solver

@@ -43,13 +43,7 @@ REFINED = 6  # solutions that harmonics and samples are refined for, beside the 
 
 @dataclass(frozen=True)
 class StudyCurve:
-    """One curve of a study.
-
-    Attributes:
-        values: of the further axes.
-        model_at: the model for a value of the curve's parameter.
-        curve: the solutions.
-    """
+    """One curve of a study: values of the further axes, the model for a value of its parameter, the solutions."""
 
     values: Mapping[str, float]
     model_at: Callable[[float], Model]

@@ -54,14 +54,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 
 @dataclass(frozen=True)
 class _Carried:
-    """A run that has ended.
-
-    Attributes:
-        recorder: what there is of it.
-        reason: why it ended early; None if it did not.
-        error: estimated; None where that was not asked for.
-        compiling: seconds.
-    """
+    """A run that has ended: what is recorded, why early, the estimated error, if any, and seconds of compilation."""
 
     recorder: Recorder
     reason: str | None

@@ -29,12 +29,7 @@ def unwatched(done: float, number: float, phase: str = "", /) -> None:
 
 @dataclass(frozen=True)
 class Phases:
-    """The phases of a study as one progress.
-
-    Attributes:
-        whole: takes in the progress of all phases.
-        sizes: points that each phase counts as, in the order in which they come.
-    """
+    """The phases of a study as one progress, each counting as a number of points, in the order in which they come."""
 
     whole: Progress
     sizes: Mapping[str, float]

@@ -39,10 +39,7 @@ class Trial:
         solver: method, tolerances and whether the reductions were on.
         num_modes: modes kept, the lowest.
         preset: name of the preset that it is; empty otherwise.
-        seconds: of the run, compiled.
-        compiling: seconds of compilation before it; 0 where the program was there.
-        steps: how many it took.
-        transitions: how many it found.
+        seconds, compiling: of the run, compiled, and of compilation before it; 0 where the program was there.
         displacement, velocity: of all modes at the end, 0 for those not kept.
         size: largest of both in the last cycle, as of `timesim.engine.history.CycleTotals`.
         amplitude: of the last cycle, of each point along each axis.
