@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Family(NamedTuple):
-    """The curves of one set of values of the further axes: these in words, the rows of each curve's solutions, a style."""
+    """The curves of one set of values of the further axes: these in words, the rows of each of them, and a style."""
 
     label: str
     rows: list[np.ndarray]

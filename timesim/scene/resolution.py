@@ -33,7 +33,7 @@ NO_FORCE = ExcitationSection()
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene that has passed every check: its text with the overrides, its sections, the kinds of study that are known."""
+    """A scene that has passed every check: its text with the overrides, its sections, the kinds of study known."""
 
     source: SceneSource
     file: SceneFile
