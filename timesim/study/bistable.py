@@ -23,8 +23,9 @@ from timesim.orbit.two_motions import UP, Search, ranges_of
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import BistablePlan
-from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through, point_done
+from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import CURVE, Phases
+from timesim.study.execution.worker import point_done
 from timesim.study.hbm import followed
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import bistable_lines, failure_line, fold_lines, number_of_states, unusual_lines

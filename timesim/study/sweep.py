@@ -24,8 +24,9 @@ from timesim.orbit.steady_state import COLUMNS, START, Columns, Orbit, columns_o
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan, combinations
-from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through, halted, point_done
+from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import Phases
+from timesim.study.execution.worker import halted, point_done
 from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import failure_line, sweep_lines
 

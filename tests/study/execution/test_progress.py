@@ -17,8 +17,9 @@ from toys import chains
 
 from timesim import cli
 from timesim.result import checkpoint
-from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through, point_done
+from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import Phases, Standing, unwatched
+from timesim.study.execution.worker import point_done
 
 
 class Clock:

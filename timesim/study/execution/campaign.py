@@ -27,24 +27,10 @@ from timesim.study.execution.worker import (
     Result,
     Work,
     check_address,
-    halted,
     perform,
-    point_done,
     processes,
     threads,
 )
-
-__all__ = [
-    "INTERRUPTED",
-    "Chunk",
-    "Execution",
-    "ExecutionError",
-    "Result",
-    "Work",
-    "carry_through",
-    "halted",
-    "point_done",
-]
 
 LISTED = 4  # failed chunks that a reason names
 
