@@ -24,8 +24,9 @@ from timesim.orbit.steady_state import COLUMNS, START, Columns, Orbit, columns_o
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan, combinations
-from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through, halted, point_done
+from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import Phases
+from timesim.study.execution.worker import halted, point_done
 from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import failure_line, sweep_lines
 
@@ -121,7 +122,7 @@ def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[D
         crowds = {chunk.payload.crowd for chunk in chunks}
         warm_up((chain for chunk in chunks for chain in chunk.payload.chains), solver, sorted(crowds))
     compiling = time.perf_counter() - clock
-    execution.show(0, plan.size)
+    execution.progress(0, plan.size)
     results, reason = carry_through(chunks, solve, execution, identity=scene.resolved_yaml())
     arrays, jumps = grid.gathered(results, places)
     seconds = earlier + time.perf_counter() - clock - compiling
