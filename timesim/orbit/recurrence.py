@@ -112,7 +112,7 @@ def is_irregular(changes: Sequence[float], decay: float, noise: float) -> bool:
     if not quarter:
         return False
     late = float(np.median(changes[-quarter:]))
-    # What finds its way late falls until the middle; from there on the changes of a contact that creeps fall slowly too.
+    # What finds its way late falls until the middle; from there on the changes of a contact that creeps are slow too.
     for begin, share in ((quarter, 2), (2 * quarter, 8)):
         early = float(np.median(changes[begin : begin + quarter]))
         due = decay * CYCLES_A_ROUND * (len(changes) - quarter - begin)
