@@ -283,6 +283,13 @@ def test_full_stick_and_contacts_that_stay_apart_prove_nothing(rounding):
     assert "at 6 points every contact sticks" in lines[1]
 
 
+def test_a_stop_that_stays_closed_proves_nothing():
+    closed, never = np.ones((*SHAPE, 1)), np.zeros((*SHAPE, 1))
+    lines = lines_on(0.0, slip_share=closed, separation_share=never, friction=np.zeros(1))
+    assert "nothing is proven" in lines[0]
+    assert "at 6 points every contact sticks" in lines[1]
+
+
 def test_points_without_an_answer_are_named():
     settled, period = np.ones(SHAPE, int), np.ones(SHAPE, int)
     settled[1, 0, 2], period[1, 0, 1] = 0, 2
