@@ -77,13 +77,7 @@ class Difference:
 def loop_cycle(contact: Contact, motion: Motion, *, solver: Solver = FINE, max_cycles: int = MAX_CYCLES) -> LoopCycle:
     """March a contact through the prescribed motion by the event loop until its cycle repeats.
 
-    Args:
-        contact: friction, K_u, k_v and n0 are used; its points and frame are not.
-        motion: the relative motion over one cycle.
-
-    Keyword Args:
-        solver: method and tolerances.
-        max_cycles: bound of the march; `LoopCycle.periodic` says whether it sufficed.
+    Of the contact friction, K_u, k_v and n0 are used; its points and frame are not.
 
     Raises:
         RuntimeError: the loop ended early.

@@ -37,14 +37,7 @@ class Motion(ABC):
 
     @abstractmethod
     def evaluate(self, theta: ArrayLike) -> tuple[Array, Array]:
-        """Motion and its rate at angles of any shape.
-
-        Args:
-            theta: angles [rad], shape (...).
-
-        Returns:
-            y = (u1, u2, v) [length] and dy/dtheta [length/rad], each of shape (3, ...).
-        """
+        """y = (u1, u2, v) [length] and dy/dtheta [length/rad], of shape (3, ...), at angles of shape (...) [rad]."""
 
     @abstractmethod
     def crossings(self, weights: Array, constant: float, *, rate: bool = False) -> tuple[Array, NDArray[np.bool_]]:

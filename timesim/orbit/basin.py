@@ -31,9 +31,7 @@ def placed(
 ) -> Start:
     """A start whose friction forces lie inside their cones; the slip of a contact that is apart is its motion.
 
-    Args:
-        model: the scene; displacement, velocity, slip: the state.
-        pull: force by which each contact is pulled aside, as a share of its friction limit, shape (C, 2).
+    ``pull``: force by which each contact is pulled aside, as a share of its friction limit, shape (C, 2).
     """
     loads = contact_loads(model, displacement, slip)
     if pull is not None:
@@ -73,11 +71,8 @@ def branch_of(orbit: Orbit, motions: Sequence[Orbit]) -> int:
 def explore(model: Model, steady: SteadyStates, ranges: Columns, num: int) -> dict[str, np.ndarray]:
     """Motions to which the ensemble of starts leads at the middle of each range, as arrays.
 
-    Args:
-        model: the scene.
-        steady: computes steady states with the solver and criterion of the ranges.
-        ranges: the ranges and their motions, as `timesim.orbit.two_motions.ranges_of` gives them.
-        num: starts along each side.
+    ``steady`` is that of the ranges, which are as `timesim.orbit.two_motions.ranges_of` gives them; ``num``: starts
+    along each side.
     """
     rows = []
     for place, (low, high) in enumerate(ranges["range"]):

@@ -116,10 +116,7 @@ def response(
     """Both sweeps, what they jump to, and the branch of harmonic balance behind, unstable where it is dashed.
 
     Args:
-        data: the result.
-        ax: axes to draw on.
-
-    Keyword Args:
+        data, ax: the result, and axes to draw on.
         at: position along the further axes; the first of each by default.
         near: show this range alone, with what lies beside it.
         point, axis: whose amplitude; that and along the axis with the largest by default.

@@ -109,13 +109,7 @@ def styles(count: int, *, shades: bool = False) -> list[Series]:
 
 
 def stable_parts(stable: np.ndarray, fold: np.ndarray) -> list[tuple[slice, bool]]:
-    """Parts of a curve that are stable, or not, each with the solutions that bound it.
-
-    A fold belongs to both sides.
-
-    Args:
-        stable, fold: of the solutions along the curve, shape (N,).
-    """
+    """Parts of a curve of N solutions, stable or not, each with those that bound it; a fold belongs to both sides."""
     firm = stable.copy()
     for i in np.flatnonzero(fold).tolist():
         firm[i] = firm[i - 1] if i else firm[min(i + 1, firm.size - 1)]
@@ -140,10 +134,7 @@ def draw_branch(
 
     Args:
         ax: axes to draw on.
-        x, y: the curve, shape (N,).
-        stable, fold: of its solutions, shape (N,).
-
-    Keyword Args:
+        x, y, stable, fold: the curve and its solutions, shape (N,).
         colour: of the curve.
         stable_label: what a legend says of its stable parts.
         widths: of its lines where it is stable and where not [point].

@@ -149,8 +149,7 @@ def _star(ax: "Axes", x: float, y: str, curves: Sequence[tuple[str, str]], at_en
 def peaks(amplitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Largest entry of each row, NaN where entries are missing, and whether it is the first or last of several.
 
-    Args:
-        amplitude: over the last axis, the frequencies, shape (N, F); NaN where a point is missing.
+    ``amplitude``: over the last axis, the frequencies, shape (N, F); NaN where a point is missing.
     """
     known = np.isfinite(amplitude).all(axis=1)
     place = np.argmax(np.where(known[:, None], amplitude, 0.0), axis=1)

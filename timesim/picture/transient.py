@@ -101,15 +101,10 @@ def spectrum(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
 
 
 def harmonics(data: "Dataset", x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Spectrum of samples over the last recorded cycles of one frequency, at most `SPECTRUM_CYCLES`.
+    """Spectrum of samples x, shape (T,), over the last recorded cycles of one frequency, at most `SPECTRUM_CYCLES`.
 
-    Args:
-        data: result of a transient.
-        x: samples at its times, shape (T,).
-
-    Returns:
-        Multiples of the excitation frequency up to `HIGHEST_ORDER`, and the amplitude at each; both empty
-        where no cycle was finished.
+    Multiples of the excitation frequency up to `HIGHEST_ORDER`, and the amplitude at each; both empty where no cycle
+    was finished.
     """
     start, period, time = data.cycle_start.values, data.cycle_period.values, data.time.values
     slack = 1e-6 * period.min(initial=np.inf)

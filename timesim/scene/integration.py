@@ -99,13 +99,9 @@ InitialSection = Annotated[
 
 
 def start(initial: InitialSection, physics: Model, order: np.ndarray, end: EndOfRun | None) -> Start:
-    """State at the start.
+    """State at the start of a model at rest.
 
-    Args:
-        initial: the section.
-        physics: the model, at rest.
-        order: the scene's index of each mode.
-        end: what the section reads, if it takes up a result.
+    ``order``: the scene's index of each mode; ``end``: what the section reads, if it takes up a result.
     """
     if isinstance(initial, StateSection):
         return initial.build(physics, order)

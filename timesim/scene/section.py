@@ -37,10 +37,5 @@ def form(value: Any) -> str | None:
 
 
 def by_form(allowed: str, kind: Callable[[Any], str | None] = form) -> Discriminator:
-    """Chooses the member of a union by the form of the value.
-
-    Args:
-        allowed: in words, what the value must be.
-        kind: tag of the member that a value belongs to.
-    """
+    """Chooses the member of a union by the form of the value: ``allowed`` says in words what it must be."""
     return Discriminator(kind, custom_error_type="rule", custom_error_message=f"must be {allowed}")

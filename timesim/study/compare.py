@@ -64,12 +64,12 @@ class Match:
 
 
 def matched(amplitude: np.ndarray, frequency: np.ndarray, curves: Curves) -> Match:
-    """Find the solution nearest to each point of a sweep.
+    """Find the solution nearest to each point of a sweep, on curves of the same sets of values.
 
     Args:
         amplitude: of the sweep, shape (V, D, F, P, 3).
         frequency: of the sweep [Hz], shape (F,).
-        curves: of the same sets of values.
+        curves: of the balance.
     """
     nearest = np.full_like(amplitude, np.nan)
     solution = np.full(amplitude.shape[:3], -1)
@@ -142,9 +142,7 @@ def _compared(
 ) -> tuple[dict[str, np.ndarray], list[str], dict[str, Dataset], str | None]:
     """The difference of the methods on the axes of the sweep's amplitude, what it says, and a cycle by both of them.
 
-    Beside it, where another offset explains it.
-
-    The last entry is why a part of it is missing; None if none is.
+    Beside the difference, where another offset explains it. The last entry is why a part is missing; None if none is.
     """
     amplitude, lines, cycle = sweep["amplitude"].values, list[str](), dict[str, Dataset]()
     arrays = {"relative_difference": np.full_like(amplitude, np.nan)}

@@ -74,15 +74,12 @@ class Curves:
         self.notes: list[str] = []
 
     def run(self, execution: Execution, kept: KeptCurves, passing: SavedStates | None = None) -> str | None:
-        """Follow all curves.
+        """Follow all curves; why some are not whole, if any.
 
         Args:
             execution: takes in the progress, in sets of values.
             kept: the curves that are taken up, and where the others are kept.
             passing: a sweep whose settled points are to be passed, beside that of the plan's start.
-
-        Returns:
-            Why some curves are not whole, if any.
         """
         sweeps = [sweep for sweep in (self.plan.passing, passing and (passing, {})) if sweep]
         try:
@@ -269,10 +266,7 @@ def followed(
 ) -> tuple[Dataset, Curves, str | None]:
     """All curves of a scene, those through the points of a sweep too: the result, they, and why some are not whole.
 
-    Args:
-        scene, plan, execution: what is followed, and how.
-        passing: a sweep whose settled points are to be passed too.
-        stage: of the study in which the curves are kept; empty where they are the whole of it.
+    ``passing``: a sweep whose settled points are to be passed too; ``stage``: as of `Execution.checkpoint`.
     """
     curves = Curves(scene, plan)
     phases = Phases(execution.progress, {"curves": len(curves.values), "convergence": int(plan.convergence)})

@@ -109,11 +109,9 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 
 
 def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[Dataset, str | None]:
-    """The steady states over the further axes, direction and frequency.
+    """The steady states over the further axes, direction and frequency, and why they are incomplete; None if not.
 
-    Returns:
-        the result, with `method`, `compile_seconds` and `run_seconds` as its attributes, and why it is incomplete; None
-        if every point was computed.
+    The result has `method`, `compile_seconds` and `run_seconds` as its attributes.
     """
     solver, grid = scene.solver(), Grid(scene, plan)
     chunks, places = grid.chunks(solver)
@@ -179,9 +177,7 @@ def blank_columns(model: Model, *shape: int) -> dict[str, np.ndarray]:
 def variables_of(columns: Columns, axes: Mapping[str, int]) -> Variables:
     """Steady states as variables of a result file; no state is left of a point that failed.
 
-    Args:
-        columns: with any dimensions of the points first, as many points as the axes have.
-        axes: names and sizes of the dimensions that these become.
+    The columns may have any dimensions of the points first, which become axes of these names and sizes.
     """
     phasor, failed = columns["phasor"], columns["reason"] != ""
     values = {name: array for name, array in columns.items() if name != "phasor"}

@@ -20,13 +20,7 @@ class Progress(Protocol):
     """Takes in how much of some work is done."""
 
     def __call__(self, done: float, number: float, phase: str = "", /) -> None:
-        """Take it in.
-
-        Args:
-            done: points, cycles or curves that are done.
-            number: all of them.
-            phase: what is being done, in words.
-        """
+        """Take in how many points, cycles or curves of all of them are done, and what is being done, in words."""
 
 
 @dataclass(frozen=True)
