@@ -109,7 +109,7 @@ class CycleTotals:
         low, high = steps.extremes(first)
         if goes_on := bool(steps.cycle[0] == self._open):
             low[0], high[0] = np.minimum(low[0], self._low), np.maximum(high[0], self._high)
-        energy = stored_energy(self.model, *steps.end[:2], steps.slip_end[0], steps.state_after)
+        energy = stored_energy(self.model, *steps.reached, steps.state_after)
         self.peak = max(self.peak, float(np.max(np.abs(energy))))
         self.transitions += int(np.sum(steps.state != steps.state_after))
         self._measure(steps, first[-1], goes_on=goes_on and first.size == 1)
@@ -125,5 +125,5 @@ class CycleTotals:
     def _measure(self, steps: Steps, first: int, *, goes_on: bool) -> None:
         """Take the size of the motion from the last steps on; they may go on with the cycle before."""
         root = np.sqrt(self.model.structure.mass)
-        size = np.array([np.max(np.abs(part[first:]) * root) for part in steps.end[:2]])
+        size = np.array([np.max(np.abs(part[first:]) * root) for part in steps.reached[:2]])
         self.size = np.maximum(self.size, size) if goes_on else size

@@ -99,7 +99,8 @@ class Run:
         frame = Frame(self.model, self.reduction, phase.frequency)
         system = system_of(self.model, phase.frequency, self.phase, self.reduction)
         stiffest = self.model.stuck_rate / frame.scales.omega
-        method, control = self.method, step_control(self.solver, stiffest)
+        method = self.method
+        system, control = jax.device_put((system, step_control(self.solver, stiffest)))
         now = frame.begin(system, self, self.solver.first_step(stiffest), work=method.integrates_work)
         origin = Origin(self.time, self.phase, self.completed, self.work.copy())
         room = capacity(system, 0 if method.integrates_work else method.order)
@@ -194,9 +195,12 @@ class Frame:
 
     def modal(self, x: np.ndarray, unit: float = 1.0) -> np.ndarray:
         """Modal displacements of the scene, or rates of them where a unit of time is given."""
-        whole = np.zeros((*x.shape[:-1], self.model.structure.num_modes))
-        modes = self.reduction.modes
-        whole[..., modes] = x * (self.scales.mode[modes] * unit)
+        modes, num = self.reduction.modes, self.model.structure.num_modes
+        own = x * (self.scales.mode[modes] * unit)
+        if modes.size == num:
+            return own
+        whole = np.zeros((*x.shape[:-1], num))
+        whole[..., modes] = own
         return whole
 
     def slip(self, w: Sequence[np.ndarray], fill: np.ndarray, unit: float = 1.0) -> np.ndarray:
@@ -260,12 +264,12 @@ class Steps:
     @cached_property
     def start(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(q, q', q'') at the start, each of shape (N, M)."""
-        return (*self._modes(self.loop.start), self._acceleration(self.loop.start_rate))
+        return self._modes(self.loop.start, self.loop.start_rate)
 
     @cached_property
     def end(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(q, q', q'') at the end, each of shape (N, M)."""
-        return (*self._modes(self.loop.end), self._acceleration(self.loop.end_rate))
+        return self._modes(self.loop.end, self.loop.end_rate)
 
     @cached_property
     def slip_start(self) -> tuple[np.ndarray, np.ndarray]:
@@ -287,11 +291,16 @@ class Steps:
         """States after its end, shape (N, C)."""
         return self.frame.states(self.loop.state_after)
 
-    def _modes(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
-        return self.frame.modal(point.q), self.frame.modal(point.p, self.frame.scales.omega)
+    @cached_property
+    def reached(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(q, q', w) at the end, as in `end` and `slip_end`."""
+        frame, point = self.frame, self.loop.end
+        w = frame.slip(point.w, frame.model.start.slip)
+        return frame.modal(point.q), frame.modal(point.p, frame.scales.omega), w
 
-    def _acceleration(self, rate: Point) -> np.ndarray:
-        return self.frame.modal(rate.p, self.frame.scales.omega**2)
+    def _modes(self, point: Point, rate: Point) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        frame, omega = self.frame, self.frame.scales.omega
+        return frame.modal(point.q), frame.modal(point.p, omega), frame.modal(rate.p, omega**2)
 
     def _slips(self, point: Point, rate: Point) -> tuple[np.ndarray, np.ndarray]:
         none = np.zeros((self.frame.model.num_contacts, 2))
@@ -315,26 +324,14 @@ class Steps:
 
 
 def capacity(system: System, num_nodes: int) -> int:
-    """Steps of a batch: as many as there is room for, a power of two.
-
-    Args:
-        system: in which they are taken.
-        num_nodes: of a step at which it is known, its start among them; 0 if only at its ends.
-    """
+    """Steps of a batch, a power of two; ``num_nodes``: places at which a step is known, 0 if only at its ends."""
     axes, (contacts, modes) = len(system.shape), system.shape[0].shape
     row = 8 * modes + (4 * axes + 2) * contacts + num_nodes * (3 * modes + (2 * axes + 1) * contacts)
     return int(min(max(2 ** np.ceil(np.log2(ROOM / row)), LEAST), BATCH))
 
 
 def work_of(system: System, control: Control, record: LoopStep, count: int) -> Work:
-    """Energies since the first of some steps of a method that leaves them to its dense output.
-
-    Args:
-        system: in which they were taken.
-        control: of the steps.
-        record: as the loop has left it.
-        count: steps in it.
-    """
+    """Energies since the first of the steps in a record, of a method that leaves them to its dense output."""
     fast = has_fast_modes(system, float(control.longest))
     each = work_done(system, fast, record, np.asarray(count))
     whole: Work = jax.tree.map(lambda rows: np.cumsum(np.asarray(rows)[:count], axis=0), each)
