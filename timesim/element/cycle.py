@@ -156,21 +156,6 @@ class ElementCycle:
         return all(stay.state == STICK for stay in self.stays)
 
     @property
-    def transition_angle_deg(self) -> Array:
-        """Angles of the transitions of the cycle, in [0, 360) [degree]."""
-        return np.degrees([item.angle for item in self.transitions])
-
-    @property
-    def transition_from(self) -> NDArray[np.int64]:
-        """States left."""
-        return np.array([item.before for item in self.transitions], np.int64)
-
-    @property
-    def transition_to(self) -> NDArray[np.int64]:
-        """States entered."""
-        return np.array([item.after for item in self.transitions], np.int64)
-
-    @property
     def largest_limit(self) -> float:
         """Largest limit force mu n of the cycle [force]; zero where there is none."""
         extremes, _ = self.motion.crossings(np.array([0.0, 0.0, 1.0]), 0.0, rate=True)

@@ -165,11 +165,10 @@ class HarmonicMotion(Motion):
 
 @dataclass(frozen=True)
 class SplineMotion(Motion):
-    """Periodic quintic spline through samples of one cycle at theta = 2 pi k / N; smooth to the fourth
-    derivative.
+    """Periodic quintic spline through samples at theta = 2 pi k / N; smooth to the fourth derivative.
 
     Attributes:
-        samples: (u1, u2, v) at equal angles, the end of the cycle left out, shape (N, 3) [length].
+        samples: (u1, u2, v) at these angles, the end of the cycle left out, shape (N, 3) [length].
     """
 
     samples: Array

@@ -143,7 +143,6 @@ class _Scene:
     """A model with unit modal masses.
 
     Attributes:
-        model: the model.
         damping: D, shape (M, M).
         shape: B, entries that are rounding set to zero, shape (C, 3, M).
         wave: force amplitudes P, ``Re(P exp(i h theta))`` a harmonic, shape (H, M).

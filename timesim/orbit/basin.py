@@ -79,27 +79,19 @@ def explore(model: Model, steady: SteadyStates, ranges: Columns, num: int) -> di
         motions = [orbit_of(ranges, (place, side), model.start.phase) for side in (LOWER, UPPER)]
         starts = starts_between(model, motions, num)
         chains = [Chain(replace(model, start=start), (0.5 * (low + high),)) for start in starts]
-        rows.append(_row([orbit for (orbit,) in steady(chains)], motions))
-    points, contacts = len(model.structure.points), model.num_contacts
-    shapes = {
-        "start_branch": (num, num),
-        "start_cycles": (num, num),
-        "start_amplitude": (num, num, points, 3),
-        "offset_low": (2, contacts, 2),
-        "offset_high": (2, contacts, 2),
-    }
-    return {name: np.array([row[name] for row in rows]).reshape(len(rows), *own) for name, own in shapes.items()}
+        rows.append(_row([orbit for (orbit,) in steady(chains)], motions, (num, num)))
+    return {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else ())}
 
 
-def _row(orbits: Sequence[Orbit], motions: Sequence[Orbit]) -> dict[str, np.ndarray]:
-    """The arrays of one range."""
+def _row(orbits: Sequence[Orbit], motions: Sequence[Orbit], square: tuple[int, int]) -> dict[str, np.ndarray]:
+    """The arrays of one range, the starts along the sides of a square."""
     branch = np.array([branch_of(orbit, motions) for orbit in orbits], dtype=np.int8)
     led = [[orbit for orbit, own in zip(orbits, branch, strict=True) if own == side] for side in (LOWER, UPPER)]
     low, high = np.stack([offsets([*own, motion]) for own, motion in zip(led, motions, strict=True)], axis=1)
     return {
-        "start_branch": branch,
-        "start_cycles": np.array([orbit.cycles for orbit in orbits], dtype=np.int32),
-        "start_amplitude": np.array([orbit.amplitude for orbit in orbits]),
+        "start_branch": branch.reshape(square),
+        "start_cycles": np.array([orbit.cycles for orbit in orbits], dtype=np.int32).reshape(square),
+        "start_amplitude": np.array([orbit.amplitude for orbit in orbits]).reshape(*square, -1, 3),
         "offset_low": low,
         "offset_high": high,
     }

@@ -26,7 +26,6 @@ class Stretch:
     """Frequencies over which the amplitude changes.
 
     Attributes:
-        model: the scene.
         near, far: ends, in the direction of the sweep [Hz].
         on, beyond: the motions there.
         least: change of amplitude below which nothing is called a jump.

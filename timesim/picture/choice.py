@@ -49,9 +49,9 @@ def busiest(data: "Dataset", *activity: np.ndarray, limit: int = MAX_ROWS) -> li
     return [str(data.contact.values[i]) for i in np.sort(best)]
 
 
-def spread(number: int, limit: int = MAX_CURVES) -> list[int]:
-    """Positions among a number of things, all or `limit` of equal spacing, both ends included."""
-    return sorted({round(i) for i in np.linspace(0, number - 1, min(number, limit))})
+def spread(number: int) -> list[int]:
+    """Positions among a number of curves, all or `MAX_CURVES` of equal spacing, both ends included."""
+    return sorted({round(i) for i in np.linspace(0, number - 1, min(number, MAX_CURVES))})
 
 
 def left_out(number: int, shown: int, what: str, which: str = "") -> str:

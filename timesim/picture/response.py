@@ -71,6 +71,12 @@ def turns(phase: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.abs(np.diff(phase)) > HALF_TURN) + 1
 
 
+def unwound(x: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A phase along x, with a gap where it passes the end of its turn."""
+    breaks = turns(phase)
+    return np.insert(x, breaks, np.nan), np.insert(phase, breaks, np.nan)
+
+
 def with_phase(rows: int, height: float, phase: bool) -> tuple["Figure", list["Axes"]]:
     """Axes of a height [inch] one above the other, each with one for its phase below it where there is one."""
     if not phase:
@@ -143,7 +149,7 @@ def draw_branch(
     """
     if phase:
         breaks = turns(y)
-        x, y = np.insert(x, breaks, np.nan), np.insert(y, breaks, np.nan)
+        x, y = unwound(x, y)
         stable, fold = np.insert(stable, breaks, stable[breaks]), np.insert(fold, breaks, False)
     solid: dict[str, Any] = {"linestyle": "-", "linewidth": widths[0], "label": stable_label}
     dashed: dict[str, Any] = {"linestyle": DASHES, "linewidth": widths[1], "label": "unstable"}

@@ -1,10 +1,4 @@
-"""Pictures of a transient: each function draws one aspect of a result on one set of axes.
-
-``f(data, ax=None) -> ax``, where `data` is the result of a transient or of a jump: without axes it makes a
-figure of its own, and ``ax.figure.savefig(...)`` writes it. Keywords choose what is drawn, by the names in
-the result; by default what moves most. Its contacts are drawn by `timesim.picture.contact`. `PICTURES` are the
-figures that a run writes.
-"""
+"""Pictures of a transient or of a jump; those of its contacts are drawn by `timesim.picture.contact`."""
 
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any

@@ -45,13 +45,7 @@ _AGAIN = "choose another folder, or give --force to start anew"
 
 @dataclass(frozen=True)
 class Manifest:
-    """What the chunks of a checkpoint belong to.
-
-    Attributes:
-        identity: the resolved scene.
-        chunks: fingerprint of each chunk by its name.
-        timesim: version that does the work.
-    """
+    """What the chunks of a checkpoint belong to: the resolved scene, a fingerprint of each, and the version at work."""
 
     identity: str
     chunks: Mapping[str, str]

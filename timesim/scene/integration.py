@@ -13,7 +13,7 @@ from timesim.model.model import Model, Start
 from timesim.model.solver import PRESETS, Solver
 from timesim.model.start import given_start, static_start
 from timesim.result.state import SavedStates, saved_states, start_of
-from timesim.scene.section import Section, by_form, form, refuse
+from timesim.scene.section import AsText, Section, by_form, form, refuse
 from timesim.scene.value import ContactName, Count, FilePath, Number, Pair, Switch, Text, Whole
 
 
@@ -91,7 +91,7 @@ def _initial_form(value: Any) -> str | None:
 
 
 InitialSection = Annotated[
-    Annotated[Literal["rest", "static"], Tag("<text>")]
+    AsText[Literal["rest", "static"]]
     | Annotated[StateSection, Tag("<state>")]
     | Annotated[InitialResult, Tag("<from>")],
     by_form("rest, static, a state, or a mapping with the key from", _initial_form),

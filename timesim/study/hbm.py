@@ -43,13 +43,7 @@ REFINED = 6  # solutions that harmonics and samples are refined for, beside the 
 
 @dataclass(frozen=True)
 class StudyCurve:
-    """One curve of a study.
-
-    Attributes:
-        values: of the further axes.
-        model_at: the model for a value of the curve's parameter.
-        curve: the solutions.
-    """
+    """One curve of a study: values of the further axes, the model for a value of its parameter, the solutions."""
 
     values: Mapping[str, float]
     model_at: Callable[[float], Model]
@@ -93,7 +87,7 @@ class Curves:
                     self.notes += done[1]
                     for curve in done[0]:
                         self._add(StudyCurve(values, self._model_at(values), curve))
-                execution.show(place + 1, len(self.values), "harmonic balance")
+                execution.progress(place + 1, len(self.values), "harmonic balance")
         except KeyboardInterrupt:
             self.faults.append(f"interrupted at curve {len(self.curves) + 1}")
         except StoreError as error:
@@ -231,7 +225,7 @@ class Growth:
         expected = max(before + 1, 1 + plan.both_ends)
         sets = curves.values.index(dict(self.values)) + (before + FOLLOWED * share) / expected
         words = f"curve {len(curves.curves) + 1}: {share:.0%} of the range"
-        self.execution.show(sets, len(curves.values), ", ".join(filter(None, (words, in_words(self.values)))))
+        self.execution.progress(sets, len(curves.values), ", ".join(filter(None, (words, in_words(self.values)))))
         self.kept.grow(lambda: self._record(so_far()))
 
     def _record(self, curve: HbmCurve) -> Dataset:

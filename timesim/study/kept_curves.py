@@ -24,8 +24,7 @@ TIMES_APART = 20.0
 class KeptCurves:
     """The curves of each set of values, as a chunk of a checkpoint; nothing is kept where there is no run folder.
 
-    Attributes:
-        earlier: seconds that the curves taken up took.
+    `earlier` is the time that the curves taken up took [s].
     """
 
     def __init__(self, kept: Checkpoint | None, notice: Callable[[str], None]):

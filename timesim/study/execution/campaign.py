@@ -20,32 +20,17 @@ from timesim.result import checkpoint
 from timesim.result.change import fingerprint
 from timesim.result.checkpoint import INTERRUPTED, Checkpoint, Manifest
 from timesim.result.file import StoreError
-from timesim.study.execution.progress import Progress
+from timesim.study.execution.progress import Progress, unwatched
 from timesim.study.execution.worker import (
     Chunk,
     ExecutionError,
     Result,
     Work,
     check_address,
-    halted,
     perform,
-    point_done,
     processes,
     threads,
 )
-
-__all__ = [
-    "INTERRUPTED",
-    "Chunk",
-    "Execution",
-    "ExecutionError",
-    "Progress",
-    "Result",
-    "Work",
-    "carry_through",
-    "halted",
-    "point_done",
-]
 
 LISTED = 4  # failed chunks that a reason names
 
@@ -69,7 +54,7 @@ class Execution:
         notice: called with what a user should know at once, such as a checkpoint that is damaged.
     """
 
-    progress: Progress | None = None
+    progress: Progress = unwatched
     folder: Path | None = None
     resume: bool = False
     cluster: str | None = None
@@ -85,11 +70,6 @@ class Execution:
     def earlier(self, stage: str | None = None) -> float:
         """Seconds that the parts before took of a run that is resumed, or of one of its stages."""
         return checkpoint.seconds_worked(self.folder, stage) if self.resume and self.folder is not None else 0.0
-
-    def show(self, done: float, number: float, phase: str = "") -> None:
-        """Say how much is done, as `Progress` takes it in."""
-        if self.progress is not None:
-            self.progress(done, number, *([phase] if phase else []))
 
     @contextmanager
     def checkpoint(
@@ -257,7 +237,7 @@ class _Campaign:
             self._show()
 
     def _show(self) -> None:
-        self.execution.show(self.points + sum(self.under_way.values()), self.total)
+        self.execution.progress(self.points + sum(self.under_way.values()), self.total)
 
     def _keep(self, name: str) -> None:
         if self.kept is not None and name not in self.saved:

@@ -23,16 +23,15 @@ class Progress(Protocol):
         """Take in how many points, cycles or curves of all of them are done, and what is being done, in words."""
 
 
+def unwatched(done: float, number: float, phase: str = "", /) -> None:
+    """Where nobody is watching."""
+
+
 @dataclass(frozen=True)
 class Phases:
-    """The phases of a study as one progress.
+    """The phases of a study as one progress, each counting as a number of points, in the order in which they come."""
 
-    Attributes:
-        whole: takes in the progress of all phases; None where nobody is watching.
-        sizes: points that each phase counts as, in the order in which they come.
-    """
-
-    whole: Progress | None
+    whole: Progress
     sizes: Mapping[str, float]
 
     def __getitem__(self, name: str) -> Progress:
@@ -41,10 +40,9 @@ class Phases:
         before = sum(self.sizes[phase] for phase in names[: names.index(name)])
 
         def show(done: float, number: float, phase: str = "", /) -> None:
-            if self.whole is not None:
-                share = min(done / number, 1.0) if number else 1.0
-                words = phase or f"{name}, {done:.0f} of {number:.0f} points"
-                self.whole(before + share * self.sizes[name], sum(self.sizes.values()), words)
+            share = min(done / number, 1.0) if number else 1.0
+            words = phase or f"{name}, {done:.0f} of {number:.0f} points"
+            self.whole(before + share * self.sizes[name], sum(self.sizes.values()), words)
 
         return show
 
