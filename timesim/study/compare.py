@@ -143,7 +143,8 @@ def _compared(
 ) -> tuple[dict[str, np.ndarray], list[str], dict[str, Dataset], str | None]:
     """The difference of the methods on the axes of the sweep's amplitude, what it says, and a cycle by both of them.
 
-    Beside the difference, where another offset explains it. The last entry is why a part is missing; None if none is.
+    Where another offset explains it, this stands beside the difference. The last entry is why a part is missing;
+    None if none is.
     """
     amplitude, lines, cycle = sweep["amplitude"].values, list[str](), dict[str, Dataset]()
     arrays = {"relative_difference": np.full_like(amplitude, np.nan)}
@@ -216,9 +217,9 @@ def other_offsets(scene: Scene, curves: Curves, match: Match, points: Points) ->
 
 
 def _begun(scene: Scene, curves: Curves, match: Match, place: tuple[int, ...]) -> tuple[Model, float, Complex, Array]:
-    """The model at the start of the solution at a point of the sweep, the frequency [Hz], and the solution.
+    """The model at the start of the solution at a point of the sweep, and the frequency [Hz] of that solution.
 
-    That is by its modal harmonics, and the states of the contacts at the angles of the cycle.
+    Beside them its modal harmonics, and the states of the contacts at the angles of the cycle.
     """
     model, solutions, at = scene.variant(curves.values[place[0]]), match.solutions[place[0]], int(match.solution[place])
     assert solutions is not None
