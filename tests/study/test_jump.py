@@ -138,6 +138,12 @@ def test_a_broken_promise_is_mended_or_else_said(monkeypatch: pytest.MonkeyPatch
     exact = timesim.run(SHORT).final_modal_displacement.values
     true = np.abs(mended.final_modal_displacement.values - exact).max() / np.abs(exact).max()
     assert true < 1e-8
+    assert mended.attrs["estimate_remark"] == ""
+
+    monkeypatch.setattr(transient, "AMPLIFIED", 0.1)
+    doubted = carry_out(load_scene(standard))
+    assert doubted.groups[""].attrs["estimate_remark"].startswith("in doubt: the motion amplifies errors")
+    assert any("in doubt" in line for line in doubted.summary)
 
     monkeypatch.setattr(transient, "tightened", lambda solver, share: solver)
     said = carry_out(load_scene(standard)).summary

@@ -33,6 +33,13 @@ CLOSE = 0.5
 MARGIN = 3.0
 """By how much a run that is repeated is to be better than promised: what its estimate leaves open."""
 
+AMPLIFIED = 3e4
+"""How many times finer than the promise the tolerance of a repetition may be before its estimate is in doubt.
+
+Of 179 repetitions beyond that (of 261 generated structures with 2 to 50 modes) 142 did not keep the promise; of 12 the
+estimate did not show it.
+"""
+
 
 def remembered(model: Model, frequency: float) -> float:
     """Cycles at a frequency [Hz] in which the mode that decays most slowly decays by a factor of e, at least 1."""

@@ -4,7 +4,7 @@ What is recorded of them is the same (sections 5.2 and 5.3 of the paper).
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from xarray import Dataset
@@ -12,7 +12,7 @@ from xarray import Dataset
 from timesim.engine.companion import Estimate, companion_of, compared, estimate, unknown
 from timesim.engine.trajectory import Phase, Run, RunError
 from timesim.model.contact_state import slip_follows_motion
-from timesim.model.promise import CLOSE, MARGIN, tightened
+from timesim.model.promise import AMPLIFIED, CLOSE, MARGIN, tightened
 from timesim.model.solver import COMPANION, Solver
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
@@ -47,7 +47,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         if again.reason is not None:
             more["repetition"] = f"{better}: {again.reason}"
             break
-        done = again
+        done = _doubted(again, promise)
     record = _record(scene, done, time.perf_counter() - clock).assign_attrs(more)
     return Outcome({"": record}, done.reason, (*lines, *transient_lines(record, scene.plan)))
 
@@ -67,6 +67,15 @@ class _Carried:
     @property
     def solver(self) -> Solver:
         return self.recorder.run.solver
+
+
+def _doubted(done: _Carried, promise: float) -> _Carried:
+    """A repetition; its estimate is remarked upon where so fine a tolerance shows that errors grow without measure."""
+    share = promise / done.solver.rtol
+    if done.error is None or done.error.remark or share <= AMPLIFIED:
+        return done
+    remark = f"in doubt: the motion amplifies errors, and took a tolerance {share:.0e} times finer than the promise"
+    return replace(done, error=replace(done.error, remark=remark))
 
 
 def _carried(scene: Scene, solver: Solver, execution: Execution, first: _Carried | None = None) -> _Carried:
