@@ -113,6 +113,19 @@ def test_modes_of_any_kind(stiffness: list[float], damping: list[float]) -> None
         assert relative_error(own, others) < 1e-7
 
 
+def test_the_amplitude_of_a_motion_on_which_a_fast_mode_rings() -> None:
+    """It turns 33 times a cycle, and a step is longer than a turn of it."""
+    body = structure([1.0, 400.0, 1e4], [0.02, 0.05, 1.0], [[1.0, 0.2, 0.5], [0.3, 1.0, 0.4], [0.2, -0.3, 1.0]])
+    start = replace(at_rest(3, 1), displacement=np.array([0.0, 0.02, 0.0]))
+    model = Model(
+        body, (pad(0.4, 3.0, 3.0, 0.4),), excitation(0.6 / (2 * np.pi), [0.5, 1.0, 0.7], [0.2, 0.0, 0.3]), start
+    )
+    true, trace = (simulate(model, 1, replace(solver, reduce=False)) for solver in (RUNGE_KUTTA, FINE))
+    assert relative_error(trace.amplitude, true.amplitude) < 1e-7
+    for own, others in zip(trace.totals.work[0], true.totals.work[0], strict=True):
+        assert own == pytest.approx(others, rel=1e-6)
+
+
 def settled(model: Model, frequency: float, solver: Solver) -> tuple:
     ((orbit,),) = steady_states([Chain(model, (frequency,))], solver, Criterion())
     return orbit, orbit.amplitude, orbit.slip_share, np.abs(orbit.floquet[:2])
