@@ -69,6 +69,18 @@ def test_a_generated_model_with_coupled_modes(solver: Solver) -> None:
     assert relative_error(*work) < 100 * solver.rtol
 
 
+def test_the_extremes_of_each_step_are_those_of_its_parts() -> None:
+    """Also of one that is cut, whose polynomials go on."""
+    model = generated_models()[COUPLED]
+    steps = next(Run(model, [Phase(model.excitation.frequency or 0.0, 12)], LOOSE).batches())
+    assert np.sum(steps.loop.h < 0.9 * steps.loop.inside.h) > 20
+    low, high = steps.extremes(np.arange(steps.h.size))
+    parts = steps.between(steps.time[0], steps.time[-1])
+    first = np.searchsorted(parts.time + 0.5 * parts.h, steps.time)
+    for found, true in zip((low, high), parts.extremes(first), strict=True):
+        np.testing.assert_allclose(found, true, rtol=0, atol=1e-6 * np.abs(true).max())
+
+
 @pytest.mark.parametrize("damping", [0.0, 1e-5])
 def test_resonance_without_contacts(damping: float) -> None:
     """Excited at its natural frequency from rest: t sin(t) / 2 without damping, which has no steady motion."""
