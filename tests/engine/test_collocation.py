@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,11 +13,13 @@ from systems import at_rest, excitation, generated_model, generated_models, osci
 from zoo import driven
 
 from timesim.engine.event_loop import advance, march
+from timesim.engine.exponential.parts import parts_of
 from timesim.engine.law.cone import ConeLaw
 from timesim.engine.law.contact_law import ContactLaw
 from timesim.engine.law.rule import rule_of
 from timesim.engine.method import Exponential, step_method
 from timesim.engine.solver import step_control
+from timesim.engine.status import RunError
 from timesim.engine.system import system_of
 from timesim.engine.trajectory import Frame, Phase, Run
 from timesim.model.model import Model
@@ -80,6 +83,14 @@ def test_the_extremes_of_each_step_are_those_of_its_parts() -> None:
     first = np.searchsorted(parts.time + 0.5 * parts.h, steps.time)
     for found, true in zip((low, high), parts.extremes(first), strict=True):
         np.testing.assert_allclose(found, true, rtol=0, atol=1e-6 * np.abs(true).max())
+
+
+def test_a_step_of_more_vibrations_than_memory_holds_is_refused() -> None:
+    model = generated_models()[COUPLED]
+    steps = next(Run(model, [Phase(model.excitation.frequency or 0.0, 12)], LOOSE).batches())
+    longer = eqx.tree_at(lambda loop: loop.inside.h, steps.loop, 1e9 * steps.loop.inside.h)
+    with pytest.raises(RunError, match="a step holds so many vibrations"):
+        parts_of(steps.system, longer, LOOSE.rtol)
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-5])

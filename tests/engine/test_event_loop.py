@@ -26,10 +26,10 @@ from timesim.engine.event_loop import advance
 from timesim.engine.history import sample
 from timesim.engine.method import step_method
 from timesim.engine.solver import step_control
-from timesim.engine.status import Status
+from timesim.engine.status import RunError, Status
 from timesim.engine.step import begin, judged
 from timesim.engine.system import system_of
-from timesim.engine.trajectory import BATCH, Frame, Phase, Run, RunError
+from timesim.engine.trajectory import BATCH, Frame, Phase, Run
 from timesim.model.contact_state import contact_loads
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.solver import PRESETS, Solver

@@ -17,7 +17,8 @@ import systems
 from simulation import Trace, follow, relative_error, simulate
 from systems import TURN, at_rest, excitation, oscillator
 
-from timesim.engine.trajectory import Phase, Run, RunError
+from timesim.engine.status import RunError
+from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact, Model, Start, Structure
 from timesim.model.solver import PRESETS, Solver
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import timesim
 from timesim.cli import app
-from timesim.engine.trajectory import RunError
+from timesim.engine.status import RunError
 from timesim.orbit.settling import steady_states
 from timesim.picture import compare as plot_compare
 from timesim.study import compare, verdict

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import timesim
-from timesim.engine.trajectory import RunError
+from timesim.engine.status import RunError
 from timesim.model.solver import Solver
 from timesim.picture.tradeoff import error_against_time
 from timesim.scene.transient import TradeoffPlan

@@ -18,7 +18,8 @@ from typing import Protocol
 import numpy as np
 
 from timesim.engine.history import CycleTotals, stored_energy
-from timesim.engine.trajectory import Run, RunError
+from timesim.engine.status import RunError
+from timesim.engine.trajectory import Run
 from timesim.model.model import Model
 from timesim.model.solver import RATIO, coarser
 

@@ -3,6 +3,10 @@
 import enum
 
 
+class RunError(Exception):
+    """A run that ended early: the message says when, why and what to try."""
+
+
 class Status(enum.IntEnum):
     """How a trajectory stands. All but RUNNING end it.
 

@@ -19,7 +19,7 @@ from timesim.engine.exponential.parts import short_steps
 from timesim.engine.exponential.work import has_fast_modes, work_done
 from timesim.engine.method import Method, step_method
 from timesim.engine.solver import Control, step_control
-from timesim.engine.status import Status
+from timesim.engine.status import RunError, Status
 from timesim.engine.step import Step as LoopStep
 from timesim.engine.step import Trajectory, begin
 from timesim.engine.system import Point, System, Work, contact_axes, system_of
@@ -43,10 +43,6 @@ class Phase:
 
     frequency: float
     cycles: int
-
-
-class RunError(Exception):
-    """A run that ended early: the message says when, why and what to try."""
 
 
 @dataclass

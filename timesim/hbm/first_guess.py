@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from timesim.engine.trajectory import RunError
+from timesim.engine.status import RunError
 from timesim.hbm.adaptive import AdaptiveBalance
 from timesim.hbm.balance import Array, Balance, contact_stiffness
 from timesim.hbm.continuation import Condensed, Controls, Curve, Ending, follow

@@ -17,7 +17,7 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.engine.history import Samples
-from timesim.engine.trajectory import RunError
+from timesim.engine.status import RunError
 from timesim.hbm.balance import Array, Balance, Complex
 from timesim.hbm.continuation import joined, part_of
 from timesim.hbm.curve import HbmCurve, solutions_at

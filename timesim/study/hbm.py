@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from xarray import Dataset
 
-from timesim.engine.trajectory import RunError
+from timesim.engine.status import RunError
 from timesim.fault import RuleError
 from timesim.hbm.branches import SettledMotion, curves_from_both_ends, isolated_curves
 from timesim.hbm.continuation import Controls, Ending

@@ -10,7 +10,8 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.engine.companion import Estimate, companion_of, compared, estimate, unknown
-from timesim.engine.trajectory import Phase, Run, RunError
+from timesim.engine.status import RunError
+from timesim.engine.trajectory import Phase, Run
 from timesim.model.contact_state import slip_follows_motion
 from timesim.model.promise import AMPLIFIED, CLOSE, MARGIN, tightened
 from timesim.model.solver import COMPANION, Solver

@@ -17,12 +17,14 @@ from timesim.engine.exponential.collocation import Inside, modes_after, point_in
 from timesim.engine.exponential.flow import Weights, weights
 from timesim.engine.exponential.steady import diagonals
 from timesim.engine.lanes import by_rows
+from timesim.engine.status import RunError
 from timesim.engine.step import Step
 from timesim.engine.system import Point, System
 from timesim.program import program
 
 FOLLOWED = 1e-3  # of the tolerance of a step: what a part may leave out of the motion
 FINEST = 1e-9  # of the largest modal displacement, what it may leave out in any case
+MOST_PARTS = 1e6  # of a step, some 200,000 vibrations: more would fill the memory
 NO_PART = 1e-6  # of a part: rounding of its end
 
 
@@ -46,9 +48,16 @@ def parts_of(system: System, steps: Step, rtol: float) -> Parts:
     """Parts of all steps, in the order of time; steps are numpy arrays, their axis the first.
 
     The parts of a step that has been cut end where those of the whole one do, all but the last: many ends are the same.
+
+    Raises:
+        RunError: a step would take more than `MOST_PARTS`.
     """
     assert steps.inside is not None
     whole = np.maximum(np.ceil(steps.inside.h / _length_of_part(system, steps, max(FOLLOWED * rtol, FINEST))), 1)
+    most = float(whole.max())
+    if most > MOST_PARTS:
+        hint = "keep fewer modes (structure.keep_modes), or excite it faster"
+        raise RunError(f"a step holds so many vibrations that to record them takes {most:.1e} parts of it: {hint}")
     num = np.maximum(np.ceil(steps.h * whole / steps.inside.h - NO_PART), 1).astype(int)
     step = np.repeat(np.arange(num.size), num)
     part = np.arange(step.size) - np.repeat(np.cumsum(num) - num, num)

@@ -9,7 +9,8 @@ import numpy as np
 
 from timesim.engine.companion import amplitude_error, totals_of
 from timesim.engine.method import MANY_FROM
-from timesim.engine.trajectory import Phase, Run, RunError
+from timesim.engine.status import RunError
+from timesim.engine.trajectory import Phase, Run
 from timesim.model.cost import cycles_to_settle
 from timesim.model.model import Model, Start
 from timesim.model.solver import NEVER, Criterion, Solver
