@@ -141,14 +141,14 @@ def main() -> None:
     for motion in motions:
         cosine, sine = steady_cycle(contact, HarmonicMotion(*motion)).harmonics(1)
         exact.append(cosine[1] - 1j * sine[1])
-    turned = (found.f_c - 1j * found.f_s) * np.exp(1j * phase)
+    turned = (found["f_c"] - 1j * found["f_s"]) * np.exp(1j * phase)
     scale = elements.force[rows, None]
     errors = [np.abs((x - np.array(exact)) / scale).max() for x in (turned[rows], values)]
     rates = elements.size / np.median(ours), len(rows) / np.median(theirs)
     print("\n| who | points | seconds | points a second | error |\n|---|---|---|---|---|")
     print(f"| timesim, {solver} | {elements.size} | {np.median(ours):.2f} | {rates[0]:.0f} | {errors[0]:.1e} |")
     print(f"| scipy RK45, rtol 1e-7 | {len(rows)} | {np.median(theirs):.2f} | {rates[1]:.1f} | {errors[1]:.1e} |")
-    print(f"\n{rates[0] / rates[1]:.0f} times the rate; {np.sum(~found.settled)} points not settled")
+    print(f"\n{rates[0] / rates[1]:.0f} times the rate; {np.sum(~found['settled'])} points not settled")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,8 @@ import numpy as np
 
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
-from timesim.study.execution.campaign import Chunk, Execution, carry_through, halted
+from timesim.study.execution.campaign import Chunk, Execution, carry_through
+from timesim.study.execution.worker import halted
 from timesim.study.outcome import Outcome, attributes
 
 SCENE = "title: toy\nstudy: {kind: sweep, frequency: {from: 0.8, to: 1.6, step: 0.1}}\n"

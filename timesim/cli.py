@@ -64,6 +64,7 @@ def run(
     from timesim.result import checkpoint
     from timesim.result.file import StoreError
     from timesim.result.folder import check_folder, locked_folder, prepare_folder
+    from timesim.scene.report import warnings_of
     from timesim.study.execution.campaign import Execution, ExecutionError
     from timesim.study.registry import check_execution, picture_names
 
@@ -78,7 +79,7 @@ def run(
         with _Signals() as signals, locked_folder(output):
             stale = picture_names(loaded.kind, KINDS)
             prepare_folder(output, loaded.resolved_yaml(), overwrite=force, source=scene, stale=stale)
-            for warning in loaded.warnings():
+            for warning in warnings_of(loaded):
                 print(f"warning: {warning}", file=sys.stderr)
             _carry_out(loaded, execution, signals, plots=plots)
     except (StoreError, ExecutionError) as error:
@@ -257,11 +258,8 @@ def _notice(text: str) -> None:
 class _Signals:
     """Ctrl-C, or a termination as at the time limit of a cluster, during a run.
 
-    The first ends the study, which keeps what it has. From then on, and while any result is saved, only the third is
-    obeyed.
-
-    Attributes:
-        saving: whether what is computed is being put together or saved.
+    The first ends the study, which keeps what it has. From then on, and while any result is put together or saved, only
+    the third is obeyed.
     """
 
     def __init__(self) -> None:
@@ -311,26 +309,18 @@ def _progress(standing: "Standing") -> Iterator[None]:
 
 def _bar(standing: "Standing") -> AbstractContextManager[Any]:
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, ProgressColumn, Task
+    from rich.live import Live
     from rich.progress_bar import ProgressBar
+    from rich.table import Table
     from rich.text import Text
 
-    class Words(ProgressColumn):
-        """The standing as it is when the bar is drawn."""
+    def drawn() -> Table:
+        line = Table.grid(padding=(0, 1))
+        words = Text(standing.line(), no_wrap=True, overflow="ellipsis")
+        line.add_row(ProgressBar(total=1.0, completed=standing.share, width=20), words)
+        return line
 
-        def render(self, task: Task) -> Text:
-            return Text(standing.line(), no_wrap=True, overflow="ellipsis")
-
-    class Share(BarColumn):
-        """A bar as long as the share is when it is drawn."""
-
-        def render(self, task: Task) -> ProgressBar:
-            task.completed = standing.share
-            return super().render(task)
-
-    progress = Progress(Share(bar_width=20), Words(), console=Console(stderr=True), transient=True)
-    progress.add_task("", total=1.0)
-    return progress
+    return Live(get_renderable=drawn, console=Console(stderr=True), transient=True)
 
 
 def main() -> None:

@@ -37,8 +37,7 @@ class Problem:
         line: line of the file, from 1; None where there is no file.
         key: dotted path of the key, as ``--set`` writes it; "" for the whole file.
         value: the value refused, as text; None if there is none.
-        rule: what is allowed.
-        hint: what to do, or "".
+        rule, hint: as of `RuleError`.
     """
 
     file: str

@@ -56,8 +56,6 @@ def modes(
         frequency: natural frequencies [Hz], shape (M,).
         damping_ratio: share of critical damping, a number or one a mode, shape (M,).
         shapes: displacement along x, y, z of each point for a unit of each mode, shape (M, 3) by name.
-
-    Keyword Args:
         mass: modal masses, a number or one a mode, shape (M,).
     """
     frequency = _array("frequency", frequency, ("M",))
@@ -93,8 +91,6 @@ def matrices(
     Args:
         mass, stiffness: symmetric, shape (R, R).
         points: row of each axis ("x", "y", "z") along which a point moves, from 0, by name.
-
-    Keyword Args:
         damping: viscous damping matrix, shape (R, R).
         damping_ratio: share of critical damping in its place, a number or one a mode kept.
         keep_modes: lowest modes that are kept; all by default.
@@ -124,8 +120,6 @@ def contact(
     Args:
         name: how results name it.
         point: its point of body 1.
-
-    Keyword Args:
         friction: coefficient of friction.
         tangential_stiffness: a number, two, or a matrix of shape (2, 2) [force/length].
         normal_stiffness: [force/length]; 0: the normal load stays at the preload.
@@ -182,8 +176,6 @@ def system(
         structure: from `modes` or `matrices`.
         contacts: from `contact`.
         excitation: from `modal_forces` or `point_force`.
-
-    Keyword Args:
         solver: the section `solver` of a scene; ``{"accuracy": "standard"}`` by default.
     """
     return {"structure": structure, "contacts": list(contacts), "excitation": excitation} | _given(solver=solver)
@@ -204,8 +196,6 @@ def integrate(
         system: from `system`.
         frequency: of the excitation [Hz].
         cycles: of the excitation.
-
-    Keyword Args:
         samples_per_cycle: samples that are kept of a cycle.
         record_last: cycles of which samples are kept; all by default.
         initial: the section `initial` of a scene: "rest", "static", or displacements and velocities of the modes.
@@ -234,8 +224,6 @@ def sweep(
     Args:
         system: from `system`.
         frequency: [Hz], shape (F,).
-
-    Keyword Args:
         direction: "independent", each from the start; "up", "down", "both": the motion is carried along.
         over: values of scalars of the scene by their key, ``{"contacts.pad.preload": [1, 2]}``, each a further axis.
         tolerance: change of the state from cycle to cycle, relative, from which on it counts as settled.
@@ -270,8 +258,6 @@ def follow(
         system: from `system`.
         start: frequency where the curve begins [Hz]; may be the larger one.
         stop: frequency where it ends [Hz].
-
-    Keyword Args:
         harmonics: of the displacement, above the mean, a number or auto.
         time_samples: of a period at which the contacts are evaluated, a number or auto.
 
@@ -312,8 +298,6 @@ def plot(
     Args:
         result: in memory.
         folder: is made where it is missing.
-
-    Keyword Args:
         kind: of the files: png, pdf or svg.
         log: "amplitude", "frequency", or both: these axes are logarithmic.
     """

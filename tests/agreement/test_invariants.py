@@ -76,7 +76,7 @@ def length_scaled(model: Model, by: float) -> Model:
     return replace(model, structure=structure, contacts=contacts)
 
 
-def same_digits(one: Trace, other: Trace, factor: float) -> None:
+def assert_same_digits(one: Trace, other: Trace, factor: float) -> None:
     assert other.sequence == one.sequence
     scale = np.abs(one.run.displacement).max()
     np.testing.assert_allclose(other.run.displacement / factor, one.run.displacement, rtol=0, atol=1e-9 * scale)
@@ -86,14 +86,14 @@ def same_digits(one: Trace, other: Trace, factor: float) -> None:
 @given(power=POWERS, case=st.sampled_from(CASES))
 def test_loads_and_preloads_scale_the_response(power: float, case: tuple[float, float]):
     model, by = oscillator(*case), 10.0**power
-    same_digits(run(model, case[1]), run(loads_scaled(model, by), case[1]), by)
+    assert_same_digits(run(model, case[1]), run(loads_scaled(model, by), case[1]), by)
 
 
 @few
 @given(power=POWERS, case=st.sampled_from(CASES))
 def test_the_unit_of_time_does_not_matter(power: float, case: tuple[float, float]):
     model, by = oscillator(*case), 10.0**power
-    same_digits(run(model, case[1]), run(time_scaled(model, by), case[1] / by), 1.0)
+    assert_same_digits(run(model, case[1]), run(time_scaled(model, by), case[1] / by), 1.0)
 
 
 @few
@@ -101,7 +101,7 @@ def test_the_unit_of_time_does_not_matter(power: float, case: tuple[float, float
 def test_the_unit_of_length_does_not_matter(power: float, case: tuple[float, float]):
     model, by = oscillator(*case), 10.0**power
     one, other = run(model, case[1]), run(length_scaled(model, by), case[1])
-    same_digits(one, other, 1.0)
+    assert_same_digits(one, other, 1.0)
     live = one.run.state != 2
     np.testing.assert_allclose(other.run.slip[live] / by, one.run.slip[live], rtol=0, atol=1e-8)
 
@@ -125,14 +125,14 @@ def test_rotation_and_mirror_images(angles: tuple[float, float, float], mirror: 
         rotation = turn @ rotation
     rotation = rotation @ np.diag([1.0, -1.0 if mirror else 1.0, 1.0])
     model = oscillator(3.0, 1.39)
-    same_digits(run(model, 1.39), run(turned(model, rotation), 1.39), 1.0)
+    assert_same_digits(run(model, 1.39), run(turned(model, rotation), 1.39), 1.0)
 
 
 def test_mirrored_tangents_mirror_the_friction():
     model = oscillator(3.0, 1.39)
     flipped = replace(model.contacts[0], frame=np.diag([1.0, -1.0, 1.0]) @ model.contacts[0].frame)
     one, other = run(model, 1.39), run(replace(model, contacts=(flipped,)), 1.39)
-    same_digits(one, other, 1.0)
+    assert_same_digits(one, other, 1.0)
     np.testing.assert_allclose(other.run.slip, one.run.slip * [1, -1], atol=1e-9)
 
 

@@ -138,7 +138,7 @@ def blade(case: str, source: str, **more: Any) -> Model:
     return load_scene(DATA / "blade_matrices.yaml", changes | {"structure.file": source}).model()
 
 
-def agree(trace: Trace, case: str, *, state: float, velocity: float, time: float) -> None:
+def assert_agrees(trace: Trace, case: str, *, state: float, velocity: float, time: float) -> None:
     """Compare with the truth of a case: states relative to the largest, times but one to ``time`` [cycles]."""
     true, model = blade_truth()[case]["transient"], trace.run.model
     names = [contact.name for contact in model.contacts]
@@ -173,7 +173,7 @@ def agree(trace: Trace, case: str, *, state: float, velocity: float, time: float
 def test_blade(case: str, count: int, source: str, solver: Solver) -> None:
     trace = simulate(blade(case, source), 80, solver)
     assert len(trace.log.time) == count
-    agree(trace, case, state=1e-7, velocity=1e-7, time=1e-8)
+    assert_agrees(trace, case, state=1e-7, velocity=1e-7, time=1e-8)
     assert trace.energy_residual < 1e-8
 
 
@@ -194,7 +194,7 @@ def test_blade_with_all_modes_by_the_method_of_a_short_run() -> None:
     assert (choice("standard", model, short, 100_000).solver.name, model.structure.num_modes) == ("tsit5", 24)
     trace = simulate(model, 20, PRESETS["standard"])
     assert len(trace.log.time) == 151
-    agree(trace, "all_24_modes_720Hz", state=1e-5, velocity=1e-3, time=5e-5)
+    assert_agrees(trace, "all_24_modes_720Hz", state=1e-5, velocity=1e-3, time=5e-5)
 
 
 # --- steady amplitudes: closed forms and other codes ---

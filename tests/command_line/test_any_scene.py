@@ -60,6 +60,11 @@ def without(scene: dict[str, Any], damping_ratio: float | None = None, frequency
     return scene
 
 
+def stiff_contact(scene: dict[str, Any], stiffness: float) -> dict[str, Any]:
+    scene["structure"]["modes"][1]["shape"] = {"tip": [1, 1, 1]}
+    return scene | {"contacts": [scene["contacts"][0] | {"normal": [1, 1, 0], "normal_stiffness": stiffness}]}
+
+
 SWEEP = {"study": {"kind": "sweep", "frequency": {"values": [1.0]}}}
 FAR_OUT: dict[str, dict[str, Any]] = {
     "undamped, far above": without(oscillator_scene(3.0), damping_ratio=0.0)
@@ -67,6 +72,7 @@ FAR_OUT: dict[str, dict[str, Any]] = {
     "a frequency that is not used": oscillator_scene(3.0)
     | {"excitation": {"frequency": 5e-324, "modal_force": [{"amplitude": 1.0}] * 2}}
     | SWEEP,
+    "a contact beside which the structure is lost in rounding": stiff_contact(oscillator_scene(3.0), 1e100) | SWEEP,
     "modes whose stiffness is lost": without(oscillator_scene(3.0), frequency=4e-166) | SWEEP | {"contacts": []},
 }
 """Numbers whose quotients are beyond all numbers: each made numpy warn where `check` estimates something."""

@@ -65,7 +65,7 @@ def compared(name: str) -> tuple[Model, Trace, OracleResult]:
     return model, simulate(model, GENERATED_CYCLES, FINE), true
 
 
-def agree(name: str) -> None:
+def assert_agrees(name: str) -> None:
     model, trace, true = compared(name)
     frequency = model.excitation.frequency
     assert frequency is not None
@@ -84,13 +84,13 @@ def agree(name: str) -> None:
 
 @pytest.mark.parametrize("name", QUICK)
 def test_generated_model(name: str) -> None:
-    agree(name)
+    assert_agrees(name)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in generated_models() if name not in QUICK])
 def test_larger_generated_model(name: str) -> None:
-    agree(name)
+    assert_agrees(name)
 
 
 def test_generated_models_slip_and_separate() -> None:

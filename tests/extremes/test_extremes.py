@@ -49,7 +49,7 @@ def with_ratio(model: Model, damping_ratio: float) -> Model:
     return replace(model, structure=replace(structure, damping=2 * damping_ratio * structure.omega))
 
 
-def agree(model: Model, cycles: int, frequency: float, within: float = 1e-8) -> Trace:
+def assert_agrees(model: Model, cycles: int, frequency: float, within: float = 1e-8) -> Trace:
     """Both methods find the same transitions and the same end, and close their energy balance; the explicit run."""
     explicit, collocated = (simulate(model, cycles, solver, frequency) for solver in (EXPLICIT, COLLOCATED))
     assert explicit.sequence == collocated.sequence
@@ -95,7 +95,7 @@ def test_any_units_by_collocation(quantity: str, by: float):
 @pytest.mark.parametrize("ratio", [1e-6, 1.0, 1e3])
 def test_contact_stiffness_against_that_of_the_structure(ratio: float):
     """A soft contact hardly acts, a stiff one nearly is a wall: both methods locate the same touches."""
-    trace = agree(in_front_of(ratio), 6, 0.97)
+    trace = assert_agrees(in_front_of(ratio), 6, 0.97)
     assert {state for step in trace.sequence for state in step[1:]} >= {SEPARATION, SLIP}
 
 
@@ -122,7 +122,7 @@ def in_front_of(ratio: float) -> Model:
 @pytest.mark.parametrize("ratio", [0.0, 1.0, 30.0])
 def test_damping(case: tuple[float, float], ratio: float):
     """Without damping all energy is lost in the contact; overdamped modes creep, and nothing slips."""
-    trace = agree(with_ratio(oscillator(*case), ratio), 6, case[1])
+    trace = assert_agrees(with_ratio(oscillator(*case), ratio), 6, case[1])
     lost = trace.totals.work[-1]
     if ratio == 0:
         assert lost[1] == 0
@@ -175,7 +175,7 @@ def test_frequencies_ten_thousand_apart_by_both_methods():
 @pytest.mark.parametrize("case", CASES)
 def test_friction_of_ten(case: tuple[float, float]):
     """The cone is nearly a half-space: contacts stick, or are apart; slip only as n falls to zero."""
-    trace = agree(with_contact(oscillator(*case), friction=10.0), 6, case[1])
+    trace = assert_agrees(with_contact(oscillator(*case), friction=10.0), 6, case[1])
     share = shares_of(trace)
     assert share[SLIP] < 0.05
 
@@ -330,7 +330,7 @@ def in_order(model: Model, order: Sequence[int]) -> Model:
     return replace(model, contacts=tuple(model.contacts[i] for i in order), start=moved)
 
 
-def same_bits(model: Model, order: Sequence[int], cycles: int, solver: Solver) -> Trace:
+def assert_same_bits(model: Model, order: Sequence[int], cycles: int, solver: Solver) -> Trace:
     """The trace of the model as it is, which is that of the model with its contacts in another order."""
     one, other = simulate(model, cycles, solver), simulate(in_order(model, order), cycles, solver)
     np.testing.assert_array_equal(other.motion, one.motion)
@@ -343,7 +343,7 @@ def same_bits(model: Model, order: Sequence[int], cycles: int, solver: Solver) -
 def test_the_order_of_the_contacts_does_not_matter():
     model = systems.scene(Path(__file__).parents[1] / "data" / "many_modes.yaml")
     for order in ([1, 2, 0], [2, 1, 0]):
-        trace = same_bits(model, order, 2, PRESETS["standard"])
+        trace = assert_same_bits(model, order, 2, PRESETS["standard"])
     assert len(trace.sequence) > 8
 
 
@@ -382,7 +382,7 @@ def shared_pads(num: int) -> Model:
 @pytest.mark.parametrize("make", [ring, shared_pads])
 def test_thirty_contacts_that_switch_at_once(make: Any, solver: Solver):
     """By symmetry, or because one pad is thirty: each transition is thirty, at one instant, in any order of them."""
-    trace = same_bits(make(30), np.random.default_rng(2).permutation(30).tolist(), 6, solver)
+    trace = assert_same_bits(make(30), np.random.default_rng(2).permutation(30).tolist(), 6, solver)
     assert len(trace.sequence) % 30 == 0
     assert len(trace.sequence) > 300
     for first in range(0, len(trace.sequence), 30):

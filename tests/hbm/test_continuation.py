@@ -432,3 +432,26 @@ def test_more_unknowns_that_lead_nowhere_are_given_back():
     curve = follow(residual, np.array([-1.5, 0.0]), -2.0, 2.0, CONTROLS)
     assert curve.ending is Ending.STEP
     assert residual.count == 1
+
+
+@dataclass
+class CloseBranches:
+    """y^3 - 3 y = p with x = 1 + y / 50: a third branch that ends at p = -1.5 a little above the first."""
+
+    width: float = 0.02
+
+    def value(self, x, p):
+        y = (x - 1) / self.width
+        return (y**3 - 3 * y - p) * (self.width if y[0] < 1 or p < -1.5 else np.nan)
+
+    def linearised(self, x, p):
+        return self.value(x, p), np.array([[3 * ((x[0] - 1) / self.width) ** 2 - 3]]), np.array([-self.width])
+
+
+def test_a_curve_does_not_jump_to_where_it_has_been():
+    """At the end of the third branch the first is near, ahead and of the same orientation: it would begin again."""
+    controls = Controls(size=0.1, max_points=400)
+    curve = follow(CloseBranches(), np.array([0.94]), -10.0, 10.0, controls)
+    assert curve.ending is Ending.STEP
+    assert np.count_nonzero(curve.fold) == 2
+    assert curve.p[-1] == pytest.approx(-1.5, abs=1e-3)

@@ -181,6 +181,16 @@ def test_offset_where_little_room_is_left():
         assert found.force[1][0] == pytest.approx(0, abs=1e-12)
 
 
+def test_the_search_for_an_offset_ends_where_it_does_not_converge():
+    """A motion that is not a number, as an iterate of a solver may be, never comes to rest; its neighbours do."""
+    law, basis = law_of([element(np.eye(2), 1.0)] * SIDE_BY_SIDE), basis_of(1, 256)
+    motion = np.zeros((SIDE_BY_SIDE, 3, 3))
+    motion[:, 0, 1], motion[:, 2, 1], motion[0, 1, 1] = 0.27, 0.5, np.nan
+    found = stuck_offset(law, motion_of(basis, motion))
+    assert found.sticks.tolist() == [False] + [True] * (SIDE_BY_SIDE - 1)
+    assert (found.force[0][0], found.force[1][0]) == (0.0, 0.0)
+
+
 def test_a_contact_sticks_wherever_it_can():
     """Against a search for the offset with which the force stays deepest in its cone, under motions in the plane."""
     rng, contact, basis = np.random.default_rng(11), element(STIFFNESS["general"], 1.0), basis_of(3, 256)

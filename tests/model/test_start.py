@@ -32,6 +32,19 @@ def test_a_start_off_its_cone_by_more_is_refused():
         given_start(model, zero, zero, np.array([[ON_CONE * (1 + 1e-8), 0.0]]))
 
 
+def test_an_equilibrium_beyond_all_numbers_is_refused():
+    scene = oscillator_scene(3.0) | {"initial": "static", "contacts": []}
+    for mode in scene["structure"]["modes"]:
+        mode["mass"] = 5e-324
+    scene["excitation"] |= {
+        "frequency": 1.39,
+        "constant_forces": [{"point": "tip", "direction": [1, 0, 0], "amplitude": 1}],
+    }
+    scene["study"] = {"kind": "transient", "cycles": 1}
+    with pytest.raises(timesim.SceneError, match="a displacement exceeds the largest number"):
+        timesim.run(scene)
+
+
 def test_a_run_from_a_start_off_its_cone_by_rounding():
     """Outside the cone, by however little, the event loop would look for the transition in ever shorter steps."""
     study = {"kind": "transient", "cycles": 2}

@@ -39,7 +39,7 @@ def partly(orbit):
     return slips, slips and np.any((orbit.separation_share > 0.02) & (orbit.separation_share < 0.98))
 
 
-def compare(models, wanted):
+def assert_both_agree(models, wanted):
     """March and shooting agree on every motion that repeats and slips; at least so many, a third with separation."""
     marched, shot = both_ways(models)
     separating = []
@@ -62,13 +62,13 @@ def compare(models, wanted):
 
 def test_shooting_finds_what_marching_finds():
     cases = [(3.0, 1.39), (-1.0, 0.97), (5.0, 1.52), (0.0, 0.97), (-4.0, 0.93), (1.0, 1.25)]
-    compare([oscillator(*case) for case in cases], 6)
+    assert_both_agree([oscillator(*case) for case in cases], 6)
 
 
 @pytest.mark.slow
 def test_shooting_finds_what_marching_finds_on_generated_scenes():
     models = [generated_model(seed, 2, 1) for seed in range(48)] + [generated_model(seed, 3, 2) for seed in range(16)]
-    compare(models, 30)
+    assert_both_agree(models, 30)
 
 
 def settled_lane(model, solver=FINEST):

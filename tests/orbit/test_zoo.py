@@ -71,7 +71,7 @@ def least_change(chain: Chain, longest: int) -> float:
     return float(min(changes) / np.abs(returns).max())
 
 
-def check(seeds: Iterable[int], criterion: Criterion, share: float) -> tuple[list[int], list[Chain]]:
+def assert_all_settle(seeds: Iterable[int], criterion: Criterion, share: float) -> tuple[list[int], list[Chain]]:
     """Points either repeat, by fine steps too, or are irregular: at most a share of them.
 
     Returns:
@@ -95,7 +95,7 @@ def check(seeds: Iterable[int], criterion: Criterion, share: float) -> tuple[lis
 
 def test_what_repeats_settles_in_few_cycles():
     """Marching, these take 500 to 5,000 cycles, and most do not settle in 2,000."""
-    cycles, _ = check(islice(of_one_size(20_000, 2, 1), 3), Criterion(first_shot=SHOOT), 0.0)
+    cycles, _ = assert_all_settle(islice(of_one_size(20_000, 2, 1), 3), Criterion(first_shot=SHOOT), 0.0)
     assert len(cycles) >= 12
     assert np.median(cycles) < 50
 
@@ -114,7 +114,7 @@ def test_what_does_not_repeat_is_irregular_indeed():
     seeds = [*range(1000, 1012), *islice(of_one_size(30_000, 2, 1), 12), *islice(of_one_size(30_000, 4, 1), 6)]
     irregular = []
     for seed in seeds:
-        cycles, lost = check([seed], Criterion(), 1.0)
+        cycles, lost = assert_all_settle([seed], Criterion(), 1.0)
         irregular += lost
         print(f"{seed}: {len(cycles)} points in {sum(cycles)} cycles, {len(lost)} do not repeat")
     # Of all together: 1002 alone has eight of its twelve points so, and is as far from repeating after 20,000 cycles.

@@ -23,7 +23,7 @@ def oscillator(preload=3.0, **pad):
     return timesim.system(structure, [timesim.contact("pad", "tip", preload=preload, **given | pad)], force)
 
 
-def same(one, other):
+def assert_same(one, other):
     assert set(one.variables) == set(other.variables)
     for name in one.variables:
         xarray.testing.assert_identical(one[name].drop_attrs(), other[name].drop_attrs())
@@ -35,7 +35,7 @@ def test_a_run_from_arrays_gives_the_bits_of_the_scene_file(tmp_path):
     expected = timesim.run(ROOT / "configs/oscillator.yaml", short)
     preload = file["contacts"][0]["preload"]
     found = timesim.integrate(oscillator(preload), file["excitation"]["frequency"], 5, record_last=2)
-    same(found, expected)
+    assert_same(found, expected)
     assert timesim.plot(found, tmp_path / "new")
 
 
@@ -53,14 +53,14 @@ def test_matrices_are_those_of_a_scene():
         "excitation": {"frequency": 0.8, "forces": [{"point": "tip", "direction": [1, 0, 0], "amplitude": 1}]},
         "study": {"kind": "transient", "cycles": 3},
     }  # fmt: skip
-    same(found, timesim.run(scene))
+    assert_same(found, timesim.run(scene))
 
 
 def test_steady_states_and_curves():
     point = timesim.settle(oscillator(), 1.39)
     assert abs(point["amplitude"].sel(point="tip", axis="x").item() - 0.15612878) < 1e-7
     row = timesim.sweep(oscillator(), [1.39])
-    same(row.isel(direction=0, frequency=0), point)
+    assert_same(row.isel(direction=0, frequency=0), point)
     curve = timesim.follow(oscillator(), 1.38, 1.40)
     assert {"amplitude", "stable"} <= set(curve)
 

@@ -18,7 +18,7 @@ from timesim.fault import RuleError, SceneError
 from timesim.model.cost import cycles_to_settle
 from timesim.model.model import SEPARATION, SLIP, STICK
 from timesim.model.solver import NEVER, SHOOT, SLOW, Criterion
-from timesim.scene.report import contact_line, describe
+from timesim.scene.report import contact_line, describe, warnings_of
 from timesim.scene.text import MAX_BYTES, parse, yaml_text
 from timesim.study.registry import json_schema, load_scene
 
@@ -260,7 +260,7 @@ def test_contact_defaults_and_frames():
     assert b.frame[0] @ [1, 1, 0] > 0
     assert np.array_equal(c.frame, [[0, 1, 0], [0, 0, 1], [1, 0, 0]])
     assert not np.any(c.tangential_stiffness)
-    assert any("tangential_stiffness has no effect" in warning for warning in scene.warnings())
+    assert any("tangential_stiffness has no effect" in warning for warning in warnings_of(scene))
     relative = scene.model().structure.shape[0] - scene.model().structure.shape[1]
     assert np.allclose(scene.model().contact_shape[1], b.frame @ relative, rtol=1e-15)
 
@@ -475,7 +475,7 @@ def test_given_start_opens_a_contact_and_says_what_has_no_effect():
     scene = load_scene(one_mass(contact={"preload": 1}, initial=initial))
     start = scene.model().start
     assert np.allclose(start.slip, [[0.1, 0]])
-    assert any("initial.slip.c has no effect" in warning for warning in scene.warnings())
+    assert any("initial.slip.c has no effect" in warning for warning in warnings_of(scene))
     assert start.state.tolist() == [-1]
 
 
@@ -487,7 +487,7 @@ def test_given_start_on_the_cone(share: float, accepted: bool):
         accepted_slip = load_scene(scene).model().start.slip[0, 0]
         assert accepted_slip == (slip if share < 1 else pytest.approx(slip, rel=2e-9))
         assert 10 * accepted_slip <= 0.5 * 2.0
-        assert not any("has no effect" in warning for warning in load_scene(scene).warnings())
+        assert not any("has no effect" in warning for warning in warnings_of(load_scene(scene)))
     else:
         assert "outside its friction cone" in problems(scene)[0][1]
 
@@ -670,30 +670,30 @@ def test_describe_contacts():
 
 
 def test_modes_far_above_the_excitation_are_worth_a_warning():
-    assert load_scene(CONFIGS / "blade.yaml").warnings() == []
-    (warning,) = load_scene(CONFIGS / "blade.yaml", ["structure.keep_modes=24"]).warnings()
+    assert list(warnings_of(load_scene(CONFIGS / "blade.yaml"))) == []
+    (warning,) = warnings_of(load_scene(CONFIGS / "blade.yaml", ["structure.keep_modes=24"]))
     assert "330695 Hz" in warning
     assert "keep_modes" in warning
 
 
 def test_damping_given_in_percent_and_a_result_of_gigabytes_are_worth_a_warning():
-    (warning,) = load_scene(CONFIGS / "oscillator.yaml", ["structure.modes.1.damping_ratio=2"]).warnings()
+    (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["structure.modes.1.damping_ratio=2"]))
     assert warning.startswith("structure: damping ratio 2 of mode 2 at 1.1 Hz")
-    assert load_scene(CONFIGS / "oscillator.yaml", ["structure.modes.1.damping_ratio=0.99"]).warnings() == []
+    assert list(warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["structure.modes.1.damping_ratio=0.99"]))) == []
     long = ["study.cycles=100000", "study.samples_per_cycle=200"]
-    (warning,) = load_scene(CONFIGS / "oscillator.yaml", [*long, "study.record_last=100000"]).warnings()
+    (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", [*long, "study.record_last=100000"]))
     assert warning.startswith("study: 20000001 samples make a result of 2.2 GB")
-    assert load_scene(CONFIGS / "oscillator.yaml", [*long, "study.record_last=10"]).warnings() == []
+    assert list(warnings_of(load_scene(CONFIGS / "oscillator.yaml", [*long, "study.record_last=10"]))) == []
 
 
 def test_numbers_of_samples_that_make_no_sense_are_worth_a_warning():
-    (warning,) = load_scene(CONFIGS / "oscillator.yaml", ["study.samples_per_cycle=7"]).warnings()
+    (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["study.samples_per_cycle=7"]))
     assert warning.startswith("study: 7 samples of a cycle show little of its motion")
-    assert load_scene(CONFIGS / "oscillator.yaml", ["study.samples_per_cycle=8"]).warnings() == []
+    assert list(warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["study.samples_per_cycle=8"]))) == []
     for name in ("figure10", "bistable", "one_slider"):
-        (warning,) = load_scene(CONFIGS / f"{name}.yaml", ["study.time_samples=500000"]).warnings()
+        (warning,) = warnings_of(load_scene(CONFIGS / f"{name}.yaml", ["study.time_samples=500000"]))
         assert warning.startswith("study.time_samples: 500000 samples of a period")
-        assert load_scene(CONFIGS / f"{name}.yaml", ["study.time_samples=65536"]).warnings() == []
+        assert list(warnings_of(load_scene(CONFIGS / f"{name}.yaml", ["study.time_samples=65536"]))) == []
 
 
 def test_natural_frequencies_with_contacts_absent_and_stuck():
@@ -735,18 +735,18 @@ def test_cycles_to_settle_are_those_of_the_slowest_decay():
 
 
 def test_nothing_moves_is_worth_a_warning():
-    assert any("nothing will move" in warning for warning in load_scene(one_mass()).warnings())
+    assert any("nothing will move" in warning for warning in warnings_of(load_scene(one_mass())))
 
 
 def test_a_force_that_acts_on_nothing_is_worth_a_warning():
     forces = [{"point": "m", "direction": axis, "amplitude": 1} for axis in ([1, 0, 0], [0, 2, 0])]
     excitation = {"forces": forces, "constant_forces": [forces[1]]}
-    assert load_scene(one_mass(excitation=excitation)).warnings() == [
+    assert list(warnings_of(load_scene(one_mass(excitation=excitation)))) == [
         f"excitation.{key} has no effect: no mode moves m along its direction"
         for key in ("forces.1", "constant_forces.0")
     ]
     forces[1]["amplitude"] = 0
-    assert load_scene(one_mass(excitation=excitation)).warnings() == []
+    assert list(warnings_of(load_scene(one_mass(excitation=excitation)))) == []
 
 
 def test_check_loads_no_jax():

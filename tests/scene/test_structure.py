@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from timesim.fault import RuleError, SceneError
 from timesim.model.matrices import Matrices, modal_structure
+from timesim.scene.report import warnings_of
 from timesim.study.registry import load_scene
 
 DATA = Path(__file__).parents[1] / "data"
@@ -154,7 +155,7 @@ def test_mat_file(sparse: bool, names: tuple[str, ...], tmp_path: Path):
     scipy.io.savemat(tmp_path / "a.mat", held | {"notes": "left alone", "rows": np.array(["a", "b"], dtype=object)})
     loaded = load_scene(files(tmp_path / "a.mat"))
     assert np.allclose(loaded.model().structure.damping, 0.02 * loaded.model().structure.omega)
-    assert any("damping matrix in the file is not" in warning for warning in loaded.warnings())
+    assert any("damping matrix in the file is not" in warning for warning in warnings_of(loaded))
     source = files(tmp_path / "a.mat")
     del source["structure"]["damping_ratio"]
     structure = load_scene(source).model().structure
@@ -182,7 +183,7 @@ def test_both_names_are_worth_a_warning(tmp_path: Path):
     np.savez(tmp_path / "a.npz", mass=base.mass, M=np.eye(2), K=base.stiffness)
     loaded = load_scene(files(tmp_path / "a.npz"))
     assert loaded.model().structure.num_modes == 3
-    assert any("M is left alone" in warning for warning in loaded.warnings())
+    assert any("M is left alone" in warning for warning in warnings_of(loaded))
 
 
 def good(path: Path, **changes: Any) -> Path:

@@ -16,6 +16,7 @@ from timesim.model import promise
 from timesim.picture import jump as plot_jump
 from timesim.picture import transient as plot_transient
 from timesim.result import netcdf
+from timesim.scene.report import warnings_of
 from timesim.study import registry as plot
 from timesim.study import transient
 from timesim.study.execution.campaign import Execution
@@ -245,7 +246,7 @@ def test_the_summary_gives_the_amplitude_of_each_phase() -> None:
 def test_the_resolved_scene_runs_again_and_an_unused_frequency_is_reported() -> None:
     loaded = load_scene(SHORT)
     assert load_scene(loaded.resolved_yaml()).file == loaded.file
-    warnings = load_scene(SHORT, {"excitation.frequency": 1.0}).warnings()
+    warnings = list(warnings_of(load_scene(SHORT, {"excitation.frequency": 1.0})))
     assert any("excitation.frequency is not used" in line for line in warnings)
 
 

@@ -61,7 +61,7 @@ def x(result: xarray.Dataset) -> Any:
     return result.amplitude.sel(point="tip", axis="x")
 
 
-def same(one: xarray.Dataset, other: xarray.Dataset) -> None:
+def assert_same(one: xarray.Dataset, other: xarray.Dataset) -> None:
     """Every variable and coordinate, bit for bit."""
     assert set(one.variables) == set(other.variables)
     for name in one.variables:
@@ -472,7 +472,9 @@ BOUNCES = [0.3, 0.6]
 def test_workers_make_no_difference(study: dict[str, Any]) -> None:
     grid = sweep.Grid(timesim.load_scene(scene(study)), timesim.load_scene(scene(study)).plan)
     assert len(grid.chunks(grid.scene.solver())[0]) == 2
-    same(run(study, workers=1, solver={"accuracy": "draft"}), run(study, workers=2, solver={"accuracy": "draft"}))
+    assert_same(
+        run(study, workers=1, solver={"accuracy": "draft"}), run(study, workers=2, solver={"accuracy": "draft"})
+    )
 
 
 @pytest.mark.parametrize(
@@ -537,7 +539,7 @@ def test_killed_and_resumed_it_gives_the_same(tmp_path: Path) -> None:
     assert sorted(item.name for item in folder.iterdir()) == ["result.nc", "scene.yaml"]
     assert call(tmp_path / "whole", text)[0] == 0
     resumed, whole = (timesim.open_result(part) for part in (folder, tmp_path / "whole"))
-    same(resumed, whole)
+    assert_same(resumed, whole)
     assert whole.sizes["jump"] == 1
     assert whole.jump_low.notnull().all()
     assert call(folder, text.replace("0.96", "0.97"), "--resume")[0] == 2
@@ -546,7 +548,7 @@ def test_killed_and_resumed_it_gives_the_same(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_cluster_gives_the_same_as_threads() -> None:
     study = {"frequency": {"from": 1.30, "to": 1.43, "step": 0.001}, "settle": {"max_cycles": 24}}
-    same(timesim.run(scene(study), cluster="local", workers=2), run(study))
+    assert_same(timesim.run(scene(study), cluster="local", workers=2), run(study))
 
 
 # Against settled amplitudes of other systems, and the softening jump

@@ -76,9 +76,7 @@ class Coefficients:
 def in_phase(first: NDArray[np.complex128], phase: Array) -> tuple[Array, Array]:
     """f_s and f_c of (19), the parts of a first harmonic on sin(theta + phase) and cos(theta + phase).
 
-    Args:
-        first: cosine part minus i times the sine part, shape (..., 2) [force].
-        phase: of the motion, shape (..., 2) [rad].
+    The harmonic is its cosine part minus i times the sine part, shape (..., 2) [force]; the phase that of the motion.
     """
     turned = first * np.exp(-1j * phase)
     return -turned.imag, turned.real
@@ -87,12 +85,8 @@ def in_phase(first: NDArray[np.complex128], phase: Array) -> tuple[Array, Array]
 def next_reach(reach: ArrayLike, residual: ArrayLike, best: ArrayLike) -> Array:
     """Share of the way to an extrapolated limit to go next, where the last leap went the share ``reach``.
 
-    Beyond the limit other slips may push it back, again and again: it goes half as far then.
-
-    Args:
-        reach: share of the last leap.
-        residual: change from cycle to cycle now.
-        best: the same before the last leap.
+    Beyond the limit other slips may push it back, again and again: it goes half as far then. ``residual`` is the change
+    from cycle to cycle now, ``best`` that before the last leap.
     """
     better = np.less(residual, (1 - np.divide(reach, 2)) * best)
     return np.where(better, np.minimum(1.0, np.multiply(reach, 2)), np.divide(reach, 2))
@@ -103,12 +97,9 @@ def _ratio(force: Array, amplitude: Array) -> Array:
 
 
 def principal_axes(fundamental: NDArray[np.complex128]) -> tuple[Array, Array, Array]:
-    """Principal axes of the ellipse u_i = Im(U_i exp(i theta)).
+    """Principal axes of the ellipse u_i = Im(U_i exp(i theta)), U of shape (2,) [length].
 
     Along them the motion is [a sin(theta + chi), b cos(theta + chi)].
-
-    Args:
-        fundamental: U, shape (2,) [length].
 
     Returns:
         axes, rows the major and the minor one, right-handed, shape (2, 2); amplitudes (a, b), a >= |b|, shape
@@ -163,21 +154,6 @@ class ElementCycle:
     def offset_free(self) -> bool:
         """Full stick: w may keep another offset, seen in f_b alone; here that of a start with f = 0."""
         return all(stay.state == STICK for stay in self.stays)
-
-    @property
-    def transition_angle_deg(self) -> Array:
-        """Angles of the transitions of the cycle, in [0, 360) [degree]."""
-        return np.degrees([item.angle for item in self.transitions])
-
-    @property
-    def transition_from(self) -> NDArray[np.int64]:
-        """States left."""
-        return np.array([item.before for item in self.transitions], np.int64)
-
-    @property
-    def transition_to(self) -> NDArray[np.int64]:
-        """States entered."""
-        return np.array([item.after for item in self.transitions], np.int64)
 
     @property
     def largest_limit(self) -> float:
@@ -240,11 +216,7 @@ class ElementCycle:
         return theta.ravel(), (size[:, None] * GAUSS_WEIGHTS / 2).ravel()
 
     def harmonics(self, num_harmonics: int) -> tuple[Array, Array]:
-        """Fourier coefficients of f, harmonics 0 to H.
-
-        Returns:
-            cosine, with the mean first, and sine, each of shape (H + 1, 2) [force].
-        """
+        """Fourier coefficients of f, cosine, with the mean first, and sine, each of shape (H + 1, 2) [force]."""
         theta, weights = self._quadrature(INTERVAL / max(1.0, num_harmonics / 8))
         turn = np.exp(-1j * np.multiply.outer(np.arange(num_harmonics + 1), theta))
         phasor = (turn * weights) @ self.force(theta).T / np.pi

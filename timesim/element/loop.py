@@ -30,14 +30,11 @@ BRIEF = 1e-8
 
 @dataclass(frozen=True)
 class LoopCycle:
-    """The steady cycle by the event loop.
+    """The steady cycle by the event loop; transitions, counts and residual as of `ElementCycle`.
 
     Attributes:
-        transitions: of the cycle, angles in [0, 2 pi).
         f_b, f_s, f_c: coefficients of (19), each of shape (2,) [force].
         dissipation: work of friction in the cycle [force length].
-        num_cycles: cycles marched, this one included.
-        residual: change of the friction force over the cycle, relative to the largest mu n.
     """
 
     transitions: tuple[Transition, ...]
@@ -74,26 +71,20 @@ class Difference:
     settled: bool
 
 
-def loop_cycle(contact: Contact, motion: Motion, *, solver: Solver = FINE, max_cycles: int = MAX_CYCLES) -> LoopCycle:
+def loop_cycle(contact: Contact, motion: Motion) -> LoopCycle:
     """March a contact through the prescribed motion by the event loop until its cycle repeats.
 
-    Args:
-        contact: friction, K_u, k_v and n0 are used; its points and frame are not.
-        motion: the relative motion over one cycle.
-
-    Keyword Args:
-        solver: method and tolerances.
-        max_cycles: bound of the march; `LoopCycle.periodic` says whether it sufficed.
+    Of the contact friction, K_u, k_v and n0 are used; its points and frame are not.
 
     Raises:
         RuntimeError: the loop ended early.
     """
     elements = single_element(contact, motion)
     dynamics = PrescribedContacts(elements.law(), drive_of(elements, motion))
-    method, control = step_method(solver), step_control(solver, 1.0)
+    method, control = step_method(FINE), step_control(FINE, 1.0)
     state, slip, before = elements.start_state, elements.start[:, :2], np.inf
     force = elements.start_force(slip, state)
-    for cycle in range(1, max_cycles + 1):
+    for cycle in range(1, MAX_CYCLES + 1):
         end, steps, count = record_cycle(method, control, dynamics, tuple(slip.T), state)
         reached = cycle_end(elements, end)
         if not reached.good[0] or int(end.cycle) != 1:

@@ -37,14 +37,7 @@ class Motion(ABC):
 
     @abstractmethod
     def evaluate(self, theta: ArrayLike) -> tuple[Array, Array]:
-        """Motion and its rate at angles of any shape.
-
-        Args:
-            theta: angles [rad], shape (...).
-
-        Returns:
-            y = (u1, u2, v) [length] and dy/dtheta [length/rad], each of shape (3, ...).
-        """
+        """y = (u1, u2, v) [length] and dy/dtheta [length/rad], of shape (3, ...), at angles of shape (...) [rad]."""
 
     @abstractmethod
     def crossings(self, weights: Array, constant: float, *, rate: bool = False) -> tuple[Array, NDArray[np.bool_]]:
@@ -172,11 +165,10 @@ class HarmonicMotion(Motion):
 
 @dataclass(frozen=True)
 class SplineMotion(Motion):
-    """Periodic quintic spline through samples of one cycle at theta = 2 pi k / N; smooth to the fourth
-    derivative.
+    """Periodic quintic spline through samples at theta = 2 pi k / N; smooth to the fourth derivative.
 
     Attributes:
-        samples: (u1, u2, v) at equal angles, the end of the cycle left out, shape (N, 3) [length].
+        samples: (u1, u2, v) at these angles, the end of the cycle left out, shape (N, 3) [length].
     """
 
     samples: Array

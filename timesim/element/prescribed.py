@@ -62,11 +62,7 @@ class Drive(eqx.Module):
 
 
 class HarmonicDrive(Drive):
-    """Harmonic motion, ``cosine cos θ + sine sin θ``.
-
-    Attributes:
-        cosine, sine: of u1, u2 and v.
-    """
+    """Harmonic motion, ``cosine cos θ + sine sin θ`` of u1, u2 and v."""
 
     cosine: Plane
     sine: Plane
@@ -79,11 +75,7 @@ class HarmonicDrive(Drive):
 
 
 class SplineDrive(Drive):
-    """The motion of one contact, by polynomials of degree five between equal angles.
-
-    Attributes:
-        taylor: coefficients of 1, x, x^2, ... about the start of each piece.
-    """
+    """The motion of one contact, by polynomials of degree five in the angle from the start of each of equal pieces."""
 
     taylor: Float[Leaf, "6 piece 3"]
 
@@ -127,12 +119,7 @@ class CycleState(ContinuousState):
 
 
 class PrescribedContacts(Dynamics):
-    """Contacts whose relative motion is given.
-
-    Attributes:
-        law: their law.
-        drive: their motion.
-    """
+    """Contacts whose relative motion is given: their law, and what drives them."""
 
     law: ContactLaw
     drive: Drive
@@ -177,8 +164,7 @@ def march_cycle(
 ) -> tuple[Trajectory, Array]:
     """One cycle of contacts side by side, each in steps of its own.
 
-    Returns:
-        the trajectories at its end, the contact as first axis, and the number of transitions of each.
+    The trajectories at its end, the contact as first axis, and the number of transitions of each.
     """
     lanes, w, state = jax.tree.map(lambda leaf: leaf[:, None], (dynamics, w, state))
     starts = jax.vmap(cycle_start)(lanes, w, state)

@@ -27,7 +27,7 @@ from scipy.special import roots_jacobi
 from timesim.element.motion import Array, Motion
 
 NUM_STAGES = 16
-TOLERANCE = 1e-13
+TOLERANCE = 1e-13  # of the last Legendre coefficients of alpha in a step, weighted by mu n over its largest value
 FIRST_STEP, LONGEST_STEP = 0.5, 2.0
 # Limit force, relative to its largest value, that is nothing: towards separation the direction may turn
 # without end.
@@ -113,8 +113,7 @@ def _parts(matrix: Array) -> tuple[float, complex]:
 def contact_direction(law: Law, dy: Array) -> tuple[float, float]:
     """Slip after re-contact: e and s >= 0 with (mu n' I + s K_u) e = K_u u', |e| = 1, in place of (18).
 
-    Returns:
-        angle of e [rad] and s [length/rad].
+    The angle of e [rad] and s [length/rad].
     """
     values, axes = np.linalg.eigh(law.stiffness)
     pull = axes.T @ (law.stiffness @ dy[:2])
@@ -157,15 +156,7 @@ def constant_path(alpha: float, start: float, stop: float, stuck: bool) -> SlipP
     return SlipPath(np.array([start]), np.array([max(stop - start, 1e-300)]), nodes, stop, alpha, stuck)
 
 
-def integrate_slip(
-    law: Law,
-    motion: Motion,
-    alpha: float,
-    start: float,
-    end: float,
-    largest: float,
-    tolerance: float = TOLERANCE,
-) -> SlipPath:
+def integrate_slip(law: Law, motion: Motion, alpha: float, start: float, end: float, largest: float) -> SlipPath:
     """Integrate alpha from `start` until the contact sticks, at most to `end`.
 
     Args:
@@ -173,7 +164,6 @@ def integrate_slip(
         alpha: direction of the friction force at `start` [rad].
         start, end: angles; n > 0 between them, it may vanish at either [rad].
         largest: largest limit force mu n of the cycle, the scale of the tolerance [force].
-        tolerance: bound of the last Legendre coefficients of alpha in a step, weighted by mu n / largest.
 
     Raises:
         RuntimeError: the step length fell to nothing.
@@ -183,7 +173,7 @@ def integrate_slip(
     previous, share = None, 1.0
     # Where a gap hardly closes, n is a small difference, known to its rounding only.
     rounding = 4 * np.finfo(float).eps * (2 * law.friction * abs(law.preload) + largest)
-    nothing, tolerance = max(VANISHED * largest, 4 * rounding), max(tolerance, 100 * rounding / largest)
+    nothing, tolerance = max(VANISHED * largest, 4 * rounding), max(TOLERANCE, 100 * rounding / largest)
     parting = law.limit(*motion.evaluate(end))[0] <= nothing
     for _ in range(MAX_STEPS):
         length = min(length, share * (end - theta))
@@ -227,9 +217,7 @@ def _collocate(
 ) -> tuple[Array | None, Array, float]:
     """Solve the collocation equations of one step by Newton's method.
 
-    Returns:
-        alpha at `NODES` (None: no convergence), the motion's rate there, and the largest limit force of the
-        step.
+    Alpha at `NODES` (None: no convergence), the motion's rate there, and the largest limit force of the step.
     """
     y, dy = motion.evaluate(start + length * NODES)
     limit, limit_rate = law.limit(y[:, 1:], dy[:, 1:])

@@ -52,12 +52,8 @@ class Phase:
 def steady_cycle(contact: Contact, motion: Motion, *, max_cycles: int = MAX_CYCLES) -> ElementCycle:
     """March a contact through the prescribed motion, state by state, until its cycle repeats to rounding.
 
-    Args:
-        contact: friction, K_u, k_v and n0 are used; its points and frame are not.
-        motion: the relative motion over one cycle.
-
-    Keyword Args:
-        max_cycles: bound of the march; `ElementCycle.periodic` says whether it sufficed.
+    Of the contact friction, K_u, k_v and n0 are used; its points and frame are not. `ElementCycle.periodic` says
+    whether the bound of the march sufficed.
 
     Raises:
         ValueError: there is no contact to speak of, or K_u and friction do not go together.

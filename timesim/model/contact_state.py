@@ -28,8 +28,6 @@ def contact_state(
         normal: n0 + k_v v [force].
         friction: mu.
         before: state in which they were, or `UNKNOWN`. One that slips goes on slipping as long as it touches.
-
-    Keyword Args:
         rounding: load [force] up to which a contact that was apart stays so.
     """
     touches = np.asarray(normal) > np.where(np.equal(before, SEPARATION), rounding, 0.0)
@@ -73,11 +71,7 @@ class ContactLoads:
         return np.linalg.norm(self.force, axis=1)
 
     def slip_in_cone(self, room: float = 1.0) -> np.ndarray:
-        """The slip, moved towards u where the force lies outside its cone, shape (C, 2).
-
-        Args:
-            room: share of the limit on which such a force is put.
-        """
+        """The slip, moved towards u where |f| exceeds its limit, to a share ``room`` of it, shape (C, 2)."""
         size, limit = self.size, room * self.limit
         excess = np.where(size > limit, 1 - limit / np.where(size > 0, size, 1.0), 0.0)
         return self.slip + (self.motion - self.slip) * excess[:, None]

@@ -80,7 +80,7 @@ def slip_rates(model: Model, frequency: float) -> np.ndarray:
     slide. It is 0 where nothing slides, or only along a line, and of a gap that the response without it does not close.
     """
     shapes, normal_stiffness = model.contact_shape, model.normal_stiffness
-    speed, press = _sliding(model, frequency, np.ones(model.num_contacts))
+    speed, press = _sliding(model, frequency, np.ones(model.num_contacts, dtype=bool))
     _, reach = _sliding(model, frequency, model.preload > 0)
     touches = (model.preload > 0) | (model.preload + normal_stiffness * reach > 0)
     normal = model.friction * (np.maximum(model.preload, 0.0) + normal_stiffness * press)
@@ -94,14 +94,18 @@ def _sliding(model: Model, frequency: float, closed: np.ndarray) -> tuple[np.nda
     """Largest tangential speed and normal displacement of each contact, some being closed along their normals."""
     body, shapes, load = model.structure, model.contact_shape, model.excitation
     damping = np.diag(body.damping) if body.damping.ndim == 1 else body.damping
-    stiffness = np.einsum("c,ci,cj->ij", closed * model.normal_stiffness, shapes[:, 2], shapes[:, 2])
-    stiffness += np.diag(body.stiffness)
+    closed = closed & (model.normal_stiffness > 0)
+    normals, compliance = shapes[closed, 2], 1 / model.normal_stiffness[closed]
     speed, press = np.zeros(model.num_contacts), np.zeros(model.num_contacts)
     for order, force in zip(load.harmonic, load.cosine - 1j * load.sine, strict=True):
         turn = 2 * np.pi * frequency * order
-        # No resonance is without bound: a little of the stiffness is taken for damping.
-        matrix = stiffness * (1 + 1e-3j) - turn**2 * np.diag(body.mass) + 1j * turn * damping
-        motion = shapes @ np.linalg.solve(matrix, force)
+        # No resonance is without bound: a little of each stiffness is taken for damping.
+        dynamic = np.diag(body.stiffness * (1 + 1e-3j) - turn**2 * body.mass) + 1j * turn * damping
+        free, pressed = np.linalg.solve(dynamic, force), np.linalg.solve(dynamic, normals.T)
+        # Contacts as loads, not as stiffness: one of 1e100 would drown the structure in rounding.
+        gap = normals @ pressed
+        gap += np.diag(np.maximum(compliance, 1e-9 * np.abs(gap.diagonal())) / (1 + 1e-3j))
+        motion = shapes @ (free - pressed @ np.linalg.solve(gap, normals @ free))
         speed += turn * np.linalg.norm(motion[:, :2], axis=1)
         press += np.abs(motion[:, 2])
     return speed, press
@@ -120,15 +124,7 @@ def slip_stiff(model: Model, frequency: float) -> bool:
 
 
 def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side: int | None = None) -> float:
-    """Of a cycle at a frequency [Hz].
-
-    Args:
-        model, solver, frequency: what is integrated.
-        side_by_side: how many are marched side by side; None: it is one run, and recorded.
-
-    Returns:
-        The time of a cycle of one of them.
-    """
+    """Of a cycle of one run at a frequency [Hz]; of several marched side by side, or of one that is recorded: None."""
     steps = 2 * np.pi / solver.longest
     if solver.name != "rk4":
         near = min(PRESETS, key=lambda name: abs(np.log(PRESETS[name].rtol / solver.rtol)))

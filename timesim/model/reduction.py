@@ -143,7 +143,6 @@ class _Scene:
     """A model with unit modal masses.
 
     Attributes:
-        model: the model.
         damping: D, shape (M, M).
         shape: B, entries that are rounding set to zero, shape (C, 3, M).
         wave: force amplitudes P, ``Re(P exp(i h theta))`` a harmonic, shape (H, M).
@@ -262,10 +261,7 @@ def _reach(scene: _Scene) -> np.ndarray:
 def _proof(scene: _Scene, part: _Part, omega: float | None) -> dict[int, float]:
     """Margin of each contact of a part if none of them ever changes its state; else nothing.
 
-    Args:
-        scene: the scene.
-        part: modes and contacts that are coupled.
-        omega: circular frequency of the excitation, None where it changes.
+    ``omega``: circular frequency of the excitation, None where it changes.
     """
     if not part.contacts.size or np.any(scene.state[part.contacts] == SLIP):
         return {}

@@ -30,8 +30,7 @@ class Solver:
     def first_step(self, stiffest: float) -> float:
         """Length of the first step of a cycle [rad]; the error control takes over from there.
 
-        Args:
-            stiffest: fastest rate of the stuck structure, in units of the excitation's frequency.
+        ``stiffest``: fastest rate of the stuck structure, in units of the excitation's frequency.
         """
         if self.name in ("rk4", "exponential"):
             return self.longest

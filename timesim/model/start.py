@@ -70,7 +70,8 @@ def static_start(physics: Model) -> Start:
     agrees with the normal loads: all that disagree at once; after a set comes back, the first of them only.
 
     Raises:
-        RuleError: no set agrees, nothing restrains a mode of frequency 0, or a contact leaves its cone.
+        RuleError: no set agrees, nothing restrains a mode of frequency 0, a displacement is too large for a number, or
+            a contact leaves its cone.
     """
     closed = np.array([contact.preload > 0 for contact in physics.contacts], dtype=bool)
     seen: set[bytes] = set()
@@ -113,7 +114,12 @@ def _equilibrium(physics: Model, closed: np.ndarray) -> tuple[np.ndarray, bool]:
     loose = vectors[:, values <= 1e-12].T @ (force / scale)
     # A loose body is moved far along the force, which closes what can stop it.
     solved = (vectors / np.maximum(values, 1e-9)) @ (vectors.T @ (force / scale))
-    return solved / scale, bool(np.all(np.abs(loose) <= 1e-12 * np.linalg.norm(force / scale)))
+    with np.errstate(over="ignore"):
+        displacement = solved / scale
+    if not np.all(np.isfinite(displacement)):
+        rule = "finds no equilibrium: a displacement exceeds the largest number"
+        raise RuleError((), rule, "give masses and stiffnesses in units that suit the forces")
+    return displacement, bool(np.all(np.abs(loose) <= 1e-12 * np.linalg.norm(force / scale)))
 
 
 def resumed_start(physics: Model, end: Start, contacts: Sequence[str]) -> Start:

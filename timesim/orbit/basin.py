@@ -31,9 +31,7 @@ def placed(
 ) -> Start:
     """A start whose friction forces lie inside their cones; the slip of a contact that is apart is its motion.
 
-    Args:
-        model: the scene; displacement, velocity, slip: the state.
-        pull: force by which each contact is pulled aside, as a share of its friction limit, shape (C, 2).
+    ``pull``: force by which each contact is pulled aside, as a share of its friction limit, shape (C, 2).
     """
     loads = contact_loads(model, displacement, slip)
     if pull is not None:
@@ -73,38 +71,27 @@ def branch_of(orbit: Orbit, motions: Sequence[Orbit]) -> int:
 def explore(model: Model, steady: SteadyStates, ranges: Columns, num: int) -> dict[str, np.ndarray]:
     """Motions to which the ensemble of starts leads at the middle of each range, as arrays.
 
-    Args:
-        model: the scene.
-        steady: computes steady states with the solver and criterion of the ranges.
-        ranges: the ranges and their motions, as `timesim.orbit.two_motions.ranges_of` gives them.
-        num: starts along each side.
+    ``steady`` is that of the ranges, which are as `timesim.orbit.two_motions.ranges_of` gives them; ``num``: starts
+    along each side.
     """
     rows = []
     for place, (low, high) in enumerate(ranges["range"]):
         motions = [orbit_of(ranges, (place, side), model.start.phase) for side in (LOWER, UPPER)]
         starts = starts_between(model, motions, num)
         chains = [Chain(replace(model, start=start), (0.5 * (low + high),)) for start in starts]
-        rows.append(_row([orbit for (orbit,) in steady(chains)], motions))
-    points, contacts = len(model.structure.points), model.num_contacts
-    shapes = {
-        "start_branch": (num, num),
-        "start_cycles": (num, num),
-        "start_amplitude": (num, num, points, 3),
-        "offset_low": (2, contacts, 2),
-        "offset_high": (2, contacts, 2),
-    }
-    return {name: np.array([row[name] for row in rows]).reshape(len(rows), *own) for name, own in shapes.items()}
+        rows.append(_row([orbit for (orbit,) in steady(chains)], motions, (num, num)))
+    return {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else ())}
 
 
-def _row(orbits: Sequence[Orbit], motions: Sequence[Orbit]) -> dict[str, np.ndarray]:
-    """The arrays of one range."""
+def _row(orbits: Sequence[Orbit], motions: Sequence[Orbit], square: tuple[int, int]) -> dict[str, np.ndarray]:
+    """The arrays of one range, the starts along the sides of a square."""
     branch = np.array([branch_of(orbit, motions) for orbit in orbits], dtype=np.int8)
     led = [[orbit for orbit, own in zip(orbits, branch, strict=True) if own == side] for side in (LOWER, UPPER)]
     low, high = np.stack([offsets([*own, motion]) for own, motion in zip(led, motions, strict=True)], axis=1)
     return {
-        "start_branch": branch,
-        "start_cycles": np.array([orbit.cycles for orbit in orbits], dtype=np.int32),
-        "start_amplitude": np.array([orbit.amplitude for orbit in orbits]),
+        "start_branch": branch.reshape(square),
+        "start_cycles": np.array([orbit.cycles for orbit in orbits], dtype=np.int32).reshape(square),
+        "start_amplitude": np.array([orbit.amplitude for orbit in orbits]).reshape(*square, -1, 3),
         "offset_low": low,
         "offset_high": high,
     }

@@ -91,9 +91,6 @@ def record_cycles(
         now: trajectories as `Lane.at_start` or an earlier call gives them, batch first; their rates are computed anew.
         cycles: how many each is to complete.
         capacity: tries that the record has room for.
-
-    Returns:
-        the trajectories, batch first, and the tries.
     """
     problem = (controls, systems, now)
     if one_by_one(method, systems):
@@ -126,16 +123,7 @@ def _kept(
 def march(
     lanes: Sequence[Lane], solver: Solver, num_cycles: int, *, size: int = SIZES[1]
 ) -> list[tuple[Lane, np.ndarray]]:
-    """March lanes by a number of cycles: each at the end, and its state vector at the end of each completed cycle.
-
-    Args:
-        lanes: any number.
-        solver: method and tolerances.
-        num_cycles: number of cycles.
-
-    Keyword Args:
-        size: of the batches.
-    """
+    """March lanes by a number of cycles: each at the end, and its state vector at the end of each completed cycle."""
     done: list[tuple[Lane, np.ndarray]] = []
     for batch in _batches(lanes, size):
         problem: Problem = _stacked([(lane.control, lane.system, lane.here) for lane in _padded(batch, size)])
@@ -147,16 +135,9 @@ def march(
 def record(
     lanes: Sequence[Lane], solver: Solver, num_cycles: Sequence[int], most: int | None = None, *, size: int = SIZES[1]
 ) -> list[Recorded]:
-    """March lanes by some cycles and keep their steps.
+    """March each lane by its number of cycles and keep its steps.
 
-    Args:
-        lanes: any number.
-        solver: method and tolerances.
-        num_cycles: cycles of each lane.
-        most: tries after which to give up; the budget of the solver by default.
-
-    Keyword Args:
-        size: of the batches.
+    ``most``: tries after which to give up; the budget of the solver by default.
     """
     pairs = list(zip(lanes, num_cycles, strict=True))
     ends = [end for batch in _batches(pairs, size) for end in _advanced(batch, solver, most, size)]

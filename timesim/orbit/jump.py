@@ -26,7 +26,6 @@ class Stretch:
     """Frequencies over which the amplitude changes.
 
     Attributes:
-        model: the scene.
         near, far: ends, in the direction of the sweep [Hz].
         on, beyond: the motions there.
         least: change of amplitude below which nothing is called a jump.
@@ -79,12 +78,9 @@ class Stretch:
 
 
 def narrowed(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -> list[tuple[int, Stretch]]:
-    """The jumps within stretches, each with the position of its stretch and at most as wide as wanted.
+    """The jumps within stretches, each with the position of its stretch and at most as wide as wanted [Hz].
 
-    Args:
-        stretches: where to look.
-        steady: computes steady states with the solver and criterion of the sweep.
-        width: wanted of each jump [Hz].
+    ``steady`` computes steady states with the solver and criterion of the sweep.
     """
     jumps: list[tuple[int, Stretch]] = []
     left = list(enumerate(stretches))
@@ -134,13 +130,7 @@ def jumps_of(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -
 
 
 def steps_of(model: Model, frequencies: Sequence[float], orbits: Sequence[Orbit]) -> list[Stretch]:
-    """The steps of a sweep over which the amplitude changes.
-
-    Args:
-        model: the scene.
-        frequencies: in the order of the sweep [Hz].
-        orbits: at them.
-    """
+    """The steps of a sweep over which the amplitude changes; frequencies [Hz] and motions in the order of the sweep."""
     steps = []
     for near, far, on, beyond in zip(frequencies, frequencies[1:], orbits, orbits[1:], strict=False):
         size = max(float(np.nanmax(orbit.amplitude, initial=0.0)) for orbit in (on, beyond))
@@ -153,11 +143,7 @@ def steps_of(model: Model, frequencies: Sequence[float], orbits: Sequence[Orbit]
 def suspects(amplitude: np.ndarray) -> np.ndarray:
     """Steps of a sweep over which the amplitude changes by far more than over those beside them.
 
-    Args:
-        amplitude: of all points along all axes, shape (F, X).
-
-    Returns:
-        Positions of the points before the steps.
+    By the positions of the points before the steps; the amplitude is that of all points along all axes, shape (F, X).
     """
     if len(amplitude) < 3:
         return np.zeros(0, dtype=int)

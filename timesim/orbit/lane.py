@@ -212,8 +212,6 @@ class Recorded:
             cycles: integrated until their end.
             period: of the motion; 0 where it has not settled.
             settled_to: how far it is from repeating.
-
-        Keyword Args:
             irregular: whether it has shown that it never will.
         """
         lane, multipliers = self.start, self.multipliers

@@ -208,19 +208,14 @@ def steady_states(
     crowd: int = 0,
     halted: Callable[[], bool] = lambda: False,
 ) -> list[list[Orbit]]:
-    """The steady states of chains of frequencies.
+    """The steady states of chains of frequencies, those of each in its order; after one that failed it starts anew.
 
     Args:
         chains: the first motion of each starts from the model's own `Start`.
         solver: method and tolerances.
         criterion: when a motion counts as settled.
-
-    Keyword Args:
         crowd: number of chains for which batches are sized, where more follow in other calls: so one size is compiled.
         halted: called after each steady state; True gives the work up.
-
-    Returns:
-        The orbits of each chain in the order of its frequencies. After one that failed the chain starts anew.
 
     Raises:
         KeyboardInterrupt: the work was given up.

@@ -69,12 +69,9 @@ class Shot:
 
 
 def iterated(shot: Shot, recorded: Recorded, tolerance: float) -> Shot | Converged | Failure:
-    """An iteration of Newton's method: the next iterate, or how the iteration ends.
+    """An iteration of Newton's method, by the period from an iterate: the next iterate, or how the iteration ends.
 
-    Args:
-        shot: the iterate.
-        recorded: the period from it.
-        tolerance: of the step to the next iterate, relative to the state.
+    ``tolerance``: of the step to the next iterate, relative to the state.
     """
     if shot.held:
         return Converged(0.0) if recorded.is_held else Failure.ASTRAY

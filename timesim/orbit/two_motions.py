@@ -30,13 +30,7 @@ FURTHER = 6  # times that a motion is followed on where it was lost by the lengt
 
 @dataclass(frozen=True)
 class Search:
-    """Where to look for the ends of ranges.
-
-    Attributes:
-        model: the scene.
-        steady: computes steady states with the solver and criterion of the sweeps.
-        width: wanted of each end [Hz].
-    """
+    """Where to look for the ends of ranges, each to a width [Hz], by steady states as those of the sweeps."""
 
     model: Model
     steady: SteadyStates
@@ -266,21 +260,17 @@ def _at_middle(
 
 
 def ranges_of(search: Search, sweeps: Columns) -> dict[str, np.ndarray]:
-    """The jumps and the ranges of a pair of sweeps, and the motions at the middle of each range, as arrays."""
+    """The jumps and the ranges of a pair of sweeps, and the motions in the middle of ranges, as arrays."""
     both = Sweeps.of(sweeps, search.model.start.phase)
     lost = list(losses(search, both))
     every = list(ranges(search, both, lost))
-    model, size = search.model, len(every)
-    # Of no range the columns have their shapes all the same.
-    motions = [[one.lower, one.upper] for one in every] or [[without_orbit(model, "none")] * 2]
-    jumped = np.array([one.jumped for one in every]).reshape(size, 2, 2, len(model.structure.points), 3)
     jumps = [(loss.direction, *sorted((loss.jump.near, loss.jump.far))) for loss in lost if not loss.of_period]
-    return {name: array[:size] for name, array in columns_of(motions).items()} | {
-        "jumps": np.array(jumps, dtype=float).reshape(-1, 3),
-        "jump_from": jumped[:, :, 0],
-        "jump_to": jumped[:, :, 1],
-        "range": np.array([(one.low, one.high) for one in every]).reshape(-1, 2),
-        "range_cut": np.array([one.cut for one in every], dtype=np.int8).reshape(-1, 2),
-        "range_settled": np.array([one.settled for one in every], dtype=np.int8).reshape(-1, 2),
-        "range_irregular": np.array([one.irregular for one in every], dtype=np.int8).reshape(-1, 2),
-    }
+    ends = np.array([(one.low, one.high) for one in every]).reshape(-1, 2)
+    found = {"jumps": np.array(jumps, dtype=float).reshape(-1, 3), "range": ends}
+    if not every:
+        return found
+    jumped = np.array([one.jumped for one in every])
+    found |= columns_of([[one.lower, one.upper] for one in every])
+    found |= {"jump_from": jumped[:, :, 0], "jump_to": jumped[:, :, 1]}
+    marks = ("cut", "settled", "irregular")
+    return found | {f"range_{name}": np.array([getattr(one, name) for one in every], dtype=np.int8) for name in marks}

@@ -1,7 +1,6 @@
 """Pictures of a response that jumps: sweeps over the branch behind, which start leads where, ranges against a scalar.
 
-``f(data, ax=None) -> ax``, where `data` is the DataTree of a `bistable` study with the groups `sweep` and `hbm`.
-`PICTURES` are the figures that a run writes.
+`data` is the DataTree of a `bistable` study with the groups `sweep` and `hbm`.
 """
 
 from collections.abc import Mapping
@@ -18,7 +17,7 @@ from timesim.picture.response import (
     draw_branch,
     key_words,
     over_phase,
-    turns,
+    unwound,
     with_phase,
 )
 from timesim.picture.style import (
@@ -42,6 +41,7 @@ if TYPE_CHECKING:
     from xarray import Dataset, DataTree
 
 MAX_RANGES = 4
+SWEEPS = {"up": BLUE, "down": VERMILION}
 SHADE = "0.90"
 BEHIND = "0.45"
 WIDE = 0.05  # of the sweeps: narrower ranges are seen magnified only
@@ -57,13 +57,9 @@ LED_TO = {
 
 
 class Range(NamedTuple):
-    """A range of frequency [Hz] with two motions.
+    """A range of frequency with two motions.
 
-    Attributes:
-        at: position along the further axes.
-        number: of the range there.
-        label: the values of the further axes; empty where there are none.
-        low, high: its ends.
+    Its position along the further axes, its number there, the values of these axes in words, and its ends [Hz].
     """
 
     at: Mapping[str, int]
@@ -116,10 +112,7 @@ def response(
     """Both sweeps, what they jump to, and the branch of harmonic balance behind, unstable where it is dashed.
 
     Args:
-        data: the result.
-        ax: axes to draw on.
-
-    Keyword Args:
+        data, ax: the result, and axes to draw on.
         at: position along the further axes; the first of each by default.
         near: show this range alone, with what lies beside it.
         point, axis: whose amplitude; that and along the axis with the largest by default.
@@ -128,7 +121,7 @@ def response(
     point, axis = motion(sweep, point, axis)
     at = {key: (at or {}).get(key, 0) for key in _keys(data)} if near is None else near.at
     window = (0.0, np.inf) if near is None else _window(near)
-    for i, (direction, colour) in enumerate((("up", BLUE), ("down", VERMILION))):
+    for i, (direction, colour) in enumerate(SWEEPS.items()):
         _sweep(ax, sweep.isel(at).isel(direction=i).sel(point=point, axis=axis), direction, colour, window)
     shown = [item for item in ranges(data) if item.at == at] if near is None else [near]
     for item in shown:
@@ -155,11 +148,16 @@ def _sweep(ax: "Axes", part: "Dataset", direction: str, colour: str, window: tup
     shown = (x >= window[0]) & (x <= window[1])
     if shown.all():
         ax.plot(x, y, color=colour, linewidth=0.8, label="_line")
-    look: dict[str, Any] = {"color": colour, "marker": PAIRED[direction], "linestyle": "", "ms": 6}
+    look = _marks(direction, colour)
     ax.plot(x[settled & shown], y[settled & shown], label=f"sweep {direction}", **look)
     loose = ~settled & shown & np.isfinite(y)
     if loose.any():
         ax.plot(x[loose], y[loose], fillstyle="none", label="not settled", **look)
+
+
+def _marks(direction: str, colour: str) -> dict[str, Any]:
+    """The markers of a sweep."""
+    return {"color": colour, "marker": PAIRED[direction], "linestyle": "", "ms": 6}
 
 
 def _branch(
@@ -200,13 +198,11 @@ def phase(data: "DataTree", ax: "Axes | None" = None, *, at: Mapping[str, int] |
     ax, sweep = axes(ax), data.children["sweep"].to_dataset()
     point, axis = motion(sweep, None, None)
     at = {key: (at or {}).get(key, 0) for key in _keys(data)}
-    for i, (direction, colour) in enumerate((("up", BLUE), ("down", VERMILION))):
+    for i, (direction, colour) in enumerate(SWEEPS.items()):
         part = sweep.isel(at).isel(direction=i).sel(point=point, axis=axis)
         x, y = part.frequency.values, part.phase_deg.values
-        breaks = turns(y)
-        ax.plot(np.insert(x, breaks, np.nan), np.insert(y, breaks, np.nan), color=colour, linewidth=0.8)
-        look: dict[str, Any] = {"color": colour, "marker": PAIRED[direction], "linestyle": "", "ms": 6}
-        ax.plot(x, y, label=f"sweep {direction}", **look)
+        ax.plot(*unwound(x, y), color=colour, linewidth=0.8)
+        ax.plot(x, y, label=f"sweep {direction}", **_marks(direction, colour))
     if "hbm" in data.children and "phase_deg" in data.children["hbm"]:
         _branch(data, ax, at, point, axis, (0.0, np.inf), name="phase_deg")
     ax.set_xlabel("frequency [Hz]")

@@ -15,9 +15,7 @@ STILL = 1e-9  # of the largest motion: what moves less does not move
 def motions(data: "Dataset", size: np.ndarray) -> list[tuple[str, str]]:
     """Points and axes that move, the largest motion first; the first of all if nothing moves.
 
-    Args:
-        data: a result with points and axes.
-        size: of the motion of each, shape (P, 3).
+    ``size``: of the motion of each, shape (P, 3).
     """
     order = np.argsort(-size, axis=None, kind="stable")
     kept = [place for place in order if size.flat[place] > STILL * size.max()] or [0]
@@ -45,17 +43,15 @@ def motion(data: "Dataset", point: str | None, axis: str | None) -> tuple[str, s
 def busiest(data: "Dataset", *activity: np.ndarray, limit: int = MAX_ROWS) -> list[str]:
     """At most `limit` contacts, the most active by the first measure, then by the next, in the scene's order.
 
-    Args:
-        data: a result with contacts.
-        activity: of each contact, shape (C,).
+    ``activity``: of each contact, shape (C,).
     """
     best = np.lexsort([-measure for measure in reversed(activity)])[:limit]
     return [str(data.contact.values[i]) for i in np.sort(best)]
 
 
-def spread(number: int, limit: int = MAX_CURVES) -> list[int]:
-    """Positions among a number of things, all or `limit` of equal spacing, both ends included."""
-    return sorted({round(i) for i in np.linspace(0, number - 1, min(number, limit))})
+def spread(number: int) -> list[int]:
+    """Positions among a number of curves, all or `MAX_CURVES` of equal spacing, both ends included."""
+    return sorted({round(i) for i in np.linspace(0, number - 1, min(number, MAX_CURVES))})
 
 
 def left_out(number: int, shown: int, what: str, which: str = "") -> str:

@@ -1,7 +1,7 @@
 """Pictures of a comparison: the points of the sweep on the curves of the harmonic balance, and how far they are apart.
 
-``f(data, ax=None) -> ax``, where `data` is the DataTree of a `compare` study with the groups `sweep`, `hbm` and, where
-the contacts did more than stick or stay apart, `cycle`. `PICTURES` are the figures that a run writes.
+`data` is the DataTree of a `compare` study with the groups `sweep`, `hbm` and, where the contacts did more than stick
+or stay apart, `cycle`.
 """
 
 from collections.abc import Iterator
@@ -66,12 +66,8 @@ def overlay(
         y, settled = part[name].sel(point=point, axis=axis).values, part.settled.values > 0
         ax.plot(part.frequency.values[settled], y[settled], **look)
         if not settled.all():
-            hollow = look | {
-                "label": "not settled",
-                "fillstyle": "none",
-                "ms": 1.5 * look["ms"],
-                "markeredgecolor": look["color"],
-            }
+            hollow = look | {"label": "not settled", "fillstyle": "none", "markeredgecolor": look["color"]}
+            hollow["ms"] *= 1.5
             ax.plot(part.frequency.values[~settled], y[~settled], **hollow)
     if name == "amplitude":
         from_zero(ax)

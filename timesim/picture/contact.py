@@ -1,8 +1,4 @@
-"""Pictures of the contacts over the last cycles of a transient or of a jump: motion, friction, normal load, states.
-
-``f(data, ax=None) -> ax``, as in `timesim.picture.transient`; without a name they show the contact that dissipates
-most. `PICTURES` are the figures that a run writes.
-"""
+"""Pictures of the contacts over the last cycles of a transient or of a jump: motion, friction, normal load, states."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
@@ -41,9 +37,8 @@ CLOSE = 0.02  # of the size of a path: nearer than this nothing is told apart
 
 def orbit(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = None) -> "Axes":
     """Relative motion of a contact in its plane over the last cycles, the last coloured by state."""
-    ax, contact = axes(ax), contact or busiest(data, 1)[0]
-    part = data.isel(time=last_cycles(data)).sel(contact=contact)
-    u, last = part.contact_displacement.values[:, :2], last_cycles(part, 1)
+    ax, contact, part, last = axes(ax), *_shown(data, contact)
+    u = part.contact_displacement.values[:, :2]
     ax.plot(u[:, 0], u[:, 1], color=PALE, linewidth=0.8, label=_if_seen("cycles before", u, u[last]))
     state = part.contact_state.values[last]
     w = np.where(state[:, None] == SEPARATION, np.nan, part.slip.values[last])
@@ -53,6 +48,13 @@ def orbit(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = No
     label_axes(ax, short(contact))
     ax.set_aspect("equal", adjustable="datalim")
     return ax
+
+
+def _shown(data: "Dataset", contact: str | None) -> "tuple[str, Dataset, slice]":
+    """A contact, by default the one that dissipates most, its last cycles, and which samples are the last of them."""
+    contact = contact or busiest(data, 1)[0]
+    part = data.isel(time=last_cycles(data)).sel(contact=contact)
+    return contact, part, last_cycles(part, 1)
 
 
 def _slider(ax: "Axes", w: np.ndarray, u: np.ndarray) -> None:
@@ -78,9 +80,8 @@ def _if_seen(label: str, path: np.ndarray, above: np.ndarray) -> str:
 
 def hysteresis(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = None, tangent: str = "t1") -> "Axes":
     """Friction force against relative displacement over the last cycles, the last coloured by state."""
-    ax, contact = axes(ax), contact or busiest(data, 1)[0]
-    part = data.isel(time=last_cycles(data)).sel(contact=contact, component=tangent)
-    u, f, last = part.contact_displacement.values, part.contact_force.values, last_cycles(part, 1)
+    ax, contact, part, last = axes(ax), *_shown(data, contact)
+    u, f = (part[name].sel(component=tangent).values for name in ("contact_displacement", "contact_force"))
     loop = np.stack([u, f], axis=1)
     ax.plot(u, f, color=PALE, linewidth=0.8, label=_if_seen("cycles before", loop, loop[last]))
     state_curves(ax, u[last], f[last], part.contact_state.values[last], stop=is_stop(data, contact))
@@ -93,8 +94,7 @@ def hysteresis(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None
 
 def normal_load(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = None) -> "Axes":
     """Normal load, friction force and its limit over the last cycles; separations are shaded. A stop has the load."""
-    ax, contact = axes(ax), contact or busiest(data, 1)[0]
-    part = data.isel(time=last_cycles(data)).sel(contact=contact)
+    ax, contact, part, _ = axes(ax), *_shown(data, contact)
     time, force = part.time.values, part.contact_force.values
     stays = intervals(data, contact, time[0], time[-1])
     shade(ax, ((start, end) for start, end, state in stays if state == SEPARATION), "separation")

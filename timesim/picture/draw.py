@@ -33,14 +33,12 @@ def write(
     kind: str = "png",
     log: Collection[str] = (),
 ) -> list[Path]:
-    """Write the pictures of a result into a folder, replacing earlier ones.
+    """Write the pictures of a result into an existing folder, replacing earlier ones.
 
     Args:
         data: the result, a Dataset, or the DataTree of one with groups.
-        folder: an existing folder.
+        folder: where they go.
         pictures: those of the kind of study, by the name of their file.
-
-    Keyword Args:
         kind: of the files, one of `KINDS`.
         log: quantities, of `LOGARITHMIC`, whose axes are logarithmic.
 

@@ -1,8 +1,4 @@
-"""Pictures of a contact under prescribed motion (figures 3 to 6 of the paper).
-
-``f(data, ax=None) -> ax``, where `data` is the result of an `element` study; `PICTURES` are the figures that a run
-writes.
-"""
+"""Pictures of a contact under prescribed motion (figures 3 to 6 of the paper)."""
 
 from typing import TYPE_CHECKING, Any
 

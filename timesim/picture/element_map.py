@@ -1,8 +1,4 @@
-"""Pictures of the Fourier coefficients of a friction force over two parameters of its motion (figures 7, 8).
-
-``f(data, ax=None) -> ax``, where `data` is the result of an `element_map` study; `PICTURES` are the figures that a run
-writes.
-"""
+"""Pictures of the Fourier coefficients of a friction force over two parameters of its motion (figures 7, 8)."""
 
 from collections.abc import Callable
 from itertools import product

@@ -1,8 +1,7 @@
 """Pictures of response curves by harmonic balance.
 
-``f(data, ax=None) -> ax``, where `data` is the result of an `hbm` study. A curve has a colour for each set of values of
-the further axes; it is solid where it is stable and dashed where not, and a diamond marks each fold. `PICTURES` are the
-figures that a run writes.
+A curve has a colour for each set of values of the further axes; it is solid where it is stable and dashed where not,
+and a diamond marks each fold.
 """
 
 from collections.abc import Sequence
@@ -24,13 +23,7 @@ if TYPE_CHECKING:
 
 
 class Family(NamedTuple):
-    """The curves of one set of values of the further axes.
-
-    Attributes:
-        label: the values; empty where there are none.
-        rows: positions of the solutions of each curve.
-        style: how it is drawn.
-    """
+    """The curves of one set of values of the further axes: these in words, the rows of each of them, and a style."""
 
     label: str
     rows: list[np.ndarray]

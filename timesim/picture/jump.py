@@ -1,8 +1,4 @@
-"""Pictures of a jump: the amplitude of each cycle over the schedule of frequencies, and against the frequency.
-
-``f(data, ax=None) -> ax``, where `data` is the result of a jump; `PICTURES` are the figures that a run writes,
-those of a transient among them.
-"""
+"""Pictures of a jump: the amplitude of each cycle over the schedule of frequencies, and against the frequency."""
 
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple

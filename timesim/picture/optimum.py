@@ -1,15 +1,11 @@
-"""Pictures of an optimum: the peak of the response against a scalar, and the responses beside the best one.
-
-``f(data, ax=None) -> ax``, where `data` is the result of an `optimum` study; `PICTURES` are the figures that a run
-writes.
-"""
+"""Pictures of an optimum: the peak of the response against a scalar, and the responses beside the best one."""
 
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from timesim.picture.choice import motion
-from timesim.picture.response import amplitude_label, axis_label, over_phase, styles, turns, with_phase
+from timesim.picture.response import amplitude_label, axis_label, over_phase, styles, unwound, with_phase
 from timesim.picture.style import (
     BLUE,
     VERMILION,
@@ -67,11 +63,9 @@ def magnified(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
 
 def responses(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     """Amplitude against frequency for some values and the best one, both sweeps; a dot at each peak."""
-    ax = axes(ax)
-    point, axis = motion(data, data.attrs.get("point"), data.attrs.get("axis"))
+    ax, (point, axis) = axes(ax), motion(data, data.attrs.get("point"), data.attrs.get("axis"))
     amplitude = data["amplitude"].sel(point=point, axis=axis)
-    values, best = data[scalar(data)].values, float(data["optimum"])
-    for row, look in _looks(values, best):
+    for row, look in _looks(data):
         _curves(ax, data, amplitude, row, look)
     from_zero(ax)
     ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(data, point, axis))
@@ -80,21 +74,21 @@ def responses(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
 
 def phases(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     """Phase of the first harmonic against frequency for the same values."""
-    ax = axes(ax)
-    point, axis = motion(data, data.attrs.get("point"), data.attrs.get("axis"))
+    ax, (point, axis) = axes(ax), motion(data, data.attrs.get("point"), data.attrs.get("axis"))
     phase = data["phase_deg"].sel(point=point, axis=axis).transpose(scalar(data), "direction", "frequency").values
-    values, best, x = data[scalar(data)].values, float(data["optimum"]), data["frequency"].values
-    for row, look in _looks(values, best):
+    for row, look in _looks(data):
         for y, line in zip(phase[row], ("-", "--"), strict=True):
-            breaks = turns(y)
-            ax.plot(np.insert(x, breaks, np.nan), np.insert(y, breaks, np.nan), **look | {"linestyle": line})
+            ax.plot(*unwound(data["frequency"].values, y), **look | {"linestyle": line})
     ax.set_xlabel("frequency [Hz]")
     return over_phase(ax)
 
 
-def _looks(values: np.ndarray, best: float) -> list[tuple[int, dict[str, Any]]]:
+def _looks(data: "Dataset") -> list[tuple[int, dict[str, Any]]]:
     """Positions of the values that are shown, and how: some of about equal distance, then the best one."""
-    rows = [i for i in _spread(values) if values[i] != best]
+    values, best = data[scalar(data)].values, float(data["optimum"])
+    wanted = np.linspace(values[0], values[-1], MAX_CURVES)
+    spread = sorted({int(np.argmin(np.abs(values - value))) for value in wanted})
+    rows = [i for i in spread if values[i] != best]
     looks: list[tuple[int, dict[str, Any]]] = [
         (row, {"color": look.colour, "linewidth": 1.0, "label": f"{values[row]:.4g}"})
         for row, look in zip(rows, styles(len(rows), shades=True), strict=True)
@@ -102,12 +96,6 @@ def _looks(values: np.ndarray, best: float) -> list[tuple[int, dict[str, Any]]]:
     for row in np.flatnonzero(values == best):
         looks.append((int(row), {"color": "black", "linewidth": 2.0, "zorder": 3, "label": f"{best:.4g}, the least"}))
     return looks
-
-
-def _spread(values: np.ndarray) -> list[int]:
-    """Positions of values of about equal distance."""
-    wanted = np.linspace(values[0], values[-1], MAX_CURVES)
-    return sorted({int(np.argmin(np.abs(values - value))) for value in wanted})
 
 
 def _curves(ax: "Axes", data: "Dataset", amplitude: Any, row: int, style: dict[str, Any]) -> None:

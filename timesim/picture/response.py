@@ -71,6 +71,12 @@ def turns(phase: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.abs(np.diff(phase)) > HALF_TURN) + 1
 
 
+def unwound(x: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A phase along x, with a gap where it passes the end of its turn."""
+    breaks = turns(phase)
+    return np.insert(x, breaks, np.nan), np.insert(phase, breaks, np.nan)
+
+
 def with_phase(rows: int, height: float, phase: bool) -> tuple["Figure", list["Axes"]]:
     """Axes of a height [inch] one above the other, each with one for its phase below it where there is one."""
     if not phase:
@@ -109,13 +115,7 @@ def styles(count: int, *, shades: bool = False) -> list[Series]:
 
 
 def stable_parts(stable: np.ndarray, fold: np.ndarray) -> list[tuple[slice, bool]]:
-    """Parts of a curve that are stable, or not, each with the solutions that bound it.
-
-    A fold belongs to both sides.
-
-    Args:
-        stable, fold: of the solutions along the curve, shape (N,).
-    """
+    """Parts of a curve of N solutions, stable or not, each with those that bound it; a fold belongs to both sides."""
     firm = stable.copy()
     for i in np.flatnonzero(fold).tolist():
         firm[i] = firm[i - 1] if i else firm[min(i + 1, firm.size - 1)]
@@ -140,10 +140,7 @@ def draw_branch(
 
     Args:
         ax: axes to draw on.
-        x, y: the curve, shape (N,).
-        stable, fold: of its solutions, shape (N,).
-
-    Keyword Args:
+        x, y, stable, fold: the curve and its solutions, shape (N,).
         colour: of the curve.
         stable_label: what a legend says of its stable parts.
         widths: of its lines where it is stable and where not [point].
@@ -152,7 +149,7 @@ def draw_branch(
     """
     if phase:
         breaks = turns(y)
-        x, y = np.insert(x, breaks, np.nan), np.insert(y, breaks, np.nan)
+        x, y = unwound(x, y)
         stable, fold = np.insert(stable, breaks, stable[breaks]), np.insert(fold, breaks, False)
     solid: dict[str, Any] = {"linestyle": "-", "linewidth": widths[0], "label": stable_label}
     dashed: dict[str, Any] = {"linestyle": DASHES, "linewidth": widths[1], "label": "unstable"}

@@ -83,14 +83,11 @@ def figure(
     Margins are fixed, since a computed layout takes as long as all the drawing (measured).
 
     Args:
-        rows, columns: of axes.
+        rows, columns: of axes, the shape of the array returned.
         width: of the figure [inch].
         height, gap: of a row of axes, and between rows [inch].
         left, right: margins [inch].
         options: of `matplotlib.figure.Figure.subplots`.
-
-    Returns:
-        The figure and its axes, shape (rows, columns).
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -176,13 +173,7 @@ def look_of(state: int, *, stop: bool) -> tuple[str, StateStyle]:
 def state_curves(ax: "Axes", x: np.ndarray, y: np.ndarray, state: np.ndarray, *, stop: bool = False) -> None:
     """Draw a curve in the styles of its states, one artist for each state that occurs.
 
-    Args:
-        ax: axes to draw on.
-        x, y: the curve, shape (T,).
-        state: contact state from each sample to the next, shape (T,).
-
-    Keyword Args:
-        stop: the contact has no friction.
+    ``state``: from each of T samples to the next; ``stop``: the contact has no friction.
     """
     gapped = [np.append(values, np.nan) for values in (x, y)]
     for number in STATE_STYLE:

@@ -1,9 +1,8 @@
 """Pictures of a sweep: response curves, shares of the contact states, peaks against a scalar, stability.
 
-``f(data, ax=None) -> ax``, where `data` is the result of a sweep. Each set of values of the further axes has its
-colour and line; up and down are told apart by marker. Filled markers are settled motions, hollow ones are not: a bar
-spans the amplitudes of their single cycles. Crosses at the foot are points that failed; nothing is drawn of those that
-a run did not come to. `PICTURES` are the figures that a run writes.
+Each set of values of the further axes has its colour and line; up and down are told apart by marker. Filled markers are
+settled motions, hollow ones are not: a bar spans the amplitudes of their single cycles. Crosses at the foot are points
+that failed; nothing is drawn of those that a run did not come to.
 """
 
 from collections.abc import Mapping, Sequence
@@ -48,8 +47,6 @@ class Curve(NamedTuple):
     Attributes:
         label: the values of the further axes; empty where there are none.
         where: position along each of these axes and along the direction, for `isel`.
-        direction: of the sweep.
-        style: how it is drawn.
     """
 
     label: str
@@ -77,9 +74,8 @@ def phase(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None
     ax, (point, axis), x = axes(ax), motion(data, point, axis), data.frequency.values
     for curve in curves(data):
         y = data.phase_deg.sel(point=point, axis=axis).isel(curve.where).values
-        breaks, label = shared.turns(y), "_" + curve.label
-        line: dict[str, Any] = {"color": curve.style.colour, "linestyle": curve.style.line, "linewidth": 1.0}
-        ax.plot(np.insert(x, breaks, np.nan), np.insert(y, breaks, np.nan), label=label, **line)
+        label, line = "_" + curve.label, {"color": curve.style.colour, "linestyle": curve.style.line}
+        ax.plot(*shared.unwound(x, y), label=label, linewidth=1.0, **line)
         _curve(ax, x, y, curve.style._replace(line=""), np.zeros(x.size, dtype=bool), "", label=label)
     ax.set_xlabel("frequency [Hz]")
     return shared.over_phase(ax)
@@ -149,8 +145,7 @@ def _star(ax: "Axes", x: float, y: str, curves: Sequence[tuple[str, str]], at_en
 def peaks(amplitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Largest entry of each row, NaN where entries are missing, and whether it is the first or last of several.
 
-    Args:
-        amplitude: over the last axis, the frequencies, shape (N, F); NaN where a point is missing.
+    ``amplitude``: over the last axis, the frequencies, shape (N, F); NaN where a point is missing.
     """
     known = np.isfinite(amplitude).all(axis=1)
     place = np.argmax(np.where(known[:, None], amplitude, 0.0), axis=1)

@@ -1,8 +1,4 @@
-"""The picture of a tradeoff: error against time of all runs, the front of those worth it, the presets and the choice.
-
-``f(data, ax=None) -> ax``, where `data` is the result of a `tradeoff` study; `PICTURES` are the figures that a run
-writes.
-"""
+"""A picture of a tradeoff: error against time of all runs, the front of those worth it, the presets and the choice."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -41,27 +37,15 @@ def error_against_time(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     _front(ax, seconds, error, data["pareto"].values > 0)
     _beside(ax, data, seconds, error)
     for i in np.flatnonzero(data["preset"].values != ""):
-        ax.annotate(
-            data["preset"].values[i],
-            (seconds[i], error[i]),
-            xytext=(6, 6),
-            textcoords="offset points",
-            fontsize=8,
-            fontweight="bold",
-        )
+        name = data["preset"].values[i]
+        ax.annotate(name, (seconds[i], error[i]), (6, 6), textcoords="offset points", fontsize=8, fontweight="bold")
     wanted = data.attrs["error_wanted"]
     ax.axhline(wanted, color=VERMILION, linewidth=0.8, linestyle="--", label=f"wanted, {wanted:.0e}")
     ax.axhspan(0, data.attrs["error_known_to"], color="0.93", linewidth=0, label="not known")
     chosen = data.attrs["recommended_trial"]
-    star: dict[str, Any] = {
-        "marker": "*",
-        "markersize": 14,
-        "color": VERMILION,
-        "markeredgecolor": "black",
-        "linestyle": "",
-    }
     if chosen >= 0:
-        ax.plot(seconds[chosen], error[chosen], label="recommended", zorder=5, **star)
+        star: dict[str, Any] = {"color": VERMILION, "markeredgecolor": "black", "markersize": 14, "linestyle": ""}
+        ax.plot(seconds[chosen], error[chosen], "*", label="recommended", zorder=5, **star)
     what = "settled amplitude" if data.attrs["judged_by_amplitude"] else "state at the end"
     ax.set(xscale="log", yscale="log", ylabel=f"relative error, {what}")
     ax.set_xlabel(f"time of {data.attrs['cycles']} cycles, compiled [s]")

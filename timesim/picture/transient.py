@@ -1,10 +1,4 @@
-"""Pictures of a transient: each function draws one aspect of a result on one set of axes.
-
-``f(data, ax=None) -> ax``, where `data` is the result of a transient or of a jump: without axes it makes a
-figure of its own, and ``ax.figure.savefig(...)`` writes it. Keywords choose what is drawn, by the names in
-the result; by default what moves most. Its contacts are drawn by `timesim.picture.contact`. `PICTURES` are the
-figures that a run writes.
-"""
+"""Pictures of a transient or of a jump; those of its contacts are drawn by `timesim.picture.contact`."""
 
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -101,15 +95,10 @@ def spectrum(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
 
 
 def harmonics(data: "Dataset", x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Spectrum of samples over the last recorded cycles of one frequency, at most `SPECTRUM_CYCLES`.
+    """Spectrum of samples x, shape (T,), over the last recorded cycles of one frequency, at most `SPECTRUM_CYCLES`.
 
-    Args:
-        data: result of a transient.
-        x: samples at its times, shape (T,).
-
-    Returns:
-        Multiples of the excitation frequency up to `HIGHEST_ORDER`, and the amplitude at each; both empty
-        where no cycle was finished.
+    Multiples of the excitation frequency up to `HIGHEST_ORDER`, and the amplitude at each; both empty where no cycle
+    was finished.
     """
     start, period, time = data.cycle_start.values, data.cycle_period.values, data.time.values
     slack = 1e-6 * period.min(initial=np.inf)

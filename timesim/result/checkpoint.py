@@ -45,13 +45,7 @@ _AGAIN = "choose another folder, or give --force to start anew"
 
 @dataclass(frozen=True)
 class Manifest:
-    """What the chunks of a checkpoint belong to.
-
-    Attributes:
-        identity: the resolved scene.
-        chunks: fingerprint of each chunk by its name.
-        timesim: version that does the work.
-    """
+    """What the chunks of a checkpoint belong to: the resolved scene, a fingerprint of each, and the version at work."""
 
     identity: str
     chunks: Mapping[str, str]
@@ -150,15 +144,9 @@ class Checkpoint:
 
 
 def begin(run_folder: Path, manifest: Manifest, *, resume: bool, stage: str = "") -> tuple[Checkpoint, bool]:
-    """The checkpoint of a campaign, and whether there is something in it to take up.
+    """The checkpoint of a campaign, or of a later stage of it, and whether there is something in it to take up.
 
-    Args:
-        run_folder: folder of the run.
-        manifest: what the chunks belong to.
-
-    Keyword Args:
-        resume: take up what is there; otherwise it is removed.
-        stage: name of a later stage of the same study.
+    What is there is removed unless the run is resumed.
 
     Raises:
         StoreError: what is there belongs to something else or is being worked on, or the folder cannot be written.
@@ -166,7 +154,7 @@ def begin(run_folder: Path, manifest: Manifest, *, resume: bool, stage: str = ""
     folder = run_folder / FOLDER_NAME / stage
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = _locked(folder)
+        lock = locked(folder)
     except OSError as error:
         raise StoreError(f"checkpoint folder {folder} cannot be made: {error.strerror or error}") from error
     try:
@@ -177,7 +165,12 @@ def begin(run_folder: Path, manifest: Manifest, *, resume: bool, stage: str = ""
         raise
 
 
-def _locked(folder: Path) -> filelock.BaseFileLock:
+def locked(folder: Path) -> filelock.BaseFileLock:
+    """The lock of a folder, held.
+
+    Raises:
+        StoreError: another run is at work in it.
+    """
     lock = filelock.FileLock(folder / LOCK_NAME)
     try:
         lock.acquire(blocking=False)
@@ -220,7 +213,7 @@ def clear(run_folder: Path | str) -> None:
         return
     try:
         for folder in (*sorted(path.parent for path in root.glob(f"*/{LOCK_NAME}")), root):
-            with _locked(folder):
+            with locked(folder):
                 _empty(folder)
                 (folder / LOCK_NAME).unlink(missing_ok=True)
             if not any(folder.iterdir()):
@@ -237,15 +230,9 @@ def _empty(folder: Path) -> None:
 
 
 def is_finished(run_folder: Path | str, scene: str, *, force: bool, resume: bool) -> bool:
-    """Whether a run folder holds the whole result already; refuses one that holds something else.
+    """Whether a run folder, if it exists, holds the whole result of a resolved scene; refuses what is something else.
 
-    Args:
-        run_folder: folder of the run; need not exist.
-        scene: the resolved scene.
-
-    Keyword Args:
-        force: what is there may be overwritten.
-        resume: what is there is to be taken up.
+    With ``force`` what is there may be overwritten, with ``resume`` it is to be taken up.
 
     Raises:
         StoreError: the folder holds an unfinished run and neither is given, or a run of another scene is to be resumed.

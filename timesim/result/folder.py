@@ -6,14 +6,11 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-import filelock
-
 from timesim.result import checkpoint
 from timesim.result.file import StoreError, write_whole
 from timesim.result.netcdf import RESULT_NAME
 
 SCENE_NAME = "scene.yaml"
-LOCK_NAME = ".lock"
 SHOW_NAME = "show"
 """Folder in that of a run, for points of its sweep."""
 
@@ -42,7 +39,7 @@ def check_folder(folder: Path | str, *, overwrite: bool = False) -> None:
 
 
 def _refuse_other_files(path: Path) -> None:
-    own = {SCENE_NAME, LOCK_NAME, checkpoint.FOLDER_NAME}
+    own = {SCENE_NAME, checkpoint.LOCK_NAME, checkpoint.FOLDER_NAME}
     others = sorted(item.name for item in path.iterdir() if item.name not in own and item.suffix != ".part")
     if others:
         named = ", ".join(others[:LISTED]) + (", ..." if len(others) > LISTED else "")
@@ -57,19 +54,16 @@ def locked_folder(folder: Path | str) -> Iterator[Path]:
         StoreError: another run is at work in it, or it cannot be made.
     """
     path, new = Path(folder), not Path(folder).exists()
-    lock = filelock.FileLock(path / LOCK_NAME)
     try:
         path.mkdir(parents=True, exist_ok=True)
-        lock.acquire(blocking=False)
-    except filelock.Timeout:
-        raise StoreError(f"another run is at work in {path}; wait for it, or choose another folder") from None
+        lock = checkpoint.locked(path)
     except OSError as error:
         raise StoreError(f"run folder {path} cannot be made: {error.strerror or error}") from error
     try:
         yield path
     finally:
         with suppress(OSError):
-            (path / LOCK_NAME).unlink()
+            (path / checkpoint.LOCK_NAME).unlink()
         lock.release()
         if new:
             with suppress(OSError):  # something was written
@@ -84,8 +78,6 @@ def prepare_folder(
     Args:
         folder: an existing folder.
         scene: the resolved scene as YAML.
-
-    Keyword Args:
         overwrite: the folder may hold another run. Its checkpoint and pictures are removed; its result stays until
             another one replaces it.
         source: file the scene was read from; never overwritten by a different text.

@@ -269,12 +269,7 @@ def attributes(name: str, named: Mapping[str, str] | None = None) -> dict[str, A
 
 
 def with_unit(number: str, attrs: Mapping[str, Any]) -> str:
-    """A number and its unit, where that is a name and no quantity.
-
-    Args:
-        number: as text.
-        attrs: attributes of its variable.
-    """
+    """A number, as text, and the unit in the attributes of its variable, where that is a name and no quantity."""
     units = str(attrs.get("units", "1"))
     return number if units == "1" or any(quantity in units for quantity in BASE) else f"{number} {units}"
 

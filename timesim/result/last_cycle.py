@@ -18,13 +18,9 @@ SAME = 1e-6  # share of a cycle by which the time of a sample may be off
 def last_cycle(path: Path, *names: str) -> "tuple[Dataset, np.ndarray]":
     """The result of a transient, and which of its samples lie in its last whole cycle, both ends included.
 
-    Args:
-        path: result file, or the folder of the run.
-        names: variables that are needed.
-
     Raises:
-        ValueError: the result lacks one of them, or no cycle was recorded whole.
-        StoreError: the file is no result.
+        ValueError: the result lacks one of the variables that are named, or no cycle was recorded whole.
+        StoreError: the file, or the folder of a run, holds no result.
     """
     data = read(path)[""]
     if missing := [name for name in ("time", "cycle_start", "cycle_period", *names) if name not in data.variables]:
@@ -52,15 +48,7 @@ class PeriodicMotion:
 
 
 def periodic_motion(path: Path) -> PeriodicMotion:
-    """The last whole cycle that a transient recorded.
-
-    Args:
-        path: result file, or the folder of the run.
-
-    Raises:
-        ValueError: it holds no such cycle.
-        StoreError: the file is no result.
-    """
+    """The last whole cycle that a transient recorded; errors as of `last_cycle`."""
     data, rows = last_cycle(path, "modal_displacement", "final_phase_deg")
     if rows[-1] < data.sizes["time"] - 1:
         raise ValueError(f"result {path}: it does not end with a whole cycle")

@@ -16,17 +16,11 @@ JUMP, SHARE = 8.0, 1e-6
 
 
 def read_motion(path: str | Path) -> SplineMotion:
-    """Read one cycle of motion and interpolate it smoothly.
+    """Read one cycle of motion [length] and interpolate it smoothly.
 
     A .csv file has a header naming its columns, some of u1, u2 and v; an .npz file has arrays of these names,
     or u of shape (N, 2) and v. What is left out is zero. The rows are equally spaced over the cycle; the
     first may be repeated at the end.
-
-    Args:
-        path: the file.
-
-    Returns:
-        the motion [length].
 
     Raises:
         ValueError: the file is of another kind, or is not one smooth cycle of numbers in these columns.

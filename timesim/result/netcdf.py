@@ -26,15 +26,12 @@ _COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
 
 def save(result: "xarray.Dataset | Mapping[str, xarray.Dataset]", path: Path | str) -> Path:
-    """Write a result file; an interrupted or failed write leaves what was there before.
+    """Write a result file into an existing folder; an interrupted or failed write leaves what was there before.
 
     Args:
         result: a Dataset, or Datasets by the name of their group, ``""`` the root, which bears
             `REQUIRED_ATTRIBUTES`.
-        path: file to write; its folder must exist.
-
-    Returns:
-        The path of the file.
+        path: file to write, which is returned.
 
     Raises:
         StoreError: an attribute is missing, or the file cannot be written.
@@ -50,10 +47,7 @@ def save(result: "xarray.Dataset | Mapping[str, xarray.Dataset]", path: Path | s
 
 
 def open_result(path: Path | str) -> "xarray.Dataset | xarray.DataTree":
-    """Result of a run in memory; the file is closed again.
-
-    Args:
-        path: result file, or the folder of a run.
+    """Result of a run in memory, by its file or the folder of the run; the file is closed again.
 
     Returns:
         A Dataset, or a DataTree of a result with groups. A coordinate of the tree's root hides a variable of that
@@ -75,14 +69,7 @@ def joined(groups: "Mapping[str, xarray.Dataset]") -> "xarray.Dataset | xarray.D
 
 
 def read(path: Path | str) -> "dict[str, xarray.Dataset]":
-    """Datasets of a result by the name of their group, ``""`` the root.
-
-    Args:
-        path: result file, or the folder of a run.
-
-    Raises:
-        StoreError: no such file, not a result of timesim, or cut off.
-    """
+    """Datasets of a result by the name of their group, ``""`` the root; see `open_result`."""
     import xarray
 
     file = Path(path) / RESULT_NAME if Path(path).is_dir() else Path(path)

@@ -93,12 +93,7 @@ SweepPoint = tuple[float, dict[str, np.ndarray]]
 def settled_points(states: SavedStates, asked: Mapping[str, float | str]) -> Iterator[SweepPoint]:
     """Points of a sweep with slip, or contact for a part of the cycle, that repeat each cycle.
 
-    Args:
-        states: a sweep.
-        asked: values along some of its axes; the others are taken whole.
-
-    Raises:
-        RuleError: no such axis, or no such value along it.
+    ``asked``: values along some of its axes, as of `SavedStates.places`; the others are taken whole.
     """
     for place in product(*states.places(asked).values()):
         point = states.at(place)
@@ -152,10 +147,7 @@ def _listed(values: np.ndarray, near: float | str | None = None, subject: str = 
 
 
 def saved_states(path: Path) -> SavedStates:
-    """The states of a result; of one with groups, those of its sweep.
-
-    Args:
-        path: result file, or the folder of a run.
+    """The states of a result, by its file or the folder of the run; of one with groups, those of its sweep.
 
     Raises:
         RuleError: no such file, none of a finished run, or one that holds no state.

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, Tag, Va
 from timesim.engine.law.table import LAWS
 from timesim.fault import nearest
 from timesim.model.model import CONE, GROUND, Contact
-from timesim.scene.section import Section, by_form, form, refuse
+from timesim.scene.section import AsList, AsNumber, Section, by_form, form, refuse
 from timesim.scene.value import BodyName, Direction, Matrix2, Name, NotNegative, Number, Pair, PointName, Text, unit
 
 
@@ -24,7 +24,7 @@ def _stiffness_form(value: Any) -> str | None:
 
 
 TangentialStiffness = Annotated[
-    Annotated[NotNegative, Tag("<number>")] | Annotated[Pair, Tag("<list>")] | Annotated[Matrix2, Tag("<matrix>")],
+    AsNumber[NotNegative] | AsList[Pair] | Annotated[Matrix2, Tag("<matrix>")],
     by_form("a number, [k1, k2] or [[k11, k12], [k12, k22]]", _stiffness_form),
 ]
 

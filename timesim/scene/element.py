@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, Tag, model_validator
+from pydantic import Field, model_validator
 
 from timesim.fault import RuleError
 from timesim.model.model import GROUND, Contact
 from timesim.scene.contact import ContactSection
-from timesim.scene.section import Section, by_form, refuse
+from timesim.scene.section import AsMapping, AsText, Section, by_form, refuse
 from timesim.scene.study import Context, StudySection
 from timesim.scene.value import (
     MAX_POINTS,
@@ -42,7 +42,7 @@ class PointMotion(Section):
 
 
 MotionSource = Annotated[
-    Annotated[FilePath, Tag("<text>")] | Annotated[PointMotion, Tag("<mapping>")],
+    AsText[FilePath] | AsMapping[PointMotion],
     by_form("the path of a .csv or .npz file, or a mapping with from, point and against"),
 ]
 
@@ -73,13 +73,7 @@ class ElementSection(StudySection):
 
 @dataclass(frozen=True, eq=False)
 class ElementPlan:
-    """A contact under prescribed motion.
-
-    Attributes:
-        contact: the contact.
-        motion: of body 1 relative to body 2 in the axes of the contact.
-        harmonics, principal_axes, samples, cross_check: as in `Element`.
-    """
+    """A contact under prescribed motion of body 1 relative to body 2 in its axes; the rest as in `Element`."""
 
     contact: Contact
     motion: "Motion"

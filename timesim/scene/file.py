@@ -169,10 +169,7 @@ NO_NUMBER = {RULES[kind] for kind in ("string_type", "bool_type", "tuple_type", 
 def rule_errors(error: ValidationError, tree: type[SceneParts], missing: Iterable[RuleError] = ()) -> list[RuleError]:
     """All that pydantic refuses; a required key is not missing where only its name is misspelt.
 
-    Args:
-        error: what pydantic raises.
-        tree: the sections that it has read.
-        missing: keys that are required for another reason.
+    ``tree``: the sections that it has read; ``missing``: keys that are required for another reason.
     """
     errors = [_rule_error(details, tree) for details in error.errors(include_url=False) if not _miscounted(details)]
     meant = [(*error.key[:-1], error.hint) for error in errors if error.rule == RULES["extra_forbidden"]]

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, Tag, model_validator
+from pydantic import Field, model_validator
 
 from timesim.fault import RuleError
 from timesim.hbm.scheme import (
@@ -22,7 +22,7 @@ from timesim.result.file import StoreError
 from timesim.result.last_cycle import PeriodicMotion, periodic_motion
 from timesim.result.state import SavedStates, saved_states
 from timesim.scene.integration import ResultSection
-from timesim.scene.section import Section, by_form, refuse
+from timesim.scene.section import AsMapping, AsNumber, AsText, AutoOr, Section, by_form, refuse
 from timesim.scene.study import (
     AlongOne,
     Axes,
@@ -173,25 +173,12 @@ class ResultStart(ResultSection):
 
 
 StartSection = Annotated[
-    Annotated[Literal["linear", "both_ends"], Tag("<text>")] | Annotated[ResultStart, Tag("<mapping>")],
+    AsText[Literal["linear", "both_ends"]] | AsMapping[ResultStart],
     by_form("linear, both_ends, or a mapping with from: the result of a transient or sweep"),
 ]
-
-
-TimeSamples = Annotated[
-    Annotated[Literal["auto"], Tag("<text>")] | Annotated[Annotated[Whole, Field(le=10**6)], Tag("<number>")],
-    by_form("auto or a whole number"),
-]
-
-
-Harmonics = Annotated[
-    Annotated[Literal["auto"], Tag("<text>")] | Annotated[Annotated[Count, Field(le=1000)], Tag("<number>")],
-    by_form("auto or a whole number"),
-]
-HarmonicsOrNone = Annotated[
-    Annotated[Literal["auto"], Tag("<text>")] | Annotated[Annotated[Whole, Field(ge=0, le=1000)], Tag("<number>")],
-    by_form("auto or a whole number"),
-]
+TimeSamples = AutoOr[Annotated[Whole, Field(le=10**6)]]
+Harmonics = AutoOr[Annotated[Count, Field(le=1000)]]
+HarmonicsOrNone = AutoOr[Annotated[Whole, Field(ge=0, le=1000)]]
 
 
 def balanced(harmonics: int | Literal["auto"], time_samples: int | Literal["auto"]) -> tuple[Scheme, tuple[str, ...]]:
@@ -282,7 +269,7 @@ class Hbm(BalanceSection):
 
     kind: Literal["hbm"]
     frequency: Annotated[
-        Annotated[Positive, Tag("<number>")] | Annotated[FrequencySpan, Tag("<mapping>")],
+        AsNumber[Positive] | AsMapping[FrequencySpan],
         by_form("a mapping with from and to, or with `along` a number"),
     ]
     """{from, to} [Hz]; a number where the curve runs `along` another scalar."""

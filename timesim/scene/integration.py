@@ -13,7 +13,7 @@ from timesim.model.model import Model, Start
 from timesim.model.solver import PRESETS, Solver
 from timesim.model.start import given_start, static_start
 from timesim.result.state import SavedStates, saved_states, start_of
-from timesim.scene.section import Section, by_form, form, refuse
+from timesim.scene.section import AsText, Section, by_form, form, refuse
 from timesim.scene.value import ContactName, Count, FilePath, Number, Pair, Switch, Text, Whole
 
 
@@ -91,7 +91,7 @@ def _initial_form(value: Any) -> str | None:
 
 
 InitialSection = Annotated[
-    Annotated[Literal["rest", "static"], Tag("<text>")]
+    AsText[Literal["rest", "static"]]
     | Annotated[StateSection, Tag("<state>")]
     | Annotated[InitialResult, Tag("<from>")],
     by_form("rest, static, a state, or a mapping with the key from", _initial_form),
@@ -99,13 +99,9 @@ InitialSection = Annotated[
 
 
 def start(initial: InitialSection, physics: Model, order: np.ndarray, end: EndOfRun | None) -> Start:
-    """State at the start.
+    """State at the start of a model at rest.
 
-    Args:
-        initial: the section.
-        physics: the model, at rest.
-        order: the scene's index of each mode.
-        end: what the section reads, if it takes up a result.
+    ``order``: the scene's index of each mode; ``end``: what the section reads, if it takes up a result.
     """
     if isinstance(initial, StateSection):
         return initial.build(physics, order)

@@ -26,6 +26,7 @@ from timesim.model.model import CONE, GROUND, Contact, Model
 from timesim.model.promise import PROMISE
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import COMPANION, coarser
+from timesim.scene.file import SceneFile
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SteadySection
@@ -33,6 +34,11 @@ from timesim.scene.text import value_text
 from timesim.scene.transient import Schedule, TradeoffPlan
 
 LISTED = 6  # entries of a list that are all shown
+LARGE_RESULT = 1.0  # gigabytes of samples
+FEWEST_SAMPLES = 8  # of a cycle, between which its motion can be guessed
+MOST_SAMPLES = 2**16  # of a period of a balance
+FAR_ABOVE = 100.0
+"""Modes from matrices above this multiple of the highest excitation frequency are worth a warning."""
 
 
 def describe(scene: Scene) -> dict[str, tuple[str, ...]]:
@@ -49,7 +55,7 @@ def describe(scene: Scene) -> dict[str, tuple[str, ...]]:
         report["method"] = tuple(_method_lines(scene, model))
         report["left out or simplified"] = _left_out(scene, model)
         report["cost"] = tuple(_cost_lines(scene, model))
-    report["warnings"] = tuple(scene.warnings())
+    report["warnings"] = tuple(warnings_of(scene))
     return {heading: lines for heading, lines in report.items() if lines}
 
 
@@ -111,7 +117,7 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
         total = sweep.size * (cycles * own + SETTLING)
         each = f"{cycles} cycles of {_duration(own)} and {_duration(SETTLING)} beside them"
         lines.append(f"{sweep.size} points of {each}: {_duration(total)}{study.search}")
-    balance = plan if isinstance(plan, HbmPlan) else getattr(plan, "balance", None)
+    balance = _balance(plan)
     if balance is not None:
         curves = prod(map(len, balance.over.values())) * (1 + balance.both_ends)
         scheme, *finer = balance.schemes_for(model)
@@ -125,6 +131,11 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
     yield from (f"about {line}" for line in lines)
     if lines:
         yield "as measured on one core of a server (timesim/model/cost.py); a first run compiles before that"
+
+
+def _balance(plan: Any) -> HbmPlan | None:
+    """The harmonic balance that a study consists of, or has beside others."""
+    return plan if isinstance(plan, HbmPlan) else getattr(plan, "balance", None)
 
 
 DURATIONS = (("h", 3600.0, 7200.0), ("min", 60.0, 120.0), ("s", 1.0, 1.0), ("ms", 1e-3, 1e-3), ("µs", 1e-6, 0.0))
@@ -228,3 +239,68 @@ def _brief(value: Any) -> str:
         items = [_brief(item) for item in (value if len(value) <= LISTED else (*value[:3], value[-1]))]
         return "[" + ", ".join(items if len(value) <= LISTED else (*items[:3], "…", items[3])) + "]"
     return value_text(value)
+
+
+# What is accepted but may not be intended
+
+
+def warnings_of(scene: Scene) -> Iterator[str]:
+    """What is accepted in a scene but may not be intended."""
+    file = scene.file
+    frequency = file.excitation.frequency if file.excitation else None
+    if frequency is not None and not file.study.uses_frequency:
+        yield f"excitation.frequency is not used: the frequencies of the {file.study.kind} study rule"
+    for contact in file.contacts:
+        if contact.idle_stiffness and np.any(contact.stiffness_matrix()):
+            yield f"contacts.{contact.name}.tangential_stiffness has no effect without friction"
+    if file.structure is None:
+        return
+    model = scene.model()
+    yield from model.notes
+    yield from _still_parts(file, model)
+    yield from _large_numbers(scene.plan, model)
+    highest = (frequency or 0.0) * float(model.excitation.harmonic.max())
+    ratio = float(model.structure.frequency[-1]) / highest if highest else 0.0
+    if ratio > FAR_ABOVE and not hasattr(file.structure, "modes"):
+        keep = max(1, int(np.sum(model.structure.frequency <= 20 * highest)))
+        top = f"{model.structure.frequency[-1]:.6g} Hz, {ratio:.3g} times the excitation"
+        reach = f"{model.structure.frequency[keep - 1]:.6g} Hz"
+        advice = f"structure.keep_modes: {keep} would reach {reach}"
+        yield f"the modes kept reach {top}, which costs steps; {advice}"
+
+
+def _large_numbers(plan: Any, model: Model) -> Iterator[str]:
+    structure = model.structure
+    for mode in np.flatnonzero(structure.damping_ratio > 1 - 1e-9)[:1]:
+        place = f"mode {mode + 1} at {structure.frequency[mode]:.6g} Hz"
+        ratio = f"damping ratio {structure.damping_ratio[mode]:.4g} of {place}"
+        yield f"structure: {ratio}: from 1 on it does not oscillate; 1 % is 0.01"
+    if isinstance(plan, Schedule):
+        gigabytes = 8e-9 * plan.num_samples * (6 * len(structure.points) + 8 * model.num_contacts)
+        if gigabytes > LARGE_RESULT:
+            advice = "record_last or a smaller samples_per_cycle would do with less"
+            yield f"study: {plan.num_samples} samples make a result of {gigabytes:.2g} GB; {advice}"
+        if plan.samples_per_cycle < FEWEST_SAMPLES:
+            so = "cycle_amplitude is that of the continuous motion all the same"
+            yield f"study: {plan.samples_per_cycle} samples of a cycle show little of its motion; {so}"
+    balance = _balance(plan)
+    if balance is not None and balance.scheme.time_samples > MOST_SAMPLES:
+        so = "each solution takes seconds; study.convergence tells how few are enough"
+        yield f"study.time_samples: {balance.scheme.time_samples} samples of a period: {so}"
+
+
+def _still_parts(file: SceneFile, model: Model) -> Iterator[str]:
+    start, excitation = model.start, model.excitation
+    if not any(np.any(part) for part in (excitation.cosine, excitation.sine, excitation.constant)):
+        moving = np.any(start.displacement) or np.any(start.velocity) or np.any(start.slip)
+        yield "no force acts" if moving else "no force acts and the start is at rest: nothing will move"
+    if file.excitation is not None:
+        yield from file.excitation.without_effect(model.structure)
+    for contact, shape in zip(model.contacts, model.contact_shape, strict=True):
+        if not np.any(shape):
+            yield f"contacts.{contact.name} does not move in any mode"
+    given = getattr(file.initial, "slip", {})
+    for contact, slip in zip(model.contacts, start.slip, strict=True):
+        if contact.name in given and not np.allclose(slip, given[contact.name], rtol=1e-8, atol=0.0):
+            reason = "the contact starts separated or has no friction"
+            yield f"initial.slip.{contact.name} has no effect: {reason}"

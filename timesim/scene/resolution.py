@@ -10,7 +10,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import ValidationError
 
 from timesim.fault import Problem, RuleError, SceneError
@@ -22,7 +21,6 @@ from timesim.model.scales import out_of_range
 from timesim.model.solver import Solver
 from timesim.model.start import rest_start
 from timesim.scene.file import NO_NUMBER, Kinds, SceneFile, SceneParts, parsed, rule_errors
-from timesim.scene.hbm import HbmPlan
 from timesim.scene.integration import EndOfRun, InitialResult, start
 from timesim.scene.source import SceneSource, empty_values, overridden, read
 from timesim.scene.structure import BuiltStructure, ExcitationSection
@@ -31,22 +29,11 @@ from timesim.scene.text import yaml_text
 from timesim.scene.transient import Schedule
 
 NO_FORCE = ExcitationSection()
-LARGE_RESULT = 1.0  # gigabytes of samples
-FEWEST_SAMPLES = 8  # of a cycle, between which its motion can be guessed
-MOST_SAMPLES = 2**16  # of a period of a balance
-FAR_ABOVE = 100.0
-"""Modes from matrices above this multiple of the highest excitation frequency are worth a warning."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene that has passed every check.
-
-    Attributes:
-        source: the text it comes from, with the overrides applied.
-        file: the sections of the scene file.
-        kinds: the kinds of study that are known.
-    """
+    """A scene that has passed every check: its text with the overrides, its sections, the kinds of study known."""
 
     source: SceneSource
     file: SceneFile
@@ -145,10 +132,6 @@ class Scene:
     def with_overrides(self, overrides: Mapping[str, Any] | Sequence[str]) -> "Scene":
         """The same scene with other values; see `load_scene`."""
         return _scene(overridden(self.source, overrides), self.kinds)
-
-    def warnings(self) -> list[str]:
-        """What is accepted but may not be intended."""
-        return list(_warnings(self.file, self.plan, self._built.model))
 
 
 def load_scene(
@@ -289,62 +272,3 @@ class _Build:
             frequency = model.excitation.frequency if study.uses_frequency else study.lowest_frequency()
             self.errors += out_of_range(model, frequency or structure.frequency[-1] or 1.0)
         return model
-
-
-def _warnings(file: SceneFile, plan: Any, model: Model | None) -> Iterator[str]:
-    frequency = file.excitation.frequency if file.excitation else None
-    if frequency is not None and not file.study.uses_frequency:
-        yield f"excitation.frequency is not used: the frequencies of the {file.study.kind} study rule"
-    for contact in file.contacts:
-        if contact.idle_stiffness and np.any(contact.stiffness_matrix()):
-            yield f"contacts.{contact.name}.tangential_stiffness has no effect without friction"
-    if model is None:
-        return
-    yield from model.notes
-    yield from _still_parts(file, model)
-    yield from _large_numbers(plan, model)
-    highest = (frequency or 0.0) * float(model.excitation.harmonic.max())
-    ratio = float(model.structure.frequency[-1]) / highest if highest else 0.0
-    if ratio > FAR_ABOVE and not hasattr(file.structure, "modes"):
-        keep = max(1, int(np.sum(model.structure.frequency <= 20 * highest)))
-        top = f"{model.structure.frequency[-1]:.6g} Hz, {ratio:.3g} times the excitation"
-        reach = f"{model.structure.frequency[keep - 1]:.6g} Hz"
-        advice = f"structure.keep_modes: {keep} would reach {reach}"
-        yield f"the modes kept reach {top}, which costs steps; {advice}"
-
-
-def _large_numbers(plan: Any, model: Model) -> Iterator[str]:
-    structure = model.structure
-    for mode in np.flatnonzero(structure.damping_ratio > 1 - 1e-9)[:1]:
-        place = f"mode {mode + 1} at {structure.frequency[mode]:.6g} Hz"
-        ratio = f"damping ratio {structure.damping_ratio[mode]:.4g} of {place}"
-        yield f"structure: {ratio}: from 1 on it does not oscillate; 1 % is 0.01"
-    if isinstance(plan, Schedule):
-        gigabytes = 8e-9 * plan.num_samples * (6 * len(structure.points) + 8 * model.num_contacts)
-        if gigabytes > LARGE_RESULT:
-            advice = "record_last or a smaller samples_per_cycle would do with less"
-            yield f"study: {plan.num_samples} samples make a result of {gigabytes:.2g} GB; {advice}"
-        if plan.samples_per_cycle < FEWEST_SAMPLES:
-            so = "cycle_amplitude is that of the continuous motion all the same"
-            yield f"study: {plan.samples_per_cycle} samples of a cycle show little of its motion; {so}"
-    balance = plan if isinstance(plan, HbmPlan) else getattr(plan, "balance", None)
-    if balance is not None and balance.scheme.time_samples > MOST_SAMPLES:
-        so = "each solution takes seconds; study.convergence tells how few are enough"
-        yield f"study.time_samples: {balance.scheme.time_samples} samples of a period: {so}"
-
-
-def _still_parts(file: SceneFile, model: Model) -> Iterator[str]:
-    start, excitation = model.start, model.excitation
-    if not any(np.any(part) for part in (excitation.cosine, excitation.sine, excitation.constant)):
-        moving = np.any(start.displacement) or np.any(start.velocity) or np.any(start.slip)
-        yield "no force acts" if moving else "no force acts and the start is at rest: nothing will move"
-    if file.excitation is not None:
-        yield from file.excitation.without_effect(model.structure)
-    for contact, shape in zip(model.contacts, model.contact_shape, strict=True):
-        if not np.any(shape):
-            yield f"contacts.{contact.name} does not move in any mode"
-    given = getattr(file.initial, "slip", {})
-    for contact, slip in zip(model.contacts, start.slip, strict=True):
-        if contact.name in given and not np.allclose(slip, given[contact.name], rtol=1e-8, atol=0.0):
-            reason = "the contact starts separated or has no friction"
-            yield f"initial.slip.{contact.name} has no effect: {reason}"

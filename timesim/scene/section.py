@@ -1,12 +1,19 @@
 """The base class of the sections of a scene file, unions resolved by the form of a value, and refusals."""
 
 from collections.abc import Callable
-from typing import Any, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Discriminator
+from pydantic import BaseModel, ConfigDict, Discriminator, Tag
 from pydantic_core import PydanticCustomError
 
 from timesim.fault import Key
+
+T = TypeVar("T")
+AsNumber = Annotated[T, Tag("<number>")]
+AsText = Annotated[T, Tag("<text>")]
+AsList = Annotated[T, Tag("<list>")]
+AsMapping = Annotated[T, Tag("<mapping>")]
+"""Members of a union that `by_form` chooses from."""
 
 
 def refuse(rule: str, *, key: Key = (), hint: str = "", value: Any = None) -> PydanticCustomError:
@@ -37,10 +44,8 @@ def form(value: Any) -> str | None:
 
 
 def by_form(allowed: str, kind: Callable[[Any], str | None] = form) -> Discriminator:
-    """Chooses the member of a union by the form of the value.
-
-    Args:
-        allowed: in words, what the value must be.
-        kind: tag of the member that a value belongs to.
-    """
+    """Chooses the member of a union by the form of the value: ``allowed`` says in words what it must be."""
     return Discriminator(kind, custom_error_type="rule", custom_error_message=f"must be {allowed}")
+
+
+AutoOr = Annotated[AsText[Literal["auto"]] | AsNumber[T], by_form("auto or a whole number")]

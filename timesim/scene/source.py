@@ -160,9 +160,7 @@ def _changed(place: Any, path: str, value: Any, above: Key = ()) -> tuple[Any, K
 def _first(path: str, named: Any) -> tuple[str, str | None]:
     """The first part of a path and the rest, None where there is none.
 
-    Args:
-        path: what is left of a key path.
-        named: the mapping it leads into if its keys are key paths themselves, else None.
+    ``named``: the mapping it leads into if its keys are key paths themselves, else None.
     """
     if named is None:
         part, dot, rest = path.partition(".")

@@ -10,7 +10,7 @@ from pydantic import Field, Tag, model_validator
 from timesim.fault import RuleError
 from timesim.model import model
 from timesim.model.matrices import Matrices, modal_structure, read_matrices
-from timesim.scene.section import Section, by_form, refuse
+from timesim.scene.section import AsList, AsMapping, AsNumber, AsText, Section, by_form, refuse
 from timesim.scene.value import (
     Count,
     Direction,
@@ -92,8 +92,7 @@ Points = Annotated[dict[Name, PointRows], Field(min_length=1)]
 
 
 Ratio = Annotated[
-    Annotated[NotNegative, Tag("<number>")]
-    | Annotated[Annotated[tuple[NotNegative, ...], Field(min_length=1)], Tag("<list>")],
+    AsNumber[NotNegative] | AsList[Annotated[tuple[NotNegative, ...], Field(min_length=1)]],
     by_form("a number, or a list of one a mode"),
 ]
 
@@ -154,7 +153,7 @@ class FileSection(Section):
     """A structure by the matrices in a file."""
 
     file: Annotated[
-        Annotated[FilePath, Tag("<text>")] | Annotated[MatrixFiles, Tag("<mapping>")],
+        AsText[FilePath] | AsMapping[MatrixFiles],
         by_form("a .npz or .mat file, or paths of mass, stiffness, damping"),
     ]
     """A .npz or .mat file with mass, stiffness, damping (or M, K, C), or a file for each."""

@@ -115,13 +115,7 @@ class Optimum(SteadySection):
 
 @dataclass(frozen=True)
 class BistablePlan:
-    """Where a response has two steady motions.
-
-    Attributes:
-        sweep: up and down over the range.
-        width, starts: as in `Bistable`.
-        balance: the branch by harmonic balance behind; None: it is left out.
-    """
+    """Where a response has two steady motions: sweeps up and down, and the branch behind, None to leave it out."""
 
     sweep: SweepPlan
     width: float

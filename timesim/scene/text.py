@@ -29,6 +29,7 @@ MAX_BYTES = 8 * 1024**2
 MAX_DEPTH = 32
 MAX_VALUES = 500_000
 HUGE = 10**300
+WIDTH = 60  # letters of a value in a message
 SPECIAL = {"NaN": ".nan", "Infinity": ".inf", "-Infinity": "-.inf"}
 """Numbers that JSON and YAML write differently."""
 
@@ -42,10 +43,10 @@ _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_/-]*(\.[A-Za-z0-9_/-]+)*")
 _UNPRINTABLE = re.compile("[\x7f-\x9f\u2028\u2029\ud800-\udfff\ufeff\ufffe\uffff]")
 
 
-def value_text(value: Any, width: int = 60) -> str:
+def value_text(value: Any) -> str:
     """A value as YAML writes it, shortened to fit a message."""
     text = _flow(value)
-    return text if len(text) <= width else f"{text[: width - 1]}…"
+    return text if len(text) <= WIDTH else f"{text[: WIDTH - 1]}…"
 
 
 def plain(value: Any, key: Key = ()) -> Any:

@@ -98,15 +98,7 @@ class Transient(StudySection):
 
 @dataclass(frozen=True)
 class TradeoffPlan:
-    """A run that is made by many solvers.
-
-    Attributes:
-        frequency: of the excitation [Hz].
-        cycles: of the run.
-        error: wanted, relative.
-        budget: of time [s].
-        amplitude: whether the error is that of the settled amplitude, in place of the state at the end.
-    """
+    """A run at a frequency [Hz] that is made by many solvers; the rest as in `Tradeoff`."""
 
     frequency: float
     cycles: int

@@ -13,7 +13,6 @@ from pydantic import (
     PlainSerializer,
     SerializationInfo,
     Strict,
-    Tag,
     ValidationInfo,
     model_validator,
 )
@@ -21,7 +20,7 @@ from pydantic import (
 from timesim.fault import nearest
 from timesim.model.model import GROUND
 from timesim.model.scales import LARGEST
-from timesim.scene.section import Section, by_form, refuse
+from timesim.scene.section import AsList, AsMapping, AsNumber, Section, by_form, refuse
 
 MAX_POINTS = 10**6
 """Most points of one study along its own axes: a result of more would not fit into memory."""
@@ -152,9 +151,7 @@ class Span(Section):
 
 
 Values = Annotated[
-    Annotated[Number, Tag("<number>")]
-    | Annotated[Annotated[tuple[Number, ...], Field(min_length=1)], Tag("<list>")]
-    | Annotated[Range, Tag("<mapping>")],
+    AsNumber[Number] | AsList[Annotated[tuple[Number, ...], Field(min_length=1)]] | AsMapping[Range],
     by_form("a number, a list of numbers, or a mapping with from, to and num"),
 ]
 

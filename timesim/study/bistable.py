@@ -23,8 +23,9 @@ from timesim.orbit.two_motions import UP, Search, ranges_of
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import BistablePlan
-from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through, point_done
+from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import CURVE, Phases
+from timesim.study.execution.worker import point_done
 from timesim.study.hbm import followed
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import bistable_lines, failure_line, fold_lines, number_of_states, unusual_lines
@@ -35,11 +36,7 @@ SEARCH = "sweeps, ends and starts"  # phase of the progress
 
 @dataclass(frozen=True)
 class Payload:
-    """What is done for one set of values; each kind of work goes on from the result of the one before.
-
-    Attributes:
-        model, solver, criterion: the scene, and how its steady states are sought.
-    """
+    """What is done for one set of values; each kind of work goes on from the result of the one before."""
 
     model: Model
     solver: Solver
@@ -117,7 +114,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     curves = 0 if plan.balance is None else 2 * len(grid.models)
     phases = Phases(execution.progress, {SEARCH: sum(chunk.size for chunk in every), "balance": CURVE * curves})
     searching = replace(execution, progress=phases[SEARCH])
-    searching.show(0, 1)
+    searching.progress(0, 1)
     results, reason = carry_through(every, work, searching, identity=scene.resolved_yaml())
     running = earlier + time.perf_counter() - clock - compiling
     gathered = Gathered(grid, plan, results)
@@ -245,7 +242,7 @@ class Gathered:
 
 def _of_ranges(result: Result, name: str) -> np.ndarray | None:
     """A quantity of the ranges of one set of values; None if it is not known."""
-    if name == "phase_deg":
-        return phase_deg(result["phasor"])
     side = {"amplitude_lower": LOWER, "amplitude_upper": UPPER}.get(name)
-    return result.get(name) if side is None else result["amplitude"][:, side]
+    if not len(result["range"]) or (side is None and name != "phase_deg"):
+        return result.get(name)
+    return phase_deg(result["phasor"]) if side is None else result["amplitude"][:, side]

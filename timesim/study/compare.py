@@ -64,12 +64,12 @@ class Match:
 
 
 def matched(amplitude: np.ndarray, frequency: np.ndarray, curves: Curves) -> Match:
-    """Find the solution nearest to each point of a sweep.
+    """Find the solution nearest to each point of a sweep, on curves of the same sets of values.
 
     Args:
         amplitude: of the sweep, shape (V, D, F, P, 3).
         frequency: of the sweep [Hz], shape (F,).
-        curves: of the same sets of values.
+        curves: of the balance.
     """
     nearest = np.full_like(amplitude, np.nan)
     solution = np.full(amplitude.shape[:3], -1)
@@ -142,9 +142,7 @@ def _compared(
 ) -> tuple[dict[str, np.ndarray], list[str], dict[str, Dataset], str | None]:
     """The difference of the methods on the axes of the sweep's amplitude, what it says, and a cycle by both of them.
 
-    Beside it, where another offset explains it.
-
-    The last entry is why a part of it is missing; None if none is.
+    Beside the difference, where another offset explains it. The last entry is why a part is missing; None if none is.
     """
     amplitude, lines, cycle = sweep["amplitude"].values, list[str](), dict[str, Dataset]()
     arrays = {"relative_difference": np.full_like(amplitude, np.nan)}
@@ -175,13 +173,8 @@ def cycle_by_both(scene: Scene, curves: Curves, match: Match, place: tuple[int, 
     Raises:
         NotSettledError: time integration does not lead to a motion that repeats each cycle.
     """
-    values, model = curves.values[place[0]], scene.variant(curves.values[place[0]])
-    solution, balance, coefficient = _solution(model, curves, match, place)
-    frequency, order = float(solution.frequency[0]), curves.scheme.harmonics + 1
-    modal = balance.modes(coefficient.ravel(), solution.contact_force[0] / balance.force, frequency)
-    elastic, states = _contacts(balance, coefficient)
-    start = _start(model, balance, coefficient, modal, elastic, frequency)
-    marched = _settled_cycle(replace(model, start=start), frequency, scene.solver(), scene.plan.sweep)
+    model, frequency, modal, states = _begun(scene, curves, match, place)
+    marched, order = _settled_cycle(model, frequency, scene.solver(), scene.plan.sweep), curves.scheme.harmonics + 1
     angle = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
     q = np.einsum("kh,hm->km", np.exp(1j * np.outer(angle, np.arange(len(modal)))), modal).real
     x = np.stack([np.einsum("pam,km->kpa", model.structure.shape, motion) for motion in (marched.q[:-1], q)])
@@ -195,7 +188,7 @@ def cycle_by_both(scene: Scene, curves: Curves, match: Match, place: tuple[int, 
         "harmonic_amplitude": (("found_by", "harmonic", "point", "axis"), height),
     }
     coords = {"found_by": np.array(METHODS), "excitation_angle": np.rad2deg(angle)}
-    where = ", ".join(filter(None, (f"{frequency:g} Hz", in_words(values))))
+    where = ", ".join(filter(None, (f"{frequency:g} Hz", in_words(curves.values[place[0]]))))
     return dataset(variables, coords, {"place": where} | unit_names(scene), model)
 
 
@@ -205,36 +198,37 @@ def other_offsets(scene: Scene, curves: Curves, match: Match, points: Points) ->
     The sweep comes to the same frequency with another offset of a contact that sticks all along. This moves the other
     contacts' loads, and is free.
     """
-    found, chains, places = np.zeros(points.doubtful.shape, dtype=bool), [], np.argwhere(points.doubtful)
-    for v, d, f in places:
-        model = scene.variant(curves.values[v])
-        solution, balance, coefficient = _solution(model, curves, match, (v, d, f))
-        frequency = float(solution.frequency[0])
-        modal = balance.modes(coefficient.ravel(), solution.contact_force[0] / balance.force, frequency)
-        start = _start(model, balance, coefficient, modal, _contacts(balance, coefficient)[0], frequency)
-        chains.append(Chain(replace(model, start=start), (frequency,)))
+    found, places = np.zeros(points.doubtful.shape, dtype=bool), [tuple(row) for row in np.argwhere(points.doubtful)]
+    begun = (_begun(scene, curves, match, place) for place in places)
+    chains = [Chain(model, (frequency,)) for model, frequency, _, _ in begun]
     if not chains:
         return found
     plan = scene.plan.sweep
     orbits = steady_states(chains, scene.solver(), plan.criterion, crowd=crowd_of(plan))
-    for (v, d, f), (orbit,) in zip(places, orbits, strict=True):
-        own = match.solutions[v]
+    for place, (orbit,) in zip(places, orbits, strict=True):
+        own = match.solutions[place[0]]
         assert own is not None
-        amplitude = own.amplitude[match.solution[v, d, f]]
+        amplitude = own.amplitude[match.solution[place]]
         off = np.max(np.abs(orbit.amplitude - amplitude)) / np.max(amplitude)
-        found[v, d, f] = orbit.reason is None and orbit.period == 1 and off <= WORTH_ASKING
+        found[place] = orbit.reason is None and orbit.period == 1 and off <= WORTH_ASKING
     return found
 
 
-def _solution(
-    model: Model, curves: Curves, match: Match, place: tuple[int, int, int]
-) -> tuple[HbmCurve, Balance, Array]:
-    """The solution at a point of the sweep, its balance, and the motion of the contacts in units of this."""
-    solutions, at = match.solutions[place[0]], int(match.solution[place])
+def _begun(scene: Scene, curves: Curves, match: Match, place: tuple[int, ...]) -> tuple[Model, float, Complex, Array]:
+    """The model at the start of the solution at a point of the sweep, the frequency [Hz], and the solution.
+
+    That is by its modal harmonics, and the states of the contacts at the angles of the cycle.
+    """
+    model, solutions, at = scene.variant(curves.values[place[0]]), match.solutions[place[0]], int(match.solution[place])
     assert solutions is not None
     solution = part_of(solutions, slice(at, at + 1))
-    balance = Balance(model, float(solution.frequency[0]), curves.scheme)
-    return solution, balance, solution.contact_motion[0] / balance.length
+    frequency = float(solution.frequency[0])
+    balance = Balance(model, frequency, curves.scheme)
+    coefficient = solution.contact_motion[0] / balance.length
+    modal = balance.modes(coefficient.ravel(), solution.contact_force[0] / balance.force, frequency)
+    elastic, states = _contacts(balance, coefficient)
+    start = _start(model, balance, coefficient, modal, elastic, frequency)
+    return replace(model, start=start), frequency, modal, states
 
 
 def _contacts(balance: Balance, coefficient: Array) -> tuple[Array, Array]:

@@ -5,7 +5,7 @@ not agree is marked incomplete.
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -46,7 +46,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         compared, doubt = _cross_check(contact, motion, cycle)
         reason = reason or doubt
     seconds = time.perf_counter() - clock
-    execution.show(1, 1)
+    execution.progress(1, 1)
     record = record_of(scene, plan, cycle, compared, seconds, reason)
     return Outcome({"": record}, reason, tuple(summary(cycle, compared)))
 
@@ -152,7 +152,7 @@ Variables = dict[str, tuple[tuple[str, ...], np.ndarray]]
 def cycle_variables(cycle: ElementCycle, contact: Contact, theta: np.ndarray) -> Variables:
     """The cycle over the angle, its transitions, the first cycle from the start with f = 0."""
     motion = cycle.motion.evaluate(theta)[0]
-    first = steady_cycle(contact, cycle.motion, max_cycles=1)
+    first, angles = steady_cycle(contact, cycle.motion, max_cycles=1), [item.angle for item in cycle.transitions]
     return {
         "u": (("angle", "tangent"), motion[:2].T),
         "v": (("angle",), motion[2]),
@@ -161,18 +161,19 @@ def cycle_variables(cycle: ElementCycle, contact: Contact, theta: np.ndarray) ->
         "slip": (("angle", "tangent"), cycle.slip(theta).T),
         "state": (("angle",), cycle.state(theta).astype(np.int8)),
         "first_force": (("angle", "tangent"), first.force(theta).T),
-        "transition_angle_deg": (("event",), cycle.transition_angle_deg),
-        "transition_from": (("event",), cycle.transition_from.astype(np.int8)),
-        "transition_to": (("event",), cycle.transition_to.astype(np.int8)),
-        "transition_force": (("event", "tangent"), _at_transitions(cycle)),
-        "history_angle_deg": (("run_event",), np.degrees([item.angle for item in cycle.history])),
-        "history_from": (("run_event",), np.array([item.before for item in cycle.history], np.int8)),
-        "history_to": (("run_event",), np.array([item.after for item in cycle.history], np.int8)),
+        "transition_force": (("event", "tangent"), cycle.force(np.array(angles)).T.reshape(-1, 2)),
+        **_log("transition", "event", cycle.transitions),
+        **_log("history", "run_event", cycle.history),
     }
 
 
-def _at_transitions(cycle: ElementCycle) -> np.ndarray:
-    return cycle.force(np.array([item.angle for item in cycle.transitions])).T.reshape(-1, 2)
+def _log(name: str, dim: str, transitions: Sequence[Transition]) -> Variables:
+    """Transitions by their angles and states."""
+    return {
+        f"{name}_angle_deg": ((dim,), np.degrees([item.angle for item in transitions])),
+        f"{name}_from": ((dim,), np.array([item.before for item in transitions], np.int8)),
+        f"{name}_to": ((dim,), np.array([item.after for item in transitions], np.int8)),
+    }
 
 
 def coefficient_variables(cycle: ElementCycle, plan: ElementPlan) -> Variables:

@@ -9,7 +9,6 @@ import timesim.runtime  # noqa: F401  isort: skip
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 
 import jax
@@ -27,7 +26,8 @@ from timesim.orbit.extrapolation import limits, remaining
 from timesim.result.dataset import dataset
 from timesim.scene.element import MAP_AXES, MapPlan
 from timesim.scene.resolution import Scene
-from timesim.study.execution.campaign import INTERRUPTED, Execution, Progress
+from timesim.study.execution.campaign import INTERRUPTED, Execution
+from timesim.study.execution.progress import Progress, unwatched
 from timesim.study.execution.worker import threads
 from timesim.study.outcome import Outcome, attributes
 
@@ -39,29 +39,13 @@ SETTLED = 0.1
 HISTORY = 6
 
 
-@dataclass(frozen=True)
-class Map:
-    """The results of N elements.
+class March:
+    """N elements on their way to a steady cycle.
 
     Attributes:
-        f_b, f_s, f_c: coefficients of (19), shape (N, 2) [force].
-        dissipation: shape (N,) [force length].
-        transitions: in the cycle, shape (N,).
-        cycles: cycles marched, shape (N,).
-        settled: whether the cycle repeats, shape (N,).
+        result: so far, by the names of the result file: the coefficients of (19), shape (N, 2) [force], the
+            dissipation [force length], the transitions of the cycle, the cycles marched, whether it repeats.
     """
-
-    f_b: np.ndarray
-    f_s: np.ndarray
-    f_c: np.ndarray
-    dissipation: np.ndarray
-    transitions: np.ndarray
-    cycles: np.ndarray
-    settled: np.ndarray
-
-
-class March:
-    """All elements on their way to a steady cycle."""
 
     def __init__(self, elements: Elements, phase: np.ndarray, solver: Solver):
         self.elements, self.phase = elements, phase
@@ -74,11 +58,13 @@ class March:
         self.forces[:, -1] = elements.start_force(self.slip, self.state)
         self.since = np.zeros(count, dtype=int)
         self.reach, self.best = np.ones(count), np.full(count, np.inf)
-        pairs, numbers = np.full((count, 2), np.nan), np.full(count, np.nan)
-        whole, no = np.zeros(count, dtype=int), np.zeros(count, dtype=bool)
-        self.result = Map(pairs, pairs.copy(), pairs.copy(), numbers, whole, whole.copy(), no)
+        pair = np.full((count, 2), np.nan)
+        self.result: dict[str, np.ndarray] = {name: pair.copy() for name in ("f_b", "f_s", "f_c")}
+        self.result["dissipation"] = np.full(count, np.nan)
+        self.result |= {name: np.zeros(count, dtype=int) for name in ("transitions", "cycles")}
+        self.result["settled"] = np.zeros(count, dtype=bool)
 
-    def run(self, progress: Progress | None = None, max_cycles: int = MAX_CYCLES) -> Map:
+    def run(self, progress: Progress = unwatched, max_cycles: int = MAX_CYCLES) -> dict[str, np.ndarray]:
         """March until every cycle repeats, or has been tried often enough."""
         # What the force does to the slip within a cycle sets the steps; those alike share a batch.
         stiffness = np.linalg.norm(self.elements.stiffness, axis=(1, 2))
@@ -92,8 +78,7 @@ class March:
                 batches = [waiting[i : i + BATCH] for i in range(0, waiting.size, BATCH)]
                 keep = np.concatenate(list(pool.map(partial(self._cycle, cycle), batches)))
                 waiting = waiting[keep]
-                if progress is not None:
-                    progress(done - waiting.size, done, f"cycle {cycle}, {waiting.size} of {done} points to settle")
+                progress(done - waiting.size, done, f"cycle {cycle}, {waiting.size} of {done} points to settle")
                 if not waiting.size:
                     break
         return self.result
@@ -113,10 +98,10 @@ class March:
         """Write what a cycle amounts to."""
         result, good = self.result, reached.good
         forces = (reached.mean, *in_phase(reached.first, self.phase[rows]))
-        for array, values in zip((result.f_b, result.f_s, result.f_c), forces, strict=True):
-            array[rows] = np.where(good[:, None], values, np.nan)
-        result.dissipation[rows] = np.where(good, reached.dissipation, np.nan)
-        result.transitions[rows], result.cycles[rows] = count, cycle
+        for name, values in zip(("f_b", "f_s", "f_c"), forces, strict=True):
+            result[name][rows] = np.where(good[:, None], values, np.nan)
+        result["dissipation"][rows] = np.where(good, reached.dissipation, np.nan)
+        result["transitions"][rows], result["cycles"][rows] = count, cycle
 
     def _judge(self, rows: np.ndarray, reached: CycleEnd) -> np.ndarray:
         """Take over the state after a cycle, carried to its limit where it leads to one; which go on."""
@@ -132,7 +117,7 @@ class March:
         settled = same & (rounding | (left <= self.tolerance)) & reached.good
         self.slip[rows], self.state[rows] = reached.slip, reached.state
         self.forces[rows], self.since[rows] = history, self.since[rows] + 1
-        self.result.settled[rows] = settled
+        self.result["settled"][rows] = settled
         self._leap(rows[~settled & (self.since[rows] >= HISTORY) & (reached.state != SEPARATION)])
         return ~settled & reached.good
 
@@ -180,30 +165,27 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     march, reason = March(elements, phase, solver), None
     result = march.result
     try:
-        execution.show(0, elements.size)
+        execution.progress(0, elements.size)
         march.run(execution.progress)
     except KeyboardInterrupt:
-        reason = f"{INTERRUPTED} with {np.sum(~result.settled)} of {elements.size} points unsettled (settled = 0)"
+        reason = f"{INTERRUPTED} with {np.sum(~result['settled'])} of {elements.size} points unsettled (settled = 0)"
     seconds = time.perf_counter() - compiled
-    number = int(np.sum(~result.settled))
-    lost = int(np.sum(np.isnan(result.dissipation)))
+    number = int(np.sum(~result["settled"]))
+    lost = int(np.sum(np.isnan(result["dissipation"])))
     if lost and reason is None:
         reason = f"the event loop ended early at {lost} of {elements.size} points, NaN in the result"
     names = tuple(MAP_AXES[key] for key in plan.axes)
     shape = tuple(len(plan.values[key]) for key in plan.axes)
     variables = {
-        **{name: ((*names, "tangent"), getattr(result, name).reshape(*shape, 2)) for name in ("f_b", "f_s", "f_c")},
-        **{
-            name: (names, getattr(result, name).reshape(shape))
-            for name in ("dissipation", "transitions", "cycles", "settled")
-        },
+        name: ((*names, "tangent")[: 1 + array.ndim], array.reshape(*shape, *array.shape[1:]))
+        for name, array in result.items()
     }
     coords = {MAP_AXES[key]: np.array(plan.values[key]) for key in plan.axes}
     about = attributes(scene, str(solver), compiled - clock, seconds, reason)
     record = dataset(variables, coords, about | {"contact": plan.contact.name})
     lines = (
         f"{elements.size} points by {solver} in {seconds:.2f} s, after {compiled - clock:.1f} s of compilation",
-        f"cycles to the steady one: {np.median(result.cycles):.0f} in the median, {result.cycles.max()} at most",
+        f"cycles to the steady one: {np.median(result['cycles']):.0f} in the median, {result['cycles'].max()} at most",
         *([f"{number} points still creep after {MAX_CYCLES} cycles (settled = 0)"] if number else []),
     )
     return Outcome({"": record}, reason, lines)

@@ -43,13 +43,7 @@ REFINED = 6  # solutions that harmonics and samples are refined for, beside the 
 
 @dataclass(frozen=True)
 class StudyCurve:
-    """One curve of a study.
-
-    Attributes:
-        values: of the further axes.
-        model_at: the model for a value of the curve's parameter.
-        curve: the solutions.
-    """
+    """One curve of a study: values of the further axes, the model for a value of its parameter, the solutions."""
 
     values: Mapping[str, float]
     model_at: Callable[[float], Model]
@@ -74,15 +68,12 @@ class Curves:
         self.notes: list[str] = []
 
     def run(self, execution: Execution, kept: KeptCurves, passing: SavedStates | None = None) -> str | None:
-        """Follow all curves.
+        """Follow all curves; why some are not whole, if any.
 
         Args:
             execution: takes in the progress, in sets of values.
             kept: the curves that are taken up, and where the others are kept.
             passing: a sweep whose settled points are to be passed, beside that of the plan's start.
-
-        Returns:
-            Why some curves are not whole, if any.
         """
         sweeps = [sweep for sweep in (self.plan.passing, passing and (passing, {})) if sweep]
         try:
@@ -96,7 +87,7 @@ class Curves:
                     self.notes += done[1]
                     for curve in done[0]:
                         self._add(StudyCurve(values, self._model_at(values), curve))
-                execution.show(place + 1, len(self.values), "harmonic balance")
+                execution.progress(place + 1, len(self.values), "harmonic balance")
         except KeyboardInterrupt:
             self.faults.append(f"interrupted at curve {len(self.curves) + 1}")
         except StoreError as error:
@@ -234,7 +225,7 @@ class Growth:
         expected = max(before + 1, 1 + plan.both_ends)
         sets = curves.values.index(dict(self.values)) + (before + FOLLOWED * share) / expected
         words = f"curve {len(curves.curves) + 1}: {share:.0%} of the range"
-        self.execution.show(sets, len(curves.values), ", ".join(filter(None, (words, in_words(self.values)))))
+        self.execution.progress(sets, len(curves.values), ", ".join(filter(None, (words, in_words(self.values)))))
         self.kept.grow(lambda: self._record(so_far()))
 
     def _record(self, curve: HbmCurve) -> Dataset:
@@ -269,10 +260,7 @@ def followed(
 ) -> tuple[Dataset, Curves, str | None]:
     """All curves of a scene, those through the points of a sweep too: the result, they, and why some are not whole.
 
-    Args:
-        scene, plan, execution: what is followed, and how.
-        passing: a sweep whose settled points are to be passed too.
-        stage: of the study in which the curves are kept; empty where they are the whole of it.
+    ``passing``: a sweep whose settled points are to be passed too; ``stage``: as of `Execution.checkpoint`.
     """
     curves = Curves(scene, plan)
     phases = Phases(execution.progress, {"curves": len(curves.values), "convergence": int(plan.convergence)})

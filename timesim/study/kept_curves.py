@@ -12,8 +12,7 @@ from xarray import Dataset
 from timesim.hbm.continuation import Ending
 from timesim.hbm.curve import HbmCurve
 from timesim.result import checkpoint, netcdf
-from timesim.result.change import fingerprint
-from timesim.result.checkpoint import Checkpoint, Manifest, Result
+from timesim.result.checkpoint import Checkpoint, Result
 from timesim.result.file import StoreError
 from timesim.study.execution.campaign import Execution
 
@@ -25,8 +24,7 @@ TIMES_APART = 20.0
 class KeptCurves:
     """The curves of each set of values, as a chunk of a checkpoint; nothing is kept where there is no run folder.
 
-    Attributes:
-        earlier: seconds that the curves taken up took.
+    `earlier` is the time that the curves taken up took [s].
     """
 
     def __init__(self, kept: Checkpoint | None, notice: Callable[[str], None]):
@@ -67,31 +65,16 @@ class KeptCurves:
 
 @contextmanager
 def kept_curves(execution: Execution, identity: str, sets: Sequence[Any], stage: str) -> Iterator[KeptCurves]:
-    """Where the curves of a study are kept.
+    """Where the curves of a study are kept, whose sets of values are determined by ``sets`` beside the scene.
 
-    Args:
-        execution: how the study is carried out.
-        identity: the resolved scene.
-        sets: what the curves of each set of values are determined by beside the scene.
-        stage: of the study; empty where it is the whole of it.
-
-    Raises:
-        StoreError: what is there belongs to something else, or the folder cannot be written.
+    ``identity`` and ``stage`` are those of `Execution.checkpoint`, whose errors it raises.
     """
-    if execution.folder is None:
-        yield KeptCurves(None, execution.notice)
-        return
-    manifest = Manifest(identity, {_name(place): fingerprint(own) for place, own in enumerate(sets)})
-    kept, begun = checkpoint.begin(execution.folder, manifest, resume=execution.resume, stage=stage)
-    try:
-        if execution.resume and not begun and not stage:
-            execution.notice(f"there is nothing to resume in {execution.folder}: it starts from the beginning")
-        elif begun:
-            done = sum((kept.folder / f"{name}.npz").exists() for name in manifest.chunks)
+    names = [_name(place) for place in range(len(sets))]
+    with execution.checkpoint(identity, dict(zip(names, sets, strict=True)), stage) as (kept, begun):
+        if kept is not None and begun:
+            done = sum((kept.folder / f"{name}.npz").exists() for name in names)
             execution.notice(f"the curves of {done} of {len(sets)} sets of values are taken up from {kept.folder}")
         yield KeptCurves(kept, execution.notice)
-    finally:
-        kept.close()
 
 
 def _name(place: int) -> str:

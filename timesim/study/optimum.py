@@ -22,8 +22,9 @@ from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import OptimumPlan
-from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through, point_done
+from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import Phases
+from timesim.study.execution.worker import point_done
 from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import failure_line, optimum_lines
 from timesim.study.sweep import Variables, blank_columns, variables_of
@@ -224,7 +225,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     earlier, clock = execution.earlier(), time.perf_counter()
     warm_up([Chain(scene.model(), (float(peaks.frequency[0]),))], peaks.solver, [2])
     compiling = time.perf_counter() - clock
-    execution.show(0, 1)
+    execution.progress(0, 1)
     try:
         peaks.first()
         peaks.search()

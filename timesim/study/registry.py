@@ -99,23 +99,7 @@ def json_schema() -> dict[str, Any]:
 def draw(
     data: "xarray.Dataset | xarray.DataTree", folder: Path | str, *, kind: str = "png", log: Collection[str] = ()
 ) -> list[Path]:
-    """Write the pictures of a result into a folder, replacing earlier ones.
-
-    Args:
-        data: the result, a Dataset, or the DataTree of one with groups.
-        folder: an existing folder.
-
-    Keyword Args:
-        kind: of the files: png, pdf or svg.
-        log: "amplitude", "frequency", or both: these axes are logarithmic.
-
-    Returns:
-        The files written, in order; none for a study that has no pictures, or a run that recorded nothing.
-
-    Raises:
-        StoreError: a file cannot be written.
-        ValueError: another kind or quantity.
-    """
+    """Write the pictures of a result into an existing folder; see `timesim.picture.draw.write`."""
     from timesim.picture.draw import write
 
     return write(data, folder, _pictures(data.attrs["study"]), kind=kind, log=log)
@@ -134,11 +118,7 @@ def _pictures(kind: str) -> Mapping[str, Callable[..., Any]]:
 
 
 def carry_out(scene: Scene, execution: Execution | None = None) -> Outcome:
-    """Run the study of a scene.
-
-    Args:
-        scene: the scene.
-        execution: how; threads of this machine and no checkpoints by default.
+    """Run the study of a scene, on threads of this machine and without checkpoints by default.
 
     Raises:
         ExecutionError: the study cannot be carried out so.
@@ -177,8 +157,6 @@ def run(
     Args:
         scene: a scene, or what `timesim.load_scene` takes: a path, a mapping or the text of one.
         overrides: new values by key path.
-
-    Keyword Args:
         cluster: address of a dask scheduler that a study in chunks of points is carried out on, or "local" for
             processes of this machine (a script that asks for it starts below ``if __name__ == "__main__":``).
         workers: threads, or processes of a local cluster; the processors of this machine by default.

@@ -163,13 +163,7 @@ def _where(data: Dataset, dims: Sequence[Any], place: Sequence[int]) -> list[str
 
 
 def bistable_lines(data: Dataset, sweep: Dataset, width: float) -> Iterator[str]:
-    """Ranges with two motions.
-
-    Args:
-        data: the root of the result.
-        sweep: its sweeps.
-        width: to which each end was bisected [Hz].
-    """
+    """Ranges with two motions, each end bisected to a width [Hz], by the root of the result and its sweeps."""
     *keys, jump, _ = data["range"].dims
     lines = []
     for place in np.argwhere(np.isfinite(data["range"].values).all(axis=-1)):

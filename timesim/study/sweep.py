@@ -24,8 +24,9 @@ from timesim.orbit.steady_state import COLUMNS, START, Columns, Orbit, columns_o
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan, combinations
-from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through, halted, point_done
+from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import Phases
+from timesim.study.execution.worker import halted, point_done
 from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import failure_line, sweep_lines
 
@@ -109,11 +110,9 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 
 
 def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[Dataset, str | None]:
-    """The steady states over the further axes, direction and frequency.
+    """The steady states over the further axes, direction and frequency, and why they are incomplete; None if not.
 
-    Returns:
-        the result, with `method`, `compile_seconds` and `run_seconds` as its attributes, and why it is incomplete; None
-        if every point was computed.
+    The result has `method`, `compile_seconds` and `run_seconds` as its attributes.
     """
     solver, grid = scene.solver(), Grid(scene, plan)
     chunks, places = grid.chunks(solver)
@@ -123,7 +122,7 @@ def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[D
         crowds = {chunk.payload.crowd for chunk in chunks}
         warm_up((chain for chunk in chunks for chain in chunk.payload.chains), solver, sorted(crowds))
     compiling = time.perf_counter() - clock
-    execution.show(0, plan.size)
+    execution.progress(0, plan.size)
     results, reason = carry_through(chunks, solve, execution, identity=scene.resolved_yaml())
     arrays, jumps = grid.gathered(results, places)
     seconds = earlier + time.perf_counter() - clock - compiling
@@ -179,9 +178,7 @@ def blank_columns(model: Model, *shape: int) -> dict[str, np.ndarray]:
 def variables_of(columns: Columns, axes: Mapping[str, int]) -> Variables:
     """Steady states as variables of a result file; no state is left of a point that failed.
 
-    Args:
-        columns: with any dimensions of the points first, as many points as the axes have.
-        axes: names and sizes of the dimensions that these become.
+    The columns may have any dimensions of the points first, which become axes of these names and sizes.
     """
     phasor, failed = columns["phasor"], columns["reason"] != ""
     values = {name: array for name, array in columns.items() if name != "phasor"}

@@ -54,14 +54,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 
 @dataclass(frozen=True)
 class _Carried:
-    """A run that has ended.
-
-    Attributes:
-        recorder: what there is of it.
-        reason: why it ended early; None if it did not.
-        error: estimated; None where that was not asked for.
-        compiling: seconds.
-    """
+    """A run that has ended: what is recorded, why early, the estimated error, if any, and seconds of compilation."""
 
     recorder: Recorder
     reason: str | None
@@ -111,7 +104,7 @@ def _advance(recorder: Recorder, execution: Execution, whole: float) -> str | No
     try:
         for steps in run.batches():
             recorder.add(steps)
-            execution.show(run.completed, whole, recorder.plan.place(run.completed))
+            execution.progress(run.completed, whole, recorder.plan.place(run.completed))
     except RunError as error:
         return str(error)
     except KeyboardInterrupt:
@@ -128,7 +121,7 @@ def _estimate(recorder: Recorder, execution: Execution, reason: str | None) -> E
     def show(companion: Run) -> None:
         done = run.num_cycles + COMPANION * companion.completed
         words = f"estimating the error, {companion.completed} of {run.num_cycles} cycles"
-        execution.show(done, (1 + COMPANION) * run.num_cycles, words)
+        execution.progress(done, (1 + COMPANION) * run.num_cycles, words)
 
     try:
         return estimate(run, totals, companion_of(run), show)

@@ -89,20 +89,19 @@ def _listed(numbers: np.ndarray, changes: np.ndarray, name: str) -> str:
 
 @dataclass(frozen=True)
 class Points:
-    """Points of a sweep beside the balance: V sets of values of the further axes, D directions, F frequencies.
+    """Points of a sweep beside the balance: V sets of values of the further axes, D directions, F frequencies [Hz].
 
     Attributes:
-        values: the sets.
-        frequency: shape (F,) [Hz].
-        difference: largest of (balance - sweep) / sweep, without its sign, over points and axes, shape (V, D, F).
-        solved: whether the balance has a stable solution there, shape (V, D, F).
-        settled, doubled: whether the motion repeats after one cycle, after several, shape (V, D, F).
-        irregular: whether it does not repeat however long it goes on, shape (V, D, F).
-        linear: whether no contact slips, or opens within the cycle, shape (V, D, F).
-        near_fold: whether a fold of the balance is near, shape (V, D, F).
-        slip, separation: largest share of a period over the contacts, each by itself, shape (V, D, F).
-        sticks: whether a contact sticks all the time beside others that do not, shape (V, D, F).
-        other_offset: whether the methods differ only since it keeps another offset, shape (V, D, F).
+        difference: largest of (balance - sweep) / sweep, without its sign, over points and axes, shape (V, D, F), as
+            all that follow.
+        solved: whether the balance has a stable solution there.
+        settled, doubled: whether the motion repeats after one cycle, after several.
+        irregular: whether it does not repeat however long it goes on.
+        linear: whether no contact slips, or opens within the cycle.
+        near_fold: whether a fold of the balance is near.
+        slip, separation: largest share of a period over the contacts, each by itself.
+        sticks: whether a contact sticks all the time beside others that do not.
+        other_offset: whether the methods differ only since it keeps another offset.
     """
 
     values: Sequence[Mapping[str, float]]

@@ -17,8 +17,9 @@ from toys import chains
 
 from timesim import cli
 from timesim.result import checkpoint
-from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through, point_done
-from timesim.study.execution.progress import Phases, Standing
+from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through
+from timesim.study.execution.progress import Phases, Standing, unwatched
+from timesim.study.execution.worker import point_done
 
 
 class Clock:
@@ -58,7 +59,7 @@ def test_phases_are_one_progress():
     phases["balance"](0.5, 2, "curve 1")
     phases["comparison"](0, 0)
     assert seen == [(25, 175, "sweep, 5 of 10 points"), (75, 175, "curve 1"), (175, 175, "comparison, 0 of 0 points")]
-    Phases(None, {"sweep": 1})["sweep"](1, 1)
+    Phases(unwatched, {"sweep": 1})["sweep"](1, 1)
 
 
 def test_points_of_a_chunk_count_before_it_is_done():

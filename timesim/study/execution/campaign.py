@@ -7,44 +7,30 @@ the same whoever does the work, in whatever order, and however often it is inter
 import re
 import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
+from typing import Any
 
 from timesim.result import checkpoint
 from timesim.result.change import fingerprint
 from timesim.result.checkpoint import INTERRUPTED, Checkpoint, Manifest
 from timesim.result.file import StoreError
-from timesim.study.execution.progress import Progress
+from timesim.study.execution.progress import Progress, unwatched
 from timesim.study.execution.worker import (
     Chunk,
     ExecutionError,
     Result,
     Work,
     check_address,
-    halted,
     perform,
-    point_done,
     processes,
     threads,
 )
-
-__all__ = [
-    "INTERRUPTED",
-    "Chunk",
-    "Execution",
-    "ExecutionError",
-    "Progress",
-    "Result",
-    "Work",
-    "carry_through",
-    "halted",
-    "point_done",
-]
 
 LISTED = 4  # failed chunks that a reason names
 
@@ -68,7 +54,7 @@ class Execution:
         notice: called with what a user should know at once, such as a checkpoint that is damaged.
     """
 
-    progress: Progress | None = None
+    progress: Progress = unwatched
     folder: Path | None = None
     resume: bool = False
     cluster: str | None = None
@@ -85,10 +71,31 @@ class Execution:
         """Seconds that the parts before took of a run that is resumed, or of one of its stages."""
         return checkpoint.seconds_worked(self.folder, stage) if self.resume and self.folder is not None else 0.0
 
-    def show(self, done: float, number: float, phase: str = "") -> None:
-        """Say how much is done, as `Progress` takes it in."""
-        if self.progress is not None:
-            self.progress(done, number, *([phase] if phase else []))
+    @contextmanager
+    def checkpoint(
+        self, identity: str, parts: Mapping[str, Any], stage: str
+    ) -> Iterator[tuple[Checkpoint | None, bool]]:
+        """Where finished parts of the work are kept, None without a run folder, and whether there are some to take up.
+
+        Args:
+            identity: what the parts belong to: the resolved scene. A checkpoint of another one is not taken up.
+            parts: what determines each of them beside that, by its name.
+            stage: of the study, good as the name of a folder; empty where they are the whole of it.
+
+        Raises:
+            StoreError: what is there belongs to something else, or the folder cannot be written; nothing was run.
+        """
+        if self.folder is None:
+            yield None, False
+            return
+        manifest = Manifest(identity, {name: fingerprint(part) for name, part in parts.items()})
+        kept, begun = checkpoint.begin(self.folder, manifest, resume=self.resume, stage=stage)
+        try:
+            if self.resume and not begun and not stage:
+                self.notice(f"there is nothing to resume in {self.folder}: it starts from the beginning")
+            yield kept, begun
+        finally:
+            kept.close()
 
     def executor(self) -> AbstractContextManager[Executor]:
         """The threads or processes that do the work."""
@@ -108,30 +115,18 @@ def carry_through(
         chunks: each one below the chunk that it comes after.
         work: gives the result of a chunk: `timesim.study.execution.worker.Work`.
         execution: how it is carried out.
-
-    Keyword Args:
-        identity: what the chunks belong to: the resolved scene. A checkpoint of another one is not taken up.
-        stage: tells apart the campaigns of a study that has several, good as the name of a folder.
+        identity, stage: as of `Execution.checkpoint`, whose errors it raises.
 
     Returns:
         Results by the chunk's name, in the order of the chunks, and why some are missing; None if none is.
 
     Raises:
         ValueError: two chunks of one name, a name that no file can have, or a chunk that comes after none above it.
-        StoreError: the checkpoint belongs to another scene or cannot be made; nothing was run.
         ExecutionError: the cluster cannot be used; nothing was run.
     """
     _check(chunks)
-    if execution.folder is None:
-        return _Campaign(chunks, work, execution, None).outcome(False)
-    manifest = Manifest(identity, {chunk.name: fingerprint(chunk) for chunk in chunks})
-    kept, begun = checkpoint.begin(execution.folder, manifest, resume=execution.resume, stage=stage)
-    try:
-        if execution.resume and not begun and not stage:
-            execution.notice(f"there is nothing to resume in {execution.folder}: it starts from the beginning")
+    with execution.checkpoint(identity, {chunk.name: chunk for chunk in chunks}, stage) as (kept, begun):
         return _Campaign(chunks, work, execution, kept).outcome(begun)
-    finally:
-        kept.close()
 
 
 def _check(chunks: Sequence[Chunk]) -> None:
@@ -242,7 +237,7 @@ class _Campaign:
             self._show()
 
     def _show(self) -> None:
-        self.execution.show(self.points + sum(self.under_way.values()), self.total)
+        self.execution.progress(self.points + sum(self.under_way.values()), self.total)
 
     def _keep(self, name: str) -> None:
         if self.kept is not None and name not in self.saved:

@@ -20,25 +20,18 @@ class Progress(Protocol):
     """Takes in how much of some work is done."""
 
     def __call__(self, done: float, number: float, phase: str = "", /) -> None:
-        """Take it in.
+        """Take in how many points, cycles or curves of all of them are done, and what is being done, in words."""
 
-        Args:
-            done: points, cycles or curves that are done.
-            number: all of them.
-            phase: what is being done, in words.
-        """
+
+def unwatched(done: float, number: float, phase: str = "", /) -> None:
+    """Where nobody is watching."""
 
 
 @dataclass(frozen=True)
 class Phases:
-    """The phases of a study as one progress.
+    """The phases of a study as one progress, each counting as a number of points, in the order in which they come."""
 
-    Attributes:
-        whole: takes in the progress of all phases; None where nobody is watching.
-        sizes: points that each phase counts as, in the order in which they come.
-    """
-
-    whole: Progress | None
+    whole: Progress
     sizes: Mapping[str, float]
 
     def __getitem__(self, name: str) -> Progress:
@@ -47,10 +40,9 @@ class Phases:
         before = sum(self.sizes[phase] for phase in names[: names.index(name)])
 
         def show(done: float, number: float, phase: str = "", /) -> None:
-            if self.whole is not None:
-                share = min(done / number, 1.0) if number else 1.0
-                words = phase or f"{name}, {done:.0f} of {number:.0f} points"
-                self.whole(before + share * self.sizes[name], sum(self.sizes.values()), words)
+            share = min(done / number, 1.0) if number else 1.0
+            words = phase or f"{name}, {done:.0f} of {number:.0f} points"
+            self.whole(before + share * self.sizes[name], sum(self.sizes.values()), words)
 
         return show
 

@@ -46,9 +46,7 @@ class ExecutionError(ValueError):
 def perform(work: Work, chunk: Chunk, before: Result | None, count: Callable[[], None] | None = None) -> Result:
     """Do the work of a chunk; the result is the same whether it is handed on, sent or read from a file.
 
-    Args:
-        work, chunk, before: what is done.
-        count: called after each of its points; None where it is done by another process.
+    ``count``: called after each of its points; None where it is done by another process.
     """
     _COUNT.set(count)
     return {str(name): np.asarray(array) for name, array in work(chunk.payload, before).items()}
@@ -142,11 +140,9 @@ def check_address(cluster: str, workers: int | None) -> None:
 
 @contextmanager
 def processes(cluster: str, workers: int | None) -> Iterator[Executor]:
-    """The workers of a cluster. Left early, it gives up the chunks under way.
+    """The workers of a cluster, at an address as ``tcp://host:8786``, or so many processes of this machine: `LOCAL`.
 
-    Args:
-        cluster: address of a scheduler, as ``tcp://host:8786``, or `LOCAL`.
-        workers: processes of a local cluster; by default as many as this process may use processors.
+    Left early, it gives up the chunks under way.
 
     Raises:
         ExecutionError: dask is not installed, the scheduler does not answer, or its workers cannot do this work.

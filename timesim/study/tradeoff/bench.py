@@ -39,10 +39,7 @@ class Trial:
         solver: method, tolerances and whether the reductions were on.
         num_modes: modes kept, the lowest.
         preset: name of the preset that it is; empty otherwise.
-        seconds: of the run, compiled.
-        compiling: seconds of compilation before it; 0 where the program was there.
-        steps: how many it took.
-        transitions: how many it found.
+        seconds, compiling: of the run, compiled, and of compilation before it; 0 where the program was there.
         displacement, velocity: of all modes at the end, 0 for those not kept.
         size: largest of both in the last cycle, as of `timesim.engine.history.CycleTotals`.
         amplitude: of the last cycle, of each point along each axis.
@@ -93,7 +90,7 @@ class Bench:
                 return self.trials[i]
         name = f"{solver}{f', {kept} modes' if kept < self.model.structure.num_modes else ''}"
         name += "" if solver.reduce else ", nothing left out"
-        self.execution.show(self.plan.budget - max(self.left, 0.0), self.plan.budget, name)
+        self.execution.progress(self.plan.budget - max(self.left, 0.0), self.plan.budget, name)
         if self.trials and self._guess(solver, kept) > self.left:
             self.left_out.append(f"{name}: no time left")
             return None
@@ -109,7 +106,7 @@ class Bench:
         """Time the short runs once more, those before having been made when the machine may have had other work."""
         for i, trial in enumerate(self.trials):
             if trial.seconds < min(REPEATED, self.left):
-                self.execution.show(self.plan.budget - self.left, self.plan.budget, f"{trial.solver} again")
+                self.execution.progress(self.plan.budget - self.left, self.plan.budget, f"{trial.solver} again")
                 model, clock = self.model_of(trial.num_modes), time.perf_counter()
                 _through(model, trial.solver, self.plan.frequency, self.plan.cycles)
                 self.trials[i] = replace(trial, seconds=min(trial.seconds, time.perf_counter() - clock))
@@ -130,7 +127,7 @@ class Bench:
         totals = totals_of(run)
         for steps in run.batches():
             totals.add(steps, run.completed)
-            self.execution.show(self.plan.budget - max(self.left, 0.0), self.plan.budget, "settling")
+            self.execution.progress(self.plan.budget - max(self.left, 0.0), self.plan.budget, "settling")
             if self.left < until and run.completed > 1:
                 break
         self._compiling.setdefault(program(SETTLING, model.structure.num_modes), run.compile_seconds)
