@@ -61,20 +61,11 @@ def modes(
     frequency = _array("frequency", frequency, ("M",))
     count = len(frequency)
     rows = {point: _array(f"shapes[{point!r}]", shape, (count, 3)) for point, shape in shapes.items()}
-    columns = zip(
-        frequency, _each("damping_ratio", damping_ratio, count), _each("mass", mass, count), range(count), strict=True
-    )
-    return {
-        "modes": [
-            {
-                "frequency": float(hertz),
-                "damping_ratio": ratio,
-                "mass": share,
-                "shape": {point: shape[i] for point, shape in rows.items()},
-            }
-            for hertz, ratio, share, i in columns
-        ]
-    }
+    each = ({point: shape[i] for point, shape in rows.items()} for i in range(count))
+    ratios, masses = _each("damping_ratio", damping_ratio, count), _each("mass", mass, count)
+    keys = ("frequency", "damping_ratio", "mass", "shape")
+    columns = zip(frequency.tolist(), ratios, masses, each, strict=True)
+    return {"modes": [dict(zip(keys, mode, strict=True)) for mode in columns]}
 
 
 def matrices(
@@ -206,8 +197,7 @@ def integrate(
     study = {"kind": "transient", "cycles": cycles, "samples_per_cycle": samples_per_cycle}
     driven = system["excitation"] | {"frequency": frequency}
     scene = system | {"excitation": driven, "initial": initial, "study": study | _given(record_last=record_last)}
-    result: xarray.Dataset = run(scene)
-    return result
+    return run(scene)
 
 
 def sweep(
@@ -239,8 +229,7 @@ def sweep(
         "direction": direction,
         "settle": {"tolerance": tolerance, "max_cycles": max_cycles},
     }
-    result: xarray.Dataset = run(system | {"study": study | _given(over=over and dict(over))})
-    return result
+    return run(system | {"study": study | _given(over=over and dict(over))})
 
 
 def settle(system: Section, frequency: float, *, tolerance: float = 1e-8, max_cycles: int = 2000) -> "xarray.Dataset":
@@ -267,8 +256,7 @@ def follow(
     """
     span = {"from": start, "to": stop}
     study = {"kind": "hbm", "frequency": span, "harmonics": harmonics, "time_samples": time_samples}
-    result: xarray.Dataset = run(system | {"study": study})
-    return result
+    return run(system | {"study": study})
 
 
 def show(path: str | Path, at: Mapping[str, float | str]) -> "xarray.Dataset":

@@ -108,6 +108,9 @@ def test_modes_of_any_kind(stiffness: list[float], damping: list[float]) -> None
     assert len(trace.sequence) > 4
     assert relative_error(trace.run.displacement, true.run.displacement) < 1e-7
     assert trace.energy_residual < 1e-7
+    assert relative_error(trace.amplitude, true.amplitude) < 1e-7
+    for own, others in zip(np.transpose(trace.totals.work), np.transpose(true.totals.work), strict=True):
+        assert relative_error(own, others) < 1e-7
 
 
 def settled(model: Model, frequency: float, solver: Solver) -> tuple:

@@ -14,6 +14,7 @@ from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.settling import Chain, steady_states
 from timesim.orbit.steady_state import without_orbit
 from timesim.picture import optimum as plot_optimum
+from timesim.scene.sweep import OptimumPlan
 from timesim.study import registry as plot
 from timesim.study.execution.campaign import Execution
 from timesim.study.optimum import Peaks, Response, SearchError, data_of
@@ -186,7 +187,8 @@ def test_the_size_of_a_response():
     amplitude = np.array([[0.1, 0.3, 0.2]])
     orbit = replace(without_orbit(model, ""), amplitude=amplitude, reason=None)
     for point, axis, size in ((None, None, 0.3), ("tip", "x", 0.1), ("tip", None, 0.3), (None, "z", 0.2)):
-        assert Response(model, (1.4,), PRESETS["draft"], Criterion(), point, axis).size(orbit) == size
+        plan = OptimumPlan(KEY, (3.0, 4.0), 0.1, np.array([1.4]), Criterion(), point, axis)
+        assert Response(model, plan, PRESETS["draft"]).size(orbit) == size
 
 
 @pytest.mark.slow

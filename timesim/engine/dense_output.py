@@ -1,12 +1,21 @@
 """Dense output of a step: the polynomial through values and rates at both of its ends.
 
 The displacement is known with two derivatives at each end, which gives a quintic with error O(h^6), whatever the
-method; the slip of a contact is known with one, which gives a cubic. The functions take numpy or JAX arrays.
+method; the slip of a contact is known with one, which gives a cubic. Polynomials and their values may be
+numpy or JAX arrays; extremes are sought by numpy.
 
 Source: Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, section II.6.
 """
 
+from functools import cache
+from math import comb
 from typing import Any
+
+import numpy as np
+
+# A step is a small part of the fastest oscillation; in each quarter of it a velocity changes sign at most once.
+PARTS = 4
+NUM_NEWTON = 5  # steps that find such a turn: of a quarter two digits by the first guess, then twice as many by each
 
 
 def quintic(x: Any, h: Any, start: tuple[Any, Any, Any], end: tuple[Any, Any, Any]) -> tuple[Any, Any]:
@@ -51,3 +60,73 @@ def evaluate(x: Any, coefficients: tuple[Any, ...]) -> tuple[Any, Any]:
         rate = rate * x + value
         value = value * x + coefficient
     return value, rate
+
+
+def extremes(
+    coefficients: np.ndarray, ends: tuple[np.ndarray, np.ndarray], first: np.ndarray, doubt: Any = 0.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Least and largest values over rows of steps, of polynomials of the fraction of each step.
+
+    Few steps hold an extreme: the others stay between values that the ends of steps reach, by the control points of
+    their polynomials (G. Farin, Curves and Surfaces for CAGD, on the convex hull of the Bernstein form).
+
+    Args:
+        coefficients: of 1, x, x^2, ..., shape (power, N, X).
+        ends: values at the ends of the steps, each of shape (N, X).
+        first: the first step of each row, ascending, 0 the first of them, shape (R,).
+        doubt: how far each polynomial may be off, shape (N, X).
+
+    Returns:
+        two arrays of shape (R, X), and the steps that may lie beyond these but are in doubt.
+    """
+    low, high = np.minimum.reduceat(np.minimum(*ends), first), np.maximum.reduceat(np.maximum(*ends), first)
+    row = rows_of(first, len(ends[0]))
+    control = np.tensordot(_control_points(len(coefficients)), coefficients, 1)
+    beyond = (control.min(axis=0) - doubt < low[row]) | (control.max(axis=0) + doubt > high[row])
+    known = beyond & (doubt == 0)
+    step, place = np.nonzero(known)
+    least, most = _between(coefficients[:, step, place])
+    np.minimum.at(low, (row[step], place), least)
+    np.maximum.at(high, (row[step], place), most)
+    return low, high, np.flatnonzero((beyond & ~known).any(axis=1))
+
+
+def rows_of(first: np.ndarray, size: int) -> np.ndarray:
+    """Number of the row of each of so many steps, from the first step of each row."""
+    return np.repeat(np.arange(first.size), np.diff(first, append=size))
+
+
+@cache
+def _control_points(num: int) -> np.ndarray:
+    """Control points on [0, 1] from ``num`` coefficients, shape (num, num)."""
+    return np.array([[comb(i, j) / comb(num - 1, j) for j in range(num)] for i in range(num)])
+
+
+def _between(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest value on [0, 1] of polynomials, coefficients of shape (power, N)."""
+    rates = coefficients[1:] * np.arange(1, len(coefficients))[:, None]
+    nodes = np.linspace(0.0, 1.0, PARTS + 1)
+    values = np.vander(nodes, len(coefficients), increasing=True) @ coefficients
+    slopes = np.vander(nodes, len(rates), increasing=True) @ rates
+    low, high = values.min(axis=0), values.max(axis=0)
+    part, which = np.nonzero(slopes[:-1] * slopes[1:] < 0)
+    ends = (nodes[part], slopes[part, which]), (nodes[part + 1], slopes[part + 1, which])
+    turning = _turning(*ends, coefficients[:, which], rates[:, which])
+    np.minimum.at(low, which, turning)
+    np.maximum.at(high, which, turning)
+    return low, high
+
+
+def _turning(left: Any, right: Any, coefficients: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """Value where the rate vanishes between two places, each given with its rate, by Newton steps that stay there."""
+    (low, falls), (high, rises) = left, right
+    bends = rates[1:] * np.arange(1, len(rates))[:, None]
+    x = low - falls * (high - low) / (rises - falls)
+    for _ in range(NUM_NEWTON):
+        powers = np.multiply.accumulate(np.broadcast_to(x, (len(bends), x.size)))
+        rate = rates[0] + np.einsum("pn,pn->n", rates[1:], powers)
+        bend = bends[0] + np.einsum("pn,pn->n", bends[1:], powers[:-1])
+        before = rate * falls > 0
+        low, high = np.where(before, x, low), np.where(before, high, x)
+        x = np.clip(x - rate / np.where(bend == 0, np.inf, bend), low, high)
+    return np.asarray(evaluate(x, (*coefficients,))[0])

@@ -3,47 +3,15 @@
 Plain numpy on the host, in the units of the scene, a batch of steps at a time; nothing grows but what is recorded.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 
 from timesim.engine import dense_output as hermite
 from timesim.engine.law.table import law_class
+from timesim.engine.trajectory import Steps
 from timesim.model.model import Model
-
-# A step is a small part of the fastest oscillation; in each quarter of it a velocity changes sign at most once.
-PARTS = 4
-
-
-@dataclass(frozen=True)
-class Steps:
-    """Consecutive accepted steps, in the units of the scene.
-
-    Attributes:
-        cycle: cycle of each step, from 0, shape (N,).
-        time: start, shape (N,).
-        h: length, shape (N,).
-        start, end: (q, q', q'') at both ends, each of shape (N, M).
-        slip_start, slip_end: (w, w') at both ends, each of shape (N, C, 2).
-        state, state_after: states during the step and after its end, shape (N, C).
-        input, damping: work done since the start of the run at the end of the step, shape (N,).
-        friction: energy lost in each contact since then, shape (N, C).
-    """
-
-    cycle: np.ndarray
-    time: np.ndarray
-    h: np.ndarray
-    start: tuple[np.ndarray, np.ndarray, np.ndarray]
-    end: tuple[np.ndarray, np.ndarray, np.ndarray]
-    slip_start: tuple[np.ndarray, np.ndarray]
-    slip_end: tuple[np.ndarray, np.ndarray]
-    state: np.ndarray
-    state_after: np.ndarray
-    input: np.ndarray
-    damping: np.ndarray
-    friction: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -69,6 +37,7 @@ class Events:
 
 def sample(steps: Steps, times: np.ndarray) -> Samples:
     """Dense output at times within the steps; at a transition the state after it, at the end the last one."""
+    steps = steps.between(times[0], times[-1])
     index = np.clip(np.searchsorted(steps.time, times, side="right") - 1, 0, steps.time.size - 1)
     h = steps.h[index, None]
     x = np.clip((times - steps.time[index])[:, None] / np.where(h > 0, h, 1.0), 0.0, 1.0)
@@ -79,55 +48,16 @@ def sample(steps: Steps, times: np.ndarray) -> Samples:
     return Samples(times, q, p, w, steps.state[index])
 
 
+def joined(parts: list[Any]) -> Any:
+    """One record from many of a kind."""
+    names = [part.name for part in fields(parts[0])]
+    return type(parts[0])(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
 def events(steps: Steps) -> Events:
     """Transitions of these steps in the order of time."""
     row, contact = np.nonzero(steps.state != steps.state_after)
     return Events((steps.time + steps.h)[row], contact, steps.state[row, contact], steps.state_after[row, contact])
-
-
-def extremes(steps: Steps, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest value of some displacements over each step, on the dense output.
-
-    Args:
-        steps: the steps.
-        shape: the displacements for a unit of each mode, shape (X, M).
-
-    Returns:
-        Two arrays of shape (N, X).
-    """
-    start, end = (tuple(part @ shape.T for part in side) for side in (steps.start, steps.end))
-    return between(np.broadcast_to(steps.h[:, None], start[0].shape), start, end)
-
-
-def between(h: np.ndarray, start: Sequence[np.ndarray], end: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest value within steps of length h, from (value, rate, second derivative) at their ends.
-
-    All arrays have one shape, that of the two results.
-    """
-    nodes = np.linspace(0.0, 1.0, PARTS + 1)
-    coefficients = hermite.quintic_coefficients(h, (start[0], start[1], start[2]), (end[0], end[1], end[2]))
-    along = [hermite.evaluate(x, coefficients) for x in nodes]
-    values = np.stack([value for value, _ in along])
-    low, high = values.min(axis=0), values.max(axis=0)
-    rates = np.stack([rate for _, rate in along])
-    part, *where = np.nonzero(rates[:-1] * rates[1:] < 0)
-    if part.size:
-        place = tuple(where)
-        turning = _turning(nodes[part], nodes[part + 1], rates[part, *place], [c[place] for c in coefficients])
-        np.minimum.at(low, place, turning)
-        np.maximum.at(high, place, turning)
-    return low, high
-
-
-def _turning(left: np.ndarray, right: np.ndarray, rate: np.ndarray, coefficients: Sequence[np.ndarray]) -> np.ndarray:
-    """Value where the rate vanishes between left and right, by bisection: 30 halvings leave a rounding of the value."""
-    sign = np.sign(rate)
-    for _ in range(30):
-        middle = 0.5 * (left + right)
-        _, rate = hermite.evaluate(middle, tuple(coefficients))
-        before = rate * sign > 0
-        left, right = np.where(before, middle, left), np.where(before, right, middle)
-    return np.asarray(hermite.evaluate(0.5 * (left + right), tuple(coefficients))[0])
 
 
 def stored_energy(model: Model, q: np.ndarray, p: np.ndarray, w: np.ndarray, state: np.ndarray) -> np.ndarray:
@@ -175,28 +105,25 @@ class CycleTotals:
         """Take up a batch of steps; ``completed``: cycles that are complete at its end."""
         if steps.time.size == 0:
             return
-        shape = self.model.structure.shape.reshape(-1, self.model.structure.num_modes)
-        low, high = extremes(steps, shape)
-        energy = stored_energy(self.model, steps.end[0], steps.end[1], steps.slip_end[0], steps.state_after)
+        first = np.flatnonzero(np.diff(steps.cycle, prepend=steps.cycle[0] - 1))
+        low, high = steps.extremes(first)
+        if goes_on := bool(steps.cycle[0] == self._open):
+            low[0], high[0] = np.minimum(low[0], self._low), np.maximum(high[0], self._high)
+        energy = stored_energy(self.model, *steps.reached, steps.state_after)
         self.peak = max(self.peak, float(np.max(np.abs(energy))))
         self.transitions += int(np.sum(steps.state != steps.state_after))
-        root = np.sqrt(self.model.structure.mass)
-        size = np.stack([np.max(np.abs(part) * root, axis=1) for part in steps.end[:2]])
-        for cycle in np.unique(steps.cycle):
-            rows = np.nonzero(steps.cycle == cycle)[0]
-            self._extend(int(cycle), float(steps.time[rows[0]]), low[rows].min(axis=0), high[rows].max(axis=0))
-            self.size = np.maximum(self.size, size[:, rows].max(axis=1))
-            if cycle < completed:
-                last = rows[-1]
-                self.end.append(float(steps.time[last] + steps.h[last]))
-                self.work.append(np.concatenate([[steps.input[last], steps.damping[last]], steps.friction[last]]))
-                self.stored.append(float(energy[last]))
-                self.amplitude.append(0.5 * (self._high - self._low).reshape(-1, 3))
+        self._measure(steps, first[-1], goes_on=goes_on and first.size == 1)
+        done = steps.cycle[first] < completed
+        last = np.append(first[1:], steps.cycle.size)[done] - 1
+        self.start += steps.time[first[goes_on:]].tolist()
+        self.end += (steps.time[last] + steps.h[last]).tolist()
+        self.work += [*steps.work[last]]
+        self.stored += energy[last].tolist()
+        self.amplitude += [*0.5 * (high - low)[done].reshape(-1, low.shape[1] // 3, 3)]
+        self._open, self._low, self._high = int(steps.cycle[-1]), low[-1], high[-1]
 
-    def _extend(self, cycle: int, time: float, low: np.ndarray, high: np.ndarray) -> None:
-        if cycle != self._open:
-            self._open, self._low, self._high = cycle, low, high
-            self.size = np.zeros(2)
-            self.start.append(time)
-        else:
-            self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
+    def _measure(self, steps: Steps, first: int, *, goes_on: bool) -> None:
+        """Take the size of the motion from the last steps on; they may go on with the cycle before."""
+        root = np.sqrt(self.model.structure.mass)
+        size = np.array([np.max(np.abs(part[first:]) * root) for part in steps.reached[:2]])
+        self.size = np.maximum(self.size, size) if goes_on else size

@@ -94,7 +94,7 @@ def _sliding(model: Model, frequency: float, closed: np.ndarray) -> tuple[np.nda
     """Largest tangential speed and normal displacement of each contact, some being closed along their normals."""
     body, shapes, load = model.structure, model.contact_shape, model.excitation
     damping = np.diag(body.damping) if body.damping.ndim == 1 else body.damping
-    closed = closed & (model.normal_stiffness > 0)
+    closed = closed & (model.normal_stiffness >= np.finfo(float).tiny)  # of less the inverse overflows
     normals, compliance = shapes[closed, 2], 1 / model.normal_stiffness[closed]
     speed, press = np.zeros(model.num_contacts), np.zeros(model.num_contacts)
     for order, force in zip(load.harmonic, load.cosine - 1j * load.sine, strict=True):

@@ -36,7 +36,7 @@ STRAIGHT = 1e-13
 MARGIN = 1e-4
 """Share of the bound by which a contact must stay inside its state: more than the error of the bound."""
 RECENT = 16
-"""Models whose parts are remembered: a sweep asks for them at every frequency."""
+"""Models whose parts are remembered, and proofs: a sweep asks at every frequency, a run and its companion for one."""
 DIRECTIONS = 720
 """Directions of a contact plane that are tried; what lies between them is covered by a Lipschitz constant."""
 
@@ -186,7 +186,7 @@ def _normalised(model: Model) -> _Scene:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Part:
     """Modes and contacts that are coupled with each other and with nothing else."""
 
@@ -258,6 +258,7 @@ def _reach(scene: _Scene) -> np.ndarray:
     return reach
 
 
+@lru_cache(maxsize=RECENT)
 def _proof(scene: _Scene, part: _Part, omega: float | None) -> dict[int, float]:
     """Margin of each contact of a part if none of them ever changes its state; else nothing.
 

@@ -170,8 +170,7 @@ def _advanced(batch: list[tuple[Lane, int]], solver: Solver, most: int | None, s
 def _of_lane(tries: Tries, index: int) -> Step:
     """The steps of one lane of a batch that were taken."""
     taken = tries.accepted[:, index]
-    own: Step = jax.tree.map(lambda rows: rows[taken, ..., index], tries.step)
-    return own
+    return jax.tree.map(lambda rows: rows[taken, ..., index], tries.step)
 
 
 def _slopes(lanes: Sequence[Lane], method: Method, steps: Sequence[Step]) -> list[np.ndarray]:

@@ -2,12 +2,11 @@
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
-import jax
 import numpy as np
 
-from timesim.engine.history import Samples, Steps, sample
+from timesim.engine.history import Samples, joined, sample
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import Model
 from timesim.model.solver import Solver
@@ -19,12 +18,13 @@ SAMPLES = 1024
 def one_cycle(model: Model, frequency: float, solver: Solver, num: int) -> Samples:
     """A cycle from the start of a model at a frequency [Hz], at num + 1 equal times, both ends among them."""
     run = Run(model, [Phase(frequency, 1)], replace(solver, reduce=False))
-    parts = list(run.batches())
-    joined = {
-        field.name: jax.tree.map(lambda *rows: np.concatenate(rows), *(getattr(part, field.name) for part in parts))
-        for field in fields(Steps)
-    }
-    return sample(Steps(**joined), np.arange(num + 1) / (frequency * num))
+    times, parts, taken = np.arange(num + 1) / (frequency * num), [], 0
+    for steps in run.batches():
+        upto = times.size if run.completed else int(np.searchsorted(times, steps.time[-1] + steps.h[-1]))
+        if upto > taken:
+            parts.append(sample(steps, times[taken:upto]))
+            taken = upto
+    return joined(parts)
 
 
 def modal_coefficients(model: Model, frequency: float, solver: Solver) -> np.ndarray:

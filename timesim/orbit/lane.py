@@ -9,8 +9,8 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from timesim.engine.exponential.extremes import extremes
 from timesim.engine.exponential.parts import short_steps
-from timesim.engine.history import between
 from timesim.engine.law.cone import ConeLaw
 from timesim.engine.quadrature import means
 from timesim.engine.solver import Control, step_control
@@ -90,12 +90,6 @@ class Lane:
     def shapes(self) -> tuple[tuple[int, ...], ...]:
         """Shapes of the arrays given to the loop; all lanes of a batch have the same."""
         return tuple(np.shape(leaf) for leaf in jax.tree.leaves((self.control, self.system)))
-
-    @property
-    def shape(self) -> np.ndarray:
-        """Displacements in the units of the scene for unit dimensionless modal displacements, shape (3P, M)."""
-        structure, modes = self.model.structure, self.reduction.modes
-        return structure.shape.reshape(-1, structure.num_modes)[:, modes] * self.frame.scales.mode[modes]
 
     @property
     def apart(self) -> np.ndarray:
@@ -216,12 +210,9 @@ class Recorded:
         """
         lane, multipliers = self.start, self.multipliers
         steps = short_steps(lane.system, self.steps, float(lane.control.rtol))
-        shape = lane.shape
-        ends = ((steps.start, steps.start_rate), (steps.end, steps.end_rate))
-        start, end = ([part @ shape.T for part in (y.q, y.p, dy.p)] for y, dy in ends)
-        low, high = between(np.broadcast_to(steps.h[:, None], start[0].shape), start, end)
-        first = np.searchsorted(steps.cycle, np.arange(self.cycles))
-        least, most = np.minimum.reduceat(low, first), np.maximum.reduceat(high, first)
+        shape = lane.frame.shape
+        first = np.searchsorted(self.steps.cycle, np.arange(self.cycles))
+        least, most = extremes(lane.system, self.steps, shape, first, float(lane.control.rtol))
         each, place = 0.5 * (most - least), (len(lane.model.structure.points), 3)
         band = np.stack([each.min(axis=0), each.max(axis=0)]).reshape(2, *place)
         phasor, power = means(lane.system, steps, self.cycles, HARMONICS)

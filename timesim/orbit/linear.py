@@ -34,7 +34,7 @@ def linear_orbit(lane: Lane) -> Orbit | None:
     turn = np.exp(1j * np.arange(len(phasor)) * float(system.phase))[:, None]
     q, p = ((turn * phasor).real.sum(axis=0), (1j * np.arange(len(phasor))[:, None] * turn * phasor).real.sum(axis=0))
     end = replace(lane, here=HybridState(Point(q, p, here.point.w, None), here.state)).start()
-    motion = (phasor @ lane.shape.T).reshape(-1, len(lane.model.structure.points), 3)
+    motion = (phasor @ lane.frame.shape.T).reshape(-1, len(lane.model.structure.points), 3)
     amplitude = half_range(motion[None])[0]
     kept = np.zeros((HARMONICS + 1, *amplitude.shape), complex)
     kept[: len(motion)] = motion[: HARMONICS + 1]

@@ -111,7 +111,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     warm_up([Chain(grid.any_model, (float(grid.frequency[0]),))], solver, sizes)
     compiling = time.perf_counter() - clock
     every = chunks(grid, plan, solver)
-    curves = 0 if plan.balance is None else 2 * len(grid.models)
+    curves = 0 if plan.balance is None else 2 * grid.shape[0]
     phases = Phases(execution.progress, {SEARCH: sum(chunk.size for chunk in every), "balance": CURVE * curves})
     searching = replace(execution, progress=phases[SEARCH])
     searching.progress(0, 1)
@@ -140,9 +140,7 @@ def chunks(grid: Grid, plan: BistablePlan, solver: Solver) -> list[Chunk]:
     """All the work: of each set of values parts of the sweeps, the ends, the starts."""
     up = tuple(map(float, grid.frequency))
     every = []
-    for v, model in enumerate(grid.models):
-        if not isinstance(model, Model):
-            continue
+    for v, model in grid.models.items():
         given, after = (model, solver, plan.sweep.criterion), None
         for first in range(0, len(up), STEPS_A_CHUNK):
             rows = slice(first, first + STEPS_A_CHUNK)
@@ -189,7 +187,7 @@ class Gathered:
 
     def __init__(self, grid: Grid, plan: BistablePlan, results: Mapping[str, Result]):
         self.grid, self.plan, self.results = grid, plan, results
-        self.whole = [self._last(v) for v in range(len(grid.models))]
+        self.whole = [self._last(v) for v in range(grid.shape[0])]
         self.count = max((len(result["range"]) for result in self.whole if result), default=0)
 
     def _last(self, v: int) -> Result | None:

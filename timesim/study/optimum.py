@@ -16,7 +16,7 @@ from xarray import Dataset
 
 from timesim.fault import SceneError
 from timesim.model.model import Model
-from timesim.model.solver import Criterion, Solver
+from timesim.model.solver import Solver
 from timesim.orbit.settling import Chain, steady_states, warm_up
 from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of
 from timesim.result.dataset import dataset
@@ -43,21 +43,21 @@ FIRST, SEARCH = "values of the range", "search for the least"  # phases of the p
 
 @dataclass(frozen=True)
 class Response:
-    """One value of the scalar: a scene, its frequencies [Hz], and whose amplitude counts; None: the largest."""
+    """One value of the scalar: a scene, and over which frequencies whose amplitude counts."""
 
     model: Model
-    frequencies: tuple[float, ...]
+    plan: OptimumPlan
     solver: Solver
-    criterion: Criterion
-    point: str | None
-    axis: str | None
 
     def size(self, orbit: Orbit) -> float:
         """The amplitude that counts; NaN where the point failed."""
-        points = self.model.structure.points
-        rows = slice(None) if self.point is None else slice(points.index(self.point), points.index(self.point) + 1)
-        columns = slice(None) if self.axis is None else slice("xyz".index(self.axis), "xyz".index(self.axis) + 1)
-        return float(np.max(orbit.amplitude[rows, columns]))
+        point, axis, amplitude = self.plan.point, self.plan.axis, orbit.amplitude
+        amplitude = amplitude if point is None else amplitude[[self.model.structure.points.index(point)]]
+        return float(np.max(amplitude if axis is None else amplitude[:, "xyz".index(axis)]))
+
+    def steady(self, *chains: Chain) -> list[list[Orbit]]:
+        """The steady states of chains."""
+        return steady_states(chains, self.solver, self.plan.criterion, halted=point_done)
 
 
 class SearchError(Exception):
@@ -66,9 +66,8 @@ class SearchError(Exception):
 
 def respond(response: Response, before: Result | None) -> Result:
     """Both sweeps of a scene and their peak."""
-    model, up = response.model, response.frequencies
-    chains = [Chain(model, up), Chain(model, up[::-1])]
-    orbits = steady_states(chains, response.solver, response.criterion, halted=point_done)
+    model, up = response.model, tuple(map(float, response.plan.frequency))
+    orbits = response.steady(Chain(model, up), Chain(model, up[::-1]))
     orbits[1] = orbits[1][::-1]
     columns = columns_of(orbits)
     height, frequency, *kinds = _peak(response, orbits)
@@ -87,7 +86,7 @@ def _peak(response: Response, orbits: list[list[Orbit]]) -> tuple[float, float, 
     for d, i in np.argwhere(known >= NEARLY * known.max()).tolist():
         if known[d, i] < known[d, max(i - 1, 0) : i + 2].max():
             continue
-        frequency, at_end = response.frequencies[i], last > 0 and i in (0, last)
+        frequency, at_end = float(response.plan.frequency[i]), last > 0 and i in (0, last)
         best = max(best, (size[d, i], frequency, at_end, orbits[d][i].settled, orbits[d][i].irregular))
         if d == 1 and np.isclose(size[0, i], size[1, i], rtol=1e-6):
             continue
@@ -98,13 +97,12 @@ def _peak(response: Response, orbits: list[list[Orbit]]) -> tuple[float, float, 
 
 def _refined(response: Response, orbit: Orbit, i: int) -> tuple[float, float, bool, bool, bool]:
     """The peak between the neighbours of a point of the sweep, its motion carried along, by the names of `PEAK`."""
-    low, high = response.frequencies[i - 1], response.frequencies[i + 1]
+    low, high = (float(response.plan.frequency[k]) for k in (i - 1, i + 1))
     model = replace(response.model, start=orbit.end)
     seen: list[tuple[float, float, bool, bool, bool]] = []
 
     def fall(frequency: float) -> float:
-        chain = Chain(model, (float(frequency),))
-        ((there,),) = steady_states([chain], response.solver, response.criterion, halted=point_done)
+        ((there,),) = response.steady(Chain(model, (float(frequency),)))
         size = response.size(there)
         known = size if np.isfinite(size) else -np.inf
         seen.append((known, float(frequency), False, there.settled, there.irregular))
@@ -127,12 +125,6 @@ class Peaks:
         self.results: dict[float, Result] = {}
         self.stages = 0
 
-    def response(self, value: float) -> Response:
-        """What is to be computed for a value."""
-        plan, model = self.plan, self.scene.variant({self.key: value})
-        frequencies = tuple(map(float, self.frequency))
-        return Response(model, frequencies, self.solver, plan.criterion, plan.point, plan.axis)
-
     def take(self, values: list[float], stage: str) -> None:
         """Compute the peaks at values.
 
@@ -140,12 +132,13 @@ class Peaks:
             SearchError: some are missing, with the reason.
         """
         try:
-            chunks = [
-                Chunk(f"value-{k:05d}", self.response(value), None, 2 * self.frequency.size)
-                for k, value in enumerate(values)
-            ]
+            models = [self.scene.variant({self.key: value}) for value in values]
         except SceneError as error:
             raise SearchError(str(error)) from None
+        chunks = [
+            Chunk(f"value-{k:05d}", Response(model, self.plan, self.solver), None, 2 * self.frequency.size)
+            for k, model in enumerate(models)
+        ]
         identity = self.scene.resolved_yaml()
         execution = replace(self.execution, progress=self._searched if stage else self.phases[FIRST])
         results, reason = carry_through(chunks, respond, execution, identity=identity, stage=stage)

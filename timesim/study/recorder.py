@@ -2,18 +2,17 @@
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-from dataclasses import fields
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from timesim.engine.companion import totals_of
-from timesim.engine.history import Events, Samples, Steps, events, sample
+from timesim.engine.history import Events, Samples, events, joined, sample
 from timesim.engine.lanes import by_rows
 from timesim.engine.law.contact_law import ContactLaw, Motion
 from timesim.engine.law.table import law_class
-from timesim.engine.trajectory import Run
+from timesim.engine.trajectory import Run, Steps
 from timesim.model.model import Model
 from timesim.model.scales import scales_of
 from timesim.program import program
@@ -48,18 +47,12 @@ class Recorder:
         """All samples."""
         m, c = self.run.model.structure.num_modes, self.run.model.num_contacts
         none = Samples(np.zeros(0), np.zeros((0, m)), np.zeros((0, m)), np.zeros((0, c, 2)), np.zeros((0, c)))
-        return _joined(self._samples or [none])
+        return joined(self._samples or [none])
 
     @property
     def events(self) -> Events:
         """All transitions."""
-        return _joined(self._events or [Events(*np.zeros((4, 0)))])
-
-
-def _joined(parts: list[Any]) -> Any:
-    """One record from many of a kind."""
-    names = [part.name for part in fields(parts[0])]
-    return type(parts[0])(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        return joined(self._events or [Events(*np.zeros((4, 0)))])
 
 
 def contact_forces(model: Model, samples: Samples) -> tuple[np.ndarray, np.ndarray]:

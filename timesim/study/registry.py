@@ -113,8 +113,7 @@ def picture_names(kind: str, files: Sequence[str] = ("png",)) -> list[str]:
 def _pictures(kind: str) -> Mapping[str, Callable[..., Any]]:
     """By the name of their file; none for a kind that is not known."""
     study = STUDIES.get(kind)
-    pictures: Mapping[str, Callable[..., Any]] = _loaded(study.pictures) if study and study.pictures else {}
-    return pictures
+    return _loaded(study.pictures) if study and study.pictures else {}
 
 
 def carry_out(scene: Scene, execution: Execution | None = None) -> Outcome:
@@ -126,8 +125,7 @@ def carry_out(scene: Scene, execution: Execution | None = None) -> Outcome:
     """
     execution = execution or Execution()
     check_execution(scene.kind, execution)
-    outcome: Outcome = _loaded(STUDIES[scene.kind].run)(scene, execution)
-    return outcome
+    return _loaded(STUDIES[scene.kind].run)(scene, execution)
 
 
 def check_execution(kind: str, execution: Execution) -> None:

@@ -195,7 +195,7 @@ def variables_of(columns: Columns, axes: Mapping[str, int]) -> Variables:
     return {STORED.get(name, name): ((*axes, *TAILS.get(name, ())), shaped(value)) for name, value in values.items()}
 
 
-Place = tuple[int, int, slice | int]
+Place = tuple[int, int, slice]
 """Set of values, direction, and positions of the frequencies, for each chain of a chunk."""
 
 
@@ -206,20 +206,29 @@ def crowd_of(plan: SweepPlan) -> int:
 
 
 class Grid:
-    """The points of a sweep: sets of values of the further axes, directions, frequencies."""
+    """The points of a sweep: sets of values of the further axes, directions, frequencies.
+
+    Attributes:
+        models, failed: of each set of values by its number the model, or why it has none.
+    """
 
     def __init__(self, scene: Scene, plan: SweepPlan):
         self.scene, self.plan = scene, plan
         self.axes = {key: np.array(values) for key, values in plan.over.items()}
         self.frequency = plan.frequency
-        self.models = [_variant(scene, values) for values in combinations(plan.over)]
-        good = (model for model in self.models if isinstance(model, Model))
-        self.any_model = next(good, None) or scene.model()
+        self.models: dict[int, Model] = {}
+        self.failed: dict[int, str] = {}
+        for v, values in enumerate(combinations(plan.over)):
+            try:
+                self.models[v] = scene.variant(values)
+            except SceneError as error:
+                self.failed[v] = str(error)
+        self.any_model = next(iter(self.models.values()), None) or scene.model()
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """Sets of values, directions, frequencies."""
-        return len(self.models), len(self.plan.directions), self.frequency.size
+        return len(self.models) + len(self.failed), len(self.plan.directions), self.frequency.size
 
     def chunks(self, solver: Solver) -> tuple[list[Chunk], dict[str, list[Place]]]:
         """The work, and where the results of each chunk belong."""
@@ -227,30 +236,24 @@ class Grid:
         places: dict[str, list[Place]] = {}
         crowd = crowd_of(self.plan)
         for name, after, where in self._pieces():
-            chains = tuple(Chain(self._model(v), tuple(self._visited(d, f))) for v, d, f in where)
+            chains = tuple(Chain(self.models[v], tuple(self._visited(d, f))) for v, d, f in where)
             size = sum(len(chain.frequencies) for chain in chains)
             payload = Segment(chains, solver, self.plan.criterion, self.plan.refine, crowd)
             chunks.append(Chunk(name, payload, after, size))
             places[name] = where
         return chunks, places
 
-    def _model(self, index: int) -> Model:
-        model = self.models[index]
-        assert isinstance(model, Model)
-        return model
-
-    def _visited(self, direction: int, where: slice | int) -> list[float]:
+    def _visited(self, direction: int, where: slice) -> list[float]:
         order = self.frequency[::-1] if self.plan.directions[direction] == "down" else self.frequency
-        return list(map(float, np.atleast_1d(order[where])))
+        return list(map(float, order[where]))
 
     def _pieces(self) -> Iterator[tuple[str, str | None, list[Place]]]:
-        good = [v for v, model in enumerate(self.models) if isinstance(model, Model)]
         if not self.plan.chained:
-            points: list[Place] = [(v, 0, f) for v in good for f in range(self.frequency.size)]
+            points: list[Place] = [(v, 0, slice(f, f + 1)) for v in self.models for f in range(self.frequency.size)]
             for number, part in enumerate(_parts(points, POINTS_A_CHUNK)):
                 yield f"points-{number:05d}", None, part
             return
-        every = list(product(good, range(len(self.plan.directions))))
+        every = list(product(self.models, range(len(self.plan.directions))))
         for number, chains in enumerate(_parts(every, CHAINS_A_CHUNK[len(every) > MANY_CHAINS])):
             after = None
             for step in range(0, self.frequency.size, STEPS_A_CHUNK):
@@ -263,15 +266,13 @@ class Grid:
     ) -> tuple[dict[str, np.ndarray], list[tuple[int, int, float, float]]]:
         """Columns on (set, direction, order of the sweep), and jumps as (set, direction, low, high)."""
         arrays = blank_columns(self.any_model, *self.shape)
-        for v, model in enumerate(self.models):
-            if isinstance(model, str):
-                arrays["reason"][v] = model
+        for v, reason in self.failed.items():
+            arrays["reason"][v] = reason
         jumps: list[tuple[int, int, float, float]] = []
         for name, result in results.items():
             for index, (v, d, f) in enumerate(places[name]):
                 for column in COLUMNS:
-                    value = result[column][index]
-                    arrays[column][v, d, f] = value if isinstance(f, slice) else value[0]
+                    arrays[column][v, d, f] = result[column][index]
             for index, low, high in result["jumps"]:
                 v, d, _ = places[name][int(index)]
                 jumps.append((v, d, low, high))
@@ -320,14 +321,6 @@ def sizes_of(model: Model) -> dict[str, int]:
     """Lengths of the dimensions that a model determines, or that are the same everywhere."""
     own = {"point": len(model.structure.points), "contact": model.num_contacts, "mode": model.structure.num_modes}
     return own | {"axis": 3, "band": 2, "tangent": 2, "harmonic": HARMONICS + 1}
-
-
-def _variant(scene: Scene, values: Mapping[str, float]) -> Model | str:
-    """The model with other scalars, or what is wrong with it."""
-    try:
-        return scene.variant(values)
-    except SceneError as error:
-        return str(error)
 
 
 def _parts(items: list[Any], size: int) -> Iterator[list[Any]]:

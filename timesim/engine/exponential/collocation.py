@@ -26,7 +26,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 from timesim.engine.barrier import apart, matmul
 from timesim.engine.exponential.flow import Weights, weights
 from timesim.engine.exponential.steady import Steady, coupling, diagonals, steady_of
-from timesim.engine.law.contact_law import Motion, Nodes, Plane, Scalar, State, Within
+from timesim.engine.law.contact_law import Motion, Nodes, Plane, Reaction, Scalar, State, Within
 from timesim.engine.law.rule import Rule
 from timesim.engine.system import Point, System, contact_force
 from timesim.model.model import SLIP
@@ -96,11 +96,19 @@ class Inside(eqx.Module):
         force: of the modal force, (power, mode).
         inner: of what the law iterates on, (power, contact).
         h: length of the step as it was taken, however early it was cut.
+        q, p: displacement and velocity of the modes at the start and the nodes, (node, mode).
+        f, w: friction force and slip of the contacts there, components of shape (node, contact).
+        lost: power that they lose otherwise there, see `timesim.engine.law.contact_law.Reaction`.
     """
 
     force: Float[Array, "power mode"]
     inner: PyTree
     h: Float[Array, ""]
+    q: Float[Array, "node mode"]
+    p: Float[Array, "node mode"]
+    f: Plane
+    w: Plane
+    lost: Scalar | None
 
 
 class Solved(NamedTuple):
@@ -120,6 +128,7 @@ class Start(NamedTuple):
         state: of the contacts during the step.
         w: slip.
         motion: of the contacts.
+        acts: forces of the contacts.
         force: modal force that the polynomial begins with, shape (1, mode).
         q, p: displacement and velocity of the nodes without contact forces, shape (node, mode).
         left: force there that the steady motion leaves to the polynomial.
@@ -128,6 +137,7 @@ class Start(NamedTuple):
     state: State
     w: Plane
     motion: Motion
+    acts: Reaction
     force: Array
     q: Array
     p: Array
@@ -173,7 +183,10 @@ def solve(
     q, p, nodes, within = _at_nodes(rule, system, flow, start, guess)
     power = jnp.asarray(rule.monomials)
     force = matmul(power, jnp.concatenate([start.force, guess.force]))
-    inside = Inside(force, jax.tree.map(lambda x: matmul(power, x), within.inner), flow.h)
+    first, rest = (point.q, point.p, start.acts.f, start.acts.lost), (q, p, within.f, within.lost)
+    q, p, f, lost = jax.tree.map(lambda own, others: jnp.concatenate([own[None], others]), first, rest)
+    inner = jax.tree.map(lambda x: matmul(power, x), within.inner)
+    inside = Inside(force, inner, flow.h, q, p, f, nodes.w, lost)
     end = Point(q[-1], p[-1], tuple(w[-1] for w in within.w), None)
     return Solved(end, _error(rule, system, flow.h, state, force[-1], nodes.w), converged, nodes, inside)
 
@@ -223,7 +236,7 @@ def _start(nodes: tuple[float, ...], system: System, flow: Flow, state: State, t
         system, point.q[None], point.p[None]
     )
     free_q, free_p = q[1:] + flow.q_q * z + flow.q_p * dz, p[1:] + flow.p_q * z + flow.p_p * dz
-    return Start(state, point.w, motion, force, free_q, free_p, left[1:])
+    return Start(state, point.w, motion, acts, force, free_q, free_p, left[1:])
 
 
 def _modal_force(system: System, f: Plane, n: Scalar, left: Array) -> Array:

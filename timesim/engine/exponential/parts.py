@@ -6,29 +6,24 @@ that moves asks for.
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-import operator
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from timesim.engine import dense_output as hermite
 from timesim.engine.exponential.collocation import Inside, modes_after, point_inside
 from timesim.engine.exponential.flow import Weights, weights
 from timesim.engine.exponential.steady import diagonals
 from timesim.engine.lanes import by_rows
 from timesim.engine.step import Step
-from timesim.engine.system import Point, System, Work
+from timesim.engine.system import Point, System
 from timesim.program import program
 
 FOLLOWED = 1e-3  # of the tolerance of a step: what a part may leave out of the motion
 FINEST = 1e-9  # of the largest modal displacement, what it may leave out in any case
 NO_PART = 1e-6  # of a part: rounding of its end
-# Of a part, for its energies: nodes between its ends, and weights of all four, exact to the fifth power.
-LOBATTO = (0.5 - 0.05**0.5, 0.5 + 0.05**0.5), (1 / 12, 5 / 12, 5 / 12, 1 / 12)
 
 
 class Parts(NamedTuple):
@@ -80,31 +75,30 @@ def _length_of_part(system: System, steps: Step, followed: float) -> float:
     return float((allowed ** (1 / 6) / rate).min())
 
 
-def short_steps(system: System, steps: Step, rtol: float, *, energies: bool = False) -> Step:
+def short_steps(system: System, steps: Step, rtol: float) -> Step:
     """Steps in parts so short that values and rates at both ends of each are as good as the flow inside.
 
     Args:
         system: in which the steps were taken.
         steps: numpy arrays, the first axis that of the steps.
         rtol: relative tolerance of the steps.
-
-    Keyword Args:
-        energies: whether the parts are to hold the energies since the first of them.
     """
     if steps.inside is None or not len(steps.h):
         return steps
-    parts, system = parts_of(system, steps, rtol), system.single()
+    return in_parts(system, steps, parts_of(system, steps, rtol))
+
+
+def in_parts(system: System, steps: Step, parts: Parts) -> Step:
+    """Steps in these parts, without energies."""
+    system = system.single()
     ends = _modes_at(system, steps, parts)
-    begins = _begun(parts.first, (steps.start.q, steps.start.p), ends)
     held = (steps.state, steps.time, steps.start, steps.inside)
-    columns = ((parts.start, parts.end), (begins, ends))
-    end, end_rate, work = by_rows(_filled, (system, energies), columns, (held, parts.step))
+    end, end_rate = by_rows(_filled, (system,), (parts.end, ends), (held, parts.step))
     start, start_rate = _begun(parts.first, (steps.start, steps.start_rate), (end, end_rate))
     state = steps.state[parts.step]
     after = state.copy()
-    _set(parts.last, (end, end_rate, after), (steps.end, steps.end_rate, steps.state_after))
-    done = jax.tree.map(lambda each: np.cumsum(each, axis=0), work)
-    end = eqx.tree_at(lambda y: y.work, end, done, is_leaf=lambda x: x is None)
+    own = eqx.tree_at(lambda y: y.work, steps.end, None)
+    _set(parts.last, (end, end_rate, after), (own, steps.end_rate, steps.state_after))
     time, length = steps.time[parts.step] + parts.start, parts.end - parts.start
     rows = (steps.cycle[parts.step], time, length, start, start_rate, end, end_rate, state, after, None)
     where = lambda s: (s.cycle, s.time, s.h, s.start, s.start_rate, s.end, s.end_rate, s.state, s.state_after, s.inside)  # noqa: E731
@@ -154,29 +148,13 @@ def _modes(system: System, *columns: Any) -> tuple[Array, Array]:
 
 
 @program
-def _filled(system: System, energies: bool, *columns: Any) -> tuple[Point, Point, Work | None]:
-    """State and rate at the end of each part, and the energies in it if they are asked for, by Lobatto's rule."""
+def _filled(system: System, *columns: Any) -> tuple[Point, Point]:
+    """State and rate at the end of each part."""
 
-    def one(
-        span: tuple[Array, Array], modes: tuple, held: tuple[Array, Array, Point, Inside]
-    ) -> tuple[Point, Point, Work | None]:
+    def one(span: Array, modes: tuple[Array, Array], held: tuple[Array, Array, Point, Inside]) -> tuple[Point, Point]:
         state, time, start, inside = held
+        end = point_inside(system, (state, time, start), inside, span / inside.h, *modes)
+        return end, system.field(state, time + span, end)
 
-        def at(since: Array, q: Array, p: Array, work: Work | None) -> tuple[Point, Point]:
-            point = point_inside(system, (state, time, start), inside, since / inside.h, q, p)
-            return point, system.field(state, time + since, Point(point.q, point.p, point.w, work))
-
-        none = Work(jnp.zeros(()), jnp.zeros(()), jnp.zeros(state.shape)) if energies else None
-        (q0, p0), (q1, p1) = modes
-        end, rate = at(span[1], q1, p1, none)
-        if not energies:
-            return end, rate, None
-        first, h = at(span[0], q0, p0, none)[1], span[1] - span[0]
-        inner = (hermite.quintic(x, h, (q0, p0, first.p), (q1, p1, rate.p)) for x in LOBATTO[0])
-        powers = [at(span[0] + x * h, q, p, none)[1].work for x, (q, p) in zip(LOBATTO[0], inner, strict=True)]
-        powers = [first.work, *powers, rate.work]
-        work: Work = jax.tree.map(lambda *each: h * sum(map(operator.mul, LOBATTO[1], each)), *powers)
-        return end, Point(rate.q, rate.p, rate.w, None), work
-
-    done: tuple[Point, Point, Work | None] = jax.vmap(one)(*columns)
+    done: tuple[Point, Point] = jax.vmap(one)(*columns)
     return done

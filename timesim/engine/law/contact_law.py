@@ -63,12 +63,14 @@ class Within(NamedTuple):
         inner: what the law iterates on, its first axis that of the nodes, the start of the step among them.
         f, n: friction force and normal load, components of shape (node, contact).
         w: slip, the same.
+        lost: power lost otherwise than in friction, as in `Reaction`.
     """
 
     inner: PyTree
     f: Plane
     n: Scalar
     w: Plane
+    lost: Scalar | None = None
 
 
 class Nodes(NamedTuple):
@@ -146,7 +148,7 @@ class ContactLaw(eqx.Module):
         moved = tuple(x + h * (jnp.asarray(rule.integrals) @ dw) for x, dw in zip(w, acts.dw, strict=True))
         moved = where(state == SEPARATION, motion.u, moved)
         new = tuple(jnp.concatenate([old[:1], x]) for old, x in zip(inner, moved, strict=True))
-        return Within(new, acts.f, acts.n, moved)
+        return Within(new, acts.f, acts.n, moved, acts.lost)
 
     def slip_inside(self, state: State, w: Plane, motion: Motion, inner: PyTree) -> Plane:
         """Slip inside a step, from that at its start and the motion and the inner value there."""
