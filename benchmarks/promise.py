@@ -82,9 +82,11 @@ def rows(seed: int, size: tuple[int, int]) -> list[dict[str, Any]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", default="1000:1010", help="first and one behind the last")
-    first, last = map(int, parser.parse_args().seeds.split(":"))
+    parser.add_argument("--modes", type=int, nargs="*", default=[size[0] for size in SIZES], help="which sizes")
+    options = parser.parse_args()
+    first, last = map(int, options.seeds.split(":"))
     every = []
-    for size in SIZES:
+    for size in (size for size in SIZES if size[0] in options.modes):
         jax.clear_caches()
         for seed in range(first, last):
             for row in rows(seed, size):

@@ -96,7 +96,7 @@ def _check_start() -> None:
 def _keep_programs() -> Path | None:
     """Keep compiled programs in the folder; warn where they do not stay, or are never met again.
 
-    Where `timesim.program` is to keep them, which it does for commands; None where JAX does it.
+    Returns where `timesim.program` is to keep them, which it does for commands; None where JAX does it.
     """
     if _SETTINGS.jax_compilation_cache_dir or not _SETTINGS.jax_enable_compilation_cache:
         return None  # set by the host

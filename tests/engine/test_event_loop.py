@@ -30,7 +30,8 @@ from timesim.engine.status import Status
 from timesim.engine.step import begin, judged
 from timesim.engine.system import system_of
 from timesim.engine.trajectory import BATCH, Frame, Phase, Run, RunError
-from timesim.model.model import SEPARATION, SLIP, STICK, Model
+from timesim.model.contact_state import contact_loads
+from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.solver import PRESETS, Solver
 from timesim.study.execution.campaign import Execution
 from timesim.study.registry import load_scene
@@ -267,6 +268,18 @@ def test_no_contact_at_all(reduce: bool) -> None:
     exact = (1 / (body.omega**2 - omega**2 + 2j * 0.02 * body.omega * omega)).real
     np.testing.assert_allclose(trace.run.displacement, exact, rtol=1e-8)
     assert trace.sequence == []
+
+
+def test_the_slip_of_a_contact_without_friction_is_its_motion_also_off_the_line_that_is_modelled() -> None:
+    model, zero = oscillator(32.0, 1.39), np.zeros(2)
+    stop = replace(model.contacts[0], friction=0.0, tangential_stiffness=np.zeros((2, 2)))
+    model = replace(model, contacts=(stop,))
+    frame = Frame(model, Run(model, [Phase(1.39, 1)], Solver("tsit5", 1e-6, 1e-8)).reduction, 1.39)
+    motion = contact_loads(model, np.array([0.3, -0.2]), np.zeros((1, 2))).motion
+    assert np.all(np.abs(motion) > 0.05)
+    point, state = frame.point(Start(np.array([0.3, -0.2]), zero, motion, np.array([SLIP])))
+    assert len(point.w) == 1
+    np.testing.assert_allclose(frame.start(point, state, 0.0).slip, motion, rtol=1e-14)
 
 
 def test_one_mode_on_a_frictionless_stop() -> None:

@@ -125,6 +125,7 @@ def test_what_does_not_repeat_is_told_from_what_is_slow():
     assert not is_irregular(1e-5 * scatter, 0.003, 1e-4)  # noise
     assert not is_irregular(scatter / (1 + rounds), 0.1, 1e-5)  # a contact that creeps
     assert is_irregular(0.1 * scatter * np.exp(-0.002 * rounds), 0.1, 1e-5)  # decays far less than is due
+    assert is_irregular(0.03 * scatter * np.where(rounds < rounds.size // 2, 10, 1), 0.003, 1e-5)  # found its way late
     assert not is_irregular(0.1 * scatter, 1e-4, 1e-5)  # hardly damped at all
     assert not is_irregular([0.1] * 3, 0.003, 1e-5)
 

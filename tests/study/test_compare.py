@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 import timesim
 from timesim.cli import app
+from timesim.engine.trajectory import RunError
 from timesim.orbit.settling import steady_states
 from timesim.picture import compare as plot_compare
 from timesim.study import compare, verdict
@@ -282,6 +283,13 @@ def test_full_stick_and_contacts_that_stay_apart_prove_nothing(rounding):
     assert "at 6 points every contact sticks" in lines[1]
 
 
+def test_a_stop_that_stays_closed_proves_nothing():
+    closed, never = np.ones((*SHAPE, 1)), np.zeros((*SHAPE, 1))
+    lines = lines_on(0.0, slip_share=closed, separation_share=never, friction=np.zeros(1))
+    assert "nothing is proven" in lines[0]
+    assert "at 6 points every contact sticks" in lines[1]
+
+
 def test_points_without_an_answer_are_named():
     settled, period = np.ones(SHAPE, int), np.ones(SHAPE, int)
     settled[1, 0, 2], period[1, 0, 1] = 0, 2
@@ -316,6 +324,14 @@ def test_a_cycle_that_does_not_settle_is_left_out_with_the_reason(monkeypatch: p
     assert "cycle" not in outcome.groups
     (line,) = [line for line in outcome.summary if "no cycle is shown" in line]
     assert "at 1.39 Hz the motion does not settle in settle.max_cycles" in line
+
+    def failing(*_):
+        raise RunError("the budget is spent")
+
+    monkeypatch.undo()
+    monkeypatch.setattr(compare, "one_cycle", failing)
+    outcome = carry_out(load_scene(oscillator_scene(preload=3.0) | {"study": study}))
+    assert "no cycle is shown by both methods: the budget is spent" in outcome.summary
 
 
 @pytest.mark.parametrize("at", ["matched", "cycle_by_both"])

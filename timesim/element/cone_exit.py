@@ -58,11 +58,11 @@ def exit_from_inside(mean: Array, cosine: Array, sine: Array) -> float:
 
 
 def trigonometric_roots(coefficients: ArrayLike) -> Array:
-    """Angles of all complex roots z = exp(i t) of ``Re sum_k coefficients[k] exp(i k t)``, in [0, 2 pi) [rad].
+    """Angles of all complex roots z = exp(i t) of ``Re sum_k coefficients[k] exp(i k t)``.
 
-    Ascending. The real roots t are among them; a pair off the unit circle gives two angles that are no roots. The
-    polynomial in z is solved by the eigenvalues of its companion matrix, leading coefficients at rounding level left
-    out.
+    They ascend in [0, 2 pi) [rad]. The real roots t are among them; a pair off the unit circle gives two angles that
+    are no roots. The polynomial in z is solved by the eigenvalues of its companion matrix, leading coefficients at
+    rounding level left out.
     """
     half = np.array(coefficients, complex)
     half[1:] /= 2

@@ -76,7 +76,8 @@ class Coefficients:
 def in_phase(first: NDArray[np.complex128], phase: Array) -> tuple[Array, Array]:
     """f_s and f_c of (19), the parts of a first harmonic on sin(theta + phase) and cos(theta + phase).
 
-    The harmonic is its cosine part minus i times the sine part, shape (..., 2) [force]; the phase that of the motion.
+    The harmonic is given as its cosine part minus i times its sine part [force], the phase is that of the motion [rad],
+    both of shape (..., 2).
     """
     turned = first * np.exp(-1j * phase)
     return -turned.imag, turned.real

@@ -164,7 +164,7 @@ def march_cycle(
 ) -> tuple[Trajectory, Array]:
     """One cycle of contacts side by side, each in steps of its own.
 
-    The trajectories at its end, the contact as first axis, and the number of transitions of each.
+    Returns the trajectories at its end, the contact as first axis, and the number of transitions of each.
     """
     lanes, w, state = jax.tree.map(lambda leaf: leaf[:, None], (dynamics, w, state))
     starts = jax.vmap(cycle_start)(lanes, w, state)

@@ -113,7 +113,7 @@ def _parts(matrix: Array) -> tuple[float, complex]:
 def contact_direction(law: Law, dy: Array) -> tuple[float, float]:
     """Slip after re-contact: e and s >= 0 with (mu n' I + s K_u) e = K_u u', |e| = 1, in place of (18).
 
-    The angle of e [rad] and s [length/rad].
+    Returns the angle of e [rad] and s [length/rad].
     """
     values, axes = np.linalg.eigh(law.stiffness)
     pull = axes.T @ (law.stiffness @ dy[:2])
@@ -217,7 +217,7 @@ def _collocate(
 ) -> tuple[Array | None, Array, float]:
     """Solve the collocation equations of one step by Newton's method.
 
-    Alpha at `NODES` (None: no convergence), the motion's rate there, and the largest limit force of the step.
+    Returns alpha at `NODES` (None: no convergence), the motion's rate there, and the largest limit force of the step.
     """
     y, dy = motion.evaluate(start + length * NODES)
     limit, limit_rate = law.limit(y[:, 1:], dy[:, 1:])

@@ -23,7 +23,7 @@ from timesim.engine.status import Status
 from timesim.engine.step import Step as LoopStep
 from timesim.engine.step import Trajectory, begin
 from timesim.engine.system import Point, System, Work, contact_axes, system_of
-from timesim.model.contact_state import start_states
+from timesim.model.contact_state import contact_loads, slip_follows_motion, start_states
 from timesim.model.model import SEPARATION, STICK, Model, Start
 from timesim.model.reduction import Reduction, reduction_of
 from timesim.model.scales import Scales, scales_of
@@ -184,8 +184,12 @@ class Frame:
     def start(self, point: Point, state: np.ndarray, phase: float) -> Start:
         """The inverse of `point`; what the loop does not know is as in the model's own start."""
         q, p, w = np.asarray(point.q), np.asarray(point.p), tuple(map(np.asarray, point.w))
-        slip = self.slip(w, self.model.start.slip)
-        return Start(self.modal(q), self.modal(p, self.scales.omega), slip, self.states(np.asarray(state)), phase)
+        displacement, state = self.modal(q), self.states(np.asarray(state))
+        # Of a contact along a line, or proven to be apart, the loop does not know all of the motion that w follows.
+        loads = contact_loads(self.model, displacement, self.slip(w, self.model.start.slip))
+        follows = slip_follows_motion(state, self.model.friction)[:, None]
+        slip = np.where(follows, loads.motion, loads.slip)
+        return Start(displacement, self.modal(p, self.scales.omega), slip, state, phase)
 
     @property
     def shape(self) -> np.ndarray:

@@ -111,7 +111,7 @@ class Choice:
 def choice(accuracy: str, model: Model, work: Work, budget: int) -> Choice:
     """The solver that keeps what a preset promises in the least time, that of a first run.
 
-    ``accuracy`` names the preset, ``work`` is what it takes, ``budget`` that of steps in a cycle.
+    ``accuracy`` names the preset, ``work`` says what is integrated, ``budget`` how many steps a cycle may take.
     """
     own, frequency = preset(accuracy, model, work.lowest, work.run_cycles), float(np.mean([f for f, _ in work.phases]))
     lines = (line for line in TABLE if accuracy in line.accuracies and line.applies(model, frequency))

@@ -124,7 +124,7 @@ def slip_stiff(model: Model, frequency: float) -> bool:
 
 
 def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side: int | None = None) -> float:
-    """Of a cycle of one run at a frequency [Hz]; of several marched side by side, or of one that is recorded: None."""
+    """Of a cycle at a frequency [Hz]: of one of several that are marched side by side; None: of one run, recorded."""
     steps = 2 * np.pi / solver.longest
     if solver.name != "rk4":
         near = min(PRESETS, key=lambda name: abs(np.log(PRESETS[name].rtol / solver.rtol)))

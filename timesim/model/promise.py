@@ -42,7 +42,7 @@ def remembered(model: Model, frequency: float) -> float:
 
 
 def growth(model: Model, frequency: float, cycles: float | None = None) -> float:
-    """Error at the end over the tolerance, the excitation at a frequency [Hz]; ``cycles`` None: until it is steady."""
+    """Error at the end over the tolerance, after so many cycles at a frequency [Hz]; None: in a steady state."""
     counted = min(remembered(model, frequency), LONGEST if cycles is None else cycles)
     return GROWTH * counted * max(model.stuck_rate / (2 * np.pi * frequency), 1.0)
 

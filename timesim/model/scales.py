@@ -70,7 +70,7 @@ def _reach(model: Model) -> float:
 def out_of_range(model: Model, frequency: float) -> Iterator[RuleError]:
     """Numbers so far apart that squares of them, as in an energy, are zero or overflow.
 
-    Keys from the root of the scene; ``frequency``: base frequency of the excitation [Hz].
+    Yields what is wrong, keys from the root of the scene; ``frequency`` is the base frequency of the excitation [Hz].
     """
     omega, reach = 2 * np.pi * frequency, _reach(model)
     with np.errstate(all="ignore"):

@@ -69,10 +69,9 @@ def branch_of(orbit: Orbit, motions: Sequence[Orbit]) -> int:
 
 
 def explore(model: Model, steady: SteadyStates, ranges: Columns, num: int) -> dict[str, np.ndarray]:
-    """Motions to which the ensemble of starts leads at the middle of each range, as arrays.
+    """Motions to which the ensemble of starts, ``num`` along each side, leads at the middle of each range, as arrays.
 
-    ``steady`` is that of the ranges, which are as `timesim.orbit.two_motions.ranges_of` gives them; ``num``: starts
-    along each side.
+    The ranges are as `timesim.orbit.two_motions.ranges_of` gives them; ``steady`` is what computed their motions.
     """
     rows = []
     for place, (low, high) in enumerate(ranges["range"]):

@@ -27,7 +27,7 @@ def remaining(change: Any, ratio: Any) -> Any:
 def limits(terms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Limits of sequences of vectors by their last four terms, shape (N, 4, K).
 
-    The limits, shape (N, K), and which sequences have one, shape (N,).
+    Returns the limits, shape (N, K), and which sequences have one, shape (N,).
     """
     first, second, third = np.moveaxis(np.diff(terms, axis=1), 1, 0)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -143,7 +143,7 @@ def steps_of(model: Model, frequencies: Sequence[float], orbits: Sequence[Orbit]
 def suspects(amplitude: np.ndarray) -> np.ndarray:
     """Steps of a sweep over which the amplitude changes by far more than over those beside them.
 
-    By the positions of the points before the steps; the amplitude is that of all points along all axes, shape (F, X).
+    They go by the positions of the points before them; ``amplitude``: of all points along all axes, shape (F, X).
     """
     if len(amplitude) < 3:
         return np.zeros(0, dtype=int)

@@ -111,6 +111,11 @@ def is_irregular(changes: Sequence[float], decay: float, noise: float) -> bool:
     quarter = len(changes) // 4
     if not quarter:
         return False
-    early, late = (float(np.median(changes[first : first + quarter])) for first in (quarter, len(changes) - quarter))
-    due = decay * CYCLES_A_ROUND * (len(changes) - 2 * quarter)
-    return due > CLEARLY and late > max(VAGUE, noise) and np.log(early / late) < min(due, 2 * CLEARLY) / 2
+    late = float(np.median(changes[-quarter:]))
+    # What finds its way late falls until the middle; from there on the changes of a contact that creeps are slow too.
+    for begin, share in ((quarter, 2), (2 * quarter, 8)):
+        early = float(np.median(changes[begin : begin + quarter]))
+        due = decay * CYCLES_A_ROUND * (len(changes) - quarter - begin)
+        if due > CLEARLY and late > max(VAGUE, noise) and np.log(early / late) < min(due, 2 * CLEARLY) / share:
+            return True
+    return False

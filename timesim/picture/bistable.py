@@ -59,7 +59,7 @@ LED_TO = {
 class Range(NamedTuple):
     """A range of frequency with two motions.
 
-    Its position along the further axes, its number there, the values of these axes in words, and its ends [Hz].
+    It has a position along the further axes and a number there; the label says their values, the ends are in Hz.
     """
 
     at: Mapping[str, int]

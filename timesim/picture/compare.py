@@ -28,7 +28,7 @@ from timesim.picture.style import (
     state_bar,
     unit,
 )
-from timesim.result.coordinate import over_keys
+from timesim.result.coordinate import over_keys, rubs
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -79,7 +79,7 @@ def difference(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
     ax, (hbm, sweep) = axes(ax), _groups(data)
     counts = sweep.amplitude > MINOR * sweep.amplitude.max(("point", "axis"))
     size = abs(data["relative_difference"].where(counts.values)).max(("point", "axis"))
-    linear = ~switches(sweep.slip_share, sweep.separation_share).any("contact")
+    linear = ~switches(sweep.slip_share * rubs(sweep), sweep.separation_share).any("contact")
     for where, look in _points(hbm, sweep):
         x, y, pale = sweep.frequency.values, size.isel(where).values, linear.isel(where).values
         ax.plot(x[~pale], y[~pale], **look)

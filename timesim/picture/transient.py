@@ -97,8 +97,8 @@ def spectrum(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
 def harmonics(data: "Dataset", x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Spectrum of samples x, shape (T,), over the last recorded cycles of one frequency, at most `SPECTRUM_CYCLES`.
 
-    Multiples of the excitation frequency up to `HIGHEST_ORDER`, and the amplitude at each; both empty where no cycle
-    was finished.
+    Returns multiples of the excitation frequency up to `HIGHEST_ORDER`, and the amplitude at each; both are empty where
+    no cycle was finished.
     """
     start, period, time = data.cycle_start.values, data.cycle_period.values, data.time.values
     slack = 1e-6 * period.min(initial=np.inf)

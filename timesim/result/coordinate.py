@@ -8,7 +8,7 @@ import numpy as np
 from timesim.model.model import Model
 
 if TYPE_CHECKING:
-    from xarray import Dataset
+    from xarray import DataArray, Dataset
 
 NAMES = {
     "axis": ("x", "y", "z"),
@@ -42,6 +42,12 @@ def coordinates(variables: Mapping[str, tuple[Any, ...]], model: Model | None = 
         along["contact"] = np.array([contact.name for contact in model.contacts], dtype=str)
     known: dict[str, Any] = {dim: values for dim, values in along.items() if dim in sizes}
     return known | ({"friction": (("contact",), model.friction)} if model is not None and "contact" in known else {})
+
+
+def rubs(data: "Dataset") -> "DataArray":
+    """Which contacts of a result have friction, along its contacts; where another slips, one without is closed."""
+    known = data.coords.get("friction")
+    return data["contact"].notnull() if known is None else known > 0
 
 
 def over_keys(data: "Dataset") -> list[str]:

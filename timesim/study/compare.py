@@ -17,6 +17,7 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.engine.history import Samples
+from timesim.engine.trajectory import RunError
 from timesim.hbm.balance import Array, Balance, Complex
 from timesim.hbm.continuation import joined, part_of
 from timesim.hbm.curve import HbmCurve, solutions_at
@@ -142,7 +143,8 @@ def _compared(
 ) -> tuple[dict[str, np.ndarray], list[str], dict[str, Dataset], str | None]:
     """The difference of the methods on the axes of the sweep's amplitude, what it says, and a cycle by both of them.
 
-    Beside the difference, where another offset explains it. The last entry is why a part is missing; None if none is.
+    Where another offset explains it, this stands beside the difference. The last entry is why a part is missing;
+    None if none is.
     """
     amplitude, lines, cycle = sweep["amplitude"].values, list[str](), dict[str, Dataset]()
     arrays = {"relative_difference": np.full_like(amplitude, np.nan)}
@@ -215,9 +217,9 @@ def other_offsets(scene: Scene, curves: Curves, match: Match, points: Points) ->
 
 
 def _begun(scene: Scene, curves: Curves, match: Match, place: tuple[int, ...]) -> tuple[Model, float, Complex, Array]:
-    """The model at the start of the solution at a point of the sweep, the frequency [Hz], and the solution.
+    """The model at the start of the solution at a point of the sweep, and the frequency [Hz] of that solution.
 
-    That is by its modal harmonics, and the states of the contacts at the angles of the cycle.
+    Beside them its modal harmonics, and the states of the contacts at the angles of the cycle.
     """
     model, solutions, at = scene.variant(curves.values[place[0]]), match.solutions[place[0]], int(match.solution[place])
     assert solutions is not None
@@ -265,4 +267,7 @@ def _settled_cycle(model: Model, frequency: float, solver: Solver, plan: SweepPl
         never = "does not repeat" if orbit.irregular else "does not settle"
         many = f"repeats after {orbit.period} cycles" if orbit.settled else never
         raise NotSettledError(f"at {frequency:g} Hz the motion {many} in settle.max_cycles = {budget}")
-    return one_cycle(replace(model, start=orbit.end), frequency, solver, SAMPLES)
+    try:
+        return one_cycle(replace(model, start=orbit.end), frequency, solver, SAMPLES)
+    except RunError as error:
+        raise NotSettledError(str(error)) from None

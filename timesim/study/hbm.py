@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from xarray import Dataset
 
+from timesim.engine.trajectory import RunError
 from timesim.fault import RuleError
 from timesim.hbm.branches import SettledMotion, curves_from_ends, isolated_curves
 from timesim.hbm.continuation import Controls, Ending
@@ -189,10 +190,13 @@ class Curves:
         frequency, arrays = point
         try:
             start = start_of(model, states, arrays)
+            return modal_coefficients(replace(model, start=start), frequency, self.scene.solver())
         except RuleError as error:
-            self.notes.append(f"no curve is begun from the sweep's point at {frequency:g} Hz: it {error.rule}")
-            return None
-        return modal_coefficients(replace(model, start=start), frequency, self.scene.solver())
+            reason = f"it {error.rule}"
+        except RunError as error:
+            reason = str(error)
+        self.notes.append(f"no curve is begun from the sweep's point at {frequency:g} Hz: {reason}")
+        return None
 
     def _options(self, growth: "Growth") -> dict[str, Any]:
         steps, stable = Controls(**self.plan.steps), self.plan.stability

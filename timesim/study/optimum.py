@@ -43,7 +43,7 @@ FIRST, SEARCH = "values of the range", "search for the least"  # phases of the p
 
 @dataclass(frozen=True)
 class Response:
-    """One value of the scalar: a scene, and over which frequencies whose amplitude counts."""
+    """One value of the scalar: the scene with it, and the plan: whose amplitude counts, over which frequencies."""
 
     model: Model
     plan: OptimumPlan

@@ -54,7 +54,10 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 
 @dataclass(frozen=True)
 class _Carried:
-    """A run that has ended: what is recorded, why early, the estimated error, if any, and seconds of compilation."""
+    """A run that has ended: what is recorded of it, why it ended early if it did, its estimated error if wanted.
+
+    `compiling` is the time of compilation [s].
+    """
 
     recorder: Recorder
     reason: str | None

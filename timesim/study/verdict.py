@@ -9,7 +9,7 @@ from xarray import Dataset
 from timesim.hbm.convergence import Convergence, order_of
 from timesim.hbm.curve import changes_of_stability, peak
 from timesim.orbit.steady_state import switches
-from timesim.result.coordinate import over_keys
+from timesim.result.coordinate import over_keys, rubs
 from timesim.result.label import in_words, with_unit
 from timesim.scene.study import combinations
 
@@ -49,7 +49,8 @@ def _curve_line(curve: Dataset) -> str:
     changes = ", ".join(f"{p:.6g}" for p in along[changes_of_stability(stable, fold)])
     also = f"; stability changes at {changes} without a fold" if changes else ""
     touching, apart = curve["slip_share"].values, curve["separation_share"].values.max(initial=0.0)
-    slip, closed = (touching[:, own].max(initial=0.0) for own in (_rubs(curve), ~_rubs(curve)))
+    rub = rubs(curve).values
+    slip, closed = (touching[:, own].max(initial=0.0) for own in (rub, ~rub))
     stops = f", a stop closed for {closed:.2f}" if closed else ""
     states = f"at most {slip:.2f} of a period in slip, {apart:.2f} in separation{stops}"
     if slip == apart == closed == 0:
@@ -59,12 +60,6 @@ def _curve_line(curve: Dataset) -> str:
         f"peak {with_unit(f'{height:.5g}', curve['amplitude'].attrs)} of {name} at {place:.6g}; {turning}{also}; "
         f"{np.sum(~stable & ~fold)} unstable solutions; {states}"
     )
-
-
-def _rubs(data: Dataset) -> np.ndarray:
-    """Which contacts have friction, shape (C,); where another slips, one without is closed."""
-    known = data.coords.get("friction")
-    return np.ones(data.sizes["contact"], dtype=bool) if known is None else known.values > 0
 
 
 def convergence_lines(refined: Convergence) -> list[str]:
@@ -146,7 +141,7 @@ def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarra
     difference = np.abs(relative_difference).reshape(*shape, -1)
     period, settled = (sweep[name].values.reshape(shape) for name in ("period", "settled"))
     slip, apart = (sweep[f"{name}_share"].values.reshape(*shape, -1) for name in ("slip", "separation"))
-    near_fold = np.zeros(shape, dtype=bool)
+    near_fold, rub = np.zeros(shape, dtype=bool), rubs(sweep).values
     for v, own in enumerate(values):
         here = np.all([hbm["fold"].values > 0, *(hbm[key].values == value for key, value in own.items())], axis=0)
         far = np.abs(frequency[:, None] - hbm["frequency"].values[here])
@@ -159,11 +154,11 @@ def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarra
         settled=(settled > 0) & (period == 1),
         doubled=(settled > 0) & (period > 1),
         irregular=sweep["irregular"].values.reshape(shape) > 0,
-        linear=np.logical_not(switches(slip, apart).any(axis=-1)),
+        linear=np.logical_not(switches(slip * rub, apart).any(axis=-1)),
         near_fold=near_fold,
-        slip=slip[..., _rubs(sweep)].max(axis=-1, initial=0.0),
+        slip=slip[..., rub].max(axis=-1, initial=0.0),
         separation=apart.max(axis=-1, initial=0.0),
-        sticks=((slip + apart < SHAKEN_DOWN) & _rubs(sweep)).any(axis=-1),
+        sticks=((slip + apart < SHAKEN_DOWN) & rub).any(axis=-1),
         other_offset=np.zeros(shape, dtype=bool),
     )
 
