@@ -26,9 +26,9 @@ MAX_DOUBLINGS = 15  # of one time sample
 ENOUGH = 1e-5
 
 
-# Share of the motion of the contacts that the error of the samples may make, of the 1e-3 to which amplitudes are meant
-# to be right, and the solutions that are looked at.
-SAMPLED, LOOKED_AT = 3e-4, 12
+# Share of the motion of the contacts that the error of the samples may make at the worst of some solutions, to which
+# amplitudes are meant to be right, and how many are looked at.
+SAMPLED, LOOKED_AT = 1e-3, 12
 # Least share of the frequency in the tangent of a curve by which that error is taken to be one at a frequency: beside
 # folds no solution is close at the same frequency.
 STEEPEST = 0.1
