@@ -69,6 +69,18 @@ def test_a_generated_model_with_coupled_modes(solver: Solver) -> None:
     assert relative_error(*work) < 100 * solver.rtol
 
 
+def test_the_extremes_of_each_step_are_those_of_its_parts() -> None:
+    """Also of one that is cut, whose polynomials go on."""
+    model = generated_models()[COUPLED]
+    steps = next(Run(model, [Phase(model.excitation.frequency or 0.0, 12)], LOOSE).batches())
+    assert np.sum(steps.loop.h < 0.9 * steps.loop.inside.h) > 20
+    low, high = steps.extremes(np.arange(steps.h.size))
+    parts = steps.between(steps.time[0], steps.time[-1])
+    first = np.searchsorted(parts.time + 0.5 * parts.h, steps.time)
+    for found, true in zip((low, high), parts.extremes(first), strict=True):
+        np.testing.assert_allclose(found, true, rtol=0, atol=1e-6 * np.abs(true).max())
+
+
 @pytest.mark.parametrize("damping", [0.0, 1e-5])
 def test_resonance_without_contacts(damping: float) -> None:
     """Excited at its natural frequency from rest: t sin(t) / 2 without damping, which has no steady motion."""
@@ -111,6 +123,19 @@ def test_modes_of_any_kind(stiffness: list[float], damping: list[float]) -> None
     assert relative_error(trace.amplitude, true.amplitude) < 1e-7
     for own, others in zip(np.transpose(trace.totals.work), np.transpose(true.totals.work), strict=True):
         assert relative_error(own, others) < 1e-7
+
+
+def test_the_amplitude_of_a_motion_on_which_a_fast_mode_rings() -> None:
+    """It turns 33 times a cycle, and a step is longer than a turn of it."""
+    body = structure([1.0, 400.0, 1e4], [0.02, 0.05, 1.0], [[1.0, 0.2, 0.5], [0.3, 1.0, 0.4], [0.2, -0.3, 1.0]])
+    start = replace(at_rest(3, 1), displacement=np.array([0.0, 0.02, 0.0]))
+    model = Model(
+        body, (pad(0.4, 3.0, 3.0, 0.4),), excitation(0.6 / (2 * np.pi), [0.5, 1.0, 0.7], [0.2, 0.0, 0.3]), start
+    )
+    true, trace = (simulate(model, 1, replace(solver, reduce=False)) for solver in (RUNGE_KUTTA, FINE))
+    assert relative_error(trace.amplitude, true.amplitude) < 1e-7
+    for own, others in zip(trace.totals.work[0], true.totals.work[0], strict=True):
+        assert own == pytest.approx(others, rel=1e-6)
 
 
 def settled(model: Model, frequency: float, solver: Solver) -> tuple:
