@@ -62,7 +62,8 @@ def test_a_generated_model_with_coupled_modes(solver: Solver) -> None:
     error = relative_error(trace.motion, true.motion)
     print(f"{solver}: error {error:.1e}, energy residual {trace.energy_residual:.1e}, {trace.num_steps} parts")
     assert error < 10 * solver.rtol
-    assert trace.energy_residual < 10 * solver.rtol
+    # Ten times as much where the end of a step that is cut is taken from its polynomials.
+    assert trace.energy_residual < (0.1 if solver is LOOSE else 10) * solver.rtol
     np.testing.assert_allclose(trace.log.time, true.log.time, rtol=0, atol=100 * solver.rtol)
     assert relative_error(trace.amplitude, true.amplitude) < 10 * solver.rtol
     work = [np.array(t.totals.work) for t in (trace, true)]
