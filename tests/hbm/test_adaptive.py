@@ -147,3 +147,14 @@ def test_a_finer_scheme_is_the_least_until_it_is_given_back(model, monkeypatch):
     balance.restore()
     assert adapted()
     assert balance.place == 1
+
+
+def test_a_finer_scheme_is_left_again_behind_a_fold(model, monkeypatch):
+    balance = AdaptiveBalance(lambda own: Balance(model, 1.6, own), SCHEMES, 1)
+    monkeypatch.setattr(adaptive, "tail", lambda own, x, frequency: np.zeros(65))
+    assert balance.refine()
+    places = []
+    for _ in range(adaptive.HELD + 1):
+        balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6)
+        places.append(balance.place)
+    assert places == [1] * adaptive.HELD + [0]

@@ -162,6 +162,26 @@ def test_a_corner_at_which_the_curve_turns_back():
     assert residual.evaluations < 3 * curve.p.size
 
 
+class NarrowReturn:
+    """|x - m| + m = 0, m = p / 10^4 + p |p| / 2: x = 0 up to p = 0, then back along x = 2 m, at first next to it."""
+
+    def value(self, x, p):
+        middle = 1e-4 * p + p * abs(p) / 2
+        return np.abs(x - middle) + middle
+
+    def linearised(self, x, p):
+        side, slope = np.sign(x - (1e-4 * p + p * abs(p) / 2)), 1e-4 + abs(p)
+        return self.value(x, p), side[:, None], slope * (1 - side)
+
+
+def test_a_curve_does_not_turn_back_on_its_own_way():
+    """Behind the corner a step that lands on the way that led there changes the orientation: it is too long."""
+    curve = follow(NarrowReturn(), np.array([0.0]), -1.0, 1.0, CONTROLS)
+    assert curve.ending is Ending.LEFT
+    assert curve.fold.sum() == 1
+    assert curve.x[-1, 0] == pytest.approx(-1.0002, abs=1e-6)
+
+
 @dataclass
 class Waver:
     """p = x - 3/2 x exp(-x^2 / width^2): the parameter goes back on the way by 0.4 of the width."""

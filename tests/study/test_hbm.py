@@ -102,6 +102,16 @@ def test_a_curve_followed_from_both_ends_is_kept_once(curves):
     assert set(both.curve.values) == {0}
 
 
+def test_a_curve_that_turns_back_to_where_it_began_leaves_the_range_to_the_one_from_the_other_end():
+    """Between the folds the lower motion goes down to one, and back as an unstable one; the upper one passes."""
+    found = timesim.run(scene(frequency={"from": 0.945, "to": 0.92}, stability=False))
+    assert found.attrs["complete"] == 1
+    first, second = (found.frequency.values[found.curve.values == i] for i in (0, 1))
+    assert first[[0, -1]] == pytest.approx(0.945)
+    assert first.min() == pytest.approx(0.94158, abs=1e-5)
+    assert second[[0, -1]] == pytest.approx([0.92, 0.945])
+
+
 def test_both_ends_reach_what_one_end_does_not():
     """Few points, so that neither end reaches the other: both pieces are there, and the run says so."""
     outcome = carry_out(load_scene(scene(start="both_ends", continuation={"max_points": 12})))
@@ -363,18 +373,18 @@ def test_convergence_gives_the_orders_and_what_is_enough(monkeypatch: pytest.Mon
 
 
 def test_samples_that_prove_too_few_are_taken_finer(monkeypatch: pytest.MonkeyPatch):
-    """A contact closes for a moment only: its force depends on where 64 samples lie, and hardly on where 256 do."""
-    monkeypatch.setattr(hbm_scheme, "ENOUGH_SAMPLES", 64)
-    monkeypatch.setattr(hbm_scheme, "SAMPLES_PER_WAVE", 8)
-    narrow: dict[str, Any] = {"frequency": {"from": 0.9422, "to": 0.9417}, "stability": False}
+    """A contact is closed for a quarter of the cycle: 24 samples are too few for its motion, and 96 enough."""
+    monkeypatch.setattr(hbm_scheme, "ENOUGH_SAMPLES", 24)
+    monkeypatch.setattr(hbm_scheme, "SAMPLES_PER_WAVE", 4)
+    narrow: dict[str, Any] = {"frequency": {"from": 0.93, "to": 0.9302}, "stability": False}
     chosen = timesim.run(scene(time_samples="auto", **narrow))
-    assert "256 time samples" in chosen.attrs["method"]
-    few, enough = (timesim.run(scene(time_samples=count, **narrow)) for count in (64, 256))
-    assert "64 time samples" in few.attrs["method"]
+    assert "96 time samples" in chosen.attrs["method"]
+    few, enough = (timesim.run(scene(time_samples=count, **narrow)) for count in (24, 96))
+    assert "24 time samples" in few.attrs["method"]
     np.testing.assert_array_equal(chosen.amplitude, enough.amplitude)
     model, errors = load_scene(scene()).model(), []
-    for count in (64, 256):
-        curve = hbm_curve(model, 0.9422, 0.9417, scheme=Scheme(5, count), stability=False)
+    for count in (24, 96):
+        curve = hbm_curve(model, 0.93, 0.9302, scheme=Scheme(5, count), stability=False)
         errors.append(sampling_error(lambda _: model, curve, [Scheme(5, count)], np.array([0, -1])))
     assert errors[0] > 2 * SAMPLED
     assert 0 < errors[1] < SAMPLED / 2

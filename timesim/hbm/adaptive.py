@@ -16,7 +16,9 @@ from timesim.hbm.scheme import NEGLECTED, Scheme, coarsest
 from timesim.orbit.fourier import to_phasors
 
 # Share of `NEGLECTED` that harmonics may add which a solution does without again.
-SPARED = 0.7
+SPARED = 0.5
+# Solutions after which a scheme that was taken for a fold may be left again.
+HELD = 20
 
 
 class Family(Residual, Protocol):
@@ -39,7 +41,7 @@ class AdaptiveBalance:
         """From the equations by a scheme, and schemes with more and more harmonics."""
         self.schemes, self.residual_of = tuple(schemes), lru_cache(maxsize=None)(residual_of)
         self.shape = 3 * num_contacts, 2 * self.schemes[-1].harmonics + 1
-        self.place = self._least = 0
+        self.place = self._least = self._held = 0
         self._before: list[tuple[int, int]] = []
 
     @property
@@ -75,6 +77,9 @@ class AdaptiveBalance:
             return False
         own, orders = self.residual, [scheme.harmonics for scheme in self.schemes]
         above = tail(own.at(p), x[self.active], own.frequency_at(p))
+        self._held -= 1
+        if self._held < 0:
+            self._least = 0
         before = self.place
         self._before = [(before, self._least)]
         if above[orders[self.place]] > NEGLECTED:
@@ -88,11 +93,12 @@ class AdaptiveBalance:
         self.place, self._least = self._before.pop()
 
     def refine(self) -> bool:
-        """Take the next scheme, and none before it from now on; False at the finest."""
+        """Take the next scheme, and none before it for the next solutions; False at the finest."""
         if self.place == len(self.schemes) - 1:
             return False
         self._before.append((self.place, self._least))
         self.place = self._least = self.place + 1
+        self._held = HELD
         return True
 
     def whole(self, x: Array, place: int = 0) -> Array:

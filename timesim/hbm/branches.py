@@ -1,7 +1,7 @@
 """All curves of one model: those from both ends of a range, and isolated ones through motions by time integration."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,19 +32,28 @@ class SettledMotion:
     coefficients: Callable[[], Array | None]
 
 
-def curves_from_both_ends(model: Model, start: float, stop: float, **options: Any) -> list[HbmCurve]:
-    """The curves from the two ends of a range; one where they are the same.
+def curves_from_ends(model: Model, start: float, stop: float, *, both: bool, **options: Any) -> list[HbmCurve]:
+    """The curve from one end of a range, and that from the other end if it is another.
 
     Args:
-        model, start, stop, options: as for `timesim.hbm.curve.hbm_curve`.
+        model, start, stop: as for `timesim.hbm.curve.hbm_curve`.
+
+    Keyword Args:
+        both: begin at the other end too in any case, not only where the first curve turns back to where it began.
+        options: as for `hbm_curve`.
     """
     there = hbm_curve(model, start, stop, **options)
-    if there.ending is Ending.INTERRUPTED:
+    if there.ending is Ending.INTERRUPTED or not (both or there.ending is Ending.LEFT):
         return [there]
     back = hbm_curve(model, stop, start, **options)
     if there.complete and _meet(there, -1, back, 0):
         return [there]
-    return [back] if back.complete and _meet(there, 0, back, -1) else [there, back]
+    if back.complete and _meet(there, 0, back, -1):
+        return [back]
+    if there.ending is Ending.LEFT and back.complete:
+        place = there.message.split(": ")[0]
+        there = replace(there, ending=Ending.RETURNED, message=f"{place}: {Ending.RETURNED.value}")
+    return [there, back]
 
 
 def isolated_curves(

@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from timesim.hbm.adaptive import tail
 from timesim.hbm.balance import Array, Balance
-from timesim.hbm.continuation import Controls, solve
+from timesim.hbm.continuation import Bordered, Controls, solve
 from timesim.hbm.curve import HbmCurve
-from timesim.hbm.period import contact_forces
 from timesim.hbm.scheme import MIN_SAMPLES, Scheme, coarsest
 from timesim.model.model import Model
-from timesim.orbit.fourier import half_range, to_coefficients, to_phasors
+from timesim.orbit.fourier import half_range
 from timesim.orbit.steady_state import switches
 
 HARMONICS = (1, 3, 5, 7, 9, 13, 19, 27, 39, 57, 81)
@@ -27,10 +26,12 @@ MAX_DOUBLINGS = 15  # of one time sample
 ENOUGH = 1e-5
 
 
-# Share of a contact force that may depend on where the samples lie, and the solutions that are looked at.
+# Share of the motion of the contacts that the error of the samples may make at the worst of some solutions, to which
+# amplitudes are meant to be right, and how many are looked at.
 SAMPLED, LOOKED_AT = 1e-3, 12
-# Shift of the samples, as a share of their distance, that shows it.
-SHIFT = 0.38
+# Least share of the frequency in the tangent of a curve by which that error is taken to be one at a frequency: beside
+# folds no solution is close at the same frequency.
+STEEPEST = 0.1
 # How many times as many samples are taken where they are too few, and the most that the program chooses.
 FINER, MOST_SAMPLES = 4, 2048
 
@@ -69,23 +70,26 @@ def with_more_samples(
 def sampling_error(
     model_at: Callable[[float], Model], curve: HbmCurve, schemes: Sequence[Scheme], rows: NDArray[np.int64]
 ) -> float:
-    """Change of a contact force, relative to its largest coefficient, as the samples shift: the most along a curve.
+    """Change of the motion of the contacts with `FINER` times as many samples, relative to it: the most along a curve.
 
-    No other program is compiled for it.
+    By one step of Newton's method, whose derivatives are those of the samples at hand: no other program is compiled.
     """
     worst = 0.0
     for i in rows:
-        scheme = schemes[coarsest(schemes, curve.contact_motion[i])]
-        turn = np.exp(2j * np.pi * SHIFT / scheme.time_samples * np.arange(scheme.harmonics + 1))
-        balance = Balance(model_at(float(curve.parameter[i])), float(curve.frequency[i]), scheme)
-        motion = curve.contact_motion[i][..., : balance.size] / balance.length
-        moved = to_coefficients(to_phasors(motion) * turn)
-        here, there = (contact_forces(balance.law, balance.basis, own).coefficient for own in (motion, moved))
-        change = np.abs(there - to_coefficients(to_phasors(here) * turn)).max(axis=(1, 2))
-        at_work = switches(curve.slip_share[i], curve.separation_share[i])
-        # A contact may touch between two of the samples only, or miss all of those that are shifted.
-        size = np.maximum(np.abs(here), np.abs(there)).max(axis=(1, 2))
-        worst = max(worst, float((change / np.maximum(size, 1e-300))[at_work].max()))
+        scheme, frequency = schemes[coarsest(schemes, curve.contact_motion[i])], float(curve.frequency[i])
+        balance = Balance(model_at(float(curve.parameter[i])), frequency, scheme)
+        finer = replace(scheme, time_samples=max(min(FINER * scheme.time_samples, MOST_SAMPLES), scheme.time_samples))
+        x = curve.contact_motion[i][..., : balance.size].ravel() / balance.length
+        size = float(np.linalg.norm(x))
+        _, by_x, by_p = balance.linearised(x, frequency)
+        try:
+            bordered = Bordered(by_x, by_p * (frequency / size), np.append(np.zeros(x.size), 1.0))
+        except np.linalg.LinAlgError:
+            continue
+        tangent, _ = bordered.tangent()
+        change = bordered.solve(-balance.with_scheme(finer).value(x, frequency) / size, 0.0)
+        across = float(np.linalg.norm(change - (tangent @ change) * tangent))
+        worst = max(worst, across / max(abs(tangent[-1]), STEEPEST))
     return worst
 
 

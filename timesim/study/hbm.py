@@ -12,7 +12,7 @@ from xarray import Dataset
 
 from timesim.engine.status import RunError
 from timesim.fault import RuleError
-from timesim.hbm.branches import SettledMotion, curves_from_both_ends, isolated_curves
+from timesim.hbm.branches import SettledMotion, curves_from_ends, isolated_curves
 from timesim.hbm.continuation import Controls, Ending
 from timesim.hbm.convergence import Convergence, Known, convergence, neglected, with_more_samples
 from timesim.hbm.curve import HbmCurve, hbm_curve
@@ -158,8 +158,8 @@ class Curves:
             yield StudyCurve(values, model_at, curve)
             return
         model = self.scene.variant(values)
-        if plan.both_ends:
-            curves = curves_from_both_ends(model, *plan.span, **options)
+        if guess is None:
+            curves = curves_from_ends(model, *plan.span, both=plan.both_ends, **options)
         else:
             curves = [hbm_curve(model, *plan.span, guess=guess, begin=begin, **options)]
         yield from (StudyCurve(values, model_at, curve) for curve in curves)

@@ -1,6 +1,6 @@
 """Continuation of the solutions of any residual in a parameter: points, steps, folds."""
 
-from timesim.hbm.continuation.bordered import Condensed
+from timesim.hbm.continuation.bordered import Bordered, Condensed
 from timesim.hbm.continuation.corrector import Controls, solve
 from timesim.hbm.continuation.residual import NoSolutionError, Residual
 from timesim.hbm.continuation.solutions import Curve, Ending, Solution, joined, part_of
@@ -8,6 +8,7 @@ from timesim.hbm.continuation.tracker import SAME, follow, follow_both_ways
 
 __all__ = [
     "SAME",
+    "Bordered",
     "Condensed",
     "Controls",
     "Curve",

@@ -265,8 +265,10 @@ class Corrector:
         """The point between two others at which the parameter turns, which it does where the cubic through them does.
 
         Raises:
-            NoSolutionError: Newton's method fails.
+            NoSolutionError: Newton's method fails, or the curve turns by more than a right angle: no cubic does.
         """
+        if low.tangent @ high.tangent <= 0:
+            raise NoSolutionError
         first, normal = low, low.tangent
         for _ in range(MAX_FOLD):
             begin, length = (low.y - first.y) @ normal, (high.y - low.y) @ normal

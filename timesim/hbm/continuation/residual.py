@@ -39,7 +39,7 @@ class Adaptive(Residual, Protocol):
         """Undo the last `adapt` or `refine`; of several `refine`, one after the other."""
 
     def refine(self) -> bool:
-        """Take more, and not less from now on; False if there are no more."""
+        """Take more, and not less for the next solutions; False if there are no more."""
 
 
 class NoSolutionError(Exception):

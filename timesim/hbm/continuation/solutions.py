@@ -19,13 +19,14 @@ class Ending(Enum):
     START = "no solution at the start"
     STEP = "Newton's method fails even at the smallest step; smaller min_step, or a smoother residual, may help"
     POINTS = "the largest number of points is reached; raise max_points or max_step"
+    RETURNED = "complete: the curve turned back to where it began; the one from the other end of the range is another"
     LEFT = "the curve turned back and left the range where it began; begin at the other end of the range"
     INTERRUPTED = "interrupted"
 
     @property
     def complete(self) -> bool:
-        """Whether the whole range, or the whole of a closed curve, was followed."""
-        return self in (Ending.COMPLETE, Ending.CLOSED)
+        """Whether the whole range was followed, or the whole of a curve in it."""
+        return self in (Ending.COMPLETE, Ending.CLOSED, Ending.RETURNED)
 
 
 Solution = tuple[Array, float, bool, int]

@@ -41,6 +41,11 @@ SAME = 1e-5
 NEAR_CORNER = 0.01
 # Cosine of the turn at a corner beyond which the curve goes to it, how close, and the share of the way at a time.
 SHARP, AT_CORNER, APPROACH = 0.5**0.5, 1e-6, 0.95
+# Longest step over which the orientation of the curve may change, as at a bifurcation: a longer one leads to another
+# part of it, as beside a corner at which it turns back.
+BRANCHING = 1e-6
+# Iterations of Newton's method from which on the next step is shorter.
+SLOW = 6
 # Growth of a step at most, and of one that is shorter than the first, as behind a corner.
 GROWTH, CATCHING_UP = 1.6, 3.0
 
@@ -179,14 +184,14 @@ class _PathTracker:
                 continue
             turn = float(np.arccos(np.clip(point.tangent @ new.tangent, -1.0, 1.0)))
             elsewhere = new.orientation * point.orientation < 0
-            if turn > self.controls.turn * (0.5 if elsewhere else 2):
+            if turn > self.controls.turn * (0.5 if elsewhere else 2) or (elsewhere and length > BRANCHING):
                 if not elsewhere and (step := self._around_corner(point, length, new)) is not None:
                     return step
                 length /= 3
                 continue
             fastest = GROWTH if length > self.controls.first_step else CATCHING_UP
             growth = np.clip(np.sqrt(self.controls.turn / max(turn, 1e-9)), 0.5, fastest)
-            if new.iterations > 4:
+            if new.iterations > SLOW:
                 growth = min(growth, 0.7)
             return _Step(new, length, min(float(growth) * length, self.controls.max_step))
         return self._jump(point)
