@@ -193,7 +193,7 @@ def test_the_steady_state_of_a_linear_scene_against_integration() -> None:
     times = np.linspace(0, 2 * np.pi, 20001)
     path = solve_ivp(rate, times[[0, -1]], begin, method="DOP853", rtol=1e-11, atol=1e-13, t_eval=times).y
     np.testing.assert_allclose(path[:, -1], begin, atol=1e-9 * np.abs(begin).max())
-    x = lane.shape @ path[:3]
+    x = lane.frame.shape @ path[:3]
     np.testing.assert_allclose(found.amplitude.ravel(), np.ptp(x, axis=1) / 2, atol=1e-6 * found.amplitude.max())
     pushed = [solve_ivp(rate, (0, 2 * np.pi), begin + e, method="DOP853", rtol=1e-11, atol=1e-13) for e in np.eye(6)]
     slope = np.stack([end.y[:, -1] - path[:, -1] for end in pushed], axis=1)
