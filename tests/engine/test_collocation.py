@@ -85,6 +85,17 @@ def test_the_extremes_of_each_step_are_those_of_its_parts() -> None:
         np.testing.assert_allclose(found, true, rtol=0, atol=1e-6 * np.abs(true).max())
 
 
+def test_a_free_body_that_begins_at_rest_beside_a_mode_that_rings() -> None:
+    """No vibration bounds the body, whose velocity over a natural frequency of 0 would be no number."""
+    stiffness, shapes = [0.0, 1.0, 1e6], [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    body = structure(stiffness, [0.0, 0.01, 0.0], shapes)
+    start = replace(at_rest(3, 0), displacement=np.array([0.0, 0.0, 1e-3]))
+    model = Model(body, (), excitation(0.1, [1.0, 1.0, 0.0], [0.0, 0.0, 0.0]), start)
+    amplitude = np.array(simulate(model, 2, LOOSE).totals.amplitude)
+    assert amplitude[-1].max(axis=0)[1] == pytest.approx(1e-3, rel=1e-3)
+    assert np.isfinite(amplitude).all()
+
+
 def test_a_step_of_more_vibrations_than_memory_holds_is_refused() -> None:
     model = generated_models()[COUPLED]
     steps = next(Run(model, [Phase(model.excitation.frequency or 0.0, 12)], LOOSE).batches())

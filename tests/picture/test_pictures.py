@@ -479,7 +479,9 @@ def test_pictures_need_no_pyplot(tmp_path: Path) -> None:
         "timesim.picture.style.axes().figure.savefig(sys.argv[1])\n"
         "assert not {'matplotlib.pyplot', 'jax', 'xarray'} & set(sys.modules)\n"
     )
-    subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.png")], check=True, timeout=60)
+    command = [sys.executable, "-c", code, str(tmp_path / "a.png")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stderr
 
 
 def test_figures_go_with_their_last_reference(run: xarray.Dataset, tmp_path: Path) -> None:

@@ -132,6 +132,25 @@ def test_pictures_name_what_they_show(result):
     assert plot_compare.contact_states(result).get_xlabel() == "phase of the excitation [degree]"
 
 
+def test_bars_bear_the_whole_name_of_their_method(result):
+    """Left of the bars, where a long line is cut off by the edge of the picture."""
+    figure = plot_compare.PICTURES["cycle"](result)
+    figure.draw_without_rendering()
+    labels = figure.axes[1].get_yticklabels()
+    assert {label.get_text().splitlines()[-1] for label in labels} == set(plot_compare.SHORT.values())
+    assert min(label.get_window_extent().x0 for label in labels) >= 0
+
+
+def test_a_difference_of_an_unsettled_point_is_hollow(result):
+    sweep = result["sweep"].to_dataset()
+    loose = result.copy()
+    loose["sweep"] = xarray.DataTree(sweep.assign(settled=sweep.settled * 0))
+    lines = plot_compare.difference(loose).get_lines()
+    markers = [line for line in lines if line.get_marker() not in ("", "None") and np.size(line.get_xdata())]
+    assert {line.get_label() for line in markers} == {"not settled"}
+    assert {line.get_fillstyle() for line in markers} == {"none"}
+
+
 SHAPE = (2, 1, 3)
 """Two values, one direction, three frequencies."""
 

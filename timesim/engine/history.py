@@ -82,8 +82,9 @@ class CycleTotals:
         start, end: times of each cycle.
         work: done until the end of each cycle.
         stored: energy stored there.
-        peak: largest energy stored.
-        size: largest displacement and velocity in the last cycle, modes normalised to unit mass, shape (2,).
+        peak: largest energy stored at the end of a step.
+        size: largest displacement and velocity at the ends of the steps of the last cycle, modes normalised to unit
+            mass, shape (2,).
         transitions: how many there were.
     """
 

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from xarray import Dataset, DataTree
 
 METHODS = {"sweep": "time integration", "hbm": "harmonic balance"}
+SHORT = {"sweep": "in time", "hbm": "balance"}  # beside a bar
 # Amplitudes of a point along an axis below this share of the largest do not count in the difference that is drawn.
 MINOR = 1e-3
 SMALL, WIDE = 3.2, 7.0  # sizes of a dot and of a triangle beside the point
@@ -64,31 +65,39 @@ def overlay(
     for where, look in _points(hbm, sweep):
         part = sweep.isel(where)
         y, settled = part[name].sel(point=point, axis=axis).values, part.settled.values > 0
-        ax.plot(part.frequency.values[settled], y[settled], **look)
-        if not settled.all():
-            hollow = look | {"label": "not settled", "fillstyle": "none", "markeredgecolor": look["color"]}
-            hollow["ms"] *= 1.5
-            ax.plot(part.frequency.values[~settled], y[~settled], **hollow)
+        _settled_or_hollow(ax, part.frequency.values, y, settled, look)
     if name == "amplitude":
         from_zero(ax)
     return ax
 
 
 def difference(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
-    """Largest relative difference of a point's amplitudes at each frequency; pale where the motion is linear."""
+    """Largest relative difference of a point's amplitudes at each frequency.
+
+    Pale where the motion is linear, hollow where it has not settled.
+    """
     ax, (hbm, sweep) = axes(ax), _groups(data)
     counts = sweep.amplitude > MINOR * sweep.amplitude.max(("point", "axis"))
     size = abs(data["relative_difference"].where(counts.values)).max(("point", "axis"))
     linear = ~switches(sweep.slip_share * rubs(sweep), sweep.separation_share).any("contact")
     for where, look in _points(hbm, sweep):
         x, y, pale = sweep.frequency.values, size.isel(where).values, linear.isel(where).values
-        ax.plot(x[~pale], y[~pale], **look)
-        ax.plot(x[pale], y[pale], alpha=0.25, **look)
+        settled = sweep.settled.isel(where).values > 0
+        for which, faint in ((~pale, {}), (pale, {"alpha": 0.25})):
+            _settled_or_hollow(ax, x[which], y[which], settled[which], look | faint)
     for fold in hbm.frequency.values[hbm.fold.values > 0]:
         ax.axvline(fold, color="0.6", linewidth=0.7, linestyle=":", label="frequency of a fold")
     ax.set_yscale("log")
     ax.set(xlabel="frequency [Hz]", ylabel="relative difference [1]")
     return ax
+
+
+def _settled_or_hollow(ax: "Axes", x: np.ndarray, y: np.ndarray, settled: np.ndarray, look: dict[str, Any]) -> None:
+    """Points as filled markers where they have settled, as larger hollow ones where they have not."""
+    ax.plot(x[settled], y[settled], **look)
+    if not settled.all():
+        hollow = look | {"label": "not settled", "fillstyle": "none", "markeredgecolor": look["color"]}
+        ax.plot(x[~settled], y[~settled], **hollow | {"ms": 1.5 * look["ms"]})
 
 
 def share(data: "DataTree", ax: "Axes | None" = None, *, state: str = "slip") -> "Axes":
@@ -147,7 +156,7 @@ def contact_states(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
         parts = ((angle[a], angle[b], int(state[a])) for a, b in pairwise(edges))
         state_bar(ax, row, parts, stop=is_stop(cycle, contact))
     ax.set_ylim(len(rows) - 0.4, -0.6)
-    ax.set_yticks(range(len(rows)), [f"{short(str(contact), 8)}, {method}" for contact, method in rows])
+    ax.set_yticks(range(len(rows)), [f"{short(str(contact), 10)}\n{SHORT[method]}" for contact, method in rows])
     ax.grid(False)
     return _over_cycle(ax)
 

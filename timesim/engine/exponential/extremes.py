@@ -67,8 +67,10 @@ def _through_nodes(system: System, inside: Inside, shape: np.ndarray, missed: fl
     off = rule.touch * np.abs(np.tensordot(through, rule.hermite[-1], (1, 0)))
     doubt = off @ reach
     if doubt.max() > missed:
-        with np.errstate(divide="ignore"):
-            swing = 2 * np.hypot(inside.q, inside.p / np.sqrt(diagonals(system)[0])).max(axis=1)
+        root = np.sqrt(diagonals(system)[0])
+        # A free body has no vibration that bounds it, at rest either: 0/0 would be no number, and the extreme with it.
+        bound = np.divide(inside.p, root, out=np.full_like(inside.p, np.inf), where=root > 0)
+        swing = 2 * np.hypot(inside.q, bound).max(axis=1)
         rings = swing < off
         through = np.where(rings[:, None], 0.0, through)
         doubt = np.minimum(swing, off) @ reach
