@@ -5,8 +5,8 @@
 One number grows at a time, each value in a process of its own that keeps to one core: CPU after a first run, which
 compiles, in all and for a piece of the work; the exponent of the latter between a value and the one before; peak memory
 of the process. Modes, contacts and transitions are those of `many_modes` (tsit5, rtol 1e-6, 10 cycles), with the more
-transitions the larger the load, and nothing left out; cycles (as `timesim run` records them), lanes and points are
-those of the paper's oscillator.
+transitions the larger the load, and nothing left out; cycles (as `timesim run` records
+them), lanes and points are those of the paper's oscillator.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
@@ -81,8 +81,8 @@ def of_contacts(number: int) -> Cost:
 
 
 def of_transitions(percent: int) -> Cost:
-    """20 modes with 4 contacts under a preload of 1, by a percentage of the load."""
-    model = many_modes(20, 4)
+    """20 modes with 32 contacts under a preload of 1, by a percentage of the load."""
+    model = many_modes(20, 32)
     x, contacts = model.excitation, tuple(replace(contact, preload=1.0) for contact in model.contacts)
     load = replace(x, cosine=percent / 100 * x.cosine, sine=percent / 100 * x.sine)
     model = replace(model, contacts=contacts, excitation=load)
@@ -115,10 +115,12 @@ class Axis(NamedTuple):
     cost: Callable[[int], Cost]
 
 
+LOADS = (200, 250, 300, 400, 800, 1600)
+
 AXES = {
     "modes": Axis((10, 20, 40, 80, 160, 320), "step", "3 contacts", of_modes),
     "contacts": Axis((1, 2, 4, 8, 16, 32), "step", "40 modes", of_contacts),
-    "transitions a cycle": Axis((50, 100, 200, 400), "step", "20 modes, 4 contacts", of_transitions),
+    "transitions a cycle": Axis(LOADS, "step", "20 modes, 32 contacts", of_transitions),
     "cycles": Axis((30, 100, 300, 1000, 3000, 10000), "cycle", "recorded run of the oscillator", of_cycles),
     "lanes": Axis((1, 4, 16, 64, 256, 1024), "lane and cycle", "oscillator", of_lanes),
     "points": Axis((200, 500, 1000), "point", "sweep of the oscillator", of_points),

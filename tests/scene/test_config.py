@@ -708,11 +708,11 @@ def test_check_estimates_the_cost_of_each_phase():
     def said(name: str, *overrides: str) -> tuple[str, ...]:
         return describe(load_scene(CONFIGS / f"{name}.yaml", overrides)).get("cost", ())
 
-    # 75 + 4.9 x 2.19 steps for stability, of 3.8 + 0.16 x 2 modes x 1 contact µs each.
+    # 75 + 4.9 x 2.19 steps for stability, of 3.0 + 0.078 x 2 modes x 1 contact µs each.
     (run, source) = said("oscillator")
-    assert run == "about 60 cycles of 353 µs: 21 ms"
+    assert run == "about 60 cycles of 271 µs: 16 ms"
     assert "one core" in source
-    assert said("oscillator", "study.cycles=10000000")[0] == "about 10000000 cycles of 353 µs: 59 min"
+    assert said("oscillator", "study.cycles=10000000")[0] == "about 10000000 cycles of 271 µs: 45 min"
     sweep, balance, _ = said("figure10")
     assert sweep.startswith("about 774 points of ")
     # 7 + 3 + 0.18 x 2 modes, of 256 samples; 0.8 of it goes with them.
