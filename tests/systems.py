@@ -7,6 +7,7 @@ frequencies.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -290,6 +291,29 @@ def generated_model(seed: int, num_modes: int, num_contacts: int) -> Model:
         constant=rng.choice([0.0, 0.2]) * stiffness * length * rng.uniform(-1, 1, num_modes),
     )
     return Model(body, contacts, load, at_rest(num_modes, num_contacts))
+
+
+def provable_model(seed: int, room: float) -> Model:
+    """A generated model, its preloads and gaps `room` times as wide; some start displaced or with slip."""
+    num_modes, num_contacts = ((2, 1), (3, 2), (4, 3))[seed % 3]
+    model = generated_model(seed, num_modes, num_contacts)
+    size = model.excitation.cosine.max() / model.structure.stiffness.max()
+    rng = np.random.default_rng([seed, 5])
+    contacts = tuple(_roomy(contact, room, size) for contact in model.contacts)
+    start = Start(
+        rng.choice([0.0, 0.5]) * size * rng.uniform(-1, 1, num_modes),
+        rng.choice([0.0, 0.5]) * size * model.structure.omega * rng.uniform(-1, 1, num_modes),
+        rng.choice([0.0, 0.5]) * size * rng.uniform(-1, 1, (num_contacts, 2)),
+        np.full(num_contacts, -1),
+        rng.uniform(0, 2 * np.pi),
+    )
+    return replace(model, contacts=contacts, start=start)
+
+
+def _roomy(contact: Contact, room: float, size: float) -> Contact:
+    width = max(abs(contact.preload), 0.1 * contact.normal_stiffness * size)
+    stop = contact.friction == 0
+    return replace(contact, preload=room * width * (-1 if stop or contact.preload < 0 else 1))
 
 
 # (seed, modes, contacts): found by search so that a contact slips for 5 to 95 % of the last of 12 cycles

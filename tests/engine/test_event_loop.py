@@ -21,15 +21,15 @@ from systems import GENERATED_CYCLES, generated_models, oscillator
 
 import timesim
 from timesim.engine import dense_output as hermite
-from timesim.engine import trajectory
-from timesim.engine.event_loop import advance
+from timesim.engine import event_loop
+from timesim.engine.event_loop import BATCH, advance
 from timesim.engine.history import sample
 from timesim.engine.method import step_method
 from timesim.engine.solver import step_control
 from timesim.engine.status import RunError, Status
 from timesim.engine.step import begin, judged
 from timesim.engine.system import system_of
-from timesim.engine.trajectory import BATCH, Frame, Phase, Run
+from timesim.engine.trajectory import Frame, Phase, Run
 from timesim.model.contact_state import contact_loads
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.solver import PRESETS, Solver
@@ -488,13 +488,13 @@ def compilations(work: Callable[[], Any]) -> int:
 def test_a_long_run_is_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The loop goes on from what it has returned by the same program: a weak type at its start would be another one."""
     seen: list[list[tuple[str, bool]]] = []
-    compiled = trajectory.advance
+    compiled = event_loop.advance
 
     def advance(method: Any, control: Any, system: Any, now: Any, *more: Any) -> Any:
         seen.append([(str(leaf.dtype), leaf.weak_type) for leaf in jax.tree.leaves(now)])
         return compiled(method, control, system, now, *more)
 
-    monkeypatch.setattr(trajectory, "advance", advance)
+    monkeypatch.setattr(event_loop, "advance", advance)
     simulate(oscillator(3.0, 1.39), 12)
     assert len(seen) > 1
     assert all(leaves == seen[0] for leaves in seen)

@@ -74,7 +74,7 @@ def test_friction_losses_stand_under_their_contacts():
     energy = frame.scales.energy
     before = np.arange(5.0) * energy
     done = Work(jnp.asarray(1.0), jnp.asarray(2.0), jnp.asarray([3.0, 4.0]))
-    found = frame.work(done, before)
+    found = frame.work(done, before, np.zeros(3))
     np.testing.assert_allclose((found - before) / energy, [1.0, 2.0, 3.0, 0.0, 4.0], rtol=0, atol=1e-12)
 
 

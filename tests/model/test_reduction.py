@@ -12,12 +12,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from systems import at_rest, den_hartog, excitation, generated_model, oscillator, pad, structure
+from systems import at_rest, den_hartog, excitation, generated_model, oscillator, pad, provable_model, structure
 
+from timesim.model.held import springs
 from timesim.model.model import GROUND, SEPARATION, SLIP, STICK, Contact, Excitation, Model, Start, Structure
-from timesim.model.reduction import Reduction, _normalised, reduction_of, stuck_force, stuck_matrix
+from timesim.model.reduction import Reduction, _normalised, reduction_of
 
 # --- helpers ---------------------------------------------------------------------------------------
+
+
+def stuck_matrix(reduction: Reduction) -> np.ndarray:
+    """Modal stiffness ``B^T diag(K_u, k_v) B`` of the stuck contacts, in the kept modes."""
+    shape = reduction.model.contact_shape[:, :, reduction.modes]
+    each = (shape[c].T @ springs(reduction.model.contacts[c]) @ shape[c] for c in reduction.stuck)
+    return sum(each, np.zeros((reduction.modes.size, reduction.modes.size)))
 
 
 def linear_run(
@@ -32,7 +40,7 @@ def linear_run(
     mass = body.mass[keep]
     damping = np.diag(body.damping) if body.damping.ndim == 1 else body.damping
     stiffness = np.diag(body.stiffness[keep]) + stuck_matrix(reduction)
-    constant = load.constant[keep] + stuck_force(reduction)
+    constant = load.constant[keep] + reduction.held_force
     n, h = keep.size, load.harmonic.size
     unit = 2 * np.pi * phases[0][0]
     y = np.concatenate(
@@ -484,29 +492,6 @@ def test_what_hangs_together_stays_live_together(coupling: str) -> None:
 # --- proofs against runs ---------------------------------------------------------------------------
 
 
-def provable_model(seed: int, room: float) -> Model:
-    """A generated model, its preloads and gaps `room` times as wide; some start displaced or with slip."""
-    num_modes, num_contacts = ((2, 1), (3, 2), (4, 3))[seed % 3]
-    model = generated_model(seed, num_modes, num_contacts)
-    size = model.excitation.cosine.max() / model.structure.stiffness.max()
-    rng = np.random.default_rng([seed, 5])
-    contacts = tuple(_roomy(contact, room, size) for contact in model.contacts)
-    start = Start(
-        rng.choice([0.0, 0.5]) * size * rng.uniform(-1, 1, num_modes),
-        rng.choice([0.0, 0.5]) * size * model.structure.omega * rng.uniform(-1, 1, num_modes),
-        rng.choice([0.0, 0.5]) * size * rng.uniform(-1, 1, (num_contacts, 2)),
-        np.full(num_contacts, -1),
-        rng.uniform(0, 2 * np.pi),
-    )
-    return replace(model, contacts=contacts, start=start)
-
-
-def _roomy(contact: Contact, room: float, size: float) -> Contact:
-    width = max(abs(contact.preload), 0.1 * contact.normal_stiffness * size)
-    stop = contact.friction == 0
-    return replace(contact, preload=room * width * (-1 if stop or contact.preload < 0 else 1))
-
-
 def _border(holds: object, low: float = 1e-3, high: float = 1e6) -> float:
     """Least room from which on a claim, monotone in it, holds; to 0.1 %."""
     assert callable(holds)
@@ -653,13 +638,13 @@ def test_stuck_matrix_and_force_are_those_of_the_contact_law() -> None:
         n = (preload + contact.normal_stiffness * v) * stuck
         g = np.array([*(-f), -(n - max(preload, 0.0))])
         expected = model.contact_shape[c].T @ g
-        np.testing.assert_allclose(stuck_force(taken) - stuck_matrix(taken) @ q, expected, atol=1e-14)
+        np.testing.assert_allclose(taken.held_force - stuck_matrix(taken) @ q, expected, atol=1e-14)
 
 
 def test_stuck_matrix_and_force_have_the_rows_of_the_modes_kept() -> None:
     found = reduction_of(mixed(), [1.0])
     assert stuck_matrix(found).shape == (4, 4)
-    assert stuck_force(found).shape == (4,)
+    assert found.held_force.shape == (4,)
     assert np.linalg.matrix_rank(stuck_matrix(found)) == 1
 
 
@@ -674,7 +659,7 @@ def test_reduce_off_keeps_everything() -> None:
     assert found.line is None
     assert not found.findings
     assert not np.any(stuck_matrix(found))
-    assert not np.any(stuck_force(found))
+    assert not np.any(found.held_force)
 
 
 def test_findings_name_what_is_taken_out() -> None:

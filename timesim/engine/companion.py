@@ -95,6 +95,15 @@ def companion_of(run: Run) -> Run:
     return Run(run.model, run.phases, coarser(run.solver), run.method)
 
 
+def rounding(run: Run, totals: CycleTotals) -> Estimate:
+    """The error of a run in closed form: what rounding does to its natural frequencies, carried through it at once."""
+    other = Run(run.model, run.phases, run.solver)
+    other.leap(rounded=True)
+    apart = state_error(run.model, run.phases[-1].frequency, run, other, totals.size)
+    state = max(apart, ROUNDING * np.sqrt(run.num_cycles))
+    return Estimate(state, np.full(len(totals.amplitude), state + run.solver.rtol))
+
+
 def estimate(run: Run, totals: CycleTotals, companion: Run, show: Callable[[Run], None]) -> Estimate:
     """The error of a run that has come to its end.
 

@@ -5,22 +5,87 @@ A call advances by a number of cycles, or until its record of steps is full: mem
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+from collections.abc import Iterator
 from functools import partial
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Int
 
+from timesim.engine.exponential.work import has_fast_modes, work_done
 from timesim.engine.lanes import Over, advance_lanes, batch_first, batch_last, by_itself, over_lanes
 from timesim.engine.law.contact_law import Dynamics
 from timesim.engine.method import Method
 from timesim.engine.solver import Control
 from timesim.engine.status import Status
 from timesim.engine.step import Step, Trajectory, try_step
+from timesim.engine.system import Point, System, Work
 from timesim.program import program
 
 D = TypeVar("D", bound=Dynamics)
+Rows = TypeVar("Rows")
+ROOM = 2**18  # numbers in a batch of steps: what is done once a batch hardly counts, and XLA runs the loop as one
+LEAST, BATCH = 64, 2048  # steps handed over at a time, at least and at most
+
+
+class Reached(NamedTuple):
+    """Where a trajectory stands, as of `timesim.engine.step.Trajectory`; numpy arrays."""
+
+    cycle: np.ndarray
+    time: np.ndarray
+    point: Point
+    state: np.ndarray
+    status: np.ndarray
+    culprit: np.ndarray
+
+
+class Batch(NamedTuple):
+    """Accepted steps in a row, as numpy arrays, their axis the first.
+
+    Attributes:
+        loop: the steps.
+        work: energies since the first step of all batches.
+        now: the trajectory after them.
+    """
+
+    loop: Step
+    work: Work
+    now: Reached
+
+
+def batches(method: Method, control: Control, system: System, now: Trajectory, cycles: int) -> Iterator[Batch]:
+    """Steps of one trajectory through some cycles from the start of one, or until it ends early."""
+    room = capacity(system, 0 if method.integrates_work else method.order)
+    fast, done = (
+        has_fast_modes(system, float(control.longest)),
+        Work(np.zeros(()), np.zeros(()), np.zeros(now.state.shape)),
+    )
+    while now.cycle < cycles and now.status == Status.RUNNING:
+        now, record, count = advance(method, control, system, now, np.asarray(cycles), room)
+        loop = first_rows(record, int(count))
+        if method.integrates_work:
+            work = loop.end.work
+        else:
+            each = first_rows(work_done(system, fast, record, count), int(count))
+            work = jax.tree.map(lambda before, rows: before + np.cumsum(rows, axis=0), done, each)
+            done = jax.tree.map(lambda rows: rows[-1], work) if loop.h.size else done
+        here = Reached(now.cycle, now.time, now.point, now.state, now.status, now.culprit)
+        yield Batch(loop, work, jax.tree.map(np.asarray, here))
+
+
+def first_rows(record: Rows, count: int) -> Rows:
+    """The filled part of a record, on the host."""
+    filled: Rows = jax.tree.map(lambda rows: np.asarray(rows)[:count], record)
+    return filled
+
+
+def capacity(system: System, num_nodes: int) -> int:
+    """Steps of a batch, a power of two; ``num_nodes``: places at which a step is known, 0 if only at its ends."""
+    axes, (contacts, modes) = len(system.shape), system.shape[0].shape
+    row = 8 * modes + (4 * axes + 2) * contacts + num_nodes * (3 * modes + (2 * axes + 1) * contacts)
+    return int(min(max(2 ** np.ceil(np.log2(ROOM / row)), LEAST), BATCH))
 
 
 @program

@@ -2,6 +2,10 @@
 
 import enum
 
+from timesim.model.model import Model
+from timesim.model.reduction import Reduction
+from timesim.model.solver import Solver
+
 
 class RunError(Exception):
     """A run that ended early: the message says when, why and what to try."""
@@ -49,3 +53,9 @@ class Status(enum.IntEnum):
         """What has ended a trajectory, and what to try; ``contact``: that of the last transition, if there is any."""
         last = f"; contact '{contact}' switched last" if contact else ""
         return f"{self.reason}{last}. {self.advice}".format(solver=solver, budget=budget)
+
+
+def message_of(model: Model, reduction: Reduction, solver: Solver, status: int, culprit: int) -> str:
+    """What a status that has ended a trajectory means, and what to try."""
+    contact = model.contacts[reduction.live[culprit]].name if reduction.live.size else None
+    return Status(status).message(solver=solver.name, budget=solver.budget, contact=contact)

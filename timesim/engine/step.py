@@ -80,9 +80,9 @@ class Trajectory(eqx.Module):
 class Step(eqx.Module):
     """One accepted step, for dense output and the log of transitions; ``state_after`` differs at a transition."""
 
-    cycle: Int[Array, ""]
-    time: Float[Array, ""]
-    h: Float[Array, ""]
+    cycle: Int[Leaf, ""]
+    time: Float[Leaf, ""]
+    h: Float[Leaf, ""]
     start: ContinuousState
     start_rate: ContinuousState
     end: ContinuousState

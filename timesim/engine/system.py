@@ -33,8 +33,8 @@ from timesim.engine.law.contact_law import (
 )
 from timesim.engine.law.table import law_class
 from timesim.model.model import Model
-from timesim.model.reduction import Reduction, reduction_of, stuck_force, stuck_matrix
-from timesim.model.scales import scales_of
+from timesim.model.reduction import COUPLED, Reduction, reduction_of
+from timesim.model.scales import Scales, scales_of
 
 
 class Work(eqx.Module):
@@ -85,7 +85,7 @@ class System(Dynamics):
         law: parameters of the contacts.
         shape: B, relative motion at the contacts for a unit of each mode: one array (contact, mode) for each
             tangential axis, and the normal last.
-        stiffness: ``(omega_i / Omega)^2``, or a matrix where stuck contacts are taken into the structure.
+        stiffness: ``(omega_i / Omega)^2``.
         damping: ``2 zeta_i omega_i / Omega``, or a matrix where the modes do not diagonalise it.
         harmonic: the multiples of the base frequency that are excited.
         cosine, sine: modal forces at them.
@@ -97,7 +97,7 @@ class System(Dynamics):
 
     law: ContactLaw
     shape: tuple[Float[Leaf, "contact mode"], ...]
-    stiffness: Float[Leaf, " mode"] | Float[Leaf, "mode mode"]
+    stiffness: Float[Leaf, " mode"]
     damping: Float[Leaf, " mode"] | Float[Leaf, "mode mode"]
     harmonic: Float[Leaf, " harmonic"]
     cosine: Float[Leaf, "harmonic mode"]
@@ -163,7 +163,7 @@ def contact_force(system: System, f: Plane, n: Scalar) -> Plane:
 def _response(system: System, time: Float[Array, ""], point: Point, acts: Reaction) -> Point:
     drive = excitation(system, time)
     drag = times(system.damping, point.p, system.by_itself)
-    acceleration = drive - drag - times(system.stiffness, point.q, system.by_itself)
+    acceleration = drive - drag - system.stiffness * point.q
     for axis, force in zip(system.shape, contact_force(system, acts.f, acts.n), strict=True):
         acceleration = acceleration + times(axis.T, force, system.by_itself)
     power = None
@@ -189,31 +189,48 @@ def system_of(model: Model, frequency: float, phase: float = 0.0, reduction: Red
     """
     reduction = reduction_of(model, [frequency], reduce=False) if reduction is None else reduction
     scales, excited, modes = scales_of(model, frequency), model.excitation, reduction.modes
-    root = np.sqrt(model.structure.mass[modes])
-    push = scales.mode[modes] * root**2 * scales.omega**2
-    damping = model.structure.damping / scales.omega
-    whole = damping.ndim == 2
-    damping = damping[np.ix_(modes, modes)] / np.outer(root, root) if whole else damping[modes] / root**2
-    stiffness = (model.structure.omega[modes] / scales.omega) ** 2
-    constant = excited.constant[modes]
-    if reduction.stuck.size:
-        stiffness = np.diag(stiffness) + stuck_matrix(reduction) / np.outer(root, root) / scales.omega**2
-    if reduction.stuck.size or reduction.apart.size:
-        constant = constant + stuck_force(reduction)
+    omega, turn = reduction.natural
+    push = _push(model, modes, scales)
     shape = model.contact_shape[reduction.live][:, :, modes] * scales.mode[modes] / scales.length
     axes, live = contact_axes(model, reduction), [model.contacts[i] for i in reduction.live]
     shape = np.concatenate([np.einsum("cax,cam->cxm", axes, shape[:, :2]), shape[:, 2:]], axis=1)
+    rows = [*np.moveaxis(shape, 1, 0), excited.cosine[:, modes] / push, excited.sine[:, modes] / push]
+    rows.append(excited.constant[modes] / push)
+    *shape, cosine, sine, constant = rows if turn is None else [row @ turn for row in rows]
     return System(
         law=law_class(live).of(live, scales, axes),
-        shape=tuple(np.asarray(shape[:, axis]) for axis in range(shape.shape[1])),
-        stiffness=np.asarray(stiffness),
-        damping=np.asarray(damping),
+        shape=tuple(shape),
+        stiffness=(omega / scales.omega) ** 2,
+        damping=_damping(model, modes, turn) / scales.omega,
         harmonic=np.asarray(excited.harmonic, dtype=float),
-        cosine=np.asarray(excited.cosine[:, modes] / push),
-        sine=np.asarray(excited.sine[:, modes] / push),
-        constant=np.asarray(constant / push),
+        cosine=cosine,
+        sine=sine,
+        constant=constant + held_force(reduction, scales),
         phase=np.asarray(phase, dtype=float),
     )
+
+
+def _push(model: Model, modes: np.ndarray, scales: Scales) -> np.ndarray:
+    """Unit of the modal force on each mode, shape (K,)."""
+    return scales.mode[modes] * model.structure.mass[modes] * scales.omega**2
+
+
+def held_force(reduction: Reduction, scales: Scales) -> np.ndarray:
+    """Constant force on the modes of the loop of the contacts that are left out, shape (K,)."""
+    force, turn = reduction.held_force / _push(reduction.model, reduction.modes, scales), reduction.natural[1]
+    return force if turn is None else force @ turn
+
+
+def _damping(model: Model, modes: np.ndarray, turn: np.ndarray | None) -> np.ndarray:
+    """Damping of natural modes of unit mass, by one number each where it does not couple them, [1/time]."""
+    damping, root = model.structure.damping, np.sqrt(model.structure.mass[modes])
+    whole = damping[np.ix_(modes, modes)] / np.outer(root, root) if damping.ndim == 2 else damping[modes] / root**2
+    if turn is None:
+        return whole
+    turned = turn.T @ (whole @ turn if whole.ndim == 2 else whole[:, None] * turn)
+    own = np.diagonal(turned)
+    couples = np.abs(turned - np.diag(own)).max() > COUPLED * np.abs(own).max()
+    return 0.5 * (turned + turned.T) if couples else own
 
 
 def contact_axes(model: Model, reduction: Reduction) -> np.ndarray:

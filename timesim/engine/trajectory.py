@@ -13,28 +13,27 @@ from functools import cached_property
 import jax
 import numpy as np
 
-from timesim.engine.event_loop import advance
+from timesim.engine.event_loop import Batch, Reached, batches
 from timesim.engine.exponential.extremes import extremes
+from timesim.engine.exponential.linear import linear_batches, linear_leap
 from timesim.engine.exponential.parts import short_steps
-from timesim.engine.exponential.work import has_fast_modes, work_done
 from timesim.engine.method import Method, step_method
-from timesim.engine.solver import Control, step_control
-from timesim.engine.status import RunError, Status
+from timesim.engine.solver import step_control
+from timesim.engine.status import RunError, Status, message_of
 from timesim.engine.step import Step as LoopStep
 from timesim.engine.step import Trajectory, begin
-from timesim.engine.system import Point, System, Work, contact_axes, system_of
+from timesim.engine.system import Point, System, Work, contact_axes, held_force, system_of
 from timesim.model.contact_state import contact_loads, slip_follows_motion, start_states
 from timesim.model.model import SEPARATION, STICK, Model, Start
 from timesim.model.reduction import Reduction, reduction_of
 from timesim.model.scales import Scales, scales_of
-from timesim.model.solver import Solver
+from timesim.model.solver import CLOSED_FORM, Solver
 from timesim.program import program
 
 _begin = program(begin)
 
-ROOM = 2**18  # numbers in a batch of steps: what is done once a batch hardly counts, and XLA runs the loop as one
-LEAST, BATCH = 64, 2048  # steps handed over at a time, at least and at most
 PERIOD = 2 * np.pi
+ROUNDED = 4 * np.finfo(float).eps  # of a frequency, of the highest where they are found from those of others
 
 
 @dataclass(frozen=True)
@@ -70,6 +69,8 @@ class Run:
         self.method = self.method or step_method(self.solver)
         frequencies = sorted({phase.frequency for phase in self.phases})
         self.reduction = reduction_of(self.model, frequencies, reduce=self.solver.reduce)
+        if self.closed and self.reduction.live.size:
+            raise ValueError("contacts that may leave their state have no motion in closed form")
         start = self.model.start
         self.displacement, self.velocity = start.displacement.copy(), start.velocity.copy()
         self.slip, self.state = start.slip.copy(), start_states(self.model)
@@ -82,6 +83,16 @@ class Run:
         """Cycles of the whole schedule."""
         return sum(phase.cycles for phase in self.phases)
 
+    @property
+    def closed(self) -> bool:
+        """Whether it is known in closed form."""
+        return self.solver.name == CLOSED_FORM
+
+    @property
+    def here(self) -> Start:
+        """The present state."""
+        return Start(self.displacement, self.velocity, self.slip, self.state, self.phase)
+
     def batches(self) -> "Iterator[Steps]":
         """Advance through the schedule, a batch of steps at a time.
 
@@ -92,34 +103,48 @@ class Run:
             yield from self._through(phase)
 
     def _through(self, phase: Phase) -> "Iterator[Steps]":
-        frame = Frame(self.model, self.reduction, phase.frequency)
-        system = system_of(self.model, phase.frequency, self.phase, self.reduction)
-        stiffest = self.model.stuck_rate / frame.scales.omega
-        method = self.method
-        system, control = jax.device_put((system, step_control(self.solver, stiffest)))
-        now = frame.begin(system, self, self.solver.first_step(stiffest), work=method.integrates_work)
-        origin = Origin(self.time, self.phase, self.completed, self.work.copy())
-        room = capacity(system, 0 if method.integrates_work else method.order)
-        while self.completed < origin.completed + phase.cycles:
-            clock = time.perf_counter()
-            first = self.compile_seconds == 0.0
-            now, record, count = advance(method, control, system, now, np.asarray(phase.cycles), room)
-            loop = first_rows(record, int(count))
-            done, before = loop.end.work, origin.work
-            if not method.integrates_work:
-                done, before = work_of(system, control, record, int(count)), self.work
-            if first:
+        frame, system, origin = self._at(phase)
+        start = frame.point(self.here)[0].q
+        batches, clock = self._batches(frame, system, phase.cycles), time.perf_counter()
+        for loop, done, now in batches:
+            if self.compile_seconds == 0.0 and not self.closed:
                 self.compile_seconds = time.perf_counter() - clock
             self._go_on(frame, now, origin)
             if loop.h.size:
-                work = frame.work(done, before)
+                work = frame.work(done, origin.work, loop.end.q - start)
                 self.work = work[-1]
                 yield Steps(frame, system, loop, origin, work, self.solver.rtol)
             self.judge(int(now.status), int(now.culprit))
 
-    def _go_on(self, frame: "Frame", now: Trajectory, origin: "Origin") -> None:
+    def _at(self, phase: Phase) -> "tuple[Frame, System, Origin]":
+        """What the present state is in at the start of a phase."""
+        frame = Frame(self.model, self.reduction, phase.frequency)
+        system = system_of(self.model, phase.frequency, self.phase, self.reduction)
+        return frame, system, Origin(self.time, self.phase, self.completed, self.work.copy())
+
+    def leap(self, *, rounded: bool = False) -> None:
+        """Go to the end of the schedule at once, of a run in closed form, without the energies.
+
+        ``rounded``: with natural frequencies that are off by as much as rounding may have changed them.
+        """
+        for phase in self.phases:
+            frame, system, origin = self._at(phase)
+            omega = np.sqrt(system.stiffness)
+            doubt = ROUNDED * rounded * (omega.max() if self.reduction.stuck.size else omega)
+            system = replace(system, stiffness=(omega + doubt) ** 2)
+            self._go_on(frame, linear_leap(system, frame.point(self.here)[0], phase.cycles), origin)
+
+    def _batches(self, frame: "Frame", system: System, cycles: int) -> Iterator[Batch]:
+        """Steps through some cycles from the present state."""
+        if self.closed:
+            return linear_batches(system, frame.point(self.here)[0], cycles, self.solver)
+        stiffest = self.model.stuck_rate / frame.scales.omega
+        system, control = jax.device_put((system, step_control(self.solver, stiffest)))
+        now = frame.begin(system, self, self.solver.first_step(stiffest), work=self.method.integrates_work)
+        return batches(self.method, control, system, now, cycles)
+
+    def _go_on(self, frame: "Frame", now: Reached, origin: "Origin") -> None:
         """Take up the present state of the loop."""
-        now = jax.tree.map(np.asarray, now)
         here = frame.start(now.point, now.state, origin.phase + float(now.time))
         self.displacement, self.velocity = here.displacement, here.velocity
         self.slip, self.state, self.phase = here.slip, here.state, here.phase
@@ -136,12 +161,6 @@ class Run:
             return
         message = message_of(self.model, self.reduction, self.solver, status, culprit)
         raise RunError(f"at time {self.time:.9g} s, in cycle {self.completed + 1}: {message}")
-
-
-def message_of(model: Model, reduction: Reduction, solver: Solver, status: int, culprit: int) -> str:
-    """What a status that has ended a trajectory means, and what to try."""
-    contact = model.contacts[reduction.live[culprit]].name if reduction.live.size else None
-    return Status(status).message(solver=solver.name, budget=solver.budget, contact=contact)
 
 
 @dataclass(frozen=True)
@@ -161,11 +180,11 @@ class Frame:
         self.model, self.reduction = model, reduction
         self.scales: Scales = scales_of(model, frequency)
         self.axes = contact_axes(model, reduction)
+        self.turn, self.held = reduction.natural[1], held_force(reduction, self.scales)
 
     def begin(self, system: System, run: Run, first_step: float, *, work: bool = True) -> Trajectory:
         """The loop's trajectory from the present state of a run, with or without its energies."""
-        start = Start(run.displacement, run.velocity, run.slip, run.state)
-        point, state = self.point(start)
+        point, state = self.point(run.here)
         nothing = Work(np.zeros(()), np.zeros(()), np.zeros(state.size)) if work else None
         return _begin(system, Point(point.q, point.p, point.w, nothing), state, np.asarray(first_step))
 
@@ -174,6 +193,7 @@ class Frame:
         scales, modes, live = self.scales, self.reduction.modes, self.reduction.live
         q = start.displacement[modes] / scales.mode[modes]
         p = start.velocity[modes] / (scales.mode[modes] * scales.omega)
+        q, p = (q, p) if self.turn is None else (q @ self.turn, p @ self.turn)
         w = np.einsum("cax,ca->xc", self.axes, start.slip[live]) / scales.length
         return Point(q, p, tuple(w), None), start.state[live]
 
@@ -191,12 +211,13 @@ class Frame:
     def shape(self) -> np.ndarray:
         """Displacements in the units of the scene for unit dimensionless modal displacements, shape (3P, M)."""
         structure, modes = self.model.structure, self.reduction.modes
-        return structure.shape.reshape(-1, structure.num_modes)[:, modes] * self.scales.mode[modes]
+        shape = structure.shape.reshape(-1, structure.num_modes)[:, modes] * self.scales.mode[modes]
+        return shape if self.turn is None else shape @ self.turn
 
     def modal(self, x: np.ndarray, unit: float = 1.0) -> np.ndarray:
         """Modal displacements of the scene, or rates of them where a unit of time is given."""
         modes, num = self.reduction.modes, self.model.structure.num_modes
-        own = x * (self.scales.mode[modes] * unit)
+        own = (x if self.turn is None else x @ self.turn.T) * (self.scales.mode[modes] * unit)
         if modes.size == num:
             return own
         whole = np.zeros((*x.shape[:-1], num))
@@ -218,11 +239,14 @@ class Frame:
         whole[..., self.reduction.live] = state
         return whole
 
-    def work(self, done: Work, before: np.ndarray) -> np.ndarray:
-        """Energies put in, lost in modal damping and lost in each contact, shape (..., 2 + C), after those before."""
+    def work(self, done: Work, before: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        """Energies put in, lost in modal damping and lost in each contact, shape (..., 2 + C), after those before.
+
+        ``moved``: how far the modes have moved. What contacts that are left out do by it is stored in them, not put in.
+        """
         friction = np.zeros((*np.shape(done.input), self.model.num_contacts))
         friction[..., self.reduction.live] = done.friction
-        modal = np.stack([np.asarray(done.input), np.asarray(done.damping)], axis=-1)
+        modal = np.stack([np.asarray(done.input) - moved @ self.held, np.asarray(done.damping)], axis=-1)
         return before + np.concatenate([modal, friction], axis=-1) * self.scales.energy
 
 
@@ -321,23 +345,3 @@ class Steps:
         rows = slice(max(first, 0), max(last, 0) + 1)
         loop = short_steps(self.system, jax.tree.map(lambda leaf: leaf[rows], self.loop), self.rtol)
         return replace(self, loop=loop)
-
-
-def capacity(system: System, num_nodes: int) -> int:
-    """Steps of a batch, a power of two; ``num_nodes``: places at which a step is known, 0 if only at its ends."""
-    axes, (contacts, modes) = len(system.shape), system.shape[0].shape
-    row = 8 * modes + (4 * axes + 2) * contacts + num_nodes * (3 * modes + (2 * axes + 1) * contacts)
-    return int(min(max(2 ** np.ceil(np.log2(ROOM / row)), LEAST), BATCH))
-
-
-def work_of(system: System, control: Control, record: LoopStep, count: int) -> Work:
-    """Energies since the first of the steps in a record, of a method that leaves them to its dense output."""
-    fast = has_fast_modes(system, float(control.longest))
-    each = work_done(system, fast, record, np.asarray(count))
-    whole: Work = jax.tree.map(lambda rows: np.cumsum(np.asarray(rows)[:count], axis=0), each)
-    return whole
-
-
-def first_rows(record: LoopStep, count: int) -> LoopStep:
-    """The filled part of a record, on the host."""
-    return jax.tree.map(lambda rows: np.asarray(rows)[:count], record)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from timesim.model.model import Model
-from timesim.model.solver import COMPANION, PRESETS, Criterion, Solver
+from timesim.model.solver import CLOSED_FORM, COMPANION, PRESETS, Criterion, Solver
 
 REACH = 3.3
 """Largest |eigenvalue| times step at which an explicit fifth-order method stays stable on an oscillation."""
@@ -22,7 +22,17 @@ RECORDED, SIDE_BY_SIDE = (3.0, 0.078), (0.75, 0.068)
 """Microseconds of a step of tsit5, and for each mode and contact: of a run that is recorded, of one of sixteen."""
 ALONE = 2.8
 """Work of a step of one that is alone and not recorded, as a multiple of that of one of sixteen."""
-STAGES = {"tsit5": 1.0, "dopri5": 1.0, "rk4": 0.6, "dopri8": 1.9, "kvaerno5": 15.0, "exponential": 0.6}
+FOLLOWED = 40
+"""Steps of a cycle by which a motion in closed form is recorded."""
+STAGES = {
+    CLOSED_FORM: 0.35,
+    "tsit5": 1.0,
+    "dopri5": 1.0,
+    "rk4": 0.6,
+    "dopri8": 1.9,
+    "kvaerno5": 15.0,
+    "exponential": 0.6,
+}
 """Work of a step, as a multiple of that of tsit5; of `exponential`, of a cycle (benchmarks/method_choice.py)."""
 SLIP_STIFF = (120.0, 5.0)
 """Least steps of a cycle that the direction of slip asks for, and the least multiple of those that stability asks for,
@@ -126,7 +136,9 @@ def slip_stiff(model: Model, frequency: float) -> bool:
 def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side: int | None = None) -> float:
     """Of a cycle at a frequency [Hz]: of one of several that are marched side by side; None: of one run, recorded."""
     steps = 2 * np.pi / solver.longest
-    if solver.name != "rk4":
+    if solver.name == CLOSED_FORM:
+        steps = FOLLOWED
+    elif solver.name != "rk4":
         near = min(PRESETS, key=lambda name: abs(np.log(PRESETS[name].rtol / solver.rtol)))
         finer = (PRESETS[near].rtol / solver.rtol) ** (1 / 8 if solver.name == "dopri8" else 1 / 5)
         steps = finer * STEPS[near][0] + max(finer, 1.0) * STEPS[near][1] * stable_steps(model, frequency)

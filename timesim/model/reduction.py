@@ -18,12 +18,13 @@ Plain numpy, so that a scene is checked without loading JAX.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from timesim.model.contact_state import start_states
 from timesim.model.finding import left_out, proven, simplified, straight
+from timesim.model.held import constant_force, held_force, natural_modes, springs
 from timesim.model.linear_bound import Envelope, Oscillation, envelopes
 from timesim.model.model import CONE, SEPARATION, SLIP, STICK, Contact, Model
 
@@ -64,6 +65,16 @@ class Reduction:
     line: np.ndarray | None
     findings: tuple[str, ...]
 
+    @cached_property
+    def natural(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """Natural modes of what is kept with the stuck contacts in it, of `timesim.model.held.natural_modes`."""
+        return natural_modes(self.model, self.modes, self.stuck)
+
+    @property
+    def held_force(self) -> np.ndarray:
+        """Constant modal force of the contacts left out, in the modes kept, shape (K,)."""
+        return held_force(self.model, self.modes, self.stuck, self.apart)
+
 
 def reduction_of(model: Model, frequencies: Sequence[float], *, reduce: bool = True) -> Reduction:
     """Find what need not be modelled.
@@ -100,42 +111,6 @@ def reduction_of(model: Model, frequencies: Sequence[float], *, reduce: bool = T
         ),
     )
     return Reduction(model, modes, live, stuck, apart, line, findings)
-
-
-def stuck_matrix(reduction: Reduction) -> np.ndarray:
-    """Modal stiffness ``B^T diag(K_u, k_v) B`` of the stuck contacts, in the kept modes, shape (K, K)."""
-    shape = reduction.model.contact_shape[:, :, reduction.modes]
-    matrix = np.zeros((reduction.modes.size, reduction.modes.size))
-    for c in reduction.stuck:
-        matrix += shape[c].T @ _springs(reduction.model.contacts[c]) @ shape[c]
-    return 0.5 * (matrix + matrix.T)
-
-
-def stuck_force(reduction: Reduction) -> np.ndarray:
-    """Constant modal force of the contacts left out, in the kept modes, shape (K,).
-
-    A stuck contact acts on body 1 by ``(-K_u (u - w0), -(n - max(n0, 0)))``; its constant part is
-    ``(K_u w0, -min(n0, 0))``. One that is apart acts by ``(0, max(n0, 0))``: the preload that
-    the structure carries at rest, and now no longer.
-    """
-    shape = reduction.model.contact_shape[:, :, reduction.modes]
-    force = np.zeros(reduction.modes.size)
-    for c in (*reduction.stuck, *reduction.apart):
-        contact, slip = reduction.model.contacts[c], reduction.model.start.slip[c]
-        force += shape[c].T @ _constant_force(contact, slip, stuck=c in reduction.stuck)
-    return force
-
-
-def _springs(contact: Contact) -> np.ndarray:
-    springs = np.zeros((3, 3))
-    springs[:2, :2], springs[2, 2] = contact.tangential_stiffness, contact.normal_stiffness
-    return springs
-
-
-def _constant_force(contact: Contact, slip: np.ndarray, *, stuck: bool) -> np.ndarray:
-    if stuck:
-        return np.append(contact.tangential_stiffness @ slip, -min(contact.preload, 0.0))
-    return np.array([0.0, 0.0, max(contact.preload, 0.0)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,7 +244,7 @@ def _proof(scene: _Scene, part: _Part, omega: float | None) -> dict[int, float]:
     contacts = [scene.model.contacts[c] for c in part.contacts]
     shape = scene.shape[np.ix_(part.contacts, np.arange(3), part.modes)]
     slip = scene.model.start.slip[part.contacts]
-    output = np.array([_springs(contact) @ own for contact, own in zip(contacts, shape, strict=True)])
+    output = np.array([springs(contact) @ own for contact, own in zip(contacts, shape, strict=True)])
     offset = np.array([[*(-c.tangential_stiffness @ w), c.preload] for c, w in zip(contacts, slip, strict=True)])
     bounds = envelopes(_kept_states(scene, part, shape, output), output, offset, omega)
     margins = {
@@ -286,7 +261,7 @@ def _kept_states(scene: _Scene, part: _Part, shape: np.ndarray, output: np.ndarr
     for row, c in enumerate(part.contacts):
         stuck = bool(scene.state[c] == STICK)
         contact, slip = scene.model.contacts[c], scene.model.start.slip[c]
-        force = force + shape[row].T @ _constant_force(contact, slip, stuck=stuck)
+        force = force + shape[row].T @ constant_force(contact, slip, stuck=stuck)
         stiffness = stiffness + stuck * (shape[row].T @ output[row])
     return Oscillation(
         stiffness,

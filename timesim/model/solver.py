@@ -7,6 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+CLOSED_FORM = "closed form"
+"""Name of what solves a run of which no contact is left; no scene can give it."""
+
 
 @dataclass(frozen=True)
 class Solver:
@@ -36,7 +39,14 @@ class Solver:
             return self.longest
         return min(0.02, 0.2 / max(stiffest, 1.0))
 
+    @property
+    def has_tolerance(self) -> bool:
+        """Whether its steps keep a tolerance."""
+        return self.name not in ("rk4", CLOSED_FORM)
+
     def __str__(self) -> str:
+        if self.name == CLOSED_FORM:
+            return self.name
         if self.name == "rk4":
             return f"rk4, {round(2 * np.pi / self.longest)} steps a cycle"
         return f"{self.name}, rtol {self.rtol:g}, atol {self.atol:g}"

@@ -26,7 +26,7 @@ def linear_orbit(lane: Lane) -> Orbit | None:
     system, here = lane.system, lane.here
     if here.state.size:
         return None
-    K, D = (np.diag(a) if a.ndim == 1 else a for a in map(np.asarray, (system.stiffness, system.damping)))
+    K, D = (np.diag(a) if a.ndim == 1 else a for a in (np.asarray(system.stiffness), np.asarray(system.damping)))
     rates = np.linalg.eigvals(np.block([[np.zeros_like(K), np.eye(len(K))], [-K, -D]]))
     if not np.all(rates.real < 0):
         return None

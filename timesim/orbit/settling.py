@@ -12,9 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from timesim.engine.status import Status
+from timesim.engine.status import Status, message_of
 from timesim.engine.step import PERIOD
-from timesim.engine.trajectory import message_of
 from timesim.model.contact_state import start_states
 from timesim.model.model import Model, Start
 from timesim.model.reduction import reduction_of

@@ -25,7 +25,7 @@ from timesim.model.finding import turning
 from timesim.model.model import CONE, GROUND, Contact, Model
 from timesim.model.promise import PROMISE
 from timesim.model.reduction import reduction_of
-from timesim.model.solver import COMPANION, coarser
+from timesim.model.solver import CLOSED_FORM, COMPANION, coarser
 from timesim.scene.file import SceneFile
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
@@ -74,10 +74,11 @@ def _method_lines(scene: Scene, model: Model) -> Iterator[str]:
     if frequency is None:
         return
     if not isinstance(scene.plan, TradeoffPlan):
-        name, chosen = scene.solver().name, scene.choice
+        solver, chosen = scene.solver(), scene.choice
         place = "" if study.uses_frequency else f" (at {frequency:g} Hz, the lowest, where it asks most)"
-        steps = f"stability asks about {stable_steps(model, frequency):.3g} explicit steps a cycle{place}"
-        yield f"{name}: {'given' if chosen is None else chosen.why}; {steps}"
+        steps = f"; stability asks about {stable_steps(model, frequency):.3g} explicit steps a cycle{place}"
+        why = "given" if chosen is None else chosen.why
+        yield f"{solver.name}: {why}{'' if solver.name == CLOSED_FORM else steps}"
     if slip_stiff(model, frequency):
         for contact, rate in zip(model.contacts, slip_rates(model, frequency), strict=True):
             if rate > 0 and contact.friction <= LITTLE_FRICTION:
@@ -89,7 +90,8 @@ def _accuracy_lines(scene: Scene, model: Model) -> Iterator[str]:
     if scene.promise is not None:
         end = "of the state at the end of the run" if isinstance(scene.plan, Schedule) else "of a steady state"
         numbers, least = scene.solver(), scene.file.solver.build()
-        why = "" if numbers.rtol == least.rtol else f" (most scenes do with rtol {least.rtol:g})"
+        usual = numbers.rtol == least.rtol or not numbers.has_tolerance
+        why = "" if usual else f" (most scenes do with rtol {least.rtol:g})"
         yield f"promised is a relative error of {scene.promise:.0e} {end}, by {numbers}{why}"
     if isinstance(scene.plan, TradeoffPlan):
         plan = scene.plan
@@ -97,8 +99,11 @@ def _accuracy_lines(scene: Scene, model: Model) -> Iterator[str]:
         yield f"methods and tolerances are tried for {plan.budget:g} s; of solver only max_steps is used"
         yield f"accuracies of this scene: {own}"
     if isinstance(scene.plan, Schedule) and scene.file.solver.estimate_error:
-        coarse = coarser(scene.solver())
-        yield f"the error at the end is estimated by a second run ({coarse}), {COMPANION:g} of the time of the first"
+        coarse, way = coarser(scene.solver()), "the error at the end is estimated by"
+        if coarse.name == CLOSED_FORM:
+            yield f"{way} what rounding does to the natural frequencies"
+        else:
+            yield f"{way} a second run ({coarse}), {COMPANION:g} of the time of the first"
 
 
 def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:

@@ -71,7 +71,7 @@ class Scene:
             work = study.sweep().work(self.model())
         else:
             work = Work.of_run(self.plan.phases, estimated=self.file.solver.estimate_error)
-        return choice(accuracy, self.model(), work, self.file.solver.max_steps)
+        return choice(accuracy, self.model(), work, self.file.solver.max_steps, reduce=self.file.solver.reduce)
 
     def solver(self) -> Solver:
         """How it is integrated, in numbers: of an accuracy those that keep its promise."""

@@ -48,6 +48,7 @@ def attributes(scene: Scene, method: str, compiling: float, running: float, reas
     }
     if scene.choice is not None:
         solver = scene.solver()
-        attrs |= {"promised_error": scene.promise, "rtol": solver.rtol, "atol": solver.atol}
+        attrs["promised_error"] = scene.promise
+        attrs |= {"rtol": solver.rtol, "atol": solver.atol} if solver.has_tolerance else {}
         attrs["method_choice"] = f"{solver.name}: {scene.choice.why}"
     return attrs if reason is None else attrs | {"reason": reason}

@@ -61,7 +61,7 @@ def error_lines(data: Dataset) -> Iterator[str]:
     yield f"estimated error of the state at the end: {sizes}{f' ({remark})' if remark else ''}"
     if error <= promise:
         return
-    now = Solver(attrs["method"].partition(",")[0], attrs["rtol"], attrs["atol"])
+    now = Solver(attrs["method"].partition(",")[0], attrs.get("rtol", 0.0), attrs.get("atol", 0.0))
     better = tightened(now, promise / (MARGIN * error))
     over = f"warning: that is more than the {promise:.0e} that the accuracy promises"
     if "repetition" in attrs:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from xarray import Dataset
 
-from timesim.engine.companion import Estimate, companion_of, compared, estimate, unknown
+from timesim.engine.companion import Estimate, companion_of, compared, estimate, rounding, unknown
 from timesim.engine.status import RunError
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.contact_state import slip_follows_motion
@@ -40,7 +40,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     for _ in range(REPETITIONS):
         state = done.error.state if done.error else 0.0
         better = tightened(done.solver, promise / (MARGIN * state)) if state > CLOSE * promise else done.solver
-        if better == done.solver:
+        if better == done.solver or done.recorder.run.closed:
             break
         again = _carried(scene, better, execution, first=done)
         ended = f"repeated by {better}" if again.reason is None else f"and the repetition {again.reason}"
@@ -86,7 +86,7 @@ def _carried(scene: Scene, solver: Solver, execution: Execution, first: _Carried
     run.time = float(plan.edges()[0])
     recorder = Recorder(run, plan)
     estimated = scene.file.solver.estimate_error
-    reason = _advance(recorder, execution, (1 + COMPANION * estimated) * run.num_cycles)
+    reason = _advance(recorder, execution, (1 + COMPANION * (estimated and not run.closed)) * run.num_cycles)
     compiling = run.compile_seconds if first is None else first.compiling
     if not estimated:
         return _Carried(recorder, reason, None, compiling)
@@ -100,7 +100,7 @@ def _record(scene: Scene, done: _Carried, seconds: float) -> Dataset:
     """The result of a run."""
     recorder, run = done.recorder, done.recorder.run
     attrs = attributes(scene, str(run.solver), done.compiling, seconds, done.reason)
-    if run.solver.name != "rk4":
+    if run.solver.has_tolerance:
         attrs |= {"rtol": run.solver.rtol, "atol": run.solver.atol}
     attrs["peak_stored_energy"] = recorder.totals.peak
     variables, times = _sample_variables(recorder)
@@ -130,6 +130,8 @@ def _estimate(recorder: Recorder, execution: Execution, reason: str | None) -> E
     run, totals = recorder.run, recorder.totals
     if reason is not None:
         return unknown(totals, "the run ended early")
+    if run.closed:
+        return rounding(run, totals)
 
     def show(companion: Run) -> None:
         done = run.num_cycles + COMPANION * companion.completed

@@ -232,9 +232,8 @@ def _start(nodes: tuple[float, ...], system: System, flow: Flow, state: State, t
     z, dz = point.q - q[0], point.p - p[0]
     motion = system.motion(point)
     acts = system.law.reaction(state, motion, point.w)
-    force = _modal_force(system, tuple(f[None] for f in acts.f), acts.n[None], left[:1]) + coupling(
-        system, point.q[None], point.p[None]
-    )
+    force = _modal_force(system, tuple(f[None] for f in acts.f), acts.n[None], left[:1])
+    force = force + coupling(system, point.p[None])
     free_q, free_p = q[1:] + flow.q_q * z + flow.q_p * dz, p[1:] + flow.p_q * z + flow.p_p * dz
     return Start(state, point.w, motion, acts, force, free_q, free_p, left[1:])
 
@@ -263,8 +262,8 @@ def _at_nodes(rule: Rule, system: System, flow: Flow, start: Start, guess: Guess
 @apart
 def _sweep(rule: Rule, system: System, flow: Flow, start: Start, guess: Guess) -> tuple[Guess, Float[Array, ""]]:
     """A better guess, and how much the velocity changes with it."""
-    q, p, _, within = _at_nodes(rule, system, flow, start, guess)
-    force = _modal_force(system, within.f, within.n, start.left) + coupling(system, q, p)
+    _, p, _, within = _at_nodes(rule, system, flow, start, guess)
+    force = _modal_force(system, within.f, within.n, start.left) + coupling(system, p)
     return Guess(force, within.inner), flow.h * jnp.abs(force - guess.force).max()
 
 

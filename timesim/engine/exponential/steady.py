@@ -2,7 +2,7 @@
 
 The excitation has its own steady motion in every mode, ``a_i cos(i theta) + b_i sin(i theta)``; where that would be far
 larger than what the force does in a step (light damping, at resonance), the force is left to the polynomial of the
-collocation instead. So is what couples the modes: a damping matrix or stuck contacts that they do not diagonalise.
+collocation instead. So is what couples the modes: a damping matrix that they do not diagonalise.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
@@ -62,17 +62,14 @@ class Steady(eqx.Module):
 
 def diagonals(system: System) -> tuple[Array, Array]:
     """Stiffness and damping of the modes that the flow is exact in."""
-    stiffness, damping = (x if x.ndim == 1 else jnp.diagonal(x) for x in (system.stiffness, system.damping))
-    return stiffness, damping
+    damping = system.damping
+    return system.stiffness, damping if damping.ndim == 1 else jnp.diagonal(damping)
 
 
-def coupling(system: System, q: Float[Array, "*node mode"], p: Float[Array, "*node mode"]) -> Array:
-    """Modal force by which stiffness and damping couple the modes: what the matrices add to their diagonals."""
-    force = jnp.zeros_like(q)
-    for matrix, x in ((system.stiffness, q), (system.damping, p)):
-        if matrix.ndim == 2:
-            force = force - x @ (matrix - jnp.diag(jnp.diagonal(matrix))).T
-    return force
+def coupling(system: System, p: Float[Array, "*node mode"]) -> Array:
+    """Modal force by which damping couples the modes: what the matrix adds to its diagonal."""
+    damping = system.damping
+    return jnp.zeros_like(p) if damping.ndim == 1 else -p @ (damping - jnp.diag(jnp.diagonal(damping))).T
 
 
 def steady_of(system: System) -> Steady:

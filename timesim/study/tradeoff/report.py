@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from xarray import Dataset
 
+from timesim.model.solver import CLOSED_FORM
 from timesim.scene.text import value_text
 
 
@@ -86,6 +87,8 @@ def _advice(data: Dataset) -> Iterator[str]:
 def block(one: Dataset) -> dict[str, Any]:
     """The section `solver` of a scene file by which a run is made."""
     rtol = float(one.rtol)
+    if one.method.item() == CLOSED_FORM:
+        return {"accuracy": one.preset.item()}
     if np.isfinite(rtol):
         return {"method": one.method.item(), "rtol": rtol, "atol": float(f"{rtol / 100:.2g}")}
     return {"method": one.method.item(), "steps_per_cycle": int(one.steps_asked)}

@@ -14,7 +14,7 @@ from xarray import Dataset
 from timesim.engine.companion import amplitude_error, state_error
 from timesim.model.promise import PROMISE
 from timesim.model.reduction import reduction_of
-from timesim.model.solver import Solver
+from timesim.model.solver import CLOSED_FORM, Solver
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.transient import TradeoffPlan
@@ -132,8 +132,9 @@ def judge(bench: Bench) -> Judged:
     whole = [trial for trial in trials if comparable(trial, bench) and trial.solver.name != "rk4"]
     if len(whole) < 2:
         return Judged(np.full(len(trials), np.nan), np.nan, "", np.zeros(len(trials), dtype=bool), -1)
-    # Of equal tolerances the one of higher order is taken for the truth.
-    true = min(whole, key=lambda trial: (trial.solver.rtol, trial.solver.name != "dopri8"))
+    # The truth is what is known in closed form, else by the finest tolerance; of equal ones by that of higher order.
+    closed = [trial for trial in whole if trial.solver.name == CLOSED_FORM]
+    true = min(closed or whole, key=lambda trial: (trial.solver.rtol, trial.solver.name != "dopri8"))
     others = [trial for trial in whole if trial.solver.name != true.solver.name]
     second = min(others, key=lambda trial: trial.solver.rtol, default=None)
     if second is None or second.solver.rtol > FINE:

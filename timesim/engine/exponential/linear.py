@@ -1,0 +1,260 @@
+"""The motion of a system without contacts, in closed form.
+
+With the harmonics of the excitation and its constant among the unknowns, ``Y = (q, q', cosines, sines, 1)``, the
+equations are ``Y' = A Y``, and ``Y(t + h) = exp(A h) Y(t)`` over any time: rigid-body, undamped, critically damped and
+overdamped modes, damping that couples them and resonance are all the same to it [1]_. The exponential less one, E, is a
+Taylor series over a short time, doubled by ``E(2h) = 2 E + E^2``: a slow mode keeps its digits beside one a million
+times faster, of which the squares of the exponential itself would rob it [2]_. The energies are quadratic forms of the
+state at the start of a step, doubled with it [1]_.
+
+A step has nothing to control but its dense output: it is as long as the quintic through its ends follows the motion.
+
+.. [1] C. F. Van Loan, Computing integrals involving the matrix exponential, IEEE Transactions on Automatic Control 23
+   (1978) 395-404.
+.. [2] C. Moler & C. Van Loan, Nineteen dubious ways to compute the exponential of a matrix, twenty-five years later,
+   SIAM Review 45 (2003) 3-49, method 3.
+"""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from timesim.engine.event_loop import Batch, Reached, Rows, capacity
+from timesim.engine.exponential.work import gauss
+from timesim.engine.status import Status
+from timesim.engine.step import Step
+from timesim.engine.system import Point, System, Work
+from timesim.model.solver import Solver
+
+PERIOD = 2 * np.pi
+SHORT = 0.5  # of the norm of A h, up to which the series is used
+NUM_TERMS = 14  # of it: 0.5^14 / 15! = 5e-17 of the first
+NUM_NODES = 6  # of Gauss's rule for the energies over so short a time: 2e-16
+LOOKS = 16  # of a cycle, at which the motion is looked at to choose the steps
+RUNGS = 4  # numbers of steps a cycle from one to twice as many: each asks for matrices of its own
+DEAD = 1e-13  # of the largest motion: one that has decayed to that is followed no closer
+
+
+class Flow(NamedTuple):
+    """What a time h does to a state.
+
+    Attributes:
+        moves: ``exp(A h) - 1``, shape (n, n), and of twice the time, of four times it, and so on.
+        input, damping: quadratic forms of the energy put in and lost in damping over h.
+    """
+
+    moves: list[np.ndarray]
+    input: np.ndarray
+    damping: np.ndarray
+
+
+def added(terms: list[np.ndarray]) -> np.ndarray:
+    """The sum of the terms of a series, the smallest first."""
+    total = terms[-1]
+    for term in terms[-2::-1]:
+        total = total + term
+    return total
+
+
+def doubled(move: np.ndarray) -> np.ndarray:
+    """``exp(2 A h) - 1`` from ``exp(A h) - 1``."""
+    twice: np.ndarray = 2 * move + move @ move
+    return twice
+
+
+class LinearMotion:
+    """The equations of a system without contacts, and its motion from any state.
+
+    Attributes:
+        system: the system.
+        matrix: A; displacements are in units in which no entry is larger than the rates of the modes.
+    """
+
+    def __init__(self, system: System):
+        self.system = system
+        self.rate = np.maximum(np.sqrt(system.stiffness), 1.0)
+        damping = np.asarray(system.damping)
+        self.drag = np.diag(damping) if damping.ndim == 1 else damping
+        force = np.concatenate([system.cosine, system.sine, system.constant[None]]).T
+        self.unit = max(float(np.abs(force).max() / self.rate.max()), 1.0)
+        modes, order = len(self.rate), np.diag(system.harmonic)
+        q, p, load = slice(modes), slice(modes, 2 * modes), 2 * modes + np.arange(len(order))
+        self.matrix = np.zeros((2 * modes + force.shape[1],) * 2)
+        self.matrix[q, p], self.matrix[p, q] = np.diag(self.rate), -np.diag(system.stiffness / self.rate)
+        self.matrix[p, p], self.matrix[p, 2 * modes :] = -self.drag, force / self.unit
+        self.matrix[np.ix_(load, load + len(order))] = -order
+        self.matrix[np.ix_(load + len(order), load)] = order
+        self._flows: dict[int, Flow] = {}
+
+    def state(self, q: np.ndarray, p: np.ndarray, time: float) -> np.ndarray:
+        """The state Y at a time within the cycle, shape (n,)."""
+        angle = self.system.harmonic * (time + self.system.phase)
+        return np.concatenate([self.rate * q, p, self.unit * np.r_[np.cos(angle), np.sin(angle), 1.0]])
+
+    def modes(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Displacement, velocity and acceleration of the modes, each (N, M), of states as columns."""
+        modes = len(self.rate)
+        acceleration = self.matrix[modes : 2 * modes] @ states
+        return (states[:modes] / self.rate[:, None]).T, states[modes : 2 * modes].T, acceleration.T
+
+    def after(self, state: np.ndarray, time: float) -> np.ndarray:
+        """The state after any time, at once."""
+        powers, doublings, _ = self._series(time)
+        move = added(powers)
+        for _ in range(doublings):
+            move = doubled(move)
+        moved: np.ndarray = state + move @ state
+        return moved
+
+    def flow(self, h: float) -> Flow:
+        """What a time h does."""
+        (powers, doublings, short), modes = self._series(h), len(self.rate)
+        p, one = slice(modes, 2 * modes), np.eye(len(self.matrix))
+        power = np.zeros((2, *self.matrix.shape))
+        power[0, p, 2 * modes :], power[1, p, p] = self.matrix[p, 2 * modes :], self.drag
+        move, forms = added(powers), np.zeros_like(power)
+        for x, weight in zip(*gauss(NUM_NODES), strict=True):
+            inside = one + added([x**k * term for k, term in enumerate(powers, 1)])
+            forms += weight * short * (inside.T @ power @ inside)
+        for _ in range(doublings):
+            forms, move = forms + (one + move).T @ forms @ (one + move), doubled(move)
+        return Flow([move], *forms)
+
+    def _series(self, h: float) -> tuple[list[np.ndarray], int, float]:
+        """Terms of ``exp(A s) - 1``, the largest first, of a short time s; how often it is doubled up to h; and s."""
+        size = max(h * float(np.linalg.norm(self.matrix, 1)) / SHORT, 1.0)
+        doublings = int(np.ceil(np.log2(size)))
+        short = h / 2.0**doublings
+        powers = [short * self.matrix]
+        for k in range(2, NUM_TERMS + 1):
+            powers.append(powers[0] @ powers[-1] / k)
+        return powers, doublings, short
+
+    def steps(self, num: int) -> Flow:
+        """What a step does of which a cycle has so many."""
+        if num not in self._flows:
+            self._flows[num] = self.flow(PERIOD / num)
+        return self._flows[num]
+
+    def path(self, flow: Flow, state: np.ndarray, count: int) -> np.ndarray:
+        """The state before and after each of some steps, as columns, shape (n, count + 1)."""
+        states = state[:, None]
+        for level in range(int(np.ceil(np.log2(count + 1)))):
+            if level == len(flow.moves):
+                flow.moves.append(doubled(flow.moves[-1]))
+            begun = states[:, : count + 1 - states.shape[1]]
+            states = np.concatenate([states, begun + flow.moves[level] @ begun], axis=1)
+        return states
+
+    @cached_property
+    def _sixth(self) -> tuple[float, np.ndarray]:
+        """Fastest rate, and the matrix of the sixth derivatives in its units."""
+        fastest = float(max(self.rate.max(), np.abs(self.drag).max(), self.system.harmonic.max(initial=1.0)))
+        return fastest, np.linalg.matrix_power(self.matrix / fastest, 6)
+
+    def steps_a_cycle(self, state: np.ndarray, cycles: int, rtol: float) -> float:
+        """Steps of a cycle of which the quintics through both ends follow the motion over some cycles.
+
+        They leave a share ``rtol`` of the largest mode in each cycle.
+        One leaves ``h^6 |q^(6)| / 46,080`` of a mode (Hairer, Norsett & Wanner, Solving Ordinary Differential Equations
+        I, section II.6), or of a vibration that is shorter than a step about ``h^2 |q''| / 16``, and what is slow.
+        """
+        modes, (fastest, sixth) = len(self.rate), self._sixth
+        states = self.path(self.steps(LOOKS), state, LOOKS * cycles)[:, 1:]
+        jet = sixth @ states
+        rate = np.maximum(self.rate, np.diag(self.drag))[:, None]
+        by_cycle = (modes, cycles, LOOKS)
+        bends = np.hypot(jet[:modes] / self.rate[:, None], jet[modes : 2 * modes] / rate).reshape(by_cycle).max(axis=2)
+        size = np.abs(states[:modes] / self.rate[:, None]).reshape(by_cycle).max(axis=2)
+        largest = size.max(axis=0)
+        allowed = rtol * np.maximum(largest, max(DEAD * largest.max(), 1e-300))
+        order = max(float(self.system.harmonic.max(initial=0.0)), 1.0)
+        with np.errstate(divide="ignore"):
+            followed = (46_080 * allowed / bends) ** (1 / 6) / fastest
+            slow = (46_080 * allowed / size) ** (1 / 6) / order
+            swings = np.sqrt(16 * allowed / bends) * (rate / fastest) ** 3 / rate
+        return float(PERIOD / np.maximum(followed, np.minimum(slow, swings)).min())
+
+
+def linear_batches(system: System, start: Point, cycles: int, solver: Solver) -> Iterator[Batch]:
+    """Steps through some cycles from the start of one, a batch at a time, or until one asks for too many.
+
+    Args:
+        system: without contacts; numpy arrays.
+        start: the continuous state.
+        cycles: how many.
+        solver: its tolerance is what the quintics may leave of the motion, its budget the most steps of a cycle.
+    """
+    motion, room, num, done = LinearMotion(system), capacity(system, 0), 2 * LOOKS, 0
+    state, work, like = motion.state(start.q, start.p, 0.0), np.zeros((2, 1)), _Like.of(start)
+    while done < cycles:
+        ahead = min(max(room // num, 1), cycles - done)
+        wanted = motion.steps_a_cycle(state, ahead, solver.rtol)
+        if not wanted <= solver.budget:
+            status = Status.BUDGET if np.isfinite(state).all() else Status.NOT_FINITE
+            yield like.batch(motion, state[:, None], (done * num, num), work[:, :0], status)
+            return
+        num = int(np.ceil(2 ** (np.ceil(RUNGS * np.log2(max(wanted, LOOKS))) / RUNGS)))
+        flow, first, end = motion.steps(num), done * num, num * (done + min(max(room // num, 1), ahead))
+        while first < end:
+            states = motion.path(flow, state, min(room, end - first))
+            each = [((form @ states) * states).sum(axis=0)[:-1] for form in (flow.input, flow.damping)]
+            work = work[:, -1:] + np.cumsum(each, axis=1)
+            batch = like.batch(motion, states, (first, num), work, Status.RUNNING)
+            yield batch
+            first += states.shape[1] - 1
+            state = motion.state(batch.now.point.q, batch.now.point.p, float(batch.now.time))
+        done = end // num
+
+
+def linear_leap(system: System, start: Point, cycles: int) -> Reached:
+    """Where a trajectory is some cycles later than at the start of one; arguments as of `linear_batches`."""
+    motion, like = LinearMotion(system), _Like.of(start)
+    end = motion.after(motion.state(start.q, start.p, 0.0), PERIOD * cycles)
+    return like.reached(motion, end[:, None], (cycles, 0.0), Status.RUNNING)
+
+
+class _Like(NamedTuple):
+    """What steps, energies and states are made like: to make each anew by its class takes as long as all else."""
+
+    step: Step
+    work: Work
+    point: Point
+
+    @classmethod
+    def of(cls, point: Point) -> "_Like":
+        zero, none, state = np.zeros(()), np.zeros((), dtype=int), np.zeros(0, dtype=int)
+        step = Step(none, zero, zero, point, point, point, point, state, state)
+        return cls(step, Work(zero, zero, np.zeros(0)), point)
+
+    def batch(
+        self, motion: LinearMotion, states: np.ndarray, place: tuple[int, int], work: np.ndarray, status: Status
+    ) -> Batch:
+        """Steps between states as columns; ``place``: number of the first of them, and how many a cycle has."""
+        (q, p, dp), (first, num) = motion.modes(states), place
+        index = first + np.arange(len(q) - 1)
+        w = [np.zeros((len(q), *part.shape)) for part in self.point.w]
+        start, end = ([part[side] for part in (q, p, *w, p, dp, *w)] for side in (slice(-1), slice(1, None)))
+        state, length = np.zeros((index.size, 0), dtype=int), np.full(index.size, PERIOD / num)
+        step = _made(self.step, [index // num, PERIOD * (index % num) / num, length, *start, *end, state, state])
+        last = first + index.size
+        now = self.reached(motion, states, (last // num, PERIOD * (last % num) / num), status)
+        return Batch(step, _made(self.work, [*work, state.astype(float)]), now)
+
+    def reached(self, motion: LinearMotion, states: np.ndarray, place: tuple[int, float], status: Status) -> Reached:
+        """The last of some states, in a cycle and at a time within it."""
+        q, p, _ = motion.modes(states[:, -1:])
+        point = _made(self.point, [q[0], p[0], *self.point.w])
+        cycle, time = (np.asarray(part) for part in place)
+        return Reached(cycle, time, point, np.zeros(0, dtype=int), np.asarray(status.value), np.zeros((), dtype=int))
+
+
+def _made(like: Rows, leaves: list[np.ndarray]) -> Rows:
+    """The same with other leaves."""
+    made: Rows = jax.tree.unflatten(jax.tree.structure(like), leaves)
+    return made
