@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 import timesim
 from timesim.cli import app
-from timesim.engine import trajectory
+from timesim.engine import event_loop
 from timesim.result.folder import locked_folder
 from timesim.study import element_map
 
@@ -139,7 +139,7 @@ def test_an_interrupted_run_saves_what_it_has(
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         sent = signal.SIGTERM
     own = signal.getsignal(signal.SIGTERM)
-    calls, advance = [], trajectory.advance
+    calls, advance = [], event_loop.advance
 
     def interrupted(*args: Any) -> Any:
         calls.append(1)
@@ -147,7 +147,7 @@ def test_an_interrupted_run_saves_what_it_has(
             os.kill(os.getpid(), sent)
         return advance(*args)
 
-    monkeypatch.setattr(trajectory, "advance", interrupted)
+    monkeypatch.setattr(event_loop, "advance", interrupted)
     arguments = ("--set", "study.cycles=200", "--set", "study.record_last=200", "--set", "solver.accuracy=draft")
     status, _, error = call("run", OSCILLATOR, "-o", tmp_path, "--no-plots", *arguments)
     assert status == 1
@@ -162,7 +162,7 @@ def test_an_interrupted_run_saves_what_it_has(
 @pytest.mark.parametrize(("in_cycle", "in_saving"), [(1, 1), (0, 2), (1, 2), (0, 3)])
 def test_signals_while_saving(in_cycle: int, in_saving: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A result is saved whole, whether the study was interrupted or had come to its end; the third signal is obeyed."""
-    calls, advance, fsync = [], trajectory.advance, os.fsync
+    calls, advance, fsync = [], event_loop.advance, os.fsync
 
     def interrupted(*args: Any) -> Any:
         calls.append(1)
@@ -176,7 +176,7 @@ def test_signals_while_saving(in_cycle: int, in_saving: int, tmp_path: Path, mon
                 os.kill(os.getpid(), sent)
         fsync(handle)
 
-    monkeypatch.setattr(trajectory, "advance", interrupted)
+    monkeypatch.setattr(event_loop, "advance", interrupted)
     monkeypatch.setattr(os, "fsync", slow)
     cycles = ("--set", f"study.cycles={200 if in_cycle else 3}", "--set", "study.record_last=3")
     status, *_ = call("run", OSCILLATOR, "-o", tmp_path, "--no-plots", *cycles, "--set", "solver.accuracy=draft")

@@ -12,7 +12,7 @@ from timesim.model.choice import TABLE, choice, contact_rate
 from timesim.model.cost import REACH, Work, seconds, seconds_a_cycle, slip_rates, slip_steps, stable_steps
 from timesim.model.model import Model
 from timesim.model.promise import preset
-from timesim.model.solver import Solver
+from timesim.model.solver import CLOSED_FORM, Solver
 from timesim.scene.report import describe
 from timesim.study.outcome import attributes
 from timesim.study.registry import load_scene
@@ -188,3 +188,24 @@ def test_all_points_of_a_sweep_take_one_method() -> None:
     assert one.solver().name == "tsit5"
     assert one.resolved_yaml() == load_scene(one.resolved_yaml()).resolved_yaml()
     assert "method: auto" in one.resolved_yaml()
+
+
+def stuck(stiffness: float = 20.0) -> Model:
+    """The oscillator whose contact is proven to stick."""
+    model = oscillator(40.0, 1.39)
+    pad = replace(model.contacts[0], tangential_stiffness=stiffness * np.eye(2), normal_stiffness=stiffness)
+    return replace(model, contacts=(pad,))
+
+
+@pytest.mark.parametrize(("accuracy", "share"), [("draft", 1e-7), ("standard", 1e-9), ("reference", 1e-11)])
+def test_a_run_of_which_no_contact_is_left_needs_no_method(accuracy: str, share: float) -> None:
+    found = taken(stuck(), 5, accuracy)
+    assert (found.name, found.rtol) == (CLOSED_FORM, pytest.approx(share))
+    work = Work(((1.39, 5.0),), 1.39)
+    assert choice(accuracy, stuck(), work, BUDGET, reduce=False).solver.name != CLOSED_FORM
+    assert choice(accuracy, stuck(), replace(work, side_by_side=4), BUDGET).solver.name != CLOSED_FORM
+
+
+def test_vibrations_too_many_to_be_recorded_are_left_to_collocation() -> None:
+    assert taken(stuck(2e9), 5).name == CLOSED_FORM
+    assert taken(stuck(2e9), 5, budget=int(stable_steps(stuck(2e9), 1.39)) - 1).name == "exponential"

@@ -186,7 +186,7 @@ def test_the_steady_state_of_a_linear_scene_against_integration() -> None:
         angle = system.harmonic[:, None] * (t + system.phase)
         force = system.constant + (system.cosine * np.cos(angle) + system.sine * np.sin(angle)).sum(axis=0)
         q, p = np.split(y, 2)
-        return np.concatenate([p, force - system.stiffness @ q - system.damping @ p])
+        return np.concatenate([p, force - system.stiffness * q - system.damping @ p])
 
     point, _ = lane.frame.point(found.end)
     begin = np.concatenate([point.q, point.p])

@@ -33,7 +33,7 @@ from timesim.program import program
 _begin = program(begin)
 
 PERIOD = 2 * np.pi
-ROUNDED = 4 * np.finfo(float).eps  # of a frequency, of the highest where they are found from those of others
+ROUNDED = 8 * np.finfo(float).eps  # of a frequency, of the highest where they are found from those of others
 
 
 @dataclass(frozen=True)

@@ -104,6 +104,7 @@ TABLE = (
 BETWEEN = 1e-3
 """Share of the promise that a motion in closed form may err by between the ends of its steps."""
 LINEAR = "no contact ever leaves its state, so the motion is linear and known over any time"
+UNSEEN = "the motion is linear, but holds vibrations too fast to be followed one by one"
 
 
 @dataclass(frozen=True)
@@ -121,10 +122,12 @@ def choice(accuracy: str, model: Model, work: Work, budget: int, *, reduce: bool
     ``reduce`` whether what is proven to have no effect is left out. A run of which no contact is left needs no method.
     """
     frequencies = [frequency for frequency, _ in work.phases]
+    own, frequency = preset(accuracy, model, work.lowest, work.run_cycles), float(np.mean(frequencies))
     if work.side_by_side is None and not reduction_of(model, frequencies, reduce=reduce).live.size:
+        if stable_steps(model, work.lowest) > budget:
+            return Choice(replace(own, name="exponential"), UNSEEN)
         left = BETWEEN * PROMISE[accuracy]
         return Choice(Solver(CLOSED_FORM, left, left / 100), LINEAR)
-    own, frequency = preset(accuracy, model, work.lowest, work.run_cycles), float(np.mean([f for f, _ in work.phases]))
     lines = (line for line in TABLE if accuracy in line.accuracies and line.applies(model, frequency))
     line = next(lines, None)
     if line is None or line.method == own.name:

@@ -26,8 +26,10 @@ def constant_force(contact: Contact, slip: np.ndarray, *, stuck: bool) -> np.nda
 
 def held_force(model: Model, modes: np.ndarray, stuck: np.ndarray, apart: np.ndarray) -> np.ndarray:
     """Constant force of contacts that keep their state on some of the modes, shape (K,)."""
-    shape = model.contact_shape[:, :, modes]
     force = np.zeros(modes.size)
+    if not stuck.size + apart.size:
+        return force
+    shape = model.contact_shape[:, :, modes]
     for c in (*stuck, *apart):
         force += shape[c].T @ constant_force(model.contacts[c], model.start.slip[c], stuck=c in stuck)
     return force

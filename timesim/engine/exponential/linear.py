@@ -25,6 +25,7 @@ import jax
 import numpy as np
 
 from timesim.engine.event_loop import Batch, Reached, Rows, capacity
+from timesim.engine.exponential.parts import FINEST
 from timesim.engine.exponential.work import gauss
 from timesim.engine.status import Status
 from timesim.engine.step import Step
@@ -35,8 +36,11 @@ PERIOD = 2 * np.pi
 SHORT = 0.5  # of the norm of A h, up to which the series is used
 NUM_TERMS = 14  # of it: 0.5^14 / 15! = 5e-17 of the first
 NUM_NODES = 6  # of Gauss's rule for the energies over so short a time: 2e-16
-LOOKS = 16  # of a cycle, at which the motion is looked at to choose the steps
+LOOKS = 16  # of a cycle of the highest harmonic, at which the motion is looked at to choose the steps
+FAST = 10.0  # times the highest harmonic, from which on a mode that hardly rings need not be followed
 RUNGS = 4  # numbers of steps a cycle from one to twice as many: each asks for matrices of its own
+QUINTICS = 20  # that follow a vibration for each step that stability asks for: 3.3 / (46,080 FINEST)^(1/6) = 17
+ENOUGH = 0.7  # of the steps that there are, from which on fewer would not pay for other matrices
 DEAD = 1e-13  # of the largest motion: one that has decayed to that is followed no closer
 
 
@@ -45,12 +49,11 @@ class Flow(NamedTuple):
 
     Attributes:
         moves: ``exp(A h) - 1``, shape (n, n), and of twice the time, of four times it, and so on.
-        input, damping: quadratic forms of the energy put in and lost in damping over h.
+        forms: quadratic forms of the energy put in and lost in damping over h, shape (2, n, n), where they are wanted.
     """
 
     moves: list[np.ndarray]
-    input: np.ndarray
-    damping: np.ndarray
+    forms: np.ndarray | None
 
 
 def added(terms: list[np.ndarray]) -> np.ndarray:
@@ -72,7 +75,8 @@ class LinearMotion:
 
     Attributes:
         system: the system.
-        matrix: A; displacements are in units in which no entry is larger than the rates of the modes.
+        highest: multiple of the base frequency in the excitation.
+        matrix: A; displacements and loads are in units in which its norm is about the fastest rate of a mode.
     """
 
     def __init__(self, system: System):
@@ -81,7 +85,8 @@ class LinearMotion:
         damping = np.asarray(system.damping)
         self.drag = np.diag(damping) if damping.ndim == 1 else damping
         force = np.concatenate([system.cosine, system.sine, system.constant[None]]).T
-        self.unit = max(float(np.abs(force).max() / self.rate.max()), 1.0)
+        self.highest = int(system.harmonic.max(initial=1.0))
+        self.unit = max(float(np.abs(force).sum(axis=0).max() / self.rate.max()), 1.0)
         modes, order = len(self.rate), np.diag(system.harmonic)
         q, p, load = slice(modes), slice(modes, 2 * modes), 2 * modes + np.arange(len(order))
         self.matrix = np.zeros((2 * modes + force.shape[1],) * 2)
@@ -89,7 +94,7 @@ class LinearMotion:
         self.matrix[p, p], self.matrix[p, 2 * modes :] = -self.drag, force / self.unit
         self.matrix[np.ix_(load, load + len(order))] = -order
         self.matrix[np.ix_(load + len(order), load)] = order
-        self._flows: dict[int, Flow] = {}
+        self._flows: dict[tuple[int, bool], Flow] = {}
 
     def state(self, q: np.ndarray, p: np.ndarray, time: float) -> np.ndarray:
         """The state Y at a time within the cycle, shape (n,)."""
@@ -104,26 +109,30 @@ class LinearMotion:
 
     def after(self, state: np.ndarray, time: float) -> np.ndarray:
         """The state after any time, at once."""
-        powers, doublings, _ = self._series(time)
-        move = added(powers)
-        for _ in range(doublings):
-            move = doubled(move)
-        moved: np.ndarray = state + move @ state
+        moved: np.ndarray = state + self.flow(time, energies=False).moves[0] @ state
         return moved
 
-    def flow(self, h: float) -> Flow:
+    def flow(self, h: float, *, energies: bool = True) -> Flow:
         """What a time h does."""
-        (powers, doublings, short), modes = self._series(h), len(self.rate)
-        p, one = slice(modes, 2 * modes), np.eye(len(self.matrix))
-        power = np.zeros((2, *self.matrix.shape))
-        power[0, p, 2 * modes :], power[1, p, p] = self.matrix[p, 2 * modes :], self.drag
-        move, forms = added(powers), np.zeros_like(power)
+        powers, doublings, short = self._series(h)
+        move, one = added(powers), np.eye(len(self.matrix))
+        forms = self._energies(powers, short) if energies else None
+        for _ in range(doublings):
+            if forms is not None:
+                forms = forms + (one + move).T @ forms @ (one + move)
+            move = doubled(move)
+        return Flow([move], forms)
+
+    def _energies(self, powers: list[np.ndarray], short: float) -> np.ndarray:
+        """Quadratic forms of the energies over a short time, by Gauss's rule on its series."""
+        p, load = slice(len(self.rate), 2 * len(self.rate)), slice(2 * len(self.rate), None)
+        forms, one = np.zeros((2, *self.matrix.shape)), np.eye(len(self.matrix))
         for x, weight in zip(*gauss(NUM_NODES), strict=True):
             inside = one + added([x**k * term for k, term in enumerate(powers, 1)])
-            forms += weight * short * (inside.T @ power @ inside)
-        for _ in range(doublings):
-            forms, move = forms + (one + move).T @ forms @ (one + move), doubled(move)
-        return Flow([move], *forms)
+            velocity = weight * short * inside[p].T
+            forms[0] += velocity @ (self.matrix[p, load] @ inside[load])
+            forms[1] += velocity @ (self.drag @ inside[p])
+        return forms
 
     def _series(self, h: float) -> tuple[list[np.ndarray], int, float]:
         """Terms of ``exp(A s) - 1``, the largest first, of a short time s; how often it is doubled up to h; and s."""
@@ -135,11 +144,12 @@ class LinearMotion:
             powers.append(powers[0] @ powers[-1] / k)
         return powers, doublings, short
 
-    def steps(self, num: int) -> Flow:
+    def steps(self, num: int, *, energies: bool = True) -> Flow:
         """What a step does of which a cycle has so many."""
-        if num not in self._flows:
-            self._flows[num] = self.flow(PERIOD / num)
-        return self._flows[num]
+        key = (num, energies)
+        if key not in self._flows:
+            self._flows[key] = self.flow(PERIOD / num, energies=energies)
+        return self._flows[key]
 
     def path(self, flow: Flow, state: np.ndarray, count: int) -> np.ndarray:
         """The state before and after each of some steps, as columns, shape (n, count + 1)."""
@@ -154,31 +164,31 @@ class LinearMotion:
     @cached_property
     def _sixth(self) -> tuple[float, np.ndarray]:
         """Fastest rate, and the matrix of the sixth derivatives in its units."""
-        fastest = float(max(self.rate.max(), np.abs(self.drag).max(), self.system.harmonic.max(initial=1.0)))
+        fastest = float(max(self.rate.max(), np.abs(self.drag).max(), self.highest))
         return fastest, np.linalg.matrix_power(self.matrix / fastest, 6)
 
     def steps_a_cycle(self, state: np.ndarray, cycles: int, rtol: float) -> float:
         """Steps of a cycle of which the quintics through both ends follow the motion over some cycles.
 
-        They leave a share ``rtol`` of the largest mode in each cycle.
-        One leaves ``h^6 |q^(6)| / 46,080`` of a mode (Hairer, Norsett & Wanner, Solving Ordinary Differential Equations
-        I, section II.6), or of a vibration that is shorter than a step about ``h^2 |q''| / 16``, and what is slow.
+        They leave a share ``rtol`` of the largest mode in each cycle, of fast vibrations no less than `FINEST`. One
+        leaves ``h^6 |q^(6)| / 46,080`` (Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, section
+        II.6), and of a vibration that is shorter than the step about ``h^2 |q''| / 16``.
         """
-        modes, (fastest, sixth) = len(self.rate), self._sixth
-        states = self.path(self.steps(LOOKS), state, LOOKS * cycles)[:, 1:]
-        jet = sixth @ states
+        modes, (fastest, sixth), looks = len(self.rate), self._sixth, LOOKS * self.highest
+        states = self.path(self.steps(looks, energies=False), state, looks * cycles)[:, 1:]
+        jet, by_cycle = sixth @ states, (modes, cycles, looks)
         rate = np.maximum(self.rate, np.diag(self.drag))[:, None]
-        by_cycle = (modes, cycles, LOOKS)
         bends = np.hypot(jet[:modes] / self.rate[:, None], jet[modes : 2 * modes] / rate).reshape(by_cycle).max(axis=2)
         size = np.abs(states[:modes] / self.rate[:, None]).reshape(by_cycle).max(axis=2)
         largest = size.max(axis=0)
-        allowed = rtol * np.maximum(largest, max(DEAD * largest.max(), 1e-300))
-        order = max(float(self.system.harmonic.max(initial=0.0)), 1.0)
+        whole = 46_080 * np.maximum(largest, max(DEAD * largest.max(), 1e-300))
         with np.errstate(divide="ignore"):
-            followed = (46_080 * allowed / bends) ** (1 / 6) / fastest
-            slow = (46_080 * allowed / size) ** (1 / 6) / order
-            swings = np.sqrt(16 * allowed / bends) * (rate / fastest) ** 3 / rate
-        return float(PERIOD / np.maximum(followed, np.minimum(slow, swings)).min())
+            follows = (whole / bends) ** (1 / 6) / fastest
+            swings = np.sqrt(max(FINEST, rtol) / 2880 * whole / bends) * (rate / fastest) ** 3 / rate
+            slow = (rtol * whole / size) ** (1 / 6) / self.highest
+        rings = np.minimum(slow, np.maximum(max(FINEST, rtol) ** (1 / 6) * follows, swings))
+        length = np.maximum(rtol ** (1 / 6) * follows, np.where(rate > FAST * self.highest, rings, 0.0))
+        return float(PERIOD / length.min())
 
 
 def linear_batches(system: System, start: Point, cycles: int, solver: Solver) -> Iterator[Batch]:
@@ -188,22 +198,24 @@ def linear_batches(system: System, start: Point, cycles: int, solver: Solver) ->
         system: without contacts; numpy arrays.
         start: the continuous state.
         cycles: how many.
-        solver: its tolerance is what the quintics may leave of the motion, its budget the most steps of a cycle.
+        solver: its tolerance is what the quintics may leave of the motion, its budget that of explicit steps a cycle.
     """
     motion, room, num, done = LinearMotion(system), capacity(system, 0), 2 * LOOKS, 0
     state, work, like = motion.state(start.q, start.p, 0.0), np.zeros((2, 1)), _Like.of(start)
     while done < cycles:
         ahead = min(max(room // num, 1), cycles - done)
         wanted = motion.steps_a_cycle(state, ahead, solver.rtol)
-        if not wanted <= solver.budget:
+        if not wanted <= QUINTICS * solver.budget:
             status = Status.BUDGET if np.isfinite(state).all() else Status.NOT_FINITE
             yield like.batch(motion, state[:, None], (done * num, num), work[:, :0], status)
             return
-        num = int(np.ceil(2 ** (np.ceil(RUNGS * np.log2(max(wanted, LOOKS))) / RUNGS)))
+        if not ENOUGH * num <= max(wanted, LOOKS) <= num:
+            num = int(np.ceil(2 ** (np.ceil(RUNGS * np.log2(max(wanted, LOOKS))) / RUNGS)))
         flow, first, end = motion.steps(num), done * num, num * (done + min(max(room // num, 1), ahead))
         while first < end:
             states = motion.path(flow, state, min(room, end - first))
-            each = [((form @ states) * states).sum(axis=0)[:-1] for form in (flow.input, flow.damping)]
+            assert flow.forms is not None
+            each = ((flow.forms @ states) * states).sum(axis=1)[:, :-1]
             work = work[:, -1:] + np.cumsum(each, axis=1)
             batch = like.batch(motion, states, (first, num), work, Status.RUNNING)
             yield batch
@@ -214,9 +226,9 @@ def linear_batches(system: System, start: Point, cycles: int, solver: Solver) ->
 
 def linear_leap(system: System, start: Point, cycles: int) -> Reached:
     """Where a trajectory is some cycles later than at the start of one; arguments as of `linear_batches`."""
-    motion, like = LinearMotion(system), _Like.of(start)
+    motion = LinearMotion(system)
     end = motion.after(motion.state(start.q, start.p, 0.0), PERIOD * cycles)
-    return like.reached(motion, end[:, None], (cycles, 0.0), Status.RUNNING)
+    return reached(motion, end, (cycles, 0.0), start, Status.RUNNING)
 
 
 class _Like(NamedTuple):
@@ -243,15 +255,16 @@ class _Like(NamedTuple):
         state, length = np.zeros((index.size, 0), dtype=int), np.full(index.size, PERIOD / num)
         step = _made(self.step, [index // num, PERIOD * (index % num) / num, length, *start, *end, state, state])
         last = first + index.size
-        now = self.reached(motion, states, (last // num, PERIOD * (last % num) / num), status)
+        now = reached(motion, states[:, -1], (last // num, PERIOD * (last % num) / num), self.point, status)
         return Batch(step, _made(self.work, [*work, state.astype(float)]), now)
 
-    def reached(self, motion: LinearMotion, states: np.ndarray, place: tuple[int, float], status: Status) -> Reached:
-        """The last of some states, in a cycle and at a time within it."""
-        q, p, _ = motion.modes(states[:, -1:])
-        point = _made(self.point, [q[0], p[0], *self.point.w])
-        cycle, time = (np.asarray(part) for part in place)
-        return Reached(cycle, time, point, np.zeros(0, dtype=int), np.asarray(status.value), np.zeros((), dtype=int))
+
+def reached(motion: LinearMotion, state: np.ndarray, place: tuple[int, float], like: Point, status: Status) -> Reached:
+    """Where a trajectory stands in a state, in a cycle and at a time within it."""
+    q, p, _ = motion.modes(state[:, None])
+    cycle, time = (np.asarray(part) for part in place)
+    point, none = _made(like, [q[0], p[0], *like.w]), np.zeros((), dtype=int)
+    return Reached(cycle, time, point, np.zeros(0, dtype=int), np.asarray(status.value), none)
 
 
 def _made(like: Rows, leaves: list[np.ndarray]) -> Rows:
