@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from xarray import Dataset
 
 import timesim
 from timesim.engine.status import RunError
-from timesim.model.solver import Solver
+from timesim.model.solver import CLOSED_FORM, Solver
 from timesim.picture.tradeoff import error_against_time
 from timesim.scene.transient import TradeoffPlan
 from timesim.study.execution.campaign import Execution
@@ -18,6 +19,7 @@ from timesim.study.registry import carry_out, draw, load_scene
 from timesim.study.tradeoff import bench as benches
 from timesim.study.tradeoff import study
 from timesim.study.tradeoff.bench import Bench, Trial, lowest_modes
+from timesim.study.tradeoff.report import block
 from timesim.study.tradeoff.study import fewer, judge
 
 CONFIG = Path(__file__).parents[2] / "configs" / "tradeoff.yaml"
@@ -189,3 +191,13 @@ def test_what_is_over_the_budget_is_left_out() -> None:
     assert outcome.groups[""].sizes["trial"] == 1
     assert outcome.groups[""].attrs["left_out"].count("no time left") > 10
     assert "one run says nothing of its error" in outcome.summary[-2]
+
+
+def test_of_a_run_in_closed_form_the_accuracy_is_recommended() -> None:
+    """It has no method that a scene could name; its run is the truth for the others."""
+    judged = [trial(CLOSED_FORM, 1e-7, 0.0, 0.1, preset="draft"), *TRIALS[:6]]
+    verdict = judge(bench(judged))
+    assert verdict.recommended == 0
+    assert verdict.verified == "closed form and tsit5, rtol 1e-11, atol 1e-13"
+    one = Dataset({"method": "closed form", "rtol": 1e-7, "preset": "draft"})
+    assert block(one) == {"accuracy": "draft"}
