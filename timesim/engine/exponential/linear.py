@@ -48,8 +48,8 @@ class Flow(NamedTuple):
     """What a time h does to a state.
 
     Attributes:
-        moves: ``exp(A h) - 1``, shape (n, n), and of twice the time, of four times it, and so on.
-        forms: quadratic forms of the energy put in and lost in damping over h, shape (2, n, n), where they are wanted.
+        moves: ``exp(A h) - 1`` of each block, shape (B, n, n), and of twice the time, of four times it, and so on.
+        forms: quadratic forms of the energy put in and lost in damping over h, shape (2, B, n, n), if they are wanted.
     """
 
     moves: list[np.ndarray]
@@ -73,70 +73,79 @@ def doubled(move: np.ndarray) -> np.ndarray:
 class LinearMotion:
     """The equations of a system without contacts, and its motion from any state.
 
+    Modes that damping does not couple move each by itself: a state is that of blocks, which are of one mode each then,
+    or of all of them. Each has its own load.
+
     Attributes:
         system: the system.
         highest: multiple of the base frequency in the excitation.
-        matrix: A; displacements and loads are in units in which its norm is about the fastest rate of a mode.
+        matrix: A of each block, shape (B, n, n); displacements and loads are in units in which its norm is about the
+            fastest rate of a mode.
     """
 
     def __init__(self, system: System):
         self.system = system
-        self.rate = np.maximum(np.sqrt(system.stiffness), 1.0)
-        damping = np.asarray(system.damping)
-        self.drag = np.diag(damping) if damping.ndim == 1 else damping
-        force = np.concatenate([system.cosine, system.sine, system.constant[None]]).T
+        coupled, num = system.damping.ndim == 2, len(system.stiffness)
+        blocks, size = (1, num) if coupled else (num, 1)
+        self.rate = np.maximum(np.sqrt(system.stiffness), 1.0).reshape(blocks, size)
+        self.drag = np.asarray(system.damping).reshape(blocks, size, size)
+        force = np.concatenate([system.cosine, system.sine, system.constant[None]]).T.reshape(blocks, size, -1)
         self.highest = int(system.harmonic.max(initial=1.0))
-        self.unit = max(float(np.abs(force).sum(axis=0).max() / self.rate.max()), 1.0)
-        modes, order = len(self.rate), np.diag(system.harmonic)
-        q, p, load = slice(modes), slice(modes, 2 * modes), 2 * modes + np.arange(len(order))
-        self.matrix = np.zeros((2 * modes + force.shape[1],) * 2)
-        self.matrix[q, p], self.matrix[p, q] = np.diag(self.rate), -np.diag(system.stiffness / self.rate)
-        self.matrix[p, p], self.matrix[p, 2 * modes :] = -self.drag, force / self.unit
-        self.matrix[np.ix_(load, load + len(order))] = -order
-        self.matrix[np.ix_(load + len(order), load)] = order
+        self.unit = max(float(np.abs(force).sum(axis=1).max() / self.rate.max()), 1.0)
+        self.q, self.p, self.load = slice(size), slice(size, 2 * size), slice(2 * size, None)
+        self.matrix = np.zeros((blocks, *(2 * size + force.shape[2],) * 2))
+        self.matrix[:, self.q, self.p] = self.rate[:, None] * np.eye(size)
+        self.matrix[:, self.p, self.q] = -(system.stiffness.reshape(blocks, 1, size) / self.rate[:, None]) * np.eye(
+            size
+        )
+        self.matrix[:, self.p, self.p], self.matrix[:, self.p, self.load] = -self.drag, force / self.unit
+        turn = np.kron([[0.0, -1.0], [1.0, 0.0]], np.diag(system.harmonic))
+        self.matrix[:, 2 * size : -1, 2 * size : -1] = turn
         self._flows: dict[tuple[int, bool], Flow] = {}
 
     def state(self, q: np.ndarray, p: np.ndarray, time: float) -> np.ndarray:
-        """The state Y at a time within the cycle, shape (n,)."""
+        """The state Y at a time within the cycle, shape (B, n)."""
         angle = self.system.harmonic * (time + self.system.phase)
-        return np.concatenate([self.rate * q, p, self.unit * np.r_[np.cos(angle), np.sin(angle), 1.0]])
+        load = self.unit * np.concatenate([np.cos(angle), np.sin(angle), [1.0]])
+        own = (self.rate * q.reshape(self.rate.shape), p.reshape(self.rate.shape))
+        return np.concatenate([*own, np.broadcast_to(load, (len(self.rate), load.size))], axis=1)
 
     def modes(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Displacement, velocity and acceleration of the modes, each (N, M), of states as columns."""
-        modes = len(self.rate)
-        acceleration = self.matrix[modes : 2 * modes] @ states
-        return (states[:modes] / self.rate[:, None]).T, states[modes : 2 * modes].T, acceleration.T
+        """Displacement, velocity and acceleration of the modes, each (N, M), of states along the last axis."""
+        acceleration = self.matrix[:, self.p] @ states
+        parts = (states[:, self.q] / self.rate[..., None], states[:, self.p], acceleration)
+        q, p, dp = (part.reshape(self.rate.size, -1).T for part in parts)
+        return q, p, dp
 
     def after(self, state: np.ndarray, time: float) -> np.ndarray:
         """The state after any time, at once."""
-        moved: np.ndarray = state + self.flow(time, energies=False).moves[0] @ state
+        moved: np.ndarray = state + (self.flow(time, energies=False).moves[0] @ state[..., None])[..., 0]
         return moved
 
     def flow(self, h: float, *, energies: bool = True) -> Flow:
         """What a time h does."""
         powers, doublings, short = self._series(h)
-        move, one = added(powers), np.eye(len(self.matrix))
+        move, one = added(powers), np.eye(self.matrix.shape[1])
         forms = self._energies(powers, short) if energies else None
         for _ in range(doublings):
             if forms is not None:
-                forms = forms + (one + move).T @ forms @ (one + move)
+                forms = forms + (one + move).swapaxes(1, 2) @ forms @ (one + move)
             move = doubled(move)
         return Flow([move], forms)
 
     def _energies(self, powers: list[np.ndarray], short: float) -> np.ndarray:
         """Quadratic forms of the energies over a short time, by Gauss's rule on its series."""
-        p, load = slice(len(self.rate), 2 * len(self.rate)), slice(2 * len(self.rate), None)
-        forms, one = np.zeros((2, *self.matrix.shape)), np.eye(len(self.matrix))
+        forms, one = np.zeros((2, *self.matrix.shape)), np.eye(self.matrix.shape[1])
         for x, weight in zip(*gauss(NUM_NODES), strict=True):
             inside = one + added([x**k * term for k, term in enumerate(powers, 1)])
-            velocity = weight * short * inside[p].T
-            forms[0] += velocity @ (self.matrix[p, load] @ inside[load])
-            forms[1] += velocity @ (self.drag @ inside[p])
+            velocity = weight * short * inside[:, self.p].swapaxes(1, 2)
+            forms[0] += velocity @ (self.matrix[:, self.p, self.load] @ inside[:, self.load])
+            forms[1] += velocity @ (self.drag @ inside[:, self.p])
         return forms
 
     def _series(self, h: float) -> tuple[list[np.ndarray], int, float]:
         """Terms of ``exp(A s) - 1``, the largest first, of a short time s; how often it is doubled up to h; and s."""
-        size = max(h * float(np.linalg.norm(self.matrix, 1)) / SHORT, 1.0)
+        size = max(h * float(np.abs(self.matrix).sum(axis=1).max()) / SHORT, 1.0)
         doublings = int(np.ceil(np.log2(size)))
         short = h / 2.0**doublings
         powers = [short * self.matrix]
@@ -152,13 +161,13 @@ class LinearMotion:
         return self._flows[key]
 
     def path(self, flow: Flow, state: np.ndarray, count: int) -> np.ndarray:
-        """The state before and after each of some steps, as columns, shape (n, count + 1)."""
-        states = state[:, None]
+        """The state before and after each of some steps, shape (B, n, count + 1)."""
+        states = state[..., None]
         for level in range(int(np.ceil(np.log2(count + 1)))):
             if level == len(flow.moves):
                 flow.moves.append(doubled(flow.moves[-1]))
-            begun = states[:, : count + 1 - states.shape[1]]
-            states = np.concatenate([states, begun + flow.moves[level] @ begun], axis=1)
+            begun = states[..., : count + 1 - states.shape[2]]
+            states = np.concatenate([states, begun + flow.moves[level] @ begun], axis=2)
         return states
 
     @cached_property
@@ -174,12 +183,12 @@ class LinearMotion:
         leaves ``h^6 |q^(6)| / 46,080`` (Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, section
         II.6), and of a vibration that is shorter than the step about ``h^2 |q''| / 16``.
         """
-        modes, (fastest, sixth), looks = len(self.rate), self._sixth, LOOKS * self.highest
-        states = self.path(self.steps(looks, energies=False), state, looks * cycles)[:, 1:]
-        jet, by_cycle = sixth @ states, (modes, cycles, looks)
-        rate = np.maximum(self.rate, np.diag(self.drag))[:, None]
-        bends = np.hypot(jet[:modes] / self.rate[:, None], jet[modes : 2 * modes] / rate).reshape(by_cycle).max(axis=2)
-        size = np.abs(states[:modes] / self.rate[:, None]).reshape(by_cycle).max(axis=2)
+        (fastest, sixth), looks, unit = self._sixth, LOOKS * self.highest, self.rate[..., None]
+        states = self.path(self.steps(looks, energies=False), state, looks * cycles)[..., 1:]
+        jet, by_cycle = sixth @ states, (self.rate.size, cycles, looks)
+        rate = np.maximum(unit, self.drag.diagonal(axis1=1, axis2=2)[..., None])
+        bends = np.hypot(jet[:, self.q] / unit, jet[:, self.p] / rate).reshape(by_cycle).max(axis=2)
+        size, rate = np.abs(states[:, self.q] / unit).reshape(by_cycle).max(axis=2), rate.reshape(-1, 1)
         largest = size.max(axis=0)
         whole = 46_080 * np.maximum(largest, max(DEAD * largest.max(), 1e-300))
         with np.errstate(divide="ignore"):
@@ -207,7 +216,7 @@ def linear_batches(system: System, start: Point, cycles: int, solver: Solver) ->
         wanted = motion.steps_a_cycle(state, ahead, solver.rtol)
         if not wanted <= QUINTICS * solver.budget:
             status = Status.BUDGET if np.isfinite(state).all() else Status.NOT_FINITE
-            yield like.batch(motion, state[:, None], (done * num, num), work[:, :0], status)
+            yield like.batch(motion, state[..., None], (done * num, num), work[:, :0], status)
             return
         if not ENOUGH * num <= max(wanted, LOOKS) <= num:
             num = int(np.ceil(2 ** (np.ceil(RUNGS * np.log2(max(wanted, LOOKS))) / RUNGS)))
@@ -215,11 +224,11 @@ def linear_batches(system: System, start: Point, cycles: int, solver: Solver) ->
         while first < end:
             states = motion.path(flow, state, min(room, end - first))
             assert flow.forms is not None
-            each = ((flow.forms @ states) * states).sum(axis=1)[:, :-1]
+            each = ((flow.forms @ states) * states).sum(axis=(1, 2))[:, :-1]
             work = work[:, -1:] + np.cumsum(each, axis=1)
             batch = like.batch(motion, states, (first, num), work, Status.RUNNING)
             yield batch
-            first += states.shape[1] - 1
+            first += states.shape[2] - 1
             state = motion.state(batch.now.point.q, batch.now.point.p, float(batch.now.time))
         done = end // num
 
@@ -247,7 +256,7 @@ class _Like(NamedTuple):
     def batch(
         self, motion: LinearMotion, states: np.ndarray, place: tuple[int, int], work: np.ndarray, status: Status
     ) -> Batch:
-        """Steps between states as columns; ``place``: number of the first of them, and how many a cycle has."""
+        """Steps between states; ``place``: number of the first of them, and how many a cycle has."""
         (q, p, dp), (first, num) = motion.modes(states), place
         index = first + np.arange(len(q) - 1)
         w = [np.zeros((len(q), *part.shape)) for part in self.point.w]
@@ -255,13 +264,13 @@ class _Like(NamedTuple):
         state, length = np.zeros((index.size, 0), dtype=int), np.full(index.size, PERIOD / num)
         step = _made(self.step, [index // num, PERIOD * (index % num) / num, length, *start, *end, state, state])
         last = first + index.size
-        now = reached(motion, states[:, -1], (last // num, PERIOD * (last % num) / num), self.point, status)
+        now = reached(motion, states[..., -1], (last // num, PERIOD * (last % num) / num), self.point, status)
         return Batch(step, _made(self.work, [*work, state.astype(float)]), now)
 
 
 def reached(motion: LinearMotion, state: np.ndarray, place: tuple[int, float], like: Point, status: Status) -> Reached:
     """Where a trajectory stands in a state, in a cycle and at a time within it."""
-    q, p, _ = motion.modes(state[:, None])
+    q, p, _ = motion.modes(state[..., None])
     cycle, time = (np.asarray(part) for part in place)
     point, none = _made(like, [q[0], p[0], *like.w]), np.zeros((), dtype=int)
     return Reached(cycle, time, point, np.zeros(0, dtype=int), np.asarray(status.value), none)
