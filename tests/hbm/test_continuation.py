@@ -7,6 +7,7 @@ import pytest
 
 from timesim.hbm.continuation import Controls, Ending, follow, follow_both_ways, solve
 from timesim.hbm.continuation.corrector import Corrector
+from timesim.hbm.continuation.tracker import _PathTracker
 
 CONTROLS = Controls(size=0.1)
 
@@ -180,6 +181,27 @@ def test_a_curve_does_not_turn_back_on_its_own_way():
     assert curve.ending is Ending.LEFT
     assert curve.fold.sum() == 1
     assert curve.x[-1, 0] == pytest.approx(-1.0002, abs=1e-6)
+
+
+class BentReturn:
+    """The same along x = 3 p^2: the tangent leads to the side of the way back."""
+
+    def value(self, x, p):
+        return NarrowReturn().value(x - 3 * p**2, p)
+
+    def linearised(self, x, p):
+        r, by_x, by_p = NarrowReturn().linearised(x - 3 * p**2, p)
+        return r, by_x, by_p - by_x[0] * 6 * p
+
+
+def test_the_way_to_a_corner_does_not_lead_to_the_one_behind_it():
+    tracker = _PathTracker(BentReturn(), np.array([3.0]), Controls(size=1.0), -1.0, 1.0, -1.0)
+    at = tracker.corrector.in_units(np.array([3 * 0.05**2]), -0.05)
+    point = tracker.corrector.damped_newton(at, tracker.ahead)
+    assert point.orientation > 0
+    landed = tracker.corrector.simplified_newton(point.y + 0.02 * point.tangent, point.tangent)
+    assert landed.orientation < 0
+    assert tracker._at_corner(point, 0.02 / 0.95, point.tangent) is None
 
 
 @dataclass

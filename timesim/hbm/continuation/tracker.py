@@ -226,7 +226,8 @@ class _PathTracker:
         if along > AT_CORNER:
             way = APPROACH * along
             near = self.corrector.simplified_newton(point.y + way * point.tangent, point.tangent)
-            return _Step(near, way, along / 4) if point.tangent @ near.tangent > SHARP else None
+            same = near.orientation * point.orientation >= 0
+            return _Step(near, way, along / 4) if same and point.tangent @ near.tangent > SHARP else None
         guess = point.y + along * point.tangent + AT_CORNER * tangent
         new = self.corrector.simplified_newton(guess, tangent)
         same = new.orientation * point.orientation >= 0
