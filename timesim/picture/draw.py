@@ -95,7 +95,7 @@ def _words(label: str) -> set[str]:
     return set(label.partition("[")[0].split())
 
 
-def _vectors(figure: "Figure", kind: str) -> memoryview:
+def _vectors(figure: "Figure", kind: str) -> bytes:
     """A figure as vectors, cut to what is drawn; the same figure gives the same file."""
     from matplotlib import rc_context
 
@@ -108,10 +108,10 @@ def _vectors(figure: "Figure", kind: str) -> memoryview:
             pad_inches=MARGIN / DPI,
             metadata={"Date" if kind == "svg" else "CreationDate": None},
         )
-    return image.getbuffer()
+    return image.getvalue()
 
 
-def _png(figure: "Figure") -> memoryview:
+def _png(figure: "Figure") -> bytes:
     """A figure as an image, cut to what is drawn: room that was kept for a legend or a note may be empty."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.image import imsave
@@ -129,4 +129,4 @@ def _png(figure: "Figure") -> memoryview:
         cut.append(slice(max(0, places[0] - MARGIN), places[-1] + 1 + MARGIN))
     image = io.BytesIO()
     imsave(image, pixels[cut[0], cut[1]], format="png", dpi=DPI)
-    return image.getbuffer()
+    return image.getvalue()

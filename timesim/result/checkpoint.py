@@ -117,7 +117,7 @@ class Checkpoint:
                         np.lib.format.write_array(stream, array, allow_pickle=False)
         except ValueError as error:
             raise StoreError(f"chunk {name}, '{key}': not an array of numbers or text: {error}") from error
-        write_whole(self.folder / f"{name}.npz", image.getbuffer())
+        write_whole(self.folder / f"{name}.npz", image.getvalue())
         with suppress(OSError):  # nothing but the time that is shown depends on it
             (self.folder / SECONDS_NAME).write_text(f"{self.earlier + time.monotonic() - self.begun:.3f}\n")
 

@@ -10,7 +10,7 @@ class StoreError(Exception):
     """A file of a run that cannot be written or read; the message names the file, the reason and what to do."""
 
 
-def write_whole(path: Path, content: bytes | memoryview) -> None:
+def write_whole(path: Path, content: bytes) -> None:
     """Write a file beside its place, force it to the disk, and only then give it its name.
 
     Raises:

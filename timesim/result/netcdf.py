@@ -88,7 +88,7 @@ def read(path: Path | str) -> "dict[str, xarray.Dataset]":
     return groups
 
 
-def _content(groups: "Mapping[str, xarray.Dataset]") -> memoryview:
+def _content(groups: "Mapping[str, xarray.Dataset]") -> bytes:
     """The bytes of a file. Written to memory first: HDF5 reports a full disk late, and not always as an error."""
     import h5netcdf
     from xarray.backends import H5NetCDFStore
@@ -98,7 +98,7 @@ def _content(groups: "Mapping[str, xarray.Dataset]") -> memoryview:
         for name, data in groups.items():
             target = H5NetCDFStore(file.create_group(name) if name else file)
             data.dump_to_store(target, encoding={key: _encoding(array) for key, array in data.variables.items()})
-    return image.getbuffer()
+    return image.getvalue()
 
 
 def _encoding(variable: "xarray.Variable") -> dict[str, object]:
