@@ -201,8 +201,9 @@ def in_a_process(code, **environment):
     ).stdout
 
 
-def test_only_commands_keep_programs_unless_the_host_has_chosen(tmp_path):
+def test_only_commands_keep_programs_unless_the_host_has_chosen(tmp_path, monkeypatch):
     assert runtime.READY is None
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
     code = "from timesim import runtime; print(runtime.READY)"
     kept = {"TIMESIM_CACHE": str(tmp_path), runtime.KEEP: "1"}
     assert in_a_process(code, **kept).strip() == str(tmp_path / runtime.processor() / "ready")

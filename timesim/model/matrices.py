@@ -12,6 +12,7 @@ import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -114,7 +115,7 @@ def _read_single(path: Path, name: str) -> Any:
     import scipy.io
     import scipy.sparse
 
-    read = scipy.io.mmread if path.suffix.lower() == ".mtx" else scipy.sparse.load_npz
+    read = partial(scipy.io.mmread, spmatrix=False) if path.suffix.lower() == ".mtx" else scipy.sparse.load_npz
     try:
         with _reading(path):
             matrix = read(path)

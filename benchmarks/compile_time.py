@@ -1,0 +1,62 @@
+"""How long does a structure of each size compile, by each method?
+
+    python benchmarks/compile_time.py --against DIR      # DIR: a checkout of what it was before
+
+A generated structure (tests/zoo.py) runs for two cycles by `timesim run`, with an empty folder of compiled programs and
+again: CPU seconds of the first run beyond those of the second, children included.
+"""
+
+import argparse
+import runpy
+import tempfile
+from pathlib import Path
+
+from start import ROOT, seconds
+
+from timesim.scene.text import yaml_text
+
+ZOO = runpy.run_path(str(ROOT / "tests" / "zoo.py"))
+SIZES = ((2, 1), (20, 3), (20, 10), (50, 10), (100, 30))
+SOLVERS = {
+    "tsit5": {"method": "tsit5", "rtol": 1e-6, "atol": 1e-8},
+    "dopri8": {"method": "dopri8", "rtol": 1e-8, "atol": 1e-10},
+    "exponential, 3 nodes": {"method": "exponential", "rtol": 1e-4, "atol": 1e-6},
+    "exponential, 5 nodes": {"method": "exponential", "rtol": 1e-7, "atol": 1e-9},
+}
+SEED = 8100
+
+
+def scene(size: tuple[int, int], solver: dict[str, object]) -> str:
+    model, _ = ZOO["driven"](SEED, size)
+    study = {"kind": "transient", "cycles": 2}
+    return yaml_text(ZOO["scene_of"](model) | {"study": study, "solver": solver})
+
+
+def compiling(text: str, root: Path) -> float:
+    """CPU seconds that a first run takes beyond a second."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "scene.yaml")
+        file.write_text(text)
+        command = ("-m", "timesim", "run", str(file), "--force", "--no-plots", "-o", "{folder}")
+        first, later = (seconds(command, root, Path(folder)) for _ in range(2))
+    return first - later
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--against", type=Path, metavar="DIR", help="another checkout")
+    parser.add_argument("--methods", nargs="+", choices=list(SOLVERS), default=list(SOLVERS))
+    options = parser.parse_args()
+    heads = [f"{m} x {c}" for m, c in SIZES]
+    print("\n".join(["| method | " + " | ".join(heads) + " |", "|---" * (1 + len(heads)) + "|"]), flush=True)
+    for name in options.methods:
+        for root in (ROOT, options.against and options.against.resolve()):
+            if root is None:
+                continue
+            label = name if root == ROOT else f"{name}, {root.name}"
+            found = [f"{compiling(scene(size, SOLVERS[name]), root):.1f}" for size in SIZES]
+            print(f"| {label} | {' | '.join(found)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
