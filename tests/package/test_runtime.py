@@ -144,6 +144,9 @@ def test_a_folder_that_is_of_no_use_is_reported_once(tmp_path, trouble):
             (folder / f"{name}-atime").write_bytes(bytes(8))
         expected = "11 entries of one program"
     _, err = python("import timesim.runtime; import timesim.engine.law.cone", TIMESIM_CACHE=str(tmp_path))
+    if trouble == "keeps nothing" and any(folder.glob("jit_probe*-cache")):  # JAX 0.12 goes on without that time
+        assert "RuntimeWarning" not in err
+        return
     assert err.count("RuntimeWarning") == 1
     assert f"compiled programs are not kept in {folder}: " in err
     assert expected in err
