@@ -237,7 +237,7 @@ def stiff(stiffness: float) -> Model:
 
 
 @pytest.mark.parametrize("stiffness", [1e4, 1e6, 1e8])
-@pytest.mark.parametrize("rtol", [1e-4, 1e-6])
+@pytest.mark.parametrize("rtol", [1e-4, pytest.param(1e-6, marks=pytest.mark.slow)])
 def test_kvaerno5_on_stiff_contacts(stiffness: float, rtol: float) -> None:
     """It steps over what an explicit method must follow, and agrees with it."""
     model = stiff(stiffness)

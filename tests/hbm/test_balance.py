@@ -27,7 +27,7 @@ def differences(value, x, step):
     return np.array([(value(x + step * e) - value(x - step * e)) / (2 * step) for e in np.eye(x.size)]).T
 
 
-@pytest.mark.parametrize("preload", [2.0, 5.0])
+@pytest.mark.parametrize("preload", [pytest.param(2.0, marks=pytest.mark.slow), 5.0])
 def test_a_curve_from_the_stuck_end_passes_the_onset_of_slip(preload):
     """From either end the same curve: the offset of the stuck part leads to the one with which slip begins."""
     model, curves = systems.oscillator(preload, 1.0), []

@@ -74,7 +74,9 @@ def paired(found, expected):
     return found[columns]
 
 
-@pytest.mark.parametrize(("preload", "frequency"), [(-1.0, 0.97), (2.0, 1.3), (3.0, 1.39)])
+@pytest.mark.parametrize(
+    ("preload", "frequency"), [pytest.param(-1.0, 0.97, marks=pytest.mark.slow), (2.0, 1.3), (3.0, 1.39)]
+)
 def test_modes_coupled_by_damping(preload, frequency):
     """Response and complex multipliers against time integration; without the coupling both are quite different."""
     model, scheme = coupled(preload, frequency), Scheme(15, 256)

@@ -100,6 +100,7 @@ def test_what_repeats_settles_in_few_cycles():
     assert np.median(cycles) < 50
 
 
+@pytest.mark.slow
 def test_long_periods_are_recognised():
     """After the budget, of motions that repeat after nine and 37 cycles."""
     chains = list(islice(points(41_543), 6, 9))

@@ -65,7 +65,7 @@ def test_the_progress_of_a_curve_is_the_share_of_its_range(whole):
     assert seen[-2][1] == "curve 2: 100% of the range, contacts.pad.preload -3"
 
 
-@pytest.mark.parametrize("ending", [Killed, KeyboardInterrupt])
+@pytest.mark.parametrize("ending", [pytest.param(Killed, marks=pytest.mark.slow), KeyboardInterrupt])
 def test_a_run_cut_off_goes_on_with_its_curves(
     ending: type[BaseException], whole: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
