@@ -232,6 +232,12 @@ def with_friction(run: xarray.Dataset, *values: float) -> xarray.Dataset:
     return run.assign_coords(friction=("contact", list(values)))
 
 
+def test_normal_load_of_a_contact_that_never_touches(run: xarray.Dataset) -> None:
+    apart = run.assign(contact_force=run.contact_force * 0.0, contact_state=run.contact_state * 0 + SEPARATION)
+    low, high = plot_contact.normal_load(apart, contact="pad").get_ylim()
+    assert low < 0 < 0.5 < high
+
+
 def test_normal_load_beside_the_limit_of_the_cone(run: xarray.Dataset) -> None:
     ax = plot_contact.normal_load(with_friction(run, FRICTION, 0.0), contact="pad")
     limit, force = (_curve(ax, name)[1] for name in ("limit of the cone μn", "friction force |f|"))

@@ -60,7 +60,7 @@ def batches(method: Method, control: Control, system: System, now: Trajectory, c
     room = capacity(system, 0 if method.integrates_work else method.order)
     fast, done = (
         has_fast_modes(system, float(control.longest)),
-        Work(np.zeros(()), np.zeros(()), np.zeros(now.state.shape)),
+        Work(np.zeros(()), np.zeros(()), np.zeros(now.state.size)),
     )
     while now.cycle < cycles and now.status == Status.RUNNING:
         now, record, count = advance(method, control, system, now, np.asarray(cycles), room)

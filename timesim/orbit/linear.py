@@ -26,7 +26,8 @@ def linear_orbit(lane: Lane) -> Orbit | None:
     system, here = lane.system, lane.here
     if here.state.size:
         return None
-    K, D = (np.diag(a) if a.ndim == 1 else a for a in (np.asarray(system.stiffness), np.asarray(system.damping)))
+    K, D = np.diag(system.stiffness), np.asarray(system.damping)
+    D = np.diag(D) if D.ndim == 1 else D
     rates = np.linalg.eigvals(np.block([[np.zeros_like(K), np.eye(len(K))], [-K, -D]]))
     if not np.all(rates.real < 0):
         return None

@@ -107,6 +107,8 @@ def normal_load(data: "Dataset", ax: "Axes | None" = None, *, contact: str | Non
             ax.plot(time, limit, color="black", linestyle=(0, (1, 1.5)), linewidth=1.2, label="limit of the cone μn")
         tangential = np.hypot(force[:, 0], force[:, 1])
         ax.plot(time, tangential, color=VERMILION, linestyle="--", linewidth=1.0, label="friction force |f|")
+    if not force.any():  # what is drawn has no height then, of which matplotlib makes one of 1e-17
+        ax.set_ylim(-0.05, 1.0)
     what = "n" if stop else "n, μn, |f|"
     ax.set(xlabel="time [s]", ylabel=what + unit(data, "contact_force"), xlim=(time[0], time[-1]))
     label_axes(ax, short(contact))

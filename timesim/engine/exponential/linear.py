@@ -95,9 +95,8 @@ class LinearMotion:
         self.q, self.p, self.load = slice(size), slice(size, 2 * size), slice(2 * size, None)
         self.matrix = np.zeros((blocks, *(2 * size + force.shape[2],) * 2))
         self.matrix[:, self.q, self.p] = self.rate[:, None] * np.eye(size)
-        self.matrix[:, self.p, self.q] = -(system.stiffness.reshape(blocks, 1, size) / self.rate[:, None]) * np.eye(
-            size
-        )
+        back = system.stiffness.reshape(blocks, 1, size) / self.rate[:, None]
+        self.matrix[:, self.p, self.q] = -back * np.eye(size)
         self.matrix[:, self.p, self.p], self.matrix[:, self.p, self.load] = -self.drag, force / self.unit
         turn = np.kron([[0.0, -1.0], [1.0, 0.0]], np.diag(system.harmonic))
         self.matrix[:, 2 * size : -1, 2 * size : -1] = turn
