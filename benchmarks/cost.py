@@ -1,7 +1,7 @@
 """How long do a step, a cycle and a solution take, by the numbers of modes and contacts?
 
 Run `python benchmarks/cost.py`. Generated structures whose contacts stick and slip: steps a cycle at each accuracy, and
-microseconds a step, of a run that is recorded and of one of sixteen side by side as in a sweep, compiled before; CPU
+microseconds a step, of a run that is recorded and of one of sixteen side by side, compiled before; CPU
 seconds beside wall seconds, since other jobs may share the machine. The rows stand in `timesim/model/cost.py`, from
 which `timesim check` estimates what a scene will take.
 """

@@ -1,8 +1,8 @@
 """Side by side or one after the other: what do many trajectories of one structure take?
 
-Run `python benchmarks/lanes.py`. Sixteen trajectories of tsit5 that begin at different phases of the excitation, 10
-cycles, nothing recorded: microseconds of CPU a cycle and trajectory, the median of some runs after the first.
-`timesim.engine.system.WIDE` and `MOST_SUMMED` follow from it.
+Run `python benchmarks/lanes.py`. Sixteen trajectories, or `--lanes`, of tsit5 that begin at different phases of the
+excitation, 10 cycles, nothing recorded: microseconds of CPU a cycle and trajectory, the median of some runs after the
+first. `timesim.engine.system.WIDE` and `MOST_SUMMED`, and the lanes of a batch in `timesim.orbit.batch` follow from it.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
@@ -27,10 +27,10 @@ from timesim.engine.trajectory import Frame, Phase, Run
 from timesim.model.solver import Solver
 
 SIZES = [(2, 1), (10, 3), (10, 5), (20, 3), (14, 7), (20, 8), (40, 1), (40, 2), (50, 10)]
-LANES, CYCLES, SOLVER = 16, 10, Solver("tsit5", 1e-5, 1e-7)
+CYCLES, SOLVER = 10, Solver("tsit5", 1e-5, 1e-7)
 
 
-def taken(num_modes: int, num_contacts: int, one_by_one: bool, repeats: int) -> float:
+def taken(num_modes: int, num_contacts: int, lanes: int, one_by_one: bool, repeats: int) -> float:
     """Microseconds a cycle and trajectory."""
     model = many_modes(num_modes, num_contacts)
     run = Run(model, [Phase(1.0, CYCLES)], SOLVER)
@@ -38,28 +38,29 @@ def taken(num_modes: int, num_contacts: int, one_by_one: bool, repeats: int) -> 
     stiffest = model.stuck_rate / frame.scales.omega
     system = system_of(model, 1.0, 0.0, run.reduction)
     start = frame.begin(system, run, SOLVER.first_step(stiffest), work=False)
-    systems, starts = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * LANES), (system, start))
-    systems = eqx.tree_at(lambda s: s.phase, systems, jnp.linspace(0, 1, LANES))
+    systems, starts = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * lanes), (system, start))
+    systems = eqx.tree_at(lambda s: s.phase, systems, jnp.linspace(0, 1, lanes))
     times = []
     jax.clear_caches()
     with patch.object(event_loop, "one_by_one", lambda *_: one_by_one):
         for _ in range(repeats + 1):
             clock = time.process_time()
-            cycles = jnp.full(LANES, CYCLES)
+            cycles = jnp.full(lanes, CYCLES)
             end, _ = event_loop.march(step_method(SOLVER), step_control(SOLVER, stiffest), systems, starts, cycles)
             assert np.all(np.asarray(end.cycle) == CYCLES)
             times.append(time.process_time() - clock)
-    return statistics.median(times[1:]) / CYCLES / LANES * 1e6
+    return statistics.median(times[1:]) / CYCLES / lanes * 1e6
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--lanes", type=int, default=16)
     options = parser.parse_args()
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}\n")
     print("| modes x contacts | side by side | one after the other |\n|---|---|---|")
     for modes, contacts in SIZES:
-        both = [taken(modes, contacts, one_by_one, options.repeats) for one_by_one in (False, True)]
+        both = [taken(modes, contacts, options.lanes, one_by_one, options.repeats) for one_by_one in (False, True)]
         print(f"| {modes} x {contacts} | {both[0]:.0f} | {both[1]:.0f} |", flush=True)
 
 

@@ -165,6 +165,7 @@ def test_bistable() -> None:
     assert result["hbm"].to_dataset()["fold"].values.sum() == 2
 
 
+@pytest.mark.slow
 def test_optimum() -> None:
     study: dict[str, Any] = {"kind": "optimum", "along": {"contacts.pad.preload": {"from": 3.0, "to": 4.4, "num": 3}}}
     study |= {"frequency": {"values": [1.41, 1.46, 1.51]}, "accuracy": 0.5}
@@ -172,7 +173,7 @@ def test_optimum() -> None:
     assert 3.0 < float(result["optimum"]) < 4.4
 
 
-@pytest.mark.parametrize("along", [False, True])
+@pytest.mark.parametrize("along", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_hbm(along: bool) -> None:
     study: dict[str, Any] = {"kind": "hbm", "harmonics": 3, "time_samples": 64, "continuation": {"max_step": 0.2}}
     preload = {"contacts.pad.preload": {"from": 2.0, "to": 1.0}}

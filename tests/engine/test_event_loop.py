@@ -208,9 +208,9 @@ def test_order_of_fixed_steps() -> None:
     ("name", "expected", "tolerances"),
     [
         ("tsit5", 5, np.geomspace(1e-5, 1e-10, 11)),
-        ("dopri5", 5, np.geomspace(1e-5, 1e-10, 11)),
+        pytest.param("dopri5", 5, np.geomspace(1e-5, 1e-10, 11), marks=pytest.mark.slow),
         ("dopri8", 8, np.geomspace(1e-6, 1e-11, 11)),
-        ("kvaerno5", 5, np.geomspace(1e-5, 1e-9, 9)),
+        pytest.param("kvaerno5", 5, np.geomspace(1e-5, 1e-9, 9), marks=pytest.mark.slow),
     ],
 )
 def test_order_of_adaptive_steps(name: str, expected: int, tolerances: np.ndarray) -> None:

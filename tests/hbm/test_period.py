@@ -135,7 +135,7 @@ def test_force_derivatives_against_differences(kind, preload):
     assert np.abs(whole).sum() == pytest.approx(np.abs(own).sum())
 
 
-@pytest.mark.parametrize("kind", STIFFNESS)
+@pytest.mark.parametrize("kind", [pytest.param("isotropic", marks=pytest.mark.slow), "general"])
 def test_derivatives_where_slip_is_too_short_to_forget_the_start(kind):
     """Across the direction of slip a part of the elastic displacement lasts: the period closes over several passes."""
     law, basis = law_of([element(STIFFNESS[kind], 1.0)] * SIDE_BY_SIDE), basis_of(2, 98)

@@ -104,7 +104,7 @@ def test_what_repeats_settles_in_few_cycles():
 def test_long_periods_are_recognised():
     """After the budget, of motions that repeat after nine and 37 cycles."""
     chains = list(islice(points(41_543), 6, 9))
-    orbits = [orbit for (orbit,) in steady_states(chains, STANDARD, Criterion(max_cycles=1000), crowd=16)]
+    orbits = [orbit for (orbit,) in steady_states(chains, STANDARD, Criterion(max_cycles=1000))]
     assert all(8 < orbit.period <= LONGEST and not orbit.irregular for orbit in orbits)
     assert max(changes(chains, orbits)) < 1e-5  # over as many cycles
 

@@ -477,36 +477,10 @@ def test_workers_make_no_difference(study: dict[str, Any]) -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("study", "crowd"),
-    [
-        ({"frequency": {"from": 1.30, "to": 1.43, "step": 0.001}}, sweep.POINTS_A_CHUNK),
-        ({"frequency": {"from": 1.30, "to": 1.33, "step": 0.01}, "over": {PRELOAD: [0, 1]}}, 8),
-        ({"frequency": {"from": 1.30, "to": 1.35, "step": 0.01}, "direction": "both", "over": {PRELOAD: [0]}}, 2),
-        (
-            {
-                "frequency": {"from": 1.30, "to": 1.35, "step": 0.01},
-                "direction": "up",
-                "over": {PRELOAD: [0, 1, 2, 3, 5]},
-            },
-            4,
-        ),
-        (
-            {"frequency": {"from": 1.3, "to": 1.4, "step": 0.1}, "direction": "up", "over": {PRELOAD: list(range(65))}},
-            32,
-        ),
-    ],
-)
-def test_batches_are_sized_for_the_largest_chunk(study: dict[str, Any], crowd: int) -> None:
-    loaded = timesim.load_scene(scene(study))
-    chunks = sweep.Grid(loaded, loaded.plan).chunks(loaded.solver())[0]
-    assert max(len(chunk.payload.chains) for chunk in chunks) == crowd == sweep.crowd_of(loaded.plan)
-    assert {chunk.payload.crowd for chunk in chunks} == {crowd}
-
-
 LONG = {"frequency": {"from": 0.92, "to": 0.96, "step": 0.001}, "direction": "both", "over": {PRELOAD: [-4]}}
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_it_gives_the_same(tmp_path: Path) -> None:
     text = json.dumps(scene(LONG | {"refine": 1e-4}, solver={"accuracy": "draft"}))
     (tmp_path / "cut").mkdir()

@@ -29,7 +29,9 @@ from timesim.orbit.lane import Lane, Recorded
 from timesim.orbit.monodromy import HybridState, Tries, derivative, state_vector
 from timesim.program import program
 
-SIZES = (4, 16)  # of a batch: few, so that little is compiled
+SIDE_BY_SIDE = (
+    4  # lanes of a batch: of 16 each takes as long, and fewer than four of them would be filled up with others
+)
 CAPACITY = 256  # tries of one call that records
 PIECE = 32  # most steps whose derivative is one piece of work: 16 of them take longer than to prepare them
 
@@ -121,7 +123,7 @@ def _kept(
 
 
 def march(
-    lanes: Sequence[Lane], solver: Solver, num_cycles: int, *, size: int = SIZES[1]
+    lanes: Sequence[Lane], solver: Solver, num_cycles: int, *, size: int = SIDE_BY_SIDE
 ) -> list[tuple[Lane, np.ndarray]]:
     """March lanes by a number of cycles: each at the end, and its state vector at the end of each completed cycle."""
     done: list[tuple[Lane, np.ndarray]] = []
@@ -132,15 +134,13 @@ def march(
     return done
 
 
-def record(
-    lanes: Sequence[Lane], solver: Solver, num_cycles: Sequence[int], most: int | None = None, *, size: int = SIZES[1]
-) -> list[Recorded]:
+def record(lanes: Sequence[Lane], solver: Solver, num_cycles: Sequence[int], most: int | None = None) -> list[Recorded]:
     """March each lane by its number of cycles and keep its steps.
 
     ``most``: tries after which to give up; the budget of the solver by default.
     """
     pairs = list(zip(lanes, num_cycles, strict=True))
-    ends = [end for batch in _batches(pairs, size) for end in _advanced(batch, solver, most, size)]
+    ends = [end for batch in _batches(pairs) for end in _advanced(batch, solver, most)]
     slopes = _slopes(lanes, step_method(solver), [steps for _, steps in ends])
     done = []
     for lane, num, (now, steps), slope in zip(lanes, num_cycles, ends, slopes, strict=True):
@@ -150,9 +150,9 @@ def record(
     return done
 
 
-def _advanced(batch: list[tuple[Lane, int]], solver: Solver, most: int | None, size: int) -> list[tuple[Any, Step]]:
+def _advanced(batch: list[tuple[Lane, int]], solver: Solver, most: int | None) -> list[tuple[Any, Step]]:
     """The end of each lane of a batch, and its steps, the first axis that of the steps."""
-    method, padded = step_method(solver), _padded(batch, size)
+    method, padded = step_method(solver), _padded(batch)
     controls, systems, now = _stacked([(lane.control, lane.system, lane.at_start()) for lane, _ in padded])
     cycles = np.array([num for _, num in padded])
     parts: list[list[Step]] = []  # of the steps that were taken: the tries of a long period would fill the memory
@@ -184,8 +184,8 @@ def _slopes(lanes: Sequence[Lane], method: Method, steps: Sequence[Step]) -> lis
         num = -(-own.h.size // PIECE)
         ends = [k * own.h.size // num for k in range(num + 1)] if num else []
         pieces += [(index, first, end) for first, end in pairwise(ends)]
-    for batch in _batches(pieces, SIZES[1]):
-        padded = _padded(batch, SIZES[1])
+    for batch in _batches(pieces):
+        padded = _padded(batch)
         rows = [_entry(steps[i], slice(first, end)) for i, first, end in padded]
         count, opens = np.array([[end - first, first == 0] for _, first, end in padded]).T
         systems = _stacked([lanes[i].system for i, _, _ in padded])
@@ -203,11 +203,11 @@ def _columns(*pieces: np.ndarray) -> np.ndarray:
     return whole
 
 
-def _batches(lanes: Sequence[Any], size: int) -> list[list[Any]]:
+def _batches(lanes: Sequence[Any], size: int = SIDE_BY_SIDE) -> list[list[Any]]:
     return [list(lanes[first : first + size]) for first in range(0, len(lanes), size)]
 
 
-def _padded(batch: list[Any], size: int) -> list[Any]:
+def _padded(batch: list[Any], size: int = SIDE_BY_SIDE) -> list[Any]:
     """A batch with its first entry repeated until it has its size."""
     return [*batch, *batch[:1] * (size - len(batch))]
 

@@ -18,7 +18,7 @@ from timesim.model.contact_state import start_states
 from timesim.model.model import Model, Start
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import NEVER, Criterion, Solver
-from timesim.orbit.batch import SIZES, march, record
+from timesim.orbit.batch import SIDE_BY_SIDE, march, record
 from timesim.orbit.lane import Lane, Recorded
 from timesim.orbit.linear import held_lane, linear_orbit, proven_orbit, slowest_decay
 from timesim.orbit.recurrence import Recurrence, is_irregular, nearest_period, recurrence_of
@@ -33,8 +33,8 @@ from timesim.orbit.threshold import (
     MOST_SHOTS,
     NEARLY_REPEATS,
     NOISY,
-    SIDE_BY_SIDE,
     TRIES,
+    UNDER_WAY,
     UNSETTLED_CYCLES,
     VAGUE,
 )
@@ -204,7 +204,6 @@ def steady_states(
     solver: Solver,
     criterion: Criterion,
     *,
-    crowd: int = 0,
     halted: Callable[[], bool] = lambda: False,
 ) -> list[list[Orbit]]:
     """The steady states of chains of frequencies, those of each in its order; after one that failed it starts anew.
@@ -213,7 +212,6 @@ def steady_states(
         chains: the first motion of each starts from the model's own `Start`.
         solver: method and tolerances.
         criterion: when a motion counts as settled.
-        crowd: number of chains for which batches are sized, where more follow in other calls: so one size is compiled.
         halted: called after each steady state; True gives the work up.
 
     Raises:
@@ -228,7 +226,7 @@ def steady_states(
         if not orbits[index]:
             groups.setdefault(lane.shapes, deque()).append(Search(index, 0, lane))
     for group in groups.values():
-        for search in work.settled(group, _batch_size(max(len(group), crowd))):
+        for search in work.settled(group):
             assert search.orbit is not None
             orbits[search.chain].append(search.orbit)
             if halted():
@@ -236,18 +234,13 @@ def steady_states(
     return orbits
 
 
-def _batch_size(crowd: int) -> int:
-    return SIZES[crowd > SIZES[0]]
-
-
-def warm_up(chains: Iterable[Chain], solver: Solver, crowds: Sequence[int]) -> None:
-    """Compile the loops for each size of the crowd, before several threads compile them side by side."""
+def warm_up(chains: Iterable[Chain], solver: Solver) -> None:
+    """Compile the loops before several threads compile them side by side."""
     for chain in chains:
         lane = first_lane(Chain(chain.model, chain.frequencies[:1]), solver)
         if lane.here.state.size:
-            for size in map(_batch_size, crowds):
-                march([lane], solver, CYCLES_A_ROUND, size=size)
-                record([lane], solver, [UNSETTLED_CYCLES], size=size)
+            march([lane], solver, CYCLES_A_ROUND)
+            record([lane], solver, [UNSETTLED_CYCLES])
             return
 
 
@@ -278,13 +271,13 @@ class _Work:
     solver: Solver
     criterion: Criterion
 
-    def settled(self, pending: deque[Search], size: int) -> Iterator[Search]:
+    def settled(self, pending: deque[Search]) -> Iterator[Search]:
         """Yield the searches of a group, and those that follow along their chains, when each is done."""
         active: list[Search] = []
         while pending or active:
-            while pending and len(active) < SIDE_BY_SIDE:
+            while pending and len(active) < UNDER_WAY:
                 active.append(pending.popleft())
-            moved = self._round(active, size)
+            moved = self._round(active)
             yield from (search for search in moved if search.phase is Phase.DONE)
             active = [going for search in moved for going in self._going(search)]
 
@@ -298,7 +291,7 @@ class _Work:
         start = search.orbit.end if search.orbit.reason is None else begin_of(chain.model)
         return [Search(search.chain, place, search.lane.at(chain.frequencies[place], start, self.solver))]
 
-    def _round(self, active: Sequence[Search], size: int) -> list[Search]:
+    def _round(self, active: Sequence[Search]) -> list[Search]:
         """Each search a step further: shot once or marched, and measured where it is ready for it."""
         moved = {search.chain: search for search in active}
         for phase, advanced in (
@@ -307,25 +300,25 @@ class _Work:
             (Phase.MEASURE, self._measured),
         ):
             due = [search for search in moved.values() if search.phase is phase]
-            moved |= {search.chain: search for search in advanced(due, size)}
+            moved |= {search.chain: search for search in advanced(due)}
         return list(moved.values())
 
-    def _shot(self, searches: Sequence[Search], size: int) -> Iterator[Search]:
+    def _shot(self, searches: Sequence[Search]) -> Iterator[Search]:
         shots = [search.shot for search in searches if search.shot is not None]
         lanes, cycles = [shot.lane for shot in shots], [shot.period for shot in shots]
-        done = record(lanes, self.solver, cycles, TRIES * max(cycles, default=1), size=size)
+        done = record(lanes, self.solver, cycles, TRIES * max(cycles, default=1))
         for search, recorded in zip(searches, done, strict=True):
             yield after_shot(search, recorded, self.criterion)
 
-    def _marched(self, searches: Sequence[Search], size: int) -> Iterator[Search]:
-        if searches and len(searches) <= SIZES[0] and min(search.cycles for search in searches) > LONELY:
-            size = 1
+    def _marched(self, searches: Sequence[Search]) -> Iterator[Search]:
+        lonely = len(searches) < SIDE_BY_SIDE and all(search.cycles > LONELY for search in searches)
+        size = 1 if lonely else SIDE_BY_SIDE
         done = march([search.lane for search in searches], self.solver, CYCLES_A_ROUND, size=size)
         for search, (lane, returns) in zip(searches, done, strict=True):
             yield after_march(search, lane, returns, self.solver, self.criterion)
 
-    def _measured(self, searches: Sequence[Search], size: int) -> Iterator[Search]:
+    def _measured(self, searches: Sequence[Search]) -> Iterator[Search]:
         cycles = [search.period or UNSETTLED_CYCLES for search in searches]
-        done = record([search.lane for search in searches], self.solver, cycles, size=size)
+        done = record([search.lane for search in searches], self.solver, cycles)
         for search, recorded in zip(searches, done, strict=True):
             yield after_measure(search, recorded, self.solver)

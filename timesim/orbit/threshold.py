@@ -7,8 +7,8 @@ Sizes are relative to the largest entry of the state vectors; a round is a numbe
 CYCLES_A_ROUND = 8
 """Half of it holds a whole motion of the longest period that is recognised; the call itself, some 1 ms of host work,
 is a tenth of a round of 16 lanes."""
-SIDE_BY_SIDE = 128
-"""Searches under way at a time: eight full batches, so that most stay full while some searches come to their end."""
+UNDER_WAY = 128
+"""Searches under way at a time: many batches, so that most are full while some searches come to their end."""
 LONELY = 1024
 """Cycles after which the last few searches march alone: a batch of four costs up to four times as much, and a scene
 that takes that many cycles, though it is shot from time to time, takes thousands, more than compiling one more program

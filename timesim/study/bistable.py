@@ -15,7 +15,6 @@ from xarray import Dataset
 from timesim.model.model import Model
 from timesim.model.solver import NEVER, Criterion, Solver
 from timesim.orbit.basin import LOWER, UPPER, explore, shares
-from timesim.orbit.batch import SIZES
 from timesim.orbit.fourier import phase_deg
 from timesim.orbit.settling import Chain, steady_states, warm_up
 from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of, end_of
@@ -107,8 +106,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     plan: BistablePlan = scene.plan
     solver, grid = scene.solver(), Grid(scene, plan.sweep)
     earlier, clock = execution.earlier(""), time.perf_counter()
-    sizes = SIZES if plan.starts**2 > SIZES[0] else SIZES[:1]
-    warm_up([Chain(grid.any_model, (float(grid.frequency[0]),))], solver, sizes)
+    warm_up([Chain(grid.any_model, (float(grid.frequency[0]),))], solver)
     compiling = time.perf_counter() - clock
     every = chunks(grid, plan, solver)
     curves = 0 if plan.balance is None else 2 * grid.shape[0]

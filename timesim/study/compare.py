@@ -39,7 +39,7 @@ from timesim.study.execution.progress import CURVE, Phases
 from timesim.study.hbm import Curves, followed, left_out
 from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import jump_lines
-from timesim.study.sweep import crowd_of, sweep_record
+from timesim.study.sweep import sweep_record
 from timesim.study.verdict import WORTH_ASKING, Points, compared_points, comparison_lines, curve_lines
 
 # Amplitudes below this share of the largest of a motion are those of axes that do not move.
@@ -206,7 +206,7 @@ def other_offsets(scene: Scene, curves: Curves, match: Match, points: Points) ->
     if not chains:
         return found
     plan = scene.plan.sweep
-    orbits = steady_states(chains, scene.solver(), plan.criterion, crowd=crowd_of(plan))
+    orbits = steady_states(chains, scene.solver(), plan.criterion)
     for place, (orbit,) in zip(places, orbits, strict=True):
         own = match.solutions[place[0]]
         assert own is not None
@@ -258,8 +258,7 @@ def _start(
 
 def _settled_cycle(model: Model, frequency: float, solver: Solver, plan: SweepPlan) -> Samples:
     """A cycle of the motion that a model settles to, both ends sampled."""
-    # In batches as large as those of the sweep, whose programs are compiled.
-    ((orbit,),) = steady_states([Chain(model, (frequency,))], solver, plan.criterion, crowd=crowd_of(plan))
+    ((orbit,),) = steady_states([Chain(model, (frequency,))], solver, plan.criterion)
     if orbit.reason is not None:
         raise NotSettledError(orbit.reason)
     if not orbit.settled or orbit.period != 1:

@@ -216,7 +216,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     """Run an optimum scene; incomplete where the least peak was not found, or points of a sweep failed."""
     peaks, reason = Peaks(scene, execution), None
     earlier, clock = execution.earlier(), time.perf_counter()
-    warm_up([Chain(scene.model(), (float(peaks.frequency[0]),))], peaks.solver, [2])
+    warm_up([Chain(scene.model(), (float(peaks.frequency[0]),))], peaks.solver)
     compiling = time.perf_counter() - clock
     execution.progress(0, 1)
     try:

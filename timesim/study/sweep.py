@@ -31,7 +31,7 @@ from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import failure_line, sweep_lines
 
 POINTS_A_CHUNK = 128  # of independent points: their batch is kept full while some of them settle late
-CHAINS_A_CHUNK = (4, 32)  # few chains are spread over the processors, many fill a batch
+CHAINS_A_CHUNK = (4, 32)  # few chains are spread over the processors, many are kept in few files
 MANY_CHAINS = 64
 STEPS_A_CHUNK = 16  # of a chain: what is lost at most when a sweep is interrupted
 
@@ -44,21 +44,19 @@ class Segment:
         chains: what is computed.
         solver, criterion: how their steady states are sought.
         refine: width [Hz] to which jumps along the chains are narrowed down; None does not look for them.
-        crowd: chains of the largest segment, which the batches of all are sized for.
     """
 
     chains: tuple[Chain, ...]
     solver: Solver
     criterion: Criterion
     refine: float | None = None
-    crowd: int = 0
 
 
 def solve(segment: Segment, before: Result | None) -> Result:
     """The steady states of a segment as arrays: chain first, then its frequencies."""
     chains = list(segment.chains) if before is None else _continued(segment.chains, before)
     steady = partial(steady_states, solver=segment.solver, criterion=segment.criterion, halted=halted)
-    orbits = steady(chains, crowd=segment.crowd, halted=point_done)
+    orbits = steady(chains, halted=point_done)
     rows = columns_of(orbits)
     jumps = [] if segment.refine is None else list(_jumps(steady, segment.refine, chains, orbits, before))
     last = np.array([chain.frequencies[-1] for chain in chains])
@@ -119,8 +117,7 @@ def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[D
     earlier = execution.earlier("")
     clock = time.perf_counter()
     if execution.cluster is None:
-        crowds = {chunk.payload.crowd for chunk in chunks}
-        warm_up((chain for chunk in chunks for chain in chunk.payload.chains), solver, sorted(crowds))
+        warm_up((chain for chunk in chunks for chain in chunk.payload.chains), solver)
     compiling = time.perf_counter() - clock
     execution.progress(0, plan.size)
     results, reason = carry_through(chunks, solve, execution, identity=scene.resolved_yaml())
@@ -199,12 +196,6 @@ Place = tuple[int, int, slice]
 """Set of values, direction, and positions of the frequencies, for each chain of a chunk."""
 
 
-def crowd_of(plan: SweepPlan) -> int:
-    """Chains of the largest chunk of a sweep."""
-    chains = plan.size // plan.frequency.size
-    return min(chains, CHAINS_A_CHUNK[chains > MANY_CHAINS]) if plan.chained else min(plan.size, POINTS_A_CHUNK)
-
-
 class Grid:
     """The points of a sweep: sets of values of the further axes, directions, frequencies.
 
@@ -234,11 +225,10 @@ class Grid:
         """The work, and where the results of each chunk belong."""
         chunks: list[Chunk] = []
         places: dict[str, list[Place]] = {}
-        crowd = crowd_of(self.plan)
         for name, after, where in self._pieces():
             chains = tuple(Chain(self.models[v], tuple(self._visited(d, f))) for v, d, f in where)
             size = sum(len(chain.frequencies) for chain in chains)
-            payload = Segment(chains, solver, self.plan.criterion, self.plan.refine, crowd)
+            payload = Segment(chains, solver, self.plan.criterion, self.plan.refine)
             chunks.append(Chunk(name, payload, after, size))
             places[name] = where
         return chunks, places
