@@ -6,7 +6,7 @@ import pytest
 from simulation import FINE
 from systems import at_rest, excitation, pad, structure
 
-from timesim.engine.guard import NONE, arriving, end_margins, first_crossing, segment
+from timesim.engine.guard import NONE, arriving, first_crossing, segment
 from timesim.engine.solver import step_control
 from timesim.engine.system import Point, system_of
 from timesim.engine.tolerance import LANDING
@@ -30,16 +30,16 @@ def test_a_touch_between_two_looks_at_a_step_is_seen(place: float, touches: bool
         return Point(q, p, none, None), Point(p, a, none, None)
 
     ends = (end(0.0), end(1.0))
-    part = segment(system, *zip(*ends, strict=True), jnp.asarray(h))
-    state, spared = jnp.asarray([SEPARATION]), (jnp.asarray([False]),) * 2
-    found = float(first_crossing(system, state, part, *end_margins(system, state, part), spared))
+    state = jnp.asarray([SEPARATION])
+    part = segment(system, state, *zip(*ends, strict=True), jnp.asarray(h))
+    found = float(first_crossing(system, state, part))
     assert found == (pytest.approx(place, abs=1e-3**0.5) if touches else NONE)
 
 
 def test_the_fastest_motion_bounds_the_time_over_which_a_landing_is_corrected():
     """The error of the Euler step onto the guard is that of the fastest rate: at a hundred times, a hundredth."""
     for stiffest, ahead, due in ((1.0, 0.5, True), (100.0, 0.5, False), (100.0, 0.005, True), (1.0, 2.0, False)):
-        margin, away = jnp.asarray([ahead * LANDING]), jnp.asarray([1.0])
-        slope, end = (jnp.asarray([-1.0]), jnp.zeros(1)), jnp.asarray(False)
-        _, (first, _) = arriving((margin, away), slope, jnp.asarray(0.1), end, step_control(FINE, stiffest).landing)
+        margin = jnp.asarray([[ahead * LANDING], [1.0]])
+        slope, end = jnp.asarray([[-1.0], [0.0]]), jnp.asarray(False)
+        _, (first, _) = arriving(margin, slope, jnp.asarray(0.1), end, step_control(FINE, stiffest).landing)
         assert bool(first[0]) == due, (stiffest, ahead)

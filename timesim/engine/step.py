@@ -21,15 +21,14 @@ from timesim.engine.barrier import apart
 from timesim.engine.exponential.collocation import Inside, state_inside
 from timesim.engine.guard import (
     NONE,
+    End,
     Segment,
     arriving,
-    end_margins,
     end_on_guard,
     first_crossing,
     first_exit,
     segment,
     segment_of_nodes,
-    shortened,
 )
 from timesim.engine.law.contact_law import ContinuousState, Dynamics, State
 from timesim.engine.law.rule import rule_of
@@ -106,16 +105,16 @@ def try_step(
     """Try one step; the trajectory after it, the step, and whether it was accepted."""
     asked, reach, last = length_of_try(method, dynamics, now)
     trial = integrated(method, control, dynamics, now, asked, reach)
-    h, last = trial.part.h, last & ~trial.early
-    landing = landed(control, dynamics, now, trial, h, last)
+    h, last = trial.end.h, last & ~trial.early
+    landing = landed(control, dynamics, now, trial, last)
     trial = trial._replace(
         error=jnp.where(landing.astray, jnp.maximum(trial.error, UNSOLVED), trial.error),
         precise=trial.precise & ~landing.astray,
     )
     span = h + landing.correction
-    end = jax.tree.map(lambda y, dy: y + landing.correction * dy, trial.end, trial.rate)
+    end = jax.tree.map(lambda y, dy: y + landing.correction * dy, trial.end.point, trial.end.rate)
     after, state = transition(dynamics, now.state, landing.crossed, end)
-    step = Step(now.cycle, now.time, span, now.point, now.rate, end, trial.rate, now.state, state, trial.inside)
+    step = Step(now.cycle, now.time, span, now.point, now.rate, end, trial.end.rate, now.state, state, trial.inside)
 
     length = next_length(control, method.order, (now.length, now.last_error), trial.error, asked, trial.precise)
     limit = limit_of_next(trial, landing, h)
@@ -141,7 +140,7 @@ class Trial(NamedTuple):
     """A step with every contact keeping its state.
 
     Attributes:
-        end, rate: continuous state at its end, and its rate there.
+        end: its end.
         error: over its tolerance.
         precise: whether it is within it.
         early: whether it has been cut because a contact leaves its state.
@@ -149,8 +148,7 @@ class Trial(NamedTuple):
         inside: its dense output, of a method that has its own.
     """
 
-    end: ContinuousState
-    rate: ContinuousState
+    end: End
     error: Float[Array, ""]
     precise: Bool[Array, ""]
     early: Bool[Array, ""]
@@ -170,13 +168,15 @@ def integrated(
     size = jnp.where(jnp.isfinite(size), size, 1e9)
     points, rates, whole = (now.point, end), (now.rate, rate), jnp.asarray(False)
     if solved is None:
-        return Trial(end, rate, size, size <= 1, whole, segment(dynamics, points, rates, h), None)
+        part = segment(dynamics, now.state, points, rates, h)
+        return Trial(End(h, end, rate, part.margin[1], part.slope[1]), size, size <= 1, whole, part, None)
     rule = rule_of(method.order - 1)
-    part = segment_of_nodes(dynamics, points, rates, h, solved.nodes, rule)
+    part = segment_of_nodes(dynamics, now.state, points, rates, h, solved.nodes, rule)
     # A contact that is apart asks for no short step; the guards look at the path, which has to be known as well.
     unseen = jnp.stack([jnp.abs(polynomial[-1]).max(initial=0.0) for polynomial in part.path]).max()
     size = jnp.maximum(size, rule.touch * unseen / tolerance)
-    return cut(control, dynamics, now, Trial(end, rate, size, size <= 1, whole, part, solved.inside), reach)
+    trial = Trial(End(h, end, rate, part.margin[1], part.slope[1]), size, size <= 1, whole, part, solved.inside)
+    return cut(control, dynamics, now, trial, reach)
 
 
 def cut(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, reach: Float[Array, ""]) -> Trial:
@@ -190,10 +190,9 @@ def cut(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, rea
 
     x, early = first_exit(dynamics, now.state, part, reach / part.h)
     wanted = (x * part.h, early, reach)
-    whole = (part.h, trial.end, trial.rate)
-    part_of_it = partial(end_on_guard, dynamics, now.state, at, whole, wanted, 0.1 * control.landing)
-    h, end, rate = jax.lax.cond(trial.precise & (early | (reach < part.h)), part_of_it, lambda: whole)
-    return trial._replace(end=end, rate=rate, early=early, part=shortened(dynamics, part, end, rate, h))
+    part_of_it = partial(end_on_guard, dynamics, now.state, at, trial.end, wanted, 0.1 * control.landing)
+    end = jax.lax.cond(trial.precise & (early | (reach < part.h)), part_of_it, lambda: trial.end)
+    return trial._replace(end=end, early=early)
 
 
 class Landing(NamedTuple):
@@ -222,23 +221,20 @@ class Landing(NamedTuple):
         return self.on_guard & (self.correction < 0)
 
 
-def landed(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, h: Array, last: Array) -> Landing:
+def landed(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, last: Array) -> Landing:
     """Follow the margins over a step: the first crossing inside, else the transitions that are due at its end."""
-    margin, slope = end_margins(dynamics, now.state, trial.part)
+    h, _, _, margin, slope = trial.end
     to_zero, due = arriving(margin, slope, h, last, control.landing)
     if trial.inside is None:
-        crossing = first_crossing(dynamics, now.state, trial.part, margin, slope, due)
+        crossing = first_crossing(dynamics, now.state, trial.part, due)
     else:  # It was cut at the first crossing; where its end is beyond one after all, a little less is taken of it.
-        beyond = [(m < -VIOLATED) & ~d for m, d in zip(margin, due, strict=True)]
-        crossing = jnp.where((beyond[0] | beyond[1]).any(), SHORTER, NONE)
-    nearest = jnp.minimum(*(m.min(initial=jnp.inf) for m in margin))
-    astray = trial.early & (h <= 1.01 * SHORTEST) & (nearest > TOGETHER)
+        crossing = jnp.where(((margin < -VIOLATED) & ~due).any(), SHORTER, NONE)
+    astray = trial.early & (h <= 1.01 * SHORTEST) & (margin.min(initial=jnp.inf) > TOGETHER)
     accepted = trial.precise & (crossing >= NONE) & ~astray
-    on_guard = accepted & (due[0] | due[1]).any()
-    soonest = [jnp.where(d, t, jnp.inf).min(initial=jnp.inf) for d, t in zip(due, to_zero, strict=True)]
-    correction = jnp.where(on_guard, jnp.minimum(*soonest), 0.0)
-    left = tuple(d & (m + correction * s <= TOGETHER) for d, m, s in zip(due, margin, slope, strict=True))
-    crossed = on_guard & (left[0] | left[1])
+    on_guard = accepted & due.any()
+    soonest = jnp.where(due, to_zero, jnp.inf).min(initial=jnp.inf)
+    correction = jnp.where(on_guard, soonest, 0.0)
+    crossed = on_guard & (due & (margin + correction * slope <= TOGETHER)).any(axis=0)
     return Landing(crossing, accepted, on_guard, correction, crossed, astray)
 
 
