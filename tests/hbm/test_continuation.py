@@ -1,12 +1,13 @@
 """Arc-length continuation on curves with closed forms, and how it fails."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 
 from timesim.hbm.continuation import Controls, Ending, follow, follow_both_ways, solve
 from timesim.hbm.continuation.corrector import Corrector
+from timesim.hbm.continuation.trace import Trace
 from timesim.hbm.continuation.tracker import _PathTracker
 
 CONTROLS = Controls(size=0.1)
@@ -77,6 +78,30 @@ def test_both_folds_and_branches():
     middle = (curve.branch == 1) & ~curve.fold
     assert np.all(np.abs(curve.x[middle, 0]) < 1)
     np.testing.assert_array_equal(curve.determinant[~curve.fold], np.where(middle, -1, 1)[~curve.fold])
+
+
+def test_folds_with_one_point_between_them():
+    """It goes back by less than the noise of samples, the curve between it and the next one by more."""
+    controls = Controls(size=0.1, max_step=0.05)
+    curve = follow(Cubic(unit=7e-6, length=0.0035), np.full(2, -0.1625), -1.0, 1.0, controls)
+    assert curve.complete, curve.message
+    np.testing.assert_allclose(curve.p[curve.fold], [1.4e-5, -1.4e-5], rtol=1e-6)
+    np.testing.assert_array_equal(curve.determinant[~curve.fold], np.where(curve.branch == 1, -1, 1)[~curve.fold])
+
+
+def test_a_fold_beside_a_point_with_the_tangent_of_earlier_derivatives():
+    """The farthest point lies behind the fold, but its tangent is one from before it."""
+    corrector = Corrector(Cubic(), CONTROLS, 20.0, np.full(2, -1.0))
+
+    def point(y):
+        return corrector.simplified_newton(corrector.in_units(np.full(2, y), y**3 - 3 * y), np.array([1.0, 1.0, 0.0]))
+
+    trace = Trace(corrector, 1.0)
+    for own in (point(-1.2), replace(point(-0.98), tangent=point(-1.05).tangent), point(-0.9)):
+        trace.add(own)
+    ((x, p),) = [(x, p) for x, p, fold, _ in trace.solutions if fold]
+    assert p == pytest.approx(2.0, abs=1e-9)
+    np.testing.assert_allclose(x, -1.0, atol=1e-4)
 
 
 @dataclass

@@ -21,10 +21,14 @@ NOISE_OF_RANGE, NOISE_OF_VALUE = 1e-5, 1e-6
 
 @dataclass
 class _Summit:
-    """The farthest point of a branch so far, its place among the solutions, and its neighbours along the curve."""
+    """The farthest point of a branch so far, its place among the solutions, and its neighbours along the curve.
+
+    `between`: whether it is the extreme of the parameter between two solutions, the second of which has that place.
+    """
 
     point: CurvePoint
     place: int
+    between: bool
     before: CurvePoint | None = None
     after: CurvePoint | None = None
 
@@ -53,7 +57,17 @@ class Trace:
         summit.after = summit.after and summit.after.rescaled(factor)
 
     def add(self, point: CurvePoint) -> None:
-        """Take in the next point; its tangent points along the curve."""
+        """Take in the next point; its tangent points along the curve.
+
+        Where that turns round on the way the extreme of the parameter counts too: of a branch between two folds no
+        other point may go back by more than noise.
+        """
+        last = self._last
+        if last is not None and last.tangent[-1] * point.tangent[-1] < 0 and (top := self._extreme(last, point)):
+            self._take(top, between=True)
+        self._take(point)
+
+    def _take(self, point: CurvePoint, between: bool = False) -> None:
         summit, noise = self._summit, False
         if summit is not None:
             back = self.direction * (summit.point.y[-1] - point.y[-1])
@@ -65,7 +79,9 @@ class Trace:
             elif not noise:
                 self._forget_noise(summit)
         if not noise:
-            self._summit = _Summit(point, len(self.solutions), self._last)
+            self._summit = _Summit(point, len(self.solutions), between, self._last)
+        if between:
+            return
         # Behind a summit that of the branch after a fold, until the summit is passed.
         sign = np.sign(point.orientation) * (-self.direction if noise else self.direction)
         self.solutions.append((*self.corrector.unscaled(point.y), False, int(sign)))
@@ -73,19 +89,29 @@ class Trace:
 
     def _forget_noise(self, summit: _Summit) -> None:
         """The parameter passes a summit again: what lies behind is of the same branch."""
-        for i in range(summit.place + 1, len(self.solutions)):
+        for i in range(summit.place + (not summit.between), len(self.solutions)):
             x, p, fold, determinant = self.solutions[i]
             self.solutions[i] = (x, p, fold, -determinant)
 
     def _turn_at(self, summit: _Summit) -> None:
         """Put a fold where the parameter turns at a summit, or as close to it as one is found."""
+        if summit.between:
+            self.solutions.insert(summit.place, (*self.corrector.unscaled(summit.point.y), True, 0))
+            return
         x, p, _, determinant = self.solutions[summit.place]
         for one, other, side in ((summit.point, summit.after, 1), (summit.before, summit.point, 0)):
-            if one is not None and other is not None and one.tangent[-1] * other.tangent[-1] < 0:
-                with suppress(NoSolutionError):
-                    fold = self.corrector.unscaled(self.corrector.fold_between(one, other).y)
-                    if side == 0:
-                        self.solutions[summit.place] = (x, p, False, -determinant)
-                    self.solutions.insert(summit.place + side, (*fold, True, 0))
-                    return
+            if one is not None and other is not None and (top := self._extreme(one, other)) is not None:
+                if side == 0:
+                    self.solutions[summit.place] = (x, p, False, -determinant)
+                self.solutions.insert(summit.place + side, (*self.corrector.unscaled(top.y), True, 0))
+                return
         self.solutions[summit.place] = (x, p, True, 0)
+
+    def _extreme(self, one: CurvePoint, other: CurvePoint) -> CurvePoint | None:
+        """Where the parameter turns between two points, if it does."""
+        with suppress(NoSolutionError):
+            # Their tangents are those of derivatives beside them, and may be the ones on the other side of the fold.
+            one, other = (self.corrector.simplified_newton(own.y, own.tangent, fresh=True) for own in (one, other))
+            if one.tangent[-1] * other.tangent[-1] < 0:
+                return self.corrector.fold_between(one, other)
+        return None

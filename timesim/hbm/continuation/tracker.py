@@ -136,7 +136,7 @@ class _PathTracker:
 
     def _curve(self, ending: Ending) -> Curve:
         cause = f" ({self.cause})" if self.cause and ending in (Ending.START, Ending.STEP) else ""
-        solutions = self.trace.solutions
+        solutions = self.trace.solutions[: self.controls.max_points]
         place, count = solutions[-1][1] if solutions else self.start, len(solutions)
         message = f"continuation at {place:.10g}, after {count} points: {ending.value}{cause}"
         return Curve.of(solutions, self.guess.size, ending, message)
