@@ -173,7 +173,8 @@ def test_optimum() -> None:
     assert 3.0 < float(result["optimum"]) < 4.4
 
 
-@pytest.mark.parametrize("along", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("along", [False, True])
 def test_hbm(along: bool) -> None:
     study: dict[str, Any] = {"kind": "hbm", "harmonics": 3, "time_samples": 64, "continuation": {"max_step": 0.2}}
     preload = {"contacts.pad.preload": {"from": 2.0, "to": 1.0}}

@@ -263,6 +263,7 @@ class Plain(ConeLaw):
     slip_inside = ContactLaw.slip_inside
 
 
+@pytest.mark.slow
 def test_a_law_that_only_has_a_reaction_is_collocated_too() -> None:
     model, frequency = oscillator(3.0, 1.39), 1.39
     run = Run(model, [Phase(frequency, 4)], LOOSE)

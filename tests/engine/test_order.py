@@ -69,7 +69,7 @@ def in_fixed_steps(method: Method, count: int) -> tuple[np.ndarray, list[tuple[i
         ("rk4", 3.75, 4.25, DECADE),
         ("tsit5", 4.75, 5.25, DECADE),
         ("dopri5", 4.75, 5.25, DECADE),
-        ("kvaerno5", 4.75, 5.25, DECADE),
+        pytest.param("kvaerno5", 4.75, 5.25, DECADE, marks=pytest.mark.slow),
         ("exponential", 4.5, 5.25, np.array([30, 42, 58, 80, 112, 155])),
         # Rounding comes after half a decade, and errors of eighth order are small beside those of ninth.
         ("dopri8", 7.75, 9.25, np.array([30, 35, 41, 48, 56, 65, 77, 90])),

@@ -286,6 +286,7 @@ def test_a_curve_without_a_start_is_reported_and_the_others_stay():
     assert set(outcome.groups[""]["structure.modes.0.damping_ratio"].values) == {0.01}
 
 
+@pytest.mark.slow
 def test_points_of_a_sweep_begin_curves_where_the_first_has_no_solution(tmp_path: Path):
     """Undamped, the balance is singular where the first curve begins; the sweep's motions lead to another."""
     mode = {"frequency": 1.0, "damping_ratio": 0.0, "mass": 1.0, "shape": {"tip": [1, 0, 0]}}

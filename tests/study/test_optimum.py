@@ -84,6 +84,7 @@ def test_the_summary_and_the_pictures(folder, result):
     assert any("the least" in str(line.get_label()) for line in curves)
 
 
+@pytest.mark.slow
 def test_an_optimum_at_the_end_of_the_range(tmp_path: Path):
     given = QUICK | {"study.along": "{contacts.pad.preload: {from: 5.0, to: 5.4, num: 3}}"}
     scene = load_scene(CONFIGS / "preload.yaml", [f"{key}={value}" for key, value in given.items()])
