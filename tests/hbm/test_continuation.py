@@ -502,3 +502,50 @@ def test_a_curve_does_not_jump_to_where_it_has_been():
     assert curve.ending is Ending.STEP
     assert np.count_nonzero(curve.fold) == 2
     assert curve.p[-1] == pytest.approx(-1.5, abs=1e-3)
+
+
+class Moving:
+    """x^3 - slope x + x' = p, where x' = shift, or 0 as long as it is not in use: for x up to a place."""
+
+    def __init__(self, slope, place, shift):
+        self.slope, self.place, self.shift, self.count = slope, place, shift, 1
+
+    @property
+    def active(self):
+        return np.arange(self.count)
+
+    def begin(self, x):
+        self.count = 1
+
+    def adapt(self, x, p):
+        before, self.count = self.count, 1 + int(x[0] > self.place)
+        return self.count != before
+
+    def refine(self):
+        return False
+
+    def restore(self):
+        self.count = 1
+
+    def value(self, x, p):
+        force = x[0] ** 3 - self.slope * x[0] - p
+        return np.array([force] if self.count == 1 else [force + x[1], x[1] - self.shift])
+
+    def linearised(self, x, p):
+        slope = 3 * x[0] ** 2 - self.slope
+        matrix = [[slope, 1.0], [0.0, 1.0]] if self.count == 2 else [[slope]]
+        return self.value(x, p), np.array(matrix), np.array([-1.0, 0.0][: self.count])
+
+
+@pytest.mark.parametrize("shift", [-0.05, 0.05])
+@pytest.mark.parametrize("place", [-0.3, -0.1, 0.0, 0.1, 0.3])
+@pytest.mark.parametrize(("slope", "folds"), [(-0.5, 0), (0.06, 2)])
+def test_other_unknowns_that_move_the_parameter_make_no_folds(slope, folds, place, shift):
+    """Nor do they hide any: the two are 0.011 apart, on either side of the place or both on one."""
+    controls = Controls(size=0.1, max_step=0.01)
+    curve = follow(Moving(slope, place, shift), np.array([-1.5, 0.0]), -2.0, 2.0, controls)
+    assert curve.complete, curve.message
+    assert np.count_nonzero(curve.fold) == folds
+    assert np.abs(np.diff(curve.p)).max() < 0.06
+    middle = curve.branch == 1
+    np.testing.assert_array_equal(curve.determinant[~curve.fold], np.where(middle, -1, 1)[~curve.fold])

@@ -2,7 +2,8 @@
 
 A tangent whose share of the parameter changes its sign makes no fold, nor does a parameter that goes back for a moment:
 where contacts begin to slip or to touch, the samples of a period turn a curve to and fro. A fold is where the parameter
-goes back from its summit by more than that.
+goes back from its summit by more than that. Where a solution takes other unknowns the curve is another one, beside that
+before: how far this moves the parameter is no way along either.
 """
 
 from contextlib import suppress
@@ -23,10 +24,12 @@ NOISE_OF_RANGE, NOISE_OF_VALUE = 1e-5, 1e-6
 class _Summit:
     """The farthest point of a branch so far, its place among the solutions, and its neighbours along the curve.
 
+    `way`: the parameter there, less all that other unknowns moved it.
     `between`: whether it is the extreme of the parameter between two solutions, the second of which has that place.
     """
 
     point: CurvePoint
+    way: float
     place: int
     between: bool
     before: CurvePoint | None = None
@@ -46,6 +49,7 @@ class Trace:
         self.solutions: list[Solution] = []
         self._summit: _Summit | None = None
         self._last: CurvePoint | None = None
+        self._moved = 0.0
 
     def rescale(self, factor: float) -> None:
         """Take over another unit of x of the corrector, that before in units of it."""
@@ -56,21 +60,22 @@ class Trace:
         summit.before = summit.before and summit.before.rescaled(factor)
         summit.after = summit.after and summit.after.rescaled(factor)
 
-    def add(self, point: CurvePoint) -> None:
-        """Take in the next point; its tangent points along the curve.
+    def add(self, point: CurvePoint, moved: float = 0.0) -> None:
+        """Take in the next point, whose parameter other unknowns moved by so much; its tangent points along the curve.
 
         Where that turns round on the way the extreme of the parameter counts too: of a branch between two folds no
         other point may go back by more than noise.
         """
         last = self._last
+        self._moved += moved
         if last is not None and last.tangent[-1] * point.tangent[-1] < 0 and (top := self._extreme(last, point)):
             self._take(top, between=True)
         self._take(point)
 
     def _take(self, point: CurvePoint, between: bool = False) -> None:
-        summit, noise = self._summit, False
+        summit, noise, way = self._summit, False, point.y[-1] - self._moved
         if summit is not None:
-            back = self.direction * (summit.point.y[-1] - point.y[-1])
+            back = self.direction * (summit.way - way)
             least = max(NOISE_OF_RANGE, NOISE_OF_VALUE * abs(summit.point.y[-1]))
             summit.after, noise = summit.after or point, 0 < back <= least
             if back > least:
@@ -79,7 +84,7 @@ class Trace:
             elif not noise:
                 self._forget_noise(summit)
         if not noise:
-            self._summit = _Summit(point, len(self.solutions), between, self._last)
+            self._summit = _Summit(point, way, len(self.solutions), between, self._last)
         if between:
             return
         # Behind a summit that of the branch after a fold, until the summit is passed.

@@ -97,12 +97,16 @@ def follow_both_ways(
 
 @dataclass(frozen=True)
 class _Step:
-    """A step along the curve: where it leads, its length of arc, the length to try next, and whether round a corner."""
+    """A step along the curve: where it leads, its length of arc, the length to try next, and whether round a corner.
+
+    `moved`: by how much other unknowns have moved the parameter where it leads.
+    """
 
     point: CurvePoint
     length: float
     next_length: float
     corner: bool = False
+    moved: float = 0.0
 
 
 class _PathTracker:
@@ -141,8 +145,8 @@ class _PathTracker:
         message = f"continuation at {place:.10g}, after {count} points: {ending.value}{cause}"
         return Curve.of(solutions, self.guess.size, ending, message)
 
-    def _keep(self, point: CurvePoint) -> None:
-        self.trace.add(point)
+    def _keep(self, point: CurvePoint, moved: float = 0.0) -> None:
+        self.trace.add(point, moved)
         p = self.corrector.unscaled(point.y)[1]
         self.reached = max(self.reached, (p - self.start) / (self.stop - self.start))
         if self.controls.watch is not None:
@@ -165,7 +169,8 @@ class _PathTracker:
                     continue
                 if step is None:
                     return Ending.STEP
-            step = replace(step, point=self.corrector.adapted(step.point))
+            adapted = self.corrector.adapted(step.point)
+            step = replace(step, point=adapted, moved=adapted.y[-1] - step.point.y[-1])
             ending = self._take(point, step)
             before = None if step.corner else (point, step.length)
             point, length = step.point, step.next_length
@@ -288,7 +293,7 @@ class _PathTracker:
                     return Ending.STEP
                 self._keep(last)
                 return ending
-        self._keep(point)
+        self._keep(point, step.moved)
         return Ending.POINTS if len(self.trace.solutions) >= self.controls.max_points else None
 
     def _start_again(self, before: CurvePoint, after: CurvePoint) -> CurvePoint | None:
