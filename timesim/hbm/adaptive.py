@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from timesim.hbm.balance import Array, Balance, contact_stiffness
 from timesim.hbm.continuation import Condensed, Residual
-from timesim.hbm.period import basis_of, forces_of, motion_of, period_of
+from timesim.hbm.period import basis_of, forces_of, period_of
 from timesim.hbm.scheme import NEGLECTED, Scheme, coarsest
 from timesim.orbit.fourier import to_phasors
 
@@ -134,9 +134,8 @@ def tail(balance: Balance, x: Array, frequency: float) -> Array:
     """
     scheme, coefficient = balance.scheme, balance.coefficients(x)
     wide = Scheme(scheme.time_samples // 4, scheme.time_samples)
-    motion = motion_of(balance.basis, coefficient)
     period = period_of(balance.law, balance.basis, coefficient)
-    done = forces_of(balance.law, basis_of(wide.harmonics, wide.time_samples), motion, period)
+    done = forces_of(balance.law, basis_of(wide.harmonics, wide.time_samples), period)
     phasors = to_phasors(done.coefficient.reshape(3 * balance.num_contacts, -1)).T * balance.force
     linear = balance.with_scheme(wide).linear(frequency)
     closed = 1.0 - done.separation

@@ -84,6 +84,7 @@ class ClosedPeriod:
     """A period at whose end the elastic displacement is that at its start; N samples, C contacts.
 
     Attributes:
+        motion: relative motion at the samples and its rates, shape (N, C).
         start: elastic displacement at the start, shape (C,).
         ends: the same at the end of each interval, its shares, and what is put on the samples beside it, shape (N, C).
         closure: distance of d at the start from where the period closes, over the tolerated one, at most 1 where it
@@ -93,6 +94,7 @@ class ClosedPeriod:
         works: which contacts neither stick nor are apart all along, shape (C,).
     """
 
+    motion: Motion
     start: Plane
     ends: IntervalEnd
     closure: NDArray[np.float64]
@@ -102,7 +104,7 @@ class ClosedPeriod:
 
     def of(self, places: NDArray[np.int64]) -> "ClosedPeriod":
         """The period of some contacts."""
-        names = ("start", "ends", "closure", "stuck", "works")
+        names = ("motion", "start", "ends", "closure", "stuck", "works")
         return replace(self, **{name: part_of(getattr(self, name), places) for name in names})
 
     @property
@@ -212,7 +214,7 @@ def period_of(law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64]) -> C
             start[i][own] = last.start[i]
         closure[own], passes = last.closure, max(passes, int(last.count))
     ends = IntervalEnd((d[0], d[1]), slip, separation, tuple(put[:3]), tuple(put[3:]))
-    return ClosedPeriod((start[0], start[1]), ends, closure, passes, stuck, works)
+    return ClosedPeriod(motion, (start[0], start[1]), ends, closure, passes, stuck, works)
 
 
 def _closed_part(law: ConeLaw, motion: Motion, places: NDArray[np.int64]) -> _Passes:
@@ -234,9 +236,10 @@ def _offsets(
     sticks, force = np.zeros_like(works), np.zeros((2, works.size))
     for own in np.flatnonzero(~works)[:, None]:
         part, dense = part_of(law, own), dense_motion_of(basis, coefficient[own])
-        found = stuck_offset(part, dense)
-        force[:, own], sticks[own] = found.force, found.sticks
-        works[own] = ~sticks[own] & ~_apart(part, dense)
+        if not _apart(part, dense).all():
+            found = stuck_offset(part, dense)
+            force[:, own], sticks[own] = found.force, found.sticks
+            works[own] = ~sticks[own]
     return Offset((force[0], force[1]), sticks), works
 
 
@@ -288,10 +291,10 @@ def touching_stiffness(law: ConeLaw, motion: Motion) -> NDArray[np.float64]:
     return (np.asarray(normal_load(law, motion.v)) > 0) * np.asarray(law.normal_stiffness)
 
 
-def forces_of(law: ConeLaw, basis: Basis, motion: Motion, period: ClosedPeriod) -> ContactForces:
+def forces_of(law: ConeLaw, basis: Basis, period: ClosedPeriod) -> ContactForces:
     """Forces and shares of a closed period."""
     ends, stiffness = period.ends, tuple(map(np.asarray, law.stiffness))
-    load = np.maximum(np.asarray(law.preload) + np.asarray(law.normal_stiffness) * motion.v, 0.0)
+    load = np.maximum(np.asarray(law.preload) + np.asarray(law.normal_stiffness) * period.motion.v, 0.0)
     parts = zip((*product(stiffness, ends.d), load), ends.before, ends.after, strict=True)
     force = [basis.project @ (f + np.roll(before, -1, axis=0) + after) for f, before, after in parts]
     coefficient = np.stack(force).transpose(2, 0, 1).copy()
@@ -300,4 +303,4 @@ def forces_of(law: ConeLaw, basis: Basis, motion: Motion, period: ClosedPeriod) 
 
 def contact_forces(law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64]) -> ContactForces:
     """Contact forces of a motion given by its Fourier coefficients (u1, u2, v), shape (C, 3, 2H + 1)."""
-    return forces_of(law, basis, motion_of(basis, coefficient), period_of(law, basis, coefficient))
+    return forces_of(law, basis, period_of(law, basis, coefficient))

@@ -20,7 +20,7 @@ from scipy.linalg import expm
 
 from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.balance import Array, Balance
-from timesim.hbm.period import basis_of, motion_of, period_of, touching_stiffness
+from timesim.hbm.period import basis_of, period_of, touching_stiffness
 from timesim.hbm.tangent import interval_slopes
 
 # Modulus of a multiplier above which a solution is unstable: those of an undamped structure lie on the unit circle but
@@ -79,15 +79,15 @@ def _linearised(balance: Balance, coefficient: Array, samples: int) -> list[Arra
 
     def local(own: Array) -> list[Array]:
         contacts = np.resize(own, (count, *own.shape[1:])).reshape(-1, *own.shape[2:])
-        motion, period = motion_of(basis, contacts), period_of(law, basis, contacts)
-        slope = interval_slopes(law, period, motion)
+        period = period_of(law, basis, contacts)
+        slope = interval_slopes(law, period)
         change, rate0, rate1 = np.moveaxis(slope.tangential, -1, 0)
         v0, v1, dv0, dv1 = np.moveaxis(slope.normal[..., None], -2, 0)
         before, after = (
             np.concatenate([-change, v0, rate0, dv0], axis=-1),
             np.concatenate([change, v1, rate1, dv1], axis=-1),
         )
-        rows = slope.start, before, after, touching_stiffness(law, motion)
+        rows = slope.start, before, after, touching_stiffness(law, period.motion)
         return [leaf.reshape(samples, count, -1, *leaf.shape[2:]).swapaxes(0, 1)[: len(own)] for leaf in rows]
 
     parts = [local(coefficient[first : first + count]) for first in range(0, len(coefficient), count)]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from timesim.engine.law.cone import ConeLaw
-from timesim.engine.law.contact_law import Motion, product
+from timesim.engine.law.contact_law import product
 from timesim.hbm.interval import Interval, advance, before, intervals_of
 from timesim.hbm.period import (
     Basis,
@@ -28,7 +28,6 @@ from timesim.hbm.period import (
     ContactForces,
     dense_motion_of,
     forces_of,
-    motion_of,
     part_of,
     period_of,
     starts_of,
@@ -63,9 +62,9 @@ class Slope(NamedTuple):
         return [part[places, contact, results] for part in (self.start, self.tangential, self.normal)]
 
 
-def interval_slopes(law: ConeLaw, period: ClosedPeriod, motion: Motion) -> Slope:
+def interval_slopes(law: ConeLaw, period: ClosedPeriod) -> Slope:
     """Derivatives of the law over the intervals of a closed period."""
-    of, (active, sticks) = intervals_of(motion), _kinds(law, period)
+    of, (active, sticks) = intervals_of(period.motion), _kinds(law, period)
     arguments = (*starts_of(period), *of.change, *of.du0, *of.du1, of.v0, of.v1, of.dv0, of.dv1)
     slope = _slopes(law, arguments, active)
     for i in range(2):
@@ -197,23 +196,22 @@ def linearised(
     law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64]
 ) -> tuple[ContactForces, NDArray[np.float64]]:
     """`contact_forces`, and their derivatives by the coefficients of the same contact: 3 (2H + 1) rows and columns."""
-    motion, size = motion_of(basis, coefficient), 3 * basis.value.shape[1]
-    period = period_of(law, basis, coefficient)
+    period, size = period_of(law, basis, coefficient), 3 * basis.value.shape[1]
     slope = np.zeros((len(coefficient), size, size))
     if (own := np.flatnonzero(period.works)).size:
-        slope[own] = _working(part_of(law, own), basis, part_of(motion, own), period.of(own))
+        slope[own] = _working(part_of(law, own), basis, period.of(own))
     if (own := np.flatnonzero(period.stuck.sticks)).size:
         slope[own] = _stuck(part_of(law, own), basis, coefficient[own], part_of(period.stuck, own))
-    return forces_of(law, basis, motion, period), slope
+    return forces_of(law, basis, period), slope
 
 
-def _working(law: ConeLaw, basis: Basis, motion: Motion, period: ClosedPeriod) -> Array64:
+def _working(law: ConeLaw, basis: Basis, period: ClosedPeriod) -> Array64:
     """Derivatives of the forces of contacts that slip, or open and close, shape (C, 3 (2H + 1), 3 (2H + 1)).
 
     With d at the end of the last pass e(y, d0) and d0 = e, ``(1 - de/dd0) dd0/dy = de/dy`` closes the period.
     """
-    slopes = interval_slopes(law, period, motion)
-    touching, size = touching_stiffness(law, motion), basis.value.shape[1]
+    slopes = interval_slopes(law, period)
+    touching, size = touching_stiffness(law, period.motion), basis.value.shape[1]
     slope = np.zeros((touching.shape[1], 3, size, 3 * size))
     for contact, whole in enumerate(slope):
         chain = _Chain.of(slopes, contact, basis)
