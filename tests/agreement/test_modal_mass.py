@@ -184,6 +184,7 @@ def test_hbm(along: bool) -> None:
     assert result["floquet_max"].values.min() > 0.1
 
 
+@pytest.mark.slow
 def test_compare() -> None:
     study: dict[str, Any] = {"kind": "compare", "frequency": {"values": [1.05, 1.25]}, "harmonics": 5}
     one, other = both(PLAIN | DRAFT | {"study": study | QUICK | {"time_samples": 64}})
