@@ -127,14 +127,14 @@ def test_resonance_without_contacts(damping: float) -> None:
 
 @pytest.mark.parametrize(
     ("stiffness", "damping"),
-    [([0.0, 4.0, 9.0], [0.0, 0.02, 30.0]), ([0.0, 4.0, 9.0], [0.3, 4.0, 6.0]), ([1.0, 1e4, 1e6], [0.02, 0.5, 10.0])],
+    [([0.0, 9.0], [0.0, 30.0]), ([0.0, 4.0], [0.3, 4.0]), ([1.0, 1e6], [0.02, 10.0])],
     ids=["free and overdamped", "critically damped", "fast"],
 )
 def test_modes_of_any_kind(stiffness: list[float], damping: list[float]) -> None:
-    body = structure(stiffness, damping, [[1.0, 0.2, 0.5], [0.3, 1.0, 0.4], [0.2, -0.3, 1.0]])
+    body = structure(stiffness, damping, [[1.0, 0.2, 0.5], [0.3, 1.0, 0.4]])
     contact = pad(0.4, 3.0, 3.0, 0.4)
-    force = excitation(0.6 / (2 * np.pi), [0.5, 1.0, 0.7], [0.2, 0.0, 0.3])
-    model = Model(body, (contact,), force, at_rest(3, 1))
+    force = excitation(0.6 / (2 * np.pi), [0.5, 1.0], [0.2, 0.0])
+    model = Model(body, (contact,), force, at_rest(2, 1))
     true, trace = (
         simulate(model, 3, replace(RUNGE_KUTTA, reduce=False)),
         simulate(model, 3, replace(FINE, reduce=False)),
@@ -150,11 +150,9 @@ def test_modes_of_any_kind(stiffness: list[float], damping: list[float]) -> None
 
 def test_the_amplitude_of_a_motion_on_which_a_fast_mode_rings() -> None:
     """It turns 33 times a cycle, and a step is longer than a turn of it."""
-    body = structure([1.0, 400.0, 1e4], [0.02, 0.05, 1.0], [[1.0, 0.2, 0.5], [0.3, 1.0, 0.4], [0.2, -0.3, 1.0]])
-    start = replace(at_rest(3, 1), displacement=np.array([0.0, 0.02, 0.0]))
-    model = Model(
-        body, (pad(0.4, 3.0, 3.0, 0.4),), excitation(0.6 / (2 * np.pi), [0.5, 1.0, 0.7], [0.2, 0.0, 0.3]), start
-    )
+    body = structure([1.0, 400.0], [0.02, 0.05], [[1.0, 0.2, 0.5], [0.3, 1.0, 0.4]])
+    start = replace(at_rest(2, 1), displacement=np.array([0.0, 0.02]))
+    model = Model(body, (pad(0.4, 3.0, 3.0, 0.4),), excitation(0.6 / (2 * np.pi), [0.5, 1.0], [0.2, 0.0]), start)
     true, trace = (simulate(model, 1, replace(solver, reduce=False)) for solver in (RUNGE_KUTTA, FINE))
     assert relative_error(trace.amplitude, true.amplitude) < 1e-7
     for own, others in zip(trace.totals.work[0], true.totals.work[0], strict=True):

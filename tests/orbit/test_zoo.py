@@ -17,7 +17,7 @@ from timesim.model.solver import PRESETS, SHOOT, Criterion
 from timesim.orbit.batch import march
 from timesim.orbit.settling import Chain, first_lane, steady_states
 from timesim.orbit.steady_state import Orbit
-from timesim.orbit.threshold import LONGEST
+from timesim.orbit.threshold import CYCLES_A_ROUND, LONGEST
 
 DAMPING = (5e-4, 5e-3)
 STANDARD, REFERENCE = PRESETS["standard"], PRESETS["reference"]
@@ -55,7 +55,8 @@ def changes(chains: list[Chain], orbits: list[Orbit]) -> Iterator[float]:
     """
     again = [Chain(replace(c.model, start=o.end), c.frequencies) for c, o in zip(chains, orbits, strict=True)]
     lanes = [first_lane(chain, FINE) for chain in again]
-    done = march(lanes, FINE, max((orbit.period for orbit in orbits), default=1))
+    # As many cycles as settling marches at a time, or more are compiled.
+    done = march(lanes, FINE, max(CYCLES_A_ROUND, *(orbit.period for orbit in orbits)))
     for lane, orbit, (_, returns) in zip(lanes, orbits, done, strict=True):
         size = 2 * lane.here.point.q.size
         start, end = lane.vector[:size], returns[orbit.period - 1][:size]
