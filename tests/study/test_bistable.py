@@ -169,7 +169,8 @@ class Searched:
 
 @pytest.fixture(scope="module")
 def searched(tmp_path_factory: pytest.TempPathFactory) -> Searched:
-    scene = load_scene(CONFIGS / "softening.yaml", [f"{k}={v}" for k, v in (QUICK | {"study.harmonics": "0"}).items()])
+    rough = {"study.harmonics": "0", "study.width": "1e-3", "study.settle": "{tolerance: 1e-5, max_cycles: 1500}"}
+    scene = load_scene(CONFIGS / "softening.yaml", [f"{key}={value}" for key, value in (QUICK | rough).items()])
     folder, chunks, work = tmp_path_factory.mktemp("searched"), {}, bistable.carry_through
 
     def kept(*given: Any, **options: Any) -> Any:

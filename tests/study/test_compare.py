@@ -358,6 +358,7 @@ def test_a_comparison_that_is_interrupted_keeps_both_methods(at, monkeypatch, tm
         raise KeyboardInterrupt
 
     short = SHORT | {"study.frequency": {"values": [1.2, 1.42]}, "study.over": {"contacts.pad.preload": [3]}}
+    short |= {"study.time_samples": 128}
     monkeypatch.setattr(compare, at, interrupted)
     call = ["run", str(CONFIGS / "figure10.yaml"), "-o", str(tmp_path), "--force", *options(short)]
     said = CliRunner().invoke(app, call)
@@ -372,6 +373,7 @@ def test_a_comparison_that_is_interrupted_keeps_both_methods(at, monkeypatch, tm
     assert (tmp_path / "difference.png").exists() == (at == "cycle_by_both")
 
 
+@pytest.mark.slow
 def test_the_sweep_carries_its_state():
     """Between the jumps of figure 11 each direction has its own motion; the balance has both, and a third unstable."""
     given = {"study.frequency": {"from": 0.94, "to": 0.95, "step": 0.0025}, "study.convergence": False}

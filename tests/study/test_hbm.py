@@ -244,11 +244,11 @@ def test_along_a_scalar():
     assert preload[-1] == pytest.approx(-4)
     assert set(found.frequency.values) == {0.947}
     plain = load_scene(scene())
-    for i in np.linspace(0, preload.size - 1, 4).astype(int):
+    for i in np.linspace(0, preload.size - 1, 3).astype(int):
         if found.fold.values[i]:
             continue
         model = plain.variant({"contacts.pad.preload": float(preload[i])})
-        curve = hbm_curve(model, 1.0, 0.92, scheme=Scheme(5, 512), stability=False)
+        curve = hbm_curve(model, 0.955, 0.935, scheme=Scheme(5, 512), stability=False)
         same = solutions_at(model, curve, 0.947, scheme=Scheme(5, 512)).amplitude[:, 0, 0]
         assert np.min(np.abs(same / found.amplitude.values[i, 0, 0] - 1)) < 1e-6
     assert found.slip_share.values.max() > 0.2
@@ -491,10 +491,10 @@ def test_folds_against_sweeps_in_time(harmonics, preload, span, folds):
     np.testing.assert_allclose(places, folds, atol={1: 8e-3, 3: 1e-3}.get(harmonics, 1.5e-4))
 
 
-def test_the_model_of_the_sections_is_the_plain_one():
+def test_the_model_of_the_sections_is_the_plain_one(curves):
     """A scene's own curve and that of the model in Python."""
     model = load_scene(scene()).model()
     curve = hbm_curve(model, 1.0, 0.92, scheme=Scheme(5, 512))
-    found = timesim.run(scene())
+    found = curves.isel(solution=curves.curve.values == 0)
     np.testing.assert_allclose(found.amplitude.values, curve.amplitude, rtol=1e-9)
     assert replace(curve, message="").complete

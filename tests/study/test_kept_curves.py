@@ -18,7 +18,7 @@ from timesim.study.execution.campaign import Execution
 from timesim.study.registry import carry_out, load_scene
 
 RANGE = {"from": 1.0, "to": 0.97}
-STUDY = {"kind": "hbm", "frequency": RANGE, "harmonics": 5, "time_samples": 512, "stability": False}
+STUDY = {"kind": "hbm", "frequency": RANGE, "harmonics": 5, "time_samples": 128, "stability": False}
 OVER = {"contacts.pad.preload": [-4, -3]}
 SCENE = oscillator_scene(preload=-4.0) | {"study": STUDY | {"over": OVER}}
 

@@ -464,12 +464,13 @@ BOUNCES = [0.3, 0.6]
 @pytest.mark.parametrize(
     "study",
     [
-        {"frequency": {"from": 1.30, "to": 1.43, "step": 0.001}, "settle": {"max_cycles": 24}},
-        {"frequency": {"from": 1.30, "to": 1.35, "step": 0.01}, "direction": "up", "over": {PRELOAD: [0, 1, 2, 3, 5]}},
+        {"frequency": {"from": 1.30, "to": 1.34, "step": 0.005}, "settle": {"max_cycles": 24}},
+        {"frequency": {"from": 1.30, "to": 1.32, "step": 0.01}, "direction": "up", "over": {PRELOAD: [0, 1, 2, 3, 5]}},
     ],
     ids=["points", "chains"],
 )
-def test_workers_make_no_difference(study: dict[str, Any]) -> None:
+def test_workers_make_no_difference(study: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sweep, "POINTS_A_CHUNK", 5)
     grid = sweep.Grid(timesim.load_scene(scene(study)), timesim.load_scene(scene(study)).plan)
     assert len(grid.chunks(grid.scene.solver())[0]) == 2
     assert_same(
