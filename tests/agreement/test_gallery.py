@@ -67,6 +67,7 @@ def test_one_harmonic_with_an_elastic_slider():
     assert np.all((np.cos(lag) > 0) == low)
 
 
+@pytest.mark.slow
 def test_the_loss_of_an_elastic_slider_in_time():
     """Between two turning points 2 A apart it is 4 mu N (A - d) whatever the motion between them."""
     study = {"kind": "sweep", "frequency": {"values": [0.175, 0.19, 0.22]}}
