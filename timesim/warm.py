@@ -20,11 +20,9 @@ OSCILLATOR = {
     "excitation": {"frequency": 1.39, "modal_force": [{"amplitude": 1.0}, {"amplitude": 1.0}]},
 }
 ELEMENT = {"contacts": [{"name": "pad", **CONTACT}]}
-FEW, MANY = [1.39], [1.36, 1.37, 1.38, 1.39, 1.4, 1.41]
 USUAL: tuple[dict[str, Any], ...] = (
     OSCILLATOR | {"study": {"kind": "transient", "cycles": 1}},
-    OSCILLATOR | {"study": {"kind": "sweep", "frequency": {"values": FEW}}},
-    OSCILLATOR | {"study": {"kind": "sweep", "frequency": {"values": MANY}}},
+    OSCILLATOR | {"study": {"kind": "sweep", "frequency": {"values": [1.39]}}},
     OSCILLATOR | {"study": {"kind": "hbm", "frequency": {"from": 1.39, "to": 1.4}}},
     ELEMENT | {"study": {"kind": "element", "A": 0.3, "B": 0.2, "D": 0.1}},
     ELEMENT | {"study": {"kind": "element_map", "A": [0.1, 0.3], "B": [0.1, 0.3], "D": 0.1}},

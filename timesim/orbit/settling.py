@@ -8,6 +8,7 @@ phase of a search depends on that search alone, so the order and the company do 
 import enum
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -235,12 +236,14 @@ def steady_states(
 
 
 def warm_up(chains: Iterable[Chain], solver: Solver) -> None:
-    """Compile the loops before several threads compile them side by side."""
+    """Compile the loops, two side by side, before several threads ask for the same."""
     for chain in chains:
         lane = first_lane(Chain(chain.model, chain.frequencies[:1]), solver)
         if lane.here.state.size:
-            march([lane], solver, CYCLES_A_ROUND)
-            record([lane], solver, [UNSETTLED_CYCLES])
+            with ThreadPoolExecutor(1) as beside:
+                marched = beside.submit(march, [lane], solver, CYCLES_A_ROUND)
+                record([lane], solver, [UNSETTLED_CYCLES])
+                marched.result()
             return
 
 

@@ -25,7 +25,7 @@ from timesim.scene.sweep import BistablePlan
 from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import CURVE, Phases
 from timesim.study.execution.worker import point_done
-from timesim.study.hbm import followed
+from timesim.study.hbm import compile_beside, followed
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import bistable_lines, failure_line, fold_lines, number_of_states, unusual_lines
 from timesim.study.sweep import STEPS_A_CHUNK, Grid, sizes_of
@@ -106,6 +106,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     plan: BistablePlan = scene.plan
     solver, grid = scene.solver(), Grid(scene, plan.sweep)
     earlier, clock = execution.earlier(""), time.perf_counter()
+    if plan.balance is not None:
+        compile_beside(scene, plan.balance)
     warm_up([Chain(grid.any_model, (float(grid.frequency[0]),))], solver)
     compiling = time.perf_counter() - clock
     every = chunks(grid, plan, solver)

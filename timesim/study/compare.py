@@ -36,7 +36,7 @@ from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan
 from timesim.study.execution.campaign import INTERRUPTED, Execution
 from timesim.study.execution.progress import CURVE, Phases
-from timesim.study.hbm import Curves, followed, left_out
+from timesim.study.hbm import Curves, compile_beside, followed, left_out
 from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import jump_lines
 from timesim.study.sweep import sweep_record
@@ -106,6 +106,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     plan: ComparePlan = scene.plan
     size, sets = plan.sweep.size, prod(map(len, plan.sweep.over.values()))
     phases = Phases(execution.progress, {"sweep": size, "balance": CURVE * sets, "comparison": size / 2})
+    compile_beside(scene, plan.balance)
     sweep, sweep_reason = sweep_record(scene, plan.sweep, replace(execution, progress=phases["sweep"]))
     seconds = sweep.attrs["run_seconds"]
     # What is kept of the balance belongs to a whole sweep.

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -295,6 +296,11 @@ def left_out(scene: Scene, plan: HbmPlan) -> tuple[Dataset, Curves, str | None]:
     """The same where nothing is to be followed any more."""
     curves, reason = Curves(scene, plan), "not begun"
     return solutions(scene.model(), curves, attributes(scene, str(curves.scheme), 0.0, 0.0, reason)), curves, reason
+
+
+def compile_beside(scene: Scene, plan: HbmPlan) -> None:
+    """Begin to compile what `followed` takes, which meets what fails again, while something else runs."""
+    ThreadPoolExecutor(1).submit(_warmed_up, scene, plan)
 
 
 def _warmed_up(scene: Scene, plan: HbmPlan) -> float:
