@@ -32,7 +32,8 @@ class Toy:
         start: start of the map where no chunk comes before.
         seconds: how long it takes.
         log: file that gets the name when the work begins.
-        fault: "raise", "interrupt", "kill" (once: `log` with the suffix .killed says it has happened) or "halt".
+        fault: "raise", "interrupt", "kill" (once: `log` with the suffix .killed says it has happened), "halt", or
+            "stay" until it is halted.
     """
 
     name: str
@@ -64,6 +65,7 @@ def _fail(toy: Toy) -> None:
         os.kill(os.getpid(), signal.SIGINT)
     if toy.fault == "halt":
         os.kill(os.getpid(), signal.SIGINT)
+    if toy.fault in ("halt", "stay"):
         while not halted():
             time.sleep(0.001)
         raise KeyboardInterrupt

@@ -90,13 +90,14 @@ def _carry_out(loaded: Any, execution: Any, signals: "_Signals", *, plots: bool)
     """Run the study, save its result and draw it."""
     from timesim.result import checkpoint, netcdf
     from timesim.result.file import StoreError
+    from timesim.study.execution.processes import Processes
     from timesim.study.execution.progress import Standing
     from timesim.study.registry import carry_out, draw
 
     output = execution.folder
     standing = Standing(loaded.file.study.counts, execution.earlier())
-    with _progress(standing):
-        outcome = carry_out(loaded, replace(execution, progress=standing))
+    with _progress(standing), Processes() as processes:
+        outcome = carry_out(loaded, replace(execution, progress=standing, processes=processes))
     signals.saving = True
     for line in outcome.summary:
         print(line)

@@ -6,9 +6,11 @@ the same whoever does the work, in whatever order, and however often it is inter
 
 import re
 import threading
+import time
 import warnings
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -16,10 +18,13 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
+import numpy as np
+
 from timesim.result import checkpoint
 from timesim.result.change import fingerprint
 from timesim.result.checkpoint import INTERRUPTED, Checkpoint, Manifest
 from timesim.result.file import StoreError
+from timesim.study.execution.processes import LASTS, Processes
 from timesim.study.execution.progress import Progress, unwatched
 from timesim.study.execution.worker import (
     Chunk,
@@ -51,6 +56,7 @@ class Execution:
         resume: take up the checkpoints that are there.
         cluster: address of a dask scheduler, or "local" for processes of this machine; None for threads.
         workers: threads, or processes of a local cluster; the processors of this machine by default.
+        processes: to which work that lasts goes from the threads; none by default.
         notice: called with what a user should know at once, such as a checkpoint that is damaged.
     """
 
@@ -59,6 +65,7 @@ class Execution:
     resume: bool = False
     cluster: str | None = None
     workers: int | None = None
+    processes: Processes | None = None
     notice: Callable[[str], None] = _warned
 
     def __post_init__(self) -> None:
@@ -98,7 +105,7 @@ class Execution:
             kept.close()
 
     def executor(self) -> AbstractContextManager[Executor]:
-        """The threads or processes that do the work."""
+        """The threads, or the processes of a cluster, that do the work."""
         return threads(self.workers) if self.cluster is None else processes(self.cluster, self.workers)
 
 
@@ -155,6 +162,8 @@ class _Campaign:
         self.failed: dict[str, str] = {}
         self.saved: set[str] = set()
         self.running: dict[Future[Result], Chunk] = {}
+        self.waiting: deque[Chunk] = deque()
+        self.begun = time.monotonic()
         self.arrived: SimpleQueue[Future[Result]] = SimpleQueue()
 
     def outcome(self, begun: bool) -> tuple[dict[str, Result], str | None]:
@@ -164,8 +173,7 @@ class _Campaign:
             if begun:
                 self._take_up()
             if len(self.results) < len(self.chunks):
-                with self.execution.executor() as executor:
-                    self._work_off(executor)
+                self._work_off()
         except KeyboardInterrupt:
             ended = INTERRUPTED
             with suppress(KeyboardInterrupt):
@@ -189,24 +197,45 @@ class _Campaign:
                 self._count(chunk, result)
         self.execution.notice(f"{len(self.saved)} of {len(self.chunks)} chunks are taken up from {self.kept.folder}")
 
-    def _work_off(self, executor: Executor) -> None:
-        for chunk in self.chunks:
-            if chunk.name not in self.results and (chunk.after is None or chunk.after in self.results):
-                self._begin(executor, chunk)
-        while self.running:
-            chunk = self._arrival(self.arrived.get())
-            if chunk.name in self.results:
-                for follower in self.following.get(chunk.name, ()):
-                    if follower.name not in self.results:
-                        self._begin(executor, follower)
-                self._keep(chunk.name)
+    def _work_off(self) -> None:
+        self.waiting += [
+            chunk
+            for chunk in self.chunks
+            if chunk.name not in self.results and (chunk.after is None or chunk.after in self.results)
+        ]
+        processes = self.execution.processes
+        room = np.inf if processes is None else processes.workers
+        try:
+            with self.execution.executor() as executor:
+                while self.waiting or self.running:
+                    while self.waiting and len(self.running) < room:
+                        self._begin(executor, self.waiting.popleft())
+                    chunk = self._arrival(self.arrived.get())
+                    if chunk.name in self.results:
+                        followers = self.following.get(chunk.name, ())
+                        self.waiting += [own for own in followers if own.name not in self.results]
+                        self._keep(chunk.name)
+        finally:
+            if processes is not None:
+                processes.give_up(self.running)
 
     def _begin(self, executor: Executor, chunk: Chunk) -> None:
         before = None if chunk.after is None else self.results[chunk.after]
-        count = partial(self._count_point, chunk) if self.execution.cluster is None else None
-        future = executor.submit(perform, self.work, chunk, before, count)
+        future = self._begun_elsewhere(chunk, before)
+        if future is None:
+            count = partial(self._count_point, chunk) if self.execution.cluster is None else None
+            future = executor.submit(perform, self.work, chunk, before, count)
         self.running[future] = chunk
         future.add_done_callback(self.arrived.put)
+
+    def _begun_elsewhere(self, chunk: Chunk, before: Result | None) -> Future[Result] | None:
+        """A chunk that a process works on; None where it is left to a thread: the only one, or one of the first."""
+        alone, processes = not self.running and not self.waiting, self.execution.processes
+        if processes is None or alone or time.monotonic() - self.begun < LASTS:
+            return None
+        with suppress(BrokenExecutor):
+            return processes.submit(partial(self._count_points, chunk), perform, self.work, chunk, before)
+        return None
 
     def _arrival(self, future: Future[Result]) -> Chunk:
         """Take in what has become of a chunk."""
@@ -235,6 +264,13 @@ class _Campaign:
         with self.counting:
             self.under_way[chunk.name] = min(self.under_way.get(chunk.name, 0) + 1, chunk.size - 1)
             self._show()
+
+    def _count_points(self, chunk: Chunk, points: int) -> None:
+        """So many points of a chunk are done, elsewhere."""
+        with self.counting:
+            if chunk.name not in self.results:
+                self.under_way[chunk.name] = min(points, chunk.size - 1)
+                self._show()
 
     def _show(self) -> None:
         self.execution.progress(self.points + sum(self.under_way.values()), self.total)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -46,14 +46,25 @@ class ExecutionError(ValueError):
 def perform(work: Work, chunk: Chunk, before: Result | None, count: Callable[[], None] | None = None) -> Result:
     """Do the work of a chunk; the result is the same whether it is handed on, sent or read from a file.
 
-    ``count``: called after each of its points; None where it is done by another process.
+    ``count``: called after each of its points; `count_by` by default.
     """
-    _COUNT.set(count)
+    if count is not None:
+        _COUNT.set(count)
     return {str(name): np.asarray(array) for name, array in work(chunk.payload, before).items()}
 
 
-_HALT: ContextVar[threading.Event | None] = ContextVar("halt", default=None)
+class Event(Protocol):
+    """What stops work: an event of threads or of processes."""
+
+    def is_set(self) -> bool:
+        """Whether it is to stop."""
+        ...
+
+
+_HALT: ContextVar[Event | None] = ContextVar("halt", default=None)
 _COUNT: ContextVar[Callable[[], None] | None] = ContextVar("count", default=None)
+halt_by = _HALT.set
+count_by = _COUNT.set
 
 
 def halted() -> bool:

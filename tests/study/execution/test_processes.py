@@ -1,0 +1,125 @@
+"""Processes that take work over from the threads: the same results, and nothing is lost."""
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from concurrent.futures import BrokenExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import toys
+from toys import SCENE, chains, digest, expected
+
+from timesim.study.execution import campaign
+from timesim.study.execution.campaign import Chunk, Execution, carry_through
+from timesim.study.execution.processes import Processes
+from timesim.study.execution.worker import halted, point_done
+
+
+@pytest.fixture(autouse=True)
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(campaign, "LASTS", 0.0)
+
+
+@pytest.fixture(scope="module")
+def two() -> Iterator[Processes]:
+    with Processes(2) as own:
+        yield own
+
+
+def carried(chunks: list[Chunk], own: Processes, **options: Any) -> tuple[dict[str, Any], str | None]:
+    return carry_through(chunks, toys.work, Execution(workers=2, processes=own, **options), identity=SCENE)
+
+
+def places(payload: Any, before: Any) -> dict[str, np.ndarray]:
+    return {"process": np.array(os.getpid())}
+
+
+def counted(payload: Any, before: Any) -> dict[str, np.ndarray]:
+    for _ in range(3):
+        point_done()
+    time.sleep(1.5)
+    return {"done": np.array(True)}
+
+
+def test_chains_give_the_same_bits_as_threads(two: Processes):
+    chunks, shown = chains(3, 2), list[tuple[float, float]]()
+    results, reason = carried(chunks, two, progress=lambda done, number, _="": shown.append((done, number)))
+    assert reason is None
+    assert digest(results) == digest(expected(chunks))
+    assert shown[-1] == (12, 12)
+
+
+@pytest.mark.parametrize(("lasts", "elsewhere"), [(0.0, True), (1e9, False)])
+def test_only_work_that_lasts_is_given_to_them(
+    lasts: float, elsewhere: bool, two: Processes, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(campaign, "LASTS", lasts)
+    chunks = [Chunk(f"c{i}", i) for i in range(3)]
+    results, _ = carry_through(chunks, places, Execution(workers=2, processes=two), identity="")
+    assert (os.getpid() not in {int(result["process"]) for result in results.values()}) == elsewhere
+
+
+def test_a_chunk_alone_is_left_to_a_thread(two: Processes):
+    results, _ = carry_through([Chunk("c", 0)], places, Execution(processes=two), identity="")
+    assert int(results["c"]["process"]) == os.getpid()
+
+
+def test_points_are_shown_while_a_chunk_is_worked_on(two: Processes):
+    shown: list[float] = []
+    execution = Execution(lambda done, *_: shown.append(done), workers=2, processes=two)
+    carry_through([Chunk(f"c{i}", i, size=4) for i in range(2)], counted, execution, identity="")
+    assert shown[-1] == 8
+    assert 6 in shown[:-2]
+
+
+def test_what_fails_is_named(two: Processes):
+    chunks = chains(2, 2, faults={"c-1-0": "raise"})
+    results, reason = carried(chunks, two)
+    assert digest(results) == digest(expected(chunks[:2]))
+    assert reason == "1 of 4 chunks failed: c-1-0: ArithmeticError: c-1-0 has no solution; 4 of 8 points are missing"
+
+
+def test_with_one_killed_the_others_go_on_in_threads(tmp_path: Path):
+    log = tmp_path / "log"
+    chunks = chains(4, 2, log=log, faults={"c-0-0": "kill"})
+    with Processes(2) as own:
+        results, reason = carried(chunks, own, folder=tmp_path)
+    assert reason is not None
+    assert "c-0-0: BrokenProcessPool" in reason
+    whole = expected(chunks)
+    assert digest(results) == digest({name: whole[name] for name in results})
+    assert {"c-2-0", "c-2-1", "c-3-0", "c-3-1"} <= set(results)
+    options: dict[str, Any] = {"folder": tmp_path, "resume": True, "notice": lambda _: None}
+    rest, reason = carry_through(chunks, toys.work, Execution(**options), identity=SCENE)
+    assert reason is None
+    assert digest(rest) == digest(whole)
+
+
+def test_an_interrupt_stops_them_and_keeps_what_is_done(two: Processes, tmp_path: Path):
+    chunks = chains(2, 2, faults={"c-1-0": "stay"})
+
+    def interrupt(done: float, *_: Any) -> None:
+        if done == 4:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    results, reason = carried(chunks, two, progress=interrupt, folder=tmp_path)
+    assert reason == "interrupted; 4 of 8 points are missing"
+    assert list(results) == ["c-0-0", "c-0-1"]
+    assert not two.submit(lambda _: None, ignores_interrupts).result()[1]  # they may be used again
+    assert {path.stem for path in (tmp_path / "checkpoint").glob("*.npz")} == set(results)
+
+
+def ignores_interrupts() -> tuple[bool, bool]:
+    return signal.getsignal(signal.SIGINT) is signal.SIG_IGN, halted()
+
+
+def test_they_leave_an_interrupt_to_the_process_that_began_them():
+    with Processes(1) as own:
+        assert own.submit(lambda _: None, ignores_interrupts).result() == (True, False)
+        assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+        with pytest.raises(BrokenExecutor):
+            own.submit(lambda _: None, os._exit, 1).result()

@@ -1,0 +1,130 @@
+"""Processes of this machine for work that lasts: of the threads of one process only one runs Python at a time.
+
+Half of the time of a sweep, and three quarters of that of a curve of harmonic balance, is spent outside compiled
+programs. A process takes one to three seconds to start, so short work is left to threads.
+"""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from ctypes import c_int64
+from multiprocessing import connection
+from multiprocessing.sharedctypes import RawArray
+from multiprocessing.synchronize import Event
+from typing import Any, Self
+
+from timesim.study.execution.worker import count_by, default_workers, halt_by
+
+LASTS = 5.0
+"""Seconds of work after which what is left is given to processes."""
+APART = 0.5  # seconds between two looks at what they have counted
+
+Seen = Callable[[int], None]
+"""Takes in how often some work has counted a point, now and then."""
+
+
+class Processes:
+    """Processes that are begun when there is work for them, and are used again until they are left.
+
+    Attributes:
+        workers: works that are to be under way at most.
+    """
+
+    def __init__(self, workers: int | None = None):
+        """So many; the processors of this machine by default."""
+        self.workers = default_workers() if workers is None else workers
+        self._seen: dict[int, Seen] = {}
+        self._over = threading.Event()
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        if self._pool is not None:
+            self._halt.set()
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def submit(self, seen: Seen, function: Callable[..., Any], *args: Any) -> Future[Any]:
+        """Have a function of a module called, whose points are counted.
+
+        Raises:
+            BrokenExecutor: a process was killed.
+        """
+        pool = self._pool or self._started()
+        slot = min(set(range(self.workers)) - set(self._seen))
+        self._counts[slot], self._seen[slot] = 0, seen
+        try:
+            with _interrupt_blocked():
+                future = pool.submit(_counted, slot, function, *args)
+        except BaseException:
+            del self._seen[slot]
+            raise
+        future.add_done_callback(lambda _: self._seen.pop(slot))
+        return future
+
+    def give_up(self, works: Iterable[Future[Any]]) -> None:
+        """Have them give up what they were given, and wait until they have."""
+        if self._pool is not None:
+            self._halt.set()
+            wait(works)
+            self._halt.clear()
+
+    def _started(self) -> ProcessPoolExecutor:
+        context = multiprocessing.get_context("spawn")
+        self._halt, self._counts = context.Event(), RawArray(c_int64, self.workers)
+        self._pool = ProcessPoolExecutor(self.workers, context, _begin, (self._halt, self._counts))
+        threading.Thread(target=self._look, name="timesim-processes", daemon=True).start()
+        return self._pool
+
+    def _look(self) -> None:
+        while not self._over.wait(APART):
+            for slot, seen in list(self._seen.items()):
+                seen(self._counts[slot])
+
+
+@contextmanager
+def _interrupt_blocked() -> Iterator[None]:
+    """Ctrl-C in a terminal reaches every process: what is blocked here stays so in those that begin meanwhile."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+# In a process
+
+_COUNTS: Any = None
+
+
+def _begin(halt: Event, counts: Any) -> None:
+    """Make it ready: it is stopped by the one that has begun it, and ends with it."""
+    global _COUNTS
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    halt_by(halt)
+    _COUNTS = counts
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def ended() -> None:
+        connection.wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=ended, daemon=True).start()
+
+
+def _counted(slot: int, function: Callable[..., Any], *args: Any) -> Any:
+    def count() -> None:
+        _COUNTS[slot] += 1
+
+    count_by(count)
+    return function(*args)
