@@ -30,8 +30,8 @@ from timesim.result.netcdf import open_result, save
 from timesim.scene.resolution import Scene
 from timesim.study import bistable
 from timesim.study import registry as plot
+from timesim.study.curves.collection import Curves
 from timesim.study.execution.campaign import Execution
-from timesim.study.hbm import Curves
 from timesim.study.outcome import Outcome
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.report import bistable_lines

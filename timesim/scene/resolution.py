@@ -39,6 +39,9 @@ class Scene:
     file: SceneFile
     kinds: Kinds = field(repr=False)
 
+    def __reduce__(self) -> tuple[Any, ...]:  # the type of a file is made anew in each process
+        return _restored, (self.source, self.kinds, self._built)
+
     @property
     def path(self) -> Path | None:
         """The scene file; None for a scene that was built in Python."""
@@ -149,6 +152,15 @@ def _scene(source: SceneSource, kinds: Kinds) -> Scene:
     scene = Scene(source, file, kinds)
     scene._built  # noqa: B018  shows what the sections alone cannot see
     _check_combinations(scene)
+    return scene
+
+
+def _restored(source: SceneSource, kinds: Kinds, built: "_Built") -> Scene:
+    """A scene that has passed every check in another process."""
+    file, _ = parsed(source.data, kinds)
+    assert file is not None
+    scene = Scene(source, file, kinds)
+    scene.__dict__["_built"] = built
     return scene
 
 

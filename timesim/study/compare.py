@@ -7,11 +7,12 @@ motion is linear, so agreement there proves nothing, and the verdict leaves it o
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-from collections.abc import Mapping
+from collections.abc import Sequence
+from concurrent.futures import BrokenExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
 from math import prod
-from typing import Any
 
 import numpy as np
 from xarray import Dataset
@@ -22,6 +23,7 @@ from timesim.hbm.balance import Array, Balance, Complex
 from timesim.hbm.continuation import joined, part_of
 from timesim.hbm.curve import HbmCurve, solutions_at
 from timesim.hbm.period import period_of
+from timesim.hbm.scheme import Scheme
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.solver import Solver
 from timesim.orbit.basin import placed
@@ -34,9 +36,11 @@ from timesim.result.state import states_in
 from timesim.scene.hbm import ComparePlan
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan
+from timesim.study.curves.collection import Curves
 from timesim.study.execution.campaign import INTERRUPTED, Execution
+from timesim.study.execution.processes import Processes, unseen
 from timesim.study.execution.progress import CURVE, Phases
-from timesim.study.hbm import Curves, compile_beside, followed, left_out
+from timesim.study.hbm import compile_beside, followed, left_out
 from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import jump_lines
 from timesim.study.sweep import sweep_record
@@ -64,17 +68,18 @@ class Match:
     solutions: list[HbmCurve | None]
 
 
-def matched(amplitude: np.ndarray, frequency: np.ndarray, curves: Curves) -> Match:
+def matched(amplitude: np.ndarray, frequency: np.ndarray, curves: Curves, processes: Processes | None = None) -> Match:
     """Find the solution nearest to each point of a sweep, on curves of the same sets of values.
 
     Args:
         amplitude: of the sweep, shape (V, D, F, P, 3).
         frequency: of the sweep [Hz], shape (F,).
         curves: of the balance.
+        processes: that solve for the solutions at these frequencies, if they have begun.
     """
     nearest = np.full_like(amplitude, np.nan)
     solution = np.full(amplitude.shape[:3], -1)
-    solutions = [_solutions(curves, values, frequency) for values in curves.values]
+    solutions = _all_solutions(curves, frequency, processes)
     for (v, curve), d, f in product(enumerate(solutions), range(amplitude.shape[1]), range(frequency.size)):
         if curve is None or not np.isfinite(amplitude[v, d, f]).all():
             continue
@@ -90,13 +95,27 @@ def matched(amplitude: np.ndarray, frequency: np.ndarray, curves: Curves) -> Mat
     return Match(difference, solution, solutions)
 
 
-def _solutions(curves: Curves, values: Mapping[str, float], frequency: np.ndarray) -> HbmCurve | None:
-    """Solutions of all curves with these values at some frequencies."""
-    options: dict[str, Any] = {"scheme": curves.scheme, "stability": curves.plan.stability}
+def _all_solutions(curves: Curves, frequency: np.ndarray, processes: Processes | None) -> list[HbmCurve | None]:
+    """Solutions at some frequencies, for each set of values."""
+    works = []
+    for values in curves.values:
+        own = [(one.model_at(0.0), one.curve) for one in curves.curves if one.values == values]
+        works.append((own, frequency, curves.scheme, curves.plan.stability))
+    if processes is not None and processes.begun:
+        with suppress(BrokenExecutor):
+            done = dict(processes.each([(unseen, _solutions, work) for work in works]))
+            return [done[place] for place in range(len(works))]
+    return [_solutions(*work) for work in works]
+
+
+def _solutions(
+    curves: Sequence[tuple[Model, HbmCurve]], frequency: np.ndarray, scheme: Scheme, stability: bool
+) -> HbmCurve | None:
+    """Solutions of all curves of a set of values at some frequencies."""
     parts = [
-        solutions_at(one.model_at(0.0), one.curve, frequency, **options)
-        for one in curves.curves
-        if one.values == values and one.curve.frequency.size
+        solutions_at(model, curve, frequency, scheme=scheme, stability=stability)
+        for model, curve in curves
+        if curve.frequency.size
     ]
     return joined(parts) if parts else None
 
@@ -119,7 +138,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     faults = [f"{name}: {why}" for name, why in (("sweep", sweep_reason), ("hbm", hbm_reason)) if why]
     reason = "; ".join(faults) or None
     phases["comparison"](0, 1, "comparison of the methods")
-    arrays, compared, cycle, interrupted = _compared(scene, sweep, hbm, curves, whole=reason is None)
+    arrays, compared, cycle, interrupted = _compared(scene, sweep, hbm, curves, after.processes, whole=reason is None)
     lines, groups, reason = [*jump_lines(sweep), *compared], {"sweep": sweep, "hbm": hbm} | cycle, reason or interrupted
     lines.append(
         f"time integration: {sweep['settled'].size} points in {seconds:.2f} s; harmonic balance: "
@@ -140,7 +159,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 
 
 def _compared(
-    scene: Scene, sweep: Dataset, hbm: Dataset, curves: Curves, *, whole: bool
+    scene: Scene, sweep: Dataset, hbm: Dataset, curves: Curves, processes: Processes | None, *, whole: bool
 ) -> tuple[dict[str, np.ndarray], list[str], dict[str, Dataset], str | None]:
     """The difference of the methods on the axes of the sweep's amplitude, what it says, and a cycle by both of them.
 
@@ -151,7 +170,8 @@ def _compared(
     arrays = {"relative_difference": np.full_like(amplitude, np.nan)}
     arrays["other_offset"] = np.zeros(amplitude.shape[:-2], dtype=np.int8)
     try:
-        match = matched(amplitude.reshape(-1, *amplitude.shape[-4:]), sweep["frequency"].values, curves)
+        grid, frequency = amplitude.reshape(-1, *amplitude.shape[-4:]), sweep["frequency"].values
+        match = matched(grid, frequency, curves, processes)
         arrays["relative_difference"][:] = match.difference.reshape(amplitude.shape)
         points = compared_points(sweep, hbm, match.difference)
         points = replace(points, other_offset=other_offsets(scene, curves, match, points))

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor
@@ -15,7 +16,7 @@ from toys import SCENE, chains, digest, expected
 
 from timesim.study.execution import campaign
 from timesim.study.execution.campaign import Chunk, Execution, carry_through
-from timesim.study.execution.processes import Processes
+from timesim.study.execution.processes import Processes, unseen
 from timesim.study.execution.worker import halted, point_done
 
 
@@ -109,7 +110,7 @@ def test_an_interrupt_stops_them_and_keeps_what_is_done(two: Processes, tmp_path
     results, reason = carried(chunks, two, progress=interrupt, folder=tmp_path)
     assert reason == "interrupted; 4 of 8 points are missing"
     assert list(results) == ["c-0-0", "c-0-1"]
-    assert not two.submit(lambda _: None, ignores_interrupts).result()[1]  # they may be used again
+    assert not two.submit(unseen, ignores_interrupts).result()[1]  # they may be used again
     assert {path.stem for path in (tmp_path / "checkpoint").glob("*.npz")} == set(results)
 
 
@@ -119,7 +120,28 @@ def ignores_interrupts() -> tuple[bool, bool]:
 
 def test_they_leave_an_interrupt_to_the_process_that_began_them():
     with Processes(1) as own:
-        assert own.submit(lambda _: None, ignores_interrupts).result() == (True, False)
+        assert own.submit(unseen, ignores_interrupts).result() == (True, False)
         assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
         with pytest.raises(BrokenExecutor):
-            own.submit(lambda _: None, os._exit, 1).result()
+            own.submit(unseen, os._exit, 1).result()
+
+
+def until_halted(number: int) -> int:
+    while not halted():
+        time.sleep(0.01)
+    return number
+
+
+def test_what_is_given_up_is_yielded_before_the_interrupt_goes_on(two: Processes):
+    timer = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT))
+    found = []
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        found.extend(two.each([(unseen, until_halted, (number,)) for number in range(5)]))
+    timer.join()
+    assert sorted(found) == [(0, 0), (1, 1)]
+    assert not two.submit(unseen, ignores_interrupts).result()[1]
+
+
+def test_each_gives_its_result_with_its_place(two: Processes):
+    assert sorted(two.each([(unseen, abs, (-number,)) for number in range(5)])) == [(i, i) for i in range(5)]

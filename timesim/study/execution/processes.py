@@ -8,14 +8,15 @@ import multiprocessing
 import os
 import signal
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from ctypes import c_int64
 from multiprocessing import connection
 from multiprocessing.sharedctypes import RawArray
 from multiprocessing.synchronize import Event
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from timesim.study.execution.worker import count_by, default_workers, halt_by
 
@@ -23,8 +24,13 @@ LASTS = 5.0
 """Seconds of work after which what is left is given to processes."""
 APART = 0.5  # seconds between two looks at what they have counted
 
+T = TypeVar("T")
 Seen = Callable[[int], None]
 """Takes in how often some work has counted a point, now and then."""
+
+
+def unseen(points: int, /) -> None:
+    """Where nobody counts."""
 
 
 class Processes:
@@ -67,6 +73,40 @@ class Processes:
             raise
         future.add_done_callback(lambda _: self._seen.pop(slot))
         return future
+
+    @property
+    def begun(self) -> bool:
+        """Whether there are any yet."""
+        return self._pool is not None
+
+    def each(self, works: Iterable[tuple[Seen, Callable[..., T], tuple[Any, ...]]]) -> Iterator[tuple[int, T]]:
+        """Yield the place of each work, a function of a module and its arguments, and what it gives, once it is done.
+
+        Raises:
+            BrokenExecutor: a process was killed.
+            KeyboardInterrupt: they have given up, and what they gave has been yielded too.
+        """
+        waiting, running, interrupt = deque(enumerate(works)), dict[Future[T], int](), None
+        try:
+            while waiting or running:
+                try:
+                    while waiting and len(running) < self.workers:
+                        place, (seen, function, arguments) = waiting.popleft()
+                        running[self.submit(seen, function, *arguments)] = place
+                    done = wait(running, return_when=FIRST_COMPLETED).done
+                except KeyboardInterrupt as error:
+                    if interrupt is not None:
+                        raise
+                    interrupt = error
+                    waiting.clear()
+                    self._halt.set()
+                    continue
+                for future in done:
+                    yield running.pop(future), future.result()
+        finally:
+            self.give_up(running)
+        if interrupt is not None:
+            raise interrupt
 
     def give_up(self, works: Iterable[Future[Any]]) -> None:
         """Have them give up what they were given, and wait until they have."""

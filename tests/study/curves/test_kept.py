@@ -13,7 +13,7 @@ import timesim
 from timesim.hbm.continuation import Ending
 from timesim.result.checkpoint import chunks_done, resuming_helps
 from timesim.result.file import StoreError
-from timesim.study import kept_curves
+from timesim.study.curves import kept as kept_curves
 from timesim.study.execution.campaign import Execution
 from timesim.study.registry import carry_out, load_scene
 

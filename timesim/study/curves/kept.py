@@ -16,6 +16,8 @@ from timesim.result.checkpoint import Checkpoint, Result
 from timesim.result.file import StoreError
 from timesim.study.execution.campaign import Execution
 
+Found = tuple[list[HbmCurve], list[str]]
+"""The curves of a set of values, and the notes on them."""
 SECONDS_APART = 30.0
 """Time between two states of a growing curve on disk, at least; and so many times as long as it takes to write one: """
 TIMES_APART = 20.0
@@ -32,7 +34,7 @@ class KeptCurves:
         self._next = time.monotonic() + SECONDS_APART
         self.earlier = 0.0 if kept is None else kept.earlier
 
-    def load(self, place: int) -> tuple[list[HbmCurve], list[str]] | None:
+    def load(self, place: int) -> Found | None:
         """The curves of a set of values, and the notes on them; None where they are not finished."""
         if self._kept is None:
             return None
@@ -89,7 +91,7 @@ def _written(curves: Sequence[HbmCurve], notes: Sequence[str]) -> Result:
     return arrays
 
 
-def _read(arrays: Result) -> tuple[list[HbmCurve], list[str]]:
+def _read(arrays: Result) -> Found:
     curves = []
     for place in range(int(arrays["count"])):
         own: Mapping[str, Any] = {part.name: arrays[f"{place}-{part.name}"] for part in fields(HbmCurve)}

@@ -1,0 +1,120 @@
+"""Curves of several sets of values on processes: the same as here, and what was followed is not lost."""
+
+import itertools
+from collections.abc import Iterator
+from concurrent.futures import BrokenExecutor
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import numpy as np
+import pytest
+from systems import oscillator_scene
+
+from timesim.result.checkpoint import chunks_done
+from timesim.study.compare import matched
+from timesim.study.curves import follow
+from timesim.study.execution.campaign import Execution
+from timesim.study.execution.processes import Processes
+from timesim.study.execution.worker import count_by, halt_by
+from timesim.study.hbm import followed
+from timesim.study.registry import load_scene
+
+STUDY = {
+    "kind": "hbm",
+    "frequency": {"from": 1.0, "to": 0.985},
+    "harmonics": 5,
+    "time_samples": 512,
+    "stability": False,
+}
+OVER = {"contacts.pad.preload": [-4, -3, -2.5, -2]}
+SCENE = load_scene(oscillator_scene(preload=-4.0) | {"study": STUDY | {"over": OVER}})
+
+
+@pytest.fixture(scope="module")
+def two() -> Iterator[Processes]:
+    with Processes(2) as own:
+        yield own
+
+
+@pytest.fixture(scope="module")
+def here() -> Any:
+    return followed(SCENE, SCENE.plan, Execution())
+
+
+@pytest.fixture(autouse=True)
+def at_once(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Work lasts from the beginning; the places of the sets that are followed here all the same."""
+    monkeypatch.setattr(follow, "LASTS", -1.0)
+    places: list[int] = []
+    own = follow._Work._here
+    monkeypatch.setattr(follow._Work, "_here", lambda work, place: (places.append(place), own(work, place)))
+    return places
+
+
+def same(one: Any, other: Any) -> None:
+    for name, array in one.variables.items():
+        np.testing.assert_array_equal(other[name], array, err_msg=name)
+
+
+def test_the_same_bits_as_here(here: Any, two: Processes, at_once: list[int]):
+    seen: list[tuple[float, str]] = []
+    execution = Execution(lambda done, number, words="": seen.append((done / number, words)), processes=two)
+    data, curves, reason = followed(SCENE, SCENE.plan, execution)
+    assert at_once == []
+    assert reason is None
+    same(here[0], data)
+    assert [share for share, _ in seen] == sorted(share for share, _ in seen)
+    assert any("2 sets of values side by side" in words for _, words in seen)
+    assert seen[-1][0] == 1
+    frequency = np.array([0.988, 0.995])
+    alone, side_by_side = (matched(np.ones((4, 1, 2, 1, 3)), frequency, curves, own) for own in (None, two))
+    assert np.isfinite(alone.difference).any()
+    np.testing.assert_array_equal(alone.difference, side_by_side.difference)
+
+
+def test_an_interrupt_keeps_what_is_followed(here: Any, tmp_path: Path, at_once: list[int]):
+    class Interrupted(Processes):
+        """One set is followed, another has begun when the interrupt comes."""
+
+        def each(self, works: Any) -> Iterator[Any]:
+            yield 0, follow.followed_set(*works[0][2])
+            halt, points = Event(), itertools.count()
+            halt_by(halt)
+            count_by(lambda: halt.set() if next(points) == 20 else None)
+            try:
+                yield 2, follow.followed_set(*works[2][2])
+            finally:
+                halt_by(None)
+                count_by(None)
+            raise KeyboardInterrupt
+
+    with Interrupted(2) as own:
+        data, _, reason = followed(SCENE, SCENE.plan, Execution(folder=tmp_path, processes=own))
+    assert reason is not None
+    assert "interrupted at curve" in reason
+    assert at_once == []
+    assert chunks_done(tmp_path) == 1
+    preload, whole = data["contacts.pad.preload"].values, here[0]["contacts.pad.preload"].values
+    assert np.sum(preload == -4) == np.sum(whole == -4)
+    assert 0 < np.sum(preload == -2.5) < np.sum(whole == -2.5)
+    assert set(preload) == {-4, -2.5}
+    options: dict[str, Any] = {"folder": tmp_path, "resume": True, "notice": lambda _: None}
+    again, _, reason = followed(SCENE, SCENE.plan, Execution(**options))
+    assert reason is None
+    assert at_once == [1, 2, 3]
+    same(here[0], again)
+
+
+def test_where_a_process_is_killed_the_rest_is_followed_here(here: Any, at_once: list[int]):
+    class Killed(Processes):
+        def each(self, works: Any) -> Iterator[Any]:
+            if not self.begun:
+                yield next(iter(super().each(works[:1])))
+            raise BrokenExecutor
+
+    with Killed(2) as own:
+        data, _, reason = followed(SCENE, SCENE.plan, Execution(processes=own))
+    assert reason is None
+    assert at_once == [1, 2, 3]
+    same(here[0], data)

@@ -1,0 +1,218 @@
+"""The curves of a study, and how those of one set of values are found."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Self
+
+import numpy as np
+
+from timesim.engine.status import RunError
+from timesim.fault import RuleError
+from timesim.hbm.branches import SettledMotion, curves_from_ends, isolated_curves
+from timesim.hbm.continuation import Controls, Ending
+from timesim.hbm.convergence import Known, neglected, with_more_samples
+from timesim.hbm.curve import HbmCurve, Watch, hbm_curve
+from timesim.hbm.parameter import parameter_curve
+from timesim.hbm.scheme import NEGLECTED, Scheme
+from timesim.model.model import Model
+from timesim.orbit.cycle import modal_coefficients
+from timesim.orbit.steady_state import switches
+from timesim.result.label import in_words
+from timesim.result.state import SavedStates, SweepPoint, settled_points, start_of
+from timesim.scene.hbm import HbmPlan
+from timesim.scene.resolution import Scene
+from timesim.scene.study import combinations
+from timesim.study.curves.kept import Found
+
+Sweep = tuple[SavedStates, Mapping[str, float | str]]
+"""Points of a sweep by the values along its axes."""
+
+REFINED = 6  # solutions that harmonics and samples are refined for, beside the largest
+
+
+@dataclass(frozen=True)
+class StudyCurve:
+    """One curve of a study: values of the further axes, the model for a value of its parameter, the solutions."""
+
+    values: Mapping[str, float]
+    model_at: Callable[[float], Model]
+    curve: HbmCurve
+
+    @property
+    def label(self) -> str:
+        """Values of the further axes, to begin a message with."""
+        return in_words(self.values, ": ")
+
+
+class Curves:
+    """The curves of a study; `values` are the combinations of its further axes, one after the other."""
+
+    def __init__(self, scene: Scene, plan: HbmPlan):
+        self.scene, self.plan = scene, plan
+        self.schemes = plan.schemes_for(scene.model())
+        self.scheme = self.schemes[0]
+        self.values = list(combinations(plan.over))
+        self.curves: list[StudyCurve] = []
+        self.faults: list[str] = []
+        self.notes: list[str] = []
+
+    @property
+    def none(self) -> Self:
+        """The same without any curve."""
+        empty = copy(self)
+        empty.curves, empty.faults, empty.notes = [], [], []
+        return empty
+
+    @property
+    def found(self) -> Found:
+        """The curves alone, and the notes."""
+        return [one.curve for one in self.curves], self.notes
+
+    def have_samples(self, schemes: tuple[Scheme, ...]) -> None:
+        """Take the schemes where they have more samples."""
+        if schemes[0].time_samples > self.schemes[0].time_samples:
+            self.schemes = schemes
+
+    def follow(self, values: Mapping[str, float], sweeps: Sequence[Sweep], watch: Watch) -> None:
+        """Add the curves of a set of values, those through the points of some sweeps too.
+
+        Raises:
+            KeyboardInterrupt: it was interrupted; what was followed is added.
+        """
+        curves = list(self._from_ends(values, watch))
+        while (finer := self._with_more_samples(curves)) is not None:
+            self.schemes = finer
+            curves = list(self._from_ends(values, watch))
+        if "harmonics" in self.plan.chosen:
+            left = max(neglected(own.model_at, own.curve, self.schemes) for own in curves)
+            count = max(own.curve.harmonic_cos.shape[1] - 1 for own in curves)
+            if left > NEGLECTED:
+                self.notes.append(
+                    f"{in_words(values, ': ')}auto ends at {count} harmonics: those above would "
+                    f"add up to {left:.1e} of the amplitude, where {NEGLECTED:g} is wanted; set harmonics to more"
+                )
+        for curve in curves:
+            self.add(curve)
+        for sweep in sweeps:
+            for curve in self._through(values, *sweep, watch):
+                self.notes.append(_isolated(curve))
+                self.add(curve)
+
+    def _with_more_samples(self, curves: Sequence[StudyCurve]) -> tuple[Scheme, ...] | None:
+        """With what curves are worth following again, if with anything."""
+        endings = [curve.curve.ending for curve in curves]
+        if "time_samples" not in self.plan.chosen or Ending.INTERRUPTED in endings:
+            return None
+        finer = (with_more_samples(own.model_at, own.curve, self.schemes) for own in curves)
+        return next((own for own in finer if own is not None), None)
+
+    def with_curve(self, curve: StudyCurve) -> "Curves":
+        """With one more, all with the harmonics of the one that has the most: those that it lacks are zero."""
+        grown, curves = copy(self), [*self.curves, curve]
+        most = max(self.scheme.harmonics, curve.curve.harmonic_cos.shape[1] - 1)
+        grown.scheme = next(own for own in self.schemes if own.harmonics >= most)
+        grown.curves = [replace(one, curve=one.curve.with_harmonics(grown.scheme.harmonics)) for one in curves]
+        return grown
+
+    def model_at(self, values: Mapping[str, float]) -> Callable[[float], Model]:
+        """The model for a value of the parameter of a curve with these values."""
+        if self.plan.along is None:
+            model = self.scene.variant(values)
+            return lambda _: model
+        key = self.plan.along.key
+        return lambda p: self.scene.variant({**values, key: p})
+
+    def add(self, curve: StudyCurve) -> None:
+        """Add a curve.
+
+        Raises:
+            KeyboardInterrupt: it ends where it was interrupted.
+        """
+        grown = self.with_curve(curve)
+        self.scheme, self.curves = grown.scheme, grown.curves
+        if not curve.curve.complete:
+            self.faults.append(curve.label + curve.curve.message)
+        if curve.curve.ending is Ending.INTERRUPTED:
+            raise KeyboardInterrupt
+
+    def _from_ends(self, values: Mapping[str, float], watch: Watch) -> Iterator[StudyCurve]:
+        """The curves from the ends of the range, or from the motion that the plan gives."""
+        plan, along, options = self.plan, self.plan.along, self._options(watch)
+        model_at = self.model_at(values)
+        guess, begin = (plan.motion.modal, plan.motion.frequency) if plan.motion is not None else (None, None)
+        if along is not None:
+            curve = parameter_curve(model_at, plan.span[0], along.first, along.last, guess=guess, **options)
+            yield StudyCurve(values, model_at, curve)
+            return
+        model = self.scene.variant(values)
+        if guess is None:
+            curves = curves_from_ends(model, *plan.span, both=plan.both_ends, **options)
+        else:
+            curves = [hbm_curve(model, *plan.span, guess=guess, begin=begin, **options)]
+        yield from (StudyCurve(values, model_at, curve) for curve in curves)
+
+    def _through(
+        self, values: Mapping[str, float], states: SavedStates, asked: Mapping[str, float | str], watch: Watch
+    ) -> Iterator[StudyCurve]:
+        """Curves from settled points of a sweep that no other curve passes: isolated branches, it may be.
+
+        Points without slip or part-time contact are left alone: there the motion is linear.
+        """
+        own = {key: value for key, value in values.items() if key in states.axes}
+        try:
+            points = list(settled_points(states, own | dict(asked)))
+        except RuleError:
+            return  # the sweep has no such values
+        model = self.scene.variant(values)
+        motions = [
+            SettledMotion(point[0], point[1]["amplitude"], partial(self._coefficients, model, states, point))
+            for point in points
+        ]
+        known = [curve.curve for curve in self.curves if curve.values == values]
+        for curve in isolated_curves(model, known, motions, self.plan.span, **self._options(watch)):
+            yield StudyCurve(values, self.model_at(values), curve)
+
+    def _coefficients(self, model: Model, states: SavedStates, point: SweepPoint) -> np.ndarray | None:
+        """Modal Fourier coefficients of a point of a sweep; None with a note where this model cannot start from it."""
+        frequency, arrays = point
+        try:
+            start = start_of(model, states, arrays)
+            return modal_coefficients(replace(model, start=start), frequency, self.scene.solver())
+        except RuleError as error:
+            reason = f"it {error.rule}"
+        except RunError as error:
+            reason = str(error)
+        self.notes.append(f"no curve is begun from the sweep's point at {frequency:g} Hz: {reason}")
+        return None
+
+    def _options(self, watch: Watch) -> dict[str, Any]:
+        steps, stable = Controls(**self.plan.steps), self.plan.stability
+        return {"scheme": self.schemes, "controls": steps, "stability": stable, "watch": watch}
+
+    def to_refine(self) -> list[Known]:
+        """Stable solutions where a contact switches, spread over all curves, and the largest of them."""
+        rows = []
+        for one in self.curves:
+            works = switches(one.curve.slip_share, one.curve.separation_share).any(axis=1)
+            rows += [(one, i) for i in np.flatnonzero(one.curve.stable & works)]
+        if not rows:
+            return []
+        chosen = set(np.linspace(0, len(rows) - 1, min(REFINED, len(rows))).round().astype(int).tolist())
+        chosen.add(int(np.argmax([curve.curve.amplitude[i].max() for curve, i in rows])))
+        return [_known(*rows[k]) for k in sorted(chosen)]
+
+
+def _known(curve: StudyCurve, i: int) -> Known:
+    solutions = curve.curve
+    model = curve.model_at(float(solutions.parameter[i]))
+    return Known(model, float(solutions.frequency[i]), solutions.contact_motion[i], solutions.amplitude[i])
+
+
+def _isolated(curve: StudyCurve) -> str:
+    """A curve through points of a sweep, in words."""
+    frequency = curve.curve.frequency
+    closed = "closed, " if curve.curve.ending is Ending.CLOSED else ""
+    span = f"{frequency.min():.6g} to {frequency.max():.6g} Hz" if frequency.size else "without a solution"
+    return f"{curve.label}a curve of its own, {closed}{span}, begun from points of the sweep that no other passes"

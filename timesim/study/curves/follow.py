@@ -1,0 +1,194 @@
+"""All curves of a study: set of values by set of values here, and on processes of this machine once that lasts."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import BrokenExecutor
+from contextlib import suppress
+from functools import partial
+
+from xarray import Dataset
+
+from timesim.hbm.curve import HbmCurve
+from timesim.hbm.scheme import Scheme
+from timesim.result.file import StoreError
+from timesim.result.label import in_words
+from timesim.result.state import SavedStates
+from timesim.study.curves.collection import Curves, StudyCurve, Sweep
+from timesim.study.curves.kept import Found, KeptCurves
+from timesim.study.curves.record import solutions
+from timesim.study.execution.campaign import Execution
+from timesim.study.execution.processes import LASTS
+from timesim.study.execution.worker import halted, point_done
+from timesim.study.outcome import attributes
+
+FOLLOWED = 0.6  # of the time of a curve; its multipliers take the rest
+PARTS = 100  # of a set of values, that a process counts
+
+
+def follow_all(
+    curves: Curves, execution: Execution, kept: KeptCurves, passing: SavedStates | None = None
+) -> str | None:
+    """Add the curves of all sets of values; why some are not whole, if any.
+
+    Those of a set depend on no other's, but for the samples with which they begin: those that the first set needed.
+
+    Args:
+        curves: of a study, none yet.
+        execution: takes in the progress, in sets of values.
+        kept: the curves that are taken up, and where the others are kept.
+        passing: a sweep whose settled points are to be passed, beside that of the plan's start.
+    """
+    work = _Work(
+        curves, execution, kept, [sweep for sweep in (curves.plan.passing, passing and (passing, {})) if sweep]
+    )
+    try:
+        work.carry_out()
+    except KeyboardInterrupt:
+        work.take_rest()
+        curves.faults.append(f"interrupted at curve {len(curves.curves) + 1}")
+    except StoreError as error:
+        curves.faults.append(str(error))
+    return "; ".join(curves.faults) or None
+
+
+class _Work:
+    """Sets of values on their way, by their places: those that are found, and those that are added to the curves."""
+
+    def __init__(self, curves: Curves, execution: Execution, kept: KeptCurves, sweeps: Sequence[Sweep]):
+        self.curves, self.execution, self.kept, self.sweeps = curves, execution, kept, sweeps
+        self.begun = time.monotonic()
+        self.first = curves.none
+        self.found: dict[int, Found] = {}
+        self.added: set[int] = set()
+        self.parts: dict[int, int] = {}
+
+    def carry_out(self) -> None:
+        """Add the curves of all sets, in their order.
+
+        Raises:
+            KeyboardInterrupt: it was interrupted; there may be more found than added.
+            StoreError: what was found cannot be kept.
+        """
+        places = range(len(self.curves.values))
+        for place in places:
+            if (done := self.kept.load(place)) is not None:
+                self.found[place] = done
+        for place in places:
+            if place not in self.found and (left := self._for_processes()):
+                self._elsewhere(left)
+            if place not in self.found:
+                self._here(place)
+            self._add(place)
+            self.execution.progress(len(self.found), len(places), "harmonic balance")
+
+    def take_rest(self) -> None:
+        """Add what is found and not added."""
+        for place in sorted(self.found.keys() - self.added):
+            with suppress(KeyboardInterrupt):
+                self._add(place)
+
+    def _add(self, place: int) -> None:
+        (curves, notes), values = self.found[place], self.curves.values[place]
+        self.added.add(place)
+        self.curves.notes += notes
+        for curve in curves:
+            self.curves.add(StudyCurve(values, self.curves.model_at(values), curve))
+
+    def _here(self, place: int) -> None:
+        """Find the curves of a set."""
+        own = self.first.none
+        try:
+            own.follow(self.curves.values[place], self.sweeps, _Growth(self, place, own))
+        except KeyboardInterrupt:
+            self.found[place] = own.found
+            raise
+        self._take(place, own.found, own.schemes)
+
+    def _take(self, place: int, found: Found, schemes: tuple[Scheme, ...]) -> None:
+        """Take in and keep what was found for a set, and the schemes that it took."""
+        self.found[place] = found
+        self.curves.have_samples(schemes)
+        if place == 0:
+            self.first.have_samples(schemes)
+        self.kept.save(place, *found)
+
+    def _for_processes(self) -> list[int]:
+        """The sets that are given to processes: all that are left, once the work has lasted."""
+        processes, left = self.execution.processes, sorted(set(range(len(self.curves.values))) - self.found.keys())
+        lasts = processes is not None and processes.workers > 1 and time.monotonic() - self.begun > LASTS
+        return left if lasts and len(left) > 1 else []
+
+    def _elsewhere(self, places: Sequence[int]) -> None:
+        """Find the curves of some sets on processes. Where one of these is killed, sets are left."""
+        assert self.execution.processes is not None
+        asked = [(self.first, self.curves.values[place], self.sweeps) for place in places]
+        works = [(partial(self._count, place), followed_set, own) for place, own in zip(places, asked, strict=True)]
+        with suppress(BrokenExecutor):
+            for number, (found, schemes, whole) in self.execution.processes.each(works):
+                if whole:
+                    self._take(places[number], found, schemes)
+                else:
+                    self.found[places[number]] = found
+                self._show()
+
+    def _count(self, place: int, parts: int) -> None:
+        self.parts[place] = parts
+        self._show()
+
+    def _show(self) -> None:
+        under_way = [parts for place, parts in list(self.parts.items()) if place not in self.found]
+        done, number = len(self.found) + sum(under_way) / PARTS, len(self.curves.values)
+        self.execution.progress(done, number, f"harmonic balance, {len(under_way)} sets of values side by side")
+
+
+class _Growth:
+    """What is shown, and kept, of a curve while it is followed here."""
+
+    def __init__(self, work: _Work, place: int, own: Curves):
+        self.work, self.place, self.own = work, place, own
+
+    def __call__(self, share: float, so_far: Callable[[], HbmCurve]) -> None:
+        curves, values = self.work.curves, self.work.curves.values
+        number = len(curves.curves) + len(self.own.curves) + 1
+        words = f"curve {number}: {share:.0%} of the range"
+        sets = self.place + _part(self.own, share)
+        self.work.execution.progress(sets, len(values), ", ".join(filter(None, (words, in_words(values[self.place])))))
+        self.work.kept.grow(lambda: self._record(so_far()))
+
+    def _record(self, curve: HbmCurve) -> Dataset:
+        """The result so far."""
+        grown, values, scene = self.work.curves, self.work.curves.values[self.place], self.own.scene
+        for one in (*self.own.curves, StudyCurve(values, self.own.model_at(values), curve)):
+            grown = grown.with_curve(one)
+        return solutions(scene.model(), grown, attributes(scene, str(grown.scheme), 0.0, 0.0, curve.message))
+
+
+def _part(own: Curves, share: float) -> float:
+    """The part of the curves of a set that is followed, with a share of the range on the present one."""
+    before = len(own.curves)
+    # From how many points of a sweep a curve of its own begins is not known.
+    expected = max(before + 1, 1 + own.plan.both_ends)
+    return (before + FOLLOWED * share) / expected
+
+
+SetOfCurves = tuple[Found, tuple[Scheme, ...], bool]
+"""Curves of a set of values, the schemes that they took, and whether they are whole."""
+
+
+def followed_set(none: Curves, values: Mapping[str, float], sweeps: Sequence[Sweep]) -> SetOfCurves:
+    """The curves of a set of values, found in a process of its own until it is halted."""
+    own, counted = none.none, 0
+
+    def watch(share: float, so_far: Callable[[], HbmCurve]) -> None:
+        nonlocal counted
+        while counted < int(PARTS * _part(own, share)):
+            point_done()
+            counted += 1
+        if halted():
+            raise KeyboardInterrupt
+
+    try:
+        own.follow(values, sweeps, watch)
+    except KeyboardInterrupt:
+        return own.found, own.schemes, False
+    return own.found, own.schemes, True
