@@ -28,9 +28,8 @@ from timesim.orbit.two_motions import DOWN, UP, Search, Sweeps, losses, ranges, 
 from timesim.picture import bistable as plot_bistable
 from timesim.result.netcdf import open_result, save
 from timesim.scene.resolution import Scene
-from timesim.study import bistable
+from timesim.study import bistable, hbm
 from timesim.study import registry as plot
-from timesim.study.curves.collection import Curves
 from timesim.study.execution.campaign import Execution
 from timesim.study.outcome import Outcome
 from timesim.study.registry import carry_out, load_scene
@@ -203,7 +202,7 @@ def test_a_balance_that_comes_to_no_end_leaves_the_study_whole(monkeypatch: pyte
     given = QUICK | {"study.frequency": "{from: 1.4, to: 1.45}", "study.starts": "0"}
     scene = load_scene(CONFIGS / "softening.yaml", [f"{key}={value}" for key, value in given.items()])
     reason = ["the corrector did not converge"]
-    monkeypatch.setattr(Curves, "run", lambda *_: reason[0])
+    monkeypatch.setattr(hbm, "follow_all", lambda *_: reason[0])
     outcome = carry_out(scene)
     assert outcome.reason is None
     assert outcome.groups[""].attrs["complete"] == 1

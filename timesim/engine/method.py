@@ -280,6 +280,7 @@ def _kvaerno5(rtol: float, atol: float) -> Implicit:
     return Implicit(order=5, solver=solver, fallback=Explicit("tsit5"))
 
 
+@functools.lru_cache(maxsize=64)  # it is asked for in each round of a sweep
 def step_method(solver: Solver) -> Method:
     """The method that takes the steps."""
     if solver.name == "exponential":
