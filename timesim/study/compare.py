@@ -138,7 +138,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     faults = [f"{name}: {why}" for name, why in (("sweep", sweep_reason), ("hbm", hbm_reason)) if why]
     reason = "; ".join(faults) or None
     phases["comparison"](0, 1, "comparison of the methods")
-    arrays, compared, cycle, interrupted = _compared(scene, sweep, hbm, curves, after.processes, whole=reason is None)
+    arrays, compared, cycle, interrupted = _compared(scene, sweep, hbm, curves, after.several, whole=reason is None)
     lines, groups, reason = [*jump_lines(sweep), *compared], {"sweep": sweep, "hbm": hbm} | cycle, reason or interrupted
     lines.append(
         f"time integration: {sweep['settled'].size} points in {seconds:.2f} s; harmonic balance: "

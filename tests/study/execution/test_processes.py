@@ -14,7 +14,7 @@ import pytest
 import toys
 from toys import SCENE, chains, digest, expected
 
-from timesim.study.execution import campaign
+from timesim.study.execution import campaign, processes
 from timesim.study.execution.campaign import Chunk, Execution, carry_through
 from timesim.study.execution.processes import Processes, unseen
 from timesim.study.execution.worker import halted, point_done
@@ -145,3 +145,20 @@ def test_what_is_given_up_is_yielded_before_the_interrupt_goes_on(two: Processes
 
 def test_each_gives_its_result_with_its_place(two: Processes):
     assert sorted(two.each([(unseen, abs, (-number,)) for number in range(5)])) == [(i, i) for i in range(5)]
+
+
+@pytest.mark.parametrize(("pages", "workers"), [(2**30, 3), (2**19, 1), (1, 1)])
+def test_no_more_than_the_memory_has_room_for(pages: int, workers: int, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(os, "sysconf", lambda name: pages if name == "SC_PHYS_PAGES" else 4096)
+    monkeypatch.setattr(processes, "default_workers", lambda: 3)
+    assert Processes().workers == workers
+
+
+def test_one_alone_is_left_out_and_holds_up_no_thread():
+    meeting = threading.Barrier(3, timeout=20)
+    with Processes(1) as own:
+        execution = Execution(workers=3, processes=own)
+        chunks = [Chunk(f"c{i}", i) for i in range(3)]
+        _, reason = carry_through(chunks, lambda *_: {"i": np.array(meeting.wait())}, execution, identity="")
+        assert not own.begun
+    assert reason is None

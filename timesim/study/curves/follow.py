@@ -114,17 +114,18 @@ class _Work:
 
     def _for_processes(self) -> list[int]:
         """The sets that are given to processes: all that are left, once the work has lasted."""
-        processes, left = self.execution.processes, sorted(set(range(len(self.curves.values))) - self.found.keys())
-        lasts = processes is not None and processes.workers > 1 and time.monotonic() - self.begun > LASTS
+        left = sorted(set(range(len(self.curves.values))) - self.found.keys())
+        lasts = self.execution.several is not None and time.monotonic() - self.begun > LASTS
         return left if lasts and len(left) > 1 else []
 
     def _elsewhere(self, places: Sequence[int]) -> None:
         """Find the curves of some sets on processes. Where one of these is killed, sets are left."""
-        assert self.execution.processes is not None
+        processes = self.execution.several
+        assert processes is not None
         asked = [(self.first, self.curves.values[place], self.sweeps) for place in places]
         works = [(partial(self._count, place), followed_set, own) for place, own in zip(places, asked, strict=True)]
         with suppress(BrokenExecutor):
-            for number, (found, schemes, whole) in self.execution.processes.each(works):
+            for number, (found, schemes, whole) in processes.each(works):
                 if whole:
                     self._take(places[number], found, schemes)
                 else:

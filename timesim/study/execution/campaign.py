@@ -74,6 +74,12 @@ class Execution:
         if self.cluster is not None:
             check_address(self.cluster, self.workers)
 
+    @property
+    def several(self) -> Processes | None:
+        """The processes to which work may go; None where there would be only one, or where a cluster does it."""
+        own = self.processes
+        return own if own is not None and own.workers > 1 and self.cluster is None else None
+
     def earlier(self, stage: str | None = None) -> float:
         """Seconds that the parts before took of a run that is resumed, or of one of its stages."""
         return checkpoint.seconds_worked(self.folder, stage) if self.resume and self.folder is not None else 0.0
@@ -203,7 +209,7 @@ class _Campaign:
             for chunk in self.chunks
             if chunk.name not in self.results and (chunk.after is None or chunk.after in self.results)
         ]
-        processes = self.execution.processes
+        processes = self.execution.several
         room = np.inf if processes is None else processes.workers
         try:
             with self.execution.executor() as executor:
@@ -230,7 +236,7 @@ class _Campaign:
 
     def _begun_elsewhere(self, chunk: Chunk, before: Result | None) -> Future[Result] | None:
         """A chunk that a process works on; None where it is left to a thread: the only one, or one of the first."""
-        alone, processes = not self.running and not self.waiting, self.execution.processes
+        alone, processes = not self.running and not self.waiting, self.execution.several
         if processes is None or alone or time.monotonic() - self.begun < LASTS:
             return None
         with suppress(BrokenExecutor):

@@ -22,6 +22,8 @@ from timesim.study.execution.worker import count_by, default_workers, halt_by
 
 LASTS = 5.0
 """Seconds of work after which what is left is given to processes."""
+MEMORY = 2**30
+"""Bytes that a process may take, a usual scene about half of it; a quarter of this machine's memory stays free."""
 APART = 0.5  # seconds between two looks at what they have counted
 
 T = TypeVar("T")
@@ -41,8 +43,8 @@ class Processes:
     """
 
     def __init__(self, workers: int | None = None):
-        """So many; the processors of this machine by default."""
-        self.workers = default_workers() if workers is None else workers
+        """So many; by default as the processors of this machine, and its memory, allow."""
+        self.workers = min(default_workers(), _room()) if workers is None else workers
         self._seen: dict[int, Seen] = {}
         self._over = threading.Event()
         self._pool: ProcessPoolExecutor | None = None
@@ -126,6 +128,15 @@ class Processes:
         while not self._over.wait(APART):
             for slot, seen in list(self._seen.items()):
                 seen(self._counts[slot])
+
+
+def _room() -> int:
+    """Processes that the memory of this machine has room for."""
+    try:
+        whole = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):  # not said on every system
+        return 1
+    return max(1, int(0.75 * whole / MEMORY))
 
 
 @contextmanager
