@@ -1,5 +1,6 @@
 """Processes that take work over from the threads: the same results, and nothing is lost."""
 
+import multiprocessing
 import os
 import signal
 import threading
@@ -162,3 +163,22 @@ def test_one_alone_is_left_out_and_holds_up_no_thread():
         _, reason = carry_through(chunks, lambda *_: {"i": np.array(meeting.wait())}, execution, identity="")
         assert not own.begun
     assert reason is None
+
+
+def test_where_none_can_be_begun_threads_do_the_work(monkeypatch: pytest.MonkeyPatch):
+    class Without:
+        def Event(self) -> None:  # noqa: N802
+            raise OSError("no shared memory")
+
+    monkeypatch.setattr(multiprocessing, "get_context", lambda _: Without())
+    with Processes(2) as own:
+        results, reason = carried(chains(2, 2), own)
+    assert reason is None
+    assert digest(results) == digest(expected(chains(2, 2)))
+
+
+def test_a_slot_that_is_not_free_yet_holds_nothing_up(two: Processes):
+    two.submit(unseen, abs, -1).result()
+    two._seen |= {0: unseen, 1: unseen}
+    assert [two.submit(unseen, abs, -i).result() for i in range(3)] == [0, 1, 2]
+    two._seen.clear()

@@ -10,7 +10,7 @@ import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from ctypes import c_int64
 from multiprocessing import connection
@@ -62,10 +62,10 @@ class Processes:
         """Have a function of a module called, whose points are counted.
 
         Raises:
-            BrokenExecutor: a process was killed.
+            BrokenExecutor: a process was killed, or none can be begun.
         """
         pool = self._pool or self._started()
-        slot = min(set(range(self.workers)) - set(self._seen))
+        slot = min(set(range(len(self._counts))) - set(self._seen))
         self._counts[slot], self._seen[slot] = 0, seen
         try:
             with _interrupt_blocked():
@@ -119,7 +119,12 @@ class Processes:
 
     def _started(self) -> ProcessPoolExecutor:
         context = multiprocessing.get_context("spawn")
-        self._halt, self._counts = context.Event(), RawArray(c_int64, self.workers)
+        try:
+            self._halt = context.Event()
+        except OSError as error:  # a container without shared memory
+            raise BrokenExecutor(str(error)) from error
+        # Of work that is done the slot is set free after those who wait for it have been told.
+        self._counts = RawArray(c_int64, 2 * self.workers)
         self._pool = ProcessPoolExecutor(self.workers, context, _begin, (self._halt, self._counts))
         threading.Thread(target=self._look, name="timesim-processes", daemon=True).start()
         return self._pool
