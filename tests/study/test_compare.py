@@ -358,7 +358,6 @@ def test_a_comparison_that_is_interrupted_keeps_both_methods(at, monkeypatch, tm
         raise KeyboardInterrupt
 
     short = SHORT | {"study.frequency": {"values": [1.2, 1.42]}, "study.over": {"contacts.pad.preload": [3]}}
-    short |= {"study.time_samples": 128}
     monkeypatch.setattr(compare, at, interrupted)
     call = ["run", str(CONFIGS / "figure10.yaml"), "-o", str(tmp_path), "--force", *options(short)]
     said = CliRunner().invoke(app, call)
