@@ -8,6 +8,7 @@ import systems
 from scipy.optimize import linear_sum_assignment
 from simulation import FINE, after_a_cycle
 
+from timesim.hbm import stability
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, Ending, solve
 from timesim.hbm.curve import hbm_curve
@@ -115,11 +116,28 @@ def test_modes_coupled_by_damping(preload, frequency):
 def test_a_multiplier_beyond_the_unit_circle_is_unstable(largest, turn, stable, monkeypatch):
     """Also where the determinant says nothing of it: a complex pair, near 1 too, or one that passes -1."""
     pair = largest * np.exp([1j * turn, -1j * turn])
-    monkeypatch.setattr("timesim.hbm.curve.floquet_multipliers", lambda _, x, p: np.tile(pair, (len(x), 1)))
+    monkeypatch.setattr("timesim.hbm.curve.checked_multipliers", lambda _, x, p: np.tile(pair, (len(x), 1)))
     controls = Controls(max_points=2)
     curve = hbm_curve(systems.oscillator(32.0, 1.0), 1.2, 1.3, scheme=Scheme(1, 64), controls=controls)
     assert curve.stable.tolist() == [stable] * 2
     np.testing.assert_allclose(curve.floquet_max, largest)
+
+
+def test_what_hardly_grows_is_looked_at_with_more_samples(monkeypatch):
+    """On a structure of eleven modes a pair of 0.9985 is 1.0042 with the samples that 57 harmonics need."""
+    turn = np.exp(2j) ** np.array([1, -1])
+    coarse, fine = (np.array(sizes)[:, None] * turn for sizes in ([1.0042, 1.2, 0.9], [0.9985]))
+    looked_at: list[list[float]] = []
+
+    def multipliers(_, x, frequency, *, samples=None):
+        looked_at.append(frequency.tolist())
+        return coarse.copy() if samples is None else np.tile(fine, (len(x), 1))
+
+    monkeypatch.setattr(stability, "floquet_multipliers", multipliers)
+    found = stability.checked_multipliers(None, np.zeros((3, 1)), np.array([1.0, 2.0, 3.0]))
+    assert looked_at == [[1.0, 2.0, 3.0], [1.0]]
+    np.testing.assert_allclose(np.abs(found[:, 0]), [0.9985, 1.2, 0.9])
+    assert stability.grows(found).tolist() == [False, True, False]
 
 
 def test_a_diagonal_damping_matrix_is_that_of_modes_left_apart():
@@ -132,7 +150,7 @@ def test_an_interrupt_among_the_multipliers_keeps_the_curve(monkeypatch):
     def interrupted(*given):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("timesim.hbm.curve.floquet_multipliers", interrupted)
+    monkeypatch.setattr("timesim.hbm.curve.checked_multipliers", interrupted)
     curve = hbm_curve(systems.oscillator(-1.0, 0.97), 0.97, 0.975, scheme=Scheme(3, 64))
     assert curve.ending is Ending.INTERRUPTED
     assert curve.frequency.size > 2

@@ -29,7 +29,7 @@ from timesim.hbm.continuation import (
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.period import contact_forces
 from timesim.hbm.scheme import Scheme
-from timesim.hbm.stability import BORDER, NEAR_ONE, floquet_multipliers
+from timesim.hbm.stability import checked_multipliers, grows
 from timesim.model.model import Model
 from timesim.orbit.fourier import half_range, phase_deg, to_phasors
 
@@ -277,17 +277,14 @@ def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmC
     phasor = np.zeros((size, order, *shape.shape[:2]), complex)
     for i, (x, p) in enumerate(zip(curve.x, curve.p, strict=True)):
         phasor[i] = np.einsum("pam,hm->hpa", shape, balance.modes(x, forces[i], p))
-    largest, grows = np.full(size, np.nan), np.zeros(size, dtype=bool)
+    largest, unstable = np.full(size, np.nan), np.zeros(size, dtype=bool)
     if stability:
-        multipliers = floquet_multipliers(balance, curve.x, curve.p)
-        largest = np.abs(multipliers[:, 0])
-        # Whether a real one has passed 1, as at a fold, the determinant tells exactly; a complex pair it does not see.
-        at_one = (multipliers.imag == 0) & (np.abs(multipliers - 1) <= NEAR_ONE)
-        grows[:] = ((np.abs(multipliers) > BORDER) & ~at_one).any(axis=1)
+        multipliers = checked_multipliers(balance, curve.x, curve.p)
+        largest, unstable = np.abs(multipliers[:, 0]), grows(multipliers)
     return HbmCurve(
         parameter=curve.p,
         frequency=curve.p,
-        stable=(curve.determinant > 0) & ~grows,
+        stable=(curve.determinant > 0) & ~unstable,
         fold=curve.fold,
         branch=curve.branch,
         amplitude=half_range(phasor),
