@@ -12,8 +12,10 @@ import pytest
 from systems import oscillator_scene
 
 from timesim.result.checkpoint import chunks_done
+from timesim.result.file import StoreError
 from timesim.study.compare import matched
 from timesim.study.curves import follow
+from timesim.study.curves.kept import KeptCurves
 from timesim.study.execution.campaign import Execution
 from timesim.study.execution.processes import Processes
 from timesim.study.execution.worker import count_by, halt_by
@@ -61,7 +63,7 @@ def test_the_same_bits_as_here(here: Any, two: Processes, at_once: list[int]):
     seen: list[tuple[float, str]] = []
     execution = Execution(lambda done, number, words="": seen.append((done / number, words)), processes=two)
     data, curves, reason = followed(SCENE, SCENE.plan, execution)
-    assert at_once == []
+    assert at_once == [0]
     assert reason is None
     same(here[0], data)
     assert [share for share, _ in seen] == sorted(share for share, _ in seen)
@@ -75,7 +77,7 @@ def test_the_same_bits_as_here(here: Any, two: Processes, at_once: list[int]):
 
 def test_an_interrupt_keeps_what_is_followed(here: Any, tmp_path: Path, at_once: list[int]):
     class Interrupted(Processes):
-        """One set is followed, another has begun when the interrupt comes."""
+        """The second set is followed, the fourth has begun when the interrupt comes."""
 
         def each(self, works: Any) -> Iterator[Any]:
             yield 0, follow.followed_set(*works[0][2])
@@ -93,16 +95,16 @@ def test_an_interrupt_keeps_what_is_followed(here: Any, tmp_path: Path, at_once:
         data, _, reason = followed(SCENE, SCENE.plan, Execution(folder=tmp_path, processes=own))
     assert reason is not None
     assert "interrupted at curve" in reason
-    assert at_once == []
-    assert chunks_done(tmp_path) == 1
+    assert at_once == [0]
+    assert chunks_done(tmp_path) == 2
     preload, whole = data["contacts.pad.preload"].values, here[0]["contacts.pad.preload"].values
-    assert np.sum(preload == -4) == np.sum(whole == -4)
-    assert 0 < np.sum(preload == -2.5) < np.sum(whole == -2.5)
-    assert set(preload) == {-4, -2.5}
+    assert np.sum(preload == -3) == np.sum(whole == -3)
+    assert 0 < np.sum(preload == -2) < np.sum(whole == -2)
+    assert set(preload) == {-4, -3, -2}
     options: dict[str, Any] = {"folder": tmp_path, "resume": True, "notice": lambda _: None}
     again, _, reason = followed(SCENE, SCENE.plan, Execution(**options))
     assert reason is None
-    assert at_once == [1, 2, 3]
+    assert at_once == [0, 2, 3]
     same(here[0], again)
 
 
@@ -116,5 +118,18 @@ def test_where_a_process_is_killed_the_rest_is_followed_here(here: Any, at_once:
     with Killed(2) as own:
         data, _, reason = followed(SCENE, SCENE.plan, Execution(processes=own))
     assert reason is None
-    assert at_once == [1, 2, 3]
+    assert at_once == [0, 2, 3]
     same(here[0], data)
+
+
+def test_curves_that_cannot_be_kept_are_in_the_result(
+    here: Any, two: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def full(*_: Any) -> None:
+        raise StoreError("the disk is full")
+
+    monkeypatch.setattr(KeptCurves, "save", full)
+    data, _, reason = followed(SCENE, SCENE.plan, Execution(folder=tmp_path, processes=two))
+    assert reason == "the disk is full"
+    first = here[0].isel(solution=here[0]["curve"].values == 0)
+    np.testing.assert_array_equal(data["amplitude"], first["amplitude"])

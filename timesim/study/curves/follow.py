@@ -47,6 +47,7 @@ def follow_all(
         work.take_rest()
         curves.faults.append(f"interrupted at curve {len(curves.curves) + 1}")
     except StoreError as error:
+        work.take_rest()
         curves.faults.append(str(error))
     return "; ".join(curves.faults) or None
 
@@ -113,10 +114,11 @@ class _Work:
         self.kept.save(place, *found)
 
     def _for_processes(self) -> list[int]:
-        """The sets that are given to processes: all that are left, once the work has lasted."""
-        left = sorted(set(range(len(self.curves.values))) - self.found.keys())
-        lasts = self.execution.several is not None and time.monotonic() - self.begun > LASTS
-        return left if lasts and len(left) > 1 else []
+        """The sets that are given to processes: all that are left after the first, once the work has lasted."""
+        left, processes = sorted(set(range(len(self.curves.values))) - self.found.keys()), self.execution.several
+        if processes is None or 0 in left or len(left) < 2:
+            return []
+        return left if processes.begun or time.monotonic() - self.begun > LASTS else []
 
     def _elsewhere(self, places: Sequence[int]) -> None:
         """Find the curves of some sets on processes. Where one of these is killed, sets are left."""
