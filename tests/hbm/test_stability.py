@@ -140,6 +140,15 @@ def test_what_hardly_grows_is_looked_at_with_more_samples(monkeypatch):
     assert stability.grows(found).tolist() == [False, True, False]
 
 
+def test_multipliers_are_complex_where_all_are_real(monkeypatch):
+    """Those that hardly grow are put in place of the first ones, and may well turn while those do not."""
+    monkeypatch.setattr(stability, "_monodromy", lambda *_: np.tile(np.diag([0.5, 1.002]), (3, 1, 1)))
+    balance = Balance(systems.oscillator(-1.0, 0.97), 0.97, Scheme(1, 64))
+    found = floquet_multipliers(balance, np.zeros((3, 9)), np.full(3, 0.97))
+    assert found.dtype == complex
+    np.testing.assert_array_equal(found, np.tile([1.002, 0.5], (3, 1)))
+
+
 def test_a_diagonal_damping_matrix_is_that_of_modes_left_apart():
     model = systems.oscillator(-1.0, 0.97)
     found = [hbm_curve(m, 0.97, 0.971, scheme=Scheme(5, 256)).floquet_max for m in (model, coupled(-1.0, 0.97, 0.0))]

@@ -67,7 +67,7 @@ def floquet_multipliers(balance: Balance, x: Array, frequency: Array, *, samples
     matrix = np.concatenate(
         [_monodromy(balance, _steps(balance, frequency[at], samples), [part[at] for part in local]) for at in parts]
     )
-    multipliers = np.linalg.eigvals(matrix)
+    multipliers = np.linalg.eigvals(matrix).astype(complex)  # real where all of them are
     return np.take_along_axis(multipliers, np.argsort(-np.abs(multipliers), axis=1), axis=1)
 
 

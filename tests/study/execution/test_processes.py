@@ -75,7 +75,7 @@ def test_points_are_shown_while_a_chunk_is_worked_on(two: Processes):
     execution = Execution(lambda done, *_: shown.append(done), workers=2, processes=two)
     carry_through([Chunk(f"c{i}", i, size=4) for i in range(2)], counted, execution, identity="")
     assert shown[-1] == 8
-    assert 6 in shown[:-2]
+    assert {3, 6, 7} & set(shown)  # of one chunk, of both, and of one with the other done
 
 
 def test_what_fails_is_named(two: Processes):
