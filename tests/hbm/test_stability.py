@@ -14,6 +14,7 @@ from timesim.hbm.continuation import Controls, Ending, solve
 from timesim.hbm.curve import hbm_curve
 from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import floquet_multipliers
+from timesim.model.model import GROUND, Contact, Model
 from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.settling import Chain, first_lane, steady_states
 
@@ -100,6 +101,42 @@ def test_modes_coupled_by_damping(preload, frequency):
     x = other.contact_motion[:1].reshape(1, -1) / balance.length
     loose = floquet_multipliers(Balance(plain, frequency, scheme), x, other.frequency[:1], samples=1024)[0]
     assert np.abs(paired(loose, exact) - exact).max() > 0.05
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "gap", "static", "ratio", "force", "ends", "turns", "folds"),
+    [
+        ((1.5, 1.7), 0.2, 0.2, 0.02, 0.04, (0.285, 0.2825), [0.28339, 0.28390], [False, False]),
+        ((1.5, 1.3), 0.2, 1.0, 0.035, 0.075, (0.292, 0.302), [], []),
+        ((1.3, 2.3), 0.8, 1.1, 0.03, 0.09, (0.292, 0.3065), [0.29434, 0.29331, 0.30591], [True, False, False]),
+    ],
+)
+def test_a_free_offset_turns_the_curve_and_is_not_what_makes_it_unstable(
+    stiffness, gap, static, ratio, force, ends, turns, folds
+):
+    """A pad that sticks all along holds a mass at a stop with an offset that follows the motion.
+
+    The curve goes back where nothing is unstable, and goes on where something is.
+    """
+    body = systems.structure([1.0], [2 * ratio], [[1.0, 0.0, 0.0]])
+    pad = Contact("pad", "tip", GROUND, np.eye(3), 1.0, stiffness[0] * np.eye(2), 0.0, 1.0)
+    stop = Contact("stop", "tip", GROUND, np.roll(np.eye(3), -1, axis=0), 0.0, np.zeros((2, 2)), stiffness[1], -gap)
+    model = Model(body, (pad, stop), systems.excitation(1.0, [force], [0.0], [static]), systems.at_rest(1, 2))
+    scheme = Scheme(5, 64)
+    curve = hbm_curve(model, *ends, scheme=scheme, stability=False)
+    f = curve.frequency
+    assert curve.complete
+    turning = f[1:-1][np.diff(f[1:]) * np.diff(f[:-1]) < 0]
+    np.testing.assert_allclose(turning[: len(turns)], turns, atol=2e-5)
+    assert np.isin(turning, f[curve.fold])[: len(turns)].tolist() == folds
+    balance = Balance(model, ends[0], scheme)
+    x = curve.contact_motion.reshape(f.size, -1) / balance.length
+    found = floquet_multipliers(balance, x, f, samples=512)
+    # Not the two of the pad, which are 1.
+    largest = np.max(np.where((found.imag == 0) & (np.abs(found - 1) > 1e-9), found.real, 0.0), axis=1)
+    clear = ~curve.fold & (np.abs(largest - 1) > 0.01)
+    np.testing.assert_array_equal(curve.stable[clear], largest[clear] < 1)
+    assert np.count_nonzero(clear) > 0.6 * f.size
 
 
 @pytest.mark.parametrize(

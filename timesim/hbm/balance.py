@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.condensation import Condensation
-from timesim.hbm.period import Basis, basis_of, contact_forces
+from timesim.hbm.period import Basis, basis_of, contact_forces, motion_of, offsets_of
 from timesim.hbm.scheme import Scheme, check_model
 from timesim.hbm.tangent import linearised
 from timesim.model.contact_state import require_cone
@@ -169,6 +169,11 @@ class Balance:
         """(f1, f2, n) of each contact by their coefficients in units of `force`, shape (C, 3, 2H + 1)."""
         return contact_forces(self.law, self.basis, self.coefficients(x)).coefficient
 
+    def has_offset(self, x: Array) -> bool:
+        """Whether a contact sticks all along with an offset of its force, which follows the motion."""
+        own = self.coefficients(x)
+        return bool(np.any(offsets_of(self.law, self.basis, own, motion_of(self.basis, own))[0].force))
+
     def _on_body_1(self, forces: Array) -> Array:
         """g from (f1, f2, n), in units of force."""
         g = -forces
@@ -190,9 +195,9 @@ class Balance:
         _, motion = self._response(x, self.contact_forces(x), self.linear(p))
         return x - to_coefficients(motion.T).ravel() / self.length
 
-    def linearised(self, x: Array, p: float) -> tuple[Array, Condensation, Array]:
-        """r, and its derivatives by the unknowns and by the frequency."""
-        sampled, slope = linearised(self.law, self.basis, self.coefficients(x))
+    def linearised(self, x: Array, p: float, *, keep_offsets: bool = False) -> tuple[Array, Condensation, Array]:
+        """r, and its derivatives by the unknowns and by the frequency; offsets as in `hbm.tangent.linearised`."""
+        sampled, slope = linearised(self.law, self.basis, self.coefficients(x), keep_offsets=keep_offsets)
         linear = self.linear(p)
         acting, motion = self._response(x, sampled.coefficient, linear)
         by_p = under(linear.slope, acting)

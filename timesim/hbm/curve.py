@@ -29,7 +29,7 @@ from timesim.hbm.continuation import (
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.period import contact_forces
 from timesim.hbm.scheme import Scheme
-from timesim.hbm.stability import checked_multipliers, grows
+from timesim.hbm.stability import checked_multipliers, grows, sign_with_offsets_kept, with_offsets_kept
 from timesim.model.model import Model
 from timesim.orbit.fourier import half_range, phase_deg, to_phasors
 
@@ -44,7 +44,7 @@ class HbmCurve:
         parameter: that of the continuation, shape (S,): the frequency, or a scalar of the scene.
         frequency: of the excitation, shape (S,) [Hz].
         stable: whether disturbances die out, shape (S,).
-        fold: whether the frequency turns here, shape (S,).
+        fold: whether the frequency turns here, unless the offset of a contact that sticks turns it, shape (S,).
         branch: folds passed before, shape (S,).
         amplitude: (max - min) / 2 of the continuous motion along x, y, z, shape (S, P, 3) [length].
         harmonic_cos, harmonic_sin: Fourier coefficients, shape (S, H + 1, P, 3) [length].
@@ -196,20 +196,28 @@ def finished(balance: AdaptiveBalance, curve: Curve, evaluate: Callable[..., Hbm
 def by_schemes(balance: AdaptiveBalance, curve: Curve, evaluate: Callable[[Any, Curve], HbmCurve]) -> HbmCurve:
     """The solutions of a curve evaluated each by its own scheme, with the harmonics of the finest of these.
 
+    Contacts keep their offsets for the sign of the determinant (see `timesim.hbm.stability`).
+
     Args:
         balance, curve: what was followed, and the solutions.
         evaluate: the solutions of the balance by one scheme.
     """
     places = np.array([balance.place_of(x) for x in curve.x], dtype=int)
     used = np.unique(places) if places.size else np.zeros(1, dtype=int)
-    parts, rows = [], []
-    for place in used:
-        own = np.flatnonzero(places == place)
-        part = replace(part_of(curve, own), x=curve.x[own][:, balance.positions(place)])
-        done = evaluate(balance.residual_of(balance.schemes[place]), part)
-        parts.append(done.with_harmonics(balance.schemes[used[-1]].harmonics))
-        rows.append(own)
-    whole: HbmCurve = part_of(joined(parts), np.argsort(np.concatenate(rows)))
+    rows = [np.flatnonzero(places == place) for place in used]
+    families = [balance.residual_of(balance.schemes[place]) for place in used]
+    unknowns = [curve.x[own][:, balance.positions(place)] for place, own in zip(used, rows, strict=True)]
+    sign = curve.determinant.copy()
+    for own, family, part in zip(rows, families, unknowns, strict=True):
+        for i, x in zip(own, part, strict=True):
+            at, frequency = family.at(curve.p[i]), family.frequency_at(curve.p[i])
+            sign[i] = sign_with_offsets_kept(at, x, frequency, sign[i])
+    curve = with_offsets_kept(curve, sign)
+    done = [
+        evaluate(family, replace(part_of(curve, own), x=part)).with_harmonics(balance.schemes[used[-1]].harmonics)
+        for own, family, part in zip(rows, families, unknowns, strict=True)
+    ]
+    whole: HbmCurve = part_of(joined(done), np.argsort(np.concatenate(rows)))
     return replace(whole, branch=curve.branch)
 
 
@@ -250,7 +258,7 @@ def solutions_at(
         guess = unknowns[i] + share * (unknowns[i + 1] - unknowns[i])
         solution = solve(balance, guess, float(f), Controls())
         if solution is not None:
-            rows.append((solution[0], f, False, solution[1]))
+            rows.append((solution[0], f, False, sign_with_offsets_kept(balance, solution[0], f, solution[1])))
             branch.append(curve.branch[i + 1])
     ending = Ending.COMPLETE if len(rows) == len(places) else Ending.STEP
     message = f"{len(rows)} of {len(places)} solutions at {wanted.size} frequencies"

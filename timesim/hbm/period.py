@@ -197,7 +197,7 @@ def part_of(whole: T, places: NDArray[np.int64]) -> T:
 def period_of(law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64]) -> ClosedPeriod:
     """The closed period of a motion given by its Fourier coefficients (u1, u2, v), shape (C, 3, 2H + 1)."""
     motion, num_contacts = motion_of(basis, coefficient), len(coefficient)
-    stuck, works = _offsets(law, basis, coefficient, motion)
+    stuck, works = offsets_of(law, basis, coefficient, motion)
     # Of those that stick all along: d follows u.
     offset = product(tuple(map(np.asarray, law.compliance)), stuck.force)
     d = [np.where(stuck.sticks, u + c, 0.0) for u, c in zip(motion.u, offset, strict=True)]
@@ -228,7 +228,7 @@ def _closed_part(law: ConeLaw, motion: Motion, places: NDArray[np.int64]) -> _Pa
     return _closed(law, table, np.asarray(count))
 
 
-def _offsets(
+def offsets_of(
     law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64], motion: Motion
 ) -> tuple[Offset, NDArray[np.bool_]]:
     """Which contacts stick all along, and the offset of their force; and which neither do nor are apart all along."""

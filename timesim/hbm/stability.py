@@ -8,11 +8,21 @@ the contact force is continuous through all of them and the derivatives of an in
 so large that the contacts take on states which the solution does not have are beyond a linearisation: a small push
 may free a contact that sticks all along.
 
+The number of real multipliers above 1 is odd where the determinant of the balance is negative: that tells exactly, as
+multipliers do not, which samples leave an error in. But a contact that sticks keeps its slip, hence the offset g of its
+force, which the balance chooses anew for each motion x (`timesim.hbm.stuck_offset`), and of
+
+    det (r_x + r_g g_x) = det r_x  det (1 + r_x^-1 r_g g_x)
+
+the first factor alone speaks of disturbances. The other one only turns the curve.
+
 G. Floquet, Sur les équations différentielles linéaires à coefficients périodiques, Annales scientifiques de l'ENS 12
 (1883) 47-88; A. H. Nayfeh and B. Balachandran, Applied Nonlinear Dynamics (Wiley 1995), chapter 3.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
+
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -21,6 +31,7 @@ from scipy.linalg import expm
 
 from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.balance import Array, Balance
+from timesim.hbm.continuation import Curve
 from timesim.hbm.period import basis_of, period_of, touching_stiffness
 from timesim.hbm.tangent import interval_slopes
 
@@ -86,6 +97,28 @@ def grows(multipliers: Array) -> NDArray[np.bool_]:
     """
     at_one = (multipliers.imag == 0) & (np.abs(multipliers - 1) <= NEAR_ONE)
     return ((np.abs(multipliers) > BORDER) & ~at_one).any(axis=1)
+
+
+def sign_with_offsets_kept(balance: Balance, x: Array, frequency: float, sign: int) -> int:
+    """Sign of det dr/dx at a solution whose contacts keep their offsets, from that where these follow the motion.
+
+    At a fold, where that is 0, it stays so.
+    """
+    if sign == 0 or not balance.has_offset(x):
+        return sign
+    _, by_x, _ = balance.linearised(x, frequency, keep_offsets=True)
+    return by_x.sign * int(np.linalg.slogdet(by_x.matrix)[0])
+
+
+def with_offsets_kept(curve: Curve, sign: NDArray[np.int64]) -> Curve:
+    """A curve with these signs of det dr/dx, shape (S,), and no fold where nothing but an offset turns it."""
+    sign, fold, inner = sign.copy(), curve.fold.copy(), np.flatnonzero(~curve.fold)
+    by_offset = (sign * curve.determinant)[inner]
+    for i in np.flatnonzero(fold):
+        after = int(np.searchsorted(inner, i))
+        if 0 < after < inner.size and by_offset[after] != by_offset[after - 1]:
+            fold[i], sign[i] = False, sign[inner[after]]
+    return replace(curve, fold=fold, determinant=sign)
 
 
 def _linearised(balance: Balance, coefficient: Array, samples: int) -> list[Array]:

@@ -193,15 +193,21 @@ def _of_intervals(basis: Basis, places: NDArray[np.int64]) -> tuple[Array64, Arr
 
 
 def linearised(
-    law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64]
+    law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64], *, keep_offsets: bool = False
 ) -> tuple[ContactForces, NDArray[np.float64]]:
-    """`contact_forces`, and their derivatives by the coefficients of the same contact: 3 (2H + 1) rows and columns."""
+    """`contact_forces`, and their derivatives by the coefficients of the same contact: 3 (2H + 1) rows and columns.
+
+    The offset of a contact that sticks all along follows its motion, unless it is kept.
+    """
     period, size = period_of(law, basis, coefficient), 3 * basis.value.shape[1]
     slope = np.zeros((len(coefficient), size, size))
     if (own := np.flatnonzero(period.works)).size:
         slope[own] = _working(part_of(law, own), basis, period.of(own))
     if (own := np.flatnonzero(period.stuck.sticks)).size:
-        slope[own] = _stuck(part_of(law, own), basis, coefficient[own], part_of(period.stuck, own))
+        stuck = part_of(period.stuck, own)
+        # An offset that is zero stays so.
+        follows = np.flatnonzero(np.any(stuck.force, axis=0) & (not keep_offsets))
+        slope[own] = _stuck(part_of(law, own), basis, coefficient[own], stuck, follows)
     return forces_of(law, basis, period), slope
 
 
@@ -229,12 +235,11 @@ def _working(law: ConeLaw, basis: Basis, period: ClosedPeriod) -> Array64:
     return slope.reshape(-1, 3 * size, 3 * size)
 
 
-def _stuck(law: ConeLaw, basis: Basis, coefficient: Array64, stuck: Offset) -> Array64:
-    """The same of contacts that stick all along: their forces follow the motion, but for the offset."""
+def _stuck(law: ConeLaw, basis: Basis, coefficient: Array64, stuck: Offset, follows: NDArray[np.intp]) -> Array64:
+    """The same of contacts that stick all along, whose forces follow the motion, as the offsets of some of them do."""
     num_contacts, _, size = coefficient.shape
     elastic = np.zeros((2, num_contacts, size, 3, size))
-    # An offset that is zero stays so.
-    for own in np.flatnonzero(np.any(stuck.force, axis=0))[:, None]:
+    for own in follows[:, None]:
         weight = offset_slope(part_of(law, own), part_of(stuck, own).force, dense_motion_of(basis, coefficient[own]))
         elastic[:, own, 0] = np.einsum("itca,tk->icak", np.asarray(weight), basis.dense, optimize=True)
     each = np.arange(size)

@@ -188,7 +188,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "effective_damping": ("friction force in phase with the velocity over the amplitude", "force/length"),
     # harmonic balance
     "stable": ("1 where the solution is stable", None),
-    "fold": ("1 at a turning point of the branch", None),
+    "fold": ("1 at a turning point of the branch, unless a free offset turns it", None),
     "branch": ("number of the branch: folds passed before", None),
     "curve": ("number of the curve", None),
     "closure": (
