@@ -153,17 +153,20 @@ def test_a_free_offset_turns_the_curve_and_is_not_what_makes_it_unstable(
 def test_a_multiplier_beyond_the_unit_circle_is_unstable(largest, turn, stable, monkeypatch):
     """Also where the determinant says nothing of it: a complex pair, near 1 too, or one that passes -1."""
     pair = largest * np.exp([1j * turn, -1j * turn])
-    monkeypatch.setattr("timesim.hbm.curve.checked_multipliers", lambda _, x, p: np.tile(pair, (len(x), 1)))
+    monkeypatch.setattr("timesim.hbm.curve.checked_multipliers", lambda _, x, *given: np.tile(pair, (len(x), 1)))
     controls = Controls(max_points=2)
     curve = hbm_curve(systems.oscillator(32.0, 1.0), 1.2, 1.3, scheme=Scheme(1, 64), controls=controls)
     assert curve.stable.tolist() == [stable] * 2
     np.testing.assert_allclose(curve.floquet_max, largest)
 
 
-def test_what_hardly_grows_is_looked_at_with_more_samples(monkeypatch):
-    """On a structure of eleven modes a pair of 0.9985 is 1.0042 with the samples that 57 harmonics need."""
+def test_what_is_in_doubt_is_looked_at_with_more_samples(monkeypatch):
+    """Where it hardly grows, and where the determinant is not that of so many real multipliers above 1."""
     turn = np.exp(2j) ** np.array([1, -1])
-    coarse, fine = (np.array(sizes)[:, None] * turn for sizes in ([1.0042, 1.2, 0.9], [0.9985]))
+    complex_pairs = np.array([1.0042, 1.2, 0.9])[:, None] * turn
+    coarse = np.concatenate([complex_pairs, [[1.3, 0.9], [1.3, 0.9], [1.3, 1.1], [0.9, 0.3], [0.9, 0.3]]])
+    fine = 0.9985 * turn
+    sign = np.array([1, 1, 1, 1, -1, -1, -1, 0])
     looked_at: list[list[float]] = []
 
     def multipliers(_, x, frequency, *, samples=None):
@@ -171,10 +174,10 @@ def test_what_hardly_grows_is_looked_at_with_more_samples(monkeypatch):
         return coarse.copy() if samples is None else np.tile(fine, (len(x), 1))
 
     monkeypatch.setattr(stability, "floquet_multipliers", multipliers)
-    found = stability.checked_multipliers(None, np.zeros((3, 1)), np.array([1.0, 2.0, 3.0]))
-    assert looked_at == [[1.0, 2.0, 3.0], [1.0]]
-    np.testing.assert_allclose(np.abs(found[:, 0]), [0.9985, 1.2, 0.9])
-    assert stability.grows(found).tolist() == [False, True, False]
+    found = stability.checked_multipliers(None, np.zeros((8, 1)), np.arange(8.0), sign)
+    assert looked_at == [list(range(8)), [0, 3, 5, 6]]
+    np.testing.assert_allclose(np.abs(found[:, 0]), [0.9985, 1.2, 0.9, 0.9985, 1.3, 0.9985, 0.9985, 0.9])
+    assert stability.grows(found).tolist() == [False, True, False, False, True, False, False, False]
 
 
 def test_multipliers_are_complex_where_all_are_real(monkeypatch):

@@ -287,7 +287,7 @@ def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmC
         phasor[i] = np.einsum("pam,hm->hpa", shape, balance.modes(x, forces[i], p))
     largest, unstable = np.full(size, np.nan), np.zeros(size, dtype=bool)
     if stability:
-        multipliers = checked_multipliers(balance, curve.x, curve.p)
+        multipliers = checked_multipliers(balance, curve.x, curve.p, curve.determinant)
         largest, unstable = np.abs(multipliers[:, 0]), grows(multipliers)
     return HbmCurve(
         parameter=curve.p,

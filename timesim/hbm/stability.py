@@ -82,11 +82,20 @@ def floquet_multipliers(balance: Balance, x: Array, frequency: Array, *, samples
     return np.take_along_axis(multipliers, np.argsort(-np.abs(multipliers), axis=1), axis=1)
 
 
-def checked_multipliers(balance: Balance, x: Array, frequency: Array) -> Array:
-    """`floquet_multipliers`, with more samples for the solutions that hardly grow."""
+def checked_multipliers(balance: Balance, x: Array, frequency: Array, sign: NDArray[np.int64]) -> Array:
+    """`floquet_multipliers`, with more samples where solutions hardly grow or the sign of det dr/dx contradicts.
+
+    On structures with stiff contacts real ones of 0.95 and 1.20 were 1.29 and 0.34 with 128 and 156 samples.
+
+    Args:
+        balance, x, frequency: as of `floquet_multipliers`.
+        sign: of det dr/dx, shape (S,), 0 where it does not tell.
+    """
     multipliers = floquet_multipliers(balance, x, frequency)
-    hardly = np.flatnonzero(grows(multipliers) & (np.abs(multipliers[:, 0]) < NEARLY))
-    multipliers[hardly] = floquet_multipliers(balance, x[hardly], frequency[hardly], samples=MANY)
+    hardly = grows(multipliers) & (np.abs(multipliers[:, 0]) < NEARLY)
+    passed = np.count_nonzero((multipliers.imag == 0) & (multipliers.real > BORDER), axis=1)
+    again = np.flatnonzero(hardly | (sign * (-1) ** passed < 0))
+    multipliers[again] = floquet_multipliers(balance, x[again], frequency[again], samples=MANY)
     return multipliers
 
 
