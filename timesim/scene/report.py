@@ -1,6 +1,7 @@
 """What `timesim check` says of a scene: what would be modelled, what is left out, the method, warnings."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from math import prod
 from typing import Any
 
@@ -25,16 +26,17 @@ from timesim.model.finding import turning
 from timesim.model.model import CONE, GROUND, Contact, Model
 from timesim.model.promise import PROMISE
 from timesim.model.reduction import reduction_of
-from timesim.model.solver import CLOSED_FORM, COMPANION, coarser
+from timesim.model.solver import CLOSED_FORM, COMPANION, SHOOT, Solver, coarser
 from timesim.scene.file import SceneFile
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
-from timesim.scene.study import SteadySection
+from timesim.scene.study import SteadySection, SweepPlan
 from timesim.scene.text import value_text
 from timesim.scene.transient import Schedule, TradeoffPlan
 
 LISTED = 6  # entries of a list that are all shown
 LARGE_RESULT = 1.0  # gigabytes of samples
+FASTER, NOTICED = 3, 3.0  # times, and seconds, from which on another way to settle is named
 FEWEST_SAMPLES = 8  # of a cycle, between which its motion can be guessed
 MOST_SAMPLES = 2**16  # of a period of a balance
 FAR_ABOVE = 100.0
@@ -116,12 +118,14 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
         lines.append(f"{cycles} cycles of {_duration(total / cycles)}: {_duration(total)}")
     elif isinstance(study, SteadySection):
         sweep = study.sweep()
-        whole = sweep.work(model)
-        ((frequency, every),) = whole.phases
-        cycles, own = round(every / sweep.size), seconds_a_cycle(model, solver, frequency, whole.side_by_side)
-        total = sweep.size * (cycles * own + SETTLING)
+        cycles, own, total = _sweep_cost(model, solver, sweep)
         each = f"{cycles} cycles of {_duration(own)} and {_duration(SETTLING)} beside them"
-        lines.append(f"{sweep.size} points of {each}: {_duration(total)}{study.search}")
+        lines.append(f"{sweep.size} points of {each}: {_duration(total)}{study.search()}")
+        shot = replace(sweep, criterion=replace(sweep.criterion, first_shot=SHOOT))
+        fewer, _, less = _sweep_cost(model, solver, shot)
+        if total > max(FASTER * less, NOTICED):
+            why = "vibrations decay slowly; of several motions it may find another"
+            lines.append(f"{fewer} cycles a point and {_duration(less)} with study.periodic: shoot, as {why}")
     balance = _balance(plan)
     if balance is not None:
         curves = prod(map(len, balance.over.values())) * (1 + balance.both_ends)
@@ -136,6 +140,14 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
     yield from (f"about {line}" for line in lines)
     if lines:
         yield "as measured on one core of a server (timesim/model/cost.py); a first run compiles before that"
+
+
+def _sweep_cost(model: Model, solver: Solver, sweep: SweepPlan) -> tuple[int, float, float]:
+    """Of a sweep the cycles of a point, and the seconds of one of them and of all points."""
+    whole = sweep.work(model)
+    ((frequency, every),) = whole.phases
+    cycles, own = round(every / sweep.size), seconds_a_cycle(model, solver, frequency, whole.side_by_side)
+    return cycles, own, sweep.size * (cycles * own + SETTLING)
 
 
 def _balance(plan: Any) -> HbmPlan | None:

@@ -186,9 +186,6 @@ class SweepPlan:
 class SteadySection(StudySection):
     """A study of steady states by time integration."""
 
-    search: ClassVar[str] = ""
-    """What is looked for after the sweep, in words."""
-
     settle: Settle = Settle()
     """When a motion counts as settled."""
     periodic: Literal["march", "shoot"] = "march"
@@ -198,6 +195,10 @@ class SteadySection(StudySection):
     def criterion(self) -> Criterion:
         """When a motion counts as settled, in numbers."""
         return Criterion(self.settle.tolerance, self.settle.max_cycles, SHOOT if self.periodic == "shoot" else SLOW)
+
+    def search(self) -> str:
+        """What is looked for after the sweep, in words."""
+        return ""
 
     @abc.abstractmethod
     def sweep(self) -> SweepPlan:
@@ -215,7 +216,7 @@ class SteadySection(StudySection):
         if len(plan.directions) > 1:
             factors.append(f"{len(plan.directions)} directions")
         points = f"{' x '.join(factors)} = {plan.size} points" if len(factors) > 1 else factors[0]
-        return f"{points}{self.search}"
+        return f"{points}{self.search()}"
 
 
 class SweepSection(SteadySection):
@@ -240,3 +241,7 @@ class SweepSection(SteadySection):
         """The sweep in numbers."""
         directions = ("up", "down") if self.direction == "both" else (self.direction,)
         return SweepPlan(self.frequency.values(), directions, axes_of(self.over), self.criterion(), self.refine)
+
+    def search(self) -> str:
+        """Jumps, if they are to be found."""
+        return "" if self.refine is None else ", and the search for jumps"

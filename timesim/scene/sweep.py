@@ -71,8 +71,6 @@ FEWEST = 3  # values, one of which may be the least between two others
 class Optimum(SteadySection):
     """The peak of the response over frequency against a scalar of the scene, and where it is least."""
 
-    search: ClassVar[str] = ", and the search for the least"
-
     kind: Literal["optimum"]
     along: Annotated[dict[Scalar, Range], AlongOne]
     """A scalar of the scene by its key, with from, to and num: the values looked at before the least is sought."""
@@ -109,6 +107,10 @@ class Optimum(SteadySection):
         """Up and down at each of the values of the scalar that are looked at first."""
         return SweepPlan(self.frequency.values(), ("up", "down"), axes_of(self.along), self.criterion(), None)
 
+    def search(self) -> str:
+        """The value of least peak."""
+        return ", and the search for the least"
+
 
 # Ranges with two motions
 
@@ -144,8 +146,6 @@ class SlowSettle(Settle):
 
 class Bistable(SteadySection):
     """Ranges with two steady motions: sweeps up and down, the ends of a range, and which start leads to which."""
-
-    search: ClassVar[str] = " in the sweeps, and the search for the ends"
 
     kind: Literal["bistable"]
     frequency: FrequencyRange
@@ -188,6 +188,10 @@ class Bistable(SteadySection):
         first, to = self.frequency.first, self.frequency.to
         frequency = spaced(first, to, (to - first) / round((to - first) / self.step))
         return SweepPlan(frequency, ("up", "down"), axes_of(self.over), self.criterion(), self.width)
+
+    def search(self) -> str:
+        """The ends of the ranges."""
+        return " in the sweeps, and the search for the ends"
 
     def plan(self, context: Context) -> BistablePlan:
         """Sweeps up and down, the search for the ends, the starts at mid-range, and the branch by harmonic balance."""
