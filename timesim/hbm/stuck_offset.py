@@ -15,7 +15,6 @@ import timesim.runtime  # noqa: F401  isort: skip
 
 import operator
 from functools import reduce
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -40,7 +39,7 @@ SLIGHT = 0.01  # weight of |g|^2 as long as the cones are widened
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.5**0.5, 0.5**0.5), (0.5**0.5, -(0.5**0.5)))
 
 
-class Offset(NamedTuple):
+class Offset(eqx.Module):
     """Offset of the friction force, shape (C,), and whether the contact sticks all along with it."""
 
     force: Plane

@@ -31,7 +31,7 @@ Path: TypeAlias = tuple[Plane, Plane, Plane]
 P = TypeVar("P", bound="ContinuousState")
 
 
-class Motion(NamedTuple):
+class Motion(eqx.Module):
     """Relative motion of the contacts, in the axes of the law: u, v and their rates."""
 
     u: Plane
