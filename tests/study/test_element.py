@@ -57,11 +57,12 @@ def assert_both_agree(pad, motion):
 # The two ways ----------------------------------------------------------------------------------------
 
 
-def test_both_methods_agree_on_200_random_motions():
+@pytest.mark.parametrize("count", [80, pytest.param(200, marks=pytest.mark.slow)])
+def test_both_methods_agree_on_random_motions(count):
     """State by state and the event loop: all transitions, and the coefficients to 1e-8."""
     rng = np.random.default_rng(2024)
     seen, partly, parted, creeping = {False: Counter(), True: Counter()}, 0, 0, 0
-    for number in range(200):
+    for number in range(count):
         full = number % 2 == 1
         cycle, other = assert_both_agree(*slipping_pair(rng, full))
         seen[full].update(states(other))
@@ -69,8 +70,8 @@ def test_both_methods_agree_on_200_random_motions():
         parted += SEPARATION in shares(cycle) and len(shares(cycle)) > 1
         creeping += other.num_cycles > 20
     print(f"{partly} slip for part of the cycle only, {parted} separate, {creeping} take more than 20 cycles: {seen}")
-    assert partly >= 150
-    assert parted >= 60
+    assert partly >= 0.75 * count
+    assert parted >= 0.3 * count
     every = {(STICK, SLIP), (SLIP, STICK), (SLIP, SEPARATION), (SEPARATION, STICK), (SEPARATION, SLIP)}
     assert all(set(counted) >= every for counted in seen.values())
 
