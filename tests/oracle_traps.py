@@ -19,14 +19,24 @@ def separates(result: OracleResult) -> bool:
 
 
 @cache
+def earliest_event_truth() -> OracleResult:
+    """Two contacts that close one soon after the other."""
+    return simulate(two_stops((0.021, 0.020)), 1.0, 10)
+
+
+@cache
 def earliest_event_trap() -> tuple[OracleResult, OracleResult]:
-    """Two contacts close within one step: the first in the list ends it, the earlier one stays open."""
-    model = two_stops((0.021, 0.020))
-    return simulate_plainly(model, 1.0, 10), simulate(model, 1.0, 10)
+    """They close within one step: the first in the list ends it, the earlier one stays open."""
+    return simulate_plainly(two_stops((0.021, 0.020)), 1.0, 10), earliest_event_truth()
+
+
+@cache
+def double_crossing_truth() -> OracleResult:
+    """A contact that closes and soon opens again."""
+    return simulate(grazing_stop(0.999, 1e3), 1.0, 6)
 
 
 @cache
 def double_crossing_trap() -> tuple[OracleResult, OracleResult]:
-    """A contact that would close and open again within one step is never seen to close."""
-    model = grazing_stop(0.999, 1e3)
-    return simulate_plainly(model, 1.0, 6, rtol=1e-6), simulate(model, 1.0, 6)
+    """It would do so within one step, and is never seen to close."""
+    return simulate_plainly(grazing_stop(0.999, 1e3), 1.0, 6, rtol=1e-6), double_crossing_truth()

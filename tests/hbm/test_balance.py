@@ -129,7 +129,7 @@ def test_modes_of_any_mass_lead_back_to_the_motion_of_the_contacts(coupling):
 def test_a_structure_that_is_singular_at_its_own_frequency_has_no_response(monkeypatch):
     """Undamped modes, as a matrix: one of them is not touched by the contact and meets its natural frequency.
 
-    Without a march for the first guess: `tests/study/test_hbm.py` has one that does not settle.
+    Without a march for the first guess: `tests/study/test_hbm.py` has a slow one that does not settle.
     """
     monkeypatch.setattr(first_guess, "_settled", lambda *_: ("time integration", None))
     model = systems.two_stops((1.0, 1.0))
@@ -261,7 +261,12 @@ def test_jumps_of_the_oscillator(preload, span, folds, at, amplitudes):
 
 
 @pytest.mark.parametrize(
-    ("preload", "frequency", "amplitude"), [(3.0, 1.39, 0.15612878), (-1.0, 0.97, 0.28839155), (5.0, 1.52, 0.15680399)]
+    ("preload", "frequency", "amplitude"),
+    [
+        (3.0, 1.39, 0.15612878),
+        (-1.0, 0.97, 0.28839155),
+        pytest.param(5.0, 1.52, 0.15680399, marks=pytest.mark.slow),
+    ],
 )
 def test_harmonics_lead_to_the_settled_response(preload, frequency, amplitude):
     model, errors = systems.oscillator(preload, frequency), []

@@ -12,7 +12,7 @@ from systems import oscillator_scene
 
 import timesim
 from timesim.fault import SceneError
-from timesim.hbm import branches
+from timesim.hbm import branches, first_guess
 from timesim.hbm import convergence as hbm_convergence
 from timesim.hbm import scheme as hbm_scheme
 from timesim.hbm.continuation import solve
@@ -271,8 +271,15 @@ def test_points_that_run_out_leave_a_partial_result():
     assert np.bincount(found.curve.values).tolist() == [30, 30]
 
 
-def test_a_curve_without_a_start_is_reported_and_the_others_stay():
-    """Undamped and free at its natural frequency the structure has no periodic response; damped it has."""
+@pytest.mark.parametrize("marches", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_a_curve_without_a_start_is_reported_and_the_others_stay(marches: bool, monkeypatch: pytest.MonkeyPatch):
+    """Undamped and free at its natural frequency the structure has no periodic response; damped it has.
+
+    The march of a structure without contacts is a program of its own.
+    """
+    if not marches:
+        words = "time integration, which does not settle"
+        monkeypatch.setattr(first_guess, "_settled", lambda *_: (words, None))
     mode = {"frequency": 1.0, "damping_ratio": 0.0, "mass": 1.0, "shape": {"tip": [1, 0, 0]}}
     free = scene(frequency={"from": 1.0, "to": 1.2}, over={"structure.modes.0.damping_ratio": [0.0, 0.01]})
     free |= {"structure": {"modes": [mode]}, "excitation": {"modal_force": [{"amplitude": 1.0}]}}
