@@ -66,6 +66,31 @@ def test_the_tail_says_what_few_harmonics_leave_out(preload, frequency):
         assert left / 3 < expected[order] < 3 * left
 
 
+def test_the_tail_is_relative_to_the_largest_wave():
+    """Not to the mean, which a constant force may make as large as it likes."""
+    np.testing.assert_allclose(adaptive._above(np.array([50.0, 4.0, 3.0, 0.0, 4.0])), [41**0.5 / 4, 1.25, 1, 1, 0])
+
+
+def test_the_tail_does_not_depend_on_how_the_structure_is_given(curve, model):
+    """Nor on the masses of its modes; where damping is a matrix it is supported at its contacts, whose forces go."""
+    body, load, mass = model.structure, model.excitation, np.array([4.0, 0.3])
+    root = np.sqrt(mass)
+    heavy = replace(body, mass=mass, damping=body.damping * mass, shape=body.shape * root)
+    others = (
+        replace(model, structure=replace(body, damping=np.diag(body.damping))),
+        replace(model, structure=heavy, excitation=replace(load, cosine=load.cosine * root, sine=load.sine * root)),
+    )
+    order, row = used(curve).max(), np.argmax(curve.slip_share[:, 0])
+    assert used(curve)[row] == order
+    tails = []
+    for own in (model, *others):
+        balance = Balance(own, 1.5, Scheme(order, 256))
+        tails.append(tail(balance, curve.contact_motion[row].ravel() / balance.length, curve.frequency[row])[order:])
+    assert tails[0][0] > 1e-6
+    for other in tails[1:]:
+        np.testing.assert_allclose(other[:20], tails[0][:20], rtol=1e-6)
+
+
 def resounding(stiffness: float, frequency: float) -> Model:
     """The oscillator with a hub, of one more mode, whose contact sticks: so it resounds to higher harmonics."""
     model = systems.oscillator(0.5, frequency)
@@ -147,6 +172,8 @@ def test_a_finer_scheme_is_the_least_until_it_is_given_back(model, monkeypatch):
     balance.restore()
     assert adapted()
     assert balance.place == 1
+    assert adapted()
+    assert balance.place == 0
 
 
 def test_a_finer_scheme_is_left_again_behind_a_fold(model, monkeypatch):

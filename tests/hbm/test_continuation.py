@@ -299,6 +299,15 @@ def test_from_inside_the_range_the_curve_is_the_same(start, guess):
     assert np.all(np.diff(curve.x[:, 0]) * np.sign(curve.x[-1, 0]) > 0)
 
 
+def test_from_inside_the_range_the_side_that_fails_says_why():
+    """The other one reaches the end of the range."""
+    for ends in ((-1.0, 1.0), (1.0, -1.0)):
+        curve = follow_both_ways(Wall(), np.array([0.0]), 0.0, ends, CONTROLS)
+        assert curve.ending is Ending.STEP
+        assert f"{curve.p.max():.10g}" in curve.message
+        assert curve.p.min() == -1.0
+
+
 class Interrupted(Kink):
     """Someone presses Ctrl-C on the way."""
 
@@ -504,6 +513,23 @@ def test_a_curve_does_not_jump_to_where_it_has_been():
     assert curve.p[-1] == pytest.approx(-1.5, abs=1e-3)
 
 
+@dataclass
+class Interior(CloseBranches):
+    """The first branch ends before its fold, next to the second, which leads back; the third is not there."""
+
+    def value(self, x, p):
+        y = (x[0] - 1) / self.width
+        return np.array([(y**3 - 3 * y - p) * (self.width if y < -1.3 or abs(y) < 1 else np.nan)])
+
+
+def test_a_curve_does_not_jump_to_where_it_would_go_back():
+    """On the second branch the parameter may rise too, but with another orientation."""
+    curve = follow(Interior(), np.array([0.94]), -10.0, 10.0, Controls(size=0.1, max_points=400))
+    assert curve.ending is Ending.STEP
+    assert curve.p[-1] == pytest.approx(3 * 1.3 - 1.3**3, abs=1e-3)
+    assert np.all(curve.determinant == 1)
+
+
 class Moving:
     """x^3 - slope x + x' = p, where x' = shift, or 0 as long as it is not in use: for x up to a place."""
 
@@ -549,3 +575,31 @@ def test_other_unknowns_that_move_the_parameter_make_no_folds(slope, folds, plac
     assert np.abs(np.diff(curve.p)).max() < 0.06
     middle = curve.branch == 1
     np.testing.assert_array_equal(curve.determinant[~curve.fold], np.where(middle, -1, 1)[~curve.fold])
+
+
+class Late(Moving):
+    """The same, but only from a second place on is there a solution with x'."""
+
+    def __init__(self):
+        super().__init__(-0.5, -0.3, 0.05)
+        self.asked = 0
+
+    def adapt(self, x, p):
+        self.asked += self.count == 1 and x[0] > self.place
+        return super().adapt(x, p)
+
+    def value(self, x, p):
+        return super().value(x, p) * (np.nan if self.count == 2 and x[0] < 0.1 else 1.0)
+
+
+def test_other_unknowns_that_have_no_solution_yet_are_asked_for_again():
+    """After two points, then four, ...: in vain, each of them would cost more than the point itself."""
+    residual = Late()
+    curve = follow(residual, np.array([-1.5, 0.0]), -2.0, 2.0, Controls(size=0.1, max_step=0.01))
+    assert curve.complete, curve.message
+    in_vain = np.count_nonzero((curve.x[:, 0] > -0.3) & (curve.x[:, 0] < 0.1))
+    assert 3 <= residual.asked <= np.log2(in_vain) + 2
+    assert not curve.fold.any()
+    later = curve.x[:, 0] > 0.1 + (0.1 + 0.3)
+    np.testing.assert_allclose(curve.x[later, 1], 0.05)
+    assert np.all(curve.x[curve.x[:, 0] < 0.1, 1] == 0)

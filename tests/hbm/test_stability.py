@@ -14,25 +14,29 @@ from timesim.hbm.continuation import Controls, Ending, solve
 from timesim.hbm.curve import hbm_curve
 from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import floquet_multipliers
+from timesim.model.held import springs
 from timesim.model.model import GROUND, Contact, Model
 from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.settling import Chain, first_lane, steady_states
 
 
-@pytest.mark.parametrize("share", [None, 0.9])
-def test_multipliers_of_a_stuck_structure(share):
+@pytest.mark.parametrize(("share", "full"), [(None, False), (0.9, False), (None, True)])
+def test_multipliers_of_a_stuck_structure(share, full):
     """Exponentials of the eigenvalues, and two that are 1 for the slip that nothing moves."""
     model, frequency = systems.oscillator(32.0, 1.0) if share is None else coupled(32.0, 1.0, share), 1.2
+    if full:
+        whole = np.array([[20.0, 9.0], [9.0, 14.0]])
+        model = replace(model, contacts=(replace(model.contacts[0], tangential_stiffness=whole),))
     balance = Balance(model, frequency, Scheme(1, 64))
     solution = solve(balance, np.zeros(9), frequency, Controls())
     assert solution is not None
     body, shape = model.structure, model.contact_shape[0]
-    stiffness = np.diag(body.stiffness) + 20 * shape.T @ shape
+    stiffness = np.diag(body.stiffness) + shape.T @ springs(model.contacts[0]) @ shape
     damping = np.diag(body.damping) if share is None else body.damping
     state = np.block([[np.zeros((2, 2)), np.eye(2)], [-stiffness, -damping]])
     exact = np.append(np.exp(np.linalg.eigvals(state) / frequency), [1.0, 1.0])
     found = floquet_multipliers(balance, solution[0][None], np.array([frequency]), samples=1024)[0]
-    np.testing.assert_allclose(np.sort(np.abs(found)), np.sort(np.abs(exact)), rtol=1e-4)
+    np.testing.assert_allclose(paired(found, exact), exact, rtol=1e-4)
 
 
 @pytest.mark.parametrize(("preload", "frequency"), [(-1.0, 0.97), (1.0, 1.2), (2.0, 1.3), (3.0, 1.39), (5.0, 1.52)])

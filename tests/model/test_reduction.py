@@ -298,6 +298,16 @@ def test_free_vibration_before_a_stop_is_decided_sharply() -> None:
     assert reduction_of(free_vibration(-1.0, pad(0, 0, 7.0, -7.0 * 0.999), [0, 0, 1]), [1.0]).live.tolist() == [0]
 
 
+@pytest.mark.parametrize(("displacement", "speed"), [(-1.0, 0.0), (0.0, 1.0), (0.6, -0.8)])
+def test_a_start_of_a_heavy_mode_is_its_motion(displacement: float, speed: float) -> None:
+    """Whatever its mass, it comes as far as 1, by its displacement and by its velocity over its frequency."""
+    for gap, apart in ((1.001, True), (0.999, False)):
+        model = free_vibration(displacement, pad(0, 0, 7.0, -7.0 * gap), [0, 0, 1])
+        start = replace(model.start, velocity=np.array([2 * np.pi * speed]))
+        heavy = replace(model, structure=replace(model.structure, mass=np.array([9.0])), start=start)
+        assert (reduction_of(heavy, [1.0]).apart.size == 1) == apart
+
+
 @pytest.mark.parametrize(("beyond", "proven"), [(5e-5, False), (3e-4, True)])
 def test_a_contact_is_proven_apart_by_more_than_the_error_of_the_bound(beyond: float, proven: bool) -> None:
     stop = pad(0, 0, 7.0, -7.0 * (1 + beyond))
@@ -351,6 +361,15 @@ def test_the_bound_holds_at_every_phase_of_the_start(phase: float) -> None:
         assert (reduction_of(model, [frequency]).apart.size == 1) == open_throughout
         if open_throughout:
             assert least_margin(assumed(model), linear_run(assumed(model), [(frequency, 150)])[0]) > 0
+
+
+@pytest.mark.parametrize("phase", [0.5 * np.pi, -0.7])
+def test_the_bound_is_the_same_for_a_force_of_any_phase(phase: float) -> None:
+    frequency = 2.41421
+    reach = steady_amplitude(frequency) * (1 + frequency)
+    for gap, open_throughout in ((1.001 * reach, True), (0.99 * reach, False)):
+        model = replace(forced_stop(gap, frequency), excitation=excitation(frequency, [np.cos(phase)], [np.sin(phase)]))
+        assert (reduction_of(model, [frequency]).apart.size == 1) == open_throughout
 
 
 def test_no_claim_at_an_undamped_resonance() -> None:

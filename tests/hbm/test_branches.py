@@ -1,0 +1,67 @@
+"""Which of the curves from both ends of a range are told, and how they end."""
+
+import numpy as np
+import pytest
+
+from timesim.hbm import branches
+from timesim.hbm.branches import curves_from_ends
+from timesim.hbm.continuation import Ending
+from timesim.hbm.curve import HbmCurve
+
+LOW, HIGH = 1.0, 2.0
+
+
+def curve(ending, *solutions):
+    """A curve of solutions by their frequency and the size of their motion."""
+    frequency, size = np.array(solutions, dtype=float).T
+    count = frequency.size
+    waves, alike = size[:, None, None, None] * np.ones((count, 1, 3, 3)), np.zeros((count, 1))
+    return HbmCurve(
+        parameter=frequency,
+        frequency=frequency,
+        stable=np.ones(count, dtype=bool),
+        fold=np.zeros(count, dtype=bool),
+        branch=np.zeros(count, dtype=np.int64),
+        amplitude=size[:, None, None] * np.ones((count, 1, 3)),
+        harmonic_cos=np.zeros((count, 2, 1, 3)),
+        harmonic_sin=np.zeros((count, 2, 1, 3)),
+        slip_share=alike,
+        separation_share=alike,
+        contact_motion=waves,
+        contact_force=waves,
+        floquet_max=np.ones(count),
+        closure=np.zeros(count),
+        ending=ending,
+        message=f"continuation at {frequency[-1]:g}, after {count} points: {ending.value}",
+    )
+
+
+WHOLE = curve(Ending.COMPLETE, (LOW, 3.0), (HIGH, 4.0))
+BACK_TO_LOW = curve(Ending.LEFT, (LOW, 3.0), (1.5, 5.0), (LOW, 6.0))
+FROM_HIGH = curve(Ending.COMPLETE, (HIGH, 4.0), (LOW, 3.0))
+OTHER_FROM_HIGH = curve(Ending.COMPLETE, (HIGH, 4.0), (LOW, 2.0))
+ANOTHER = curve(Ending.COMPLETE, (HIGH, 4.1), (LOW, 2.0))
+FAILS_FROM_HIGH = curve(Ending.STEP, (HIGH, 4.0), (1.7, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("there", "back", "both", "expected"),
+    [
+        (WHOLE, None, False, [(Ending.COMPLETE, LOW)]),
+        (WHOLE, FROM_HIGH, True, [(Ending.COMPLETE, LOW)]),
+        (WHOLE, curve(Ending.COMPLETE, (HIGH, 4.1), (LOW, 3.0)), True, [(Ending.COMPLETE, HIGH)]),
+        (WHOLE, ANOTHER, True, [(Ending.COMPLETE, LOW), (Ending.COMPLETE, HIGH)]),
+        (BACK_TO_LOW, FROM_HIGH, False, [(Ending.COMPLETE, HIGH)]),
+        (BACK_TO_LOW, OTHER_FROM_HIGH, False, [(Ending.RETURNED, LOW), (Ending.COMPLETE, HIGH)]),
+        (BACK_TO_LOW, FAILS_FROM_HIGH, False, [(Ending.LEFT, LOW), (Ending.STEP, HIGH)]),
+        (curve(Ending.INTERRUPTED, (LOW, 3.0)), None, True, [(Ending.INTERRUPTED, LOW)]),
+    ],
+)
+def test_curves_from_both_ends(there, back, both, expected, monkeypatch):
+    """One where they are the same; one that turned back is whole only if that from the other end is, and another."""
+    known = {LOW: there, HIGH: back}
+    monkeypatch.setattr(branches, "hbm_curve", lambda _, start, stop: known[start])
+    found = curves_from_ends(None, LOW, HIGH, both=both)
+    assert [(own.ending, own.frequency[0]) for own in found] == expected
+    if found[0].ending is Ending.RETURNED:
+        assert found[0].message == f"continuation at 1, after 3 points: {Ending.RETURNED.value}"
