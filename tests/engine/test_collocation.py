@@ -164,6 +164,23 @@ def test_the_amplitude_of_a_motion_on_which_a_fast_mode_rings() -> None:
         assert own == pytest.approx(others, rel=1e-6)
 
 
+def test_a_run_may_begin_at_any_phase_of_the_excitation() -> None:
+    """The same force, counted from another zero of time: the same motion and energies, of slow and of fast modes."""
+    body = structure([1.0, 400.0], [0.02, 0.05], [[1.0, 0.2, 0.5], [0.3, 1.0, 0.4]])
+    start, angle = replace(at_rest(2, 1), displacement=np.array([0.0, 0.02])), 0.7
+    force = np.array([0.5, 1.0]) + 1j * np.array([0.2, 0.0])
+    traces = []
+    for phase in (0.0, angle):
+        turned = force * np.exp(1j * phase)
+        load = excitation(0.6 / (2 * np.pi), turned.real.tolist(), turned.imag.tolist())
+        model = Model(body, (pad(0.4, 3.0, 3.0, 0.4),), load, replace(start, phase=phase))
+        traces.append(simulate(model, 1, WHOLE))
+    one, other = traces
+    assert one.sequence == other.sequence
+    assert relative_error(other.motion, one.motion) < 1e-9
+    np.testing.assert_allclose(other.totals.work, one.totals.work, rtol=1e-8)
+
+
 def settled(model: Model, frequency: float, solver: Solver) -> tuple:
     ((orbit,),) = steady_states([Chain(model, (frequency,))], solver, Criterion())
     return orbit, orbit.amplitude, orbit.slip_share, np.abs(orbit.floquet[:2])

@@ -3,6 +3,8 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -54,6 +56,20 @@ def test_estimate_of_the_amplitude_of_each_cycle() -> None:
     true = np.abs(np.array(totals.amplitude) - exact).max(axis=(1, 2)) / exact.max(axis=(1, 2))
     ratio = error_of(run, totals).amplitude / true
     assert np.mean((ratio > 0.1) & (ratio < 10)) > 0.9
+
+
+def test_the_size_of_the_motion_is_that_of_the_last_cycle() -> None:
+    """A motion that has decayed since does not make the error of the end look smaller; of modes of unit mass."""
+    model = oscillator(3, 1.39)
+    totals = CycleTotals(replace(model, structure=replace(model.structure, mass=np.array([4.0, 9.0]))), 0.0)
+    for q, p, goes_on, expected in (
+        ([[5.0, 1.0], [1.0, -2.0]], [[1.0, 0.0], [0.0, 7.0]], False, [6.0, 21.0]),
+        ([[0.0, 9.0], [1.0, 0.1]], [[0.0, 9.0], [0.2, 0.1]], False, [2.0, 0.4]),
+        ([[9.0, 9.0], [0.2, -1.0]], [[9.0, 9.0], [0.1, 0.1]], True, [3.0, 0.4]),
+    ):
+        steps: Any = SimpleNamespace(reached=(np.array(q), np.array(p), None))
+        totals._measure(steps, 1, goes_on=goes_on)
+        np.testing.assert_allclose(totals.size, expected)
 
 
 def test_estimate_is_no_smaller_than_rounding_and_needs_no_motion() -> None:

@@ -3,11 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from systems import oscillator
 
 from timesim.model.model import Excitation
 from timesim.model.solver import PRESETS
-from timesim.orbit.linear import linear_orbit
+from timesim.orbit.linear import linear_orbit, slowest_decay
 from timesim.orbit.settling import Chain, first_lane
 
 FREQUENCY, HARMONIC, PHASE = 0.7, np.array([1, 2, 5]), 0.4
@@ -55,3 +56,4 @@ def test_its_multipliers_are_those_of_the_free_modes():
     exact = np.exp(np.concatenate([root, root.conj()]) / FREQUENCY)
     np.testing.assert_allclose(np.sort_complex(orbit.floquet), np.sort_complex(exact), rtol=1e-12)
     assert np.all(np.diff(np.abs(orbit.floquet)) <= 1e-15)
+    assert slowest_decay(lane) == pytest.approx(-np.log(np.abs(orbit.floquet[0])), rel=1e-12)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from timesim.fault import RuleError
-from timesim.result.state import SavedStates
+from timesim.result.state import SavedStates, settled_points
 
 FREQUENCY = np.array([1.0, 1.1, 1.2])
 POINTS = SavedStates(
@@ -15,6 +15,13 @@ POINTS = SavedStates(
 @pytest.mark.parametrize("asked", [1.2, 1.2 * (1 + 1e-12)])
 def test_a_point_is_the_one_at_the_value_asked_for(asked: float):
     assert POINTS.one({"frequency": asked})["cycles"] == 2
+
+
+def test_points_close_together_are_told_apart():
+    """As those of a sweep across a jump, a part in ten million apart."""
+    close = SavedStates((), {"cycles": np.arange(3)}, {"frequency": 1 + 1e-7 * np.arange(3)}, 0.0)
+    for i, value in enumerate(close.axes["frequency"]):
+        assert close.one({"frequency": float(value)})["cycles"] == i
 
 
 def test_a_value_between_two_points_is_refused():
@@ -30,3 +37,18 @@ def test_a_point_that_failed_is_refused_with_its_reason():
 def test_one_point_must_be_named():
     with pytest.raises(RuleError, match="must name the frequency of a point of the sweep"):
         POINTS.one({})
+
+
+def test_motions_that_repeat_each_cycle_with_contacts_at_work_are_settled_points():
+    """Not what failed, has not settled, repeats after two cycles, only sticks or is open all along."""
+    frequency = np.arange(1.0, 8.0)
+    arrays = {
+        "failure": np.array([["", "no motion", "", "", "", "", ""]]),
+        "settled": np.array([[1, 1, 0, 1, 1, 1, 1]]),
+        "period": np.array([[1, 1, 1, 2, 1, 1, 1]]),
+        "slip_share": np.array([[0.2, 0.2, 0.2, 0.2, 0.0, 0.0, 0.0]])[..., None],
+        "separation_share": np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.3]])[..., None],
+    }
+    states = SavedStates(("pad",), arrays, {"direction": np.array(["up"]), "frequency": frequency}, 0.0)
+    assert [place for place, _ in settled_points(states, {"direction": "up"})] == [1.0, 7.0]
+    assert [place for place, _ in settled_points(states, {"frequency": 7.0})] == [7.0]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -159,6 +160,23 @@ def test_a_stop_is_closed_where_others_slip():
     """The largest share of slip is that of contacts with friction."""
     assert any("a contact 0.40 of the cycle in slip" in line for line in lines_on(1e-4))
     assert any("a contact 0.00 of the cycle in slip" in line for line in lines_on(1e-4, friction=np.zeros(1)))
+
+
+def test_a_point_is_compared_with_the_nearest_stable_solution_at_its_frequency(monkeypatch: pytest.MonkeyPatch):
+    """An unstable one may be nearer; where there is none, or no motion, nothing is compared, nor along resting axes."""
+    height = np.array([1.0, 1.2, 0.5, 3.0])
+    solutions = SimpleNamespace(
+        stable=np.array([True, False, True, True]),
+        frequency=np.array([1.0, 1.0, 1.0, 2.0]),
+        amplitude=height[:, None, None] * np.array([[1.0, 0.0, 0.0]]),
+    )
+    monkeypatch.setattr(compare, "_all_solutions", lambda *_: [solutions, None])
+    swept = np.tile([1.25, np.nan, 1.0], (2, 1))[:, None, :, None, None] * np.array([[1.0, 0.0, 0.0]])
+    match = compare.matched(swept, np.array([1.0, 2.0, 3.0]), None)
+    assert match.solution.tolist() == [[[0, -1, -1]], [[-1, -1, -1]]]
+    expected = np.full(swept.shape, np.nan)
+    expected[0, 0, 0, 0, 0] = -0.2
+    np.testing.assert_allclose(match.difference, expected)
 
 
 def points_on(

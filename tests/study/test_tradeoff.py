@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -74,6 +75,12 @@ def test_runs_are_judged_by_the_finest_and_known_as_well_as_a_second_method_agre
     assert judged.recommended == 3
 
 
+def test_no_error_is_less_than_what_is_known_of_the_truth() -> None:
+    """A run may be nearer to it than the second method, by chance."""
+    judged = judge(bench([*TRIALS, trial("dopri8", 1e-10, 1e-12, 3.0)]))
+    assert judged.error[-1] == judged.known == pytest.approx(2e-11)
+
+
 def test_a_truth_without_a_second_method_says_so_and_a_single_run_has_no_error() -> None:
     alone = judge(bench([trial for trial in TRIALS if trial.solver.name == "tsit5"]))
     assert alone.verified == ""
@@ -111,6 +118,27 @@ def test_what_has_no_time_left_or_fails_is_named(monkeypatch: pytest.MonkeyPatch
         "dopri8, rtol 1e-09, atol 1e-11, 1 modes: no time left",
         "rk4, 63 steps a cycle: at time 1 s: too stiff",
     ]
+
+
+def test_compilation_is_what_the_first_run_takes_longer_than_the_quickest(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, lasts = [0.0], [5.0, 0.2, 0.1, 0.3, 0.4]
+
+    def run(*_: Any) -> Any:
+        now[0] += lasts.pop(0)
+        ended = SimpleNamespace(displacement=np.zeros(2), velocity=np.zeros(2))
+        return ended, SimpleNamespace(transitions=0, size=np.ones(2), amplitude=np.ones((1, 1, 3))), 600
+
+    monkeypatch.setattr(benches, "_through", run)
+    monkeypatch.setattr(benches, "time", SimpleNamespace(perf_counter=lambda: now[0]))
+    made = bench([])
+    first = made.try_(Solver("tsit5", 1e-4, 1e-6))
+    lasts += [0.5]
+    again = made.try_(Solver("tsit5", 1e-6, 1e-8))
+    assert first is not None
+    assert again is not None
+    assert (first.seconds, first.compiling) == (pytest.approx(0.1), pytest.approx(4.9))
+    assert (again.seconds, again.compiling) == (pytest.approx(0.5), 0.0)
+    assert made.left == pytest.approx(60.0 - 6.5)
 
 
 def test_the_lowest_modes_of_a_model() -> None:

@@ -78,6 +78,16 @@ def test_points_are_shown_while_a_chunk_is_worked_on(two: Processes):
     assert {3, 6, 7} & set(shown)  # of one chunk, of both, and of one with the other done
 
 
+def test_work_begins_with_no_point_counted(two: Processes, monkeypatch: pytest.MonkeyPatch):
+    """Whatever the work counted before that had its place."""
+    monkeypatch.setattr(processes, "APART", 0.02)
+    two.submit(unseen, point_done).result()
+    two._counts[:] = [5] * len(two._counts)
+    shown: list[int] = []
+    two.submit(shown.append, time.sleep, 0.7).result()
+    assert set(shown) == {0}
+
+
 def test_what_fails_is_named(two: Processes):
     chunks = chains(2, 2, faults={"c-1-0": "raise"})
     results, reason = carried(chunks, two)
