@@ -11,7 +11,7 @@ import pytest
 from simulation import FINE
 from systems import oscillator
 
-from timesim.engine.companion import ROUNDING, Estimate, companion_of, estimate, state_error, totals_of
+from timesim.engine.companion import ROUNDING, Estimate, companion_of, compared, estimate, state_error, totals_of
 from timesim.engine.history import CycleTotals
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import Model
@@ -91,6 +91,16 @@ def test_estimate_says_where_it_cannot_be_trusted() -> None:
     assert np.isnan(failed.state)
     assert "companion failed at time 0" in failed.remark
     assert "budget of 3 steps" in failed.remark
+
+
+@pytest.mark.parametrize(("apart", "share"), [(0.005, 1 / 9), (0.05, 1 / 3)])
+def test_errors_that_are_large_are_not_proportional_to_the_tolerance(apart: float, share: float) -> None:
+    run, totals = finished(oscillator(3, 1.39), 1, PRESETS["standard"])
+    other = companion_of(run)
+    other.displacement, other.velocity = run.displacement + apart * totals.size[0], run.velocity
+    found = compared(run, totals, other, totals)
+    assert found.state == pytest.approx(share * apart)
+    assert found.proportional == (apart < 0.01)
 
 
 def test_the_companion_is_coarser_also_where_the_longest_step_rules() -> None:

@@ -14,6 +14,7 @@ from timesim.element.motion import CYCLE, SplineMotion
 from timesim.element.state_by_state import steady_cycle
 from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.interval import Interval, advance, intervals_of
+from timesim.hbm.path import Cubic, window_of
 from timesim.hbm.period import (
     MAX_PASSES,
     basis_of,
@@ -39,6 +40,18 @@ MOTIONS = {
 SIDE_BY_SIDE, SAMPLES = 6, (64, 98, 256)
 COARSE = SAMPLES[0]
 STIFFNESS = {"isotropic": np.eye(2), "general": np.array([[1.0, 0.3], [0.3, 0.6]])}
+
+
+def test_when_a_contact_is_closed_within_an_interval():
+    """Loads of one or two roots, and of none: when it closes and opens, and how long it is apart."""
+    two = np.array([0.24, -1.0, 1.0])  # (t - 0.4) (t - 0.6)
+    loads = np.array([two, -two, [1.0, -2.0, 0.0], [-1.0, 4.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+    window = jax.jit(window_of)(Cubic(*loads.T, np.zeros(6)))
+    np.testing.assert_allclose(window.separation, [0.2, 0.8, 0.5, 0.25, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(window.start, [0.6, 0.4, 0.0, 0.25, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(window.end, [1.0, 0.6, 0.5, 1.0, 1.0, 1.0], atol=1e-12)
+    assert window.closes.tolist() == [True, True, False, True, False, False]
+    assert window.opens.tolist() == [True, True, True, False, False, False]
 
 
 def prescribed(motion, num_harmonics=1):

@@ -313,6 +313,18 @@ def test_a_jump_that_is_small_beside_the_slope():
     assert (found.low, found.high) == pytest.approx((1.43, 1.62), abs=1e-6)
 
 
+def test_adjacent_jumps_are_one():
+    """From the motion before the first of them to the one beyond the last."""
+    toy = Branches((-np.inf, 1.49), (1.3, 1.51), (1.4, np.inf))
+    search, on = toy_search(toy), toy.orbit(0, 1.25)
+    (beyond,) = toy.along(on.end, [1.75])
+    step = Stretch(search.model, 1.25, 1.75, on, beyond, least=0.05)
+    ((index, jump),) = narrowed([step], search.steady, 1 / 64)
+    assert (index, jump.near, jump.far) == (0, 1.484375, 1.515625)
+    np.testing.assert_array_equal(jump.on.amplitude, toy.orbit(0, jump.near).amplitude)
+    np.testing.assert_array_equal(jump.beyond.amplitude, toy.orbit(2, jump.far).amplitude)
+
+
 def test_a_slope_and_a_jump_in_one_step():
     """Each half is looked at: the jump is narrowed down beside a slope that changes the amplitude more than it does."""
     toy = two_branches(1.43, 1.62, rise=0.3, slope=8.0)

@@ -297,6 +297,24 @@ def test_points_with_another_offset_are_listed_with_the_reason():
     assert lines[1].endswith("contacts.pad.preload -4 at 2 to 3 Hz")
 
 
+def test_only_motions_that_stay_at_the_solution_of_the_balance_have_another_offset(monkeypatch: pytest.MonkeyPatch):
+    """Of four doubtful points: time integration stays there, leaves it, comes to a longer period, and fails."""
+    doubtful = np.zeros(SHAPE, dtype=bool)
+    doubtful[0, 0, :] = doubtful[1, 0, 1] = True
+    points = replace(points_on(1e-2), sticks=doubtful)
+    np.testing.assert_array_equal(points.doubtful, doubtful)
+    own = SimpleNamespace(amplitude=np.array([[[0.1, 0.0, 0.0]], [[2.0, 1.0, 0.0]]]))
+    match = compare.Match(np.zeros(0), np.ones(SHAPE, dtype=int), [own, own])
+    near, far = (own.amplitude[1] + change for change in (9e-4, 1.1e-3))
+    outcomes = [(near, 1, None), (far, 1, None), (near, 2, None), (near, 1, "the budget is spent")]
+    orbits = [[SimpleNamespace(amplitude=x, period=period, reason=why)] for x, period, why in outcomes]
+    scene: Any = SimpleNamespace(plan=SimpleNamespace(sweep=SimpleNamespace(criterion=None)), solver=lambda: None)
+    monkeypatch.setattr(compare, "_begun", lambda *given: (None, 1.0, None, None))
+    monkeypatch.setattr(compare, "steady_states", lambda chains, *_: orbits[: len(chains)])
+    found = compare.other_offsets(scene, None, match, points)
+    assert np.argwhere(found).tolist() == [[0, 0, 0]]
+
+
 @pytest.mark.slow
 def test_a_contact_that_sticks_with_another_offset_explains_a_difference():
     """The sweep from rest leaves a mean force in a contact that sticks; it loads another, which slips."""

@@ -17,7 +17,7 @@ from timesim.hbm import convergence as hbm_convergence
 from timesim.hbm import scheme as hbm_scheme
 from timesim.hbm.continuation import solve
 from timesim.hbm.convergence import SAMPLED, Known, convergence, neglected, order_of, sampling_error
-from timesim.hbm.curve import hbm_curve, solutions_at
+from timesim.hbm.curve import changes_of_stability, hbm_curve, peak, solutions_at
 from timesim.hbm.scheme import NEGLECTED, Scheme, most_harmonics
 from timesim.picture import hbm as plot_hbm
 from timesim.picture.response import stable_parts
@@ -374,6 +374,8 @@ def test_convergence_gives_the_orders_and_what_is_enough(monkeypatch: pytest.Mon
     assert found.time_samples.tolist() == [64, 128, 256, 512]
     assert order_of(found.time_samples, found.with_samples) > 2.5
     assert found.with_samples[-1] < 1e-4
+    for moved in (found.with_harmonics, found.with_samples):
+        assert moved[-1] == moved[-2] > 0  # between the finest and the last but one, whichever is named
     text = "\n".join(convergence_lines(found))
     assert "harmonics 1: " in text
     assert "time samples 64: " in text
@@ -449,6 +451,20 @@ def test_an_excited_harmonic_is_among_those_chosen(harmonics):
 
 def test_convergence_of_full_stick_says_that_it_says_nothing():
     assert "nothing" in convergence_lines(convergence([], Scheme(3, 64)))[0]
+
+
+def test_a_peak_lies_between_solutions_however_far_apart_they_are():
+    """A parabola along the curve is met; without one the largest height is at an end."""
+    place = np.array([0.0, 0.1, 0.15, 0.3, 0.35])
+    assert peak(place, 1 - (place - 0.17) ** 2, np.ones((5, 2))) == pytest.approx((0.17, 1.0))
+    assert peak(place, place, np.ones((5, 2))) == (0.35, 0.35)
+
+
+def test_stability_that_changes_at_a_fold_is_no_change_without_one():
+    """Folds count as unstable themselves."""
+    stable = np.array([True, True, False, False, False, True, True, False, True])
+    fold = np.array([False, False, True, False, True, False, False, False, False])
+    assert np.flatnonzero(changes_of_stability(stable, fold)).tolist() == [6, 7]
 
 
 def test_order_of_changes_with_a_known_order():
