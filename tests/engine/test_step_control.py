@@ -9,7 +9,7 @@ from simulation import Trace, simulate
 from systems import at_rest, excitation, oscillator, pad, structure
 
 from timesim.engine.solver import Solver, next_length, step_control
-from timesim.engine.step import controlled
+from timesim.engine.step import advanced, controlled
 from timesim.engine.system import system_of
 from timesim.engine.trajectory import Frame, Phase, Run
 from timesim.model.model import SLIP, Model
@@ -85,3 +85,19 @@ def test_the_control_forgets_at_the_end_of_a_cycle():
     assert [int(state.tried) for state in found] == [0, 8, 8]
     assert [float(state.length) for state in found] == [CONTROL.opening, 0.05, 0.05]
     assert [float(state.last_error) for state in found] == [1.0, 0.3, now.last_error]
+
+
+@pytest.mark.parametrize(
+    ("h", "crossed", "repeats"), [(1e-12, True, 6), (1e-12, False, 5), (0.1, True, 0), (0.1, False, 0)]
+)
+def test_only_transitions_in_a_row_are_counted_as_repeated(h: float, crossed: bool, repeats: int):
+    """Whatever there was before some time has passed: many contacts that switch in pairs are no accumulation."""
+    model = oscillator(3.0, 1.39)
+    run = Run(model, [Phase(1.39, 5)], Solver("tsit5", 1e-6, 1e-8))
+    system = system_of(model, 1.39, 0.0, run.reduction)
+    now = replace(
+        Frame(model, run.reduction, 1.39).begin(system, run, 0.01), repeats=jnp.asarray(5), since=jnp.zeros(())
+    )
+    after = advanced(system, now, now.point, now.state, jnp.asarray(h), jnp.asarray(False), jnp.asarray([crossed]))
+    assert int(after.repeats) == repeats
+    assert float(after.since) == (0.0 if crossed else h)

@@ -1,6 +1,7 @@
 """Harmonics that follow the solution along a curve, and what is said of those that are left out."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,7 +10,9 @@ import systems
 from timesim.hbm import adaptive
 from timesim.hbm.adaptive import AdaptiveBalance, tail
 from timesim.hbm.balance import Balance
-from timesim.hbm.curve import hbm_curve, solutions_at
+from timesim.hbm.continuation import Curve, Ending
+from timesim.hbm.convergence import neglected
+from timesim.hbm.curve import by_schemes, evaluated, hbm_curve, solutions_at
 from timesim.hbm.scheme import NEGLECTED, Scheme, coarsest
 from timesim.model.model import Excitation, Model, Structure
 
@@ -43,6 +46,23 @@ def test_harmonics_come_and_go_along_a_curve(curve):
     assert curve.harmonic_cos.shape[1] == count.max() + 1
 
 
+def test_solutions_by_several_schemes_keep_their_order_and_branches(model):
+    """Folds count along the whole curve, whichever harmonics the solutions before have."""
+    balance = AdaptiveBalance(lambda own: Balance(model, 1.6, own), SCHEMES, 1)
+    rows = []
+    for i, (highest, fold) in enumerate([(1, False), (7, True), (3, False), (1, True), (15, False)]):
+        x = np.zeros(balance.shape)
+        x[0, 2 * highest] = 1e-3
+        rows.append((x.ravel(), 1.6 + i / 100, fold, 0))
+    curve = Curve.of(rows, np.prod(balance.shape), Ending.COMPLETE, "")
+    whole = by_schemes(balance, curve, partial(evaluated, stability=False))
+    np.testing.assert_allclose(whole.frequency, 1.6 + np.arange(5) / 100)
+    assert whole.fold.tolist() == [False, True, False, True, False]
+    assert whole.branch.tolist() == [0, 0, 1, 1, 2]
+    waves = np.abs(whole.contact_motion[:, 0, 0])
+    assert np.argmax(waves, axis=1).tolist() == [2, 14, 6, 2, 30]
+
+
 def test_the_motion_is_that_of_many_harmonics(curve, model):
     rows = np.flatnonzero(curve.slip_share[:, 0] > 0)[::4]
     fine = solutions_at(
@@ -61,6 +81,7 @@ def test_the_tail_says_what_few_harmonics_leave_out(preload, frequency):
     expected = tail(balance, curve.contact_motion[0].ravel() / balance.length, frequency)
     fine = solutions_at(model, curve.with_harmonics(FINE.harmonics), frequency, scheme=FINE, stability=False)
     size = fine.harmonic_amplitude[0].max(axis=(1, 2))
+    assert neglected(lambda _: model, curve, [few]) >= expected[3] > expected[4]
     for order in (3, 5, 8):
         left = np.sqrt(np.sum(size[order + 1 :] ** 2)) / size[1]
         assert left / 3 < expected[order] < 3 * left
