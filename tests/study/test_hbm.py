@@ -28,7 +28,7 @@ from timesim.study import registry as plot
 from timesim.study.execution.campaign import Execution
 from timesim.study.hbm import study as followed_study
 from timesim.study.registry import carry_out, load_scene
-from timesim.study.verdict import convergence_lines
+from timesim.study.verdict import convergence_lines, curve_lines
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 BASE = oscillator_scene(preload=-4.0)
@@ -83,6 +83,19 @@ def test_each_value_has_its_curve(curves):
     assert part.slip_share.values.max() > 0.1
     inner = part.fold.values == 0
     np.testing.assert_array_equal(part.stable.values[inner] == 0, (part.branch.values == 1)[inner])
+
+
+def test_each_curve_is_said_in_a_line(curves):
+    """Its folds in the order of the curve, and its unstable solutions, of which a fold is none."""
+    _, *lines = curve_lines(curves, ())
+    assert len(lines) == 2
+    for number, (preload, line) in enumerate(zip((-4, -3), lines, strict=True)):
+        part = curves.isel(solution=curves.curve.values == number)
+        unstable = np.sum((part.stable.values == 0) & (part.fold.values == 0))
+        folds = ", ".join(f"{place:.6g}" for place in part.frequency.values[part.fold.values == 1])
+        assert line.startswith(f"contacts.pad.preload {preload}: peak ")
+        assert f"; folds at {folds}; {unstable} unstable solutions; at most" in line
+        assert f"{part.slip_share.values.max():.2f} of a period in slip" in line
 
 
 def test_harmonics_make_the_amplitude(curves):

@@ -20,7 +20,7 @@ from timesim.study.registry import carry_out, draw, load_scene
 from timesim.study.tradeoff import bench as benches
 from timesim.study.tradeoff import study
 from timesim.study.tradeoff.bench import Bench, Trial, lowest_modes
-from timesim.study.tradeoff.report import block
+from timesim.study.tradeoff.report import block, lines
 from timesim.study.tradeoff.study import fewer, judge
 
 CONFIG = Path(__file__).parents[2] / "configs" / "tradeoff.yaml"
@@ -79,6 +79,16 @@ def test_no_error_is_less_than_what_is_known_of_the_truth() -> None:
     """A run may be nearer to it than the second method, by chance."""
     judged = judge(bench([*TRIALS, trial("dopri8", 1e-10, 1e-12, 3.0)]))
     assert judged.error[-1] == judged.known == pytest.approx(2e-11)
+
+
+def test_what_fewer_modes_and_all_that_is_left_out_make_of_a_run() -> None:
+    whole = trial("tsit5", 1e-7, 1e-6, 7.5, solver=Solver("tsit5", 1e-7, 1e-9, reduce=False))
+    for error, verdict in ((3e-7, "the lowest 1 do"), (3e-5, "all 2 are needed")):
+        few = trial("tsit5", 1e-7, error, 0.1, num_modes=1)
+        made = bench([*TRIALS[:6], few, whole])
+        said = list(lines(study._record(SCENE, made, judge(made), None)))
+        assert f"error by the number of lowest modes kept: 1: {error:.1e}; for 1e-06 {verdict}" in said
+        assert "with nothing left out (solver.reduce: false) a run takes 2.5 times as long" in said
 
 
 def test_a_truth_without_a_second_method_says_so_and_a_single_run_has_no_error() -> None:
