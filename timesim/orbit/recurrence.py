@@ -2,7 +2,7 @@
 
 A motion has settled when its distance from the limit is below the tolerance, extrapolated from the rate at which the
 change from cycle to cycle falls: a slow drift changes little in a cycle and is yet far from its limit. Motions of
-period two or three, as after a period doubling, are distinguished from vibrations that nearly repeat while they decay.
+period two to four, as after a period doubling, are distinguished from vibrations that nearly repeat while they decay.
 """
 
 from collections.abc import Sequence

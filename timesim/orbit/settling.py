@@ -34,6 +34,7 @@ from timesim.orbit.threshold import (
     MOST_SHOTS,
     NEARLY_REPEATS,
     NOISY,
+    PERIODS,
     TRIES,
     UNDER_WAY,
     UNSETTLED_CYCLES,
@@ -129,8 +130,10 @@ def after_march(search: Search, lane: Lane, returns: np.ndarray, solver: Solver,
 
 
 def _spent(search: Search, criterion: Criterion) -> Search:
-    """The search at the end of its budget: what nearly repeats after a long period is shot."""
+    """The search at the end of its budget: what nearly repeats after a long period is shot, or has settled."""
     long = _long_recurrence(search)
+    if criterion.first_shot == NEVER and long.period > max(PERIODS) and long.left < criterion.tolerance:
+        return replace(search, phase=Phase.MEASURE, period=long.period, settled_to=long.left)
     if criterion.first_shot == NEVER or long.period <= CYCLES_A_ROUND or long.left > NEARLY_REPEATS:
         return replace(search, phase=Phase.MEASURE)
     shot = Shot(search.lane, long.period, count=MOST_SHOTS - FEW_SHOTS)

@@ -17,8 +17,8 @@ UNSETTLED_CYCLES = 10
 """Over which the amplitude of a motion that has not settled is taken, as the result file promises."""
 
 # Recognition of the period
-PERIODS = (1, 2, 3)
-"""In cycles. Of two rounds the changes over the longest must fill one round: 16 - 3 >= 8."""
+PERIODS = (1, 2, 3, 4)
+"""In cycles. Of two rounds the changes over the longest must fill one round, 16 - 4 >= 8, and half a round hold it."""
 REST = 1e-13
 """A change this small is rounding: some hundred steps a cycle, each of which rounds to 1e-16."""
 LEADS_NOWHERE = 3.0
