@@ -247,6 +247,13 @@ def test_the_peak_against_a_scalar_in_its_order() -> None:
     assert ax.get_ylabel() == "peak amplitude of tip y [length]"
 
 
+def test_one_direction_is_marked_at_every_point() -> None:
+    data = sweep({PRELOAD: [0.0, 0.1, 0.2]}, ("up",))
+    data.amplitude[..., [0, -1], :, :] = 0.0
+    (line,) = _lines(plot_sweep.peak(data), "peak")
+    assert _marked(line) == [0.0, 0.1, 0.2]
+
+
 def _stars(ax: Axes) -> list[str]:
     return [str(line.get_label()) for line in ax.get_lines() if line.get_marker() == "*"]
 

@@ -156,6 +156,20 @@ def test_the_least_of_two_valleys_counts():
     assert peaks.least() == pytest.approx(7.3, abs=1e-3)
 
 
+def test_a_peak_that_is_the_same_over_a_span_is_told_and_drawn_so():
+    """As where a contact sticks from a preload on."""
+    peaks = Known(lambda value: 2.8 + max(0.0, 5.3 - value) ** 2)
+    peaks.first()
+    peaks.search()
+    data = data_of(peaks).assign_attrs(complete=1)
+    (line,) = [line for line in optimum_lines(data, 1e-3) if "the peak is the same" in line]
+    first, last = (float(word.strip(":")) for word in (line.split()[6], line.split()[8]))
+    assert 5.2 < first < 6.1
+    assert last == 10
+    low, high = plot_optimum.magnified(data).get_ylim()
+    assert high - low > 1e-4 * 2.8
+
+
 def test_a_value_without_a_motion_is_named():
     peaks = Known(lambda value: np.nan if 3.1 < value < 3.9 else (value - 3.5) ** 2)
     peaks.first()

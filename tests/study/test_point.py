@@ -112,3 +112,8 @@ def test_a_result_without_states_says_so(tmp_path: Path):
         timesim.show(tmp_path, POINT)
     netcdf.save(data.drop_vars("dissipated_power"), tmp_path / "result.nc")
     assert "lacks dissipated_power (it is of an earlier version of timesim" in call(tmp_path).stderr
+    netcdf.save(
+        data.isel({"direction": 0, "frequency": 0, PRELOAD: 0}, missing_dims="ignore").assign_attrs(study="transient"),
+        tmp_path / "result.nc",
+    )
+    assert "is of one run, a transient" in call(tmp_path, "frequency=0.97").stderr

@@ -293,7 +293,8 @@ def _starts_figure(data: "DataTree") -> "Figure | None":
     for ax, item in zip(grid[0], shown, strict=True):
         starts(data, ax, at=item)
     led = np.unique([data["start_branch"].isel(item.where).values for item in shown])
-    patches = [Patch(color=LED_TO[kind][1], alpha=0.55, label=LED_TO[kind][0]) for kind in led.tolist()]
+    looks = [LED_TO[kind] for kind in led.tolist()]
+    patches = [Patch(facecolor=colour, edgecolor=BEHIND, alpha=0.55, label=label) for label, colour in looks]
     legend_beside(grid[0, -1], [*patches, *labelled(grid[0, 0]).values()])
     return finish(fig, data, "which start leads to which motion", left_out(len(ranges(data)), len(shown), "ranges"))
 

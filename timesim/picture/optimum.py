@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 MAX_CURVES = 7
+FLAT = 1e-4  # of a peak: over less it is not magnified, since numbers of more digits would not fit beside the axis
 NEAR = 0.15  # of the range of the scalar about the optimum, magnified
 
 
@@ -57,7 +58,8 @@ def magnified(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     ax.set_xlim(best - reach, best + reach)
     inside = heights[(values >= best - reach) & (values <= best + reach)]
     low, high = np.nanmin(inside), np.nanmax(inside)
-    ax.set_ylim(low - 0.1 * (high - low) - 1e-12, high + 0.1 * (high - low) + 1e-12)
+    margin = max(0.1 * (high - low), FLAT * high) or 1.0
+    ax.set_ylim(low - margin, high + margin)
     return ax
 
 

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 LINES = {"up": "-", "down": "--", "independent": "-"}
-TURNS = {"^": 0, "v": 1}  # up and down are marked at different points, lest one cover the other
 MARKED = 45  # settled points of a curve that bear a marker; a curve of more has some of them marked
 FEW = 3  # values that a scalar needs at least for a picture of the peaks
 
@@ -47,12 +46,14 @@ class Curve(NamedTuple):
     Attributes:
         label: the values of the further axes; empty where there are none.
         where: position along each of these axes and along the direction, for `isel`.
+        beside: whether there is one of the other direction; each is marked where the other is not.
     """
 
     label: str
     where: Mapping[str, int]
     direction: str
     style: Series
+    beside: bool
 
 
 def response(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None) -> "Axes":
@@ -76,7 +77,9 @@ def phase(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None
         y = data.phase_deg.sel(point=point, axis=axis).isel(curve.where).values
         label, line = "_" + curve.label, {"color": curve.style.colour, "linestyle": curve.style.line}
         ax.plot(*shared.unwound(x, y), label=label, linewidth=1.0, **line)
-        _curve(ax, x, y, curve.style._replace(line=""), np.zeros(x.size, dtype=bool), "", label=label)
+        _curve(
+            ax, x, y, curve._replace(style=curve.style._replace(line="")), np.zeros(x.size, dtype=bool), "", label=label
+        )
     ax.set_xlabel("frequency [Hz]")
     return shared.over_phase(ax)
 
@@ -122,11 +125,11 @@ def peak(
     for curve in curves(data, without=key):
         largest, at_end = peaks(amplitude.isel(curve.where).transpose(key, "frequency").values[order])
         direction = curve.direction if data.sizes["direction"] > 1 else ""
-        name, style = ", ".join(filter(None, (curve.label, direction))), curve.style
-        _curve(ax, value, largest, style, at_end, "peak at an end of the frequencies", label=name or "peak")
+        name = ", ".join(filter(None, (curve.label, direction)))
+        _curve(ax, value, largest, curve, at_end, "peak at an end of the frequencies", label=name or "peak")
         if np.isfinite(largest).all():
             place = int(np.argmin(largest))
-            least.setdefault((value[place], f"{largest[place]:.4g}"), []).append((name, style.colour))
+            least.setdefault((value[place], f"{largest[place]:.4g}"), []).append((name, curve.style.colour))
     for (x, y), of in least.items():
         _star(ax, x, y, of, x in (value[0], value[-1]) and value.size > 1)
     from_zero(ax)
@@ -160,15 +163,15 @@ def curves(data: "Dataset", without: str | None = None) -> list[Curve]:
     sets = list(product(*(range(data.sizes[key]) for key in keys)))
     kept, names = spread(len(sets)), [str(name) for name in data.direction.values]
     looks = shared.styles(len(kept), shades=len(names) > 1 and len(kept) > 1)
-    drawn = []
+    drawn, beside = [], len(names) > 1
     for look, chosen in zip(looks, (sets[i] for i in kept), strict=True):
         label = values_label(data[key].values[i] for key, i in zip(keys, chosen, strict=True))
         for i, name in enumerate(names):
             if not keys:
                 look = Series(SERIES[i].colour, LINES[name], DIRECTIONS[name])
-            elif len(names) > 1:
+            elif beside:
                 look = look._replace(marker=DIRECTIONS[name])
-            drawn.append(Curve(label, dict(zip(keys, chosen, strict=True)) | {"direction": i}, name, look))
+            drawn.append(Curve(label, dict(zip(keys, chosen, strict=True)) | {"direction": i}, name, look, beside))
     return drawn
 
 
@@ -189,7 +192,7 @@ def _draw(ax: "Axes", data: "Dataset", curve: Curve, y: np.ndarray) -> None:
     """A curve, hollow markers where it has not settled, crosses at the foot where it failed."""
     frequency, settled = data.frequency.values, data.settled.isel(curve.where).values.astype(bool)
     failed, style = data.failure.isel(curve.where).values != "", curve.style
-    _curve(ax, frequency, y, style, ~settled & ~failed, "not settled", label="_" + curve.label, linewidth=1.0)
+    _curve(ax, frequency, y, curve, ~settled & ~failed, "not settled", label="_" + curve.label, linewidth=1.0)
     doubled = settled & (data.period.isel(curve.where).values > 1)
     if doubled.any():
         ring: dict[str, Any] = {"color": "black", "fillstyle": "none", "ms": 8, "linestyle": ""}
@@ -212,13 +215,14 @@ def _band(ax: "Axes", data: "Dataset", curve: Curve, point: str, axis: str) -> N
 
 
 def _curve(
-    ax: "Axes", x: np.ndarray, y: np.ndarray, style: Series, hollow: np.ndarray, meaning: str, **look: Any
+    ax: "Axes", x: np.ndarray, y: np.ndarray, curve: Curve, hollow: np.ndarray, meaning: str, **look: Any
 ) -> None:
     """A curve with filled markers at some of its points, and hollow ones with a meaning at all that have it."""
-    every = max(1, -(-x.size // MARKED))
-    if style.marker in TURNS and x.size > 1:
+    style, every = curve.style, max(1, -(-x.size // MARKED))
+    if curve.beside and x.size > 1:
         every = max(2, every)
-    filled = ~hollow & (np.arange(x.size) % every == TURNS.get(style.marker, 0) * (every // 2))
+    first = every // 2 if curve.beside and curve.direction == "down" else 0
+    filled = ~hollow & (np.arange(x.size) % every == first)
     look |= {"color": style.colour, "marker": style.marker}
     ax.plot(x, y, linestyle=style.line, ms=3.5, markevery=np.flatnonzero(filled).tolist(), **look)
     hollow = hollow & np.isfinite(y)

@@ -26,12 +26,11 @@ from timesim.study.execution.campaign import Chunk, Execution, Result, carry_thr
 from timesim.study.execution.progress import Phases
 from timesim.study.execution.worker import point_done
 from timesim.study.outcome import Outcome, attributes, unit_names
-from timesim.study.report import failure_line, optimum_lines
+from timesim.study.report import TIE, failure_line, optimum_lines
 from timesim.study.sweep import Variables, blank_columns, variables_of
 
 NEARLY = 0.9  # of the largest: other maxima that may be larger between the points of the sweep
 FINE = 1e-3  # of a step of the sweep: the frequency of a peak, whose height depends on it in second order only
-TIE = 1e-7  # of a peak: smaller differences are those of the time integration
 CHECKS = 6  # times that a smaller peak beside the optimum is followed
 
 

@@ -52,6 +52,9 @@ def point_again(path: Path | str, at: Mapping[str, float | str]) -> Point:
     groups = read(path)
     sweep = groups.get("sweep", groups[""])
     states = states_in(sweep)
+    if not states.axes:
+        hint = "`timesim plot` draws its pictures, `show` is for a point of a sweep"
+        raise RuleError((), f"is of one run, a {groups[''].attrs['study']}, which shows its motion itself", hint)
     if missing := [name for name in SHOWN if name not in sweep.variables]:
         raise RuleError((), f"lacks {', '.join(missing)}", "it is of an earlier version of timesim: run it again")
     states.one(at)

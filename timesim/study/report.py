@@ -18,6 +18,7 @@ from timesim.scene.transient import Schedule
 MOTIONS = ("lower", "upper")
 PHASES = 12  # of a schedule at most that are listed
 POINTS = 5  # failed points, or spans of points, that are named
+TIE = 1e-7  # of a peak: smaller differences are those of the time integration
 LINES = 12  # lines on ranges with two motions, or on folds
 
 
@@ -254,6 +255,13 @@ def fold_lines(hbm: Dataset) -> Iterator[str]:
 # The least peak
 
 
+def _as_low(values: np.ndarray, peak: np.ndarray, at: int) -> tuple[float, float]:
+    """First and last of the values about one whose peaks are as low; a missing one ends them."""
+    higher = np.flatnonzero(~(peak * (1 - TIE) <= peak[at]))
+    last = higher[higher > at].min(initial=len(values)) - 1
+    return float(values[higher[higher < at].max(initial=-1) + 1]), float(values[last])
+
+
 def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
     """The least peak over a scalar, sought to an accuracy."""
     key = str(data["peak"].dims[0])
@@ -268,7 +276,10 @@ def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
     )
     yield f"least peak {least} at {key} = {value}, at {float(data['optimum_frequency']):.6g} Hz"
     beside = [i for value in (best - accuracy, best + accuracy) for i in np.flatnonzero(values == value)]
-    if data.attrs["complete"] and beside:
+    first, last = _as_low(values, peak, at)
+    if data.attrs["complete"] and last - first > 3 * accuracy:
+        yield f"the peak is the same from {first:.6g} to {last:.6g}: any value between does as well"
+    elif data.attrs["complete"] and beside:
         heights = " and ".join(f"{peak[i]:.7g} at {values[i]:.6g}" for i in beside)
         yield f"an accuracy away the peak is not smaller: {heights}"
     if best in (values[0], values[-1]):
