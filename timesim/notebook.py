@@ -159,16 +159,23 @@ def point_force(
 
 
 def system(
-    structure: Section, contacts: Sequence[Section], excitation: Section, *, solver: Section | None = None
+    structure: Section,
+    contacts: Sequence[Section],
+    excitation: Section | Sequence[Section],
+    *,
+    solver: Section | None = None,
 ) -> Section:
     """A structure with its contacts under its forces: a scene without a study.
 
     Args:
         structure: from `modes` or `matrices`.
         contacts: from `contact`.
-        excitation: from `modal_forces` or `point_force`.
+        excitation: from `modal_forces` or `point_force`, or several of these, which act together.
         solver: the section `solver` of a scene; ``{"accuracy": "standard"}`` by default.
     """
+    if not isinstance(excitation, Mapping):
+        kinds = dict.fromkeys(kind for part in excitation for kind in part)
+        excitation = {kind: [force for part in excitation for force in part.get(kind, ())] for kind in kinds}
     return {"structure": structure, "contacts": list(contacts), "excitation": excitation} | _given(solver=solver)
 
 

@@ -43,14 +43,18 @@ def test_matrices_are_those_of_a_scene():
     M, K = np.diag([1.0, 2.0]), np.array([[80.0, -40.0], [-40.0, 40.0]])
     structure = timesim.matrices(M, K, {"tip": {"x": 1}}, damping_ratio=0.02, keep_modes=2)
     pad = timesim.contact("pad", "tip", friction=0.4, tangential_stiffness=20.0, normal_stiffness=0.0, preload=1.0)
-    system = timesim.system(structure, [pad], timesim.point_force("tip", [1, 0, 0], 1.0))
+    forces = [timesim.point_force("tip", [1, 0, 0], 1.0), timesim.point_force("tip", [1, 0, 0], 0.3, harmonic=3)]
+    system = timesim.system(structure, [pad], forces)
     found = timesim.integrate(system, 0.8, 3)
     written = {"mass": M.tolist(), "stiffness": K.tolist(), "damping_ratio": 0.02, "points": {"tip": {"x": 1}}}
     scene = {
         "structure": {"matrices": written, "keep_modes": 2},
         "contacts": [{"name": "pad", "point": "tip", "friction": 0.4, "tangential_stiffness": 20, "normal_stiffness": 0,
                       "preload": 1}],
-        "excitation": {"frequency": 0.8, "forces": [{"point": "tip", "direction": [1, 0, 0], "amplitude": 1}]},
+        "excitation": {"frequency": 0.8, "forces": [
+            {"point": "tip", "direction": [1, 0, 0], "amplitude": 1},
+            {"point": "tip", "direction": [1, 0, 0], "amplitude": 0.3, "harmonic": 3},
+        ]},
         "study": {"kind": "transient", "cycles": 3},
     }  # fmt: skip
     assert_same(found, timesim.run(scene))
