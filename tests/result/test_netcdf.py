@@ -162,6 +162,8 @@ def test_every_name_has_a_meaning_and_units_are_known() -> None:
     allowed |= {"force*length", "force/length", "force*length/s"}
     assert {text["units"] for text in texts if "units" in text} == allowed
     assert label.attributes("structure.modes.0.mass") == {"long_name": "scene value structure.modes.0.mass"}
+    for key, unit in (("forces.0", "kN"), ("constant_forces.1", "kN"), ("modal_force.0", None)):
+        assert label.attributes(f"excitation.{key}.amplitude", {"force": "kN"}).get("units") == unit
 
 
 def test_flags_say_what_they_mean_and_are_of_the_type_of_their_variable(tmp_path: Path) -> None:

@@ -221,6 +221,8 @@ SCENE_UNITS = {
     "tangential_stiffness": "force/length",
     "normal_stiffness": "force/length",
     "preload": "force",
+    "forces.amplitude": "force",
+    "constant_forces.amplitude": "force",
 }
 
 STATE_FLAGS = {0: "stick", 1: "slip", 2: "separation"}
@@ -255,7 +257,9 @@ def attributes(name: str, named: Mapping[str, str] | None = None) -> dict[str, A
         named: units of the quantities of `BASE`, ``{"length": "mm"}``.
     """
     if "." in name:
-        long_name, units = f"scene value {name}", SCENE_UNITS.get(name.rsplit(".", 1)[1])
+        part, _, key = re.sub(r"\.\d+", "", name).rpartition(".")
+        long_name = f"scene value {name}"
+        units = SCENE_UNITS.get(key, SCENE_UNITS.get(f"{part.rpartition('.')[2]}.{key}"))
     elif name in LABELS:
         long_name, units = LABELS[name]
     else:
