@@ -33,7 +33,7 @@ from timesim.study import registry as plot
 from timesim.study.execution.campaign import Execution
 from timesim.study.outcome import Outcome
 from timesim.study.registry import carry_out, load_scene
-from timesim.study.report import bistable_lines
+from timesim.study.report import bistable_lines, fold_lines
 
 QUICK = {
     "study.frequency": "{from: 1.24, to: 1.27}",
@@ -126,6 +126,18 @@ def test_the_summary_names_motions_that_do_not_repeat_each_cycle(result):
     )
     assert "the smaller motion repeats after 3 cycles" in said
     assert ", 1 to another motion, 1 to one that does not repeat, 1 did not settle" in said
+
+
+def test_a_fold_near_which_no_range_ends_is_named(result):
+    """As of a stop whose sweeps both stay on the upper motion: nobody may take it for the only one."""
+    balance, ends = result["hbm"].to_dataset(), result["range"].values.ravel()
+    assert not any("no range ends" in line for line in fold_lines(balance, ends, 0.02))
+    lines = [line for line in fold_lines(balance, ends[1:], 1e-3) if "no range ends" in line]
+    assert [line.split(" Hz")[0] for line in lines] == ["beside the fold at " + f"{_folds(balance)[0]:.7g}"]
+
+
+def _folds(balance):
+    return sorted(balance["frequency"].values[balance["fold"].values > 0])
 
 
 def test_the_pictures_show_the_ranges(result):

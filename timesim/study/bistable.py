@@ -125,7 +125,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         after = replace(execution, progress=phases["balance"])
         hbm, _, hbm_reason = followed(scene, plan.balance, after, stage="balance")
         groups["hbm"] = hbm
-        lines += fold_lines(hbm)
+        ends = np.concatenate([np.ravel(result["range"]) for result in gathered.whole if result] or [np.zeros(0)])
+        lines += fold_lines(hbm, ends, float(np.diff(grid.frequency).max(initial=0.0)))
         compiling, running = (compiling + hbm.attrs["compile_seconds"], running + hbm.attrs["run_seconds"])
         if hbm_reason and INTERRUPTED in hbm_reason:
             reasons.append(f"hbm: {hbm_reason}")

@@ -240,14 +240,19 @@ def _offset_lines(one: Dataset, size: float) -> Iterator[str]:
         )
 
 
-def fold_lines(hbm: Dataset) -> Iterator[str]:
-    """Folds of the balance, beside which the ends may be read."""
+def fold_lines(hbm: Dataset, ends: np.ndarray, reach: float) -> Iterator[str]:
+    """Folds of the balance, beside which the ends of ranges may be read, and those with none within a reach [Hz]."""
     frequency, sets = hbm["frequency"].values, dict[str, list[float]]()
     for place in np.flatnonzero(hbm["fold"].values):
         label = in_words({key: hbm[key].values[place] for key in over_keys(hbm)}, ": ")
         sets.setdefault(label, []).append(float(frequency[place]))
     for label, turning in list(sets.items())[:LINES]:
         yield f"{label}folds of the balance at {', '.join(f'{place:.7g}' for place in sorted(turning))} Hz"
+        for fold in (fold for fold in sorted(turning) if np.abs(ends - fold).min(initial=np.inf) > reach):
+            yield (
+                f"{label}beside the fold at {fold:.7g} Hz, near which no range ends, the balance has motions that no "
+                "sweep came to, one of which may be stable: search wider, or from another start"
+            )
     if not sets and frequency.size:
         yield "the branch of the balance has no fold"
 
