@@ -24,6 +24,7 @@ Functions (Academic Press 1974), chapter 8). Both are put on the two samples bes
 import timesim.runtime  # noqa: F401  isort: skip
 
 from functools import reduce
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -42,7 +43,7 @@ GRAZING = 1e-11
 ON_CONE = 1e-9
 
 
-class Interval(eqx.Module):
+class Interval(NamedTuple):
     """Motion from one sample to the next, time in units of the interval.
 
     Attributes:
@@ -65,7 +66,7 @@ Force = tuple[Scalar, Scalar, Scalar]
 """f1, f2, n."""
 
 
-class IntervalEnd(eqx.Module):
+class IntervalEnd(NamedTuple):
     """What the law gives over an interval.
 
     Attributes:

@@ -15,6 +15,7 @@ import timesim.runtime  # noqa: F401  isort: skip
 
 import operator
 from functools import reduce
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -39,7 +40,7 @@ SLIGHT = 0.01  # weight of |g|^2 as long as the cones are widened
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.5**0.5, 0.5**0.5), (0.5**0.5, -(0.5**0.5)))
 
 
-class Offset(eqx.Module):
+class Offset(NamedTuple):
     """Offset of the friction force, shape (C,), and whether the contact sticks all along with it."""
 
     force: Plane

@@ -31,7 +31,7 @@ Path: TypeAlias = tuple[Plane, Plane, Plane]
 P = TypeVar("P", bound="ContinuousState")
 
 
-class Motion(eqx.Module):
+class Motion(NamedTuple):
     """Relative motion of the contacts, in the axes of the law: u, v and their rates."""
 
     u: Plane
