@@ -30,8 +30,8 @@ with install_import_hook(list(CHECKED), "beartype.beartype"):
 
 import jax  # noqa: E402
 
-LARGE, VERY_LARGE = 0.9e9, 1.1e9
-"""Resident bytes of a worker above which compiled programs are let go: after a module, and after any test."""
+LARGE = 1.1e9
+"""Resident bytes of a worker above which compiled programs are let go, also those that the next module asks for."""
 
 
 def resident() -> int:
@@ -49,26 +49,21 @@ def give_back() -> None:
         ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
-def shrink(bound: float) -> None:
-    """Give memory back, and let compiled programs go where the worker is larger all the same."""
-    give_back()
-    if resident() > bound:
-        jax.clear_caches()
-        gc.collect()
-        give_back()
-
-
 @pytest.fixture(scope="module", autouse=True)
 def _memory_after_a_module() -> Iterator[None]:
     yield
-    shrink(LARGE)
+    give_back()
 
 
 @pytest.fixture(autouse=True)
 def _memory_after_a_test() -> Iterator[None]:
     yield
     if resident() > LARGE:
-        shrink(VERY_LARGE)
+        give_back()
+    if resident() > LARGE:
+        jax.clear_caches()
+        gc.collect()
+        give_back()
 
 
 @pytest.fixture(autouse=True)
