@@ -298,10 +298,12 @@ TOGETHER: dict[str, set[Key]] = {
 }
 
 
-# Of scenes that read a result, which is slow, and of those that differ from others by their study: what only they have.
-ONLY = dict.fromkeys(("tradeoff", "hbm", "compare", "bistable", "optimum"), ("study",)) | {
-    "jump": ("initial", "solver", "study")
-}
+# Of scenes of which others have the rest too: what only they have. Reading a text of all that a scene holds is slow.
+ONLY = (
+    dict.fromkeys(("tradeoff", "hbm", "compare", "bistable", "optimum", "motion", "file", "element_map"), ("study",))
+    | dict.fromkeys(("listed", "along"), ("structure", "study"))
+    | {"static": ("structure", "initial"), "jump": ("initial", "solver", "study")}
+)
 
 
 @pytest.mark.parametrize("name", KINDS)
