@@ -3,7 +3,7 @@
 import gc
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -271,6 +271,20 @@ def test_no_contact_at_all(reduce: bool) -> None:
     assert trace.sequence == []
 
 
+def test_more_lanes_than_are_marched_together_may_have_no_contact() -> None:
+    model, lanes = replace(oscillator(3.0, 1.39), contacts=()), event_loop.SIDE_BY_SIDE + 1
+    model = replace(model, start=replace(model.start, slip=np.zeros((0, 2)), state=np.zeros(0, dtype=int)))
+    run = Run(model, [Phase(1.39, 1)], FINE)
+    system = system_of(model, 1.39, 0.0, run.reduction)
+    start = Frame(model, run.reduction, 1.39).begin(system, run, 0.01, work=False)
+    each = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (lanes, *jnp.shape(leaf))), (system, start))
+    march = partial(event_loop.march, step_method(FINE), step_control(FINE, 1.0))
+    end, count = jax.eval_shape(march, *each, jnp.ones(lanes, int))
+    assert end.point.q.shape == (lanes, 2)
+    assert end.state.shape == (lanes, 0)
+    assert count.shape == (lanes,)
+
+
 def test_the_slip_of_a_contact_without_friction_is_its_motion_also_off_the_line_that_is_modelled() -> None:
     model, zero = oscillator(32.0, 1.39), np.zeros(2)
     stop = replace(model.contacts[0], friction=0.0, tangential_stiffness=np.zeros((2, 2)))
@@ -346,22 +360,22 @@ def test_derivative_of_a_run_through_its_transitions() -> None:
     method, control = step_method(fine), step_control(fine, model.stuck_rate / frame.scales.omega)
     parts = lambda s: (s.law.preload, s.law.friction, s.damping, s.cosine)  # noqa: E731
 
-    @jax.jit
     def end(factors: jax.Array) -> tuple[jax.Array, Any]:
         changed = eqx.tree_at(parts, system, tuple(x * part for x, part in zip(factors, parts(system), strict=True)))
         start = begin(changed, place.point, place.state, place.length)
         now, steps, count = advance(method, control, changed, start, jnp.asarray(2), 2048)
         return jnp.concatenate([now.point.q, now.point.p]), (now.cycle, steps.state, steps.state_after, count)
 
+    # The end, its derivative and what led to it by one program.
+    along_with = jax.jit(lambda factors, along: jax.jvp(end, (factors,), (along,), has_aux=True))
     one, small = jnp.ones(4), 1e-5
-    _, (cycles, before, after, count) = end(one)
+    _, _, (cycles, before, after, count) = along_with(one, one)
     assert cycles == 2
     switched = {(int(a), int(b)) for a, b in zip(before[:count, 0], after[:count, 0], strict=True) if a != b}
     assert switched >= {(STICK, SLIP), (SLIP, STICK), (SLIP, SEPARATION), (SEPARATION, SLIP)}
-    derivative = jax.jit(lambda along: jax.jvp(end, (one,), (along,), has_aux=True)[1])
     for along in jnp.eye(4):
-        difference = (end(one + small * along)[0] - end(one - small * along)[0]) / (2 * small)
-        assert relative_error(np.asarray(derivative(along)), difference) < 1e-6
+        ahead, behind = (along_with(one + sign * small * along, along)[0] for sign in (1, -1))
+        assert relative_error(np.asarray(along_with(one, along)[1]), (ahead - behind) / (2 * small)) < 1e-6
 
 
 # --- giving up ---

@@ -164,7 +164,8 @@ def march(
         return _march_together(method, own, *jax.tree.map(lambda leaf: leaf[chosen], (dynamics, start, cycles)))
 
     done = jax.lax.map(part, lanes)
-    whole: tuple[Trajectory, Array] = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:size], done)
+    # Not -1: without contacts there are leaves of no elements, which do not tell.
+    whole: tuple[Trajectory, Array] = jax.tree.map(lambda leaf: leaf.reshape(lanes.size, *leaf.shape[2:])[:size], done)
     return whole
 
 
