@@ -30,7 +30,7 @@ with install_import_hook(list(CHECKED), "beartype.beartype"):
 
 import jax  # noqa: E402
 
-LARGE = 1.1e9
+LARGE = 1.0e9
 """Resident bytes of a worker above which compiled programs are let go, also those that the next module asks for."""
 
 

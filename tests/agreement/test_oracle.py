@@ -277,7 +277,7 @@ def test_generated_models_do_not_hang_on_the_tolerance() -> None:
 # --- the traps of plain events ---
 
 
-# Plain events have two programs of their own; that they fail is asked in `tests/engine/test_event_loop.py` too.
+# Plain events have two programs of their own.
 @pytest.mark.slow
 @pytest.mark.parametrize("trap", [earliest_event_trap, double_crossing_trap])
 def test_plain_events_fail(trap: Callable[[], tuple[OracleResult, OracleResult]]) -> None:

@@ -104,7 +104,7 @@ STUDIES: dict[str, dict[str, Any]] = {
     **{f"element_map over {axes}": MOTION | own for axes, own in MAPS.items()},
 }
 PRELOAD = {"bistable": 2.0, "optimum": 3.0}
-SLOW = ("bistable", "hbm with convergence")
+SLOW = ("bistable", "compare", "hbm with convergence")
 
 
 def scene(name: str) -> dict[str, Any]:
