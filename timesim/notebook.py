@@ -295,7 +295,13 @@ def plot(
         folder: is made where it is missing.
         kind: of the files: png, pdf or svg.
         log: "amplitude", "frequency", or both: these axes are logarithmic.
+
+    Raises:
+        ValueError: what is given is no result, or a part of one, which names no study.
     """
+    if "study" not in getattr(result, "attrs", ()):
+        rule = "it must be a whole result, as a function of timesim or `timesim.open_result` returns it"
+        raise ValueError(f"result is a {type(result).__name__} that names no study: {rule}")
     Path(folder).mkdir(parents=True, exist_ok=True)
     return draw(result, folder, kind=kind, log=log)
 

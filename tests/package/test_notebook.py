@@ -84,6 +84,7 @@ def test_steady_states_and_curves():
         (lambda: oscillator(tangential_stiffness=[1, 2, 3]), "tangential_stiffness has shape"),
         (lambda: timesim.integrate(oscillator(friction=-1), 1.39, 5), "contacts.pad.friction"),
         (lambda: timesim.sweep(oscillator(), 1.39), "frequency has shape"),
+        (lambda: timesim.plot(oscillator(), "nowhere"), "names no study: it must be a whole result"),
     ],
 )
 def test_wrong_arguments_are_named(call, message):
