@@ -52,11 +52,11 @@ _MODULES = {
     "open_result": "timesim.result.netcdf",
     "run": "timesim.study.registry",
 }
-"""Where names stand; all others are those of `timesim.notebook`."""
+"""The module that defines each name; all others come from `timesim.notebook`."""
 
 
 def __getattr__(name: str) -> Any:
-    """Load what is asked for, and only that: the command line and workers need not pay for the rest."""
+    """Import a name when it is first used, so that the command line and workers do not pay for the rest."""
     if name not in __all__:
         raise AttributeError(f"module 'timesim' has no attribute {name!r}")
     source = "open_result" if name == "open" else name

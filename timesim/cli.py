@@ -29,10 +29,10 @@ app = typer.Typer(
 )
 
 LAST_SIGNAL = 3
-"""Number of the Ctrl-C that is obeyed whatever is under way."""
+"""The Ctrl-C, counted from 1, that ends the program whatever it is doing."""
 
 SECONDS_A_LINE = 60.0
-"""Between two lines on the progress of a run that nobody watches on a terminal."""
+"""Between two lines of progress where standard error is no terminal."""
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE.yaml", help="The scene file.")]
 Overrides = Annotated[
@@ -232,7 +232,7 @@ def _loaded(scene: Path, overrides: list[str] | None) -> Any:
 
 
 def _safe_chunks(output: Path) -> str:
-    """What is not lost although the result could not be saved."""
+    """What remains on disk where the result could not be saved."""
     from timesim.result import checkpoint
 
     done = checkpoint.chunks_done(output)
@@ -241,7 +241,7 @@ def _safe_chunks(output: Path) -> str:
 
 
 def _written(result: Path, pictures: Sequence[Path]) -> str:
-    """Where a result is, and how many pictures lie beside it."""
+    """Where the result is, and how many pictures were drawn beside it."""
     return f"result: {result}" + (f" and {len(pictures)} picture{'s' * (len(pictures) > 1)}" if pictures else "")
 
 
@@ -257,17 +257,17 @@ def _notice(text: str) -> None:
 
 
 class _Signals:
-    """Ctrl-C, or a termination as at the time limit of a cluster, during a run.
+    """Ctrl-C during a run, or the SIGTERM that a cluster sends at its time limit.
 
-    The first ends the study, which keeps what it has. From then on, and while any result is put together or saved, only
-    the third is obeyed.
+    The first one ends the study, which keeps what it has computed. After that, and while a result is being assembled or
+    saved, only the third is obeyed.
     """
 
     def __init__(self) -> None:
         self.saving, self._count = False, 0
 
     def __enter__(self) -> Self:
-        # What a shell lets its background ignore stays ignored.
+        # Signals that a shell has its background jobs ignore stay ignored.
         numbers = (signal.SIGINT, signal.SIGTERM)
         caught = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
         self._before = {number: signal.signal(number, self._take) for number in caught}
@@ -288,7 +288,7 @@ class _Signals:
 
 @contextmanager
 def _progress(standing: "Standing") -> Iterator[None]:
-    """A bar where somebody is watching, else a line a minute."""
+    """A bar on a terminal, otherwise a line a minute."""
     if sys.stderr.isatty():
         with _bar(standing):
             yield
@@ -326,16 +326,16 @@ def _bar(standing: "Standing") -> AbstractContextManager[Any]:
 
 def main() -> None:
     """Entry point of the ``timesim`` command."""
-    # The matrices are small and the work is spread over the processors already: where others compute too, a curve of
-    # harmonic balance takes eight times longer with the threads of OpenBLAS, which wait for each other (measured on two
-    # processors at load 5: 45 s against 5.7 s). Read when numpy is imported.
+    # The matrices are small and all processors are used already. On a machine that others use too, the threads of
+    # OpenBLAS wait for each other and make a curve of harmonic balance eight times slower (measured on two processors
+    # at load 5: 45 s against 5.7 s). numpy reads the variable when it is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Imports and traces leave half a million objects that last. At Python's own threshold the collector walks them so
-    # often that a second run of configs/oscillator.yaml takes 4.4 s of processor time in place of 3.8 (measured).
+    # Imports and traces leave half a million objects that stay alive. At Python's own threshold the garbage collector
+    # visits them so often that a second run of configs/oscillator.yaml takes 4.4 s of processor time instead of 3.8.
     gc.set_threshold(50_000)
-    # The next run takes 1 s less where programs are kept ready to run (see `timesim.program`).
+    # Compiled programs kept on disk save the next run 1 s (see `timesim.program`).
     os.environ.setdefault("TIMESIM_KEEP_PROGRAMS", "1")
-    # xarray imports dask, if it is installed, with its first Dataset: 0.3 s. What stands as None cannot be imported.
+    # xarray imports dask, if installed, with its first Dataset: 0.3 s. A module that is None is not imported.
     if not any(word.startswith("--cluster") for word in sys.argv):
         sys.modules.setdefault("dask", None)  # type: ignore[arg-type]
     app()

@@ -5,10 +5,10 @@
     system = timesim.system(structure, [pad], timesim.modal_forces([1, 1]))
     result = timesim.integrate(system, 1.39, 60)
 
-What is built here is the scene that a file would describe, as plain data, so that a scene in a file, `timesim.run` and
-these functions share one check and one numerics, and give the same bits. Frequencies in Hz, angles in degrees, the rest
-in any consistent unit system. Each function raises ValueError where the shape of an argument is wrong, and
-`timesim.SceneError` where a value is, with its key, the value, what is allowed and what to do.
+These functions build, as plain data, the scene that a file would describe. A scene file, `timesim.run` and these
+functions therefore share their checks and their numerics, and give the same bits. Frequencies are in Hz, angles in
+degrees, the rest in any consistent unit system. Each function raises ValueError where the shape of an argument is
+wrong, and `timesim.SceneError` where a value is, naming its key, the value, what is allowed and what to do.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     import xarray
 
 Section = dict[str, Any]
-"""A part of a scene, keys as in a scene file; one may be changed or put together by hand."""
+"""A part of a scene with the keys of a scene file; it may be edited or written by hand."""
 
 
 def _array(name: str, value: ArrayLike, shape: tuple[int | str, ...]) -> np.ndarray:
-    """The argument as an array; a text in `shape` stands for any length."""
+    """The argument as an array; a string in `shape` stands for any length."""
     array = np.asarray(value, dtype=np.float64)
     known = [(have, want) for have, want in zip(array.shape, shape, strict=False) if isinstance(want, int)]
     if array.ndim != len(shape) or any(have != want for have, want in known):
@@ -40,7 +40,7 @@ def _array(name: str, value: ArrayLike, shape: tuple[int | str, ...]) -> np.ndar
 
 
 def _each(name: str, value: ArrayLike, count: int) -> list[float]:
-    """One number for each mode, from a number or as many."""
+    """One number for each mode, given as one number for all or one for each."""
     array = np.asarray(value, dtype=np.float64)
     if array.shape not in {(), (count,)}:
         raise ValueError(f"{name} has shape {array.shape}, it must be a number or one a mode, shape ({count},)")
@@ -83,8 +83,8 @@ def matrices(
         mass, stiffness: symmetric, shape (R, R).
         points: row of each axis ("x", "y", "z") along which a point moves, from 0, by name.
         damping: viscous damping matrix, shape (R, R).
-        damping_ratio: share of critical damping in its place, a number or one a mode kept.
-        keep_modes: lowest modes that are kept; all by default.
+        damping_ratio: share of critical damping instead of a matrix, a number or one for each mode kept.
+        keep_modes: how many of the lowest modes are kept; all by default.
     """
     square = (np.shape(mass)[0], np.shape(mass)[0]) if np.ndim(mass) else ("R", "R")
     inline: Section = {"mass": _array("mass", mass, square), "stiffness": _array("stiffness", stiffness, square)}
@@ -267,7 +267,7 @@ def follow(
 
 
 def show(path: str | Path, at: Mapping[str, float | str]) -> "xarray.Dataset":
-    """The motion at a point of a sweep again, from the state that its result holds; see `timesim show`.
+    """Compute the motion at a point of a sweep again, from the state saved in the result; see `timesim show`.
 
     Args:
         path: result file of a study with a sweep, or the folder of its run.
@@ -291,10 +291,10 @@ def plot(
     """Draw the pictures of a result into a folder, creating it, and return the files; see `timesim plot`.
 
     Args:
-        result: in memory.
-        folder: is made where it is missing.
-        kind: of the files: png, pdf or svg.
-        log: "amplitude", "frequency", or both: these axes are logarithmic.
+        result: a result in memory.
+        folder: created if it does not exist.
+        kind: format of the files: png, pdf or svg.
+        log: "amplitude", "frequency", or both: axes to be logarithmic.
 
     Raises:
         ValueError: what is given is no result, or a part of one, which names no study.

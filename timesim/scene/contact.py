@@ -30,7 +30,7 @@ TangentialStiffness = Annotated[
 
 
 class LawSection(Section):
-    """A contact law by its name, with the parameters that it needs besides those that every contact has."""
+    """A contact law by its name, with the parameters that it has in addition to those of every contact."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Number]
@@ -70,7 +70,7 @@ class ContactSection(Section):
     """A frictional contact between a point and the ground or another point."""
 
     name: Name
-    """How results, messages and overrides call it."""
+    """Its name in results, messages and overrides."""
     point: Annotated[PointName | None, AfterValidator(_required), Field(validate_default=True)] = None
     """Point of body 1; a scene without a structure needs none."""
     against: BodyName = GROUND
@@ -121,7 +121,7 @@ class ContactSection(Section):
         if np.linalg.norm(tangent) < 1e-6:
             raise refuse("must not be parallel to the normal", key=("tangent",), value=self.tangent)
         tangent = unit(tangent - (tangent @ normal) * normal)
-        # Not np.cross: for one pair of vectors it takes longer than all else that a contact is checked for.
+        # For one pair of vectors np.cross takes longer than all other checks of a contact together.
         second = normal[[1, 2, 0]] * tangent[[2, 0, 1]] - normal[[2, 0, 1]] * tangent[[1, 2, 0]]
         return np.stack([tangent, second, normal])
 
@@ -132,11 +132,11 @@ class ContactSection(Section):
 
     @property
     def idle_stiffness(self) -> bool:
-        """Whether K_u has no effect: under the law of the cone it has none without friction."""
+        """Whether K_u has no effect, as under the cone law without friction."""
         return self.law is None and self.friction == 0
 
     def build(self) -> Contact:
-        """The contact in numbers; a K_u without effect is 0."""
+        """The contact in numbers; a K_u that has no effect is set to 0."""
         K = self.stiffness_matrix() * (not self.idle_stiffness)
         return Contact(
             name=self.name,

@@ -73,7 +73,7 @@ class ElementSection(StudySection):
 
 @dataclass(frozen=True, eq=False)
 class ElementPlan:
-    """A contact under prescribed motion of body 1 relative to body 2 in its axes; the rest as in `Element`."""
+    """A contact under the prescribed motion of body 1 relative to body 2, in its axes; the rest as in `Element`."""
 
     contact: Contact
     motion: "Motion"
@@ -102,7 +102,7 @@ class Element(ElementSection):
     harmonics: Annotated[Count, Field(le=1000)] = 1
     """Highest harmonic of the friction force that is kept."""
     principal_axes: Switch = False
-    """The coefficients along the principal axes of the ellipse too."""
+    """Also give the coefficients along the principal axes of the ellipse."""
     samples: Annotated[Whole, Field(ge=36, le=10**6)] = 720
     """Angles of the cycle that are recorded."""
     cross_check: Switch = True
@@ -146,9 +146,9 @@ class Element(ElementSection):
 # Maps
 
 OF_CONTACT = ("friction", "normal_stiffness", "preload")
-"""Parameters of a map that the contact has, where the map does not give them."""
+"""Parameters of a map that are those of the contact where the map does not give them."""
 MAP_AXES = {key: key.lower() for key in ("A", "B", "D", "phi_deg", "psi_deg", *OF_CONTACT)}
-"""Parameters of a map that may be an axis, and the names of the axes in the result."""
+"""Parameters over which a map may be computed, and their names in the result."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +212,7 @@ class ElementMap(ElementSection):
         return [key for key in MAP_AXES if not isinstance(getattr(self, key), float | None)]
 
     def plan(self, context: Context) -> MapPlan:
-        """The contact and the values of the parameters; every pair of them must allow the bodies to touch."""
+        """The contact and the values of the parameters; the bodies must be able to touch at every pair of them."""
         section, given = self.chosen(context), self._given()
         values = {key: (getattr(section, key),) for key in OF_CONTACT} | given
         if min(values["normal_stiffness"]) == 0 and min(values["preload"]) <= 0:

@@ -35,7 +35,7 @@ UnitName = Annotated[Text, AfterValidator(_letters)]
 
 
 class UnitsSection(Section):
-    """Names of the units that the scene is written in: results and pictures are labelled with them, time is in s."""
+    """Units that the scene is written in, with which results and pictures are labelled; time is in s."""
 
     length: UnitName | None = None
     """Such as m or mm."""
@@ -56,7 +56,7 @@ class SceneParts(Section):
 
 
 class SceneFile(SceneParts):
-    """A scene: what is modelled, and what is to be computed of it."""
+    """A scene: what is modelled, and what is computed."""
 
     study: StudySection
 
@@ -124,11 +124,11 @@ def json_schema(kinds: Kinds) -> dict[str, Any]:
 
 
 BOUNDS = {"ge": "minimum", "le": "maximum"}
-"""Of a number that a validator reads first pydantic writes the bounds by its own names, which editors do not know."""
+"""Names in JSON Schema of bounds that pydantic writes by its own names, where a validator runs before them."""
 
 
 def _for_editors(part: Any) -> Any:
-    """The same with bounds by their names, and without the null that stands for a key that a file leaves out."""
+    """The same with the bounds named as in JSON Schema, and without the null of a key that may be left out."""
     if isinstance(part, list):
         return [_for_editors(item) for item in part if item != {"type": "null"}]
     if not isinstance(part, dict):
@@ -163,13 +163,13 @@ RULES = {
 
 
 NO_NUMBER = {RULES[kind] for kind in ("string_type", "bool_type", "tuple_type", "dict_type", "model_type")}
-"""Rules that a number breaks wherever it stands."""
+"""Rules that any number breaks, whatever its value."""
 
 
 def rule_errors(error: ValidationError, tree: type[SceneParts], missing: Iterable[RuleError] = ()) -> list[RuleError]:
-    """All that pydantic refuses; a required key is not missing where only its name is misspelt.
+    """All that pydantic refuses; a required key that is only misspelt is not reported as missing too.
 
-    ``tree``: the sections that it has read; ``missing``: keys that are required for another reason.
+    ``tree``: the sections that were validated; ``missing``: keys that are required for another reason.
     """
     errors = [_rule_error(details, tree) for details in error.errors(include_url=False) if not _miscounted(details)]
     meant = [(*error.key[:-1], error.hint) for error in errors if error.rule == RULES["extra_forbidden"]]
@@ -182,7 +182,7 @@ def rule_errors(error: ValidationError, tree: type[SceneParts], missing: Iterabl
 
 
 def _miscounted(details: Any) -> bool:
-    """Whether a list is too short only because pydantic does not count the entries that it refuses."""
+    """Whether a list is called too short only because pydantic does not count the entries that it refuses."""
     return details["type"] == "too_short" and len(details["input"]) >= details["ctx"]["min_length"]
 
 
@@ -232,7 +232,7 @@ def _hint(
 
 
 def _fields_at(location: Sequence[str | int], kind: Any) -> dict[str, FieldInfo]:
-    """Keys that the section at a place below another allows, each with what is said of it."""
+    """The keys that are allowed in the section at a location below another, each with its description."""
     for part in location:
         kind = _below(kind, part)
     sections = [item for item in _options(kind) if isinstance(item, type) and issubclass(item, Section)]
@@ -253,7 +253,7 @@ def _below(kind: Any, part: str | int) -> Any:
 
 
 def _options(kind: Any) -> list[Any]:
-    """Members of a union, however wrapped; a tagged one stays wrapped beside what it holds."""
+    """Members of a union, however wrapped; a tagged one is given both wrapped and unwrapped."""
     if get_origin(kind) is Annotated:
         inner = _options(get_args(kind)[0])
         return [kind, *inner] if any(isinstance(item, Tag) for item in kind.__metadata__) else inner

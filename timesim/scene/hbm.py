@@ -51,8 +51,8 @@ class HbmPlan:
     """Response curves by harmonic balance.
 
     Attributes:
-        scheme: what is balanced, at first where the program chooses it.
-        chosen: the keys of the scheme that the program raises where what it is proves too coarse.
+        scheme: harmonics and time samples, the first ones tried where the program chooses them.
+        chosen: the keys of the scheme that the program raises where it proves too coarse.
         span: first and last frequency of the curves [Hz].
         over: the further axes, a curve or several for each combination of values.
         along: the scalar that the curves run along at the frequency `span[0]`; None: they run along the frequency.
@@ -76,7 +76,7 @@ class HbmPlan:
     passing: tuple[SavedStates, Mapping[str, float | str]] | None = None
 
     def schemes_for(self, model: Model) -> tuple[Scheme, ...]:
-        """What a model is balanced with at first, harmonics that are excited too, and what may be taken after that."""
+        """The scheme to begin with, which has all excited harmonics, and those that may be taken after it."""
         if "harmonics" not in self.chosen:
             return (self.scheme,)
         harmonics, choose = max(self.scheme.harmonics, highest_excited(model)), "time_samples" in self.chosen
@@ -106,7 +106,7 @@ class Continuation(Section):
     max_points: Annotated[Whole, Field(ge=2)] = 5000
     """Points after which the curve is given up."""
     tolerance: Annotated[Positive, Field(le=1e-3)] = 1e-9
-    """Of the balance at each point, relative to the size of the motion."""
+    """Tolerance of the balance at each point, relative to the size of the motion."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -125,8 +125,8 @@ def default_steps() -> Continuation:
 class ResultStart(ResultSection):
     """The motion that a transient has settled to, or those of a sweep.
 
-    From a transient's motion the curve is followed to both sides of its frequency. With a sweep the linear response is
-    followed first, then a curve from each of the points (those of `at`, if it is given) that no curve passes.
+    From the motion of a transient the curve is followed to both sides of its frequency. With a sweep, the curve from
+    the linear response is followed first, then one from each point (of those that `at` selects) that no curve passes.
     """
 
     def begin(self, plan: HbmPlan, context: Context) -> HbmPlan:
@@ -182,10 +182,10 @@ HarmonicsOrNone = AutoOr[Annotated[Whole, Field(ge=0, le=1000)]]
 
 
 def balanced(harmonics: int | Literal["auto"], time_samples: int | Literal["auto"]) -> tuple[Scheme, tuple[str, ...]]:
-    """What is balanced at first, and which of the two the program chooses.
+    """The scheme to begin with, and which of the two numbers the program chooses.
 
     Raises:
-        PydanticCustomError: it is too coarse.
+        PydanticCustomError: the scheme is too coarse.
     """
     keys = {"harmonics": harmonics, "time_samples": time_samples}
     count = FIRST_HARMONICS if harmonics == "auto" else harmonics
@@ -206,18 +206,18 @@ def balance_problems(model: Model, harmonics: int | Literal["auto"]) -> Iterator
 
 
 class BalanceSection(StudySection):
-    """The keys of a harmonic balance, also as a part of another study."""
+    """The keys of a harmonic balance, on its own or as a part of another study."""
 
     cone_only: ClassVar[bool] = True
 
     harmonics: Harmonics = "auto"
-    """Highest harmonic of the excitation frequency that is balanced, the mean beside them; auto: 9, and more at each
+    """Highest harmonic of the excitation frequency that is balanced, besides the mean; auto: 9, and more at each
     solution where those above would add more than 1e-4 of the amplitude, up to a number that `check` names."""
     time_samples: TimeSamples = "auto"
-    """Samples of a period on which the contact forces are evaluated; at least 16, and 4 a harmonic; auto: 256, or more
+    """Samples of a period at which the contact forces are evaluated; at least 16, and 4 a harmonic; auto: 256, or more
     from 11 harmonics on, and four times as many where those would change the contacts' motion by over 1e-3."""
     stability: Switch = True
-    """Floquet multipliers of every point; without, only folds tell stable from unstable."""
+    """Compute the Floquet multipliers of every point; without them only folds tell stable from unstable."""
     start: StartSection = "linear"
     """linear: the linear response with the contacts stuck or apart, else a load that grows from zero, else the motion
     of a time integration; both_ends: the same from both ends; or {from: result.nc}, a transient's motion, or a
@@ -225,7 +225,7 @@ class BalanceSection(StudySection):
     continuation: Continuation = Field(default_factory=default_steps)
     """Steps along the curve."""
     convergence: Switch = False
-    """Say how the answer depends on harmonics and time samples."""
+    """Compute how the answer depends on harmonics and time samples."""
 
     @model_validator(mode="after")
     def _fine_enough(self) -> Self:
@@ -233,7 +233,7 @@ class BalanceSection(StudySection):
         return self
 
     def problems(self, model: Model) -> Iterator[RuleError]:
-        """There must be contacts, and a periodic excitation whose harmonics are balanced."""
+        """There must be contacts and a periodic excitation, whose harmonics must all be balanced."""
         return balance_problems(model, self.harmonics)
 
     def balance(self, context: Context, span: tuple[float, float], over: Axes, along: Along | None = None) -> HbmPlan:
@@ -274,7 +274,7 @@ class Hbm(BalanceSection):
     ]
     """{from, to} [Hz]; a number where the curve runs `along` another scalar."""
     along: Annotated[dict[Scalar, Span], AlongOne] = Field(default_factory=dict)
-    """In place of the frequency: a scalar of the scene by its key, with from and to."""
+    """A scalar of the scene by its key, with from and to, instead of the frequency."""
     over: Over = Field(default_factory=dict)
     """A curve for each value: scalars of the scene by their key."""
 
@@ -312,7 +312,7 @@ class Compare(SweepSection, BalanceSection):
     kind: Literal["compare"]
 
     def plan(self, context: Context) -> ComparePlan:
-        """The balance from the first to the last frequency of the sweep, or a little beyond a single one."""
+        """The balance runs from the first to the last frequency of the sweep, or a little beyond a single one."""
         sweep = self.sweep()
         low, high = float(sweep.frequency[0]), float(sweep.frequency[-1])
         return ComparePlan(sweep, self.balance(context, (low, high if high > low else 1.001 * low), sweep.over))

@@ -55,11 +55,11 @@ class ResultSection(Section):
     source: FilePath = Field(alias="from")
     """Path of its result.nc, relative to the scene."""
     at: dict[Text, Number | Text] = Field(default_factory=dict)
-    """Of a sweep: which point, by its axes: {frequency: 0.945, direction: up, contacts.pad.preload: -4}."""
+    """Which point of a sweep, by its axes: {frequency: 0.945, direction: up, contacts.pad.preload: -4}."""
 
 
 EndOfRun = tuple[SavedStates, Mapping[str, np.ndarray]]
-"""A result, and the arrays of the one of its states that a run starts from."""
+"""The states of a result, and the arrays of the one that a run starts from."""
 
 
 class InitialResult(ResultSection):
@@ -101,7 +101,7 @@ InitialSection = Annotated[
 def start(initial: InitialSection, physics: Model, order: np.ndarray, end: EndOfRun | None) -> Start:
     """State at the start of a model at rest.
 
-    ``order``: the scene's index of each mode; ``end``: what the section reads, if it takes up a result.
+    ``order``: the scene's index of each mode; ``end``: what the section has read, where it starts from a result.
     """
     if isinstance(initial, StateSection):
         return initial.build(physics, order)
@@ -120,8 +120,8 @@ class SolverSection(Section):
     accuracy: Literal["draft", "standard", "reference"] | None = None
     """A preset; standard by default."""
     method: Literal["auto", "exponential", "tsit5", "dopri5", "dopri8", "kvaerno5", "rk4"] | None = None
-    """auto, the default, goes with an accuracy: what takes least time, by the scene. The others stand in place of one;
-    rk4 with fixed steps for comparison."""
+    """auto, the default, goes with an accuracy: the fastest method for the scene. The others replace an accuracy; rk4
+    has fixed steps and is there for comparison."""
     rtol: Annotated[Number, Field(ge=1e-15, lt=1)] | None = None
     """Tolerance of a step relative to the state, 1e-8 by default."""
     atol: Annotated[Number, Field(gt=0, lt=1)] | None = None
@@ -129,11 +129,11 @@ class SolverSection(Section):
     steps_per_cycle: Annotated[Whole, Field(ge=200)] | None = None
     """Fixed steps of rk4, 200 by default."""
     reduce: Switch = True
-    """Leave out what the scene cannot need."""
+    """Leave out what cannot matter in the scene."""
     estimate_error: Switch = True
-    """Of a transient or a jump: estimate its error by a second, coarser run, which adds 0.6 of its time."""
+    """Estimate the error of a transient or a jump by a second, coarser run, which adds 0.6 of its time."""
     max_steps: Count = 100_000
-    """Budget of steps of one cycle."""
+    """Most steps of one cycle."""
 
     @model_validator(mode="after")
     def _together(self) -> Self:
@@ -155,7 +155,7 @@ class SolverSection(Section):
         return self.completed(rtol=rtol, atol=rtol / 100)
 
     def build(self) -> Solver:
-        """The method in numbers; of an accuracy, those of an easy scene."""
+        """The method in numbers; where an accuracy is given, the numbers that suit an easy scene."""
         if self.steps_per_cycle is not None:
             numbers = Solver("rk4", 1e-8, 1e-10, longest=2 * np.pi / self.steps_per_cycle)
         elif self.accuracy is None:

@@ -70,7 +70,7 @@ def _left_out(scene: Scene, model: Model) -> tuple[str, ...]:
 
 
 def _method_lines(scene: Scene, model: Model) -> Iterator[str]:
-    """What integrates in time, and why; contacts that make it hard for explicit methods."""
+    """The method of time integration and why it was chosen; contacts that are hard for explicit methods."""
     study = scene.file.study
     frequency = model.excitation.frequency if study.uses_frequency else study.lowest_frequency()
     if frequency is None:
@@ -88,7 +88,7 @@ def _method_lines(scene: Scene, model: Model) -> Iterator[str]:
 
 
 def _accuracy_lines(scene: Scene, model: Model) -> Iterator[str]:
-    """What is promised, by which tolerances, and how the error becomes known."""
+    """The promised error, the tolerances that keep it, and how the error is estimated."""
     if scene.promise is not None:
         end = "of the state at the end of the run" if isinstance(scene.plan, Schedule) else "of a steady state"
         numbers, least = scene.solver(), scene.file.solver.build()
@@ -109,7 +109,7 @@ def _accuracy_lines(scene: Scene, model: Model) -> Iterator[str]:
 
 
 def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
-    """About how long the phases of the study take, and where the figures come from; nothing where none is known."""
+    """Roughly how long each phase of the study takes, and where the figures come from; empty if none is known."""
     study, plan, solver = scene.file.study, scene.plan, scene.solver()
     lines = []
     if isinstance(plan, Schedule):
@@ -143,7 +143,7 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
 
 
 def _sweep_cost(model: Model, solver: Solver, sweep: SweepPlan) -> tuple[int, float, float]:
-    """Of a sweep the cycles of a point, and the seconds of one of them and of all points."""
+    """The cycles of a point of a sweep, the seconds of one cycle, and those of all points."""
     whole = sweep.work(model)
     ((frequency, every),) = whole.phases
     cycles, own = round(every / sweep.size), seconds_a_cycle(model, solver, frequency, whole.side_by_side)
@@ -151,12 +151,12 @@ def _sweep_cost(model: Model, solver: Solver, sweep: SweepPlan) -> tuple[int, fl
 
 
 def _balance(plan: Any) -> HbmPlan | None:
-    """The harmonic balance that a study consists of, or has beside others."""
+    """The harmonic balance that is the whole or a part of a study."""
     return plan if isinstance(plan, HbmPlan) else getattr(plan, "balance", None)
 
 
 DURATIONS = (("h", 3600.0, 7200.0), ("min", 60.0, 120.0), ("s", 1.0, 1.0), ("ms", 1e-3, 1e-3), ("µs", 1e-6, 0.0))
-"""Units of a time: seconds of one, and from how many on it is used."""
+"""Units of time: the seconds in one, and from how many seconds on it is used."""
 
 
 def _duration(seconds: float) -> str:
@@ -242,14 +242,14 @@ def _study_lines(scene: Scene) -> Iterator[str]:
 
 
 def _keys(section: BaseModel, order: Iterable[str]) -> str:
-    """What a section holds, the keys that were written first and in their order."""
+    """The contents of a section, first the keys that the scene names, in their order."""
     values = section.model_dump(by_alias=True, exclude_none=True)
     keys = dict.fromkeys([key for key in order if key in values] + list(values))
     return ", ".join(f"{key} {_brief(values[key])}" for key in keys)
 
 
 def _brief(value: Any) -> str:
-    """A value as YAML writes it, long lists without their middle."""
+    """A value in YAML, without the middle of long lists."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{key}: {_brief(item)}" for key, item in value.items()) + "}"
     if isinstance(value, list | tuple):

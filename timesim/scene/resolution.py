@@ -1,6 +1,6 @@
-"""From a scene file to a scene that can be run: overrides, every problem with its place, the resolved text.
+"""From a scene file to a scene that can be run: overrides, all problems with their places, the resolved text.
 
-Nothing here loads JAX, and the kinds of study that there are come as an argument.
+Nothing here loads JAX. The kinds of study are passed in as an argument.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,7 +33,7 @@ NO_FORCE = ExcitationSection()
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene that has passed every check: its text with the overrides, its sections, the kinds of study known."""
+    """A scene that has passed every check: its data with the overrides, its sections, the known kinds of study."""
 
     source: SceneSource
     file: SceneFile
@@ -54,19 +54,19 @@ class Scene:
 
     @property
     def plan(self) -> Any:
-        """What its study carries out: the frozen dataclass that the section of the study builds."""
+        """What the study computes, in numbers: the frozen dataclass that its section builds."""
         return self._built.plan
 
     @property
     def promise(self) -> float | None:
-        """Relative error that its accuracy promises; None where a method is given, or nothing is integrated in time."""
+        """Relative error that the accuracy promises; None if a method is given or nothing is integrated in time."""
         accuracy = self.file.solver.accuracy
         in_time = isinstance(self.plan, Schedule) or isinstance(self.file.study, SteadySection)
         return PROMISE[accuracy] if accuracy is not None and in_time else None
 
     @cached_property
     def choice(self) -> Choice | None:
-        """What integrates it by its accuracy, one for all its points; None where a method is given, or nothing is."""
+        """The solver chosen for its accuracy, the same at all its points; None where `promise` is None."""
         accuracy, study = self.file.solver.accuracy, self.file.study
         if self.promise is None or accuracy is None:
             return None
@@ -77,7 +77,7 @@ class Scene:
         return choice(accuracy, self.model(), work, self.file.solver.max_steps, reduce=self.file.solver.reduce)
 
     def solver(self) -> Solver:
-        """How it is integrated, in numbers: of an accuracy those that keep its promise."""
+        """How it is integrated, in numbers; for an accuracy, those that keep its promise."""
         numbers = self.file.solver.build()
         if self.choice is None:
             return numbers
@@ -88,15 +88,15 @@ class Scene:
         """What is modelled, in numbers.
 
         Raises:
-            SceneError: the scene has no structure, as that of a contact under prescribed motion.
+            SceneError: the scene has no structure, as one of a contact under prescribed motion.
         """
         return self.variant({})
 
     def variant(self, values: Mapping[str, float]) -> Model:
         """The model with other scalars, by key path as in a study's ``over``.
 
-        Only the parts of the scene that the keys lie in are read again: the eigenproblem of a structure is solved anew
-        for keys below ``structure`` alone.
+        Only the sections that the keys lie in are read again, so that the eigenproblem of a structure is solved anew
+        only for keys below ``structure``.
 
         Raises:
             SceneError: the scene cannot have these values, or it has no structure.
@@ -156,7 +156,7 @@ def _scene(source: SceneSource, kinds: Kinds) -> Scene:
 
 
 def _restored(source: SceneSource, kinds: Kinds, built: "_Built") -> Scene:
-    """A scene that has passed every check in another process."""
+    """A scene that another process has checked already."""
     file, _ = parsed(source.data, kinds)
     assert file is not None
     scene = Scene(source, file, kinds)
@@ -165,7 +165,11 @@ def _restored(source: SceneSource, kinds: Kinds, built: "_Built") -> Scene:
 
 
 def _check_combinations(scene: Scene) -> None:
-    """Refuse values of which a combination makes no scene, or of which none does if the study keeps failed points."""
+    """Refuse values that make no valid scene.
+
+    Every combination must make one. Where the study keeps failed points, it is enough that each value makes one in some
+    combination.
+    """
     study = scene.file.study
     axes = {str(place[-1]): values for place, values in study.varied().items()}
     failures: list[tuple[dict[str, float], Problem]] = []
@@ -184,7 +188,7 @@ def _check_combinations(scene: Scene) -> None:
 
 
 def _refused(scene: Scene, values: Mapping[str, float], problem: Problem) -> RuleError:
-    """Why a combination of values is refused: named by the one value that is refused alone, else by all."""
+    """Why a combination of values is refused: names the value that is refused on its own, or else all of them."""
     places = {place[-1]: ("study", *place) for place in scene.file.study.varied()}
     for key, value in values.items():
         try:
@@ -212,7 +216,7 @@ def _scene_error(source: SceneSource, errors: Sequence[RuleError]) -> SceneError
 
 @dataclass(frozen=True)
 class _Built:
-    """A scene in numbers, None for what it does not have; `end` is what `initial` reads of another run."""
+    """A scene in numbers, None for what it lacks; `end` is what `initial` has read from another run."""
 
     plan: Any
     structure: BuiltStructure | None
@@ -235,7 +239,7 @@ class _Build:
             self.errors.append(error.below(*key))
 
     def plan(self) -> Any:
-        """What the study carries out."""
+        """What the study computes."""
         study, contacts = self.file.study, self.file.contacts
         method = self.file.solver.method
         if study.explicit_only and method in ("kvaerno5", "exponential"):
@@ -255,7 +259,7 @@ class _Build:
             return self.file.structure.build(self.folder)
 
     def end(self) -> EndOfRun | None:
-        """What `initial` reads of another run."""
+        """What `initial` reads from another run."""
         if not isinstance(self.file.initial, InitialResult):
             return None
         with self.under("initial"):

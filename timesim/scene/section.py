@@ -22,18 +22,18 @@ def refuse(rule: str, *, key: Key = (), hint: str = "", value: Any = None) -> Py
 
 
 class Section(BaseModel):
-    """A mapping of the scene file: no other keys than these, and nothing changes once it is read."""
+    """A mapping of the scene file: no other keys are allowed, and it does not change once it is read."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=False, use_attribute_docstrings=True)
 
     def completed(self, **defaults: Any) -> Self:
-        """The same with values for keys that were left out and whose default depends on other keys."""
+        """The same with defaults, which depend on other keys, for keys that were left out."""
         missing = {key: value for key, value in defaults.items() if getattr(self, key) is None}
         return self.model_copy(update=missing) if missing else self
 
 
 def form(value: Any) -> str | None:
-    """In which form a value is written: the tag of one member of a union."""
+    """The form in which a value is written, as the tag of a member of a union."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return "<number>"
     if isinstance(value, str):
@@ -44,7 +44,7 @@ def form(value: Any) -> str | None:
 
 
 def by_form(allowed: str, kind: Callable[[Any], str | None] = form) -> Discriminator:
-    """Chooses the member of a union by the form of the value: ``allowed`` says in words what it must be."""
+    """Chooses the member of a union by the form of the value; ``allowed`` says in words what it must be."""
     return Discriminator(kind, custom_error_type="rule", custom_error_message=f"must be {allowed}")
 
 

@@ -11,11 +11,11 @@ from timesim.scene.text import MAX_BYTES, MAX_DEPTH, parse, plain, value_text
 
 @dataclass(frozen=True)
 class SceneSource:
-    """Plain data of a scene and where each key of it stands.
+    """Plain data of a scene and the line of each key.
 
     Attributes:
         name: the file, as messages call it.
-        folder: what relative paths in the scene start from.
+        folder: where relative paths in the scene begin.
         data: mappings, lists, text, numbers.
         lines: line of each key path that the file holds, from 1.
         overridden: key paths whose values do not come from the file.
@@ -110,7 +110,7 @@ NAMED_BY_KEYS = {("study", "over"), ("study", "along"), ("study", "start", "at")
 
 
 def overridden(source: SceneSource, overrides: Mapping[str, Any] | Sequence[str]) -> SceneSource:
-    """The source with new values; mappings that are missing on the way to a key are added, and None takes a key out.
+    """The source with new values; mappings that are missing on the way to a key are added, and None removes a key.
 
     Raises:
         SceneError: an override that is no assignment, or addresses nothing.
@@ -140,7 +140,7 @@ def _assignment(text: str) -> tuple[str, Any]:
 def _changed(place: Any, path: str, value: Any, above: Key = ()) -> tuple[Any, Key]:
     """A copy of the data at a key with another value at a path below it, and the whole key path of that value.
 
-    Only what lies on the path is copied: the rest may be large, and an alias shares its value with other keys.
+    Only what lies on the path is copied, since the rest may be large, and since an alias shares its value with others.
     """
     if len(above) > MAX_DEPTH:
         raise RuleError(above[:4], f"is nested deeper than {MAX_DEPTH} levels")
@@ -160,7 +160,7 @@ def _changed(place: Any, path: str, value: Any, above: Key = ()) -> tuple[Any, K
 def _first(path: str, named: Any) -> tuple[str, str | None]:
     """The first part of a path and the rest, None where there is none.
 
-    ``named``: the mapping it leads into if its keys are key paths themselves, else None.
+    ``named``: the mapping that the path leads into, if its keys are key paths themselves, else None.
     """
     if named is None:
         part, dot, rest = path.partition(".")

@@ -36,7 +36,7 @@ class Mode(Section):
     frequency: NotNegative
     """Natural frequency [Hz]; 0 for a free motion."""
     damping_ratio: NotNegative
-    """Share of critical damping; above 1 the mode creeps back without oscillating."""
+    """Share of critical damping; above 1 the mode does not oscillate."""
     mass: Positive
     """Modal mass."""
     shape: Annotated[dict[Name, Vector], Field(min_length=1)]
@@ -69,7 +69,7 @@ class ModalSection(Section):
 
 
 class PointRows(Section):
-    """Rows of the matrices that are a point's motion along x, y, z; along a missing axis it does not move."""
+    """Rows of the matrices for a point's motion along x, y, z; along an axis that is left out it does not move."""
 
     x: Row | None = None
     y: Row | None = None
@@ -107,7 +107,7 @@ class InlineMatrices(Section):
     damping: Matrix | None = None
     """Viscous damping matrix, symmetric."""
     damping_ratio: Ratio | None = None
-    """Share of critical damping of every mode, or one a mode; in place of the matrix."""
+    """Share of critical damping of every mode, or one a mode; instead of the matrix."""
     points: Points
     """Row of each axis of each point, from 0."""
 
@@ -158,7 +158,7 @@ class FileSection(Section):
     ]
     """A .npz or .mat file with mass, stiffness, damping (or M, K, C), or a file for each."""
     damping_ratio: Ratio | None = None
-    """Share of critical damping of every mode, or one a mode; rules over a damping matrix in the file."""
+    """Share of critical damping of every mode, or one a mode; takes precedence over a damping matrix in the file."""
     points: Points
     """Row of each axis of each point, from 0."""
     keep_modes: Count | None = None
@@ -207,7 +207,7 @@ StructureSection = Annotated[
 
 
 def point_names(written: Any) -> tuple[str, ...] | None:
-    """Names of the points that a structure gives, as it is written; None where they cannot be read."""
+    """Names of the points of a structure, from its data as written; None where they cannot be read."""
     shapes: list[Any] = []
     match written:
         case {"modes": [*modes]}:

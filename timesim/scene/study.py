@@ -1,4 +1,4 @@
-"""What the sections of the studies share: their base class, scalars of the scene that they vary, sweeps."""
+"""What the sections of the studies share: their base class, the scalars of the scene that they vary, and sweeps."""
 
 import abc
 from collections.abc import Iterator, Mapping
@@ -25,7 +25,7 @@ Axes = Mapping[str, tuple[float, ...]]
 MAX_COMBINATIONS = 100_000
 """Most combinations of values of the further axes.
 
-Each is checked before anything runs, which takes 0.4 ms where the structure is left as it is, and each is kept as a
+Each is checked before anything runs, which takes 0.4 ms where the structure does not change, and each is kept as a
 model while the study runs.
 """
 
@@ -63,10 +63,10 @@ def _at_most_one(along: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 Scalar = Annotated[Text, AfterValidator(_scalar)]
-"""Key path of a number of the scene, such as contacts.pad.preload; whether it is one shows when it is set."""
+"""Key path of a number of the scene, such as contacts.pad.preload; that it is a number is checked by setting it."""
 Over = Annotated[dict[Scalar, Annotated[Values, AfterValidator(_distinct)]], AfterValidator(_countable)]
 AlongOne = AfterValidator(_at_most_one)
-"""Of a mapping by `Scalar`: it has one entry at most."""
+"""Refuses a mapping by `Scalar` with more than one entry."""
 
 
 def axes_of(over: Mapping[str, Any]) -> Axes:
@@ -81,12 +81,12 @@ def combinations(axes: Axes) -> Iterator[dict[str, float]]:
 
 @dataclass(frozen=True)
 class Context:
-    """What a study may need of the rest of the scene.
+    """What a study may need from the rest of the scene.
 
     Attributes:
         contacts: the sections of the contacts.
         frequency: of the excitation [Hz]; None where the scene names none.
-        folder: what relative paths start from.
+        folder: where relative paths begin.
     """
 
     contacts: tuple[ContactSection, ...]
@@ -106,7 +106,7 @@ class StudySection(Section):
     cone_only: ClassVar[bool] = False
     """Whether the contacts must obey the law of the cone."""
     keeps_failures: ClassVar[bool] = False
-    """Whether a combination of values that makes no scene becomes a failed point, beside others that do make one."""
+    """Whether a combination of values that makes no valid scene becomes a failed point beside the others."""
 
     counts: ClassVar[str] = "points"
     """What its progress is counted in."""
@@ -115,7 +115,7 @@ class StudySection(Section):
 
     @abc.abstractmethod
     def plan(self, context: Context) -> Any:
-        """What is to be computed, in numbers: a frozen dataclass that the study carries out.
+        """What is to be computed, in numbers: a frozen dataclass.
 
         Raises:
             RuleError: the section does not fit the rest of the scene; the key is relative to the study.
@@ -131,11 +131,11 @@ class StudySection(Section):
         return {(part, key): values for part in parts for key, values in axes_of(getattr(self, part)).items()}
 
     def lowest_frequency(self) -> float | None:
-        """Lowest of the frequencies that it runs at in time [Hz]; None if it names none."""
+        """Lowest frequency of its time integration [Hz]; None if it names none."""
         return None
 
     def extent(self) -> str:
-        """How many steady states it looks for, in words; empty if it looks for none."""
+        """How many steady states it computes, in words; empty if none."""
         return ""
 
 
@@ -143,7 +143,7 @@ class Settle(Section):
     """When a motion counts as settled."""
 
     tolerance: Annotated[Positive, Field(le=1e-2)] = 1e-8
-    """Of the state from cycle to cycle, relative to its largest entry, extrapolated to all cycles to come."""
+    """Change of the state, relative to its largest entry, extrapolated over all cycles still to come."""
     max_cycles: Count = 2000
     """Excitation cycles after which a point is given up as not settled."""
 
@@ -177,7 +177,7 @@ class SweepPlan:
         return self.frequency.size * prod(map(len, self.over.values())) * len(self.directions)
 
     def work(self, model: Model) -> Work:
-        """About the cycles that it takes, in which the slowest mode of the model decays."""
+        """Roughly the cycles that it takes, by the decay of the slowest mode of the model."""
         mean = float(np.mean(self.frequency))
         cycles = self.size * cycles_to_settle(model, self.criterion, mean)
         return Work(((mean, cycles),), float(self.frequency[0]), FEW if self.chained else MANY)
@@ -189,27 +189,27 @@ class SteadySection(StudySection):
     settle: Settle = Settle()
     """When a motion counts as settled."""
     periodic: Literal["march", "shoot"] = "march"
-    """How a periodic motion is sought: marching, and Newton's method on the state after a period after 256 cycles, or,
-    with shoot, after 16."""
+    """How a periodic motion is sought: by marching, with Newton's method on the state after a period from cycle 256 on,
+    or, with shoot, from cycle 16 on."""
 
     def criterion(self) -> Criterion:
         """When a motion counts as settled, in numbers."""
         return Criterion(self.settle.tolerance, self.settle.max_cycles, SHOOT if self.periodic == "shoot" else SLOW)
 
     def search(self) -> str:
-        """What is looked for after the sweep, in words."""
+        """What is searched for after the sweep, in words."""
         return ""
 
     @abc.abstractmethod
     def sweep(self) -> SweepPlan:
-        """The sweep that it consists of or begins with, in numbers."""
+        """The sweep that is the study, or its first part, in numbers."""
 
     def lowest_frequency(self) -> float:
-        """The first of the sweep."""
+        """The first frequency of the sweep."""
         return float(self.sweep().frequency[0])
 
     def extent(self) -> str:
-        """Frequencies, values of the further axes and directions, and what is looked for after them."""
+        """Numbers of frequencies, values of the further axes and directions, and what is searched for after them."""
         plan = self.sweep()
         factors = [f"{plan.frequency.size} frequencies"]
         factors += [f"{len(values)} values of {key}" for key, values in plan.over.items()]
@@ -220,7 +220,7 @@ class SteadySection(StudySection):
 
 
 class SweepSection(SteadySection):
-    """The keys of a sweep, also as a part of another study."""
+    """The keys of a sweep, on its own or as a part of another study."""
 
     frequency: Frequencies
     """{from, to, step} or {values: [...]} [Hz]."""
@@ -229,7 +229,7 @@ class SweepSection(SteadySection):
     over: Over = Field(default_factory=dict)
     """Further axes: scalars of the scene by their key, each with its values."""
     refine: Positive | None = None
-    """Width [Hz] to which the frequency of a jump between two steps of a sweep is bisected; by default it is not."""
+    """Width [Hz] to which the frequency of each jump of the sweep is bisected; by default jumps are not bisected."""
 
     @model_validator(mode="after")
     def _jumps_need_a_direction(self) -> Self:
@@ -243,5 +243,5 @@ class SweepSection(SteadySection):
         return SweepPlan(self.frequency.values(), directions, axes_of(self.over), self.criterion(), self.refine)
 
     def search(self) -> str:
-        """Jumps, if they are to be found."""
+        """Jumps, if they are bisected."""
         return "" if self.refine is None else ", and the search for jumps"

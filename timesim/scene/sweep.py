@@ -47,8 +47,8 @@ class OptimumPlan:
 
     Attributes:
         key: of the scalar.
-        values: looked at first, ascending; the least peak is sought from the first of them to the last.
-        accuracy: of the scalar where the peak is least.
+        values: computed first, ascending; the least peak is sought between the first and the last of them.
+        accuracy: of the value of the scalar where the peak is least.
         frequency: [Hz], ascending, shape (F,).
         criterion: when a motion counts as settled.
         point, axis: whose amplitude counts; the largest of all where it is None.
@@ -65,7 +65,7 @@ class OptimumPlan:
 
 ACCURACY = 1e-3
 """Accuracy of the scalar where none is given, as a share of its range."""
-FEWEST = 3  # values, one of which may be the least between two others
+FEWEST = 3  # values, so that one may lie between two others
 
 
 class Optimum(SteadySection):
@@ -73,11 +73,11 @@ class Optimum(SteadySection):
 
     kind: Literal["optimum"]
     along: Annotated[dict[Scalar, Range], AlongOne]
-    """A scalar of the scene by its key, with from, to and num: the values looked at before the least is sought."""
+    """A scalar of the scene by its key, with from, to and num: the values computed before the least is sought."""
     frequency: Frequencies
     """{from, to, step} or {values: [...]} [Hz]; swept up and down, and the peak is sought between its points."""
     accuracy: Positive | None = None
-    """Of the scalar where the peak is least; by default a thousandth of its range."""
+    """Accuracy of the value of the scalar where the peak is least; by default a thousandth of its range."""
     point: PointName | None = None
     """Point whose amplitude counts; the largest of all by default."""
     axis: Literal["x", "y", "z"] | None = None
@@ -97,14 +97,14 @@ class Optimum(SteadySection):
         return self.completed(accuracy=ACCURACY * span)
 
     def plan(self, context: Context) -> OptimumPlan:
-        """The scalar, the frequencies and whose amplitude counts."""
+        """The scalar, the frequencies, and the point and axis whose amplitude counts."""
         sweep = self.sweep()
         ((key, values),) = sweep.over.items()
         assert self.accuracy is not None
         return OptimumPlan(key, values, self.accuracy, sweep.frequency, sweep.criterion, self.point, self.axis)
 
     def sweep(self) -> SweepPlan:
-        """Up and down at each of the values of the scalar that are looked at first."""
+        """Up and down at each value of the scalar that is computed first."""
         return SweepPlan(self.frequency.values(), ("up", "down"), axes_of(self.along), self.criterion(), None)
 
     def search(self) -> str:
@@ -117,7 +117,7 @@ class Optimum(SteadySection):
 
 @dataclass(frozen=True)
 class BistablePlan:
-    """Where a response has two steady motions: sweeps up and down, and the branch behind, None to leave it out."""
+    """Where a response has two steady motions: sweeps up and down, and the balance, which is None if left out."""
 
     sweep: SweepPlan
     width: float
@@ -159,9 +159,9 @@ class Bistable(SteadySection):
     settle: SlowSettle = SlowSettle()
     """When a motion counts as settled; near the end of a range it does so very slowly."""
     starts: Annotated[Whole, Field(ge=0, le=101)] = 9
-    """Starts at mid-range, as many along each side of a square: sums of the two motions; 5, 9, 13, ..., 0 for none."""
+    """Starts at mid-range along each side of a square of sums of the two motions: 5, 9, 13, ..., or 0 for none."""
     harmonics: HarmonicsOrNone = "auto"
-    """Highest harmonic of the branch by harmonic balance that is drawn behind, or auto; 0 draws none."""
+    """Highest harmonic of the curve by harmonic balance that is drawn behind, or auto; 0 leaves it out."""
     time_samples: TimeSamples = "auto"
     """Samples of a period that the balance takes."""
 
@@ -183,7 +183,7 @@ class Bistable(SteadySection):
         return self.completed(step=step)
 
     def sweep(self) -> SweepPlan:
-        """Up and down; the last point is the upper end, whatever the step."""
+        """Up and down; the step is adjusted so that the last point is the upper end."""
         assert self.step is not None
         first, to = self.frequency.first, self.frequency.to
         frequency = spaced(first, to, (to - first) / round((to - first) / self.step))
@@ -194,7 +194,7 @@ class Bistable(SteadySection):
         return " in the sweeps, and the search for the ends"
 
     def plan(self, context: Context) -> BistablePlan:
-        """Sweeps up and down, the search for the ends, the starts at mid-range, and the branch by harmonic balance."""
+        """Sweeps up and down, the search for the ends, the starts at mid-range, and the curve by harmonic balance."""
         sweep, balance = self.sweep(), None
         if self.harmonics:
             span = (self.frequency.first, self.frequency.to)

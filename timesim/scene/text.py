@@ -50,7 +50,7 @@ def value_text(value: Any) -> str:
 
 
 def plain(value: Any, key: Key = ()) -> Any:
-    """Data from Python as YAML would have given them: arrays as lists, paths and keys as text.
+    """Data from Python as YAML would give them: arrays as lists, paths and keys as text.
 
     Raises:
         RuleError: a value of a type that no scene holds, or one nested without end.
@@ -102,10 +102,10 @@ def _decoded(content: bytes) -> str:
 
 
 class _Reader:
-    """Walks the events of one document, in which ruamel has parsed its text.
+    """Reads one document from the parser events of ruamel.
 
-    ruamel's round trip knows lines too, but it does not report a tag on a plain scalar, nor the key path of a key that
-    stands twice; it reads 1_0 as a number and 2001-01-01 as a date, which the core schema does not; and it recurses
+    ruamel's round-trip loader knows lines too. But it reports neither a tag on a plain scalar nor the key path of a
+    duplicate key, it reads 1_0 as a number and 2001-01-01 as a date, which the core schema does not, and it recurses
     through nested text and aliases before their depth and size can be bounded.
     """
 
@@ -188,7 +188,7 @@ def _line(event: Any) -> int:
 
 
 def scalar(text: str) -> Any:
-    """Value of plain text in the core schema of YAML 1.2."""
+    """The value of a plain scalar in the core schema of YAML 1.2."""
     if _NULL.fullmatch(text):
         return None
     if _BOOL.fullmatch(text):
@@ -201,7 +201,7 @@ def scalar(text: str) -> Any:
 
 
 def yaml_text(data: Mapping[str, Any]) -> str:
-    """Plain data as YAML that `parse` reads back as it was; numbers keep every digit."""
+    """Plain data as YAML from which `parse` restores them exactly; numbers keep every digit."""
     return "".join(_block(data, 0))
 
 

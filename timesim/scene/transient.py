@@ -107,7 +107,7 @@ class TradeoffPlan:
     amplitude: bool
 
     def preset(self, accuracy: str, model: Model, max_steps: int) -> Solver:
-        """What an accuracy would run a transient of so many cycles by."""
+        """The solver that an accuracy would choose for a transient of as many cycles."""
         return choice(accuracy, model, Work.of_run(((self.frequency, self.cycles),), estimated=True), max_steps).solver
 
 
@@ -124,13 +124,13 @@ class Tradeoff(StudySection):
     error: Annotated[Positive, Field(ge=1e-12, lt=1)] = 1e-6
     """Wanted error of the state at the end, relative to its size."""
     budget: Positive = 60.0
-    """Seconds for all runs and their compilation; what goes beyond it is left out, the cheapest come first."""
+    """Seconds for all runs and their compilation; the cheapest runs come first, and those beyond it are left out."""
     amplitude: Switch = False
-    """Judge the settled amplitude in place of the state at the end, what a sweep needs: the runs begin where it has
-    settled."""
+    """Judge the settled amplitude, which is what a sweep needs, instead of the state at the end: the runs begin from
+    the settled motion."""
 
     def plan(self, context: Context) -> TradeoffPlan:
-        """The run and what is asked of it."""
+        """The run, and the error and budget asked for."""
         assert context.frequency is not None
         return TradeoffPlan(context.frequency, self.cycles, self.error, self.budget, self.amplitude)
 
@@ -153,7 +153,7 @@ class Jump(StudySection):
     phases: Annotated[tuple[FrequencyPhase, ...], Field(min_length=1)]
     """Frequencies one after the other, each with its cycles; time 0 is the start of the first."""
     run_up: tuple[FrequencyPhase, ...] = ()
-    """Phases before these, at negative times: no samples of them are kept, but their transitions and amplitudes."""
+    """Phases before these, at negative times: their transitions and amplitudes are kept, but no samples."""
     samples_per_cycle: Samples = 200
     """Recorded samples of one cycle."""
 
@@ -164,5 +164,5 @@ class Jump(StudySection):
         return Schedule(phases, len(self.run_up), before, self.samples_per_cycle)
 
     def lowest_frequency(self) -> float:
-        """Of all phases."""
+        """The lowest of all phases."""
         return min(phase.frequency for phase in (*self.run_up, *self.phases))

@@ -23,7 +23,7 @@ from timesim.model.scales import LARGEST
 from timesim.scene.section import AsList, AsMapping, AsNumber, Section, by_form, refuse
 
 MAX_POINTS = 10**6
-"""Most points of one study along its own axes: a result of more would not fit into memory."""
+"""Most points of a study along its own axes: the result of more would not fit into memory."""
 
 
 def _whole(value: Any) -> Any:
@@ -50,10 +50,10 @@ def _rectangular(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...]
 
 
 def named(what: str, rule: str, *others: str) -> AfterValidator:
-    """Refuses a name that the scene does not give; where its names cannot be read, any is let through.
+    """Refuses a name that the scene does not define; accepts any where the names of the scene cannot be read.
 
     Args:
-        what: of what it is a name, "points" or "contacts": a key of the context in which the scene is validated.
+        what: "points" or "contacts", a key of the context in which the scene is validated.
         rule: what the name must be.
         others: further names that are allowed.
     """
@@ -86,7 +86,7 @@ PointName = Annotated[Text, named("points", "must be a point of the structure")]
 BodyName = Annotated[Text, named("points", "must be a point of the structure", GROUND)]
 ContactName = Annotated[Text, named("contacts", "must be a contact")]
 FilePath = Annotated[str, Strict(), PlainSerializer(_from_root)]
-"""Path relative to the scene; written from the root where the context of the dump names a `folder`."""
+"""Path relative to the scene; dumped as an absolute path where the context of the dump names a `folder`."""
 Pair = Annotated[tuple[Number, ...], Field(min_length=2, max_length=2)]
 Vector = Annotated[tuple[Number, ...], Field(min_length=3, max_length=3)]
 Direction = Annotated[tuple[Finite, ...], Field(min_length=3, max_length=3), AfterValidator(_direction)]
@@ -164,14 +164,14 @@ def axis_values(given: float | Sequence[float] | Range | Span) -> tuple[float, .
 
 
 def repeated(values: Sequence[float]) -> str:
-    """The first value that is there more than once, in words; empty if all differ."""
+    """The first value that occurs more than once, in words; empty if all differ."""
     return next((f"{value:.10g} stands twice" for value, count in Counter(values).items() if count > 1), "")
 
 
 def num_points(first: float, to: float, step: float) -> float:
-    """How many of `first`, `first + step`, ... lie up to `to`, which is one of them if it is missed by 1e-9 step.
+    """How many of `first`, `first + step`, ... lie up to `to`, which counts if it lies within 1e-9 step of one.
 
-    A float, since the quotient of numbers far apart is infinite.
+    A float, since the quotient may be infinite.
     """
     return float(np.floor((to - first) / step + 1e-9)) + 1
 
@@ -186,7 +186,7 @@ class Frequencies(Section):
     step: Positive | None = None
     """Step [Hz]."""
     listed: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = Field(None, alias="values")
-    """In place of from, to and step: the frequencies [Hz], in any order."""
+    """The frequencies [Hz] in any order, instead of from, to and step."""
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
