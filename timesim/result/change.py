@@ -1,4 +1,4 @@
-"""Whether data or a scene have changed, and in what."""
+"""Whether data or a scene have changed, and where."""
 
 import hashlib
 import json
@@ -26,7 +26,7 @@ def fingerprint(*values: Any) -> str:
 
 
 def _canonical(value: Any) -> Any:
-    """What stands in the canonical text for an object that JSON does not know."""
+    """How an object that JSON does not know is written in the canonical text."""
     if isinstance(value, np.ndarray | np.generic) and not value.dtype.hasobject:
         return ["array", value.dtype.str, value.shape, hashlib.sha256(value.tobytes()).hexdigest()]
     if is_dataclass(value) and not isinstance(value, type):
@@ -39,7 +39,7 @@ def _canonical(value: Any) -> Any:
 
 
 def scene_difference(before: str, now: str) -> str:
-    """The first keys in which two scenes differ, with both values; of other text, the first lines."""
+    """The first keys in which two scenes differ, with both values; for text that is no scene, the first lines."""
     try:
         old, new = (dict(_leaves(YAML(typ="safe", pure=True).load(text))) for text in (before, now))
     except YAMLError:
@@ -52,7 +52,7 @@ def scene_difference(before: str, now: str) -> str:
 
 
 def _leaves(data: Any, key: str = "") -> Iterator[tuple[str, str]]:
-    """Key path and value of all that a scene holds; items of a list go by their name, or by their number."""
+    """Key path and value of everything in a scene; items of a list go by their name or their number."""
     if isinstance(data, list) and any(isinstance(item, dict) for item in data):
         data = {str(item.get("name", i)) if isinstance(item, dict) else i: item for i, item in enumerate(data)}
     if isinstance(data, dict):

@@ -1,13 +1,13 @@
-"""What a campaign has done so far, kept in the run folder: a file for each chunk and a manifest of what they belong to.
+"""Finished work of a campaign, kept in the run folder: a file for each chunk, and a manifest of what they belong to.
 
     FOLDER/checkpoint/manifest.json        scene, version, and a fingerprint of every chunk
     FOLDER/checkpoint/NAME.npz             result of a chunk
     FOLDER/checkpoint/seconds              time that all of them took
-    FOLDER/checkpoint/growing.nc           of harmonic balance: the result so far, with the curve that is being followed
-    FOLDER/checkpoint/STAGE/…              the same of a later stage of the study
+    FOLDER/checkpoint/growing.nc           harmonic balance only: the result so far, with the curve being followed
+    FOLDER/checkpoint/STAGE/…              the same for a later stage of the study
 
-Every file appears whole or not at all, the manifest before the chunks, and it is the first that goes: whatever the
-moment a run is killed at, what is found afterwards is right.
+Every file appears whole or not at all. The manifest is written before the chunks and removed first, so that the folder
+is consistent whenever a run is killed.
 """
 
 import io
@@ -35,17 +35,17 @@ LOCK_NAME = ".lock"
 SECONDS_NAME = "seconds"
 GROWING_NAME = "growing.nc"
 
-INTERRUPTED = "interrupted"  # how the reason of a campaign that was given up begins
+INTERRUPTED = "interrupted"  # the reason of an interrupted campaign begins with it
 
 Result = Mapping[str, np.ndarray]
-"""What a chunk gives: named arrays."""
+"""Result of a chunk: arrays by name."""
 
 _AGAIN = "choose another folder, or give --force to start anew"
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """What the chunks of a checkpoint belong to: the resolved scene, a fingerprint of each, and the version at work."""
+    """What the chunks of a checkpoint belong to: the resolved scene, the fingerprint of each, and the version used."""
 
     identity: str
     chunks: Mapping[str, str]
@@ -68,7 +68,7 @@ class Manifest:
             raise StoreError(f"{path} cannot be read ({error}), {lost}; {_AGAIN}") from error
 
     def change(self, now: "Manifest") -> str | None:
-        """What tells it from another, in words; None if nothing does."""
+        """How it differs from another, in words; None if it does not."""
         if self.identity != now.identity:
             return f"is of another scene: {scene_difference(self.identity, now.identity)}"
         if self.timesim != now.timesim:
@@ -88,16 +88,16 @@ class Checkpoint:
     Attributes:
         folder: where they are.
         lock: keeps other runs out of it.
-        earlier: seconds that the chunks taken up took.
-        begun: when the work on the others began, as `time.monotonic` counts.
-        writer: writes them.
+        earlier: seconds spent on the chunks that were taken up.
+        begun: when the work on the others began, by `time.monotonic`.
+        writer: the thread that writes them.
     """
 
     folder: Path
     lock: filelock.BaseFileLock
     earlier: float = 0.0
     begun: float = field(default_factory=time.monotonic)
-    # An interrupt reaches the main thread alone: what another one writes is never cut off by it.
+    # Only the main thread is interrupted, so a file that another thread writes is never cut off.
     writer: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "timesim-checkpoint"))
 
     def save(self, name: str, result: Result) -> None:
@@ -118,7 +118,7 @@ class Checkpoint:
         except ValueError as error:
             raise StoreError(f"chunk {name}, '{key}': not an array of numbers or text: {error}") from error
         write_whole(self.folder / f"{name}.npz", image.getvalue())
-        with suppress(OSError):  # nothing but the time that is shown depends on it
+        with suppress(OSError):  # only the time shown depends on it
             (self.folder / SECONDS_NAME).write_text(f"{self.earlier + time.monotonic() - self.begun:.3f}\n")
 
     def load(self, name: str) -> Result | None:
@@ -129,7 +129,7 @@ class Checkpoint:
         """
         path = self.folder / f"{name}.npz"
         try:
-            # Read here: numpy leaves a file open that it cannot read.
+            # Read into memory first: numpy leaves open a file that it cannot read.
             with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as arrays:
                 return {key: arrays[key] for key in arrays.files}
         except FileNotFoundError:
@@ -138,18 +138,18 @@ class Checkpoint:
             raise StoreError(f"{path} is damaged or cut off ({error})") from error
 
     def close(self) -> None:
-        """Let another run take it up."""
+        """Release the lock, so that another run may take it up."""
         self.writer.shutdown()
         self.lock.release()
 
 
 def begin(run_folder: Path, manifest: Manifest, *, resume: bool, stage: str = "") -> tuple[Checkpoint, bool]:
-    """The checkpoint of a campaign, or of a later stage of it, and whether there is something in it to take up.
+    """The checkpoint of a campaign, or of a later stage of it, and whether it holds finished work to take up.
 
-    What is there is removed unless the run is resumed.
+    Unless the run is resumed, finished work is removed.
 
     Raises:
-        StoreError: what is there belongs to something else or is being worked on, or the folder cannot be written.
+        StoreError: it belongs to something else, another run is at work in it, or the folder cannot be written.
     """
     folder = run_folder / FOLDER_NAME / stage
     try:
@@ -206,7 +206,7 @@ def clear(run_folder: Path | str) -> None:
     """Remove the checkpoint of a run whose result is saved, or that is to start anew.
 
     Raises:
-        StoreError: it may not be removed, or another run is at work in it.
+        StoreError: it cannot be removed, or another run is at work in it.
     """
     root = Path(run_folder) / FOLDER_NAME
     if not root.is_dir():
@@ -230,9 +230,9 @@ def _empty(folder: Path) -> None:
 
 
 def is_finished(run_folder: Path | str, scene: str, *, force: bool, resume: bool) -> bool:
-    """Whether a run folder, if it exists, holds the whole result of a resolved scene; refuses what is something else.
+    """Whether a run folder, if it exists, holds the complete result of a resolved scene.
 
-    With ``force`` what is there may be overwritten, with ``resume`` it is to be taken up.
+    With ``force`` its contents may be overwritten, with ``resume`` they are to be taken up.
 
     Raises:
         StoreError: the folder holds an unfinished run and neither is given, or a run of another scene is to be resumed.
@@ -252,7 +252,7 @@ def is_finished(run_folder: Path | str, scene: str, *, force: bool, resume: bool
 
 
 def chunks_done(run_folder: Path | str) -> int:
-    """Finished chunks of a run that is not finished."""
+    """Number of finished chunks of an unfinished run."""
     folder = Path(run_folder) / FOLDER_NAME
     return _count(folder) if (folder / MANIFEST_NAME).exists() else 0
 
@@ -271,8 +271,7 @@ def _seconds(folder: Path) -> float:
 
 
 def resuming_helps(run_folder: Path | str, reason: str) -> bool:
-    """Whether a run that ended early for a reason would get further when it is resumed: chunks are missing, or it was
-    interrupted after them."""
+    """Whether a run that ended early would get further if resumed: chunks are missing, or it was interrupted later."""
     root = Path(run_folder) / FOLDER_NAME
     missing = [
         name
@@ -285,7 +284,7 @@ def resuming_helps(run_folder: Path | str, reason: str) -> bool:
 
 
 def _is_whole(folder: Path, scene: str) -> bool:
-    """Whether the result of this scene is complete, where a run is to be resumed."""
+    """Whether the result of this scene is complete, for a run that is to be resumed."""
     attrs = {}
     if (folder / RESULT_NAME).exists():
         attrs = dict(read(folder)[""].attrs)

@@ -20,13 +20,13 @@ NAMES = {
 }
 
 FIRST = {"mode": 1, "cycle": 1, "harmonic": 0}
-"""First number along the dimensions that are counted."""
+"""First number along the dimensions that count something."""
 
 
 def coordinates(variables: Mapping[str, tuple[Any, ...]], model: Model | None = None) -> dict[str, Any]:
-    """Coordinates of those dimensions of variables that the model determines, or that are the same everywhere.
+    """Coordinates along those dimensions of variables that the model determines, or that are the same in all results.
 
-    Beside the names of the contacts stands their coefficient of friction: one that is 0 is a stop.
+    Besides the names of the contacts they hold their coefficients of friction: a contact with 0 is a stop.
 
     Args:
         variables: ``{name: (dimensions, array)}``.
@@ -45,7 +45,7 @@ def coordinates(variables: Mapping[str, tuple[Any, ...]], model: Model | None = 
 
 
 def rubs(data: "Dataset") -> "DataArray":
-    """Which contacts of a result have friction, along its contacts; where another slips, one without is closed."""
+    """Which contacts of a result have friction; one without is closed in the state in which others slip."""
     known = data.coords.get("friction")
     return data["contact"].notnull() if known is None else known > 0
 

@@ -1,4 +1,4 @@
-"""The result of a study in memory: an xarray Dataset whose every variable bears its meaning and units."""
+"""The result of a study in memory: an xarray Dataset in which every variable has its meaning and units."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any

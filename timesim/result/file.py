@@ -11,7 +11,7 @@ class StoreError(Exception):
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file beside its place, force it to the disk, and only then give it its name.
+    """Write a file under a temporary name, flush it to the disk, and only then rename it.
 
     Raises:
         StoreError: the disk is full, the folder is missing or may not be written.

@@ -12,13 +12,13 @@ from timesim.result.netcdf import RESULT_NAME
 
 SCENE_NAME = "scene.yaml"
 SHOW_NAME = "show"
-"""Folder in that of a run, for points of its sweep."""
+"""Folder below that of a run, for the points of its sweep that are shown."""
 
 LISTED = 3  # other files that a message names
 
 
 def check_folder(folder: Path | str, *, overwrite: bool = False) -> None:
-    """Refuse a run folder that holds a result or other files, or cannot be a folder; touches nothing.
+    """Refuse a run folder that holds a result or other files, or that cannot be a folder; changes nothing on disk.
 
     Raises:
         StoreError: with the reason and what to do.
@@ -48,7 +48,7 @@ def _refuse_other_files(path: Path) -> None:
 
 @contextmanager
 def locked_folder(folder: Path | str) -> Iterator[Path]:
-    """The folder of a run, made where it is missing; no other run may work in it meanwhile.
+    """The folder of a run, created if missing and locked against other runs.
 
     Raises:
         StoreError: another run is at work in it, or it cannot be made.
@@ -66,22 +66,22 @@ def locked_folder(folder: Path | str) -> Iterator[Path]:
             (path / checkpoint.LOCK_NAME).unlink()
         lock.release()
         if new:
-            with suppress(OSError):  # something was written
+            with suppress(OSError):  # it is not empty
                 path.rmdir()
 
 
 def prepare_folder(
     folder: Path, scene: str, *, overwrite: bool = False, source: Path | None = None, stale: Iterable[str] = ()
 ) -> None:
-    """Write the resolved scene into the folder of a run; for when the scene is known to be good.
+    """Write the resolved scene, which has passed its checks, into the folder of a run.
 
     Args:
         folder: an existing folder.
         scene: the resolved scene as YAML.
-        overwrite: the folder may hold another run. Its checkpoint and pictures are removed; its result stays until
-            another one replaces it.
-        source: file the scene was read from; never overwritten by a different text.
-        stale: names of the pictures.
+        overwrite: the folder may hold another run, whose checkpoint and pictures are removed; its result stays until
+            the new one replaces it.
+        source: file that the scene was read from; never overwritten by another text.
+        stale: names of the pictures to remove.
 
     Raises:
         StoreError: the scene would overwrite another one, or the folder cannot be written.
@@ -100,7 +100,7 @@ def prepare_folder(
 
 
 def _remove_shown(folder: Path) -> None:
-    """Remove the points of a sweep that were shown, and nothing else that is in their folder."""
+    """Remove the points of a sweep that were shown, and no other files in their folder."""
     for point in folder.iterdir() if folder.is_dir() else ():
         if (point / RESULT_NAME).exists():
             shutil.rmtree(point)

@@ -1,7 +1,7 @@
-"""Names that occur in result files, with their meaning and units: the one table of them.
+"""The table of all names in result files, with their meaning and units.
 
-Units are those of the scene's own consistent system, so the texts name quantities where the scene does not name its
-units: ``length``, ``force``, ``length/s``, ``force*length`` (energy), ``force/length`` (stiffness). Time is in ``s``,
+Units are those of the scene's own consistent system. Where the scene does not name them, quantities stand in their
+place: ``length``, ``force``, ``length/s``, ``force*length`` (energy), ``force/length`` (stiffness). Time is in ``s``,
 frequency in ``Hz``, angles in ``degree``, pure numbers in ``1``. Modal displacements are in ``modal length``: times the
 mode shape of the scene they give a length. Names, flags and text have no units.
 """
@@ -212,7 +212,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "other_offset": ("1: the methods differ since a contact that sticks all the time keeps another offset", "1"),
 }
 
-# Units of the scene's own scalars, by the last part of their key: these become axes of a parameter study.
+# Units of the scalars of a scene, which may be axes of a parameter study, by the last part of their key.
 SCENE_UNITS = {
     "frequency": "Hz",
     "phase_deg": "degree",
@@ -242,11 +242,11 @@ FLAGS = {
     "range_irregular": {-1: "no_range", 0: "none", 1: "smaller", 2: "larger"},
     "start_branch": {-1: "none", 0: "smaller", 1: "larger", 2: "another", 3: "irregular"},
 }
-"""Meaning of the values of a variable that counts nothing."""
+"""Meaning of the values of variables whose numbers stand for words."""
 
 
 BASE = ("length", "force")
-"""Quantities whose units a scene may name; all other units follow, as that of power, ``N*m/s``."""
+"""Quantities whose units a scene may name; the other units follow from them, such as ``N*m/s`` of power."""
 
 
 def attributes(name: str, named: Mapping[str, str] | None = None) -> dict[str, Any]:
@@ -273,12 +273,12 @@ def attributes(name: str, named: Mapping[str, str] | None = None) -> dict[str, A
 
 
 def with_unit(number: str, attrs: Mapping[str, Any]) -> str:
-    """A number, as text, and the unit in the attributes of its variable, where that is a name and no quantity."""
+    """A number, as text, with the unit in the attributes of its variable, if the scene names it."""
     units = str(attrs.get("units", "1"))
     return number if units == "1" or any(quantity in units for quantity in BASE) else f"{number} {units}"
 
 
 def in_words(values: Mapping[str, float], end: str = "") -> str:
-    """Values of scalars of the scene by their keys, with an end such as a colon; empty where there are none."""
+    """Values of scalars of the scene with their keys, followed by ``end``; empty if there are none."""
     words = ", ".join(f"{key} {value:g}" for key, value in values.items())
     return words + end if words else ""

@@ -1,4 +1,4 @@
-"""Files of a prescribed motion: one cycle of u1, u2 and v at equal angles, as .csv or .npz, or in a result."""
+"""Prescribed motions from files: one cycle of u1, u2 and v at equal angles, as .csv, as .npz, or in a result."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -104,7 +104,7 @@ def _check_names(path: Path, names: list[str]) -> None:
 
 
 def _samples(path: Path, columns: Mapping[str, Array]) -> Array:
-    """One cycle as rows (u1, u2, v), the repeated end left out, after the checks."""
+    """One cycle as rows (u1, u2, v), checked, without a repeated end."""
     sizes = {name: np.shape(column) for name, column in columns.items()}
     if len(set(sizes.values())) > 1 or any(len(size) != 1 for size in sizes.values()):
         raise ValueError(f"motion file {path}: the columns must be vectors of one length, not {sizes}")
@@ -124,7 +124,7 @@ def _samples(path: Path, columns: Mapping[str, Array]) -> Array:
 
 
 def _end_repeats(samples: Array) -> bool:
-    """Whether the last row is the first again: it is as near, and the cycle is the smoother without it."""
+    """Whether the last row repeats the first: it lies as near, and the cycle is smoother without it."""
     gap = np.abs(samples[-1] - samples[0]).max()
     steps = np.abs(np.diff(samples, axis=0)).max(1)
     if gap > 1e-3 * max(steps[0], steps[-1]):
@@ -133,7 +133,7 @@ def _end_repeats(samples: Array) -> bool:
 
 
 def _seam(samples: Array) -> float:
-    """Roughness of the closed cycle about its end: the largest fourth difference there."""
+    """Roughness of the closed cycle around its end: the largest fourth difference there."""
     around = np.concatenate([samples[-5:], samples[:5]])
     return float(np.abs(np.diff(around, 4, axis=0)).max())
 

@@ -26,10 +26,10 @@ _COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
 
 def save(result: "xarray.Dataset | Mapping[str, xarray.Dataset]", path: Path | str) -> Path:
-    """Write a result file into an existing folder; an interrupted or failed write leaves what was there before.
+    """Write a result file into an existing folder; an interrupted or failed write leaves an earlier file unchanged.
 
     Args:
-        result: a Dataset, or Datasets by the name of their group, ``""`` the root, which bears
+        result: a Dataset, or Datasets by the name of their group, ``""`` the root, which has the
             `REQUIRED_ATTRIBUTES`.
         path: file to write, which is returned.
 
@@ -47,7 +47,7 @@ def save(result: "xarray.Dataset | Mapping[str, xarray.Dataset]", path: Path | s
 
 
 def open_result(path: Path | str) -> "xarray.Dataset | xarray.DataTree":
-    """Result of a run in memory, by its file or the folder of the run; the file is closed again.
+    """Load the result of a run into memory, by its file or the folder of the run.
 
     Returns:
         A Dataset, or a DataTree of a result with groups. A coordinate of the tree's root hides a variable of that
@@ -60,7 +60,7 @@ def open_result(path: Path | str) -> "xarray.Dataset | xarray.DataTree":
 
 
 def joined(groups: "Mapping[str, xarray.Dataset]") -> "xarray.Dataset | xarray.DataTree":
-    """Datasets by the name of their group as one: the root alone, or a tree."""
+    """Datasets by the name of their group as one object: the Dataset of the root alone, or a DataTree."""
     import xarray
 
     if set(groups) == {""}:
@@ -89,7 +89,7 @@ def read(path: Path | str) -> "dict[str, xarray.Dataset]":
 
 
 def _content(groups: "Mapping[str, xarray.Dataset]") -> bytes:
-    """The bytes of a file. Written to memory first: HDF5 reports a full disk late, and not always as an error."""
+    """The bytes of a file. They are made in memory since HDF5 reports a full disk late, and not always as an error."""
     import h5netcdf
     from xarray.backends import H5NetCDFStore
 

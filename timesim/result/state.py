@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 STATE = ("modal_displacement", "modal_velocity", "slip", "contact_state")
 POINT = ("amplitude", "settled", "period", "slip_share", "separation_share", "failure")
 LISTED = 12  # values, or points, that a message names
-SAME = 1e-9  # share of a value by which one asked for may differ from one of the axis
+SAME = 1e-9  # share of a value by which one that is asked for may differ from one on the axis
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class SavedStates:
 
     Attributes:
         contacts: their names.
-        arrays: `final_...` of every state, and of a sweep what is known of its points, axes of the sweep first.
-        axes: the values along these axes; empty for a run.
-        phase: of the excitation in all these states [rad].
+        arrays: `final_...` of every state, and of a sweep `POINT` as well, the axes of the sweep first.
+        axes: the values along these axes; empty for a single run.
+        phase: of the excitation, the same in all these states [rad].
     """
 
     contacts: tuple[str, ...]
@@ -45,10 +45,10 @@ class SavedStates:
         return {name: array[place] for name, array in self.arrays.items()}
 
     def places(self, asked: Mapping[str, float | str]) -> dict[str, Sequence[int]]:
-        """Positions along each axis: one where it is asked for, else all.
+        """Positions along each axis: one where a value is asked for, else all.
 
         Raises:
-            RuleError: no such axis, or no such value along it; the key is that of the axis.
+            RuleError: no such axis, or no such value along it; the key is the name of the axis.
         """
         for name, value in asked.items():
             if name not in self.axes:
@@ -60,10 +60,10 @@ class SavedStates:
         }
 
     def one(self, asked: Mapping[str, float | str]) -> dict[str, np.ndarray]:
-        """The arrays of the one state that is asked for.
+        """The arrays of the state that is asked for.
 
         Raises:
-            RuleError: there is none, or more than one.
+            RuleError: no state fits, or more than one does.
         """
         places = self.places(asked)
         for name, positions in places.items():
@@ -75,7 +75,7 @@ class SavedStates:
         return arrays
 
     def _matches(self, places: Mapping[str, Sequence[int]]) -> str:
-        """The points at some positions along each axis, in words: all of them, or the values along each axis."""
+        """The points at some positions along each axis, in words: all if few, else the values along each axis."""
         free = {name: positions for name, positions in places.items() if len(positions) > 1}
         count = prod(map(len, free.values()))
         if len(free) == 1 or count > LISTED:
@@ -91,9 +91,9 @@ SweepPoint = tuple[float, dict[str, np.ndarray]]
 
 
 def settled_points(states: SavedStates, asked: Mapping[str, float | str]) -> Iterator[SweepPoint]:
-    """Points of a sweep with slip, or contact for a part of the cycle, that repeat each cycle.
+    """Points of a sweep with slip, or contact for a part of the cycle, whose motion repeats each cycle.
 
-    ``asked``: values along some of its axes, as of `SavedStates.places`; the others are taken whole.
+    ``asked``: values along some axes, as for `SavedStates.places`; along the others all points are taken.
     """
     for place in product(*states.places(asked).values()):
         point = states.at(place)
@@ -135,7 +135,7 @@ def _word(value: float | str) -> str:
 
 
 def _listed(values: np.ndarray, near: float | str | None = None, subject: str = "it") -> str:
-    """Values of an axis in words: all, or the range and those next to a value."""
+    """Values of an axis in words: all if few, else the range and those next to ``near``."""
     words = [_word(value) for value in values]
     if len(words) <= LISTED:
         return f"{subject} has {', '.join(words)}"
@@ -147,10 +147,10 @@ def _listed(values: np.ndarray, near: float | str | None = None, subject: str = 
 
 
 def saved_states(path: Path) -> SavedStates:
-    """The states of a result, by its file or the folder of the run; of one with groups, those of its sweep.
+    """The states of a result, by its file or the folder of the run; where it has groups, those of its sweep.
 
     Raises:
-        RuleError: no such file, none of a finished run, or one that holds no state.
+        RuleError: no such file, a run that was not finished, or a result without states.
     """
     path = path / RESULT_NAME if path.is_dir() else path
     if not path.is_file():
@@ -174,7 +174,7 @@ def start_of(physics: Model, states: SavedStates, chosen: Mapping[str, np.ndarra
     """One of the states of a result as the start of a model.
 
     Raises:
-        RuleError: the result is one of another structure, or the state lies outside a cone.
+        RuleError: the result is of another structure, or the state lies outside a friction cone.
     """
     displacement, velocity, slip, state = (chosen[f"final_{name}"] for name in STATE)
     return resumed_start(physics, Start(displacement, velocity, slip, state, states.phase), states.contacts)

@@ -1,7 +1,7 @@
-"""The `bistable` study: where a response has two steady motions, which start leads to which, and the branch behind.
+"""The `bistable` study: where a response has two steady motions, which start leads to which, and the curve behind.
 
-For each set of values of the further axes: parts of both sweeps one after the other, then the ends of the ranges, then
-the ensemble of starts. Each is a chunk of its own, so that an interrupted study is taken up where it was.
+For each set of values of the further axes both sweeps are computed part by part, then the ends of the ranges, then the
+motions from an ensemble of starts. Each of these is a chunk, so that an interrupted study can be taken up.
 """
 
 import time
@@ -35,7 +35,7 @@ SEARCH = "sweeps, ends and starts"  # phase of the progress
 
 @dataclass(frozen=True)
 class Payload:
-    """What is done for one set of values; each kind of work goes on from the result of the one before."""
+    """Work on one set of values; each kind of work continues from the result of the one before."""
 
     model: Model
     solver: Solver
@@ -48,7 +48,7 @@ class Payload:
 
 @dataclass(frozen=True)
 class Part(Payload):
-    """A part of both sweeps: the frequencies [Hz] that each visits, upwards and downwards."""
+    """A part of both sweeps: the frequencies [Hz] of the sweep up and of the sweep down."""
 
     up: tuple[float, ...]
     down: tuple[float, ...]
@@ -69,7 +69,7 @@ class Part(Payload):
 
 @dataclass(frozen=True)
 class Ends(Payload):
-    """The ends of the ranges, each to a width [Hz]."""
+    """The search for the ends of the ranges, each to a width [Hz]."""
 
     width: float
 
@@ -81,27 +81,27 @@ class Ends(Payload):
 
 @dataclass(frozen=True)
 class Starts(Payload):
-    """The ensemble of starts, so many along each side; they are marched, so that each leads where it would lead."""
+    """The ensemble of starts, ``num`` along each side. They are only marched: Newton's method may lead elsewhere."""
 
     num: int
 
     def result(self, before: Result | None) -> Result:
-        """What has become of them, beside the ranges."""
+        """Where they lead, and the ranges."""
         assert before is not None
         marching = replace(self, criterion=replace(self.criterion, first_shot=NEVER))
         return dict(before) | explore(self.model, marching.steady, before, self.num)
 
 
 def work(payload: Part | Ends | Starts, before: Result | None) -> Result:
-    """What a chunk gives; `Work` of the campaign."""
+    """The result of a chunk; the `Work` of the campaign."""
     return payload.result(before)
 
 
 def study(scene: Scene, execution: Execution) -> Outcome:
-    """Run a bistable scene. That no range is found is a result, no failure.
+    """Run a bistable scene. Finding no range is a result, not a failure.
 
-    The balance is only drawn behind the ranges: where it comes to no end the summary says so, and its group of the
-    result is marked, but the study is complete.
+    The balance is only drawn behind the ranges. Where a curve does not reach its end, the summary says so and its group
+    in the result is marked incomplete, but the study is complete.
     """
     plan: BistablePlan = scene.plan
     solver, grid = scene.solver(), Grid(scene, plan.sweep)
@@ -138,7 +138,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 
 
 def chunks(grid: Grid, plan: BistablePlan, solver: Solver) -> list[Chunk]:
-    """All the work: of each set of values parts of the sweeps, the ends, the starts."""
+    """All the work: for each set of values the parts of the sweeps, the ends, the starts."""
     up = tuple(map(float, grid.frequency))
     every = []
     for v, model in grid.models.items():
@@ -154,7 +154,7 @@ def chunks(grid: Grid, plan: BistablePlan, solver: Solver) -> list[Chunk]:
     return every
 
 
-# Dimensions of what is known of a range, and of its starts, after those of the further axes and `jump`.
+# Dimensions of the quantities of a range, and of its starts, after those of the further axes and `jump`.
 SPOT = ("point", "axis")
 DIMS: dict[str, tuple[str, ...]] = {
     "range": ("end",),
@@ -179,7 +179,7 @@ OF_STARTS: dict[str, tuple[str, ...]] = {
     "offset_low": ("motion", "contact", "tangent"),
     "offset_high": ("motion", "contact", "tangent"),
 }
-# Numbers; -1 where there is no range.
+# Whole numbers; -1 where there is no range.
 WHOLE = ("range_cut", "range_settled", "range_irregular", "period", "start_branch", "start_cycles")
 
 
@@ -192,7 +192,7 @@ class Gathered:
         self.count = max((len(result["range"]) for result in self.whole if result), default=0)
 
     def _last(self, v: int) -> Result | None:
-        """The result of the last chunk of a set of values that knows its ranges."""
+        """The last result of a set of values that has the ranges; None if they are not known."""
         names = (f"{v:05d}-starts", f"{v:05d}-ends")
         return next((self.results[name] for name in names if name in self.results), None)
 
@@ -207,11 +207,11 @@ class Gathered:
             done = self.whole[v]
             jumps = np.zeros((0, 3)) if done is None else done["jumps"]
             key, size = f"{v:05d}", result["settled"].shape[1]
-            # The last part holds those before it.
+            # Each part includes those before it, so that the last one replaces them.
             swept[key] = {column: result[column] for column in COLUMNS} | {"jumps": jumps}
             places[key] = [(v, direction, slice(0, size)) for direction in (UP, 1 - UP)]
         data = self.grid.data(*self.grid.gathered(swept, places), attrs)
-        # The groups of a tree share their dimensions: ranges and jumps have as many places.
+        # The groups of a tree share their dimensions, so there must be as many places for jumps as for ranges.
         self.count = max(self.count, data.sizes["jump"])
         return data.pad(jump=(0, self.count - data.sizes["jump"]))
 

@@ -1,8 +1,8 @@
 """The `compare` study: the steady states of a scene by time integration and by harmonic balance, side by side.
 
-Both use one contact law, but share nothing else: time integration locates every transition and marches until the motion
-repeats; harmonic balance solves for a truncated Fourier series. Where the contacts only stick, or stay apart, the
-motion is linear, so agreement there proves nothing, and the verdict leaves it out.
+Both use the same contact law but share nothing else: time integration locates every transition and marches until the
+motion repeats; harmonic balance solves for a truncated Fourier series. Where the contacts only stick, or stay apart,
+the motion is linear. Agreement there proves nothing of the contacts, so the verdict leaves such points out.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
@@ -57,10 +57,10 @@ class Match:
     """The balance's stable solution nearest to each point of a sweep; V sets of values, D directions, F frequencies.
 
     Attributes:
-        difference: (hbm - sweep) / sweep, shape (V, D, F, P, 3); NaN where there is no solution, and along axes that do
-            not move.
+        difference: (hbm - sweep) / sweep, shape (V, D, F, P, 3); NaN where there is no solution, and along axes without
+            motion.
         solution: position in `solutions`, shape (V, D, F), -1 where there is none.
-        solutions: those at the sweep's frequencies, one entry for each set of values.
+        solutions: all solutions at the sweep's frequencies, for each set of values.
     """
 
     difference: np.ndarray
@@ -75,7 +75,7 @@ def matched(amplitude: np.ndarray, frequency: np.ndarray, curves: Curves, proces
         amplitude: of the sweep, shape (V, D, F, P, 3).
         frequency: of the sweep [Hz], shape (F,).
         curves: of the balance.
-        processes: that solve for the solutions at these frequencies, if they have begun.
+        processes: solve for the solutions at these frequencies, if they have been started.
     """
     nearest = np.full_like(amplitude, np.nan)
     solution = np.full(amplitude.shape[:3], -1)
@@ -121,14 +121,14 @@ def _solutions(
 
 
 def study(scene: Scene, execution: Execution) -> Outcome:
-    """Run a compare scene; marked incomplete where either method did not come to its end."""
+    """Run a compare scene; the result is marked incomplete where either method did not finish."""
     plan: ComparePlan = scene.plan
     size, sets = plan.sweep.size, prod(map(len, plan.sweep.over.values()))
     phases = Phases(execution.progress, {"sweep": size, "balance": CURVE * sets, "comparison": size / 2})
     compile_beside(scene, plan.balance)
     sweep, sweep_reason = sweep_record(scene, plan.sweep, replace(execution, progress=phases["sweep"]))
     seconds = sweep.attrs["run_seconds"]
-    # What is kept of the balance belongs to a whole sweep.
+    # Curves are kept on disk only if the sweep is complete, since they begin from its points too.
     folder = execution.folder if sweep_reason is None else None
     after = replace(execution, progress=phases["balance"], folder=folder)
     given_up = (sweep_reason or "").startswith(INTERRUPTED)
@@ -161,10 +161,9 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 def _compared(
     scene: Scene, sweep: Dataset, hbm: Dataset, curves: Curves, processes: Processes | None, *, whole: bool
 ) -> tuple[dict[str, np.ndarray], list[str], dict[str, Dataset], str | None]:
-    """The difference of the methods on the axes of the sweep's amplitude, what it says, and a cycle by both of them.
+    """The difference of the methods on the axes of the sweep's amplitude, the verdict, and a cycle by both methods.
 
-    Where another offset explains it, this stands beside the difference. The last entry is why a part is missing;
-    None if none is.
+    With the difference goes whether another offset explains it. The last entry is why something is missing, or None.
     """
     amplitude, lines, cycle = sweep["amplitude"].values, list[str](), dict[str, Dataset]()
     arrays = {"relative_difference": np.full_like(amplitude, np.nan)}
@@ -187,7 +186,7 @@ def _compared(
 
 
 class NotSettledError(Exception):
-    """Time integration from a solution of the balance does not come to rest; the message says why."""
+    """Time integration from a solution of the balance does not settle; the message says why."""
 
 
 def cycle_by_both(scene: Scene, curves: Curves, match: Match, place: tuple[int, int, int]) -> Dataset:
@@ -201,7 +200,7 @@ def cycle_by_both(scene: Scene, curves: Curves, match: Match, place: tuple[int, 
     angle = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
     q = np.einsum("kh,hm->km", np.exp(1j * np.outer(angle, np.arange(len(modal)))), modal).real
     x = np.stack([np.einsum("pam,km->kpa", model.structure.shape, motion) for motion in (marched.q[:-1], q)])
-    # The samples end where the phase is that of the last of them, one interval before a whole turn.
+    # `fourier_coefficients` takes the phase of the last sample, which is one interval before a whole turn.
     coefficients = np.stack([fourier_coefficients(motion, -2 * np.pi / SAMPLES)[: 2 * order - 1] for motion in x])
     height = np.concatenate([coefficients[:, :1], np.hypot(coefficients[:, 1::2], coefficients[:, 2::2])], axis=1)
     state = np.stack([marched.state[:-1], states]).astype(np.int8)
@@ -216,10 +215,10 @@ def cycle_by_both(scene: Scene, curves: Curves, match: Match, place: tuple[int, 
 
 
 def other_offsets(scene: Scene, curves: Curves, match: Match, points: Points) -> np.ndarray:
-    """Doubtful points where time integration from the balance's solution settles to it, shape (V, D, F).
+    """Doubtful points at which time integration from the balance's solution stays there, shape (V, D, F).
 
-    The sweep comes to the same frequency with another offset of a contact that sticks all along. This moves the other
-    contacts' loads, and is free.
+    There the sweep has another offset of a contact that sticks all along. The offset is free, but it changes the loads
+    on the other contacts.
     """
     found, places = np.zeros(points.doubtful.shape, dtype=bool), [tuple(row) for row in np.argwhere(points.doubtful)]
     begun = (_begun(scene, curves, match, place) for place in places)
@@ -238,9 +237,9 @@ def other_offsets(scene: Scene, curves: Curves, match: Match, points: Points) ->
 
 
 def _begun(scene: Scene, curves: Curves, match: Match, place: tuple[int, ...]) -> tuple[Model, float, Complex, Array]:
-    """The model at the start of the solution at a point of the sweep, and the frequency [Hz] of that solution.
+    """The model that starts on the solution at a point of the sweep, and the frequency [Hz] of that solution.
 
-    Beside them its modal harmonics, and the states of the contacts at the angles of the cycle.
+    Also its modal harmonics, and the states of the contacts at the angles of the cycle.
     """
     model, solutions, at = scene.variant(curves.values[place[0]]), match.solutions[place[0]], int(match.solution[place])
     assert solutions is not None
@@ -257,7 +256,7 @@ def _begun(scene: Scene, curves: Curves, match: Match, place: tuple[int, ...]) -
 def _contacts(balance: Balance, coefficient: Array) -> tuple[Array, Array]:
     """Elastic displacement of each contact at phase 0, shape (C, 2), and its states at the angles of the cycle.
 
-    The state is that over most of the interval of the balance's own samples.
+    The state at an angle is the one that lasts longest in its interval between two samples of the balance.
     """
     period = period_of(balance.law, balance.basis, coefficient)
     slip, separation = np.asarray(period.ends.slip), np.asarray(period.ends.separation)
@@ -270,7 +269,7 @@ def _contacts(balance: Balance, coefficient: Array) -> tuple[Array, Array]:
 def _start(
     model: Model, balance: Balance, coefficient: Array, modal: Complex, elastic: Array, frequency: float
 ) -> Start:
-    """State of the solution at phase 0, friction forces inside their cones: they hold to the balance's tolerance."""
+    """State of the solution at phase 0, friction forces set back into the cones, to which the balance keeps roughly."""
     displacement = modal.real.sum(axis=0)
     speed = (1j * np.arange(len(modal))[:, None] * 2 * np.pi * frequency * modal).real.sum(axis=0)
     here = coefficient @ fourier_basis(np.zeros(1), coefficient.shape[2])[0]

@@ -1,7 +1,7 @@
 """The `element` study: one contact under prescribed motion (sections 2 to 4 of the paper, figures 3 to 6).
 
-The result is that of `state_by_state`. By default the event loop computes it again, and a result on which the two do
-not agree is marked incomplete.
+The result is that of `state_by_state`. By default the event loop computes it again, and the result is marked incomplete
+where the two do not agree.
 """
 
 import time
@@ -59,7 +59,7 @@ def _unsettled(cycle: ElementCycle) -> str:
 
 
 def _cross_check(contact: Contact, motion: Motion, cycle: ElementCycle) -> tuple[dict[str, float], str | None]:
-    """How far the event loop's result differs, as attributes, and why that is no confirmation, if it is none."""
+    """How far the event loop's result differs, as attributes, and why it does not confirm the other, or None."""
     from timesim.element.loop import difference, loop_cycle
 
     try:
@@ -94,7 +94,7 @@ def _arrow(item: Transition) -> str:
 
 
 def summary(cycle: ElementCycle, compared: dict[str, float]) -> Iterator[str]:
-    """What a user wants to know at once."""
+    """The lines of the summary."""
     if not cycle.touches:
         yield "the bodies never touch: every force is zero"
         return
@@ -135,7 +135,7 @@ def record_of(
 
 
 def motion_attributes(contact: Contact, motion: Motion) -> dict[str, Any]:
-    """Contact and motion in numbers, for pictures and readers of the file."""
+    """Contact and motion in numbers, as attributes of the result."""
     return {
         "contact": contact.name,
         "friction": contact.friction,

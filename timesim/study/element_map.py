@@ -1,7 +1,7 @@
 """The `element_map` study: Fourier coefficients of a contact over two of its parameters (figures 7 and 8 of the paper).
 
-Every pair of values is a contact of its own in the event loop, under the prescribed motion. All march a cycle at a
-time, in batches of like stiffness on all cores, until their cycle repeats; those that creep are carried on to their
+Every pair of values is a contact of its own in the event loop, under the prescribed motion. All are marched cycle by
+cycle, in batches of similar stiffness on all cores, until the cycle repeats; those that creep are extrapolated to their
 limit.
 """
 
@@ -35,7 +35,7 @@ BATCH = 256
 MAX_CYCLES = 300
 # Change of f from cycle to cycle, relative to the largest mu n, that ends the march, as a share of the solver's rtol.
 SETTLED = 0.1
-# Cycles at an end of which the changes tell where they lead.
+# Ends of cycles from which a limit is extrapolated.
 HISTORY = 6
 
 
@@ -43,8 +43,8 @@ class March:
     """N elements on their way to a steady cycle.
 
     Attributes:
-        result: so far, by the names of the result file: the coefficients of (19), shape (N, 2) [force], the
-            dissipation [force length], the transitions of the cycle, the cycles marched, whether it repeats.
+        result: the present results, by the names of the result file: the coefficients of (19), shape (N, 2) [force],
+            the dissipation [force length], the transitions in the cycle, the cycles marched, whether it repeats.
     """
 
     def __init__(self, elements: Elements, phase: np.ndarray, solver: Solver):
@@ -65,8 +65,8 @@ class March:
         self.result["settled"] = np.zeros(count, dtype=bool)
 
     def run(self, progress: Progress = unwatched, max_cycles: int = MAX_CYCLES) -> dict[str, np.ndarray]:
-        """March until every cycle repeats, or has been tried often enough."""
-        # What the force does to the slip within a cycle sets the steps; those alike share a batch.
+        """March until every cycle repeats, at most `max_cycles` cycles."""
+        # The stiffness relative to the least limit of friction sets the steps; elements alike in it share a batch.
         stiffness = np.linalg.norm(self.elements.stiffness, axis=(1, 2))
         swing = np.hypot(self.elements.start[:, 2], self.elements.rate[:, 2])
         least = self.elements.preload - self.elements.normal_stiffness * swing
@@ -84,7 +84,7 @@ class March:
         return self.result
 
     def _cycle(self, cycle: int, rows: np.ndarray) -> np.ndarray:
-        """One cycle of a batch; which of its elements must go on."""
+        """March a batch by one cycle, and return which of its elements must go on."""
         full = np.concatenate([rows, np.repeat(rows[:1], BATCH - rows.size)])
         dynamics = jax.tree.map(lambda leaf: leaf[full], self.dynamics)
         slip, state = tuple(self.slip[full].T), self.state[full]
@@ -95,7 +95,7 @@ class March:
         return self._judge(rows, reached)
 
     def _take(self, cycle: int, rows: np.ndarray, reached: CycleEnd, count: np.ndarray) -> None:
-        """Write what a cycle amounts to."""
+        """Write the results of a cycle."""
         result, good = self.result, reached.good
         forces = (reached.mean, *in_phase(reached.first, self.phase[rows]))
         for name, values in zip(("f_b", "f_s", "f_c"), forces, strict=True):
@@ -104,7 +104,7 @@ class March:
         result["transitions"][rows], result["cycles"][rows] = count, cycle
 
     def _judge(self, rows: np.ndarray, reached: CycleEnd) -> np.ndarray:
-        """Take over the state after a cycle, carried to its limit where it leads to one; which go on."""
+        """Take over the state after a cycle, extrapolated where it has a limit; return which elements must go on."""
         elements = self.elements.pick(rows)
         force = elements.start_force(reached.slip, reached.state)
         history = np.concatenate([self.forces[rows, 1:], force[:, None]], axis=1)
@@ -122,7 +122,7 @@ class March:
         return ~settled & reached.good
 
     def _leap(self, rows: np.ndarray) -> None:
-        """Carry the friction force at θ = 0 to the limit that its last changes lead to."""
+        """Set the friction force at θ = 0 to the limit extrapolated from its last changes."""
         limit, leads = limits(self.forces[rows])
         rows, limit = rows[leads], limit[leads]
         residual = np.hypot(*(self.forces[rows, -1] - self.forces[rows, -2]).T)
@@ -156,7 +156,7 @@ def elements_of(plan: MapPlan) -> tuple[Elements, np.ndarray]:
 
 
 def study(scene: Scene, execution: Execution) -> Outcome:
-    """Run an element_map scene; marked incomplete where it was interrupted, or the event loop ended early."""
+    """Run an element_map scene; the result is incomplete if it was interrupted or the event loop ended early."""
     plan: MapPlan = scene.plan
     solver, (elements, phase) = scene.solver(), elements_of(plan)
     clock = time.perf_counter()

@@ -27,9 +27,9 @@ from timesim.scene.study import combinations
 from timesim.study.curves.kept import Found
 
 Sweep = tuple[SavedStates, Mapping[str, float | str]]
-"""Points of a sweep by the values along its axes."""
+"""The states of a sweep, and the values along its axes that select points."""
 
-REFINED = 6  # solutions that harmonics and samples are refined for, beside the largest
+REFINED = 6  # solutions for which harmonics and samples are refined, besides the one of largest amplitude
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,12 @@ class StudyCurve:
 
     @property
     def label(self) -> str:
-        """Values of the further axes, to begin a message with."""
+        """Values of the further axes, for the beginning of a message."""
         return in_words(self.values, ": ")
 
 
 class Curves:
-    """The curves of a study; `values` are the combinations of its further axes, one after the other."""
+    """The curves of a study; `values` are the combinations of values of its further axes."""
 
     def __init__(self, scene: Scene, plan: HbmPlan):
         self.scene, self.plan = scene, plan
@@ -60,7 +60,7 @@ class Curves:
 
     @property
     def none(self) -> Self:
-        """The same without any curve."""
+        """A copy without any curve."""
         empty = copy(self)
         empty.curves, empty.faults, empty.notes = [], [], []
         return empty
@@ -76,7 +76,7 @@ class Curves:
             self.schemes = schemes
 
     def follow(self, values: Mapping[str, float], sweeps: Sequence[Sweep], watch: Watch) -> None:
-        """Add the curves of a set of values, those through the points of some sweeps too.
+        """Add the curves of a set of values, including those through points of some sweeps.
 
         Raises:
             KeyboardInterrupt: it was interrupted; what was followed is added.
@@ -101,7 +101,7 @@ class Curves:
                 self.add(curve)
 
     def _with_more_samples(self, curves: Sequence[StudyCurve]) -> tuple[Scheme, ...] | None:
-        """With what curves are worth following again, if with anything."""
+        """Schemes with more samples, if the curves need them and should be followed again."""
         endings = [curve.curve.ending for curve in curves]
         if "time_samples" not in self.plan.chosen or Ending.INTERRUPTED in endings:
             return None
@@ -109,7 +109,7 @@ class Curves:
         return next((own for own in finer if own is not None), None)
 
     def with_curve(self, curve: StudyCurve) -> "Curves":
-        """With one more, all with the harmonics of the one that has the most: those that it lacks are zero."""
+        """A copy with one more curve; all curves have as many harmonics as the longest, padded with zeros."""
         grown, curves = copy(self), [*self.curves, curve]
         most = max(self.scheme.harmonics, curve.curve.harmonic_cos.shape[1] - 1)
         grown.scheme = next(own for own in self.schemes if own.harmonics >= most)
@@ -156,9 +156,9 @@ class Curves:
     def _through(
         self, values: Mapping[str, float], states: SavedStates, asked: Mapping[str, float | str], watch: Watch
     ) -> Iterator[StudyCurve]:
-        """Curves from settled points of a sweep that no other curve passes: isolated branches, it may be.
+        """Curves from settled points of a sweep that no other curve passes, which may be isolated branches.
 
-        Points without slip or part-time contact are left alone: there the motion is linear.
+        Points without slip or part-time contact are skipped, since the motion is linear there.
         """
         own = {key: value for key, value in values.items() if key in states.axes}
         try:

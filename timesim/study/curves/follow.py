@@ -1,4 +1,4 @@
-"""All curves of a study: set of values by set of values here, and on processes of this machine once that lasts."""
+"""All curves of a study: one set of values after the other in this process, and on others once that takes long."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -21,22 +21,23 @@ from timesim.study.execution.processes import LASTS
 from timesim.study.execution.worker import halted, point_done
 from timesim.study.outcome import attributes
 
-FOLLOWED = 0.6  # of the time of a curve; its multipliers take the rest
-PARTS = 100  # of a set of values, that a process counts
+FOLLOWED = 0.6  # share of the time of a curve; its multipliers take the rest
+PARTS = 100  # into which a process divides a set of values to count its progress
 
 
 def follow_all(
     curves: Curves, execution: Execution, kept: KeptCurves, passing: SavedStates | None = None
 ) -> str | None:
-    """Add the curves of all sets of values; why some are not whole, if any.
+    """Add the curves of all sets of values, and return why some are incomplete, or None.
 
-    Those of a set depend on no other's, but for the samples with which they begin: those that the first set needed.
+    The curves of a set depend on those of the others only by the number of samples with which they begin, which is what
+    the first set needed.
 
     Args:
-        curves: of a study, none yet.
-        execution: takes in the progress, in sets of values.
+        curves: of a study, without any curve yet.
+        execution: its progress counts sets of values.
         kept: the curves that are taken up, and where the others are kept.
-        passing: a sweep whose settled points are to be passed, beside that of the plan's start.
+        passing: a sweep whose settled points the curves are to pass, besides that of the plan's start.
     """
     work = _Work(
         curves, execution, kept, [sweep for sweep in (curves.plan.passing, passing and (passing, {})) if sweep]
@@ -53,7 +54,7 @@ def follow_all(
 
 
 class _Work:
-    """Sets of values on their way, by their places: those that are found, and those that are added to the curves."""
+    """The sets of values by their places: those whose curves are found, and those whose curves are added."""
 
     def __init__(self, curves: Curves, execution: Execution, kept: KeptCurves, sweeps: Sequence[Sweep]):
         self.curves, self.execution, self.kept, self.sweeps = curves, execution, kept, sweeps
@@ -83,7 +84,7 @@ class _Work:
             self.execution.progress(len(self.found), len(places), "harmonic balance")
 
     def take_rest(self) -> None:
-        """Add what is found and not added."""
+        """Add the curves that are found but not added yet."""
         for place in sorted(self.found.keys() - self.added):
             with suppress(KeyboardInterrupt):
                 self._add(place)
@@ -106,7 +107,7 @@ class _Work:
         self._take(place, own.found, own.schemes)
 
     def _take(self, place: int, found: Found, schemes: tuple[Scheme, ...]) -> None:
-        """Take in and keep what was found for a set, and the schemes that it took."""
+        """Take in and keep what was found for a set, and the schemes that it needed."""
         self.found[place] = found
         self.curves.have_samples(schemes)
         if place == 0:
@@ -114,14 +115,14 @@ class _Work:
         self.kept.save(place, *found)
 
     def _for_processes(self) -> list[int]:
-        """The sets that are given to processes: all that are left after the first, once the work has lasted."""
+        """The sets that are given to processes: all that are left after the first, once the work takes long."""
         left, processes = sorted(set(range(len(self.curves.values))) - self.found.keys()), self.execution.several
         if processes is None or 0 in left or len(left) < 2:
             return []
         return left if processes.begun or time.monotonic() - self.begun > LASTS else []
 
     def _elsewhere(self, places: Sequence[int]) -> None:
-        """Find the curves of some sets on processes. Where one of these is killed, sets are left."""
+        """Find the curves of some sets on processes. Where a process is killed, sets remain."""
         processes = self.execution.several
         assert processes is not None
         asked = [(self.first, self.curves.values[place], self.sweeps) for place in places]
@@ -145,7 +146,7 @@ class _Work:
 
 
 class _Growth:
-    """What is shown, and kept, of a curve while it is followed here."""
+    """Shows the progress of a curve that is followed in this process, and keeps what there is of it on disk."""
 
     def __init__(self, work: _Work, place: int, own: Curves):
         self.work, self.place, self.own = work, place, own
@@ -167,19 +168,19 @@ class _Growth:
 
 
 def _part(own: Curves, share: float) -> float:
-    """The part of the curves of a set that is followed, with a share of the range on the present one."""
+    """The part of the work on a set that is done when a share of the range of the present curve is followed."""
     before = len(own.curves)
-    # From how many points of a sweep a curve of its own begins is not known.
+    # How many further curves will begin from points of a sweep is not known beforehand.
     expected = max(before + 1, 1 + own.plan.both_ends)
     return (before + FOLLOWED * share) / expected
 
 
 SetOfCurves = tuple[Found, tuple[Scheme, ...], bool]
-"""Curves of a set of values, the schemes that they took, and whether they are whole."""
+"""Curves of a set of values, the schemes that they needed, and whether they are complete."""
 
 
 def followed_set(none: Curves, values: Mapping[str, float], sweeps: Sequence[Sweep]) -> SetOfCurves:
-    """The curves of a set of values, found in a process of its own until it is halted."""
+    """Find the curves of a set of values in another process, unless it is halted."""
     own, counted = none.none, 0
 
     def watch(share: float, so_far: Callable[[], HbmCurve]) -> None:

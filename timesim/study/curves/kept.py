@@ -1,4 +1,4 @@
-"""Curves of harmonic balance on disk while a study runs: those that are finished, and the one that grows."""
+"""Curves of harmonic balance on disk while a study runs: the finished ones, and the one that is being followed."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,14 +19,15 @@ from timesim.study.execution.campaign import Execution
 Found = tuple[list[HbmCurve], list[str]]
 """The curves of a set of values, and the notes on them."""
 SECONDS_APART = 30.0
-"""Time between two states of a growing curve on disk, at least; and so many times as long as it takes to write one: """
+"""Least time between two writes of a growing curve [s]."""
 TIMES_APART = 20.0
+"""The same as a multiple of the time that a write takes."""
 
 
 class KeptCurves:
-    """The curves of each set of values, as a chunk of a checkpoint; nothing is kept where there is no run folder.
+    """The curves of each set of values, as a chunk of a checkpoint; without a run folder nothing is kept.
 
-    `earlier` is the time that the curves taken up took [s].
+    `earlier` is the time spent on the curves that were taken up [s].
     """
 
     def __init__(self, kept: Checkpoint | None, notice: Callable[[str], None]):
@@ -35,7 +36,7 @@ class KeptCurves:
         self.earlier = 0.0 if kept is None else kept.earlier
 
     def load(self, place: int) -> Found | None:
-        """The curves of a set of values, and the notes on them; None where they are not finished."""
+        """The curves of a set of values, and the notes on them; None if they are not finished."""
         if self._kept is None:
             return None
         try:
@@ -55,11 +56,11 @@ class KeptCurves:
             self._kept.save(_name(place), _written(curves, notes))
 
     def grow(self, record: Callable[[], Dataset]) -> None:
-        """Write all curves so far, the one that is being followed too, as a result file, unless one is new."""
+        """Write all curves so far, including the one being followed, as a result file, unless the last is recent."""
         begun = time.monotonic()
         if self._kept is None or begun < self._next:
             return
-        with suppress(StoreError):  # the next curve that is finished says so
+        with suppress(StoreError):  # keeping the next finished curve raises it too
             netcdf.save(record(), self._kept.folder / checkpoint.GROWING_NAME)
         now = time.monotonic()
         self._next = now + max(SECONDS_APART, TIMES_APART * (now - begun))
@@ -67,7 +68,7 @@ class KeptCurves:
 
 @contextmanager
 def kept_curves(execution: Execution, identity: str, sets: Sequence[Any], stage: str) -> Iterator[KeptCurves]:
-    """Where the curves of a study are kept, whose sets of values are determined by ``sets`` beside the scene.
+    """Where the curves of a study are kept; ``sets`` holds what determines those of each set of values.
 
     ``identity`` and ``stage`` are those of `Execution.checkpoint`, whose errors it raises.
     """

@@ -1,7 +1,7 @@
-"""Many chunks of work: on threads or a cluster, some after others, with checkpoints, so that nothing is lost.
+"""Many chunks of work, some after others, on threads, processes or a cluster, with checkpoints.
 
-Knows no physics. A chunk's payload and the result of the chunk it comes after determine its result, so a campaign gives
-the same whoever does the work, in whatever order, and however often it is interrupted and taken up again.
+It knows no physics. The result of a chunk is determined by its payload and the result of the chunk that it comes after,
+so a campaign gives the same whoever does the work, in whatever order, and however often it is interrupted and resumed.
 """
 
 import re
@@ -56,8 +56,8 @@ class Execution:
         resume: take up the checkpoints that are there.
         cluster: address of a dask scheduler, or "local" for processes of this machine; None for threads.
         workers: threads, or processes of a local cluster; the processors of this machine by default.
-        processes: to which work that lasts goes from the threads; none by default.
-        notice: called with what a user should know at once, such as a checkpoint that is damaged.
+        processes: take over work that lasts from the threads; none by default.
+        notice: called with what a user should know at once, such as that a checkpoint is damaged.
     """
 
     progress: Progress = unwatched
@@ -76,12 +76,12 @@ class Execution:
 
     @property
     def several(self) -> Processes | None:
-        """The processes to which work may go; None where there would be only one, or where a cluster does it."""
+        """The processes that may take over work; None where there would be only one, or where a cluster works."""
         own = self.processes
         return own if own is not None and own.workers > 1 and self.cluster is None else None
 
     def earlier(self, stage: str | None = None) -> float:
-        """Seconds that the parts before took of a run that is resumed, or of one of its stages."""
+        """Seconds spent on the earlier parts of a resumed run, or of one of its stages."""
         return checkpoint.seconds_worked(self.folder, stage) if self.resume and self.folder is not None else 0.0
 
     @contextmanager
@@ -91,12 +91,12 @@ class Execution:
         """Where finished parts of the work are kept, None without a run folder, and whether there are some to take up.
 
         Args:
-            identity: what the parts belong to: the resolved scene. A checkpoint of another one is not taken up.
-            parts: what determines each of them beside that, by its name.
-            stage: of the study, good as the name of a folder; empty where they are the whole of it.
+            identity: what the parts belong to: the resolved scene. A checkpoint of another scene is not taken up.
+            parts: by the name of each part, what determines its result besides the scene.
+            stage: of the study, valid as the name of a folder; empty for the first or only one.
 
         Raises:
-            StoreError: what is there belongs to something else, or the folder cannot be written; nothing was run.
+            StoreError: the folder holds something else, or cannot be written; nothing was run.
         """
         if self.folder is None:
             yield None, False
@@ -120,13 +120,13 @@ def carry_through(
 ) -> tuple[dict[str, Result], str | None]:
     """Do the work of all chunks.
 
-    Interrupted, it waits for the threads to finish their chunks, and keeps them; work that takes long asks `halted`. A
-    chunk that fails is left out, with all that come after it, and the others go on. Where a checkpoint cannot be
-    written no further chunk begins.
+    On an interrupt it waits for the threads to finish their chunks, and keeps them; work that takes long asks `halted`.
+    A chunk that fails is left out, with all that come after it, and the others go on. Once a checkpoint cannot be
+    written, no further chunk begins.
 
     Args:
-        chunks: each one below the chunk that it comes after.
-        work: gives the result of a chunk: `timesim.study.execution.worker.Work`.
+        chunks: each one listed below the chunk that it comes after.
+        work: computes the result of a chunk: `timesim.study.execution.worker.Work`.
         execution: how it is carried out.
         identity, stage: as of `Execution.checkpoint`, whose errors it raises.
 
@@ -153,7 +153,7 @@ def _check(chunks: Sequence[Chunk]) -> None:
 
 
 class _Campaign:
-    """Chunks on their way: what is done, what has failed, what is being worked on."""
+    """The chunks of a campaign: what is done, what has failed, what is being worked on."""
 
     def __init__(self, chunks: Sequence[Chunk], work: Work, execution: Execution, kept: Checkpoint | None):
         self.chunks, self.work, self.execution, self.kept = chunks, work, execution, kept
@@ -173,7 +173,7 @@ class _Campaign:
         self.arrived: SimpleQueue[Future[Result]] = SimpleQueue()
 
     def outcome(self, begun: bool) -> tuple[dict[str, Result], str | None]:
-        """Results by the chunk's name once all that was not done yet is done, and why some are missing."""
+        """Take up and do all chunks; the results by name, and why some are missing."""
         ended = None
         try:
             if begun:
@@ -235,7 +235,7 @@ class _Campaign:
         future.add_done_callback(self.arrived.put)
 
     def _begun_elsewhere(self, chunk: Chunk, before: Result | None) -> Future[Result] | None:
-        """A chunk that a process works on; None where it is left to a thread: the only one, or one of the first."""
+        """Give a chunk to a process; None if it is left to a thread, as the only one or one of the first."""
         alone, processes = not self.running and not self.waiting, self.execution.several
         if processes is None or alone or time.monotonic() - self.begun < LASTS:
             return None
@@ -244,7 +244,7 @@ class _Campaign:
         return None
 
     def _arrival(self, future: Future[Result]) -> Chunk:
-        """Take in what has become of a chunk."""
+        """Take in a chunk that has ended."""
         chunk = self.running[future]
         if future.cancelled():
             raise ConnectionError(f"the connection to the cluster {self.execution.cluster} is lost")
@@ -266,13 +266,13 @@ class _Campaign:
             self._show()
 
     def _count_point(self, chunk: Chunk) -> None:
-        """A point of a chunk is done; the last one counts when the chunk is, which may search on."""
+        """Count a point of a chunk; the last point counts when the chunk is done, since it may search on."""
         with self.counting:
             self.under_way[chunk.name] = min(self.under_way.get(chunk.name, 0) + 1, chunk.size - 1)
             self._show()
 
     def _count_points(self, chunk: Chunk, points: int) -> None:
-        """So many points of a chunk are done, elsewhere."""
+        """Take in how many points of a chunk are done in another process."""
         with self.counting:
             if chunk.name not in self.results:
                 self.under_way[chunk.name] = min(points, chunk.size - 1)
@@ -287,7 +287,7 @@ class _Campaign:
             self.saved.add(name)
 
     def _collect(self) -> None:
-        """Take in what was finished while the interrupt was dealt with."""
+        """Take in the chunks that were finished while the interrupt was handled."""
         for future, chunk in self.running.items():
             if future.done() and not future.cancelled() and future.exception() is None:
                 self.results[chunk.name] = future.result()

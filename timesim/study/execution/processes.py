@@ -1,6 +1,6 @@
-"""Processes of this machine for work that lasts: of the threads of one process only one runs Python at a time.
+"""Processes of this machine for work that lasts, since only one thread of a process runs Python at a time.
 
-Half of the time of a sweep, and three quarters of that of a curve of harmonic balance, is spent outside compiled
+Half of the time of a sweep, and three quarters of the time of a curve of harmonic balance, is spent outside compiled
 programs. A process takes one to three seconds to start, so short work is left to threads.
 """
 
@@ -21,29 +21,29 @@ from typing import Any, Self, TypeVar
 from timesim.study.execution.worker import count_by, default_workers, halt_by
 
 LASTS = 5.0
-"""Seconds of work after which what is left is given to processes."""
+"""Seconds of work after which the rest is given to processes."""
 MEMORY = 2**30
-"""Bytes that a process may take, a usual scene about half of it; a quarter of this machine's memory stays free."""
-APART = 0.5  # seconds between two looks at what they have counted
+"""Bytes allowed for a process; a usual scene takes half of them. A quarter of this machine's memory stays free."""
+APART = 0.5  # seconds between two looks at their counts
 
 T = TypeVar("T")
 Seen = Callable[[int], None]
-"""Takes in how often some work has counted a point, now and then."""
+"""Called now and then with the number of points that some work has counted."""
 
 
 def unseen(points: int, /) -> None:
-    """Where nobody counts."""
+    """A `Seen` that ignores the count."""
 
 
 class Processes:
-    """Processes that are begun when there is work for them, and are used again until they are left.
+    """Processes that are started when there is work for them, and used again until the context is left.
 
     Attributes:
-        workers: works that are to be under way at most.
+        workers: how many works may be under way at a time.
     """
 
     def __init__(self, workers: int | None = None):
-        """So many; by default as the processors of this machine, and its memory, allow."""
+        """By default as many as the processors and the memory of this machine allow."""
         self.workers = min(default_workers(), _room()) if workers is None else workers
         self._seen: dict[int, Seen] = {}
         self._over = threading.Event()
@@ -59,10 +59,10 @@ class Processes:
             self._pool.shutdown(wait=True, cancel_futures=True)
 
     def submit(self, seen: Seen, function: Callable[..., Any], *args: Any) -> Future[Any]:
-        """Have a function of a module called, whose points are counted.
+        """Call a function of a module in a process, and count its points.
 
         Raises:
-            BrokenExecutor: a process was killed, or none can be begun.
+            BrokenExecutor: a process was killed, or none can be started.
         """
         pool = self._pool or self._started()
         slot = min(set(range(len(self._counts))) - set(self._seen))
@@ -78,15 +78,15 @@ class Processes:
 
     @property
     def begun(self) -> bool:
-        """Whether there are any yet."""
+        """Whether any have been started."""
         return self._pool is not None
 
     def each(self, works: Iterable[tuple[Seen, Callable[..., T], tuple[Any, ...]]]) -> Iterator[tuple[int, T]]:
-        """Yield the place of each work, a function of a module and its arguments, and what it gives, once it is done.
+        """Do works, each a function of a module with arguments, and yield the place and result of each that is done.
 
         Raises:
             BrokenExecutor: a process was killed.
-            KeyboardInterrupt: they have given up, and what they gave has been yielded too.
+            KeyboardInterrupt: after the processes have stopped, and all that they had done was yielded.
         """
         waiting, running, interrupt = deque(enumerate(works)), dict[Future[T], int](), None
         try:
@@ -111,7 +111,7 @@ class Processes:
             raise interrupt
 
     def give_up(self, works: Iterable[Future[Any]]) -> None:
-        """Have them give up what they were given, and wait until they have."""
+        """Halt the works under way, and wait until they have ended."""
         if self._pool is not None:
             self._halt.set()
             wait(works)
@@ -123,7 +123,7 @@ class Processes:
             self._halt = context.Event()
         except OSError as error:  # a container without shared memory
             raise BrokenExecutor(str(error)) from error
-        # Of work that is done the slot is set free after those who wait for it have been told.
+        # The slot of a work that is done is freed only after those who wait for it are notified, so twice as many.
         self._counts = RawArray(c_int64, 2 * self.workers)
         self._pool = ProcessPoolExecutor(self.workers, context, _begin, (self._halt, self._counts))
         threading.Thread(target=self._look, name="timesim-processes", daemon=True).start()
@@ -139,14 +139,14 @@ def _room() -> int:
     """Processes that the memory of this machine has room for."""
     try:
         whole = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):  # not said on every system
+    except (AttributeError, OSError, ValueError):  # not known on every system
         return 1
     return max(1, int(0.75 * whole / MEMORY))
 
 
 @contextmanager
 def _interrupt_blocked() -> Iterator[None]:
-    """Ctrl-C in a terminal reaches every process: what is blocked here stays so in those that begin meanwhile."""
+    """Ctrl-C in a terminal reaches every process; processes that start meanwhile inherit that it is blocked."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -163,7 +163,7 @@ _COUNTS: Any = None
 
 
 def _begin(halt: Event, counts: Any) -> None:
-    """Make it ready: it is stopped by the one that has begun it, and ends with it."""
+    """Set up a process: the one that has started it stops it, and it ends when that one does."""
     global _COUNTS
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     halt_by(halt)

@@ -1,4 +1,4 @@
-"""How much of a run is done, over all its phases: the share, the rate and the time left, as a bar or a line shows them.
+"""How much of a run is done, over all its phases: the share, the rate and the time left, for a bar or a line.
 
 Every kind of work counts as a number of points, so that one bar runs through all phases.
 """
@@ -13,7 +13,7 @@ CURVE = 100
 """Points of a sweep that take about as long as a curve of harmonic balance: 20 ms each, 1 to 3 s (both measured on the
 oscillator)."""
 
-NEARLY_ALL = 0.99  # that is shown at most: a run that shows all of it done is over
+NEARLY_ALL = 0.99  # the most that is shown while a run goes on
 
 
 class Progress(Protocol):
@@ -24,7 +24,7 @@ class Progress(Protocol):
 
 
 def unwatched(done: float, number: float, phase: str = "", /) -> None:
-    """Where nobody is watching."""
+    """A `Progress` that ignores everything."""
 
 
 @dataclass(frozen=True)
@@ -56,14 +56,14 @@ class Standing:
     """
 
     def __init__(self, unit: str, earlier: float = 0.0, clock: Callable[[], float] = time.monotonic):
-        """For a run that counts in a unit, and parts of which have taken so many seconds before."""
+        """For a run that counts in ``unit``, earlier parts of which have taken ``earlier`` seconds."""
         self.unit, self.clock, self.share, self.phase = unit, clock, 0.0, "compiling programs, or loading them"
         self._earlier, self._number = earlier, 0.0
         self._begun = self._worked = clock()
 
     def __call__(self, done: float, number: float, phase: str = "", /) -> None:
         if not done:
-            self._worked = self.clock()  # until now it was compiled
+            self._worked = self.clock()  # up to now it has compiled
         share = done / number if number else 0.0
         self.share, self.phase = max(self.share, min(share, NEARLY_ALL)), phase
         self._number = number
@@ -85,7 +85,7 @@ class Standing:
         return worked * (1 / self.share - 1) if self.share > 0 and worked > 0 else None
 
     def line(self) -> str:
-        """All of it in a line, that which may be long at its end."""
+        """All of this in a line, with what may be long at its end."""
         parts = [self.percent, f"{_clock_time(self.elapsed)} so far", self.phase]
         if left := self.left:
             rate = (1 - self.share) * self._number / left

@@ -28,9 +28,9 @@ class Chunk:
 
     Attributes:
         name: unique, and good as the name of a file.
-        payload: what is to be worked on; picklable. Together with the result of `after` it determines the result.
-        after: name of the chunk whose result it starts from; that one comes before it in a list of chunks.
-        size: points in it, for the progress bar.
+        payload: what is to be worked on; picklable. With the result of `after` it determines the result.
+        after: name of the chunk whose result it starts from, which comes before it in a list of chunks.
+        size: its number of points, for the progress bar.
     """
 
     name: str
@@ -44,9 +44,9 @@ class ExecutionError(ValueError):
 
 
 def perform(work: Work, chunk: Chunk, before: Result | None, count: Callable[[], None] | None = None) -> Result:
-    """Do the work of a chunk; the result is the same whether it is handed on, sent or read from a file.
+    """Do the work of a chunk; its result is the same whether passed on in memory, sent or read from a file.
 
-    ``count``: called after each of its points; `count_by` by default.
+    ``count``: called after each of its points; by default what `count_by` has set.
     """
     if count is not None:
         _COUNT.set(count)
@@ -54,7 +54,7 @@ def perform(work: Work, chunk: Chunk, before: Result | None, count: Callable[[],
 
 
 class Event(Protocol):
-    """What stops work: an event of threads or of processes."""
+    """An event, of threads or of processes, that stops work."""
 
     def is_set(self) -> bool:
         """Whether it is to stop."""
@@ -108,7 +108,7 @@ def _quota(group: Path) -> Iterator[float]:
 
 @contextmanager
 def threads(workers: int | None = None) -> Iterator[Executor]:
-    """Threads of this process. Left early, it waits for the chunks under way: a thread cannot be stopped."""
+    """Threads of this process. If left early, it waits for the chunks under way, since a thread cannot be stopped."""
     halt = threading.Event()
     count = default_workers() if workers is None else workers
     executor = ThreadPoolExecutor(count, "timesim", initializer=_HALT.set, initargs=(halt,))
@@ -125,13 +125,13 @@ LOCAL = "local"
 """Stands for processes of this machine instead of the address of a scheduler."""
 
 RETRIES = 2
-"""Times that a chunk is tried again where it fails; that its worker dies does not count as one of them."""
+"""Times that a failed chunk is tried again; the death of its worker does not count."""
 
 PATIENCE = "15s"  # for a scheduler that does not answer
 
 _ADDRESS = re.compile(r"[a-z]+://\S+|[^\s:/]+:[0-9]+|\[[0-9a-fA-F:.]+\]:[0-9]+")
 
-# Ctrl-C in a terminal reaches every process; the workers of this machine are ended by the one that has started them.
+# Ctrl-C in a terminal reaches every process, but the workers of this machine are ended by the one that started them.
 _IGNORE_INTERRUPT = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 
 
@@ -139,7 +139,7 @@ def check_address(cluster: str, workers: int | None) -> None:
     """Refuse what is neither `LOCAL` nor the address of a scheduler, and a number of workers for the latter.
 
     Raises:
-        ExecutionError: with what was meant.
+        ExecutionError: with a suggestion.
     """
     if cluster != LOCAL and not _ADDRESS.fullmatch(cluster):
         close = get_close_matches(cluster.lower(), [LOCAL], cutoff=0.6)
@@ -151,9 +151,9 @@ def check_address(cluster: str, workers: int | None) -> None:
 
 @contextmanager
 def processes(cluster: str, workers: int | None) -> Iterator[Executor]:
-    """The workers of a cluster, at an address as ``tcp://host:8786``, or so many processes of this machine: `LOCAL`.
+    """The workers of a cluster at an address such as ``tcp://host:8786``, or processes of this machine for `LOCAL`.
 
-    Left early, it gives up the chunks under way.
+    If left early, it gives up the chunks under way.
 
     Raises:
         ExecutionError: dask is not installed, the scheduler does not answer, or its workers cannot do this work.
@@ -180,7 +180,7 @@ def processes(cluster: str, workers: int | None) -> Iterator[Executor]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without the tracebacks that dask logs of what a campaign tells in words."""
+    """Silence dask, which would log tracebacks of what a campaign reports in words."""
     loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
@@ -209,7 +209,7 @@ def _connected(distributed: Any, target: Any) -> Iterator[Executor]:
 
 
 def _check_workers(client: Any, name: str) -> None:
-    """Every worker must do the work as this process would."""
+    """Refuse workers with another version of this package."""
     versions = client.run(version, "timesim", on_error="return")
     if not versions:
         raise ExecutionError(f"cluster {name} has no workers; start some with: dask worker ADDRESS")
