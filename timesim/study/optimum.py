@@ -1,8 +1,8 @@
 """The `optimum` study: the peak of the response over frequency against a scalar, and the value where it is least.
 
-Each value is swept both up and down, so that the larger of two motions counts; about the largest points of
-both the peak is sought between the frequencies of the sweep. Then the value of least peak is sought between those
-beside the least one by bounded minimisation [1]_, until no value an accuracy away has a smaller peak.
+Each value is swept up and down, so that the larger of two motions counts; near the largest points of both sweeps the
+peak is sought between their frequencies. The value of least peak is then sought between the neighbours of the least one
+by bounded minimisation [1]_, until no value at the distance of the accuracy has a smaller peak.
 
 .. [1] R. P. Brent, *Algorithms for Minimization Without Derivatives*, Prentice-Hall (1973), chapter 5.
 """
@@ -29,12 +29,12 @@ from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import TIE, failure_line, optimum_lines
 from timesim.study.sweep import Variables, blank_columns, variables_of
 
-NEARLY = 0.9  # of the largest: other maxima that may be larger between the points of the sweep
+NEARLY = 0.9  # of the largest amplitude: other maxima above it may be larger between the points of the sweep
 FINE = 1e-3  # of a step of the sweep: the frequency of a peak, whose height depends on it in second order only
-CHECKS = 6  # times that a smaller peak beside the optimum is followed
+CHECKS = 6  # times that the search moves on to a smaller peak beside the optimum
 
 
-# The largest amplitude of a value, its frequency [Hz], whether that is an end of the sweep, and the kind of its motion.
+# The largest amplitude for a value, its frequency [Hz], whether that is an end of the sweep, the kind of its motion.
 PEAK = ("peak", "peak_frequency", "peak_at_end", "peak_settled", "peak_irregular")
 
 FIRST, SEARCH = "values of the range", "search for the least"  # phases of the progress
@@ -42,7 +42,7 @@ FIRST, SEARCH = "values of the range", "search for the least"  # phases of the p
 
 @dataclass(frozen=True)
 class Response:
-    """One value of the scalar: the scene with it, and the plan: whose amplitude counts, over which frequencies."""
+    """The scene with one value of the scalar, and the plan, which says whose amplitude counts at which frequencies."""
 
     model: Model
     plan: OptimumPlan
@@ -64,7 +64,7 @@ class SearchError(Exception):
 
 
 def respond(response: Response, before: Result | None) -> Result:
-    """Both sweeps of a scene and their peak."""
+    """Both sweeps with one value of the scalar, and their peak."""
     model, up = response.model, tuple(map(float, response.plan.frequency))
     orbits = response.steady(Chain(model, up), Chain(model, up[::-1]))
     orbits[1] = orbits[1][::-1]
@@ -75,7 +75,7 @@ def respond(response: Response, before: Result | None) -> Result:
 
 
 def _peak(response: Response, orbits: list[list[Orbit]]) -> tuple[float, float, bool, bool, bool]:
-    """The largest amplitude, by the names of `PEAK`."""
+    """The largest amplitude, in the order of `PEAK`."""
     size = np.array([[response.size(orbit) for orbit in own] for own in orbits])
     if not np.isfinite(size).any():
         return np.nan, np.nan, False, False, False
@@ -95,7 +95,7 @@ def _peak(response: Response, orbits: list[list[Orbit]]) -> tuple[float, float, 
 
 
 def _refined(response: Response, orbit: Orbit, i: int) -> tuple[float, float, bool, bool, bool]:
-    """The peak between the neighbours of a point of the sweep, its motion carried along, by the names of `PEAK`."""
+    """The peak between the neighbours of a point of the sweep, its motion carried along, in the order of `PEAK`."""
     low, high = (float(response.plan.frequency[k]) for k in (i - 1, i + 1))
     model = replace(response.model, start=orbit.end)
     seen: list[tuple[float, float, bool, bool, bool]] = []
@@ -112,7 +112,7 @@ def _refined(response: Response, orbit: Orbit, i: int) -> tuple[float, float, bo
 
 
 class Peaks:
-    """The peaks known so far, by the value of the scalar; each further one is a stage of the campaign."""
+    """The peaks known so far by the value of the scalar; each value of the search is a stage of the campaign."""
 
     def __init__(self, scene: Scene, execution: Execution):
         plan: OptimumPlan = scene.plan
@@ -148,7 +148,7 @@ class Peaks:
             raise SearchError(reason)
 
     def _searched(self, done: float, number: float, phase: str = "", /) -> None:
-        """Take in the progress of a stage of the search, which may need more of them than is expected."""
+        """Take in the progress of a stage of the search, which may need more stages than expected."""
         stages = max(_stages(self.plan), self.stages + 1)
         self.phases[SEARCH](self.stages - 1 + done / number, stages, f"{SEARCH}, value {self.stages}")
 
@@ -206,13 +206,13 @@ class Peaks:
 
 
 def _stages(plan: OptimumPlan) -> int:
-    """Values that the search is expected to take: golden sections down to the accuracy, and those beside the least."""
+    """Values that the search may need: golden sections down to the accuracy, and those beside the least."""
     between = 2 * (plan.values[-1] - plan.values[0]) / (len(plan.values) - 1)
     return 3 + round(np.log(max(between / plan.accuracy, 1.0)) / np.log((1 + np.sqrt(5)) / 2))
 
 
 def study(scene: Scene, execution: Execution) -> Outcome:
-    """Run an optimum scene; incomplete where the least peak was not found, or points of a sweep failed."""
+    """Run an optimum scene; the result is incomplete if the least peak was not found or points of a sweep failed."""
     peaks, reason = Peaks(scene, execution), None
     earlier, clock = execution.earlier(), time.perf_counter()
     warm_up([Chain(scene.model(), (float(peaks.frequency[0]),))], peaks.solver)
@@ -233,7 +233,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 
 
 def data_of(peaks: Peaks) -> Dataset:
-    """The result file: all values that were looked at, ascending, and the best of them."""
+    """The result file: all values that were computed, ascending, and the best of them."""
     values = sorted(peaks.results)
     model = peaks.scene.model()
     key, grid = peaks.key, {peaks.key: len(values), "direction": 2, "frequency": peaks.frequency.size}

@@ -1,4 +1,4 @@
-"""What a study has computed, and the attributes that every result file bears."""
+"""What a study has computed, and the attributes of every result file."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ class Outcome:
     Attributes:
         groups: the Datasets of the result file by group, ``""`` the root.
         reason: why the run ended early; None if it is complete.
-        summary: what a user wants to know at once, a line each.
+        summary: the lines that the command prints.
     """
 
     groups: "Mapping[str, Dataset]"

@@ -1,4 +1,4 @@
-"""A point of a sweep again: its motion from the state that the result holds, with all that a transient records."""
+"""The motion at a point of a sweep, integrated again from the state in its result, with the record of a transient."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from timesim.study.registry import carry_out, load_scene
 
 SAMPLES = 400  # of a cycle
 SHOWN = ("phase_deg", "dissipated_power", "irregular")
-"""Of a point, beside what every sweep holds of it."""
+"""Variables of a point that results of earlier versions lack."""
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,9 @@ class Point:
     """A point of a sweep and its motion.
 
     Attributes:
-        name: where it is along the axes of the sweep, ``frequency=0.945,direction=up``.
-        motion: a period of it, ten cycles where it has none: the result of a transient.
-        table: what the sweep and the motion say of it, a line each.
+        name: its values along the axes of the sweep, ``frequency=0.945,direction=up``.
+        motion: one period, or ten cycles of a motion without one: the result of a transient.
+        table: the lines that the command prints.
         reason: why the motion could not be computed to its end; None if it was.
     """
 
@@ -86,7 +86,7 @@ def _text(value: float | str) -> str:
 
 
 def _kind(here: Dataset) -> str:
-    """What kind of motion it is, in words."""
+    """The kind of motion, in words."""
     period, cycles = int(here["period"]), int(here["cycles"])
     if int(here["irregular"]):
         return f"does not repeat in {cycles} cycles: quasi-periodic or irregular; {UNSETTLED_CYCLES} more are shown"
@@ -96,7 +96,7 @@ def _kind(here: Dataset) -> str:
 
 
 def _table(here: Dataset, motion: Dataset) -> Iterator[str]:
-    """Amplitude, phase and mean of what moves; states, power and largest forces of the contacts."""
+    """Amplitude, phase and mean of the points that move; states, power and largest forces of the contacts."""
     shown = [here.sel(point=point, axis=axis) for point, axis in motions(here, here["amplitude"].values)]
     columns: dict[str, Iterable[Any]] = {
         "point": [str(one["point"].values) for one in shown],

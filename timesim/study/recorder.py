@@ -1,4 +1,4 @@
-"""What a run leaves behind: samples of the recorded cycles, all transitions, totals of every cycle, contact forces."""
+"""What is recorded of a run: samples of the last cycles, all transitions, totals of every cycle, contact forces."""
 
 import timesim.runtime  # noqa: F401  isort: skip
 
@@ -20,7 +20,7 @@ from timesim.scene.transient import Schedule
 
 
 class Recorder:
-    """Takes up the steps of a run."""
+    """Records a run from its steps."""
 
     def __init__(self, run: Run, plan: Schedule):
         self.run, self.plan = run, plan
@@ -30,7 +30,7 @@ class Recorder:
         self._times, self._taken = plan.sample_times(), 0
 
     def add(self, steps: Steps) -> None:
-        """Take up a batch of steps."""
+        """Record a batch of steps."""
         if steps.time.size == 0:
             return
         self.totals.add(steps, self.run.completed)

@@ -1,14 +1,14 @@
-"""The kinds of study: the one table of them, and what loads a scene and carries out its study by it.
+"""The table of all kinds of study, and the functions that load a scene and carry out its study.
 
 To add a study, write a module with
 
 - its section of the scene file, a `timesim.scene.study.StudySection` with a `kind` and a `plan`;
-- ``study(scene, execution) -> Outcome``, which carries out `scene.plan` and returns Datasets of
-  `timesim.result.dataset.dataset`, where a variable that the package does not know is given a ``long_name``;
+- ``study(scene, execution) -> Outcome``, which carries out `scene.plan` and returns Datasets made by
+  `timesim.result.dataset.dataset`, giving a ``long_name`` to each variable that the package does not know;
 - if it has pictures, a mapping from the name of a file to a function that draws a figure of the result;
 
-and name them in a line of `STUDIES`. Reading and checking a scene loads all sections, so JAX and Matplotlib are to be
-imported inside functions where these stand in one module.
+and name them in a line of `STUDIES`. Reading and checking a scene loads all sections, so where all of this is in one
+module, JAX and Matplotlib are imported inside functions.
 """
 
 import warnings
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Study:
-    """Where the parts of a kind of study stand, each as ``module:name``; a module is loaded when it is needed.
+    """References to the parts of a kind of study, as ``module:name``; a module is loaded when it is first needed.
 
     A leading dot stands for ``timesim``.
 
     Attributes:
-        section: its section of the scene file, a class.
+        section: the class of its section of the scene file.
         run: the function ``(scene, execution) -> Outcome``.
-        pictures: its pictures, a mapping from the name of a file to a function; empty if it has none.
+        pictures: the mapping from the name of a file to a function that draws it; empty if there is none.
         in_chunks: whether it works in chunks of points, so that it can be resumed and spread over processes.
         in_curves: whether it keeps its finished curves, so that it can be resumed.
     """
@@ -67,7 +67,7 @@ STUDIES = {
 
 @cache
 def _loaded(reference: str) -> Any:
-    """What stands at ``module:name``; a module with a leading dot is one of this package."""
+    """The object at ``module:name``; a module with a leading dot is one of this package."""
     module, _, name = reference.partition(":")
     return getattr(import_module(module, "timesim"), name)
 
@@ -106,22 +106,22 @@ def draw(
 
 
 def picture_names(kind: str, files: Sequence[str] = ("png",)) -> list[str]:
-    """Names of the files that `draw` may write for a kind of study, of some kinds of files."""
+    """Names of the picture files that `draw` may write for a kind of study, in some formats."""
     return [f"{name}.{file}" for file in files for name in _pictures(kind)]
 
 
 def _pictures(kind: str) -> Mapping[str, Callable[..., Any]]:
-    """By the name of their file; none for a kind that is not known."""
+    """The pictures of a kind of study by the name of their file; none of an unknown kind."""
     study = STUDIES.get(kind)
     return _loaded(study.pictures) if study and study.pictures else {}
 
 
 def carry_out(scene: Scene, execution: Execution | None = None) -> Outcome:
-    """Run the study of a scene, on threads of this machine and without checkpoints by default.
+    """Run the study of a scene, by default on threads of this machine and without checkpoints.
 
     Raises:
-        ExecutionError: the study cannot be carried out so.
-        StoreError: a checkpoint cannot be begun, or it is not of this scene.
+        ExecutionError: the study cannot be carried out in this way.
+        StoreError: a checkpoint cannot be begun, or belongs to another scene.
     """
     execution = execution or Execution()
     check_execution(scene.kind, execution)
@@ -129,10 +129,10 @@ def carry_out(scene: Scene, execution: Execution | None = None) -> Outcome:
 
 
 def check_execution(kind: str, execution: Execution) -> None:
-    """Refuse options of the execution that make no difference to a kind of study.
+    """Refuse options of the execution that a kind of study cannot use.
 
     Raises:
-        ExecutionError: naming what must be left out.
+        ExecutionError: naming the options.
     """
     resume = execution.resume and not STUDIES[kind].in_curves
     given = {"resume": resume, "cluster": execution.cluster, "workers": execution.workers}
@@ -155,8 +155,8 @@ def run(
     Args:
         scene: a scene, or what `timesim.load_scene` takes: a path, a mapping or the text of one.
         overrides: new values by key path.
-        cluster: address of a dask scheduler that a study in chunks of points is carried out on, or "local" for
-            processes of this machine (a script that asks for it starts below ``if __name__ == "__main__":``).
+        cluster: address of the dask scheduler on which a study in chunks of points runs, or "local" for processes of
+            this machine (a script that uses it must guard its start by ``if __name__ == "__main__":``).
         workers: threads, or processes of a local cluster; the processors of this machine by default.
 
     Returns:
@@ -165,7 +165,7 @@ def run(
 
     Raises:
         SceneError: the scene is wrong.
-        ExecutionError: the study cannot be carried out so.
+        ExecutionError: the study cannot be carried out in this way.
     """
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
     execution = Execution(cluster=cluster, workers=workers)

@@ -1,4 +1,4 @@
-"""What the studies in time tell the user: read from their finished results."""
+"""The summaries of studies by time integration, in words, from their finished results."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -18,14 +18,14 @@ from timesim.scene.transient import Schedule
 MOTIONS = ("lower", "upper")
 PHASES = 12  # of a schedule at most that are listed
 POINTS = 5  # failed points, or spans of points, that are named
-TIE = 1e-7  # of a peak: smaller differences are those of the time integration
+TIE = 1e-7  # relative difference of peaks up to which they are equal: the accuracy of the time integration
 LINES = 12  # lines on ranges with two motions, or on folds
 
 
 def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
     """A run: its size, how well its energy balance closes, and the phases of its schedule unless they are many.
 
-    Of a phase, the amplitude at its end of what moves most.
+    Of each phase it gives the amplitude at the end, of the point and axis that move most during the run.
     """
     attrs, amplitude = data.attrs, data["cycle_amplitude"].values
     count = data.sizes["event"]
@@ -51,7 +51,7 @@ def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
 
 
 def error_lines(data: Dataset) -> Iterator[str]:
-    """The estimated error of a run, and what would keep a promise that it has not kept."""
+    """The estimated error of a run, and the tolerances that might keep its promise if it has not."""
     attrs = data.attrs
     error, remark, promise = attrs["estimated_error"], attrs["estimate_remark"], attrs.get("promised_error", np.inf)
     if not np.isfinite(error):
@@ -79,7 +79,7 @@ def number_of_states(data: Dataset) -> int:
 
 
 def sweep_lines(data: Dataset) -> Iterator[str]:
-    """A sweep: its steady states and its jumps."""
+    """The summary of a sweep: its steady states and its jumps."""
     cycles = data["cycles"].values.sum()
     yield (
         f"{number_of_states(data)} steady states by {data.attrs['method']} in {data.attrs['run_seconds']:.2f} s, "
@@ -90,7 +90,7 @@ def sweep_lines(data: Dataset) -> Iterator[str]:
 
 
 def unusual_lines(data: Dataset) -> Iterator[str]:
-    """Steady states of a sweep that repeat after several cycles, or to less than asked for, and points without one."""
+    """Points of a sweep whose motion repeats after several cycles, is less exact than asked for, or never settles."""
     done, settled = np.isfinite(data["amplitude"].values).all(axis=(-2, -1)), data["settled"].values == 1
     several, irregular, left = np.sum(data["period"].values > 1), data["irregular"].values == 1, data["settled_to"]
     if several:
@@ -115,7 +115,7 @@ def unusual_lines(data: Dataset) -> Iterator[str]:
 
 
 def jump_lines(data: Dataset) -> Iterator[str]:
-    """The jumps of a sweep; without bisection the steps of frequency over which its amplitude changes most."""
+    """The jumps of a sweep, or without bisection the steps of frequency over which its amplitude changes most."""
     bisected = data.attrs.get("jumps_bisected", 1)
     ends = np.stack([data["jump_low"].values, data["jump_high"].values], axis=-1)
     for place in map(tuple, np.argwhere(np.isfinite(ends[..., 0]))):
@@ -137,7 +137,7 @@ def failure_line(data: Dataset) -> str | None:
 
 
 def _spans(data: Dataset, chosen: np.ndarray) -> str:
-    """From where to where points lie, for each chain that has some."""
+    """The range of frequency of chosen points, for each chain that has some."""
     spans = []
     for place in map(tuple, np.argwhere(chosen.any(axis=-1))):
         at = data["frequency"].values[chosen[place]]
@@ -148,7 +148,7 @@ def _spans(data: Dataset, chosen: np.ndarray) -> str:
 
 
 def _chain(data: Dataset, place: Sequence[int]) -> str:
-    """Values along the axes that set a chain apart from others, with a colon; empty where there are no others."""
+    """Values that tell a chain from the others, with a colon; empty where there are no others."""
     named = [words for words in _where(data, data["settled"].dims[:-1], place) if words != "direction independent"]
     return f"{', '.join(named)}: " if named else ""
 
@@ -164,7 +164,7 @@ def _where(data: Dataset, dims: Sequence[Any], place: Sequence[int]) -> list[str
 
 
 def bistable_lines(data: Dataset, sweep: Dataset, width: float) -> Iterator[str]:
-    """Ranges with two motions, each end bisected to a width [Hz], by the root of the result and its sweeps."""
+    """The ranges with two motions, from the root of the result and its sweeps; each end is bisected to a width [Hz]."""
     *keys, jump, _ = data["range"].dims
     lines = []
     for place in np.argwhere(np.isfinite(data["range"].values).all(axis=-1)):
@@ -183,7 +183,7 @@ def bistable_lines(data: Dataset, sweep: Dataset, width: float) -> Iterator[str]
 
 
 def _range_lines(one: Dataset, width: float) -> Iterator[str]:
-    """One range."""
+    """A range with two motions."""
     (low, high), smaller, larger = (one[name].values for name in ("range", "amplitude_lower", "amplitude_upper"))
     place = np.unravel_index(np.argmax(larger), larger.shape)
     name = f"{one['point'].values[place[0]]} {one['axis'].values[place[1]]}"
@@ -215,7 +215,7 @@ def _range_lines(one: Dataset, width: float) -> Iterator[str]:
 
 
 def _start_lines(one: Dataset) -> Iterator[str]:
-    """Where the starts at the middle of a range have led."""
+    """Where the starts at the middle of a range lead."""
     branch = one["start_branch"].values
     count = {side: int(np.sum(branch == side)) for side in (LOWER, UPPER, ANOTHER, IRREGULAR, NONE)}
     rest = ((ANOTHER, "to another motion"), (IRREGULAR, "to one that does not repeat"), (NONE, "did not settle"))
@@ -229,7 +229,7 @@ def _start_lines(one: Dataset) -> Iterator[str]:
 
 
 def _offset_lines(one: Dataset, size: float) -> Iterator[str]:
-    """Contacts that stick with an offset that is not unique."""
+    """Contacts that stick all the time with an offset that is not unique."""
     low, high = one["offset_low"].values, one["offset_high"].values
     for side, i in np.argwhere(~unique(low, high, size).all(axis=-1)):
         spans = " and ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(low[side, i], high[side, i], strict=True))
@@ -241,7 +241,7 @@ def _offset_lines(one: Dataset, size: float) -> Iterator[str]:
 
 
 def fold_lines(hbm: Dataset, ends: np.ndarray, reach: float) -> Iterator[str]:
-    """Folds of the balance, beside which the ends of ranges may be read, and those with none within a reach [Hz]."""
+    """Folds of the balance, to compare with the ends of the ranges, and folds without an end within a reach [Hz]."""
     frequency, sets = hbm["frequency"].values, dict[str, list[float]]()
     for place in np.flatnonzero(hbm["fold"].values):
         label = in_words({key: hbm[key].values[place] for key in over_keys(hbm)}, ": ")
@@ -261,7 +261,7 @@ def fold_lines(hbm: Dataset, ends: np.ndarray, reach: float) -> Iterator[str]:
 
 
 def _as_low(values: np.ndarray, peak: np.ndarray, at: int) -> tuple[float, float]:
-    """First and last of the values about one whose peaks are as low; a missing one ends them."""
+    """First and last of the adjacent values whose peaks equal that at ``at``; a missing peak ends them."""
     higher = np.flatnonzero(~(peak * (1 - TIE) <= peak[at]))
     last = higher[higher > at].min(initial=len(values)) - 1
     return float(values[higher[higher < at].max(initial=-1) + 1]), float(values[last])

@@ -1,6 +1,6 @@
-"""The `sweep` study: steady states over frequency and any scalars of the scene, in chunks that are computed apart.
+"""The `sweep` study: steady states over frequency and any scalars of the scene, in chunks that are computed separately.
 
-What a chunk gives depends on nothing but its payload and the state that the chunk before it has ended with, so a sweep
+The result of a chunk depends only on its payload and on the state in which the chunk before it has ended, so a sweep
 gives the same bits however its chunks are spread over threads or a cluster, and wherever it was interrupted.
 """
 
@@ -30,20 +30,20 @@ from timesim.study.execution.worker import halted, point_done
 from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import failure_line, sweep_lines
 
-POINTS_A_CHUNK = 128  # of independent points: their batch is kept full while some of them settle late
+POINTS_A_CHUNK = 128  # independent points: enough to keep a batch full while some of them settle late
 CHAINS_A_CHUNK = (4, 32)  # few chains are spread over the processors, many are kept in few files
 MANY_CHAINS = 64
-STEPS_A_CHUNK = 16  # of a chain: what is lost at most when a sweep is interrupted
+STEPS_A_CHUNK = 16  # of a chain: the most that is lost when a sweep is interrupted
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Work of one chunk: some chains of frequencies [Hz], begun anew or where the chunk before it has ended.
+    """Work of one chunk: chains of frequencies [Hz], begun anew or where the chunk before has ended.
 
     Attributes:
         chains: what is computed.
         solver, criterion: how their steady states are sought.
-        refine: width [Hz] to which jumps along the chains are narrowed down; None does not look for them.
+        refine: width [Hz] to which jumps along the chains are bisected; None does not search for them.
     """
 
     chains: tuple[Chain, ...]
@@ -75,7 +75,7 @@ def _jumps(
 
 
 def _steps(chain: Chain, own: list[Orbit], before: Result | None, index: int) -> list[Stretch]:
-    """Steps of a chain within which it may jump, that from the segment before included."""
+    """The steps of a chain, within which it may jump, including the one from the segment before."""
     frequencies, orbits = list(chain.frequencies), list(own)
     if before is not None and not before["reason"][index, -1]:
         frequencies.insert(0, float(before["last_frequency"][index]))
@@ -84,7 +84,7 @@ def _steps(chain: Chain, own: list[Orbit], before: Result | None, index: int) ->
 
 
 def _continued(chains: Sequence[Chain], before: Result) -> list[Chain]:
-    """Chains from where the segment before has ended; one whose last point failed starts anew."""
+    """Chains that continue where the segment before has ended; one whose last point failed starts anew."""
     continued = []
     for index, chain in enumerate(chains):
         if before["reason"][index, -1]:
@@ -99,7 +99,7 @@ def _continued(chains: Sequence[Chain], before: Result) -> list[Chain]:
 
 
 def study(scene: Scene, execution: Execution) -> Outcome:
-    """Run a sweep; points that fail are marked, named with their reason, and make the result incomplete."""
+    """Run a sweep; points that fail are marked, named with the reason, and make the result incomplete."""
     phases = Phases(execution.progress, {"sweep": scene.plan.size})
     data, reason = sweep_record(scene, scene.plan, replace(execution, progress=phases["sweep"]))
     method, compiling, running = (data.attrs[name] for name in ("method", "compile_seconds", "run_seconds"))
@@ -108,9 +108,9 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 
 
 def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[Dataset, str | None]:
-    """The steady states over the further axes, direction and frequency, and why they are incomplete; None if not.
+    """The steady states over the further axes, direction and frequency, and why they are incomplete, or None.
 
-    The result has `method`, `compile_seconds` and `run_seconds` as its attributes.
+    The attributes of the result are `method`, `compile_seconds` and `run_seconds`.
     """
     solver, grid = scene.solver(), Grid(scene, plan)
     chunks, places = grid.chunks(solver)
@@ -130,8 +130,8 @@ def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[D
     return data, reason or failure_line(data)
 
 
-# Dimensions of what is known of a point after those of the sweep, what stands for a point not computed where that is
-# not NaN, and the names of some columns in the result file.
+# Dimensions of the quantities of a point after those of the sweep; values for points that were not computed, where
+# these are not NaN; names of some columns in the result file.
 TAILS = {
     **dict.fromkeys(("amplitude", "phase_deg"), ("point", "axis")),
     **dict.fromkeys(("harmonic_amplitude", "harmonic_cos", "harmonic_sin"), ("harmonic", "point", "axis")),
@@ -164,7 +164,7 @@ Variables = dict[str, tuple[tuple[str, ...], np.ndarray]]
 
 
 def blank_columns(model: Model, *shape: int) -> dict[str, np.ndarray]:
-    """Columns of points of which nothing is known; shape: of the points."""
+    """Columns of points that were not computed; ``shape`` is that of the points."""
     sizes, arrays = sizes_of(model), dict[str, np.ndarray]()
     for name in COLUMNS:
         fill, kind = BLANK.get(name, (np.nan, float))
@@ -173,7 +173,7 @@ def blank_columns(model: Model, *shape: int) -> dict[str, np.ndarray]:
 
 
 def variables_of(columns: Columns, axes: Mapping[str, int]) -> Variables:
-    """Steady states as variables of a result file; no state is left of a point that failed.
+    """Steady states as variables of a result file; a point that failed has no state.
 
     The columns may have any dimensions of the points first, which become axes of these names and sizes.
     """
@@ -200,7 +200,7 @@ class Grid:
     """The points of a sweep: sets of values of the further axes, directions, frequencies.
 
     Attributes:
-        models, failed: of each set of values by its number the model, or why it has none.
+        models, failed: by the number of each set of values, its model, or why it has none.
     """
 
     def __init__(self, scene: Scene, plan: SweepPlan):
@@ -222,7 +222,7 @@ class Grid:
         return len(self.models) + len(self.failed), len(self.plan.directions), self.frequency.size
 
     def chunks(self, solver: Solver) -> tuple[list[Chunk], dict[str, list[Place]]]:
-        """The work, and where the results of each chunk belong."""
+        """The chunks, and the places of their results."""
         chunks: list[Chunk] = []
         places: dict[str, list[Place]] = {}
         for name, after, where in self._pieces():
@@ -254,7 +254,7 @@ class Grid:
     def gathered(
         self, results: Mapping[str, Result], places: Mapping[str, list[Place]]
     ) -> tuple[dict[str, np.ndarray], list[tuple[int, int, float, float]]]:
-        """Columns on (set, direction, order of the sweep), and jumps as (set, direction, low, high)."""
+        """Columns over (set, direction, ascending frequency), and jumps as (set, direction, low, high)."""
         arrays = blank_columns(self.any_model, *self.shape)
         for v, reason in self.failed.items():
             arrays["reason"][v] = reason
@@ -275,7 +275,7 @@ class Grid:
         return arrays, jumps
 
     def _unrefined(self, amplitude: np.ndarray) -> Iterator[tuple[int, int, float, float]]:
-        """Steps that stand out, from the amplitudes in the order of the sweep."""
+        """Steps over which the amplitude stands out, as (set, direction, low, high)."""
         for v, d in product(range(self.shape[0]), range(self.shape[1])):
             frequency = self._visited(d, slice(None))
             for k in suspects(amplitude[v, d].reshape(self.frequency.size, -1)):

@@ -1,6 +1,6 @@
-"""The studies `transient`, one run at one frequency, and `jump`, one through a schedule of frequencies.
+"""The studies `transient`, one run at one frequency, and `jump`, one run through a schedule of frequencies.
 
-What is recorded of them is the same (sections 5.2 and 5.3 of the paper).
+Both record the same (sections 5.2 and 5.3 of the paper).
 """
 
 import time
@@ -24,7 +24,7 @@ from timesim.study.recorder import Recorder, contact_forces
 from timesim.study.report import transient_lines
 
 REPETITIONS = 2
-"""Of a run that errs more than promised: a first estimate may be far off where the error is not proportional yet."""
+"""Of a run that errs more than promised: the first estimate may be far off if errors are not proportional yet."""
 
 Variables = dict[str, tuple[tuple[str, ...], np.ndarray]]
 
@@ -55,7 +55,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 
 @dataclass(frozen=True)
 class _Carried:
-    """A run that has ended: what is recorded of it, why it ended early if it did, its estimated error if wanted.
+    """A run that has ended: its record, why it ended early or None, its estimated error if that is wanted.
 
     `compiling` is the time of compilation [s].
     """
@@ -71,7 +71,7 @@ class _Carried:
 
 
 def _doubted(done: _Carried, promise: float) -> _Carried:
-    """A repetition; its estimate is remarked upon where so fine a tolerance shows that errors grow without measure."""
+    """A repetition, with a remark on its estimate where the fine tolerance shows that the motion amplifies errors."""
     share = promise / done.solver.rtol
     if done.error is None or done.error.remark or share <= AMPLIFIED:
         return done
@@ -80,7 +80,7 @@ def _doubted(done: _Carried, promise: float) -> _Carried:
 
 
 def _carried(scene: Scene, solver: Solver, execution: Execution, first: _Carried | None = None) -> _Carried:
-    """Run a scene by a solver, and estimate the error if that is wanted; ``first``: a coarser run of the same."""
+    """Run a scene by a solver, and estimate the error if that is wanted; ``first`` is a coarser run of the same."""
     plan: Schedule = scene.plan
     run = Run(scene.model(), [Phase(*phase) for phase in plan.phases], solver)
     run.time = float(plan.edges()[0])
@@ -112,7 +112,7 @@ def _record(scene: Scene, done: _Carried, seconds: float) -> Dataset:
 
 
 def _advance(recorder: Recorder, execution: Execution, whole: float) -> str | None:
-    """Advance a run to its end, of work as long as ``whole`` cycles; why it ended early, if it did."""
+    """Advance a run to its end, and return why it ended early, or None; all work counts as ``whole`` cycles."""
     run = recorder.run
     try:
         for steps in run.batches():
@@ -126,7 +126,7 @@ def _advance(recorder: Recorder, execution: Execution, whole: float) -> str | No
 
 
 def _estimate(recorder: Recorder, execution: Execution, reason: str | None) -> Estimate:
-    """The error of a run that has ended, ``reason`` being why it did so early."""
+    """The estimated error of a run; ``reason``: why the run ended early."""
     run, totals = recorder.run, recorder.totals
     if reason is not None:
         return unknown(totals, "the run ended early")
@@ -168,7 +168,7 @@ def _sample_variables(recorder: Recorder) -> tuple[Variables, np.ndarray]:
 
 
 def final_variables(run: Run) -> Variables:
-    """State at the very end, from which another run may start."""
+    """The state at the end, from which another run may start."""
     model = run.model
     u = np.einsum("cam,m->ca", model.contact_shape[:, :2], run.displacement)
     free = slip_follows_motion(run.state, model.friction)

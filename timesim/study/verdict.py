@@ -1,4 +1,4 @@
-"""What curves by harmonic balance, and their comparison with a sweep, tell the user: read from the finished results."""
+"""The summaries of harmonic balance, and of its comparison with a sweep, in words, from the finished results."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,17 +13,17 @@ from timesim.result.coordinate import over_keys, rubs
 from timesim.result.label import in_words, with_unit
 from timesim.scene.study import combinations
 
-# Nearer to a fold than this share of its frequency a small error of either method moves the answer much.
+# Within this share of a fold's frequency a small error of either method changes the answer much.
 NEAR_FOLD = 1e-3
-# Difference of the methods, relative to the amplitude, up to which they agree and nearly agree, and from which on it is
-# worth asking for its cause.
+# Differences of the methods relative to the amplitude: up to which they agree, up to which they nearly agree, and from
+# which on the cause is looked into.
 AGREE, NEARLY, WORTH_ASKING = 2e-3, 2e-2, 5e-4
-# Share of the period for which a contact that has slipped to its cone, and no further, may slip by rounding.
+# Share of the period for which a contact that has crept up to its cone may slip by rounding.
 SHAKEN_DOWN = 1e-5
 
 
 def curve_lines(data: Dataset, notes: Sequence[str]) -> Iterator[str]:
-    """Response curves: how many, notes of the study, each curve, and how well harmonics and samples suffice."""
+    """Response curves: how many, notes of the study, each curve, and whether harmonics and samples suffice."""
     numbers, attrs = np.unique(data["curve"].values), data.attrs
     yield (
         f"{data.sizes['solution']} solutions on {numbers.size} curve{'s' * (numbers.size != 1)} by {attrs['method']} "
@@ -38,7 +38,7 @@ def curve_lines(data: Dataset, notes: Sequence[str]) -> Iterator[str]:
 
 
 def _curve_line(curve: Dataset) -> str:
-    """Peak of a curve, its folds, and how much of it slips and separates."""
+    """The peak of a curve, its folds, and how much its contacts slip and separate."""
     amplitude, along = curve["amplitude"].values, curve[curve.attrs.get("along", "frequency")].values
     stable, fold = curve["stable"].values > 0, curve["fold"].values > 0
     point, axis = np.unravel_index(np.argmax(amplitude.max(axis=0)), amplitude.shape[1:])
@@ -84,19 +84,21 @@ def _listed(numbers: np.ndarray, changes: np.ndarray, name: str) -> str:
 
 @dataclass(frozen=True)
 class Points:
-    """Points of a sweep beside the balance: V sets of values of the further axes, D directions, F frequencies [Hz].
+    """Points of a sweep compared with the balance: V sets of values, D directions, F frequencies [Hz].
 
     Attributes:
-        difference: largest of (balance - sweep) / sweep, without its sign, over points and axes, shape (V, D, F), as
-            all that follow.
+        values: of the further axes, for each set.
+        frequency: [Hz], shape (F,).
+        difference: largest absolute value of (balance - sweep) / sweep over points and axes, shape (V, D, F), like all
+            that follow.
         solved: whether the balance has a stable solution there.
         settled, doubled: whether the motion repeats after one cycle, after several.
-        irregular: whether it does not repeat however long it goes on.
+        irregular: whether it never repeats.
         linear: whether no contact slips, or opens within the cycle.
         near_fold: whether a fold of the balance is near.
-        slip, separation: largest share of a period over the contacts, each by itself.
-        sticks: whether a contact sticks all the time beside others that do not.
-        other_offset: whether the methods differ only since it keeps another offset.
+        slip, separation: largest share of a period in the state, over the contacts.
+        sticks: whether a contact sticks all the time.
+        other_offset: whether the methods differ only because that contact keeps another offset.
     """
 
     values: Sequence[Mapping[str, float]]
@@ -115,12 +117,12 @@ class Points:
 
     @property
     def judged(self) -> np.ndarray:
-        """Points that say something of the contacts, away from folds, shape (V, D, F)."""
+        """Points that prove something of the contacts, away from folds, shape (V, D, F)."""
         return self.settled & self.solved & ~self.linear & ~self.near_fold & ~self.other_offset
 
     @property
     def doubtful(self) -> np.ndarray:
-        """Judged points whose difference the offset of a contact that sticks may explain, shape (V, D, F)."""
+        """Judged points whose difference may be due to the offset of a contact that sticks, shape (V, D, F)."""
         return self.judged & self.sticks & (self.difference > WORTH_ASKING)
 
     @property
@@ -134,7 +136,7 @@ class Points:
 
 
 def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarray) -> Points:
-    """What the two results and their difference, on the axes of the sweep's amplitude, say of each point."""
+    """The points, from both results and their difference on the axes of the sweep's amplitude."""
     axes = {str(key): tuple(sweep[key].values) for key in sweep["settled"].dims[:-2]}
     values, frequency = list(combinations(axes)), sweep["frequency"].values
     shape = (len(values), sweep.sizes["direction"], frequency.size)
@@ -164,7 +166,7 @@ def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarra
 
 
 def comparison_lines(points: Points) -> Iterator[str]:
-    """The comparison, a line for each kind of points."""
+    """The verdict, with a line for each kind of points."""
     size, seen = points.difference, points.settled & points.solved
     if points.judged.any():
         yield _judgement(points)
@@ -212,7 +214,7 @@ def _judgement(points: Points) -> str:
 
 
 def _places(points: Points, chosen: np.ndarray) -> str:
-    """Where points lie, by value."""
+    """The ranges of frequency of chosen points, for each set of values."""
     parts = []
     for values, own in zip(points.values, chosen, strict=True):
         at = points.frequency[own.any(axis=0)]

@@ -18,18 +18,18 @@ from timesim.scene.transient import TradeoffPlan
 from timesim.study.execution.campaign import Execution
 
 REPEATED, REPEATS = 0.3, 5
-"""Seconds of a run below which it is repeated so often: the least counts, since other work of the machine adds time."""
+"""A run below so many seconds is repeated so often; the least time counts, since other work of the machine adds to it."""
 STEP = {CLOSED_FORM: 0.1, "tsit5": 1.0, "rk4": 0.6, "dopri8": 2.0, "exponential": 4.0}
 COMPILED = {CLOSED_FORM: 0.0, "tsit5": 1.0, "rk4": 0.6, "dopri8": 2.5, "exponential": 12.0}
 """Time of a step, and of compilation, roughly, as multiples of that of tsit5 (measured)."""
 SETTLING = Solver("tsit5", 1e-9, 1e-11)
-"""What leads to the settled motion, of which the amplitude is judged."""
+"""The solver that marches to the settled motion, whose amplitude is judged."""
 LEFT = 0.1
-"""Of the wanted error: to what a free vibration has decayed then."""
+"""Share of the wanted error to which free vibrations have decayed by then."""
 MOST_CYCLES, MOST_TIME = 2000, 0.3
-"""Cycles, and share of the budget, that this may take."""
+"""Most cycles, and largest share of the budget, for this march."""
 ORDER = {"dopri8": 8, "exponential": 6}
-"""Where it is not five: the steps grow with the tolerance to the power of minus its inverse."""
+"""Order of the methods where it is not 5: the number of steps grows as tolerance ** (-1/order)."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Trial:
     Attributes:
         solver: method, tolerances and whether the reductions were on.
         num_modes: modes kept, the lowest.
-        preset: name of the preset that it is; empty otherwise.
-        seconds, compiling: of the run, compiled, and of compilation before it; 0 where the program was there.
+        preset: name of the preset whose solver it is; empty otherwise.
+        seconds, compiling: of the compiled run, and of its compilation; 0 where it was compiled before.
         displacement, velocity: of all modes at the end, 0 for those not kept.
         size: largest of both in the last cycle, as of `timesim.engine.history.CycleTotals`.
         amplitude: of the last cycle, of each point along each axis.
@@ -60,10 +60,10 @@ class Trial:
 
 
 class Bench:
-    """What runs and times, while there is time left.
+    """Makes and times runs while there is time left.
 
     Attributes:
-        trials: those that have come to their end.
+        trials: the runs that have come to their end.
         left_out: runs that were not made, or failed, each with the reason.
         settled_to: change of the amplitude over the last cycle before the runs, where it is judged; else NaN.
     """
@@ -104,7 +104,7 @@ class Bench:
         return trial
 
     def time_again(self) -> None:
-        """Time the short runs once more, those before having been made when the machine may have had other work."""
+        """Time the short runs once more, since the machine may have done other work during the first ones."""
         for i, trial in enumerate(self.trials):
             if trial.seconds < min(REPEATED, self.left):
                 self.execution.progress(self.plan.budget - self.left, self.plan.budget, f"{trial.solver} again")
@@ -139,7 +139,7 @@ class Bench:
 
     def _timed(self, solver: Solver, num_modes: int, preset: str) -> Trial:
         model, key = self.model_of(num_modes), program(solver, num_modes)
-        # Of a program that is not there the first run is with its compilation.
+        # The first run of a program that is not compiled yet includes its compilation.
         first, seconds = key not in self._compiling, list[float]()
         while len(seconds) < 1 + first or (min(seconds) < REPEATED and len(seconds) < REPEATS):
             clock = time.perf_counter()

@@ -1,4 +1,4 @@
-"""What a tradeoff tells the user: its runs, those that are worth their time, the blocks to paste."""
+"""The summary of a tradeoff in words: its runs, those that are worth their time, the blocks to paste."""
 
 import json
 from collections.abc import Iterator
@@ -22,7 +22,7 @@ def lines(data: Dataset) -> Iterator[str]:
 
 
 def _verdict(data: Dataset) -> Iterator[str]:
-    """What is known of the errors, and what follows from it."""
+    """How well the errors are known, and what follows from them."""
     attrs = data.attrs
     known, truth = attrs["error_known_to"], attrs["truth"]
     by = f"by two methods, {truth}" if truth else "by no second method: give it a larger study.budget"
@@ -64,7 +64,7 @@ def words_of(one: Dataset) -> str:
 
 
 def _advice(data: Dataset) -> Iterator[str]:
-    """The block for the wanted error, and how much a block of the front gives for its time."""
+    """The block for the wanted error, and blocks of the front for other times."""
     attrs, chosen = data.attrs, json.loads(data.attrs["recommended"])
     if not chosen:
         return
@@ -109,7 +109,7 @@ def _modes(data: Dataset) -> Iterator[str]:
 
 
 def _reductions(data: Dataset) -> Iterator[str]:
-    """What leaving out what the scene cannot need gains."""
+    """How much the reductions gain."""
     for i in np.flatnonzero(data["reduced"].values == 0):
         one = data.isel(trial=i)
         same = (data.method == one.method) & (data.rtol == one.rtol) & (data.reduced == 1)

@@ -1,7 +1,7 @@
 """The study `tradeoff`: one run by many solvers, which of them are worth their time, and the block that is recommended.
 
-The truth is the finest run. How far a run of another method is from it says how well it is known: an error below that
-counts as that much.
+The truth is the finest run. It is known as well as a run of another method agrees with it; smaller errors count as that
+much.
 """
 
 import json
@@ -24,9 +24,9 @@ from timesim.study.tradeoff.bench import Bench, Trial
 from timesim.study.tradeoff.report import block, lines
 
 FINE = 1e-11
-"""Tolerance of the runs that the others are judged by."""
+"""Tolerance of the runs by which the others are judged."""
 SAFETY = 0.5
-"""Share of the wanted error that a tolerance between two that were tried is chosen for."""
+"""Share of the wanted error for which a tolerance is interpolated between two that were tried."""
 
 
 def study(scene: Scene, execution: Execution) -> Outcome:
@@ -48,7 +48,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 
 
 def _try_all(bench: Bench, settings: dict[str, Any]) -> None:
-    """The runs, the cheapest first; those that are compiled anew after those that are not."""
+    """Make the runs, the cheapest first, and those that need another program after those that do not."""
     model, plan = bench.model, bench.plan
 
     def by(method: str, rtol: float, **more: Any) -> Solver:
@@ -83,7 +83,7 @@ def fewer(num_modes: int) -> list[int]:
 
 
 def _between(bench: Bench, method: str) -> None:
-    """A run of a method by the tolerance that would give half the wanted error, from the errors of its others."""
+    """Run a method with the tolerance that would give half the wanted error, by the errors of its other runs."""
     judged, wanted = judge(bench), SAFETY * bench.plan.error
     own = [
         (error, trial.solver.rtol)
@@ -113,7 +113,7 @@ class Judged:
     Attributes:
         error: of each, at least `known`.
         known: how well the truth is known.
-        verified: by which two solvers it is known; empty where no other method has verified it.
+        verified: the two solvers that agree on it; empty where no other method has verified it.
         pareto: whether no other run of the whole scene is both faster and better.
         recommended: position of the fastest run of the whole scene that keeps the wanted error, of the best where none
             does; -1 where there is none.
