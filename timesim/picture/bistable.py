@@ -1,4 +1,4 @@
-"""Pictures of a response that jumps: sweeps over the branch behind, which start leads where, ranges against a scalar.
+"""Pictures of a response that jumps: sweeps over the balance, which start leads where, ranges against a scalar.
 
 `data` is the DataTree of a `bistable` study with the groups `sweep` and `hbm`.
 """
@@ -59,7 +59,7 @@ LED_TO = {
 class Range(NamedTuple):
     """A range of frequency with two motions.
 
-    It has a position along the further axes and a number there; the label says their values, the ends are in Hz.
+    ``at`` is its position along the further axes, ``number`` counts the ranges there; the ends are in Hz.
     """
 
     at: Mapping[str, int]
@@ -75,7 +75,7 @@ class Range(NamedTuple):
 
 
 def ranges(data: "DataTree") -> list[Range]:
-    """All ranges, those of the last axis first."""
+    """All ranges, the last of the further axes varying fastest."""
     ends = data.to_dataset()["range"].transpose(..., "jump", "end").values
     return [
         Range(at, number, _label(data, at), float(low), float(high))
@@ -109,13 +109,13 @@ def response(
     point: str | None = None,
     axis: str | None = None,
 ) -> "Axes":
-    """Both sweeps, what they jump to, and the branch of harmonic balance behind, unstable where it is dashed.
+    """Both sweeps, what they jump to, and the curves of harmonic balance behind, dashed where they are unstable.
 
     Args:
         data, ax: the result, and axes to draw on.
         at: position along the further axes; the first of each by default.
-        near: show this range alone, with what lies beside it.
-        point, axis: whose amplitude; that and along the axis with the largest by default.
+        near: show only this range and its surroundings.
+        point, axis: whose amplitude is shown; by default those with the largest.
     """
     ax, sweep = axes(ax), data.children["sweep"].to_dataset()
     point, axis = motion(sweep, point, axis)
@@ -143,7 +143,7 @@ def _window(item: Range) -> tuple[float, float]:
 
 
 def _sweep(ax: "Axes", part: "Dataset", direction: str, colour: str, window: tuple[float, float]) -> None:
-    """The points of a sweep inside a window, hollow where they have not settled; joined where all are shown."""
+    """The points of a sweep inside a window, hollow if not settled, joined by a line if all of them are shown."""
     x, y, settled = part.frequency.values, part.amplitude.values, part.settled.values > 0
     shown = (x >= window[0]) & (x <= window[1])
     if shown.all():
@@ -170,7 +170,7 @@ def _branch(
     name: str = "amplitude",
 ) -> None:
     """The curves of harmonic balance with these values, their folds marked."""
-    # In a tree the root's axes hide the variables of these names; without them points and axes go by number.
+    # In a tree the coordinates of the root hide variables of the same names; without them points have no names.
     root, hbm = data.to_dataset(), data.children["hbm"].to_dataset(inherit=False)
     inside = np.ones(hbm.sizes["solution"], bool)
     for key, i in at.items():
@@ -180,7 +180,7 @@ def _branch(
         part = hbm.isel(solution=inside & (hbm.curve.values == number), point=row, axis=column)
         x, fold = part.frequency.values, part.fold.values > 0
         shown = (x >= window[0]) & (x <= window[1])
-        # A solution beyond each edge of the window, for the line to reach it.
+        # One more solution beyond each edge of the window, so that the line reaches the edge.
         reached = shown | np.append(shown[1:], False) | np.append(False, shown[:-1])
         y = np.where(reached, part[name].values, np.nan)
         look: dict[str, Any] = {
@@ -210,7 +210,7 @@ def phase(data: "DataTree", ax: "Axes | None" = None, *, at: Mapping[str, int] |
 
 
 def _range(data: "DataTree", ax: "Axes", item: Range, point: str, axis: str, *, middle: bool) -> None:
-    """A range shaded, an arrow for each jump, and where there is room the motions at its middle."""
+    """A range shaded, with an arrow for each jump and, where there is room, the motions at its middle."""
     ax.axvspan(item.low, item.high, color=SHADE, linewidth=0, zorder=0, label="two motions")
     here = data.to_dataset().isel(item.where).sel(point=point, axis=axis)
     ends = here["jump_from"].values, here["jump_to"].values

@@ -1,4 +1,4 @@
-"""What a picture shows where there is more than it has room for: what moves or rubs most, and values spread evenly."""
+"""What a picture shows if there is too much for it: what moves or rubs most, or an even selection of values."""
 
 from typing import TYPE_CHECKING
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 MAX_ROWS = 3  # points or contacts, one above the other
 MAX_CURVES = 12  # sets of values of the further axes
-STILL = 1e-9  # of the largest motion: what moves less does not move
+STILL = 1e-9  # share of the largest motion below which something does not move
 
 
 def motions(data: "Dataset", size: np.ndarray) -> list[tuple[str, str]]:
@@ -34,14 +34,14 @@ def main_axes(data: "Dataset") -> dict[str, str]:
 
 
 def motion(data: "Dataset", point: str | None, axis: str | None) -> tuple[str, str]:
-    """The point and axis asked for; without them those of the largest amplitude."""
+    """The point and axis that are asked for, by default those of the largest amplitude."""
     axes = main_axes(data)
     point = point or next(iter(axes))
     return point, axis or axes.get(point, str(data.axis.values[0]))
 
 
 def busiest(data: "Dataset", *activity: np.ndarray, limit: int = MAX_ROWS) -> list[str]:
-    """At most `limit` contacts, the most active by the first measure, then by the next, in the scene's order.
+    """At most `limit` contacts, the most active by the first measure, ties decided by the next, in the scene's order.
 
     ``activity``: of each contact, shape (C,).
     """
@@ -50,11 +50,11 @@ def busiest(data: "Dataset", *activity: np.ndarray, limit: int = MAX_ROWS) -> li
 
 
 def spread(number: int) -> list[int]:
-    """Positions among a number of curves, all or `MAX_CURVES` of equal spacing, both ends included."""
+    """Positions of the curves that are shown: all, or `MAX_CURVES` evenly spaced ones with both ends."""
     return sorted({round(i) for i in np.linspace(0, number - 1, min(number, MAX_CURVES))})
 
 
 def left_out(number: int, shown: int, what: str, which: str = "") -> str:
-    """A note of how many things are not shown, and which; empty where all are."""
+    """A note of how many things are not shown, and which; empty if all are shown."""
     note = f"{number - shown} of {number} {what} not shown" + (f" ({which})" if which else "")
     return note if number > shown else ""

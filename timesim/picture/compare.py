@@ -1,4 +1,4 @@
-"""Pictures of a comparison: the points of the sweep on the curves of the harmonic balance, and how far they are apart.
+"""Pictures of a comparison: the points of the sweep on the curves of harmonic balance, and their difference.
 
 `data` is the DataTree of a `compare` study with the groups `sweep`, `hbm` and, where the contacts did more than stick
 or stay apart, `cycle`.
@@ -37,13 +37,13 @@ if TYPE_CHECKING:
 
 METHODS = {"sweep": "time integration", "hbm": "harmonic balance"}
 SHORT = {"sweep": "in time", "hbm": "balance"}  # beside a bar
-# Amplitudes of a point along an axis below this share of the largest do not count in the difference that is drawn.
+# Amplitudes below this share of the largest are left out of the difference that is drawn.
 MINOR = 1e-3
-SMALL, WIDE = 3.2, 7.0  # sizes of a dot and of a triangle beside the point
+SMALL, WIDE = 3.2, 7.0  # sizes of a dot, and of a triangle beside the point
 
 
 Points = tuple[dict[str, int], dict[str, Any]]
-"""The points of a sweep with one set of values in one direction: positions along these axes, and how they are drawn."""
+"""Points of a sweep with one set of values and one direction: the positions along these axes, and the style."""
 
 
 def overlay(
@@ -54,7 +54,7 @@ def overlay(
     axis: str | None = None,
     name: str = "amplitude",
 ) -> "Axes":
-    """Curves of the harmonic balance and points of the sweep; hollow where they have not settled.
+    """Curves of harmonic balance and points of the sweep, which are hollow if not settled.
 
     ``name``: amplitude or phase_deg.
     """
@@ -93,7 +93,7 @@ def difference(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
 
 
 def _settled_or_hollow(ax: "Axes", x: np.ndarray, y: np.ndarray, settled: np.ndarray, look: dict[str, Any]) -> None:
-    """Points as filled markers where they have settled, as larger hollow ones where they have not."""
+    """Points that have settled as filled markers, the others as larger hollow ones."""
     ax.plot(x[settled], y[settled], **look)
     if not settled.all():
         hollow = look | {"label": "not settled", "fillstyle": "none", "markeredgecolor": look["color"]}
@@ -101,7 +101,7 @@ def _settled_or_hollow(ax: "Axes", x: np.ndarray, y: np.ndarray, settled: np.nda
 
 
 def share(data: "DataTree", ax: "Axes | None" = None, *, state: str = "slip") -> "Axes":
-    """Share of a period in a state by both methods, of the contact that has most of it."""
+    """Share of a period in a state by both methods, for the contact in which it is largest."""
     hbm, sweep = _groups(data)
     name = f"{state}_share"
     contact = str(sweep.contact.values[int(np.argmax(hbm[name].sum("solution").values))])
@@ -118,7 +118,7 @@ def _groups(data: "DataTree") -> tuple["Dataset", "Dataset"]:
 
 
 def _points(hbm: "Dataset", sweep: "Dataset") -> Iterator[Points]:
-    """The points of the sweep in the colours of the curves with their values; grey where the balance has none."""
+    """The points of the sweep in the colours of the curves with the same values; grey if there is no such curve."""
     keys = over_keys(hbm)
     colours = {family.label: family.style.colour for family in balance.families(hbm)}
     undrawn = {values_label(values) for values in balance.sets(hbm)} - set(colours)
@@ -136,7 +136,7 @@ def _points(hbm: "Dataset", sweep: "Dataset") -> Iterator[Points]:
 
 
 def waveform(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
-    """Displacement over the cycle by both methods, of the point and along the axis that moves most."""
+    """Displacement over the cycle by both methods, of the point and axis that move most."""
     ax, (cycle, point, axis) = axes(ax), _cycle(data)
     for method, style in zip(cycle.found_by.values, SERIES, strict=False):
         x = cycle.displacement.sel(found_by=method, point=point, axis=axis).values

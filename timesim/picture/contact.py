@@ -1,4 +1,4 @@
-"""Pictures of the contacts over the last cycles of a transient or of a jump: motion, friction, normal load, states."""
+"""Pictures of the contacts over the last cycles of a transient or a jump: motion, friction, normal load, states."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 LAST_CYCLES = 3
 MAX_BARS = 12
-CLOSE = 0.02  # of the size of a path: nearer than this nothing is told apart
+CLOSE = 0.02  # share of the size of a path: what is nearer cannot be told apart
 
 
 def orbit(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = None) -> "Axes":
@@ -51,14 +51,14 @@ def orbit(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = No
 
 
 def _shown(data: "Dataset", contact: str | None) -> "tuple[str, Dataset, slice]":
-    """A contact, by default the one that dissipates most, its last cycles, and which samples are the last of them."""
+    """A contact, by default the one that dissipates most, its last cycles, and the samples of the very last one."""
     contact = contact or busiest(data, 1)[0]
     part = data.isel(time=last_cycles(data)).sel(contact=contact)
     return contact, part, last_cycles(part, 1)
 
 
 def _slider(ax: "Axes", w: np.ndarray, u: np.ndarray) -> None:
-    """The slider's path; a dot where it stays, nothing where the contact is open all the time."""
+    """The slider's path, a dot if it stays in place, nothing if the contact is open all the time."""
     known = w[~np.isnan(w).any(axis=1)]
     if not known.size:
         return
@@ -70,7 +70,7 @@ def _slider(ax: "Axes", w: np.ndarray, u: np.ndarray) -> None:
 
 
 def _if_seen(label: str, path: np.ndarray, above: np.ndarray) -> str:
-    """The label of a path, hidden from legends where another path is drawn above all of it."""
+    """The label of a path, hidden from legends if another path covers all of it."""
     size = np.maximum(np.ptp(path, axis=0), np.ptp(above, axis=0))
     scale = np.where(size > 0, size, 1.0)
     few, all_above = (part[:: 1 + len(part) // 500] / scale for part in (path, above))
@@ -93,7 +93,7 @@ def hysteresis(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None
 
 
 def normal_load(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = None) -> "Axes":
-    """Normal load, friction force and its limit over the last cycles; separations are shaded. A stop has the load."""
+    """Normal load, friction force and its limit over the last cycles, separations shaded; for a stop only the load."""
     ax, contact, part, _ = axes(ax), *_shown(data, contact)
     time, force = part.time.values, part.contact_force.values
     stays = intervals(data, contact, time[0], time[-1])
@@ -107,7 +107,7 @@ def normal_load(data: "Dataset", ax: "Axes | None" = None, *, contact: str | Non
             ax.plot(time, limit, color="black", linestyle=(0, (1, 1.5)), linewidth=1.2, label="limit of the cone μn")
         tangential = np.hypot(force[:, 0], force[:, 1])
         ax.plot(time, tangential, color=VERMILION, linestyle="--", linewidth=1.0, label="friction force |f|")
-    if not force.any():  # what is drawn has no height then, of which matplotlib makes one of 1e-17
+    if not force.any():  # matplotlib would scale rounding of 1e-17 to the height of the axes
         ax.set_ylim(-0.05, 1.0)
     what = "n" if stop else "n, μn, |f|"
     ax.set(xlabel="time [s]", ylabel=what + unit(data, "contact_force"), xlim=(time[0], time[-1]))
@@ -200,7 +200,7 @@ def _states_figure(data: "Dataset", contacts: Sequence[str]) -> "Figure":
 
 
 def _of_contacts(what: str, drawn: Callable[["Dataset", Sequence[str]], "Figure"], limit: int = MAX_ROWS) -> Picture:
-    """A picture of the busiest contacts, of their last cycles; none where there is no contact."""
+    """A picture of the last cycles of the busiest contacts; none if there is no contact."""
 
     def picture(data: "Dataset") -> "Figure | None":
         contacts = busiest(data, limit)

@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 DPI = 110
 KINDS = ("png", "pdf", "svg")
 LOGARITHMIC = ("amplitude", "frequency")
-MANY_DECADES = 2.5  # from which on an axis bears powers of ten alone
-SMALLEST = 1e-6  # of the largest value that a logarithmic axis shows
+MANY_DECADES = 2.5  # from which on an axis has ticks at powers of ten only
+SMALLEST = 1e-6  # share of the largest value down to which a logarithmic axis goes
 MARGIN = 9  # pixels of white around what is drawn
 LEAST = {"time": 2, "angle": 2, "solution": 1}
-"""Length along these dimensions below which there is nothing to draw."""
+"""Least length along these dimensions for which there is anything to draw."""
 
 
 def write(
@@ -37,17 +37,17 @@ def write(
 
     Args:
         data: the result, a Dataset, or the DataTree of one with groups.
-        folder: where they go.
+        folder: where the files are written.
         pictures: those of the kind of study, by the name of their file.
-        kind: of the files, one of `KINDS`.
-        log: quantities, of `LOGARITHMIC`, whose axes are logarithmic.
+        kind: format of the files, one of `KINDS`.
+        log: quantities among `LOGARITHMIC` whose axes are logarithmic.
 
     Returns:
-        The files written, in order; none for a study that has no pictures, or a run that recorded nothing.
+        The files written, in order; none for a study without pictures, or a run that has recorded nothing.
 
     Raises:
         StoreError: a file cannot be written.
-        ValueError: another kind or quantity.
+        ValueError: the format or a quantity is unknown.
     """
     for name, given, known in (("format", {kind}, KINDS), ("log", set(log), LOGARITHMIC)):
         if unknown := given - set(known):
@@ -65,7 +65,7 @@ def write(
 
 
 def make_logarithmic(figure: "Figure", quantities: Collection[str]) -> None:
-    """Make the axes of a figure logarithmic whose labels name one of some quantities."""
+    """Make those axes of a figure logarithmic whose labels name one of the quantities."""
     for ax in figure.axes:
         if not _words(ax.get_xlabel()).isdisjoint(quantities):
             ax.set_xscale("log")
@@ -80,7 +80,7 @@ def make_logarithmic(figure: "Figure", quantities: Collection[str]) -> None:
 
 
 def _plain_ticks(axis: "Axis", low: float, high: float) -> None:
-    """Numbers without powers of ten; over less than a decade those of a linear axis, over many decades powers only."""
+    """Ticks as plain numbers: below one decade as on a linear axis, over many decades at powers of ten only."""
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
     decades = np.log10(high / low)
@@ -112,13 +112,13 @@ def _vectors(figure: "Figure", kind: str) -> bytes:
 
 
 def _png(figure: "Figure") -> bytes:
-    """A figure as an image, cut to what is drawn: room that was kept for a legend or a note may be empty."""
+    """A figure as an image, cut to what is drawn, since the room for a legend or a note may be empty."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.image import imsave
 
     figure.set_dpi(DPI)
     canvas = FigureCanvasAgg(figure)
-    # Where the faces of a surface differ in size, matplotlib projects memory too that it has never set.
+    # Where the faces of a surface differ in size, matplotlib also projects uninitialised memory.
     with np.errstate(over="ignore"):
         canvas.draw()
     pixels = np.asarray(canvas.buffer_rgba())

@@ -30,8 +30,8 @@ MAX_CIRCLES = 8
 def force_path(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     """Friction force in the contact plane, and its limit: |f| <= mu n, drawn along the force (figures 4 to 6).
 
-    The path of the first cycle, from f = 0, is pale. Where a transition takes place, the limit circle of that
-    instant is drawn thin, with the angle.
+    The path of the first cycle, from f = 0, is pale. For each transition the limit circle of that instant is drawn
+    thin, and the angle is written beside it.
     """
     ax = axes(ax)
     f, state = _closed(data.force.values), _closed(data.state.values)
@@ -65,7 +65,7 @@ def _transition_circles(data: "Dataset", ax: "Axes") -> None:
 
 
 def _transition_forces(data: "Dataset") -> list[tuple[np.ndarray, list[float]]]:
-    """Force at each transition, and the angles at which the force is there: several where it vanishes."""
+    """Force at the transitions, and the angles of those that have the same force, as where it vanishes."""
     size = np.abs(data.force.values).max()
     forces: list[tuple[np.ndarray, list[float]]] = []
     for degrees, f in zip(data.transition_angle_deg.values, data.transition_force.values, strict=True):
@@ -127,7 +127,7 @@ def intervals(data: "Dataset") -> list[tuple[float, float, int]]:
 
 
 def _closed(values: np.ndarray) -> np.ndarray:
-    """With the first sample again at the end: the cycle repeats."""
+    """The samples of a cycle with the first one repeated at the end."""
     return np.concatenate([values, values[:1]])
 
 

@@ -35,7 +35,7 @@ def contour(data: "Dataset", ax: "Axes | None" = None, *, name: str = "f_s", tan
 
 
 def surface(data: "Dataset", ax: Any = None, *, name: str = "f_s", tangent: str = "t1") -> Any:
-    """The same as a surface, on axes with projection 3d; over two amplitudes the half b <= a only."""
+    """The same as a surface, on axes with projection 3d; over both amplitudes only the half b <= a."""
     ax = figure(subplot_kw={"projection": "3d"})[1][0, 0] if ax is None else ax
     first, second = parameters(data)
     x, y = np.meshgrid(data[first].values, data[second].values, indexing="ij")
@@ -77,7 +77,7 @@ def _coefficient_label(data: "Dataset", name: str, tangent: str) -> str:
 
 
 def _all_coefficients(data: "Dataset", draw: Callable[..., Any], **options: Any) -> "Figure | None":
-    """All coefficients along both axes of the contact; none where a parameter has one value."""
+    """All coefficients along both axes of the contact; no figure if a parameter has only one value."""
     if min(data.dissipation.shape) < 2:
         return None
     fig, grid = figure(3, 2, **options)

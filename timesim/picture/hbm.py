@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Family(NamedTuple):
-    """The curves of one set of values of the further axes: these in words, the rows of each of them, and a style."""
+    """The curves of one set of values: the values in words, the rows of each curve, and their style."""
 
     label: str
     rows: list[np.ndarray]
@@ -31,7 +31,7 @@ class Family(NamedTuple):
 
 
 def response(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None) -> "Axes":
-    """Amplitude of a point along the curves, by default of that and along the axis with the largest."""
+    """Amplitude along the curves, by default of the point and axis with the largest."""
     ax, (point, axis) = axes(ax), motion(data, point, axis)
     _draw(ax, data, data.amplitude.sel(point=point, axis=axis).values)
     from_zero(ax)
@@ -56,7 +56,7 @@ def share(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = No
 
 
 def _draw(ax: "Axes", data: "Dataset", y: np.ndarray, *, phase: bool = False) -> None:
-    """A quantity along all curves, against what they were followed in; ``phase`` as in `draw_branch`."""
+    """A quantity along all curves, against the parameter of the continuation; ``phase`` as in `draw_branch`."""
     name = str(data.attrs.get("along", "frequency"))
     x, stable, fold = data[name].values, data.stable.values > 0, data.fold.values > 0
     for family in families(data):
@@ -68,7 +68,7 @@ def _draw(ax: "Axes", data: "Dataset", y: np.ndarray, *, phase: bool = False) ->
 def harmonics(
     data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None
 ) -> "Axes":
-    """Harmonic content where each set's curves have their largest amplitude, on a logarithmic axis; 0 is the mean."""
+    """Harmonics at the largest amplitude of each set of values, on a logarithmic axis; harmonic 0 is the mean."""
     ax, (point, axis) = axes(ax), motion(data, point, axis)
     amplitude = data.amplitude.sel(point=point, axis=axis).values
     content, lowest = np.abs(data.harmonic_amplitude.sel(point=point, axis=axis).values), np.inf
@@ -88,7 +88,7 @@ def harmonics(
 
 
 def families(data: "Dataset") -> list[Family]:
-    """The curves by their values of the further axes, at most `MAX_CURVES` sets of equal spacing."""
+    """The curves of each set of values, of at most `MAX_CURVES` evenly spaced sets."""
     values, curve, every = _values(data), data.curve.values, sets(data)
     kept = [every[i] for i in spread(len(every))]
     drawn = []
@@ -111,7 +111,7 @@ def sets(data: "Dataset") -> list[tuple[float, ...]]:
 
 
 def legend(axs: Sequence["Axes"], data: "Dataset", *, markers: bool = False) -> None:
-    """To the right of the first axes: the colours of the values, and what lines and marks mean."""
+    """A legend to the right of the first axes: the colours of the values, and what lines and marks mean."""
     entries = {
         family.label: family.style._replace(line="-", marker=family.style.marker if markers else "")
         for family in families(data)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 MAX_NUMBERS = 12
 ROOM = 0.055  # share of an axis that a frequency takes as text
-NEAR = 0.02  # share of the range within which two ends are one: no arrow joins them
+NEAR = 0.02  # share of the range: ends of phases that are nearer are not joined by an arrow
 RUN_UP = "0.93"
 
 
@@ -31,7 +31,7 @@ class Phase(NamedTuple):
 
 
 def phases(data: "Dataset") -> list[Phase]:
-    """The schedule as far as it was run; equal frequencies one after the other count as one."""
+    """The schedule as far as it was run; successive phases of one frequency count as one."""
     frequency = data.cycle_frequency.values
     before = data.cycle_start.values < -1e-6 * data.cycle_period.values
     changes = np.flatnonzero((np.diff(frequency) != 0) | np.diff(before)) + 1
@@ -40,7 +40,7 @@ def phases(data: "Dataset") -> list[Phase]:
 
 
 def envelope(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
-    """Amplitude of each cycle of what moves most, the run-up shaded, a dotted line at each change of frequency."""
+    """Amplitude of each cycle for what moves most, the run-up shaded, dotted lines at changes of frequency."""
     ax = axes(ax)
     for (point, axis), style in zip(moving(data), SERIES, strict=False):
         amplitude = data.cycle_amplitude.sel(point=point, axis=axis).values
@@ -80,9 +80,9 @@ def _along_schedule(ax: "Axes", data: "Dataset") -> "Axes":
 
 
 def path(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None) -> "Axes":
-    """Amplitude of each cycle against frequency; arrows join the ends of the phases, numbered from 1.
+    """Amplitude of each cycle against frequency; arrows join the ends of the phases, which are numbered from 1.
 
-    The run-up is left out, but for its end, from which the first arrow leads.
+    Of the run-up only the end is shown, where the first arrow begins.
     """
     ax = axes(ax)
     if point is None or axis is None:

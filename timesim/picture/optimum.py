@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 MAX_CURVES = 7
-FLAT = 1e-4  # of a peak: over less it is not magnified, since numbers of more digits would not fit beside the axis
-NEAR = 0.15  # of the range of the scalar about the optimum, magnified
+FLAT = 1e-4  # share of a peak: the least height magnified, since longer numbers would not fit beside the axis
+NEAR = 0.15  # share of the range of the scalar that is magnified, to each side of the optimum
 
 
 def scalar(data: "Dataset") -> str:
@@ -86,7 +86,7 @@ def phases(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
 
 
 def _looks(data: "Dataset") -> list[tuple[int, dict[str, Any]]]:
-    """Positions of the values that are shown, and how: some of about equal distance, then the best one."""
+    """Positions and styles of the values that are shown: some roughly evenly spaced ones, then the best one."""
     values, best = data[scalar(data)].values, float(data["optimum"])
     wanted = np.linspace(values[0], values[-1], MAX_CURVES)
     spread = sorted({int(np.argmin(np.abs(values - value))) for value in wanted})

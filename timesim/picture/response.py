@@ -1,7 +1,7 @@
 """What pictures of responses share: names of the further axes, styles of many curves, stable parts, legends, figures.
 
-The further axes of a response are scalars of the scene, named by their key (``contacts.pad.preload``). A sweep has them
-as dimensions of its amplitudes; a harmonic balance gives the value of each for every solution.
+The further axes of a response are scalars of the scene, named by their key (``contacts.pad.preload``). In a sweep they
+are dimensions of the amplitudes; in a harmonic balance each solution has a value of each.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 DIRECTIONS = {"up": "^", "down": "v", "independent": "o"}
 PAIRED: dict[str, Any] = {"up": 10, "down": 11, "independent": "o"}
-"""Triangles above and below the point, CARETUPBASE and CARETDOWNBASE: one does not cover the other."""
+"""Triangles above and below the point, CARETUPBASE and CARETDOWNBASE, which do not cover each other."""
 DASHES = (0, (4, 2))
 HALF_TURN = 180.0  # degrees
 PHASE_HEIGHT = 1.4  # inch
@@ -58,7 +58,7 @@ PHASE_LABEL = "phase [degree]"
 
 
 def over_phase(ax: "Axes") -> "Axes":
-    """Axes of a phase: the quarters of a turn in which it lies."""
+    """Label and limit the axes of a phase, at quarters of a turn."""
     low, high = (ax.dataLim.y0, ax.dataLim.y1) if np.isfinite(ax.dataLim.y1) else (-1.0, 0.0)
     first, last = int(np.floor(low / 90)), max(int(np.ceil(high / 90)), int(np.floor(low / 90)) + 1)
     ax.set(ylabel=PHASE_LABEL, ylim=(90 * first - 10, 90 * last + 10))
@@ -67,25 +67,25 @@ def over_phase(ax: "Axes") -> "Axes":
 
 
 def turns(phase: np.ndarray) -> np.ndarray:
-    """Positions before which a phase in (-180, 180] has passed the end of its turn: no line goes across."""
+    """Positions before which a phase in (-180, 180] has wrapped around, where no line is to be drawn."""
     return np.flatnonzero(np.abs(np.diff(phase)) > HALF_TURN) + 1
 
 
 def unwound(x: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A phase along x, with a gap where it passes the end of its turn."""
+    """A phase along x, with a gap where it wraps around."""
     breaks = turns(phase)
     return np.insert(x, breaks, np.nan), np.insert(phase, breaks, np.nan)
 
 
 def with_phase(rows: int, height: float, phase: bool) -> tuple["Figure", list["Axes"]]:
-    """Axes of a height [inch] one above the other, each with one for its phase below it where there is one."""
+    """Axes of a height [inch] one above the other, each with axes for the phase below it if ``phase``."""
     if not phase:
         return stacked(rows, height)
     return stacked(2 * rows, (height + PHASE_HEIGHT) / 2, height_ratios=[height, PHASE_HEIGHT] * rows)
 
 
 def share_label(data: "Dataset", contact: str, state: str) -> str:
-    """The share of a period in a state; a contact without friction is closed where another slips."""
+    """Label of the share of a period in a state; a contact without friction is closed where another slips."""
     return "share closed [1]" if state == "slip" and is_stop(data, contact) else f"share in {state} [1]"
 
 
@@ -95,14 +95,14 @@ def values_label(values: Iterable[float]) -> str:
 
 
 def legend_title(data: "Dataset", keys: Sequence[str]) -> str | None:
-    """What the values in a legend are, in their order; None if there are none."""
+    """The further axes in the order of the values in a legend; None if there are none."""
     return ",\n".join(axis_label(data, key) for key in keys) or None
 
 
 def styles(count: int, *, shades: bool = False) -> list[Series]:
-    """Styles of a number of curves: hues where they are few, else from dark to light in order, or always so.
+    """Styles of a number of curves: different hues if they are few, else shades from dark to light.
 
-    Shades and lines stay apart in print where the marker is taken by something else.
+    ``shades``: in any case, as shades and lines differ in print where markers already mean something else.
     """
     if count <= len(SERIES) and not shades:
         return [style._replace(marker=marker) for style, marker in zip(SERIES[:count], MARKERS, strict=False)]
@@ -115,7 +115,7 @@ def styles(count: int, *, shades: bool = False) -> list[Series]:
 
 
 def stable_parts(stable: np.ndarray, fold: np.ndarray) -> list[tuple[slice, bool]]:
-    """Parts of a curve of N solutions, stable or not, each with those that bound it; a fold belongs to both sides."""
+    """Stable and unstable parts of a curve of N solutions, each with those at its ends; a fold belongs to both."""
     firm = stable.copy()
     for i in np.flatnonzero(fold).tolist():
         firm[i] = firm[i - 1] if i else firm[min(i + 1, firm.size - 1)]
@@ -145,7 +145,7 @@ def draw_branch(
         stable_label: what a legend says of its stable parts.
         widths: of its lines where it is stable and where not [point].
         zorder: of its lines; its folds lie above all lines.
-        phase: y is a phase [degree], whose lines begin anew after a turn.
+        phase: y is a phase [degree], with a gap where it wraps around.
     """
     if phase:
         breaks = turns(y)
@@ -161,7 +161,7 @@ def draw_branch(
 
 
 def legend(axs: Iterable["Axes"], entries: Mapping[str, Series], title: str | None = None) -> None:
-    """To the right of the first axes: the styles of the curves, and in grey what else in the axes bears a label."""
+    """A legend to the right of the first axes: the styles of the curves, and in grey whatever else has a label."""
     from matplotlib.lines import Line2D
 
     first, *others = axs

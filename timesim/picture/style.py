@@ -1,8 +1,8 @@
-"""How every picture looks: figures, margins, colours, legends, and what tells contact states apart.
+"""How every picture looks: figures, margins, colours, legends, and how contact states are distinguished.
 
-Figures do without pyplot: cheaper to import, no global state, so that a figure goes with its last reference.
-Contact states are told apart by colour (Okabe and Ito 2008) and, for print and the colour-blind, by line style of
-curves and hatching of bars.
+Figures are made without pyplot, which is slow to import and whose global state would keep them in memory. Contact
+states are distinguished by colour (Okabe and Ito 2008) and, for print and the colour-blind, by the line style of curves
+and the hatching of bars.
 """
 
 from collections.abc import Callable, Iterable
@@ -56,10 +56,10 @@ STATE_STYLE = {
 CLOSED_STYLE = StateStyle(ORANGE, "-", "\\\\\\\\")
 
 CLOSED = "closed"
-"""What a frictionless stop is where another contact slips."""
+"""Name of the state of a frictionless stop in which other contacts slip."""
 
 Picture = Callable[[Any], "Figure | None"]
-"""Draws a result, a Dataset or the DataTree of one with groups; None where there is nothing to show."""
+"""Draws a result, a Dataset or the DataTree of one with groups; gives None where there is nothing to show."""
 
 
 def axes(ax: "Axes | None" = None) -> "Axes":
@@ -78,9 +78,9 @@ def figure(
     right: float = 0.2,
     **options: Any,
 ) -> tuple["Figure", np.ndarray]:
-    """A figure that needs no display, and its axes, between a heading and a foot with room for a legend.
+    """A figure that needs no display, and its axes, with room for a heading above and a legend below.
 
-    Margins are fixed, since a computed layout takes as long as all the drawing (measured).
+    Margins are fixed, since computing a layout takes as long as all the drawing (measured).
 
     Args:
         rows, columns: of axes, the shape of the array returned.
@@ -116,7 +116,7 @@ def figure(
 def stacked(rows: int, height: float, *, share_x: bool = True, **options: Any) -> tuple["Figure", list["Axes"]]:
     """Axes of a height [inch] one above the other, with room for a legend on the right.
 
-    Without a common abscissa there is room for the label of each; options as of `figure`.
+    Without a common abscissa there is room for the label of each. Options are those of `figure`.
     """
     gap = 0.3 if share_x else 0.8
     fig, grid = figure(rows, 1, width=9.0, height=height, gap=gap, right=2.4, sharex=share_x, **options)
@@ -124,9 +124,9 @@ def stacked(rows: int, height: float, *, share_x: bool = True, **options: Any) -
 
 
 def finish(fig: "Figure", data: "Dataset | DataTree", what: str, *notes: str) -> "Figure":
-    """The figure with its title, notes of what is left out at the foot, and a legend there if its axes have none.
+    """Add the title, notes of what is left out at the foot, and a legend there if no axes have one.
 
-    The title is the scene's own and what is shown.
+    The title is that of the scene, and what is shown.
     """
     title = short(str(data.attrs.get("title") or ""), 90)
     unfinished = "" if int(data.attrs["complete"]) else " (incomplete run)"
@@ -139,29 +139,29 @@ def finish(fig: "Figure", data: "Dataset | DataTree", what: str, *notes: str) ->
 
 
 def from_zero(ax: "Axes") -> None:
-    """Let the ordinate begin at zero, with some room above what is drawn."""
+    """Begin the ordinate at zero, with some room above what is drawn."""
     top = ax.dataLim.y1
     ax.set_ylim(0, 1.05 * top if 0 < top < np.inf else 1.0)
 
 
 def label_axes(ax: "Axes", label: str) -> None:
-    """Say at the upper right corner which of several things the axes show."""
+    """Write above the upper right corner which of several things the axes show."""
     ax.set_title(label, fontsize=9, pad=4, loc="right")
 
 
 def unit(data: Any, name: str) -> str:
-    """The unit of a variable or coordinate, in brackets after a space; empty where it has none."""
+    """The unit of a variable or coordinate, in brackets after a space; empty if it has none."""
     units = {**attributes(name), **data[name].attrs}.get("units", "")
     return f" [{units.replace('*', '·')}]" if units else ""
 
 
 def short(name: str, length: int = 24) -> str:
-    """The name, cut to a number of characters where it is longer."""
+    """The name, cut to at most ``length`` characters."""
     return name if len(name) <= length else name[: length - 1] + "…"
 
 
 def is_stop(data: Any, contact: str) -> bool:
-    """Whether a contact has no friction, so that it is open or closed."""
+    """Whether a contact has no friction, so that it is either open or closed."""
     return "friction" in data.coords and float(data.friction.sel(contact=contact)) == 0
 
 
@@ -173,7 +173,7 @@ def look_of(state: int, *, stop: bool) -> tuple[str, StateStyle]:
 def state_curves(ax: "Axes", x: np.ndarray, y: np.ndarray, state: np.ndarray, *, stop: bool = False) -> None:
     """Draw a curve in the styles of its states, one artist for each state that occurs.
 
-    ``state``: from each of T samples to the next; ``stop``: the contact has no friction.
+    ``state``: from each of the T samples to the next; ``stop``: whether the contact has no friction.
     """
     gapped = [np.append(values, np.nan) for values in (x, y)]
     for number in STATE_STYLE:
@@ -185,7 +185,7 @@ def state_curves(ax: "Axes", x: np.ndarray, y: np.ndarray, state: np.ndarray, *,
 
 
 def _pieces(inside: np.ndarray) -> np.ndarray:
-    """Positions of the samples of each run, the sample that ends it, and -1 for a gap after it."""
+    """Positions of the samples of each run of True, with the sample that ends it and -1 for a gap after it."""
     runs = np.flatnonzero(np.diff(inside, prepend=False, append=False)).reshape(-1, 2)
     last = inside.size - 1
     return np.concatenate([np.empty(0, int), *(np.append(np.arange(a, min(b, last) + 1), -1) for a, b in runs)])
@@ -200,7 +200,7 @@ def shade(ax: "Axes", spans: Iterable[tuple[float, float]], label: str) -> None:
 def state_bar(
     ax: "Axes", row: float, intervals: Iterable[tuple[float, float, int]], height: float = 0.7, *, stop: bool = False
 ) -> None:
-    """Draw the start, end and state of intervals as a bar, in a row of the axes; ``stop`` as in `state_curves`."""
+    """Draw intervals, each by its start, end and state, as bars in a row; ``stop`` as for `state_curves`."""
     for start, end, state in intervals:
         name, style = look_of(state, stop=stop)
         bars = ax.broken_barh([(start, end - start)], (row - height / 2, height), facecolor=style.colour, linewidth=0)
@@ -208,7 +208,7 @@ def state_bar(
 
 
 def labelled(*axs: "Axes") -> dict[str, Any]:
-    """Everything in some axes that bears a label, each label once."""
+    """Everything in some axes that has a label, each label once."""
     handles: dict[str, Any] = {}
     for ax in axs:
         for handle, name in zip(*ax.get_legend_handles_labels(), strict=True):
@@ -227,7 +227,7 @@ def _legend_below(fig: "Figure") -> None:
 
 
 def legend_beside(ax: "Axes", handles: Iterable[Any], title: str | None = None) -> None:
-    """A legend to the right of the axes, of handles that bear their labels."""
+    """A legend to the right of the axes, of handles that have their labels."""
     if shown := list(handles):
         place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
         ax.legend(handles=shown, title=title, title_fontsize=8, fontsize=8, **place)

@@ -1,8 +1,8 @@
 """Pictures of a sweep: response curves, shares of the contact states, peaks against a scalar, stability.
 
-Each set of values of the further axes has its colour and line; up and down are told apart by marker. Filled markers are
-settled motions, hollow ones are not: a bar spans the amplitudes of their single cycles. Crosses at the foot are points
-that failed; nothing is drawn of those that a run did not come to.
+Each set of values of the further axes has its own colour and line; up and down differ by marker. Filled markers are
+settled motions; hollow ones are not settled, and a bar spans the amplitudes of their single cycles. Crosses at the foot
+are points that failed; points that the run did not reach are not drawn.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,17 +36,17 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 LINES = {"up": "-", "down": "--", "independent": "-"}
-MARKED = 45  # settled points of a curve that bear a marker; a curve of more has some of them marked
-FEW = 3  # values that a scalar needs at least for a picture of the peaks
+MARKED = 45  # settled points of a curve with a marker; of more points only some are marked
+FEW = 3  # least number of values of a scalar for a picture of the peaks
 
 
 class Curve(NamedTuple):
     """One curve over frequency.
 
     Attributes:
-        label: the values of the further axes; empty where there are none.
+        label: the values of the further axes; empty if there are none.
         where: position along each of these axes and along the direction, for `isel`.
-        beside: whether there is one of the other direction; each is marked where the other is not.
+        beside: whether there is a curve of the other direction too; the two are marked at alternate points.
     """
 
     label: str
@@ -57,7 +57,7 @@ class Curve(NamedTuple):
 
 
 def response(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None) -> "Axes":
-    """Amplitude against frequency of a point, by default of that and along the axis with the largest."""
+    """Amplitude against frequency, by default of the point and axis with the largest."""
     ax, (point, axis) = axes(ax), motion(data, point, axis)
     for curve in curves(data):
         _draw(ax, data, curve, data.amplitude.sel(point=point, axis=axis).isel(curve.where).values)
@@ -71,7 +71,7 @@ def response(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = N
 
 
 def phase(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None) -> "Axes":
-    """Phase of the first harmonic against frequency; none where the motion does not repeat."""
+    """Phase of the first harmonic against frequency, for motions that repeat."""
     ax, (point, axis), x = axes(ax), motion(data, point, axis), data.frequency.values
     for curve in curves(data):
         y = data.phase_deg.sel(point=point, axis=axis).isel(curve.where).values
@@ -113,10 +113,10 @@ def peak(
     point: str | None = None,
     axis: str | None = None,
 ) -> "Axes":
-    """Largest amplitude over the frequencies against a scalar of the scene, by default that with most values.
+    """Largest amplitude over the frequencies against a scalar of the scene, by default the one with most values.
 
-    A hollow marker is a maximum at the first or last frequency, which may lie outside of them. A value with points that
-    are missing has no peak. A star is the least, where no peak is missing.
+    A hollow marker is a maximum at the first or last frequency; the true peak may lie beyond it. A value with missing
+    points has no peak. A star marks the least peak of a curve on which no peak is missing.
     """
     ax, (point, axis), key = axes(ax), motion(data, point, axis), key or most_valued(data)
     amplitude, order = data.amplitude.sel(point=point, axis=axis), np.argsort(data[key].values)
@@ -138,7 +138,7 @@ def peak(
 
 
 def _star(ax: "Axes", x: float, y: str, curves: Sequence[tuple[str, str]], at_end: bool) -> None:
-    """The least peak, one star for all curves, by name and colour, that have it at the same place."""
+    """The least peak: one star for all curves, given by name and colour, that have it at the same place."""
     names, colours = zip(*curves, strict=True)
     of = {1: ": ", 2: f" of {' and '.join(names)}:\n"}.get(len(names), f" of {len(names)} curves:\n")
     look: dict[str, Any] = {"color": colours[0], "markeredgecolor": "black", "ms": 10, "linestyle": "", "zorder": 4}
@@ -158,7 +158,7 @@ def peaks(amplitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def curves(data: "Dataset", without: str | None = None) -> list[Curve]:
-    """The curves of a sweep, at most `MAX_CURVES` sets of values; those over the scalar `without` count as one."""
+    """The curves of a sweep, of at most `MAX_CURVES` sets of values; all values of `without` count as one set."""
     keys = [key for key in over_keys(data) if key != without]
     sets = list(product(*(range(data.sizes[key]) for key in keys)))
     kept, names = spread(len(sets)), [str(name) for name in data.direction.values]
@@ -189,7 +189,7 @@ def _jumps(data: "Dataset", curve: Curve) -> np.ndarray:
 
 
 def _draw(ax: "Axes", data: "Dataset", curve: Curve, y: np.ndarray) -> None:
-    """A curve, hollow markers where it has not settled, crosses at the foot where it failed."""
+    """A curve, with hollow markers where it has not settled and crosses at the foot where it failed."""
     frequency, settled = data.frequency.values, data.settled.isel(curve.where).values.astype(bool)
     failed, style = data.failure.isel(curve.where).values != "", curve.style
     _curve(ax, frequency, y, curve, ~settled & ~failed, "not settled", label="_" + curve.label, linewidth=1.0)
@@ -203,7 +203,7 @@ def _draw(ax: "Axes", data: "Dataset", curve: Curve, y: np.ndarray) -> None:
 
 
 def _band(ax: "Axes", data: "Dataset", curve: Curve, point: str, axis: str) -> None:
-    """Of motions that have not settled, the amplitudes of their single cycles."""
+    """The range of amplitudes over single cycles of motions that have not settled."""
     if "amplitude_band" not in data:
         return
     low, high = data.amplitude_band.sel(point=point, axis=axis).isel(curve.where).transpose("band", ...).values
@@ -217,7 +217,7 @@ def _band(ax: "Axes", data: "Dataset", curve: Curve, point: str, axis: str) -> N
 def _curve(
     ax: "Axes", x: np.ndarray, y: np.ndarray, curve: Curve, hollow: np.ndarray, meaning: str, **look: Any
 ) -> None:
-    """A curve with filled markers at some of its points, and hollow ones with a meaning at all that have it."""
+    """A curve with filled markers at some of its points, and hollow ones at all points that have a given meaning."""
     style, every = curve.style, max(1, -(-x.size // MARKED))
     if curve.beside and x.size > 1:
         every = max(2, every)
@@ -233,7 +233,7 @@ def _curve(
 
 
 def legend(axs: Sequence["Axes"], data: "Dataset") -> None:
-    """To the right of the first axes: the colours of the values, the markers of the directions, and what marks mean."""
+    """A legend beside the first axes: colours of the values, markers of the directions, and what other marks mean."""
     entries: dict[str, Series] = {}
     several, keys, shown = data.sizes["direction"] > 1, over_keys(data), curves(data)
     for curve in shown:

@@ -1,4 +1,4 @@
-"""A picture of a tradeoff: error against time of all runs, the front of those worth it, the presets and the choice."""
+"""A picture of a tradeoff: error against time of all runs, the front, the presets and the recommended run."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def error_against_time(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
-    """All runs, a curve a method; hollow where modes are left out, a cross where nothing is."""
+    """All runs, with a curve for each method; hollow with fewer modes, a cross without reductions."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     ax = axes(ax)
@@ -57,7 +57,7 @@ def error_against_time(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
 
 
 def _front(ax: "Axes", seconds: np.ndarray, error: np.ndarray, front: np.ndarray) -> None:
-    """What no run is better than: a staircase."""
+    """The front as a staircase: runs that no other run beats in both time and error."""
     order = np.flatnonzero(front)[np.argsort(seconds[front], kind="stable")]
     look: dict[str, Any] = {"color": PALE, "linewidth": 5, "alpha": 0.5, "zorder": 0}
     ax.step(seconds[order], error[order], where="post", label="front", **look)

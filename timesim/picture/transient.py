@@ -41,7 +41,7 @@ def displacement(
     axis: str | None = None,
     cycles: int | None = None,
 ) -> "Axes":
-    """Displacement within the envelope of the cycle amplitudes, or the last `cycles` without it."""
+    """Displacement within the envelope of the cycle amplitudes, or that of the last `cycles` without the envelope."""
     ax = axes(ax)
     if point is None or axis is None:
         point, axis = moving(data)[0]
@@ -55,7 +55,7 @@ def displacement(
 
 
 def _envelope(data: "Dataset", ax: "Axes", x: np.ndarray, amplitude: np.ndarray) -> None:
-    """Draw the amplitudes from time 0 on, where the run-up of a jump ends, and a line where the frequency changes."""
+    """Draw the amplitudes from time 0, where the run-up of a jump ends, and a line at each change of frequency."""
     start, period = data.cycle_start.values, data.cycle_period.values
     shown = start > -1e-6 * period
     if not shown.any():
@@ -76,8 +76,8 @@ def _envelope(data: "Dataset", ax: "Axes", x: np.ndarray, amplitude: np.ndarray)
 def spectrum(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     """Amplitude of the harmonics over the last cycles of what moves most, on a logarithmic axis.
 
-    Markers stand on the harmonics of the excitation. A thin line joins all orders: what has another period
-    or has not settled shows between the markers.
+    Markers are at the harmonics of the excitation. A thin line joins all orders, so that a motion of another period, or
+    one that has not settled, shows between the markers.
     """
     ax = axes(ax)
     peak = 0.0
@@ -143,7 +143,7 @@ def energy_residual(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
 
 
 def _terms(ax: "Axes", cycle: np.ndarray, values: np.ndarray, style: Series, label: str) -> None:
-    """A quantity over the cycles, every so many of them marked."""
+    """A quantity over the cycles, with a marker at some of them."""
     look: dict[str, Any] = {"color": style.colour, "linestyle": style.line, "marker": style.marker, "ms": 3}
     ax.plot(cycle, values, label=label, markevery=-(-cycle.size // MARKED) or 1, **look)
 

@@ -18,7 +18,7 @@ from timesim.scene.transient import TradeoffPlan
 from timesim.study.execution.campaign import Execution
 
 REPEATED, REPEATS = 0.3, 5
-"""A run below so many seconds is repeated so often; the least time counts, since other work of the machine adds to it."""
+"""A run of fewer seconds is made this many times, and the least time counts: other work of the machine adds to it."""
 STEP = {CLOSED_FORM: 0.1, "tsit5": 1.0, "rk4": 0.6, "dopri8": 2.0, "exponential": 4.0}
 COMPILED = {CLOSED_FORM: 0.0, "tsit5": 1.0, "rk4": 0.6, "dopri8": 2.5, "exponential": 12.0}
 """Time of a step, and of compilation, roughly, as multiples of that of tsit5 (measured)."""
