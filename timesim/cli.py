@@ -234,10 +234,11 @@ def _loaded(scene: Path, overrides: list[str] | None) -> Any:
 def _safe_chunks(output: Path) -> str:
     """What remains on disk where the result could not be saved."""
     from timesim.result import checkpoint
+    from timesim.result.label import counted
 
-    done = checkpoint.chunks_done(output)
+    done = counted(checkpoint.chunks_done(output), "finished chunk is", "finished chunks are")
     folder = output / checkpoint.FOLDER_NAME
-    return f"; the {done} chunks done are safe in {folder}, and --resume goes on with them" if done else ""
+    return "" if done.startswith("0 ") else f"; {done} safe in {folder}, and --resume goes on from there"
 
 
 def _written(result: Path, pictures: Sequence[Path]) -> str:

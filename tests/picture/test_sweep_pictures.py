@@ -284,7 +284,7 @@ def test_points_that_a_run_did_not_come_to_are_neither_failed_nor_judged() -> No
     assert not _stars(ax)
     figure = plot_sweep.PICTURES["peak"](data.assign_attrs(complete=0))
     assert figure is not None
-    assert "1 peaks not shown: points are missing" in [text.get_text() for text in figure.texts]
+    assert "1 peak not shown: points are missing" in [text.get_text() for text in figure.texts]
 
 
 def test_peaks_of_up_and_down_differ_by_marker() -> None:

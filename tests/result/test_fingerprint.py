@@ -53,5 +53,5 @@ def test_items_go_by_their_name_and_many_keys_are_counted():
     now = "contacts: [{name: pad, preload: 4, friction: 0.5}, {preload: 1}]\na: {b: 2, c: 3, d: 4}\n"
     assert scene_difference(before, now) == (
         "contacts.pad.preload was 3, is 4; contacts.1.preload was 2, is 1; a.b was 1, is 2; a.c was 2, is 3; "
-        "and 1 more keys"
+        "and 1 more key"
     )

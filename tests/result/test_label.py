@@ -10,7 +10,7 @@ import xarray
 from systems import oscillator_scene
 
 import timesim
-from timesim.result.label import LABELS
+from timesim.result.label import LABELS, counted
 
 LENGTH, FORCE, TIME = 8.0, 4.0, 0.5  # powers of two: no rounding
 SIZE = {"length": LENGTH, "force": FORCE, "s": TIME, "Hz": 1 / TIME, "modal length": 1.0, "degree": 1.0, "1": 1.0}
@@ -165,3 +165,8 @@ def test_no_label_is_left_over():
     """A name of the table that no study writes, or that the scenes above do not show."""
     written = {str(variable) for name in STUDIES for one, _ in groups(name) for variable in one.variables}
     assert set(LABELS) - written == set()
+
+
+def test_one_of_a_thing_is_not_several():
+    assert counted(1, "point") == "1 point"
+    assert counted(0, "frequency", "frequencies") == "0 frequencies"

@@ -648,6 +648,11 @@ def test_describe_counts_points_and_names_the_method_at_the_lowest_frequency():
     assert advice.startswith("tsit5: ")
     assert advice.endswith("(at 1 Hz, the lowest, where it asks most)")
     assert "points: 3 frequencies" in report("study={kind: sweep, frequency: {values: [1, 2, 3]}}")["scene"]
+    one = report(
+        "study={kind: sweep, frequency: {values: [1]}, over: {contacts.pad.preload: 2}, settle: {max_cycles: 1}}"
+    )
+    assert "points: 1 frequency x 1 value of contacts.pad.preload = 1 point" in one["scene"]
+    assert one["cost"][0].startswith("about 1 point of 1 cycle of ")
     ranges = report("study={kind: bistable, frequency: {from: 1, to: 2}, harmonics: 0}")
     assert (
         "points: 41 frequencies x 2 directions = 82 points in the sweeps, and the search for the ends"

@@ -231,7 +231,7 @@ def test_resumed_it_is_the_same(searched: Searched, tmp_path: Path):
     (folder / "00000-ends.npz").unlink()
     notices: list[str] = []
     again = carry_out(scene, Execution(folder=tmp_path, notice=notices.append, resume=True))
-    assert notices == [f"1 of 3 chunks are taken up from {folder}"]
+    assert notices == [f"1 of 3 chunks taken up from {folder}"]
     assert again.reason is whole.reason is None
     for group in ("", "sweep"):
         for name, array in whole.groups[group].variables.items():

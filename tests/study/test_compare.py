@@ -90,7 +90,7 @@ def test_the_command_prints_the_verdict(folder, result):
     verdict = result.attrs["verdict"]
     for line in verdict.splitlines():
         assert line in said
-    assert "the methods agree: 3 points with slip, or contact for a part of the cycle" in verdict
+    assert "the methods agree: at 3 points with slip, or contact for a part of the cycle, they differ by" in verdict
     assert "of the cycle in slip" in verdict
     assert "at 5 points every contact sticks, or stays apart, all the time" in verdict
     assert "proves nothing" in verdict
@@ -219,7 +219,7 @@ def lines_on(*given: Any, **changes: Any) -> list[str]:
 @pytest.mark.parametrize(("size", "word"), [(1e-4, "agree"), (1e-2, "nearly agree"), (0.1, "differ")])
 def test_the_verdict_follows_the_difference(size, word):
     lines = lines_on(size)
-    assert lines[0].startswith(f"the methods {word}: 6 points")
+    assert lines[0].startswith(f"the methods {word}: at 6 points")
     assert ("convergence" in lines[0]) == (size > 2e-3)
     assert len(lines) == 1
 
@@ -235,9 +235,9 @@ def test_points_next_to_a_fold_of_their_own_curve_are_judged_apart():
     sizes = np.full(SHAPE, 1e-5)
     sizes[0, 0, 1:] = 0.3, 0.2
     lines = lines_on(sizes, folds=[(-4.0, 2.0019), (-4.0, 3.0031)])
-    assert lines[0].startswith("the methods differ: 5 points")
+    assert lines[0].startswith("the methods differ: at 5 points")
     assert "most at 3 Hz with contacts.pad.preload -4" in lines[0]
-    assert lines[1] == "1 points within 0.001 of a fold's frequency differ by up to 3.0e-01"
+    assert lines[1] == "at 1 point within 0.001 of a fold's frequency they differ by up to 3.0e-01"
 
 
 def test_a_motion_that_no_curve_passes_begins_one():
@@ -290,9 +290,9 @@ def test_points_with_another_offset_are_listed_with_the_reason():
     points = points_on(sizes, **shares)
     np.testing.assert_array_equal(points.doubtful, known)
     lines = list(verdict.comparison_lines(replace(points, other_offset=known)))
-    assert lines[0].startswith("the methods nearly agree: 4 points")
+    assert lines[0].startswith("the methods nearly agree: at 4 points")
     assert lines[1].startswith(
-        "2 points differ by up to 3.0e-03 since a contact that sticks all the time keeps another"
+        "at 2 points they differ by up to 3.0e-03 because a contact that sticks all the time keep"
     )
     assert lines[1].endswith("contacts.pad.preload -4 at 2 to 3 Hz")
 
@@ -349,14 +349,11 @@ def test_points_without_an_answer_are_named():
     settled, period = np.ones(SHAPE, int), np.ones(SHAPE, int)
     settled[1, 0, 2], period[1, 0, 1] = 0, 2
     text = "\n".join(lines_on(1e-5, missing=2, settled=settled, period=period))
-    assert "2 points have no stable solution of the balance: contacts.pad.preload -4 at 1 to 2 Hz" in text
-    assert "1 points repeat after several cycles, which the balance cannot show: contacts.pad.preload 3 at 2 Hz" in text
-    assert "1 points did not settle and are left out: contacts.pad.preload 3 at 3 Hz" in text
+    assert "at 2 points the balance has no stable solution: contacts.pad.preload -4 at 1 to 2 Hz" in text
+    assert "at 1 point the motion repeats after several cycles, which the balance cannot show: contacts.pad.pre" in text
+    assert "at 1 point the motion did not settle and is left out: contacts.pad.preload 3 at 3 Hz" in text
     text = "\n".join(lines_on(1e-5, settled=settled, irregular=1 - settled))
-    assert (
-        "1 points do not repeat, being quasi-periodic or irregular, and are left out: contacts.pad.preload 3 at 3"
-        in text
-    )
+    assert "at 1 point the motion does not repeat, being quasi-periodic or irregular, and is left out: cont" in text
     assert "did not settle" not in text
 
 

@@ -193,8 +193,8 @@ def test_the_kind_of_a_motion_without_a_period_is_named():
         assert len(of_peak) == (said is not None)
         assert all(line.startswith(said) for line in of_peak)
         points = [line for line in lines if f"{KEY} 3, direction up: at 1.1" in line]
-        assert "1 points do not repeat" in points[0]
-        assert "1 points did not settle" in points[1]
+        assert "1 point does not repeat" in points[0]
+        assert "1 point did not settle" in points[1]
 
 
 def test_the_size_of_a_response():

@@ -414,7 +414,7 @@ def test_a_motion_that_does_not_settle_is_reported_with_its_band(tmp_path: Path)
     status, out, _ = call(tmp_path / "run", json.dumps(scene(study)))
     result = timesim.open_result(tmp_path / "run")
     assert status == 0
-    assert "4 points did not settle in settle.max_cycles (settled = 0, with the band of their amplitude): " in out
+    assert "4 points did not settle in settle.max_cycles (settled = 0, with the band of the amplitude): " in out
     assert f"{PRELOAD} -1: between 0.97 and 1.39 Hz; {PRELOAD} 3: between 0.97 and 1.39 Hz" in out
     assert result.attrs["complete"] == 1
     assert not result.settled.values.any()
@@ -509,7 +509,7 @@ def test_killed_and_resumed_it_gives_the_same(tmp_path: Path) -> None:
     assert "--resume" in error
     status, _, error = call(folder, text, "--resume")
     assert status == 0
-    assert "of 3 chunks are taken up" in error
+    assert "of 3 chunks taken up" in error
     assert "0 of 3" not in error
     assert sorted(item.name for item in folder.iterdir()) == ["result.nc", "scene.yaml"]
     assert call(tmp_path / "whole", text)[0] == 0

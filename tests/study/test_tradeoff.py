@@ -125,7 +125,7 @@ def test_what_has_no_time_left_or_fails_is_named(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(benches, "_through", failing)
     made.try_(Solver("rk4", 1e-8, 1e-10, longest=0.1))
     assert made.left_out == [
-        "dopri8, rtol 1e-09, atol 1e-11, 1 modes: no time left",
+        "dopri8, rtol 1e-09, atol 1e-11, 1 mode: no time left",
         "rk4, 63 steps a cycle: at time 1 s: too stiff",
     ]
 

@@ -29,6 +29,7 @@ from timesim.picture.style import (
     stacked,
 )
 from timesim.result.coordinate import over_keys
+from timesim.result.label import counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -270,7 +271,7 @@ def _peak_figure(data: "Dataset") -> "Figure | None":
         others = [other for other in over_keys(data) if other != key]
         legend_beside(ax, labelled(peak(data, ax, key=key)).values(), shared.legend_title(data, others))
     point, axis = motion(data, None, None)
-    missing = "" if whole.all() else f"{np.sum(~whole)} peaks not shown: points are missing"
+    missing = "" if whole.all() else f"{counted(np.sum(~whole), 'peak')} not shown: points are missing"
     return finish(fig, data, f"peak over the frequencies of {short(point, 16)} {axis}, which moves most", missing)
 
 

@@ -15,6 +15,7 @@ from timesim.picture.style import (
     labelled,
     legend_beside,
 )
+from timesim.result.label import counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,7 +49,7 @@ def error_against_time(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
         ax.plot(seconds[chosen], error[chosen], "*", label="recommended", zorder=5, **star)
     what = "settled amplitude" if data.attrs["judged_by_amplitude"] else "state at the end"
     ax.set(xscale="log", yscale="log", ylabel=f"relative error, {what}")
-    ax.set_xlabel(f"time of {data.attrs['cycles']} cycles, compiled [s]")
+    ax.set_xlabel(f"time of {counted(data.attrs['cycles'], 'cycle')}, compiled [s]")
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.6g}"))
     ax.xaxis.set_minor_locator(NullLocator())

@@ -12,6 +12,8 @@ import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
+from timesim.result.label import counted
+
 LISTED = 4  # differences that a message names
 WIDTH = 60  # letters of a value in a message
 
@@ -48,7 +50,7 @@ def scene_difference(before: str, now: str) -> str:
     if not keys:
         return first_difference(before.splitlines(), now.splitlines())
     changes = [f"{key} was {_shown(old, key)}, is {_shown(new, key)}" for key in keys[:LISTED]]
-    return "; ".join(changes) + (f"; and {len(keys) - LISTED} more keys" if len(keys) > LISTED else "")
+    return "; ".join(changes) + (f"; and {counted(len(keys) - LISTED, 'more key')}" if len(keys) > LISTED else "")
 
 
 def _leaves(data: Any, key: str = "") -> Iterator[tuple[str, str]]:

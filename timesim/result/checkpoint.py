@@ -27,6 +27,7 @@ import numpy as np
 
 from timesim.result.change import first_difference, scene_difference
 from timesim.result.file import StoreError, write_whole
+from timesim.result.label import counted
 from timesim.result.netcdf import RESULT_NAME, read
 
 FOLDER_NAME = "checkpoint"
@@ -64,7 +65,8 @@ class Manifest:
         except FileNotFoundError:
             return None
         except (OSError, ValueError, TypeError) as error:
-            lost = f"so what the {_count(folder)} chunks beside it belong to is not known and nothing can be resumed"
+            beside = counted(_count(folder), "chunk beside it belongs", "chunks beside it belong")
+            lost = f"so it is not known what {beside} to, and nothing can be resumed"
             raise StoreError(f"{path} cannot be read ({error}), {lost}; {_AGAIN}") from error
 
     def change(self, now: "Manifest") -> str | None:
@@ -194,7 +196,8 @@ def _taken_up(folder: Path, manifest: Manifest, resume: bool) -> bool:
 
 def _refuse_orphans(folder: Path) -> None:
     if (count := _count(folder)) and not (folder / MANIFEST_NAME).exists():
-        lost = f"holds {count} chunks but no {MANIFEST_NAME}, which says what they belong to: they cannot be taken up"
+        chunks = counted(count, "chunk")
+        lost = f"holds {chunks} but no {MANIFEST_NAME}, which says what chunks belong to: none can be taken up"
         raise StoreError(f"{folder} {lost}; put it back, {_AGAIN}")
 
 
@@ -247,7 +250,7 @@ def is_finished(run_folder: Path | str, scene: str, *, force: bool, resume: bool
     _refuse_orphans(folder / FOLDER_NAME)
     if done := chunks_done(folder):
         hint = "give --resume to go on, or --force to start anew"
-        raise StoreError(f"{folder} holds a run that was cut off, {done} chunks done; {hint}")
+        raise StoreError(f"{folder} holds a run that was cut off, {counted(done, 'chunk')} done; {hint}")
     return False
 
 

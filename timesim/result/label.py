@@ -278,6 +278,11 @@ def with_unit(number: str, attrs: Mapping[str, Any]) -> str:
     return number if units == "1" or any(quantity in units for quantity in BASE) else f"{number} {units}"
 
 
+def counted(number: int, one: str, several: str = "") -> str:
+    """A number and what it counts: ``counted(1, "point")`` and ``counted(0, "entry", "entries")``."""
+    return f"{number} {one if number == 1 else several or one + 's'}"
+
+
 def in_words(values: Mapping[str, float], end: str = "") -> str:
     """Values of scalars of the scene with their keys, followed by ``end``; empty if there are none."""
     words = ", ".join(f"{key} {value:g}" for key, value in values.items())

@@ -8,6 +8,7 @@ import numpy as np
 
 from timesim.element.motion import MIN_SAMPLES, Array, SplineMotion
 from timesim.model.model import GROUND
+from timesim.result.label import counted
 from timesim.result.last_cycle import last_cycle
 
 COLUMNS = ("u1", "u2", "v")
@@ -71,9 +72,8 @@ def _read_csv(path: Path) -> dict[str, Array]:
 def _numbers(path: Path, number: int, line: str, count: int) -> list[float]:
     cells = line.split(",")
     if len(cells) != count:
-        raise ValueError(
-            f"motion file {path}, line {number}: {count} values expected as in the header, not {len(cells)}"
-        )
+        wanted = counted(count, "value")
+        raise ValueError(f"motion file {path}, line {number}: {wanted} expected as in the header, not {len(cells)}")
     try:
         return [float(cell) for cell in cells]
     except ValueError as error:

@@ -12,6 +12,7 @@ from timesim.fault import RuleError
 from timesim.model.model import Model, Start
 from timesim.model.solver import PRESETS, Solver
 from timesim.model.start import given_start, static_start
+from timesim.result.label import counted
 from timesim.result.state import SavedStates, saved_states, start_of
 from timesim.scene.section import AsText, Section, by_form, form, refuse
 from timesim.scene.value import ContactName, Count, FilePath, Number, Pair, Switch, Text, Whole
@@ -45,7 +46,8 @@ class StateSection(Section):
         if values is None:
             return np.zeros(order.size)
         if len(values) != order.size:
-            raise RuleError((key,), f"must have {order.size} entries, one a mode, not {len(values)}", value=values)
+            count = counted(order.size, "entry", "entries")
+            raise RuleError((key,), f"must have {count}, one a mode, not {len(values)}", value=values)
         return np.array(values)[order]
 
 

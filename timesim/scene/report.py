@@ -27,6 +27,7 @@ from timesim.model.model import CONE, GROUND, Contact, Model
 from timesim.model.promise import PROMISE
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import CLOSED_FORM, COMPANION, SHOOT, Solver, coarser
+from timesim.result.label import counted
 from timesim.scene.file import SceneFile
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
@@ -115,17 +116,18 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
     if isinstance(plan, Schedule):
         cycles = sum(cycles for _, cycles in plan.phases)
         total = seconds(model, solver, Work.of_run(plan.phases, estimated=False))
-        lines.append(f"{cycles} cycles of {_duration(total / cycles)}: {_duration(total)}")
+        lines.append(f"{counted(cycles, 'cycle')} of {_duration(total / cycles)}: {_duration(total)}")
     elif isinstance(study, SteadySection):
         sweep = study.sweep()
         cycles, own, total = _sweep_cost(model, solver, sweep)
-        each = f"{cycles} cycles of {_duration(own)} and {_duration(SETTLING)} beside them"
-        lines.append(f"{sweep.size} points of {each}: {_duration(total)}{study.search()}")
+        each = f"{counted(cycles, 'cycle')} of {_duration(own)} and {_duration(SETTLING)} beside them"
+        lines.append(f"{counted(sweep.size, 'point')} of {each}: {_duration(total)}{study.search()}")
         shot = replace(sweep, criterion=replace(sweep.criterion, first_shot=SHOOT))
         fewer, _, less = _sweep_cost(model, solver, shot)
         if total > max(FASTER * less, NOTICED):
             why = "vibrations decay slowly; of several motions it may find another"
-            lines.append(f"{fewer} cycles a point and {_duration(less)} with study.periodic: shoot, as {why}")
+            few = f"{counted(fewer, 'cycle')} a point and {_duration(less)}"
+            lines.append(f"{few} with study.periodic: shoot, as {why}")
     balance = _balance(plan)
     if balance is not None:
         curves = prod(map(len, balance.over.values())) * (1 + balance.both_ends)
@@ -135,7 +137,7 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
             yield f"{scheme}{more}; where those above would add over {NEGLECTED:g} of the amplitude, it is said"
         own = seconds_a_solution(model, scheme.time_samples, stability=balance.stability)
         work = f"{SOLUTIONS} solutions of {_duration(own)}"
-        which = "1 curve" if curves == 1 else f"{curves} curves"
+        which = counted(curves, "curve")
         lines.append(f"{which} of harmonic balance of {work}: {_duration(curves * SOLUTIONS * own)}")
     yield from (f"about {line}" for line in lines)
     if lines:
@@ -195,9 +197,8 @@ def _contact_parts(contact: Contact) -> Iterator[str]:
 
 def _structure_lines(model: Model) -> Iterator[str]:
     structure, frequency = model.structure, model.structure.frequency
-    count = "1 mode" if frequency.size == 1 else f"{frequency.size} modes"
     span = f"{frequency[0]:.6g} Hz" if frequency.size == 1 else f"{frequency[0]:.6g} to {frequency[-1]:.6g} Hz"
-    yield f"{count}, {span}"
+    yield f"{counted(frequency.size, 'mode')}, {span}"
     yield f"natural frequencies without contacts: {_listed(frequency)} Hz"
     if model.contacts:
         yield f"natural frequencies with every contact stuck: {_listed(model.stuck_omega / (2 * np.pi))} Hz"

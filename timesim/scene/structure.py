@@ -10,6 +10,7 @@ from pydantic import Field, Tag, model_validator
 from timesim.fault import RuleError
 from timesim.model import model
 from timesim.model.matrices import Matrices, modal_structure, read_matrices
+from timesim.result.label import counted
 from timesim.scene.section import AsList, AsMapping, AsNumber, AsText, Section, by_form, refuse
 from timesim.scene.value import (
     Count,
@@ -272,7 +273,8 @@ class ExcitationSection(Section):
         terms = [(force.harmonic, force.amplitude * force.work(structure), force.phase_deg) for force in self.forces]
         if self.modal_force is not None:
             if len(self.modal_force) != order.size:
-                rule = f"must have {order.size} entries, one a mode, not {len(self.modal_force)}"
+                count = counted(order.size, "entry", "entries")
+                rule = f"must have {count}, one a mode, not {len(self.modal_force)}"
                 raise RuleError(("modal_force",), rule)
             sorted_forces = [self.modal_force[i] for i in order]
             for column, force in zip(np.eye(order.size), sorted_forces, strict=True):

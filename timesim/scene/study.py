@@ -15,6 +15,7 @@ from timesim.fault import Key, RuleError, nearest
 from timesim.model.cost import FEW, MANY, Work, cycles_to_settle
 from timesim.model.model import Model
 from timesim.model.solver import SHOOT, SLOW, Criterion
+from timesim.result.label import counted
 from timesim.scene.contact import ContactSection
 from timesim.scene.section import Section, refuse
 from timesim.scene.value import Count, Frequencies, Positive, Text, Values, axis_values, repeated
@@ -211,11 +212,11 @@ class SteadySection(StudySection):
     def extent(self) -> str:
         """Numbers of frequencies, values of the further axes and directions, and what is searched for after them."""
         plan = self.sweep()
-        factors = [f"{plan.frequency.size} frequencies"]
-        factors += [f"{len(values)} values of {key}" for key, values in plan.over.items()]
+        factors = [counted(plan.frequency.size, "frequency", "frequencies")]
+        factors += [f"{counted(len(values), 'value')} of {key}" for key, values in plan.over.items()]
         if len(plan.directions) > 1:
             factors.append(f"{len(plan.directions)} directions")
-        points = f"{' x '.join(factors)} = {plan.size} points" if len(factors) > 1 else factors[0]
+        points = f"{' x '.join(factors)} = {counted(plan.size, 'point')}" if len(factors) > 1 else factors[0]
         return f"{points}{self.search()}"
 
 

@@ -11,6 +11,7 @@ from timesim.model.choice import choice
 from timesim.model.cost import Work
 from timesim.model.model import Model
 from timesim.model.solver import Solver
+from timesim.result.label import counted
 from timesim.scene.section import Section, refuse
 from timesim.scene.study import Context, StudySection
 from timesim.scene.value import Count, Positive, Switch, Whole
@@ -59,7 +60,7 @@ class Schedule:
         ends = list(accumulate(cycles for _, cycles in self.phases))
         phase = sum(end <= cycles for end in ends[:-1])
         name = f"phase {phase - self.run_up + 1} of {len(ends) - self.run_up}" if phase >= self.run_up else "run-up"
-        return f"{name + ', ' if len(ends) > 1 else ''}{cycles} of {ends[-1]} cycles"
+        return f"{name + ', ' if len(ends) > 1 else ''}{cycles} of {counted(ends[-1], 'cycle')}"
 
     def cycle_frequency(self) -> np.ndarray:
         """Frequency of each cycle [Hz], shape (cycles,)."""
@@ -85,7 +86,7 @@ class Transient(StudySection):
     @model_validator(mode="after")
     def _within(self) -> Self:
         if self.record_last is not None and self.record_last > self.cycles:
-            rule = f"must be at most the {self.cycles} cycles of the run"
+            rule = f"must be at most the {counted(self.cycles, 'cycle')} of the run"
             raise refuse(rule, key=("record_last",), value=self.record_last)
         return self.completed(record_last=self.cycles)
 

@@ -20,6 +20,7 @@ from timesim.orbit.settling import Chain, steady_states, warm_up
 from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of, end_of
 from timesim.orbit.two_motions import UP, Search, ranges_of
 from timesim.result.dataset import dataset
+from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import BistablePlan
 from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through
@@ -119,7 +120,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     running = earlier + time.perf_counter() - clock - compiling
     gathered = Gathered(grid, plan, results)
     sweep = gathered.sweep({"method": str(solver), "compile_seconds": compiling, "run_seconds": running})
-    states = f"{number_of_states(sweep)} steady states of both sweeps, and the search, in {running:.2f} s"
+    states = counted(number_of_states(sweep), "steady state")
+    states = f"{states} of both sweeps, and the search, in {running:.2f} s"
     lines, groups, reasons = [states, *unusual_lines(sweep)], {"sweep": sweep}, [reason or failure_line(sweep)]
     if plan.balance is not None and not (reason or "").startswith(INTERRUPTED):
         after = replace(execution, progress=phases["balance"])

@@ -31,7 +31,7 @@ from timesim.orbit.cycle import one_cycle
 from timesim.orbit.fourier import fourier_basis, fourier_coefficients
 from timesim.orbit.settling import Chain, steady_states
 from timesim.result.dataset import dataset
-from timesim.result.label import in_words
+from timesim.result.label import counted, in_words
 from timesim.result.state import states_in
 from timesim.scene.hbm import ComparePlan
 from timesim.scene.resolution import Scene
@@ -141,8 +141,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     arrays, compared, cycle, interrupted = _compared(scene, sweep, hbm, curves, after.several, whole=reason is None)
     lines, groups, reason = [*jump_lines(sweep), *compared], {"sweep": sweep, "hbm": hbm} | cycle, reason or interrupted
     lines.append(
-        f"time integration: {sweep['settled'].size} points in {seconds:.2f} s; harmonic balance: "
-        f"{hbm.sizes['solution']} solutions in {hbm.attrs['run_seconds']:.2f} s"
+        f"time integration: {counted(sweep['settled'].size, 'point')} in {seconds:.2f} s; harmonic balance: "
+        f"{counted(hbm.sizes['solution'], 'solution')} in {hbm.attrs['run_seconds']:.2f} s"
     )
     attrs = attributes(
         scene,

@@ -16,6 +16,7 @@ from timesim.element.motion import CYCLE, Motion
 from timesim.element.state_by_state import steady_cycle
 from timesim.model.model import STATE_NAMES, Contact
 from timesim.result.dataset import dataset
+from timesim.result.label import counted
 from timesim.scene.element import ElementPlan
 from timesim.scene.resolution import Scene
 from timesim.study.execution.campaign import Execution
@@ -53,8 +54,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 
 def _unsettled(cycle: ElementCycle) -> str:
     return (
-        f"after {cycle.num_cycles} cycles the friction force still changes by {cycle.residual:.1e} of the largest mu n "
-        "from cycle to cycle; change a parameter a little"
+        f"after {counted(cycle.num_cycles, 'cycle')} the friction force still changes by {cycle.residual:.1e} of the "
+        "largest mu n from cycle to cycle; change a parameter a little"
     )
 
 
@@ -74,10 +75,8 @@ def _cross_check(contact: Contact, motion: Motion, cycle: ElementCycle) -> tuple
         "cross_check_dissipation": apart.dissipation,
     }
     if not apart.settled:
-        return (
-            compared,
-            f"the cross check did not settle in {other.num_cycles} cycles; cross_check: false leaves it out",
-        )
+        cycles = counted(other.num_cycles, "cycle")
+        return compared, f"the cross check did not settle in {cycles}; cross_check: false leaves it out"
     if not apart.same_sequence:
         paths = [" ".join(_arrow(item) for item in c.transitions) or "none" for c in (cycle, other)]
         return compared, f"state by state finds the transitions {paths[0]}, the event loop {paths[1]}"
@@ -101,7 +100,7 @@ def summary(cycle: ElementCycle, compared: dict[str, float]) -> Iterator[str]:
     angles = ", ".join(f"{_arrow(t)} {np.degrees(t.angle):.6f}°" for t in cycle.transitions)
     states = {stay.state for stay in cycle.stays if stay.stop > stay.start}
     yield f"transitions: {angles or 'none, ' + ' and '.join(STATE_NAMES[s] for s in sorted(states)) + ' all the cycle'}"
-    yield f"steady to {cycle.residual:.1e} of the largest mu n in {cycle.num_cycles} cycles"
+    yield f"steady to {cycle.residual:.1e} of the largest mu n in {counted(cycle.num_cycles, 'cycle')}"
     if cycle.offset_free:
         yield "full stick: w, and with it f_b, may keep another offset; here that of a start with f = 0"
     yield f"dissipation {cycle.dissipation:.9g} a cycle (loop area), {cycle.work:.9g} (work of slip)"

@@ -11,6 +11,7 @@ from xarray import Dataset
 from timesim.fault import RuleError
 from timesim.orbit.threshold import UNSETTLED_CYCLES
 from timesim.picture.choice import motions
+from timesim.result.label import counted
 from timesim.result.netcdf import read
 from timesim.result.state import states_in
 from timesim.study.registry import carry_out, load_scene
@@ -87,11 +88,11 @@ def _text(value: float | str) -> str:
 
 def _kind(here: Dataset) -> str:
     """The kind of motion, in words."""
-    period, cycles = int(here["period"]), int(here["cycles"])
+    period, cycles = int(here["period"]), counted(int(here["cycles"]), "cycle")
     if int(here["irregular"]):
-        return f"does not repeat in {cycles} cycles: quasi-periodic or irregular; {UNSETTLED_CYCLES} more are shown"
+        return f"does not repeat in {cycles}: quasi-periodic or irregular; {UNSETTLED_CYCLES} more are shown"
     if not period:
-        return f"not settled after {cycles} cycles; {UNSETTLED_CYCLES} more are shown"
+        return f"not settled after {cycles}; {UNSETTLED_CYCLES} more are shown"
     return f"repeats {'every cycle' if period == 1 else f'after {period} cycles'}, settled after {cycles}"
 
 

@@ -12,7 +12,7 @@ from timesim.orbit.basin import ANOTHER, IRREGULAR, LOWER, NONE, UPPER, unique
 from timesim.orbit.threshold import LONGEST
 from timesim.orbit.two_motions import LARGER, NO_MOTION, SMALLER
 from timesim.result.coordinate import over_keys
-from timesim.result.label import in_words, with_unit
+from timesim.result.label import counted, in_words, with_unit
 from timesim.scene.transient import Schedule
 
 MOTIONS = ("lower", "upper")
@@ -28,8 +28,8 @@ def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
     Of each phase it gives the amplitude at the end, of the point and axis that move most during the run.
     """
     attrs, amplitude = data.attrs, data["cycle_amplitude"].values
-    count = data.sizes["event"]
-    yield f"{len(amplitude)} cycles by {attrs['method']} in {attrs['run_seconds']:.2f} s, {count} transitions"
+    whole, transitions = counted(len(amplitude), "cycle"), counted(data.sizes["event"], "transition")
+    yield f"{whole} by {attrs['method']} in {attrs['run_seconds']:.2f} s, {transitions}"
     if not len(amplitude):
         return
     largest = max(np.max(np.abs(data["energy_input"].values)), attrs["peak_stored_energy"])
@@ -47,7 +47,7 @@ def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
             which = f"phase {number}" if number > 0 else "run-up"
             reached = with_unit(f"{amplitude[end - 1, point, axis]:.6g}", data["cycle_amplitude"].attrs)
             size = f"amplitude {reached} of {name} at its end"
-            yield f"{which}: {cycles} cycles at {frequency:.6g} Hz, {size}"
+            yield f"{which}: {counted(cycles, 'cycle')} at {frequency:.6g} Hz, {size}"
 
 
 def error_lines(data: Dataset) -> Iterator[str]:
@@ -80,11 +80,8 @@ def number_of_states(data: Dataset) -> int:
 
 def sweep_lines(data: Dataset) -> Iterator[str]:
     """The summary of a sweep: its steady states and its jumps."""
-    cycles = data["cycles"].values.sum()
-    yield (
-        f"{number_of_states(data)} steady states by {data.attrs['method']} in {data.attrs['run_seconds']:.2f} s, "
-        f"{cycles} cycles"
-    )
+    states, cycles = counted(number_of_states(data), "steady state"), counted(data["cycles"].values.sum(), "cycle")
+    yield f"{states} by {data.attrs['method']} in {data.attrs['run_seconds']:.2f} s, {cycles}"
     yield from unusual_lines(data)
     yield from jump_lines(data)
 
@@ -92,25 +89,26 @@ def sweep_lines(data: Dataset) -> Iterator[str]:
 def unusual_lines(data: Dataset) -> Iterator[str]:
     """Points of a sweep whose motion repeats after several cycles, is less exact than asked for, or never settles."""
     done, settled = np.isfinite(data["amplitude"].values).all(axis=(-2, -1)), data["settled"].values == 1
-    several, irregular, left = np.sum(data["period"].values > 1), data["irregular"].values == 1, data["settled_to"]
+    several, irregular, left = int(np.sum(data["period"].values > 1)), data["irregular"].values == 1, data["settled_to"]
     if several:
-        yield f"{several} of them repeat after more than one cycle (variable period)"
+        yield f"{counted(several, 'of them repeats', 'of them repeat')} after more than one cycle (variable period)"
     vague = settled & (left.values > data.attrs["settle_tolerance"])
     if vague.any():
         yield (
-            f"{vague.sum()} of them are settled to {left.values[vague].max():.1e}, not to settle.tolerance, which is "
-            "below what the noise of the steps allows (variable settled_to)"
+            f"{counted(vague.sum(), 'of them is', 'of them are')} settled to {left.values[vague].max():.1e}, not to "
+            "settle.tolerance, which is below what the noise of the steps allows (variable settled_to)"
         )
     if irregular.any():
+        points = counted(irregular.sum(), "point does", "points do")
         yield (
-            f"{irregular.sum()} points do not repeat after up to {LONGEST} cycles: their motion is quasi-periodic or "
-            f"irregular (irregular = 1, with the band of its amplitude): {_spans(data, irregular)}"
+            f"{points} not repeat after up to {LONGEST} cycles: the motion is quasi-periodic or irregular "
+            f"(irregular = 1, with the band of its amplitude): {_spans(data, irregular)}"
         )
     lost = done & ~settled & ~irregular
     if lost.any():
         yield (
-            f"{lost.sum()} points did not settle in settle.max_cycles (settled = 0, with the band of their amplitude): "
-            f"{_spans(data, lost)}"
+            f"{counted(lost.sum(), 'point')} did not settle in settle.max_cycles (settled = 0, with the band of the "
+            f"amplitude): {_spans(data, lost)}"
         )
 
 
@@ -133,7 +131,7 @@ def failure_line(data: Dataset) -> str | None:
         return None
     named = [f"{', '.join(_where(data, dims, place))}: {reason[tuple(place)]}" for place in failed[:POINTS]]
     more = f"; and {len(failed) - POINTS} more, all in the variable failure" if len(failed) > POINTS else ""
-    return f"{len(failed)} of {reason.size} points failed: " + "; ".join(named) + more
+    return f"{len(failed)} of {counted(reason.size, 'point')} failed: " + "; ".join(named) + more
 
 
 def _spans(data: Dataset, chosen: np.ndarray) -> str:
@@ -143,7 +141,7 @@ def _spans(data: Dataset, chosen: np.ndarray) -> str:
         at = data["frequency"].values[chosen[place]]
         span = f"at {at[0]:g} Hz" if at.size == 1 else f"between {at[0]:g} and {at[-1]:g} Hz"
         spans.append(_chain(data, place) + span)
-    more = f"; and in {len(spans) - POINTS} more rows of the result" if len(spans) > POINTS else ""
+    more = f"; and in {counted(len(spans) - POINTS, 'more row')} of the result" if len(spans) > POINTS else ""
     return "; ".join(spans[:POINTS]) + more
 
 
@@ -173,7 +171,7 @@ def bistable_lines(data: Dataset, sweep: Dataset, width: float) -> Iterator[str]
         lines += [label + line for line in _range_lines(one, width)]
     yield from lines[:LINES]
     if len(lines) > LINES:
-        yield f"and {len(lines) - LINES} more lines, all of it in the result file"
+        yield f"and {counted(len(lines) - LINES, 'more line')}, all of it in the result file"
     if not lines and data.attrs["complete"]:
         span = sweep["frequency"].values
         yield (
@@ -220,7 +218,8 @@ def _start_lines(one: Dataset) -> Iterator[str]:
     count = {side: int(np.sum(branch == side)) for side in (LOWER, UPPER, ANOTHER, IRREGULAR, NONE)}
     rest = ((ANOTHER, "to another motion"), (IRREGULAR, "to one that does not repeat"), (NONE, "did not settle"))
     others = "".join(f", {count[side]} {words}" for side, words in rest if count[side])
-    yield f"of {branch.size} starts {count[LOWER]} lead to the smaller motion, {count[UPPER]} to the larger{others}"
+    lead = counted(count[LOWER], "leads", "lead")
+    yield f"of {branch.size} starts {lead} to the smaller motion, {count[UPPER]} to the larger{others}"
     at_rest = np.flatnonzero(np.isclose(one["share_lower"].values, 0.0))
     if at_rest.size:
         led = {LOWER: "the smaller motion", UPPER: "the larger motion", ANOTHER: "another motion"}
@@ -270,8 +269,9 @@ def _as_low(values: np.ndarray, peak: np.ndarray, at: int) -> tuple[float, float
 def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
     """The least peak over a scalar, sought to an accuracy."""
     key = str(data["peak"].dims[0])
-    values, peak, cycles = data[key].values, data["peak"].values, data["cycles"].values.sum()
-    yield f"{values.size} values of {key}, {data.sizes['frequency']} frequencies up and down, {cycles} cycles"
+    values, peak, cycles = data[key].values, data["peak"].values, counted(data["cycles"].values.sum(), "cycle")
+    frequencies = counted(data.sizes["frequency"], "frequency", "frequencies")
+    yield f"{counted(values.size, 'value')} of {key}, {frequencies} up and down, {cycles}"
     best = float(data["optimum"])
     if not np.isfinite(best):
         return

@@ -16,6 +16,7 @@ from timesim.model.contact_state import slip_follows_motion
 from timesim.model.promise import AMPLIFIED, CLOSE, MARGIN, tightened
 from timesim.model.solver import COMPANION, Solver
 from timesim.result.dataset import dataset
+from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.transient import Schedule
 from timesim.study.execution.campaign import Execution
@@ -135,7 +136,7 @@ def _estimate(recorder: Recorder, execution: Execution, reason: str | None) -> E
 
     def show(companion: Run) -> None:
         done = run.num_cycles + COMPANION * companion.completed
-        words = f"estimating the error, {companion.completed} of {run.num_cycles} cycles"
+        words = f"estimating the error, {companion.completed} of {counted(run.num_cycles, 'cycle')}"
         execution.progress(done, (1 + COMPANION) * run.num_cycles, words)
 
     try:

@@ -10,7 +10,7 @@ from timesim.hbm.convergence import Convergence, order_of
 from timesim.hbm.curve import changes_of_stability, peak
 from timesim.orbit.steady_state import switches
 from timesim.result.coordinate import over_keys, rubs
-from timesim.result.label import in_words, with_unit
+from timesim.result.label import counted, in_words, with_unit
 from timesim.scene.study import combinations
 
 # Within this share of a fold's frequency a small error of either method changes the answer much.
@@ -25,10 +25,8 @@ SHAKEN_DOWN = 1e-5
 def curve_lines(data: Dataset, notes: Sequence[str]) -> Iterator[str]:
     """Response curves: how many, notes of the study, each curve, and whether harmonics and samples suffice."""
     numbers, attrs = np.unique(data["curve"].values), data.attrs
-    yield (
-        f"{data.sizes['solution']} solutions on {numbers.size} curve{'s' * (numbers.size != 1)} by {attrs['method']} "
-        f"in {attrs['run_seconds']:.2f} s"
-    )
+    solutions, curves = counted(data.sizes["solution"], "solution"), counted(numbers.size, "curve")
+    yield f"{solutions} on {curves} by {attrs['method']} in {attrs['run_seconds']:.2f} s"
     yield from notes
     for number in numbers:
         curve = data.isel(solution=data["curve"].values == number)
@@ -58,7 +56,7 @@ def _curve_line(curve: Dataset) -> str:
     name = f"{curve['point'].values[point]} {curve['axis'].values[axis]}"
     return (
         f"peak {with_unit(f'{height:.5g}', curve['amplitude'].attrs)} of {name} at {place:.6g}; {turning}{also}; "
-        f"{np.sum(~stable & ~fold)} unstable solutions; {states}"
+        f"{counted(int(np.sum(~stable & ~fold)), 'unstable solution')}; {states}"
     )
 
 
@@ -68,7 +66,7 @@ def convergence_lines(refined: Convergence) -> list[str]:
         return ["convergence: no stable solution slips or separates, so harmonics and samples change nothing"]
     lost = ", ".join(f"{count} with {name}" for name, count in refined.lost.items())
     return [
-        f"convergence of {refined.count} solutions with slip or separation, change from the finest: "
+        f"convergence of {counted(refined.count, 'solution')} with slip or separation, change from the finest: "
         + _listed(refined.harmonics, refined.with_harmonics, "harmonics"),
         _listed(refined.time_samples, refined.with_samples, "time samples"),
         *([f"not found: {lost}"] if lost else []),
@@ -175,25 +173,27 @@ def comparison_lines(points: Points) -> Iterator[str]:
     linear, close = seen & points.linear, seen & ~points.linear & points.near_fold
     if linear.any():
         yield (
-            f"at {linear.sum()} points every contact sticks, or stays apart, all the time: they differ by at most "
-            f"{size[linear].max():.1e}, but the motion is linear there, so this proves nothing of the contacts"
+            f"at {counted(linear.sum(), 'point')} every contact sticks, or stays apart, all the time: they differ by "
+            f"at most {size[linear].max():.1e}, but the motion is linear there, which proves nothing of the contacts"
         )
     if close.any():
-        yield f"{close.sum()} points within {NEAR_FOLD:g} of a fold's frequency differ by up to {size[close].max():.1e}"
+        near = counted(close.sum(), "point")
+        yield f"at {near} within {NEAR_FOLD:g} of a fold's frequency they differ by up to {size[close].max():.1e}"
     if points.other_offset.any():
+        number, most = counted(points.other_offset.sum(), "point"), size[points.other_offset].max()
         yield (
-            f"{points.other_offset.sum()} points differ by up to {size[points.other_offset].max():.1e} since a contact "
-            "that sticks all the time keeps another offset, which is free: time integration that begins from the "
-            f"balance's motion stays there: {_places(points, points.other_offset)}"
+            f"at {number} they differ by up to {most:.1e} because a contact that sticks all the time keeps another "
+            "offset, which is free: time integration that begins from the balance's motion stays there: "
+            f"{_places(points, points.other_offset)}"
         )
     for left_out, why in (
-        (points.settled & ~points.solved, "have no stable solution of the balance"),
-        (points.doubled, "repeat after several cycles, which the balance cannot show"),
-        (points.irregular, "do not repeat, being quasi-periodic or irregular, and are left out"),
-        (~points.settled & ~points.doubled & ~points.irregular, "did not settle and are left out"),
+        (points.settled & ~points.solved, "the balance has no stable solution"),
+        (points.doubled, "the motion repeats after several cycles, which the balance cannot show"),
+        (points.irregular, "the motion does not repeat, being quasi-periodic or irregular, and is left out"),
+        (~points.settled & ~points.doubled & ~points.irregular, "the motion did not settle and is left out"),
     ):
         if left_out.any():
-            yield f"{left_out.sum()} points {why}: {_places(points, left_out)}"
+            yield f"at {counted(left_out.sum(), 'point')} {why}: {_places(points, left_out)}"
 
 
 def _judgement(points: Points) -> str:
@@ -207,8 +207,8 @@ def _judgement(points: Points) -> str:
     )
     means = f"{points.slip[judged].mean():.2f} and {points.separation[judged].mean():.2f}"
     return (
-        f"the methods {word}: {judged.sum()} points with slip, or contact for a part of the cycle, differ by at most "
-        f"{worst:.1e} of the amplitude (median {np.median(size[judged]):.1e}, mean shares {means}); "
+        f"the methods {word}: at {counted(judged.sum(), 'point')} with slip, or contact for a part of the cycle, they "
+        f"differ by at most {worst:.1e} of the amplitude (median {np.median(size[judged]):.1e}, mean shares {means}); "
         f"most at {points.frequency[place[2]]:g} Hz{f' with {values}' if values else ''}, {shares}{advice}"
     )
 

@@ -92,7 +92,7 @@ def test_what_fails_is_named(two: Processes):
     chunks = chains(2, 2, faults={"c-1-0": "raise"})
     results, reason = carried(chunks, two)
     assert digest(results) == digest(expected(chunks[:2]))
-    assert reason == "1 of 4 chunks failed: c-1-0: ArithmeticError: c-1-0 has no solution; 4 of 8 points are missing"
+    assert reason == "1 of 4 chunks failed: c-1-0: ArithmeticError: c-1-0 has no solution; 4 of 8 points missing"
 
 
 def test_with_one_killed_the_others_go_on_in_threads(tmp_path: Path):
@@ -119,7 +119,7 @@ def test_an_interrupt_stops_them_and_keeps_what_is_done(two: Processes, tmp_path
             os.kill(os.getpid(), signal.SIGINT)
 
     results, reason = carried(chunks, two, progress=interrupt, folder=tmp_path)
-    assert reason == "interrupted; 4 of 8 points are missing"
+    assert reason == "interrupted; 4 of 8 points missing"
     assert list(results) == ["c-0-0", "c-0-1"]
     assert not two.submit(unseen, ignores_interrupts).result()[1]  # they may be used again
     assert {path.stem for path in (tmp_path / "checkpoint").glob("*.npz")} == set(results)

@@ -11,7 +11,7 @@ from xarray import Dataset
 from timesim.hbm.curve import HbmCurve
 from timesim.hbm.scheme import Scheme
 from timesim.result.file import StoreError
-from timesim.result.label import in_words
+from timesim.result.label import counted, in_words
 from timesim.result.state import SavedStates
 from timesim.study.curves.collection import Curves, StudyCurve, Sweep
 from timesim.study.curves.kept import Found, KeptCurves
@@ -142,7 +142,8 @@ class _Work:
     def _show(self) -> None:
         under_way = [parts for place, parts in list(self.parts.items()) if place not in self.found]
         done, number = len(self.found) + sum(under_way) / PARTS, len(self.curves.values)
-        self.execution.progress(done, number, f"harmonic balance, {len(under_way)} sets of values side by side")
+        sets = counted(len(under_way), "set of values", "sets of values")
+        self.execution.progress(done, number, f"harmonic balance, {sets} side by side")
 
 
 class _Growth:

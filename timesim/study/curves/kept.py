@@ -14,6 +14,7 @@ from timesim.hbm.curve import HbmCurve
 from timesim.result import checkpoint, netcdf
 from timesim.result.checkpoint import Checkpoint, Result
 from timesim.result.file import StoreError
+from timesim.result.label import counted
 from timesim.study.execution.campaign import Execution
 
 Found = tuple[list[HbmCurve], list[str]]
@@ -76,7 +77,8 @@ def kept_curves(execution: Execution, identity: str, sets: Sequence[Any], stage:
     with execution.checkpoint(identity, dict(zip(names, sets, strict=True)), stage) as (kept, begun):
         if kept is not None and begun:
             done = sum((kept.folder / f"{name}.npz").exists() for name in names)
-            execution.notice(f"the curves of {done} of {len(sets)} sets of values are taken up from {kept.folder}")
+            of_all = counted(len(sets), "set of values", "sets of values")
+            execution.notice(f"the curves of {done} of {of_all} are taken up from {kept.folder}")
         yield KeptCurves(kept, execution.notice)
 
 

@@ -24,6 +24,7 @@ from timesim.result import checkpoint
 from timesim.result.change import fingerprint
 from timesim.result.checkpoint import INTERRUPTED, Checkpoint, Manifest
 from timesim.result.file import StoreError
+from timesim.result.label import counted
 from timesim.study.execution.processes import LASTS, Processes
 from timesim.study.execution.progress import Progress, unwatched
 from timesim.study.execution.worker import (
@@ -201,7 +202,8 @@ class _Campaign:
             if result is not None:
                 self.saved.add(chunk.name)
                 self._count(chunk, result)
-        self.execution.notice(f"{len(self.saved)} of {len(self.chunks)} chunks are taken up from {self.kept.folder}")
+        done = f"{len(self.saved)} of {counted(len(self.chunks), 'chunk')}"
+        self.execution.notice(f"{done} taken up from {self.kept.folder}")
 
     def _work_off(self) -> None:
         self.waiting += [
@@ -302,10 +304,7 @@ class _Campaign:
             return None
         reasons = [f"{name}: {why}" for name, why in self.failed.items()]
         more = f"; and {len(reasons) - LISTED} more" if len(reasons) > LISTED else ""
-        failed = (
-            f"{len(reasons)} of {len(self.chunks)} chunks failed: {'; '.join(reasons[:LISTED])}{more}"
-            if reasons
-            else None
-        )
-        points = sum(chunk.size for chunk in missing)
-        return "; ".join(filter(None, (ended, failed, f"{points} of {self.total} points are missing")))
+        of_all = f"{len(reasons)} of {counted(len(self.chunks), 'chunk')}"
+        failed = f"{of_all} failed: {'; '.join(reasons[:LISTED])}{more}" if reasons else None
+        points = f"{sum(chunk.size for chunk in missing)} of {counted(self.total, 'point')}"
+        return "; ".join(filter(None, (ended, failed, f"{points} missing")))

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from datetime import timedelta
 from typing import Protocol
 
+from timesim.result.label import counted
+
 CURVE = 100
 """Points of a sweep that take about as long as a curve of harmonic balance: 20 ms each, 1 to 3 s (both measured on the
 oscillator)."""
@@ -41,7 +43,7 @@ class Phases:
 
         def show(done: float, number: float, phase: str = "", /) -> None:
             share = min(done / number, 1.0) if number else 1.0
-            words = phase or f"{name}, {done:.0f} of {number:.0f} points"
+            words = phase or f"{name}, {done:.0f} of {counted(round(number), 'point')}"
             self.whole(before + share * self.sizes[name], sum(self.sizes.values()), words)
 
         return show

@@ -14,6 +14,7 @@ from timesim.engine.trajectory import Phase, Run
 from timesim.model.cost import cycles_to_settle
 from timesim.model.model import Model, Start
 from timesim.model.solver import CLOSED_FORM, NEVER, Criterion, Solver
+from timesim.result.label import counted
 from timesim.scene.transient import TradeoffPlan
 from timesim.study.execution.campaign import Execution
 
@@ -89,7 +90,7 @@ class Bench:
             if (trial.solver, trial.num_modes) == (solver, kept):
                 self.trials[i] = replace(trial, preset=preset)
                 return self.trials[i]
-        name = f"{solver}{f', {kept} modes' if kept < self.model.structure.num_modes else ''}"
+        name = str(solver) + (f", {counted(kept, 'mode')}" if kept < self.model.structure.num_modes else "")
         name += "" if solver.reduce else ", nothing left out"
         self.execution.progress(self.plan.budget - max(self.left, 0.0), self.plan.budget, name)
         if self.trials and self._guess(solver, kept) > self.left:

@@ -16,6 +16,7 @@ from timesim.model.promise import PROMISE
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import CLOSED_FORM, Solver
 from timesim.result.dataset import dataset
+from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.transient import TradeoffPlan
 from timesim.study.execution.campaign import Execution
@@ -39,7 +40,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         _between(bench, "exponential")
         bench.time_again()
     except KeyboardInterrupt:
-        reason = f"interrupted after {len(bench.trials)} runs"
+        reason = f"interrupted after {counted(len(bench.trials), 'run')}"
     if not bench.trials and reason is None:
         reason = f"no run has come to its end: {bench.left_out[0]}"
     judged = judge(bench)
@@ -181,7 +182,9 @@ def _record(scene: Scene, bench: Bench, judged: Judged, reason: str | None) -> D
     variables: dict[str, Any] = {name: (("trial",), np.asarray(values)) for name, values in columns.items()}
     variables["transitions"] = (("trial",), np.array([trial.transitions for trial in trials], dtype=int), of_run)
     compiling = sum(trial.compiling for trial in trials)
-    attrs = attributes(scene, f"{len(trials)} runs", compiling, bench.plan.budget - bench.left - compiling, reason)
+    attrs = attributes(
+        scene, counted(len(trials), "run"), compiling, bench.plan.budget - bench.left - compiling, reason
+    )
     attrs |= {"error_known_to": judged.known, "truth": judged.verified}
     attrs |= {"error_wanted": bench.plan.error, "cycles": cycles, "judged_by_amplitude": bench.plan.amplitude}
     attrs["settled_to"] = bench.settled_to
