@@ -81,6 +81,22 @@ def test_problems_come_together():
     assert keys == ["structure.modes.0.mass", "contacts.pad.frictoin", "study.cycles"]
 
 
+def test_rules_between_keys_of_a_contact_come_with_its_other_problems():
+    wrong = {
+        "against: ground": "against: tip",
+        "tangent: [1, 0, 0]": "tangent: [0, 0, 1]",
+        "friction: 0.5": "friction: -0.5",
+        "tangential_stiffness: 20.0": "tangential_stiffness: [[1, 2], [2, 1]]",
+        "normal_stiffness: 21.0": "normal_stiffness: 0",
+        "preload: 3.0": "preload: -3.0",
+    }
+    text = BASE
+    for good, bad in wrong.items():
+        text = text.replace(good, bad, 1)
+    keys = [key.removeprefix("contacts.pad.") for key, _ in problems(text)]
+    assert keys == ["against", "tangent", "friction", "tangential_stiffness", "preload"]
+
+
 TYPO = {"study.cycles": 0}
 
 

@@ -1,5 +1,6 @@
 """Section of the scene file that describes a contact."""
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -18,6 +19,53 @@ def _required(point: str | None, info: ValidationInfo) -> str | None:
     return point
 
 
+# Rules between keys of a contact, each at the later one, so that they are listed with all else that is wrong with it.
+# `info.data` has the keys before it that are good.
+
+
+def _other_point(against: str, info: ValidationInfo) -> str:
+    if against == info.data.get("point"):
+        raise refuse("must be another point than the contact's own")
+    return against
+
+
+def _across(tangent: Sequence[float] | None, info: ValidationInfo) -> Sequence[float] | None:
+    normal = info.data.get("normal")
+    if tangent is not None and normal is not None and np.linalg.norm(_in_plane(unit(tangent), unit(normal))) < PARALLEL:
+        raise refuse("must not be parallel to the normal")
+    return tangent
+
+
+def _definite(stiffness: Any, info: ValidationInfo) -> Any:
+    K = _matrix(stiffness)
+    if not K.any() and info.data.get("friction", 0.0) > 0:
+        raise refuse("must be > 0 where friction is", hint="for a frictionless stop set friction: 0", value=0)
+    if K.any() and not (np.allclose(K, K.T, rtol=1e-12, atol=0) and np.linalg.eigvalsh(K)[0] > 0):
+        raise refuse("must be symmetric positive definite", value=stiffness)
+    return stiffness
+
+
+def _carries(preload: float, info: ValidationInfo) -> float:
+    if info.data.get("normal_stiffness") == 0 and preload <= 0:
+        hint = "such a contact would never carry"
+        raise refuse("must be > 0 where normal_stiffness is 0", hint=hint, value=preload)
+    return preload
+
+
+PARALLEL = 1e-6
+"""Sine of the angle to the normal below which a direction counts as parallel to it."""
+
+
+def _in_plane(direction: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """The part of a direction that is perpendicular to a unit normal."""
+    return direction - (direction @ normal) * normal
+
+
+def _matrix(stiffness: Any) -> np.ndarray:
+    K = np.asarray(stiffness, dtype=np.float64)
+    return K if K.ndim == 2 else np.diag(np.broadcast_to(K, 2)).copy()
+
+
 def _stiffness_form(value: Any) -> str | None:
     nested = form(value) == "<list>" and any(isinstance(row, list | tuple) for row in value)
     return "<matrix>" if nested else form(value)
@@ -26,6 +74,7 @@ def _stiffness_form(value: Any) -> str | None:
 TangentialStiffness = Annotated[
     AsNumber[NotNegative] | AsList[Pair] | Annotated[Matrix2, Tag("<matrix>")],
     by_form("a number, [k1, k2] or [[k11, k12], [k12, k22]]", _stiffness_form),
+    AfterValidator(_definite),
 ]
 
 
@@ -73,11 +122,11 @@ class ContactSection(Section):
     """Its name in results, messages and overrides."""
     point: Annotated[PointName | None, AfterValidator(_required), Field(validate_default=True)] = None
     """Point of body 1; a scene without a structure needs none."""
-    against: BodyName = GROUND
+    against: Annotated[BodyName, AfterValidator(_other_point)] = GROUND
     """Point of body 2, or ground."""
     normal: Direction = (0.0, 0.0, 1.0)
     """Direction from body 1 into body 2; its length does not count."""
-    tangent: Direction | None = None
+    tangent: Annotated[Direction | None, AfterValidator(_across)] = None
     """First axis in the plane of contact; by default the coordinate axis least parallel to the normal."""
     friction: NotNegative
     """Coefficient of friction."""
@@ -85,42 +134,20 @@ class ContactSection(Section):
     """Number, [k1, k2] or [[k11, k12], [k12, k22]]; positive definite, or 0 together with friction 0."""
     normal_stiffness: NotNegative
     """0: the normal load stays at the preload."""
-    preload: Number = 0.0
+    preload: Annotated[Number, AfterValidator(_carries), Field(validate_default=True)] = 0.0
     """Normal load at rest; negative: a gap of -preload/normal_stiffness."""
     law: Law | None = None
     """The contact law by its name, or {name: ..., with its own parameters}; by default the friction cone."""
 
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
-        self.frame()
-        K = self.stiffness_matrix()
-        if self.normal_stiffness == 0 and self.preload <= 0:
-            rule = "must be > 0 where normal_stiffness is 0"
-            raise refuse(rule, key=("preload",), hint="such a contact would never carry", value=self.preload)
-        if not np.any(K) and self.friction > 0:
-            hint = "for a frictionless stop set friction: 0"
-            raise refuse("must be > 0 where friction is", key=("tangential_stiffness",), hint=hint, value=0)
-        if np.any(K) and not (np.allclose(K, K.T, rtol=1e-12, atol=0) and np.linalg.eigvalsh(K)[0] > 0):
-            value = self.tangential_stiffness
-            raise refuse("must be symmetric positive definite", key=("tangential_stiffness",), value=value)
-        if self.against == self.point:
-            rule = "must be another point than the contact's own"
-            raise refuse(rule, key=("against",), value=self.against)
-        return self
-
     def stiffness_matrix(self) -> np.ndarray:
         """K_u as it is written, shape (2, 2)."""
-        K = np.asarray(self.tangential_stiffness, dtype=np.float64)
-        return K if K.ndim == 2 else np.diag(np.broadcast_to(K, 2)).copy()
+        return _matrix(self.tangential_stiffness)
 
     def frame(self) -> np.ndarray:
         """Rows t1, t2, normal, with t2 = normal x t1, shape (3, 3)."""
         normal = unit(self.normal)
         axis = unit(self.tangent) if self.tangent is not None else np.eye(3)[np.argmin(np.abs(normal))]
-        tangent = axis - (axis @ normal) * normal
-        if np.linalg.norm(tangent) < 1e-6:
-            raise refuse("must not be parallel to the normal", key=("tangent",), value=self.tangent)
-        tangent = unit(tangent - (tangent @ normal) * normal)
+        tangent = unit(_in_plane(_in_plane(axis, normal), normal))  # once more, for what rounding has left
         # For one pair of vectors np.cross takes longer than all other checks of a contact together.
         second = normal[[1, 2, 0]] * tangent[[2, 0, 1]] - normal[[2, 0, 1]] * tangent[[1, 2, 0]]
         return np.stack([tangent, second, normal])

@@ -96,7 +96,7 @@ Matrix = Annotated[
 Matrix2 = Annotated[tuple[Pair, ...], Field(min_length=2, max_length=2)]
 
 
-def unit(vector: Sequence[float]) -> np.ndarray:
+def unit(vector: Sequence[float] | np.ndarray) -> np.ndarray:
     """The vector at length 1, however large or small its entries."""
     scaled = np.asarray(vector, dtype=np.float64) / np.max(np.abs(vector))
     return scaled / np.linalg.norm(scaled)
