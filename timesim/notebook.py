@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from timesim.fault import RuleError
+from timesim.scene.resolution import check_parts
 from timesim.study.point import point_again
-from timesim.study.registry import draw, run
+from timesim.study.registry import draw, load_scene, run
 
 if TYPE_CHECKING:
     import xarray
@@ -29,9 +30,16 @@ Section = dict[str, Any]
 """A part of a scene with the keys of a scene file; it may be edited or written by hand."""
 
 
+def _numbers(name: str, value: ArrayLike) -> np.ndarray:
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be a number or an array of numbers, not {value!r}") from None
+
+
 def _array(name: str, value: ArrayLike, shape: tuple[int | str, ...]) -> np.ndarray:
     """The argument as an array; a string in `shape` stands for any length."""
-    array = np.asarray(value, dtype=np.float64)
+    array = _numbers(name, value)
     known = [(have, want) for have, want in zip(array.shape, shape, strict=False) if isinstance(want, int)]
     if array.ndim != len(shape) or any(have != want for have, want in known):
         wanted = ", ".join(map(str, shape))
@@ -41,10 +49,16 @@ def _array(name: str, value: ArrayLike, shape: tuple[int | str, ...]) -> np.ndar
 
 def _each(name: str, value: ArrayLike, count: int) -> list[float]:
     """One number for each mode, given as one number for all or one for each."""
-    array = np.asarray(value, dtype=np.float64)
+    array = _numbers(name, value)
     if array.shape not in {(), (count,)}:
         raise ValueError(f"{name} has shape {array.shape}, it must be a number or one a mode, shape ({count},)")
     return [float(item) for item in np.broadcast_to(array, count)]
+
+
+def _checked(part: str, section: Section) -> Section:
+    """The section itself, after the checks that need no other; they raise `timesim.SceneError`."""
+    check_parts({part: section})
+    return section
 
 
 def modes(
@@ -65,7 +79,7 @@ def modes(
     ratios, masses = _each("damping_ratio", damping_ratio, count), _each("mass", mass, count)
     keys = ("frequency", "damping_ratio", "mass", "shape")
     columns = zip(frequency.tolist(), ratios, masses, each, strict=True)
-    return {"modes": [dict(zip(keys, mode, strict=True)) for mode in columns]}
+    return _checked("structure", {"modes": [dict(zip(keys, mode, strict=True)) for mode in columns]})
 
 
 def matrices(
@@ -86,12 +100,14 @@ def matrices(
         damping_ratio: share of critical damping instead of a matrix, a number or one for each mode kept.
         keep_modes: how many of the lowest modes are kept; all by default.
     """
-    square = (np.shape(mass)[0], np.shape(mass)[0]) if np.ndim(mass) else ("R", "R")
+    size = len(_array("mass", mass, ("R", "R")))
+    square = (size, size)
     inline: Section = {"mass": _array("mass", mass, square), "stiffness": _array("stiffness", stiffness, square)}
     if damping is not None:
         inline["damping"] = _array("damping", damping, square)
     inline["points"] = {point: dict(rows) for point, rows in points.items()}
-    return {"matrices": inline | _given(damping_ratio=damping_ratio)} | _given(keep_modes=keep_modes)
+    whole = {"matrices": inline | _given(damping_ratio=damping_ratio)} | _given(keep_modes=keep_modes)
+    return _checked("structure", whole)
 
 
 def contact(
@@ -120,12 +136,12 @@ def contact(
         tangent: first axis of the plane of contact, shape (3,); by default the coordinate axis least parallel to the
             normal.
     """
-    stiffness = np.asarray(tangential_stiffness, dtype=np.float64)
+    stiffness = _numbers("tangential_stiffness", tangential_stiffness)
     if stiffness.shape not in {(), (2,), (2, 2)}:
         rule = "it must be a number, two, or a matrix of shape (2, 2)"
         raise ValueError(f"tangential_stiffness has shape {stiffness.shape}, {rule}")
     axis = None if tangent is None else _array("tangent", tangent, (3,))
-    return {
+    section = {
         "name": name,
         "point": point,
         "against": against,
@@ -135,6 +151,8 @@ def contact(
         "normal_stiffness": normal_stiffness,
         "preload": preload,
     } | _given(tangent=axis)
+    check_parts({"contacts": [section]})
+    return section
 
 
 def modal_forces(amplitude: ArrayLike, phase_deg: ArrayLike = 0.0) -> Section:
@@ -147,7 +165,8 @@ def modal_forces(amplitude: ArrayLike, phase_deg: ArrayLike = 0.0) -> Section:
     size = _array("amplitude", amplitude, ("M",))
     phases = _each("phase_deg", phase_deg, len(size))
     pairs = zip(size, phases, strict=True)
-    return {"modal_force": [{"amplitude": value, "phase_deg": phase} for value, phase in pairs]}
+    forces = [{"amplitude": value, "phase_deg": phase} for value, phase in pairs]
+    return _checked("excitation", {"modal_force": forces})
 
 
 def point_force(
@@ -155,7 +174,7 @@ def point_force(
 ) -> Section:
     """A harmonic force on a point, amplitude cos(harmonic 2 pi f t + phase) along a direction of shape (3,)."""
     force = {"point": point, "direction": _array("direction", direction, (3,)), "amplitude": amplitude}
-    return {"forces": [force | {"phase_deg": phase_deg, "harmonic": harmonic}]}
+    return _checked("excitation", {"forces": [force | {"phase_deg": phase_deg, "harmonic": harmonic}]})
 
 
 def system(
@@ -165,7 +184,7 @@ def system(
     *,
     solver: Section | None = None,
 ) -> Section:
-    """A structure with its contacts under its forces: a scene without a study.
+    """A structure with its contacts under its forces: a scene without a study, checked as one of a transient.
 
     Args:
         structure: from `modes` or `matrices`.
@@ -176,7 +195,11 @@ def system(
     if not isinstance(excitation, Mapping):
         kinds = dict.fromkeys(kind for part in excitation for kind in part)
         excitation = {kind: [force for part in excitation for force in part.get(kind, ())] for kind in kinds}
-    return {"structure": structure, "contacts": list(contacts), "excitation": excitation} | _given(solver=solver)
+    whole = {"structure": structure, "contacts": list(contacts), "excitation": excitation} | _given(solver=solver)
+    load_scene(
+        whole | {"excitation": {"frequency": 1.0} | dict(excitation), "study": {"kind": "transient", "cycles": 1}}
+    )
+    return whole
 
 
 def integrate(

@@ -23,6 +23,19 @@ def oscillator(preload=3.0, **pad):
     return timesim.system(structure, [timesim.contact("pad", "tip", preload=preload, **given | pad)], force)
 
 
+M, K = np.diag([1.0, 2.0]), np.array([[80.0, -40.0], [-40.0, 40.0]])
+FORCE = {"forces": [{"point": "tip", "direction": [1, 0, 0], "amplitude": 1.0}]}
+
+
+def one_mass():
+    return timesim.modes([1.0], 0.1, {"tip": [[1, 0, 0]]})
+
+
+def pad(point="tip", **given):
+    whole = {"friction": 0.5, "tangential_stiffness": 20.0, "normal_stiffness": 20.0} | given
+    return timesim.contact("pad", point, **whole)
+
+
 def assert_same(one, other):
     assert set(one.variables) == set(other.variables)
     for name in one.variables:
@@ -40,7 +53,6 @@ def test_a_run_from_arrays_gives_the_bits_of_the_scene_file(tmp_path):
 
 
 def test_matrices_are_those_of_a_scene():
-    M, K = np.diag([1.0, 2.0]), np.array([[80.0, -40.0], [-40.0, 40.0]])
     structure = timesim.matrices(M, K, {"tip": {"x": 1}}, damping_ratio=0.02, keep_modes=2)
     pad = timesim.contact("pad", "tip", friction=0.4, tangential_stiffness=20.0, normal_stiffness=0.0, preload=1.0)
     forces = [timesim.point_force("tip", [1, 0, 0], 1.0), timesim.point_force("tip", [1, 0, 0], 0.3, harmonic=3)]
@@ -82,7 +94,23 @@ def test_steady_states_and_curves():
         (lambda: timesim.matrices(np.ones((2, 3)), np.eye(3), {}), r"mass has shape \(2, 3\)"),
         (lambda: oscillator(normal=[0, 1]), r"normal has shape \(2,\)"),
         (lambda: oscillator(tangential_stiffness=[1, 2, 3]), "tangential_stiffness has shape"),
-        (lambda: timesim.integrate(oscillator(friction=-1), 1.39, 5), "contacts.pad.friction"),
+        (lambda: pad(friction=-1), "contacts.pad.friction: -1: must be >= 0"),
+        (lambda: pad(friction="much"), "contacts.pad.friction: much: must be a number"),
+        (lambda: pad(tangential_stiffness="20 N"), "tangential_stiffness must be a number or an array of numbers"),
+        (lambda: pad(tangential_stiffness=[[1, 2], [2, 1]]), "contacts.pad.tangential_stiffness: .* positive definite"),
+        (lambda: timesim.modes([1.0], -0.1, {"tip": [[1, 0, 0]]}), "structure.modes.0.damping_ratio: -0.1: must be >="),
+        (lambda: timesim.matrices(M, K, {"tip": {"w": 1}}), "structure.matrices.points.tip.w: .*known: x, y, z"),
+        (lambda: timesim.matrices([[1, 0], [0]], K, {}), "mass must be a number or an array of numbers"),
+        (lambda: timesim.point_force("tip", [0, 0, 0], 1.0), "excitation.forces.0.direction: .* zero vector"),
+        (lambda: timesim.point_force("tip", [1, 0, 0], 1.0, harmonic=0.5), "excitation.forces.0.harmonic: 0.5"),
+        (lambda: timesim.modal_forces([np.nan]), "excitation.modal_force.0.amplitude: .nan: must be finite"),
+        (lambda: timesim.system(one_mass(), [pad(point="rim")], FORCE), "contacts.pad.point: rim: must be a point of"),
+        (lambda: timesim.system(one_mass(), [pad(), pad()], FORCE), "contacts.1.name: pad: must differ"),
+        (
+            lambda: timesim.system(one_mass(), [pad()], timesim.modal_forces([1, 1])),
+            "must have 1 entry, one a mode, not",
+        ),
+        (lambda: timesim.system(one_mass(), [pad()], FORCE, solver={"accuracy": "fine"}), "solver.accuracy: fine"),
         (lambda: timesim.sweep(oscillator(), 1.39), "frequency has shape"),
         (lambda: timesim.plot(oscillator(), "nowhere"), "names no study: it must be a whole result"),
     ],

@@ -3,7 +3,7 @@
 Nothing here loads JAX. The kinds of study are passed in as an argument.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -105,10 +105,7 @@ class Scene:
         if not values and built.model is not None:
             return built.model
         source, changed = overridden(self.source, values), {key.partition(".")[0] for key in values}
-        try:
-            sections = SceneParts.model_validate({part: source.data[part] for part in changed})
-        except ValidationError as error:
-            raise _scene_error(source, rule_errors(error, SceneParts)) from None
+        sections = _sections(source, changed)
         build = _Build(self.file.model_copy(update={part: getattr(sections, part) for part in changed}), source.folder)
         structure = build.structure() if "structure" in changed else built.structure
         model = build.model(structure, build.end() if "initial" in changed else built.end)
@@ -153,6 +150,23 @@ def _scene(source: SceneSource, kinds: Kinds) -> Scene:
     scene._built  # noqa: B018  shows what the sections alone cannot see
     _check_combinations(scene)
     return scene
+
+
+def check_parts(parts: Mapping[str, Any]) -> None:
+    """Check parts of a scene by themselves, without the names of others that they use.
+
+    Raises:
+        SceneError: all that is wrong with them.
+    """
+    _sections(read(parts), parts)
+
+
+def _sections(source: SceneSource, parts: Iterable[str]) -> SceneParts:
+    """Some parts of a scene from its data; names of points and contacts are not looked up."""
+    try:
+        return SceneParts.model_validate({part: source.data[part] for part in parts})
+    except ValidationError as error:
+        raise _scene_error(source, rule_errors(error, SceneParts)) from None
 
 
 def _restored(source: SceneSource, kinds: Kinds, built: "_Built") -> Scene:
