@@ -120,6 +120,14 @@ def test_from_python_a_failed_run_warns_and_returns_what_it_has():
     assert result.attrs["complete"] == 0
 
 
+def test_from_python_overrides_may_complete_a_scene():
+    """As those of the command do; without them the file would be refused."""
+    scene = timesim.load_scene(OSCILLATOR).source.data
+    scene = scene | {"study": {"kind": "transient"}}
+    assert timesim.run(scene, {"study.cycles": 1}).sizes["cycle"] == 1
+    assert timesim.run(timesim.load_scene(OSCILLATOR), {"study.cycles": 1, "study.record_last": 1}).sizes["cycle"] == 1
+
+
 def test_a_run_taken_up_is_the_same_run(tmp_path: Path):
     both = ("--no-plots", "--set", "solver.accuracy=draft", "--set", "study.record_last=1")
     assert call("run", OSCILLATOR, "-o", tmp_path / "whole", *both, "--set", "study.cycles=7")[0] == 0

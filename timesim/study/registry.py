@@ -167,9 +167,11 @@ def run(
         SceneError: the scene is wrong.
         ExecutionError: the study cannot be carried out in this way.
     """
-    loaded = scene if isinstance(scene, Scene) else load_scene(scene)
-    execution = Execution(cluster=cluster, workers=workers)
-    outcome = carry_out(loaded.with_overrides(overrides) if overrides else loaded, execution)
+    if not isinstance(scene, Scene):
+        scene = load_scene(scene, overrides or ())
+    elif overrides:
+        scene = scene.with_overrides(overrides)
+    outcome = carry_out(scene, Execution(cluster=cluster, workers=workers))
     if outcome.reason is not None:
         warnings.warn(f"the run is incomplete: {outcome.reason}", RuntimeWarning, stacklevel=2)
     return joined(outcome.groups)
