@@ -159,7 +159,7 @@ def plot(
 ) -> None:
     """Draw the pictures of a run again."""
     from timesim.result.file import StoreError
-    from timesim.result.netcdf import open_result
+    from timesim.result.netcdf import open_result, result_file
     from timesim.study.registry import draw
 
     try:
@@ -167,7 +167,7 @@ def plot(
     except StoreError as error:
         _stop(2, str(error))
     try:
-        for path in draw(result, folder if folder.is_dir() else folder.parent, kind=kind, log=log or ()):
+        for path in draw(result, result_file(folder).parent, kind=kind, log=log or ()):
             print(path)
     except ValueError as error:
         _stop(2, f"--{error}")
@@ -199,7 +199,7 @@ def show(
     except (StoreError, SceneError) as error:
         _stop(2, str(error))
     print(*point.table, sep="\n")
-    place = (folder if folder.is_dir() else folder.parent) / SHOW_NAME / point.name
+    place = netcdf.result_file(folder).parent / SHOW_NAME / point.name
     try:
         place.mkdir(parents=True, exist_ok=True)
         netcdf.save(point.motion, place / netcdf.RESULT_NAME)

@@ -101,6 +101,13 @@ def test_plot_of_no_result(tmp_path: Path):
     assert "no result file" in error
 
 
+@pytest.mark.parametrize("arguments", [("run", OSCILLATOR, "-o"), ("plot",), ("show",)])
+def test_a_name_that_no_file_can_have(arguments: tuple[str, ...], tmp_path: Path):
+    status, _, error = call(*arguments, tmp_path / ("a" * 300))
+    assert status == 2
+    assert "a" * 300 in error
+
+
 def test_a_run_that_fails_saves_what_it_has(tmp_path: Path):
     arguments = ("--set", "study.cycles=40", "--set", "study.record_last=40", "--set", f"solver={TOO_FEW}")
     status, _, error = call("run", OSCILLATOR, "-o", tmp_path, "--no-plots", *arguments)

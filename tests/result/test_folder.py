@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -82,6 +83,22 @@ def test_a_file_in_the_way(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("")
     with pytest.raises(StoreError, match="runs is a file"):
         check_folder(tmp_path / "runs" / "first")
+
+
+def test_a_folder_that_may_not_be_searched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As another user's: asking for a file in it is an error."""
+    closed, stat = tmp_path / "closed", os.stat
+    closed.mkdir()
+
+    def refused(path: Any, *args: Any, **options: Any) -> Any:
+        if closed in Path(path).parents:
+            raise PermissionError(13, "Permission denied", str(path))
+        return stat(path, *args, **options)
+
+    monkeypatch.setattr(os, "stat", refused)
+    monkeypatch.setattr(folder.os, "access", lambda *_: False)
+    with pytest.raises(StoreError, match=r"no permission in .*closed"):
+        check_folder(closed / "run")
 
 
 def test_a_file_system_that_is_read_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,12 +12,14 @@ is consistent whenever a run is killed.
 
 import io
 import json
+import os
 import time
 import zipfile
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
+from glob import glob
 from importlib.metadata import version
 from pathlib import Path
 from typing import Self
@@ -202,7 +204,7 @@ def _refuse_orphans(folder: Path) -> None:
 
 
 def _count(folder: Path) -> int:
-    return len(list(folder.glob("*.npz")))
+    return len(glob("*.npz", root_dir=folder))  # not that of a Path, which raises where a name is too long
 
 
 def clear(run_folder: Path | str) -> None:
@@ -257,7 +259,7 @@ def is_finished(run_folder: Path | str, scene: str, *, force: bool, resume: bool
 def chunks_done(run_folder: Path | str) -> int:
     """Number of finished chunks of an unfinished run."""
     folder = Path(run_folder) / FOLDER_NAME
-    return _count(folder) if (folder / MANIFEST_NAME).exists() else 0
+    return _count(folder) if os.path.exists(folder / MANIFEST_NAME) else 0
 
 
 def seconds_worked(run_folder: Path | str, stage: str | None = None) -> float:
@@ -289,7 +291,7 @@ def resuming_helps(run_folder: Path | str, reason: str) -> bool:
 def _is_whole(folder: Path, scene: str) -> bool:
     """Whether the result of this scene is complete, for a run that is to be resumed."""
     attrs = {}
-    if (folder / RESULT_NAME).exists():
+    if os.path.exists(folder / RESULT_NAME):
         attrs = dict(read(folder)[""].attrs)
     manifest = Manifest.read(folder / FOLDER_NAME)
     for path, begun in ((RESULT_NAME, attrs.get("scene")), (FOLDER_NAME, manifest.identity if manifest else None)):

@@ -24,9 +24,10 @@ def check_folder(folder: Path | str, *, overwrite: bool = False) -> None:
         StoreError: with the reason and what to do.
     """
     path = Path(folder)
-    if (path / RESULT_NAME).exists() and not overwrite:
+    # Of os.path, as those of pathlib raise where a folder may not be searched or a name is too long.
+    if os.path.exists(path / RESULT_NAME) and not overwrite:
         raise StoreError(f"{path / RESULT_NAME} exists; choose another folder or give --force to overwrite it")
-    part = next(part for part in (path, *path.absolute().parents) if part.exists())
+    part = next(part for part in (path, *path.absolute().parents) if os.path.exists(part))
     if not part.is_dir():
         raise StoreError(f"{path} cannot be a run folder: {part} is a file; choose another folder")
     if not os.access(part, os.W_OK | os.X_OK):
@@ -53,7 +54,7 @@ def locked_folder(folder: Path | str) -> Iterator[Path]:
     Raises:
         StoreError: another run is at work in it, or it cannot be made.
     """
-    path, new = Path(folder), not Path(folder).exists()
+    path, new = Path(folder), not os.path.exists(folder)
     try:
         path.mkdir(parents=True, exist_ok=True)
         lock = checkpoint.locked(path)

@@ -1,6 +1,7 @@
 """Result files: NetCDF-4, read and written by xarray."""
 
 import io
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -68,12 +69,18 @@ def joined(groups: "Mapping[str, xarray.Dataset]") -> "xarray.Dataset | xarray.D
     return xarray.DataTree.from_dict({f"/{name}": data for name, data in groups.items()})
 
 
+def result_file(path: Path | str) -> Path:
+    """The result file of a run, by its own path or by the folder of the run."""
+    # Of os.path, as those of pathlib raise where a folder may not be searched or a name is too long.
+    return Path(path) / RESULT_NAME if os.path.isdir(path) else Path(path)
+
+
 def read(path: Path | str) -> "dict[str, xarray.Dataset]":
     """Datasets of a result by the name of their group, ``""`` the root; see `open_result`."""
     import xarray
 
-    file = Path(path) / RESULT_NAME if Path(path).is_dir() else Path(path)
-    if not file.is_file():
+    file = result_file(path)
+    if not os.path.isfile(file):
         raise StoreError(f"no result file at {file}; give a file or the folder of a finished run")
     try:
         groups = {}

@@ -1,5 +1,6 @@
 """States that results hold: the end of a run, or the end of a cycle at each point of a sweep."""
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -13,7 +14,7 @@ from timesim.fault import RuleError, nearest
 from timesim.model.model import Model, Start
 from timesim.model.start import resumed_start
 from timesim.orbit.steady_state import switches
-from timesim.result.netcdf import RESULT_NAME
+from timesim.result.netcdf import result_file
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -152,8 +153,8 @@ def saved_states(path: Path) -> SavedStates:
     Raises:
         RuleError: no such file, a run that was not finished, or a result without states.
     """
-    path = path / RESULT_NAME if path.is_dir() else path
-    if not path.is_file():
+    path = result_file(path)
+    if not os.path.isfile(path):
         raise RuleError((), "does not exist")
     import xarray
 
