@@ -695,6 +695,19 @@ def test_modes_far_above_the_excitation_are_worth_a_warning():
     (warning,) = warnings_of(load_scene(CONFIGS / "blade.yaml", ["structure.keep_modes=24"]))
     assert "330695 Hz" in warning
     assert "keep_modes" in warning
+    sweep = "study={kind: sweep, frequency: {from: 500, to: 1000, step: 250}}"
+    unused, far = warnings_of(load_scene(CONFIGS / "blade.yaml", ["structure.keep_modes=24", sweep]))
+    assert "excitation.frequency is not used" in unused
+    assert "331 times the excitation" in far
+    (far,) = warnings_of(load_scene(CONFIGS / "blade_response.yaml", ["structure.keep_modes=24"]))
+    assert "367 times the excitation" in far
+
+
+def test_damping_of_a_body_that_nothing_holds():
+    """Its frequency is 0, so that it has no share of critical damping."""
+    matrices = {"mass": [[1]], "stiffness": [[0]], "damping": [[0.1]], "points": {"m": {"x": 0}}}
+    scene = one_mass() | {"structure": {"matrices": matrices}}
+    assert "damping: of free motions, of which there is no ratio" in describe(load_scene(scene))["structure"]
 
 
 def test_damping_given_in_percent_and_a_result_of_gigabytes_are_worth_a_warning():
@@ -703,7 +716,7 @@ def test_damping_given_in_percent_and_a_result_of_gigabytes_are_worth_a_warning(
     assert list(warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["structure.modes.1.damping_ratio=0.99"]))) == []
     long = ["study.cycles=100000", "study.samples_per_cycle=200"]
     (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", [*long, "study.record_last=100000"]))
-    assert warning.startswith("study: 20000001 samples make a result of 2.2 GB")
+    assert warning.startswith("study: 20000001 samples make a result of 2.9 GB")
     assert list(warnings_of(load_scene(CONFIGS / "oscillator.yaml", [*long, "study.record_last=10"]))) == []
 
 

@@ -206,6 +206,8 @@ def _structure_lines(model: Model) -> Iterator[str]:
         yield "damping: a whole matrix, which the modes do not diagonalise"
     elif not np.any(structure.damping):
         yield "damping: none"
+    elif not np.any(frequency):
+        yield "damping: of free motions, of which there is no ratio"
     else:
         ratio = structure.damping_ratio[frequency > 0]
         low, high = ratio.min(), ratio.max()
@@ -277,7 +279,7 @@ def warnings_of(scene: Scene) -> Iterator[str]:
     yield from model.notes
     yield from _still_parts(file, model)
     yield from _large_numbers(scene.plan, model)
-    highest = (frequency or 0.0) * float(model.excitation.harmonic.max())
+    highest = _highest_frequency(scene) * float(model.excitation.harmonic.max())
     ratio = float(model.structure.frequency[-1]) / highest if highest else 0.0
     if ratio > FAR_ABOVE and not hasattr(file.structure, "modes"):
         keep = max(1, int(np.sum(model.structure.frequency <= 20 * highest)))
@@ -287,6 +289,16 @@ def warnings_of(scene: Scene) -> Iterator[str]:
         yield f"the modes kept reach {top}, which costs steps; {advice}"
 
 
+def _highest_frequency(scene: Scene) -> float:
+    """Highest frequency of the time integration of a scene [Hz]; 0 where it has none."""
+    study, plan = scene.file.study, scene.plan
+    if isinstance(plan, Schedule):
+        return max(frequency for frequency, _ in plan.phases)
+    if isinstance(study, SteadySection):
+        return float(study.sweep().frequency[-1])
+    return plan.frequency if isinstance(plan, TradeoffPlan) else 0.0
+
+
 def _large_numbers(plan: Any, model: Model) -> Iterator[str]:
     structure = model.structure
     for mode in np.flatnonzero(structure.damping_ratio > 1 - 1e-9)[:1]:
@@ -294,7 +306,8 @@ def _large_numbers(plan: Any, model: Model) -> Iterator[str]:
         ratio = f"damping ratio {structure.damping_ratio[mode]:.4g} of {place}"
         yield f"structure: {ratio}: from 1 on it does not oscillate; 1 % is 0.01"
     if isinstance(plan, Schedule):
-        gigabytes = 8e-9 * plan.num_samples * (6 * len(structure.points) + 8 * model.num_contacts)
+        numbers = 6 * len(structure.points) + 2 * structure.num_modes + 8 * model.num_contacts
+        gigabytes = 8e-9 * plan.num_samples * numbers
         if gigabytes > LARGE_RESULT:
             advice = "record_last or a smaller samples_per_cycle would do with less"
             yield f"study: {plan.num_samples} samples make a result of {gigabytes:.2g} GB; {advice}"
