@@ -214,11 +214,12 @@ def test_an_interrupted_map_saves_what_it_has(tmp_path: Path, monkeypatch: pytes
 
     monkeypatch.setattr(element_map.March, "_cycle", interrupted)
     axes = ("--set", "study.A={from: 0.0, to: 2.0, num: 7}", "--set", "study.B={from: 0.0, to: 2.0, num: 7}")
-    status, _, error = call("run", CONFIGS / "figure7.yaml", "-o", tmp_path, "--no-plots", *axes)
+    status, out, error = call("run", CONFIGS / "figure7.yaml", "-o", tmp_path, "--no-plots", *axes)
     result = timesim.open_result(tmp_path)
     settled = result["settled"].values == 1
     assert status == 1
     assert f"interrupted with {np.sum(~settled)} of 49 points unsettled (settled = 0)" in error
+    assert "creeping" not in out
     assert result.attrs["complete"] == 0
     assert 0 < settled.sum() < 49
     assert np.isfinite(result["dissipation"].values[settled]).all()

@@ -24,6 +24,7 @@ from timesim.model.model import SEPARATION
 from timesim.model.solver import Solver
 from timesim.orbit.extrapolation import limits, remaining
 from timesim.result.dataset import dataset
+from timesim.result.label import counted
 from timesim.scene.element import MAP_AXES, MapPlan
 from timesim.scene.resolution import Scene
 from timesim.study.execution.campaign import INTERRUPTED, Execution
@@ -168,12 +169,14 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         execution.progress(0, elements.size)
         march.run(execution.progress)
     except KeyboardInterrupt:
-        reason = f"{INTERRUPTED} with {np.sum(~result['settled'])} of {elements.size} points unsettled (settled = 0)"
+        of_all = f"{np.sum(~result['settled'])} of {counted(elements.size, 'point')}"
+        reason = f"{INTERRUPTED} with {of_all} unsettled (settled = 0)"
     seconds = time.perf_counter() - compiled
-    number = int(np.sum(~result["settled"]))
-    lost = int(np.sum(np.isnan(result["dissipation"])))
-    if lost and reason is None:
-        reason = f"the event loop ended early at {lost} of {elements.size} points, NaN in the result"
+    lost = np.isnan(result["dissipation"])
+    creeping = int(np.sum(~result["settled"] & ~lost & (result["cycles"] == MAX_CYCLES)))
+    if lost.any() and reason is None:
+        of_all = f"{lost.sum()} of {counted(elements.size, 'point')}"
+        reason = f"the event loop ended early at {of_all}, NaN in the result"
     names = tuple(MAP_AXES[key] for key in plan.axes)
     shape = tuple(len(plan.values[key]) for key in plan.axes)
     variables = {
@@ -183,9 +186,10 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     coords = {MAP_AXES[key]: np.array(plan.values[key]) for key in plan.axes}
     about = attributes(scene, str(solver), compiled - clock, seconds, reason)
     record = dataset(variables, coords, about | {"contact": plan.contact.name})
+    took = f"in {seconds:.2f} s, after {compiled - clock:.1f} s of compilation"
     lines = (
-        f"{elements.size} points by {solver} in {seconds:.2f} s, after {compiled - clock:.1f} s of compilation",
+        f"{counted(elements.size, 'point')} by {solver} {took}",
         f"cycles to the steady one: {np.median(result['cycles']):.0f} in the median, {result['cycles'].max()} at most",
-        *([f"{number} points still creep after {MAX_CYCLES} cycles (settled = 0)"] if number else []),
+        *([f"{counted(creeping, 'point')} still creeping after {MAX_CYCLES} cycles (settled = 0)"] if creeping else []),
     )
     return Outcome({"": record}, reason, lines)
