@@ -194,8 +194,9 @@ def points_on(
     shares = {"slip_share": np.full((*SHAPE, 1), 0.4), "separation_share": np.full((*SHAPE, 1), 0.1)}
     arrays: dict[str, Any] = {"settled": np.ones(SHAPE, int), "period": np.ones(SHAPE, int)}
     arrays |= {"irregular": np.zeros(SHAPE, int)} | shares | changes
-    friction = arrays.pop("friction", np.ones(1))
+    friction, amplitude = arrays.pop("friction", np.ones(1)), arrays.pop("amplitude", np.ones((*SHAPE, 1, 3)))
     variables = {name: ((*dims, "contact")[: array.ndim], array) for name, array in arrays.items()}
+    variables["amplitude"] = ((*dims, "point", "axis"), amplitude)
     coords: dict[str, Any] = {
         "contacts.pad.preload": [-4.0, 3.0],
         "direction": ["independent"],
@@ -354,6 +355,11 @@ def test_points_without_an_answer_are_named():
     assert "at 1 point the motion did not settle and is left out: contacts.pad.preload 3 at 3 Hz" in text
     text = "\n".join(lines_on(1e-5, settled=settled, irregular=1 - settled))
     assert "at 1 point the motion does not repeat, being quasi-periodic or irregular, and is left out: cont" in text
+    assert "did not settle" not in text
+    amplitude = np.ones((*SHAPE, 1, 3))
+    amplitude[1, 0, 2] = np.nan
+    text = "\n".join(lines_on(1e-5, settled=settled, amplitude=amplitude))
+    assert "at 1 point the sweep has no motion, having failed or ended before: contacts.pad.preload 3 at 3 Hz" in text
     assert "did not settle" not in text
 
 

@@ -97,6 +97,7 @@ class Points:
         slip, separation: largest share of a period in the state, over the contacts.
         sticks: whether a contact sticks all the time.
         other_offset: whether the methods differ only because that contact keeps another offset.
+        missing: whether the sweep has no motion there.
     """
 
     values: Sequence[Mapping[str, float]]
@@ -112,6 +113,7 @@ class Points:
     separation: np.ndarray
     sticks: np.ndarray
     other_offset: np.ndarray
+    missing: np.ndarray
 
     @property
     def judged(self) -> np.ndarray:
@@ -160,6 +162,7 @@ def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarra
         separation=apart.max(axis=-1, initial=0.0),
         sticks=((slip + apart < SHAKEN_DOWN) & rub).any(axis=-1),
         other_offset=np.zeros(shape, dtype=bool),
+        missing=~np.isfinite(sweep["amplitude"].values).all(axis=(-2, -1)).reshape(shape),
     )
 
 
@@ -186,11 +189,13 @@ def comparison_lines(points: Points) -> Iterator[str]:
             "offset, which is free: time integration that begins from the balance's motion stays there: "
             f"{_places(points, points.other_offset)}"
         )
+    unsettled = ~(points.settled | points.doubled | points.irregular | points.missing)
     for left_out, why in (
         (points.settled & ~points.solved, "the balance has no stable solution"),
         (points.doubled, "the motion repeats after several cycles, which the balance cannot show"),
         (points.irregular, "the motion does not repeat, being quasi-periodic or irregular, and is left out"),
-        (~points.settled & ~points.doubled & ~points.irregular, "the motion did not settle and is left out"),
+        (unsettled, "the motion did not settle and is left out"),
+        (points.missing, "the sweep has no motion, having failed or ended before"),
     ):
         if left_out.any():
             yield f"at {counted(left_out.sum(), 'point')} {why}: {_places(points, left_out)}"
