@@ -34,6 +34,14 @@ def test_a_point_that_failed_is_refused_with_its_reason():
         POINTS.one({"frequency": 1.1})
 
 
+def test_a_point_that_a_run_did_not_come_to_is_refused():
+    arrays = {"failure": np.array(["", ""]), "final_modal_displacement": np.array([[1.0, 2.0], [np.nan, np.nan]])}
+    states = SavedStates((), arrays, {"frequency": FREQUENCY[:2]}, 0.0)
+    assert states.one({"frequency": 1.0})["final_modal_displacement"].tolist() == [1.0, 2.0]
+    with pytest.raises(RuleError, match="names a point that the run did not come to"):
+        states.one({"frequency": 1.1})
+
+
 def test_one_point_must_be_named():
     with pytest.raises(RuleError, match="must name the frequency of a point of the sweep"):
         POINTS.one({})

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 import timesim
 from timesim.cli import app
+from timesim.engine import event_loop
 from timesim.result import netcdf
 from timesim.result.folder import prepare_folder
 
@@ -63,6 +64,18 @@ def test_the_command_prints_a_table_and_draws(folder: Path):
     assert any(line.startswith("pad") and f"{known.dissipated_power.item():.5g}" in line.split() for line in said)
     drawn = {path.name for path in (folder / "show" / f"{PRELOAD}=-1,direction=down,frequency=0.97").iterdir()}
     assert {"hysteresis.png", "orbit.png", "contact_states.png", "result.nc"} <= drawn
+
+
+def test_a_motion_that_is_cut_off_before_its_first_sample(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    def interrupted(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(event_loop, "advance", interrupted)
+    done = call(folder, *(f"{name}={value}" for name, value in POINT.items()))
+    assert done.exit_code == 1
+    assert "incomplete: interrupted in cycle 1 of 1" in done.stderr
+    (line,) = [line for line in done.stdout.splitlines() if line.startswith("pad")]
+    assert line.split()[-2:] == ["nan", "nan"]
 
 
 def test_a_point_goes_with_the_run_that_it_was_of(tmp_path: Path):

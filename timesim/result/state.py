@@ -73,6 +73,8 @@ class SavedStates:
         arrays = self.at(tuple(positions[0] for positions in places.values()))
         if reason := str(arrays.get("failure", "")):
             raise RuleError((), f"names a point that could not be computed: {reason}", "take another")
+        if not np.isfinite(arrays.get(f"final_{STATE[0]}", 0.0)).all():
+            raise RuleError((), "names a point that the run did not come to", "resume that run, or take another")
         return arrays
 
     def _matches(self, places: Mapping[str, Sequence[int]]) -> str:

@@ -111,6 +111,7 @@ def _table(here: Dataset, motion: Dataset) -> Iterator[str]:
         return
     stops = here["friction"].values == 0
     force, slip, apart = motion["contact_force"].values, here["slip_share"].values, here["separation_share"].values
+    force = force if len(force) else np.full((1, *force.shape[1:]), np.nan)  # cut off before its first sample
     columns = {
         "contact": here["contact"].values.tolist(),
         "stick": np.maximum(1 - slip - apart, 0.0),
