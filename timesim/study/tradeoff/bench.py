@@ -88,7 +88,7 @@ class Bench:
         kept = num_modes or self.model.structure.num_modes
         for i, trial in enumerate(self.trials):
             if (trial.solver, trial.num_modes) == (solver, kept):
-                self.trials[i] = replace(trial, preset=preset)
+                self.trials[i] = replace(trial, preset=preset or trial.preset)
                 return self.trials[i]
         name = str(solver) + (f", {counted(kept, 'mode')}" if kept < self.model.structure.num_modes else "")
         name += "" if solver.reduce else ", nothing left out"
