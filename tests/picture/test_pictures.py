@@ -319,6 +319,15 @@ def test_harmonics_are_exact_for_samples_of_a_known_motion(run: xarray.Dataset) 
     assert found[2] < 1e-12
 
 
+def test_the_harmonic_at_half_the_rate_of_samples_counts_once() -> None:
+    coords = {"time": np.arange(17) / 8}
+    data = xarray.Dataset({"cycle_start": ("cycle", [0.0, 1.0]), "cycle_period": ("cycle", [1.0, 1.0])}, coords)
+    x = np.cos(2 * np.pi * data.time.values) + 0.25 * np.cos(8 * np.pi * data.time.values)
+    order, amplitude = plot_transient.harmonics(data, x)
+    assert order.tolist() == np.arange(0, 4.5, 0.5).tolist()
+    assert amplitude[[2, 8]] == pytest.approx([1.0, 0.25])
+
+
 def test_harmonics_use_the_cycles_of_the_last_frequency(run: xarray.Dataset) -> None:
     period = np.where(np.arange(CYCLES) < 8, 0.25, 0.5)
     start = np.cumsum(period) - period

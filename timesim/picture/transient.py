@@ -109,7 +109,7 @@ def harmonics(data: "Dataset", x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     window = np.array([start[-cycles], start[-1] + period[-1]]) - slack
     first, last = np.searchsorted(time, window)
     amplitude = np.abs(np.fft.rfft(x[first:last])) / (last - first)
-    amplitude[1:] *= 2
+    amplitude[1 : (last - first + 1) // 2] *= 2  # all but the mean, and the half of the rate of samples
     order = np.arange(amplitude.size) / cycles
     return order[order <= HIGHEST_ORDER], amplitude[order <= HIGHEST_ORDER]
 
