@@ -179,6 +179,12 @@ def test_bad_files_are_refused(tmp_path):
     np.savez(tmp_path / "bad.npz", u1=rows[:, 0], v=rows[:20, 0])
     with pytest.raises(ValueError, match="one length"):
         read_motion(tmp_path / "bad.npz")
+    np.savez_compressed(tmp_path / "bad.npz", u1=rows[:, 0], v=rows[:, 2])
+    packed = bytearray((tmp_path / "bad.npz").read_bytes())
+    packed[60:80] = b"\xff" * 20
+    (tmp_path / "bad.npz").write_bytes(packed)
+    with pytest.raises(ValueError, match="cannot be read"):
+        read_motion(tmp_path / "bad.npz")
     (tmp_path / "bad.npz").write_bytes(b"PK nonsense")
     with pytest.raises(ValueError, match="cannot be read"):
         read_motion(tmp_path / "bad.npz")

@@ -10,7 +10,7 @@ import xarray
 from systems import oscillator_scene
 
 import timesim
-from timesim.result.label import LABELS, counted
+from timesim.result.label import LABELS, attributes, counted, with_unit
 
 LENGTH, FORCE, TIME = 8.0, 4.0, 0.5  # powers of two: no rounding
 SIZE = {"length": LENGTH, "force": FORCE, "s": TIME, "Hz": 1 / TIME, "modal length": 1.0, "degree": 1.0, "1": 1.0}
@@ -165,6 +165,13 @@ def test_no_label_is_left_over():
     """A name of the table that no study writes, or that the scenes above do not show."""
     written = {str(variable) for name in STUDIES for one, _ in groups(name) for variable in one.variables}
     assert set(LABELS) - written == set()
+
+
+def test_a_number_has_the_unit_that_the_scene_names():
+    for named, units in ((None, "force/length"), ({"force": "N"}, "N/length"), ({"length": "mm"}, "force/mm")):
+        assert attributes("effective_stiffness", named)["units"] == units
+        assert with_unit("2", attributes("effective_stiffness", named)) == "2"
+    assert with_unit("2", attributes("effective_stiffness", {"length": "mm", "force": "kgforce"})) == "2 kgforce/mm"
 
 
 def test_one_of_a_thing_is_not_several():

@@ -275,7 +275,7 @@ def attributes(name: str, named: Mapping[str, str] | None = None) -> dict[str, A
 def with_unit(number: str, attrs: Mapping[str, Any]) -> str:
     """A number, as text, with the unit in the attributes of its variable, if the scene names it."""
     units = str(attrs.get("units", "1"))
-    return number if units == "1" or any(quantity in units for quantity in BASE) else f"{number} {units}"
+    return number if units == "1" or set(BASE) & set(re.findall("[a-zA-Z]+", units)) else f"{number} {units}"
 
 
 def counted(number: int, one: str, several: str = "") -> str:

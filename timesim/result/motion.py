@@ -1,5 +1,6 @@
 """Prescribed motions from files: one cycle of u1, u2 and v at equal angles, as .csv, as .npz, or in a result."""
 
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from zipfile import BadZipFile
@@ -84,7 +85,7 @@ def _read_npz(path: Path) -> dict[str, Array]:
     try:
         with np.load(path, allow_pickle=False) as data:
             arrays = {name: np.asarray(data[name], float) for name in data.files}
-    except (ValueError, TypeError, EOFError, BadZipFile) as error:
+    except (ValueError, TypeError, EOFError, BadZipFile, zlib.error) as error:
         raise ValueError(f"motion file {path}: it cannot be read as an .npz file of numbers ({error})") from error
     pair = arrays.pop("u", None)
     if pair is not None:
