@@ -20,8 +20,9 @@ from timesim.orbit.settling import Chain, steady_states, warm_up
 from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of, end_of
 from timesim.orbit.two_motions import UP, Search, ranges_of
 from timesim.result.dataset import dataset
-from timesim.result.label import counted
+from timesim.result.label import counted, in_words
 from timesim.scene.resolution import Scene
+from timesim.scene.study import combinations
 from timesim.scene.sweep import BistablePlan
 from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import CURVE, Phases
@@ -127,8 +128,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         after = replace(execution, progress=phases["balance"])
         hbm, _, hbm_reason = followed(scene, plan.balance, after, stage="balance")
         groups["hbm"] = hbm
-        ends = np.concatenate([np.ravel(result["range"]) for result in gathered.whole if result] or [np.zeros(0)])
-        lines += fold_lines(hbm, ends, float(np.diff(grid.frequency).max(initial=0.0)))
+        lines += fold_lines(hbm, gathered.ends, float(np.diff(grid.frequency).max(initial=0.0)))
         compiling, running = (compiling + hbm.attrs["compile_seconds"], running + hbm.attrs["run_seconds"])
         if hbm_reason and INTERRUPTED in hbm_reason:
             reasons.append(f"hbm: {hbm_reason}")
@@ -192,6 +192,12 @@ class Gathered:
         self.grid, self.plan, self.results = grid, plan, results
         self.whole = [self._last(v) for v in range(grid.shape[0])]
         self.count = max((len(result["range"]) for result in self.whole if result), default=0)
+
+    @property
+    def ends(self) -> dict[str, np.ndarray]:
+        """Ends of the ranges [Hz] of each set of values that knows its ranges, by the values in words."""
+        sets = zip(combinations(self.plan.sweep.over), self.whole, strict=True)
+        return {in_words(values, ": "): np.ravel(result["range"]) for values, result in sets if result is not None}
 
     def _last(self, v: int) -> Result | None:
         """The last result of a set of values that has the ranges; None if they are not known."""

@@ -1,6 +1,6 @@
 """The summaries of studies by time integration, in words, from their finished results."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -239,15 +239,20 @@ def _offset_lines(one: Dataset, size: float) -> Iterator[str]:
         )
 
 
-def fold_lines(hbm: Dataset, ends: np.ndarray, reach: float) -> Iterator[str]:
-    """Folds of the balance, to compare with the ends of the ranges, and folds without an end within a reach [Hz]."""
+def fold_lines(hbm: Dataset, ends: Mapping[str, np.ndarray], reach: float) -> Iterator[str]:
+    """Folds of the balance, to compare with the ends of the ranges, and folds without an end within a reach [Hz].
+
+    ``ends``: of the ranges of each set of values, by the values in words.
+    """
     frequency, sets = hbm["frequency"].values, dict[str, list[float]]()
     for place in np.flatnonzero(hbm["fold"].values):
         label = in_words({key: hbm[key].values[place] for key in over_keys(hbm)}, ": ")
         sets.setdefault(label, []).append(float(frequency[place]))
     for label, turning in list(sets.items())[:LINES]:
         yield f"{label}folds of the balance at {', '.join(f'{place:.7g}' for place in sorted(turning))} Hz"
-        for fold in (fold for fold in sorted(turning) if np.abs(ends - fold).min(initial=np.inf) > reach):
+        known = ends.get(label)
+        alone = [] if known is None else [fold for fold in turning if np.abs(known - fold).min(initial=np.inf) > reach]
+        for fold in sorted(alone):
             yield (
                 f"{label}beside the fold at {fold:.7g} Hz, near which no range ends, the balance has motions that no "
                 "sweep came to, one of which may be stable: search wider, or from another start"
