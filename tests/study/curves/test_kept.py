@@ -10,6 +10,7 @@ import pytest
 from systems import oscillator_scene
 
 import timesim
+from timesim.hbm import scheme as hbm_scheme
 from timesim.hbm.continuation import Ending
 from timesim.result.checkpoint import chunks_done, resuming_helps
 from timesim.result.file import StoreError
@@ -104,6 +105,27 @@ def test_a_run_cut_off_goes_on_with_its_curves(
     for name, array in whole[0].variables.items():
         np.testing.assert_array_equal(again.groups[""][name], array, err_msg=name)
     assert again.groups[""].attrs["run_seconds"] > earlier
+
+
+def test_the_samples_that_the_first_curves_needed_are_kept_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """At -4 a contact that is closed for a quarter of the cycle needs 96; at 3 the 24 would do that it began with."""
+    monkeypatch.setattr(hbm_scheme, "ENOUGH_SAMPLES", 24)
+    monkeypatch.setattr(hbm_scheme, "SAMPLES_PER_WAVE", 4)
+    study = STUDY | {"frequency": {"from": 0.93, "to": 0.9302}, "time_samples": "auto"}
+    scene = load_scene(SCENE | {"study": study | {"over": {"contacts.pad.preload": [-4, 3]}}})
+    expected = carry_out(scene).groups[""]
+
+    def interrupted(done: float, *_: Any) -> None:
+        if done == 1:
+            raise KeyboardInterrupt
+
+    execution = Execution(progress=interrupted, folder=tmp_path, notice=lambda _: None)
+    assert carry_out(scene, execution).reason is not None
+    assert chunks_done(tmp_path) == 1
+    resumed = carry_out(scene, replace(execution, progress=Watcher(), resume=True)).groups[""]
+    assert "96 time samples" in resumed.attrs["method"]
+    for name, array in expected.variables.items():
+        np.testing.assert_array_equal(resumed[name], array, err_msg=name)
 
 
 def test_curves_of_another_scene_are_not_taken_up(tmp_path: Path):

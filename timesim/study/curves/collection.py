@@ -67,11 +67,11 @@ class Curves:
 
     @property
     def found(self) -> Found:
-        """The curves alone, and the notes."""
-        return [one.curve for one in self.curves], self.notes
+        """The curves alone, the notes, and the schemes."""
+        return [one.curve for one in self.curves], self.notes, self.schemes
 
     def have_samples(self, schemes: tuple[Scheme, ...]) -> None:
-        """Take the schemes where they have more samples."""
+        """Take other schemes if they have more samples."""
         if schemes[0].time_samples > self.schemes[0].time_samples:
             self.schemes = schemes
 

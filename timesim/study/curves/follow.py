@@ -9,7 +9,6 @@ from functools import partial
 from xarray import Dataset
 
 from timesim.hbm.curve import HbmCurve
-from timesim.hbm.scheme import Scheme
 from timesim.result.file import StoreError
 from timesim.result.label import counted, in_words
 from timesim.result.state import SavedStates
@@ -74,7 +73,7 @@ class _Work:
         places = range(len(self.curves.values))
         for place in places:
             if (done := self.kept.load(place)) is not None:
-                self.found[place] = done
+                self._know(place, done)
         for place in places:
             if place not in self.found and (left := self._for_processes()):
                 self._elsewhere(left)
@@ -90,7 +89,7 @@ class _Work:
                 self._add(place)
 
     def _add(self, place: int) -> None:
-        (curves, notes), values = self.found[place], self.curves.values[place]
+        (curves, notes, _), values = self.found[place], self.curves.values[place]
         self.added.add(place)
         self.curves.notes += notes
         for curve in curves:
@@ -102,17 +101,17 @@ class _Work:
         try:
             own.follow(self.curves.values[place], self.sweeps, _Growth(self, place, own))
         except KeyboardInterrupt:
-            self.found[place] = own.found
+            self._know(place, own.found)
             raise
-        self._take(place, own.found, own.schemes)
+        self._know(place, own.found)
+        self.kept.save(place, own.found)
 
-    def _take(self, place: int, found: Found, schemes: tuple[Scheme, ...]) -> None:
-        """Take in and keep what was found for a set, and the schemes that it needed."""
+    def _know(self, place: int, found: Found) -> None:
+        """Take in what was found for a set, and the samples that it needed."""
         self.found[place] = found
-        self.curves.have_samples(schemes)
+        self.curves.have_samples(found[2])
         if place == 0:
-            self.first.have_samples(schemes)
-        self.kept.save(place, *found)
+            self.first.have_samples(found[2])
 
     def _for_processes(self) -> list[int]:
         """The sets that are given to processes: all that are left after the first, once the work takes long."""
@@ -128,11 +127,10 @@ class _Work:
         asked = [(self.first, self.curves.values[place], self.sweeps) for place in places]
         works = [(partial(self._count, place), followed_set, own) for place, own in zip(places, asked, strict=True)]
         with suppress(BrokenExecutor):
-            for number, (found, schemes, whole) in processes.each(works):
+            for number, (found, whole) in processes.each(works):
+                self._know(places[number], found)
                 if whole:
-                    self._take(places[number], found, schemes)
-                else:
-                    self.found[places[number]] = found
+                    self.kept.save(places[number], found)
                 self._show()
 
     def _count(self, place: int, parts: int) -> None:
@@ -176,12 +174,8 @@ def _part(own: Curves, share: float) -> float:
     return (before + FOLLOWED * share) / expected
 
 
-SetOfCurves = tuple[Found, tuple[Scheme, ...], bool]
-"""Curves of a set of values, the schemes that they needed, and whether they are complete."""
-
-
-def followed_set(none: Curves, values: Mapping[str, float], sweeps: Sequence[Sweep]) -> SetOfCurves:
-    """Find the curves of a set of values in another process, unless it is halted."""
+def followed_set(none: Curves, values: Mapping[str, float], sweeps: Sequence[Sweep]) -> tuple[Found, bool]:
+    """Find the curves of a set of values in another process; and whether they are complete, or it was halted."""
     own, counted = none.none, 0
 
     def watch(share: float, so_far: Callable[[], HbmCurve]) -> None:
@@ -195,5 +189,5 @@ def followed_set(none: Curves, values: Mapping[str, float], sweeps: Sequence[Swe
     try:
         own.follow(values, sweeps, watch)
     except KeyboardInterrupt:
-        return own.found, own.schemes, False
-    return own.found, own.schemes, True
+        return own.found, False
+    return own.found, True

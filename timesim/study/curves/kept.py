@@ -11,14 +11,15 @@ from xarray import Dataset
 
 from timesim.hbm.continuation import Ending
 from timesim.hbm.curve import HbmCurve
+from timesim.hbm.scheme import Scheme
 from timesim.result import checkpoint, netcdf
 from timesim.result.checkpoint import Checkpoint, Result
 from timesim.result.file import StoreError
 from timesim.result.label import counted
 from timesim.study.execution.campaign import Execution
 
-Found = tuple[list[HbmCurve], list[str]]
-"""The curves of a set of values, and the notes on them."""
+Found = tuple[list[HbmCurve], list[str], tuple[Scheme, ...]]
+"""The curves of a set of values, the notes on them, and the schemes that they needed."""
 SECONDS_APART = 30.0
 """Least time between two writes of a growing curve [s]."""
 TIMES_APART = 20.0
@@ -37,7 +38,7 @@ class KeptCurves:
         self.earlier = 0.0 if kept is None else kept.earlier
 
     def load(self, place: int) -> Found | None:
-        """The curves of a set of values, and the notes on them; None if they are not finished."""
+        """What was found for a set of values; None if it is not finished."""
         if self._kept is None:
             return None
         try:
@@ -47,14 +48,14 @@ class KeptCurves:
             return None
         return None if result is None else _read(result)
 
-    def save(self, place: int, curves: Sequence[HbmCurve], notes: Sequence[str]) -> None:
-        """Keep the curves of a set of values.
+    def save(self, place: int, found: Found) -> None:
+        """Keep what was found for a set of values.
 
         Raises:
             StoreError: the disk is full, or the folder may not be written.
         """
         if self._kept is not None:
-            self._kept.save(_name(place), _written(curves, notes))
+            self._kept.save(_name(place), _written(*found))
 
     def grow(self, record: Callable[[], Dataset]) -> None:
         """Write all curves so far, including the one being followed, as a result file, unless the last is recent."""
@@ -86,8 +87,9 @@ def _name(place: int) -> str:
     return f"curves-{place:05d}"
 
 
-def _written(curves: Sequence[HbmCurve], notes: Sequence[str]) -> Result:
+def _written(curves: Sequence[HbmCurve], notes: Sequence[str], schemes: Sequence[Scheme]) -> Result:
     arrays: dict[str, Any] = {"notes": np.array(notes, dtype=str), "count": np.array(len(curves))}
+    arrays["schemes"] = np.array([(own.harmonics, own.time_samples) for own in schemes])
     for place, curve in enumerate(curves):
         values = {part.name: getattr(curve, part.name) for part in fields(curve)} | {"ending": curve.ending.name}
         arrays |= {f"{place}-{name}": np.asarray(value) for name, value in values.items()}
@@ -100,4 +102,5 @@ def _read(arrays: Result) -> Found:
         own: Mapping[str, Any] = {part.name: arrays[f"{place}-{part.name}"] for part in fields(HbmCurve)}
         texts = {"ending": Ending[str(own["ending"])], "message": str(own["message"])}
         curves.append(HbmCurve(**{**own, **texts}))
-    return curves, [str(note) for note in arrays["notes"]]
+    schemes = tuple(Scheme(*numbers) for numbers in arrays["schemes"].tolist())
+    return curves, [str(note) for note in arrays["notes"]], schemes
