@@ -3,9 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-from systems import oscillator
+import pytest
+from systems import oscillator, oscillator_scene
 
-from timesim.result.coordinate import coordinates
+import timesim
+from timesim.result.coordinate import coordinates, rubs
 
 
 def test_they_are_those_of_the_dimensions_in_use():
@@ -33,3 +35,18 @@ def test_a_structure_without_contacts_has_text_as_their_names():
     contact = coordinates({"slip_share": (("contact",), np.zeros(0))}, model)["contact"]
     assert contact.dtype.kind == "U"
     assert contact.shape == (0,)
+
+
+@pytest.mark.parametrize(
+    "study",
+    [
+        {"kind": "sweep", "frequency": {"values": [1.39]}},
+        {"kind": "hbm", "frequency": {"from": 1.39, "to": 1.4}, "harmonics": 3, "stability": False},
+    ],
+)
+def test_a_contact_that_rubs_for_some_values_of_a_result_is_no_stop(study):
+    """The scene's own friction, and the first of the values, would make it one."""
+    scene = oscillator_scene(3.0)
+    scene["contacts"][0]["friction"] = 0.0
+    data = timesim.run(scene | {"study": study | {"over": {"contacts.pad.friction": [0.0, 0.5]}}})
+    assert rubs(data).all()

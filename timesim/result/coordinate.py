@@ -1,6 +1,6 @@
 """Values along the dimensions that mean the same in every result."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -42,6 +42,11 @@ def coordinates(variables: Mapping[str, tuple[Any, ...]], model: Model | None = 
         along["contact"] = np.array([contact.name for contact in model.contacts], dtype=str)
     known: dict[str, Any] = {dim: values for dim, values in along.items() if dim in sizes}
     return known | ({"friction": (("contact",), model.friction)} if model is not None and "contact" in known else {})
+
+
+def most_friction(models: Iterable[Model]) -> Model:
+    """Of the models that a result is over the first with most friction: a contact is a stop of it if it always is."""
+    return max(models, key=lambda model: model.friction.sum())
 
 
 def rubs(data: "Dataset") -> "DataArray":

@@ -52,7 +52,7 @@ def followed(
     attrs = attributes(scene, str(curves.scheme), compiling, seconds, reason)
     if curves.notes:
         attrs["notes"] = "\n".join(curves.notes)
-    return solutions(scene.model(), curves, attrs, refined), curves, reason
+    return solutions(curves, attrs, refined), curves, reason
 
 
 def _sets(curves: Curves) -> list[Any]:
@@ -65,7 +65,7 @@ def _sets(curves: Curves) -> list[Any]:
 def left_out(scene: Scene, plan: HbmPlan) -> tuple[Dataset, Curves, str | None]:
     """The same where nothing is to be followed any more."""
     curves, reason = Curves(scene, plan), "not begun"
-    return solutions(scene.model(), curves, attributes(scene, str(curves.scheme), 0.0, 0.0, reason)), curves, reason
+    return solutions(curves, attributes(scene, str(curves.scheme), 0.0, 0.0, reason)), curves, reason
 
 
 def compile_beside(scene: Scene, plan: HbmPlan) -> None:

@@ -21,6 +21,7 @@ from timesim.orbit.fourier import HARMONICS, phase_deg, signed_amplitude
 from timesim.orbit.jump import Stretch, jumps_of, steps_of, suspects
 from timesim.orbit.settling import Chain, SteadyStates, steady_states, warm_up
 from timesim.orbit.steady_state import COLUMNS, START, Columns, Orbit, columns_of, end_of, orbit_of
+from timesim.result.coordinate import most_friction
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan, combinations
@@ -214,7 +215,7 @@ class Grid:
                 self.models[v] = scene.variant(values)
             except SceneError as error:
                 self.failed[v] = str(error)
-        self.any_model = next(iter(self.models.values()), None) or scene.model()
+        self.any_model = most_friction(self.models.values() or [scene.model()])
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -19,6 +19,7 @@ from timesim.hbm.scheme import NEGLECTED, Scheme
 from timesim.model.model import Model
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.steady_state import switches
+from timesim.result.coordinate import most_friction
 from timesim.result.label import in_words
 from timesim.result.state import SavedStates, SweepPoint, settled_points, start_of
 from timesim.scene.hbm import HbmPlan
@@ -54,6 +55,7 @@ class Curves:
         self.schemes = plan.schemes_for(scene.model())
         self.scheme = self.schemes[0]
         self.values = list(combinations(plan.over))
+        self.any_model = most_friction(map(scene.variant, self.values))
         self.curves: list[StudyCurve] = []
         self.faults: list[str] = []
         self.notes: list[str] = []

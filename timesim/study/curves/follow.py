@@ -160,10 +160,10 @@ class _Growth:
 
     def _record(self, curve: HbmCurve) -> Dataset:
         """The result so far."""
-        grown, values, scene = self.work.curves, self.work.curves.values[self.place], self.own.scene
+        grown, values = self.work.curves, self.work.curves.values[self.place]
         for one in (*self.own.curves, StudyCurve(values, self.own.model_at(values), curve)):
             grown = grown.with_curve(one)
-        return solutions(scene.model(), grown, attributes(scene, str(grown.scheme), 0.0, 0.0, curve.message))
+        return solutions(grown, attributes(grown.scene, str(grown.scheme), 0.0, 0.0, curve.message))
 
 
 def _part(own: Curves, share: float) -> float:

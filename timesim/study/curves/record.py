@@ -7,15 +7,15 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.hbm.convergence import Convergence
-from timesim.model.model import Model
 from timesim.result.dataset import dataset
 from timesim.study.curves.collection import Curves
 from timesim.study.verdict import convergence_lines
 
 
-def solutions(model: Model, curves: Curves, attrs: Mapping[str, Any], refined: Convergence | None = None) -> Dataset:
+def solutions(curves: Curves, attrs: Mapping[str, Any], refined: Convergence | None = None) -> Dataset:
     """The result file: all solutions, one curve after the other."""
-    points, contacts, order = len(model.structure.points), model.num_contacts, curves.scheme.harmonics + 1
+    model, order = curves.any_model, curves.scheme.harmonics + 1
+    points, contacts = len(model.structure.points), model.num_contacts
     shapes = {
         **dict.fromkeys(("frequency", "stable", "fold", "branch", "floquet_max", "closure"), ()),
         **dict.fromkeys(("amplitude", "phase_deg"), (points, 3)),
