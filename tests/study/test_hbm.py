@@ -247,6 +247,16 @@ def test_a_sweep_of_another_structure(swept: Path):
     assert any("no curve is begun" in line and "has 2 modes, the scene has 3" in line for line in outcome.summary)
 
 
+def test_a_transient_of_another_structure(tmp_path: Path):
+    own = BASE | {"excitation": BASE["excitation"] | {"frequency": 0.945}, "study": {"kind": "transient", "cycles": 1}}
+    place = save(timesim.run(own), tmp_path / "result.nc")
+    modes, force = [*BASE["structure"]["modes"]], {"modal_force": [{"amplitude": 1.0}] * 3}
+    modes.append(modes[1] | {"frequency": 2.0})
+    more = {"structure": {"modes": modes}, "excitation": force}
+    with pytest.raises(SceneError, match=r"study\.start\.from: .* must have 3 modes, as the scene, not 2"):
+        load_scene(scene(start={"from": str(place)}) | more)
+
+
 def test_along_a_scalar():
     """The preload at 0.947 Hz, from the open gap to the fold and back on the unstable branch; points solved anew."""
     given = scene(frequency=0.947, along={"contacts.pad.preload": {"from": 0, "to": -4}}, start="linear")

@@ -19,6 +19,7 @@ from timesim.hbm.scheme import (
 )
 from timesim.model.model import Model
 from timesim.result.file import StoreError
+from timesim.result.label import counted
 from timesim.result.last_cycle import PeriodicMotion, periodic_motion
 from timesim.result.state import SavedStates, saved_states
 from timesim.scene.integration import ResultSection
@@ -151,6 +152,9 @@ class ResultStart(ResultSection):
             raise self._refused(rule, f"it is at {motion.frequency:g} Hz")
         if self.at:
             raise RuleError(("at",), "names a point of a sweep", "the result is that of a transient: leave it out")
+        count = motion.modal.shape[1]
+        if context.num_modes is not None and count != context.num_modes:
+            raise self._refused(f"must have {counted(context.num_modes, 'mode')}, as the scene, not {count}")
         return replace(plan, motion=motion)
 
     def _check_sweep(self, states: SavedStates, plan: HbmPlan, context: Context) -> None:

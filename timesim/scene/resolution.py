@@ -118,8 +118,8 @@ class Scene:
     @cached_property
     def _built(self) -> "_Built":
         build = _Build(self.file, self.source.folder)
-        plan, structure, end = build.plan(), build.structure(), build.end()
-        model = build.model(structure, end)
+        structure, end = build.structure(), build.end()
+        plan, model = build.plan(structure), build.model(structure, end)
         if build.errors:
             raise _scene_error(self.source, build.errors)
         return _Built(plan, structure, end, model)
@@ -252,7 +252,7 @@ class _Build:
         except RuleError as error:
             self.errors.append(error.below(*key))
 
-    def plan(self) -> Any:
+    def plan(self, structure: BuiltStructure | None) -> Any:
         """What the study computes."""
         study, contacts = self.file.study, self.file.contacts
         method = self.file.solver.method
@@ -264,7 +264,8 @@ class _Build:
             self.errors.append(RuleError(("contacts", 0, "law"), rule, value=contacts[0].law_name))
         frequency = self.file.excitation.frequency if self.file.excitation is not None else None
         with self.under("study"):
-            return study.plan(Context(contacts, frequency, self.folder))
+            num_modes = None if structure is None else structure[0].num_modes
+            return study.plan(Context(contacts, frequency, self.folder, num_modes))
 
     def structure(self) -> BuiltStructure | None:
         if self.file.structure is None:

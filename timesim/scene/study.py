@@ -88,11 +88,13 @@ class Context:
         contacts: the sections of the contacts.
         frequency: of the excitation [Hz]; None where the scene names none.
         folder: where relative paths begin.
+        num_modes: of the structure; None where there is none, or it cannot be built.
     """
 
     contacts: tuple[ContactSection, ...]
     frequency: float | None
     folder: Path
+    num_modes: int | None = None
 
 
 class StudySection(Section):
