@@ -14,7 +14,7 @@ from timesim.picture import style
 from timesim.picture import sweep as plot_sweep
 from timesim.picture.choice import MAX_CURVES, main_axes
 from timesim.picture.draw import make_logarithmic
-from timesim.picture.response import PAIRED
+from timesim.picture.response import PAIRED, values_label
 from timesim.result.dataset import dataset
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES
 from timesim.study import registry as plot
@@ -191,6 +191,10 @@ def test_every_set_of_values_has_its_own_style() -> None:
     assert [curve.label for curve in two][:2] == ["0, 0.1", "0, 0.3"]
     assert two[2].where == {PRELOAD: 1, FRICTION: 0, "direction": 0}
     assert len({curve.style for curve in two}) == 4
+
+
+def test_values_near_each_other_have_labels_of_their_own() -> None:
+    assert values_label([200_010.0, 0.1 + 0.2]) == "200010, 0.3"
 
 
 def test_with_up_and_down_the_values_differ_in_lightness_and_line() -> None:

@@ -97,7 +97,7 @@ def _keys(data: "DataTree") -> list[str]:
 
 def _label(data: "DataTree", at: Mapping[str, int]) -> str:
     root = data.to_dataset()
-    return ", ".join(f"{key_words(key)} {root[key].values[i]:.4g}" for key, i in at.items())
+    return ", ".join(f"{key_words(key)} {root[key].values[i]:.6g}" for key, i in at.items())
 
 
 def response(

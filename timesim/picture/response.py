@@ -91,7 +91,7 @@ def share_label(data: "Dataset", contact: str, state: str) -> str:
 
 def values_label(values: Iterable[float]) -> str:
     """A set of values of the further axes; `legend_title` names the axes in the same order."""
-    return ", ".join(f"{value:.4g}" for value in values)
+    return ", ".join(f"{value:.6g}" for value in values)
 
 
 def legend_title(data: "Dataset", keys: Sequence[str]) -> str | None:
