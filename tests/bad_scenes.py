@@ -232,7 +232,7 @@ CHANGES = (
          "preload: -3"),
         ("contacts.stop.preload", "normal_stiffness: 5.0", "normal_stiffness: 5.0\n    preload: [1]",
          "must be a number", "preload: [1]"),
-        ("excitation.frequency", "  frequency: 1.39\n", "", "is required for a transient", "excitation:"),
+        ("excitation.frequency", "  frequency: 1.39\n", "", "is required in a study of kind transient", "excitation:"),
         ("excitation.frequency", "frequency: 1.39", "frequency: -1.39", "must be > 0"),
         ("excitation.modal_force", "    - {amplitude: 1.0, phase_deg: 90.0}\n", "", "must have 2 entries",
          "modal_force:"),

@@ -77,10 +77,10 @@ def test_a_wrong_law_is_refused_by_its_key(law: Any, key: str, rule: str):
     [
         (BASE, ALONE, "contacts.stop.law", "must be the same for all contacts, that of pad is hunt_crossley"),
         (BASE, STOPS | {"initial": "static"}, "contacts.pad.law", "must be cone where initial is static"),
-        (HBM, STOPS, "contacts.pad.law", "must be cone in hbm studies"),
-        (SWEEP, STOPS | {"study.kind": "compare"}, "contacts.pad.law", "must be cone in compare studies"),
-        (ELEMENT, ALONE, "contacts.pad.law", "must be cone in element studies"),
-        (ELEMENT_MAP, ALONE, "contacts.pad.law", "must be cone in element_map studies"),
+        (HBM, STOPS, "contacts.pad.law", "must be cone in a study of kind hbm"),
+        (SWEEP, STOPS | {"study.kind": "compare"}, "contacts.pad.law", "must be cone in a study of kind compare"),
+        (ELEMENT, ALONE, "contacts.pad.law", "must be cone in a study of kind element"),
+        (ELEMENT_MAP, ALONE, "contacts.pad.law", "must be cone in a study of kind element_map"),
         (BISTABLE, STOPS, "study.harmonics", "must be 0 where the law of a contact is not cone"),
     ],
 )

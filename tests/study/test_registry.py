@@ -113,9 +113,9 @@ def test_a_toy_study_is_checked_run_and_drawn(toy: Path):
 def test_a_toy_study_is_refused_as_others_are(toy: Path):
     with pytest.raises(timesim.SceneError, match=r"study\.sample: 9: is no key here \(did you mean samples\?\)"):
         timesim.load_scene(toy, {"study.sample": 9})
-    with pytest.raises(timesim.SceneError, match=r"excitation\.frequency: is required for a toy study"):
+    with pytest.raises(timesim.SceneError, match=r"excitation\.frequency: is required in a study of kind toy"):
         timesim.load_scene(toy, {"excitation.frequency": None})
-    with pytest.raises(ValueError, match="a toy study is done in one go"):
+    with pytest.raises(ValueError, match="a study of kind toy is done in one go"):
         timesim.run(toy, workers=2)
     assert timesim.run(toy, {"study.samples": 3}).sizes["toy_angle"] == 3
 

@@ -114,7 +114,7 @@ def _missing(data: Mapping[str, Any], kinds: Kinds) -> Iterator[RuleError]:
         *above, last = key.split(".")
         section = data.get(above[0]) if above else data
         if isinstance(section, Mapping) and last not in section:
-            yield RuleError((*above, last), f"{RULES['missing']} for a {kind} study")
+            yield RuleError((*above, last), f"{RULES['missing']} in a study of kind {kind}")
 
 
 def json_schema(kinds: Kinds) -> dict[str, Any]:

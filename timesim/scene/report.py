@@ -269,7 +269,7 @@ def warnings_of(scene: Scene) -> Iterator[str]:
     file = scene.file
     frequency = file.excitation.frequency if file.excitation else None
     if frequency is not None and not file.study.uses_frequency:
-        yield f"excitation.frequency is not used: the frequencies of the {file.study.kind} study rule"
+        yield f"excitation.frequency is not used: in a study of kind {file.study.kind} its own frequencies rule"
     for contact in file.contacts:
         if contact.idle_stiffness and np.any(contact.stiffness_matrix()):
             yield f"contacts.{contact.name}.tangential_stiffness has no effect without friction"

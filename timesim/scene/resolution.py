@@ -257,10 +257,11 @@ class _Build:
         study, contacts = self.file.study, self.file.contacts
         method = self.file.solver.method
         if study.explicit_only and method in ("kvaerno5", "exponential"):
-            rule = f"must be an explicit method in an {study.kind} study"
+            rule = f"must be an explicit method in a study of kind {study.kind}"
             self.errors.append(RuleError(("solver", "method"), rule, "tsit5 or dopri8, or an accuracy", method))
         if (study.cone_only or self.file.initial == "static") and contacts and contacts[0].law_name != CONE:
-            rule = f"must be {CONE} " + (f"in {study.kind} studies" if study.cone_only else "where initial is static")
+            where = f"in a study of kind {study.kind}" if study.cone_only else "where initial is static"
+            rule = f"must be {CONE} {where}"
             self.errors.append(RuleError(("contacts", 0, "law"), rule, value=contacts[0].law_name))
         frequency = self.file.excitation.frequency if self.file.excitation is not None else None
         with self.under("study"):

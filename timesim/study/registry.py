@@ -139,7 +139,7 @@ def check_execution(kind: str, execution: Execution) -> None:
     useless = [name for name, value in given.items() if value]
     if not STUDIES[kind].in_chunks and useless:
         able = ", ".join(name for name, study in STUDIES.items() if study.in_chunks)
-        rule = f"a {kind} study is done in one go, not in chunks of points"
+        rule = f"a study of kind {kind} is done in one go, not in chunks of points"
         raise ExecutionError(f"{' and '.join(useless)}: {rule}; leave it out ({able} can use it)")
 
 

@@ -555,7 +555,7 @@ def test_a_result_that_cannot_be_saved_names_the_chunks_that_are_safe(
     status, _, error = call(tmp_path)
     assert status == 1
     assert "result.nc cannot be written: No space left on device; 6 finished chunks are safe in" in error
-    assert "--resume goes on with them" in error
+    assert "--resume goes on from there" in error
     assert "unchanged" not in error
     monkeypatch.undo()
     monkeypatch.setitem(study.STUDIES, "sweep", replace(study.STUDIES["sweep"], run="toys:study"))
@@ -582,10 +582,10 @@ def test_resume_with_nothing_there_runs(faulty: list[Any], tmp_path: Path):
 def test_a_study_in_one_go_refuses_them(option: tuple[str, ...], name: str, tmp_path: Path):
     status, _, error = call(tmp_path / "run", *option, scene="study.cycles=60")
     assert status == 2
-    assert f"{name}: a transient study is done in one go" in error
+    assert f"{name}: a study of kind transient is done in one go" in error
     assert "leave it out" in error
     assert not (tmp_path / "run").exists()
-    with pytest.raises(ExecutionError, match="workers: a transient study"):
+    with pytest.raises(ExecutionError, match="workers: a study of kind transient"):
         timesim.run(OSCILLATOR, workers=2)
 
 
