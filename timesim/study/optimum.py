@@ -8,6 +8,7 @@ by bounded minimisation [1]_, until no value at the distance of the accuracy has
 """
 
 import time
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,12 +27,13 @@ from timesim.study.execution.campaign import Chunk, Execution, Result, carry_thr
 from timesim.study.execution.progress import Phases
 from timesim.study.execution.worker import point_done
 from timesim.study.outcome import Outcome, attributes, unit_names
-from timesim.study.report import TIE, failure_line, optimum_lines
+from timesim.study.report import TIE, as_low, failure_line, optimum_lines
 from timesim.study.sweep import Variables, blank_columns, variables_of
 
 NEARLY = 0.9  # of the largest amplitude: other maxima above it may be larger between the points of the sweep
 FINE = 1e-3  # of a step of the sweep: the frequency of a peak, whose height depends on it in second order only
 CHECKS = 6  # times that the search moves on to a smaller peak beside the optimum
+FLAT = 0.25  # share of the range searched, over which three values or more have the least peak: it is flat there
 
 
 # The largest amplitude for a value, its frequency [Hz], whether that is an end of the sweep, the kind of its motion.
@@ -61,6 +63,10 @@ class Response:
 
 class SearchError(Exception):
     """The search cannot go on, with the reason."""
+
+
+class FlatError(Exception):
+    """The search need not go on: the least peak is the same about it."""
 
 
 def respond(response: Response, before: Result | None) -> Result:
@@ -181,6 +187,20 @@ class Peaks:
         finite = [value for value in known if np.isfinite(known[value])]
         return min(finite, key=lambda value: known[value], default=np.nan)
 
+    def _unless_flat(self, value: float, span: float) -> float:
+        """The peak at a value of the search.
+
+        Raises:
+            FlatError: about the least peak it is the same over `FLAT` of a span, so that nothing leads on.
+            SearchError: it cannot be computed.
+        """
+        height, values = self.at(value), sorted(self.results)
+        peaks = np.array([float(self.results[known]["peak"]) for known in values])
+        first, last = as_low(peaks, values.index(self.least()))
+        if self.stages > 1 and last - first > 1 and values[last] - values[first] > FLAT * span:
+            raise FlatError
+        return height
+
     def search(self) -> None:
         """Look for the value of least peak between those beside the least one; then beside that, to the accuracy.
 
@@ -194,7 +214,9 @@ class Peaks:
         low, high = grid[max(place - 1, 0)], grid[min(place + 1, len(grid) - 1)]
         accuracy = self.plan.accuracy
         if high - low > accuracy:
-            minimize_scalar(self.at, bounds=(low, high), method="bounded", options={"xatol": accuracy / 2})
+            with suppress(FlatError):
+                options, span = {"xatol": accuracy / 2}, (high - low,)
+                minimize_scalar(self._unless_flat, args=span, bounds=(low, high), method="bounded", options=options)
         for _ in range(CHECKS):
             here = self.least()
             for value in (here - accuracy, here + accuracy):

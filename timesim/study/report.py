@@ -264,11 +264,10 @@ def fold_lines(hbm: Dataset, ends: Mapping[str, np.ndarray], reach: float) -> It
 # The least peak
 
 
-def _as_low(values: np.ndarray, peak: np.ndarray, at: int) -> tuple[float, float]:
-    """First and last of the adjacent values whose peaks equal that at ``at``; a missing peak ends them."""
+def as_low(peak: np.ndarray, at: int) -> tuple[int, int]:
+    """Positions of the first and last of the adjacent peaks that equal one of them; a missing peak ends them."""
     higher = np.flatnonzero(~(peak * (1 - TIE) <= peak[at]))
-    last = higher[higher > at].min(initial=len(values)) - 1
-    return float(values[higher[higher < at].max(initial=-1) + 1]), float(values[last])
+    return int(higher[higher < at].max(initial=-1)) + 1, int(higher[higher > at].min(initial=len(peak))) - 1
 
 
 def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
@@ -286,7 +285,7 @@ def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
     )
     yield f"least peak {least} at {key} = {value}, at {float(data['optimum_frequency']):.6g} Hz"
     beside = [i for value in (best - accuracy, best + accuracy) for i in np.flatnonzero(values == value)]
-    first, last = _as_low(values, peak, at)
+    first, last = (float(values[place]) for place in as_low(peak, at))
     if data.attrs["complete"] and last - first > 3 * accuracy:
         yield f"the peak is the same from {first:.6g} to {last:.6g}: any value between does as well"
     elif data.attrs["complete"] and beside:
