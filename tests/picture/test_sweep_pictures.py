@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 
 from timesim.picture import style
 from timesim.picture import sweep as plot_sweep
-from timesim.picture.choice import MAX_CURVES, main_axes
+from timesim.picture.choice import MAX_CURVES, main_axes, motion
 from timesim.picture.draw import make_logarithmic
 from timesim.picture.response import PAIRED, values_label
 from timesim.result.dataset import dataset
@@ -110,6 +110,14 @@ def test_the_response_of_the_point_along_its_main_axis() -> None:
     assert plot_sweep.response(data, point="root").get_ylabel() == "amplitude of root z [length]"
     assert plot_sweep.response(data, axis="x").get_ylabel() == "amplitude of tip x [length]"
     assert list(main_axes(data)) == ["tip", "root"]
+
+
+def test_the_point_that_moves_most_along_an_axis() -> None:
+    """Not the one that moves most along any: its amplitudes along the axis have another peak."""
+    data = sweep()
+    assert motion(data, None, None) == ("tip", "y")
+    assert motion(data, None, "z") == ("root", "z")
+    assert motion(data, "tip", None) == ("tip", "y")
 
 
 def test_up_and_down_differ_by_marker_and_show_both_branches(both: xarray.Dataset) -> None:

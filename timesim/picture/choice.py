@@ -35,7 +35,7 @@ def main_axes(data: "Dataset") -> dict[str, str]:
 
 def motion(data: "Dataset", point: str | None, axis: str | None) -> tuple[str, str]:
     """The point and axis that are asked for, by default those of the largest amplitude."""
-    axes = main_axes(data)
+    axes = main_axes(data if axis is None else data.sel(axis=[axis]))
     point = point or next(iter(axes))
     return point, axis or axes.get(point, str(data.axis.values[0]))
 
