@@ -121,6 +121,15 @@ def test_a_legend_names_what_is_drawn_and_nothing_else() -> None:
     assert "not settled" in named(whole, "response")
 
 
+def test_an_end_of_the_search_is_no_jump() -> None:
+    """The response has no arrow there, and the picture of all ranges no marker."""
+    data = two_motions([1.8, 2.0])
+    data["jump_from"][1, 0, 1] = np.nan
+    lines = bistable.existence(data).get_lines()
+    for name, count in (("the sweep down jumps", 2), ("the sweep up jumps", 1)):
+        assert sum(line.get_label() == name for line in lines) == count
+
+
 def test_points_above_the_curves_are_shown() -> None:
     tree = xarray.DataTree.from_dict({"/sweep": _sweep([2.0], height=3.0), "/hbm": _balance([2.0])})
     assert hbm.response(tree["hbm"].to_dataset()).get_ylim()[1] < 1.2

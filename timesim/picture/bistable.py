@@ -251,8 +251,11 @@ def existence(data: "DataTree", ax: "Axes | None" = None, *, key: str | None = N
     for item in ranges(data):
         value = float(scalar[item.at[key]])
         ax.plot([value, value], [item.low, item.high], color=BLUE, linewidth=5, solid_capstyle="butt", alpha=0.5)
-        ax.plot(value, item.low, "v", color=VERMILION, ms=5, label="the sweep down jumps")
-        ax.plot(value, item.high, "^", color=BLUE, ms=5, label="the sweep up jumps")
+        before = root["jump_from"].isel(item.where).transpose("end", ...).values
+        ends = (item.low, "v", VERMILION, "down"), (item.high, "^", BLUE, "up")
+        for (end, kind, colour, name), amplitude in zip(ends, before, strict=True):
+            if np.isfinite(amplitude).all():  # else it is the end of the search
+                ax.plot(value, end, kind, color=colour, ms=5, label=f"the sweep {name} jumps")
     margin = 0.05 * np.ptp(scalar) or 1.0
     ax.set_xlim(scalar.min() - margin, scalar.max() + margin)
     ax.set(xlabel=axis_label(root, key), ylabel="frequency [Hz]")
