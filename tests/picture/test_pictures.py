@@ -390,6 +390,15 @@ def test_many_contacts_are_left_out_and_counted() -> None:
     assert len(plot_contact.contact_states(many).get_yticklabels()) == 5
 
 
+def test_a_title_is_one_line_of_plain_text(run: xarray.Dataset, tmp_path: Path) -> None:
+    """Of dollars matplotlib makes formulas, and of what is none an error."""
+    data = run.assign_attrs(title="from $5\nto $6, $\\nonsense$")
+    figure = plot_transient.PICTURES["spectrum"](data)
+    assert figure is not None
+    assert figure.get_suptitle() == "from $5 to $6, $\\nonsense$\nharmonics of the last cycles"
+    figure.canvas.draw()
+
+
 def test_long_names_are_cut_where_there_is_no_room(run: xarray.Dataset) -> None:
     named = run.assign_coords(contact=["underplatform damper of blade 12", "b"]).assign_attrs(title="t" * 200)
     assert "friction underplatform d…" in _labels(plot_transient.energy(named))

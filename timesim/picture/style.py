@@ -128,10 +128,10 @@ def finish(fig: "Figure", data: "Dataset | DataTree", what: str, *notes: str) ->
 
     The title is that of the scene, and what is shown.
     """
-    title = short(str(data.attrs.get("title") or ""), 90)
+    title = short(" ".join(str(data.attrs.get("title") or "").split()), 90)
     unfinished = "" if int(data.attrs["complete"]) else " (incomplete run)"
-    tall = fig.get_figheight()
-    fig.suptitle((f"{title}\n" if title else "") + what + unfinished, fontsize=10, y=1 - 0.08 / tall, va="top")
+    tall, heading = fig.get_figheight(), (f"{title}\n" if title else "") + what + unfinished
+    fig.suptitle(heading, fontsize=10, y=1 - 0.08 / tall, va="top", parse_math=False)
     fig.text(0.99, 0.04 / tall, "; ".join(filter(None, notes)), fontsize=7, color="0.35", ha="right", va="bottom")
     if all(ax.get_legend() is None for ax in fig.axes):
         _legend_below(fig)
