@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     import xarray
 
 Dims = tuple[str, ...]
+Arrays = dict[str, tuple[Dims, np.ndarray]]
+"""Variables by name, which are labelled as `timesim.result.label` says."""
 Variables = Mapping[str, tuple[Dims, np.ndarray] | tuple[Dims, np.ndarray, Mapping[str, Any]]]
 
 

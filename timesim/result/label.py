@@ -102,10 +102,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "band": ("end of the band of amplitudes", None),
     "failure": ("why the point could not be computed; empty where it was", None),
     "jump_low": ("lower end of the step of frequency over a jump; over a jump or a slope if jumps_bisected is 0", "Hz"),
-    "jump_high": (
-        "upper end of that step",
-        "Hz",
-    ),
+    "jump_high": ("upper end of that step", "Hz"),
     # bistable
     "range": ("frequency at the ends of the range with two motions", "Hz"),
     "amplitude_upper": ("displacement amplitude of the larger motion at mid-range", "length"),
@@ -181,10 +178,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "f_s": ("friction force in phase with the displacement", "force"),
     "f_c": ("friction force in phase with the velocity", "force"),
     "dissipation": ("energy lost to friction in a cycle", "force*length"),
-    "effective_stiffness": (
-        "friction force in phase with the displacement over its amplitude",
-        "force/length",
-    ),
+    "effective_stiffness": ("friction force in phase with the displacement over its amplitude", "force/length"),
     "effective_damping": ("friction force in phase with the velocity over the amplitude", "force/length"),
     # harmonic balance
     "stable": ("1 where the solution is stable", None),

@@ -15,7 +15,7 @@ from timesim.element.cycle import Coefficients, ElementCycle, Transition
 from timesim.element.motion import CYCLE, Motion
 from timesim.element.state_by_state import steady_cycle
 from timesim.model.model import STATE_NAMES, Contact
-from timesim.result.dataset import dataset
+from timesim.result.dataset import Arrays, dataset
 from timesim.result.label import counted
 from timesim.scene.element import ElementPlan
 from timesim.scene.resolution import Scene
@@ -145,10 +145,7 @@ def motion_attributes(contact: Contact, motion: Motion) -> dict[str, Any]:
     }
 
 
-Variables = dict[str, tuple[tuple[str, ...], np.ndarray]]
-
-
-def cycle_variables(cycle: ElementCycle, contact: Contact, theta: np.ndarray) -> Variables:
+def cycle_variables(cycle: ElementCycle, contact: Contact, theta: np.ndarray) -> Arrays:
     """The cycle over the angle, its transitions, the first cycle from the start with f = 0."""
     motion = cycle.motion.evaluate(theta)[0]
     first, angles = steady_cycle(contact, cycle.motion, max_cycles=1), [item.angle for item in cycle.transitions]
@@ -166,7 +163,7 @@ def cycle_variables(cycle: ElementCycle, contact: Contact, theta: np.ndarray) ->
     }
 
 
-def _log(name: str, dim: str, transitions: Sequence[Transition]) -> Variables:
+def _log(name: str, dim: str, transitions: Sequence[Transition]) -> Arrays:
     """Transitions by their angles and states."""
     return {
         f"{name}_angle_deg": ((dim,), np.degrees([item.angle for item in transitions])),
@@ -175,10 +172,10 @@ def _log(name: str, dim: str, transitions: Sequence[Transition]) -> Variables:
     }
 
 
-def coefficient_variables(cycle: ElementCycle, plan: ElementPlan) -> Variables:
+def coefficient_variables(cycle: ElementCycle, plan: ElementPlan) -> Arrays:
     """Fourier coefficients, energy, stiffness and damping."""
 
-    def along(part: Coefficients, axis: str, prefix: str = "") -> Variables:
+    def along(part: Coefficients, axis: str, prefix: str = "") -> Arrays:
         names = ("f_b", "f_s", "f_c", "effective_stiffness", "effective_damping")
         return {prefix + name: ((axis,), getattr(part, name)) for name in names}
 

@@ -20,7 +20,7 @@ from timesim.model.model import Model
 from timesim.model.solver import Solver
 from timesim.orbit.settling import Chain, steady_states, warm_up
 from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of
-from timesim.result.dataset import dataset
+from timesim.result.dataset import Arrays, dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import OptimumPlan
 from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through
@@ -28,7 +28,7 @@ from timesim.study.execution.progress import Phases
 from timesim.study.execution.worker import point_done
 from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import TIE, as_low, failure_line, optimum_lines
-from timesim.study.sweep import Variables, blank_columns, variables_of
+from timesim.study.sweep import blank_columns, variables_of
 
 NEARLY = 0.9  # of the largest amplitude: other maxima above it may be larger between the points of the sweep
 FINE = 1e-3  # of a step of the sweep: the frequency of a peak, whose height depends on it in second order only
@@ -266,7 +266,7 @@ def data_of(peaks: Peaks) -> Dataset:
             columns[name][row] = peaks.results[value][name]
     least = peaks.least()
     best = peaks.results.get(least, {})
-    variables: Variables = {
+    variables: Arrays = {
         **variables_of(columns, grid),
         **{name: ((key,), np.array([peaks.results[value][name] for value in values])) for name in PEAK},
         "optimum": ((), np.array(least)),

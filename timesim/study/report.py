@@ -15,7 +15,7 @@ from timesim.result.coordinate import over_keys
 from timesim.result.label import counted, in_words, with_unit
 from timesim.scene.transient import Schedule
 
-MOTIONS = ("lower", "upper")
+MOTIONS = ("smaller", "larger")
 PHASES = 12  # of a schedule at most that are listed
 POINTS = 5  # failed points, or spans of points, that are named
 TIE = 1e-7  # relative difference of peaks up to which they are equal: the accuracy of the time integration
@@ -192,7 +192,7 @@ def _range_lines(one: Dataset, width: float) -> Iterator[str]:
     )
     for end in one["end"].values[one["range_cut"].values > 0]:
         yield f"the {end} end of it is that of the search, not of the range: widen frequency"
-    for motion, period in zip(("smaller", "larger"), one["period"].values, strict=True):
+    for motion, period in zip(MOTIONS, one["period"].values, strict=True):
         if period > 1:
             yield f"the {motion} motion repeats after {period} cycles"
     for end, place, loser in zip(one["end"].values, (low, high), one["range_irregular"].values, strict=True):

@@ -22,7 +22,7 @@ from timesim.orbit.jump import Stretch, jumps_of, steps_of, suspects
 from timesim.orbit.settling import Chain, SteadyStates, steady_states, warm_up
 from timesim.orbit.steady_state import COLUMNS, START, Columns, Orbit, columns_of, end_of, orbit_of
 from timesim.result.coordinate import most_friction
-from timesim.result.dataset import dataset
+from timesim.result.dataset import Arrays, dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan, combinations
 from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through
@@ -161,8 +161,6 @@ STORED = {
     "end_state": "final_contact_state",
 }
 
-Variables = dict[str, tuple[tuple[str, ...], np.ndarray]]
-
 
 def blank_columns(model: Model, *shape: int) -> dict[str, np.ndarray]:
     """Columns of points that were not computed; ``shape`` is that of the points."""
@@ -173,7 +171,7 @@ def blank_columns(model: Model, *shape: int) -> dict[str, np.ndarray]:
     return arrays
 
 
-def variables_of(columns: Columns, axes: Mapping[str, int]) -> Variables:
+def variables_of(columns: Columns, axes: Mapping[str, int]) -> Arrays:
     """Steady states as variables of a result file; a point that failed has no state.
 
     The columns may have any dimensions of the points first, which become axes of these names and sizes.

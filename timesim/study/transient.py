@@ -15,7 +15,7 @@ from timesim.engine.trajectory import Phase, Run
 from timesim.model.contact_state import slip_follows_motion
 from timesim.model.promise import AMPLIFIED, CLOSE, MARGIN, tightened
 from timesim.model.solver import COMPANION, Solver
-from timesim.result.dataset import dataset
+from timesim.result.dataset import Arrays, dataset
 from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.transient import Schedule
@@ -26,8 +26,6 @@ from timesim.study.report import transient_lines
 
 REPETITIONS = 2
 """Of a run that errs more than promised: the first estimate may be far off if errors are not proportional yet."""
-
-Variables = dict[str, tuple[tuple[str, ...], np.ndarray]]
 
 
 def study(scene: Scene, execution: Execution) -> Outcome:
@@ -145,7 +143,7 @@ def _estimate(recorder: Recorder, execution: Execution, reason: str | None) -> E
         return unknown(totals, "interrupted")
 
 
-def _sample_variables(recorder: Recorder) -> tuple[Variables, np.ndarray]:
+def _sample_variables(recorder: Recorder) -> tuple[Arrays, np.ndarray]:
     """The recorded samples and all transitions, and the times of the samples."""
     model, samples, log = recorder.run.model, recorder.samples, recorder.events
     force, motion = contact_forces(model, samples)
@@ -168,7 +166,7 @@ def _sample_variables(recorder: Recorder) -> tuple[Variables, np.ndarray]:
     return variables, samples.time
 
 
-def final_variables(run: Run) -> Variables:
+def final_variables(run: Run) -> Arrays:
     """The state at the end, from which another run may start."""
     model = run.model
     u = np.einsum("cam,m->ca", model.contact_shape[:, :2], run.displacement)
@@ -182,7 +180,7 @@ def final_variables(run: Run) -> Variables:
     }
 
 
-def _cycle_variables(recorder: Recorder) -> Variables:
+def _cycle_variables(recorder: Recorder) -> Arrays:
     """Amplitude and energies of each cycle; every term is the integral of its own force."""
     model, totals, count = recorder.run.model, recorder.totals, len(recorder.totals.amplitude)
     work = np.diff(np.array([np.zeros(2 + model.num_contacts), *totals.work]), axis=0)
