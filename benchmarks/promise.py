@@ -68,7 +68,7 @@ def rows(seed: int, size: tuple[int, int]) -> list[dict[str, Any]]:
                 "accuracy": accuracy,
                 "method": run.attrs["method"],
                 "rtol": run.attrs["rtol"],
-                "repeated": "promised is" in outcome.summary[0],
+                "repeated": "above the promised" in outcome.summary[0],
                 "true": error_of(run, true, *measure),
                 "estimated": run.attrs["estimated_error"],
                 "promised": PROMISE[accuracy],

@@ -134,7 +134,7 @@ def check(scene: SceneFile, overrides: Overrides = None) -> None:
 
 @app.command()
 def warm() -> None:
-    """Compile beforehand what usual studies take, so that first runs of them start as quickly as later ones."""
+    """Compile the programs of usual studies beforehand, so that first runs start as quickly as later ones."""
     from timesim.warm import warm_up
 
     print(warm_up())
@@ -151,10 +151,10 @@ def schema() -> None:
 @app.command()
 def plot(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run, or its result file.")],
-    kind: Annotated[str, typer.Option("--format", metavar="png|pdf|svg", help="Of the files.")] = "png",
+    kind: Annotated[str, typer.Option("--format", metavar="png|pdf|svg", help="Format of the files.")] = "png",
     log: Annotated[
         list[str] | None,
-        typer.Option(metavar="amplitude|frequency", help="Logarithmic axes of this; may be repeated."),
+        typer.Option(metavar="amplitude|frequency", help="Draw its axes logarithmic; may be repeated."),
     ] = None,
 ) -> None:
     """Draw the pictures of a run again."""

@@ -232,7 +232,7 @@ def test_check_says_so() -> None:
     report = describe(scene())
     assert report["method"] == (f"closed form: {scene().choice.why}",)
     assert report["accuracy"] == (
-        "promised is a relative error of 1e-06 of the state at the end of the run, by closed form",
+        "promises a relative error of 1e-06 of the state at the end of the run, by closed form",
         "the error at the end is estimated by what rounding does to the natural frequencies",
     )
     assert report["cost"][0].startswith("about 12 cycles of ")

@@ -641,13 +641,11 @@ def test_describe_says_what_is_promised_and_by_which_tolerances():
     def said(name: str, *overrides: str) -> str:
         return describe(load_scene(CONFIGS / f"{name}.yaml", overrides))["accuracy"][0]
 
-    run = "promised is a relative error of 1e-06 of the state at the end of the run, by tsit5, rtol "
+    run = "promises a relative error of 1e-06 of the state at the end of the run, by tsit5, rtol "
     assert said("oscillator") == run + "1e-07, atol 1e-09"
     assert said("blade").startswith(run)
     assert said("blade").endswith("(most scenes do with rtol 1e-07)")
-    assert said("bistable", "solver.accuracy=draft").startswith(
-        "promised is a relative error of 1e-04 of a steady state"
-    )
+    assert said("bistable", "solver.accuracy=draft").startswith("promises a relative error of 1e-04 of a steady state")
 
 
 def test_describe_counts_points_and_names_the_method_at_the_lowest_frequency():

@@ -95,7 +95,7 @@ def _accuracy_lines(scene: Scene, model: Model) -> Iterator[str]:
         numbers, least = scene.solver(), scene.file.solver.build()
         usual = numbers.rtol == least.rtol or not numbers.has_tolerance
         why = "" if usual else f" (most scenes do with rtol {least.rtol:g})"
-        yield f"promised is a relative error of {scene.promise:.0e} {end}, by {numbers}{why}"
+        yield f"promises a relative error of {scene.promise:.0e} {end}, by {numbers}{why}"
     if isinstance(scene.plan, TradeoffPlan):
         plan = scene.plan
         own = ", ".join(f"{name} {plan.preset(name, model, scene.file.solver.max_steps)}" for name in PROMISE)
@@ -134,7 +134,7 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
         scheme, *finer = balance.schemes_for(model)
         if "harmonics" in balance.chosen:
             more = f", and up to {finer[-1].harmonics} harmonics where they are needed" if finer else ""
-            yield f"{scheme}{more}; where those above would add over {NEGLECTED:g} of the amplitude, it is said"
+            yield f"{scheme}{more}; if those above would add over {NEGLECTED:g} of the amplitude, the run says so"
         own = seconds_a_solution(model, scheme.time_samples, stability=balance.stability)
         work = f"{SOLUTIONS} solutions of {_duration(own)}"
         which = counted(curves, "curve")

@@ -70,7 +70,7 @@ def error_lines(data: Dataset) -> Iterator[str]:
     elif better.rtol == now.rtol:
         yield f"{over}, and rounding allows no finer tolerance: the motion amplifies any error"
     else:
-        yield f"{over}; what may keep it: solver: {{method: {now.name}, rtol: {better.rtol:g}, atol: {better.atol:g}}}"
+        yield f"{over}; try solver: {{method: {now.name}, rtol: {better.rtol:g}, atol: {better.atol:g}}}"
 
 
 def number_of_states(data: Dataset) -> int:

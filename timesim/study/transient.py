@@ -43,7 +43,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
             break
         again = _carried(scene, better, execution, first=done)
         ended = f"repeated by {better}" if again.reason is None else f"and the repetition {again.reason}"
-        lines.append(f"by {done.solver} the error is estimated at {state:.1e}, promised is {promise:.0e}: {ended}")
+        lines.append(f"by {done.solver} the estimated error is {state:.1e}, above the promised {promise:.0e}: {ended}")
         if again.reason is not None:
             more["repetition"] = f"{better}: {again.reason}"
             break
