@@ -37,10 +37,12 @@ def _across(tangent: Sequence[float] | None, info: ValidationInfo) -> Sequence[f
 
 
 def _definite(stiffness: Any, info: ValidationInfo) -> Any:
-    K = _matrix(stiffness)
-    if not K.any() and info.data.get("friction", 0.0) > 0:
+    (k11, k12), (k21, k22) = _matrix(stiffness).tolist()
+    none = k11 == k12 == k21 == k22 == 0
+    if none and info.data.get("friction", 0.0) > 0:
         raise refuse("must be > 0 where friction is", hint="for a frictionless stop set friction: 0", value=0)
-    if K.any() and not (np.allclose(K, K.T, rtol=1e-12, atol=0) and np.linalg.eigvalsh(K)[0] > 0):
+    least = min(k11, k22) if k12 == k21 == 0 else np.linalg.eigvalsh([[k11, k12], [k12, k22]])[0]
+    if not none and not (abs(k12 - k21) <= 1e-12 * abs(k21) and least > 0):
         raise refuse("must be symmetric positive definite", value=stiffness)
     return stiffness
 

@@ -3,19 +3,20 @@
 Nothing here loads JAX. The kinds of study are passed in as an argument.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from timesim.fault import Problem, RuleError, SceneError
 from timesim.model.choice import Choice, choice
 from timesim.model.cost import Work
-from timesim.model.model import CONE, Model
+from timesim.model.model import CONE, Contact, Excitation, Model, Structure
 from timesim.model.promise import PROMISE
 from timesim.model.scales import out_of_range
 from timesim.model.solver import Solver
@@ -95,8 +96,8 @@ class Scene:
     def variant(self, values: Mapping[str, float]) -> Model:
         """The model with other scalars, by key path as in a study's ``over``.
 
-        Only the sections that the keys lie in are read again, so that the eigenproblem of a structure is solved anew
-        only for keys below ``structure``.
+        Only what depends on the sections that the keys lie in is built anew, the eigenproblem of a structure only for
+        keys below ``structure``.
 
         Raises:
             SceneError: the scene cannot have these values, or it has no structure.
@@ -106,9 +107,10 @@ class Scene:
             return built.model
         source, changed = overridden(self.source, values), {key.partition(".")[0] for key in values}
         sections = _sections(source, changed)
-        build = _Build(self.file.model_copy(update={part: getattr(sections, part) for part in changed}), source.folder)
-        structure = build.structure() if "structure" in changed else built.structure
-        model = build.model(structure, build.end() if "initial" in changed else built.end)
+        file = self.file.model_copy(update={part: getattr(sections, part) for part in changed})
+        build = _Build(file, source.folder, built, changed)
+        structure = build.structure()
+        model = build.model(structure, build.end())
         if structure is None and not build.errors:
             build.errors.append(RuleError(("structure",), "is required for a model"))
         if model is None or build.errors:
@@ -122,7 +124,7 @@ class Scene:
         plan, model = build.plan(structure), build.model(structure, end)
         if build.errors:
             raise _scene_error(self.source, build.errors)
-        return _Built(plan, structure, end, model)
+        return _Built(plan, structure, end, model, self.file.study.lowest_frequency())
 
     def resolved_yaml(self) -> str:
         """The scene with overrides and defaults written out; runs from any folder."""
@@ -230,20 +232,31 @@ def _scene_error(source: SceneSource, errors: Sequence[RuleError]) -> SceneError
 
 @dataclass(frozen=True)
 class _Built:
-    """A scene in numbers, None for what it lacks; `end` is what `initial` has read from another run."""
+    """A scene in numbers, None for what it lacks.
+
+    `end` is what `initial` has read from another run, `lowest` the lowest frequency of the study [Hz].
+    """
 
     plan: Any
     structure: BuiltStructure | None
     end: EndOfRun | None
     model: Model | None
+    lowest: float | None
 
 
 class _Build:
-    """Builds what a scene file describes, and collects what is wrong with each part of it."""
+    """Builds what a scene file describes, and collects what is wrong with each part of it.
 
-    def __init__(self, file: SceneFile, folder: Path):
-        self.file, self.folder = file, folder
+    ``known``: the same but for the sections that have ``changed``.
+    """
+
+    def __init__(self, file: SceneFile, folder: Path, known: _Built | None = None, changed: Collection[str] = ()):
+        self.file, self.folder, self.known, self.changed = file, folder, known, set(changed)
         self.errors: list[RuleError] = []
+
+    def unchanged(self, *parts: str) -> _Built | None:
+        """What is known, if none of these sections has changed."""
+        return None if self.changed.intersection(parts) else self.known
 
     @contextmanager
     def under(self, *key: str | int) -> Iterator[None]:
@@ -269,6 +282,8 @@ class _Build:
             return study.plan(Context(contacts, frequency, self.folder, num_modes))
 
     def structure(self) -> BuiltStructure | None:
+        if (known := self.unchanged("structure")) is not None:
+            return known.structure
         if self.file.structure is None:
             return None
         with self.under("structure"):
@@ -276,20 +291,30 @@ class _Build:
 
     def end(self) -> EndOfRun | None:
         """What `initial` reads from another run."""
+        if (known := self.unchanged("initial")) is not None:
+            return known.end
         if not isinstance(self.file.initial, InitialResult):
             return None
         with self.under("initial"):
             return self.file.initial.read(self.folder)
+
+    def contacts(self) -> tuple[Contact, ...]:
+        if (known := self.unchanged("contacts")) is not None and known.model is not None:
+            return known.model.contacts
+        return tuple(contact.build() for contact in self.file.contacts)
+
+    def excitation(self, structure: Structure, order: np.ndarray) -> Excitation | None:
+        if (known := self.unchanged("structure", "excitation")) is not None and known.model is not None:
+            return known.model.excitation
+        with self.under("excitation"):
+            return (self.file.excitation or NO_FORCE).build(structure, order)
 
     def model(self, built: BuiltStructure | None, end: EndOfRun | None) -> Model | None:
         """The model with its start; None without a structure."""
         if built is None:
             return None
         (structure, order, notes), initial = built, self.file.initial
-        contacts = tuple(contact.build() for contact in self.file.contacts)
-        excitation = None
-        with self.under("excitation"):
-            excitation = (self.file.excitation or NO_FORCE).build(structure, order)
+        contacts, excitation = self.contacts(), self.excitation(structure, order)
         rest, driven = rest_start(order.size, len(contacts)), excitation or NO_FORCE.build(structure, order)
         model = Model(structure, contacts, driven, rest, notes)
         if excitation is not None:
@@ -301,6 +326,7 @@ class _Build:
             model = replace(model, start=start(initial, model, order, end))
         if not self.errors:
             study = self.file.study
-            frequency = model.excitation.frequency if study.uses_frequency else study.lowest_frequency()
+            lowest = study.lowest_frequency() if self.known is None else self.known.lowest
+            frequency = model.excitation.frequency if study.uses_frequency else lowest
             self.errors += out_of_range(model, frequency or structure.frequency[-1] or 1.0)
         return model

@@ -171,6 +171,8 @@ class FileSection(Section):
             matrices = read_matrices(self._paths(folder))
         except RuleError as error:
             raise error.below("file") from None
+        except OSError as error:  # a name that is too long, a folder that may not be searched
+            raise RuleError(("file",), "cannot be read", error.strerror or "", self.file) from None
         try:
             structure = _modal_structure(self, matrices, self.keep_modes)
         except RuleError as error:
