@@ -397,6 +397,7 @@ CHANGES = (
         ("study.over.contacts.pad.preload", "[1, 2]", "[1, 2, 1]", "differ from each other (1 stands", "over:"),
         ("study.over.contacts.pad.point", "pad.preload", "pad.point", "is no number of the scene", "over:"),
         ("study.over.solver.rtol", "contacts.pad.preload", "solver.rtol", "the key of a scalar", "over:"),
+        ("study.over.contacts.p/d.preload", "contacts.pad", "contacts.p/d", "must not hold a /", "over:"),
         ("study.over.excitation.frequency", "contacts.pad.preload", "excitation.frequency", "axis of its own", "over:"),
         ("study.over.contacts.pad.preload.num", "[1, 2]", "{from: 1, to: 2, num: 1}", "must be >= 2", "over:"),
         ("study.over", "{contacts.pad.preload: [1, 2]}",

@@ -38,6 +38,8 @@ def _scalar(key: str) -> str:
     part = key.partition(".")[0]
     if part not in PARTS or key == part:
         raise refuse("must be the key of a scalar of the scene", hint=nearest(part, PARTS))
+    if "/" in key:
+        raise refuse("must not hold a /, which no axis of a result may", hint="give what it names another name")
     if key == "excitation.frequency":
         raise refuse("is an axis of its own", hint="use the study's frequency")
     return key
