@@ -97,6 +97,15 @@ def test_rules_between_keys_of_a_contact_come_with_its_other_problems():
     assert keys == ["against", "tangent", "friction", "tangential_stiffness", "preload"]
 
 
+def test_the_number_of_modes_is_no_axis_of_steady_states():
+    """Each point has the state of all modes; a balance has none."""
+    over = "frequency: {values: [0.2]}, over: {structure.keep_modes: [1, 2]}"
+    text = MATRICES.replace("kind: transient, cycles: 5", f"kind: sweep, {over}")
+    ((key, rule),) = problems(text)
+    assert key == "study.over.structure.keep_modes"
+    assert "must not change the number of modes" in rule
+
+
 TYPO = {"study.cycles": 0}
 
 

@@ -190,13 +190,18 @@ def _check_combinations(scene: Scene) -> None:
     axes = {str(place[-1]): values for place, values in study.varied().items()}
     failures: list[tuple[dict[str, float], Problem]] = []
     good: set[tuple[str, float]] = set()
+    sizes: set[int] = set()
     for values in combinations(axes) if axes else ():
         try:
-            scene.variant(values)
+            sizes.add(scene.variant(values).structure.num_modes)
         except SceneError as error:
             failures.append((values, error.problems[0]))
         else:
             good.update(values.items())
+    if len(sizes) > 1 and isinstance(study, SteadySection):
+        key = next(place for place in study.varied() if str(place[-1]).startswith("structure."))
+        rule, hint = "must not change the number of modes, as each point has their state", "run a study for each number"
+        raise SceneError([scene.source.problem(RuleError(("study", *key), rule, hint))])
     for values, problem in failures:
         if not study.keeps_failures or not good.issuperset(values.items()):
             refused = _refused(scene, values, problem)
