@@ -26,6 +26,8 @@ from timesim.study.registry import draw, load_scene, run
 if TYPE_CHECKING:
     import xarray
 
+DRAWN = ("direction", "frequency", "point", "axis", "contact", "time", "cycle", "harmonic")
+"""Axes of results that pictures need."""
 Section = dict[str, Any]
 """A part of a scene with the keys of a scene file; it may be edited or written by hand."""
 
@@ -320,11 +322,14 @@ def plot(
         log: "amplitude", "frequency", or both: axes to be logarithmic.
 
     Raises:
-        ValueError: what is given is no result, or a part of one, which names no study.
+        ValueError: what is given is no result, or a part of one, which names no study or lacks an axis.
     """
     if "study" not in getattr(result, "attrs", ()):
         rule = "it must be a whole result, as a function of timesim or `timesim.open_result` returns it"
         raise ValueError(f"result is a {type(result).__name__} that names no study: {rule}")
+    if single := [name for name in DRAWN if name in result.coords and not result[name].dims]:
+        rule = f"keep it as an axis, by a list of one: result.sel({single[0]}=[...])"
+        raise ValueError(f"result has a single {' and a single '.join(single)}: {rule}")
     Path(folder).mkdir(parents=True, exist_ok=True)
     return draw(result, folder, kind=kind, log=log)
 

@@ -72,11 +72,14 @@ def test_matrices_are_those_of_a_scene():
     assert_same(found, timesim.run(scene))
 
 
-def test_steady_states_and_curves():
+def test_steady_states_and_curves(tmp_path):
     point = timesim.settle(oscillator(), 1.39)
     assert abs(point["amplitude"].sel(point="tip", axis="x").item() - 0.15612878) < 1e-7
     row = timesim.sweep(oscillator(), [1.39])
     assert_same(row.isel(direction=0, frequency=0), point)
+    with pytest.raises(ValueError, match=r"a single direction and a single frequency: .* result.sel\(direction="):
+        timesim.plot(point, tmp_path)
+    assert timesim.plot(row.isel(frequency=[0]), tmp_path)
     curve = timesim.follow(oscillator(), 1.38, 1.40)
     assert {"amplitude", "stable"} <= set(curve)
 
