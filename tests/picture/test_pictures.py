@@ -399,6 +399,11 @@ def test_a_title_is_one_line_of_plain_text(run: xarray.Dataset, tmp_path: Path) 
     figure.canvas.draw()
 
 
+def test_dollars_in_names_make_no_formula(run: xarray.Dataset, tmp_path: Path) -> None:
+    names = {dim: [f"$\\{name}$" for name in run[dim].values] for dim in ("point", "contact")}
+    assert plot.draw(run.assign_coords(names), tmp_path)
+
+
 def test_long_names_are_cut_where_there_is_no_room(run: xarray.Dataset) -> None:
     named = run.assign_coords(contact=["underplatform damper of blade 12", "b"]).assign_attrs(title="t" * 200)
     assert "friction underplatform d…" in _labels(plot_transient.energy(named))

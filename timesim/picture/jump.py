@@ -8,7 +8,7 @@ import numpy as np
 from timesim.picture import transient
 from timesim.picture.choice import MAX_ROWS, motions
 from timesim.picture.response import amplitude_label
-from timesim.picture.style import BLUE, SERIES, VERMILION, Picture, axes, figure, finish, from_zero, unit
+from timesim.picture.style import BLUE, SERIES, VERMILION, Picture, axes, figure, finish, from_zero, short, unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,7 +44,7 @@ def envelope(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     ax = axes(ax)
     for (point, axis), style in zip(moving(data), SERIES, strict=False):
         amplitude = data.cycle_amplitude.sel(point=point, axis=axis).values
-        ax.plot(data.cycle.values, amplitude, color=style.colour, linestyle=style.line, label=f"{point} {axis}")
+        ax.plot(data.cycle.values, amplitude, color=style.colour, linestyle=style.line, label=f"{short(point)} {axis}")
     from_zero(ax)
     ax.set_ylabel(f"amplitude{unit(data, 'cycle_amplitude')}")
     return _along_schedule(ax, data)

@@ -40,8 +40,8 @@ MARKERS = "osD<>phXPd"
 
 
 def key_words(key: str) -> str:
-    """A scalar's key as words, without the section: ``pad preload``."""
-    return " ".join(key.split(".")[1:])
+    """A scalar's key as words, without the section: ``pad preload``; dollars in it make no formula."""
+    return " ".join(key.split(".")[1:]).replace("$", r"\$")
 
 
 def axis_label(data: "Dataset", name: str) -> str:

@@ -131,7 +131,7 @@ def finish(fig: "Figure", data: "Dataset | DataTree", what: str, *notes: str) ->
     title = short(" ".join(str(data.attrs.get("title") or "").split()), 90)
     unfinished = "" if int(data.attrs["complete"]) else " (incomplete run)"
     tall, heading = fig.get_figheight(), (f"{title}\n" if title else "") + what + unfinished
-    fig.suptitle(heading, fontsize=10, y=1 - 0.08 / tall, va="top", parse_math=False)
+    fig.suptitle(heading.replace(r"\$", "$"), fontsize=10, y=1 - 0.08 / tall, va="top", parse_math=False)
     fig.text(0.99, 0.04 / tall, "; ".join(filter(None, notes)), fontsize=7, color="0.35", ha="right", va="bottom")
     if all(ax.get_legend() is None for ax in fig.axes):
         _legend_below(fig)
@@ -156,8 +156,8 @@ def unit(data: Any, name: str) -> str:
 
 
 def short(name: str, length: int = 24) -> str:
-    """The name, cut to at most ``length`` characters."""
-    return name if len(name) <= length else name[: length - 1] + "…"
+    """The name, cut to at most ``length`` characters; dollars in it make no formula."""
+    return (name if len(name) <= length else name[: length - 1] + "…").replace("$", r"\$")
 
 
 def is_stop(data: Any, contact: str) -> bool:

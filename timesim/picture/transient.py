@@ -50,7 +50,7 @@ def displacement(
     ax.plot(part.time.values, x, color=BLUE, linewidth=0.9, label="displacement")
     if cycles is None:
         _envelope(data, ax, x, data.cycle_amplitude.sel(point=point, axis=axis).values)
-    ax.set(xlabel="time [s]", ylabel=f"{point} {axis}{unit(data, 'displacement')}")
+    ax.set(xlabel="time [s]", ylabel=f"{short(point)} {axis}{unit(data, 'displacement')}")
     return ax
 
 
@@ -85,7 +85,7 @@ def spectrum(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
         order, amplitude = harmonics(data, data.displacement.sel(point=point, axis=axis).values)
         whole = np.abs(order - np.round(order)) < 1e-9
         ax.plot(order, amplitude, color=style.colour, linestyle=style.line, linewidth=0.5)
-        ax.plot(order[whole], amplitude[whole], style.marker, color=style.colour, ms=4, label=f"{point} {axis}")
+        ax.plot(order[whole], amplitude[whole], style.marker, color=style.colour, ms=4, label=f"{short(point)} {axis}")
         peak = max(peak, float(amplitude.max(initial=0.0)))
     if peak > 0:
         ax.set_yscale("log")
