@@ -454,6 +454,37 @@ def test_what_a_message_says(status: Status) -> None:
     assert any(hint in str(caught.value) for hint in ("try", "ask for", "Raise", "Check"))
 
 
+def test_a_message_names_a_contact_as_it_is() -> None:
+    text = Status.BUDGET.message(solver="tsit5", budget=7, contact="{1} {x}")
+    assert "contact '{1} {x}' switched last" in text
+    assert "budget of 7 steps" in text
+
+
+def let_go(force: float, displacement: Any, slip: Any, preload: float) -> Model:
+    """The oscillator under small forces, let go from a start."""
+    model = oscillator(preload, 1.39)
+    load = replace(model.excitation, cosine=force * model.excitation.cosine)
+    start = replace(model.start, displacement=np.array(displacement), slip=np.array([slip]))
+    return replace(model, excitation=load, start=start)
+
+
+def test_a_start_by_its_slip_alone_has_its_own_scale() -> None:
+    """Without a force, at rest, and pulled by its contact: steps relative to a unit of 1 would not see 1e-9."""
+    one, other = (
+        simulate(let_go(0.0, [0.0, 0.0], [0.04 * size, 0.01 * size], 3.0 * size), 5, replace(FINE, reduce=False))
+        for size in (1.0, 1e-9)
+    )
+    assert relative_error(1e9 * other.motion, one.motion) < 1e-8
+
+
+@pytest.mark.parametrize("force", [1e-8, 1e-10])
+def test_a_force_that_does_nothing_beside_the_start(force: float) -> None:
+    """It is no scale for the motion: margins would be lost in rounding, and the loop creep."""
+    one, other = (simulate(let_go(own, [1.0, 0.3], [1.3, 0.7], 1e-8), 5) for own in (force, 0.0))
+    assert one.sequence == other.sequence
+    assert relative_error(one.motion, other.motion) < 1e-6
+
+
 def test_interrupt_keeps_what_there_is() -> None:
     scene = load_scene(CONFIGS / "oscillator.yaml", {"study.record_last": 60})
 

@@ -57,3 +57,17 @@ def test_its_multipliers_are_those_of_the_free_modes():
     np.testing.assert_allclose(np.sort_complex(orbit.floquet), np.sort_complex(exact), rtol=1e-12)
     assert np.all(np.diff(np.abs(orbit.floquet)) <= 1e-15)
     assert slowest_decay(lane) == pytest.approx(-np.log(np.abs(orbit.floquet[0])), rel=1e-12)
+
+
+def test_a_motion_without_damping_is_no_steady_state():
+    """Two masses with a dashpot between them: what rounding leaves of damping in their common motion is none."""
+    model = oscillator(-1e6, FREQUENCY)
+    body = model.structure
+    for stiffness in np.linspace(1.0, 9.0, 17):
+        omega, modes = np.linalg.eigh(np.array([[stiffness, -1.0], [-1.0, stiffness]]))
+        damping = modes.T @ np.array([[0.1, -0.1], [-0.1, 0.1]]) @ modes
+        damping[0, 1] = damping[1, 0]
+        coupled = replace(body, frequency=np.sqrt(np.maximum(omega, 0.0)) / (2 * np.pi), damping=damping)
+        for own in (coupled, replace(coupled, damping=np.abs(np.diag(damping)) + 1e-17)):
+            lane = first_lane(Chain(replace(model, structure=own), (FREQUENCY,)), PRESETS["standard"])
+            assert linear_orbit(lane) is None

@@ -52,7 +52,8 @@ class Status(enum.IntEnum):
     def message(self, *, solver: str, budget: int, contact: str | None) -> str:
         """What has ended a trajectory, and what to try; ``contact``: that of the last transition, if there is any."""
         last = f"; contact '{contact}' switched last" if contact else ""
-        return f"{self.reason}{last}. {self.advice}".format(solver=solver, budget=budget)
+        # The name of a contact may hold braces: it is put in last.
+        return f"{last}. ".join(text.format(solver=solver, budget=budget) for text in (self.reason, self.advice))
 
 
 def message_of(model: Model, reduction: Reduction, solver: Solver, status: int, culprit: int) -> str:

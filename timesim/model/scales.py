@@ -15,6 +15,9 @@ from timesim.model.model import Model
 
 LARGEST = 1e100
 """Largest size of a number in the units of a scene, and its inverse the smallest; their squares are representable."""
+LEAST = 1e-3
+"""Least scale as a share of the start: a resonance with a damping ratio of 0.05 % moves as much more than its force
+would quasi-statically. A start 1e8 times as large as the scale left margins to rounding, and the loop crept."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +42,24 @@ class Scales:
 def modal_size(model: Model, omega: float) -> float:
     """The scene's own scale X of mass-normalised modal displacement: what the forces would move quasi-statically.
 
-    Without forces it is the size of the start.
+    Without forces it is the size of the start: of its motion, else of what its contacts, stuck on a slip, would move.
+    Forces that hardly move the structure beside its start give no scale either: a share of the start is the least.
     """
-    root = np.sqrt(model.structure.mass)
-    size = np.max(_drive(model) / root / np.maximum(model.structure.omega, omega) ** 2, initial=0.0)
+    root, floor = np.sqrt(model.structure.mass), np.maximum(model.structure.omega, omega) ** 2
+    driven = np.max(_drive(model) / root / floor, initial=0.0)
+    start = np.max(np.hypot(model.start.displacement, model.start.velocity / omega) * root, initial=0.0)
+    size = float(max(driven, LEAST * start) if driven > 0 else start)
     if size == 0:
-        size = np.max(np.hypot(model.start.displacement, model.start.velocity / omega) * root, initial=0.0)
-    return float(size) if size > 0 else 1.0
+        size = float(np.max(np.abs(_pull_of_slip(model)) / root / floor, initial=0.0))
+    return size if size > 0 else 1.0
+
+
+def _pull_of_slip(model: Model) -> np.ndarray:
+    """Modal force of the slips of the start at rest, shape (M,)."""
+    pull = np.zeros(model.structure.num_modes)
+    for c in model.summation_order:
+        pull += model.contact_shape[c, :2].T @ (model.contacts[c].tangential_stiffness @ model.start.slip[c])
+    return pull
 
 
 def _drive(model: Model) -> np.ndarray:

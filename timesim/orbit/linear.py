@@ -20,6 +20,9 @@ from timesim.orbit.lane import Lane
 from timesim.orbit.monodromy import HybridState
 from timesim.orbit.steady_state import Orbit
 
+ROUNDING = 1e-14
+"""Decay, as a share of the fastest rate, that is rounding: of a dashpot's modes one without damping has some of it."""
+
 
 def linear_orbit(lane: Lane) -> Orbit | None:
     """The steady state of a lane without a contact in it; None if it has contacts, or not all of its motions decay."""
@@ -29,7 +32,7 @@ def linear_orbit(lane: Lane) -> Orbit | None:
     K, D = np.diag(system.stiffness), np.asarray(system.damping)
     D = np.diag(D) if D.ndim == 1 else D
     rates = np.linalg.eigvals(np.block([[np.zeros_like(K), np.eye(len(K))], [-K, -D]]))
-    if not np.all(rates.real < 0):
+    if not np.all(rates.real < -ROUNDING * np.abs(rates).max()):
         return None
     phasor = _phasors(system, K, D)
     turn = np.exp(1j * np.arange(len(phasor)) * float(system.phase))[:, None]
