@@ -141,6 +141,19 @@ def test_gap_that_hardly_closes(gap, amplitude):
     assert cycle.work > 0
 
 
+@pytest.mark.parametrize("stiffness", [20.0, 20.0 * FULL], ids=["isotropic", "full"])
+@pytest.mark.parametrize("psi", [0.0, np.pi])
+@pytest.mark.parametrize("short", [1e-12, 1e-14, 0.0])
+def test_load_that_just_vanishes_where_the_motion_turns(stiffness, psi, short):
+    """Neither force nor velocity has a direction there: slip begins along what the motion does next."""
+    pad = contact(stiffness, 0.5, 20.0, 2.0)
+    ours, beside = (
+        steady_cycle(pad, HarmonicMotion(1.0, 0.2, 0.1 - off, 0.0, psi)).coefficients for off in (short, 1e-8)
+    )
+    for part in ("f_b", "f_s", "f_c"):
+        np.testing.assert_allclose(getattr(ours, part), getattr(beside, part), rtol=0, atol=2e-6)
+
+
 def test_frictionless_stop():
     for K in (0.0, 1.0):
         cycle = steady_cycle(contact(K, 0.0, 2.0, -0.5), HarmonicMotion(1.0, 0.5, 1.0, 1.0, 0.3))

@@ -13,7 +13,7 @@ import numpy as np
 
 from timesim.element.cycle import PERIODIC, ElementCycle, Stay, Transition, next_reach
 from timesim.element.motion import CYCLE, Array, Motion
-from timesim.element.slip_path import Law, SlipPath, constant_path, contact_direction, integrate_slip
+from timesim.element.slip_path import VANISHED, Law, SlipPath, constant_path, contact_direction, integrate_slip
 from timesim.model.contact_state import contact_state, require_cone
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact
 from timesim.orbit.extrapolation import limits
@@ -26,6 +26,8 @@ MAX_TRANSITIONS = 400
 MIN_FORCES = 7
 # A transition so near the end of the cycle [rad] belongs to the start of the next.
 SEAM = 1e-11
+# Angle [rad] after an extreme of the motion at which its rate has the direction of its second derivative.
+AHEAD = 1e-4
 
 
 @dataclass(frozen=True)
@@ -174,14 +176,16 @@ class March:
         return Phase(SLIP, separation, SEPARATION, np.zeros(2), direction, separation)
 
     def _sliding(self, theta: float, phase: Phase) -> Phase:
-        force = self.force(phase, theta)
-        return replace(
-            phase,
-            state=SLIP,
-            leave=phase.separation,
-            to=SEPARATION,
-            direction=float(np.arctan2(force[1], force[0])),
-        )
+        direction = self._direction(theta, self.force(phase, theta))
+        return replace(phase, state=SLIP, leave=phase.separation, to=SEPARATION, direction=direction)
+
+    def _direction(self, theta: float, force: Array) -> float:
+        """Direction in which slip begins [rad]: of the force, or, where n only touches 0, of the motion right after."""
+        y, _ = self.motion.evaluate(theta)
+        rounding = ROUNDING * (np.abs(self.law.stiffness).sum() * np.abs(y[:2]).max())
+        if np.hypot(*force) <= VANISHED * self.largest + rounding:
+            return contact_direction(self.law, self.motion.evaluate(theta + AHEAD)[1])[0]
+        return float(np.arctan2(force[1], force[0]))
 
     def _stopped(self, theta: float, phase: Phase) -> Phase:
         slip = self.motion.evaluate(theta)[0][:2] - self.law.compliance @ self.force(phase, theta)
@@ -217,7 +221,9 @@ class March:
         line, forward, backward = self.straight_stops
         along = line @ [np.cos(phase.direction), np.sin(phase.direction)] > 0
         stop = _next(forward if along else backward, theta, SEAM)
-        return constant_path(phase.direction, theta, min(stop, end), stop < end)
+        # Of a force that is next to nothing where slip begins the direction is rounding.
+        first, second = line if along else -line
+        return constant_path(float(np.arctan2(second, first)), theta, min(stop, end), stop < end)
 
     def cycle(self, phase: Phase) -> tuple[list[Stay], list[Transition], Phase]:
         """One cycle from theta = 0: its stays and transitions, and the phase in which the next one begins."""
