@@ -4,8 +4,8 @@ JAX can keep what XLA has compiled, but finds it by the traced program: each pro
 and lowers, for longer than the rest of a short run lasts. What a command compiles is therefore kept ready to run, under
 two names: one of the lowered program, and one, a link, of all that this depends on: the function, the structure, static
 parts, shapes and types of its arguments, the sources of this package, the versions of what it is built on, and the
-settings of JAX and XLA in the environment. Whatever is wrong with what is kept, the program is compiled. Only commands
-do so: in a notebook a function or a constant may be another than the sources say.
+settings of JAX and XLA in the environment. If anything is wrong with what is kept, the program is compiled. Only
+commands do so: in a notebook a function or a constant may be another than the sources say.
 """
 
 from timesim import runtime  # isort: skip

@@ -78,7 +78,7 @@ def _warn(message: str) -> None:
 
 
 def _check_start() -> None:
-    """Say what a process that has used JAX before must put up with."""
+    """Warn where JAX was used before: of its precision, and of loops that are not compiled whole."""
     from jax.extend.backend import get_compile_options
 
     if not _SETTINGS.jax_enable_x64:

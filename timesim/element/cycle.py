@@ -1,5 +1,4 @@
-"""The steady cycle of a contact under prescribed motion: its states, force, hysteresis and Fourier
-coefficients.
+"""The steady cycle of a contact under prescribed motion: its states, force, hysteresis and Fourier coefficients.
 
 Section 4.3 of the paper: the friction force of one cycle, known state by state, is developed into equation
 (19). Integrals over the cycle are Gauss rules between the transitions and the steps of a slip, where the
@@ -104,7 +103,7 @@ def principal_axes(fundamental: NDArray[np.complex128]) -> tuple[Array, Array, A
 
     Returns:
         axes, rows the major and the minor one, right-handed, shape (2, 2); amplitudes (a, b), a >= |b|, shape
-        (2,) [length]; phases (chi, chi + pi/2) [rad]. Of a circle, and of no motion, the axes are the given.
+        (2,) [length]; phases (chi, chi + pi/2) [rad]. For a circle, and for no motion, they are t1 and t2.
     """
     square = np.sum(fundamental**2)
     if abs(square) <= 1e-14 * np.sum(np.abs(fundamental) ** 2):

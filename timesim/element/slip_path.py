@@ -9,10 +9,9 @@ prime the derivative with respect to the angle theta. Its part along e_perp is a
 
     mu n (e_perp . K_u^-1 e_perp) alpha' = e_perp . (u' - mu n' K_u^-1 e) ,
 
-nothing is divided by n, and s = (e . K_u u' - mu n') / (e . K_u e) by equation (9). Where n -> 0 the left
-side
-vanishes and the direction is the stable root of the right side, which Radau collocation takes as it comes:
-before separation as the last node of the last step, after re-contact as the start (`contact_direction`).
+nothing is divided by n, and s = (e . K_u u' - mu n') / (e . K_u e) by equation (9). Where n -> 0 the left side
+vanishes and the direction is the stable root of the right side, which Radau collocation takes as it comes: before
+separation as the last node of the last step, after re-contact as the start (`contact_direction`).
 """
 
 from dataclasses import dataclass

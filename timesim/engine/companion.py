@@ -1,12 +1,12 @@
 """The error of a run, estimated from a coarser companion: the same run again, with a tolerance ten times as large.
 
 The error of a solution under step size control is nearly proportional to the tolerance (L. F. Shampine, Tolerance
-proportionality in ODE codes, Lecture Notes in Mathematics 1386, 1989), also through located transitions. So what lies
-between the two runs is nearly all the error of the companion, and the run has a share of it.
+proportionality in ODE codes, Lecture Notes in Mathematics 1386, 1989), also through located transitions. So nearly all
+the difference between the two runs is the error of the companion, and that of the run is a known share of it.
 
 Errors of a state are those of the modes normalised to unit mass, displacement and velocity each relative to the largest
-in the last cycle, where a velocity is no smaller than the displacement times the frequency of the excitation: a motion
-that comes to rest off its origin is not divided by nothing.
+in the last cycle. The scale of velocity is at least that of displacement times the frequency of the excitation, so that
+a motion which comes to rest away from its origin is not divided by zero.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip

@@ -147,9 +147,9 @@ def first_crossing(
 ) -> Float[Array, ""]:
     """Fraction of the step at which the first margin falls through zero, `NONE` where none does.
 
-    Also a margin that only dips below zero between two nodes is proposed, judged by a parabola through three of them,
-    and next to an end by the rate there: a step that stops just short of a dip is followed by one that begins with it.
-    To end a step there needlessly does no harm.
+    A margin that only dips below zero between two nodes is proposed as well, judged by a parabola through three of
+    them, and next to an end by the rate there: a step that stops just short of a dip is followed by one that begins
+    with it. Ending a step there needlessly does no harm.
 
     Args:
         dynamics: the system.

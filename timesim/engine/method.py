@@ -53,7 +53,7 @@ class Advance(NamedTuple):
 
 FEW_NODES, MANY_NODES = 3, 5
 MANY_FROM = 1e-5
-"""Tolerance from which on down more nodes of a collocated step cost less than shorter steps."""
+"""Largest tolerance at which more nodes of a collocated step cost less than shorter steps."""
 
 
 class Method(eqx.Module):
@@ -62,8 +62,8 @@ class Method(eqx.Module):
     Attributes:
         order: order of the solution that is carried on.
         integrates_work: whether the energies are part of the state that it advances.
-        one_by_one: whether of many trajectories each is advanced by itself: where a step has loops and branches of its
-            own, all of those side by side would take the longest of each.
+        one_by_one: whether trajectories are advanced one after the other: where a step has loops and branches of its
+            own, each of those side by side would take as long as the slowest.
     """
 
     order: eqx.AbstractVar[int]
@@ -275,7 +275,7 @@ def _kvaerno5(rtol: float, atol: float) -> Implicit:
     # slip begins at n = 0 the Jacobian changes over any step, however short: diffrax's own VeryChord, which keeps it,
     # diverges there until the step is rounding (and takes 18 times as many steps elsewhere).
     root_finder: Any = optimistix.Newton(rtol=max(rtol * 1e-2, 1e-13), atol=max(atol * 1e-2, 1e-14))
-    # Of its own loops over the stages only the plain one has a derivative in forward mode, which multipliers ask for.
+    # Of diffrax's loops over the stages only the plain one has a forward-mode derivative, which multipliers need.
     solver = diffrax.Kvaerno5(root_finder=root_finder, scan_kind="lax")
     return Implicit(order=5, solver=solver, fallback=Explicit("tsit5"))
 

@@ -17,7 +17,7 @@ class Control(eqx.Module):
     """Tolerances of the step size, relative to the largest coordinate and to the scene's scale.
 
     Attributes:
-        rtol, atol: tolerance a step is ``rtol * max|state| + atol``.
+        rtol, atol: the tolerance of a step is ``rtol * max|state| + atol``.
         longest: longest step, and the step of a method without error estimate [rad of the excitation].
         opening: first step of each cycle. The control forgets at a cycle's end: what a cycle makes of a state depends
             on that state alone, so a settled motion repeats to rounding, and a run taken up again is the same run.

@@ -73,7 +73,7 @@ class Point(ContinuousState):
 
 
 MOST_SUMMED = 32
-"""Terms up to which XLA adds in one loop; more of them it adds in parts, which takes longer than its own product."""
+"""Most terms that XLA adds in one loop; more it adds in parts, which takes longer than its own product."""
 WIDE = 100
 """Entries of the matrix of contacts and modes from which on 16 trajectories take longer side by side: measured."""
 

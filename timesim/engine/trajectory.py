@@ -117,7 +117,7 @@ class Run:
             self.judge(int(now.status), int(now.culprit))
 
     def _at(self, phase: Phase) -> "tuple[Frame, System, Origin]":
-        """What the present state is in at the start of a phase."""
+        """Frame, system and origin of the present state, at the start of a phase."""
         frame = Frame(self.model, self.reduction, phase.frequency)
         system = system_of(self.model, phase.frequency, self.phase, self.reduction)
         return frame, system, Origin(self.time, self.phase, self.completed, self.work.copy())
@@ -242,7 +242,8 @@ class Frame:
     def work(self, done: Work, before: np.ndarray, moved: np.ndarray) -> np.ndarray:
         """Energies put in, lost in modal damping and lost in each contact, shape (..., 2 + C), after those before.
 
-        ``moved``: how far the modes have moved. What contacts that are left out do by it is stored in them, not put in.
+        ``moved``: displacement of the modes since the start of the phase. What contacts that are left out do along it
+        is stored in them, not put in.
         """
         friction = np.zeros((*np.shape(done.input), self.model.num_contacts))
         friction[..., self.reduction.live] = done.friction

@@ -120,7 +120,7 @@ class AdaptiveBalance:
 def _above(size: Array) -> Array:
     """What harmonics above each order add to a motion, relative to the largest, from the size of each of 0 ... H.
 
-    The root of the sum of their squares: where none of them resounds the sum is ten times the error of the amplitude.
+    The root of the sum of their squares: where none is in resonance, the sum is ten times the error of the amplitude.
     """
     square = np.append(np.cumsum(size[:0:-1] ** 2)[::-1], 0.0)
     return np.sqrt(square) / max(float(size[1:].max(initial=0.0)), 1e-300)

@@ -1,4 +1,4 @@
-"""Derivatives of a balance by few of its unknowns: those that contacts depend on which slip, or open and close.
+"""Derivatives of a balance by few of its unknowns: the motions of contacts that slip, or open and close.
 
 A contact that sticks or is apart all along is linear, as is the tangential motion at one without friction. With such
 components L and the others W, and with the derivatives K of the forces on the structure by the motion, those of the

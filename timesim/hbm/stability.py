@@ -8,13 +8,13 @@ the contact force is continuous through all of them and the derivatives of an in
 so large that the contacts take on states which the solution does not have are beyond a linearisation: a small push
 may free a contact that sticks all along.
 
-The number of real multipliers above 1 is odd where the determinant of the balance is negative: that tells exactly, as
-multipliers do not, which samples leave an error in. But a contact that sticks keeps its slip, hence the offset g of its
-force, which the balance chooses anew for each motion x (`timesim.hbm.stuck_offset`), and of
+The number of real multipliers above 1 is odd where the determinant of the balance is negative. That is exact, unlike
+the multipliers, in which the samples leave an error. But a contact that sticks keeps its slip, hence the offset g of
+its force, which the balance chooses anew for each motion x (`timesim.hbm.stuck_offset`), and of
 
     det (r_x + r_g g_x) = det r_x  det (1 + r_x^-1 r_g g_x)
 
-the first factor alone speaks of disturbances. The other one only turns the curve.
+only the first factor concerns disturbances; the other one turns the curve.
 
 G. Floquet, Sur les équations différentielles linéaires à coefficients périodiques, Annales scientifiques de l'ENS 12
 (1883) 47-88; A. H. Nayfeh and B. Balachandran, Applied Nonlinear Dynamics (Wiley 1995), chapter 3.

@@ -1,9 +1,9 @@
 """Which method integrates a scene where none is given: the first line of a table that applies, if compiling it pays.
 
-A method of the table is worth it where what it saves of the time that the preset's own method would take is more than
-what its programs take longer to compile, both in a first run. Short runs keep the method of the preset: sixty cycles of
-the oscillator take 20 ms, its program 5 s. What is known of a scene beforehand are its rates; how often its contacts
-switch is not.
+A method of the table pays where it saves more of the time that the preset's own method would take than its programs
+take longer to compile, both in a first run. Short runs keep the method of the preset: sixty cycles of
+the oscillator take 20 ms, its program 5 s. The rates of a scene are known beforehand, but not how often its contacts
+switch.
 
 Measured by `benchmarks/method_choice.py`: microseconds of a cycle at errors of 1e-4 and 1e-6, compiled, CPU seconds of
 compilation by whole runs with an empty cache; the tables are in benchmarks/README.md.

@@ -21,17 +21,17 @@ PROMISE = {"draft": 1e-4, "standard": 1e-6, "reference": 1e-8}
 GROWTH = 0.05
 """Of 95 generated structures (2 to 30 modes, 1 to 6 contacts) half have less than 0.02, three quarters less than 0.09.
 
-One in seven amplifies every error a thousand times and more, which no formula foresees: of these the run itself takes
-notice, and of those between.
+One in seven amplifies every error a thousand times and more, which no formula foresees: these, and those between, the
+run itself detects.
 """
 LONGEST = 100.0
-"""Cycles that count at most in a steady state, which a periodic motion reaches by whatever way."""
+"""Most cycles that count in a steady state, which does not depend on the way to it."""
 FINEST = 1e-13
 """Tolerance below which rounding rules."""
 CLOSE = 0.5
-"""Share of what is promised from which on a run is repeated: an estimate errs by more than that in one of ten."""
+"""Share of the promised error above which a run is repeated: one estimate in ten errs by more than that."""
 MARGIN = 3.0
-"""By how much a run that is repeated is to be better than promised: what its estimate leaves open."""
+"""Factor by which a repeated run is to be better than promised: the uncertainty of its estimate."""
 
 AMPLIFIED = 3e4
 """How many times finer than the promise the tolerance of a repetition may be before its estimate is in doubt.

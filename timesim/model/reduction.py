@@ -37,7 +37,7 @@ STRAIGHT = 1e-13
 MARGIN = 1e-4
 """Share of the bound by which a contact must stay inside its state: more than the error of the bound."""
 RECENT = 16
-"""Models whose parts are remembered, and proofs: a sweep asks at every frequency, a run and its companion for one."""
+"""Models whose parts and proofs are cached: a sweep asks at every frequency, a run and its companion at one."""
 DIRECTIONS = 720
 """Directions of a contact plane that are tried; what lies between them is covered by a Lipschitz constant."""
 
@@ -48,7 +48,7 @@ class Reduction:
 
     Attributes:
         model: the original.
-        modes: modes kept, ascending; never none of all, shape (K,).
+        modes: modes kept, at least one, ascending, shape (K,).
         live: contacts that remain in the event loop, shape (L,); these and the next two as in `Model.summation_order`.
         stuck: contacts proven to stick from start to end with w their start slip.
         apart: contacts proven never to touch.

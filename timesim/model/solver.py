@@ -74,9 +74,9 @@ PRESETS = {
 
 
 SHOOT, SLOW, NEVER = 16, 256, np.inf
-"""Cycles marched before the first attempt at shooting: where it is asked for, a motion that settles at once having
-settled by then; where a motion settles so slowly that it would take thousands; and where it matters to which motion a
-start leads, since Newton's method may lead to another."""
+"""Cycles marched before the first attempt at shooting: where it is asked for (a motion that settles at once has done so
+by then); by default (a motion that has not settled by then would take thousands); and where it matters to which motion
+a start leads, since Newton's method may lead to another."""
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,7 @@ def narrowed(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -
 
 
 def _joined(jumps: Sequence[tuple[int, Stretch]]) -> list[tuple[int, Stretch]]:
-    """Adjacent jumps as one: next to a fold a motion leaves so slowly that it is met on its way."""
+    """Adjacent jumps as one: next to a fold a motion leaves its branch so slowly that it is met on the way."""
     joined: list[tuple[int, Stretch]] = []
     for index, jump in jumps:
         if joined and joined[-1][0] == index and joined[-1][1].far == jump.near:

@@ -79,7 +79,7 @@ class Search:
         shot: the iterate of Newton's method in the phase SHOOT.
         attempts: at shooting, so far.
         next_shot: cycle before which there is no further attempt at shooting.
-        next_held: the same of a proof that no contact leaves its state any more.
+        next_held: the same for a proof that no contact leaves its state any more.
         last: whether its budget is spent, and it is shot for the last time.
         orbit: the result in the phase DONE.
     """
@@ -150,7 +150,7 @@ def _long_recurrence(search: Search) -> Recurrence:
 def _held(search: Search, solver: Solver, *, may_shoot: bool) -> Search:
     """The search after a round in which no contact has left its state.
 
-    With a proof that none ever will, the steady state is known; without one it is tried, if Newton's method may be.
+    If it is proven that none ever will, the steady state is known; else that state is tried, where shooting is allowed.
     """
     orbit = proven_orbit(search.lane, solver)
     if orbit is not None:

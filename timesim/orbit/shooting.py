@@ -1,8 +1,8 @@
 """Shooting: Newton's method on the state after a period [1]_, with the exact derivative of `monodromy`.
 
-An iteration is one recorded period. A step that does not lead closer is shortened, where closer is measured by the step
-that would follow with the derivative of the iterate before: the natural test of Deuflhard [2]_, for which a slow decay,
-which makes the change over a period small far away from the fixed point, is no nearness. The offset of a contact that
+An iteration is one recorded period. A step that does not lead closer is shortened, where closeness is measured by the
+step that would follow with the derivative of the iterate before: the natural test of Deuflhard [2]_. It is not misled
+by a slow decay, which makes the change over a period small far away from the fixed point. The offset of a contact that
 sticks all along stays as it is. An unstable motion is refused.
 
 A cycle is known to the tolerance of its steps, and the fixed point only to that error times what a slow decay makes of

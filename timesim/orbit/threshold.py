@@ -32,13 +32,13 @@ DOUBLED = 30.0
 LONGEST = 64
 """Longest period that is looked for, once the budget is spent: it is shot in a fraction of what was marched."""
 NEARLY_REPEATS = 1e-2
-"""Change over it from which on it is not worth a shot: what converges within hundreds of cycles has come closer."""
+"""Change over it above which it is not worth a shot: what converges within hundreds of cycles has come closer."""
 NEARLY_LEAST = 2.0
 """Change over a period, as a multiple of the least over any: a period twice as long repeats as nearly."""
 CLEARLY = 0.7
-"""Logarithm by which the change of a motion that settles must at least have fallen, if one that has not is to tell
-itself from it: to a half. One that has fallen by less than half of what is due has not fallen; nor by less than this
-where much more is due, as not even that of a contact that creeps."""
+"""Least fall of the logarithm of the change, to a half, that tells a motion that settles from one that does not. A
+change that has fallen by less than half of what is due has not fallen; nor, where much more is due, has one that has
+fallen by less than this, for even that of a creeping contact falls by more."""
 
 # Shooting
 LATER = 1.5

@@ -151,7 +151,7 @@ def _lost(search: Search, step: Stretch, limit: float) -> Stretch | None:
 
 
 def _merging(search: Search, step: Stretch) -> Stretch:
-    """Bisect a jump that is small beside the slope of the step: at its near side, and there alone, are two motions."""
+    """Bisect a jump that is small beside the slope of the step: there are two motions on its near side only."""
     while abs(step.far - step.near) > search.width and (middle := step.middle) not in (step.near, step.far):
         (ahead,), (back,) = search.along(step.on.end, [middle]), search.along(step.beyond.end, [middle])
         step = replace(step, near=middle, on=ahead) if differ(ahead, back) else replace(step, far=middle, beyond=back)

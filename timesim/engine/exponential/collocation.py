@@ -5,8 +5,8 @@ forces are not. They are taken as the polynomial through their values at the sta
 Radau's right-hand rule, and found by sweeps: motion of the contacts from the forces, forces from the motion, until they
 no longer change. The modes are exact, however fast they are and wherever a step is cut: the dense output is the flow.
 
-What the excitation does is known too (`timesim.engine.exponential.steady`), but for what is taken into the polynomial:
-forces at resonance, and what couples the modes.
+The response to the excitation is known too (`timesim.engine.exponential.steady`), except for what is left to the
+polynomial: forces at resonance, and the coupling of the modes.
 
 Sources: E. Hairer & G. Wanner, Solving Ordinary Differential Equations II, section IV.5 (Radau IIA); M. Hochbruck &
 A. Ostermann, Exponential integrators, Acta Numerica 19 (2010) 209-286, section 2.2 (collocation).
@@ -83,7 +83,7 @@ class Ladder(eqx.Module):
         return cls(Flow.of(system, rule, longest * 2.0 ** (-0.5 * jnp.arange(NUM_RUNGS))), Steady.of(system))
 
     def rung(self, wanted: Float[Array, ""], needed: Float[Array, ""]) -> Flow:
-        """The longest flow that is not longer than is wanted; the shortest that is as long as is needed, if less."""
+        """The longest flow no longer than wanted, or the shortest one as long as needed where that is shorter."""
         at = 2 * jnp.log2(self.flows.h[0] / jnp.stack([wanted, needed]))
         index = jnp.maximum(jnp.ceil(at[0] - ON_RUNG), jnp.floor(at[1] + ON_RUNG)).astype(int)
         return jax.tree.map(lambda rows: rows[jnp.clip(index, 0, NUM_RUNGS - 1)], self.flows)

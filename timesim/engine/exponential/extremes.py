@@ -1,8 +1,8 @@
 """Extremes of displacements over steps, on the dense output of whatever method has taken them.
 
-Of a step of collocation the modes are known at its nodes, and in between they are the polynomial through these where
-they are slow. What the others move is bounded by their vibration; where an extreme may depend on it, the step is
-followed in parts.
+In a step of collocation the modes are known at the nodes; in between, slow ones follow the polynomial through these.
+The motion of the others is bounded by their vibration; where an extreme may depend on it, the step is followed in
+parts.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip

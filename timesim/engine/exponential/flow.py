@@ -6,8 +6,8 @@ integral of J_m,
     z  = (1 - k J_1) z_0 + J_0 z'_0 + sum_m c_m m! h^-m J_(m+1),
     z' = -k J_0 z_0 + (1 - k J_1 - d J_0) z'_0 + sum_m c_m m! h^-m J_m.
 
-The integrals are had as ``J_m = t^(m+1) psi_m(k t^2, d t)``, by real arithmetic for any mode: of a rigid body,
-underdamped, critically damped or overdamped. ``psi_(m-1) + d t psi_m + k t^2 psi_(m+1) = 1 / m!`` links three of them;
+The integrals are ``J_m = t^(m+1) psi_m(k t^2, d t)``, in real arithmetic for any mode: of a rigid body, underdamped,
+critically damped or overdamped. ``psi_(m-1) + d t psi_m + k t^2 psi_(m+1) = 1 / m!`` links three of them;
 it is used downwards from a series where t is short and upwards from the closed form where it is long. They take the
 place of the phi functions of exponential integrators (M. Hochbruck & A. Ostermann, Exponential integrators, Acta
 Numerica 19 (2010) 209-286).

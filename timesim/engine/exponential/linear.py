@@ -3,11 +3,11 @@
 With the harmonics of the excitation and its constant among the unknowns, ``Y = (q, q', cosines, sines, 1)``, the
 equations are ``Y' = A Y``, and ``Y(t + h) = exp(A h) Y(t)`` over any time: rigid-body, undamped, critically damped and
 overdamped modes, damping that couples them and resonance are all the same to it [1]_. The exponential less one, E, is a
-Taylor series over a short time, doubled by ``E(2h) = 2 E + E^2``: a slow mode keeps its digits beside one a million
-times faster, of which the squares of the exponential itself would rob it [2]_. The energies are quadratic forms of the
-state at the start of a step, doubled with it [1]_.
+Taylor series over a short time, doubled by ``E(2h) = 2 E + E^2``: beside a mode a million times faster a slow
+one keeps the digits that it would lose to the squares of the exponential itself [2]_. The energies are quadratic forms
+of the state at the start of a step, doubled with it [1]_.
 
-A step has nothing to control but its dense output: it is as long as the quintic through its ends follows the motion.
+Only the dense output limits a step: it is as long as the quintic through its ends follows the motion.
 
 .. [1] C. F. Van Loan, Computing integrals involving the matrix exponential, IEEE Transactions on Automatic Control 23
    (1978) 395-404.
@@ -178,9 +178,9 @@ class LinearMotion:
     def steps_a_cycle(self, state: np.ndarray, cycles: int, rtol: float) -> float:
         """Steps of a cycle of which the quintics through both ends follow the motion over some cycles.
 
-        They leave a share ``rtol`` of the largest mode in each cycle, of fast vibrations no less than `FINEST`. One
-        leaves ``h^6 |q^(6)| / 46,080`` (Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, section
-        II.6), and of a vibration that is shorter than the step about ``h^2 |q''| / 16``.
+        They may miss a share ``rtol`` of the largest mode in each cycle, of fast vibrations at least `FINEST`. A
+        quintic misses ``h^6 |q^(6)| / 46,080`` (Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I,
+        section II.6), and of a vibration that is shorter than the step about ``h^2 |q''| / 16``.
         """
         (fastest, sixth), looks, unit = self._sixth, LOOKS * self.highest, self.rate[..., None]
         states = self.path(self.steps(looks, energies=False), state, looks * cycles)[..., 1:]
@@ -240,7 +240,7 @@ def linear_leap(system: System, start: Point, cycles: int) -> Reached:
 
 
 class _Like(NamedTuple):
-    """What steps, energies and states are made like: to make each anew by its class takes as long as all else."""
+    """Templates of steps, energies and states: to make each anew by its class takes as long as all else."""
 
     step: Step
     work: Work

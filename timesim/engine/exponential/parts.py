@@ -1,7 +1,7 @@
 """Steps of collocation in parts whose dense output is the polynomial through their ends, as of any other method.
 
-What is recorded of a run looks at polynomials; the flow of a long step is none. A part is as short as the fastest mode
-that moves asks for.
+The record of a run evaluates polynomials, which the flow over a long step is not. A part is as short as the fastest
+mode that moves asks for.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip

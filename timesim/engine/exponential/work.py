@@ -1,9 +1,9 @@
 """Energies that a step of collocation turns over, each the integral of its own power over the dense output.
 
 The velocity of a mode is ``p = p_s + v``: p_s goes smoothly through the step, v rings freely. Gauss's rule integrates
-what is smooth. A mode that is slow over the step is smooth altogether, the polynomial through the nodes. Of a fast one
-p_s is its steady motion and the polynomial that answers the polynomial of the force; what is left, v, has its integrals
-in closed form, however often it turns: with ``y' = v`` and ``v' = -d v - k y``
+what is smooth. A mode that is slow over the step is smooth altogether: it is the polynomial through the nodes. Of a
+fast one p_s is its steady motion and its polynomial response to the polynomial of the force; the integrals of the rest,
+v, have a closed form, however often it turns: with ``y' = v`` and ``v' = -d v - k y``
 
     integral of d v^2 = 1/2 (v^2 + k y^2) lost from start to end,
     V_m = [t^m y] - m Y_(m-1),  k Y_m = -[t^m v] + m V_(m-1) - d V_m

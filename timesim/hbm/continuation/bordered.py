@@ -37,7 +37,7 @@ class Condensed(Protocol):
 
 
 class Whole:
-    """The same of a matrix: no unknown is another's."""
+    """The same for a matrix: no unknown follows from others."""
 
     sign = 1
 

@@ -1,9 +1,9 @@
-"""A curve as it is traced: its solutions, the direction of the parameter, and folds where the curve turns indeed.
+"""A curve as it is traced: its solutions, the direction of the parameter, and folds where the curve really turns.
 
-A tangent whose share of the parameter changes its sign makes no fold, nor does a parameter that goes back for a moment:
-where contacts begin to slip or to touch, the samples of a period turn a curve to and fro. A fold is where the parameter
-goes back from its summit by more than that. Where a solution takes other unknowns the curve is another one, beside that
-before: how far this moves the parameter is no way along either.
+Neither a tangent whose parameter changes its sign nor a parameter that goes back for a moment makes a fold: where
+contacts begin to slip or to touch, the samples of a period turn a curve to and fro. A fold is where the parameter goes
+back from its summit by more than that. Where a solution takes other unknowns, the curve goes on beside the one before:
+the change of the parameter from one to the other is no progress along either.
 """
 
 from contextlib import suppress
