@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from systems import oscillator, scene
 
+from timesim.model.cost import cycles_to_settle
 from timesim.model.promise import FINEST, GROWTH, LONGEST, growth, preset, remembered, tightened
-from timesim.model.solver import PRESETS, Solver
+from timesim.model.solver import NEVER, PRESETS, Criterion, Solver
 
 MANY_MODES = Path(__file__).parents[1] / "data" / "many_modes.yaml"
 
@@ -21,6 +22,16 @@ def test_memory_is_that_of_the_slowest_mode() -> None:
     stuck = model.stuck_rate / (2 * np.pi * 1.39)
     assert growth(undamped, 1.39, 60) == pytest.approx(GROWTH * 60 * stuck)
     assert growth(undamped, 1.39) == pytest.approx(GROWTH * LONGEST * stuck)
+
+
+def test_an_overdamped_mode_creeps() -> None:
+    """At a damping ratio of 50 it decays by 0.01 of its circular frequency, not by 50 times that."""
+    model = oscillator(3.0, 1.39)
+    body = model.structure
+    creeping = replace(model, structure=replace(body, damping=2 * np.array([50.0, 0.5]) * body.mass * body.omega))
+    slow = np.exp(-(50 - np.sqrt(50**2 - 1)) * 2 * np.pi * 0.9 / 1.39)
+    assert remembered(creeping, 1.39) == pytest.approx(1 / (1 - slow))
+    assert cycles_to_settle(creeping, Criterion(1e-8, 2000, NEVER), 1.39) == np.ceil(np.log(1e-8) / np.log(slow))
 
 
 def test_an_easy_scene_keeps_the_tolerances_of_the_preset_and_a_hard_one_gets_finer_ones() -> None:

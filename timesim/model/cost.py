@@ -157,10 +157,7 @@ def seconds(model: Model, solver: Solver, work: Work) -> float:
 
 def cycles_to_settle(model: Model, criterion: Criterion, frequency: float) -> int:
     """Cycles at a frequency [Hz] in which the mode that decays most slowly has decayed to the tolerance, or is shot."""
-    structure = model.structure
-    decay = 2 * np.pi * (structure.damping_ratio * structure.frequency)[structure.frequency > 0]
-    slowest = max(float(decay.min(initial=np.inf)), 1e-300)
-    marched = -math.log(criterion.tolerance) * frequency / slowest
+    marched = -math.log(criterion.tolerance) * frequency / max(model.structure.decay, 1e-300)
     return int(np.ceil(min(marched, criterion.first_shot + SHOTS, criterion.max_cycles)))
 
 

@@ -57,6 +57,14 @@ class Structure:
         return np.divide(damping, critical, out=np.full(critical.size, np.nan), where=critical > 0)
 
     @property
+    def decay(self) -> float:
+        """Least rate at which a mode with a stiffness decays, overdamped or not [1/time]; infinite if there is none."""
+        rings = self.frequency > 0
+        zeta, omega = self.damping_ratio[rings], self.omega[rings]
+        creeping = zeta + np.sqrt(np.maximum(zeta**2 - 1, 0.0))
+        return float((np.minimum(zeta, 1 / np.maximum(creeping, 1.0)) * omega).min(initial=np.inf))
+
+    @property
     def stiffness(self) -> np.ndarray:
         """Modal stiffness ``m omega^2``, shape (M,)."""
         return self.mass * self.omega**2

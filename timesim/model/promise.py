@@ -43,9 +43,7 @@ estimate did not show it.
 
 def remembered(model: Model, frequency: float) -> float:
     """Cycles at a frequency [Hz] in which the mode that decays most slowly decays by a factor of e, at least 1."""
-    structure = model.structure
-    rate = (structure.damping_ratio * structure.omega)[structure.frequency > 0].min(initial=np.inf)
-    return float(1 / max(-np.expm1(-rate / frequency), 1e-300))
+    return float(1 / max(-np.expm1(-model.structure.decay / frequency), 1e-300))
 
 
 def growth(model: Model, frequency: float, cycles: float | None = None) -> float:
