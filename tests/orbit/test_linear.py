@@ -46,6 +46,18 @@ def test_the_response_to_several_harmonics():
     assert orbit.dissipated_power.tolist() == [0]
 
 
+@pytest.mark.parametrize("ratio", [1e-3, 0.5, 3.0, 50.0])
+def test_the_slowest_decay_is_that_of_its_largest_multiplier(ratio):
+    """Also of an overdamped mode, which creeps back: by its damping alone it would be gone within a cycle."""
+    lane = lane_apart()
+    body = lane.model.structure
+    model = replace(lane.model, structure=replace(body, damping=2 * np.array([ratio, 0.9]) * body.omega))
+    lane = first_lane(Chain(model, (FREQUENCY,)), PRESETS["standard"])
+    orbit = linear_orbit(lane)
+    assert orbit is not None
+    assert slowest_decay(lane) == pytest.approx(-np.log(np.abs(orbit.floquet[0])), rel=1e-9)
+
+
 def test_its_multipliers_are_those_of_the_free_modes():
     lane = lane_apart()
     body = lane.model.structure

@@ -29,9 +29,8 @@ def linear_orbit(lane: Lane) -> Orbit | None:
     system, here = lane.system, lane.here
     if here.state.size:
         return None
-    K, D = np.diag(system.stiffness), np.asarray(system.damping)
-    D = np.diag(D) if D.ndim == 1 else D
-    rates = np.linalg.eigvals(np.block([[np.zeros_like(K), np.eye(len(K))], [-K, -D]]))
+    K, D = _matrices(system)
+    rates = _rates(K, D)
     if not np.all(rates.real < -ROUNDING * np.abs(rates).max()):
         return None
     phasor = _phasors(system, K, D)
@@ -60,9 +59,24 @@ def linear_orbit(lane: Lane) -> Orbit | None:
 
 
 def slowest_decay(lane: Lane) -> float:
-    """Least decay of a free vibration over a cycle, of the logarithm of its amplitude; friction adds to it."""
-    D = np.asarray(lane.system.damping)
-    return float(np.pi * (D.min() if D.ndim == 1 else np.linalg.eigvalsh(0.5 * (D + D.T))[0]))
+    """Least decay of a free motion over a cycle, of the logarithm of its amplitude; friction adds to it."""
+    K, D = _matrices(lane.system)
+    rates = _rates(K, D)
+    moves = np.abs(rates) > ROUNDING * np.abs(rates).max()  # a free body stays where it is
+    rings = 0.5 * np.linalg.eigvalsh(0.5 * (D + D.T))[0]
+    # An overdamped motion creeps, more slowly the more it is damped.
+    return float(2 * np.pi * np.min(-rates.real, initial=rings, where=moves))
+
+
+def _matrices(system: System) -> tuple[np.ndarray, np.ndarray]:
+    """K and D, shape (M, M)."""
+    K, D = np.diag(system.stiffness), np.asarray(system.damping)
+    return K, np.diag(D) if D.ndim == 1 else D
+
+
+def _rates(K: np.ndarray, D: np.ndarray) -> np.ndarray:
+    """Eigenvalues of the free motions, shape (2 M,)."""
+    return np.linalg.eigvals(np.block([[np.zeros_like(K), np.eye(len(K))], [-K, -D]]))
 
 
 def proven_orbit(lane: Lane, solver: Solver) -> Orbit | None:
