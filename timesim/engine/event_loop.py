@@ -58,10 +58,8 @@ class Batch(NamedTuple):
 def batches(method: Method, control: Control, system: System, now: Trajectory, cycles: int) -> Iterator[Batch]:
     """Steps of one trajectory through some cycles from the start of one, or until it ends early."""
     room = capacity(system, 0 if method.integrates_work else method.order)
-    fast, done = (
-        has_fast_modes(system, float(control.longest)),
-        Work(np.zeros(()), np.zeros(()), np.zeros(now.state.size)),
-    )
+    fast = has_fast_modes(system, float(control.longest))
+    done = Work(np.zeros(()), np.zeros(()), np.zeros(now.state.size))
     while now.cycle < cycles and now.status == Status.RUNNING:
         now, record, count = advance(method, control, system, now, np.asarray(cycles), room)
         loop = first_rows(record, int(count))

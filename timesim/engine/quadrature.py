@@ -11,16 +11,15 @@ import jax
 import numpy as np
 
 from timesim.engine import dense_output as hermite
+from timesim.engine.exponential.work import gauss
 from timesim.engine.lanes import by_rows
 from timesim.engine.law.contact_law import ContactLaw, Motion, Scalar
-from timesim.engine.step import Step
+from timesim.engine.step import PERIOD, Step
 from timesim.engine.system import System, power_lost
 from timesim.program import program
 
 # Six nodes of a step: over 2.8 rad of the highest harmonic, as with 20 steps a cycle, they leave 1e-10 of an integral.
-_POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(6)
-NODE, WEIGHT = (1 + _POINTS) / 2, _WEIGHTS / 2  # as fractions of the step
-TURN = 2 * np.pi
+NODE, WEIGHT = gauss(6)  # as fractions of the step
 
 
 def means(system: System, steps: Step, cycles: int, harmonics: int) -> tuple[np.ndarray, np.ndarray]:
@@ -38,7 +37,7 @@ def means(system: System, steps: Step, cycles: int, harmonics: int) -> tuple[np.
     """
     steps = jax.tree.map(lambda rows: rows[steps.h > 0], steps)
     angle, q, p, h = _nodes(steps)
-    share = (h * WEIGHT).ravel() / (TURN * cycles)
+    share = (h * WEIGHT).ravel() / (PERIOD * cycles)
     turn = np.exp(-1j * np.outer(np.arange(harmonics + 1), angle + float(system.phase)))
     phasor = (turn * share) @ q
     phasor[1:] *= 2

@@ -20,8 +20,8 @@ from timesim.engine.exponential.parts import short_steps
 from timesim.engine.method import Method, step_method
 from timesim.engine.solver import step_control
 from timesim.engine.status import RunError, Status, message_of
+from timesim.engine.step import PERIOD, Trajectory, begin
 from timesim.engine.step import Step as LoopStep
-from timesim.engine.step import Trajectory, begin
 from timesim.engine.system import Point, System, Work, contact_axes, held_force, system_of
 from timesim.model.contact_state import contact_loads, slip_follows_motion, start_states
 from timesim.model.model import SEPARATION, STICK, Model, Start
@@ -32,7 +32,6 @@ from timesim.program import program
 
 _begin = program(begin)
 
-PERIOD = 2 * np.pi
 ROUNDED = 8 * np.finfo(float).eps  # of a frequency, of the highest where they are found from those of others
 
 

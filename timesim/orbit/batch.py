@@ -29,9 +29,7 @@ from timesim.orbit.lane import Lane, Recorded
 from timesim.orbit.monodromy import HybridState, Tries, derivative, state_vector
 from timesim.program import program
 
-SIDE_BY_SIDE = (
-    4  # lanes of a batch: of 16 each takes as long, and fewer than four of them would be filled up with others
-)
+SIDE_BY_SIDE = 4  # lanes of a batch: of 16 each takes as long; a batch that is not full is filled up
 CAPACITY = 256  # tries of one call that records
 PIECE = 32  # most steps whose derivative is one piece of work: 16 of them take longer than to prepare them
 

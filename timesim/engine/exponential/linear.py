@@ -28,11 +28,10 @@ from timesim.engine.event_loop import Batch, Reached, Rows, capacity
 from timesim.engine.exponential.parts import FINEST
 from timesim.engine.exponential.work import gauss
 from timesim.engine.status import Status
-from timesim.engine.step import Step
+from timesim.engine.step import PERIOD, Step
 from timesim.engine.system import Point, System, Work
 from timesim.model.solver import Solver
 
-PERIOD = 2 * np.pi
 SHORT = 0.5  # of the norm of A h, up to which the series is used
 NUM_TERMS = 14  # of it: 0.5^14 / 15! = 5e-17 of the first
 NUM_NODES = 6  # of Gauss's rule for the energies over so short a time: 2e-16
