@@ -154,6 +154,15 @@ def test_load_that_just_vanishes_where_the_motion_turns(stiffness, psi, short):
         np.testing.assert_allclose(getattr(ours, part), getattr(beside, part), rtol=0, atol=2e-6)
 
 
+def test_gap_that_closes_by_no_more_than_rounding():
+    """Its largest load is zero to the last bit, at an angle where it is said to touch."""
+    stiffness = np.array([[0.179822510058056, 0.005119236649420747], [0.005119236649420747, 0.18819250010514527]])
+    pad = contact(stiffness, 0.0006852433358645473, 118.37448623984773, -11.837448623984773)
+    cycle = steady_cycle(pad, HarmonicMotion(1.0, 0.0, 0.1, 0.0, 4.761545363950459))
+    assert cycle.periodic
+    np.testing.assert_allclose(cycle.coefficients.f_s, 0.0, atol=1e-20)
+
+
 def test_frictionless_stop():
     for K in (0.0, 1.0):
         cycle = steady_cycle(contact(K, 0.0, 2.0, -0.5), HarmonicMotion(1.0, 0.5, 1.0, 1.0, 0.3))

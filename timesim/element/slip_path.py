@@ -172,7 +172,7 @@ def integrate_slip(law: Law, motion: Motion, alpha: float, start: float, end: fl
     previous, share = None, 1.0
     # Where a gap hardly closes, n is a small difference, known to its rounding only.
     rounding = 4 * np.finfo(float).eps * (2 * law.friction * abs(law.preload) + largest)
-    nothing, tolerance = max(VANISHED * largest, 4 * rounding), max(TOLERANCE, 100 * rounding / largest)
+    nothing, tolerance = max(VANISHED * largest, 4 * rounding), max(TOLERANCE, 100 * rounding / (largest or 1.0))
     parting = law.limit(*motion.evaluate(end))[0] <= nothing
     for _ in range(MAX_STEPS):
         length = min(length, share * (end - theta))
