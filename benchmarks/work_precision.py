@@ -337,6 +337,10 @@ LOOKS: dict[str, dict[str, Any]] = {
 }
 
 
+LEAST = 1e-12
+"""Error at the lower rim of a panel, where smaller ones are drawn."""
+
+
 def draw(found: dict[str, tuple[list[Row], float]], path: Path) -> None:
     """Error against time, a panel a scene; the front of one trajectory of ours thick behind it."""
     from timesim.picture.style import figure
@@ -348,7 +352,8 @@ def draw(found: dict[str, tuple[list[Row], float]], path: Path) -> None:
         for family, look in LOOKS.items():
             own = [row for row in rows if row.family == family and row.error < 2]
             line = {"linewidth": 0.9, "markersize": 3.5, "linestyle": "-"} | look
-            ax.plot([1e6 * r.seconds for r in own], [max(r.error, 1e-14) for r in own], label=family, **line)
+            errors = [max(r.error, 1.3 * LEAST) for r in own]
+            ax.plot([1e6 * r.seconds for r in own], errors, label=family, **line)
         front, best = [], np.inf
         for row in sorted((r for r in rows if single(r)), key=lambda row: row.seconds):
             if row.error < best:
@@ -356,19 +361,21 @@ def draw(found: dict[str, tuple[list[Row], float]], path: Path) -> None:
                 best = row.error
         ax.plot(
             [1e6 * r.seconds for r in front],
-            [r.error for r in front],
+            [max(r.error, 1.3 * LEAST) for r in front],
             color="#F0E442",
             linewidth=6,
             alpha=0.6,
             zorder=0,
         )
-        ax.axhspan(1e-14, known, color="0.9", linewidth=0)
-        ax.set(xscale="log", yscale="log", ylim=(1e-12, 2))
+        ax.axhspan(0.1 * LEAST, known, color="0.9", linewidth=0)
+        ax.set(xscale="log", yscale="log", ylim=(LEAST, 2))
         ax.set_title(name, fontsize=9)
     for ax in grid[:, 0]:
         ax.set_ylabel("relative error", fontsize=8)
-    for ax in grid[-1]:
+    for ax in grid.flat[len(found) - columns : len(found)]:
         ax.set_xlabel("µs of CPU a cycle", fontsize=8)
+    for ax in grid.flat[len(found) :]:
+        ax.set_visible(False)
     fig.suptitle("Error of the last state against time; thick: the front of one trajectory of ours", fontsize=11)
     handles, labels = grid[0, 0].get_legend_handles_labels()
     fig.legend(handles, labels, loc="lower center", ncol=7, fontsize=8, frameon=False)
