@@ -24,11 +24,12 @@ CHECKED = (
     "timesim.engine.trajectory",
 )
 
-with install_import_hook(list(CHECKED), "beartype.beartype"):
+# Programs are kept as the commands keep them: a worker takes those of the other, and its own again, without tracing.
+with pytest.MonkeyPatch.context() as patch, install_import_hook(list(CHECKED), "beartype.beartype"):
+    patch.setenv("TIMESIM_KEEP_PROGRAMS", "1")
     import timesim.runtime  # isort: skip
     import timesim.engine.trajectory  # noqa: F401
-
-import jax  # noqa: E402
+    from timesim.program import let_go
 
 LARGE = 1.0e9
 """Resident bytes of a worker above which compiled programs are let go, also those that the next module asks for."""
@@ -61,7 +62,7 @@ def _memory_after_a_test() -> Iterator[None]:
     if resident() > LARGE:
         give_back()
     if resident() > LARGE:
-        jax.clear_caches()
+        let_go()
         gc.collect()
         give_back()
 

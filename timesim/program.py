@@ -33,6 +33,8 @@ T = TypeVar("T")
 MOST_BYTES = 2**28
 """Of all that is kept; what was used last stays."""
 _BUILT_ON = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy")
+_LOADED: list[dict[tuple, Any]] = []
+"""Of each function, the programs that are ready in this process."""
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
 
 
@@ -61,8 +63,9 @@ def program(function: Callable[P, T]) -> Callable[P, T]:
         return function(*args, **kwargs)
 
     flat.__name__ = flat.__qualname__ = function.__name__  # the name of the program
-    traced = jax.jit(flat, static_argnums=0, keep_unused=True)  # so that the lowered program names all of them
     ready: dict[tuple, Any] = {}
+    _LOADED.append(ready)
+    traced = jax.jit(flat, static_argnums=0, keep_unused=True)  # so that the lowered program names all of them
     locks: dict[tuple, threading.Lock] = {}
 
     @wraps(function)
@@ -73,18 +76,25 @@ def program(function: Callable[P, T]) -> Callable[P, T]:
         if runtime.READY is None or any(isinstance(leaf, jax.core.Tracer) for leaf in arrays):
             return traced(form, *arrays)
         key = form, tuple((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)) for leaf in arrays)
-        if key not in ready:
+        if (run := ready.get(key)) is None:
             with locks.setdefault(key, threading.Lock()):
-                if key not in ready:
+                if (run := ready.get(key)) is None:
                     base = runtime.READY / f"{function.__module__}.{function.__name__}"
-                    ready[key] = _ready(base, key, traced, arrays)
+                    run = ready[key] = _ready(base, key, traced, arrays)
         try:
-            return jax.block_until_ready(ready[key](*arrays))
+            return jax.block_until_ready(run(*arrays))
         except jax.errors.JaxRuntimeError:  # it was kept, and is not whole
             ready[key] = traced.lower(form, *arrays).compile()
             return ready[key](*arrays)
 
     return call
+
+
+def let_go() -> None:
+    """Let go of all programs of this process, which hold most of its memory; those that are kept are loaded again."""
+    jax.clear_caches()
+    for ready in _LOADED:
+        ready.clear()
 
 
 def _ready(base: Path, key: tuple, traced: Any, arrays: list) -> Any:
