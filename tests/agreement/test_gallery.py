@@ -83,6 +83,7 @@ def test_the_loss_of_an_elastic_slider_in_time():
     assert -180 < phase[-1] < -90
 
 
+@pytest.mark.slow
 def test_no_peak_where_the_force_exceeds_what_friction_can_dissipate():
     """Above 4 mu N/pi the response grows without bound towards the natural frequency of the mass on its spring."""
     ends = {"study.frequency": {"from": 0.127, "to": 0.1588}, "study.time_samples": 1024}

@@ -187,6 +187,7 @@ def test_blade_slips_by_the_shares_of_the_truth() -> None:
         assert np.any((slip > 0.05) & (slip < 0.95))
 
 
+@pytest.mark.slow
 def test_blade_with_all_modes_by_the_method_of_a_short_run() -> None:
     """331 kHz: the stiff one, at the steps that stability asks for; the fastest modes are the least exact."""
     model = blade("all_24_modes_720Hz", "blade.npz", **{"structure.keep_modes": 24})

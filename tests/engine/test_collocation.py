@@ -229,6 +229,7 @@ def after(model: Model, frequency: float, cycles: int, solver: Solver) -> tuple[
     return np.concatenate([np.asarray(end.point.q)[0], np.asarray(end.point.p)[0]]), int(count[0])
 
 
+@pytest.mark.slow
 def test_a_fast_vibration_that_touches_a_stop_between_the_nodes_is_seen() -> None:
     """A contact that is apart asks for no short steps; the crests of a fast mode would touch it unseen."""
     body = structure([1.0, 3600.0], [0.02, 0.0], [[0.2, 0.0, 1.0], [0.1, 0.0, 1.0]])

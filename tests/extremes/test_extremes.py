@@ -64,6 +64,7 @@ def assert_agrees(model: Model, cycles: int, frequency: float, within: float = 1
 # Units
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", [1e-9, 1e9])
 @pytest.mark.parametrize("quantity", ["force", "time", "length"])
 def test_any_units_by_collocation(quantity: str, by: float):

@@ -132,7 +132,7 @@ def differences(value, x, step):
 
 
 @pytest.mark.parametrize("kind", STIFFNESS)
-@pytest.mark.parametrize("preload", [1.0, 0.3, -0.3])
+@pytest.mark.parametrize("preload", [1.0, pytest.param(0.3, marks=pytest.mark.slow), -0.3])
 def test_force_derivatives_against_differences(kind, preload):
     rng = np.random.default_rng(3)
     law, basis = law_of([element(STIFFNESS[kind], preload)] * SIDE_BY_SIDE), basis_of(2, 98)

@@ -59,6 +59,7 @@ def test_a_beam_whose_damper_sticks_settles(first_shot, most):
         assert orbit.amplitude[0, 0] == pytest.approx(stuck_amplitude(model, frequency), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_beam_whose_damper_slips_settles_to_what_is_asked_for():
     """At its first resonance, and finer than the tolerance of the steps allows: they are made finer."""
     model = beam(5.0, 5.0)

@@ -197,6 +197,7 @@ def test_no_reversal_ends_the_slip_of_a_frictionless_stop(speed):
     assert law.successor(np.array([SEPARATION]), touching, tiny=0.0)[0] == SLIP
 
 
+@pytest.mark.slow
 def test_lanes_of_a_wide_system_end_where_each_ends_alone():
     """One after the other: each keeps its own frequency, and the same transitions."""
     lanes = [lane_at_rest(wide_model(frequency)) for frequency in (1.0, 1.1)]
