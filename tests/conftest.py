@@ -3,6 +3,7 @@
 import contextlib
 import ctypes
 import gc
+import os
 import signal
 from collections.abc import Iterator
 
@@ -24,12 +25,11 @@ CHECKED = (
     "timesim.engine.trajectory",
 )
 
-# Programs are kept as the commands keep them: a worker takes those of the other, and its own again, without tracing.
-with pytest.MonkeyPatch.context() as patch, install_import_hook(list(CHECKED), "beartype.beartype"):
-    patch.setenv("TIMESIM_KEEP_PROGRAMS", "1")
+with install_import_hook(list(CHECKED), "beartype.beartype"):
     import timesim.runtime  # isort: skip
-    import timesim.engine.trajectory  # noqa: F401
-    from timesim.program import let_go
+    import timesim.engine.trajectory
+
+from timesim.program import let_go  # noqa: E402
 
 LARGE = 1.0e9
 """Resident bytes of a worker above which compiled programs are let go, also those that the next module asks for."""
@@ -48,6 +48,17 @@ def give_back() -> None:
     """Let the C library return what is free: after a compilation it keeps most (1.9 GB in use fell to 0.5)."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL("libc.so.6").malloc_trim(0)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _programs(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Programs are kept as the commands keep them: a worker takes those of the other, and its own again, untraced.
+
+    Only in this run, since what the tests add to the package, a contact law for one, is no part of a program's name.
+    """
+    own = tmp_path_factory.getbasetemp()
+    shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+    timesim.runtime.READY = shared / "programs"
 
 
 @pytest.fixture(scope="module", autouse=True)
