@@ -8,8 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import opponents_numba
-import opponents_scipy
+from opponents import numba_rk4, scipy_events
 from problems import MANY_CONTACTS_FREQUENCY, Run, error, many_contacts, oscillator
 
 DATA = Path(__file__).parents[1] / "tests" / "data" / "oscillator.json"
@@ -38,12 +37,10 @@ def reference_states() -> list[bool]:
     for name, case in json.loads(DATA.read_text())["cases"].items():
         n0, frequency = CASES[name]
         model = oscillator(n0)
-        run = opponents_scipy.simulate(model, frequency, case["cycles"], rtol=1e-12, lag=3e-5, log=True)
+        run = scipy_events.simulate(model, frequency, case["cycles"], rtol=1e-12, lag=3e-5, log=True)
         good.append(end_and_events(run, case, name, "scipy DOP853 1e-12", 1e-9))
         for steps, bound in BOUNDS.items():
-            run = opponents_numba.simulate(
-                model, frequency, case["cycles"], steps_per_cycle=steps, num_log=case["n_events"]
-            )
+            run = numba_rk4.simulate(model, frequency, case["cycles"], steps_per_cycle=steps, num_log=case["n_events"])
             good.append(end_and_events(run, case, name, f"numba, {steps} steps", bound))
     return good
 
@@ -52,7 +49,7 @@ def settled_amplitudes() -> list[bool]:
     good = []
     for (n0, frequency), amplitude in SETTLED.items():
         for steps, bound in ((200, 1e-6), (800, 1e-7)):
-            end = opponents_numba.march(oscillator(n0), frequency, tol=1e-9, steps_per_cycle=steps)
+            end = numba_rk4.march(oscillator(n0), frequency, tol=1e-9, steps_per_cycle=steps)
             off = abs(float(end.amplitude[0, 0]) / amplitude - 1)
             what = f"settled amplitude, n0 = {n0:g}, {frequency} Hz"
             good.append(row(f"numba march, {steps} steps", what, off, bound, f"{end.cycles} cycles"))
@@ -61,14 +58,14 @@ def settled_amplitudes() -> list[bool]:
 
 def many_contacts_against_each_other() -> list[bool]:
     model, frequency = many_contacts(), MANY_CONTACTS_FREQUENCY
-    truth = opponents_scipy.simulate(model, frequency, 20, rtol=1e-12, lag=3e-5)
+    truth = scipy_events.simulate(model, frequency, 20, rtol=1e-12, lag=3e-5)
     good = []
     for lag, rtol, bound in ((1e-4, 1e-11, 1e-8), (3e-4, 1e-9, 1e-6)):
-        run = opponents_scipy.simulate(model, frequency, 20, rtol=rtol, lag=lag)
+        run = scipy_events.simulate(model, frequency, 20, rtol=rtol, lag=lag)
         note = f"{run.num_events} of {truth.num_events} events"
         good.append(row(f"scipy DOP853 {rtol:g}, lag {lag:g}", "many_contacts", error(run, truth), bound, note))
     for steps, bound in ((50, 1e-3), (200, 1e-5), (800, 1e-7), (3200, 1e-9)):
-        run = opponents_numba.simulate(model, frequency, 20, steps_per_cycle=steps)
+        run = numba_rk4.simulate(model, frequency, 20, steps_per_cycle=steps)
         note = f"{run.num_events} of {truth.num_events} events"
         good.append(row(f"numba, {steps} steps", "many_contacts", error(run, truth), bound, note))
     return good

@@ -20,8 +20,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import opponents_numba
-import opponents_scipy
+from opponents import numba_rk4, scipy_events
 from problems import MANY_CONTACTS_FREQUENCY, Run, error, many_contacts, oscillator
 
 from timesim.engine.event_loop import march
@@ -73,13 +72,13 @@ PROBLEMS = (
 
 
 def reference(problem: Problem) -> Run:
-    return opponents_scipy.simulate(problem.model, problem.frequency, problem.cycles, rtol=1e-12, lag=3e-5)
+    return scipy_events.simulate(problem.model, problem.frequency, problem.cycles, rtol=1e-12, lag=3e-5)
 
 
 def scipy_rows(problem: Problem) -> list[Contender]:
     def contender(method: str, rtol: float, steps: int) -> Contender:
         def run() -> Run:
-            return opponents_scipy.simulate(
+            return scipy_events.simulate(
                 problem.model,
                 problem.frequency,
                 problem.cycles,
@@ -101,10 +100,10 @@ def scipy_rows(problem: Problem) -> list[Contender]:
 
 def numba_rows(problem: Problem) -> list[Contender]:
     def contender(steps: int) -> Contender:
-        constants = opponents_numba.scene(problem.model, steps)
+        constants = numba_rk4.scene(problem.model, steps)
 
         def run() -> Run:
-            return opponents_numba.simulate(
+            return numba_rk4.simulate(
                 problem.model, problem.frequency, problem.cycles, steps_per_cycle=steps, constants=constants
             )
 

@@ -192,7 +192,7 @@ def folds() -> None:
 def beside_pyharm(python: str) -> None:
     """A curve at n0 = 3, 9 harmonics, by both; errors against settled time integration. pyHarm has 512 samples."""
     preload, span, scheme, samples = 3.0, (0.8, 1.65), by_default(9), 512
-    model, script = oscillator(preload), Path(__file__).parent / "opponent_pyharm.py"
+    model, script = oscillator(preload), Path(__file__).parent / "opponents" / "balance_by_pyharm.py"
     at = np.round(np.arange(1.32, 1.65, 0.01), 10)
     exact, share = settled(model, at)
     print(

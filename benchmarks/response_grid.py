@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-import opponents_numba
+from opponents import numba_rk4
 from problems import oscillator
 
 from timesim.result.netcdf import open_result
@@ -55,8 +55,8 @@ def numba_march(steps: int) -> tuple[float, float, np.ndarray]:
     found = []
     for preload in PRELOADS:
         model = oscillator(preload)
-        constants = opponents_numba.scene(model, steps)
-        march = opponents_numba.march
+        constants = numba_rk4.scene(model, steps)
+        march = numba_rk4.march
         found.append([march(model, f, constants=constants, steps_per_cycle=steps).amplitude[0, 0] for f in frequency])
     seconds = time.perf_counter() - start
     return seconds, seconds, np.array(found)

@@ -7,10 +7,10 @@ its own largest entry, against dopri8 at rtol 1e-13; `known to` is how far the s
 in numba, at rtol 1e-12. Times are CPU seconds of a process that keeps to one core: the median of runs taken in turn,
 after a first one, in which compilation falls (said apart). Nothing is recorded.
 
-Opponents: scipy with terminal events (`opponents_scipy`); scipy as most write it, with if and else (`opponents_plain`);
-CVODE with roots, compiled right-hand side (`opponents_cvode`, where scikit-sundae is installed); by hand in numba RK4
-with Newton on every transition, the paper's scheme (`opponents_numba`), Tsit5 with located transitions
-(`opponents_tsit5`), return mapping without any, and a viscous law (`opponents_capture`).
+Opponents, in `opponents`: scipy with terminal events (`scipy_events.py`); scipy as most write it, with if and else
+(`scipy_plain.py`); CVODE with roots, compiled right-hand side (`cvode.py`, where scikit-sundae is installed); by hand in
+numba RK4 with Newton on every transition, the paper's scheme (`numba_rk4.py`), Tsit5 with located transitions
+(`tsit5.py`), return mapping without any, and a viscous law (`capture.py`).
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
@@ -26,12 +26,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import opponents_capture
-import opponents_numba
-import opponents_plain
-import opponents_scipy
-import opponents_tsit5
 from event_loop import Problem, marched
+from opponents import capture, numba_rk4, scipy_events, scipy_plain, tsit5
 from problems import MANY_CONTACTS_FREQUENCY, Run, many_contacts, many_modes, oscillator
 
 from timesim.engine.exponential.linear import LinearMotion, reached
@@ -170,22 +166,22 @@ def our_entries(problem: Problem, quick: bool) -> list[Entry]:
 
 def numba_entries(problem: Problem, quick: bool) -> list[Entry]:
     what, found = problem[1:], []
-    small = opponents_numba.scene(problem.model, 4)
+    small = numba_rk4.scene(problem.model, 4)
 
     def adaptive(rtol: float) -> Callable[[], Run]:
-        return lambda: opponents_tsit5.simulate(*what, rtol=rtol, constants=small)
+        return lambda: tsit5.simulate(*what, rtol=rtol, constants=small)
 
     def fixed(solve: Callable[..., Run], steps: int) -> Callable[[], Run]:
-        constants = opponents_numba.scene(problem.model, steps)
+        constants = numba_rk4.scene(problem.model, steps)
         return lambda: solve(*what, steps_per_cycle=steps, constants=constants)
 
     found += [Entry("numba Tsit5", f"rtol {r:.1e}", adaptive(r)) for r in ladder(2, 11, 1 if quick else 2)]
     # The fixed steps of an explicit scheme have to resolve the fastest mode.
     fewest = 1.2 * problem.model.stuck_rate / problem.frequency / (2 * np.pi)
     for name, solve, smallest, most in (
-        ("numba RK4, Newton", opponents_numba.simulate, 25, 3200),
-        ("numba return mapping", opponents_capture.capture, 50, 3200),
-        ("numba regularised", opponents_capture.regularised, 50, 3200),
+        ("numba RK4, Newton", numba_rk4.simulate, 25, 3200),
+        ("numba return mapping", capture.capture, 50, 3200),
+        ("numba regularised", capture.regularised, 50, 3200),
     ):
         counts = [n for n in (smallest * 2**k for k in range(0, 10, 2 if quick else 1)) if 2 * fewest <= n <= most]
         found += [Entry(name, f"{n} steps a cycle", fixed(solve, n)) for n in counts]
@@ -196,10 +192,10 @@ def python_entries(problem: Problem, quick: bool) -> list[Entry]:
     what, large = problem[1:], problem.model.structure.num_modes > 12
 
     def events(method: str, rtol: float, least: float) -> Callable[[], Run]:
-        return lambda: opponents_scipy.simulate(*what, method=method, rtol=rtol, steps_per_cycle=least)
+        return lambda: scipy_events.simulate(*what, method=method, rtol=rtol, steps_per_cycle=least)
 
     def plain(rtol: float, least: float) -> Callable[[], Run]:
-        return lambda: opponents_plain.simulate(*what, method="RK45", rtol=rtol, steps_per_cycle=least)
+        return lambda: scipy_plain.simulate(*what, method="RK45", rtol=rtol, steps_per_cycle=least)
 
     with_events = (
         [("RK45", 1e-6, 0)] if quick or large else [("RK45", 1e-4, 20), ("RK45", 1e-6, 0), ("DOP853", 1e-8, 20)]
@@ -212,10 +208,10 @@ def python_entries(problem: Problem, quick: bool) -> list[Entry]:
 def cvode_entries(problem: Problem, quick: bool) -> list[Entry]:
     if importlib.util.find_spec("sksundae") is None:
         return []
-    import opponents_cvode
+    from opponents import cvode
 
     def run(rtol: float) -> Callable[[], Run]:
-        return lambda: opponents_cvode.simulate(*problem[1:], rtol=rtol)
+        return lambda: cvode.simulate(*problem[1:], rtol=rtol)
 
     return [Entry("CVODE, roots", f"rtol {rtol:g}", run(rtol)) for rtol in ladder(4, 10, 0.5)[:: 2 if quick else 1]]
 
@@ -239,7 +235,7 @@ def timed(run: Callable[[], Run]) -> tuple[Run | None, float]:
 def measure(problem: Problem, entries: list[Entry], repeats: int, budget: float) -> tuple[list[Row], float]:
     """A row an entry, and how well the truth is known."""
     truth = marched(problem, 1, FINEST)()
-    known = error(opponents_tsit5.simulate(*problem[1:], rtol=1e-12), truth)
+    known = error(tsit5.simulate(*problem[1:], rtol=1e-12), truth)
     ends = [timed(entry.run) for entry in entries]
     # What compiles nothing need not run twice where that takes long.
     taken = [

@@ -1,4 +1,4 @@
-"""Opponent (f): `solve_ivp` as most people write it: one right-hand side with if and else, a longest step, no events.
+"""Opponent: `solve_ivp` as most people write it: one right-hand side with if and else, a longest step, no events.
 
 The state is (q, qdot, w). Which state a contact is in follows at every call from the numbers at hand, so the right-hand
 side jumps wherever a contact stops slipping, and has a kink wherever it starts to or separates.
@@ -32,7 +32,7 @@ def friction(contact: Contact, move: np.ndarray, w: np.ndarray) -> tuple[np.ndar
 
 
 def simulate(model: Model, frequency: float, cycles: int, *, method: str, rtol: float, steps_per_cycle: float) -> Run:
-    """Run `cycles` periods of the excitation from the start of the model, as `opponents_scipy.simulate` does."""
+    """Run `cycles` periods of the excitation from the start of the model, as `opponents.scipy_events.simulate` does."""
     s, x, start = model.structure, model.excitation, model.start
     m, omega = s.num_modes, 2 * np.pi * frequency
     damping = s.damping if s.damping.ndim == 2 else np.diag(s.damping)

@@ -1,4 +1,4 @@
-"""Opponents (e): fixed steps in numba that locate no transition.
+"""Opponents: fixed steps in numba that locate no transition.
 
 `capture` is what explicit finite element codes do: central differences of the structure, and each contact's force by
 a return mapping (elastic trial force, put back on the cone along the direction that an implicit Euler step of the
@@ -7,7 +7,8 @@ fluid, w' = (|f| - mu n)+ f / (|f| eta) (Perzyna 1966), with eta as small as RK4
 """
 
 import numpy as np
-from opponents_numba import Scene, compiled, inlined, scene, slip_direction
+from opponents.numba_contact import slip_direction
+from opponents.numba_system import Scene, compiled, inlined, scene
 from problems import Run
 
 from timesim.model.contact_state import start_states
@@ -164,7 +165,7 @@ def _end(model: Model, q: np.ndarray, v: np.ndarray, w: np.ndarray, state: np.nd
 def capture(
     model: Model, frequency: float, cycles: int, *, steps_per_cycle: int, constants: Scene | None = None
 ) -> Run:
-    """Central differences with a return mapping; arguments as of `opponents_numba.simulate`."""
+    """Central differences with a return mapping; arguments as of `opponents.numba_rk4.simulate`."""
     s, (q, v, w) = constants or scene(model, steps_per_cycle), _begin(model)
     state = np.array(start_states(model), dtype=np.int64)
     run_capture(s, q, v, w, state, 1 / (frequency * steps_per_cycle), cycles, steps_per_cycle)
@@ -174,7 +175,7 @@ def capture(
 def regularised(
     model: Model, frequency: float, cycles: int, *, steps_per_cycle: int, constants: Scene | None = None
 ) -> Run:
-    """RK4 through a viscous regularisation of slip; arguments as of `opponents_numba.simulate`."""
+    """RK4 through a viscous regularisation of slip; arguments as of `opponents.numba_rk4.simulate`."""
     s, (q, v, w) = constants or scene(model, steps_per_cycle), _begin(model)
     h = 1 / (frequency * steps_per_cycle)
     stiffness = [float(np.linalg.eigvalsh(c.tangential_stiffness)[-1]) for c in model.contacts]

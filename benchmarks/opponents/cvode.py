@@ -1,13 +1,15 @@
-"""Opponent (g): CVODE of SUNDIALS with its own rootfinding, restarted after each transition.
+"""Opponent: CVODE of SUNDIALS with its own rootfinding, restarted after each transition.
 
 By scikit-sundae (`pip install scikit-sundae`), with right-hand side and guards compiled by numba: those of
-`opponents_tsit5`, over the state (q, qdot, angle of slip).
+`opponents.tsit5`, over the state (q, qdot, angle of slip).
 """
 
 import numpy as np
-import opponents_numba as fixed
-from opponents_numba import compiled
-from opponents_tsit5 import lag, tolerances
+from opponents.numba_contact import contact_motion, evaluate, keep_slip, switch
+from opponents.numba_guard import GUARD, guards
+from opponents.numba_rk4 import begin
+from opponents.numba_system import columns, compiled, off_grid_load, scene, work
+from opponents.tsit5 import lag, tolerances
 from problems import Run
 from sksundae.cvode import CVODE
 
@@ -17,21 +19,21 @@ from timesim.model.model import SLIP, Model
 @compiled
 def place(s, z, t, y, omega, floor):
     """The row of a state, evaluated."""
-    o = fixed.columns(s.modes, s.pads)
+    o = columns(s.modes, s.pads)
     M = len(s.modes)
     for i in range(M):
         z.start[i], z.start[o.v + i] = y[i], y[M + i]
-    fixed.contact_motion(s, z, z.start)
+    contact_motion(s, z, z.start)
     for c in range(len(s.pads)):
         z.start[o.e + 2 * c], z.start[o.e + 2 * c + 1] = np.cos(y[2 * M + c]), np.sin(y[2 * M + c])
         z.start[o.tau + c] = z.start[o.turn + c] = 0.0
-    fixed.off_grid_load(s, 1, s.phase + omega * t)
-    fixed.evaluate(s, z, z.start, 1, floor)
+    off_grid_load(s, 1, s.phase + omega * t)
+    evaluate(s, z, z.start, 1, floor)
 
 
 @compiled
 def rate(s, z, t, y, out, omega, floor):
-    o = fixed.columns(s.modes, s.pads)
+    o = columns(s.modes, s.pads)
     M = len(s.modes)
     place(s, z, t, y, omega, floor)
     for i in range(M):
@@ -42,21 +44,21 @@ def rate(s, z, t, y, out, omega, floor):
 
 @compiled
 def margins(s, z, t, y, out, omega, floor):
-    o = fixed.columns(s.modes, s.pads)
+    o = columns(s.modes, s.pads)
     place(s, z, t, y, omega, floor)
-    fixed.guards(s, z, z.start)
+    guards(s, z, z.start)
     for j in range(2 * len(s.pads)):
-        out[j] = z.start[o.guard + j] + fixed.GUARD
+        out[j] = z.start[o.guard + j] + GUARD
 
 
 @compiled
 def cross(s, z, t, y, target, omega, floor):
     """Take a transition."""
-    o = fixed.columns(s.modes, s.pads)
+    o = columns(s.modes, s.pads)
     place(s, z, t, y, omega, floor)
-    fixed.guards(s, z, z.start)
+    guards(s, z, z.start)
     c = target // 2
-    fixed.switch(s, z, z.start, c, target % 2 == 1)
+    switch(s, z, z.start, c, target % 2 == 1)
     y[2 * len(s.modes) + c] = np.arctan2(z.start[o.e + 2 * c + 1], z.start[o.e + 2 * c])
 
 
@@ -64,27 +66,27 @@ def cross(s, z, t, y, target, omega, floor):
 def finish(s, z, t, y, omega, floor):
     place(s, z, t, y, omega, floor)
     for c in range(len(s.pads)):
-        fixed.keep_slip(s, z, z.start, c)
+        keep_slip(s, z, z.start, c)
 
 
 def simulate(model: Model, frequency: float, cycles: int, *, rtol: float, method: str = "Adams") -> Run:
-    """Run `cycles` periods of the excitation from the start of the model, as `opponents_tsit5.simulate` does."""
-    s, z = fixed.scene(model, 4), fixed.work(model, None, 0)
+    """Run `cycles` periods of the excitation from the start of the model, as `opponents.tsit5.simulate` does."""
+    s, z = scene(model, 4), work(model, None, 0)
     m, num, omega, floor = model.structure.num_modes, model.num_contacts, 2 * np.pi * frequency, lag(frequency, rtol)
-    fixed.begin(s, z, omega, floor)
-    o = fixed.columns.py_func(s.modes, s.pads)
+    begin(s, z, omega, floor)
+    o = columns.py_func(s.modes, s.pads)
     y = np.concatenate([z.start[: 2 * m], np.arctan2(z.start[o.e + 1 : o.tau : 2], z.start[o.e : o.tau : 2])])
     atol = np.repeat([*tolerances(model, frequency, rtol)[:2], rtol], [m, m, num])
 
     def right(t: float, y: np.ndarray, yp: np.ndarray) -> None:
         rate(s, z, t, y, yp, omega, floor)
 
-    def guards(t: float, y: np.ndarray, events: np.ndarray) -> None:
+    def roots(t: float, y: np.ndarray, events: np.ndarray) -> None:
         margins(s, z, t, y, events, omega, floor)
 
-    guards.terminal, guards.direction = [True] * 2 * num, [-1] * 2 * num  # type: ignore[attr-defined]
+    roots.terminal, roots.direction = [True] * 2 * num, [-1] * 2 * num  # type: ignore[attr-defined]
     options = {"rtol": rtol, "atol": atol, "max_step": 1 / (12 * frequency), "max_num_steps": 10**7}
-    solver = CVODE(right, method=method, eventsfn=guards, num_events=2 * num, **options)
+    solver = CVODE(right, method=method, eventsfn=roots, num_events=2 * num, **options)
     t, end, count, values = 0.0, cycles / frequency, 0, np.empty(2 * num)
     while t < end:
         leg = solver.solve(np.array([t, end]), y)

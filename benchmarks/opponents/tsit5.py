@@ -1,19 +1,28 @@
-"""Opponent (d): Tsit5 in numba with a controlled step and located transitions; and the same equations for CVODE.
+"""Opponent: Tsit5 in numba with a controlled step and located transitions; and the same equations for CVODE.
 
-The rows, guards and transitions of `opponents_numba`, with seven stages of Tsitouras (2011) in place of RK4 and a
-step that the embedded error controls. A step at whose end a guard is violated, or whose cubic dips below zero, is
-taken again until it ends on the earliest guard. The bound on the rate at which the direction of slip relaxes as
-n -> 0 follows the tolerance, since what it leaves is of third order in it.
-
-Numba keeps what it compiled by the date of this file alone: after a change of `opponents_numba` delete its cache.
+The rows, guards and transitions of `opponents.numba_rk4`, with seven stages of Tsitouras (2011) in place of RK4 and a
+step that the embedded error controls. The bound on the rate at which the direction of slip relaxes as n -> 0 follows
+the tolerance, since what it leaves is of third order in it.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-import opponents_numba as fixed
 from diffrax import Tsit5
-from opponents_numba import compiled, inlined
+from numba import njit
+from opponents.numba_contact import contact_motion, evaluate, keep_slip, switch, turn_to
+from opponents.numba_guard import GUARD, earliest, guards, refine
+from opponents.numba_rk4 import (
+    FAILURES,
+    MAX_EVENTS_A_STEP,
+    MAX_TRIALS,
+    STUCK_IN_LOCATION,
+    TOO_MANY_EVENTS,
+    begin,
+    keep_end,
+    shift_end,
+)
+from opponents.numba_system import Scene, columns, compiled, inlined, off_grid_load, scene, work
 from problems import Run
 
 from timesim.model.model import SLIP, Model
@@ -33,7 +42,7 @@ ERROR = tuple(float(x) for x in TABLEAU.b_error)
 
 
 class Stages(NamedTuple):
-    """What changes: rows by `opponents_numba.Columns`, and the contacts as in `opponents_numba.Work`."""
+    """What changes: rows by `Columns`, and the contacts as in `Work`."""
 
     start: np.ndarray
     end: np.ndarray
@@ -47,7 +56,7 @@ class Stages(NamedTuple):
 
 
 # Products with the zeros of the tableau go away only where the compiler may take every number for finite.
-blending = fixed.njit(cache=True, fastmath=True, error_model="numpy", forceinline=True)
+blending = njit(cache=True, fastmath=True, error_model="numpy", forceinline=True)
 
 
 @blending
@@ -58,7 +67,7 @@ def blend(z, k, weights):
 
 @inlined
 def stage(s, z, row, h, weights):
-    o = fixed.columns(s.modes, s.pads)
+    o = columns(s.modes, s.pads)
     for i in range(len(s.modes)):
         row[i] = z.start[i] + h * blend(z, o.v + i, weights)
         row[o.v + i] = z.start[o.v + i] + h * blend(z, o.a + i, weights)
@@ -67,30 +76,30 @@ def stage(s, z, row, h, weights):
         row[o.du + k] = z.start[o.du + k] + h * blend(z, o.ddu + k, weights)
     for c in range(len(s.pads)):
         if z.state[c] == SLIP:
-            fixed.turn_to(s, z, row, c, h * blend(z, o.turn + c, weights))
+            turn_to(s, z, row, c, h * blend(z, o.turn + c, weights))
 
 
 @compiled
 def step(s, z, h, theta, omega, lag):
     """One step from `start` to `end`, with accelerations and guards there; loads are written to rows 1 to 6."""
-    o = fixed.columns(s.modes, s.pads)
+    o = columns(s.modes, s.pads)
     for k in range(5):
-        fixed.off_grid_load(s, k + 1, theta + omega * h * NODES[k])
+        off_grid_load(s, k + 1, theta + omega * h * NODES[k])
     stage(s, z, z.second, h, A2)
-    fixed.evaluate(s, z, z.second, 1, lag)
+    evaluate(s, z, z.second, 1, lag)
     stage(s, z, z.third, h, A3)
-    fixed.evaluate(s, z, z.third, 2, lag)
+    evaluate(s, z, z.third, 2, lag)
     stage(s, z, z.fourth, h, A4)
-    fixed.evaluate(s, z, z.fourth, 3, lag)
+    evaluate(s, z, z.fourth, 3, lag)
     stage(s, z, z.fifth, h, A5)
-    fixed.evaluate(s, z, z.fifth, 4, lag)
+    evaluate(s, z, z.fifth, 4, lag)
     stage(s, z, z.sixth, h, A6)
-    fixed.evaluate(s, z, z.sixth, 5, lag)
+    evaluate(s, z, z.sixth, 5, lag)
     stage(s, z, z.end, h, A7)
     for c in range(len(s.pads)):
         z.end[o.tau + c] = 0.0
-    fixed.evaluate(s, z, z.end, 5, lag)
-    fixed.guards(s, z, z.end)
+    evaluate(s, z, z.end, 5, lag)
+    guards(s, z, z.end)
 
 
 @inlined
@@ -101,7 +110,7 @@ def embedded(z, k):
 @compiled
 def error(s, z, h, rtol, atol):
     """Largest error of the step by its tolerance: displacements, velocities and forces of slip."""
-    o = fixed.columns(s.modes, s.pads)
+    o = columns(s.modes, s.pads)
     size_q = size_v = off_q = off_v = 0.0
     for i in range(len(s.modes)):
         size_q = max(size_q, abs(z.start[i]), abs(z.end[i]))
@@ -125,21 +134,21 @@ def error(s, z, h, rtol, atol):
 @compiled
 def locate(s, z, theta, omega, h, x, target, lag):
     """Shorten the step until it ends on the earliest guard: its length and the guard, -1 if none."""
-    o = fixed.columns(s.modes, s.pads)
+    o = columns(s.modes, s.pads)
     low, high = 0.0, h
-    only_dips = z.end[o.guard + target] >= -fixed.GUARD
-    for _ in range(fixed.MAX_TRIALS):
+    only_dips = z.end[o.guard + target] >= -GUARD
+    for _ in range(MAX_TRIALS):
         step(s, z, x, theta, omega, lag)
-        there, target, beyond = fixed.refine(s, z, z.end, x, target)
+        there, target, beyond = refine(s, z, z.end, x, target)
         if only_dips and not beyond and z.end[o.slope + target] >= 0.0:
             return x, -1
         if abs(there - x) <= 1e-13 / omega or (x == 0.0 and beyond) or high - low <= 1e-13 / omega:
             return x, target
         if abs(there - x) <= 1e-7 / omega and there > 0.0:
-            fixed.off_grid_load(s, 5, theta + omega * there)
-            fixed.shift_end(s, z, there - x)
-            fixed.evaluate(s, z, z.end, 5, lag)
-            fixed.guards(s, z, z.end)
+            off_grid_load(s, 5, theta + omega * there)
+            shift_end(s, z, there - x)
+            evaluate(s, z, z.end, 5, lag)
+            guards(s, z, z.end)
             return there, target
         if beyond:
             high = x
@@ -155,7 +164,7 @@ def run_adaptive(s, z, frequency, cycles, rtol, atol, lag):
     omega, end = 2.0 * np.pi * frequency, cycles / frequency
     t, h, longest = 0.0, 0.002 / frequency, LONGEST / frequency
     num_events, num_steps, at_once = 0, 0, 0
-    fixed.begin(s, z, omega, lag)
+    begin(s, z, omega, lag)
     while t < end:
         h = min(h, longest)
         last = t + h >= end
@@ -168,34 +177,34 @@ def run_adaptive(s, z, frequency, cycles, rtol, atol, lag):
         if not off <= 1.0:
             h = taken * max(0.2, min(factor, 0.9)) if off > 1.0 else 0.2 * taken
             if h * omega < 1e-14 * (1.0 + omega * t):
-                return fixed.STUCK_IN_LOCATION, num_steps
+                return STUCK_IN_LOCATION, num_steps
             continue
-        x, target = fixed.earliest(s, z, taken)
+        x, target = earliest(s, z, taken)
         if target >= 0:
             x, target = locate(s, z, theta, omega, taken, x, target, lag)
             last = False
             if target < -1:
-                return fixed.STUCK_IN_LOCATION, num_steps
+                return STUCK_IN_LOCATION, num_steps
         else:
             x = taken
             h = taken * min(5.0, factor)
-        fixed.keep_end(s, z)
+        keep_end(s, z)
         t = end if last else t + x
         at_once = at_once + 1 if x == 0.0 else 0
-        if at_once > fixed.MAX_EVENTS_A_STEP:
-            return fixed.TOO_MANY_EVENTS, num_steps
+        if at_once > MAX_EVENTS_A_STEP:
+            return TOO_MANY_EVENTS, num_steps
         if target >= 0:
-            fixed.switch(s, z, z.start, target // 2, target % 2 == 1)
+            switch(s, z, z.start, target // 2, target % 2 == 1)
             num_events += 1
-            fixed.contact_motion(s, z, z.start)
-            fixed.evaluate(s, z, z.start, 5, lag)
-            fixed.guards(s, z, z.start)
+            contact_motion(s, z, z.start)
+            evaluate(s, z, z.start, 5, lag)
+            guards(s, z, z.start)
     for c in range(len(s.pads)):
-        fixed.keep_slip(s, z, z.start, c)
+        keep_slip(s, z, z.start, c)
     return num_events, num_steps
 
 
-def simulate(model: Model, frequency: float, cycles: int, *, rtol: float, constants: fixed.Scene | None = None) -> Run:
+def simulate(model: Model, frequency: float, cycles: int, *, rtol: float, constants: Scene | None = None) -> Run:
     """Run `cycles` periods of the excitation from the start of the model.
 
     Args:
@@ -203,9 +212,9 @@ def simulate(model: Model, frequency: float, cycles: int, *, rtol: float, consta
         frequency: of the excitation [Hz].
         cycles: number of periods.
         rtol: relative tolerance; the absolute one is a hundredth of it times the static deflection.
-        constants: `opponents_numba.scene(model, 4)` where it is at hand.
+        constants: `scene(model, 4)` where it is at hand.
     """
-    s, old = constants or fixed.scene(model, 4), fixed.work(model, None, 0)
+    s, old = constants or scene(model, 4), work(model, None, 0)
     z = Stages(
         old.start, old.end, old.second, old.third, old.fourth, *np.zeros((2, old.start.size)), old.pad, old.state
     )
@@ -213,14 +222,14 @@ def simulate(model: Model, frequency: float, cycles: int, *, rtol: float, consta
         s, z, frequency, cycles, rtol, tolerances(model, frequency, rtol), lag(frequency, rtol)
     )
     if num_events < 0:
-        raise RuntimeError(fixed.FAILURES[num_events])
+        raise RuntimeError(FAILURES[num_events])
     root, m = np.sqrt(model.structure.mass), model.structure.num_modes
     slip = z.pad[3 * model.num_contacts :].reshape(-1, 2)
     return Run(z.start[:m] / root, z.start[m : 2 * m] / root, slip, z.state, num_events, [])
 
 
 def lag(frequency: float, rtol: float) -> float:
-    """Shortest time that the direction of slip takes, times `opponents_numba.RELAX`."""
+    """Shortest time that the direction of slip takes, times `RELAX`."""
     return float(np.cbrt(0.1 * rtol)) / frequency
 
 

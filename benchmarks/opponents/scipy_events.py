@@ -1,4 +1,4 @@
-"""Opponent (a): scipy's `solve_ivp` with terminal events, restarted in Python after each transition.
+"""Opponent: scipy's `solve_ivp` with terminal events, restarted in Python after each transition.
 
 The laws are those of the package (equations 1 to 17 of the paper as corrected there). Between transitions
 the state is (q, qdot, alpha): a slipping contact has f = mu n e(alpha), so that |f| = mu n holds exactly,
