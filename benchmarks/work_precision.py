@@ -8,8 +8,8 @@ in numba, at rtol 1e-12. Times are CPU seconds of a process that keeps to one co
 after a first one, in which compilation falls (said apart). Nothing is recorded.
 
 Opponents, in `opponents`: scipy with terminal events (`scipy_events.py`); scipy as most write it, with if and else
-(`scipy_plain.py`); CVODE with roots, compiled right-hand side (`cvode.py`, where scikit-sundae is installed); by hand in
-numba RK4 with Newton on every transition, the paper's scheme (`numba_rk4.py`), Tsit5 with located transitions
+(`scipy_plain.py`); CVODE with roots, compiled right-hand side (`cvode.py`, where scikit-sundae is installed); by hand
+in numba RK4 with Newton on every transition, the paper's scheme (`numba_rk4.py`), Tsit5 with located transitions
 (`tsit5.py`), return mapping without any, and a viscous law (`capture.py`).
 """
 
