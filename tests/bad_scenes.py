@@ -352,6 +352,12 @@ CHANGES = (
         ("study.along", "harmonics: 7",
          "harmonics: 7\n  along: {contacts.pad.preload: {from: 1, to: 2}, contacts.pad.friction: {from: 0.1, to: 0.2}}",
          "must name one scalar, not 2", "along:"),
+        ("study.over.contacts.0.preload", "contacts.pad.preload: [1, 2]",
+         "contacts.pad.preload: [1, 2], contacts.0.preload: [3, 4]",
+         "is the same scalar as over.contacts.pad.preload (name it once)", "over:"),
+        ("study.along.contacts.pad.preload", "frequency: {from: 0.8, to: 1.65}",
+         "frequency: 1.39\n  along: {contacts.pad.preload: {from: 1, to: 2}}",
+         "is the same scalar as over.contacts.pad.preload (name it once)", "along:"),
     )),
     (BISTABLE, (
         ("study.over", "over: {contacts.pad.preload: [1, 2]}",
@@ -380,6 +386,8 @@ CHANGES = (
     (SWEEP, (
         ("study.frequency", "  frequency: {from: 0.9, to: 1.1, step: 0.05}\n", "", "is required", "study:"),
         ("study.frequency.step", ", step: 0.05", "", "is required", "frequency: {from"),
+        ("study.frequency.step", "to: 1.1, step: 0.05", "to: 0.9000000000000002, step: 2e-17",
+         "larger than the rounding of a frequency (0.9 stands twice)", "frequency: {from"),
         ("study.frequency.step", "step: 0.05", "step: 1e-9", "at most 1000000 points", "frequency: {from"),
         ("study.frequency.step", "0.9, to: 1.1, step: 0.05", "1, to: 1e99, step: 1e-300", "points, not inf", "1e99"),
         ("study.frequency.to", "0.9, to: 1.1, step: 0.05", "1, to: 1e300, step: 1e-300", "<= 1e+100", "1e300"),

@@ -289,8 +289,6 @@ class Hbm(BalanceSection):
         if not self.along and not isinstance(self.frequency, FrequencySpan):
             hint = "or give `along` a scalar of the scene"
             raise refuse("must be a mapping with from and to", key=("frequency",), value=self.frequency, hint=hint)
-        if both := set(self.along) & set(self.over):
-            raise refuse("is the scalar of `along`", key=("over", both.pop()))
         if self.along and self.start == "both_ends":
             raise refuse("must be linear, or a mapping with from, where `along` is given", key=("start",))
         return self

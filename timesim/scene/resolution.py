@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from timesim.fault import Problem, RuleError, SceneError
+from timesim.fault import Key, Problem, RuleError, SceneError
 from timesim.model.choice import Choice, choice
 from timesim.model.cost import Work
 from timesim.model.model import CONE, Contact, Excitation, Model, Structure
@@ -23,7 +23,7 @@ from timesim.model.solver import Solver
 from timesim.model.start import rest_start
 from timesim.scene.file import NO_NUMBER, Kinds, SceneFile, SceneParts, parsed, rule_errors
 from timesim.scene.integration import EndOfRun, InitialResult, start
-from timesim.scene.source import SceneSource, empty_values, overridden, read
+from timesim.scene.source import SceneSource, address, empty_values, overridden, read
 from timesim.scene.structure import BuiltStructure, ExcitationSection
 from timesim.scene.study import Context, SteadySection, combinations
 from timesim.scene.text import yaml_text
@@ -150,6 +150,7 @@ def _scene(source: SceneSource, kinds: Kinds) -> Scene:
         raise _scene_error(source, errors)
     scene = Scene(source, file, kinds)
     scene._built  # noqa: B018  shows what the sections alone cannot see
+    _check_axes(scene)
     _check_combinations(scene)
     return scene
 
@@ -178,6 +179,16 @@ def _restored(source: SceneSource, kinds: Kinds, built: "_Built") -> Scene:
     scene = Scene(source, file, kinds)
     scene.__dict__["_built"] = built
     return scene
+
+
+def _check_axes(scene: Scene) -> None:
+    """Refuse a scalar that the study varies twice, as by the name of a contact and by its number."""
+    known: dict[Key, Key] = {}
+    for place in scene.file.study.varied():
+        other = known.setdefault(address(scene.source.data, str(place[-1])), place)
+        if other != place:
+            error = RuleError(("study", *place), f"is the same scalar as {'.'.join(map(str, other))}", "name it once")
+            raise SceneError([scene.source.problem(error)])
 
 
 def _check_combinations(scene: Scene) -> None:

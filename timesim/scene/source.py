@@ -137,6 +137,14 @@ def _assignment(text: str) -> tuple[str, Any]:
     return path.strip(), parse(value.strip())[0]
 
 
+def address(data: Mapping[str, Any], path: str) -> Key:
+    """Where a key path leads in the data of a scene; the path itself, as one part, where it leads nowhere."""
+    try:
+        return _changed(data, path, 0.0)[1]
+    except RuleError:
+        return (path,)
+
+
 def _changed(place: Any, path: str, value: Any, above: Key = ()) -> tuple[Any, Key]:
     """A copy of the data at a key with another value at a path below it, and the whole key path of that value.
 

@@ -205,6 +205,8 @@ class Frequencies(Section):
             raise refuse(rule, key=("step",), value=self.step)
         if count < 1:
             raise refuse("must not be smaller than from", key=("to",), value=self.to)
+        if twice := repeated(spaced(*self.spacing).tolist()):
+            raise refuse("must be larger than the rounding of a frequency", key=("step",), value=self.step, hint=twice)
         return self
 
     @property
