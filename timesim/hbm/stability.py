@@ -1,12 +1,14 @@
 """Stability of periodic solutions: Floquet multipliers of the linearised contact law.
 
-Over one sample interval the modes move exactly for a contact force that varies linearly, and the law of
-`timesim.hbm.period`, linearised about the solution, gives that force from the motion and from the elastic displacement
-d of the contacts. The product of these maps over the period is the monodromy matrix of (q, q', d), whose eigenvalues
-are the multipliers. The memory of the contacts is therefore a part of the state; transitions need no saltation, since
-the contact force is continuous through all of them and the derivatives of an interval hold their shift. Disturbances
-so large that the contacts take on states which the solution does not have are beyond a linearisation: a small push
-may free a contact that sticks all along.
+Over one sample interval the modes move exactly for the mean of the contact forces at both ends. That is of second order
+however stiff a contact is (the average acceleration of N. M. Newmark, J. Eng. Mech. Div. ASCE 85 (1959) 67-94); forces
+taken as linear would grow without end where one vibrates faster than the samples. The law of `timesim.hbm.period`,
+linearised about the solution, gives these forces from the motion and from the elastic displacement d of the contacts.
+The product of these maps over the period is the monodromy matrix of (q, q', d), whose eigenvalues are the multipliers.
+The memory of the contacts is therefore a part of the state; transitions need no saltation, since the contact force is
+continuous through all of them and the derivatives of an interval hold their shift. Disturbances so large that the
+contacts take on states which the solution does not have are beyond a linearisation: a small push may free a contact
+that sticks all along.
 
 The number of real multipliers above 1 is odd where the determinant of the balance is negative. That is exact, unlike
 the multipliers, in which the samples leave an error. But a contact that sticks keeps its slip, hence the offset g of
@@ -44,12 +46,12 @@ NEAR_ONE = 0.03
 # Modulus of a multiplier up to which growth is seen again with `MANY` samples before it counts: with those that the
 # harmonics need a pair of 0.9985 was 1.0042 on a structure of eleven modes.
 NEARLY, MANY = 1.03, 1024
-# With so many the largest multiplier errs by at most 2e-2 on the paper's oscillator in slip and separation (measured).
+# With so many the largest multiplier errs by at most 3e-3 on the paper's oscillator in slip and separation (measured).
 SAMPLES = 128
 # Entries of the maps over the intervals that are in memory at a time.
 MAX_ENTRIES = 2_000_000
-# What the law gives over an interval: d, and the forces put on the samples before and after it.
-RESULTS = (slice(0, 2), slice(2, 5), slice(5, 8))
+# What the law gives over an interval: d, and the force put on the samples beside it.
+RESULTS = (slice(0, 2), slice(2, 5))
 # Contacts, of several solutions, that one call evaluates.
 SIDE_BY_SIDE = 16
 
@@ -133,9 +135,9 @@ def with_offsets_kept(curve: Curve, sign: NDArray[np.int64]) -> Curve:
 def _linearised(balance: Balance, coefficient: Array, samples: int) -> list[Array]:
     """Derivatives of what the law gives over each interval, and the normal stiffness that acts at its end.
 
-    The former are those of d at its end and of the forces put on both samples, 8 for a contact, by d at its start and
-    by the motion s = (u1, u2, v) and its rates at both ends, time in units of the interval: shapes (S, N, C, 8, 2),
-    twice (S, N, C, 8, 6), and (S, N, C).
+    The former are those of d at its end and of the force put on the samples beside it, 5 for a contact, by d at its
+    start and by the motion s = (u1, u2, v) and its rates at both ends, time in units of the interval: shapes
+    (S, N, C, 5, 2), twice (S, N, C, 5, 6), and (S, N, C).
     """
     basis, count = basis_of(balance.scheme.harmonics, samples), max(1, SIDE_BY_SIDE // balance.num_contacts)
     law = jax.tree.map(lambda leaf: np.tile(leaf, count), balance.law)
@@ -150,53 +152,50 @@ def _linearised(balance: Balance, coefficient: Array, samples: int) -> list[Arra
             np.concatenate([-change, v0, rate0, dv0], axis=-1),
             np.concatenate([change, v1, rate1, dv1], axis=-1),
         )
-        rows = slope.start, before, after, touching_stiffness(law, period.motion)
+        slopes = [
+            np.concatenate([part[..., :2, :], part[..., 2:5, :] + part[..., 5:, :]], axis=-2)
+            for part in (slope.start, before, after)
+        ]
+        rows = *slopes, touching_stiffness(law, period.motion)
         return [leaf.reshape(samples, count, -1, *leaf.shape[2:]).swapaxes(0, 1)[: len(own)] for leaf in rows]
 
     parts = [local(coefficient[first : first + count]) for first in range(0, len(coefficient), count)]
     return [np.concatenate(column) for column in zip(*parts, strict=True)]
 
 
-def _steps(balance: Balance, frequency: Array, samples: int) -> tuple[Array, Array, Array]:
-    """The modes over an interval: x1 = keep x0 + first g0 + last g1 for a force g that varies linearly.
+def _steps(balance: Balance, frequency: Array, samples: int) -> tuple[Array, Array]:
+    """The modes over an interval: x1 = keep x0 + hold (g0 + g1) for the forces g at its ends, their mean held.
 
     x = (q, q'), time in periods over 2 pi; shapes (S, 2M, 2M), or (S, M, 2, 2) of modes that the damping leaves apart,
-    and twice (S, 2M, 3C).
+    and (S, 2M, 3C).
     """
     if balance.damping.ndim == 2:
         each = [_coupled_step(balance, one, samples) for one in frequency]
-        keep, first, last = (np.stack(column) for column in zip(*each, strict=True))
-        return keep, first, last
+        keep, hold = (np.stack(column) for column in zip(*each, strict=True))
+        return keep, hold
     size, span = balance.model.structure.num_modes, 2 * np.pi / samples
     omega = 2 * np.pi * frequency[:, None]
-    whole = np.zeros((len(frequency), size, 4, 4))
+    whole = np.zeros((len(frequency), size, 3, 3))
     whole[..., 0, 1] = span
-    whole[..., 2, 3] = 1.0
     whole[..., 1, 0] = -((balance.model.structure.omega / omega) ** 2) * span
     whole[..., 1, 1] = -balance.damping / omega * span
-    whole[..., 1, 2] = span / omega**2
+    whole[..., 1, 2] = span / omega**2 / 2
     flow = expm(whole)
-    begin, end = flow[..., :2, 2] - flow[..., :2, 3], flow[..., :2, 3]
-    first, last = (
-        (part.swapaxes(1, 2)[..., None] * balance.shape.T).reshape(len(frequency), 2 * size, -1)
-        for part in (begin, end)
-    )
-    return flow[..., :2, :2], first, last
+    hold = flow[..., :2, 2].swapaxes(1, 2)[..., None] * balance.shape.T
+    return flow[..., :2, :2], hold.reshape(len(frequency), 2 * size, -1)
 
 
-def _coupled_step(balance: Balance, frequency: float, samples: int) -> tuple[Array, Array, Array]:
+def _coupled_step(balance: Balance, frequency: float, samples: int) -> tuple[Array, Array]:
     """The same at one frequency for modes that the damping couples."""
     omega, span = 2 * np.pi * frequency, 2 * np.pi / samples
-    size, forces = balance.model.structure.num_modes, 3 * balance.num_contacts
-    whole = np.zeros((2 * size + 2 * forces,) * 2)
+    size = balance.model.structure.num_modes
+    whole = np.zeros((2 * size + 3 * balance.num_contacts,) * 2)
     whole[:size, size : 2 * size] = np.eye(size) * span
     whole[size : 2 * size, :size] = -np.diag((balance.model.structure.omega / omega) ** 2) * span
     whole[size : 2 * size, size : 2 * size] = -balance.damping / omega * span
-    whole[size : 2 * size, 2 * size : -forces] = balance.shape.T * (span / omega**2)
-    whole[2 * size : -forces, -forces:] = np.eye(forces)
+    whole[size : 2 * size, 2 * size :] = balance.shape.T * (span / omega**2 / 2)
     flow = expm(whole)[: 2 * size]
-    last = flow[:, -forces:]
-    return flow[:, : 2 * size], flow[:, 2 * size : -forces] - last, last
+    return flow[:, : 2 * size], flow[:, 2 * size :]
 
 
 def _kept(keep: Array, x: Array) -> Array:
@@ -208,13 +207,13 @@ def _kept(keep: Array, x: Array) -> Array:
     return np.concatenate([k[:, :, 0, 0] * q + k[:, :, 0, 1] * p, k[:, :, 1, 0] * q + k[:, :, 1, 1] * p], axis=1)
 
 
-def _monodromy(balance: Balance, steps: tuple[Array, Array, Array], local: list[Array]) -> Array:
+def _monodromy(balance: Balance, steps: tuple[Array, Array], local: list[Array]) -> Array:
     """Product of the maps of (x, d) over the intervals of a period, shape (S, 2M + 2C, 2M + 2C).
 
-    The motion s = T x of the contacts and d at its end obey the law, with the force g = -K d - P s at both ends and
-    what is put on them for the kinks between.
+    The motion s = T x of the contacts and d at its end obey the law, with the force g = -K d - P s at both ends. What
+    is put on them for kinks acts for a whole interval: for twice as long as an end does by `hold`.
     """
-    keep, first, last = steps
+    keep, hold = steps
     *slopes, touching = local
     ratio, num_modes = balance.force / balance.length, balance.shape.shape[1]
     press = np.zeros((*touching.shape, 3, 6))
@@ -223,23 +222,18 @@ def _monodromy(balance: Balance, steps: tuple[Array, Array, Array], local: list[
     carry, begin, end = ([_blocks(part[..., rows, :]) for rows in RESULTS] for part in slopes)
     seen = _seen(balance, touching.shape[1])
     size = 2 * num_modes + carry[0].shape[-1]
-    start = np.broadcast_to(np.eye(size), (len(first), size, size))
+    start = np.broadcast_to(np.eye(size), (len(hold), size, size))
     x, d = start[:, : 2 * num_modes], start[:, 2 * num_modes :]
     s = seen @ x
     g = -spring @ d - press[:, -1] @ s
-    felt = (seen @ first)[:, None] @ (ratio * end[1]) + (seen @ last)[:, None] @ (
-        spring @ end[0] + press + ratio * end[2]
-    )
-    inverse = np.linalg.inv(np.eye(len(seen)) + felt)
+    felt = spring @ end[0] + press + 2 * ratio * end[1]
+    inverse = np.linalg.inv(np.eye(len(seen)) + (seen @ hold)[:, None] @ felt)
     for k in range(touching.shape[1]):
-        moved, early, late = (a[:, k] @ d + b[:, k] @ s for a, b in zip(carry, begin, strict=True))
-        free = _kept(keep, x) + first @ (g - ratio * early) - last @ (spring @ moved + ratio * late)
+        moved, put = (a[:, k] @ d + b[:, k] @ s for a, b in zip(carry, begin, strict=True))
+        free = _kept(keep, x) + hold @ (g - 2 * ratio * put - spring @ moved)
         s = inverse[:, k] @ (seen @ free)
         d = moved + end[0][:, k] @ s
-        x = (
-            free
-            - (first @ (ratio * end[1][:, k]) + last @ (spring @ end[0][:, k] + press[:, k] + ratio * end[2][:, k])) @ s
-        )
+        x = free - hold @ (felt[:, k] @ s)
         g = -spring @ d - press[:, k] @ s
     return np.concatenate([x, d], axis=1)
 
