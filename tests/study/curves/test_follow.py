@@ -82,13 +82,13 @@ def test_an_interrupt_keeps_what_is_followed(here: Any, tmp_path: Path, at_once:
         def each(self, works: Any) -> Iterator[Any]:
             yield 0, follow.followed_set(*works[0][2])
             halt, points = Event(), itertools.count()
-            halt_by(halt)
+            halt_by(halt.is_set)
             count_by(lambda: halt.set() if next(points) == 20 else None)
             try:
                 yield 2, follow.followed_set(*works[2][2])
             finally:
-                halt_by(None)
-                count_by(None)
+                halt_by(lambda: False)
+                count_by(lambda: None)
             raise KeyboardInterrupt
 
     with Interrupted(2) as own:

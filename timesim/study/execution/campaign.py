@@ -14,6 +14,7 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
+from itertools import count
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -231,8 +232,9 @@ class _Campaign:
         before = None if chunk.after is None else self.results[chunk.after]
         future = self._begun_elsewhere(chunk, before)
         if future is None:
-            count = partial(self._count_point, chunk) if self.execution.cluster is None else None
-            future = executor.submit(perform, self.work, chunk, before, count)
+            points = count(1)
+            tick = None if self.execution.cluster else lambda: self._count_points(chunk, next(points))
+            future = executor.submit(perform, self.work, chunk, before, tick)
         self.running[future] = chunk
         future.add_done_callback(self.arrived.put)
 
@@ -267,14 +269,8 @@ class _Campaign:
             self.under_way.pop(chunk.name, None)
             self._show()
 
-    def _count_point(self, chunk: Chunk) -> None:
-        """Count a point of a chunk; the last point counts when the chunk is done, since it may search on."""
-        with self.counting:
-            self.under_way[chunk.name] = min(self.under_way.get(chunk.name, 0) + 1, chunk.size - 1)
-            self._show()
-
     def _count_points(self, chunk: Chunk, points: int) -> None:
-        """Take in how many points of a chunk are done in another process."""
+        """Take in how many points of a chunk are done; the last counts when the chunk is, since it may search on."""
         with self.counting:
             if chunk.name not in self.results:
                 self.under_way[chunk.name] = min(points, chunk.size - 1)

@@ -166,7 +166,7 @@ def _begin(halt: Event, counts: Any) -> None:
     """Set up a process: the one that has started it stops it, and it ends when that one does."""
     global _COUNTS
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    halt_by(halt)
+    halt_by(halt.is_set)
     _COUNTS = counts
     parent = multiprocessing.parent_process()
     assert parent is not None

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -43,41 +43,30 @@ class ExecutionError(ValueError):
     """A study cannot be carried out in the way asked for; the message names it, the reason and what to do."""
 
 
-def perform(work: Work, chunk: Chunk, before: Result | None, count: Callable[[], None] | None = None) -> Result:
+def perform(work: Work, chunk: Chunk, before: Result | None, count: Callable[[], object] | None = None) -> Result:
     """Do the work of a chunk; its result is the same whether passed on in memory, sent or read from a file.
 
     ``count``: called after each of its points; by default what `count_by` has set.
     """
     if count is not None:
-        _COUNT.set(count)
+        count_by(count)
     return {str(name): np.asarray(array) for name, array in work(chunk.payload, before).items()}
 
 
-class Event(Protocol):
-    """An event, of threads or of processes, that stops work."""
-
-    def is_set(self) -> bool:
-        """Whether it is to stop."""
-        ...
-
-
-_HALT: ContextVar[Event | None] = ContextVar("halt", default=None)
-_COUNT: ContextVar[Callable[[], None] | None] = ContextVar("count", default=None)
+_HALT: ContextVar[Callable[[], bool]] = ContextVar("halt", default=lambda: False)
+_COUNT: ContextVar[Callable[[], object]] = ContextVar("count", default=lambda: None)
 halt_by = _HALT.set
 count_by = _COUNT.set
 
 
 def halted() -> bool:
     """Whether the chunk that this thread works on is to be given up; long work asks, and raises KeyboardInterrupt."""
-    event = _HALT.get()
-    return event is not None and event.is_set()
+    return _HALT.get()()
 
 
 def point_done() -> bool:
     """Count a point of the chunk that this thread works on; whether the chunk is to be given up, as `halted`."""
-    count = _COUNT.get()
-    if count is not None:
-        count()
+    _COUNT.get()()
     return halted()
 
 
@@ -111,7 +100,7 @@ def threads(workers: int | None = None) -> Iterator[Executor]:
     """Threads of this process. If left early, it waits for the chunks under way, since a thread cannot be stopped."""
     halt = threading.Event()
     count = default_workers() if workers is None else workers
-    executor = ThreadPoolExecutor(count, "timesim", initializer=_HALT.set, initargs=(halt,))
+    executor = ThreadPoolExecutor(count, "timesim", initializer=halt_by, initargs=(halt.is_set,))
     try:
         yield executor
     finally:
