@@ -83,6 +83,9 @@ class Bench:
         """Seconds left."""
         return self.plan.budget - (time.perf_counter() - self.begun)
 
+    def _show(self, words: str) -> None:
+        self.execution.progress(self.plan.budget - max(self.left, 0.0), self.plan.budget, words)
+
     def try_(self, solver: Solver, *, num_modes: int | None = None, preset: str = "") -> Trial | None:
         """Run and time a solver with the lowest modes; None where there is no time for it, or it fails."""
         kept = num_modes or self.model.structure.num_modes
@@ -92,7 +95,7 @@ class Bench:
                 return self.trials[i]
         name = str(solver) + (f", {counted(kept, 'mode')}" if kept < self.model.structure.num_modes else "")
         name += "" if solver.reduce else ", nothing left out"
-        self.execution.progress(self.plan.budget - max(self.left, 0.0), self.plan.budget, name)
+        self._show(name)
         if self.trials and self._guess(solver, kept) > self.left:
             self.left_out.append(f"{name}: no time left")
             return None
@@ -108,7 +111,7 @@ class Bench:
         """Time the short runs once more, since the machine may have done other work during the first ones."""
         for i, trial in enumerate(self.trials):
             if trial.seconds < min(REPEATED, self.left):
-                self.execution.progress(self.plan.budget - self.left, self.plan.budget, f"{trial.solver} again")
+                self._show(f"{trial.solver} again")
                 model, clock = self.model_of(trial.num_modes), time.perf_counter()
                 _through(model, trial.solver, self.plan.frequency, self.plan.cycles)
                 self.trials[i] = replace(trial, seconds=min(trial.seconds, time.perf_counter() - clock))
@@ -129,7 +132,7 @@ class Bench:
         totals = totals_of(run)
         for steps in run.batches():
             totals.add(steps, run.completed)
-            self.execution.progress(self.plan.budget - max(self.left, 0.0), self.plan.budget, "settling")
+            self._show("settling")
             if self.left < until and run.completed > 1:
                 break
         self._compiling.setdefault(program(SETTLING, model.structure.num_modes), run.compile_seconds)
@@ -195,19 +198,12 @@ def lowest_modes(model: Model, count: int) -> Model:
     """The model with its lowest modes alone."""
     if count == model.structure.num_modes:
         return model
-    body, load, start = model.structure, model.excitation, model.start
-    few = slice(count)
-    damping = body.damping[few] if body.damping.ndim == 1 else body.damping[few, few]
-    return Model(
-        replace(
-            body,
-            frequency=body.frequency[few],
-            mass=body.mass[few],
-            damping=damping,
-            shape=body.shape[:, :, few],
-        ),
-        model.contacts,
-        replace(load, cosine=load.cosine[:, few], sine=load.sine[:, few], constant=load.constant[few]),
-        Start(start.displacement[few], start.velocity[few], start.slip, start.state, start.phase),
-        model.notes,
+    few, body, load, start = slice(count), model.structure, model.excitation, model.start
+    damping = body.damping[(few,) * body.damping.ndim]
+    shape = body.shape[:, :, few]
+    return replace(
+        model,
+        structure=replace(body, frequency=body.frequency[few], mass=body.mass[few], damping=damping, shape=shape),
+        excitation=replace(load, cosine=load.cosine[:, few], sine=load.sine[:, few], constant=load.constant[few]),
+        start=replace(start, displacement=start.displacement[few], velocity=start.velocity[few]),
     )
