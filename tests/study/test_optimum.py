@@ -14,6 +14,7 @@ from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.settling import Chain, steady_states
 from timesim.orbit.steady_state import without_orbit
 from timesim.picture import optimum as plot_optimum
+from timesim.scene.study import SweepPlan
 from timesim.scene.sweep import OptimumPlan
 from timesim.study import registry as plot
 from timesim.study.execution.campaign import Execution
@@ -141,7 +142,6 @@ class Known(Peaks):
 @pytest.mark.parametrize("power", [1, 2, 4])
 def test_the_least_peak_to_the_accuracy(best: float, power: int):
     peaks = Known(lambda value: 0.1 + abs(value - best) ** power)
-    peaks.first()
     peaks.search()
     # A flat minimum is known no better than its peaks differ by more than those of the time integration do.
     assert abs(peaks.least() - best) < (1e-3 if power < 4 else 3e-2)
@@ -151,7 +151,6 @@ def test_the_least_peak_to_the_accuracy(best: float, power: int):
 
 def test_the_least_of_two_valleys_counts():
     peaks = Known(lambda value: min(1 + (value - 2.2) ** 2, 0.9 + (value - 7.3) ** 2))
-    peaks.first()
     peaks.search()
     assert peaks.least() == pytest.approx(7.3, abs=1e-3)
 
@@ -159,10 +158,9 @@ def test_the_least_of_two_valleys_counts():
 def test_a_peak_that_is_the_same_over_a_span_is_told_and_drawn_so():
     """As where a contact sticks from a preload on."""
     peaks = Known(lambda value: 2.8 + max(0.0, 5.3 - value) ** 2)
-    peaks.first()
     peaks.search()
     data = data_of(peaks).assign_attrs(complete=1)
-    assert len(peaks.computed) <= len(peaks.plan.values) + 4
+    assert len(peaks.computed) <= len(peaks.values) + 4
     (line,) = [line for line in optimum_lines(data, 1e-3) if "the peak is the same" in line]
     first, last = (float(word.strip(":")) for word in (line.split()[6], line.split()[8]))
     assert 5.2 < first < 6.1
@@ -173,7 +171,6 @@ def test_a_peak_that_is_the_same_over_a_span_is_told_and_drawn_so():
 
 def test_a_value_without_a_motion_is_named():
     peaks = Known(lambda value: np.nan if 3.1 < value < 3.9 else (value - 3.5) ** 2)
-    peaks.first()
     with pytest.raises(SearchError, match=r"no steady state was found at contacts.pad.preload = 3\.\d+: it broke"):
         peaks.search()
     lines = list(optimum_lines(data_of(peaks).assign_attrs(complete=0), 1e-3))
@@ -184,7 +181,6 @@ def test_a_value_without_a_motion_is_named():
 def test_the_kind_of_a_motion_without_a_period_is_named():
     """Of the least peak, and of the points of the sweeps."""
     peaks = Known(lambda value: (value - 3) ** 2)
-    peaks.first()
     peaks.search()
     peaks.results[3.0]["settled"][0, 2:4], peaks.results[3.0]["irregular"][0, 2] = False, 1
     for settled, irregular, said in ((1, 0, None), (0, 0, "its motion had not settled"), (0, 1, "its motion does not")):
@@ -203,7 +199,8 @@ def test_the_size_of_a_response():
     amplitude = np.array([[0.1, 0.3, 0.2]])
     orbit = replace(without_orbit(model, ""), amplitude=amplitude, reason=None)
     for point, axis, size in ((None, None, 0.3), ("tip", "x", 0.1), ("tip", None, 0.3), (None, "z", 0.2)):
-        plan = OptimumPlan(KEY, (3.0, 4.0), 0.1, np.array([1.4]), Criterion(), point, axis)
+        sweep = SweepPlan(np.array([1.4]), ("up", "down"), {KEY: (3.0, 4.0)}, Criterion(), None)
+        plan = OptimumPlan(sweep, 0.1, point, axis)
         assert Response(model, plan, PRESETS["draft"]).size(orbit) == size
 
 

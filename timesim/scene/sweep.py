@@ -4,12 +4,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from timesim.fault import RuleError
 from timesim.model.model import CONE, Model
-from timesim.model.solver import Criterion
 from timesim.scene.hbm import HarmonicsOrNone, HbmPlan, TimeSamples, balance_problems, balanced, default_steps
 from timesim.scene.section import refuse
 from timesim.scene.study import (
@@ -34,7 +32,6 @@ class Sweep(SweepSection):
     kind: Literal["sweep"]
 
     def plan(self, context: Context) -> SweepPlan:
-        """The sweep."""
         return self.sweep()
 
 
@@ -46,19 +43,14 @@ class OptimumPlan:
     """The peak over frequency against a scalar.
 
     Attributes:
-        key: of the scalar.
-        values: computed first, ascending; the least peak is sought between the first and the last of them.
+        sweep: up and down at ascending values of the scalar, its only further axis; the least peak is sought between
+            the first and the last of them.
         accuracy: of the value of the scalar where the peak is least.
-        frequency: [Hz], ascending, shape (F,).
-        criterion: when a motion counts as settled.
         point, axis: whose amplitude counts; the largest of all where it is None.
     """
 
-    key: str
-    values: tuple[float, ...]
+    sweep: SweepPlan
     accuracy: float
-    frequency: np.ndarray
-    criterion: Criterion
     point: str | None
     axis: str | None
 
@@ -97,18 +89,14 @@ class Optimum(SteadySection):
         return self.completed(accuracy=ACCURACY * span)
 
     def plan(self, context: Context) -> OptimumPlan:
-        """The scalar, the frequencies, and the point and axis whose amplitude counts."""
-        sweep = self.sweep()
-        ((key, values),) = sweep.over.items()
         assert self.accuracy is not None
-        return OptimumPlan(key, values, self.accuracy, sweep.frequency, sweep.criterion, self.point, self.axis)
+        return OptimumPlan(self.sweep(), self.accuracy, self.point, self.axis)
 
     def sweep(self) -> SweepPlan:
         """Up and down at each value of the scalar that is computed first."""
         return SweepPlan(self.frequency.values(), ("up", "down"), axes_of(self.along), self.criterion(), None)
 
     def search(self) -> str:
-        """The value of least peak."""
         return ", and the search for the least"
 
 
@@ -190,7 +178,6 @@ class Bistable(SteadySection):
         return SweepPlan(frequency, ("up", "down"), axes_of(self.over), self.criterion(), self.width)
 
     def search(self) -> str:
-        """The ends of the ranges."""
         return " in the sweeps, and the search for the ends"
 
     def plan(self, context: Context) -> BistablePlan:

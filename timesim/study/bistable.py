@@ -17,7 +17,7 @@ from timesim.model.solver import NEVER, Criterion, Solver
 from timesim.orbit.basin import LOWER, UPPER, explore, shares
 from timesim.orbit.fourier import phase_deg
 from timesim.orbit.settling import Chain, steady_states, warm_up
-from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of, end_of
+from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of
 from timesim.orbit.two_motions import UP, Search, ranges_of
 from timesim.result.dataset import dataset
 from timesim.result.label import counted, in_words
@@ -30,7 +30,7 @@ from timesim.study.execution.worker import point_done
 from timesim.study.hbm import compile_beside, followed
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import bistable_lines, failure_line, fold_lines, number_of_states, unusual_lines
-from timesim.study.sweep import STEPS_A_CHUNK, Grid, sizes_of
+from timesim.study.sweep import STEPS_A_CHUNK, Grid, continued, sizes_of
 
 SEARCH = "sweeps, ends and starts"  # phase of the progress
 
@@ -57,12 +57,7 @@ class Part(Payload):
 
     def result(self, before: Result | None) -> Result:
         """All steady states of both sweeps so far, in the order of each."""
-        chains = []
-        for direction, frequencies in enumerate((self.up, self.down)):
-            start = self.model.start
-            if before is not None and not before["reason"][direction, -1]:
-                start = end_of(before, (direction, -1), start.phase)
-            chains.append(Chain(replace(self.model, start=start), frequencies))
+        chains = [continued(Chain(self.model, own), i, before) for i, own in enumerate((self.up, self.down))]
         here = columns_of(self.steady(chains)) | {"frequency": np.array([self.up, self.down])}
         if before is None:
             return here

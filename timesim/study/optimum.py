@@ -8,8 +8,10 @@ by bounded minimisation [1]_, until no value at the distance of the accuracy has
 """
 
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -20,15 +22,15 @@ from timesim.model.model import Model
 from timesim.model.solver import Solver
 from timesim.orbit.settling import Chain, steady_states, warm_up
 from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of
-from timesim.result.dataset import Arrays, dataset
+from timesim.result.dataset import Arrays
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import OptimumPlan
 from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import Phases
 from timesim.study.execution.worker import point_done
-from timesim.study.outcome import Outcome, attributes, unit_names
+from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import TIE, as_low, failure_line, optimum_lines
-from timesim.study.sweep import blank_columns, variables_of
+from timesim.study.sweep import blank_columns, steady_dataset
 
 NEARLY = 0.9  # of the largest amplitude: other maxima above it may be larger between the points of the sweep
 FINE = 1e-3  # of a step of the sweep: the frequency of a peak, whose height depends on it in second order only
@@ -36,10 +38,20 @@ CHECKS = 6  # times that the search moves on to a smaller peak beside the optimu
 FLAT = 0.25  # share of the range searched, over which three values or more have the least peak: it is flat there
 
 
-# The largest amplitude for a value, its frequency [Hz], whether that is an end of the sweep, the kind of its motion.
-PEAK = ("peak", "peak_frequency", "peak_at_end", "peak_settled", "peak_irregular")
-
 FIRST, SEARCH = "values of the range", "search for the least"  # phases of the progress
+
+
+class Peak(NamedTuple):
+    """The largest amplitude for a value, its frequency [Hz], whether that is an end of the sweep, the kind of motion.
+
+    The names are those of the variables of the result.
+    """
+
+    peak: float
+    peak_frequency: float = np.nan
+    peak_at_end: bool = False
+    peak_settled: bool = False
+    peak_irregular: bool = False
 
 
 @dataclass(frozen=True)
@@ -58,7 +70,7 @@ class Response:
 
     def steady(self, *chains: Chain) -> list[list[Orbit]]:
         """The steady states of chains."""
-        return steady_states(chains, self.solver, self.plan.criterion, halted=point_done)
+        return steady_states(chains, self.solver, self.plan.sweep.criterion, halted=point_done)
 
 
 class SearchError(Exception):
@@ -71,28 +83,26 @@ class FlatError(Exception):
 
 def respond(response: Response, before: Result | None) -> Result:
     """Both sweeps with one value of the scalar, and their peak."""
-    model, up = response.model, tuple(map(float, response.plan.frequency))
+    model, up = response.model, tuple(map(float, response.plan.sweep.frequency))
     orbits = response.steady(Chain(model, up), Chain(model, up[::-1]))
     orbits[1] = orbits[1][::-1]
-    columns = columns_of(orbits)
-    height, frequency, *kinds = _peak(response, orbits)
-    peak = (height, frequency, *map(int, kinds))
-    return columns | {name: np.array(value) for name, value in zip(PEAK, peak, strict=True)}
+    peak = {name: np.array(value + 0) for name, value in _peak(response, orbits)._asdict().items()}
+    return columns_of(orbits) | peak
 
 
-def _peak(response: Response, orbits: list[list[Orbit]]) -> tuple[float, float, bool, bool, bool]:
-    """The largest amplitude, in the order of `PEAK`."""
+def _peak(response: Response, orbits: list[list[Orbit]]) -> Peak:
+    """The largest amplitude of both sweeps, refined between their points."""
     size = np.array([[response.size(orbit) for orbit in own] for own in orbits])
     if not np.isfinite(size).any():
-        return np.nan, np.nan, False, False, False
+        return Peak(np.nan)
     known = np.where(np.isfinite(size), size, -np.inf)
-    best = (-np.inf, np.nan, False, False, False)
+    best = Peak(-np.inf)
     last = size.shape[1] - 1
     for d, i in np.argwhere(known >= NEARLY * known.max()).tolist():
         if known[d, i] < known[d, max(i - 1, 0) : i + 2].max():
             continue
-        frequency, at_end = float(response.plan.frequency[i]), last > 0 and i in (0, last)
-        best = max(best, (size[d, i], frequency, at_end, orbits[d][i].settled, orbits[d][i].irregular))
+        frequency, at_end = float(response.plan.sweep.frequency[i]), last > 0 and i in (0, last)
+        best = max(best, Peak(size[d, i], frequency, at_end, orbits[d][i].settled, orbits[d][i].irregular))
         if d == 1 and np.isclose(size[0, i], size[1, i], rtol=1e-6):
             continue
         if 0 < i < last:
@@ -100,18 +110,18 @@ def _peak(response: Response, orbits: list[list[Orbit]]) -> tuple[float, float, 
     return best
 
 
-def _refined(response: Response, orbit: Orbit, i: int) -> tuple[float, float, bool, bool, bool]:
-    """The peak between the neighbours of a point of the sweep, its motion carried along, in the order of `PEAK`."""
-    low, high = (float(response.plan.frequency[k]) for k in (i - 1, i + 1))
+def _refined(response: Response, orbit: Orbit, i: int) -> Peak:
+    """The peak between the neighbours of a point of the sweep, its motion carried along."""
+    low, high = (float(response.plan.sweep.frequency[k]) for k in (i - 1, i + 1))
     model = replace(response.model, start=orbit.end)
-    seen: list[tuple[float, float, bool, bool, bool]] = []
+    seen: list[Peak] = []
 
     def fall(frequency: float) -> float:
         ((there,),) = response.steady(Chain(model, (float(frequency),)))
         size = response.size(there)
         known = size if np.isfinite(size) else -np.inf
-        seen.append((known, float(frequency), False, there.settled, there.irregular))
-        return -seen[-1][0]
+        seen.append(Peak(known, float(frequency), False, there.settled, there.irregular))
+        return -known
 
     minimize_scalar(fall, bounds=(low, high), method="bounded", options={"xatol": FINE * (high - low) / 2})
     return max(seen)
@@ -123,10 +133,11 @@ class Peaks:
     def __init__(self, scene: Scene, execution: Execution):
         plan: OptimumPlan = scene.plan
         self.scene, self.plan, self.execution = scene, plan, execution
-        points = 2 * plan.frequency.size
-        sizes = {FIRST: len(plan.values) * points, SEARCH: _stages(plan) * points}
-        self.phases = Phases(execution.progress, sizes)
-        self.key, self.solver, self.frequency = plan.key, scene.solver(), plan.frequency
+        ((self.key, self.values),) = plan.sweep.over.items()
+        self.solver, self.frequency = scene.solver(), plan.sweep.frequency
+        self.expected = _expected_stages(self.values, plan.accuracy)
+        points = 2 * self.frequency.size
+        self.phases = Phases(execution.progress, {FIRST: plan.sweep.size, SEARCH: self.expected * points})
         self.results: dict[float, Result] = {}
         self.stages = 0
 
@@ -155,7 +166,7 @@ class Peaks:
 
     def _searched(self, done: float, number: float, phase: str = "", /) -> None:
         """Take in the progress of a stage of the search, which may need more stages than expected."""
-        stages = max(_stages(self.plan), self.stages + 1)
+        stages = max(self.expected, self.stages + 1)
         self.phases[SEARCH](self.stages - 1 + done / number, stages, f"{SEARCH}, value {self.stages}")
 
     def at(self, value: float) -> float:
@@ -176,10 +187,6 @@ class Peaks:
     def failure(self, value: float) -> str:
         """The first failure at a value; empty if there is none."""
         return next((str(text) for text in self.results[value]["reason"].ravel() if text), "")
-
-    def first(self) -> None:
-        """The values of the range."""
-        self.take(list(self.plan.values), "")
 
     def least(self) -> float:
         """The value of the least peak known; NaN if none is."""
@@ -207,6 +214,7 @@ class Peaks:
         Raises:
             SearchError: it was not found, with the reason.
         """
+        self.take(list(self.values), "")
         grid = sorted(self.results)
         if not np.isfinite(self.least()):
             raise SearchError(f"no steady state was found at any value of {self.key}: {self.failure(grid[0])}")
@@ -220,17 +228,17 @@ class Peaks:
         for _ in range(CHECKS):
             here = self.least()
             for value in (here - accuracy, here + accuracy):
-                if self.plan.values[0] <= value <= self.plan.values[-1]:
+                if self.values[0] <= value <= self.values[-1]:
                     self.at(value)
             if self.at(self.least()) >= (1 - TIE) * self.at(here):
                 return
         raise SearchError(f"the peak still falls beside {self.key} = {self.least():g}; give a larger accuracy")
 
 
-def _stages(plan: OptimumPlan) -> int:
+def _expected_stages(values: Sequence[float], accuracy: float) -> int:
     """Values that the search may need: golden sections down to the accuracy, and those beside the least."""
-    between = 2 * (plan.values[-1] - plan.values[0]) / (len(plan.values) - 1)
-    return 3 + round(np.log(max(between / plan.accuracy, 1.0)) / np.log((1 + np.sqrt(5)) / 2))
+    between = 2 * (values[-1] - values[0]) / (len(values) - 1)
+    return 3 + round(np.log(max(between / accuracy, 1.0)) / np.log((1 + np.sqrt(5)) / 2))
 
 
 def study(scene: Scene, execution: Execution) -> Outcome:
@@ -241,7 +249,6 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     compiling = time.perf_counter() - clock
     execution.progress(0, 1)
     try:
-        peaks.first()
         peaks.search()
     except SearchError as error:
         reason = str(error)
@@ -256,26 +263,19 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 
 def data_of(peaks: Peaks) -> Dataset:
     """The result file: all values that were computed, ascending, and the best of them."""
-    values = sorted(peaks.results)
-    model = peaks.scene.model()
-    key, grid = peaks.key, {peaks.key: len(values), "direction": 2, "frequency": peaks.frequency.size}
-
-    columns = blank_columns(model, *grid.values())
+    key, values, model = peaks.key, sorted(peaks.results), peaks.scene.model()
+    columns = blank_columns(model, len(values), 2, peaks.frequency.size)
     for row, value in enumerate(values):
         for name in COLUMNS:
             columns[name][row] = peaks.results[value][name]
     least = peaks.least()
     best = peaks.results.get(least, {})
-    variables: Arrays = {
-        **variables_of(columns, grid),
-        **{name: ((key,), np.array([peaks.results[value][name] for value in values])) for name in PEAK},
+    own: Arrays = {
+        **{name: ((key,), np.array([peaks.results[value][name] for value in values])) for name in Peak._fields},
         "optimum": ((), np.array(least)),
         "optimum_peak": ((), np.array(best.get("peak", np.nan))),
         "optimum_frequency": ((), np.array(best.get("peak_frequency", np.nan))),
-        "final_phase_deg": ((), np.array(np.rad2deg(model.start.phase) % 360)),
     }
-    coords = {key: np.array(values), "direction": np.array(["up", "down"]), "frequency": peaks.frequency}
-    attrs = unit_names(peaks.scene) | {"settle_tolerance": peaks.plan.criterion.tolerance}
-    data = dataset(variables, coords, attrs, model)
+    data = steady_dataset(peaks.scene, replace(peaks.plan.sweep, over={key: tuple(values)}), columns, own, model)
     data["optimum"].attrs |= {name: text for name, text in data[key].attrs.items() if name == "units"}
     return data

@@ -55,7 +55,7 @@ class Segment:
 
 def solve(segment: Segment, before: Result | None) -> Result:
     """The steady states of a segment as arrays: chain first, then its frequencies."""
-    chains = list(segment.chains) if before is None else _continued(segment.chains, before)
+    chains = [continued(chain, index, before) for index, chain in enumerate(segment.chains)]
     steady = partial(steady_states, solver=segment.solver, criterion=segment.criterion, halted=halted)
     orbits = steady(chains, halted=point_done)
     rows = columns_of(orbits)
@@ -84,16 +84,12 @@ def _steps(chain: Chain, own: list[Orbit], before: Result | None, index: int) ->
     return steps_of(chain.model, frequencies, orbits)
 
 
-def _continued(chains: Sequence[Chain], before: Result) -> list[Chain]:
-    """Chains that continue where the segment before has ended; one whose last point failed starts anew."""
-    continued = []
-    for index, chain in enumerate(chains):
-        if before["reason"][index, -1]:
-            continued.append(chain)
-            continue
-        start = end_of(before, (index, -1), chain.model.start.phase)
-        continued.append(replace(chain, model=replace(chain.model, start=start)))
-    return continued
+def continued(chain: Chain, index: int, before: Result | None) -> Chain:
+    """A chain that continues where the same one of the segment before has ended, unless its last point failed."""
+    if before is None or before["reason"][index, -1]:
+        return chain
+    start = end_of(before, (index, -1), chain.model.start.phase)
+    return replace(chain, model=replace(chain.model, start=start))
 
 
 # The study
@@ -191,8 +187,19 @@ def variables_of(columns: Columns, axes: Mapping[str, int]) -> Arrays:
     return {STORED.get(name, name): ((*axes, *TAILS.get(name, ())), shaped(value)) for name, value in values.items()}
 
 
+def steady_dataset(scene: Scene, plan: SweepPlan, columns: Columns, own: Arrays, model: Model) -> Dataset:
+    """The result file of a sweep: its steady states, and further variables of its own."""
+    coords = {key: np.array(values) for key, values in plan.over.items()}
+    coords |= {"direction": np.array(plan.directions), "frequency": plan.frequency}
+    variables = variables_of(columns, {name: len(values) for name, values in coords.items()})
+    variables["final_phase_deg"] = ((), np.array(np.rad2deg(model.start.phase) % 360))
+    return dataset(variables | own, coords, {"settle_tolerance": plan.criterion.tolerance, **unit_names(scene)}, model)
+
+
 Place = tuple[int, int, slice]
 """Set of values, direction, and positions of the frequencies, for each chain of a chunk."""
+Jump = tuple[int, int, float, float]
+"""Set of values, direction, low and high end [Hz]."""
 
 
 class Grid:
@@ -252,12 +259,12 @@ class Grid:
 
     def gathered(
         self, results: Mapping[str, Result], places: Mapping[str, list[Place]]
-    ) -> tuple[dict[str, np.ndarray], list[tuple[int, int, float, float]]]:
-        """Columns over (set, direction, ascending frequency), and jumps as (set, direction, low, high)."""
+    ) -> tuple[dict[str, np.ndarray], list[Jump]]:
+        """Columns over (set, direction, ascending frequency), and the jumps."""
         arrays = blank_columns(self.any_model, *self.shape)
         for v, reason in self.failed.items():
             arrays["reason"][v] = reason
-        jumps: list[tuple[int, int, float, float]] = []
+        jumps: list[Jump] = []
         for name, result in results.items():
             for index, (v, d, f) in enumerate(places[name]):
                 for column in COLUMNS:
@@ -273,36 +280,29 @@ class Grid:
                     array[:, d] = array[:, d, ::-1]
         return arrays, jumps
 
-    def _unrefined(self, amplitude: np.ndarray) -> Iterator[tuple[int, int, float, float]]:
-        """Steps over which the amplitude stands out, as (set, direction, low, high)."""
+    def _unrefined(self, amplitude: np.ndarray) -> Iterator[Jump]:
+        """Steps over which the amplitude stands out."""
         for v, d in product(range(self.shape[0]), range(self.shape[1])):
             frequency = self._visited(d, slice(None))
             for k in suspects(amplitude[v, d].reshape(self.frequency.size, -1)):
                 low, high = sorted(frequency[k : k + 2])
                 yield v, d, low, high
 
-    def data(
-        self, arrays: Mapping[str, np.ndarray], jumps: Sequence[tuple[int, int, float, float]], attrs: Mapping[str, Any]
-    ) -> Dataset:
+    def data(self, arrays: Mapping[str, np.ndarray], jumps: Sequence[Jump], attrs: Mapping[str, Any]) -> Dataset:
         """The result file."""
-        sizes = {key: values.size for key, values in self.axes.items()} | {"direction": self.shape[1]}
-        variables = variables_of(arrays, sizes | {"frequency": self.frequency.size})
-        variables["final_phase_deg"] = ((), np.array(np.rad2deg(self.any_model.start.phase) % 360))
-        for end, place in (("low", 2), ("high", 3)):
-            rows = self._jump_rows(jumps, place)
-            variables[f"jump_{end}"] = ((*sizes, "jump"), rows.reshape(*sizes.values(), -1))
-        coords = self.axes | {"direction": np.array(self.plan.directions), "frequency": self.frequency}
-        every_sweep = {"settle_tolerance": self.plan.criterion.tolerance, **unit_names(self.scene)}
-        return dataset(variables, coords, {**attrs, **every_sweep}, self.any_model)
+        ends = self._jump_table(jumps).reshape(*map(len, self.axes.values()), self.shape[1], -1, 2)
+        dims = (*self.axes, "direction", "jump")
+        own = {name: (dims, ends[..., i]) for i, name in enumerate(("jump_low", "jump_high"))}
+        return steady_dataset(self.scene, self.plan, arrays, own, self.any_model).assign_attrs(attrs)
 
-    def _jump_rows(self, jumps: Sequence[tuple[int, int, float, float]], place: int) -> np.ndarray:
-        """One end of the jumps of each chain, shape (sets, directions, jumps), NaN where a chain has fewer."""
-        rows: dict[tuple[int, int], list[float]] = {}
-        for jump in sorted(jumps, key=lambda item: item[2]):
-            rows.setdefault((jump[0], jump[1]), []).append(float(jump[place]))
-        table = np.full((*self.shape[:2], max(map(len, rows.values()), default=0)), np.nan)
-        for (v, d), values in rows.items():
-            table[v, d, : len(values)] = values
+    def _jump_table(self, jumps: Sequence[Jump]) -> np.ndarray:
+        """Both ends of the jumps of each chain, shape (sets, directions, jumps, 2), NaN where a chain has fewer."""
+        rows: dict[tuple[int, int], list[tuple[float, float]]] = {}
+        for v, d, low, high in sorted(jumps, key=lambda jump: jump[2]):
+            rows.setdefault((v, d), []).append((low, high))
+        table = np.full((*self.shape[:2], max(map(len, rows.values()), default=0), 2), np.nan)
+        for (v, d), ends in rows.items():
+            table[v, d, : len(ends)] = ends
         return table
 
 
