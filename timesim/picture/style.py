@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from timesim.model.model import SEPARATION, SLIP, STATE_NAMES, STICK
-from timesim.result.label import attributes
+from timesim.result.label import attributes, shortened
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -144,6 +144,13 @@ def from_zero(ax: "Axes") -> None:
     ax.set_ylim(0, 1.05 * top if 0 < top < np.inf else 1.0)
 
 
+def over_cycle(ax: "Axes", label: str) -> "Axes":
+    """Label and limit the abscissa of a cycle, an angle [degree]."""
+    ax.set(xlim=(0, 360), xlabel=label)
+    ax.set_xticks(range(0, 361, 60))
+    return ax
+
+
 def label_axes(ax: "Axes", label: str) -> None:
     """Write above the upper right corner which of several things the axes show."""
     ax.set_title(label, fontsize=9, pad=4, loc="right")
@@ -157,7 +164,7 @@ def unit(data: Any, name: str) -> str:
 
 def short(name: str, length: int = 24) -> str:
     """The name, cut to at most ``length`` characters; dollars in it make no formula."""
-    return (name if len(name) <= length else name[: length - 1] + "…").replace("$", r"\$")
+    return shortened(name, length).replace("$", r"\$")
 
 
 def is_stop(data: Any, contact: str) -> bool:

@@ -12,10 +12,9 @@ import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from timesim.result.label import counted
+from timesim.result.label import WIDTH, counted, shortened
 
 LISTED = 4  # differences that a message names
-WIDTH = 60  # letters of a value in a message
 
 
 def fingerprint(*values: Any) -> str:
@@ -65,8 +64,7 @@ def _leaves(data: Any, key: str = "") -> Iterator[tuple[str, str]]:
 
 
 def _shown(leaves: Mapping[str, str], key: str) -> str:
-    text = leaves.get(key, "not given")
-    return text if len(text) <= WIDTH else f"{text[: WIDTH - 1]}…"
+    return shortened(leaves.get(key, "not given"), WIDTH)
 
 
 def first_difference(before: list[str], now: list[str]) -> str:

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from timesim.model.model import STATE_NAMES
+
 # Name: (long name, units or None).
 LABELS: dict[str, tuple[str, str | None]] = {
     # coordinates
@@ -219,18 +221,10 @@ SCENE_UNITS = {
     "constant_forces.amplitude": "force",
 }
 
-STATE_FLAGS = {0: "stick", 1: "slip", 2: "separation"}
 YES_NO = {0: "no", 1: "yes"}
 FLAGS = {
-    "settled": YES_NO,
-    "irregular": YES_NO,
-    "stable": YES_NO,
-    "pareto": YES_NO,
-    "reduced": YES_NO,
-    "fold": YES_NO,
-    "peak_at_end": YES_NO,
-    "peak_settled": YES_NO,
-    "peak_irregular": YES_NO,
+    **dict.fromkeys(("settled", "irregular", "stable", "fold", "pareto", "reduced"), YES_NO),
+    **dict.fromkeys(("peak_at_end", "peak_settled", "peak_irregular"), YES_NO),
     "range_cut": {-1: "no_range", **YES_NO},
     "range_settled": {-1: "no_range", **YES_NO},
     "range_irregular": {-1: "no_range", 0: "none", 1: "smaller", 2: "larger"},
@@ -261,7 +255,7 @@ def attributes(name: str, named: Mapping[str, str] | None = None) -> dict[str, A
     attrs: dict[str, Any] = {"long_name": long_name}
     if units is not None:
         attrs["units"] = re.sub("length|force", lambda quantity: (named or {}).get(quantity[0], quantity[0]), units)
-    flags = STATE_FLAGS if long_name.startswith("contact state") else FLAGS.get(name, {})
+    flags = dict(enumerate(STATE_NAMES)) if long_name.startswith("contact state") else FLAGS.get(name, {})
     values = {"flag_values": np.array(list(flags), dtype=np.int8), "flag_meanings": " ".join(flags.values())}
     return attrs | (values if flags else {})
 
@@ -275,6 +269,19 @@ def with_unit(number: str, attrs: Mapping[str, Any]) -> str:
 def counted(number: int, one: str, several: str = "") -> str:
     """A number and what it counts: ``counted(1, "point")`` and ``counted(0, "entry", "entries")``."""
     return f"{number} {one if number == 1 else several or one + 's'}"
+
+
+def axis_value(value: float | str) -> str:
+    """A value along an axis of a result, as text."""
+    return str(value) if isinstance(value, str) else f"{value:.10g}"
+
+
+WIDTH = 60  # letters of a value in a message
+
+
+def shortened(text: str, length: int) -> str:
+    """The text, cut to at most ``length`` characters."""
+    return text if len(text) <= length else f"{text[: length - 1]}…"
 
 
 def in_words(values: Mapping[str, float], end: str = "") -> str:

@@ -14,6 +14,7 @@ from timesim.fault import RuleError, nearest
 from timesim.model.model import Model, Start
 from timesim.model.start import resumed_start
 from timesim.orbit.steady_state import switches
+from timesim.result.label import axis_value
 from timesim.result.netcdf import result_file
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ class SavedStates:
             return "; ".join(_listed(self.axes[name], subject=name) for name in free)
         points = (zip(free, place, strict=True) for place in product(*free.values()))
         return f"{count} match: " + "; ".join(
-            ", ".join(f"{name} {_word(self.axes[name][i])}" for name, i in point) for point in points
+            ", ".join(f"{name} {axis_value(self.axes[name][i])}" for name, i in point) for point in points
         )
 
 
@@ -133,13 +134,9 @@ def _position(name: str, values: np.ndarray, value: float | str) -> int:
     return int(np.argmax(same))
 
 
-def _word(value: float | str) -> str:
-    return str(value) if isinstance(value, str) else f"{value:.10g}"
-
-
 def _listed(values: np.ndarray, near: float | str | None = None, subject: str = "it") -> str:
     """Values of an axis in words: all if few, else the range and those next to ``near``."""
-    words = [_word(value) for value in values]
+    words = [axis_value(value) for value in values]
     if len(words) <= LISTED:
         return f"{subject} has {', '.join(words)}"
     next_to = ""

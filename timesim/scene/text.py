@@ -24,12 +24,12 @@ from ruamel.yaml.events import (
 )
 
 from timesim.fault import Key, RuleError
+from timesim.result.label import WIDTH, shortened
 
 MAX_BYTES = 8 * 1024**2
 MAX_DEPTH = 32
 MAX_VALUES = 500_000
 HUGE = 10**300
-WIDTH = 60  # letters of a value in a message
 SPECIAL = {"NaN": ".nan", "Infinity": ".inf", "-Infinity": "-.inf"}
 """Numbers that JSON and YAML write differently."""
 
@@ -45,8 +45,7 @@ _UNPRINTABLE = re.compile("[\x7f-\x9f\u2028\u2029\ud800-\udfff\ufeff\ufffe\uffff
 
 def value_text(value: Any) -> str:
     """A value as YAML writes it, shortened to fit a message."""
-    text = _flow(value)
-    return text if len(text) <= WIDTH else f"{text[: WIDTH - 1]}…"
+    return shortened(_flow(value), WIDTH)
 
 
 def plain(value: Any, key: Key = ()) -> Any:

@@ -11,7 +11,8 @@ from xarray import Dataset
 from timesim.fault import RuleError
 from timesim.orbit.threshold import UNSETTLED_CYCLES
 from timesim.picture.choice import motions
-from timesim.result.label import counted
+from timesim.picture.style import unit
+from timesim.result.label import axis_value, counted
 from timesim.result.netcdf import read
 from timesim.result.state import states_in
 from timesim.study.registry import carry_out, load_scene
@@ -63,7 +64,7 @@ def point_again(path: Path | str, at: Mapping[str, float | str]) -> Point:
     where = {name: values[places[name]].item() for name, values in states.axes.items()}
     here = sweep.isel(places)
     overrides = {key: value for key, value in where.items() if "." in key and not key.startswith("initial.")}
-    words = ", ".join(f"{name} {_text(value)}" for name, value in where.items())
+    words = ", ".join(f"{name} {axis_value(value)}" for name, value in where.items())
     cycles = int(here["period"]) or UNSETTLED_CYCLES
     outcome = carry_out(
         load_scene(
@@ -78,12 +79,8 @@ def point_again(path: Path | str, at: Mapping[str, float | str]) -> Point:
         )
     )
     motion = outcome.groups[""]
-    name = ",".join(f"{name}={_text(value)}" for name, value in where.items())
+    name = ",".join(f"{name}={axis_value(value)}" for name, value in where.items())
     return Point(name, motion, (f"{words}: {_kind(here)}", *_table(here, motion)), outcome.reason)
-
-
-def _text(value: float | str) -> str:
-    return value if isinstance(value, str) else f"{value:.10g}"
 
 
 def _kind(here: Dataset) -> str:
@@ -102,9 +99,9 @@ def _table(here: Dataset, motion: Dataset) -> Iterator[str]:
     columns: dict[str, Iterable[Any]] = {
         "point": [str(one["point"].values) for one in shown],
         "axis": [str(one["axis"].values) for one in shown],
-        _head(here, "amplitude"): [float(one["amplitude"]) for one in shown],
-        _head(here, "phase_deg", "phase"): [float(one["phase_deg"]) for one in shown],
-        _head(here, "harmonic_amplitude", "mean"): [float(one["harmonic_amplitude"].sel(harmonic=0)) for one in shown],
+        f"amplitude{unit(here, 'amplitude')}": [float(one["amplitude"]) for one in shown],
+        f"phase{unit(here, 'phase_deg')}": [float(one["phase_deg"]) for one in shown],
+        f"mean{unit(here, 'harmonic_amplitude')}": [float(one["harmonic_amplitude"].sel(harmonic=0)) for one in shown],
     }
     yield from _lines(columns)
     if not here.sizes["contact"]:
@@ -117,15 +114,11 @@ def _table(here: Dataset, motion: Dataset) -> Iterator[str]:
         "stick": np.maximum(1 - slip - apart, 0.0),
         "slip, closed" if stops.any() else "slip": slip,
         "separation": apart,
-        _head(here, "dissipated_power", "power"): here["dissipated_power"].values,
-        _head(motion, "contact_force", "largest |f|"): np.hypot(force[..., 0], force[..., 1]).max(axis=0),
-        _head(motion, "contact_force", "largest n"): force[..., 2].max(axis=0),
+        f"power{unit(here, 'dissipated_power')}": here["dissipated_power"].values,
+        f"largest |f|{unit(motion, 'contact_force')}": np.hypot(force[..., 0], force[..., 1]).max(axis=0),
+        f"largest n{unit(motion, 'contact_force')}": force[..., 2].max(axis=0),
     }
     yield from _lines(columns)
-
-
-def _head(data: Dataset, name: str, words: str = "") -> str:
-    return f"{words or name} [{data[name].attrs['units'].replace('*', '·')}]"
 
 
 def _lines(columns: Mapping[str, Iterable[Any]]) -> Iterator[str]:

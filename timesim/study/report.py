@@ -12,7 +12,7 @@ from timesim.orbit.basin import ANOTHER, IRREGULAR, LOWER, NONE, UPPER, unique
 from timesim.orbit.threshold import LONGEST
 from timesim.orbit.two_motions import LARGER, NO_MOTION, SMALLER
 from timesim.result.coordinate import over_keys
-from timesim.result.label import counted, in_words, with_unit
+from timesim.result.label import axis_value, counted, in_words, with_unit
 from timesim.scene.transient import Schedule
 
 MOTIONS = ("smaller", "larger")
@@ -153,9 +153,7 @@ def _chain(data: Dataset, place: Sequence[int]) -> str:
 
 def _where(data: Dataset, dims: Sequence[Any], place: Sequence[int]) -> list[str]:
     """Values along some axes."""
-    values = [data[dim].values[i] for dim, i in zip(dims, place, strict=True)]
-    words = [str(value) if isinstance(value, str | np.str_) else f"{value:.10g}" for value in values]
-    return [f"{dim} {word}" for dim, word in zip(dims, words, strict=True)]
+    return [f"{dim} {axis_value(data[dim].values[i])}" for dim, i in zip(dims, place, strict=True)]
 
 
 # Ranges with two motions
