@@ -155,6 +155,16 @@ def test_the_last_cycles_of_a_displacement(run: xarray.Dataset) -> None:
     assert not ax.patches
 
 
+@pytest.mark.parametrize(
+    ("point", "axis", "drawn"), [("root", None, "root x"), (None, "y", "tip y"), ("root", "z", "root z")]
+)
+def test_a_displacement_of_the_point_or_axis_that_is_asked_for(
+    run: xarray.Dataset, point: str | None, axis: str | None, drawn: str
+) -> None:
+    """Not that of what moves most, although only one of the two is named."""
+    assert plot_transient.displacement(run, point=point, axis=axis).get_ylabel().startswith(drawn)
+
+
 def test_an_orbit_wears_the_colours_of_its_states(run: xarray.Dataset) -> None:
     ax = plot_contact.orbit(run, contact="stop")
     assert set(_labels(ax)) == {"stick", "slip", "slider w"}

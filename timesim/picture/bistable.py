@@ -45,6 +45,7 @@ SWEEPS = {"up": BLUE, "down": VERMILION}
 SHADE = "0.90"
 BEHIND = "0.45"
 WIDE = 0.05  # of the sweeps: narrower ranges are seen magnified only
+EVERYWHERE = (0.0, np.inf)  # window of frequency [Hz]
 AROUND = 0.6  # of a range, shown to both sides of it
 LED_TO = {
     -1: ("did not settle", "white"),
@@ -120,7 +121,7 @@ def response(
     ax, sweep = axes(ax), data.children["sweep"].to_dataset()
     point, axis = motion(sweep, point, axis)
     at = {key: (at or {}).get(key, 0) for key in _keys(data)} if near is None else near.at
-    window = (0.0, np.inf) if near is None else _window(near)
+    window = EVERYWHERE if near is None else _window(near)
     for i, (direction, colour) in enumerate(SWEEPS.items()):
         _sweep(ax, sweep.isel(at).isel(direction=i).sel(point=point, axis=axis), direction, colour, window)
     shown = [item for item in ranges(data) if item.at == at] if near is None else [near]
@@ -142,22 +143,24 @@ def _window(item: Range) -> tuple[float, float]:
     return item.low - beside, item.high + beside
 
 
-def _sweep(ax: "Axes", part: "Dataset", direction: str, colour: str, window: tuple[float, float]) -> None:
+def _sweep(
+    ax: "Axes",
+    part: "Dataset",
+    direction: str,
+    colour: str,
+    window: tuple[float, float] = EVERYWHERE,
+    name: str = "amplitude",
+) -> None:
     """The points of a sweep inside a window, hollow if not settled, joined by a line if all of them are shown."""
-    x, y, settled = part.frequency.values, part.amplitude.values, part.settled.values > 0
+    x, y, settled = part.frequency.values, part[name].values, part.settled.values > 0
     shown = (x >= window[0]) & (x <= window[1])
     if shown.all():
-        ax.plot(x, y, color=colour, linewidth=0.8, label="_line")
-    look = _marks(direction, colour)
+        ax.plot(*(unwound(x, y) if name == "phase_deg" else (x, y)), color=colour, linewidth=0.8, label="_line")
+    look: dict[str, Any] = {"color": colour, "marker": PAIRED[direction], "linestyle": "", "ms": 6}
     ax.plot(x[settled & shown], y[settled & shown], label=f"sweep {direction}", **look)
     loose = ~settled & shown & np.isfinite(y)
     if loose.any():
         ax.plot(x[loose], y[loose], fillstyle="none", label="not settled", **look)
-
-
-def _marks(direction: str, colour: str) -> dict[str, Any]:
-    """The markers of a sweep."""
-    return {"color": colour, "marker": PAIRED[direction], "linestyle": "", "ms": 6}
 
 
 def _branch(
@@ -166,7 +169,7 @@ def _branch(
     at: Mapping[str, int],
     point: str,
     axis: str,
-    window: tuple[float, float],
+    window: tuple[float, float] = EVERYWHERE,
     name: str = "amplitude",
 ) -> None:
     """The curves of harmonic balance with these values, their folds marked."""
@@ -200,11 +203,9 @@ def phase(data: "DataTree", ax: "Axes | None" = None, *, at: Mapping[str, int] |
     at = {key: (at or {}).get(key, 0) for key in _keys(data)}
     for i, (direction, colour) in enumerate(SWEEPS.items()):
         part = sweep.isel(at).isel(direction=i).sel(point=point, axis=axis)
-        x, y = part.frequency.values, part.phase_deg.values
-        ax.plot(*unwound(x, y), color=colour, linewidth=0.8)
-        ax.plot(x, y, label=f"sweep {direction}", **_marks(direction, colour))
+        _sweep(ax, part, direction, colour, name="phase_deg")
     if "hbm" in data.children and "phase_deg" in data.children["hbm"]:
-        _branch(data, ax, at, point, axis, (0.0, np.inf), name="phase_deg")
+        _branch(data, ax, at, point, axis, name="phase_deg")
     ax.set_xlabel("frequency [Hz]")
     return over_phase(ax)
 

@@ -1,5 +1,6 @@
 """What a picture shows if there is too much for it: what moves or rubs most, or an even selection of values."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,21 +24,30 @@ def motions(data: "Dataset", size: np.ndarray) -> list[tuple[str, str]]:
     return [(str(data.point.values[i]), str(data.axis.values[j])) for i, j in zip(rows, columns, strict=True)]
 
 
-def main_axes(data: "Dataset") -> dict[str, str]:
-    """Points with an amplitude, the largest first, and the axis along which each has its largest."""
+def responses(data: "Dataset") -> list[tuple[str, str]]:
+    """Points and axes with an amplitude, the largest first."""
     values = data["amplitude"].transpose(..., "point", "axis").values
     size = np.where(np.isfinite(values), values, 0.0).reshape(-1, *values.shape[-2:]).max(axis=0, initial=0.0)
+    return motions(data, size)
+
+
+def main_axes(data: "Dataset") -> dict[str, str]:
+    """Points with an amplitude, the largest first, and the axis along which each has its largest."""
     axes: dict[str, str] = {}
-    for point, axis in motions(data, size):
+    for point, axis in responses(data):
         axes.setdefault(point, axis)
     return axes
 
 
 def motion(data: "Dataset", point: str | None, axis: str | None) -> tuple[str, str]:
     """The point and axis that are asked for, by default those of the largest amplitude."""
-    axes = main_axes(data if axis is None else data.sel(axis=[axis]))
-    point = point or next(iter(axes))
-    return point, axis or axes.get(point, str(data.axis.values[0]))
+    return asked(responses(data), point, axis)
+
+
+def asked(moving: Sequence[tuple[str, str]], point: str | None, axis: str | None) -> tuple[str, str]:
+    """The first of some points and axes at the point, or along the axis, that is asked for."""
+    fitting = (own for own in moving if point in (None, own[0]) and axis in (None, own[1]))
+    return next(fitting, (point or moving[0][0], axis or moving[0][1]))
 
 
 def busiest(data: "Dataset", *activity: np.ndarray, limit: int = MAX_ROWS) -> list[str]:

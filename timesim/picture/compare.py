@@ -23,6 +23,7 @@ from timesim.picture.style import (
     from_zero,
     is_stop,
     label_axes,
+    over_cycle,
     short,
     stacked,
     state_bar,
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
 METHODS = {"sweep": "time integration", "hbm": "harmonic balance"}
 SHORT = {"sweep": "in time", "hbm": "balance"}  # beside a bar
+PHASE = "phase of the excitation [degree]"
 # Amplitudes below this share of the largest are left out of the difference that is drawn.
 MINOR = 1e-3
 SMALL, WIDE = 3.2, 7.0  # sizes of a dot, and of a triangle beside the point
@@ -142,7 +144,7 @@ def waveform(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
         x = cycle.displacement.sel(found_by=method, point=point, axis=axis).values
         ax.plot(cycle.excitation_angle.values, x, color=style.colour, linestyle=style.line, label=METHODS[method])
     ax.set_ylabel(f"{short(point, 16)} {axis}{unit(cycle, 'displacement')}")
-    return _over_cycle(ax)
+    return over_cycle(ax, PHASE)
 
 
 def contact_states(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
@@ -158,13 +160,7 @@ def contact_states(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
     ax.set_ylim(len(rows) - 0.4, -0.6)
     ax.set_yticks(range(len(rows)), [f"{short(str(contact), 10)}\n{SHORT[method]}" for contact, method in rows])
     ax.grid(False)
-    return _over_cycle(ax)
-
-
-def _over_cycle(ax: "Axes") -> "Axes":
-    ax.set(xlim=(0, 360), xlabel="phase of the excitation [degree]")
-    ax.set_xticks(range(0, 361, 60))
-    return ax
+    return over_cycle(ax, PHASE)
 
 
 def harmonics(data: "DataTree", ax: "Axes | None" = None) -> "Axes":

@@ -13,6 +13,7 @@ from timesim.picture.style import (
     axes,
     figure,
     finish,
+    over_cycle,
     shade,
     state_bar,
     state_curves,
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 MAX_CIRCLES = 8
+ANGLE = "angle θ [degree]"
 
 
 def force_path(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
@@ -100,20 +102,18 @@ def friction_limit(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     ax.plot(angle, force, color=VERMILION, linestyle="--", linewidth=1.2, label="friction force |f|")
     for degrees in data.transition_angle_deg.values:
         ax.axvline(degrees, color="0.4", linewidth=0.7, linestyle=":")
-    ax.set(xlabel="angle θ [degree]", ylabel=f"μn, |f|{unit(data, 'force')}", xlim=(0, 360))
-    ax.set_xticks(range(0, 361, 60))
-    return ax
+    ax.set_ylabel(f"μn, |f|{unit(data, 'force')}")
+    return over_cycle(ax, ANGLE)
 
 
 def contact_states(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     """State over the angle, as a bar between the transitions."""
     ax = axes(ax)
     state_bar(ax, 0, intervals(data), height=0.8, stop=data.attrs["friction"] == 0)
-    ax.set(xlabel="angle θ [degree]", xlim=(0, 360), ylim=(-0.6, 0.6))
-    ax.set_xticks(range(0, 361, 60))
+    ax.set_ylim(-0.6, 0.6)
     ax.set_yticks([0], ["state"])
     ax.grid(False)
-    return ax
+    return over_cycle(ax, ANGLE)
 
 
 def intervals(data: "Dataset") -> list[tuple[float, float, int]]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from timesim.picture import transient
-from timesim.picture.choice import MAX_ROWS, motions
+from timesim.picture.choice import MAX_ROWS, asked, motions
 from timesim.picture.response import amplitude_label
 from timesim.picture.style import BLUE, SERIES, VERMILION, Picture, axes, figure, finish, from_zero, short, unit
 
@@ -85,8 +85,7 @@ def path(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None,
     Of the run-up only the end is shown, where the first arrow begins.
     """
     ax = axes(ax)
-    if point is None or axis is None:
-        point, axis = moving(data)[0]
+    point, axis = asked(moving(data), point, axis)
     amplitude = data.cycle_amplitude.sel(point=point, axis=axis).values
     parts = phases(data)
     recorded = [part for part in parts if not part.run_up]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from timesim.picture import contact
-from timesim.picture.choice import MAX_ROWS, left_out, motions
+from timesim.picture.choice import MAX_ROWS, asked, left_out, motions
 from timesim.picture.contact import LAST_CYCLES, busiest, last_cycles
 from timesim.picture.style import (
     BLUE,
@@ -43,8 +43,7 @@ def displacement(
 ) -> "Axes":
     """Displacement within the envelope of the cycle amplitudes, or that of the last `cycles` without the envelope."""
     ax = axes(ax)
-    if point is None or axis is None:
-        point, axis = moving(data)[0]
+    point, axis = asked(moving(data), point, axis)
     part = data if cycles is None else data.isel(time=last_cycles(data, cycles))
     x = part.displacement.sel(point=point, axis=axis).values
     ax.plot(part.time.values, x, color=BLUE, linewidth=0.9, label="displacement")
