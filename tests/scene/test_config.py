@@ -706,6 +706,8 @@ def test_modes_far_above_the_excitation_are_worth_a_warning():
     unused, far = warnings_of(load_scene(CONFIGS / "blade.yaml", ["structure.keep_modes=24", sweep]))
     assert "excitation.frequency is not used" in unused
     assert "331 times the excitation" in far
+    report = describe(load_scene(CONFIGS / "blade.yaml", [sweep]))
+    assert report["excitation"][0].startswith("frequency set by the study")
     (far,) = warnings_of(load_scene(CONFIGS / "blade_response.yaml", ["structure.keep_modes=24"]))
     assert "367 times the excitation" in far
 

@@ -53,7 +53,7 @@ def describe(scene: Scene) -> dict[str, tuple[str, ...]]:
         model = scene.model()
         report["structure"] = tuple(_structure_lines(model))
         report["contacts"] = tuple(map(contact_line, model.contacts)) or ("none",)
-        report["excitation"] = tuple(_excitation_lines(model))
+        report["excitation"] = tuple(_excitation_lines(scene, model))
         report["accuracy"] = tuple(_accuracy_lines(scene, model))
         report["method"] = tuple(_method_lines(scene, model))
         report["left out or simplified"] = _left_out(scene, model)
@@ -62,23 +62,28 @@ def describe(scene: Scene) -> dict[str, tuple[str, ...]]:
     return {heading: lines for heading, lines in report.items() if lines}
 
 
+def _own_frequency(scene: Scene, model: Model) -> float | None:
+    """The excitation's frequency [Hz]; None where the study sets it."""
+    return model.excitation.frequency if scene.file.study.uses_frequency else None
+
+
 def _left_out(scene: Scene, model: Model) -> tuple[str, ...]:
     if not scene.file.solver.reduce:
         return ("nothing: solver.reduce is false",)
-    frequency = model.excitation.frequency if scene.file.study.uses_frequency else None
+    frequency = _own_frequency(scene, model)
     findings = reduction_of(model, [] if frequency is None else [frequency]).findings
     return findings or ("nothing: every mode, contact and direction is needed",)
 
 
 def _method_lines(scene: Scene, model: Model) -> Iterator[str]:
     """The method of time integration and why it was chosen; contacts that are hard for explicit methods."""
-    study = scene.file.study
-    frequency = model.excitation.frequency if study.uses_frequency else study.lowest_frequency()
+    own = _own_frequency(scene, model)
+    frequency = scene.file.study.lowest_frequency() if own is None else own
     if frequency is None:
         return
     if not isinstance(scene.plan, TradeoffPlan):
         solver, chosen = scene.solver(), scene.choice
-        place = "" if study.uses_frequency else f" (at {frequency:g} Hz, the lowest, where it asks most)"
+        place = "" if own is not None else f" (at {frequency:g} Hz, the lowest, where it asks most)"
         steps = f"; stability asks about {stable_steps(model, frequency):.3g} explicit steps a cycle{place}"
         why = "given" if chosen is None else chosen.why
         yield f"{solver.name}: {why}{'' if solver.name == CLOSED_FORM else steps}"
@@ -221,9 +226,9 @@ def _listed(numbers: np.ndarray) -> str:
     return ", ".join(texts if len(texts) <= LISTED else (*texts[: LISTED - 2], "…", texts[-1]))
 
 
-def _excitation_lines(model: Model) -> Iterator[str]:
-    excitation = model.excitation
-    frequency = "set by the study" if excitation.frequency is None else f"{excitation.frequency:g} Hz"
+def _excitation_lines(scene: Scene, model: Model) -> Iterator[str]:
+    excitation, own = model.excitation, _own_frequency(scene, model)
+    frequency = "set by the study" if own is None else f"{own:g} Hz"
     acting = np.any(excitation.cosine, axis=1) | np.any(excitation.sine, axis=1)
     harmonics = ", ".join(map(str, excitation.harmonic[acting])) or "none"
     yield f"frequency {frequency}, harmonics {harmonics}"
