@@ -118,7 +118,6 @@ class Element(ElementSection):
         return self
 
     def plan(self, context: Context) -> ElementPlan:
-        """The contact and the motion in numbers."""
         contact = self.chosen(context).build()
         motion, marks = self._motion(context, contact), (self.harmonics, self.principal_axes)
         return ElementPlan(contact, motion, *marks, self.samples, self.cross_check)

@@ -142,28 +142,28 @@ class ResultStart(ResultSection):
             motion = None if states.axes else periodic_motion(path)
         except (RuleError, ValueError, StoreError) as error:
             what = error.rule if isinstance(error, RuleError) else str(error)
-            raise self._refused("must be the result of a transient or a sweep", what) from None
+            raise self.refused("must be the result of a transient or a sweep", what) from None
         if motion is None:
             self._check_sweep(states, plan, context)
             return replace(plan, passing=(states, self.at))
         low, high = sorted(plan.span)
         if not low * (1 - 1e-9) <= motion.frequency <= high * (1 + 1e-9):
             rule = f"must be at a frequency from {low:g} to {high:g} Hz"
-            raise self._refused(rule, f"it is at {motion.frequency:g} Hz")
+            raise self.refused(rule, f"it is at {motion.frequency:g} Hz")
         if self.at:
             raise RuleError(("at",), "names a point of a sweep", "the result is that of a transient: leave it out")
         count = motion.modal.shape[1]
         if context.num_modes is not None and count != context.num_modes:
-            raise self._refused(f"must have {counted(context.num_modes, 'mode')}, as the scene, not {count}")
+            raise self.refused(f"must have {counted(context.num_modes, 'mode')}, as the scene, not {count}")
         return replace(plan, motion=motion)
 
     def _check_sweep(self, states: SavedStates, plan: HbmPlan, context: Context) -> None:
         names = [contact.name for contact in context.contacts]
         if sorted(names) != sorted(states.contacts):
             rule = f"must have the contacts of the scene, not {', '.join(states.contacts) or 'none'}"
-            raise self._refused(rule, f"the scene has {', '.join(names) or 'none'}")
+            raise self.refused(rule, f"the scene has {', '.join(names) or 'none'}")
         if plan.along is not None:
-            raise self._refused("must be the result of a transient where the curve runs along another scalar")
+            raise self.refused("must be the result of a transient where the curve runs along another scalar")
         try:
             free = {name for name, places in states.places(self.at).items() if len(places) > 1}
         except RuleError as error:
@@ -171,9 +171,6 @@ class ResultStart(ResultSection):
         for name in sorted(free - {"frequency", "direction"} - set(plan.over)):
             hint = f"the sweep has an axis that is none of this study's `over`: which of its values, {name}: ...?"
             raise RuleError(("at",), f"must name the {name}", hint)
-
-    def _refused(self, rule: str, hint: str = "") -> RuleError:
-        return RuleError(("from",), rule, hint, self.source)
 
 
 StartSection = Annotated[

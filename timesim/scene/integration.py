@@ -59,6 +59,10 @@ class ResultSection(Section):
     at: dict[Text, Number | Text] = Field(default_factory=dict)
     """Which point of a sweep, by its axes: {frequency: 0.945, direction: up, contacts.pad.preload: -4}."""
 
+    def refused(self, rule: str, hint: str = "") -> RuleError:
+        """Why the result cannot be used, the key relative to the section."""
+        return RuleError(("from",), rule, hint, self.source)
+
 
 EndOfRun = tuple[SavedStates, Mapping[str, np.ndarray]]
 """The states of a result, and the arrays of the one that a run starts from."""
@@ -72,7 +76,7 @@ class InitialResult(ResultSection):
         try:
             states = saved_states(folder / self.source)
         except RuleError as error:
-            raise RuleError(("from",), error.rule, error.hint, self.source) from None
+            raise self.refused(error.rule, error.hint) from None
         try:
             return states, states.one(self.at)
         except RuleError as error:
@@ -83,7 +87,7 @@ class InitialResult(ResultSection):
         try:
             return start_of(physics, *end)
         except RuleError as error:
-            raise RuleError(("from",), error.rule, error.hint, self.source) from None
+            raise self.refused(error.rule, error.hint) from None
 
 
 def _initial_form(value: Any) -> str | None:

@@ -210,7 +210,6 @@ class SteadySection(StudySection):
         """The sweep that is the study, or its first part, in numbers."""
 
     def lowest_frequency(self) -> float:
-        """The first frequency of the sweep."""
         return float(self.sweep().frequency[0])
 
     def extent(self) -> str:
@@ -243,10 +242,8 @@ class SweepSection(SteadySection):
         return self
 
     def sweep(self) -> SweepPlan:
-        """The sweep in numbers."""
         directions = ("up", "down") if self.direction == "both" else (self.direction,)
         return SweepPlan(self.frequency.values(), directions, axes_of(self.over), self.criterion(), self.refine)
 
     def search(self) -> str:
-        """Jumps, if they are bisected."""
         return "" if self.refine is None else ", and the search for jumps"

@@ -131,7 +131,6 @@ class Tradeoff(StudySection):
     the settled motion."""
 
     def plan(self, context: Context) -> TradeoffPlan:
-        """The run, and the error and budget asked for."""
         assert context.frequency is not None
         return TradeoffPlan(context.frequency, self.cycles, self.error, self.budget, self.amplitude)
 
@@ -165,5 +164,4 @@ class Jump(StudySection):
         return Schedule(phases, len(self.run_up), before, self.samples_per_cycle)
 
     def lowest_frequency(self) -> float:
-        """The lowest of all phases."""
         return min(phase.frequency for phase in (*self.run_up, *self.phases))

@@ -6,7 +6,6 @@ where the two do not agree.
 
 import time
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 from xarray import Dataset
@@ -120,29 +119,23 @@ def record_of(
     reason: str | None,
 ) -> Dataset:
     """The result file."""
-    about = attributes(scene, METHOD, 0.0, seconds, reason) | compared | motion_attributes(plan.contact, cycle.motion)
-    facts = {
-        "cycles": cycle.num_cycles,
-        "residual": cycle.residual,
-        "offset_free": int(cycle.offset_free),
-        "touches": int(cycle.touches),
-    }
-    theta = np.arange(plan.samples) * CYCLE / plan.samples
-    variables = cycle_variables(cycle, plan.contact, theta) | coefficient_variables(cycle, plan)
-    coords = {"angle": np.degrees(theta)}
-    return dataset(variables, coords, about | facts)
-
-
-def motion_attributes(contact: Contact, motion: Motion) -> dict[str, Any]:
-    """Contact and motion in numbers, as attributes of the result."""
-    return {
+    contact, motion = plan.contact, cycle.motion
+    about = attributes(scene, METHOD, 0.0, seconds, reason) | compared
+    about |= {
         "contact": contact.name,
         "friction": contact.friction,
         "normal_stiffness": contact.normal_stiffness,
         "preload": contact.preload,
         "amplitude": motion.amplitude,
         "phase_deg": np.degrees(motion.phase),
+        "cycles": cycle.num_cycles,
+        "residual": cycle.residual,
+        "offset_free": int(cycle.offset_free),
+        "touches": int(cycle.touches),
     }
+    theta = np.arange(plan.samples) * CYCLE / plan.samples
+    variables = cycle_variables(cycle, contact, theta) | coefficient_variables(cycle, plan)
+    return dataset(variables, {"angle": np.degrees(theta)}, about)
 
 
 def cycle_variables(cycle: ElementCycle, contact: Contact, theta: np.ndarray) -> Arrays:

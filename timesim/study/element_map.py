@@ -8,7 +8,6 @@ limit.
 import timesim.runtime  # noqa: F401  isort: skip
 
 import time
-from collections.abc import Callable
 from functools import partial
 
 import jax
@@ -142,17 +141,13 @@ class March:
 def elements_of(plan: MapPlan) -> tuple[Elements, np.ndarray]:
     """All points of the map, the second axis fastest, and the phases of u1 and u2 there, shape (N, 2) [rad]."""
     require_cone([plan.contact], "prescribed motion")
-    grid = np.meshgrid(*(plan.values[key] for key in plan.axes), indexing="ij")
-    columns = {key: values.ravel() for key, values in zip(plan.axes, grid, strict=True)}
-    count = grid[0].size
-
-    def value(key: str) -> np.ndarray:
-        return columns[key] if key in columns else np.full(count, plan.values[key][0])
-
-    turn: Callable[[str], np.ndarray] = lambda key: np.exp(1j * np.deg2rad(value(key)))  # noqa: E731
-    phasor = np.stack([value("A") + 0j, value("B") * turn("phi_deg"), value("D") * turn("psi_deg")], axis=1)
-    numbers = (value("friction"), value("normal_stiffness"), value("preload"))
-    phase = np.stack([np.zeros(count), np.deg2rad(value("phi_deg"))], axis=1)
+    keys = (*plan.axes, *(key for key in plan.values if key not in plan.axes))  # the others have one value each
+    grid = np.meshgrid(*(plan.values[key] for key in keys), indexing="ij")
+    value = {key: values.ravel() for key, values in zip(keys, grid, strict=True)}
+    phi, psi = (np.deg2rad(value[key]) for key in ("phi_deg", "psi_deg"))
+    phasor = np.stack([value["A"] + 0j, value["B"] * np.exp(1j * phi), value["D"] * np.exp(1j * psi)], axis=1)
+    numbers = (value["friction"], value["normal_stiffness"], value["preload"])
+    phase = np.stack([np.zeros_like(phi), phi], axis=1)
     return harmonic_elements(*numbers, plan.contact.tangential_stiffness, phasor), phase
 
 
@@ -177,13 +172,11 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     if lost.any() and reason is None:
         of_all = f"{lost.sum()} of {counted(elements.size, 'point')}"
         reason = f"the event loop ended early at {of_all}, NaN in the result"
-    names = tuple(MAP_AXES[key] for key in plan.axes)
-    shape = tuple(len(plan.values[key]) for key in plan.axes)
+    coords = {MAP_AXES[key]: np.array(plan.values[key]) for key in plan.axes}
     variables = {
-        name: ((*names, "tangent")[: 1 + array.ndim], array.reshape(*shape, *array.shape[1:]))
+        name: ((*coords, "tangent")[: 1 + array.ndim], array.reshape(*map(len, coords.values()), *array.shape[1:]))
         for name, array in result.items()
     }
-    coords = {MAP_AXES[key]: np.array(plan.values[key]) for key in plan.axes}
     about = attributes(scene, str(solver), compiled - clock, seconds, reason)
     record = dataset(variables, coords, about | {"contact": plan.contact.name})
     took = f"in {seconds:.2f} s, after {compiled - clock:.1f} s of compilation"
