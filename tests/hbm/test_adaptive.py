@@ -64,7 +64,8 @@ def test_solutions_by_several_schemes_keep_their_order_and_branches(model):
 
 
 def test_the_motion_is_that_of_many_harmonics(curve, model):
-    rows = np.flatnonzero(curve.slip_share[:, 0] > 0)[::4]
+    # Where slip just begins several solutions lie within 1e-8 Hz, and other harmonics may have none there.
+    rows = np.flatnonzero(curve.slip_share[:, 0] > 1e-3)[::4]
     fine = solutions_at(
         model, curve.with_harmonics(FINE.harmonics), curve.frequency[rows], scheme=FINE, stability=False
     )

@@ -260,6 +260,25 @@ def test_jumps_of_the_oscillator(preload, span, folds, at, amplitudes):
     assert points.stable.size == 3
 
 
+@pytest.mark.parametrize("size", [1e2, 1e4])
+def test_folds_are_found_beside_whatever_a_constant_force_or_a_start_moves(size):
+    """A stop, and a constant force that moves the body along it, or a start: neither has to do with its waves."""
+    model, curves = systems.oscillator(-4.0, 1.0), []
+    stop = replace(model.contacts[0], friction=0.0, tangential_stiffness=np.zeros((2, 2)))
+    along = model.structure.stiffness * np.array([0.6, -0.8])
+    for force, start in ((0.0, 0.0), (size, 0.0), (0.0, 1e3 * size)):
+        load = replace(model.excitation, constant=force * along)
+        begin = replace(model.start, displacement=np.full(2, start))
+        own = replace(model, contacts=(stop,), excitation=load, start=begin)
+        curves.append(hbm_curve(own, 0.92, 0.96, scheme=Scheme(5, 256), stability=False))
+    plain, *others = curves
+    assert plain.complete
+    assert plain.fold.sum() == 2
+    for curve in others:
+        np.testing.assert_allclose(curve.frequency, plain.frequency, rtol=1e-6)
+        np.testing.assert_allclose(curve.amplitude, plain.amplitude, rtol=1e-6, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("preload", "frequency", "amplitude"),
     [

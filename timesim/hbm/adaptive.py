@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from timesim.hbm.balance import Array, Balance, contact_stiffness
+from timesim.hbm.balance import Array, Balance, contact_stiffness, mean_of
 from timesim.hbm.continuation import Condensed, Residual
 from timesim.hbm.period import basis_of, forces_of, period_of
 from timesim.hbm.scheme import NEGLECTED, Scheme, coarsest
@@ -57,6 +57,10 @@ class AdaptiveBalance:
     def positions(self, place: int) -> NDArray[np.int64]:
         """Positions of the unknowns of a scheme."""
         return np.arange(np.prod(self.shape)).reshape(self.shape)[:, : 2 * self.schemes[place].harmonics + 1].ravel()
+
+    def centre(self, x: Array) -> Array:
+        """The mean of a motion."""
+        return mean_of(x.reshape(self.shape)).ravel()
 
     def value(self, x: Array, p: float) -> Array:
         """r of the unknowns in use."""

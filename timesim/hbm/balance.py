@@ -19,7 +19,7 @@ frequency/time domain method for calculating the steady-state response of nonlin
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -33,6 +33,7 @@ from timesim.hbm.tangent import linearised
 from timesim.model.contact_state import require_cone
 from timesim.model.model import Model
 from timesim.model.scales import Scales, scales_of
+from timesim.model.start import rest_start
 from timesim.orbit.fourier import to_coefficients, to_phasors
 
 Array = NDArray[np.float64]
@@ -84,6 +85,20 @@ def contact_stiffness(model: Model, share: Array) -> Array:
     return stiffness
 
 
+def units_of(model: Model, frequency: float) -> Scales:
+    """Units that suit the periodic part of the response at a frequency [Hz], whatever constant forces or starts add."""
+    rest = rest_start(model.structure.num_modes, model.num_contacts)
+    waves = replace(model.excitation, constant=np.zeros_like(model.excitation.constant))
+    return scales_of(replace(model, excitation=waves, start=rest), frequency)
+
+
+def mean_of(rows: Array) -> Array:
+    """Coefficients 1, cos, sin, ... along the last axis of which all but the first are zero."""
+    mean = np.zeros_like(rows)
+    mean[..., 0] = rows[..., 0]
+    return mean
+
+
 class Balance:
     """The balance of a model as a residual in the frequency [Hz], for `timesim.hbm.continuation`.
 
@@ -102,7 +117,7 @@ class Balance:
         check_model(model, scheme.harmonics)
         self.model, self.scheme, self.num_contacts = model, scheme, model.num_contacts
         self.size = 2 * scheme.harmonics + 1
-        self.units = scales_of(model, frequency) if units is None else units
+        self.units = units_of(model, frequency) if units is None else units
         self.length, self.force = self.units.length, self.units.force
         self.law: ConeLaw = ConeLaw.of(model.contacts, self.units)
         self.basis: Basis = basis_of(scheme.harmonics, scheme.time_samples)
@@ -164,6 +179,10 @@ class Balance:
     def coefficients(self, x: Array) -> Array:
         """The unknowns by contact, component and coefficient, shape (..., C, 3, 2H + 1)."""
         return x.reshape(*x.shape[:-1], self.num_contacts, 3, self.size)
+
+    def centre(self, x: Array) -> Array:
+        """The mean of a motion: constant forces may make it far larger than its waves."""
+        return mean_of(self.coefficients(x)).ravel()
 
     def contact_forces(self, x: Array) -> Array:
         """(f1, f2, n) of each contact by their coefficients in units of `force`, shape (C, 3, 2H + 1)."""

@@ -129,4 +129,4 @@ def _meet(one: HbmCurve, i: int, other: HbmCurve, j: int) -> bool:
         return False
     count = max(curve.harmonic_cos.shape[1] for curve in (one, other)) - 1
     x, y = one.with_harmonics(count).contact_motion[i], other.with_harmonics(count).contact_motion[j]
-    return bool(np.linalg.norm(x - y) <= SAME * np.linalg.norm(y))
+    return bool(np.linalg.norm(x - y) <= SAME * np.linalg.norm(y[..., 1:]))

@@ -70,7 +70,7 @@ def with_more_samples(
 def sampling_error(
     model_at: Callable[[float], Model], curve: HbmCurve, schemes: Sequence[Scheme], rows: NDArray[np.int64]
 ) -> float:
-    """Change of the motion of the contacts with `FINER` times as many samples, relative to it: the most along a curve.
+    """Change of the motion of the contacts with `FINER` times as many samples, relative to its waves: the most of all.
 
     By one step of Newton's method, whose derivatives are those of the samples at hand: no other program is compiled.
     """
@@ -80,7 +80,7 @@ def sampling_error(
         balance = Balance(model_at(float(curve.parameter[i])), frequency, scheme)
         finer = replace(scheme, time_samples=max(min(FINER * scheme.time_samples, MOST_SAMPLES), scheme.time_samples))
         x = curve.contact_motion[i][..., : balance.size].ravel() / balance.length
-        size = float(np.linalg.norm(x))
+        size = float(np.linalg.norm(x - balance.centre(x)))
         _, by_x, by_p = balance.linearised(x, frequency)
         try:
             bordered = Bordered(by_x, by_p * (frequency / size), np.append(np.zeros(x.size), 1.0))

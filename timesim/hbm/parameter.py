@@ -11,13 +11,12 @@ from functools import lru_cache, partial
 import numpy as np
 
 from timesim.hbm.adaptive import AdaptiveBalance
-from timesim.hbm.balance import Array, Balance
+from timesim.hbm.balance import Array, Balance, units_of
 from timesim.hbm.continuation import Condensed, Controls, Curve, follow, joined, part_of
 from timesim.hbm.curve import HbmCurve, Watch, by_schemes, evaluated, finished, schemes_of, watched
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
-from timesim.model.scales import scales_of
 
 # Difference of the scalar for its derivative, as a share of the range.
 DIFFERENCE = 1e-5
@@ -32,7 +31,7 @@ class ParameterBalance:
     def __init__(self, model_at: Callable[[float], Model], frequency: float, scheme: Scheme, ends: tuple[float, float]):
         self.model_at, self.frequency, self.scheme = model_at, frequency, scheme
         self.low, self.high = sorted(map(float, ends))
-        self.units = scales_of(model_at(float(ends[0])), frequency)
+        self.units = units_of(model_at(float(ends[0])), frequency)
         self.at = lru_cache(maxsize=8)(self._balance)
 
     def _balance(self, p: float) -> Balance:

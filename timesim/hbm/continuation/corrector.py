@@ -15,12 +15,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from timesim.hbm.continuation.bordered import Bordered
-from timesim.hbm.continuation.residual import Adaptive, NoSolutionError, Residual
-
-Array = NDArray[np.float64]
+from timesim.hbm.continuation.bordered import Array, Bordered
+from timesim.hbm.continuation.residual import Adaptive, Centred, NoSolutionError, Residual
 
 # A Newton step that is longer than this share of the one before asks for new derivatives.
 CONTRACTION = 0.1
@@ -34,6 +31,8 @@ MAX_FOLD = 12  # evaluations; at a corner the bracket only shrinks to a share of
 STRAIGHT = 0.1
 # A Newton step this long, in units of the solution, leads nowhere.
 MAX_STEP = 10.0
+# Residual relative to the norm of x, its centre included, that is rounding.
+ROUNDING = 1e-14
 
 
 @dataclass(frozen=True)
@@ -41,8 +40,8 @@ class Controls:
     """How a curve is followed. Lengths of arc are shares of the range of p and of the size of x.
 
     Attributes:
-        size: unit of x where its norm is smaller, else x is measured by its norm. The default suits a balance, whose
-            unknowns are in the scene's own unit of length.
+        size: unit of x where its norm is smaller, else x is measured by its norm, both about the centre of a `Centred`
+            residual. The default suits a balance, whose unknowns are in the scene's own unit of length.
         first_step, min_step, max_step: length of arc of a step.
         max_points: points after which the curve is given up.
         tolerance: norm of the residual at a solution, relative to the size of x.
@@ -102,8 +101,19 @@ class Corrector:
         """For solutions about as large as x."""
         self.residual, self.controls, self.p_unit = residual, controls, p_unit
         self.adaptive = residual if isinstance(residual, Adaptive) else None
-        self.x_unit, self.size = max(controls.size, float(np.linalg.norm(x))), x.size
+        self.size, self.centre = x.size, np.zeros(x.size)
+        self.recentre(x)
+        self.x_unit = self.size_of(x)
         self.failures = self.unasked = 0  # of `adapted`: in a row, and points that it lets pass
+
+    def recentre(self, x: Array) -> None:
+        """Measure solutions about the centre of one from now on."""
+        if isinstance(self.residual, Centred):
+            self.centre = self.residual.centre(x)
+
+    def size_of(self, x: Array) -> float:
+        """By which a solution is measured."""
+        return max(self.controls.size, float(np.linalg.norm(x - self.centre)))
 
     def in_units(self, x: Array, p: float) -> Array:
         """y of a point."""
@@ -114,12 +124,8 @@ class Corrector:
         return y[:-1] * self.x_unit, float(y[-1] * self.p_unit)
 
     def rescale(self, x: Array) -> float:
-        """Measure x by the size of a solution from now on.
-
-        Returns:
-            the unit before, in units of the one that holds now.
-        """
-        before, self.x_unit = self.x_unit, max(self.controls.size, float(np.linalg.norm(x)))
+        """Measure x by the size of a solution from now on; the unit before, in units of the one that holds now."""
+        before, self.x_unit = self.x_unit, self.size_of(x)
         return before / self.x_unit
 
     def simplified_newton(self, guess: Array, normal: Array, *, fresh: bool = False) -> CurvePoint:
@@ -287,8 +293,8 @@ class Corrector:
         return min(low, high, key=lambda point: abs(point.tangent[-1]))
 
     def _vanishes(self, r: Array, y: Array) -> bool:
-        size = max(self.controls.size, float(np.linalg.norm(y[:-1])) * self.x_unit)
-        return bool(np.linalg.norm(r) <= self.controls.tolerance * size)
+        x = self.unscaled(y)[0]
+        return bool(np.linalg.norm(r) <= self.controls.tolerance * self.size_of(x) + ROUNDING * np.linalg.norm(x))
 
     def _in_use(self, y: Array) -> Array:
         """A vector whose other unknowns are zero."""

@@ -22,6 +22,14 @@ class Residual(Protocol):
 
 
 @runtime_checkable
+class Centred(Residual, Protocol):
+    """A residual whose solutions move about a centre that may be far from zero, which is no part of their size."""
+
+    def centre(self, x: Array) -> Array:
+        """That of a solution or guess, shape (n,)."""
+
+
+@runtime_checkable
 class Adaptive(Residual, Protocol):
     """A residual of some of its unknowns, the others being zero: of as many as a solution asks for."""
 

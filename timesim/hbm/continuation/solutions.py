@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from timesim.hbm.continuation.corrector import Array
+from timesim.hbm.continuation.bordered import Array
 
 
 class Ending(Enum):

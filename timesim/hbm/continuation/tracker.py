@@ -19,14 +19,8 @@ from functools import partial
 
 import numpy as np
 
-from timesim.hbm.continuation.corrector import (
-    STRAIGHT,
-    Array,
-    Controls,
-    Corrector,
-    CurvePoint,
-    meeting,
-)
+from timesim.hbm.continuation.bordered import Array
+from timesim.hbm.continuation.corrector import STRAIGHT, Controls, Corrector, CurvePoint, meeting
 from timesim.hbm.continuation.residual import NoSolutionError, Residual
 from timesim.hbm.continuation.solutions import Curve, Ending, joined, part_of
 from timesim.hbm.continuation.trace import Trace
@@ -132,6 +126,7 @@ class _PathTracker:
             self.cause = str(error)
             return self._curve(Ending.START)
         point = self.corrector.adapted(point, self.ahead)
+        self.corrector.recentre(self.corrector.unscaled(point.y)[0])
         self._keep(point)
         try:
             return self._curve(self._follow(point))
@@ -157,9 +152,9 @@ class _PathTracker:
         length, ending = self.controls.first_step, None
         before: tuple[CurvePoint, float] | None = None
         while ending is None:
-            ratio = max(float(np.linalg.norm(point.y[:-1])), self.controls.size / self.corrector.x_unit)
-            if not 0.6 < ratio < 1.6:
-                factor, before = self.corrector.rescale(self.corrector.unscaled(point.y)[0]), None
+            x = self.corrector.unscaled(point.y)[0]
+            if not 0.6 < self.corrector.size_of(x) / self.corrector.x_unit < 1.6:
+                factor, before = self.corrector.rescale(x), None
                 point = point.rescaled(factor)
                 self.trace.rescale(factor)
             step = self._step(point, before, length)
@@ -249,7 +244,8 @@ class _PathTracker:
             length = share * self.controls.max_step
             guesses = [(point.y + length * point.tangent, point.tangent)]
             for factor in (1 + length, 1 - length, 1 + 4 * length):
-                guesses.append((np.append(factor * point.y[:-1], point.y[-1] + length / 4 * ahead[-1]), ahead))
+                larger = point.y[:-1] + (factor - 1) * (point.y[:-1] - self.corrector.centre / self.corrector.x_unit)
+                guesses.append((np.append(larger, point.y[-1] + length / 4 * ahead[-1]), ahead))
             for guess, normal in guesses:
                 try:
                     new = self.corrector.full_newton(guess, normal)
@@ -305,8 +301,8 @@ class _PathTracker:
         last = self._between(before, after, self.start)
         if last is None:
             return None
-        first = solutions[0][0] / self.corrector.x_unit
-        return last if np.linalg.norm(last.y[:-1] - first) < SAME * np.linalg.norm(last.y[:-1]) else None
+        x = self.corrector.unscaled(last.y)[0]
+        return last if np.linalg.norm(x - solutions[0][0]) < SAME * self.corrector.size_of(x) else None
 
     def _between(self, before: CurvePoint, after: CurvePoint, p: float) -> CurvePoint | None:
         """The solution at a value of the parameter between two points."""
