@@ -313,8 +313,11 @@ def test_start_from_a_given_motion():
         ]
     )
     guess = waves_of @ np.linalg.inv(shape).T
-    alone = hbm_curve(model, 0.947, 0.946, scheme=scheme, guess=guess, stability=False)
-    assert alone.amplitude[0, 0, 0] == pytest.approx(upper.amplitude[best, 0, 0], rel=1e-7)
+    for ends, place in (((0.947, 0.946), 0), ((0.96, 0.947), 0), ((0.92, 0.96), None)):
+        curve = hbm_curve(model, *ends, scheme=scheme, guess=guess, begin=0.947, stability=False)
+        place = int(np.argmin(np.abs(curve.frequency - 0.947) + ~curve.stable)) if place is None else place
+        assert curve.frequency[place] == pytest.approx(0.947, rel=1e-9)
+        assert curve.amplitude[place, 0, 0] == pytest.approx(upper.amplitude[best, 0, 0], rel=1e-7)
 
 
 @pytest.mark.parametrize(

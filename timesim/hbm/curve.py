@@ -152,8 +152,8 @@ def hbm_curve(
             time integration for instance: so isolated branches are reached. By default the linear response with the
             contacts stuck, absent or half as stiff, then under a load that grows from zero, then the motion to which a
             time integration settles.
-        begin: frequency [Hz] inside the range from which the curve is followed to both sides; by default it begins
-            at `start`.
+        begin: frequency [Hz] in the range from which the curve is followed to both sides, or from one end to the other;
+            by default it begins at `start`.
         stability: compute Floquet multipliers; without them stability follows from the sign of the determinant alone.
         watch: called while the curve grows.
 
@@ -172,7 +172,8 @@ def hbm_curve(
     def followed(first: Array) -> Curve:
         if start < place < stop or stop < place < start:
             return follow_both_ways(balance, first, place, (start, stop), steps)
-        return follow(balance, first, start, stop, steps)
+        ends = (stop, start) if np.isclose(place, stop, rtol=1e-9, atol=0.0) else (start, stop)
+        return follow(balance, first, *ends, steps)
 
     curve = curve_near(balance, place, place, steps, guess, followed)
     return finished(balance, curve, evaluated, stability)
