@@ -61,6 +61,12 @@ class Structure:
         """Least rate at which a mode with a stiffness decays, overdamped or not [1/time]; infinite if there is none."""
         rings = self.frequency > 0
         zeta, omega = self.damping_ratio[rings], self.omega[rings]
+        if self.damping.ndim == 2 and omega.size:
+            # Modes that the damping couples decay together: the dashpot between two equal masses leaves one undamped.
+            root = np.sqrt(self.mass[rings])
+            damping = self.damping[np.ix_(rings, rings)] / np.outer(root, root)
+            free = np.block([[np.zeros_like(damping), np.diag(omega)], [-np.diag(omega), -damping]])
+            return float(max(-np.linalg.eigvals(free).real.max(), 0.0))
         creeping = zeta + np.sqrt(np.maximum(zeta**2 - 1, 0.0))
         return float((np.minimum(zeta, 1 / np.maximum(creeping, 1.0)) * omega).min(initial=np.inf))
 
