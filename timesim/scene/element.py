@@ -119,8 +119,8 @@ class Element(ElementSection):
 
     def plan(self, context: Context) -> ElementPlan:
         contact = self.chosen(context).build()
-        motion, marks = self._motion(context, contact), (self.harmonics, self.principal_axes)
-        return ElementPlan(contact, motion, *marks, self.samples, self.cross_check)
+        motion = self._motion(context, contact)
+        return ElementPlan(contact, motion, self.harmonics, self.principal_axes, self.samples, self.cross_check)
 
     def _motion(self, context: Context, contact: Contact) -> "Motion":
         if self.motion is None:

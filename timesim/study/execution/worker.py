@@ -152,8 +152,12 @@ def processes(cluster: str, workers: int | None) -> Iterator[Executor]:
     except ImportError:
         hint = "pip install 'timesim[cluster]'"
         raise ExecutionError(f"cluster {cluster}: needs the package distributed; install it with {hint}") from None
-    with _quiet(), ExitStack() as stack:
-        target = cluster
+    with ExitStack() as stack:
+        for name in ("distributed", "distributed.client"):  # a campaign reports in words what they log as tracebacks
+            logger = logging.getLogger(name)
+            stack.callback(logger.setLevel, logger.level)
+            logger.setLevel(logging.CRITICAL)
+        target: Any = cluster
         if cluster == LOCAL:
             target = stack.enter_context(
                 distributed.LocalCluster(
@@ -164,37 +168,15 @@ def processes(cluster: str, workers: int | None) -> Iterator[Executor]:
                     preload=[_IGNORE_INTERRUPT],
                 )
             )
-        yield stack.enter_context(_connected(distributed, target))
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence dask, which would log tracebacks of what a campaign reports in words."""
-    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        for logger, level in zip(loggers, levels, strict=True):
-            logger.setLevel(level)
-
-
-@contextmanager
-def _connected(distributed: Any, target: Any) -> Iterator[Executor]:
-    try:
-        client = distributed.Client(target, timeout=PATIENCE, set_as_default=False)
-    except (OSError, ValueError) as error:
-        hint = "give the address of a running scheduler, as tcp://host:8786, or 'local'"
-        raise ExecutionError(f"cluster {target} cannot be reached: {error}; {hint}") from error
-    with client:
+        try:
+            client = stack.enter_context(distributed.Client(target, timeout=PATIENCE, set_as_default=False))
+        except (OSError, ValueError) as error:
+            hint = "give the address of a running scheduler, as tcp://host:8786, or 'local'"
+            raise ExecutionError(f"cluster {target} cannot be reached: {error}; {hint}") from error
         _check_workers(client, str(target))
         executor = client.get_executor(retries=RETRIES, pure=False)
-        try:
-            yield executor
-        finally:
-            executor.shutdown(wait=False)
+        stack.callback(executor.shutdown, wait=False)
+        yield executor
 
 
 def _check_workers(client: Any, name: str) -> None:
