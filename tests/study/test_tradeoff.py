@@ -91,6 +91,12 @@ def test_what_fewer_modes_and_all_that_is_left_out_make_of_a_run() -> None:
         assert "with nothing left out (solver.reduce: false) a run takes 2.5 times as long" in said
 
 
+def test_steps_are_counted_in_whole_numbers_whichever_runs_were_made() -> None:
+    for trials in (TRIALS, TRIALS[:4], []):
+        made = bench(trials)
+        assert study._record(SCENE, made, judge(made), None)["steps_asked"].dtype.kind == "i"
+
+
 def test_a_truth_without_a_second_method_says_so_and_a_single_run_has_no_error() -> None:
     alone = judge(bench([trial for trial in TRIALS if trial.solver.name == "tsit5"]))
     assert alone.verified == ""

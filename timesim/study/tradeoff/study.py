@@ -163,6 +163,7 @@ def _apart(bench: Bench, trial: Trial, true: Trial) -> float:
 def _record(scene: Scene, bench: Bench, judged: Judged, reason: str | None) -> Dataset:
     trials, cycles = bench.trials, bench.plan.cycles
     rk4 = np.array([trial.solver.name == "rk4" for trial in trials], dtype=bool)
+    most_steps = 2 * np.pi / np.array([trial.solver.longest for trial in trials])
     of_run = {"long_name": "transitions in the run"}
     columns: dict[str, Any] = {
         "method": [trial.solver.name for trial in trials],
@@ -170,9 +171,7 @@ def _record(scene: Scene, bench: Bench, judged: Judged, reason: str | None) -> D
         "error": judged.error,
         "seconds_a_cycle": np.array([trial.seconds for trial in trials]) / cycles,
         "steps_a_cycle": np.array([trial.steps for trial in trials]) / cycles,
-        "steps_asked": np.round(
-            [2 * np.pi / trial.solver.longest if trial.solver.name == "rk4" else 0 for trial in trials]
-        ),
+        "steps_asked": np.where(rk4, np.round(most_steps), 0).astype(int),
         "pareto": judged.pareto,
         "modes_kept": np.array([trial.num_modes for trial in trials], dtype=int),
         "reduced": np.array([trial.solver.reduce for trial in trials], dtype=bool),
@@ -182,14 +181,18 @@ def _record(scene: Scene, bench: Bench, judged: Judged, reason: str | None) -> D
     variables: dict[str, Any] = {name: (("trial",), np.asarray(values)) for name, values in columns.items()}
     variables["transitions"] = (("trial",), np.array([trial.transitions for trial in trials], dtype=int), of_run)
     compiling = sum(trial.compiling for trial in trials)
-    attrs = attributes(
-        scene, counted(len(trials), "run"), compiling, bench.plan.budget - bench.left - compiling, reason
-    )
-    attrs |= {"error_known_to": judged.known, "truth": judged.verified}
-    attrs |= {"error_wanted": bench.plan.error, "cycles": cycles, "judged_by_amplitude": bench.plan.amplitude}
-    attrs["settled_to"] = bench.settled_to
-    attrs |= {"recommended_trial": judged.recommended, "num_modes": bench.model.structure.num_modes}
-    attrs["left_out"] = "; ".join(bench.left_out)
+    running = bench.plan.budget - bench.left - compiling
+    attrs = attributes(scene, counted(len(trials), "run"), compiling, running, reason) | {
+        "error_known_to": judged.known,
+        "truth": judged.verified,
+        "error_wanted": bench.plan.error,
+        "cycles": cycles,
+        "judged_by_amplitude": bench.plan.amplitude,
+        "settled_to": bench.settled_to,
+        "recommended_trial": judged.recommended,
+        "num_modes": bench.model.structure.num_modes,
+        "left_out": "; ".join(bench.left_out),
+    }
     data = dataset(variables, {}, attrs)
     chosen = block(data.isel(trial=judged.recommended)) if judged.recommended >= 0 else {}
     return data.assign_attrs(recommended=json.dumps(chosen))
