@@ -24,8 +24,10 @@ def modules(requirements: list[str]) -> set[str]:
 
 def imported(folder: str) -> set[str]:
     """Top modules of other projects that a folder imports, inside functions, or names as text (xarray's engines)."""
-    own, found = {path.stem for path in (ROOT / folder).rglob("*.py")} | {"timesim", "agreement"}, set()
-    for path in (ROOT / folder).rglob("*.py"):
+    sources = list((ROOT / folder).rglob("*.py"))
+    own = {name for path in sources for name in (path.stem, path.parent.name)} | {"timesim", "agreement"}
+    found = set()
+    for path in sources:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Import):
                 found |= {alias.name.split(".")[0] for alias in node.names}
