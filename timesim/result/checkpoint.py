@@ -278,21 +278,18 @@ def _seconds(folder: Path) -> float:
 def resuming_helps(run_folder: Path | str, reason: str) -> bool:
     """Whether a run that ended early would get further if resumed: chunks are missing, or it was interrupted later."""
     root = Path(run_folder) / FOLDER_NAME
-    missing = [
-        name
+    missing = any(
+        not (path.parent / f"{name}.npz").exists()
         for path in root.rglob(MANIFEST_NAME)
         if (manifest := Manifest.read(path.parent))
         for name in manifest.chunks
-        if not (path.parent / f"{name}.npz").exists()
-    ]
-    return bool(missing) or (INTERRUPTED in reason and chunks_done(run_folder) > 0)
+    )
+    return missing or (INTERRUPTED in reason and chunks_done(run_folder) > 0)
 
 
 def _is_whole(folder: Path, scene: str) -> bool:
     """Whether the result of this scene is complete, for a run that is to be resumed."""
-    attrs = {}
-    if os.path.exists(folder / RESULT_NAME):
-        attrs = dict(read(folder)[""].attrs)
+    attrs = read(folder)[""].attrs if os.path.exists(folder / RESULT_NAME) else {}
     manifest = Manifest.read(folder / FOLDER_NAME)
     for path, begun in ((RESULT_NAME, attrs.get("scene")), (FOLDER_NAME, manifest.identity if manifest else None)):
         if begun is not None and begun != scene:

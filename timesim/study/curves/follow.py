@@ -99,12 +99,26 @@ class _Work:
         """Find the curves of a set."""
         own = self.first.none
         try:
-            own.follow(self.curves.values[place], self.sweeps, _Growth(self, place, own))
+            own.follow(self.curves.values[place], self.sweeps, partial(self._grown, place, own))
         except KeyboardInterrupt:
             self._know(place, own.found)
             raise
         self._know(place, own.found)
         self.kept.save(place, own.found)
+
+    def _grown(self, place: int, own: Curves, share: float, so_far: Callable[[], HbmCurve]) -> None:
+        """Show the progress of a curve that is followed in this process, and keep what there is of it on disk."""
+        values, number = self.curves.values, len(self.curves.curves) + len(own.curves) + 1
+        words = filter(None, (f"curve {number}: {share:.0%} of the range", in_words(values[place])))
+        self.execution.progress(place + _part(own, share), len(values), ", ".join(words))
+        self.kept.grow(lambda: self._record(place, own, so_far()))
+
+    def _record(self, place: int, own: Curves, curve: HbmCurve) -> Dataset:
+        """The result so far."""
+        grown, values = self.curves, self.curves.values[place]
+        for one in (*own.curves, StudyCurve(values, own.model_at(values), curve)):
+            grown = grown.with_curve(one)
+        return solutions(grown, attributes(grown.scene, str(grown.scheme), 0.0, 0.0, curve.message))
 
     def _know(self, place: int, found: Found) -> None:
         """Take in what was found for a set, and the samples that it needed."""
@@ -142,28 +156,6 @@ class _Work:
         done, number = len(self.found) + sum(under_way) / PARTS, len(self.curves.values)
         sets = counted(len(under_way), "set of values", "sets of values")
         self.execution.progress(done, number, f"harmonic balance, {sets} side by side")
-
-
-class _Growth:
-    """Shows the progress of a curve that is followed in this process, and keeps what there is of it on disk."""
-
-    def __init__(self, work: _Work, place: int, own: Curves):
-        self.work, self.place, self.own = work, place, own
-
-    def __call__(self, share: float, so_far: Callable[[], HbmCurve]) -> None:
-        curves, values = self.work.curves, self.work.curves.values
-        number = len(curves.curves) + len(self.own.curves) + 1
-        words = f"curve {number}: {share:.0%} of the range"
-        sets = self.place + _part(self.own, share)
-        self.work.execution.progress(sets, len(values), ", ".join(filter(None, (words, in_words(values[self.place])))))
-        self.work.kept.grow(lambda: self._record(so_far()))
-
-    def _record(self, curve: HbmCurve) -> Dataset:
-        """The result so far."""
-        grown, values = self.work.curves, self.work.curves.values[self.place]
-        for one in (*self.own.curves, StudyCurve(values, self.own.model_at(values), curve)):
-            grown = grown.with_curve(one)
-        return solutions(grown, attributes(grown.scene, str(grown.scheme), 0.0, 0.0, curve.message))
 
 
 def _part(own: Curves, share: float) -> float:
