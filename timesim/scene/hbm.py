@@ -291,7 +291,6 @@ class Hbm(BalanceSection):
         return self
 
     def plan(self, context: Context) -> HbmPlan:
-        """Curves over frequency, or along another scalar."""
         span = self.frequency.values() if isinstance(self.frequency, FrequencySpan) else (self.frequency,) * 2
         along = next((Along(key, ends.first, ends.to) for key, ends in self.along.items()), None)
         return self.balance(context, span, axes_of(self.over), along)

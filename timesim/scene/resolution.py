@@ -50,7 +50,6 @@ class Scene:
 
     @property
     def kind(self) -> str:
-        """Kind of its study."""
         return self.file.study.kind
 
     @property
@@ -282,7 +281,6 @@ class _Build:
             self.errors.append(error.below(*key))
 
     def plan(self, structure: BuiltStructure | None) -> Any:
-        """What the study computes."""
         study, contacts = self.file.study, self.file.contacts
         method = self.file.solver.method
         if study.explicit_only and method in ("kvaerno5", "exponential"):

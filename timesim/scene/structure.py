@@ -127,7 +127,6 @@ class MatrixSection(Section):
     """How many of the lowest modes; all by default."""
 
     def build(self, folder: Path) -> BuiltStructure:
-        """The modes of the matrices."""
         given = self.matrices
         matrices = Matrices(np.array(given.mass), np.array(given.stiffness), given.damping and np.array(given.damping))
         try:
@@ -166,7 +165,6 @@ class FileSection(Section):
     """How many of the lowest modes; all by default."""
 
     def build(self, folder: Path) -> BuiltStructure:
-        """The modes of the matrices."""
         try:
             matrices = read_matrices(self._paths(folder))
         except RuleError as error:

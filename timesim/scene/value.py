@@ -127,7 +127,6 @@ class Range(Ascending):
     """How many."""
 
     def values(self) -> tuple[float, ...]:
-        """The values, ascending."""
         return tuple(np.linspace(self.first, self.to, self.num).tolist())
 
 
@@ -146,7 +145,6 @@ class Span(Section):
         return self
 
     def values(self) -> tuple[float, float]:
-        """The two."""
         return self.first, self.to
 
 

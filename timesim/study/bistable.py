@@ -44,7 +44,6 @@ class Payload:
     criterion: Criterion
 
     def steady(self, chains: Sequence[Chain]) -> list[list[Orbit]]:
-        """Their steady states."""
         return steady_states(chains, self.solver, self.criterion, halted=point_done)
 
 

@@ -69,7 +69,6 @@ class Response:
         return float(np.max(amplitude if axis is None else amplitude[:, "xyz".index(axis)]))
 
     def steady(self, *chains: Chain) -> list[list[Orbit]]:
-        """The steady states of chains."""
         return steady_states(chains, self.solver, self.plan.sweep.criterion, halted=point_done)
 
 

@@ -30,7 +30,6 @@ class Recorder:
         self._times, self._taken = plan.sample_times(), 0
 
     def add(self, steps: Steps) -> None:
-        """Record a batch of steps."""
         if steps.time.size == 0:
             return
         self.totals.add(steps, self.run.completed)
@@ -44,14 +43,12 @@ class Recorder:
 
     @property
     def samples(self) -> Samples:
-        """All samples."""
         m, c = self.run.model.structure.num_modes, self.run.model.num_contacts
         none = Samples(np.zeros(0), np.zeros((0, m)), np.zeros((0, m)), np.zeros((0, c, 2)), np.zeros((0, c)))
         return joined(self._samples or [none])
 
     @property
     def events(self) -> Events:
-        """All transitions."""
         return joined(self._events or [Events(*np.zeros((4, 0)))])
 
 

@@ -12,18 +12,18 @@ from timesim.study.curves.collection import Curves
 from timesim.study.sweep import TAILS, sizes_of
 from timesim.study.verdict import convergence_lines
 
-STACKED = (
-    *("frequency", "stable", "fold", "branch", "floquet_max", "closure", "amplitude", "phase_deg"),
-    *("harmonic_amplitude", "harmonic_cos", "harmonic_sin", "slip_share", "separation_share", "dissipated_power"),
-)
-"""Quantities of all solutions, by their names in `HbmCurve` and in the result."""
+# Quantities by their names in `HbmCurve` and in the result.
+OF_SOLUTION = ("frequency", "stable", "fold", "branch", "floquet_max", "closure")
+OF_MOTION = ("amplitude", "phase_deg", "harmonic_amplitude", "harmonic_cos", "harmonic_sin")
+OF_CONTACTS = ("slip_share", "separation_share", "dissipated_power")
 
 
 def solutions(curves: Curves, attrs: Mapping[str, Any], refined: Convergence | None = None) -> Dataset:
     """The result file: all solutions, one curve after the other."""
     model = curves.any_model
     sizes = sizes_of(model) | {"harmonic": curves.scheme.harmonics + 1}
-    arrays = {name: _stacked(curves, name, [sizes[dim] for dim in TAILS.get(name, ())]) for name in STACKED}
+    names = (*OF_SOLUTION, *OF_MOTION, *OF_CONTACTS)
+    arrays = {name: _stacked(curves, name, [sizes[dim] for dim in TAILS.get(name, ())]) for name in names}
     arrays |= {name: arrays[name].astype(np.int8) for name in ("stable", "fold")}
     arrays["branch"] = arrays["branch"].astype(np.int32)
     counts = [one.curve.frequency.size for one in curves.curves]

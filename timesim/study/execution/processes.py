@@ -78,7 +78,6 @@ class Processes:
 
     @property
     def begun(self) -> bool:
-        """Whether any have been started."""
         return self._pool is not None
 
     def each(self, works: Iterable[tuple[Seen, Callable[..., T], tuple[Any, ...]]]) -> Iterator[tuple[int, T]]:

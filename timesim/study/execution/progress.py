@@ -72,7 +72,6 @@ class Standing:
 
     @property
     def percent(self) -> str:
-        """The share in percent."""
         return f"{int(100 * self.share + 1e-9)} %"
 
     @property

@@ -80,7 +80,6 @@ class Bench:
 
     @property
     def left(self) -> float:
-        """Seconds left."""
         return self.plan.budget - (time.perf_counter() - self.begun)
 
     def _show(self, words: str) -> None:
