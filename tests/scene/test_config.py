@@ -341,7 +341,6 @@ def test_mapping_is_a_scene():
     data = parse(BASE)[0]
     data["structure"]["modes"][0]["shape"]["tip"] = np.array([1.0, 1.0, 0.8])
     assert load_scene(data).resolved_yaml() == load_scene(BASE).resolved_yaml()
-    assert load_scene(data).path is None
     data["title"] = object()
     assert problems(data) == [("title", "must be text, a number, a list or a mapping, not object")]
     data["title"] = data
@@ -352,7 +351,6 @@ def test_mapping_is_a_scene():
 def test_resolved_scene_runs_from_anywhere(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(CONFIGS.parent)
     scene = load_scene(Path("configs") / name, ["study.record_last=3"])
-    assert scene.path == Path("configs") / name
     resolved = scene.resolved_yaml()
     (tmp_path / "scene.yaml").write_text(resolved)
     monkeypatch.chdir(tmp_path)

@@ -44,11 +44,6 @@ class Scene:
         return _restored, (self.source, self.kinds, self._built)
 
     @property
-    def path(self) -> Path | None:
-        """The scene file; None for a scene that was built in Python."""
-        return Path(self.source.name) if self.source.lines and Path(self.source.name).is_file() else None
-
-    @property
     def kind(self) -> str:
         return self.file.study.kind
 
