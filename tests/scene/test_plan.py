@@ -181,6 +181,14 @@ def test_a_value_that_is_wrong_alone_is_named_alone():
     assert (problem.key, problem.value, problem.rule) == (f"study.over.{FRICTION}", "-0.5", "must be >= 0")
 
 
+def test_half_of_a_range_is_at_most_half_of_it_however_it_is_rounded():
+    """1.4 - 1.3 is less than twice 0.05."""
+    half = {"study.frequency": {"from": 1.3, "to": 1.4}, "study.step": 0.05}
+    assert load_scene(BISTABLE, half).plan.sweep.frequency.tolist() == pytest.approx([1.3, 1.35, 1.4])
+    least = {f"study.along.{PRELOAD}": {"from": 1.3, "to": 1.4, "num": 3}, "study.accuracy": 0.05}
+    assert load_scene(OPTIMUM, least).plan.accuracy == 0.05
+
+
 def test_resolved_scenes_write_the_defaults_that_depend_on_other_keys():
     written = {kind: load_scene(text, {f"study.{key}": None for key in keys}).resolved_yaml() for kind, text, keys in (
         ("transient", BASE, ("record_last",)),

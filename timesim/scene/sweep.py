@@ -35,6 +35,10 @@ class Sweep(SweepSection):
         return self.sweep()
 
 
+ROUNDED = 1 + 1e-9
+"""A share of a range may be larger by this factor: 1.4 - 1.3 is less than 0.1."""
+
+
 # The scalar of least peak
 
 
@@ -83,7 +87,7 @@ class Optimum(SteadySection):
         if given.num < FEWEST:
             raise refuse(f"must be at least {FEWEST}", key=("along", key, "num"), value=given.num)
         span = given.to - given.first
-        if self.accuracy is not None and self.accuracy > span / 2:
+        if self.accuracy is not None and self.accuracy > span / 2 * ROUNDED:
             rule = "must be at most half of the range of the scalar"
             raise refuse(rule, key=("accuracy",), value=self.accuracy)
         return self.completed(accuracy=ACCURACY * span)
@@ -157,7 +161,7 @@ class Bistable(SteadySection):
     def _fits_together(self) -> Self:
         span = self.frequency.to - self.frequency.first
         step = self.step or span / STEPS
-        if step > span / 2:
+        if step > span / 2 * ROUNDED:
             raise refuse("must be at most half of the range of frequency", key=("step",), value=step)
         if self.starts and (self.starts < 5 or self.starts % 4 != 1):
             hint = "so rest and both motions are among the starts"
