@@ -166,7 +166,7 @@ class Bistable(SteadySection):
         if self.starts and (self.starts < 5 or self.starts % 4 != 1):
             hint = "so rest and both motions are among the starts"
             raise refuse("must be 0, or 5, 9, 13, ...", key=("starts",), value=self.starts, hint=hint)
-        if self.width > step:
+        if self.width > step * ROUNDED:
             raise refuse("must be at most the step of the sweeps", key=("width",), value=self.width)
         if span / step > MAX_POINTS:
             raise refuse(f"must leave at most {MAX_POINTS} points", key=("step",), value=step)
