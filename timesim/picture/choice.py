@@ -1,19 +1,16 @@
 """What a picture shows if there is too much for it: what moves or rubs most, or an even selection of values."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from xarray import Dataset
+from xarray import Dataset
 
 MAX_ROWS = 3  # points or contacts, one above the other
 MAX_CURVES = 12  # sets of values of the further axes
 STILL = 1e-9  # share of the largest motion below which something does not move
 
 
-def motions(data: "Dataset", size: np.ndarray) -> list[tuple[str, str]]:
+def motions(data: Dataset, size: np.ndarray) -> list[tuple[str, str]]:
     """Points and axes that move, the largest motion first; the first of all if nothing moves.
 
     ``size``: of the motion of each, shape (P, 3).
@@ -24,14 +21,14 @@ def motions(data: "Dataset", size: np.ndarray) -> list[tuple[str, str]]:
     return [(str(data.point.values[i]), str(data.axis.values[j])) for i, j in zip(rows, columns, strict=True)]
 
 
-def responses(data: "Dataset") -> list[tuple[str, str]]:
+def responses(data: Dataset) -> list[tuple[str, str]]:
     """Points and axes with an amplitude, the largest first."""
     values = data["amplitude"].transpose(..., "point", "axis").values
     size = np.where(np.isfinite(values), values, 0.0).reshape(-1, *values.shape[-2:]).max(axis=0, initial=0.0)
     return motions(data, size)
 
 
-def main_axes(data: "Dataset") -> dict[str, str]:
+def main_axes(data: Dataset) -> dict[str, str]:
     """Points with an amplitude, the largest first, and the axis along which each has its largest."""
     axes: dict[str, str] = {}
     for point, axis in responses(data):
@@ -39,7 +36,7 @@ def main_axes(data: "Dataset") -> dict[str, str]:
     return axes
 
 
-def motion(data: "Dataset", point: str | None, axis: str | None) -> tuple[str, str]:
+def motion(data: Dataset, point: str | None, axis: str | None) -> tuple[str, str]:
     """The point and axis that are asked for, by default those of the largest amplitude."""
     return asked(responses(data), point, axis)
 
@@ -50,7 +47,7 @@ def asked(moving: Sequence[tuple[str, str]], point: str | None, axis: str | None
     return next(fitting, (point or moving[0][0], axis or moving[0][1]))
 
 
-def busiest(data: "Dataset", *activity: np.ndarray, limit: int = MAX_ROWS) -> list[str]:
+def busiest(data: Dataset, *activity: np.ndarray, limit: int = MAX_ROWS) -> list[str]:
     """At most `limit` contacts, the most active by the first measure, ties decided by the next, in the scene's order.
 
     ``activity``: of each contact, shape (C,).

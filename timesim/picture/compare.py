@@ -41,7 +41,8 @@ SHORT = {"sweep": "in time", "hbm": "balance"}  # beside a bar
 PHASE = "phase of the excitation [degree]"
 # Amplitudes below this share of the largest are left out of the difference that is drawn.
 MINOR = 1e-3
-SMALL, WIDE = 3.2, 7.0  # sizes of a dot, and of a triangle beside the point
+DOT = {"ms": 3.2}
+TRIANGLE = {"ms": 7.0, "markeredgecolor": "white", "markeredgewidth": 0.6}  # beside the point
 
 
 Points = tuple[dict[str, int], dict[str, Any]]
@@ -129,11 +130,10 @@ def _points(hbm: "Dataset", sweep: "Dataset") -> Iterator[Points]:
         if label in undrawn:
             continue
         for i, direction in enumerate(sweep.direction.values):
-            words = (METHODS["sweep"], "" if direction == "independent" else direction)
-            name = ", ".join(filter(None, (*words, "" if label in colours else "no curve")))
-            look = {"color": colours.get(label, "0.5"), "marker": PAIRED[direction], "linestyle": "", "label": name}
-            edge = {} if direction == "independent" else {"markeredgecolor": "white", "markeredgewidth": 0.6}
-            look |= {"ms": SMALL if direction == "independent" else WIDE, **edge}
+            alone = direction == "independent"
+            words = (METHODS["sweep"], "" if alone else direction, "" if label in colours else "no curve")
+            look = {"color": colours.get(label, "0.5"), "marker": PAIRED[direction], "linestyle": ""}
+            look |= {"label": ", ".join(filter(None, words)), **(DOT if alone else TRIANGLE)}
             yield dict(zip(keys, where, strict=True)) | {"direction": i}, look
 
 
