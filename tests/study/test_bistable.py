@@ -131,17 +131,19 @@ def test_the_summary_names_motions_that_do_not_repeat_each_cycle(result):
 def test_a_fold_near_which_no_range_ends_is_named(result):
     """As of a stop whose sweeps both stay on the upper motion: nobody may take it for the only one."""
     balance, ends = result["hbm"].to_dataset(), result["range"].values.ravel()
-    assert not any("no range ends" in line for line in fold_lines(balance, {"": ends}, 0.02))
-    lines = [line for line in fold_lines(balance, {"": ends[1:]}, 1e-3) if "no range ends" in line]
+    assert not any("no range ends" in line for line in fold_lines(balance, {(): ends}, 0.02))
+    lines = [line for line in fold_lines(balance, {(): ends[1:]}, 1e-3) if "no range ends" in line]
     assert [line.split(" Hz")[0] for line in lines] == ["beside the fold at " + f"{_folds(balance)[0]:.7g}"]
 
 
-def test_folds_are_held_against_the_ranges_with_their_own_values(result):
+@pytest.mark.parametrize("other", [3.0, -4.0000001])
+def test_folds_are_held_against_the_ranges_with_their_own_values(result, other: float):
+    """Also where both are written alike."""
     balance, ends = result["hbm"].to_dataset(), result["range"].values.ravel()
     balance["contacts.pad.preload"] = ("solution", np.full(balance.sizes["solution"], -4.0))
-    sets = {"contacts.pad.preload -4: ": ends[1:], "contacts.pad.preload 3: ": ends}
+    sets = {(-4.0,): ends[1:], (other,): ends}
     assert sum("no range ends" in line for line in fold_lines(balance, sets, 1e-3)) == 1
-    sets.pop("contacts.pad.preload -4: ")  # whose ends are not known
+    sets.pop((-4.0,))  # whose ends are not known
     assert not any("no range ends" in line for line in fold_lines(balance, sets, 1e-3))
 
 

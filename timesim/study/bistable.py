@@ -7,6 +7,7 @@ motions from an ensemble of starts. Each of these is a chunk, so that an interru
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -20,9 +21,8 @@ from timesim.orbit.settling import Chain, steady_states, warm_up
 from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of
 from timesim.orbit.two_motions import UP, Search, ranges_of
 from timesim.result.dataset import dataset
-from timesim.result.label import counted, in_words
+from timesim.result.label import counted
 from timesim.scene.resolution import Scene
-from timesim.scene.study import combinations
 from timesim.scene.sweep import BistablePlan
 from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import CURVE, Phases
@@ -188,10 +188,10 @@ class Gathered:
         self.count = max((len(result["range"]) for result in self.whole if result), default=0)
 
     @property
-    def ends(self) -> dict[str, np.ndarray]:
-        """Ends of the ranges [Hz] of each set of values that knows its ranges, by the values in words."""
-        sets = zip(combinations(self.plan.sweep.over), self.whole, strict=True)
-        return {in_words(values, ": "): np.ravel(result["range"]) for values, result in sets if result is not None}
+    def ends(self) -> dict[tuple[float, ...], np.ndarray]:
+        """Ends of the ranges [Hz] of each set of values that knows its ranges."""
+        sets = zip(product(*self.plan.sweep.over.values()), self.whole, strict=True)
+        return {values: np.ravel(result["range"]) for values, result in sets if result is not None}
 
     def _last(self, v: int) -> Result | None:
         """The last result of a set of values that has the ranges; None if they are not known."""

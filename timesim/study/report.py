@@ -237,18 +237,19 @@ def _offset_lines(one: Dataset, size: float) -> Iterator[str]:
         )
 
 
-def fold_lines(hbm: Dataset, ends: Mapping[str, np.ndarray], reach: float) -> Iterator[str]:
+def fold_lines(hbm: Dataset, ends: Mapping[tuple[float, ...], np.ndarray], reach: float) -> Iterator[str]:
     """Folds of the balance, to compare with the ends of the ranges, and folds without an end within a reach [Hz].
 
-    ``ends``: of the ranges of each set of values, by the values in words.
+    ``ends``: of the ranges of each set of values of the further axes.
     """
-    frequency, sets = hbm["frequency"].values, dict[str, list[float]]()
+    frequency, keys, sets = hbm["frequency"].values, over_keys(hbm), dict[tuple[float, ...], list[float]]()
     for place in np.flatnonzero(hbm["fold"].values):
-        label = in_words({key: hbm[key].values[place] for key in over_keys(hbm)}, ": ")
-        sets.setdefault(label, []).append(float(frequency[place]))
-    for label, turning in list(sets.items())[:LINES]:
+        values = tuple(float(hbm[key].values[place]) for key in keys)
+        sets.setdefault(values, []).append(float(frequency[place]))
+    for values, turning in list(sets.items())[:LINES]:
+        label = in_words(dict(zip(keys, values, strict=True)), ": ")
         yield f"{label}folds of the balance at {', '.join(f'{place:.7g}' for place in sorted(turning))} Hz"
-        known = ends.get(label)
+        known = ends.get(values)
         alone = [] if known is None else [fold for fold in turning if np.abs(known - fold).min(initial=np.inf) > reach]
         for fold in sorted(alone):
             yield (
