@@ -127,6 +127,29 @@ def test_free_body_has_frequency_zero():
     assert np.all(structure.frequency[1:] > 0.1)
 
 
+@pytest.mark.parametrize(("num", "penalty"), [(2, 1e16), (300, 1e12)])
+def test_a_chain_that_a_penalty_clamps_is_no_free_body(num: int, penalty: float):
+    """Rounding of the stiff spring is larger than the squares of the lowest frequencies, known all the same."""
+    stiffness = 2 * np.eye(num) - np.eye(num, k=1) - np.eye(num, k=-1)
+    stiffness[0, 0] = penalty
+    found = modal_structure(Matrices(np.eye(num), stiffness), points={}, damping_ratio=0.0)
+    exact = 2 * np.sin(np.arange(1, num) * np.pi / (2 * num))
+    np.testing.assert_allclose(found.omega[:-1], exact, rtol=1e-9)
+
+
+def test_a_free_chain_with_a_stiff_link_has_one_mode_of_frequency_zero():
+    """The link joins two of its masses to one."""
+    stiffness, mass = np.zeros((40, 40)), np.eye(39)
+    for i in range(39):
+        stiffness[i : i + 2, i : i + 2] += (1e8 if i == 19 else 1.0) * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    found = modal_structure(Matrices(np.eye(40), stiffness), points={}, damping_ratio=0.0, keep_modes=39)
+    mass[19, 19], rigid = 2.0, np.delete(np.eye(40), 20, axis=1)
+    rigid[20, 19] = 1.0
+    exact = scipy.linalg.eigvalsh(rigid.T @ stiffness @ rigid, mass)
+    assert found.frequency[0] == 0
+    np.testing.assert_allclose(found.omega[1:] ** 2, exact[1:], rtol=1e-6)
+
+
 def test_large_sparse_structure():
     n, keep = 3000, 7
     off = np.full(n - 1, -1.0)

@@ -26,6 +26,9 @@ AXES = "xyz"
 MAX_DENSE = 2000
 SYMMETRY = 1e-9
 """Largest difference of mirrored entries, as a share of the largest entry, that counts as rounding."""
+SOFT, SHIFT = 1e-8, 1e-12
+"""Eigenvalues below the former share of the largest lose digits to rounding, beside penalties as of clamps all of them;
+inverse iteration finds them, the stiffness of free bodies being shifted by the latter."""
 NEGATIVE = 1e-10
 """Eigenvalues down to minus this share of the largest are rounding of a free body's zero."""
 
@@ -232,8 +235,13 @@ def _eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.ndarray, 
     if smallest < -NEGATIVE * largest:
         hint = f"its lowest eigenvalue is omega^2 = {smallest:.6g}"
         raise RuleError(("stiffness",), "the stiffness matrix must have no negative eigenvalue", hint)
-    squared = np.where(squared < 1e-15 * mass.shape[0] * largest, 0.0, squared)
-    return squared[:num_modes], modes[:, :num_modes]
+    free = np.logical_and.accumulate(squared <= np.diag(_rounding(stiffness, modes)))
+    return np.where(free, 0.0, squared)[:num_modes], modes[:, :num_modes]
+
+
+def _rounding(matrix: Any, modes: np.ndarray) -> np.ndarray:
+    """What rounding may leave of the entries of a symmetric matrix in the modes, shape (M, M)."""
+    return np.abs(modes).T @ (abs(matrix) @ np.abs(modes)) * np.finfo(float).eps * 10 * modes.shape[0]
 
 
 def _dense_eigenmodes(mass: np.ndarray, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -245,7 +253,22 @@ def _dense_eigenmodes(mass: np.ndarray, stiffness: np.ndarray) -> tuple[np.ndarr
         raise _indefinite_mass() from None
     if scipy.linalg.eigvalsh(mass / _outer_root(np.diag(mass)))[0] < 1e-13:
         raise _indefinite_mass()
+    low = squared < SOFT * squared[-1]
+    if low.any():
+        squared[low], modes[:, low] = _soft_modes(mass, stiffness, modes[:, low], SHIFT * squared[-1])
     return squared, modes
+
+
+def _soft_modes(
+    mass: np.ndarray, stiffness: np.ndarray, modes: np.ndarray, shift: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The lowest eigenvalues and modes, from approximate ones, by a step of inverse iteration and Rayleigh and Ritz."""
+    import scipy.linalg
+
+    moved = np.linalg.solve(stiffness + shift * mass, mass @ modes)
+    moved /= np.linalg.norm(moved, axis=0)
+    squared, shares = scipy.linalg.eigh(moved.T @ stiffness @ moved, moved.T @ mass @ moved)
+    return squared, moved @ shares
 
 
 def _outer_root(diagonal: np.ndarray) -> np.ndarray:
@@ -301,7 +324,6 @@ def _modal_damping(damping: Any, modes: np.ndarray) -> np.ndarray:
     if values[0] < -NEGATIVE * max(values[-1], 0.0) or (values[-1] <= 0 and values[0] < 0):
         rule = "the damping matrix must have no negative eigenvalue"
         raise RuleError(("damping",), rule, f"in the modes kept: {values[0]:.6g}")
-    rounding = np.abs(modes).T @ (abs(damping) @ np.abs(modes)) * np.finfo(float).eps * 10 * modes.shape[0]
     diagonal = np.clip(np.diag(modal), 0, None)
     coupling = np.abs(modal - np.diag(np.diag(modal)))
-    return diagonal if np.all(coupling <= rounding + 1e-10 * _outer_root(diagonal)) else modal
+    return diagonal if np.all(coupling <= _rounding(damping, modes) + 1e-10 * _outer_root(diagonal)) else modal
