@@ -110,7 +110,7 @@ class Convergence:
     Attributes:
         count: number of solutions refined.
         harmonics, with_harmonics: numbers of harmonics, and the difference of each from the last; the last entry is the
-            difference from the last but one.
+            difference from the last but one; NaN where no solution exists with both.
         time_samples, with_samples: the same for the samples.
         lost: number of solutions that do not exist, by the number of harmonics or samples in words.
     """
@@ -164,7 +164,7 @@ def _refined(
         answers.append(np.array([amplitude(one, scheme_of(number)) for one in known]))
         if len(answers) > 1:
             moves.append(_change(known, answers[-2], answers[-1]))
-        if max(moves[-2:]) < ENOUGH:
+        if np.all(np.array(moves[-2:]) < ENOUGH):
             break
     changes = [_change(known, answer, answers[-1]) for answer in answers[:-1]]
     lost = np.array([np.isnan(answer[:, 0, 0]).sum() if known else 0 for answer in answers])
@@ -172,10 +172,12 @@ def _refined(
 
 
 def _change(known: Sequence[Known], one: Array, other: Array) -> float:
-    """Largest difference of amplitudes, relative to each motion, where both exist."""
-    size = np.array([solution.amplitude.max() for solution in known])
-    change = np.abs(one - other).max(axis=(1, 2), initial=0.0) / size if known else np.zeros(0)
-    return float(np.max(change[np.isfinite(change)], initial=0.0))
+    """Largest difference of amplitudes, relative to each motion, where both exist; NaN where none does."""
+    if not known:
+        return 0.0
+    change = np.abs(one - other).max(axis=(1, 2)) / np.array([solution.amplitude.max() for solution in known])
+    exists = np.isfinite(change)
+    return float(change[exists].max()) if exists.any() else np.nan
 
 
 def amplitude(known: Known, scheme: Scheme) -> Array:
