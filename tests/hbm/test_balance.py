@@ -18,7 +18,7 @@ from timesim.hbm.continuation.bordered import Bordered
 from timesim.hbm.curve import hbm_curve, solutions_at
 from timesim.hbm.first_guess import first_guesses, unknowns_of_modes
 from timesim.hbm.scheme import Scheme
-from timesim.model.model import Structure
+from timesim.model.model import Model, Structure
 from timesim.orbit.fourier import to_coefficients
 
 TURN = 2 * np.pi
@@ -147,6 +147,28 @@ def test_modes_of_frequency_zero():
     assert all(v.complete for v in values)
     assert values[0].slip_share.max() > 0.2
     np.testing.assert_allclose(values[1].amplitude[-1], values[0].amplitude[-1], rtol=1e-5)
+
+
+@pytest.mark.parametrize(("damping", "force", "constant"), [(0.0, 0.0, 0.0), (0.1, 0.1, 0.0), (0.1, 0.1, 0.1)])
+def test_a_free_mode_that_nothing_holds(damping, force, constant, monkeypatch):
+    """Along a frictionless stop: its waves are those of a free mass, its mean is free, if no force drives it away."""
+    monkeypatch.setattr(first_guess, "_settled", lambda *_: ("time integration", None))
+    body = systems.structure([0.0, 1.0], [damping, 0.02], [[1, 0, 0], [0, 0, 1]])
+    load = systems.excitation(0.15, [force, 0.5], [0.0, 0.0], [constant, 0.0])
+    model = Model(body, (systems.pad(0.0, 0.0, 5.0, -0.5),), load, systems.at_rest(2, 1))
+    held = replace(model, structure=systems.structure([1.0], [0.02], [[0, 0, 1]]))
+    alone = replace(held, excitation=systems.excitation(0.15, [0.5], [0.0]), start=systems.at_rest(1, 1))
+    with np.errstate(all="ignore"):
+        curve, expected = (hbm_curve(own, 0.15, 0.16, scheme=Scheme(5, 128)) for own in (model, alone))
+    if constant:
+        assert curve.ending is Ending.START
+        return
+    assert curve.complete
+    omega = TURN * curve.frequency[-1]
+    assert curve.amplitude[-1, 0, 0] == pytest.approx(force / np.hypot(omega**2, damping * omega), abs=1e-12)
+    assert curve.amplitude[-1, 0, 2] == pytest.approx(expected.amplitude[-1, 0, 2], rel=1e-9)
+    assert 0 < curve.separation_share[-1, 0] < 1
+    assert curve.stable[-1] == expected.stable[-1]
 
 
 def test_an_undamped_mode_at_its_natural_frequency():

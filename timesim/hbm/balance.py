@@ -40,6 +40,8 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 # Solutions whose contacts are evaluated together: a fixed number, so that not every curve compiles anew.
 BATCH = 16
+LOOSE = 1e-12
+"""Share of the largest stiffness of free modes, and of the constant forces on them, that is rounding."""
 UNDAMPED = 1e-6
 """Loss of a mode at resonance, over its stiffness, up to which its response there is too large for a balance."""
 
@@ -99,6 +101,23 @@ def mean_of(rows: Array) -> Array:
     return mean
 
 
+def _hold_of(free: NDArray[np.bool_], stiffness: Array, constant: Array) -> Array:
+    """Stiffness of motions that nothing restrains, shape (M, M): their mean, which is free, is then zero.
+
+    Without it where a constant force acts on them: then there is no periodic motion.
+
+    Args:
+        free: modes of frequency zero, shape (M,).
+        stiffness: of the structure and whatever restrains it, shape (M, M).
+        constant: forces on the modes, shape (M,).
+    """
+    values, vectors = np.linalg.eigh(stiffness[np.ix_(free, free)])
+    loose = np.zeros((free.size, values.size))
+    loose[free] = vectors * (values <= LOOSE * values.max(initial=0.0))
+    pushed = np.abs(constant @ loose).max(initial=0.0) > LOOSE * np.linalg.norm(constant)
+    return (loose @ loose.T) * ((stiffness.max() or 1.0) * (not pushed))
+
+
 class Balance:
     """The balance of a model as a residual in the frequency [Hz], for `timesim.hbm.continuation`.
 
@@ -134,6 +153,8 @@ class Balance:
         omega = structure.omega
         supported = self.damping.ndim == 2 or np.any((omega == 0) | (self.damping <= UNDAMPED * omega))
         self.support = contact_stiffness(model, np.full(model.num_contacts, float(supported)))
+        self.stiffness = np.diag(omega**2) + self.shape.T @ self.support @ self.shape
+        self.hold = _hold_of(omega == 0, self.stiffness, self.load[0].real)
 
     def linear(self, frequency: float) -> LinearResponse:
         """Response of the structure at a frequency [Hz]; not finite where it is singular."""
@@ -149,9 +170,9 @@ class Balance:
             change = slope[:, :, None] * response
         else:
             damping = np.diag(self.damping) if self.damping.ndim == 1 else self.damping
-            supported = np.diag(stiffness) + self.shape.T @ self.support @ self.shape
             order, one = order[:, :, None], np.eye(stiffness.size)
-            dynamic = supported - (order * omega) ** 2 * one + 1j * order * omega * damping
+            dynamic = self.stiffness - (order * omega) ** 2 * one + 1j * order * omega * damping
+            dynamic[0] += self.hold
             try:
                 response = np.linalg.solve(dynamic, right)
             except np.linalg.LinAlgError:
