@@ -41,7 +41,7 @@ class HuntCrossley(ContactLaw):
         load = self._load(motion)
         return jnp.where(state == SEPARATION, -load, load), jnp.ones_like(load)
 
-    def successor(self, state: State, motion: Motion, *, tiny: Scalar) -> State:
+    def successor(self, state: State, motion: Motion) -> State:
         return jnp.where(state == SEPARATION, SLIP, SEPARATION)
 
     def slip_at_transition(self, before: State, after: State, motion: Motion, w: Plane) -> Plane:

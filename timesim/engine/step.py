@@ -35,7 +35,7 @@ from timesim.engine.law.rule import rule_of
 from timesim.engine.method import Method
 from timesim.engine.solver import Control, error_size, next_length
 from timesim.engine.status import Status
-from timesim.engine.tolerance import NO_LOAD, NO_TIME, SHORTEST, TOGETHER, VIOLATED
+from timesim.engine.tolerance import NO_TIME, SHORTEST, TOGETHER, VIOLATED
 
 PERIOD = 2 * jnp.pi
 SHORTER = 0.9  # share of a cut step that ends beyond a guard
@@ -255,7 +255,7 @@ def transition(
     force itself where n passes close by zero.
     """
     law, moves = dynamics.law, dynamics.motion(end)
-    after = jnp.where(crossed, law.successor(state, moves, tiny=NO_LOAD * law.scale()), state)
+    after = jnp.where(crossed, law.successor(state, moves), state)
     w = law.slip_at_transition(state, after, moves, end.w)
     return eqx.tree_at(lambda point: point.w, end, w), after
 

@@ -15,6 +15,7 @@ NO_TIME        1e-9   time between two transitions that is none, a tenth of `LAN
 LANDING        1e-8   time from a guard that an Euler step may correct: its error is half the square, below eps
 SINGULAR       3e-8   time from n = 0 where the direction of slip is rounding: three times `LANDING`, so that no step
                       that has landed next to n = 0 asks for a slip speed there
+SOON           1e-6   time to n = 0 up to which a falling n counts as none, within `NO_LOAD`: it moves nothing by 5e-13
 SHORT          1e-3   step in which the change of u is better had from its rates: by values it errs by eps over the step
 =============  =====  ================================================================================================
 
@@ -30,4 +31,5 @@ NO_LOAD = 1e-10  # 10 * TOGETHER
 LANDING = 1e-8
 NO_TIME = 0.1 * LANDING
 SINGULAR = 3e-8  # 3 * LANDING
+SOON = 1e-6
 SHORT = 1e-3

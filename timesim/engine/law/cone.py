@@ -23,6 +23,7 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool
 
 from timesim.engine.barrier import apart
 from timesim.engine.law import slip_angle
@@ -42,7 +43,7 @@ from timesim.engine.law.contact_law import (
     where,
 )
 from timesim.engine.law.rule import Rule
-from timesim.engine.tolerance import FORCE_FLOOR, SINGULAR
+from timesim.engine.tolerance import FORCE_FLOOR, NO_LOAD, SINGULAR, SOON, TOGETHER
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact
 from timesim.model.scales import Scales
 
@@ -103,17 +104,23 @@ class ConeLaw(ContactLaw):
         cone = self.friction * n - length(product(self.stiffness, minus(motion.u, w)))
         speed = slip_speed(self, slip_direction(self, motion, w), motion)
         singular = n < SINGULAR * jnp.abs(self.normal_stiffness * motion.dv)
-        first = jnp.where(state == STICK, cone, jnp.where(state == SLIP, n, -n))
+        # What has opened with a load next to nothing has not closed: the loop would find no step that ends before.
+        opened = jnp.where((n > 0) & self._opens(n, motion), 0.0, -n)
+        first = jnp.where(state == STICK, cone, jnp.where(state == SLIP, n, opened))
         return first, jnp.where((state == SLIP) & (self.friction > 0) & ~singular, speed, 1.0)
 
-    def successor(self, state: State, motion: Motion, *, tiny: Scalar) -> State:
+    def successor(self, state: State, motion: Motion) -> State:
         # By the rates (section 3). Where stick or slip ends with n next to zero and falling, cone and separation are
         # reached at once and separation wins.
-        n = normal_load(self, motion.v)
-        dn = self.normal_stiffness * motion.dv
-        sticks = length(product(self.stiffness, motion.du)) < self.friction * dn
-        leaving = jnp.where((n <= tiny) & (dn < 0), SEPARATION, jnp.where(state == STICK, SLIP, STICK))
+        sticks = length(product(self.stiffness, motion.du)) < self.friction * (self.normal_stiffness * motion.dv)
+        opens = self._opens(normal_load(self, motion.v), motion)
+        leaving = jnp.where(opens, SEPARATION, jnp.where(state == STICK, SLIP, STICK))
         return jnp.where(state == SEPARATION, jnp.where(sticks, STICK, SLIP), leaving)
+
+    def _opens(self, n: Scalar, motion: Motion) -> Bool[Array, " contact"]:
+        """Whether a normal load is next to nothing and falls."""
+        dn = self.normal_stiffness * motion.dv
+        return (dn < 0) & (n <= jnp.clip(-SOON * dn, TOGETHER * self.scale(), NO_LOAD * self.scale()))
 
     def slip_at_transition(self, before: State, after: State, motion: Motion, w: Plane) -> Plane:
         # On the cone during and after slip, w = u during and after separation.

@@ -122,8 +122,8 @@ class ContactLaw(eqx.Module):
         """
 
     @abc.abstractmethod
-    def successor(self, state: State, motion: Motion, *, tiny: Scalar) -> State:
-        """State of a contact that has reached a transition; a normal load of no more than ``tiny`` counts as none."""
+    def successor(self, state: State, motion: Motion) -> State:
+        """State of a contact that has reached a transition."""
 
     @abc.abstractmethod
     def slip_at_transition(self, before: State, after: State, motion: Motion, w: Plane) -> Plane:
