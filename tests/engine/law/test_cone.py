@@ -78,6 +78,8 @@ def test_the_incipient_direction_solves_its_equation(case: int):
     s = float(slip_speed(contact, plane(e), moves)[0])
     assert s >= 0
     np.testing.assert_allclose((0.4 * 1.3 * dv) * e + s * stiffness @ e, stiffness @ du, atol=1e-9)
+    angle = float(contact.inner(jnp.asarray([SLIP]), moves, plane(np.zeros(2)))[0])
+    np.testing.assert_allclose((np.cos(angle), np.sin(angle)), e, atol=1e-12)  # with which a collocated step begins
 
 
 def test_the_incipient_direction_of_isotropic_stiffness_is_that_of_the_velocity():
