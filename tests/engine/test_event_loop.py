@@ -454,6 +454,13 @@ def test_what_a_message_says(status: Status) -> None:
     assert any(hint in str(caught.value) for hint in ("try", "ask for", "Raise", "Check"))
 
 
+def test_a_message_before_any_transition_names_no_contact() -> None:
+    run = Run(oscillator(3.0, 1.39), [Phase(1.39, 5)], replace(FINE, budget=3))
+    with pytest.raises(RunError, match="the budget of 3 steps a cycle is spent") as caught:
+        list(run.batches())
+    assert "switched last" not in str(caught.value)
+
+
 def test_a_message_names_a_contact_as_it_is() -> None:
     text = Status.BUDGET.message(solver="tsit5", budget=7, contact="{1} {x}")
     assert "contact '{1} {x}' switched last" in text

@@ -6,6 +6,9 @@ from timesim.model.model import Model
 from timesim.model.reduction import Reduction
 from timesim.model.solver import Solver
 
+NOBODY = -1
+"""The contact of the last transition where there was none yet."""
+
 
 class RunError(Exception):
     """A run that ended early: the message says when, why and what to try."""
@@ -58,5 +61,5 @@ class Status(enum.IntEnum):
 
 def message_of(model: Model, reduction: Reduction, solver: Solver, status: int, culprit: int) -> str:
     """What a status that has ended a trajectory means, and what to try."""
-    contact = model.contacts[reduction.live[culprit]].name if reduction.live.size else None
+    contact = model.contacts[reduction.live[culprit]].name if culprit != NOBODY else None
     return Status(status).message(solver=solver.name, budget=solver.budget, contact=contact)

@@ -34,7 +34,7 @@ from timesim.engine.law.contact_law import ContinuousState, Dynamics, State
 from timesim.engine.law.rule import rule_of
 from timesim.engine.method import Method
 from timesim.engine.solver import Control, error_size, next_length
-from timesim.engine.status import Status
+from timesim.engine.status import NOBODY, Status
 from timesim.engine.tolerance import NO_TIME, SHORTEST, TOGETHER, VIOLATED
 
 PERIOD = 2 * jnp.pi
@@ -58,7 +58,7 @@ class Trajectory(eqx.Module):
         repeats: transitions in a row with no time between them.
         tried: steps tried in this cycle.
         status: see `Status`.
-        culprit: contact of the last transition.
+        culprit: contact of the last transition, `NOBODY` before the first.
     """
 
     cycle: Int[Leaf, ""]
@@ -96,7 +96,7 @@ def begin(dynamics: Dynamics, point: ContinuousState, state: State, length: Floa
     zero, none = jnp.zeros(()), jnp.zeros((), dtype=jnp.int64)
     rate = dynamics.field(state, zero, point)
     one = jnp.ones(())
-    return Trajectory(none, zero, point, rate, state, length, one * jnp.inf, one, one, none, none, none, none)
+    return Trajectory(none, zero, point, rate, state, length, one * jnp.inf, one, one, none, none, none, none + NOBODY)
 
 
 def try_step(

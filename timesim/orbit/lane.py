@@ -14,7 +14,7 @@ from timesim.engine.exponential.parts import short_steps
 from timesim.engine.law.cone import ConeLaw
 from timesim.engine.quadrature import means
 from timesim.engine.solver import Control, step_control
-from timesim.engine.status import Status
+from timesim.engine.status import NOBODY, Status
 from timesim.engine.step import Step, Trajectory
 from timesim.engine.system import Point, System, system_of
 from timesim.engine.trajectory import Frame
@@ -51,7 +51,7 @@ class Lane:
     phase: float
     quiet: float = 0.0
     status: int = Status.RUNNING
-    culprit: int = 0
+    culprit: int = NOBODY
 
     @classmethod
     def begin(cls, model: Model, reduction: Reduction, frequency: float, solver: Solver, start: Start) -> Self:
@@ -83,7 +83,7 @@ class Lane:
         return Trajectory(
             cycle=none, time=zero, point=self.here.point, rate=self.here.point, state=self.here.state,
             length=self.control.opening, limit=np.asarray(np.inf), last_error=one, since=one, repeats=none, tried=none,
-            status=none, culprit=none,
+            status=none, culprit=none + NOBODY,
         )  # fmt: skip
 
     @property

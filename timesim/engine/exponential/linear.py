@@ -27,7 +27,7 @@ import numpy as np
 from timesim.engine.event_loop import Batch, Reached, Rows, capacity
 from timesim.engine.exponential.parts import FINEST
 from timesim.engine.exponential.work import gauss
-from timesim.engine.status import Status
+from timesim.engine.status import NOBODY, Status
 from timesim.engine.step import PERIOD, Step
 from timesim.engine.system import Point, System, Work
 from timesim.model.solver import Solver
@@ -270,8 +270,8 @@ def reached(motion: LinearMotion, state: np.ndarray, place: tuple[int, float], l
     """Where a trajectory stands in a state, in a cycle and at a time within it."""
     q, p, _ = motion.modes(state[..., None])
     cycle, time = (np.asarray(part) for part in place)
-    point, none = _made(like, [q[0], p[0], *like.w]), np.zeros((), dtype=int)
-    return Reached(cycle, time, point, np.zeros(0, dtype=int), np.asarray(status.value), none)
+    point = _made(like, [q[0], p[0], *like.w])
+    return Reached(cycle, time, point, np.zeros(0, dtype=int), np.asarray(status.value), np.asarray(NOBODY))
 
 
 def _made(like: Rows, leaves: list[np.ndarray]) -> Rows:
