@@ -83,7 +83,7 @@ class Lane:
         return Trajectory(
             cycle=none, time=zero, point=self.here.point, rate=self.here.point, state=self.here.state,
             length=self.control.opening, limit=np.asarray(np.inf), last_error=one, since=one, repeats=none, tried=none,
-            status=none, culprit=none + NOBODY,
+            status=none, culprit=np.asarray(NOBODY),
         )  # fmt: skip
 
     @property
