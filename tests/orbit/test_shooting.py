@@ -16,6 +16,7 @@ from timesim.orbit.batch import march, record
 from timesim.orbit.lane import Lane
 from timesim.orbit.settling import Chain, begin_of, first_lane, steady_states
 from timesim.orbit.threshold import CYCLES_A_ROUND
+from timesim.study.registry import load_scene
 
 FINE = Solver("tsit5", 1e-9, 1e-11, reduce=False)
 FINEST = replace(FINE, rtol=1e-12, atol=1e-14)
@@ -138,6 +139,25 @@ def test_a_stuck_offset_is_free_and_left_alone():
     np.testing.assert_allclose(orbits[1].end.slip, offset, atol=1e-12)
     np.testing.assert_allclose(orbits[1].amplitude, orbits[0].amplitude, rtol=1e-7)
     assert np.abs(orbits[1].floquet[0]) < 0.99
+
+
+@pytest.mark.parametrize("push", [{"constant_forces": 1.0}, {"forces": 1.0}])
+@pytest.mark.parametrize("also_a_spring", [False, True])
+def test_a_body_that_nothing_holds_does_not_settle_while_it_drifts(push, also_a_spring):
+    """Pushed by a constant force it runs away, by one that begins as a sine it keeps a mean velocity."""
+    ((kind, size),) = push.items()
+    force = {"point": "body", "direction": [1, 0, 0], "amplitude": size}
+    modes = [{"frequency": 0.0, "damping_ratio": 0.0, "mass": 2.0, "shape": {"body": [1, 0, 0]}}]
+    modes += [{"frequency": 3.0, "damping_ratio": 0.05, "mass": 1.0, "shape": {"body": [0.4, 0, 0]}}] * also_a_spring
+    scene = {
+        "structure": {"modes": modes},
+        "excitation": {"frequency": 1.0, kind: [force | ({"phase_deg": -90.0} if kind == "forces" else {})]},
+        "study": {"kind": "transient", "cycles": 1},
+    }
+    model = load_scene(scene).model()
+    ((orbit,),) = steady_states([chain(model)], PRESETS["standard"], Criterion(1e-8, 100, SHOOT))
+    assert orbit.reason is None
+    assert not orbit.settled
 
 
 def test_a_place_out_of_its_contact_state_is_refused():

@@ -25,6 +25,7 @@ from timesim.model.solver import Solver
 from timesim.orbit.fourier import HARMONICS
 from timesim.orbit.monodromy import HybridState, point_of, vector_of
 from timesim.orbit.steady_state import Orbit, share
+from timesim.orbit.threshold import VAGUE
 
 
 @dataclass(frozen=True)
@@ -198,6 +199,16 @@ class Recorded:
         matrix = np.eye(int(moves.sum())) - self.slope[np.ix_(moves, moves)]
         step[moves] = np.linalg.lstsq(matrix, change[moves], rcond=1e-12)[0]
         return step
+
+    @property
+    def drifts(self) -> bool:
+        """Whether a change over the cycles is left that no step takes away: that of a body which nothing holds.
+
+        It counts beside the motion within the cycles, as such a body may have come far.
+        """
+        step, (q, p) = self.newton_step(self.change), (self.steps.end.q, self.steps.end.p)
+        left = self.change - step + self.slope @ step
+        return bool(np.abs(left).max(initial=0.0) > VAGUE * np.ptp(np.stack([q, p]), axis=1).max(initial=0.0))
 
     def orbit(self, cycles: int, period: int, settled_to: float, *, irregular: bool = False) -> Orbit:
         """The steady state that these cycles show, amplitudes from the extremes of the dense output.

@@ -3,7 +3,7 @@
 An iteration is one recorded period. A step that does not lead closer is shortened, where closeness is measured by the
 step that would follow with the derivative of the iterate before: the natural test of Deuflhard [2]_. It is not misled
 by a slow decay, which makes the change over a period small far away from the fixed point. The offset of a contact that
-sticks all along stays as it is. An unstable motion is refused.
+sticks all along stays as it is. An unstable motion is refused, and so is one that drifts.
 
 A cycle is known to the tolerance of its steps, and the fixed point only to that error times what a slow decay makes of
 it: 1 / (2 pi zeta), 300 at a damping ratio of 5e-4. Where the iteration comes to rest at that noise, the cycles that
@@ -135,6 +135,8 @@ def _ended(shot: Shot, recorded: Recorded, left: float) -> Shot | Converged | Fa
     period = next(n for n, repeated in enumerate(repeats, 1) if repeated and shot.period % n == 0)
     if period < shot.period:
         return Shot(shot.lane, period)
+    if recorded.drifts:
+        return Failure.ASTRAY
     unstable = np.max(np.abs(recorded.multipliers), initial=0.0) > UNSTABLE
     return Failure.UNSTABLE if unstable else Converged(left)
 
