@@ -171,6 +171,34 @@ def test_a_free_mode_that_nothing_holds(damping, force, constant, monkeypatch):
     assert curve.stable[-1] == expected.stable[-1]
 
 
+@pytest.mark.parametrize("constant", [0.0, 0.1])
+def test_a_free_mass_that_friction_alone_holds(constant, monkeypatch):
+    """While it slips its mean is free; one harmonic of it in closed form, as in `configs/one_slider.yaml` with k = 0.
+
+    A constant force drives it away, however small it is.
+    """
+    monkeypatch.setattr(first_guess, "_settled", lambda *_: ("time integration", None))
+    limit, stiffness, force = 0.5, 1.0, 1.0
+    body, load = systems.structure([0.0], [0.0], [[1, 0, 0]]), systems.excitation(0.1, [force], [0.0], [constant])
+    model = Model(body, (systems.pad(0.5, stiffness, 0.0, limit / 0.5),), load, systems.at_rest(1, 1))
+    with np.errstate(all="ignore"):
+        curve = hbm_curve(model, 0.1, 0.3, scheme=Scheme(1, 4096))
+    if constant:
+        assert curve.ending is Ending.START
+        return
+    assert curve.complete
+    assert curve.stable.all()
+    amplitude, elastic = curve.amplitude[:, 0, 0], limit / stiffness
+    slips = amplitude > 1.01 * elastic
+    assert slips.any()
+    assert not slips.all()
+    height = amplitude[slips]
+    turn = np.arccos(1 - 2 * elastic / height)
+    storing, losing = turn - np.sin(2 * turn) / 2, 4 * elastic * (height - elastic) / height**2
+    dynamic = stiffness / np.pi * (storing + 1j * losing) - (TURN * curve.frequency[slips]) ** 2
+    np.testing.assert_allclose(np.abs(dynamic) * height, force, rtol=1e-5)
+
+
 def test_an_undamped_mode_at_its_natural_frequency():
     """The contact holds it: the curve that begins there is the limit of a hardly damped one."""
     model, values = systems.inclined(1.2), []

@@ -42,6 +42,9 @@ Complex = NDArray[np.complex128]
 BATCH = 16
 LOOSE = 1e-12
 """Share of the largest stiffness of free modes, and of the constant forces on them, that is rounding."""
+SLIGHT = 1e-4
+"""Share of the stiffness of contacts that is more in the matrix of Newton's method: an error of that size beside those
+that stick, a step of 10,000 times the rounding of their mean force where all slip."""
 UNDAMPED = 1e-6
 """Loss of a mode at resonance, over its stiffness, up to which its response there is too large for a balance."""
 
@@ -101,19 +104,29 @@ def mean_of(rows: Array) -> Array:
     return mean
 
 
-def _hold_of(free: NDArray[np.bool_], stiffness: Array, constant: Array) -> Array:
+def _loose(free: NDArray[np.bool_], stiffness: Array) -> Array:
+    """Motions of modes of frequency zero that a stiffness does not restrain, shape (M, L).
+
+    Args:
+        free: which modes these are, shape (M,).
+        stiffness: of the structure and of contacts, shape (M, M).
+    """
+    values, vectors = np.linalg.eigh(stiffness[np.ix_(free, free)])
+    loose = np.zeros((free.size, values.size))
+    loose[free] = vectors
+    return loose[:, values <= LOOSE * values.max(initial=0.0)]
+
+
+def _hold_of(loose: Array, stiffness: Array, constant: Array) -> Array:
     """Stiffness of motions that nothing restrains, shape (M, M): their mean, which is free, is then zero.
 
     Without it where a constant force acts on them: then there is no periodic motion.
 
     Args:
-        free: modes of frequency zero, shape (M,).
+        loose: these motions, shape (M, L).
         stiffness: of the structure and whatever restrains it, shape (M, M).
         constant: forces on the modes, shape (M,).
     """
-    values, vectors = np.linalg.eigh(stiffness[np.ix_(free, free)])
-    loose = np.zeros((free.size, values.size))
-    loose[free] = vectors * (values <= LOOSE * values.max(initial=0.0))
     pushed = np.abs(constant @ loose).max(initial=0.0) > LOOSE * np.linalg.norm(constant)
     return (loose @ loose.T) * ((stiffness.max() or 1.0) * (not pushed))
 
@@ -154,7 +167,26 @@ class Balance:
         supported = self.damping.ndim == 2 or np.any((omega == 0) | (self.damping <= UNDAMPED * omega))
         self.support = contact_stiffness(model, np.full(model.num_contacts, float(supported)))
         self.stiffness = np.diag(omega**2) + self.shape.T @ self.support @ self.shape
-        self.hold = _hold_of(omega == 0, self.stiffness, self.load[0].real)
+        self.hold = _hold_of(_loose(omega == 0, self.stiffness), self.stiffness, self.load[0].real)
+        across = self.shape[2::3]
+        pressed = np.diag(omega**2) + across.T @ (np.diag(self.support)[2::3, None] * across)
+        self.slack = self._slack_of(_loose(omega == 0, pressed))
+
+    def _slack_of(self, loose: Array) -> Array:
+        """What a little more stiffness of motions that friction alone holds, shape (M, L), takes from F_0, (3C, 3C).
+
+        Where their contacts slip in every cycle the mean of such a motion is free, and the matrix of Newton's method
+        singular. With this in it, and not in the balance, the mean stays where it is; where the forces drive the motion
+        away there is still no solution.
+        """
+        if not loose.size:
+            return np.zeros_like(self.support)
+        held = self.stiffness + self.hold
+        more = held + SLIGHT * loose @ (loose.T @ held @ loose) @ loose.T
+        try:
+            return np.asarray(self.shape @ (np.linalg.solve(held, self.shape.T) - np.linalg.solve(more, self.shape.T)))
+        except np.linalg.LinAlgError:
+            return np.zeros_like(self.support)
 
     def linear(self, frequency: float) -> LinearResponse:
         """Response of the structure at a frequency [Hz]; not finite where it is singular."""
@@ -241,7 +273,9 @@ class Balance:
         linear = self.linear(p)
         acting, motion = self._response(x, sampled.coefficient, linear)
         by_p = under(linear.slope, acting)
-        by_x = Condensation(linear.flexibility, self._stiffness(slope))
+        flexibility = linear.flexibility.copy()
+        flexibility[0] -= self.slack
+        by_x = Condensation(flexibility, self._stiffness(slope))
         r = x - to_coefficients(motion.T).ravel() / self.length
         return r, by_x, to_coefficients(by_p.T).ravel() * (-2 * np.pi / self.length)
 
