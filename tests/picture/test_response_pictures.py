@@ -212,6 +212,17 @@ def test_a_coefficient_that_is_the_same_everywhere_is_a_number() -> None:
     assert ax.get_xlim() == (0, 4)
 
 
+def test_noise_of_the_steps_is_no_landscape() -> None:
+    """A coefficient that is zero by symmetry is drawn as zero, beside those that are not."""
+    data = _map(np.add.outer(np.arange(8.0), np.arange(8.0)))
+    data["f_b"] = 1e-9 * data["f_b"]
+    ax = element_map.contour(data, name="f_b")
+    assert [text.get_text() for text in ax.texts] == ["0 everywhere"]
+    (faces,) = element_map.surface(data, name="f_b").collections
+    assert not faces.get_array().any()
+    assert not element_map.contour(data, name="f_s").texts[0].get_text().endswith("everywhere")
+
+
 def test_angles_stand_beside_their_transitions() -> None:
     theta = np.deg2rad(np.arange(0, 360, 5.0))
     force = np.stack([np.cos(theta), np.sin(theta)], axis=-1)

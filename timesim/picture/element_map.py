@@ -14,12 +14,14 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 COEFFICIENTS = {"f_b": "static", "f_s": "in phase", "f_c": "out of phase"}
+NOISE = 1e-6
+"""Of the largest coefficient: the steps leave up to 2e-9 of it in one that is zero by symmetry."""
 
 
 def contour(data: "Dataset", ax: "Axes | None" = None, *, name: str = "f_s", tangent: str = "t1") -> "Axes":
     """A Fourier coefficient, f_b, f_s or f_c along t1 or t2, over the axes of the map: contour lines on shades."""
     ax, (first, second) = axes(ax), parameters(data)
-    x, y, z = data[first].values, data[second].values, data[name].sel(tangent=tangent).values
+    x, y, z = data[first].values, data[second].values, _coefficient(data, name, tangent)
     if np.ptp(z) > 0:
         shades = ax.contourf(x, y, z.T, levels=12, cmap="viridis")
         _colour_bar(ax, shades)
@@ -39,7 +41,7 @@ def surface(data: "Dataset", ax: Any = None, *, name: str = "f_s", tangent: str 
     ax = figure(subplot_kw={"projection": "3d"})[1][0, 0] if ax is None else ax
     first, second = parameters(data)
     x, y = np.meshgrid(data[first].values, data[second].values, indexing="ij")
-    z = data[name].sel(tangent=tangent).values
+    z = _coefficient(data, name, tangent)
     if (first, second) == ("a", "b"):
         z = np.where(y <= x * (1 + 1e-9), z, np.nan)
     step = [max(1, size // 27) for size in z.shape]
@@ -65,6 +67,13 @@ def parameters(data: "Dataset") -> tuple[str, str]:
     """Names of the two parameters of a map."""
     first, second = (str(dim) for dim in data.dissipation.dims)
     return first, second
+
+
+def _coefficient(data: "Dataset", name: str, tangent: str) -> np.ndarray:
+    """A coefficient over both parameters, the same everywhere where its differences are the noise of the steps."""
+    z, noise = data[name].sel(tangent=tangent).values, NOISE * max(np.abs(data[part]).max() for part in COEFFICIENTS)
+    middle = (z.max() + z.min()) / 2
+    return z if np.ptp(z) > noise else np.full_like(z, middle if np.abs(middle) > noise else 0.0)
 
 
 def _axis_label(data: "Dataset", name: str) -> str:
