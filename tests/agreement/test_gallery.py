@@ -104,6 +104,47 @@ def test_the_loss_of_sliders_in_parallel_is_that_of_masing():
     np.testing.assert_allclose(result["energy_friction"].values[-1], loss, rtol=1e-8)
 
 
+def rotating(frequency, mass=0.5, own=30.0, ratio=0.01, force=20.0, limit=10.0, stiffness=5.0e4):
+    """Complex amplitude of x under a rotating force, and the radius of the slip."""
+    omega, elastic = 2 * np.pi * frequency, limit / stiffness
+    s = mass * ((2 * np.pi * own) ** 2 - omega**2)
+    c = 2 * ratio * 2 * np.pi * own * mass * omega
+    square, half = s**2 + c**2, limit * c
+    rest = force**2 - limit**2 - 2 * limit * s * elastic - square * elastic**2
+    radius = (np.sqrt(half**2 + square * rest) - half) / square
+    size = np.hypot(radius, elastic)
+    return force / (s + 1j * c + stiffness * elastic * (elastic + 1j * radius) / size**2), radius
+
+
+def test_slip_round_a_circle_under_a_rotating_force():
+    result = run("rotating_force")
+    sweep, balance = result["sweep"].isel(direction=0).to_dataset(), result["hbm"].to_dataset()
+    assert np.all(sweep["settled"] == 1)
+    for data, tolerance in ((sweep, 1e-8), (balance, 1e-6)):
+        known, radius = rotating(data["frequency"].values)
+        axes = data.sel(point="disk", axis=["x", "y"])
+        np.testing.assert_allclose(axes["amplitude"], np.abs(known)[:, None] * [1, 1], rtol=tolerance)
+        lag = np.rad2deg(np.angle(known))[:, None] - [0, 90]
+        assert np.abs((axes["phase_deg"] - lag + 180) % 360 - 180).max() < 180 * tolerance
+        power = 2 * np.pi * data["frequency"].values * 10.0 * radius
+        np.testing.assert_allclose(data["dissipated_power"].values[:, 0], power, rtol=1e-6)
+        assert np.all(data["slip_share"] == 1)
+
+
+def test_den_hartog_by_contacts_that_become_rigid():
+    """The contact sticks for a time of the order of (k/k_t)^(1/2) at each turn: two extrapolations leave (k/k_t)^(3/2)."""
+    result = run("den_hartog")
+    assert np.all(result["settled"] == 1)
+    assert np.all(result["slip_share"] > 0.98)
+    soft, middle, hard = result["amplitude"].sel(point="body", axis="x").values[:, 0]
+    first, second = 2 * middle - soft, 2 * hard - middle
+    ratio = result["frequency"].values / 4.0
+    turn = np.pi / ratio
+    magnified, rubbed = 1 / (1 - ratio**2), np.sin(turn) / (ratio * (1 + np.cos(turn)))
+    known = 100.0 / (2 * (2 * np.pi * 4.0) ** 2) * np.sqrt(magnified**2 - (0.3 * rubbed) ** 2)
+    np.testing.assert_allclose(second + (second - first) / 3, known, rtol=1e-6)
+
+
 def test_two_masses_that_meet_move_as_one_at_a_wall():
     both = run("two_masses")
     x = both["displacement"].sel(axis="x").values
