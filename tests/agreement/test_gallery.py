@@ -132,7 +132,7 @@ def test_slip_round_a_circle_under_a_rotating_force():
 
 
 def test_den_hartog_by_contacts_that_become_rigid():
-    """The contact sticks for a time of the order of (k/k_t)^(1/2) at each turn: two extrapolations leave (k/k_t)^(3/2)."""
+    """At each turn the contact sticks for a time of the order of (k/k_t)^(1/2): two extrapolations leave its cube."""
     result = run("den_hartog")
     assert np.all(result["settled"] == 1)
     assert np.all(result["slip_share"] > 0.98)
