@@ -180,7 +180,7 @@ def folds(result: Result) -> np.ndarray:
 
 def scheme(result: Result) -> tuple[float, ...]:
     """Harmonics of a comparison, points that prove something, and the largest difference there."""
-    judged = rf"(\d+) {SLIPS}, differ by at most ({NUMBER}) "
+    judged = rf"(\d+) {SLIPS}, they differ by at most ({NUMBER}) "
     return (*result.printed(r"(\d+) harmonics"), *result.printed(judged))
 
 
