@@ -6,9 +6,9 @@ depend on its neighbours.
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Any
 
 import equinox as eqx
@@ -32,6 +32,9 @@ from timesim.program import program
 SIDE_BY_SIDE = 4  # lanes of a batch: of 16 each takes as long; a batch that is not full is filled up
 CAPACITY = 256  # tries of one call that records
 PIECE = 32  # most steps whose derivative is one piece of work: 16 of them take longer than to prepare them
+
+Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
+"""Does the same work on each of several batches, in their order, as `map` does; threads may share them."""
 
 Problem = tuple[Control, System, Any]
 """Of one trajectory or of a batch: control, system, and where it goes on from."""
@@ -121,25 +124,33 @@ def _kept(
 
 
 def march(
-    lanes: Sequence[Lane], solver: Solver, num_cycles: int, *, size: int = SIDE_BY_SIDE
+    lanes: Sequence[Lane], solver: Solver, num_cycles: int, *, size: int = SIDE_BY_SIDE, each: Each = map
 ) -> list[tuple[Lane, np.ndarray]]:
     """March lanes by a number of cycles: each at the end, and its state vector at the end of each completed cycle."""
-    done: list[tuple[Lane, np.ndarray]] = []
-    for batch in _batches(lanes, size):
+
+    def marched(batch: list[Lane]) -> list[tuple[Lane, np.ndarray]]:
         problem: Problem = _stacked([(lane.control, lane.system, lane.here) for lane in _padded(batch, size)])
         now, returns = _on_host(march_cycles(step_method(solver), *problem, num_cycles))
-        done += [(lane.after(_entry(now, i)), returns[i, : now.cycle[i]]) for i, lane in enumerate(batch)]
-    return done
+        return [(lane.after(_entry(now, i)), returns[i, : now.cycle[i]]) for i, lane in enumerate(batch)]
+
+    return list(chain.from_iterable(each(marched, _batches(lanes, size))))
 
 
-def record(lanes: Sequence[Lane], solver: Solver, num_cycles: Sequence[int], most: int | None = None) -> list[Recorded]:
+def record(
+    lanes: Sequence[Lane],
+    solver: Solver,
+    num_cycles: Sequence[int],
+    most: int | None = None,
+    *,
+    each: Each = map,
+) -> list[Recorded]:
     """March each lane by its number of cycles and keep its steps.
 
     ``most``: tries after which to give up; the budget of the solver by default.
     """
     pairs = list(zip(lanes, num_cycles, strict=True))
-    ends = [end for batch in _batches(pairs) for end in _advanced(batch, solver, most)]
-    slopes = _slopes(lanes, step_method(solver), [steps for _, steps in ends])
+    ends = list(chain.from_iterable(each(partial(_advanced, solver=solver, most=most), _batches(pairs))))
+    slopes = _slopes(lanes, step_method(solver), [steps for _, steps in ends], each)
     done = []
     for lane, num, (now, steps), slope in zip(lanes, num_cycles, ends, slopes, strict=True):
         end = lane.after(now)
@@ -171,7 +182,7 @@ def _of_lane(tries: Tries, index: int) -> Step:
     return jax.tree.map(lambda rows: rows[taken, ..., index], tries.step)
 
 
-def _slopes(lanes: Sequence[Lane], method: Method, steps: Sequence[Step]) -> list[np.ndarray]:
+def _slopes(lanes: Sequence[Lane], method: Method, steps: Sequence[Step], each: Each) -> list[np.ndarray]:
     """Derivative of the state of each lane after its steps by that before them.
 
     The steps of each are cut into pieces whose derivatives are computed side by side: no lane waits for a longer one.
@@ -182,13 +193,17 @@ def _slopes(lanes: Sequence[Lane], method: Method, steps: Sequence[Step]) -> lis
         num = -(-own.h.size // PIECE)
         ends = [k * own.h.size // num for k in range(num + 1)] if num else []
         pieces += [(index, first, end) for first, end in pairwise(ends)]
-    for batch in _batches(pieces):
+
+    def products(batch: list[tuple[int, int, int]]) -> np.ndarray:
         padded = _padded(batch)
         rows = [_entry(steps[i], slice(first, end)) for i, first, end in padded]
         count, opens = np.array([[end - first, first == 0] for _, first, end in padded]).T
         systems = _stacked([lanes[i].system for i, _, _ in padded])
-        products = np.asarray(derivative(method, systems, jax.tree.map(_columns, *rows), count, opens.astype(bool)))
-        for (i, _, _), product in zip(batch, products, strict=False):
+        return np.asarray(derivative(method, systems, jax.tree.map(_columns, *rows), count, opens.astype(bool)))
+
+    batches = _batches(pieces)
+    for batch, found in zip(batches, each(products, batches), strict=True):
+        for (i, _, _), product in zip(batch, found, strict=False):
             slopes[i] = product @ slopes[i]
     return slopes
 

@@ -19,7 +19,7 @@ from timesim.model.contact_state import start_states
 from timesim.model.model import Model, Start
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import NEVER, Criterion, Solver
-from timesim.orbit.batch import SIDE_BY_SIDE, march, record
+from timesim.orbit.batch import SIDE_BY_SIDE, Each, march, record
 from timesim.orbit.lane import Lane, Recorded
 from timesim.orbit.linear import held_lane, linear_orbit, proven_orbit, slowest_decay
 from timesim.orbit.recurrence import Recurrence, is_irregular, nearest_period, recurrence_of
@@ -209,6 +209,7 @@ def steady_states(
     criterion: Criterion,
     *,
     halted: Callable[[], bool] = lambda: False,
+    each: Each = map,
 ) -> list[list[Orbit]]:
     """The steady states of chains of frequencies, those of each in its order; after one that failed it starts anew.
 
@@ -217,11 +218,12 @@ def steady_states(
         solver: method and tolerances.
         criterion: when a motion counts as settled.
         halted: called after each steady state; True gives the work up.
+        each: does the work on batches of them.
 
     Raises:
         KeyboardInterrupt: the work was given up.
     """
-    work = _Work(chains, solver, criterion)
+    work = _Work(chains, solver, criterion, each)
     orbits: list[list[Orbit]] = [[] for _ in chains]
     groups: dict[tuple[tuple[int, ...], ...], deque[Search]] = {}
     for index, chain in enumerate(chains):
@@ -276,6 +278,7 @@ class _Work:
     chains: Sequence[Chain]
     solver: Solver
     criterion: Criterion
+    each: Each
 
     def settled(self, pending: deque[Search]) -> Iterator[Search]:
         """Yield the searches of a group, and those that follow along their chains, when each is done."""
@@ -312,19 +315,19 @@ class _Work:
     def _shot(self, searches: Sequence[Search]) -> Iterator[Search]:
         shots = [search.shot for search in searches if search.shot is not None]
         lanes, cycles = [shot.lane for shot in shots], [shot.period for shot in shots]
-        done = record(lanes, self.solver, cycles, TRIES * max(cycles, default=1))
+        done = record(lanes, self.solver, cycles, TRIES * max(cycles, default=1), each=self.each)
         for search, recorded in zip(searches, done, strict=True):
             yield after_shot(search, recorded, self.criterion)
 
     def _marched(self, searches: Sequence[Search]) -> Iterator[Search]:
         lonely = len(searches) < SIDE_BY_SIDE and all(search.cycles > LONELY for search in searches)
         size = 1 if lonely else SIDE_BY_SIDE
-        done = march([search.lane for search in searches], self.solver, CYCLES_A_ROUND, size=size)
+        done = march([search.lane for search in searches], self.solver, CYCLES_A_ROUND, size=size, each=self.each)
         for search, (lane, returns) in zip(searches, done, strict=True):
             yield after_march(search, lane, returns, self.solver, self.criterion)
 
     def _measured(self, searches: Sequence[Search]) -> Iterator[Search]:
         cycles = [search.period or UNSETTLED_CYCLES for search in searches]
-        done = record([search.lane for search in searches], self.solver, cycles)
+        done = record([search.lane for search in searches], self.solver, cycles, each=self.each)
         for search, recorded in zip(searches, done, strict=True):
             yield after_measure(search, recorded, self.solver)

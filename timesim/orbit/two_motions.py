@@ -17,6 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from timesim.model.model import Model, Start
+from timesim.orbit.batch import Each
 from timesim.orbit.jump import AT_LEAST, Stretch, narrowed
 from timesim.orbit.settling import Chain, SteadyStates
 from timesim.orbit.steady_state import Columns, Orbit, columns_of, differ, distance, orbit_of, without_orbit
@@ -30,11 +31,15 @@ FURTHER = 6  # times that a motion is followed on where it was lost by the lengt
 
 @dataclass(frozen=True)
 class Search:
-    """Where to look for the ends of ranges, each to a width [Hz], by steady states as those of the sweeps."""
+    """Where to look for the ends of ranges, each to a width [Hz], by steady states as those of the sweeps.
+
+    ``each`` does the work on both sweeps.
+    """
 
     model: Model
     steady: SteadyStates
     width: float
+    each: Each = map
 
     def along(self, start: Start, frequencies: Sequence[float]) -> list[Orbit]:
         """The steady states at frequencies [Hz], carried from each to the next."""
@@ -113,26 +118,29 @@ def merging_steps(sweeps: Sweeps, direction: int) -> list[int]:
 
 def losses(search: Search, sweeps: Sweeps) -> Iterator[Loss]:
     """All jumps of both sweeps, and places where they lose their period without one, bisected."""
-    for direction in (UP, DOWN):
-        frequency, orbits = sweeps.frequency, sweeps.orbits[direction]
-        limit = float(frequency[-1 if direction == UP else 0])
-        least = AT_LEAST * np.nanmax(sweeps.amplitude(direction), initial=0.0)
-        merging, suspects = merging_steps(sweeps, direction), set(suspect_steps(sweeps, direction).tolist())
-        for k in range(frequency.size - 1):
-            near, far = (k, k + 1) if direction == UP else (k + 1, k)
-            step = Stretch(
-                search.model, float(frequency[near]), float(frequency[far]), orbits[near], orbits[far], least
-            )
-            jump = _lost(search, step, limit) if k in suspects else None
-            if jump is None and k in merging:
-                jump = _merging(search, step)
-            if jump is not None:
-                yield Loss(direction, step.near, jump)
-            elif step.on.settled and step.beyond.irregular:
-                yield Loss(direction, step.near, _without_period(search, step), of_period=True)
-            elif step.on.irregular and step.beyond.settled:
-                back = replace(step, near=step.far, far=step.near, on=step.beyond, beyond=step.on)
-                yield Loss(direction, back.near, _without_period(search, back), of_period=True)
+    for own in search.each(lambda direction: list(_losses_of(search, sweeps, direction)), (UP, DOWN)):
+        yield from own
+
+
+def _losses_of(search: Search, sweeps: Sweeps, direction: int) -> Iterator[Loss]:
+    """Those of one sweep."""
+    frequency, orbits = sweeps.frequency, sweeps.orbits[direction]
+    limit = float(frequency[-1 if direction == UP else 0])
+    least = AT_LEAST * np.nanmax(sweeps.amplitude(direction), initial=0.0)
+    merging, suspects = merging_steps(sweeps, direction), set(suspect_steps(sweeps, direction).tolist())
+    for k in range(frequency.size - 1):
+        near, far = (k, k + 1) if direction == UP else (k + 1, k)
+        step = Stretch(search.model, float(frequency[near]), float(frequency[far]), orbits[near], orbits[far], least)
+        jump = _lost(search, step, limit) if k in suspects else None
+        if jump is None and k in merging:
+            jump = _merging(search, step)
+        if jump is not None:
+            yield Loss(direction, step.near, jump)
+        elif step.on.settled and step.beyond.irregular:
+            yield Loss(direction, step.near, _without_period(search, step), of_period=True)
+        elif step.on.irregular and step.beyond.settled:
+            back = replace(step, near=step.far, far=step.near, on=step.beyond, beyond=step.on)
+            yield Loss(direction, back.near, _without_period(search, back), of_period=True)
 
 
 def _lost(search: Search, step: Stretch, limit: float) -> Stretch | None:

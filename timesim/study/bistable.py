@@ -26,7 +26,7 @@ from timesim.scene.resolution import Scene
 from timesim.scene.sweep import BistablePlan
 from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import CURVE, Phases
-from timesim.study.execution.worker import point_done
+from timesim.study.execution.worker import each, point_done
 from timesim.study.hbm import compile_beside, followed
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import bistable_lines, failure_line, fold_lines, number_of_states, unusual_lines
@@ -44,7 +44,7 @@ class Payload:
     criterion: Criterion
 
     def steady(self, chains: Sequence[Chain]) -> list[list[Orbit]]:
-        return steady_states(chains, self.solver, self.criterion, halted=point_done)
+        return steady_states(chains, self.solver, self.criterion, halted=point_done, each=each)
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Ends(Payload):
     def result(self, before: Result | None) -> Result:
         """The jumps, and the ranges with their motions."""
         assert before is not None
-        return ranges_of(Search(self.model, self.steady, self.width), before)
+        return ranges_of(Search(self.model, self.steady, self.width, each), before)
 
 
 @dataclass(frozen=True)

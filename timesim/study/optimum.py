@@ -27,7 +27,7 @@ from timesim.scene.resolution import Scene
 from timesim.scene.sweep import OptimumPlan
 from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import Phases
-from timesim.study.execution.worker import point_done
+from timesim.study.execution.worker import each, point_done
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.report import TIE, as_low, failure_line, optimum_lines
 from timesim.study.sweep import blank_columns, steady_dataset
@@ -69,7 +69,7 @@ class Response:
         return float(np.max(amplitude if axis is None else amplitude[:, "xyz".index(axis)]))
 
     def steady(self, *chains: Chain) -> list[list[Orbit]]:
-        return steady_states(chains, self.solver, self.plan.sweep.criterion, halted=point_done)
+        return steady_states(chains, self.solver, self.plan.sweep.criterion, halted=point_done, each=each)
 
 
 class SearchError(Exception):

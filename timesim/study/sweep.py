@@ -27,7 +27,7 @@ from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan, combinations
 from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import Phases
-from timesim.study.execution.worker import halted, point_done
+from timesim.study.execution.worker import each, halted, point_done
 from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.report import failure_line, sweep_lines
 
@@ -56,7 +56,7 @@ class Segment:
 def solve(segment: Segment, before: Result | None) -> Result:
     """The steady states of a segment as arrays: chain first, then its frequencies."""
     chains = [continued(chain, index, before) for index, chain in enumerate(segment.chains)]
-    steady = partial(steady_states, solver=segment.solver, criterion=segment.criterion, halted=halted)
+    steady = partial(steady_states, solver=segment.solver, criterion=segment.criterion, halted=halted, each=each)
     orbits = steady(chains, halted=point_done)
     rows = columns_of(orbits)
     jumps = [] if segment.refine is None else list(_jumps(steady, segment.refine, chains, orbits, before))

@@ -71,6 +71,34 @@ def test_threads_work_side_by_side():
     assert sorted(int(result["i"][1]) for result in results.values()) == [0, 1, 2]
 
 
+def test_threads_share_the_parts_of_a_work_that_has_them_to_itself():
+    """In their order, each counted; a part that has parts again does them itself."""
+    meeting, counted = threading.Barrier(2, timeout=20), list[int]()
+
+    def part(i: int) -> int:
+        meeting.wait()
+        worker.point_done()
+        return sum(worker.each(lambda j: 10 * i + j, range(3)))
+
+    def work(payload: None, before: None) -> dict[str, np.ndarray]:
+        return {"i": np.array(list(worker.each(part, range(4))))}
+
+    shown = Execution(lambda done, of: counted.append(done), workers=2)
+    results, reason = carry_through([Chunk("c", None, size=5)], work, shown, identity="")
+    assert reason is None
+    assert results["c"]["i"].tolist() == [3, 33, 63, 93]
+    assert sorted(counted) == [1, 2, 3, 4, 5]
+
+
+def test_what_fails_in_a_part_fails_the_work():
+    def work(payload: None, before: None) -> dict[str, np.ndarray]:
+        return {"i": np.array(list(worker.each(lambda i: 1 // i, range(2))))}
+
+    results, reason = carry_through([Chunk("c", None)], work, Execution(workers=2), identity="")
+    assert not results
+    assert "ZeroDivisionError" in str(reason)
+
+
 def test_nothing_to_do():
     assert carried([], Execution()) == ({}, None)
 

@@ -3,9 +3,10 @@
 import logging
 import os
 import re
+import sys
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -55,6 +56,7 @@ def perform(work: Work, chunk: Chunk, before: Result | None, count: Callable[[],
 
 _HALT: ContextVar[Callable[[], bool]] = ContextVar("halt", default=lambda: False)
 _COUNT: ContextVar[Callable[[], object]] = ContextVar("count", default=lambda: None)
+_EACH: ContextVar[Callable[..., Iterator[Any]]] = ContextVar("each", default=map)
 halt_by = _HALT.set
 count_by = _COUNT.set
 
@@ -68,6 +70,11 @@ def point_done() -> bool:
     """Count a point of the chunk that this thread works on; whether the chunk is to be given up, as `halted`."""
     _COUNT.get()()
     return halted()
+
+
+def each(function: Callable[[Any], Any], parts: Sequence[Any]) -> Iterator[Any]:
+    """Apply a function to each part of the work of this thread, in order; threads of this process may share them."""
+    return _EACH.get()(function, parts)
 
 
 def default_workers() -> int:
@@ -95,17 +102,66 @@ def _quota(group: Path) -> Iterator[float]:
                 yield quota / period
 
 
+SWITCH = 5e-4
+"""Seconds after which a thread gives Python to another; a thread that comes out of a compiled program waits for it. The
+usual 5 ms are as long as many such programs last."""
+
+
+class _Threads(ThreadPoolExecutor):
+    """Threads that each do a work, and as many that share its parts where there are fewer works than threads.
+
+    A part has no parts that are shared: they would wait for the threads that wait for them.
+    """
+
+    def __init__(self, count: int, halted: Callable[[], bool]):
+        super().__init__(count, "timesim", initializer=self._begin, initargs=(halted,))
+        self._count, self._works = count, 0
+        self._beside = ThreadPoolExecutor(count, "timesim-part")
+        self._counting = threading.Lock()
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        self._counted(1)
+        future = super().submit(fn, *args, **kwargs)
+        future.add_done_callback(lambda _: self._counted(-1))
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        super().shutdown(wait, cancel_futures=cancel_futures)
+        self._beside.shutdown(wait)
+
+    def _counted(self, more: int) -> None:
+        with self._counting:
+            self._works += more
+
+    def _begin(self, halted: Callable[[], bool]) -> None:
+        halt_by(halted)
+        _EACH.set(self._each)
+
+    def _each(self, function: Callable[[Any], Any], parts: Sequence[Any]) -> Iterator[Any]:
+        if len(parts) < 2 or self._works >= self._count:
+            return map(function, parts)
+        halted, count = _HALT.get(), _COUNT.get()
+
+        def do(part: Any) -> Any:
+            halt_by(halted)
+            count_by(count)
+            return function(part)
+
+        return self._beside.map(do, parts)
+
+
 @contextmanager
 def threads(workers: int | None = None) -> Iterator[Executor]:
     """Threads of this process. If left early, it waits for the chunks under way, since a thread cannot be stopped."""
-    halt = threading.Event()
-    count = default_workers() if workers is None else workers
-    executor = ThreadPoolExecutor(count, "timesim", initializer=halt_by, initargs=(halt.is_set,))
+    halt, interval = threading.Event(), sys.getswitchinterval()
+    sys.setswitchinterval(min(interval, SWITCH))
+    executor = _Threads(default_workers() if workers is None else workers, halt.is_set)
     try:
         yield executor
     finally:
         halt.set()
         executor.shutdown(wait=True, cancel_futures=True)
+        sys.setswitchinterval(interval)
 
 
 # Processes
