@@ -194,9 +194,9 @@ def test_every_cycle_of_a_shot_counts_once(monkeypatch):
     """Two rounds of marching, then one cycle an iteration of Newton's method; the last one is measured as well."""
     recorded = []
 
-    def counted(lanes, solver, num_cycles, *most):
+    def counted(lanes, solver, num_cycles, *most, **each):
         recorded.append(sum(num_cycles))
-        return record(lanes, solver, num_cycles, *most)
+        return record(lanes, solver, num_cycles, *most, **each)
 
     monkeypatch.setattr("timesim.orbit.settling.record", counted)
     (orbit,) = steady_states([chain(oscillator(3.0, 1.39))], FINE, Criterion(TOLERANCE, 500, SHOOT))[0]
