@@ -42,7 +42,9 @@ class Cycle(Recorded):
 def cycle(start, slope, *, state=(STICK,), complete=True, noise=0.0):
     """A cycle by a linear map, and an error of it."""
     end = at(FIXED + slope @ (start.vector - FIXED) + noise, state)
-    return Cycle(start, end, 1, complete, None, slope)
+    swing = np.outer([-1.0, 1.0], FIXED)
+    steps = SimpleNamespace(end=SimpleNamespace(q=swing, p=swing))
+    return Cycle(start, end, 1, complete, steps, slope)
 
 
 def turning(size, angle=0.3):
