@@ -12,6 +12,8 @@ from timesim.orbit.shooting import Converged, Failure, Shot, iterated
 from timesim.orbit.threshold import FINEST, MOST_SHOTS, NOISY, REACH, SHORTER, SHORTEST_SHARE, UNSTABLE, VAGUE
 
 FIXED = np.array([1.0, -0.5])
+SWING = SimpleNamespace(end=SimpleNamespace(q=np.outer([-1, 1], FIXED), p=np.outer([-1, 1], FIXED)))
+"""Steps between the fixed point and its opposite."""
 TOLERANCE, RTOL = 1e-8, 1e-7
 
 
@@ -42,9 +44,7 @@ class Cycle(Recorded):
 def cycle(start, slope, *, state=(STICK,), complete=True, noise=0.0):
     """A cycle by a linear map, and an error of it."""
     end = at(FIXED + slope @ (start.vector - FIXED) + noise, state)
-    swing = np.outer([-1.0, 1.0], FIXED)
-    steps = SimpleNamespace(end=SimpleNamespace(q=swing, p=swing))
-    return Cycle(start, end, 1, complete, steps, slope)
+    return Cycle(start, end, 1, complete, SWING, slope)
 
 
 def turning(size, angle=0.3):
@@ -184,7 +184,7 @@ def test_a_motion_that_repeats_within_the_period_is_shot_over_its_own(within, pe
             return np.array([FIXED + (n % within > 0) * 0.1 for n in range(1, 5)])
 
     start = at(FIXED)
-    led_to = iterated(Shot(start, 4), Four(start, at(FIXED), 4, True, None, turning(0.5)), TOLERANCE)
+    led_to = iterated(Shot(start, 4), Four(start, at(FIXED), 4, True, SWING, turning(0.5)), TOLERANCE)
     assert led_to == (Converged(0.0) if period == 4 else Shot(start, period))
 
 
