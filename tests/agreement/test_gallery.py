@@ -131,6 +131,7 @@ def test_slip_round_a_circle_under_a_rotating_force():
         assert np.all(data["slip_share"] == 1)
 
 
+@pytest.mark.slow
 def test_den_hartog_by_contacts_that_become_rigid():
     """At each turn the contact sticks for a time of the order of (k/k_t)^(1/2): two extrapolations leave its cube."""
     result = run("den_hartog")

@@ -40,7 +40,7 @@ def test_a_structure_without_contacts_has_text_as_their_names():
 @pytest.mark.parametrize(
     "study",
     [
-        {"kind": "sweep", "frequency": {"values": [1.39]}},
+        pytest.param({"kind": "sweep", "frequency": {"values": [1.39]}}, marks=pytest.mark.slow),
         {"kind": "hbm", "frequency": {"from": 1.39, "to": 1.4}, "harmonics": 3, "stability": False},
     ],
 )
