@@ -218,7 +218,7 @@ CHANGES = (
         ("contacts.pad.against", "against: ground", "against: grund", "did you mean ground?"),
         ("contacts.pad.against", "against: ground", "against: tip", "another point"),
         ("contacts.pad.normal", "normal: [0, 0, 1]", "normal: [0, 0, 0]", "zero vector"),
-        ("contacts.pad.normal", "normal: [0, 0, 1]", "normal: z", "must be a list"),
+        ("contacts.pad.normal", "normal: [0, 0, 1]", "normal: z", "must be a list (Direction from body 1 into body 2 "),
         ("contacts.pad.tangent", "tangent: [1, 0, 0]", "tangent: [0, 0, -2]", "parallel"),
         ("contacts.pad.friction", "friction: 0.5", "friction: -0.5", "must be >= 0"),
         ("contacts.pad.frction", "friction: 0.5", "frction: 0.5", "did you mean friction?"),

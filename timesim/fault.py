@@ -67,6 +67,12 @@ class SceneError(Exception):
         super().__init__("\n".join(str(problem) for problem in self.problems))
 
 
+def meant(word: str, known: Collection[str]) -> str:
+    """A hint: the known word that is meant; empty where none is near, for rules that list them all."""
+    hint = nearest(word, known)
+    return hint if hint.startswith("did") else ""
+
+
 def nearest(word: str, known: Collection[str]) -> str:
     """A hint: the known word that is meant, or all of them."""
     close = get_close_matches(word, list(known), n=1, cutoff=0.6) if isinstance(word, str) else []

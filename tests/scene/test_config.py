@@ -717,6 +717,33 @@ def test_damping_of_a_body_that_nothing_holds():
     assert "damping: of free motions, of which there is no ratio" in describe(load_scene(scene))["structure"]
 
 
+def inline(mass):
+    points = {"tip": {"x": 0}}
+    return {"matrices": {"mass": mass, "stiffness": [[1, 0], [0, 1]], "damping_ratio": 0.01, "points": points}}
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("study", {"kind": "sweep", "frequency": [1.0, 1.1]}, "a mapping of keys (its keys: from, to, step, values)"),
+        ("structure", inline([2, 3]), "mass.1: 3: must be a list (Mass matrix, symmetric positive definite, by its"),
+        ("excitation.forces", {"point": "tip", "amplitude": 1}, "must be a list (put - before it, as before each of"),
+        ("excitation.forces", [{"direction": "x"}], "x: must be a list (Along x, y, z, such as [1, 0, 0]"),
+        ("study.kind", "frf", "must be one of transient, jump, tradeoff, element, element_map, sweep, hbm, compare"),
+    ],
+)
+def test_another_form_than_is_asked_for_is_answered_with_that_form(key, value, says):
+    with pytest.raises(SceneError) as refused:
+        load_scene(CONFIGS / "oscillator.yaml", {key: value})
+    assert says in str(refused.value)
+    assert "known:" not in str(refused.value)
+
+
+def test_a_contact_under_prescribed_motion_has_no_frequency():
+    warnings = list(warnings_of(load_scene(CONFIGS / "figure4.yaml", {"excitation.frequency": 3.0})))
+    assert warnings == ["excitation.frequency is not used: in a study of kind element the motion has none"]
+
+
 def test_damping_given_in_percent_and_a_result_of_gigabytes_are_worth_a_warning():
     (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["structure.modes.1.damping_ratio=2"]))
     assert warning.startswith("structure: damping ratio 2 of mode 2 at 1.1 Hz")
@@ -725,6 +752,9 @@ def test_damping_given_in_percent_and_a_result_of_gigabytes_are_worth_a_warning(
     (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", [*long, "study.record_last=100000"]))
     assert warning.startswith("study: 20000001 samples make a result of 2.9 GB")
     assert list(warnings_of(load_scene(CONFIGS / "oscillator.yaml", [*long, "study.record_last=10"]))) == []
+    (warning,) = warnings_of(load_scene(CONFIGS / "figure12.yaml", ["study.phases.0.cycles=200000"]))
+    assert "a longer run_up or a smaller samples_per_cycle" in warning
+    assert "record_last" not in warning
 
 
 def test_numbers_of_samples_that_make_no_sense_are_worth_a_warning():

@@ -209,7 +209,7 @@ def points_on(
     off = np.full((*SHAPE, 1, 3), np.nan)
     off[..., 0] = np.asarray(difference)[..., None]
     off.reshape(-1, 3)[:missing] = np.nan
-    return verdict.compared_points(xarray.Dataset(variables, coords), xarray.Dataset(hbm), off)
+    return verdict.compared_points(xarray.Dataset(variables, coords), xarray.Dataset(hbm, attrs={"complete": 1}), off)
 
 
 def lines_on(*given: Any, **changes: Any) -> list[str]:
@@ -353,6 +353,9 @@ def test_points_without_an_answer_are_named():
     assert "at 2 points the balance has no stable solution: contacts.pad.preload -4 at 1 to 2 Hz" in text
     assert "at 1 point the motion repeats after several cycles, which the balance cannot show: contacts.pad.pre" in text
     assert "at 1 point the motion did not settle and is left out: contacts.pad.preload 3 at 3 Hz" in text
+    text = "\n".join(verdict.comparison_lines(replace(points_on(1e-5, missing=2), followed=np.zeros(SHAPE, bool))))
+    assert "at 2 points the balance has no solution, as it ended before" in text
+    assert "no stable solution" not in text
     text = "\n".join(lines_on(1e-5, settled=settled, irregular=1 - settled))
     assert "at 1 point the motion does not repeat, being quasi-periodic or irregular, and is left out: cont" in text
     assert "did not settle" not in text

@@ -66,6 +66,15 @@ def test_the_command_prints_a_table_and_draws(folder: Path):
     assert {"hysteresis.png", "orbit.png", "contact_states.png", "result.nc"} <= drawn
 
 
+def test_a_contact_that_never_sticks_has_no_share_of_rounding(folder: Path, tmp_path: Path):
+    data = timesim.open_result(folder).load()
+    data["slip_share"][:], data["separation_share"][:] = 0.45 - 1e-15, 0.55
+    netcdf.save(data, tmp_path / "result.nc")
+    done = call(tmp_path, *(f"{name}={value}" for name, value in POINT.items()))
+    (line,) = [line for line in done.stdout.splitlines() if line.startswith("pad")]
+    assert line.split()[1:4] == ["0", "0.45", "0.55"]
+
+
 def test_a_motion_that_is_cut_off_before_its_first_sample(folder: Path, monkeypatch: pytest.MonkeyPatch):
     def interrupted(*_: Any) -> Any:
         raise KeyboardInterrupt

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, Tag, ValidationInfo, model_validator
 
 from timesim.engine.law.table import LAWS
-from timesim.fault import nearest
+from timesim.fault import meant, nearest
 from timesim.model.model import CONE, GROUND, Contact
 from timesim.scene.section import AsList, AsNumber, Section, by_form, form, refuse
 from timesim.scene.value import BodyName, Direction, Matrix2, Name, NotNegative, Number, Pair, PointName, Text, unit
@@ -92,7 +92,7 @@ class LawSection(Section):
     @model_validator(mode="after")
     def _known(self) -> Self:
         if self.name not in LAWS:
-            hint = nearest(self.name, LAWS)
+            hint = meant(self.name, LAWS)
             raise refuse(f"must be one of {', '.join(LAWS)}", key=("name",), hint=hint, value=self.name)
         known = LAWS[self.name].parameters
         for key in self.__pydantic_extra__:
@@ -127,7 +127,7 @@ class ContactSection(Section):
     against: Annotated[BodyName, AfterValidator(_other_point)] = GROUND
     """Point of body 2, or ground."""
     normal: Direction = (0.0, 0.0, 1.0)
-    """Direction from body 1 into body 2; its length does not count."""
+    """Direction from body 1 into body 2 along x, y, z, such as [0, 0, 1]; its length does not count."""
     tangent: Annotated[Direction | None, AfterValidator(_across)] = None
     """First axis in the plane of contact; by default the coordinate axis least parallel to the normal."""
     friction: NotNegative

@@ -13,7 +13,7 @@ from typing import Annotated, Any, get_args, get_origin
 from pydantic import AfterValidator, BeforeValidator, Field, Tag, ValidationError, create_model
 from pydantic.fields import FieldInfo
 
-from timesim.fault import RuleError, nearest
+from timesim.fault import RuleError, meant, nearest
 from timesim.scene.contact import Contacts
 from timesim.scene.integration import InitialSection, SolverSection
 from timesim.scene.section import Section, by_form, refuse
@@ -75,7 +75,7 @@ def _file_type(kinds: tuple[tuple[str, type[StudySection]], ...]) -> type[SceneF
             choice = f"one of {', '.join(names)}"
             if "kind" not in value:
                 raise refuse("is required", key=("kind",), hint=choice)
-            raise refuse(f"must be {choice}", key=("kind",), hint=nearest(str(kind), names), value=kind)
+            raise refuse(f"must be {choice}", key=("kind",), hint=meant(str(kind), names), value=kind)
         return value
 
     members = reduce(or_, [Annotated[section, Tag(f"<{name}>")] for name, section in kinds])
@@ -162,6 +162,7 @@ RULES = {
 }
 
 
+MAPPINGS = ("dict_type", "model_type", "model_attributes_type")
 NO_NUMBER = {RULES[kind] for kind in ("string_type", "bool_type", "tuple_type", "dict_type", "model_type")}
 """Rules that any number breaks, whatever its value."""
 
@@ -220,15 +221,28 @@ def _hint(
     if kind == "extra_forbidden":
         return nearest(str(location[-1]), _fields_at(location[:-1], tree))
     if kind == "missing" and (field := _fields_at(location[:-1], tree).get(str(location[-1]))):
-        return (field.description or "").rstrip(".").replace("\n", " ")
+        return _described(field)
     if kind == "literal_error":
-        close = nearest(value, str(context["expected"]).replace(" or ", ", ").replace("'", "").split(", "))
-        return close if close.startswith("did") else ""
+        return meant(value, str(context["expected"]).replace(" or ", ", ").replace("'", "").split(", "))
+    if kind in MAPPINGS and (fields := _fields_at(location, tree)):
+        return f"its keys: {', '.join(fields)}"
+    if kind == "tuple_type":
+        return "put - before it, as before each of several" if isinstance(value, dict) else _above(location, tree)
     if kind == "string_type" and isinstance(value, int | float):
         return "put it in quotes"
     if kind == "float_type" and isinstance(value, str):
         return "without quotes and unit, with a point for the decimals"
     return ""
+
+
+def _described(field: FieldInfo) -> str:
+    return (field.description or "").rstrip(".").replace("\n", " ")
+
+
+def _above(location: Sequence[str | int], tree: type[SceneParts]) -> str:
+    """What is said of the last key on the way to a location."""
+    fields = (_fields_at(location[:i], tree).get(str(part)) for i, part in enumerate(location))
+    return next((_described(field) for field in reversed([*fields]) if field), "")
 
 
 def _fields_at(location: Sequence[str | int], kind: Any) -> dict[str, FieldInfo]:

@@ -31,7 +31,7 @@ from timesim.result.label import counted
 from timesim.scene.file import SceneFile
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
-from timesim.scene.study import SteadySection, SweepPlan
+from timesim.scene.study import SteadySection, StudySection, SweepPlan
 from timesim.scene.text import value_text
 from timesim.scene.transient import Schedule, TradeoffPlan
 
@@ -274,7 +274,8 @@ def warnings_of(scene: Scene) -> Iterator[str]:
     file = scene.file
     frequency = file.excitation.frequency if file.excitation else None
     if frequency is not None and not file.study.uses_frequency:
-        yield f"excitation.frequency is not used: in a study of kind {file.study.kind} its own frequencies rule"
+        instead = "its own frequencies rule" if file.study.requires else "the motion has none"
+        yield f"excitation.frequency is not used: in a study of kind {file.study.kind} {instead}"
     for contact in file.contacts:
         if contact.idle_stiffness and np.any(contact.stiffness_matrix()):
             yield f"contacts.{contact.name}.tangential_stiffness has no effect without friction"
@@ -283,7 +284,7 @@ def warnings_of(scene: Scene) -> Iterator[str]:
     model = scene.model()
     yield from model.notes
     yield from _still_parts(file, model)
-    yield from _large_numbers(scene.plan, model)
+    yield from _large_numbers(file.study, scene.plan, model)
     highest = _highest_frequency(scene) * float(model.excitation.harmonic.max())
     ratio = float(model.structure.frequency[-1]) / highest if highest else 0.0
     if ratio > FAR_ABOVE and not hasattr(file.structure, "modes"):
@@ -304,7 +305,7 @@ def _highest_frequency(scene: Scene) -> float:
     return plan.frequency if isinstance(plan, TradeoffPlan) else 0.0
 
 
-def _large_numbers(plan: Any, model: Model) -> Iterator[str]:
+def _large_numbers(study: StudySection, plan: Any, model: Model) -> Iterator[str]:
     structure = model.structure
     for mode in np.flatnonzero(structure.damping_ratio > 1 - 1e-9)[:1]:
         place = f"mode {mode + 1} at {structure.frequency[mode]:.6g} Hz"
@@ -314,7 +315,8 @@ def _large_numbers(plan: Any, model: Model) -> Iterator[str]:
         numbers = 6 * len(structure.points) + 2 * structure.num_modes + 8 * model.num_contacts
         gigabytes = 8e-9 * plan.num_samples * numbers
         if gigabytes > LARGE_RESULT:
-            advice = "record_last or a smaller samples_per_cycle would do with less"
+            less = "a longer run_up" if hasattr(study, "run_up") else "record_last"
+            advice = f"{less} or a smaller samples_per_cycle would do with less"
             yield f"study: {plan.num_samples} samples make a result of {gigabytes:.2g} GB; {advice}"
         if plan.samples_per_cycle < FEWEST_SAMPLES:
             so = "cycle_amplitude is that of the continuous motion all the same"

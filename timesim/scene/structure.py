@@ -102,9 +102,9 @@ class InlineMatrices(Section):
     """Matrices written out in the scene, with the damping and the points."""
 
     mass: Matrix
-    """Mass matrix, symmetric positive definite."""
+    """Mass matrix, symmetric positive definite, by its rows: [[2, 0], [0, 3]]."""
     stiffness: Matrix
-    """Stiffness matrix, symmetric."""
+    """Stiffness matrix, symmetric, by its rows: [[2, -1], [-1, 2]]."""
     damping: Matrix | None = None
     """Viscous damping matrix, symmetric."""
     damping_ratio: Ratio | None = None
@@ -235,7 +235,7 @@ class ConstantForce(Section):
 
     point: PointName
     direction: Direction
-    """Its length does not count."""
+    """Along x, y, z, such as [1, 0, 0]; its length does not count."""
     amplitude: Number
 
     def work(self, structure: model.Structure) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.fault import RuleError
+from timesim.orbit.steady_state import BRIEF
 from timesim.orbit.threshold import UNSETTLED_CYCLES
 from timesim.picture.choice import motions
 from timesim.picture.style import unit
@@ -111,7 +112,7 @@ def _table(here: Dataset, motion: Dataset) -> Iterator[str]:
     force = force if len(force) else np.full((1, *force.shape[1:]), np.nan)  # cut off before its first sample
     columns = {
         "contact": here["contact"].values.tolist(),
-        "stick": np.maximum(1 - slip - apart, 0.0),
+        "stick": np.where(1 - slip - apart > BRIEF, 1 - slip - apart, 0.0),
         "slip, closed" if stops.any() else "slip": slip,
         "separation": apart,
         f"power{unit(here, 'dissipated_power')}": here["dissipated_power"].values,

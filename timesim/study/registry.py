@@ -138,7 +138,8 @@ def check_execution(kind: str, execution: Execution) -> None:
     given = {"resume": resume, "cluster": execution.cluster, "workers": execution.workers}
     useless = [name for name, value in given.items() if value]
     if not STUDIES[kind].in_chunks and useless:
-        able = ", ".join(name for name, study in STUDIES.items() if study.in_chunks)
+        resumed = useless == ["resume"]
+        able = ", ".join(name for name, own in STUDIES.items() if own.in_chunks or (resumed and own.in_curves))
         rule = f"a study of kind {kind} is done in one go, not in chunks of points"
         raise ExecutionError(f"{' and '.join(useless)}: {rule}; leave it out ({able} can use it)")
 

@@ -290,7 +290,7 @@ def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
     elif data.attrs["complete"] and beside:
         heights = " and ".join(f"{peak[i]:.7g} at {values[i]:.6g}" for i in beside)
         yield f"an accuracy away the peak is not smaller: {heights}"
-    if best in (values[0], values[-1]):
+    if data.attrs["complete"] and best in (values[0], values[-1]):
         yield f"it is at an end of the range of {key}, so beyond it the peak may be smaller still"
     if data["peak_at_end"].values[at]:
         yield "its peak is at an end of frequency, so beyond it the response may be larger"

@@ -89,7 +89,7 @@ class Points:
         frequency: [Hz], shape (F,).
         difference: largest absolute value of (balance - sweep) / sweep over points and axes, shape (V, D, F), like all
             that follow.
-        solved: whether the balance has a stable solution there.
+        solved, followed: whether the balance has a stable solution there; whether it came to its end.
         settled, doubled: whether the motion repeats after one cycle, after several.
         irregular: whether it never repeats.
         linear: whether no contact slips, or opens within the cycle.
@@ -104,6 +104,7 @@ class Points:
     frequency: np.ndarray
     difference: np.ndarray
     solved: np.ndarray
+    followed: np.ndarray
     settled: np.ndarray
     doubled: np.ndarray
     irregular: np.ndarray
@@ -153,6 +154,7 @@ def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarra
         frequency=frequency,
         difference=difference.max(axis=-1, initial=0.0, where=np.isfinite(difference)),
         solved=np.isfinite(difference).any(axis=-1),
+        followed=np.full(shape, hbm.attrs["complete"] > 0),
         settled=(settled > 0) & (period == 1),
         doubled=(settled > 0) & (period > 1),
         irregular=sweep["irregular"].values.reshape(shape) > 0,
@@ -191,7 +193,8 @@ def comparison_lines(points: Points) -> Iterator[str]:
         )
     unsettled = ~(points.settled | points.doubled | points.irregular | points.missing)
     for left_out, why in (
-        (points.settled & ~points.solved, "the balance has no stable solution"),
+        (points.settled & ~points.solved & points.followed, "the balance has no stable solution"),
+        (points.settled & ~points.solved & ~points.followed, "the balance has no solution, as it ended before"),
         (points.doubled, "the motion repeats after several cycles, which the balance cannot show"),
         (points.irregular, "the motion does not repeat, being quasi-periodic or irregular, and is left out"),
         (unsettled, "the motion did not settle and is left out"),

@@ -612,6 +612,7 @@ def test_a_study_in_one_go_refuses_them(option: tuple[str, ...], name: str, tmp_
     assert status == 2
     assert f"{name}: a study of kind transient is done in one go" in error
     assert "leave it out" in error
+    assert ("hbm" in error) == (name == "resume"), "the curves of a balance are taken up, too, but use no cluster"
     assert not (tmp_path / "run").exists()
     with pytest.raises(ExecutionError, match="workers: a study of kind transient"):
         timesim.run(OSCILLATOR, workers=2)
