@@ -19,6 +19,7 @@ import numpy as np
 from xarray import Dataset
 
 import timesim
+import timesim.runtime
 from timesim.model.model import SEPARATION, SLIP
 from timesim.model.promise import PROMISE
 from timesim.study.registry import carry_out, load_scene
