@@ -9,6 +9,8 @@ of the last cycle. A row a run: its method and the tolerance in the end, whether
 the last state, the estimated one, the promise.
 """
 
+import timesim.runtime  # isort: skip
+
 import argparse
 import runpy
 from pathlib import Path
@@ -18,8 +20,6 @@ import jax
 import numpy as np
 from xarray import Dataset
 
-import timesim
-import timesim.runtime
 from timesim.model.model import SEPARATION, SLIP
 from timesim.model.promise import PROMISE
 from timesim.study.registry import carry_out, load_scene
