@@ -34,7 +34,7 @@ Section = dict[str, Any]
 
 def _numbers(name: str, value: ArrayLike) -> np.ndarray:
     try:
-        return np.asarray(value, dtype=np.float64)
+        return np.asarray(value.toarray() if hasattr(value, "toarray") else value, dtype=np.float64)
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be a number or an array of numbers, not {value!r}") from None
 
@@ -96,7 +96,7 @@ def matrices(
     """A structure by its matrices, whose modes are computed.
 
     Args:
-        mass, stiffness: symmetric, shape (R, R).
+        mass, stiffness: symmetric, shape (R, R), dense or sparse.
         points: row of each axis ("x", "y", "z") along which a point moves, from 0, by name.
         damping: viscous damping matrix, shape (R, R).
         damping_ratio: share of critical damping instead of a matrix, a number or one for each mode kept.
@@ -174,8 +174,11 @@ def modal_forces(amplitude: ArrayLike, phase_deg: ArrayLike = 0.0) -> Section:
 def point_force(
     point: str, direction: ArrayLike, amplitude: float, *, phase_deg: float = 0.0, harmonic: int = 1
 ) -> Section:
-    """A harmonic force on a point, amplitude cos(harmonic 2 pi f t + phase) along a direction of shape (3,)."""
+    """A force on a point, amplitude cos(harmonic 2 pi f t + phase) along a direction of shape (3,); constant for 0."""
     force = {"point": point, "direction": _array("direction", direction, (3,)), "amplitude": amplitude}
+    if harmonic == 0:
+        pull = float(_array("amplitude", amplitude, ()) * np.cos(np.deg2rad(phase_deg)))
+        return _checked("excitation", {"constant_forces": [force | {"amplitude": pull}]})
     return _checked("excitation", {"forces": [force | {"phase_deg": phase_deg, "harmonic": harmonic}]})
 
 

@@ -72,6 +72,20 @@ def test_matrices_are_those_of_a_scene():
     assert_same(found, timesim.run(scene))
 
 
+def test_sparse_matrices_and_a_constant_force():
+    import scipy.sparse
+
+    pull = [timesim.point_force("tip", [1, 0, 0], 2.0, harmonic=0), timesim.point_force("tip", [1, 0, 0], 1.0)]
+    parts = [
+        timesim.matrices(mass, stiffness, {"tip": {"x": 1}}, damping_ratio=0.02)
+        for mass, stiffness in ((M, K), (scipy.sparse.csc_matrix(M), scipy.sparse.coo_array(K)))
+    ]
+    one, other = (timesim.settle(timesim.system(structure, [], pull), 0.8) for structure in parts)
+    assert_same(one, other)
+    mean = one["harmonic_amplitude"].sel(point="tip", axis="x", harmonic=0).item()
+    assert mean == pytest.approx(np.linalg.solve(K, [0, 2.0])[1], rel=1e-12)
+
+
 def test_steady_states_and_curves(tmp_path):
     point = timesim.settle(oscillator(), 1.39)
     assert abs(point["amplitude"].sel(point="tip", axis="x").item() - 0.15612878) < 1e-7
