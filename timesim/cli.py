@@ -96,8 +96,11 @@ def _carry_out(loaded: Any, execution: Any, signals: "_Signals", *, plots: bool)
 
     output = execution.folder
     standing = Standing(loaded.file.study.counts, execution.earlier())
-    with _progress(standing), Processes() as processes:
-        outcome = carry_out(loaded, replace(execution, progress=standing, processes=processes))
+    try:
+        with _progress(standing), Processes() as processes:
+            outcome = carry_out(loaded, replace(execution, progress=standing, processes=processes))
+    except KeyboardInterrupt:
+        _stop(1, f"interrupted before there was a result to save{_safe_chunks(output)}")
     signals.saving = True
     for line in outcome.summary:
         print(line)

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -223,6 +224,29 @@ def test_an_interrupted_map_saves_what_it_has(tmp_path: Path, monkeypatch: pytes
     assert result.attrs["complete"] == 0
     assert 0 < settled.sum() < 49
     assert np.isfinite(result["dissipation"].values[settled]).all()
+
+
+@pytest.mark.parametrize("place", ["cross_check", "steady_cycle"])
+def test_an_interrupted_element_saves_its_cycle_or_says_that_there_is_none(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Its cross check compiles for seconds."""
+
+    def interrupted(*_: Any, **__: Any) -> Any:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5)
+
+    name = "timesim.element.loop.loop_cycle" if place == "cross_check" else "timesim.study.element.steady_cycle"
+    monkeypatch.setattr(name, interrupted)
+    status, _, error = call("run", CONFIGS / "figure4.yaml", "-o", tmp_path, "--no-plots")
+    assert status == 1
+    if place == "steady_cycle":
+        assert "interrupted before there was a result to save" in error
+        return
+    assert "incomplete: interrupted in the cross check" in error
+    result = timesim.open_result(tmp_path)
+    assert result.attrs["complete"] == 0
+    assert result["dissipation"] > 0
 
 
 def test_a_folder_where_a_run_is_at_work_is_left_alone(tmp_path: Path):

@@ -132,6 +132,8 @@ def test_a_fold_near_which_no_range_ends_is_named(result):
     """As of a stop whose sweeps both stay on the upper motion: nobody may take it for the only one."""
     balance, ends = result["hbm"].to_dataset(), result["range"].values.ravel()
     assert not any("no range ends" in line for line in fold_lines(balance, {(): ends}, 0.02))
+    (line,) = fold_lines(balance.isel(solution=[0]).assign(fold=("solution", [0])).assign_attrs(complete=0), {}, 0.02)
+    assert line == "the branch of the balance has no fold as far as it was followed"
     lines = [line for line in fold_lines(balance, {(): ends[1:]}, 1e-3) if "no range ends" in line]
     assert [line.split(" Hz")[0] for line in lines] == ["beside the fold at " + f"{_folds(balance)[0]:.7g}"]
 

@@ -14,6 +14,7 @@ from timesim.element.cycle import Coefficients, ElementCycle, Transition
 from timesim.element.motion import CYCLE, Motion
 from timesim.element.state_by_state import steady_cycle
 from timesim.model.model import STATE_NAMES, Contact
+from timesim.result.checkpoint import INTERRUPTED
 from timesim.result.dataset import Arrays, dataset
 from timesim.result.label import counted
 from timesim.scene.element import ElementPlan
@@ -64,6 +65,8 @@ def _cross_check(contact: Contact, motion: Motion, cycle: ElementCycle) -> tuple
 
     try:
         other = loop_cycle(contact, motion)
+    except KeyboardInterrupt:
+        return {}, f"{INTERRUPTED} in the cross check; cross_check: false leaves it out"
     except RuntimeError as error:
         return {}, f"the cross check failed: {error}; cross_check: false leaves it out"
     apart = difference(cycle, other)

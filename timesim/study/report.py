@@ -257,7 +257,7 @@ def fold_lines(hbm: Dataset, ends: Mapping[tuple[float, ...], np.ndarray], reach
                 "sweep came to, one of which may be stable: search wider, or from another start"
             )
     if not sets and frequency.size:
-        yield "the branch of the balance has no fold"
+        yield f"the branch of the balance has no fold{'' if hbm.attrs['complete'] else ' as far as it was followed'}"
 
 
 # The least peak
