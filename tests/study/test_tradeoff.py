@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray
 from xarray import Dataset
 
 import timesim
@@ -218,6 +219,17 @@ def test_what_has_not_settled_is_said() -> None:
     made = bench([], cycles=3, amplitude=True, budget=1e-9)
     made.model_of(2)
     assert made.settled_to > 1e-6
+
+
+def test_presets_that_err_alike_are_named_apart() -> None:
+    columns = {"seconds_a_cycle": [1.0, 1.2, 9.0], "error": [1e-8, 1e-8, 1e-2], "preset": ["standard", "reference", ""]}
+    columns |= {"method": ["tsit5"] * 3, "modes_kept": [2] * 3, "reduced": [1] * 3, "pareto": [1, 0, 0]}
+    attrs = {"cycles": 1, "num_modes": 2, "error_wanted": 1e-6, "error_known_to": 1e-8, "recommended_trial": -1}
+    variables = {name: ("trial", values) for name, values in columns.items()}
+    ax = error_against_time(xarray.Dataset(variables, attrs=attrs | {"judged_by_amplitude": 0}))
+    ax.figure.canvas.draw()
+    one, other = (text.get_window_extent() for text in ax.texts)
+    assert not one.overlaps(other)
 
 
 def test_an_interrupted_tradeoff_keeps_what_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
