@@ -119,6 +119,13 @@ def test_table_by_both_methods(name):
     assert cycle.dissipation == pytest.approx(case["dissipation"], abs=1e-9)
 
 
+def test_a_cycle_with_too_many_steps_says_so():
+    """A stiff contact with next to no friction turns with the motion: explicit steps are as short as it is stiff."""
+    pad, motion = contact(1.0, 1e-4), HarmonicMotion(1.0, 0.7, 0.2, 1.0, 0.3)
+    with pytest.raises(RuntimeError, match="in cycle 1: it takes more than 2,048 steps"):
+        loop_cycle(pad, motion)
+
+
 def test_event_loop_has_the_symmetries_of_the_law():
     """Scaling, another start of the angle, swapped axes and a turned frame, in the event loop alone."""
     rng = np.random.default_rng(17)

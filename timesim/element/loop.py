@@ -12,9 +12,10 @@ import numpy as np
 from timesim.element.cycle import ElementCycle, Transition, in_phase
 from timesim.element.elements import single_element
 from timesim.element.motion import CYCLE, Motion
-from timesim.element.prescribed import PrescribedContacts, cycle_end, drive_of, record_cycle
+from timesim.element.prescribed import CAPACITY, PrescribedContacts, cycle_end, drive_of, record_cycle
 from timesim.engine.method import step_method
 from timesim.engine.solver import step_control
+from timesim.engine.status import Status
 from timesim.engine.step import Step
 from timesim.model.model import Contact
 from timesim.model.solver import Solver
@@ -88,7 +89,7 @@ def loop_cycle(contact: Contact, motion: Motion) -> LoopCycle:
         end, steps, count = record_cycle(method, control, dynamics, tuple(slip.T), state)
         reached = cycle_end(elements, end)
         if not reached.good[0] or int(end.cycle) != 1:
-            raise RuntimeError(f"the event loop ended early in cycle {cycle}, with status {int(end.status)}")
+            raise RuntimeError(f"the event loop ended early in cycle {cycle}: {_ending(Status(int(end.status)))}")
         following = elements.start_force(reached.slip, reached.state)
         residual, force = float(np.hypot(*(following - force)[0])), following
         settled = residual <= ROUNDING or (residual <= REPEATS and residual > before / 2)
@@ -98,6 +99,12 @@ def loop_cycle(contact: Contact, motion: Motion) -> LoopCycle:
     f_s, f_c = in_phase(reached.first[0], motion.phase)
     log, work = transitions(steps, int(count)), float(reached.dissipation[0])
     return LoopCycle(log, reached.mean[0], f_s, f_c, work, cycle, residual)
+
+
+def _ending(status: Status) -> str:
+    """Why a cycle was not finished."""
+    too_many = f"it takes more than {CAPACITY:,} steps, as where slip is very stiff"
+    return status.reason.format(budget=CAPACITY) or too_many
 
 
 def transitions(steps: Step, count: int) -> tuple[Transition, ...]:
