@@ -10,6 +10,7 @@ from timesim.fault import RuleError
 from timesim.hbm.scheme import (
     FIRST_HARMONICS,
     BalanceError,
+    Controls,
     Scheme,
     check_model,
     enough_samples,
@@ -100,18 +101,19 @@ class Continuation(Section):
 
     first_step: Positive | None = None
     """Length of the first step; by default a fifth of the longest."""
-    min_step: Positive = 1e-8
+    min_step: Positive = Controls.min_step
     """Step below which the curve is given up."""
-    max_step: Positive = 0.05
+    max_step: Positive = Controls.max_step
     """Longest step; shorter ones follow where the curve bends."""
-    max_points: Annotated[Whole, Field(ge=2)] = 5000
+    max_points: Annotated[Whole, Field(ge=2)] = Controls.max_points
     """Points after which the curve is given up."""
-    tolerance: Annotated[Positive, Field(le=1e-3)] = 1e-9
+    tolerance: Annotated[Positive, Field(le=1e-3)] = Controls.tolerance
     """Tolerance of the balance at each point, relative to the size of the motion."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        first = self.max_step / 5 if self.first_step is None else self.first_step
+        fifth = self.max_step / (Controls.max_step / Controls.first_step)
+        first = fifth if self.first_step is None else self.first_step
         if not self.min_step <= first <= self.max_step:
             hint = f"first_step {first:g}, max_step {self.max_step:g}"
             raise refuse("must be at most first_step, and that at most max_step", key=("min_step",), hint=hint)

@@ -1,10 +1,11 @@
 """Continuation of the solutions of any residual in a parameter: points, steps, folds."""
 
 from timesim.hbm.continuation.bordered import Bordered, Condensed
-from timesim.hbm.continuation.corrector import Controls, solve
+from timesim.hbm.continuation.corrector import solve
 from timesim.hbm.continuation.residual import NoSolutionError, Residual
 from timesim.hbm.continuation.solutions import Curve, Ending, Solution, joined, part_of
 from timesim.hbm.continuation.tracker import SAME, follow, follow_both_ways
+from timesim.hbm.scheme import Controls
 
 __all__ = [
     "SAME",

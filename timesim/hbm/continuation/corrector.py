@@ -9,15 +9,14 @@ The Jacobian of both together, dr/dy bordered by the row b, is regular at a fold
 sign of det dr/dx, which changes at a fold.
 """
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from timesim.hbm.continuation.bordered import Array, Bordered
 from timesim.hbm.continuation.residual import Adaptive, Centred, NoSolutionError, Residual
+from timesim.hbm.scheme import Controls
 
 # A Newton step that is longer than this share of the one before asks for new derivatives.
 CONTRACTION = 0.1
@@ -33,43 +32,6 @@ STRAIGHT = 0.1
 MAX_STEP = 10.0
 # Residual relative to the norm of x, its centre included, that is rounding.
 ROUNDING = 1e-14
-
-
-@dataclass(frozen=True)
-class Controls:
-    """How a curve is followed. Lengths of arc are shares of the range of p and of the size of x.
-
-    Attributes:
-        size: unit of x where its norm is smaller, else x is measured by its norm, both about the centre of a `Centred`
-            residual. The default suits a balance, whose unknowns are in the scene's own unit of length.
-        first_step, min_step, max_step: length of arc of a step.
-        max_points: points after which the curve is given up.
-        tolerance: norm of the residual at a solution, relative to the size of x.
-        max_newton: iterations for one point.
-        turn: turn of the tangent over a step at which the step is neither lengthened nor shortened [rad].
-        watch: called after each point with the share of the range that the curve has reached, and what gives it so far.
-    """
-
-    size: float = 0.1
-    first_step: float = 0.01
-    min_step: float = 1e-8
-    max_step: float = 0.05
-    max_points: int = 5000
-    tolerance: float = 1e-9
-    max_newton: int = 8
-    turn: float = 0.3
-    watch: Callable[[float, Callable[[], Any]], None] | None = None
-
-    def __post_init__(self) -> None:
-        steps = (self.min_step, self.first_step, self.max_step)
-        for obeyed, rule, values in (
-            (self.size > 0 and self.tolerance > 0, "size and tolerance must be positive", (self.size, self.tolerance)),
-            (0 < steps[0] <= steps[1] <= steps[2], "steps must obey 0 < min_step <= first_step <= max_step", steps),
-            (self.max_points >= 2, "max_points must be at least 2", (self.max_points,)),
-            (self.max_newton >= 1, "max_newton must be at least 1", (self.max_newton,)),
-        ):
-            if not obeyed:
-                raise ValueError(f"continuation: {rule}, not {', '.join(map(str, values))}")
 
 
 @dataclass(frozen=True)
