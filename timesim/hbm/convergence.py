@@ -67,18 +67,31 @@ def with_more_samples(
     )
 
 
+def left_to_samples(model_at: Callable[[float], Model], curve: HbmCurve, schemes: Sequence[Scheme]) -> float:
+    """`sampling_error` where the program takes no more samples, however many would be; 0 where it still may."""
+    if FINER * schemes[0].time_samples <= MOST_SAMPLES:
+        return 0.0
+    return sampling_error(model_at, curve, schemes, looked_at(curve), most=FINER * MOST_SAMPLES)
+
+
 def sampling_error(
-    model_at: Callable[[float], Model], curve: HbmCurve, schemes: Sequence[Scheme], rows: NDArray[np.int64]
+    model_at: Callable[[float], Model],
+    curve: HbmCurve,
+    schemes: Sequence[Scheme],
+    rows: NDArray[np.int64],
+    *,
+    most: int = MOST_SAMPLES,
 ) -> float:
     """Change of the motion of the contacts with `FINER` times as many samples, relative to its waves: the most of all.
 
-    By one step of Newton's method, whose derivatives are those of the samples at hand: no other program is compiled.
+    By one step of Newton's method, whose derivatives are those of the samples at hand: up to `MOST_SAMPLES` no other
+    program is compiled. More than `most` are not taken.
     """
     worst = 0.0
     for i in rows:
         scheme, frequency = schemes[coarsest(schemes, curve.contact_motion[i])], float(curve.frequency[i])
         balance = Balance(model_at(float(curve.parameter[i])), frequency, scheme)
-        finer = replace(scheme, time_samples=max(min(FINER * scheme.time_samples, MOST_SAMPLES), scheme.time_samples))
+        finer = replace(scheme, time_samples=max(min(FINER * scheme.time_samples, most), scheme.time_samples))
         x = curve.contact_motion[i][..., : balance.size].ravel() / balance.length
         size = float(np.linalg.norm(x - balance.centre(x)))
         _, by_x, by_p = balance.linearised(x, frequency)

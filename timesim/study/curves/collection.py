@@ -12,7 +12,7 @@ from timesim.engine.status import RunError
 from timesim.fault import RuleError
 from timesim.hbm.branches import SettledMotion, curves_from_ends, isolated_curves
 from timesim.hbm.continuation import Controls, Ending
-from timesim.hbm.convergence import Known, neglected, with_more_samples
+from timesim.hbm.convergence import FINER, SAMPLED, Known, left_to_samples, neglected, with_more_samples
 from timesim.hbm.curve import HbmCurve, Watch, hbm_curve
 from timesim.hbm.parameter import parameter_curve
 from timesim.hbm.scheme import NEGLECTED, Scheme
@@ -87,20 +87,33 @@ class Curves:
         while (finer := self._with_more_samples(curves)) is not None:
             self.schemes = finer
             curves = list(self._from_ends(values, watch))
-        if "harmonics" in self.plan.chosen:
-            left = max(neglected(own.model_at, own.curve, self.schemes) for own in curves)
-            count = max(own.curve.harmonic_cos.shape[1] - 1 for own in curves)
-            if left > NEGLECTED:
-                self.notes.append(
-                    f"{in_words(values, ': ')}auto ends at {count} harmonics: those above would "
-                    f"add up to {left:.1e} of the amplitude, where {NEGLECTED:g} is wanted; set harmonics to more"
-                )
+        self.notes.extend(self._left_out(values, curves))
         for curve in curves:
             self.add(curve)
         for sweep in sweeps:
             for curve in self._through(values, *sweep, watch):
                 self.notes.append(_isolated(curve))
                 self.add(curve)
+
+    def _left_out(self, values: Mapping[str, float], curves: Sequence[StudyCurve]) -> Iterator[str]:
+        """What the harmonics and the samples that the program chose at most still leave out."""
+        label = in_words(values, ": ")
+        if "harmonics" in self.plan.chosen:
+            left = max(neglected(own.model_at, own.curve, self.schemes) for own in curves)
+            count = max(own.curve.harmonic_cos.shape[1] - 1 for own in curves)
+            if left > NEGLECTED:
+                yield (
+                    f"{label}auto ends at {count} harmonics: those above would "
+                    f"add up to {left:.1e} of the amplitude, where {NEGLECTED:g} is wanted; set harmonics to more"
+                )
+        if "time_samples" in self.plan.chosen and Ending.INTERRUPTED not in [own.curve.ending for own in curves]:
+            left = max(left_to_samples(own.model_at, own.curve, self.schemes) for own in curves)
+            if left > SAMPLED:
+                yield (
+                    f"{label}auto ends at {self.schemes[0].time_samples:,} time samples: {FINER} times as many would "
+                    f"change the contacts' motion by up to {left:.1e}, where {SAMPLED:g} is wanted, and multipliers "
+                    "depend on them more; set time_samples to more"
+                )
 
     def _with_more_samples(self, curves: Sequence[StudyCurve]) -> tuple[Scheme, ...] | None:
         """Schemes with more samples, if the curves need them and should be followed again."""
