@@ -15,7 +15,7 @@ from timesim.fault import SceneError
 from timesim.hbm import branches, first_guess
 from timesim.hbm import convergence as hbm_convergence
 from timesim.hbm import scheme as hbm_scheme
-from timesim.hbm.continuation import solve
+from timesim.hbm.continuation import Controls, solve
 from timesim.hbm.convergence import SAMPLED, Known, convergence, neglected, order_of, sampling_error
 from timesim.hbm.curve import changes_of_stability, hbm_curve, peak, solutions_at
 from timesim.hbm.scheme import NEGLECTED, Scheme, most_harmonics
@@ -457,6 +457,27 @@ def test_what_the_most_harmonics_leave_out_is_said(monkeypatch: pytest.MonkeyPat
     )
     assert float(said) > NEGLECTED
     assert outcome.groups[""].attrs["notes"] in outcome.summary
+
+
+def test_what_the_most_samples_leave_out_is_said(monkeypatch: pytest.MonkeyPatch):
+    """24 samples are too few, and the program may take no more; with as many as it may take, 96, nothing is said."""
+    monkeypatch.setattr(hbm_scheme, "ENOUGH_SAMPLES", 24)
+    monkeypatch.setattr(hbm_scheme, "SAMPLES_PER_WAVE", 4)
+    narrow: dict[str, Any] = {"frequency": {"from": 0.93, "to": 0.9302}, "stability": False}
+    for most, count in ((96, 0), (64, 1)):
+        monkeypatch.setattr(hbm_convergence, "MOST_SAMPLES", most)
+        outcome = followed_study(load_scene(scene(time_samples="auto", **narrow)), Execution())
+        notes = outcome.groups[""].attrs.get("notes", "")
+        said = re.findall(r"auto ends at 24 time samples: .* by up to (\S+), where 0.001 is wanted", notes)
+        assert len(said) == count
+    assert float(said[0]) > SAMPLED
+    assert notes in outcome.summary
+
+
+def test_a_scene_has_the_steps_of_the_continuation():
+    steps = scene_hbm.default_steps().model_dump()
+    assert Controls(**steps) == Controls()
+    assert set(steps) == {"first_step", "min_step", "max_step", "max_points", "tolerance"}
 
 
 @pytest.mark.parametrize("harmonics", ["auto", 12])
