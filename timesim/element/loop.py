@@ -104,7 +104,7 @@ def loop_cycle(contact: Contact, motion: Motion) -> LoopCycle:
 def _ending(status: Status) -> str:
     """Why a cycle was not finished."""
     too_many = f"it takes more than {CAPACITY:,} steps, as where slip is very stiff"
-    return status.reason.format(budget=CAPACITY) or too_many
+    return status.reason.format(budget=FINE.budget) or too_many
 
 
 def transitions(steps: Step, count: int) -> tuple[Transition, ...]:

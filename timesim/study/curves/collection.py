@@ -111,8 +111,8 @@ class Curves:
             if left > SAMPLED:
                 yield (
                     f"{label}auto ends at {self.schemes[0].time_samples:,} time samples: {FINER} times as many would "
-                    f"change the contacts' motion by up to {left:.1e}, where {SAMPLED:g} is wanted, and multipliers "
-                    "depend on them more; set time_samples to more"
+                    f"change the contacts' motion by up to {left:.1e}, where {SAMPLED:g} is wanted; set time_samples "
+                    "to more"
                 )
 
     def _with_more_samples(self, curves: Sequence[StudyCurve]) -> tuple[Scheme, ...] | None:
