@@ -116,11 +116,14 @@ def rotating(frequency, mass=0.5, own=30.0, ratio=0.01, force=20.0, limit=10.0, 
     return force / (s + 1j * c + stiffness * elastic * (elastic + 1j * radius) / size**2), radius
 
 
-def test_slip_round_a_circle_under_a_rotating_force():
-    result = run("rotating_force")
+@pytest.mark.parametrize(
+    ("accuracy", "integrated"), [("standard", 1e-6), pytest.param("reference", 1e-8, marks=pytest.mark.slow)]
+)
+def test_slip_round_a_circle_under_a_rotating_force(accuracy, integrated):
+    result = run("rotating_force", solver={"accuracy": accuracy})
     sweep, balance = result["sweep"].isel(direction=0).to_dataset(), result["hbm"].to_dataset()
     assert np.all(sweep["settled"] == 1)
-    for data, tolerance in ((sweep, 1e-8), (balance, 1e-6)):
+    for data, tolerance in ((sweep, integrated), (balance, 1e-6)):
         known, radius = rotating(data["frequency"].values)
         axes = data.sel(point="disk", axis=["x", "y"])
         np.testing.assert_allclose(axes["amplitude"], np.abs(known)[:, None] * [1, 1], rtol=tolerance)
