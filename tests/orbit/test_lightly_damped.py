@@ -69,3 +69,25 @@ def test_a_beam_whose_damper_slips_settles_to_what_is_asked_for():
     assert fine.settled_to < 1e-9 < rough.settled_to < 1e-6
     assert fine.cycles < 40
     assert fine.amplitude[0, 0] == pytest.approx(truth.amplitude[0, 0], rel=1e-8)
+
+
+def overtone(damping_ratio: float, share: float, frequency: float) -> Model:
+    """A mass on a slider, and a mode of three times the frequency that the slider hardly drives."""
+    omega = 2 * np.pi * np.array([1.0, 3 * frequency])
+    shape = np.zeros((1, 3, 2))
+    shape[0, 0] = 1.0, share
+    body = Structure(omega / (2 * np.pi), np.ones(2), 2 * np.array([0.05, damping_ratio]) * omega, ("mass",), shape)
+    pad = Contact("pad", "mass", GROUND, np.eye(3), 0.5, 10.0 * np.eye(2), 0.0, 1.0)
+    return Model(body, (pad,), replace(excitation(1.0, [1.0, 0.0], [0.0, 0.0]), frequency=None), at_rest(2, 1))
+
+
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-8])
+def test_a_slow_change_below_a_fast_one_is_not_taken_for_settled(tolerance):
+    """The mass settles in 25 cycles; the overtone, which takes thousands, moves by 7e-5 of it and little in a cycle."""
+    model, fine = overtone(1e-4, 1e-5, 0.9), replace(STANDARD, rtol=1e-11, atol=1e-13)
+    (orbit,) = settled(model, [0.9], tolerance=tolerance)
+    (truth,) = settled(model, [0.9], SHOOT, fine, tolerance=1e-10)
+    assert 0.2 < orbit.slip_share[0] < 0.3
+    assert orbit.settled_to < tolerance
+    largest = np.abs(truth.end.displacement).max()
+    np.testing.assert_allclose(orbit.end.displacement, truth.end.displacement, rtol=0, atol=2e-6 * largest)

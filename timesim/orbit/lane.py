@@ -192,6 +192,12 @@ class Recorded:
         """Whether all cycles were done and no contact ever left its state."""
         return self.complete and bool(np.all(self.steps.state_after == self.start.here.state))
 
+    @property
+    def left(self) -> float:
+        """Distance from the state that repeats over the cycles, relative to the largest entry; 0 where none closes."""
+        size = max(np.abs(self.start.vector).max(initial=0.0), 1e-300)
+        return float(np.abs(self.newton_step(self.change)).max(initial=0.0)) / size if self.closes else 0.0
+
     def newton_step(self, change: np.ndarray) -> np.ndarray:
         """The step after which a change over the cycles vanishes, to first order; 0 in the offsets that stay free."""
         moves = self._moves

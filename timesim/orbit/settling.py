@@ -171,17 +171,24 @@ def after_shot(search: Search, recorded: Recorded, criterion: Criterion) -> Sear
     if isinstance(led_to, Converged):
         return _done(replace(search, period=shot.period, settled_to=led_to.settled_to), recorded)
     if search.period or search.last:  # as nearly as marching can tell
-        return replace(search, phase=Phase.MEASURE, shot=None)
+        return replace(search, phase=Phase.MEASURE)
     if shot.held:
         return replace(search, shot=Shot(search.lane))
     return replace(search, phase=Phase.MARCH, shot=None, next_shot=LATER * search.cycles)
 
 
-def after_measure(search: Search, recorded: Recorded, solver: Solver) -> Search:
-    """The search after the cycles that are measured."""
+def after_measure(search: Search, recorded: Recorded, solver: Solver, criterion: Criterion) -> Search:
+    """The search after the cycles that are measured, whose derivative tells how far a motion that repeats has to go.
+
+    What was extrapolated is the largest change: one that is smaller and falls more slowly hides below it.
+    """
     if not recorded.complete:
         return _failed(replace(search, lane=recorded.end), solver)
-    return _done(replace(search, cycles=search.cycles + recorded.cycles), recorded)
+    search = replace(search, cycles=search.cycles + recorded.cycles)
+    may_shoot = search.period and search.shot is None and criterion.first_shot < NEVER
+    if may_shoot and recorded.left > criterion.tolerance:
+        return replace(search, phase=Phase.SHOOT, lane=recorded.end, shot=Shot(recorded.end, search.period))
+    return _done(search, recorded)
 
 
 def _done(search: Search, recorded: Recorded) -> Search:
@@ -330,4 +337,4 @@ class _Work:
         cycles = [search.period or UNSETTLED_CYCLES for search in searches]
         done = record([search.lane for search in searches], self.solver, cycles, each=self.each)
         for search, recorded in zip(searches, done, strict=True):
-            yield after_measure(search, recorded, self.solver)
+            yield after_measure(search, recorded, self.solver, self.criterion)
