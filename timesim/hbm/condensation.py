@@ -93,10 +93,12 @@ class Condensation:
 def _linear_part(stiffness: Array) -> tuple[NDArray[np.bool_], Array]:
     """Which components act alike on each coefficient, and by what: shapes (3C,), (3C, 3C)."""
     num_contacts, size = stiffness.shape[0], stiffness.shape[2]
-    constant = stiffness[:, :, 1, :, 1]
-    alike = constant[:, :, None, :, None] * np.eye(size)[:, None, :]
-    largest = np.abs(stiffness).max(axis=(1, 2, 3, 4))
-    linear = np.abs(stiffness - alike).max(axis=(1, 2, 4)) <= ROUNDING * largest[:, None]
+    constant, rest, own = stiffness[:, :, 1, :, 1], stiffness.copy(), np.arange(size)
+    rest[:, :, own, :, own] -= constant
+    # Without arrays of magnitudes: these have a million entries.
+    largest = np.maximum(stiffness.max(axis=(1, 2, 3, 4)), -stiffness.min(axis=(1, 2, 3, 4)))
+    left = np.maximum(rest.max(axis=(2, 4)), -rest.min(axis=(2, 4))).max(axis=1)
+    linear = left <= ROUNDING * largest[:, None]
     whole = np.zeros((num_contacts, 3, num_contacts, 3))
     each = np.arange(num_contacts)
     whole[each, :, each] = constant * linear[:, None, :]
