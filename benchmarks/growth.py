@@ -167,7 +167,8 @@ def draw(found: dict[str, list[Row]], path: Path) -> None:
         number, cost, look = [row.cost.number for row in rows], [each(axis, row) for row in rows], SERIES[0]
         ax.plot(number, cost, marker=look.marker, color=look.colour)
         ax.set(xscale="linear" if 0 in number else "log", yscale="log", ylim=(min(cost) / 3, 3 * max(cost)))
-        ax.set_xticks(number, [f"{value:g}" for value in number])
+        apart = [value for i, value in enumerate(number) if not i or value > 1.5 * number[i - 1]]
+        ax.set_xticks(apart, [f"{value:g}" for value in apart])
         ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         for side in (ax.xaxis, ax.yaxis):
