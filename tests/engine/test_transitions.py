@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from simulation import simulate
 from systems import TURN, excitation, pad, structure
 
 from timesim.engine.law.cone import ConeLaw
@@ -27,14 +28,14 @@ def plane(x: float, y: float) -> tuple[jnp.ndarray, jnp.ndarray]:
     return jnp.asarray([x]), jnp.asarray([y])
 
 
-@pytest.mark.parametrize("n", [0.0, 0.5 * TINY, 2 * TINY])
+@pytest.mark.parametrize("n", [-0.1 * TINY, 0.0, 0.5 * TINY, 2 * TINY])
 @pytest.mark.parametrize(("before", "after"), [(STICK, SLIP), (SLIP, STICK)])
 @pytest.mark.parametrize("rate", [-1.0, 1.0])
 def test_a_contact_without_load_opens_only_if_its_load_falls(before: int, after: int, n: float, rate: float):
-    """Just after it has touched a contact bears as little, but its load rises."""
+    """Just after it has touched a contact bears as little, but its load rises. Apart it is open whatever its rate."""
     law = ConeLaw.of([pad(0.4, 2.0, 1.0, 0.0)], ONE)
     motion = Motion(plane(0.0, 0.0), jnp.asarray([n]), plane(1.0, 0.5), jnp.asarray([rate]))
-    opens = rate < 0 and n <= TINY
+    opens = (rate < 0 and n <= TINY) or n < 0
     found = int(law.successor(jnp.asarray([before]), motion)[0])
     assert found == (SEPARATION if opens else after)
 
@@ -55,16 +56,47 @@ def test_a_load_that_takes_time_to_fall_is_a_load_however_stiff_the_contact_is_a
     assert int(law.successor(jnp.asarray([STICK]), motion)[0]) == SLIP
 
 
-def test_a_run_goes_on_from_a_contact_that_has_opened_with_a_load_next_to_nothing():
-    """In steps so short that its load is gone only after several."""
+def a_cycle_in_short_steps(state: int, displacement: float, velocity: float) -> tuple[Lane, np.ndarray]:
+    """Of a mass that moves along the normal of a contact, which is as stiff as a hundred of its springs."""
     body, excited = structure([1.0], [0.02], [[0.0, 0.0, 1.0]]), excitation(1 / TURN, [1.0], [0.0])
-    start = Start(np.array([4e-9]), np.array([-0.5]), np.zeros((1, 2)), np.array([SEPARATION]))
+    start = Start(np.array([displacement]), np.array([velocity]), np.zeros((1, 2)), np.array([state]))
     model, solver = Model(body, (pad(0.4, 99.0, 1.0, 0.0),), excited, start), Solver("tsit5", 1e-7, 1e-9, budget=1000)
     lane = Lane.begin(model, reduction_of(model, [1 / TURN], reduce=False), 1 / TURN, solver, start)
     short = eqx.tree_at(lambda control: control.opening, lane.control, np.array(1e-9))
     ((end, returns),) = march([replace(lane, control=short)], solver, 1)
+    return end, returns
+
+
+def test_a_run_goes_on_from_a_contact_that_has_opened_with_a_load_next_to_nothing():
+    """In steps so short that its load is gone only after several."""
+    end, returns = a_cycle_in_short_steps(SEPARATION, 4e-9, -0.5)
     assert end.status == Status.RUNNING
     assert len(returns) == 1
+
+
+@pytest.mark.parametrize("state", [STICK, SLIP, SEPARATION])
+@pytest.mark.parametrize("speed", [-0.5, -1e-7, 1e-7, 0.5])
+def test_a_contact_that_begins_beyond_its_guard_goes_on_in_the_state_that_it_has_reached(state: int, speed: float):
+    """By some times the tolerance of a guard: every step was cut to nothing until the budget was spent."""
+    beyond = 4e-9 if state == SEPARATION else -4e-9
+    _, returns = a_cycle_in_short_steps(state, beyond, speed)
+    _, right = a_cycle_in_short_steps(STICK if state == SEPARATION else SEPARATION, beyond, speed)
+    assert len(returns) == 1
+    np.testing.assert_allclose(returns[0][:2], right[0][:2], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("second", "third"), [(5e-12, 2e-11), (8e-12, 3e-11), (8e-12, 1e-10)])
+def test_stops_that_close_almost_at_once_all_close(second: float, third: float):
+    """The second closes with the first, a little before its time; to the third there is a step shorter than that."""
+    body, excited = structure([1.0], [0.02], [[0.0, 0.0, 1.0]]), excitation(1 / TURN, [1.0], [0.0])
+    start = Start(np.array([0.0]), np.array([1e-3]), np.zeros((3, 2)), np.full(3, SEPARATION))
+    stops = tuple(replace(pad(0.0, 0.0, 1.0, -1e-4 - x), name=str(x)) for x in (0.0, second, third))
+    trace = simulate(Model(body, stops, excited, start), 1, Solver("tsit5", 1e-7, 1e-9, budget=1000))
+    inside = trace.log.time < 0.1
+    state = np.full(3, SEPARATION)
+    state[trace.log.contact[inside]] = trace.log.after[inside]
+    np.testing.assert_array_equal(state, SLIP)
+    assert STICK not in trace.log.after
 
 
 def test_a_contact_without_friction_has_no_speed_at_which_it_sticks():

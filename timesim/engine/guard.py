@@ -250,6 +250,11 @@ def _time_to_guard(margin: Margins, slope: Margins, most: Float[Array, ""]) -> F
     return jnp.where(jnp.isfinite(soonest), soonest, 0.0)
 
 
+def indivisible(h: Float[Array, ""]) -> Bool[Array, ""]:
+    """Whether a step cannot be cut any shorter."""
+    return h <= 1.01 * SHORTEST
+
+
 @apart
 def arriving(
     margin: Margins, slope: Margins, h: Float[Array, ""], last: Bool[Array, ""], reach: Float[Array, ""]
@@ -268,7 +273,7 @@ def arriving(
     time = -margin / jnp.where(slope < 0, slope, -1.0)
     near = (slope < 0) & (jnp.abs(time) <= reach) & ~(last & (time > 0))
     passed = (slope < 0) & (margin <= 0) & (margin >= -TOGETHER)
-    jumped = (h <= 1.01 * SHORTEST) & (margin < -VIOLATED)
+    jumped = indivisible(h) & (margin < -VIOLATED)
     return jnp.where(near, time, 0.0), near | passed | jumped
 
 

@@ -27,6 +27,7 @@ from timesim.engine.guard import (
     end_on_guard,
     first_crossing,
     first_exit,
+    indivisible,
     segment,
     segment_of_nodes,
 )
@@ -226,10 +227,11 @@ def landed(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, 
     h, _, _, margin, slope = trial.end
     to_zero, due = arriving(margin, slope, h, last, control.landing)
     if trial.inside is None:
-        crossing = first_crossing(dynamics, now.state, trial.part, due)
+        # The shortest step stands: a margin that was below zero at its start is so at each of its nodes.
+        crossing = jnp.where(indivisible(h), NONE, first_crossing(dynamics, now.state, trial.part, due))
     else:  # It was cut at the first crossing; where its end is beyond one after all, a little less is taken of it.
         crossing = jnp.where(((margin < -VIOLATED) & ~due).any(), SHORTER, NONE)
-    astray = trial.early & (h <= 1.01 * SHORTEST) & (margin.min(initial=jnp.inf) > TOGETHER)
+    astray = trial.early & indivisible(h) & (margin.min(initial=jnp.inf) > TOGETHER)
     accepted = trial.precise & (crossing >= NONE) & ~astray
     on_guard = accepted & due.any()
     soonest = jnp.where(due, to_zero, jnp.inf).min(initial=jnp.inf)

@@ -43,7 +43,7 @@ from timesim.engine.law.contact_law import (
     where,
 )
 from timesim.engine.law.rule import Rule
-from timesim.engine.tolerance import FORCE_FLOOR, NO_LOAD, SINGULAR, SOON, TOGETHER
+from timesim.engine.tolerance import FORCE_FLOOR, NO_LOAD, SINGULAR, SOON, TOGETHER, VIOLATED
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact
 from timesim.model.scales import Scales
 
@@ -118,9 +118,10 @@ class ConeLaw(ContactLaw):
         return jnp.where(state == SEPARATION, jnp.where(sticks, STICK, SLIP), leaving)
 
     def _opens(self, n: Scalar, motion: Motion) -> Bool[Array, " contact"]:
-        """Whether a normal load is next to nothing and falls."""
+        """Whether a normal load is next to nothing and falls, or the bodies are apart already."""
         dn = self.normal_stiffness * motion.dv
-        return (dn < 0) & (n <= jnp.clip(-SOON * dn, TOGETHER * self.scale(), NO_LOAD * self.scale()))
+        falls = (dn < 0) & (n <= jnp.clip(-SOON * dn, TOGETHER * self.scale(), NO_LOAD * self.scale()))
+        return falls | (n < -VIOLATED * self.scale())
 
     def slip_at_transition(self, before: State, after: State, motion: Motion, w: Plane) -> Plane:
         # On the cone during and after slip, w = u during and after separation.
