@@ -47,7 +47,7 @@ class HuntCrossley(ContactLaw):
     def slip_at_transition(self, before: State, after: State, motion: Motion, w: Plane) -> Plane:
         return motion.u
 
-    def scale(self) -> Scalar:
+    def scale(self, state: State) -> Scalar:
         return self.normal_stiffness + jnp.abs(self.preload)
 
     @staticmethod

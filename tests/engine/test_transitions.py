@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from simulation import simulate
-from systems import TURN, excitation, pad, structure
+from systems import TURN, at_rest, excitation, pad, structure
 
 from timesim.engine.law.cone import ConeLaw
 from timesim.engine.law.contact_law import Motion
@@ -49,11 +49,37 @@ def test_a_contact_that_has_opened_with_a_load_next_to_nothing_stays_open(n: flo
     assert float(law.margins(jnp.asarray([SEPARATION]), motion, motion.u)[0][0]) == pytest.approx(margin * TINY)
 
 
-@pytest.mark.parametrize("stiffness", [1e2, 1e6])
+@pytest.mark.parametrize("stiffness", [1e2, 1e6, 1e7, 1e8, 1e10])
 def test_a_load_that_takes_time_to_fall_is_a_load_however_stiff_the_contact_is_along_its_plane(stiffness: float):
     law = ConeLaw.of([pad(0.4, stiffness, 1.0, 0.0)], ONE)
     motion = Motion(plane(0.0, 0.0), jnp.asarray([5e-5]), plane(1.0, 0.5), jnp.asarray([-1.0]))
     assert int(law.successor(jnp.asarray([STICK]), motion)[0]) == SLIP
+
+
+@pytest.mark.parametrize("name", ["tsit5", "exponential"])
+@pytest.mark.parametrize("preload", [0.3, -0.2])
+def test_motion_along_the_normal_is_the_same_however_stiff_the_contact_is_along_its_plane(name: str, preload: float):
+    """The size of K_u is none of the load's: at 1e10 times k_v a contact closed and opened late by up to 0.01."""
+    body, excited = structure([1.0], [0.02], [[0.0, 0.0, 1.0]]), excitation(1.1 / TURN, [1.0], [0.0])
+    soft, *stiff = (
+        simulate(Model(body, (pad(0.4, k, 9.0, preload),), excited, at_rest(1, 1)), 6, Solver(name, 1e-8, 1e-10))
+        for k in (1.0, 1e8, 1e10, 1e12)
+    )
+    for trace in stiff:
+        np.testing.assert_allclose(trace.motion, soft.motion, rtol=1e-11, atol=0)
+        np.testing.assert_allclose(trace.log.time, soft.log.time, rtol=1e-11, atol=0)
+
+
+@pytest.mark.parametrize("stiffness", [1e2, 1e6, 1e10])
+def test_separation_wins_where_a_contact_leaves_cone_and_load_at_once(stiffness: float):
+    """In phase with its load, at half of what the friction bears, in straight motion after a contact that sticks."""
+    friction, normal = 0.4, 9.0
+    body = structure([1.0], [0.02], [[0.5 * friction * normal / stiffness, 0.0, 1.0]])
+    model = Model(body, (pad(friction, stiffness, normal, -0.2),), excitation(1.1 / TURN, [1.0], [0.0]), at_rest(1, 1))
+    for name in ("tsit5", "exponential"):
+        trace = simulate(model, 6, Solver(name, 1e-8, 1e-10))
+        assert len(trace.sequence) > 10
+        assert {(before, after) for _, before, after in trace.sequence} == {(SEPARATION, STICK), (STICK, SEPARATION)}
 
 
 def a_cycle_in_short_steps(state: int, displacement: float, velocity: float) -> tuple[Lane, np.ndarray]:

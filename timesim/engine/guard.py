@@ -122,8 +122,8 @@ def margins_inside(dynamics: Dynamics, state: State, part: Segment, x: Float[Arr
 
 
 def _margins(dynamics: Dynamics, state: State, x: Plane, dx: Plane, w: Plane) -> Margins:
-    force, speed = dynamics.law.margins(state, Motion(x[:-1], x[-1], dx[:-1], dx[-1]), w)
-    return jnp.stack([force / dynamics.law.scale(), speed], axis=-2)
+    force, other = dynamics.law.margins(state, Motion(x[:-1], x[-1], dx[:-1], dx[-1]), w)
+    return jnp.stack([force / dynamics.law.scale(state), other], axis=-2)
 
 
 def _margins_at(dynamics: Dynamics, state: State, path: Path, slip: tuple[Plane, Plane]) -> tuple[Margins, Margins]:
@@ -309,8 +309,8 @@ def _root(dynamics: Dynamics, state: State, part: Segment, node: Margins) -> Flo
         *ends, side = carry
         low, high, f_low, f_high = ends
         x = secant(*ends)
-        force, speed = margins_inside(dynamics, state, part, x)
-        f = jnp.where(second, speed, force)
+        force, other = margins_inside(dynamics, state, part, x)
+        f = jnp.where(second, other, force)
         inside = f > 0
         f_high = jnp.where(inside, jnp.where(side > 0, 0.5 * f_high, f_high), jnp.minimum(f, -1e-300))
         f_low = jnp.where(inside, f, jnp.where(side < 0, 0.5 * f_low, f_low))

@@ -135,8 +135,8 @@ def test_margins_are_those_of_the_state():
     n = 0.7 + 1.3 * 0.2
     first = {state: float(contact.margins(jnp.asarray([state]), moves, w)[0][0]) for state in (STICK, SLIP, SEPARATION)}
     assert first == {STICK: pytest.approx(0.4 * n - 0.1), SLIP: pytest.approx(n), SEPARATION: pytest.approx(-n)}
-    speeds = [float(contact.margins(jnp.asarray([state]), moves, w)[1][0]) for state in (STICK, SLIP)]
-    assert speeds == [1.0, pytest.approx(1.0)]
+    ends = {state: float(contact.margins(jnp.asarray([state]), moves, w)[1][0]) for state in (STICK, SLIP, SEPARATION)}
+    assert ends == {STICK: pytest.approx(n / (0.7 + 1.3)), SLIP: pytest.approx(1.0), SEPARATION: 1.0}
 
 
 def test_a_contact_at_rest_has_finite_derivatives():

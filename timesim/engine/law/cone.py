@@ -99,7 +99,8 @@ class ConeLaw(ContactLaw):
     @apart
     def margins(self, state: State, motion: Motion, w: Plane) -> tuple[Scalar, Scalar]:
         # Stick ends on the cone (3), slip where n or the slip speed falls through zero (12, 13), separation where n
-        # rises through zero (14). A frictionless contact has no speed that ends its slip: it cannot stick.
+        # rises through zero (14). A frictionless contact has no speed that ends its slip: it cannot stick. Stick is
+        # never without a load either, which is known better than the cone where K_u is far above k_v.
         n = normal_load(self, motion.v)
         cone = self.friction * n - length(product(self.stiffness, minus(motion.u, w)))
         speed = slip_speed(self, slip_direction(self, motion, w), motion)
@@ -107,7 +108,8 @@ class ConeLaw(ContactLaw):
         # What has opened with a load next to nothing has not closed: the loop would find no step that ends before.
         opened = jnp.where((n > 0) & self._opens(n, motion), 0.0, -n)
         first = jnp.where(state == STICK, cone, jnp.where(state == SLIP, n, opened))
-        return first, jnp.where((state == SLIP) & (self.friction > 0) & ~singular, speed, 1.0)
+        second = jnp.where((state == SLIP) & (self.friction > 0) & ~singular, speed, 1.0)
+        return first, jnp.where(state == STICK, n / self._load_scale(), second)
 
     def successor(self, state: State, motion: Motion) -> State:
         # By the rates (section 3). Where stick or slip ends with n next to zero and falling, cone and separation are
@@ -120,8 +122,9 @@ class ConeLaw(ContactLaw):
     def _opens(self, n: Scalar, motion: Motion) -> Bool[Array, " contact"]:
         """Whether a normal load is next to nothing and falls, or the bodies are apart already."""
         dn = self.normal_stiffness * motion.dv
-        falls = (dn < 0) & (n <= jnp.clip(-SOON * dn, TOGETHER * self.scale(), NO_LOAD * self.scale()))
-        return falls | (n < -VIOLATED * self.scale())
+        load, force = self._load_scale(), self._load_scale() + self._friction_scale()
+        falls = (dn < 0) & (n <= jnp.clip(-SOON * dn, TOGETHER * load, NO_LOAD * force))
+        return falls | (n < -VIOLATED * load)
 
     def slip_at_transition(self, before: State, after: State, motion: Motion, w: Plane) -> Plane:
         # On the cone during and after slip, w = u during and after separation.
@@ -154,9 +157,15 @@ class ConeLaw(ContactLaw):
         on_cone = minus(motion.u, product(self.compliance, scaled(self.friction * normal_load(self, motion.v), e)))
         return where(state == SLIP, on_cone, where(state == SEPARATION, motion.u, w))
 
-    def scale(self) -> Scalar:
-        tangential = sum((jnp.abs(k) for k in self.stiffness), start=jnp.zeros(()))
-        return tangential + self.normal_stiffness + jnp.abs(self.preload)
+    def scale(self, state: State) -> Scalar:
+        # However stiff a contact is along its plane, its normal load is as exact.
+        return self._load_scale() + jnp.where(state == STICK, self._friction_scale(), 0.0)
+
+    def _load_scale(self) -> Scalar:
+        return self.normal_stiffness + jnp.abs(self.preload)
+
+    def _friction_scale(self) -> Scalar:
+        return sum((jnp.abs(k) for k in self.stiffness), start=jnp.zeros(()))
 
     @staticmethod
     def stored_energy(

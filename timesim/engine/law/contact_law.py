@@ -116,9 +116,9 @@ class ContactLaw(eqx.Module):
 
     @abc.abstractmethod
     def margins(self, state: State, motion: Motion, w: Plane) -> tuple[Scalar, Scalar]:
-        """Distance to the end of the state: positive inside, zero at the transition; a force, and a speed.
+        """Distances to two ends of the state, positive inside, zero at the transition: a force, a number of size one.
 
-        The second one ends slip by stick, and is 1 where the state has no such end.
+        The second one is the speed that ends slip by stick, or of any other state another end, and 1 where it has none.
         """
 
     @abc.abstractmethod
@@ -155,8 +155,8 @@ class ContactLaw(eqx.Module):
         return where(state == SEPARATION, motion.u, inner)
 
     @abc.abstractmethod
-    def scale(self) -> Scalar:
-        """Size of the contact forces for motions of size one, to compare a margin with zero."""
+    def scale(self, state: State) -> Scalar:
+        """Size of the forces in the first margin of a state for motions of size one, to compare it with zero."""
 
     @staticmethod
     @abc.abstractmethod
