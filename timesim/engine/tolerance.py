@@ -1,7 +1,7 @@
 """The tolerances of the event loop, and how they depend on one another.
 
 All of them are of the dimensionless form: time is the angle of the excitation, a cycle is 2 pi, motions are of the
-size 1 and margins are over the size of the contact forces. A number of that size is known to eps = 2.2e-16, an angle
+size 1 and margins are over the size of the forces in them. A number of that size is known to eps = 2.2e-16, an angle
 within the cycle to four times that. From the smallest to the largest:
 
 =============  =====  ================================================================================================
