@@ -21,6 +21,7 @@ import timesim
 from timesim.cli import app
 from timesim.model.model import SEPARATION, STICK, Model, Start
 from timesim.orbit.basin import ANOTHER, IRREGULAR, NONE, branch_of, offsets, placed, starts_between, unique
+from timesim.orbit.fourier import HARMONICS
 from timesim.orbit.jump import Stretch, narrowed
 from timesim.orbit.settling import Chain
 from timesim.orbit.steady_state import Orbit, differ, without_orbit
@@ -367,10 +368,22 @@ def test_a_slope_and_a_jump_in_one_step():
         assert narrowed([slope], search.steady, 1.0) == []
 
 
-def test_three_motions():
-    """Between jumps each sweep stays on one motion: there is a range for each pair."""
+@pytest.mark.parametrize("ends", [(1.53, 1.78), (1.502, 1.998), (1.51, 1.6)])
+def test_two_jumps_of_the_same_size_in_one_step(ends: tuple[float, float]):
+    """Together they change the amplitude as evenly as a slope does."""
+    first, last = ends
+    toy = Branches((-np.inf, first), (first, last), (last, np.inf), rise=0.1, slope=0.0)
+    search, on = toy_search(toy), toy.orbit(0, 1.5)
+    (beyond,) = toy.along(on.end, [2.0])
+    jumps = narrowed([Stretch(search.model, 1.5, 2.0, on, beyond, least=0.03 * 1.2)], search.steady, 1e-6)
+    np.testing.assert_allclose([jump.near for _, jump in jumps], ends, atol=1e-6)
+
+
+@pytest.mark.parametrize("num", [5, 101])
+def test_three_motions(num: int):
+    """Between jumps each sweep stays on one motion: there is a range for each pair, also of jumps in one step."""
     toy = Branches((-np.inf, 1.503), (1.217, 1.524), (1.441, np.inf))
-    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 101))
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, num))
     found = list(ranges(search, sweeps, list(losses(search, sweeps))))
     ends = [(1.217, 1.441), (1.441, 1.503), (1.503, 1.524)]
     np.testing.assert_allclose([(one.low, one.high) for one in found], ends, atol=1e-6)
@@ -386,6 +399,20 @@ def test_a_range_that_the_search_cuts():
     assert found.low == 1.0
     assert np.isnan(found.jumped[0]).all()
     assert np.isfinite(found.jumped[1]).all()
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "cut", "ends"),
+    [(0.5, 1.03, (True, False), (1.0, 1.03)), (1.97, 2.5, (False, True), (1.97, 2.0))],
+)
+def test_a_range_that_only_an_end_of_the_search_shows(low: float, high: float, cut, ends):
+    """The sweeps differ at the first or last frequency alone: the other end lies in the step beside it."""
+    toy = two_branches(low, high)
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    assert sweeps.apart.sum() == 1
+    (found,) = ranges(search, sweeps, list(losses(search, sweeps)))
+    assert found.cut == cut
+    assert (found.low, found.high) == pytest.approx(ends, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -435,6 +462,41 @@ def test_motions_that_have_not_settled_differ_only_beyond_their_bands():
     wide = replace(other, period=0, band=np.stack([other.amplitude - 1.1, other.amplitude]))
     assert not differ(one, wide)
     assert not differ(one, replace(other, reason="failed"))
+
+
+def test_motions_of_one_amplitude_differ_by_their_harmonics():
+    """Not by the mean, which depends on offsets that are free, nor by what a motion without a period lacks."""
+    one = two_branches(1.0, 2.0).orbit(0, 1.5)
+    phasor = np.zeros((HARMONICS + 1, 1, 3), dtype=complex)
+    phasor[1] = 1.0
+    one = replace(one, phasor=phasor)
+
+    def with_(harmonic: int, value: complex) -> Orbit:
+        other = phasor.copy()
+        other[harmonic] = value
+        return replace(one, phasor=other)
+
+    assert not differ(one, with_(1, np.exp(1e-4j)))
+    assert differ(one, with_(1, np.exp(1e-2j)))
+    assert differ(with_(2, 0.01), with_(2, -0.01)), "mirror images of one another"
+    assert not differ(one, with_(0, 0.3))
+    assert not differ(one, replace(with_(1, np.nan), period=0))
+
+
+def test_ranges_of_motions_that_differ_by_their_phase_only():
+    toy = two_branches(1.43, 1.62, rise=0.0)
+    size = toy.orbit
+
+    def orbit(branch: float, frequency: float) -> Orbit:
+        there = size(branch, frequency)
+        phasor = np.zeros((HARMONICS + 1, 1, 3), dtype=complex)
+        phasor[1] = there.amplitude * np.exp(1j * there.end.displacement[0])
+        return replace(there, phasor=phasor)
+
+    toy.orbit = orbit
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    (found,) = ranges(search, sweeps, list(losses(search, sweeps)))
+    assert (found.low, found.high) == pytest.approx((1.43, 1.62), abs=1e-6)
 
 
 # Starts

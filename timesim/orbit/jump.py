@@ -2,7 +2,8 @@
 
 A step over which the amplitude changes is halved, the motion carried from the near end to the middle, and so is each
 half over which it still changes. Over a slope the change shrinks with the length; over a jump it stays. So a jump is
-narrowed down to the wanted width even where it shares a step with a slope.
+narrowed down to the wanted width even where it shares a step with a slope. Two jumps of one size in a step may leave
+its halves as even as a slope does, but not the halves of these.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,7 +19,7 @@ STANDS_OUT = 4.0  # change of the amplitude over a jump, as a multiple of that o
 AT_LEAST = 0.03  # least change over a jump, as a share of the amplitude; of the largest where no step is halved
 STAYS, HALVINGS = 0.5, 3  # share of the change that a jump keeps over so many halvings; a slope keeps an eighth
 EVEN = 0.6  # largest share of the change in one half of a slope
-GENTLE = 10.0  # change, as a multiple of the least, up to which an even change is a slope at the first halving
+GENTLE = 10.0  # change, as a multiple of the least, up to which one that is even twice in a row is a slope
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,7 @@ class Stretch:
         on, beyond: the motions there.
         least: change of amplitude below which nothing is called a jump.
         before: changes over the stretches that this one is a part of, the longest first.
+        even: whether it is one of two halves over which the amplitude changes alike.
         whole: whether it cannot be halved any more.
     """
 
@@ -40,6 +42,7 @@ class Stretch:
     beyond: Orbit
     least: float
     before: tuple[float, ...] = ()
+    even: bool = False
     whole: bool = False
 
     @property
@@ -70,11 +73,12 @@ class Stretch:
             yield replace(self, whole=True)
             return
         parts = distance(self.on, orbit), distance(orbit, self.beyond)
-        if max(parts) < EVEN * self.change < EVEN * GENTLE * self.least:
+        even = max(parts) < EVEN * self.change < EVEN * GENTLE * self.least
+        if even and self.even:
             return
-        before = (*self.before, self.change)
-        yield replace(self, far=self.middle, beyond=orbit, before=before)
-        yield replace(self, near=self.middle, on=orbit, before=before)
+        half = replace(self, before=(*self.before, self.change), even=even)
+        yield replace(half, far=self.middle, beyond=orbit)
+        yield replace(half, near=self.middle, on=orbit)
 
 
 def narrowed(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -> list[tuple[int, Stretch]]:

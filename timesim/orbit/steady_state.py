@@ -105,9 +105,16 @@ def distance(one: Orbit, other: Orbit) -> float:
 
 
 def differ(one: Orbit, other: Orbit) -> bool:
-    """Whether two motions are different; False if one could not be computed."""
-    known = one.reason is None and other.reason is None
-    return known and distance(one, other) > SAME * max(one.largest, other.largest)
+    """Whether two motions are different, by their amplitudes or harmonics; False if one could not be computed.
+
+    The mean does not count: the offset of a contact that sticks moves it.
+    """
+    if one.reason is not None or other.reason is not None:
+        return False
+    apart = distance(one, other)
+    if one.settled and other.settled:
+        apart = max(apart, float(np.max(np.abs(one.phasor - other.phasor)[1:], initial=0.0)))
+    return apart > SAME * max(one.largest, other.largest)
 
 
 # Shares of the states of contacts

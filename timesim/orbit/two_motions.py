@@ -131,11 +131,11 @@ def _losses_of(search: Search, sweeps: Sweeps, direction: int) -> Iterator[Loss]
     for k in range(frequency.size - 1):
         near, far = (k, k + 1) if direction == UP else (k + 1, k)
         step = Stretch(search.model, float(frequency[near]), float(frequency[far]), orbits[near], orbits[far], least)
-        jump = _lost(search, step, limit) if k in suspects else None
-        if jump is None and k in merging:
-            jump = _merging(search, step)
-        if jump is not None:
-            yield Loss(direction, step.near, jump)
+        jumps = list(_lost(search, step, limit)) if k in suspects else []
+        if not jumps and k in merging:
+            jumps = [_merging(search, step)]
+        if jumps:
+            yield from (Loss(direction, step.near, jump) for jump in jumps)
         elif step.on.settled and step.beyond.irregular:
             yield Loss(direction, step.near, _without_period(search, step), of_period=True)
         elif step.on.irregular and step.beyond.settled:
@@ -143,18 +143,24 @@ def _losses_of(search: Search, sweeps: Sweeps, direction: int) -> Iterator[Loss]
             yield Loss(direction, back.near, _without_period(search, back), of_period=True)
 
 
-def _lost(search: Search, step: Stretch, limit: float) -> Stretch | None:
-    """Bisect a jump; a motion that was lost by the length of a step alone is followed beyond it."""
-    part, longest = step, abs(step.far - step.near) / WALK
-    for _ in range(FURTHER + 1):
-        jumps = narrowed([part], search.steady, search.width)
-        if not jumps:
-            return None
-        jump = jumps[0][1]
+def _lost(search: Search, step: Stretch, limit: float) -> Iterator[Stretch]:
+    """Bisect the jumps in a step; a motion that was lost by the length of a step alone is followed beyond it."""
+    for _, jump in narrowed([step], search.steady, search.width):
+        end = _followed(search, jump, limit, abs(step.far - step.near) / WALK)
+        if end is not None:
+            yield end
+
+
+def _followed(search: Search, jump: Stretch, limit: float, longest: float) -> Stretch | None:
+    """The jump at which a motion is lost however short the steps; None if it is lost over a slope."""
+    for _ in range(FURTHER):
         ahead = _ahead(search, jump, limit, longest)
         if ahead is None:
             break
-        part = ahead
+        jumps = narrowed([ahead], search.steady, search.width)
+        if not jumps:
+            return None
+        jump = jumps[0][1]
     return jump
 
 
@@ -224,7 +230,8 @@ def ranges(search: Search, sweeps: Sweeps, lost: Sequence[Loss]) -> Iterator[Ran
     first, last = float(sweeps.frequency[0]), float(sweeps.frequency[-1])
     ends = sorted({first, last, *(loss.jump.near for loss in lost)})
     for low, high in pairwise(ends):
-        within = sweeps.apart[(sweeps.frequency > low) & (sweeps.frequency < high)]
+        above, below = sweeps.frequency > low, sweeps.frequency < high
+        within = sweeps.apart[(above | (low == first)) & (below | (high == last))]
         jumps = (low != first) + (high != last)
         if high - low <= 2 * search.width or (jumps < BOTH and not within.any()):
             continue
