@@ -12,13 +12,13 @@ from systems import oscillator
 import timesim
 from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.settling import Chain, steady_states
-from timesim.orbit.steady_state import without_orbit
+from timesim.orbit.steady_state import Orbit, without_orbit
 from timesim.picture import optimum as plot_optimum
 from timesim.scene.study import SweepPlan
 from timesim.scene.sweep import OptimumPlan
 from timesim.study import registry as plot
 from timesim.study.execution.campaign import Execution
-from timesim.study.optimum import Peaks, Response, SearchError, data_of
+from timesim.study.optimum import Peaks, Response, SearchError, _peak, data_of
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.report import optimum_lines
 from timesim.study.sweep import blank_columns
@@ -204,6 +204,36 @@ def test_the_size_of_a_response():
         sweep = SweepPlan(np.array([1.4]), ("up", "down"), {KEY: (3.0, 4.0)}, Criterion(), None)
         plan = OptimumPlan(sweep, 0.1, point, axis)
         assert Response(model, plan, PRESETS["draft"]).size(orbit) == size
+
+
+@pytest.mark.parametrize(
+    ("best", "at_end", "most"), [(1.03, False, 20), (1.97, False, 20), (0.8, True, 1), (2.5, True, 1)]
+)
+def test_a_peak_in_the_first_or_last_step(best: float, at_end: bool, most: int, monkeypatch: pytest.MonkeyPatch):
+    """It is sought there too, at the cost of one point where the response only falls from the end on."""
+    model = oscillator(3.0, 1.4)
+    frequency = np.linspace(1.0, 2.0, 11)
+    sweep = SweepPlan(frequency, ("up", "down"), {KEY: (3.0, 4.0)}, Criterion(), None)
+    computed: list[float] = []
+
+    def steady(*chains: Chain) -> list[list[Orbit]]:
+        computed.extend(f for chain in chains for f in chain.frequencies)
+        return [
+            [
+                replace(without_orbit(model, ""), amplitude=np.full((1, 3), 2 - (f - best) ** 2), reason=None, period=1)
+                for f in chain.frequencies
+            ]
+            for chain in chains
+        ]
+
+    monkeypatch.setattr(Response, "steady", lambda self, *chains: steady(*chains))
+    chain = Chain(model, tuple(map(float, frequency)))
+    orbits = steady(chain, chain)
+    computed.clear()
+    found = _peak(Response(model, OptimumPlan(sweep, 0.1, None, None), PRESETS["draft"]), orbits)
+    assert found.peak_at_end == at_end
+    assert len(computed) <= most
+    assert found.peak_frequency == pytest.approx(np.clip(best, 1.0, 2.0), abs=2e-4)
 
 
 @pytest.mark.slow

@@ -104,14 +104,18 @@ def _peak(response: Response, orbits: list[list[Orbit]]) -> Peak:
         best = max(best, Peak(size[d, i], frequency, at_end, orbits[d][i].settled, orbits[d][i].irregular))
         if d == 1 and np.isclose(size[0, i], size[1, i], rtol=1e-6):
             continue
-        if 0 < i < last:
+        if last > 0:
             best = max(best, _refined(response, orbits[d][i], i))
     return best
 
 
 def _refined(response: Response, orbit: Orbit, i: int) -> Peak:
-    """The peak between the neighbours of a point of the sweep, its motion carried along."""
-    low, high = (float(response.plan.sweep.frequency[k]) for k in (i - 1, i + 1))
+    """The peak between the neighbours of a point of the sweep, its motion carried along.
+
+    At an end of the sweep it is sought only where the response rises from there.
+    """
+    frequency = response.plan.sweep.frequency
+    low, here, high = (float(frequency[k]) for k in (max(i - 1, 0), i, min(i + 1, frequency.size - 1)))
     model = replace(response.model, start=orbit.end)
     seen: list[Peak] = []
 
@@ -122,6 +126,8 @@ def _refined(response: Response, orbit: Orbit, i: int) -> Peak:
         seen.append(Peak(known, float(frequency), False, there.settled, there.irregular))
         return -known
 
+    if here in (low, high) and -fall(here + FINE * (low + high - 2 * here)) <= response.size(orbit):
+        return max(seen)
     minimize_scalar(fall, bounds=(low, high), method="bounded", options={"xatol": FINE * (high - low) / 2})
     return max(seen)
 
