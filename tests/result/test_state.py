@@ -24,6 +24,19 @@ def test_points_close_together_are_told_apart():
         assert close.one({"frequency": float(value)})["cycles"] == i
 
 
+@pytest.mark.parametrize("asked", [1e-3, 1.5, 2.0001, 9e9])
+def test_a_wide_axis_makes_no_other_value_the_same(asked: float):
+    wide = SavedStates((), {"cycles": np.arange(4)}, {"contacts.pad.preload": np.array([1e10, -2.0, 1.0, 2.0])}, 0.0)
+    assert wide.one({"contacts.pad.preload": 1.0})["cycles"] == 2
+    with pytest.raises(RuleError, match=r"must be a contacts.pad.preload of the result"):
+        wide.one({"contacts.pad.preload": asked})
+
+
+def test_a_value_that_rounding_keeps_from_zero_is_zero():
+    axis = SavedStates((), {"cycles": np.arange(21)}, {"excitation.phase": -1 + 0.1 * np.arange(21)}, 0.0)
+    assert axis.one({"excitation.phase": 0.0})["cycles"] == 10
+
+
 def test_a_value_between_two_points_is_refused():
     with pytest.raises(RuleError, match=r"must be a frequency of the result"):
         POINTS.one({"frequency": 1.15})

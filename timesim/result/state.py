@@ -24,6 +24,7 @@ STATE = ("modal_displacement", "modal_velocity", "slip", "contact_state")
 POINT = ("amplitude", "settled", "period", "slip_share", "separation_share", "failure")
 LISTED = 12  # values, or points, that a message names
 SAME = 1e-9  # share of a value by which one that is asked for may differ from one on the axis
+ROUNDING = 4 * np.finfo(float).eps  # share of the largest value on an axis that may be left of a zero
 
 
 @dataclass(frozen=True)
@@ -126,12 +127,12 @@ def states_in(data: "Dataset") -> SavedStates:
 
 def _position(name: str, values: np.ndarray, value: float | str) -> int:
     if values.dtype.kind in "US" or isinstance(value, str):
-        same = values.astype(str) == str(value)
+        apart, limit = np.where(values.astype(str) == str(value), 0.0, np.inf), 0.0
     else:
-        same = np.isclose(values, value, rtol=SAME, atol=SAME * np.ptp(values))
-    if not same.any():
+        apart, limit = np.abs(values - value), max(SAME * abs(value), ROUNDING * np.abs(values).max())
+    if not apart.min() <= limit:
         raise RuleError((name,), f"must be a {name} of the result", _listed(values, value), value)
-    return int(np.argmax(same))
+    return int(np.argmin(apart))
 
 
 def _listed(values: np.ndarray, near: float | str | None = None, subject: str = "it") -> str:

@@ -324,10 +324,11 @@ def test_two_runs_do_not_work_in_one_folder(tmp_path: Path):
 
 def test_stages_of_a_study_keep_apart(tmp_path: Path):
     log = tmp_path / "log"
-    execution, _ = execution_of(tmp_path)
+    execution, notices = execution_of(tmp_path)
     for resume in (False, True):
         for stage in ("", "bisect"):
             assert carried(chains(1, 2, log=log), replace(execution, resume=resume), stage=stage)[1] is None
+    assert notices == [f"2 of 2 chunks taken up from {tmp_path / 'checkpoint'}"], "once, however many stages follow"
     assert calls(log) == Counter({"c-0-0": 2, "c-0-1": 2})
     (tmp_path / "checkpoint" / "notes.txt").write_text("the user's own")
     checkpoint.clear(tmp_path)

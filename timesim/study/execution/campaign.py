@@ -141,7 +141,7 @@ def carry_through(
     """
     _check(chunks)
     with execution.checkpoint(identity, {chunk.name: chunk for chunk in chunks}, stage) as (kept, begun):
-        return _Campaign(chunks, work, execution, kept).outcome(begun)
+        return _Campaign(chunks, work, execution, kept, first=not stage).outcome(begun)
 
 
 def _check(chunks: Sequence[Chunk]) -> None:
@@ -155,10 +155,15 @@ def _check(chunks: Sequence[Chunk]) -> None:
 
 
 class _Campaign:
-    """The chunks of a campaign: what is done, what has failed, what is being worked on."""
+    """The chunks of a campaign: what is done, what has failed, what is being worked on.
 
-    def __init__(self, chunks: Sequence[Chunk], work: Work, execution: Execution, kept: Checkpoint | None):
-        self.chunks, self.work, self.execution, self.kept = chunks, work, execution, kept
+    ``first``: whether it is the first stage of its study, which alone says what is taken up, as a search has many.
+    """
+
+    def __init__(
+        self, chunks: Sequence[Chunk], work: Work, execution: Execution, kept: Checkpoint | None, *, first: bool
+    ):
+        self.chunks, self.work, self.execution, self.kept, self.first = chunks, work, execution, kept, first
         self.following: dict[str | None, list[Chunk]] = {}
         for chunk in chunks:
             self.following.setdefault(chunk.after, []).append(chunk)
@@ -203,8 +208,9 @@ class _Campaign:
             if result is not None:
                 self.saved.add(chunk.name)
                 self._count(chunk, result)
-        done = f"{len(self.saved)} of {counted(len(self.chunks), 'chunk')}"
-        self.execution.notice(f"{done} taken up from {self.kept.folder}")
+        if self.first:
+            done = f"{len(self.saved)} of {counted(len(self.chunks), 'chunk')}"
+            self.execution.notice(f"{done} taken up from {self.kept.folder}")
 
     def _work_off(self) -> None:
         self.waiting += [
