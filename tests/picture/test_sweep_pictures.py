@@ -14,8 +14,9 @@ from timesim.picture import style
 from timesim.picture import sweep as plot_sweep
 from timesim.picture.choice import MAX_CURVES, main_axes, motion
 from timesim.picture.draw import make_logarithmic
-from timesim.picture.response import PAIRED, values_label
+from timesim.picture.response import PAIRED, values_labels
 from timesim.result.dataset import dataset
+from timesim.result.label import told_apart
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES
 from timesim.study import registry as plot
 
@@ -202,7 +203,11 @@ def test_every_set_of_values_has_its_own_style() -> None:
 
 
 def test_values_near_each_other_have_labels_of_their_own() -> None:
-    assert values_label([200_010.0, 0.1 + 0.2]) == "200010, 0.3"
+    assert values_labels([(200_010.0, 0.1 + 0.2)]) == ["200010, 0.3"]
+    assert values_labels([(3.0, 0.1), (3.00000001, 0.1), (3.0, 0.2)]) == ["3, 0.1", "3.00000001, 0.1", "3, 0.2"]
+    near = plot_sweep.curves(sweep({PRELOAD: [3.0, 3.00000001]}))
+    assert [curve.label for curve in near] == ["3", "3.00000001"]
+    assert told_apart([1.0, 1.0, np.nextafter(1.0, 2.0)]) == ["1", "1", "1.0000000000000002"]
 
 
 def test_with_up_and_down_the_values_differ_in_lightness_and_line() -> None:

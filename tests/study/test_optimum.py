@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -122,9 +121,9 @@ def test_an_optimum_of_points_that_all_fail_says_so():
 class Known(Peaks):
     """Peaks by a formula; `computed` are the values asked for."""
 
-    def __init__(self, formula, **given: Any):
-        keys = {"study.along": {KEY: {"from": 0.0, "to": 10.0, "num": 11}}, "study.accuracy": 1e-3}
-        super().__init__(load_scene(CONFIGS / "preload.yaml", keys | given), Execution())
+    def __init__(self, formula, accuracy: float = 1e-3):
+        keys = {"study.along": {KEY: {"from": 0.0, "to": 10.0, "num": 11}}, "study.accuracy": accuracy}
+        super().__init__(load_scene(CONFIGS / "preload.yaml", keys), Execution())
         self.formula, self.computed = formula, []
 
     def take(self, values: list[float], stage: str) -> None:
@@ -169,6 +168,13 @@ def test_a_peak_that_is_the_same_over_a_span_is_told_and_drawn_so():
     assert last == 10
     low, high = plot_optimum.magnified(data).get_ylim()
     assert high - low > 1e-4 * 2.8
+
+
+def test_values_near_each_other_have_labels_of_their_own():
+    peaks = Known(lambda value: 0.1 + (value - 5.00001) ** 2, accuracy=1e-5)
+    peaks.search()
+    labels = [str(line.get_label()) for line in plot_optimum.responses(data_of(peaks)).get_lines()]
+    assert {"5", "5.00001, the least"} < set(labels)
 
 
 def test_a_value_without_a_motion_is_named():

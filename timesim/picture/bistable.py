@@ -34,6 +34,7 @@ from timesim.picture.style import (
     stacked,
 )
 from timesim.result.coordinate import over_keys
+from timesim.result.label import told_apart
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -98,7 +99,7 @@ def _keys(data: "DataTree") -> list[str]:
 
 def _label(data: "DataTree", at: Mapping[str, int]) -> str:
     root = data.to_dataset()
-    return ", ".join(f"{key_words(key)} {root[key].values[i]:.6g}" for key, i in at.items())
+    return ", ".join(f"{key_words(key)} {told_apart(root[key].values)[i]}" for key, i in at.items())
 
 
 def response(

@@ -13,7 +13,7 @@ import numpy as np
 from timesim.orbit.steady_state import switches
 from timesim.picture import hbm as balance
 from timesim.picture.choice import MAX_ROWS, motion, motions
-from timesim.picture.response import PAIRED, values_label, with_phase
+from timesim.picture.response import PAIRED, with_phase
 from timesim.picture.style import (
     SERIES,
     Picture,
@@ -123,16 +123,16 @@ def _groups(data: "DataTree") -> tuple["Dataset", "Dataset"]:
 def _points(hbm: "Dataset", sweep: "Dataset") -> Iterator[Points]:
     """The points of the sweep in the colours of the curves with the same values; grey if there is no such curve."""
     keys = over_keys(hbm)
-    colours = {family.label: family.style.colour for family in balance.families(hbm)}
-    undrawn = {values_label(values) for values in balance.sets(hbm)} - set(colours)
+    colours = {family.values: family.style.colour for family in balance.families(hbm)}
+    undrawn = set(balance.sets(hbm)) - set(colours)
     for where in product(*(range(sweep.sizes[key]) for key in keys)):
-        label = values_label(sweep[key].values[i] for key, i in zip(keys, where, strict=True))
-        if label in undrawn:
+        values = tuple(float(sweep[key].values[i]) for key, i in zip(keys, where, strict=True))
+        if values in undrawn:
             continue
         for i, direction in enumerate(sweep.direction.values):
             alone = direction == "independent"
-            words = (METHODS["sweep"], "" if alone else direction, "" if label in colours else "no curve")
-            look = {"color": colours.get(label, "0.5"), "marker": PAIRED[direction], "linestyle": ""}
+            words = (METHODS["sweep"], "" if alone else direction, "" if values in colours else "no curve")
+            look = {"color": colours.get(values, "0.5"), "marker": PAIRED[direction], "linestyle": ""}
             look |= {"label": ", ".join(filter(None, words)), **(DOT if alone else TRIANGLE)}
             yield dict(zip(keys, where, strict=True)) | {"direction": i}, look
 

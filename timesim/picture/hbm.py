@@ -12,7 +12,7 @@ import numpy as np
 
 from timesim.picture import response as shared
 from timesim.picture.choice import MAX_CURVES, left_out, motion, spread
-from timesim.picture.response import amplitude_label, axis_label, draw_branch, values_label
+from timesim.picture.response import amplitude_label, axis_label, draw_branch, values_labels
 from timesim.picture.style import Picture, Series, axes, finish, from_zero, short, stacked, unit
 from timesim.result.coordinate import over_keys
 
@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
 
 class Family(NamedTuple):
-    """The curves of one set of values: the values in words, the rows of each curve, and their style."""
+    """The curves of one set of values: the values, the same as text, the rows of each curve, and their style."""
 
+    values: tuple[float, ...]
     label: str
     rows: list[np.ndarray]
     style: Series
@@ -92,10 +93,10 @@ def families(data: "Dataset") -> list[Family]:
     values, curve, every = _values(data), data.curve.values, sets(data)
     kept = [every[i] for i in spread(len(every))]
     drawn = []
-    for look, chosen in zip(shared.styles(len(kept)), kept, strict=True):
+    for look, label, chosen in zip(shared.styles(len(kept)), values_labels(kept), kept, strict=True):
         inside = np.all(values == np.array(chosen), axis=1)
         rows = [np.flatnonzero(inside & (curve == number)) for number in np.unique(curve[inside])]
-        drawn.append(Family(values_label(chosen), rows, look))
+        drawn.append(Family(chosen, label, rows, look))
     return drawn
 
 

@@ -18,6 +18,7 @@ from timesim.picture.style import (
     stacked,
     unit,
 )
+from timesim.result.label import told_apart
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -91,12 +92,13 @@ def _looks(data: "Dataset") -> list[tuple[int, dict[str, Any]]]:
     wanted = np.linspace(values[0], values[-1], MAX_CURVES)
     spread = sorted({int(np.argmin(np.abs(values - value))) for value in wanted})
     rows = [i for i in spread if values[i] != best]
+    *texts, least = told_apart([*values[rows], best], 4)
     looks: list[tuple[int, dict[str, Any]]] = [
-        (row, {"color": look.colour, "linewidth": 1.0, "label": f"{values[row]:.4g}"})
-        for row, look in zip(rows, styles(len(rows), shades=True), strict=True)
+        (row, {"color": look.colour, "linewidth": 1.0, "label": text})
+        for row, look, text in zip(rows, styles(len(rows), shades=True), texts, strict=True)
     ]
     for row in np.flatnonzero(values == best):
-        looks.append((int(row), {"color": "black", "linewidth": 2.0, "zorder": 3, "label": f"{best:.4g}, the least"}))
+        looks.append((int(row), {"color": "black", "linewidth": 2.0, "zorder": 3, "label": f"{least}, the least"}))
     return looks
 
 

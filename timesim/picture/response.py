@@ -24,6 +24,7 @@ from timesim.picture.style import (
     stacked,
     unit,
 )
+from timesim.result.label import told_apart
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,9 +90,10 @@ def share_label(data: "Dataset", contact: str, state: str) -> str:
     return "share closed [1]" if state == "slip" and is_stop(data, contact) else f"share in {state} [1]"
 
 
-def values_label(values: Iterable[float]) -> str:
-    """A set of values of the further axes; `legend_title` names the axes in the same order."""
-    return ", ".join(f"{value:.6g}" for value in values)
+def values_labels(sets: Sequence[Sequence[float]]) -> list[str]:
+    """Sets of values of the further axes, each as text of its own; `legend_title` names the axes in the same order."""
+    columns = [told_apart(values) for values in zip(*sets, strict=True)]
+    return [", ".join(texts) for texts in zip(*columns, strict=True)] if columns else [""] * len(sets)
 
 
 def legend_title(data: "Dataset", keys: Sequence[str]) -> str | None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from timesim.picture import response as shared
 from timesim.picture.choice import MAX_CURVES, left_out, motion, spread
-from timesim.picture.response import DIRECTIONS, PAIRED, amplitude_label, axis_label, values_label
+from timesim.picture.response import DIRECTIONS, PAIRED, amplitude_label, axis_label, values_labels
 from timesim.picture.style import (
     NEUTRAL,
     SERIES,
@@ -29,7 +29,7 @@ from timesim.picture.style import (
     stacked,
 )
 from timesim.result.coordinate import over_keys
-from timesim.result.label import counted
+from timesim.result.label import counted, told_apart
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -131,19 +131,20 @@ def peak(
         if np.isfinite(largest).all():
             place = int(np.argmin(largest))
             least.setdefault((value[place], f"{largest[place]:.4g}"), []).append((name, curve.style.colour))
+    texts = dict(zip(value, told_apart(value, 4), strict=True))
     for (x, y), of in least.items():
-        _star(ax, x, y, of, x in (value[0], value[-1]) and value.size > 1)
+        _star(ax, x, texts[x], y, of, x in (value[0], value[-1]) and value.size > 1)
     from_zero(ax)
     ax.set(xlabel=axis_label(data, key), ylabel=f"peak {amplitude_label(data, point, axis)}")
     return ax
 
 
-def _star(ax: "Axes", x: float, y: str, curves: Sequence[tuple[str, str]], at_end: bool) -> None:
+def _star(ax: "Axes", x: float, place: str, y: str, curves: Sequence[tuple[str, str]], at_end: bool) -> None:
     """The least peak: one star for all curves, given by name and colour, that have it at the same place."""
     names, colours = zip(*curves, strict=True)
     of = {1: ": ", 2: f" of {' and '.join(names)}:\n"}.get(len(names), f" of {len(names)} curves:\n")
     look: dict[str, Any] = {"color": colours[0], "markeredgecolor": "black", "ms": 10, "linestyle": "", "zorder": 4}
-    ax.plot(x, float(y), "*", label=f"least{of}{y} at {x:.4g}" + (", an end" if at_end else ""), **look)
+    ax.plot(x, float(y), "*", label=f"least{of}{y} at {place}" + (", an end" if at_end else ""), **look)
 
 
 def peaks(amplitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -165,8 +166,8 @@ def curves(data: "Dataset", without: str | None = None) -> list[Curve]:
     kept, names = spread(len(sets)), [str(name) for name in data.direction.values]
     looks = shared.styles(len(kept), shades=len(names) > 1 and len(kept) > 1)
     drawn, beside = [], len(names) > 1
-    for look, chosen in zip(looks, (sets[i] for i in kept), strict=True):
-        label = values_label(data[key].values[i] for key, i in zip(keys, chosen, strict=True))
+    labels = values_labels([[data[key].values[i] for key, i in zip(keys, sets[k], strict=True)] for k in kept])
+    for look, label, chosen in zip(looks, labels, (sets[k] for k in kept), strict=True):
         for i, name in enumerate(names):
             if not keys:
                 look = Series(SERIES[i].colour, LINES[name], DIRECTIONS[name])

@@ -7,7 +7,7 @@ mode shape of the scene they give a length. Names, flags and text have no units.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -276,6 +276,20 @@ def axis_value(value: float | str) -> str:
     return str(value) if isinstance(value, str) else f"{value:.10g}"
 
 
+EXACT = 17  # digits that tell any two numbers apart
+
+
+def told_apart(values: Sequence[float] | np.ndarray, digits: int = 6) -> list[str]:
+    """Numbers as text, with as many significant digits as tell those apart that differ, ``digits`` at least."""
+    different = len(set(values))
+    texts: list[str] = []
+    for count in range(digits, EXACT + 1):
+        texts = [f"{value + 0.0:.{count}g}" for value in values]  # -0 is 0
+        if len(set(texts)) == different:
+            break
+    return texts
+
+
 WIDTH = 60  # letters of a value in a message
 
 
@@ -286,5 +300,5 @@ def shortened(text: str, length: int) -> str:
 
 def in_words(values: Mapping[str, float], end: str = "") -> str:
     """Values of scalars of the scene with their keys, followed by ``end``; empty if there are none."""
-    words = ", ".join(f"{key} {value:g}" for key, value in values.items())
+    words = ", ".join(f"{key} {axis_value(value)}" for key, value in values.items())
     return words + end if words else ""
