@@ -4,6 +4,7 @@ import json
 import zipfile
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from timesim.fault import RuleError, SceneError
+from timesim.model import matrices
 from timesim.model.matrices import Matrices, modal_structure
+from timesim.scene import structure as structure_sections
 from timesim.scene.report import warnings_of
 from timesim.study.registry import load_scene
 
@@ -199,6 +202,25 @@ def test_matrix_market_and_sparse_npz(tmp_path: Path):
     assert np.allclose(structure.damping, 0.1 * structure.omega**2)
     again = load_scene(loaded.resolved_yaml())
     assert np.array_equal(again.model().structure.damping, structure.damping)
+
+
+def test_a_file_is_read_once_for_all_values_of_an_axis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """And its eigenproblem is solved once, where the values do not change it."""
+    read, solved = Mock(wraps=matrices.read_matrices), Mock(wraps=matrices._eigenmodes)
+    monkeypatch.setattr(structure_sections, "read_matrices", read)
+    monkeypatch.setattr(matrices, "_eigenmodes", solved)
+    base = chain(3)
+    np.savez(tmp_path / "a.npz", M=base.mass, K=base.stiffness)
+    swept = {"kind": "sweep", "frequency": {"values": [0.1]}, "over": {"structure.damping_ratio": [0.01, 0.02, 0.03]}}
+    scene = load_scene(files(tmp_path / "a.npz") | {"study": swept})
+    ratios = [scene.variant({"structure.damping_ratio": ratio}).structure.damping_ratio[0] for ratio in (0.01, 0.03)]
+    assert ratios == pytest.approx([0.01, 0.03])
+    assert (read.call_count, solved.call_count) == (1, 1)
+    assert scene.variant({"structure.keep_modes": 2}).structure.num_modes == 2
+    assert (read.call_count, solved.call_count) == (1, 2)
+    np.savez(tmp_path / "a.npz", M=2 * base.mass, K=base.stiffness)
+    again = load_scene(files(tmp_path / "a.npz"))
+    assert again.model().structure.frequency[0] == pytest.approx(scene.model().structure.frequency[0] / np.sqrt(2))
 
 
 def test_both_names_are_worth_a_warning(tmp_path: Path):

@@ -11,7 +11,7 @@ import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,12 +35,16 @@ NEGATIVE = 1e-10
 
 @dataclass(frozen=True)
 class Matrices:
-    """Matrices of one structure, dense or sparse, shape (N, N); damping None where there is none."""
+    """Matrices of one structure, dense or sparse, shape (N, N); damping None where there is none.
+
+    `solved` keeps their lowest eigenvalues and modes, by the number of them.
+    """
 
     mass: Any
     stiffness: Any
     damping: Any = None
     notes: tuple[str, ...] = ()
+    solved: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False, compare=False)
 
 
 def read_matrices(source: Path | Mapping[str, Path]) -> Matrices:
@@ -162,7 +166,9 @@ def modal_structure(
     mass, stiffness = _symmetric(matrices.mass, "mass"), _symmetric(matrices.stiffness, "stiffness")
     _check_sizes(mass.shape[0], stiffness, matrices.damping, points, keep_modes)
     num_modes = keep_modes or mass.shape[0]
-    squared, modes = _eigenmodes(mass, stiffness, num_modes)
+    if num_modes not in matrices.solved:
+        matrices.solved[num_modes] = _eigenmodes(mass, stiffness, num_modes)
+    squared, modes = matrices.solved[num_modes]
     modes = modes * _signs(modes)
     omega = np.sqrt(squared)
     if damping_ratio is not None:

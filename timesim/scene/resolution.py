@@ -24,7 +24,7 @@ from timesim.model.start import rest_start
 from timesim.scene.file import NO_NUMBER, Kinds, SceneFile, SceneParts, parsed, rule_errors
 from timesim.scene.integration import EndOfRun, InitialResult, start
 from timesim.scene.source import SceneSource, address, empty_values, overridden, read
-from timesim.scene.structure import BuiltStructure, ExcitationSection
+from timesim.scene.structure import BuiltStructure, ExcitationSection, Files
 from timesim.scene.study import Context, SteadySection, combinations
 from timesim.scene.text import yaml_text
 from timesim.scene.transient import Schedule
@@ -102,7 +102,7 @@ class Scene:
         source, changed = overridden(self.source, values), {key.partition(".")[0] for key in values}
         sections = _sections(source, changed)
         file = self.file.model_copy(update={part: getattr(sections, part) for part in changed})
-        build = _Build(file, source.folder, built, changed)
+        build = _Build(file, source.folder, self._files, built, changed)
         structure = build.structure()
         model = build.model(structure, build.end())
         if structure is None and not build.errors:
@@ -112,8 +112,13 @@ class Scene:
         return model
 
     @cached_property
+    def _files(self) -> Files:
+        """Matrices that have been read; all variants have the same ones, even if a file changes meanwhile."""
+        return {}
+
+    @cached_property
     def _built(self) -> "_Built":
-        build = _Build(self.file, self.source.folder)
+        build = _Build(self.file, self.source.folder, self._files)
         structure, end = build.structure(), build.end()
         plan, model = build.plan(structure), build.model(structure, end)
         if build.errors:
@@ -146,6 +151,8 @@ def _scene(source: SceneSource, kinds: Kinds) -> Scene:
     scene._built  # noqa: B018  shows what the sections alone cannot see
     _check_axes(scene)
     _check_combinations(scene)
+    if not any(str(place[-1]).startswith("structure.") for place in file.study.varied()):
+        scene._files.clear()  # they may be large
     return scene
 
 
@@ -257,11 +264,13 @@ class _Built:
 class _Build:
     """Builds what a scene file describes, and collects what is wrong with each part of it.
 
-    ``known``: the same but for the sections that have ``changed``.
+    ``files`` holds the matrices that have been read, ``known`` is the same but for the sections that have ``changed``.
     """
 
-    def __init__(self, file: SceneFile, folder: Path, known: _Built | None = None, changed: Collection[str] = ()):
-        self.file, self.folder, self.known, self.changed = file, folder, known, set(changed)
+    def __init__(
+        self, file: SceneFile, folder: Path, files: Files, known: _Built | None = None, changed: Collection[str] = ()
+    ):
+        self.file, self.folder, self.files, self.known, self.changed = file, folder, files, known, set(changed)
         self.errors: list[RuleError] = []
 
     def unchanged(self, *parts: str) -> _Built | None:
@@ -296,7 +305,7 @@ class _Build:
         if self.file.structure is None:
             return None
         with self.under("structure"):
-            return self.file.structure.build(self.folder)
+            return self.file.structure.build(self.folder, self.files)
 
     def end(self) -> EndOfRun | None:
         """What `initial` reads from another run."""

@@ -29,6 +29,8 @@ from timesim.scene.value import (
 
 BuiltStructure = tuple[model.Structure, np.ndarray, tuple[str, ...]]
 """A structure, the scene's index of each of its modes, and notes."""
+Files = dict[str, Matrices]
+"""Matrices that have been read, by their files."""
 
 
 class Mode(Section):
@@ -60,8 +62,8 @@ class ModalSection(Section):
                 raise refuse(rule, key=("modes", i, "shape"), hint=hint)
         return self
 
-    def build(self, folder: Path) -> BuiltStructure:
-        """The structure, frequency ascending."""
+    def build(self, folder: Path, files: Files) -> BuiltStructure:
+        """The structure, frequency ascending; ``files`` holds the matrices that have been read."""
         order = np.argsort([mode.frequency for mode in self.modes], kind="stable")
         modes, points = [self.modes[i] for i in order], tuple(self.modes[0].shape)
         frequency, ratio, mass = np.array([(mode.frequency, mode.damping_ratio, mode.mass) for mode in modes]).T.copy()
@@ -126,7 +128,7 @@ class MatrixSection(Section):
     keep_modes: Count | None = None
     """How many of the lowest modes; all by default."""
 
-    def build(self, folder: Path) -> BuiltStructure:
+    def build(self, folder: Path, files: Files) -> BuiltStructure:
         given = self.matrices
         matrices = Matrices(np.array(given.mass), np.array(given.stiffness), given.damping and np.array(given.damping))
         try:
@@ -164,9 +166,10 @@ class FileSection(Section):
     keep_modes: Count | None = None
     """How many of the lowest modes; all by default."""
 
-    def build(self, folder: Path) -> BuiltStructure:
+    def build(self, folder: Path, files: Files) -> BuiltStructure:
+        paths = self._paths(folder)
         try:
-            matrices = read_matrices(self._paths(folder))
+            matrices = files[str(paths)] = files.get(str(paths)) or read_matrices(paths)
         except RuleError as error:
             raise error.below("file") from None
         except OSError as error:  # a name that is too long, a folder that may not be searched
