@@ -207,6 +207,8 @@ def test_element_result():
     assert float(data.dissipation) == pytest.approx(float(data.friction_work), abs=1e-12)
     assert data.attrs["complete"] == 1
     assert data.attrs["cross_check_angle_deg"] < 1e-8
+    assert data.attrs["compile_seconds"] > 0
+    assert run(scene(plan)).attrs["compile_seconds"] == 0, "nothing is compiled without the cross check"
     assert data.sizes["harmonic"] == 6
     assert data.force.dims == ("angle", "tangent")
     # The loop area is the sum over the axes of pi f_c (amplitude), along whatever axes.

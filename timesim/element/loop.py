@@ -101,6 +101,14 @@ def loop_cycle(contact: Contact, motion: Motion) -> LoopCycle:
     return LoopCycle(log, reached.mean[0], f_s, f_c, work, cycle, residual)
 
 
+def warm_up(contact: Contact, motion: Motion) -> None:
+    """Compile the program of `loop_cycle`, by a first cycle."""
+    elements = single_element(contact, motion)
+    dynamics = PrescribedContacts(elements.law(), drive_of(elements, motion))
+    slip, state = tuple(elements.start[:, :2].T), elements.start_state
+    record_cycle(step_method(FINE), step_control(FINE, 1.0), dynamics, slip, state)
+
+
 def _ending(status: Status) -> str:
     """Why a cycle was not finished."""
     too_many = f"it takes more than {CAPACITY:,} steps, as where slip is very stiff"

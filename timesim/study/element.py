@@ -6,6 +6,7 @@ where the two do not agree.
 
 import time
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from xarray import Dataset
@@ -22,6 +23,9 @@ from timesim.scene.resolution import Scene
 from timesim.study.execution.campaign import Execution
 from timesim.study.outcome import Outcome, attributes
 
+if TYPE_CHECKING:
+    from timesim.element.loop import Difference, LoopCycle
+
 # Above these the two ways do not agree: transitions [rad], forces relative to the largest mu n.
 ANGLE, FORCE = 1e-6, 1e-8
 METHOD = "state by state"
@@ -34,6 +38,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     """
     plan: ElementPlan = scene.plan
     contact, motion = plan.contact, plan.motion
+    if plan.cross_check:
+        import timesim.element.loop  # noqa: F401  JAX takes a second, which is not that of the run
     clock = time.perf_counter()
     try:
         cycle = steady_cycle(contact, motion)
@@ -43,12 +49,13 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         return Outcome({"": dataset({}, {"angle": np.zeros(0)}, about)}, why)
     reason = None if cycle.periodic else _unsettled(cycle)
     compared: dict[str, float] = {}
+    compiling = 0.0
     if plan.cross_check:
-        compared, doubt = _cross_check(contact, motion, cycle)
+        compared, doubt, compiling = _cross_check(contact, motion, cycle)
         reason = reason or doubt
-    seconds = time.perf_counter() - clock
+    about = attributes(scene, METHOD, compiling, time.perf_counter() - clock - compiling, reason) | compared
     execution.progress(1, 1)
-    record = record_of(scene, plan, cycle, compared, seconds, reason)
+    record = record_of(plan, cycle, about)
     return Outcome({"": record}, reason, tuple(summary(cycle, compared)))
 
 
@@ -59,17 +66,27 @@ def _unsettled(cycle: ElementCycle) -> str:
     )
 
 
-def _cross_check(contact: Contact, motion: Motion, cycle: ElementCycle) -> tuple[dict[str, float], str | None]:
-    """How far the event loop's result differs, as attributes, and why it does not confirm the other, or None."""
-    from timesim.element.loop import difference, loop_cycle
+def _cross_check(contact: Contact, motion: Motion, cycle: ElementCycle) -> tuple[dict[str, float], str | None, float]:
+    """How far the event loop's result differs, as attributes, why it does not confirm the other, or None.
 
+    Last is the time of compilation [s].
+    """
+    from timesim.element.loop import difference, loop_cycle, warm_up
+
+    clock, compiling = time.perf_counter(), 0.0
     try:
+        warm_up(contact, motion)
+        compiling = time.perf_counter() - clock
         other = loop_cycle(contact, motion)
     except KeyboardInterrupt:
-        return {}, f"{INTERRUPTED} in the cross check; cross_check: false leaves it out"
+        return {}, f"{INTERRUPTED} in the cross check; cross_check: false leaves it out", compiling
     except RuntimeError as error:
-        return {}, f"the cross check failed: {error}; cross_check: false leaves it out"
-    apart = difference(cycle, other)
+        return {}, f"the cross check failed: {error}; cross_check: false leaves it out", compiling
+    return *_compared(cycle, other, difference(cycle, other)), compiling
+
+
+def _compared(cycle: ElementCycle, other: "LoopCycle", apart: "Difference") -> tuple[dict[str, float], str | None]:
+    """The difference as attributes, and what is wrong with it, or None."""
     compared = {
         "cross_check_cycles": other.num_cycles,
         "cross_check_angle_deg": float(np.degrees(apart.angle)),
@@ -113,18 +130,10 @@ def summary(cycle: ElementCycle, compared: dict[str, float]) -> Iterator[str]:
         )
 
 
-def record_of(
-    scene: Scene,
-    plan: ElementPlan,
-    cycle: ElementCycle,
-    compared: dict[str, float],
-    seconds: float,
-    reason: str | None,
-) -> Dataset:
-    """The result file."""
+def record_of(plan: ElementPlan, cycle: ElementCycle, about: dict[str, Any]) -> Dataset:
+    """The result file, with attributes that are known already."""
     contact, motion = plan.contact, cycle.motion
-    about = attributes(scene, METHOD, 0.0, seconds, reason) | compared
-    about |= {
+    about = about | {
         "contact": contact.name,
         "friction": contact.friction,
         "normal_stiffness": contact.normal_stiffness,
