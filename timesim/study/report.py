@@ -14,6 +14,7 @@ from timesim.orbit.two_motions import LARGER, NO_MOTION, SMALLER
 from timesim.result.coordinate import over_keys
 from timesim.result.label import axis_value, counted, in_words, with_unit
 from timesim.scene.transient import Schedule
+from timesim.study.drift import largest_step, step_of_points
 
 MOTIONS = ("smaller", "larger")
 PHASES = 12  # of a schedule at most that are listed
@@ -104,7 +105,12 @@ def unusual_lines(data: Dataset) -> Iterator[str]:
             f"{points} not repeat after up to {LONGEST} cycles: the motion is quasi-periodic or irregular "
             f"(irregular = 1, with the band of its amplitude): {_spans(data, irregular)}"
         )
-    lost = done & ~settled & ~irregular
+    step = step_of_points(data)
+    drifts = done & step.any(axis=(-2, -1))
+    if drifts.any():
+        points, moved = counted(drifts.sum(), "point drifts", "points drift"), largest_step(data["amplitude"], step)
+        yield f"{points}, {moved} a cycle: nothing holds the body (settled = 0): {_spans(data, drifts)}"
+    lost = done & ~settled & ~irregular & ~drifts
     if lost.any():
         yield (
             f"{counted(lost.sum(), 'point')} did not settle in settle.max_cycles (settled = 0, with the band of the "

@@ -19,6 +19,7 @@ from timesim.result.dataset import Arrays, dataset
 from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.transient import Schedule
+from timesim.study.drift import run_lines
 from timesim.study.execution.campaign import Execution
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.recorder import Recorder, contact_forces
@@ -49,7 +50,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
             break
         done = _doubted(again, promise)
     record = _record(scene, done, time.perf_counter() - clock).assign_attrs(more)
-    return Outcome({"": record}, done.reason, (*lines, *transient_lines(record, scene.plan)))
+    lines += [*transient_lines(record, scene.plan), *run_lines(record, scene.plan, scene.model().structure.frequency)]
+    return Outcome({"": record}, done.reason, tuple(lines))
 
 
 @dataclass(frozen=True)

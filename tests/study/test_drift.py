@@ -1,0 +1,89 @@
+"""Bodies that nothing holds are named as such, and no others."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from timesim.study.registry import carry_out, load_scene
+
+RUNNER = {
+    "name": "runner", "point": "sled", "friction": 0.3, "tangential_stiffness": 100, "normal_stiffness": 0, "preload": 1
+}  # fmt: skip
+
+
+def sled(
+    study: dict[str, Any], constant: float, frequency: float = 0.0, shaken: float = 0.2, **changes: Any
+) -> dict[str, Any]:
+    """A mass on a plane, shaken and pushed along it."""
+    push = {"point": "sled", "direction": [1, 0, 0]}
+    mode = {"frequency": frequency, "damping_ratio": 0.0, "mass": 1.0, "shape": {"sled": [1, 0, 0]}}
+    return {
+        "units": {"length": "mm"},
+        "structure": {"modes": [mode]},
+        "contacts": [RUNNER],
+        "excitation": {
+            "forces": [push | {"amplitude": shaken}],
+            "constant_forces": [push | {"amplitude": constant}],
+        },
+        "solver": {"accuracy": "draft"},
+        "study": study,
+    } | changes
+
+
+FREE = {
+    "matrices": {
+        "mass": [[1, 0], [0, 1]], "stiffness": [[1, -1], [-1, 1]], "damping": [[0.1, 0], [0, 0.1]],
+        "points": {"sled": {"x": 0}, "other": {"x": 1}},
+    }
+}  # fmt: skip
+RUN = {"kind": "transient", "cycles": 20}
+SWEEP = {"kind": "sweep", "frequency": {"values": [1.0, 1.2]}, "settle": {"max_cycles": 600}}
+
+
+def drifts(scene: dict[str, Any], frequency: float = 1.0) -> list[str]:
+    if scene["study"]["kind"] == "transient":
+        scene["excitation"]["frequency"] = frequency
+    return [line for line in carry_out(load_scene(scene)).summary if "drift" in line]
+
+
+def test_a_sled_that_creeps_ahead_in_a_run():
+    (line,) = drifts(sled(RUN, 0.25))
+    assert line.startswith("the body drifts, in the last cycle sled x by 0.028")
+    assert "mm: nothing holds it" in line
+
+
+def test_a_free_body_on_the_run():
+    (line,) = drifts(sled(RUN, 0.25, structure=FREE, contacts=[]))
+    assert line.startswith("the body drifts, in the last cycle sled x by 1.09")
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        sled(RUN, 0.1, shaken=0.05),
+        sled(RUN, 0.0),
+        sled(RUN, 0.25, frequency=0.3),
+        sled({"kind": "transient", "cycles": 2}, 0.25),
+    ],
+)
+def test_what_is_held_does_not_drift(scene: dict[str, Any]):
+    """By its contact, without a push, by a spring; nor is a run of two cycles judged."""
+    assert drifts(scene) == []
+
+
+def test_points_of_a_sweep_that_drift():
+    outcome = carry_out(load_scene(sled(SWEEP, 0.25)))
+    (line,) = [line for line in outcome.summary if "drift" in line]
+    assert line.startswith("2 points drift, sled x by 0.0279")
+    assert line.endswith("mm a cycle: nothing holds the body (settled = 0): between 1 and 1.2 Hz")
+    assert not any("did not settle" in line for line in outcome.summary)
+    amplitude, band = (outcome.groups[""][name].values for name in ("amplitude", "amplitude_band"))
+    np.testing.assert_allclose(amplitude[0, :, 0, 0], 10 * band[0, :, 0, 0, 0], rtol=1e-3)
+
+
+def test_points_of_a_sweep_that_settle_late_do_not_drift():
+    late = SWEEP | {"settle": {"max_cycles": 20}}
+    lines = carry_out(load_scene(sled(late, 0.25, frequency=0.1))).summary
+    assert any("did not settle" in line for line in lines)
+    assert not any("drift" in line for line in lines)
