@@ -8,6 +8,7 @@ its halves as even as a slope does, but not the halves of these.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -31,7 +32,7 @@ class Stretch:
         on, beyond: the motions there.
         least: change of amplitude below which nothing is called a jump.
         before: changes over the stretches that this one is a part of, the longest first.
-        even: whether it is one of two halves over which the amplitude changes alike.
+        even: whether the amplitude changes alike over the stretch beside it, its other half or a step of the sweep.
         whole: whether it cannot be halved any more.
     """
 
@@ -134,12 +135,19 @@ def jumps_of(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -
 
 
 def steps_of(model: Model, frequencies: Sequence[float], orbits: Sequence[Orbit]) -> list[Stretch]:
-    """The steps of a sweep over which the amplitude changes; frequencies [Hz] and motions in the order of the sweep."""
+    """The steps of a sweep over which the amplitude changes; frequencies [Hz] and motions in the order of the sweep.
+
+    Where a step beside one has at least half of its change, they are alike, as two halves are.
+    """
+    done = [one.reason is None and other.reason is None for one, other in pairwise(orbits)]
+    change = [distance(*pair) if known else 0.0 for pair, known in zip(pairwise(orbits), done, strict=True)]
+    beside = np.maximum([0.0, *change[:-1]], [*change[1:], 0.0])
     steps = []
-    for near, far, on, beyond in zip(frequencies, frequencies[1:], orbits, orbits[1:], strict=False):
-        size = max(float(np.nanmax(orbit.amplitude, initial=0.0)) for orbit in (on, beyond))
-        step = Stretch(model, near, far, on, beyond, AT_LEAST * size)
-        if on.reason is None and beyond.reason is None and step.change > step.least:
+    for i, known in enumerate(done):
+        size = max(float(np.nanmax(orbit.amplitude, initial=0.0)) for orbit in orbits[i : i + 2])
+        ends, even = (frequencies[i], frequencies[i + 1]), bool(change[i] <= 2 * beside[i])
+        step = Stretch(model, *ends, orbits[i], orbits[i + 1], AT_LEAST * size, even=even)
+        if known and step.change > step.least:
             steps.append(step)
     return steps
 
