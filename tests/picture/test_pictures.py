@@ -424,6 +424,15 @@ def test_long_names_are_cut_where_there_is_no_room(run: xarray.Dataset) -> None:
     assert figure.get_suptitle() == "t" * 89 + "…\nharmonics of the last cycles"
 
 
+@pytest.mark.parametrize("name", ["orbit", "hysteresis", "displacement"])
+def test_a_long_title_fits_the_figure(run: xarray.Dataset, name: str) -> None:
+    """That of a point of a sweep names its values too, and the orbit's figure is narrow."""
+    figure = plot_transient.PICTURES[name](run.assign_attrs(title="W" * 85))
+    assert figure is not None
+    heading = figure._suptitle.get_window_extent()  # type: ignore[attr-defined]
+    assert 0 <= heading.x0 < heading.x1 <= figure.bbox.width
+
+
 def test_a_contact_that_does_not_move_in_its_plane_has_no_orbit(run: xarray.Dataset) -> None:
     motion = run.contact_displacement.copy()
     motion.loc[{"contact": "stop", "component": ["t1", "t2"]}] = 0.0

@@ -171,6 +171,8 @@ def harmonics(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
         look: dict[str, Any] = {"fillstyle": "none", "linestyle": "", "ms": 6 if method == "sweep" else 3.5}
         ax.plot(cycle.harmonic.values, np.where(height > 0, height, np.nan), style.marker, color=style.colour, **look)
     ax.set_yscale("log")
+    content = np.abs(cycle.harmonic_amplitude.sel(point=point, axis=axis).values)
+    ax.set_ylim(*balance.harmonic_limits(float(np.min(content[content > 0], initial=np.inf)), float(content.max())))
     ax.set(xlabel="harmonic", ylabel=f"amplitude{unit(cycle, 'harmonic_amplitude')}")
     ax.locator_params(axis="x", integer=True)
     return ax

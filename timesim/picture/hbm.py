@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 
+NOISE = 1e-9
+"""Share of the largest harmonic below which one is rounding, or what is left of settling."""
+
+
 class Family(NamedTuple):
     """The curves of one set of values: the values, the same as text, the rows of each curve, and their style."""
 
@@ -81,11 +85,16 @@ def harmonics(
             look: dict[str, Any] = {"color": family.style.colour, "linewidth": 0.6, "ms": 4}
             ax.plot(data.harmonic.values, np.where(height > 0, height, np.nan), marker=family.style.marker, **look)
     ax.set_yscale("log")
-    top = float(content.max(initial=0.0)) or 1.0
-    ax.set_ylim(max(top * 1e-9, min(lowest, top) / 2), 2 * top)
+    ax.set_ylim(*harmonic_limits(lowest, float(content.max(initial=0.0))))
     ax.set(xlabel="harmonic", ylabel=f"harmonic of {short(point, 16)} {axis}{unit(data, 'harmonic_amplitude')}")
     ax.locator_params(axis="x", integer=True)
     return ax
+
+
+def harmonic_limits(lowest: float, largest: float) -> tuple[float, float]:
+    """Limits of a logarithmic axis for harmonics between these sizes: those of rounding lie below it."""
+    top = largest or 1.0
+    return max(top * NOISE, min(lowest, top) / 2), 2 * top
 
 
 def families(data: "Dataset") -> list[Family]:

@@ -131,7 +131,9 @@ def finish(fig: "Figure", data: "Dataset | DataTree", what: str, *notes: str) ->
     title = short(" ".join(str(data.attrs.get("title") or "").split()), 90)
     unfinished = "" if int(data.attrs["complete"]) else " (incomplete run)"
     tall, heading = fig.get_figheight(), (f"{title}\n" if title else "") + what + unfinished
-    fig.suptitle(heading.replace(r"\$", "$"), fontsize=10, y=1 - 0.08 / tall, va="top", parse_math=False)
+    drawn = fig.suptitle(heading.replace(r"\$", "$"), fontsize=10, y=1 - 0.08 / tall, va="top", parse_math=False)
+    too_wide = drawn.get_window_extent().width / (0.97 * fig.get_figwidth() * fig.dpi)
+    drawn.set_fontsize(10 / max(too_wide, 1.0))
     fig.text(0.99, 0.04 / tall, "; ".join(filter(None, notes)), fontsize=7, color="0.35", ha="right", va="bottom")
     if all(ax.get_legend() is None for ax in fig.axes):
         _legend_below(fig)
