@@ -337,6 +337,17 @@ def test_bad_override(override: str, key: str, rule: str):
     assert rule in problem.rule
 
 
+@pytest.mark.parametrize("override", ["contact.pad.preload=3", "contact=3", "solver.bogus.x=1"])
+def test_a_key_that_an_override_makes_on_the_way_is_no_line_of_the_file(override: str, tmp_path: Path):
+    path = tmp_path / "scene.yaml"
+    path.write_text(BASE)
+    with pytest.raises(SceneError) as caught:
+        load_scene(path, [override])
+    (problem,) = caught.value.problems
+    assert (problem.file, problem.line) == ("override", None)
+    assert problem.rule == "is no key here"
+
+
 def test_mapping_is_a_scene():
     data = parse(BASE)[0]
     data["structure"]["modes"][0]["shape"]["tip"] = np.array([1.0, 1.0, 0.8])

@@ -34,7 +34,11 @@ class SceneSource:
     def problem(self, error: RuleError) -> Problem:
         """The error with its place, its key as a user writes it, and the value as text."""
         value = None if error.value is None else value_text(error.value)
-        by_override = any(error.key[: len(key)] == key for key in self.overridden)
+        new = bool(self.lines) and error.key not in self.lines  # made on the way to a key that is set
+        by_override = any(
+            error.key[: len(key)] == key or (new and error.key and key[: len(error.key)] == error.key)
+            for key in self.overridden
+        )
         name = "override" if by_override else self.name
         line = None if by_override else error.line or self.line(error.key)
         return Problem(name, line, dotted(error.key, self.data), value, error.rule, error.hint)

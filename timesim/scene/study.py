@@ -37,7 +37,8 @@ PARTS = ("structure", "contacts", "excitation", "initial")
 def _scalar(key: str) -> str:
     part = key.partition(".")[0]
     if part not in PARTS or key == part:
-        raise refuse("must be the key of a scalar of the scene", hint=nearest(part, PARTS))
+        hint = f"such as contacts.pad.preload; {nearest(part, PARTS)}"
+        raise refuse("must be the key of a scalar of the scene", hint=hint)
     if "/" in key:
         raise refuse("must not hold a /, which no axis of a result may", hint="give what it names another name")
     if key == "excitation.frequency":
