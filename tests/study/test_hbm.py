@@ -94,7 +94,7 @@ def test_each_curve_is_said_in_a_line(curves):
         unstable = np.sum((part.stable.values == 0) & (part.fold.values == 0))
         folds = ", ".join(f"{place:.6g}" for place in part.frequency.values[part.fold.values == 1])
         assert line.startswith(f"contacts.pad.preload {preload}: peak ")
-        assert f"; folds at {folds}; {unstable} unstable solutions; at most" in line
+        assert f" Hz; folds at {folds}; {unstable} unstable solutions; at most" in line
         assert f"{part.slip_share.values.max():.2f} of a period in slip" in line
 
 

@@ -55,7 +55,7 @@ def test_the_command_prints_a_table_and_draws(folder: Path):
     done = call(folder, *(f"{name}={value}" for name, value in POINT.items()))
     assert done.exit_code == 0, done.output
     said = done.stdout.splitlines()
-    assert said[0].startswith(f"{PRELOAD} -1, direction down, frequency 0.97: repeats every cycle, settled after")
+    assert said[0].startswith(f"{PRELOAD} -1, direction down, frequency 0.97 Hz: repeats every cycle, settled after")
     known = timesim.open_result(folder).sel(POINT)
     assert said[1].split("  ")[-3:] == ["amplitude [mm]", "phase [degree]", "mean [mm]"]
     assert "power [N·mm/s]  largest |f| [N]  largest n [N]" in done.stdout

@@ -28,7 +28,7 @@ from timesim.result.netcdf import read, save
 from timesim.study import sweep
 from timesim.study.outcome import attributes
 from timesim.study.registry import load_scene
-from timesim.study.report import jump_lines
+from timesim.study.report import jump_lines, peak_lines
 
 DATA = Path(__file__).parents[1] / "data"
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -278,6 +278,26 @@ def test_a_jump_is_reported_with_its_chain(both: xarray.Dataset, tmp_path: Path)
     ]
 
 
+def test_the_peak_of_each_set_of_values_is_named(both: xarray.Dataset) -> None:
+    """With its direction where the other has another; not that of a set without a motion."""
+    data = both.copy(deep=True)
+    amplitude = data.amplitude.sel(point="tip")
+    frequency = [float(both.frequency[i]) for i in amplitude.max("axis").argmax("frequency").values[0]]
+    (line,) = peak_lines(data)
+    top = float(amplitude.max())
+    assert line.startswith(f"{PRELOAD} -4: peak {top:.5g} of tip ")
+    assert line.endswith(f" at {frequency[0]:g} Hz, direction up")
+    data.amplitude[:, 1] = data.amplitude[:, 0]
+    (line,) = peak_lines(data)
+    assert line.endswith(f" at {frequency[0]:g} Hz")
+    (line,) = peak_lines(data.isel(frequency=slice(5)))
+    assert line.endswith("Hz, an end of the frequencies")
+    (line,) = peak_lines(data.isel(frequency=[5]))
+    assert f"{PRELOAD} -4: amplitude " in line
+    data.amplitude[:] = np.nan
+    assert list(peak_lines(data)) == []
+
+
 def test_the_motion_loses_its_stability_before_it_jumps(both: xarray.Dataset) -> None:
     largest = both.floquet_max.sel({PRELOAD: -4, "direction": "up"}).values[:10]
     assert np.all(np.diff(largest[3:]) > 0)
@@ -321,6 +341,7 @@ def test_a_slope_is_no_jump() -> None:
     assert unrefined.jump_low.values.tolist() == [[[0.97]]]
     assert unrefined.jump_high.values.tolist() == [[[1.39]]]
     assert refined.sizes["jump"] == 0
+    assert list(jump_lines(refined)) == ["no jump: the amplitude changes along slopes only, as shorter steps show"]
     assert list(jump_lines(unrefined)) == [
         f"{PRELOAD} 3, direction up: the amplitude changes steeply between 0.97 and 1.39 Hz, over a slope or a jump: "
         "study.refine tells which"

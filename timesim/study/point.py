@@ -65,7 +65,7 @@ def point_again(path: Path | str, at: Mapping[str, float | str]) -> Point:
     where = {name: values[places[name]].item() for name, values in states.axes.items()}
     here = sweep.isel(places)
     overrides = {key: value for key, value in where.items() if "." in key and not key.startswith("initial.")}
-    words = ", ".join(f"{name} {axis_value(value)}" for name, value in where.items())
+    words = ", ".join(f"{name} {axis_value(value)}" for name, value in where.items()) + " Hz"  # the frequency is last
     cycles = int(here["period"]) or UNSETTLED_CYCLES
     outcome = carry_out(
         load_scene(

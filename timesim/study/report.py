@@ -9,6 +9,7 @@ from xarray import Dataset
 from timesim.model.promise import MARGIN, tightened
 from timesim.model.solver import Solver
 from timesim.orbit.basin import ANOTHER, IRREGULAR, LOWER, NONE, UPPER, unique
+from timesim.orbit.steady_state import SAME
 from timesim.orbit.threshold import LONGEST
 from timesim.orbit.two_motions import LARGER, NO_MOTION, SMALLER
 from timesim.result.coordinate import over_keys
@@ -20,7 +21,7 @@ MOTIONS = ("smaller", "larger")
 PHASES = 12  # of a schedule at most that are listed
 POINTS = 5  # failed points, or spans of points, that are named
 TIE = 1e-7  # relative difference of peaks up to which they are equal: the accuracy of the time integration
-LINES = 12  # lines on ranges with two motions, or on folds
+LINES = 12  # lines on peaks, on ranges with two motions, or on folds
 
 
 def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
@@ -80,11 +81,38 @@ def number_of_states(data: Dataset) -> int:
 
 
 def sweep_lines(data: Dataset) -> Iterator[str]:
-    """The summary of a sweep: its steady states and its jumps."""
+    """The summary of a sweep: its steady states, peaks and jumps."""
     states, cycles = counted(number_of_states(data), "steady state"), counted(data["cycles"].values.sum(), "cycle")
     yield f"{states} by {data.attrs['method']} in {data.attrs['run_seconds']:.2f} s, {cycles}"
+    yield from peak_lines(data)
     yield from unusual_lines(data)
     yield from jump_lines(data)
+
+
+def peak_lines(data: Dataset) -> Iterator[str]:
+    """The largest amplitude for each set of values, and the direction of the sweep that has it where the other has not.
+
+    It is that of a point, between which the response may be larger.
+    """
+    amplitude, count = np.nan_to_num(data["amplitude"].values, nan=-1.0), data.sizes["frequency"]
+    lines = []
+    for place in np.ndindex(amplitude.shape[:-4]):
+        own = amplitude[place]
+        direction, at, point, axis = map(int, np.unravel_index(np.argmax(own), own.shape))
+        top = own[direction, at, point, axis]
+        if top < 0:
+            continue
+        label = in_words({key: float(data[key].values[i]) for key, i in zip(over_keys(data), place, strict=True)}, ": ")
+        height = with_unit(f"{top:.5g}", data["amplitude"].attrs)
+        name = f"{data['point'].values[point]} {data['axis'].values[axis]}"
+        alone = own[..., point, axis].max(axis=1).min() < (1 - SAME) * top
+        way = f", direction {data['direction'].values[direction]}" if alone else ""
+        end = ", an end of the frequencies" if count > 1 and at in (0, count - 1) else ""
+        what, frequency = "peak" if count > 1 else "amplitude", axis_value(data["frequency"].values[at])
+        lines.append(f"{label}{what} {height} of {name} at {frequency} Hz{way}{end}")
+    yield from lines[:LINES]
+    if len(lines) > LINES:
+        yield f"and {counted(len(lines) - LINES, 'more peak')}, all in the result file"
 
 
 def unusual_lines(data: Dataset) -> Iterator[str]:
@@ -127,6 +155,8 @@ def jump_lines(data: Dataset) -> Iterator[str]:
         what = "the motion jumps" if bisected else "the amplitude changes steeply"
         hint = "" if bisected else ", over a slope or a jump: study.refine tells which"
         yield f"{_chain(data, place[:-1])}{what} between {low:.8g} and {high:.8g} Hz{hint}"
+    if data.attrs.get("jumps_bisected") and not np.isfinite(ends).any():
+        yield "no jump: the amplitude changes along slopes only, as shorter steps show"
 
 
 def failure_line(data: Dataset) -> str | None:

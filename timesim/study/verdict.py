@@ -54,8 +54,9 @@ def _curve_line(curve: Dataset) -> str:
     if slip == apart == closed == 0:
         states = "full stick throughout, which says nothing of friction"
     name = f"{curve['point'].values[point]} {curve['axis'].values[axis]}"
+    where = with_unit(f"{place:.6g}", curve[curve.attrs.get("along", "frequency")].attrs)
     return (
-        f"peak {with_unit(f'{height:.5g}', curve['amplitude'].attrs)} of {name} at {place:.6g}; {turning}{also}; "
+        f"peak {with_unit(f'{height:.5g}', curve['amplitude'].attrs)} of {name} at {where}; {turning}{also}; "
         f"{counted(int(np.sum(~stable & ~fold)), 'unstable solution')}; {states}"
     )
 
