@@ -10,7 +10,8 @@ import systems
 from timesim.hbm import adaptive
 from timesim.hbm.adaptive import AdaptiveBalance, tail
 from timesim.hbm.balance import Balance
-from timesim.hbm.continuation import Curve, Ending
+from timesim.hbm.continuation import Bordered, Curve, Ending, Nearby
+from timesim.hbm.continuation.bordered import STEEPEST
 from timesim.hbm.convergence import neglected
 from timesim.hbm.curve import by_schemes, evaluated, hbm_curve, solutions_at
 from timesim.hbm.scheme import NEGLECTED, Scheme, coarsest
@@ -86,6 +87,60 @@ def test_the_tail_says_what_few_harmonics_leave_out(preload, frequency):
     for order in (3, 5, 8):
         left = np.sqrt(np.sum(size[order + 1 :] ** 2)) / size[1]
         assert left / 3 < expected[order] < 3 * left
+
+
+def lightly_damped(preload: float, frequency: float) -> Model:
+    """The oscillator with a damping of 0.5 %."""
+    model = systems.oscillator(preload, frequency)
+    return replace(model, structure=replace(model.structure, damping=model.structure.damping / 4))
+
+
+def beside(balance: Balance, x: np.ndarray, frequency: float) -> Nearby:
+    """Solutions next to one, the derivatives those at the solution."""
+    _, by_x, by_p = balance.linearised(x, frequency)
+    size = float(np.linalg.norm(x))
+    plane = np.append(np.zeros(x.size), 1.0)
+    return Nearby(Bordered(by_x, by_p * (frequency / size), plane), size, frequency, frequency)
+
+
+@pytest.mark.parametrize(("preload", "frequency"), [(3.0, 1.39), (-1.0, 0.97), (1.0, 1.2)])
+@pytest.mark.parametrize("order", [3, 5])
+def test_what_harmonics_change_below_them_is_known(preload, frequency, order):
+    model, few = lightly_damped(preload, frequency), Scheme(order, 256)
+    curve = hbm_curve(model, frequency, 1.001 * frequency, scheme=few, stability=False)
+    balance = Balance(model, frequency, few)
+    x = curve.contact_motion[0].ravel() / balance.length
+    above = adaptive._Above.of(balance, x, frequency)
+    fine = solutions_at(model, curve.with_harmonics(FINE.harmonics), frequency, scheme=FINE, stability=False)
+    size = curve.harmonic_amplitude[0]
+    rise = fine.harmonic_amplitude[0, 1 : order + 1] - size[1:]
+    expected = np.sqrt(np.sum(rise**2, axis=0)).max() / size[1:].max()
+    assert expected > 1e-4
+    assert above.below(balance, beside(balance, x, frequency)) == pytest.approx(expected, rel=0.1)
+
+
+def test_what_harmonics_change_below_them_asks_for_more():
+    """Their own size is what may be left out; with what they change it is more."""
+    model, frequency = lightly_damped(3.0, 1.39), 1.39
+    schemes = [Scheme(7, 256), Scheme(15, 256)]
+    curve = hbm_curve(model, frequency, 1.001 * frequency, scheme=schemes[0], stability=False)
+    balance = AdaptiveBalance(lambda own: Balance(model, frequency, own), schemes, 1)
+    own = balance.residual.at(frequency)
+    x = curve.contact_motion[0].ravel() / own.length
+    assert tail(own, x, frequency)[7] < NEGLECTED
+    assert balance.adapt(balance.whole(x), frequency, beside(own, x, frequency))
+    assert balance.place == 1
+
+
+def test_near_a_fold_solutions_of_other_equations_are_those_across_the_curve():
+    """Of x^2 = p - r that at the same p is sqrt(p - r), unless it is far steeper there than at any resonance."""
+    for x, change in ((1.0, -0.5e-6), (-1.0, 0.5e-6), (1e-3, None)):
+        factors = Bordered(np.array([[2 * x]]), np.array([-1.0]), np.array([0.0, 1.0]))
+        found = Nearby(factors, 1.0, 1.0, 1.0).change(np.array([1e-6]))[0]
+        if change is not None:
+            assert found == pytest.approx(change, rel=1e-6)
+        else:
+            assert abs(found) == pytest.approx(1e-6 / STEEPEST, rel=0.05)
 
 
 def test_the_tail_is_relative_to_the_largest_wave():
@@ -164,19 +219,19 @@ def test_the_coarsest_scheme_of_a_motion_has_all_its_harmonics():
 def test_harmonics_are_added_one_scheme_after_the_other(model, monkeypatch):
     """From a solution with few harmonics, one with many is out of reach of Newton's method where contacts are stiff."""
     balance = AdaptiveBalance(lambda own: Balance(model, 1.6, own), SCHEMES, 1)
-    monkeypatch.setattr(adaptive, "tail", lambda own, x, frequency: np.ones(65))
+    monkeypatch.setattr(adaptive, "left_out", lambda own, x, frequency, nearby: np.ones(65))
     places = []
-    while balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6):
+    while balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6, None):
         places.append(balance.place)
     assert places == [1, 2, 3]
 
 
 def test_a_finer_scheme_is_the_least_until_it_is_given_back(model, monkeypatch):
     balance = AdaptiveBalance(lambda own: Balance(model, 1.6, own), SCHEMES, 1)
-    monkeypatch.setattr(adaptive, "tail", lambda own, x, frequency: np.zeros(65))
+    monkeypatch.setattr(adaptive, "left_out", lambda own, x, frequency, nearby: np.zeros(65))
 
     def adapted():
-        return balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6)
+        return balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6, None)
 
     assert balance.refine()
     assert not adapted()
@@ -200,10 +255,10 @@ def test_a_finer_scheme_is_the_least_until_it_is_given_back(model, monkeypatch):
 
 def test_a_finer_scheme_is_left_again_behind_a_fold(model, monkeypatch):
     balance = AdaptiveBalance(lambda own: Balance(model, 1.6, own), SCHEMES, 1)
-    monkeypatch.setattr(adaptive, "tail", lambda own, x, frequency: np.zeros(65))
+    monkeypatch.setattr(adaptive, "left_out", lambda own, x, frequency, nearby: np.zeros(65))
     assert balance.refine()
     places = []
     for _ in range(adaptive.HELD + 1):
-        balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6)
+        balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6, None)
         places.append(balance.place)
     assert places == [1] * adaptive.HELD + [0]

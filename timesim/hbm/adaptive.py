@@ -3,17 +3,19 @@
 import timesim.runtime  # noqa: F401  isort: skip
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from timesim.hbm.balance import Array, Balance, contact_stiffness, mean_of
-from timesim.hbm.continuation import Condensed, Residual
-from timesim.hbm.period import basis_of, forces_of, period_of
+from timesim.hbm.balance import Array, Balance, Complex, LinearResponse, contact_stiffness, mean_of
+from timesim.hbm.condensation import Condensation
+from timesim.hbm.continuation import Condensed, Nearby, Residual
+from timesim.hbm.period import contact_forces, forces_of, period_of
 from timesim.hbm.scheme import NEGLECTED, Scheme, coarsest
-from timesim.orbit.fourier import to_phasors
+from timesim.orbit.fourier import to_coefficients, to_phasors
 
 # Share of `NEGLECTED` that harmonics may add which a solution does without again.
 SPARED = 0.5
@@ -75,12 +77,12 @@ class AdaptiveBalance:
         size = np.abs(to_phasors(x.reshape(self.shape))).max(axis=0)
         self.place, self._least = self._enough(_above(size), NEGLECTED), 0
 
-    def adapt(self, x: Array, p: float) -> bool:
+    def adapt(self, x: Array, p: float, nearby: Nearby) -> bool:
         """Take the scheme that a solution asks for; whether it is another one than before."""
         if len(self.schemes) == 1:
             return False
         own, orders = self.residual, [scheme.harmonics for scheme in self.schemes]
-        above = tail(own.at(p), x[self.active], own.frequency_at(p))
+        above = left_out(own.at(p), x[self.active], own.frequency_at(p), nearby)
         self._held -= 1
         if self._held < 0:
             self._least = 0
@@ -130,31 +132,96 @@ def _above(size: Array) -> Array:
     return np.sqrt(square) / max(float(size[1:].max(initial=0.0)), 1e-300)
 
 
-def tail(balance: Balance, x: Array, frequency: float) -> Array:
-    """Displacement that harmonics above each order of 0 ... N/4 add, relative to the largest one.
+@dataclass(frozen=True)
+class _Above:
+    """What harmonics above those balanced, up to N/4, make of a solution: the motion under those of the contact forces.
 
-    Above those balanced it is the motion under the harmonics of the contact forces, as far as the samples resolve them,
-    each contact as stiff as its shares of the period in stick and in contact make it.
+    Each contact is as stiff as its shares of the period in stick and in contact make it.
+
+    Attributes:
+        linear: response of the structure, of all orders.
+        forces: (f1, f2, n) of the contacts as far as the samples resolve them, in units of force, shape (C, 3, n).
+        motion: of the contacts with those harmonics, in units of length, shape (C, 3, n).
+        points: motion of the points of the structure with them, by phasors, shape (N/4 + 1, P, 3).
     """
-    scheme, coefficient = balance.scheme, balance.coefficients(x)
-    wide = Scheme(scheme.time_samples // 4, scheme.time_samples)
-    period = period_of(balance.law, balance.basis, coefficient)
-    done = forces_of(balance.law, basis_of(wide.harmonics, wide.time_samples), period)
-    phasors = to_phasors(done.coefficient.reshape(3 * balance.num_contacts, -1)).T * balance.force
-    linear = balance.with_scheme(wide).linear(frequency)
-    closed = 1.0 - done.separation
-    spring = contact_stiffness(balance.model, closed - done.slip)
-    spring[2::3, 2::3] = contact_stiffness(balance.model, closed)[2::3, 2::3]
-    own = slice(scheme.harmonics + 1, None)
-    spring, flexibility = spring - balance.support, linear.flexibility[own]
-    matrix = np.eye(len(spring)) + flexibility @ spring
-    moved = np.linalg.solve(matrix, -(flexibility @ phasors[own, :, None]))
-    forces = -phasors[own, :, None] - spring @ moved
-    root = np.sqrt(balance.model.structure.mass)
-    modes = np.concatenate(
-        [
-            balance.modes(x, done.coefficient[..., : balance.size], frequency),
-            (linear.modal[own, :, :-1] @ forces)[..., 0] / root,
-        ]
-    )
-    return _above(np.abs(np.einsum("pam,hm->hpa", balance.model.structure.shape, modes)).max(axis=(1, 2)))
+
+    linear: LinearResponse
+    forces: Array
+    motion: Array
+    points: Complex
+
+    @classmethod
+    def of(cls, balance: Balance, x: Array, frequency: float) -> "_Above":
+        wide, coefficient = _wide(balance), balance.coefficients(x)
+        period = period_of(balance.law, balance.basis, coefficient)
+        done = forces_of(balance.law, wide.basis, period)
+        phasors = to_phasors(done.coefficient.reshape(3 * balance.num_contacts, -1)).T * balance.force
+        linear = wide.linear(frequency)
+        closed = 1.0 - done.separation
+        spring = contact_stiffness(balance.model, closed - done.slip)
+        spring[2::3, 2::3] = contact_stiffness(balance.model, closed)[2::3, 2::3]
+        own = slice(balance.scheme.harmonics + 1, None)
+        spring, flexibility = spring - balance.support, linear.flexibility[own]
+        matrix = np.eye(len(spring)) + flexibility @ spring
+        moved = np.linalg.solve(matrix, -(flexibility @ phasors[own, :, None]))
+        forces = -phasors[own, :, None] - spring @ moved
+        root = np.sqrt(balance.model.structure.mass)
+        modes = np.concatenate(
+            [
+                balance.modes(x, done.coefficient[..., : balance.size], frequency),
+                (linear.modal[own, :, :-1] @ forces)[..., 0] / root,
+            ]
+        )
+        motion = np.zeros((len(wide.basis.project), 3 * balance.num_contacts))
+        motion[: balance.size] = coefficient.reshape(-1, balance.size).T
+        motion[balance.size :] = to_coefficients(np.pad(moved[..., 0], [(1, 0), (0, 0)]).T).T[1:] / balance.length
+        whole = motion.T.reshape(*coefficient.shape[:2], -1)
+        return cls(linear, done.coefficient, whole, np.einsum("pam,hm->hpa", balance.model.structure.shape, modes))
+
+    @property
+    def share(self) -> Array:
+        """Displacement that harmonics above each order of 0 ... N/4 add, relative to the largest one."""
+        return _above(np.abs(self.points).max(axis=(1, 2)))
+
+    def below(self, balance: Balance, nearby: Nearby) -> float:
+        """By how much harmonics above those balanced change the amplitudes of those, relative to the largest one."""
+        own, low = slice(balance.scheme.harmonics + 1), slice(balance.size)
+        stiffness = cast(Condensation, nearby.factors.by_x).stiffness
+        change = contact_forces(balance.law, _wide(balance).basis, self.motion).coefficient - self.forces
+        acting = -_phasors(change[..., low]) * balance.force
+        motion = np.einsum("hij,hj->hi", self.linear.flexibility[own], acting)
+        moved = nearby.change(-to_coefficients(motion.T).ravel() / balance.length)
+        felt = np.einsum("cjhkl,ckl->cjh", stiffness, balance.coefficients(moved))
+        acting += _phasors(felt) * balance.length
+        modes = np.einsum("hij,hj->hi", self.linear.modal[own, :, :-1], acting)
+        modes /= np.sqrt(balance.model.structure.mass)
+        points = self.points[own]
+        other = points + np.einsum("pam,hm->hpa", balance.model.structure.shape, modes)
+        rise = (np.abs(other) - np.abs(points))[1:]
+        return float(np.sqrt(np.sum(rise**2, axis=0)).max() / max(np.abs(points[1:]).max(), 1e-300))
+
+
+def _wide(balance: Balance) -> Balance:
+    """The balance with as many harmonics as the samples resolve."""
+    samples = balance.scheme.time_samples
+    return balance.with_scheme(Scheme(samples // 4, samples))
+
+
+def _phasors(coefficient: Array) -> Complex:
+    """Of all components of all contacts, shape (H + 1, 3C), from shape (C, 3, 2H + 1)."""
+    return to_phasors(coefficient.reshape(-1, coefficient.shape[-1])).T
+
+
+def tail(balance: Balance, x: Array, frequency: float) -> Array:
+    """Displacement that harmonics above each order of 0 ... N/4 add, relative to the largest one."""
+    return _Above.of(balance, x, frequency).share
+
+
+def left_out(balance: Balance, x: Array, frequency: float, nearby: Nearby) -> Array:
+    """`tail`, and what it changes in the harmonics that are balanced, of each order in the same proportion.
+
+    The change is that of one step of Newton's method. Near a lightly damped resonance it may be ten times the tail.
+    """
+    above = _Above.of(balance, x, frequency)
+    share, order = above.share, balance.scheme.harmonics
+    return share * (1 + above.below(balance, nearby) / share[order]) if share[order] > 0 else share

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from timesim.hbm.adaptive import tail
+from timesim.hbm.adaptive import left_out, tail
 from timesim.hbm.balance import Array, Balance
-from timesim.hbm.continuation import Bordered, Controls, solve
+from timesim.hbm.continuation import Bordered, Controls, Nearby, solve
 from timesim.hbm.curve import HbmCurve
 from timesim.hbm.scheme import MIN_SAMPLES, Scheme, coarsest
 from timesim.model.model import Model
@@ -50,8 +50,21 @@ def neglected(model_at: Callable[[float], Model], curve: HbmCurve, schemes: Sequ
         scheme, frequency = schemes[coarsest(schemes, motion)], float(curve.frequency[i])
         balance = Balance(model_at(float(curve.parameter[i])), frequency, scheme)
         x = motion[..., : balance.size].ravel() / balance.length
-        worst = max(worst, float(tail(balance, x, frequency)[scheme.harmonics]))
+        beside = _nearby(balance, x, frequency)
+        share = tail(balance, x, frequency) if beside is None else left_out(balance, x, frequency, beside)
+        worst = max(worst, float(share[scheme.harmonics]))
     return worst
+
+
+def _nearby(balance: Balance, x: Array, frequency: float) -> Nearby | None:
+    """Solutions beside one, to first order; None where there are none."""
+    size = float(np.linalg.norm(x - balance.centre(x)))
+    try:
+        _, by_x, by_p = balance.linearised(x, frequency)
+        factors = Bordered(by_x, by_p * (frequency / size), np.append(np.zeros(x.size), 1.0))
+    except np.linalg.LinAlgError:
+        return None
+    return Nearby(factors, size, frequency, frequency)
 
 
 def with_more_samples(
@@ -93,14 +106,10 @@ def sampling_error(
         balance = Balance(model_at(float(curve.parameter[i])), frequency, scheme)
         finer = replace(scheme, time_samples=max(min(FINER * scheme.time_samples, most), scheme.time_samples))
         x = curve.contact_motion[i][..., : balance.size].ravel() / balance.length
-        size = float(np.linalg.norm(x - balance.centre(x)))
-        _, by_x, by_p = balance.linearised(x, frequency)
-        try:
-            bordered = Bordered(by_x, by_p * (frequency / size), np.append(np.zeros(x.size), 1.0))
-        except np.linalg.LinAlgError:
+        if (beside := _nearby(balance, x, frequency)) is None:
             continue
-        tangent, _ = bordered.tangent()
-        change = bordered.solve(-balance.with_scheme(finer).value(x, frequency) / size, 0.0)
+        tangent, _ = beside.factors.tangent()
+        change = beside.factors.solve(-balance.with_scheme(finer).value(x, frequency) / beside.x_unit, 0.0)
         across = float(np.linalg.norm(change - (tangent @ change) * tangent))
         worst = max(worst, across / max(abs(tangent[-1]), STEEPEST))
     return worst

@@ -1,6 +1,6 @@
 """Continuation of the solutions of any residual in a parameter: points, steps, folds."""
 
-from timesim.hbm.continuation.bordered import Bordered, Condensed
+from timesim.hbm.continuation.bordered import Bordered, Condensed, Nearby
 from timesim.hbm.continuation.corrector import solve
 from timesim.hbm.continuation.residual import NoSolutionError, Residual
 from timesim.hbm.continuation.solutions import Curve, Ending, Solution, joined, part_of
@@ -14,6 +14,7 @@ __all__ = [
     "Controls",
     "Curve",
     "Ending",
+    "Nearby",
     "NoSolutionError",
     "Residual",
     "Solution",
