@@ -202,7 +202,8 @@ def test_what_is_in_doubt_is_looked_at_with_more_samples(monkeypatch):
         return coarse.copy() if samples is None else np.tile(fine, (len(x), 1))
 
     monkeypatch.setattr(stability, "floquet_multipliers", multipliers)
-    found = stability.checked_multipliers(None, np.zeros((8, 1)), np.arange(8.0), sign)
+    balance = Balance(systems.oscillator(-1.0, 0.97), 0.97, Scheme(1, 64))
+    found = stability.checked_multipliers(balance, np.zeros((8, 1)), np.arange(8.0), sign)
     assert looked_at == [list(range(8)), [0, 3, 5, 6]]
     np.testing.assert_allclose(np.abs(found[:, 0]), [0.9985, 1.2, 0.9, 0.9985, 1.3, 0.9985, 0.9985, 0.9])
     assert stability.grows(found).tolist() == [False, True, False, False, True, False, False, False]

@@ -41,15 +41,18 @@ from timesim.hbm.tangent import interval_slopes
 # for the error of the samples.
 BORDER = 1 + 1e-3
 # Distance of a real multiplier from 1 within which the determinant of the balance decides: the samples leave an error
-# of this size. With 1,024, against 4,096, the largest one erred by up to 0.011 and 0.11 on two generated structures.
+# of this size.
 NEAR_ONE = 0.03
-# Modulus of a multiplier up to which growth is seen again with `MANY` samples before it counts: on the former of both,
-# of eleven modes, one of 0.9627 was 1.0108 with `SAMPLES`. Larger errors are left: one of 0.9548 was 1.1964.
-NEARLY, MANY = 1.03, 1024
-# With so many the largest multiplier errs by at most 3e-3 on the paper's oscillator in slip and separation (measured).
-SAMPLES = 128
-# Entries of the maps over the intervals that are in memory at a time.
-MAX_ENTRIES = 2_000_000
+# Modulus of a multiplier up to which growth is seen again with `MANY` samples before it counts. Against 4,096, the
+# largest one erred by up to 0.021 with those of the balance and 0.003 with `MANY`, the medians 3e-4 and 5e-5, at 88
+# solutions of three lightly damped structures of 2, 11 and 14 modes: 1.013 for 0.997, and 1.007 for 0.986.
+NEARLY, MANY = 1.1, 2048
+# With half as many the largest multiplier errs by at most 3e-3 on the paper's oscillator in slip and separation, and by
+# up to 0.13 on those structures.
+SAMPLES = 256
+# Entries of the maps over the intervals that are in memory at a time, and those of one interval of one contact: 4 and
+# 12 that give d, 6 and 18 that give what is put on the samples, twice, and 18, 18 and 36 by the force at its end.
+MAX_ENTRIES, ENTRIES = 8_000_000, 142
 # What the law gives over an interval: d, and the force put on the samples beside it.
 RESULTS = (slice(0, 2), slice(2, 5))
 # Contacts, of several solutions, that one call evaluates.
@@ -65,7 +68,7 @@ def floquet_multipliers(balance: Balance, x: Array, frequency: Array, *, samples
         frequency: of the excitation [Hz], shape (S,).
 
     Keyword Args:
-        samples: of the period; second order; by default as many as the harmonics need.
+        samples: of the period; second order; by default those of the balance, at least `SAMPLES`.
 
     Returns:
         multipliers, complex, shape (S, 2M + 2C).
@@ -73,9 +76,9 @@ def floquet_multipliers(balance: Balance, x: Array, frequency: Array, *, samples
     size = 2 * (balance.model.structure.num_modes + balance.num_contacts)
     if not len(x):
         return np.zeros((0, size), complex)
-    samples = samples or max(SAMPLES, 4 * balance.scheme.harmonics)
+    samples = samples or max(SAMPLES, balance.scheme.time_samples)
     local = _linearised(balance, balance.coefficients(x), samples)
-    count = max(1, MAX_ENTRIES // (samples * size**2))
+    count = max(1, MAX_ENTRIES // (samples * ENTRIES * balance.num_contacts**2))
     parts = [slice(i, i + count) for i in range(0, len(x), count)]
     matrix = np.concatenate(
         [_monodromy(balance, _steps(balance, frequency[at], samples), [part[at] for part in local]) for at in parts]
@@ -97,7 +100,8 @@ def checked_multipliers(balance: Balance, x: Array, frequency: Array, sign: NDAr
     hardly = grows(multipliers) & (np.abs(multipliers[:, 0]) < NEARLY)
     passed = np.count_nonzero((multipliers.imag == 0) & (multipliers.real > BORDER), axis=1)
     again = np.flatnonzero(hardly | (sign * (-1) ** passed < 0))
-    multipliers[again] = floquet_multipliers(balance, x[again], frequency[again], samples=MANY)
+    if balance.scheme.time_samples < MANY:
+        multipliers[again] = floquet_multipliers(balance, x[again], frequency[again], samples=MANY)
     return multipliers
 
 
