@@ -104,7 +104,9 @@ def test_with_one_killed_the_others_go_on_in_threads(tmp_path: Path):
     assert "c-0-0: BrokenProcessPool" in reason
     whole = expected(chunks)
     assert digest(results) == digest({name: whole[name] for name in results})
-    assert {"c-2-0", "c-2-1", "c-3-0", "c-3-1"} <= set(results)
+    lost = {name.rpartition("-")[0] for name in whole if name not in results}
+    assert "c-0" in lost <= {f"c-{i}" for i in range(4)}
+    assert len(lost) <= 2, "what both processes were at"
     options: dict[str, Any] = {"folder": tmp_path, "resume": True, "notice": lambda _: None}
     rest, reason = carry_through(chunks, toys.work, Execution(**options), identity=SCENE)
     assert reason is None
