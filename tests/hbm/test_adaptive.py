@@ -119,17 +119,13 @@ def test_what_harmonics_change_below_them_is_known(preload, frequency, order):
     assert above.below(balance, beside(balance, x, frequency)) == pytest.approx(expected, rel=0.1)
 
 
-def test_what_harmonics_change_below_them_asks_for_more():
+def test_what_harmonics_change_below_them_is_left_out_too():
     """Their own size is what may be left out; with what they change it is more."""
-    model, frequency = lightly_damped(3.0, 1.39), 1.39
-    schemes = [Scheme(7, 256), Scheme(15, 256)]
-    curve = hbm_curve(model, frequency, 1.001 * frequency, scheme=schemes[0], stability=False)
-    balance = AdaptiveBalance(lambda own: Balance(model, frequency, own), schemes, 1)
-    own = balance.residual.at(frequency)
-    x = curve.contact_motion[0].ravel() / own.length
-    assert tail(own, x, frequency)[7] < NEGLECTED
-    assert balance.adapt(balance.whole(x), frequency, beside(own, x, frequency))
-    assert balance.place == 1
+    model, few = lightly_damped(3.0, 1.39), Scheme(7, 256)
+    curve = hbm_curve(model, 1.39, 1.001 * 1.39, scheme=few, stability=False)
+    own = Balance(model, 1.39, few)
+    assert tail(own, curve.contact_motion[0].ravel() / own.length, 1.39)[7] < NEGLECTED
+    assert neglected(lambda _: model, curve, [few]) > NEGLECTED
 
 
 def test_near_a_fold_solutions_of_other_equations_are_those_across_the_curve():
@@ -219,19 +215,19 @@ def test_the_coarsest_scheme_of_a_motion_has_all_its_harmonics():
 def test_harmonics_are_added_one_scheme_after_the_other(model, monkeypatch):
     """From a solution with few harmonics, one with many is out of reach of Newton's method where contacts are stiff."""
     balance = AdaptiveBalance(lambda own: Balance(model, 1.6, own), SCHEMES, 1)
-    monkeypatch.setattr(adaptive, "left_out", lambda own, x, frequency, nearby: np.ones(65))
+    monkeypatch.setattr(adaptive, "tail", lambda own, x, frequency: np.ones(65))
     places = []
-    while balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6, None):
+    while balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6):
         places.append(balance.place)
     assert places == [1, 2, 3]
 
 
 def test_a_finer_scheme_is_the_least_until_it_is_given_back(model, monkeypatch):
     balance = AdaptiveBalance(lambda own: Balance(model, 1.6, own), SCHEMES, 1)
-    monkeypatch.setattr(adaptive, "left_out", lambda own, x, frequency, nearby: np.zeros(65))
+    monkeypatch.setattr(adaptive, "tail", lambda own, x, frequency: np.zeros(65))
 
     def adapted():
-        return balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6, None)
+        return balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6)
 
     assert balance.refine()
     assert not adapted()
@@ -255,10 +251,10 @@ def test_a_finer_scheme_is_the_least_until_it_is_given_back(model, monkeypatch):
 
 def test_a_finer_scheme_is_left_again_behind_a_fold(model, monkeypatch):
     balance = AdaptiveBalance(lambda own: Balance(model, 1.6, own), SCHEMES, 1)
-    monkeypatch.setattr(adaptive, "left_out", lambda own, x, frequency, nearby: np.zeros(65))
+    monkeypatch.setattr(adaptive, "tail", lambda own, x, frequency: np.zeros(65))
     assert balance.refine()
     places = []
     for _ in range(adaptive.HELD + 1):
-        balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6, None)
+        balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6)
         places.append(balance.place)
     assert places == [1] * adaptive.HELD + [0]

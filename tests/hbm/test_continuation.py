@@ -434,7 +434,7 @@ class Growing:
     def begin(self, x):
         self.count = 1
 
-    def adapt(self, x, p, nearby):
+    def adapt(self, x, p):
         return False
 
     def refine(self):
@@ -543,7 +543,7 @@ class Moving:
     def begin(self, x):
         self.count = 1
 
-    def adapt(self, x, p, nearby):
+    def adapt(self, x, p):
         before, self.count = self.count, 1 + int(x[0] > self.place)
         return self.count != before
 
@@ -584,9 +584,9 @@ class Late(Moving):
         super().__init__(-0.5, -0.3, 0.05)
         self.asked = 0
 
-    def adapt(self, x, p, nearby):
+    def adapt(self, x, p):
         self.asked += self.count == 1 and x[0] > self.place
-        return super().adapt(x, p, nearby)
+        return super().adapt(x, p)
 
     def value(self, x, p):
         return super().value(x, p) * (np.nan if self.count == 2 and x[0] < 0.1 else 1.0)

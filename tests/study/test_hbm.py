@@ -18,7 +18,7 @@ from timesim.hbm import scheme as hbm_scheme
 from timesim.hbm.continuation import Controls, solve
 from timesim.hbm.convergence import SAMPLED, Known, convergence, neglected, order_of, sampling_error
 from timesim.hbm.curve import changes_of_stability, hbm_curve, peak, solutions_at
-from timesim.hbm.scheme import NEGLECTED, Scheme, most_harmonics
+from timesim.hbm.scheme import NEGLECTED, NOTED, Scheme, most_harmonics
 from timesim.picture import hbm as plot_hbm
 from timesim.picture.response import stable_parts
 from timesim.result.netcdf import save
@@ -452,10 +452,10 @@ def test_what_the_most_harmonics_leave_out_is_said(monkeypatch: pytest.MonkeyPat
     loaded = load_scene(scene(harmonics="auto", time_samples=256, **narrow))
     outcome = followed_study(loaded, Execution())
     (said,) = re.findall(
-        r"auto ends at 4 harmonics: .* add up to (\S+) of the amplitude, where 0.0001 is wanted",
+        r"auto ends at 4 harmonics: .* or change it by, up to (\S+) of it, where 0.0001 is wanted",
         outcome.groups[""].attrs["notes"],
     )
-    assert float(said) > NEGLECTED
+    assert float(said) > NOTED
     assert outcome.groups[""].attrs["notes"] in outcome.summary
 
 

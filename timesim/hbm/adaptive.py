@@ -77,12 +77,12 @@ class AdaptiveBalance:
         size = np.abs(to_phasors(x.reshape(self.shape))).max(axis=0)
         self.place, self._least = self._enough(_above(size), NEGLECTED), 0
 
-    def adapt(self, x: Array, p: float, nearby: Nearby) -> bool:
+    def adapt(self, x: Array, p: float) -> bool:
         """Take the scheme that a solution asks for; whether it is another one than before."""
         if len(self.schemes) == 1:
             return False
         own, orders = self.residual, [scheme.harmonics for scheme in self.schemes]
-        above = left_out(own.at(p), x[self.active], own.frequency_at(p), nearby)
+        above = tail(own.at(p), x[self.active], own.frequency_at(p))
         self._held -= 1
         if self._held < 0:
             self._least = 0
@@ -217,11 +217,11 @@ def tail(balance: Balance, x: Array, frequency: float) -> Array:
     return _Above.of(balance, x, frequency).share
 
 
-def left_out(balance: Balance, x: Array, frequency: float, nearby: Nearby) -> Array:
-    """`tail`, and what it changes in the harmonics that are balanced, of each order in the same proportion.
+def left_out(balance: Balance, x: Array, frequency: float, nearby: Nearby) -> float:
+    """What harmonics above those balanced add, and change in those below them, relative to the largest displacement.
 
-    The change is that of one step of Newton's method. Near a lightly damped resonance it may be ten times the tail.
+    The change is that of one step of Newton's method. Near a lightly damped resonance it may be ten times the tail. No
+    scheme is chosen by it: where a contact is about to leave its state no number of harmonics makes it small.
     """
     above = _Above.of(balance, x, frequency)
-    share, order = above.share, balance.scheme.harmonics
-    return share * (1 + above.below(balance, nearby) / share[order]) if share[order] > 0 else share
+    return float(above.share[balance.scheme.harmonics]) + above.below(balance, nearby)

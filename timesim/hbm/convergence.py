@@ -43,7 +43,7 @@ def looked_at(curve: HbmCurve) -> NDArray[np.int64]:
 
 
 def neglected(model_at: Callable[[float], Model], curve: HbmCurve, schemes: Sequence[Scheme]) -> float:
-    """Share of the amplitude that harmonics above those of a curve would add, the most at the solutions looked at."""
+    """Share of the amplitude that harmonics above those of a curve add and change, the most at solutions looked at."""
     worst = 0.0
     for i in looked_at(curve):
         motion = curve.contact_motion[i]
@@ -51,8 +51,10 @@ def neglected(model_at: Callable[[float], Model], curve: HbmCurve, schemes: Sequ
         balance = Balance(model_at(float(curve.parameter[i])), frequency, scheme)
         x = motion[..., : balance.size].ravel() / balance.length
         beside = _nearby(balance, x, frequency)
-        share = tail(balance, x, frequency) if beside is None else left_out(balance, x, frequency, beside)
-        worst = max(worst, float(share[scheme.harmonics]))
+        if beside is None:
+            worst = max(worst, float(tail(balance, x, frequency)[scheme.harmonics]))
+        else:
+            worst = max(worst, left_out(balance, x, frequency, beside))
     return worst
 
 

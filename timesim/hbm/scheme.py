@@ -19,8 +19,9 @@ SAMPLES_PER_WAVE, ENOUGH_SAMPLES = 16, 256
 # Where the program chooses them: harmonics at first, and those that are tried after them; unknowns at most, beyond
 # which a solution takes a second.
 FIRST_HARMONICS, MORE_HARMONICS, MOST_UNKNOWNS = 9, (13, 19, 27, 39, 57, 81), 2000
-# Share of the amplitude that harmonics above those balanced may add.
-NEGLECTED = 1e-4
+# Share of the amplitude that harmonics above those balanced may add, and from which on that is said, with what they
+# change in those below.
+NEGLECTED, NOTED = 1e-4, 3e-4
 
 
 class BalanceError(ValueError):

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from timesim.hbm.continuation.bordered import Array, Bordered, Nearby
+from timesim.hbm.continuation.bordered import Array, Bordered
 from timesim.hbm.continuation.residual import Adaptive, Centred, NoSolutionError, Residual
 from timesim.hbm.scheme import Controls
 
@@ -36,16 +36,12 @@ ROUNDING = 1e-14
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """A solution y = (x, p) in units, with the unit tangent, the sign of det dr/dx and the iterations that it took.
-
-    `nearby`: of the unknowns in use there.
-    """
+    """A solution y = (x, p) in units, with the unit tangent, the sign of det dr/dx and the iterations that it took."""
 
     y: Array
     tangent: Array
     determinant: int
     iterations: int
-    nearby: Nearby
 
     def rescaled(self, factor: float) -> "CurvePoint":
         """The point with another unit of x."""
@@ -166,7 +162,7 @@ class Corrector:
             self.unasked -= 1
             return point
         for _ in range(MAX_ADAPTED):
-            if not self.adaptive.adapt(*self.unscaled(point.y), point.nearby):
+            if not self.adaptive.adapt(*self.unscaled(point.y)):
                 break
             try:
                 point = self.damped_newton(point.y, point.tangent if normal is None else normal)
@@ -280,8 +276,7 @@ class Corrector:
 
     def _point(self, y: Array, factors: Bordered, count: int) -> CurvePoint:
         tangent, sign = factors.tangent()
-        nearby = Nearby(factors, self.x_unit, self.p_unit, float(y[-1]) * self.p_unit)
-        return CurvePoint(y, self._spread(tangent, y.size), sign, count, nearby)
+        return CurvePoint(y, self._spread(tangent, y.size), sign, count)
 
     def _value(self, y: Array) -> Array:
         return self.residual.value(*self.unscaled(self._gathered(y)))

@@ -5,7 +5,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from timesim.hbm.continuation.bordered import Array, Condensed, Nearby
+from timesim.hbm.continuation.bordered import Array, Condensed
 
 
 class Residual(Protocol):
@@ -40,11 +40,8 @@ class Adaptive(Residual, Protocol):
     def begin(self, x: Array) -> None:
         """Take those that a guess, shape (n,), asks for."""
 
-    def adapt(self, x: Array, p: float, nearby: Nearby) -> bool:
-        """Take those that a solution, shape (n,), asks for; whether they are others than before.
-
-        ``nearby`` is of those in use.
-        """
+    def adapt(self, x: Array, p: float) -> bool:
+        """Take those that a solution, shape (n,), asks for; whether they are others than before."""
 
     def restore(self) -> None:
         """Undo the last `adapt` or `refine`; of several `refine`, one after the other."""

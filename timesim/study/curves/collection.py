@@ -15,7 +15,7 @@ from timesim.hbm.continuation import Controls, Ending
 from timesim.hbm.convergence import FINER, SAMPLED, Known, left_to_samples, neglected, with_more_samples
 from timesim.hbm.curve import HbmCurve, Watch, hbm_curve
 from timesim.hbm.parameter import parameter_curve
-from timesim.hbm.scheme import NEGLECTED, Scheme
+from timesim.hbm.scheme import NEGLECTED, NOTED, Scheme
 from timesim.model.model import Model
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.steady_state import switches
@@ -101,10 +101,10 @@ class Curves:
         if "harmonics" in self.plan.chosen:
             left = max(neglected(own.model_at, own.curve, self.schemes) for own in curves)
             count = max(own.curve.harmonic_cos.shape[1] - 1 for own in curves)
-            if left > NEGLECTED:
+            if left > NOTED:
                 yield (
-                    f"{label}auto ends at {count} harmonics: those above would "
-                    f"add up to {left:.1e} of the amplitude, where {NEGLECTED:g} is wanted; set harmonics to more"
+                    f"{label}auto ends at {count} harmonics: those above would add to the amplitude, or change it by, "
+                    f"up to {left:.1e} of it, where {NEGLECTED:g} is wanted; set harmonics to more"
                 )
         if "time_samples" in self.plan.chosen and Ending.INTERRUPTED not in [own.curve.ending for own in curves]:
             left = max(left_to_samples(own.model_at, own.curve, self.schemes) for own in curves)
