@@ -227,7 +227,7 @@ CLAIMS = (
         "f10",
         "| fully stuck, peak # at # Hz |",
         lambda result: result.printed(
-            rf"preload 32: peak ({NUMBER}) of tip x at ({NUMBER}); no fold.*full stick throughout"
+            rf"preload 32: peak ({NUMBER}) of tip x at ({NUMBER}) Hz; no fold.*full stick throughout"
         ),
     ),
     Claim("figure11", "# Hz, a fold; swept up, the motion is lost there", lambda result: folds(result)[-1]),
