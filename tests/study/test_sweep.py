@@ -463,7 +463,7 @@ def test_a_period_of_two_cycles_is_reported(tmp_path: Path) -> None:
     assert status == 0, error
     assert result.period.values.ravel().tolist() == [1, 2]
     assert result.settled.values.all()
-    assert "1 of them repeat after more than one cycle (variable period)" in out
+    assert "1 of them repeats after more than one cycle (variable period)" in out
     low, high = result.amplitude_band.sel(axis="z", frequency=BOUNCES[1]).values.ravel()
     assert low < high
     every = result.sel(axis="z", direction="independent", point="tip")
