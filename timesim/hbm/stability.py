@@ -44,11 +44,10 @@ BORDER = 1 + 1e-3
 # of this size.
 NEAR_ONE = 0.03
 # Modulus of a multiplier up to which growth is seen again with `MANY` samples before it counts. Against 4,096, the
-# largest one erred by up to 0.021 with those of the balance and 0.003 with `MANY`, the medians 5e-5 to 2e-3 and up to
-# 1e-4, at 104 solutions of four generated structures of 2 to 14 modes: 1.013 for 0.997, and 1.007 for 0.986.
+# largest one erred by up to 0.021 with those of the balance and by 3e-4 with `MANY` (benchmarks/balance_error.py).
 NEARLY, MANY = 1.1, 2048
 # With half as many the largest multiplier errs by at most 3e-3 on the paper's oscillator in slip and separation, and by
-# up to 0.24 on those structures.
+# up to 0.097 on the structures there.
 SAMPLES = 256
 # Entries of the maps over the intervals that are in memory at a time, and those of one interval of one contact: 4 and
 # 12 that give d, 6 and 18 that give what is put on the samples, twice, and 18, 18 and 36 by the force at its end.

@@ -139,7 +139,7 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
         scheme, *finer = balance.schemes_for(model)
         if "harmonics" in balance.chosen:
             more = f", and up to {finer[-1].harmonics} harmonics where they are needed" if finer else ""
-            yield f"{scheme}{more}; if those above add more than {NOTED:g} to the amplitude, the run says so"
+            yield f"{scheme}{more}; if those above make more than {NOTED:g} of the amplitude, the run says so"
         own = seconds_a_solution(model, scheme.time_samples, stability=balance.stability)
         work = f"{SOLUTIONS} solutions of {_duration(own)}"
         which = counted(curves, "curve")

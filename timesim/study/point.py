@@ -65,7 +65,9 @@ def point_again(path: Path | str, at: Mapping[str, float | str]) -> Point:
     where = {name: values[places[name]].item() for name, values in states.axes.items()}
     here = sweep.isel(places)
     overrides = {key: value for key, value in where.items() if "." in key and not key.startswith("initial.")}
-    words = ", ".join(f"{name} {axis_value(value)}" for name, value in where.items()) + " Hz"  # the frequency is last
+    words = ", ".join(
+        f"{name} {axis_value(value)}{' Hz' if name == 'frequency' else ''}" for name, value in where.items()
+    )
     cycles = int(here["period"]) or UNSETTLED_CYCLES
     outcome = carry_out(
         load_scene(
