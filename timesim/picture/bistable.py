@@ -5,7 +5,7 @@
 
 from collections.abc import Mapping
 from itertools import product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,10 @@ from timesim.picture.response import (
 from timesim.picture.style import (
     BLUE,
     VERMILION,
+    Axes,
+    Dataset,
+    DataTree,
+    Figure,
     Picture,
     axes,
     figure,
@@ -35,11 +39,6 @@ from timesim.picture.style import (
 )
 from timesim.result.coordinate import over_keys
 from timesim.result.label import told_apart
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from xarray import Dataset, DataTree
 
 MAX_RANGES = 4
 SWEEPS = {"up": BLUE, "down": VERMILION}
@@ -76,7 +75,7 @@ class Range(NamedTuple):
         return {**self.at, "jump": self.number}
 
 
-def ranges(data: "DataTree") -> list[Range]:
+def ranges(data: DataTree) -> list[Range]:
     """All ranges, the last of the further axes varying fastest."""
     ends = data.to_dataset()["range"].transpose(..., "jump", "end").values
     return [
@@ -87,30 +86,30 @@ def ranges(data: "DataTree") -> list[Range]:
     ]
 
 
-def _sets(data: "DataTree") -> list[dict[str, int]]:
+def _sets(data: DataTree) -> list[dict[str, int]]:
     """All positions along the further axes."""
     keys = _keys(data)
     return [dict(zip(keys, index, strict=True)) for index in product(*(range(data.sizes[key]) for key in keys))]
 
 
-def _keys(data: "DataTree") -> list[str]:
+def _keys(data: DataTree) -> list[str]:
     return over_keys(data.to_dataset())
 
 
-def _label(data: "DataTree", at: Mapping[str, int]) -> str:
+def _label(data: DataTree, at: Mapping[str, int]) -> str:
     root = data.to_dataset()
     return ", ".join(f"{key_words(key)} {told_apart(root[key].values)[i]}" for key, i in at.items())
 
 
 def response(
-    data: "DataTree",
-    ax: "Axes | None" = None,
+    data: DataTree,
+    ax: Axes | None = None,
     *,
     at: Mapping[str, int] | None = None,
     near: Range | None = None,
     point: str | None = None,
     axis: str | None = None,
-) -> "Axes":
+) -> Axes:
     """Both sweeps, what they jump to, and the curves of harmonic balance behind, dashed where they are unstable.
 
     Args:
@@ -145,8 +144,8 @@ def _window(item: Range) -> tuple[float, float]:
 
 
 def _sweep(
-    ax: "Axes",
-    part: "Dataset",
+    ax: Axes,
+    part: Dataset,
     direction: str,
     colour: str,
     window: tuple[float, float] = EVERYWHERE,
@@ -165,8 +164,8 @@ def _sweep(
 
 
 def _branch(
-    data: "DataTree",
-    ax: "Axes",
+    data: DataTree,
+    ax: Axes,
     at: Mapping[str, int],
     point: str,
     axis: str,
@@ -197,7 +196,7 @@ def _branch(
         draw_branch(ax, x, y, part.stable.values > 0, fold & shown, **look)
 
 
-def phase(data: "DataTree", ax: "Axes | None" = None, *, at: Mapping[str, int] | None = None) -> "Axes":
+def phase(data: DataTree, ax: Axes | None = None, *, at: Mapping[str, int] | None = None) -> Axes:
     """Phase of the same motion in both sweeps; arguments as of `response`."""
     ax, sweep = axes(ax), data.children["sweep"].to_dataset()
     point, axis = motion(sweep, None, None)
@@ -211,7 +210,7 @@ def phase(data: "DataTree", ax: "Axes | None" = None, *, at: Mapping[str, int] |
     return over_phase(ax)
 
 
-def _range(data: "DataTree", ax: "Axes", item: Range, point: str, axis: str, *, middle: bool) -> None:
+def _range(data: DataTree, ax: Axes, item: Range, point: str, axis: str, *, middle: bool) -> None:
     """A range shaded, with an arrow for each jump and, where there is room, the motions at its middle."""
     ax.axvspan(item.low, item.high, color=SHADE, linewidth=0, zorder=0, label="two motions")
     here = data.to_dataset().isel(item.where).sel(point=point, axis=axis)
@@ -227,7 +226,7 @@ def _range(data: "DataTree", ax: "Axes", item: Range, point: str, axis: str, *, 
         ax.plot(0.5 * (item.low + item.high), value, "*", color=colour, label=f"{words} motion", **star)
 
 
-def starts(data: "DataTree", ax: "Axes | None" = None, *, at: Range | None = None) -> "Axes":
+def starts(data: DataTree, ax: Axes | None = None, *, at: Range | None = None) -> Axes:
     """Which start leads to which motion: sums of the two motions at mid-range, as shares of each; rest is (0, 0)."""
     from matplotlib.colors import BoundaryNorm, ListedColormap
 
@@ -246,7 +245,7 @@ def starts(data: "DataTree", ax: "Axes | None" = None, *, at: Range | None = Non
     return ax
 
 
-def existence(data: "DataTree", ax: "Axes | None" = None, *, key: str | None = None) -> "Axes":
+def existence(data: DataTree, ax: Axes | None = None, *, key: str | None = None) -> Axes:
     """Where there are two motions: frequency between the ends of the ranges, against a scalar of the scene."""
     ax, key, root = axes(ax), key or _keys(data)[0], data.to_dataset()
     scalar = root[key].values
@@ -264,7 +263,7 @@ def existence(data: "DataTree", ax: "Axes | None" = None, *, key: str | None = N
     return ax
 
 
-def _response_figure(data: "DataTree") -> "Figure":
+def _response_figure(data: DataTree) -> Figure:
     sets, two = _sets(data), [item.at for item in ranges(data)]
     first = sorted(range(len(sets)), key=lambda i: sets[i] not in two)[:MAX_RANGES]
     shown = [response, phase] if "phase_deg" in data.children["sweep"] else [response]
@@ -276,7 +275,7 @@ def _response_figure(data: "DataTree") -> "Figure":
     return finish(fig, data, "sweeps up and down", left_out(len(sets), len(first), "sets of values"))
 
 
-def _ranges_figure(data: "DataTree") -> "Figure | None":
+def _ranges_figure(data: DataTree) -> Figure | None:
     shown = ranges(data)[:MAX_RANGES]
     if not shown:
         return None
@@ -288,7 +287,7 @@ def _ranges_figure(data: "DataTree") -> "Figure | None":
     return finish(fig, data, "where there are two motions", left_out(len(ranges(data)), len(shown), "ranges"))
 
 
-def _starts_figure(data: "DataTree") -> "Figure | None":
+def _starts_figure(data: DataTree) -> Figure | None:
     from matplotlib.patches import Patch
 
     shown = ranges(data)[:MAX_RANGES]
@@ -304,7 +303,7 @@ def _starts_figure(data: "DataTree") -> "Figure | None":
     return finish(fig, data, "which start leads to which motion", left_out(len(ranges(data)), len(shown), "ranges"))
 
 
-def _existence_figure(data: "DataTree") -> "Figure | None":
+def _existence_figure(data: DataTree) -> Figure | None:
     keys = [key for key in _keys(data) if data.sizes[key] > 1]
     if not keys or not ranges(data):
         return None

@@ -6,7 +6,7 @@ or stay apart, `cycle`.
 
 from collections.abc import Iterator
 from itertools import pairwise, product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +16,10 @@ from timesim.picture.choice import MAX_ROWS, motion, motions
 from timesim.picture.response import PAIRED, with_phase
 from timesim.picture.style import (
     SERIES,
+    Axes,
+    Dataset,
+    DataTree,
+    Figure,
     Picture,
     axes,
     figure,
@@ -31,11 +35,6 @@ from timesim.picture.style import (
 )
 from timesim.result.coordinate import over_keys, rubs
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from xarray import Dataset, DataTree
-
 METHODS = {"sweep": "time integration", "hbm": "harmonic balance"}
 SHORT = {"sweep": "in time", "hbm": "balance"}  # beside a bar
 PHASE = "phase of the excitation [degree]"
@@ -50,13 +49,13 @@ Points = tuple[dict[str, int], dict[str, Any]]
 
 
 def overlay(
-    data: "DataTree",
-    ax: "Axes | None" = None,
+    data: DataTree,
+    ax: Axes | None = None,
     *,
     point: str | None = None,
     axis: str | None = None,
     name: str = "amplitude",
-) -> "Axes":
+) -> Axes:
     """Curves of harmonic balance and points of the sweep, which are hollow if not settled.
 
     ``name``: amplitude or phase_deg.
@@ -74,7 +73,7 @@ def overlay(
     return ax
 
 
-def difference(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
+def difference(data: DataTree, ax: Axes | None = None) -> Axes:
     """Largest relative difference of a point's amplitudes at each frequency.
 
     Pale where the motion is linear, hollow where it has not settled.
@@ -95,7 +94,7 @@ def difference(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
     return ax
 
 
-def _settled_or_hollow(ax: "Axes", x: np.ndarray, y: np.ndarray, settled: np.ndarray, look: dict[str, Any]) -> None:
+def _settled_or_hollow(ax: Axes, x: np.ndarray, y: np.ndarray, settled: np.ndarray, look: dict[str, Any]) -> None:
     """Points that have settled as filled markers, the others as larger hollow ones."""
     ax.plot(x[settled], y[settled], **look)
     if not settled.all():
@@ -103,7 +102,7 @@ def _settled_or_hollow(ax: "Axes", x: np.ndarray, y: np.ndarray, settled: np.nda
         ax.plot(x[~settled], y[~settled], **hollow | {"ms": 1.5 * look["ms"]})
 
 
-def share(data: "DataTree", ax: "Axes | None" = None, *, state: str = "slip") -> "Axes":
+def share(data: DataTree, ax: Axes | None = None, *, state: str = "slip") -> Axes:
     """Share of a period in a state by both methods, for the contact in which it is largest."""
     hbm, sweep = _groups(data)
     name = f"{state}_share"
@@ -116,11 +115,11 @@ def share(data: "DataTree", ax: "Axes | None" = None, *, state: str = "slip") ->
     return ax
 
 
-def _groups(data: "DataTree") -> tuple["Dataset", "Dataset"]:
+def _groups(data: DataTree) -> tuple[Dataset, Dataset]:
     return data["hbm"].to_dataset(), data["sweep"].to_dataset()
 
 
-def _points(hbm: "Dataset", sweep: "Dataset") -> Iterator[Points]:
+def _points(hbm: Dataset, sweep: Dataset) -> Iterator[Points]:
     """The points of the sweep in the colours of the curves with the same values; grey if there is no such curve."""
     keys = over_keys(hbm)
     colours = {family.values: family.style.colour for family in balance.families(hbm)}
@@ -137,7 +136,7 @@ def _points(hbm: "Dataset", sweep: "Dataset") -> Iterator[Points]:
             yield dict(zip(keys, where, strict=True)) | {"direction": i}, look
 
 
-def waveform(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
+def waveform(data: DataTree, ax: Axes | None = None) -> Axes:
     """Displacement over the cycle by both methods, of the point and axis that move most."""
     ax, (cycle, point, axis) = axes(ax), _cycle(data)
     for method, style in zip(cycle.found_by.values, SERIES, strict=False):
@@ -147,7 +146,7 @@ def waveform(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
     return over_cycle(ax, PHASE)
 
 
-def contact_states(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
+def contact_states(data: DataTree, ax: Axes | None = None) -> Axes:
     """State of the contacts over the cycle by both methods, as bars."""
     ax, cycle = axes(ax), data["cycle"].to_dataset()
     angle = np.append(cycle.excitation_angle.values, 360.0)
@@ -163,7 +162,7 @@ def contact_states(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
     return over_cycle(ax, PHASE)
 
 
-def harmonics(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
+def harmonics(data: DataTree, ax: Axes | None = None) -> Axes:
     """Harmonics of the same displacement by both methods, on a logarithmic axis."""
     ax, (cycle, point, axis) = axes(ax), _cycle(data)
     for method, style in zip(cycle.found_by.values, SERIES, strict=False):
@@ -178,14 +177,14 @@ def harmonics(data: "DataTree", ax: "Axes | None" = None) -> "Axes":
     return ax
 
 
-def _cycle(data: "DataTree") -> tuple["Dataset", str, str]:
+def _cycle(data: DataTree) -> tuple[Dataset, str, str]:
     """The cycle, and the point and axis that move most in it."""
     cycle = data["cycle"].to_dataset()
     x = cycle.displacement.transpose("point", "axis", ...).values
     return cycle, *motions(cycle, np.ptp(x.reshape(*x.shape[:2], -1), axis=-1))[0]
 
 
-def _overlay_figure(data: "DataTree") -> "Figure":
+def _overlay_figure(data: DataTree) -> Figure:
     hbm, sweep = _groups(data)
     fig, axs = with_phase(1, 4.6, "phase_deg" in hbm and "phase_deg" in sweep)
     for ax, name in zip(axs, ("amplitude", "phase_deg"), strict=False):
@@ -194,7 +193,7 @@ def _overlay_figure(data: "DataTree") -> "Figure":
     return finish(fig, data, "harmonic balance (lines) and time integration (markers)", balance.hidden(hbm))
 
 
-def _difference_figure(data: "DataTree") -> "Figure | None":
+def _difference_figure(data: DataTree) -> Figure | None:
     hbm, _ = _groups(data)
     if not np.isfinite(np.asarray(data["relative_difference"])).any():
         return None
@@ -210,7 +209,7 @@ def _difference_figure(data: "DataTree") -> "Figure | None":
     return finish(fig, data, what, balance.hidden(hbm))
 
 
-def _cycle_figure(data: "DataTree") -> "Figure | None":
+def _cycle_figure(data: DataTree) -> Figure | None:
     if "cycle" not in data.children:
         return None
     fig, grid = figure(3, 1, width=8.5, height=2.1, gap=0.55)

@@ -1,7 +1,6 @@
 """Pictures of the contacts over the last cycles of a transient or a jump: motion, friction, normal load, states."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +11,9 @@ from timesim.picture.style import (
     BLUE,
     PALE,
     VERMILION,
+    Axes,
+    Dataset,
+    Figure,
     Picture,
     axes,
     figure,
@@ -25,17 +27,12 @@ from timesim.picture.style import (
     unit,
 )
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from xarray import Dataset
-
 LAST_CYCLES = 3
 MAX_BARS = 12
 CLOSE = 0.02  # share of the size of a path: what is nearer cannot be told apart
 
 
-def orbit(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = None) -> "Axes":
+def orbit(data: Dataset, ax: Axes | None = None, *, contact: str | None = None) -> Axes:
     """Relative motion of a contact in its plane over the last cycles, the last coloured by state."""
     ax, contact, part, last = axes(ax), *_shown(data, contact)
     u = part.contact_displacement.values[:, :2]
@@ -50,14 +47,14 @@ def orbit(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = No
     return ax
 
 
-def _shown(data: "Dataset", contact: str | None) -> "tuple[str, Dataset, slice]":
+def _shown(data: Dataset, contact: str | None) -> tuple[str, Dataset, slice]:
     """A contact, by default the one that dissipates most, its last cycles, and the samples of the very last one."""
     contact = contact or busiest(data, 1)[0]
     part = data.isel(time=last_cycles(data)).sel(contact=contact)
     return contact, part, last_cycles(part, 1)
 
 
-def _slider(ax: "Axes", w: np.ndarray, u: np.ndarray) -> None:
+def _slider(ax: Axes, w: np.ndarray, u: np.ndarray) -> None:
     """The slider's path, a dot if it stays in place, nothing if the contact is open all the time."""
     known = w[~np.isnan(w).any(axis=1)]
     if not known.size:
@@ -78,7 +75,7 @@ def _if_seen(label: str, path: np.ndarray, above: np.ndarray) -> str:
     return label if apart.max() > CLOSE else f"_{label}"
 
 
-def hysteresis(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = None, tangent: str = "t1") -> "Axes":
+def hysteresis(data: Dataset, ax: Axes | None = None, *, contact: str | None = None, tangent: str = "t1") -> Axes:
     """Friction force against relative displacement over the last cycles, the last coloured by state."""
     ax, contact, part, last = axes(ax), *_shown(data, contact)
     u, f = (part[name].sel(component=tangent).values for name in ("contact_displacement", "contact_force"))
@@ -92,7 +89,7 @@ def hysteresis(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None
     return ax
 
 
-def normal_load(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = None) -> "Axes":
+def normal_load(data: Dataset, ax: Axes | None = None, *, contact: str | None = None) -> Axes:
     """Normal load, friction force and its limit over the last cycles, separations shaded; for a stop only the load."""
     ax, contact, part, _ = axes(ax), *_shown(data, contact)
     time, force = part.time.values, part.contact_force.values
@@ -115,7 +112,7 @@ def normal_load(data: "Dataset", ax: "Axes | None" = None, *, contact: str | Non
     return ax
 
 
-def contact_states(data: "Dataset", ax: "Axes | None" = None, *, contacts: Sequence[str] | None = None) -> "Axes":
+def contact_states(data: Dataset, ax: Axes | None = None, *, contacts: Sequence[str] | None = None) -> Axes:
     """State of contacts over the last cycles, as bars between the times of the event log."""
     ax, contacts = axes(ax), contacts or busiest(data, MAX_BARS)
     time = data.time.values[last_cycles(data)]
@@ -131,13 +128,13 @@ def contact_states(data: "Dataset", ax: "Axes | None" = None, *, contacts: Seque
     return ax
 
 
-def busiest(data: "Dataset", limit: int) -> list[str]:
+def busiest(data: Dataset, limit: int) -> list[str]:
     """At most `limit` contacts, those with most friction energy and transitions, in the scene's order."""
     events = np.bincount(data.event_contact.values.astype(int), minlength=data.sizes["contact"])
     return choice.busiest(data, data.energy_friction.values.sum(axis=0), events, limit=limit)
 
 
-def last_cycles(data: "Dataset", cycles: int = LAST_CYCLES) -> slice:
+def last_cycles(data: Dataset, cycles: int = LAST_CYCLES) -> slice:
     """Samples of the last whole cycles that were recorded; all samples where no cycle was finished."""
     start, time = data.cycle_start.values, data.time.values
     if not start.size:
@@ -146,7 +143,7 @@ def last_cycles(data: "Dataset", cycles: int = LAST_CYCLES) -> slice:
     return slice(int(np.searchsorted(time, first)), None)
 
 
-def intervals(data: "Dataset", contact: str, start: float, end: float) -> list[tuple[float, float, int]]:
+def intervals(data: Dataset, contact: str, start: float, end: float) -> list[tuple[float, float, int]]:
     """Start, end [s] and state of each interval of a contact within a window, from the event log."""
     index = data.contact.values.tolist().index(contact)
     mine = np.flatnonzero(data.event_contact.values == index)
@@ -156,7 +153,7 @@ def intervals(data: "Dataset", contact: str, start: float, end: float) -> list[t
     return [item for item in zip(times[:-1], times[1:], states, strict=True) if item[1] > item[0]]
 
 
-def _orbit_figure(data: "Dataset", contacts: Sequence[str]) -> "Figure":
+def _orbit_figure(data: Dataset, contacts: Sequence[str]) -> Figure:
     u = data.contact_displacement.isel(time=last_cycles(data))
     moved = [contact for contact in contacts if np.ptp(u.sel(contact=contact).values[:, :2], axis=0).any()]
     moved = moved or [contacts[0]]
@@ -166,7 +163,7 @@ def _orbit_figure(data: "Dataset", contacts: Sequence[str]) -> "Figure":
     return fig
 
 
-def _hysteresis_figure(data: "Dataset", contacts: Sequence[str]) -> "Figure":
+def _hysteresis_figure(data: Dataset, contacts: Sequence[str]) -> Figure:
     rubbed = {contact: tangents for contact in contacts if (tangents := _tangents(data, contact))}
     rubbed = rubbed or {contacts[0]: ["t1"]}
     columns = max(map(len, rubbed.values()))
@@ -179,30 +176,30 @@ def _hysteresis_figure(data: "Dataset", contacts: Sequence[str]) -> "Figure":
     return fig
 
 
-def _tangents(data: "Dataset", contact: str) -> list[str]:
+def _tangents(data: Dataset, contact: str) -> list[str]:
     """In-plane axes of a contact along which its friction force changes in the last cycles."""
     span = np.ptp(data.contact_force.isel(time=last_cycles(data)).sel(contact=contact).values, axis=0)
     return [name for name, own in zip(("t1", "t2"), span, strict=False) if own > 1e-9 * span.max()]
 
 
-def _normal_load_figure(data: "Dataset", contacts: Sequence[str]) -> "Figure":
+def _normal_load_figure(data: Dataset, contacts: Sequence[str]) -> Figure:
     fig, grid = figure(len(contacts), 1, width=8.5, height=1.7, gap=0.3, sharex=True)
     for ax, contact in zip(grid[:, 0], contacts, strict=True):
         normal_load(data, ax, contact=contact).label_outer()
     return fig
 
 
-def _states_figure(data: "Dataset", contacts: Sequence[str]) -> "Figure":
+def _states_figure(data: Dataset, contacts: Sequence[str]) -> Figure:
     longest = max(len(short(name)) for name in contacts)
     fig, grid = figure(width=8.5, height=0.2 + 0.4 * len(contacts), left=0.4 + 0.075 * longest)
     contact_states(data, grid[0, 0], contacts=contacts)
     return fig
 
 
-def _of_contacts(what: str, drawn: Callable[["Dataset", Sequence[str]], "Figure"], limit: int = MAX_ROWS) -> Picture:
+def _of_contacts(what: str, drawn: Callable[[Dataset, Sequence[str]], Figure], limit: int = MAX_ROWS) -> Picture:
     """A picture of the last cycles of the busiest contacts; none if there is no contact."""
 
-    def picture(data: "Dataset") -> "Figure | None":
+    def picture(data: Dataset) -> Figure | None:
         contacts = busiest(data, limit)
         if not contacts:
             return None

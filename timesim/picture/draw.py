@@ -3,17 +3,12 @@
 import io
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
-from timesim.picture.style import Picture
+from timesim.picture.style import Dataset, DataTree, Figure, Picture
 from timesim.result.file import write_whole
-
-if TYPE_CHECKING:
-    from matplotlib.axis import Axis
-    from matplotlib.figure import Figure
-    from xarray import Dataset, DataTree
 
 DPI = 110
 KINDS = ("png", "pdf", "svg")
@@ -26,7 +21,7 @@ LEAST = {"time": 2, "angle": 2, "solution": 1}
 
 
 def write(
-    data: "Dataset | DataTree",
+    data: Dataset | DataTree,
     folder: Path | str,
     pictures: Mapping[str, Picture],
     *,
@@ -64,7 +59,7 @@ def write(
     return written
 
 
-def make_logarithmic(figure: "Figure", quantities: Collection[str]) -> None:
+def make_logarithmic(figure: Figure, quantities: Collection[str]) -> None:
     """Make those axes of a figure logarithmic whose labels name one of the quantities."""
     for ax in figure.axes:
         if not _words(ax.get_xlabel()).isdisjoint(quantities):
@@ -79,7 +74,7 @@ def make_logarithmic(figure: "Figure", quantities: Collection[str]) -> None:
             _plain_ticks(ax.yaxis, *ax.get_ylim())
 
 
-def _plain_ticks(axis: "Axis", low: float, high: float) -> None:
+def _plain_ticks(axis: Any, low: float, high: float) -> None:
     """Ticks as plain numbers: below one decade as on a linear axis, over many decades at powers of ten only."""
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
@@ -95,7 +90,7 @@ def _words(label: str) -> set[str]:
     return set(label.partition("[")[0].split())
 
 
-def _vectors(figure: "Figure", kind: str) -> bytes:
+def _vectors(figure: Figure, kind: str) -> bytes:
     """A figure as vectors, cut to what is drawn; the same figure gives the same file."""
     from matplotlib import rc_context
 
@@ -111,7 +106,7 @@ def _vectors(figure: "Figure", kind: str) -> bytes:
     return image.getvalue()
 
 
-def _png(figure: "Figure") -> bytes:
+def _png(figure: Figure) -> bytes:
     """A figure as an image, cut to what is drawn, since the room for a legend or a note may be empty."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.image import imsave

@@ -1,6 +1,6 @@
 """Pictures of a contact under prescribed motion (figures 3 to 6 of the paper)."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -9,6 +9,9 @@ from timesim.picture.style import (
     BLUE,
     PALE,
     VERMILION,
+    Axes,
+    Dataset,
+    Figure,
     Picture,
     axes,
     figure,
@@ -20,16 +23,11 @@ from timesim.picture.style import (
     unit,
 )
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from xarray import Dataset
-
 MAX_CIRCLES = 8
 ANGLE = "angle θ [degree]"
 
 
-def force_path(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
+def force_path(data: Dataset, ax: Axes | None = None) -> Axes:
     """Friction force in the contact plane, and its limit: |f| <= mu n, drawn along the force (figures 4 to 6).
 
     The path of the first cycle, from f = 0, is pale. For each transition the limit circle of that instant is drawn
@@ -50,7 +48,7 @@ def force_path(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     return ax
 
 
-def _transition_circles(data: "Dataset", ax: "Axes") -> None:
+def _transition_circles(data: Dataset, ax: Axes) -> None:
     turn = np.linspace(0, 2 * np.pi, 181)
     circle = np.stack([np.cos(turn), np.sin(turn)])
     for f, angles in _transition_forces(data)[:MAX_CIRCLES]:
@@ -66,7 +64,7 @@ def _transition_circles(data: "Dataset", ax: "Axes") -> None:
         ax.annotate(text, (f[0], f[1]), (5 * x, 5 * y), textcoords="offset points", fontsize=7, **beside)
 
 
-def _transition_forces(data: "Dataset") -> list[tuple[np.ndarray, list[float]]]:
+def _transition_forces(data: Dataset) -> list[tuple[np.ndarray, list[float]]]:
     """Force at the transitions, and the angles of those that have the same force, as where it vanishes."""
     size = np.abs(data.force.values).max()
     forces: list[tuple[np.ndarray, list[float]]] = []
@@ -80,7 +78,7 @@ def _transition_forces(data: "Dataset") -> list[tuple[np.ndarray, list[float]]]:
     return forces
 
 
-def hysteresis(data: "Dataset", ax: "Axes | None" = None, *, tangent: str = "t1") -> "Axes":
+def hysteresis(data: Dataset, ax: Axes | None = None, *, tangent: str = "t1") -> Axes:
     """Friction force against displacement along one axis, coloured by state."""
     ax = axes(ax)
     u, f = (_closed(data[name].sel(tangent=tangent).values) for name in ("u", "force"))
@@ -91,7 +89,7 @@ def hysteresis(data: "Dataset", ax: "Axes | None" = None, *, tangent: str = "t1"
     return ax
 
 
-def friction_limit(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
+def friction_limit(data: Dataset, ax: Axes | None = None) -> Axes:
     """Limit mu n and friction force over the angle; separations are shaded, transitions dotted."""
     ax = axes(ax)
     angle = np.append(data.angle.values, 360.0)
@@ -106,7 +104,7 @@ def friction_limit(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     return over_cycle(ax, ANGLE)
 
 
-def contact_states(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
+def contact_states(data: Dataset, ax: Axes | None = None) -> Axes:
     """State over the angle, as a bar between the transitions."""
     ax = axes(ax)
     state_bar(ax, 0, intervals(data), height=0.8, stop=data.attrs["friction"] == 0)
@@ -116,7 +114,7 @@ def contact_states(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     return over_cycle(ax, ANGLE)
 
 
-def intervals(data: "Dataset") -> list[tuple[float, float, int]]:
+def intervals(data: Dataset) -> list[tuple[float, float, int]]:
     """Start, end [degree] and state of each interval of the cycle, from 0 to 360."""
     order = np.argsort(data.transition_angle_deg.values, kind="stable")
     angle = np.concatenate([[0.0], data.transition_angle_deg.values[order], [360.0]])
@@ -131,13 +129,13 @@ def _closed(values: np.ndarray) -> np.ndarray:
     return np.concatenate([values, values[:1]])
 
 
-def _path_figure(data: "Dataset") -> "Figure":
+def _path_figure(data: Dataset) -> Figure:
     fig, grid = figure(width=8.2, height=5.6)
     force_path(data, grid[0, 0])
     return finish(fig, data, "friction force in the contact plane, steady cycle")
 
 
-def _hysteresis_figure(data: "Dataset") -> "Figure":
+def _hysteresis_figure(data: Dataset) -> Figure:
     fig, grid = figure(1, 2, width=8.5, height=3.2)
     for ax, tangent in zip(grid[0], ("t1", "t2"), strict=True):
         hysteresis(data, ax, tangent=tangent)
@@ -145,7 +143,7 @@ def _hysteresis_figure(data: "Dataset") -> "Figure":
     return finish(fig, data, f"hysteresis, steady cycle: {lost} a cycle")
 
 
-def _cycle_figure(data: "Dataset") -> "Figure":
+def _cycle_figure(data: Dataset) -> Figure:
     fig, grid = figure(2, 1, width=8.0, height=1.7, sharex=True, height_ratios=[4, 1])
     friction_limit(data, grid[0, 0]).set_xlabel("")
     contact_states(data, grid[1, 0])

@@ -2,23 +2,18 @@
 
 from collections.abc import Callable
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from timesim.picture.style import Picture, axes, figure, finish, unit
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from xarray import Dataset
+from timesim.picture.style import Axes, Dataset, Figure, Picture, axes, figure, finish, unit
 
 COEFFICIENTS = {"f_b": "static", "f_s": "in phase", "f_c": "out of phase"}
 NOISE = 1e-6
 """Of the largest coefficient: the steps leave up to 2e-9 of it in one that is zero by symmetry."""
 
 
-def contour(data: "Dataset", ax: "Axes | None" = None, *, name: str = "f_s", tangent: str = "t1") -> "Axes":
+def contour(data: Dataset, ax: Axes | None = None, *, name: str = "f_s", tangent: str = "t1") -> Axes:
     """A Fourier coefficient, f_b, f_s or f_c along t1 or t2, over the axes of the map: contour lines on shades."""
     ax, (first, second) = axes(ax), parameters(data)
     x, y, z = data[first].values, data[second].values, _coefficient(data, name, tangent)
@@ -36,7 +31,7 @@ def contour(data: "Dataset", ax: "Axes | None" = None, *, name: str = "f_s", tan
     return ax
 
 
-def surface(data: "Dataset", ax: Any = None, *, name: str = "f_s", tangent: str = "t1") -> Any:
+def surface(data: Dataset, ax: Any = None, *, name: str = "f_s", tangent: str = "t1") -> Any:
     """The same as a surface, on axes with projection 3d; over both amplitudes only the half b <= a."""
     ax = figure(subplot_kw={"projection": "3d"})[1][0, 0] if ax is None else ax
     first, second = parameters(data)
@@ -63,29 +58,29 @@ def _colour_bar(ax: Any, shades: Any, **options: Any) -> None:
     bar.ax.tick_params(labelsize=7)
 
 
-def parameters(data: "Dataset") -> tuple[str, str]:
+def parameters(data: Dataset) -> tuple[str, str]:
     """Names of the two parameters of a map."""
     first, second = (str(dim) for dim in data.dissipation.dims)
     return first, second
 
 
-def _coefficient(data: "Dataset", name: str, tangent: str) -> np.ndarray:
+def _coefficient(data: Dataset, name: str, tangent: str) -> np.ndarray:
     """A coefficient over both parameters, the same everywhere where its differences are the noise of the steps."""
     z, noise = data[name].sel(tangent=tangent).values, NOISE * max(np.abs(data[part]).max() for part in COEFFICIENTS)
     middle = (z.max() + z.min()) / 2
     return z if np.ptp(z) > noise else np.full_like(z, middle if np.abs(middle) > noise else 0.0)
 
 
-def _axis_label(data: "Dataset", name: str) -> str:
+def _axis_label(data: Dataset, name: str) -> str:
     shown = name.removesuffix("_deg").replace("phi", "φ").replace("psi", "ψ").replace("_", " ")
     return shown if data[name].attrs.get("units", "1") == "1" else shown + unit(data, name)
 
 
-def _coefficient_label(data: "Dataset", name: str, tangent: str) -> str:
+def _coefficient_label(data: Dataset, name: str, tangent: str) -> str:
     return f"{COEFFICIENTS[name]}, {name}{tangent.removeprefix('t')}{unit(data, name)}"
 
 
-def _all_coefficients(data: "Dataset", draw: Callable[..., Any], **options: Any) -> "Figure | None":
+def _all_coefficients(data: Dataset, draw: Callable[..., Any], **options: Any) -> Figure | None:
     """All coefficients along both axes of the contact; no figure if a parameter has only one value."""
     if min(data.dissipation.shape) < 2:
         return None
@@ -95,11 +90,11 @@ def _all_coefficients(data: "Dataset", draw: Callable[..., Any], **options: Any)
     return finish(fig, data, "Fourier coefficients of the friction force")
 
 
-def _contour_figure(data: "Dataset") -> "Figure | None":
+def _contour_figure(data: Dataset) -> Figure | None:
     return _all_coefficients(data, contour, width=8.0, height=2.7, gap=0.75)
 
 
-def _surface_figure(data: "Dataset") -> "Figure | None":
+def _surface_figure(data: Dataset) -> Figure | None:
     return _all_coefficients(data, surface, width=10.0, height=3.4, gap=0.2, left=0.3, subplot_kw={"projection": "3d"})
 
 

@@ -6,21 +6,15 @@ and a diamond marks each fold.
 
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from timesim.picture import response as shared
 from timesim.picture.choice import MAX_CURVES, left_out, motion, spread
 from timesim.picture.response import amplitude_label, axis_label, draw_branch, values_labels
-from timesim.picture.style import Picture, Series, axes, finish, from_zero, short, stacked, unit
+from timesim.picture.style import Axes, Dataset, Figure, Picture, Series, axes, finish, from_zero, short, stacked, unit
 from timesim.result.coordinate import over_keys
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from xarray import Dataset
-
 
 NOISE = 1e-9
 """Share of the largest harmonic below which one is rounding, or what is left of settling."""
@@ -35,7 +29,7 @@ class Family(NamedTuple):
     style: Series
 
 
-def response(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None) -> "Axes":
+def response(data: Dataset, ax: Axes | None = None, *, point: str | None = None, axis: str | None = None) -> Axes:
     """Amplitude along the curves, by default of the point and axis with the largest."""
     ax, (point, axis) = axes(ax), motion(data, point, axis)
     _draw(ax, data, data.amplitude.sel(point=point, axis=axis).values)
@@ -44,14 +38,14 @@ def response(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = N
     return ax
 
 
-def phase(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None) -> "Axes":
+def phase(data: Dataset, ax: Axes | None = None, *, point: str | None = None, axis: str | None = None) -> Axes:
     """Phase of the first harmonic along the curves."""
     ax, (point, axis) = axes(ax), motion(data, point, axis)
     _draw(ax, data, data.phase_deg.sel(point=point, axis=axis).values, phase=True)
     return shared.over_phase(ax)
 
 
-def share(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = None, state: str = "slip") -> "Axes":
+def share(data: Dataset, ax: Axes | None = None, *, contact: str | None = None, state: str = "slip") -> Axes:
     """Share of a period that a contact spends in a state, ``slip`` or ``separation``, along the curves."""
     ax = axes(ax)
     contact = contact or str(data.contact.values[0])
@@ -60,7 +54,7 @@ def share(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = No
     return ax
 
 
-def _draw(ax: "Axes", data: "Dataset", y: np.ndarray, *, phase: bool = False) -> None:
+def _draw(ax: Axes, data: Dataset, y: np.ndarray, *, phase: bool = False) -> None:
     """A quantity along all curves, against the parameter of the continuation; ``phase`` as in `draw_branch`."""
     name = str(data.attrs.get("along", "frequency"))
     x, stable, fold = data[name].values, data.stable.values > 0, data.fold.values > 0
@@ -70,9 +64,7 @@ def _draw(ax: "Axes", data: "Dataset", y: np.ndarray, *, phase: bool = False) ->
     ax.set_xlabel(axis_label(data, name))
 
 
-def harmonics(
-    data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None
-) -> "Axes":
+def harmonics(data: Dataset, ax: Axes | None = None, *, point: str | None = None, axis: str | None = None) -> Axes:
     """Harmonics at the largest amplitude of each set of values, on a logarithmic axis; harmonic 0 is the mean."""
     ax, (point, axis) = axes(ax), motion(data, point, axis)
     amplitude = data.amplitude.sel(point=point, axis=axis).values
@@ -97,7 +89,7 @@ def harmonic_limits(lowest: float, largest: float) -> tuple[float, float]:
     return max(top * NOISE, min(lowest, top) / 2), 2 * top
 
 
-def families(data: "Dataset") -> list[Family]:
+def families(data: Dataset) -> list[Family]:
     """The curves of each set of values, of at most `MAX_CURVES` evenly spaced sets."""
     values, curve, every = _values(data), data.curve.values, sets(data)
     kept = [every[i] for i in spread(len(every))]
@@ -109,18 +101,18 @@ def families(data: "Dataset") -> list[Family]:
     return drawn
 
 
-def _values(data: "Dataset") -> np.ndarray:
+def _values(data: Dataset) -> np.ndarray:
     """Values of the further axes of each solution, shape (N, K)."""
     keys = over_keys(data)
     return np.stack([data[key].values for key in keys], axis=1) if keys else np.zeros((data.sizes["solution"], 0))
 
 
-def sets(data: "Dataset") -> list[tuple[float, ...]]:
+def sets(data: Dataset) -> list[tuple[float, ...]]:
     """The sets of values of the further axes that have a curve."""
     return list(dict.fromkeys(map(tuple, _values(data).tolist())))
 
 
-def legend(axs: Sequence["Axes"], data: "Dataset", *, markers: bool = False) -> None:
+def legend(axs: Sequence[Axes], data: Dataset, *, markers: bool = False) -> None:
     """A legend to the right of the first axes: the colours of the values, and what lines and marks mean."""
     entries = {
         family.label: family.style._replace(line="-", marker=family.style.marker if markers else "")
@@ -130,12 +122,12 @@ def legend(axs: Sequence["Axes"], data: "Dataset", *, markers: bool = False) -> 
     shared.legend(axs, entries, shared.legend_title(data, over_keys(data)))
 
 
-def hidden(data: "Dataset") -> str:
+def hidden(data: Dataset) -> str:
     """A note of how many sets of values are not shown."""
     return left_out(len(sets(data)), MAX_CURVES, "sets of values")
 
 
-def _harmonics_figure(data: "Dataset") -> "Figure":
+def _harmonics_figure(data: Dataset) -> Figure:
     fig, axs = stacked(1, 3.4)
     harmonics(data, axs[0])
     legend(axs, data, markers=True)

@@ -1,19 +1,28 @@
 """Pictures of a jump: the amplitude of each cycle over the schedule of frequencies, and against the frequency."""
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from timesim.picture import transient
 from timesim.picture.choice import MAX_ROWS, asked, motions
 from timesim.picture.response import amplitude_label
-from timesim.picture.style import BLUE, SERIES, VERMILION, Picture, axes, figure, finish, from_zero, short, unit
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from xarray import Dataset
+from timesim.picture.style import (
+    BLUE,
+    SERIES,
+    VERMILION,
+    Axes,
+    Dataset,
+    Figure,
+    Picture,
+    axes,
+    figure,
+    finish,
+    from_zero,
+    short,
+    unit,
+)
 
 MAX_NUMBERS = 12
 ROOM = 0.055  # share of an axis that a frequency takes as text
@@ -30,7 +39,7 @@ class Phase(NamedTuple):
     run_up: bool
 
 
-def phases(data: "Dataset") -> list[Phase]:
+def phases(data: Dataset) -> list[Phase]:
     """The schedule as far as it was run; successive phases of one frequency count as one."""
     frequency = data.cycle_frequency.values
     before = data.cycle_start.values < -1e-6 * data.cycle_period.values
@@ -39,7 +48,7 @@ def phases(data: "Dataset") -> list[Phase]:
     return [Phase(a, b, float(frequency[a]), bool(before[a])) for a, b in pairwise(bounds)]
 
 
-def envelope(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
+def envelope(data: Dataset, ax: Axes | None = None) -> Axes:
     """Amplitude of each cycle for what moves most, the run-up shaded, dotted lines at changes of frequency."""
     ax = axes(ax)
     for (point, axis), style in zip(moving(data), SERIES, strict=False):
@@ -50,7 +59,7 @@ def envelope(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     return _along_schedule(ax, data)
 
 
-def frequency(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
+def frequency(data: Dataset, ax: Axes | None = None) -> Axes:
     """Frequency of the excitation over the cycles, the values written where there is room."""
     ax = axes(ax)
     parts = phases(data)
@@ -65,7 +74,7 @@ def frequency(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     return _along_schedule(ax, data)
 
 
-def _along_schedule(ax: "Axes", data: "Dataset") -> "Axes":
+def _along_schedule(ax: Axes, data: Dataset) -> Axes:
     from matplotlib.ticker import MaxNLocator
 
     parts = phases(data)
@@ -79,7 +88,7 @@ def _along_schedule(ax: "Axes", data: "Dataset") -> "Axes":
     return ax
 
 
-def path(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None) -> "Axes":
+def path(data: Dataset, ax: Axes | None = None, *, point: str | None = None, axis: str | None = None) -> Axes:
     """Amplitude of each cycle against frequency; arrows join the ends of the phases, which are numbered from 1.
 
     Of the run-up only the end is shown, where the first arrow begins.
@@ -104,26 +113,26 @@ def path(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None,
     return ax
 
 
-def _arrows(ax: "Axes", ends: list[tuple[float, float]]) -> None:
+def _arrows(ax: Axes, ends: list[tuple[float, float]]) -> None:
     least = NEAR * np.ptp(np.array(ends), axis=0)
     for start, end in pairwise(ends):
         if np.any(np.abs(np.subtract(end, start)) > least):
             ax.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": "0.35", "shrinkA": 4, "shrinkB": 4})
 
 
-def moving(data: "Dataset") -> list[tuple[str, str]]:
+def moving(data: Dataset) -> list[tuple[str, str]]:
     """At most `MAX_ROWS` points and axes, the largest amplitude first; the first of all if none moves."""
     return motions(data, data.cycle_amplitude.values.max(axis=0, initial=0.0))[:MAX_ROWS]
 
 
-def _envelope_figure(data: "Dataset") -> "Figure":
+def _envelope_figure(data: Dataset) -> Figure:
     fig, grid = figure(2, 1, width=9.0, height=1.9, gap=0.15, sharex=True, height_ratios=[2.2, 1])
     envelope(data, grid[0, 0]).set_xlabel("")
     frequency(data, grid[1, 0])
     return finish(fig, data, "amplitude of each cycle")
 
 
-def _path_figure(data: "Dataset") -> "Figure | None":
+def _path_figure(data: Dataset) -> Figure | None:
     if all(part.run_up for part in phases(data)):
         return None
     shown = moving(data)

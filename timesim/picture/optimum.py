@@ -1,6 +1,6 @@
 """Pictures of an optimum: the peak of the response against a scalar, and the responses beside the best one."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -9,6 +9,9 @@ from timesim.picture.response import amplitude_label, axis_label, over_phase, st
 from timesim.picture.style import (
     BLUE,
     VERMILION,
+    Axes,
+    Dataset,
+    Figure,
     Picture,
     axes,
     finish,
@@ -20,22 +23,17 @@ from timesim.picture.style import (
 )
 from timesim.result.label import told_apart
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from xarray import Dataset
-
 MAX_CURVES = 7
 FLAT = 1e-4  # share of a peak: the least height magnified, since longer numbers would not fit beside the axis
 NEAR = 0.15  # share of the range of the scalar that is magnified, to each side of the optimum
 
 
-def scalar(data: "Dataset") -> str:
+def scalar(data: Dataset) -> str:
     """Key of the scalar of the scene."""
     return str(data["peak"].dims[0])
 
 
-def peak(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
+def peak(data: Dataset, ax: Axes | None = None) -> Axes:
     """Peak over the frequencies against the scalar; hollow where it is at an end of them; a star at the least."""
     ax, key = axes(ax), scalar(data)
     x, y, at_end = data[key].values, data["peak"].values, data["peak_at_end"].values > 0
@@ -51,7 +49,7 @@ def peak(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     return ax
 
 
-def magnified(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
+def magnified(data: Dataset, ax: Axes | None = None) -> Axes:
     """The same about the least peak."""
     ax = peak(data, ax)
     values, heights = data[scalar(data)].values, data["peak"].values
@@ -64,7 +62,7 @@ def magnified(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     return ax
 
 
-def responses(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
+def responses(data: Dataset, ax: Axes | None = None) -> Axes:
     """Amplitude against frequency for some values and the best one, both sweeps; a dot at each peak."""
     ax, (point, axis) = axes(ax), motion(data, data.attrs.get("point"), data.attrs.get("axis"))
     amplitude = data["amplitude"].sel(point=point, axis=axis)
@@ -75,7 +73,7 @@ def responses(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     return ax
 
 
-def phases(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
+def phases(data: Dataset, ax: Axes | None = None) -> Axes:
     """Phase of the first harmonic against frequency for the same values."""
     ax, (point, axis) = axes(ax), motion(data, data.attrs.get("point"), data.attrs.get("axis"))
     phase = data["phase_deg"].sel(point=point, axis=axis).transpose(scalar(data), "direction", "frequency").values
@@ -86,7 +84,7 @@ def phases(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     return over_phase(ax)
 
 
-def _looks(data: "Dataset") -> list[tuple[int, dict[str, Any]]]:
+def _looks(data: Dataset) -> list[tuple[int, dict[str, Any]]]:
     """Positions and styles of the values that are shown: some roughly evenly spaced ones, then the best one."""
     values, best = data[scalar(data)].values, float(data["optimum"])
     wanted = np.linspace(values[0], values[-1], MAX_CURVES)
@@ -102,7 +100,7 @@ def _looks(data: "Dataset") -> list[tuple[int, dict[str, Any]]]:
     return looks
 
 
-def _curves(ax: "Axes", data: "Dataset", amplitude: Any, row: int, style: dict[str, Any]) -> None:
+def _curves(ax: Axes, data: Dataset, amplitude: Any, row: int, style: dict[str, Any]) -> None:
     """Both sweeps with one value of the scalar, and their peak."""
     x = data["frequency"].values
     for i, line in enumerate(("-", "--")):
@@ -112,7 +110,7 @@ def _curves(ax: "Axes", data: "Dataset", amplitude: Any, row: int, style: dict[s
     ax.plot(*top, ".", color=style["color"], ms=7, label="_peak", zorder=style.get("zorder", 2))
 
 
-def _peak_figure(data: "Dataset") -> "Figure | None":
+def _peak_figure(data: Dataset) -> Figure | None:
     if not np.isfinite(data["peak"].values).any():
         return None
     fig, axs = stacked(2, 2.8, share_x=False)
@@ -123,7 +121,7 @@ def _peak_figure(data: "Dataset") -> "Figure | None":
     return finish(fig, data, "peak over the frequencies, below magnified")
 
 
-def _responses_figure(data: "Dataset") -> "Figure | None":
+def _responses_figure(data: Dataset) -> Figure | None:
     if not np.isfinite(data["peak"].values).any():
         return None
     fig, axs = with_phase(1, 4.0, "phase_deg" in data)

@@ -6,7 +6,7 @@ are dimensions of the amplitudes; in a harmonic balance each solution has a valu
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise, product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from timesim.picture.choice import MAX_ROWS, busiest, left_out, main_axes
 from timesim.picture.style import (
     NEUTRAL,
     SERIES,
+    Axes,
+    Dataset,
+    Figure,
     Series,
     finish,
     is_stop,
@@ -25,11 +28,6 @@ from timesim.picture.style import (
     unit,
 )
 from timesim.result.label import told_apart
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from xarray import Dataset
 
 DIRECTIONS = {"up": "^", "down": "v", "independent": "o"}
 PAIRED: dict[str, Any] = {"up": 10, "down": 11, "independent": "o"}
@@ -45,12 +43,12 @@ def key_words(key: str) -> str:
     return " ".join(key.split(".")[1:]).replace("$", r"\$")
 
 
-def axis_label(data: "Dataset", name: str) -> str:
+def axis_label(data: Dataset, name: str) -> str:
     """A variable or a scalar of the scene, with its unit."""
     return (key_words(name) if "." in name else name) + unit(data, name)
 
 
-def amplitude_label(data: "Dataset", point: str, axis: str, name: str = "amplitude") -> str:
+def amplitude_label(data: Dataset, point: str, axis: str, name: str = "amplitude") -> str:
     """The amplitude of a point along an axis, with its unit."""
     return f"amplitude of {short(point, 16)} {axis}{unit(data, name)}"
 
@@ -58,7 +56,7 @@ def amplitude_label(data: "Dataset", point: str, axis: str, name: str = "amplitu
 PHASE_LABEL = "phase [degree]"
 
 
-def over_phase(ax: "Axes") -> "Axes":
+def over_phase(ax: Axes) -> Axes:
     """Label and limit the axes of a phase, at quarters of a turn."""
     low, high = (ax.dataLim.y0, ax.dataLim.y1) if np.isfinite(ax.dataLim.y1) else (-1.0, 0.0)
     first, last = int(np.floor(low / 90)), max(int(np.ceil(high / 90)), int(np.floor(low / 90)) + 1)
@@ -78,14 +76,14 @@ def unwound(x: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.insert(x, breaks, np.nan), np.insert(phase, breaks, np.nan)
 
 
-def with_phase(rows: int, height: float, phase: bool) -> tuple["Figure", list["Axes"]]:
+def with_phase(rows: int, height: float, phase: bool) -> tuple[Figure, list[Axes]]:
     """Axes of a height [inch] one above the other, each with axes for the phase below it if ``phase``."""
     if not phase:
         return stacked(rows, height)
     return stacked(2 * rows, (height + PHASE_HEIGHT) / 2, height_ratios=[height, PHASE_HEIGHT] * rows)
 
 
-def share_label(data: "Dataset", contact: str, state: str) -> str:
+def share_label(data: Dataset, contact: str, state: str) -> str:
     """Label of the share of a period in a state; a contact without friction is closed where another slips."""
     return "share closed [1]" if state == "slip" and is_stop(data, contact) else f"share in {state} [1]"
 
@@ -96,7 +94,7 @@ def values_labels(sets: Sequence[Sequence[float]]) -> list[str]:
     return [", ".join(texts) for texts in zip(*columns, strict=True)] if columns else [""] * len(sets)
 
 
-def legend_title(data: "Dataset", keys: Sequence[str]) -> str | None:
+def legend_title(data: Dataset, keys: Sequence[str]) -> str | None:
     """The further axes in the order of the values in a legend; None if there are none."""
     return ",\n".join(axis_label(data, key) for key in keys) or None
 
@@ -126,7 +124,7 @@ def stable_parts(stable: np.ndarray, fold: np.ndarray) -> list[tuple[slice, bool
 
 
 def draw_branch(
-    ax: "Axes",
+    ax: Axes,
     x: np.ndarray,
     y: np.ndarray,
     stable: np.ndarray,
@@ -162,7 +160,7 @@ def draw_branch(
         ax.plot(x[fold], y[fold], "D", color=colour, label="fold", **marks)
 
 
-def legend(axs: Iterable["Axes"], entries: Mapping[str, Series], title: str | None = None) -> None:
+def legend(axs: Iterable[Axes], entries: Mapping[str, Series], title: str | None = None) -> None:
     """A legend to the right of the first axes: the styles of the curves, and in grey whatever else has a label."""
     from matplotlib.lines import Line2D
 
@@ -179,18 +177,18 @@ def legend(axs: Iterable["Axes"], entries: Mapping[str, Series], title: str | No
     legend_beside(first, handles, title)
 
 
-Legend = Callable[[Sequence["Axes"], "Dataset"], None]
+Legend = Callable[[Sequence[Axes], Dataset], None]
 
 
 def response_figure(
-    data: "Dataset",
+    data: Dataset,
     *,
     what: str,
-    response: Callable[..., "Axes"],
-    phase: Callable[..., "Axes"],
+    response: Callable[..., Axes],
+    phase: Callable[..., Axes],
     legend: Legend,
-    hidden: Callable[["Dataset"], str],
-) -> "Figure":
+    hidden: Callable[[Dataset], str],
+) -> Figure:
     """The response of each point along its axis of largest amplitude, one above the other, its phase below it."""
     points = list(main_axes(data))
     rows = min(len(points), MAX_ROWS)
@@ -204,8 +202,8 @@ def response_figure(
 
 
 def states_figure(
-    data: "Dataset", *, share: Callable[..., "Axes"], legend: Legend, hidden: Callable[["Dataset"], str]
-) -> "Figure | None":
+    data: Dataset, *, share: Callable[..., Axes], legend: Legend, hidden: Callable[[Dataset], str]
+) -> Figure | None:
     """The shares of slip and separation of each contact, one above the other."""
     shares = data.slip_share + data.separation_share
     contacts = busiest(data, shares.sum([dim for dim in shares.dims if dim != "contact"]).values)

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from xarray import Dataset, DataTree
+else:  # matplotlib is loaded when there is something to draw
+    Axes = Figure = Dataset = DataTree = Any
 
 BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9"
 PALE, NEUTRAL = "0.7", "0.25"
@@ -58,11 +60,11 @@ CLOSED_STYLE = StateStyle(ORANGE, "-", "\\\\\\\\")
 CLOSED = "closed"
 """Name of the state of a frictionless stop in which other contacts slip."""
 
-Picture = Callable[[Any], "Figure | None"]
+Picture = Callable[[Any], Figure | None]
 """Draws a result, a Dataset or the DataTree of one with groups; gives None where there is nothing to show."""
 
 
-def axes(ax: "Axes | None" = None) -> "Axes":
+def axes(ax: Axes | None = None) -> Axes:
     """The axes given, or those of a new figure."""
     return figure()[1][0, 0] if ax is None else ax
 
@@ -77,7 +79,7 @@ def figure(
     left: float = 0.9,
     right: float = 0.2,
     **options: Any,
-) -> tuple["Figure", np.ndarray]:
+) -> tuple[Figure, np.ndarray]:
     """A figure that needs no display, and its axes, with room for a heading above and a legend below.
 
     Margins are fixed, since computing a layout takes as long as all the drawing (measured).
@@ -113,7 +115,7 @@ def figure(
     return fig, grid
 
 
-def stacked(rows: int, height: float, *, share_x: bool = True, **options: Any) -> tuple["Figure", list["Axes"]]:
+def stacked(rows: int, height: float, *, share_x: bool = True, **options: Any) -> tuple[Figure, list[Axes]]:
     """Axes of a height [inch] one above the other, with room for a legend on the right.
 
     Without a common abscissa there is room for the label of each. Options are those of `figure`.
@@ -123,7 +125,7 @@ def stacked(rows: int, height: float, *, share_x: bool = True, **options: Any) -
     return fig, list(grid[:, 0])
 
 
-def finish(fig: "Figure", data: "Dataset | DataTree", what: str, *notes: str) -> "Figure":
+def finish(fig: Figure, data: Dataset | DataTree, what: str, *notes: str) -> Figure:
     """Add the title, notes of what is left out at the foot, and a legend there if no axes have one.
 
     The title is that of the scene, and what is shown.
@@ -140,20 +142,20 @@ def finish(fig: "Figure", data: "Dataset | DataTree", what: str, *notes: str) ->
     return fig
 
 
-def from_zero(ax: "Axes") -> None:
+def from_zero(ax: Axes) -> None:
     """Begin the ordinate at zero, with some room above what is drawn."""
     top = ax.dataLim.y1
     ax.set_ylim(0, 1.05 * top if 0 < top < np.inf else 1.0)
 
 
-def over_cycle(ax: "Axes", label: str) -> "Axes":
+def over_cycle(ax: Axes, label: str) -> Axes:
     """Label and limit the abscissa of a cycle, an angle [degree]."""
     ax.set(xlim=(0, 360), xlabel=label)
     ax.set_xticks(range(0, 361, 60))
     return ax
 
 
-def label_axes(ax: "Axes", label: str) -> None:
+def label_axes(ax: Axes, label: str) -> None:
     """Write above the upper right corner which of several things the axes show."""
     ax.set_title(label, fontsize=9, pad=4, loc="right")
 
@@ -179,7 +181,7 @@ def look_of(state: int, *, stop: bool) -> tuple[str, StateStyle]:
     return (CLOSED, CLOSED_STYLE) if stop and state == SLIP else (STATE_NAMES[state], STATE_STYLE[state])
 
 
-def state_curves(ax: "Axes", x: np.ndarray, y: np.ndarray, state: np.ndarray, *, stop: bool = False) -> None:
+def state_curves(ax: Axes, x: np.ndarray, y: np.ndarray, state: np.ndarray, *, stop: bool = False) -> None:
     """Draw a curve in the styles of its states, one artist for each state that occurs.
 
     ``state``: from each of the T samples to the next; ``stop``: whether the contact has no friction.
@@ -200,14 +202,14 @@ def _pieces(inside: np.ndarray) -> np.ndarray:
     return np.concatenate([np.empty(0, int), *(np.append(np.arange(a, min(b, last) + 1), -1) for a, b in runs)])
 
 
-def shade(ax: "Axes", spans: Iterable[tuple[float, float]], label: str) -> None:
+def shade(ax: Axes, spans: Iterable[tuple[float, float]], label: str) -> None:
     """Shade the intervals in which a contact is open."""
     for number, span in enumerate(spans):
         ax.axvspan(*span, color="0.87", linewidth=0, zorder=0, label=None if number else label)
 
 
 def state_bar(
-    ax: "Axes", row: float, intervals: Iterable[tuple[float, float, int]], height: float = 0.7, *, stop: bool = False
+    ax: Axes, row: float, intervals: Iterable[tuple[float, float, int]], height: float = 0.7, *, stop: bool = False
 ) -> None:
     """Draw intervals, each by its start, end and state, as bars in a row; ``stop`` as for `state_curves`."""
     for start, end, state in intervals:
@@ -216,7 +218,7 @@ def state_bar(
         bars.set(edgecolor="white", hatch=style.hatch, label=name)
 
 
-def labelled(*axs: "Axes") -> dict[str, Any]:
+def labelled(*axs: Axes) -> dict[str, Any]:
     """Everything in some axes that has a label, each label once."""
     handles: dict[str, Any] = {}
     for ax in axs:
@@ -225,7 +227,7 @@ def labelled(*axs: "Axes") -> dict[str, Any]:
     return handles
 
 
-def _legend_below(fig: "Figure") -> None:
+def _legend_below(fig: Figure) -> None:
     """One legend for all axes of a figure, the states first."""
     handles = labelled(*fig.axes)
     states = (*STATE_NAMES, CLOSED)
@@ -235,7 +237,7 @@ def _legend_below(fig: "Figure") -> None:
         fig.legend([handles[name] for name in names], names, ncols=len(names), fontsize=8, **place)
 
 
-def legend_beside(ax: "Axes", handles: Iterable[Any], title: str | None = None) -> None:
+def legend_beside(ax: Axes, handles: Iterable[Any], title: str | None = None) -> None:
     """A legend to the right of the axes, of handles that have their labels."""
     if shown := list(handles):
         place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}

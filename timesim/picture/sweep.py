@@ -8,7 +8,7 @@ are points that failed; points that the run did not reach are not drawn.
 from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from timesim.picture.response import DIRECTIONS, PAIRED, amplitude_label, axis_l
 from timesim.picture.style import (
     NEUTRAL,
     SERIES,
+    Axes,
+    Dataset,
+    Figure,
     Picture,
     Series,
     axes,
@@ -30,11 +33,6 @@ from timesim.picture.style import (
 )
 from timesim.result.coordinate import over_keys
 from timesim.result.label import counted, told_apart
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from xarray import Dataset
 
 LINES = {"up": "-", "down": "--", "independent": "-"}
 MARKED = 45  # settled points of a curve with a marker; of more points only some are marked
@@ -57,7 +55,7 @@ class Curve(NamedTuple):
     beside: bool
 
 
-def response(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None) -> "Axes":
+def response(data: Dataset, ax: Axes | None = None, *, point: str | None = None, axis: str | None = None) -> Axes:
     """Amplitude against frequency, by default of the point and axis with the largest."""
     ax, (point, axis) = axes(ax), motion(data, point, axis)
     for curve in curves(data):
@@ -71,7 +69,7 @@ def response(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = N
     return ax
 
 
-def phase(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None, axis: str | None = None) -> "Axes":
+def phase(data: Dataset, ax: Axes | None = None, *, point: str | None = None, axis: str | None = None) -> Axes:
     """Phase of the first harmonic against frequency, for motions that repeat."""
     ax, (point, axis), x = axes(ax), motion(data, point, axis), data.frequency.values
     for curve in curves(data):
@@ -85,7 +83,7 @@ def phase(data: "Dataset", ax: "Axes | None" = None, *, point: str | None = None
     return shared.over_phase(ax)
 
 
-def share(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = None, state: str = "slip") -> "Axes":
+def share(data: Dataset, ax: Axes | None = None, *, contact: str | None = None, state: str = "slip") -> Axes:
     """Share of a period that a contact spends in a state, ``slip`` or ``separation``, against frequency."""
     ax = axes(ax)
     contact = contact or str(data.contact.values[0])
@@ -96,7 +94,7 @@ def share(data: "Dataset", ax: "Axes | None" = None, *, contact: str | None = No
     return ax
 
 
-def floquet(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
+def floquet(data: Dataset, ax: Axes | None = None) -> Axes:
     """Largest modulus of the Floquet multipliers against frequency; a motion is stable below 1."""
     ax = axes(ax)
     for curve in curves(data):
@@ -107,13 +105,13 @@ def floquet(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
 
 
 def peak(
-    data: "Dataset",
-    ax: "Axes | None" = None,
+    data: Dataset,
+    ax: Axes | None = None,
     *,
     key: str | None = None,
     point: str | None = None,
     axis: str | None = None,
-) -> "Axes":
+) -> Axes:
     """Largest amplitude over the frequencies against a scalar of the scene, by default the one with most values.
 
     A hollow marker is a maximum at the first or last frequency; the true peak may lie beyond it. A value with missing
@@ -139,7 +137,7 @@ def peak(
     return ax
 
 
-def _star(ax: "Axes", x: float, place: str, y: str, curves: Sequence[tuple[str, str]], at_end: bool) -> None:
+def _star(ax: Axes, x: float, place: str, y: str, curves: Sequence[tuple[str, str]], at_end: bool) -> None:
     """The least peak: one star for all curves, given by name and colour, that have it at the same place."""
     names, colours = zip(*curves, strict=True)
     of = {1: ": ", 2: f" of {' and '.join(names)}:\n"}.get(len(names), f" of {len(names)} curves:\n")
@@ -159,7 +157,7 @@ def peaks(amplitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return largest, known & (last > 0) & ((place == 0) | (place == last))
 
 
-def curves(data: "Dataset", without: str | None = None) -> list[Curve]:
+def curves(data: Dataset, without: str | None = None) -> list[Curve]:
     """The curves of a sweep, of at most `MAX_CURVES` sets of values; all values of `without` count as one set."""
     keys = [key for key in over_keys(data) if key != without]
     sets = list(product(*(range(data.sizes[key]) for key in keys)))
@@ -177,12 +175,12 @@ def curves(data: "Dataset", without: str | None = None) -> list[Curve]:
     return drawn
 
 
-def most_valued(data: "Dataset") -> str:
+def most_valued(data: Dataset) -> str:
     """The scalar of the scene with most values."""
     return max(over_keys(data), key=lambda key: data.sizes[key])
 
 
-def _jumps(data: "Dataset", curve: Curve) -> np.ndarray:
+def _jumps(data: Dataset, curve: Curve) -> np.ndarray:
     if "jump_low" not in data:
         return np.empty(0)
     ends = [data[name].isel(curve.where, missing_dims="ignore").values.ravel() for name in ("jump_low", "jump_high")]
@@ -190,7 +188,7 @@ def _jumps(data: "Dataset", curve: Curve) -> np.ndarray:
     return middle[np.isfinite(middle)]
 
 
-def _draw(ax: "Axes", data: "Dataset", curve: Curve, y: np.ndarray) -> None:
+def _draw(ax: Axes, data: Dataset, curve: Curve, y: np.ndarray) -> None:
     """A curve, with hollow markers where it has not settled and crosses at the foot where it failed."""
     frequency, settled = data.frequency.values, data.settled.isel(curve.where).values.astype(bool)
     failed, style = data.failure.isel(curve.where).values != "", curve.style
@@ -204,7 +202,7 @@ def _draw(ax: "Axes", data: "Dataset", curve: Curve, y: np.ndarray) -> None:
         ax.plot(frequency[failed], np.full(failed.sum(), 0.015), "x", color=style.colour, ms=6, label="failed", **foot)
 
 
-def _band(ax: "Axes", data: "Dataset", curve: Curve, point: str, axis: str) -> None:
+def _band(ax: Axes, data: Dataset, curve: Curve, point: str, axis: str) -> None:
     """The range of amplitudes over single cycles of motions that have not settled."""
     if "amplitude_band" not in data:
         return
@@ -216,9 +214,7 @@ def _band(ax: "Axes", data: "Dataset", curve: Curve, point: str, axis: str) -> N
         ax.plot([], [], label="range over single cycles", **look)
 
 
-def _curve(
-    ax: "Axes", x: np.ndarray, y: np.ndarray, curve: Curve, hollow: np.ndarray, meaning: str, **look: Any
-) -> None:
+def _curve(ax: Axes, x: np.ndarray, y: np.ndarray, curve: Curve, hollow: np.ndarray, meaning: str, **look: Any) -> None:
     """A curve with filled markers at some of its points, and hollow ones at all points that have a given meaning."""
     style, every = curve.style, max(1, -(-x.size // MARKED))
     if curve.beside and x.size > 1:
@@ -234,7 +230,7 @@ def _curve(
         ax.plot(x[hollow], y[hollow], linestyle="", ms=6, **look)
 
 
-def legend(axs: Sequence["Axes"], data: "Dataset") -> None:
+def legend(axs: Sequence[Axes], data: Dataset) -> None:
     """A legend beside the first axes: colours of the values, markers of the directions, and what other marks mean."""
     entries: dict[str, Series] = {}
     several, keys, shown = data.sizes["direction"] > 1, over_keys(data), curves(data)
@@ -248,12 +244,12 @@ def legend(axs: Sequence["Axes"], data: "Dataset") -> None:
     shared.legend(axs, entries, shared.legend_title(data, keys))
 
 
-def _hidden(data: "Dataset") -> str:
+def _hidden(data: Dataset) -> str:
     sets = int(np.prod([data.sizes[key] for key in over_keys(data)]))
     return left_out(sets, MAX_CURVES, "sets of values")
 
 
-def _floquet_figure(data: "Dataset") -> "Figure | None":
+def _floquet_figure(data: Dataset) -> Figure | None:
     if not np.isfinite(data.floquet_max.values).any():
         return None
     fig, axs = stacked(1, 3.0)
@@ -262,7 +258,7 @@ def _floquet_figure(data: "Dataset") -> "Figure | None":
     return finish(fig, data, "stability", _hidden(data))
 
 
-def _peak_figure(data: "Dataset") -> "Figure | None":
+def _peak_figure(data: Dataset) -> Figure | None:
     keys = [key for key in over_keys(data) if data.sizes[key] >= FEW]
     whole = np.isfinite(data.amplitude.values).all(axis=(-2, -1)).all(axis=-1)
     if not keys or not whole.any():

@@ -1,6 +1,6 @@
 """A picture of a tradeoff: error against time of all runs, the front, the presets and the recommended run."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -8,6 +8,9 @@ from timesim.picture.style import (
     PALE,
     SERIES,
     VERMILION,
+    Axes,
+    Dataset,
+    Figure,
     Picture,
     axes,
     figure,
@@ -17,13 +20,8 @@ from timesim.picture.style import (
 )
 from timesim.result.label import counted
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from xarray import Dataset
 
-
-def error_against_time(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
+def error_against_time(data: Dataset, ax: Axes | None = None) -> Axes:
     """All runs, with a curve for each method; hollow with fewer modes, a cross without reductions."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
@@ -58,14 +56,14 @@ def error_against_time(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     return ax
 
 
-def _front(ax: "Axes", seconds: np.ndarray, error: np.ndarray, front: np.ndarray) -> None:
+def _front(ax: Axes, seconds: np.ndarray, error: np.ndarray, front: np.ndarray) -> None:
     """The front as a staircase: runs that no other run beats in both time and error."""
     order = np.flatnonzero(front)[np.argsort(seconds[front], kind="stable")]
     look: dict[str, Any] = {"color": PALE, "linewidth": 5, "alpha": 0.5, "zorder": 0}
     ax.step(seconds[order], error[order], where="post", label="front", **look)
 
 
-def _beside(ax: "Axes", data: "Dataset", seconds: np.ndarray, error: np.ndarray) -> None:
+def _beside(ax: Axes, data: Dataset, seconds: np.ndarray, error: np.ndarray) -> None:
     """Runs with fewer modes, and one with nothing left out."""
     kept = data["modes_kept"].values
     few = np.flatnonzero(kept < data.attrs["num_modes"])
@@ -78,7 +76,7 @@ def _beside(ax: "Axes", data: "Dataset", seconds: np.ndarray, error: np.ndarray)
         ax.plot(seconds[plain], error[plain], "X", color="0.3", label="nothing left out")
 
 
-def _figure(data: "Dataset") -> "Figure | None":
+def _figure(data: Dataset) -> Figure | None:
     if not np.isfinite(data["error"].values).any():
         return None
     fig, grid = figure(1, 1, width=9.0, height=4.6, right=2.4)

@@ -1,7 +1,7 @@
 """Pictures of a transient or of a jump; those of its contacts are drawn by `timesim.picture.contact`."""
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from timesim.picture.style import (
     BLUE,
     SERIES,
     VERMILION,
+    Axes,
+    Dataset,
+    Figure,
     Picture,
     Series,
     axes,
@@ -23,24 +26,19 @@ from timesim.picture.style import (
     unit,
 )
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from xarray import Dataset
-
 SPECTRUM_CYCLES = 10
 HIGHEST_ORDER = 30
 MARKED = 60  # cycles of a curve that bear a marker
 
 
 def displacement(
-    data: "Dataset",
-    ax: "Axes | None" = None,
+    data: Dataset,
+    ax: Axes | None = None,
     *,
     point: str | None = None,
     axis: str | None = None,
     cycles: int | None = None,
-) -> "Axes":
+) -> Axes:
     """Displacement within the envelope of the cycle amplitudes, or that of the last `cycles` without the envelope."""
     ax = axes(ax)
     point, axis = asked(moving(data), point, axis)
@@ -53,7 +51,7 @@ def displacement(
     return ax
 
 
-def _envelope(data: "Dataset", ax: "Axes", x: np.ndarray, amplitude: np.ndarray) -> None:
+def _envelope(data: Dataset, ax: Axes, x: np.ndarray, amplitude: np.ndarray) -> None:
     """Draw the amplitudes from time 0, where the run-up of a jump ends, and a line at each change of frequency."""
     start, period = data.cycle_start.values, data.cycle_period.values
     shown = start > -1e-6 * period
@@ -72,7 +70,7 @@ def _envelope(data: "Dataset", ax: "Axes", x: np.ndarray, amplitude: np.ndarray)
         ax.axvline(change, color="black", linewidth=1.0, linestyle=":", label="change of frequency")
 
 
-def spectrum(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
+def spectrum(data: Dataset, ax: Axes | None = None) -> Axes:
     """Amplitude of the harmonics over the last cycles of what moves most, on a logarithmic axis.
 
     Markers are at the harmonics of the excitation. A thin line joins all orders, so that a motion of another period, or
@@ -93,7 +91,7 @@ def spectrum(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     return ax
 
 
-def harmonics(data: "Dataset", x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def harmonics(data: Dataset, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Spectrum of samples x, shape (T,), over the last recorded cycles of one frequency, at most `SPECTRUM_CYCLES`.
 
     Returns multiples of the excitation frequency up to `HIGHEST_ORDER`, and the amplitude at each; both are empty where
@@ -113,7 +111,7 @@ def harmonics(data: "Dataset", x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return order[order <= HIGHEST_ORDER], amplitude[order <= HIGHEST_ORDER]
 
 
-def energy(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
+def energy(data: Dataset, ax: Axes | None = None) -> Axes:
     """Energy balance of each cycle: input, structural damping, friction a contact, change of the stored energy."""
     ax, cycle = axes(ax), data.cycle.values
     terms = {"input": data.energy_input.values, "structural damping": data.energy_damping.values}
@@ -128,7 +126,7 @@ def energy(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     return _along_cycles(ax)
 
 
-def energy_residual(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
+def energy_residual(data: Dataset, ax: Axes | None = None) -> Axes:
     """What the energy balance of each cycle leaves unexplained, beside the input, on a logarithmic axis."""
     ax, cycle = axes(ax), data.cycle.values
     for name, style in (("input", SERIES[0]), ("residual", SERIES[1])):
@@ -141,13 +139,13 @@ def energy_residual(data: "Dataset", ax: "Axes | None" = None) -> "Axes":
     return _along_cycles(ax)
 
 
-def _terms(ax: "Axes", cycle: np.ndarray, values: np.ndarray, style: Series, label: str) -> None:
+def _terms(ax: Axes, cycle: np.ndarray, values: np.ndarray, style: Series, label: str) -> None:
     """A quantity over the cycles, with a marker at some of them."""
     look: dict[str, Any] = {"color": style.colour, "linestyle": style.line, "marker": style.marker, "ms": 3}
     ax.plot(cycle, values, label=label, markevery=-(-cycle.size // MARKED) or 1, **look)
 
 
-def _along_cycles(ax: "Axes") -> "Axes":
+def _along_cycles(ax: Axes) -> Axes:
     from matplotlib.ticker import MaxNLocator
 
     ax.xaxis.set_major_locator(MaxNLocator(6, integer=True))
@@ -155,12 +153,12 @@ def _along_cycles(ax: "Axes") -> "Axes":
     return ax
 
 
-def moving(data: "Dataset") -> list[tuple[str, str]]:
+def moving(data: Dataset) -> list[tuple[str, str]]:
     """Points and axes that move in the last cycles, largest range first; the first of all if none does."""
     return motions(data, np.ptp(data.displacement.values[last_cycles(data)], axis=0))
 
 
-def _displacement_figure(data: "Dataset") -> "Figure":
+def _displacement_figure(data: Dataset) -> Figure:
     shown = moving(data)[:MAX_ROWS]
     ratios = [2, 1] if data.sizes["cycle"] > LAST_CYCLES else [1]  # else the last cycles are all of them
     fig, grid = figure(len(shown), len(ratios), width=10.0, height=1.6, width_ratios=ratios, sharex="col")
@@ -173,7 +171,7 @@ def _displacement_figure(data: "Dataset") -> "Figure":
     return finish(fig, data, "displacement", _hidden(data))
 
 
-def _spectrum_figure(data: "Dataset") -> "Figure | None":
+def _spectrum_figure(data: Dataset) -> Figure | None:
     if not data.sizes["cycle"]:
         return None
     fig, grid = figure(width=8.0, height=3.0)
@@ -181,11 +179,11 @@ def _spectrum_figure(data: "Dataset") -> "Figure | None":
     return finish(fig, data, "harmonics of the last cycles", _hidden(data))
 
 
-def _hidden(data: "Dataset") -> str:
+def _hidden(data: Dataset) -> str:
     return left_out(len(moving(data)), MAX_ROWS, "motions", "the least active")
 
 
-def _energy_figure(data: "Dataset") -> "Figure | None":
+def _energy_figure(data: Dataset) -> Figure | None:
     if data.sizes["cycle"] < 2:
         return None
     fig, grid = figure(2, 1, width=9.0, height=2.0, right=2.3, sharex=True, height_ratios=[2, 1])
