@@ -14,7 +14,7 @@ from timesim.hbm.balance import Array, Balance, Complex, LinearResponse, contact
 from timesim.hbm.condensation import Condensation
 from timesim.hbm.continuation import Condensed, Nearby, Residual
 from timesim.hbm.period import contact_forces, forces_of, period_of
-from timesim.hbm.scheme import NEGLECTED, Scheme, coarsest
+from timesim.hbm.scheme import NEGLECTED, Scheme
 from timesim.orbit.fourier import to_coefficients, to_phasors
 
 # Share of `NEGLECTED` that harmonics may add which a solution does without again.
@@ -65,17 +65,16 @@ class AdaptiveBalance:
         return mean_of(x.reshape(self.shape)).ravel()
 
     def value(self, x: Array, p: float) -> Array:
-        """r of the unknowns in use."""
         return self.residual.value(x, p)
 
     def linearised(self, x: Array, p: float) -> tuple[Array, Array | Condensed, Array]:
-        """r and its derivatives by those."""
         return self.residual.linearised(x, p)
 
     def begin(self, x: Array) -> None:
-        """Take the coarsest scheme that has the harmonics of a guess."""
-        size = np.abs(to_phasors(x.reshape(self.shape))).max(axis=0)
-        self.place, self._least = self._enough(_above(size), NEGLECTED), 0
+        """Take the coarsest scheme above which a guess has next to nothing, or the finest."""
+        above = _above(np.abs(to_phasors(x.reshape(self.shape))).max(axis=0))
+        enough = (i for i, own in enumerate(self.schemes) if above[min(own.harmonics, above.size - 1)] <= NEGLECTED)
+        self.place, self._least = next(enough, len(self.schemes) - 1), 0
 
     def adapt(self, x: Array, p: float) -> bool:
         """Take the scheme that a solution asks for; whether it is another one than before."""
@@ -112,15 +111,6 @@ class AdaptiveBalance:
         whole = np.zeros(np.prod(self.shape))
         whole[self.positions(place)] = x
         return whole
-
-    def place_of(self, x: Array) -> int:
-        """The coarsest scheme that has all harmonics of a solution."""
-        return coarsest(self.schemes, x.reshape(self.shape))
-
-    def _enough(self, above: Array, share: float) -> int:
-        """The coarsest scheme above which no more is left than a share, or the finest."""
-        enough = (above[min(own.harmonics, above.size - 1)] <= share for own in self.schemes)
-        return next((i for i, own in enumerate(enough) if own), len(self.schemes) - 1)
 
 
 def _above(size: Array) -> Array:

@@ -24,6 +24,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.condensation import Condensation
@@ -31,6 +32,7 @@ from timesim.hbm.period import Basis, basis_of, contact_forces, motion_of, offse
 from timesim.hbm.scheme import Scheme, check_model
 from timesim.hbm.tangent import linearised
 from timesim.model.contact_state import require_cone
+from timesim.model.held import springs
 from timesim.model.model import Model
 from timesim.model.scales import Scales, scales_of
 from timesim.model.start import rest_start
@@ -83,11 +85,7 @@ def under(response: Complex, forces: Complex) -> Complex:
 
 def contact_stiffness(model: Model, share: Array) -> Array:
     """Stiffness of all contacts, each stuck and closed to a share of it, shape (3C, 3C)."""
-    stiffness = np.zeros((3 * model.num_contacts,) * 2)
-    for i, contact in enumerate(model.contacts):
-        stiffness[3 * i : 3 * i + 2, 3 * i : 3 * i + 2] = share[i] * contact.tangential_stiffness
-        stiffness[3 * i + 2, 3 * i + 2] = share[i] * contact.normal_stiffness
-    return stiffness
+    return np.asarray(block_diag(*(own * springs(c) for own, c in zip(share, model.contacts, strict=True))))
 
 
 def units_of(model: Model, frequency: float) -> Scales:
@@ -252,14 +250,10 @@ class Balance:
         g[:, 2, 0] += np.maximum(np.asarray(self.law.preload), 0.0)
         return g
 
-    def _rows(self, coefficient: Array) -> Array:
-        """All components of all contacts, shape (3C, 2H + 1)."""
-        return coefficient.reshape(3 * self.num_contacts, self.size)
-
     def _response(self, x: Array, forces: Array, linear: LinearResponse) -> tuple[Complex, Complex]:
         """Forces on the supported structure and the motion of the contacts that they give, by phasor, (H + 1, 3C)."""
-        motion = to_phasors(self._rows(self.coefficients(x))).T * self.length
-        acting = to_phasors(self._rows(self._on_body_1(forces))).T * self.force + motion @ self.support
+        motion = to_phasors(x.reshape(-1, self.size)).T * self.length
+        acting = to_phasors(self._on_body_1(forces).reshape(-1, self.size)).T * self.force + motion @ self.support
         return acting, under(linear.motion, acting)
 
     def value(self, x: Array, p: float) -> Array:

@@ -5,7 +5,7 @@ same harmonics. The measure is the largest difference of an amplitude from that 
 largest amplitude of the motion.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,17 +45,23 @@ def looked_at(curve: HbmCurve) -> NDArray[np.int64]:
 def neglected(model_at: Callable[[float], Model], curve: HbmCurve, schemes: Sequence[Scheme]) -> float:
     """Share of the amplitude that harmonics above those of a curve add and change, the most at solutions looked at."""
     worst = 0.0
-    for i in looked_at(curve):
-        motion = curve.contact_motion[i]
-        scheme, frequency = schemes[coarsest(schemes, motion)], float(curve.frequency[i])
-        balance = Balance(model_at(float(curve.parameter[i])), frequency, scheme)
-        x = motion[..., : balance.size].ravel() / balance.length
+    for balance, x, frequency in _solutions(model_at, curve, schemes, looked_at(curve)):
         beside = _nearby(balance, x, frequency)
         if beside is None:
-            worst = max(worst, float(tail(balance, x, frequency)[scheme.harmonics]))
+            worst = max(worst, float(tail(balance, x, frequency)[balance.scheme.harmonics]))
         else:
             worst = max(worst, left_out(balance, x, frequency, beside))
     return worst
+
+
+def _solutions(
+    model_at: Callable[[float], Model], curve: HbmCurve, schemes: Sequence[Scheme], rows: NDArray[np.int64]
+) -> Iterator[tuple[Balance, Array, float]]:
+    """Some solutions of a curve: the balance by which each was found, the unknowns and the frequency [Hz]."""
+    for i in rows:
+        motion, frequency = curve.contact_motion[i], float(curve.frequency[i])
+        balance = Balance(model_at(float(curve.parameter[i])), frequency, schemes[coarsest(schemes, motion)])
+        yield balance, motion[..., : balance.size].ravel() / balance.length, frequency
 
 
 def _nearby(balance: Balance, x: Array, frequency: float) -> Nearby | None:
@@ -103,11 +109,9 @@ def sampling_error(
     program is compiled. More than `most` are not taken.
     """
     worst = 0.0
-    for i in rows:
-        scheme, frequency = schemes[coarsest(schemes, curve.contact_motion[i])], float(curve.frequency[i])
-        balance = Balance(model_at(float(curve.parameter[i])), frequency, scheme)
-        finer = replace(scheme, time_samples=max(min(FINER * scheme.time_samples, most), scheme.time_samples))
-        x = curve.contact_motion[i][..., : balance.size].ravel() / balance.length
+    for balance, x, frequency in _solutions(model_at, curve, schemes, rows):
+        samples = balance.scheme.time_samples
+        finer = replace(balance.scheme, time_samples=max(min(FINER * samples, most), samples))
         if (beside := _nearby(balance, x, frequency)) is None:
             continue
         tangent, _ = beside.factors.tangent()

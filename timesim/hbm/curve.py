@@ -28,7 +28,7 @@ from timesim.hbm.continuation import (
 )
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.period import contact_forces
-from timesim.hbm.scheme import Scheme
+from timesim.hbm.scheme import Scheme, coarsest
 from timesim.hbm.stability import checked_multipliers, grows, sign_with_offsets_kept, with_offsets_kept
 from timesim.model.model import Model
 from timesim.orbit.fourier import half_range, phase_deg, to_phasors
@@ -203,7 +203,7 @@ def by_schemes(balance: AdaptiveBalance, curve: Curve, evaluate: Callable[[Any, 
         balance, curve: what was followed, and the solutions.
         evaluate: the solutions of the balance by one scheme.
     """
-    places = np.array([balance.place_of(x) for x in curve.x], dtype=int)
+    places = np.array([coarsest(balance.schemes, x.reshape(balance.shape)) for x in curve.x], dtype=int)
     used = np.unique(places) if places.size else np.zeros(1, dtype=int)
     rows = [np.flatnonzero(places == place) for place in used]
     families = [balance.residual_of(balance.schemes[place]) for place in used]
