@@ -103,16 +103,12 @@ class LawSection(Section):
         return self
 
 
-def _with_name(given: Any) -> Any:
-    return {"name": given} if isinstance(given, str) else given
-
-
-def _unless_cone(law: LawSection) -> LawSection | None:
-    return None if law.name == CONE else law
-
-
 Law = Annotated[
-    LawSection, BeforeValidator(_with_name, json_schema_input_type=str | LawSection), AfterValidator(_unless_cone)
+    LawSection,
+    BeforeValidator(
+        lambda given: {"name": given} if isinstance(given, str) else given, json_schema_input_type=str | LawSection
+    ),
+    AfterValidator(lambda law: None if law.name == CONE else law),
 ]
 """By its name alone where it has no parameters; None for the law of the cone."""
 

@@ -24,7 +24,7 @@ from timesim.model.start import rest_start
 from timesim.scene.file import NO_NUMBER, Kinds, SceneFile, SceneParts, parsed, rule_errors
 from timesim.scene.integration import EndOfRun, InitialResult, start
 from timesim.scene.source import SceneSource, address, empty_values, overridden, read
-from timesim.scene.structure import BuiltStructure, ExcitationSection, Files
+from timesim.scene.structure import BuiltStructure, ExcitationSection, Files, FileSection
 from timesim.scene.study import Context, SteadySection, combinations
 from timesim.scene.text import yaml_text
 from timesim.scene.transient import Schedule
@@ -302,10 +302,11 @@ class _Build:
     def structure(self) -> BuiltStructure | None:
         if (known := self.unchanged("structure")) is not None:
             return known.structure
-        if self.file.structure is None:
+        section = self.file.structure
+        if section is None:
             return None
         with self.under("structure"):
-            return self.file.structure.build(self.folder, self.files)
+            return section.build(self.folder, self.files) if isinstance(section, FileSection) else section.build()
 
     def end(self) -> EndOfRun | None:
         """What `initial` reads from another run."""

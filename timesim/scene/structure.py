@@ -62,8 +62,8 @@ class ModalSection(Section):
                 raise refuse(rule, key=("modes", i, "shape"), hint=hint)
         return self
 
-    def build(self, folder: Path, files: Files) -> BuiltStructure:
-        """The structure, frequency ascending; ``files`` holds the matrices that have been read."""
+    def build(self) -> BuiltStructure:
+        """The structure, frequency ascending."""
         order = np.argsort([mode.frequency for mode in self.modes], kind="stable")
         modes, points = [self.modes[i] for i in order], tuple(self.modes[0].shape)
         frequency, ratio, mass = np.array([(mode.frequency, mode.damping_ratio, mode.mass) for mode in modes]).T.copy()
@@ -128,7 +128,7 @@ class MatrixSection(Section):
     keep_modes: Count | None = None
     """How many of the lowest modes; all by default."""
 
-    def build(self, folder: Path, files: Files) -> BuiltStructure:
+    def build(self) -> BuiltStructure:
         given = self.matrices
         matrices = Matrices(np.array(given.mass), np.array(given.stiffness), given.damping and np.array(given.damping))
         try:
@@ -167,6 +167,7 @@ class FileSection(Section):
     """How many of the lowest modes; all by default."""
 
     def build(self, folder: Path, files: Files) -> BuiltStructure:
+        """The structure by the file's path from a folder; ``files`` holds the matrices that have been read."""
         paths = self._paths(folder)
         try:
             matrices = files[str(paths)] = files.get(str(paths)) or read_matrices(paths)
