@@ -12,7 +12,7 @@ import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from timesim.result.label import WIDTH, counted, shortened
+from timesim.result.label import WIDTH, counted, first_few, shortened
 
 LISTED = 4  # differences that a message names
 
@@ -48,8 +48,8 @@ def scene_difference(before: str, now: str) -> str:
     keys = [key for key in {**old, **new} if old.get(key) != new.get(key)]
     if not keys:
         return first_difference(before.splitlines(), now.splitlines())
-    changes = [f"{key} was {_shown(old, key)}, is {_shown(new, key)}" for key in keys[:LISTED]]
-    return "; ".join(changes) + (f"; and {counted(len(keys) - LISTED, 'more key')}" if len(keys) > LISTED else "")
+    changes = [f"{key} was {_shown(old, key)}, is {_shown(new, key)}" for key in keys]
+    return "; ".join(first_few(changes, LISTED, lambda left: f"and {counted(left, 'more key')}"))
 
 
 def _leaves(data: Any, key: str = "") -> Iterator[tuple[str, str]]:

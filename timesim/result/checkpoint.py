@@ -15,7 +15,7 @@ import json
 import os
 import time
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -125,12 +125,8 @@ class Checkpoint:
         with suppress(OSError):  # only the time shown depends on it
             (self.folder / SECONDS_NAME).write_text(f"{self.earlier + time.monotonic() - self.begun:.3f}\n")
 
-    def load(self, name: str) -> Result | None:
-        """The result of a chunk; None if it is not finished.
-
-        Raises:
-            StoreError: its file is damaged.
-        """
+    def load(self, name: str, notice: Callable[[str], object]) -> Result | None:
+        """The result of a chunk; None if it is not finished, or, with a notice, if its file is damaged."""
         path = self.folder / f"{name}.npz"
         try:
             # Read into memory first: numpy leaves open a file that it cannot read.
@@ -139,7 +135,8 @@ class Checkpoint:
         except FileNotFoundError:
             return None
         except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, AttributeError) as error:
-            raise StoreError(f"{path} is damaged or cut off ({error})") from error
+            notice(f"{path} is damaged or cut off ({error}): it is computed again")
+            return None
 
     def close(self) -> None:
         """Release the lock, so that another run may take it up."""

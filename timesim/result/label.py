@@ -7,7 +7,7 @@ mode shape of the scene they give a length. Names, flags and text have no units.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -269,6 +269,11 @@ def with_unit(number: str, attrs: Mapping[str, Any]) -> str:
 def counted(number: int, one: str, several: str = "") -> str:
     """A number and what it counts: ``counted(1, "point")`` and ``counted(0, "entry", "entries")``."""
     return f"{number} {one if number == 1 else several or one + 's'}"
+
+
+def first_few(items: Sequence[str], most: int, rest: Callable[[int], str]) -> list[str]:
+    """At most so many items, and what ``rest`` says of the number left out, if any are."""
+    return [*items[:most], *([rest(len(items) - most)] if len(items) > most else [])]
 
 
 def axis_value(value: float | str) -> str:

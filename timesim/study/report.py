@@ -13,7 +13,7 @@ from timesim.orbit.steady_state import SAME
 from timesim.orbit.threshold import LONGEST
 from timesim.orbit.two_motions import LARGER, NO_MOTION, SMALLER
 from timesim.result.coordinate import over_keys
-from timesim.result.label import axis_value, counted, in_words, with_unit
+from timesim.result.label import axis_value, counted, first_few, in_words, with_unit
 from timesim.scene.transient import Schedule
 from timesim.study.drift import largest_step, step_of_points
 
@@ -110,9 +110,7 @@ def peak_lines(data: Dataset) -> Iterator[str]:
         end = ", an end of the frequencies" if count > 1 and at in (0, count - 1) else ""
         what, frequency = "peak" if count > 1 else "amplitude", axis_value(data["frequency"].values[at])
         lines.append(f"{label}{what} {height} of {name} at {frequency} Hz{way}{end}")
-    yield from lines[:LINES]
-    if len(lines) > LINES:
-        yield f"and {counted(len(lines) - LINES, 'more peak')}, all in the result file"
+    yield from first_few(lines, LINES, lambda left: f"and {counted(left, 'more peak')}, all in the result file")
 
 
 def unusual_lines(data: Dataset) -> Iterator[str]:
@@ -165,9 +163,9 @@ def failure_line(data: Dataset) -> str | None:
     failed = np.argwhere(reason != "")
     if not failed.size:
         return None
-    named = [f"{', '.join(_where(data, dims, place))}: {reason[tuple(place)]}" for place in failed[:POINTS]]
-    more = f"; and {len(failed) - POINTS} more, all in the variable failure" if len(failed) > POINTS else ""
-    return f"{len(failed)} of {counted(reason.size, 'point')} failed: " + "; ".join(named) + more
+    named = [f"{', '.join(_where(data, dims, place))}: {reason[place]}" for place in map(tuple, failed)]
+    listed = first_few(named, POINTS, lambda left: f"and {left} more, all in the variable failure")
+    return f"{len(failed)} of {counted(reason.size, 'point')} failed: {'; '.join(listed)}"
 
 
 def _spans(data: Dataset, chosen: np.ndarray) -> str:
@@ -177,8 +175,7 @@ def _spans(data: Dataset, chosen: np.ndarray) -> str:
         at = data["frequency"].values[chosen[place]]
         span = f"at {at[0]:g} Hz" if at.size == 1 else f"between {at[0]:g} and {at[-1]:g} Hz"
         spans.append(_chain(data, place) + span)
-    more = f"; and in {counted(len(spans) - POINTS, 'more row')} of the result" if len(spans) > POINTS else ""
-    return "; ".join(spans[:POINTS]) + more
+    return "; ".join(first_few(spans, POINTS, lambda left: f"and in {counted(left, 'more row')} of the result"))
 
 
 def _chain(data: Dataset, place: Sequence[int]) -> str:
@@ -203,9 +200,7 @@ def bistable_lines(data: Dataset, sweep: Dataset, width: float) -> Iterator[str]
         one = data[dict(zip((*keys, jump), place, strict=True))]
         label = in_words({str(key): float(one[key]) for key in keys}, ": ")
         lines += [label + line for line in _range_lines(one, width)]
-    yield from lines[:LINES]
-    if len(lines) > LINES:
-        yield f"and {counted(len(lines) - LINES, 'more line')}, all of it in the result file"
+    yield from first_few(lines, LINES, lambda left: f"and {counted(left, 'more line')}, all of it in the result file")
     if not lines and data.attrs["complete"]:
         span = sweep["frequency"].values
         yield (

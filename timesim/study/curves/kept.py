@@ -39,13 +39,7 @@ class KeptCurves:
 
     def load(self, place: int) -> Found | None:
         """What was found for a set of values; None if it is not finished."""
-        if self._kept is None:
-            return None
-        try:
-            result = self._kept.load(_name(place))
-        except StoreError as error:
-            self._notice(f"{error}: it is computed again")
-            return None
+        result = None if self._kept is None else self._kept.load(_name(place), self._notice)
         return None if result is None else _read(result)
 
     def save(self, place: int, found: Found) -> None:

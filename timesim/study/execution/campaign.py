@@ -11,7 +11,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
@@ -25,7 +25,7 @@ from timesim.result import checkpoint
 from timesim.result.change import fingerprint
 from timesim.result.checkpoint import INTERRUPTED, Checkpoint, Manifest
 from timesim.result.file import StoreError
-from timesim.result.label import counted
+from timesim.result.label import counted, first_few
 from timesim.study.execution.processes import LASTS, Processes
 from timesim.study.execution.progress import Progress, unwatched
 from timesim.study.execution.worker import (
@@ -112,10 +112,6 @@ class Execution:
         finally:
             kept.close()
 
-    def executor(self) -> AbstractContextManager[Executor]:
-        """The threads, or the processes of a cluster, that do the work."""
-        return threads(self.workers) if self.cluster is None else processes(self.cluster, self.workers)
-
 
 def carry_through(
     chunks: Sequence[Chunk], work: Work, execution: Execution, *, identity: str, stage: str = ""
@@ -200,12 +196,7 @@ class _Campaign:
     def _take_up(self) -> None:
         assert self.kept is not None
         for chunk in self.chunks:
-            try:
-                result = self.kept.load(chunk.name)
-            except StoreError as error:
-                self.execution.notice(f"{error}: it is computed again")
-                continue
-            if result is not None:
+            if (result := self.kept.load(chunk.name, self.execution.notice)) is not None:
                 self.saved.add(chunk.name)
                 self._count(chunk, result)
         if self.first:
@@ -218,21 +209,21 @@ class _Campaign:
             for chunk in self.chunks
             if chunk.name not in self.results and (chunk.after is None or chunk.after in self.results)
         ]
-        processes = self.execution.several
-        room = np.inf if processes is None else processes.workers
+        own, several = self.execution, self.execution.several
+        room = np.inf if several is None else several.workers
         try:
-            with self.execution.executor() as executor:
+            with threads(own.workers) if own.cluster is None else processes(own.cluster, own.workers) as executor:
                 while self.waiting or self.running:
                     while self.waiting and len(self.running) < room:
                         self._begin(executor, self.waiting.popleft())
                     chunk = self._arrival(self.arrived.get())
                     if chunk.name in self.results:
                         followers = self.following.get(chunk.name, ())
-                        self.waiting += [own for own in followers if own.name not in self.results]
+                        self.waiting += [after for after in followers if after.name not in self.results]
                         self._keep(chunk.name)
         finally:
-            if processes is not None:
-                processes.give_up(self.running)
+            if several is not None:
+                several.give_up(self.running)
 
     def _begin(self, executor: Executor, chunk: Chunk) -> None:
         before = None if chunk.after is None else self.results[chunk.after]
@@ -305,8 +296,7 @@ class _Campaign:
         if not missing:
             return None
         reasons = [f"{name}: {why}" for name, why in self.failed.items()]
-        more = f"; and {len(reasons) - LISTED} more" if len(reasons) > LISTED else ""
-        of_all = f"{len(reasons)} of {counted(len(self.chunks), 'chunk')}"
-        failed = f"{of_all} failed: {'; '.join(reasons[:LISTED])}{more}" if reasons else None
+        listed = "; ".join(first_few(reasons, LISTED, lambda left: f"and {left} more"))
+        failed = f"{len(reasons)} of {counted(len(self.chunks), 'chunk')} failed: {listed}" if reasons else None
         points = f"{sum(chunk.size for chunk in missing)} of {counted(self.total, 'point')}"
         return "; ".join(filter(None, (ended, failed, f"{points} missing")))
