@@ -29,7 +29,9 @@ with install_import_hook(list(CHECKED), "beartype.beartype"):
     import timesim.runtime  # isort: skip
     import timesim.engine.trajectory
 
-from timesim.program import let_go  # noqa: E402
+import jax  # noqa: E402
+
+from timesim.program import LOADED  # noqa: E402
 
 LARGE = 1.0e9
 """Resident bytes of a worker above which compiled programs are let go, also those that the next module asks for."""
@@ -73,7 +75,9 @@ def _memory_after_a_test() -> Iterator[None]:
     if resident() > LARGE:
         give_back()
     if resident() > LARGE:
-        let_go()
+        jax.clear_caches()
+        for programs in LOADED:
+            programs.clear()
         gc.collect()
         give_back()
 

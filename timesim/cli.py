@@ -114,7 +114,8 @@ def _carry_out(loaded: Any, execution: Any, signals: "_Signals", *, plots: bool)
         if outcome.reason is None:
             checkpoint.clear(output)
         else:
-            faults.append(_incomplete(outcome.reason, output, path))
+            hint = "; --resume goes on with it" if checkpoint.resuming_helps(output, outcome.reason) else ""
+            faults.append(f"incomplete: {outcome.reason}\nwhat was computed is in {path}, marked complete = 0{hint}")
     except StoreError as error:
         faults.append(str(error))
     try:
@@ -247,13 +248,6 @@ def _safe_chunks(output: Path) -> str:
 def _written(result: Path, pictures: Sequence[Path]) -> str:
     """Where the result is, and how many pictures were drawn beside it."""
     return f"result: {result}" + (f" and {len(pictures)} picture{'s' * (len(pictures) > 1)}" if pictures else "")
-
-
-def _incomplete(reason: str, output: Path, path: Path) -> str:
-    from timesim.result import checkpoint
-
-    hint = "; --resume goes on with it" if checkpoint.resuming_helps(output, reason) else ""
-    return f"incomplete: {reason}\nwhat was computed is in {path}, marked complete = 0{hint}"
 
 
 def _notice(text: str) -> None:

@@ -33,7 +33,7 @@ T = TypeVar("T")
 MOST_BYTES = 2**28
 """Of all that is kept; what was used last stays."""
 _BUILT_ON = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy")
-_LOADED: list[dict[tuple, Any]] = []
+LOADED: list[dict[tuple, Any]] = []
 """Of each function, the programs that are ready in this process."""
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
 
@@ -64,7 +64,7 @@ def program(function: Callable[P, T]) -> Callable[P, T]:
 
     flat.__name__ = flat.__qualname__ = function.__name__  # the name of the program
     ready: dict[tuple, Any] = {}
-    _LOADED.append(ready)
+    LOADED.append(ready)
     traced = jax.jit(flat, static_argnums=0, keep_unused=True)  # so that the lowered program names all of them
     locks: dict[tuple, threading.Lock] = {}
 
@@ -88,13 +88,6 @@ def program(function: Callable[P, T]) -> Callable[P, T]:
             return ready[key](*arrays)
 
     return call
-
-
-def let_go() -> None:
-    """Let go of all programs of this process, which hold most of its memory; those that are kept are loaded again."""
-    jax.clear_caches()
-    for ready in _LOADED:
-        ready.clear()
 
 
 def _ready(base: Path, key: tuple, traced: Any, arrays: list) -> Any:

@@ -72,7 +72,7 @@ class Difference:
     settled: bool
 
 
-def loop_cycle(contact: Contact, motion: Motion) -> LoopCycle:
+def loop_cycle(contact: Contact, motion: Motion, *, max_cycles: int = MAX_CYCLES) -> LoopCycle:
     """March a contact through the prescribed motion by the event loop until its cycle repeats.
 
     Of the contact friction, K_u, k_v and n0 are used; its points and frame are not.
@@ -85,7 +85,7 @@ def loop_cycle(contact: Contact, motion: Motion) -> LoopCycle:
     method, control = step_method(FINE), step_control(FINE, 1.0)
     state, slip, before = elements.start_state, elements.start[:, :2], np.inf
     force = elements.start_force(slip, state)
-    for cycle in range(1, MAX_CYCLES + 1):
+    for cycle in range(1, max_cycles + 1):
         end, steps, count = record_cycle(method, control, dynamics, tuple(slip.T), state)
         reached = cycle_end(elements, end)
         if not reached.good[0] or int(end.cycle) != 1:
@@ -99,14 +99,6 @@ def loop_cycle(contact: Contact, motion: Motion) -> LoopCycle:
     f_s, f_c = in_phase(reached.first[0], motion.phase)
     log, work = transitions(steps, int(count)), float(reached.dissipation[0])
     return LoopCycle(log, reached.mean[0], f_s, f_c, work, cycle, residual)
-
-
-def warm_up(contact: Contact, motion: Motion) -> None:
-    """Compile the program of `loop_cycle`, by a first cycle."""
-    elements = single_element(contact, motion)
-    dynamics = PrescribedContacts(elements.law(), drive_of(elements, motion))
-    slip, state = tuple(elements.start[:, :2].T), elements.start_state
-    record_cycle(step_method(FINE), step_control(FINE, 1.0), dynamics, slip, state)
 
 
 def _ending(status: Status) -> str:

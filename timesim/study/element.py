@@ -71,11 +71,11 @@ def _cross_check(contact: Contact, motion: Motion, cycle: ElementCycle) -> tuple
 
     Last is the time of compilation [s].
     """
-    from timesim.element.loop import difference, loop_cycle, warm_up
+    from timesim.element.loop import difference, loop_cycle
 
     clock, compiling = time.perf_counter(), 0.0
     try:
-        warm_up(contact, motion)
+        loop_cycle(contact, motion, max_cycles=1)  # compiles its program
         compiling = time.perf_counter() - clock
         other = loop_cycle(contact, motion)
     except KeyboardInterrupt:
