@@ -1,7 +1,5 @@
 """Contacts under prescribed motion, many of them side by side, each in units of its own."""
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from dataclasses import dataclass, fields, replace
 from typing import Any
 

@@ -9,8 +9,6 @@ in the last cycle. The scale of velocity is at least that of displacement times 
 a motion which comes to rest away from its origin is not divided by zero.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol

@@ -75,8 +75,7 @@ def batches(method: Method, control: Control, system: System, now: Trajectory, c
 
 def first_rows(record: Rows, count: int) -> Rows:
     """The filled part of a record, on the host."""
-    filled: Rows = jax.tree.map(lambda rows: np.asarray(rows)[:count], record)
-    return filled
+    return jax.tree.map(lambda rows: np.asarray(rows)[:count], record)
 
 
 def capacity(system: System, num_nodes: int) -> int:
@@ -122,8 +121,7 @@ def one_by_one(method: Method, dynamics: Dynamics) -> bool:
 
 def alone(method: Method, control: Control, dynamics: D) -> D:
     """The system for a trajectory that is advanced by itself, with what the method needs of it."""
-    prepared: D = method.prepared(dynamics.single(), control.longest)
-    return prepared
+    return method.prepared(dynamics.single(), control.longest)
 
 
 @program
@@ -163,8 +161,7 @@ def march(
 
     done = jax.lax.map(part, lanes)
     # Not -1: without contacts there are leaves of no elements, which do not tell.
-    whole: tuple[Trajectory, Array] = jax.tree.map(lambda leaf: leaf.reshape(lanes.size, *leaf.shape[2:])[:size], done)
-    return whole
+    return jax.tree.map(lambda leaf: leaf.reshape(lanes.size, *leaf.shape[2:])[:size], done)
 
 
 def _march_together(

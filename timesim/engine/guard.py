@@ -238,8 +238,7 @@ def end_on_guard(
 
     none = jnp.zeros(()), jnp.zeros((), dtype=jnp.int64)
     # One place in the loop where the flow is evaluated: each is compiled anew.
-    end: End = jax.lax.while_loop(goes_on, corrected, (near, whole, *none))[1]
-    return end
+    return jax.lax.while_loop(goes_on, corrected, (near, whole, *none))[1]
 
 
 def _time_to_guard(margin: Margins, slope: Margins, most: Float[Array, ""]) -> Float[Array, ""]:

@@ -23,14 +23,12 @@ Over = Callable[..., Callable[..., Any]]
 
 def batch_last(tree: Tree) -> Tree:
     """The batch moved from the first axis of each leaf to the last."""
-    moved: Tree = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), tree)
-    return moved
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), tree)
 
 
 def batch_first(tree: Tree) -> Tree:
     """The batch moved from the last axis of each leaf to the first."""
-    moved: Tree = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), tree)
-    return moved
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), tree)
 
 
 def over_lanes(function: Callable[..., Any], in_axes: Any = -1) -> Callable[..., Any]:
@@ -78,8 +76,7 @@ def advance_lanes(
         after = jax.tree.map(lambda new, old: jnp.where(moves, new, old), tried, now)
         return after, keep(kept, moves, now, after, *step)
 
-    end: tuple[Lanes, Kept] = jax.lax.while_loop(goes_on, body, (start, kept))
-    return end
+    return jax.lax.while_loop(goes_on, body, (start, kept))
 
 
 ROWS = 256  # evaluated at a time: a fixed number, so that a function of rows is compiled once

@@ -65,8 +65,7 @@ def _power(system: System, steps: Step, q: np.ndarray, p: np.ndarray) -> np.ndar
     w = tuple(_slip(steps.h, *side).reshape(shape) for side in sides)
     (*u, v), (*du, dv) = ([y @ axis.T for axis in system.shape] for y in (q, p))
     columns = (np.repeat(steps.state, NODE.size, axis=0), Motion((*u,), v, (*du,), dv), w)
-    power: np.ndarray = by_rows(_lost, (system.law,), columns)
-    return power
+    return by_rows(_lost, (system.law,), columns)
 
 
 def _slip(h: np.ndarray, w0: np.ndarray, dw0: np.ndarray, w1: np.ndarray, dw1: np.ndarray) -> Any:

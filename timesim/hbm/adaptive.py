@@ -1,7 +1,5 @@
 """A balance with as many harmonics and samples as each solution asks for, by the tail of its residual."""
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache

@@ -17,8 +17,6 @@ frequency/time domain method for calculating the steady-state response of nonlin
 (1989) 149-154; M. Krack and J. Gross, Harmonic Balance for Nonlinear Vibration Problems (Springer 2019).
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -36,10 +34,8 @@ from timesim.model.held import springs
 from timesim.model.model import Model
 from timesim.model.scales import Scales, scales_of
 from timesim.model.start import rest_start
-from timesim.orbit.fourier import to_coefficients, to_phasors
+from timesim.orbit.fourier import Array, Complex, to_coefficients, to_phasors
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 # Solutions whose contacts are evaluated together: a fixed number, so that not every curve compiles anew.
 BATCH = 16
 LOOSE = 1e-12

@@ -12,10 +12,8 @@ where F' is the flexibility of the structure with its linear contacts; the unkno
 import numpy as np
 from numpy.typing import NDArray
 
-from timesim.orbit.fourier import to_coefficients, to_phasors
+from timesim.orbit.fourier import Array, Complex, to_coefficients, to_phasors
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 # Of the largest derivative of a contact: what rounding leaves of one that is zero.
 ROUNDING = 1e-12
 

@@ -3,8 +3,6 @@
 The balance is `timesim.hbm.balance`, the way along the curve `timesim.hbm.continuation`.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -31,9 +29,7 @@ from timesim.hbm.period import contact_forces
 from timesim.hbm.scheme import Scheme, coarsest
 from timesim.hbm.stability import checked_multipliers, grows, sign_with_offsets_kept, with_offsets_kept
 from timesim.model.model import Model
-from timesim.orbit.fourier import half_range, phase_deg, to_phasors
-
-Array = NDArray[np.float64]
+from timesim.orbit.fourier import Array, half_range, phase_deg, to_phasors
 
 
 @dataclass(frozen=True)

@@ -190,8 +190,7 @@ def _closed(law: ConeLaw, motion: Float[Array, "room+1 6 lane"], count: Int[Arra
 
 def part_of(whole: T, places: NDArray[np.int64]) -> T:
     """That of some contacts, which are along the last axis of each array."""
-    part: T = jax.tree.map(lambda leaf: np.asarray(leaf)[..., places], whole)
-    return part
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[..., places], whole)
 
 
 def period_of(law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64]) -> ClosedPeriod:

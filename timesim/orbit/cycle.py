@@ -1,7 +1,5 @@
 """The motion of one cycle by time integration, from a state that repeats: sampled, and by its Fourier coefficients."""
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from dataclasses import replace
 
 import numpy as np

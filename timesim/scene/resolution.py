@@ -285,8 +285,7 @@ class _Build:
             self.errors.append(error.below(*key))
 
     def plan(self, structure: BuiltStructure | None) -> Any:
-        study, contacts = self.file.study, self.file.contacts
-        method = self.file.solver.method
+        study, contacts, method = self.file.study, self.file.contacts, self.file.solver.method
         if study.explicit_only and method in ("kvaerno5", "exponential"):
             rule = f"must be an explicit method in a study of kind {study.kind}"
             self.errors.append(RuleError(("solver", "method"), rule, "tsit5 or dopri8, or an accuracy", method))
@@ -303,10 +302,10 @@ class _Build:
         if (known := self.unchanged("structure")) is not None:
             return known.structure
         section = self.file.structure
-        if section is None:
-            return None
         with self.under("structure"):
-            return section.build(self.folder, self.files) if isinstance(section, FileSection) else section.build()
+            if isinstance(section, FileSection):
+                return section.build(self.folder, self.files)
+            return None if section is None else section.build()
 
     def end(self) -> EndOfRun | None:
         """What `initial` reads from another run."""

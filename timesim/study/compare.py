@@ -5,8 +5,6 @@ motion repeats; harmonic balance solves for a truncated Fourier series. Where th
 the motion is linear. Agreement there proves nothing of the contacts, so the verdict leaves such points out.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import suppress

@@ -65,8 +65,7 @@ def added(terms: list[np.ndarray]) -> np.ndarray:
 
 def doubled(move: np.ndarray) -> np.ndarray:
     """``exp(2 A h) - 1`` from ``exp(A h) - 1``."""
-    twice: np.ndarray = 2 * move + move @ move
-    return twice
+    return 2 * move + move @ move
 
 
 class LinearMotion:
@@ -117,8 +116,7 @@ class LinearMotion:
 
     def after(self, state: np.ndarray, time: float) -> np.ndarray:
         """The state after any time, at once."""
-        moved: np.ndarray = state + (self.flow(time, energies=False).moves[0] @ state[..., None])[..., 0]
-        return moved
+        return state + (self.flow(time, energies=False).moves[0] @ state[..., None])[..., 0]
 
     def flow(self, h: float, *, energies: bool = True) -> Flow:
         """What a time h does."""
@@ -276,5 +274,4 @@ def reached(motion: LinearMotion, state: np.ndarray, place: tuple[int, float], l
 
 def _made(like: Rows, leaves: list[np.ndarray]) -> Rows:
     """The same with other leaves."""
-    made: Rows = jax.tree.unflatten(jax.tree.structure(like), leaves)
-    return made
+    return jax.tree.unflatten(jax.tree.structure(like), leaves)

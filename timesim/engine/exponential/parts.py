@@ -111,8 +111,7 @@ def in_parts(system: System, steps: Step, parts: Parts) -> Step:
     time, length = steps.time[parts.step] + parts.start, parts.end - parts.start
     rows = (steps.cycle[parts.step], time, length, start, start_rate, end, end_rate, state, after, None)
     where = lambda s: (s.cycle, s.time, s.h, s.start, s.start_rate, s.end, s.end_rate, s.state, s.state_after, s.inside)  # noqa: E731
-    short: Step = eqx.tree_at(where, steps, rows, is_leaf=lambda x: x is None)
-    return short
+    return eqx.tree_at(where, steps, rows, is_leaf=lambda x: x is None)
 
 
 def _begun(first: np.ndarray, own: Any, ends: Any) -> Any:
@@ -138,8 +137,7 @@ def _modes_at(system: System, steps: Step, parts: Parts) -> tuple[np.ndarray, np
     pairs, number = np.unique(parts.end + 1j * inside.h[parts.step], return_inverse=True)
     flow = by_rows(_flows, (*diagonals(system), inside.force.shape[1]), (pairs.real, pairs.imag))
     held = (steps.time, steps.start, inside)
-    found: tuple[np.ndarray, np.ndarray] = by_rows(_modes, (system,), (parts.end,), (flow, number), (held, parts.step))
-    return found
+    return by_rows(_modes, (system,), (parts.end,), (flow, number), (held, parts.step))
 
 
 @program
@@ -152,8 +150,7 @@ def _modes(system: System, *columns: Any) -> tuple[Array, Array]:
     def one(span: Array, flow: Weights, held: tuple[Array, Point, Inside]) -> tuple[Array, Array]:
         return modes_after(system, *held, span, flow)
 
-    done: tuple[Array, Array] = jax.vmap(one)(*columns)
-    return done
+    return jax.vmap(one)(*columns)
 
 
 @program
@@ -165,5 +162,4 @@ def _filled(system: System, *columns: Any) -> tuple[Point, Point]:
         end = point_inside(system, (state, time, start), inside, span / inside.h, *modes)
         return end, system.field(state, time + span, end)
 
-    done: tuple[Point, Point] = jax.vmap(one)(*columns)
-    return done
+    return jax.vmap(one)(*columns)

@@ -73,13 +73,11 @@ def work_done(system: System, has_fast: bool, steps: Step, count: Int[Array, ""]
         found = batch_first(each(batch_last(own)))
         return jax.tree.map(lambda all_, some: jax.lax.dynamic_update_slice_in_dim(all_, some, first, 0), done, found)
 
-    whole: Work = jax.lax.fori_loop(0, (count + rows - 1) // rows, part, none)
-    return whole
+    return jax.lax.fori_loop(0, (count + rows - 1) // rows, part, none)
 
 
 def _row(steps: Step) -> Step:
-    row: Step = jax.tree.map(lambda leaf: leaf[0], steps)
-    return row
+    return jax.tree.map(lambda leaf: leaf[0], steps)
 
 
 def _work(system: System, steady: Steady, has_fast: bool, step: Step) -> Work:

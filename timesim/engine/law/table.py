@@ -44,5 +44,4 @@ def law_class(contacts: Sequence[Contact]) -> "type[ContactLaw]":
     if name not in LAWS:
         raise ValueError(f"contacts: law must be one of {', '.join(LAWS)}, not {name}")
     entry = LAWS[name]
-    law: type[ContactLaw] = getattr(importlib.import_module(entry.module), entry.name)
-    return law
+    return getattr(importlib.import_module(entry.module), entry.name)

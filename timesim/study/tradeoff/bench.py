@@ -1,7 +1,5 @@
 """Runs of one scene by different methods, each compiled before it is timed, within a budget of seconds."""
 
-import timesim.runtime  # noqa: F401  isort: skip
-
 import time
 from dataclasses import dataclass, replace
 
