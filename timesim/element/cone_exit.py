@@ -86,10 +86,6 @@ def first_rise(margin: Callable[[Array], Array], candidates: Array, end: float, 
     return float(brentq(margin, middle[k - 1], middle[k], xtol=1e-15))
 
 
-# Value of each power of x on [0, 1] as Bernstein coefficients of degree ten: they bound the polynomial.
-BERNSTEIN = np.array([[comb(i, k) / comb(10, k) for k in range(11)] for i in range(11)])
-
-
 def cone_margin(r: Array) -> Array:
     """Coefficients of r1^2 + r2^2 - r3^2, ascending, shape (11, ...), of those of r, shape (6, ..., 3)."""
     margin = np.zeros((11, *r.shape[1:-1]))

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PPoly, make_interp_spline
 
 from timesim.element.cone_exit import (
-    BERNSTEIN,
     CYCLE,
     TOUCH,
     Array,
@@ -28,6 +27,7 @@ from timesim.element.cone_exit import (
     shifted,
     wrap,
 )
+from timesim.engine.dense_output import control_points
 
 MIN_SAMPLES = 16
 
@@ -222,7 +222,7 @@ class SplineMotion(Motion):
         exit_ = piece_exit(cone_margin(shifted(r[:, first], local)), 1 - local, floor, on_cone)
         if np.isfinite(exit_):
             return start + exit_ * width
-        for piece in first + 1 + np.flatnonzero(np.roll((BERNSTEIN @ margin).max(0), -first - 1) > floor):
+        for piece in first + 1 + np.flatnonzero(np.roll((control_points(11) @ margin).max(0), -first - 1) > floor):
             end = local if piece == first + len(self.samples) else 1.0
             exit_ = piece_exit(margin[:, piece % len(self.samples)], end, floor, False)
             if np.isfinite(exit_):

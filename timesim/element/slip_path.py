@@ -21,9 +21,9 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy.linalg.lapack import dgesv
 from scipy.optimize import brentq
-from scipy.special import roots_jacobi
 
 from timesim.element.motion import Array, Motion
+from timesim.engine.law.rule import radau_nodes
 
 NUM_STAGES = 16
 TOLERANCE = 1e-13  # of the last Legendre coefficients of alpha in a step, weighted by mu n over its largest value
@@ -35,13 +35,7 @@ MAX_NEWTON = 12
 MAX_STEPS = 2000
 
 
-def _nodes() -> Array:
-    """Start of a step, then the Radau IIA nodes, the last of them its end; on [0, 1]."""
-    inner, _ = roots_jacobi(NUM_STAGES - 1, 1.0, 0.0)
-    return np.concatenate([[0.0], (1 + inner) / 2, [1.0]])
-
-
-NODES = _nodes()
+NODES = radau_nodes(NUM_STAGES)
 BARYCENTRIC = 1 / np.prod(NODES[:, None] - NODES + np.eye(NODES.size), axis=1)
 TO_LEGENDRE = np.linalg.inv(legendre.legvander(2 * NODES - 1, NUM_STAGES))
 _DERIVATIVE = 2 * legendre.legval(2 * NODES - 1, legendre.legder(np.eye(NUM_STAGES + 1)), tensor=True).T @ TO_LEGENDRE

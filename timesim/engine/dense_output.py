@@ -81,7 +81,7 @@ def extremes(
     """
     low, high = np.minimum.reduceat(np.minimum(*ends), first), np.maximum.reduceat(np.maximum(*ends), first)
     row = rows_of(first, len(ends[0]))
-    control = np.tensordot(_control_points(len(coefficients)), coefficients, 1)
+    control = np.tensordot(control_points(len(coefficients)), coefficients, 1)
     beyond = (control.min(axis=0) - doubt < low[row]) | (control.max(axis=0) + doubt > high[row])
     known = beyond & (doubt == 0)
     step, place = np.nonzero(known)
@@ -97,8 +97,8 @@ def rows_of(first: np.ndarray, size: int) -> np.ndarray:
 
 
 @cache
-def _control_points(num: int) -> np.ndarray:
-    """Control points on [0, 1] from ``num`` coefficients, shape (num, num)."""
+def control_points(num: int) -> np.ndarray:
+    """Matrix of the Bernstein coefficients on [0, 1] from ``num`` coefficients of 1, x, x^2, ..., shape (num, num)."""
     return np.array([[comb(i, j) / comb(num - 1, j) for j in range(num)] for i in range(num)])
 
 

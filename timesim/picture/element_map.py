@@ -1,6 +1,7 @@
 """Pictures of the Fourier coefficients of a friction force over two parameters of its motion (figures 7, 8)."""
 
 from collections.abc import Callable
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -90,12 +91,8 @@ def _all_coefficients(data: Dataset, draw: Callable[..., Any], **options: Any) -
     return finish(fig, data, "Fourier coefficients of the friction force")
 
 
-def _contour_figure(data: Dataset) -> Figure | None:
-    return _all_coefficients(data, contour, width=8.0, height=2.7, gap=0.75)
-
-
-def _surface_figure(data: Dataset) -> Figure | None:
-    return _all_coefficients(data, surface, width=10.0, height=3.4, gap=0.2, left=0.3, subplot_kw={"projection": "3d"})
-
-
-PICTURES: dict[str, Picture] = {"surfaces": _surface_figure, "contours": _contour_figure}
+_SPACE: dict[str, Any] = {"width": 10.0, "height": 3.4, "gap": 0.2, "left": 0.3, "subplot_kw": {"projection": "3d"}}
+PICTURES: dict[str, Picture] = {
+    "surfaces": partial(_all_coefficients, draw=surface, **_SPACE),
+    "contours": partial(_all_coefficients, draw=contour, width=8.0, height=2.7, gap=0.75),
+}

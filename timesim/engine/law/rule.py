@@ -31,13 +31,18 @@ class Rule(NamedTuple):
     touch: float
 
 
-@functools.cache
-def rule_of(num: int) -> Rule:
-    """The rule with so many nodes beside the start."""
+def radau_nodes(num: int) -> np.ndarray:
+    """0 and so many nodes of Radau's right-hand rule on [0, 1], ascending, shape (num + 1,)."""
     from scipy.special import roots_jacobi
 
     inner = 0.5 * (1 + roots_jacobi(num - 1, 1.0, 0.0)[0]) if num > 1 else np.zeros(0)
-    nodes = np.concatenate([[0.0], inner, [1.0]])
+    return np.concatenate([[0.0], inner, [1.0]])
+
+
+@functools.cache
+def rule_of(num: int) -> Rule:
+    """The rule with so many nodes beside the start."""
+    nodes = radau_nodes(num)
     power = np.arange(num + 1)
     monomials = np.linalg.inv(nodes[:, None] ** power)
     lowered = power * nodes[1:, None] ** np.maximum(power - 1, 0)
