@@ -237,7 +237,8 @@ def test_disagreement_marks_the_result_incomplete(monkeypatch):
     from timesim.element import loop as element_loop
 
     honest = element_loop.loop_cycle
-    monkeypatch.setattr(element_loop, "loop_cycle", lambda pad, motion: honest(contact(1.001), motion))
+    other = lambda pad, motion, **more: honest(contact(1.001), motion, **more)  # noqa: E731
+    monkeypatch.setattr(element_loop, "loop_cycle", other)
     with pytest.warns(RuntimeWarning, match="differ by"):
         data = run(scene(element(A=1.0, B=0.2, phi_deg=60, cross_check=True)))
     assert data.attrs["complete"] == 0
