@@ -116,7 +116,7 @@ def test_what_harmonics_change_below_them_is_known(preload, frequency, order):
     rise = fine.harmonic_amplitude[0, 1 : order + 1] - size[1:]
     expected = np.sqrt(np.sum(rise**2, axis=0)).max() / size[1:].max()
     assert expected > 1e-4
-    assert above.below(balance, beside(balance, x, frequency)) == pytest.approx(expected, rel=0.1)
+    assert above.below(balance, x, beside(balance, x, frequency)) == pytest.approx(expected, rel=0.1)
 
 
 def test_what_harmonics_change_below_them_is_left_out_too():

@@ -129,13 +129,13 @@ class _Above:
     Attributes:
         linear: response of the structure, of all orders.
         forces: (f1, f2, n) of the contacts as far as the samples resolve them, in units of force, shape (C, 3, n).
-        motion: of the contacts with those harmonics, in units of length, shape (C, 3, n).
+        moved: motion of the contacts in the harmonics above, by phasors, shape (N/4 - H, 3C).
         points: motion of the points of the structure with them, by phasors, shape (N/4 + 1, P, 3).
     """
 
     linear: LinearResponse
     forces: Array
-    motion: Array
+    moved: Complex
     points: Complex
 
     @classmethod
@@ -160,22 +160,25 @@ class _Above:
                 (linear.modal[own, :, :-1] @ forces)[..., 0] / root,
             ]
         )
-        motion = np.zeros((len(wide.basis.project), 3 * balance.num_contacts))
-        motion[: balance.size] = coefficient.reshape(-1, balance.size).T
-        motion[balance.size :] = to_coefficients(np.pad(moved[..., 0], [(1, 0), (0, 0)]).T).T[1:] / balance.length
-        whole = motion.T.reshape(*coefficient.shape[:2], -1)
-        return cls(linear, done.coefficient, whole, np.einsum("pam,hm->hpa", balance.model.structure.shape, modes))
+        points = np.einsum("pam,hm->hpa", balance.model.structure.shape, modes)
+        return cls(linear, done.coefficient, moved[..., 0], points)
 
     @property
     def share(self) -> Array:
         """Displacement that harmonics above each order of 0 ... N/4 add, relative to the largest one."""
         return _above(np.abs(self.points).max(axis=(1, 2)))
 
-    def below(self, balance: Balance, nearby: Nearby) -> float:
+    def motion(self, balance: Balance, x: Array) -> Array:
+        """Motion of the contacts with the harmonics above, in units of length, shape (C, 3, n)."""
+        coefficient = balance.coefficients(x)
+        above = to_coefficients(np.pad(self.moved, [(1, 0), (0, 0)]).T)[:, 1:] / balance.length
+        return np.concatenate([coefficient, above.reshape(*coefficient.shape[:2], -1)], axis=2)
+
+    def below(self, balance: Balance, x: Array, nearby: Nearby) -> float:
         """By how much harmonics above those balanced change the amplitudes of those, relative to the largest one."""
         own, low = slice(balance.scheme.harmonics + 1), slice(balance.size)
         stiffness = cast(Condensation, nearby.factors.by_x).stiffness
-        change = contact_forces(balance.law, _wide(balance).basis, self.motion).coefficient - self.forces
+        change = contact_forces(balance.law, _wide(balance).basis, self.motion(balance, x)).coefficient - self.forces
         acting = -_phasors(change[..., low]) * balance.force
         motion = np.einsum("hij,hj->hi", self.linear.flexibility[own], acting)
         moved = nearby.change(-to_coefficients(motion.T).ravel() / balance.length)
@@ -212,4 +215,4 @@ def left_out(balance: Balance, x: Array, frequency: float, nearby: Nearby) -> fl
     scheme is chosen by it: where a contact is about to leave its state no number of harmonics makes it small.
     """
     above = _Above.of(balance, x, frequency)
-    return float(above.share[balance.scheme.harmonics]) + above.below(balance, nearby)
+    return float(above.share[balance.scheme.harmonics]) + above.below(balance, x, nearby)
