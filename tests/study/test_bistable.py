@@ -22,8 +22,8 @@ from timesim.cli import app
 from timesim.model.model import SEPARATION, STICK, Model, Start
 from timesim.orbit.basin import ANOTHER, IRREGULAR, NONE, branch_of, offsets, placed, starts_between, unique
 from timesim.orbit.fourier import HARMONICS
-from timesim.orbit.jump import Stretch, narrowed
-from timesim.orbit.settling import Chain
+from timesim.orbit.jump import Stretch, narrowed, steps_of
+from timesim.orbit.settling import Chain, SteadyStates
 from timesim.orbit.steady_state import Orbit, differ, without_orbit
 from timesim.orbit.two_motions import DOWN, UP, Search, Sweeps, losses, ranges, suspect_steps
 from timesim.picture import bistable as plot_bistable
@@ -300,6 +300,17 @@ def toy_search(toy: Branches) -> Search:
     return Search(oscillator(2.0, 1.0), steady, 1e-6)
 
 
+class Counted:
+    """Steady states, and how many were asked for."""
+
+    def __init__(self, steady: SteadyStates):
+        self.steady, self.num_points = steady, 0
+
+    def __call__(self, chains: Sequence[Chain]) -> list[list[Orbit]]:
+        self.num_points += sum(len(chain.frequencies) for chain in chains)
+        return self.steady(chains)
+
+
 def toy_sweeps(toy: Branches, frequency: np.ndarray) -> Sweeps:
     up, down = toy.along(toy.orbit(0, 0.0).end, frequency), toy.along(toy.orbit(0, 9.0).end, frequency[::-1])
     return Sweeps(frequency, (up, down[::-1]))
@@ -377,6 +388,22 @@ def test_two_jumps_of_the_same_size_in_one_step(ends: tuple[float, float]):
     (beyond,) = toy.along(on.end, [2.0])
     jumps = narrowed([Stretch(search.model, 1.5, 2.0, on, beyond, least=0.03 * 1.2)], search.steady, 1e-6)
     np.testing.assert_allclose([jump.near for _, jump in jumps], ends, atol=1e-6)
+
+
+def test_a_slope_over_several_steps_takes_one_motion_each():
+    """Steps of like change are as even as two halves are; a change that stands alone is halved until it is told."""
+    toy = two_branches(-np.inf, np.inf, slope=1.0)
+    search, frequencies = toy_search(toy), np.linspace(2.0, 2.5, 6)
+    steps = steps_of(search.model, frequencies, toy.along(toy.orbit(0, 2.0).end, frequencies))
+    assert [step.even for step in steps] == [True] * 5
+    counted = Counted(search.steady)
+    assert narrowed(steps, counted, 1e-6) == []
+    assert counted.num_points == 5
+    lost = two_branches(-np.inf, 2.25, slope=0.0)
+    (step,) = steps_of(search.model, frequencies, lost.along(lost.orbit(0, 2.0).end, frequencies))
+    assert not step.even
+    ((_, jump),) = narrowed([step], toy_search(lost).steady, 1e-6)
+    assert (jump.near, jump.far) == pytest.approx((2.25, 2.25), abs=1e-6)
 
 
 @pytest.mark.parametrize("num", [5, 101])
