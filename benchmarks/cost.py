@@ -1,7 +1,8 @@
 """How long do a step, a cycle and a solution take, by the numbers of modes and contacts?
 
 Run `python benchmarks/cost.py`. Generated structures whose contacts stick and slip: steps a cycle at each accuracy, and
-microseconds a step, of a run that is recorded and of one of sixteen side by side, compiled before; CPU
+microseconds a step, of a run that is recorded and of one of sixteen side by side, compiled before; milliseconds of a
+cycle with the derivative of its end by its start, as Newton's method and the measure of a settled motion take it. CPU
 seconds beside wall seconds, since other jobs may share the machine. The rows stand in `timesim/model/cost.py`, from
 which `timesim check` estimates what a scene will take.
 """
@@ -15,7 +16,7 @@ from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import GROUND, Contact, Excitation, Model, Structure
 from timesim.model.solver import PRESETS
 from timesim.model.start import rest_start
-from timesim.orbit.batch import march
+from timesim.orbit.batch import march, record
 from timesim.orbit.settling import Chain, first_lane
 
 SIZES = ((2, 1), (10, 1), (10, 4), (30, 1), (30, 4))
@@ -63,18 +64,31 @@ def side_by_side(model: Model, accuracy: str, steps: float) -> tuple[float, floa
     return 1e6 * best[0] / number, 1e6 * best[1] / number
 
 
+def differentiated(model: Model, accuracy: str) -> tuple[float, float]:
+    """Wall and CPU milliseconds of a cycle with its derivative, of one of many lanes."""
+    lanes = [first_lane(Chain(model, (FREQUENCY,)), PRESETS[accuracy])] * LANES
+    best = (np.inf, np.inf)
+    for _ in range(REPEATS + 1):
+        wall, cpu = time.perf_counter(), time.process_time()
+        record(lanes, PRESETS[accuracy], [1] * LANES)
+        best = min(best, (time.perf_counter() - wall, time.process_time() - cpu))
+    return 1e3 * best[0] / LANES, 1e3 * best[1] / LANES
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--accuracy", nargs="+", default=["standard"], choices=list(PRESETS))
     options = parser.parse_args()
-    print("| modes | contacts | accuracy | steps a cycle | µs a step, recorded (CPU) | side by side (CPU) |")
-    print("|---|---|---|---|---|---|")
+    times = "µs a step, recorded (CPU) | side by side (CPU) | ms a cycle with its derivative (CPU)"
+    print(f"| modes | contacts | accuracy | steps a cycle | {times} |")
+    print("|---|---|---|---|---|---|---|")
     for num_modes, num_contacts in SIZES:
         model = structure(num_modes, num_contacts)
         for accuracy in options.accuracy:
             steps, wall, cpu = recorded(model, accuracy)
             other, other_cpu = side_by_side(model, accuracy, steps)
             times = f"{wall:.3g} ({cpu:.3g}) | {other:.3g} ({other_cpu:.3g})"
+            times += " | {:.2g} ({:.2g})".format(*differentiated(model, accuracy))
             print(f"| {num_modes} | {num_contacts} | {accuracy} | {steps:.0f} | {times} |", flush=True)
 
 

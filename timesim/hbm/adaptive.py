@@ -161,7 +161,7 @@ class _Above:
             ]
         )
         points = np.einsum("pam,hm->hpa", balance.model.structure.shape, modes)
-        return cls(linear, done.coefficient, moved[..., 0], points)
+        return cls(linear, done.coefficient, np.asarray(moved[..., 0], dtype=complex), points)
 
     @property
     def share(self) -> Array:

@@ -1,6 +1,6 @@
 """About how long an integration and a harmonic balance take, from figures measured on one core of a server.
 
-    python benchmarks/cost.py           microseconds of a step: within 25 % for 2 to 30 modes with 1 to 4 contacts
+    python benchmarks/cost.py           a step and a derivative: within 25 and 60 % for 2 to 30 modes, 1 to 4 contacts
     python benchmarks/accuracy.py       steps of a cycle: those of the oscillator, the blade and 20 modes
 
 Another machine, separation within the cycle and many transitions change them by a factor of two or three.
@@ -43,8 +43,10 @@ SLIPPING = 0.4
 """Steps that the direction of slip is seen to take, as a share of those that it asks for at its fastest."""
 FEW, MANY = 2, 16
 """Points that a sweep marches side by side where the motion is carried along, and where it is not."""
-SETTLING = 0.004
+SETTLING = 0.002
 """Seconds of a steady state beside its cycles: what is left out, amplitudes, multipliers."""
+DERIVATIVE = (0.002, 0.8)
+"""Seconds of a cycle with the derivative of its end by its start, and for each state, as a share of a cycle without."""
 SHOTS = 8
 """Cycles of Newton's method, beside those that are marched before it is tried."""
 SOLUTIONS = 200
@@ -147,6 +149,13 @@ def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side
     alone = 1.0 if side_by_side is None else max(1.0, ALONE ** (1 - np.log(side_by_side) / np.log(16)))
     size = model.structure.num_modes * model.num_contacts
     return float(1e-6 * STAGES[solver.name] * alone * steps * (each + share * size))
+
+
+def seconds_a_derivative(model: Model, solver: Solver, frequency: float) -> float:
+    """Of a cycle at a frequency [Hz] with the derivative of its end by its start, as it is shot or measured."""
+    least, share = DERIVATIVE
+    states = 2 * (model.structure.num_modes + model.num_contacts)
+    return least + share * states * seconds_a_cycle(model, solver, frequency, MANY)
 
 
 def seconds(model: Model, solver: Solver, work: Work) -> float:

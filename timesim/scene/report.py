@@ -17,6 +17,7 @@ from timesim.model.cost import (
     Work,
     seconds,
     seconds_a_cycle,
+    seconds_a_derivative,
     seconds_a_solution,
     slip_rates,
     slip_stiff,
@@ -37,7 +38,7 @@ from timesim.scene.transient import Schedule, TradeoffPlan
 
 LISTED = 6  # entries of a list that are all shown
 LARGE_RESULT = 1.0  # gigabytes of samples
-FASTER, NOTICED = 3, 3.0  # times, and seconds, from which on another way to settle is named
+FASTER, NOTICED = 1.5, 3.0  # times, and seconds, from which on another way to settle is named
 FEWEST_SAMPLES = 8  # of a cycle, between which its motion can be guessed
 MOST_SAMPLES = 2**16  # of a period of a balance
 FAR_ABOVE = 100.0
@@ -124,14 +125,14 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
         lines.append(f"{counted(cycles, 'cycle')} of {_duration(total / cycles)}: {_duration(total)}")
     elif isinstance(study, SteadySection):
         sweep = study.sweep()
-        cycles, own, total = _sweep_cost(model, solver, sweep)
-        each = f"{counted(cycles, 'cycle')} of {_duration(own)} and {_duration(SETTLING)} beside them"
+        cycles, own, beside, total = _sweep_cost(model, solver, sweep)
+        each = f"{counted(cycles, 'cycle')} of {_duration(own)} and {_duration(beside)} beside them"
         lines.append(f"{counted(sweep.size, 'point')} of {each}: {_duration(total)}{study.search()}")
         shot = replace(sweep, criterion=replace(sweep.criterion, first_shot=SHOOT))
-        fewer, _, less = _sweep_cost(model, solver, shot)
+        fewer, _, _, less = _sweep_cost(model, solver, shot)
         if total > max(FASTER * less, NOTICED):
             why = "vibrations decay slowly; of several motions it may find another"
-            few = f"{counted(fewer, 'cycle')} a point and {_duration(less)}"
+            few = f"{counted(fewer, 'cycle')} a point, Newton's method and {_duration(less)}"
             lines.append(f"{few} with study.periodic: shoot, as {why}")
     balance = _balance(plan)
     if balance is not None:
@@ -149,12 +150,17 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
         yield "as measured on one core of a server (timesim/model/cost.py); a first run compiles before that"
 
 
-def _sweep_cost(model: Model, solver: Solver, sweep: SweepPlan) -> tuple[int, float, float]:
-    """The cycles of a point of a sweep, the seconds of one cycle, and those of all points."""
+def _sweep_cost(model: Model, solver: Solver, sweep: SweepPlan) -> tuple[int, float, float, float]:
+    """The cycles that a point of a sweep marches, the seconds of one, those beside them, and those of all points.
+
+    Cycles of Newton's method, and the one that is measured, take longer, by their derivatives.
+    """
     whole = sweep.work(model)
     ((frequency, every),) = whole.phases
     cycles, own = round(every / sweep.size), seconds_a_cycle(model, solver, frequency, whole.side_by_side)
-    return cycles, own, sweep.size * (cycles * own + SETTLING)
+    marched = int(min(cycles, sweep.criterion.first_shot))
+    beside = SETTLING + (1 + cycles - marched) * seconds_a_derivative(model, solver, frequency)
+    return marched, own, beside, sweep.size * (marched * own + beside)
 
 
 def _balance(plan: Any) -> HbmPlan | None:
