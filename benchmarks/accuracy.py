@@ -4,6 +4,8 @@ Run `python benchmarks/accuracy.py`. Each preset, with the tolerances that it ha
 of `tests/data` (computed independently with DOP853 and located events at rtol 1e-12): error of the last state,
 transitions found of those that there are, steps and microseconds a cycle. A run is the whole of it: every step recorded
 and handed to the host, compiled before. Median of several runs, the presets in turn.
+
+`--samples` tells instead how exact the samples of the last cycles are, between the steps: by their dense output.
 """
 
 import argparse
@@ -22,8 +24,9 @@ from timesim.model.model import Model
 from timesim.model.promise import PROMISE, preset
 from timesim.model.solver import Solver
 from timesim.study.registry import load_scene
+from timesim.study.registry import run as simulate
 
-DATA = Path(__file__).parents[1] / "tests" / "data"
+CONFIGS, DATA = (Path(__file__).parents[1] / folder for folder in ("configs", "tests/data"))
 
 
 class Case(NamedTuple):
@@ -40,7 +43,7 @@ def cases() -> list[Case]:
     oscillator = json.loads((DATA / "oscillator.json").read_text())["cases"]
     for preload, frequency in ((3, 1.39), (-1, 0.97), (5, 1.52)):
         truth = oscillator[f"osc_n0={preload}_f={frequency:g}"]
-        scene = load_scene(DATA.parents[1] / "configs" / "oscillator.yaml", {"contacts.pad.preload": preload})
+        scene = load_scene(CONFIGS / "oscillator.yaml", {"contacts.pad.preload": preload})
         state = np.array(truth["state_end"])
         found.append(Case(f"oscillator, n0 = {preload}", scene.model(), frequency, 60, state, truth["n_events"]))
     truth = json.loads((DATA / "many_modes_truth.json").read_text())
@@ -73,10 +76,26 @@ def run(case: Case, solver: Solver) -> tuple[float, int, int, float]:
     return error, sum(count for count, _ in found), sum(steps for _, steps in found), seconds
 
 
+def print_samples() -> None:
+    """Largest error of each quantity over the samples, by its largest size; truth: RK4 with 4,000 steps a cycle."""
+    names = ("displacement", "velocity", "slip", "contact_force")
+    print(f"| scene | accuracy | {' | '.join(names)} |\n|---|---|{'---|' * len(names)}")
+    for scene in ("oscillator", "blade"):
+        path, fine = CONFIGS / f"{scene}.yaml", {"method": "rk4", "steps_per_cycle": 4000}
+        truth = simulate(path, {"solver": fine, "study.record_last": 2})
+        for accuracy in PROMISE:
+            found = simulate(path, {"solver": {"accuracy": accuracy}, "study.record_last": 2})
+            errors = [np.abs(found[name] - truth[name]).max() / np.abs(truth[name]).max() for name in names]
+            print(f"| {scene} | {accuracy} | {' | '.join(f'{float(error):.1e}' for error in errors)} |", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--samples", action="store_true", help="of the samples instead")
     options = parser.parse_args()
+    if options.samples:
+        return print_samples()
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}\n")
     print(
         "| case | accuracy | rtol | error | transitions | steps a cycle | µs a cycle |\n|---|---|---|---|---|---|---|"
