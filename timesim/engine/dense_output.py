@@ -1,8 +1,8 @@
 """Dense output of a step: the polynomial through values and rates at both of its ends.
 
 The displacement is known with two derivatives at each end, which gives a quintic with error O(h^6), whatever the
-method; the slip of a contact is known with one, which gives a cubic. Polynomials and their values may be
-numpy or JAX arrays; extremes are sought by numpy.
+method; the slip of a contact is known with one, which gives a cubic, and a quintic with the end of another step.
+Polynomials and their values may be numpy or JAX arrays; extremes are sought by numpy.
 
 Source: Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, section II.6.
 """
@@ -51,6 +51,22 @@ def cubic_coefficients(h: Any, start: tuple[Any, Any], end: tuple[Any, Any]) -> 
     (w0, d0), (w1, d1) = start, end
     jump = w1 - w0
     return w0, h * d0, 3 * jump - h * (2 * d0 + d1), -2 * jump + h * (d0 + d1)
+
+
+def through_third(
+    x: Any, h: Any, start: tuple[Any, Any], end: tuple[Any, Any], place: Any, third: tuple[Any, Any]
+) -> Any:
+    """`cubic`, and what makes it the quintic through a third value and rate, at a fraction ``place`` outside [0, 1].
+
+    Where ``place`` is no number the cubic alone.
+    """
+    within, there = cubic_coefficients(h, start, end), np.nan_to_num(place, nan=2.0)
+    value, rate = evaluate(there, within)
+    bump = (there * (1 - there)) ** 2  # it and its rate vanish at both ends
+    share = (third[0] - value) / bump
+    slope = (h * third[1] - rate) / bump - share * 2 * (1 - 2 * there) / (there * (1 - there))
+    added = np.where(np.isnan(place), 0.0, share + slope * (x - there))
+    return evaluate(x, within)[0] + (x * (1 - x)) ** 2 * added
 
 
 def evaluate(x: Any, coefficients: tuple[Any, ...]) -> tuple[Any, Any]:

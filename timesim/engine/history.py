@@ -13,6 +13,9 @@ from timesim.engine.law.table import law_class
 from timesim.engine.trajectory import Steps
 from timesim.model.model import Model
 
+MOST_UNLIKE = 5.0
+"""Ratio of the lengths of two steps from which on no polynomial goes through the ends of both."""
+
 
 @dataclass(frozen=True)
 class Samples:
@@ -43,9 +46,33 @@ def sample(steps: Steps, times: np.ndarray) -> Samples:
     x = np.clip((times - steps.time[index])[:, None] / np.where(h > 0, h, 1.0), 0.0, 1.0)
     ends: list[Any] = [tuple(part[index] for part in side) for side in (steps.start, steps.end)]
     q, p = hermite.quintic(x, h, ends[0], ends[1])
-    slips: list[Any] = [tuple(part[index] for part in side) for side in (steps.slip_start, steps.slip_end)]
-    w = hermite.cubic(x[..., None], h[..., None], slips[0], slips[1])
-    return Samples(times, q, p, w, steps.state[index])
+    return Samples(times, q, p, _slip(steps, index, x[..., None]), steps.state[index])
+
+
+def _slip(steps: Steps, index: np.ndarray, x: np.ndarray) -> Any:
+    """Slip at fractions x, shape (N, 1, 1), of steps: through both ends, and that of a step beside."""
+    (w0, d0), (w1, d1), h = steps.slip_start, steps.slip_end, steps.h
+    beside, place = _beside(steps)
+    onwards = (place > 0)[:, None, None]
+    ends: list[Any] = [np.where(onwards, one[beside], other[beside])[index] for one, other in ((w1, w0), (d1, d0))]
+    length, far = (column[index, None, None] for column in (h, place))
+    return hermite.through_third(x, length, (w0[index], d0[index]), (w1[index], d1[index]), far, (ends[0], ends[1]))
+
+
+def _beside(steps: Steps) -> tuple[np.ndarray, np.ndarray]:
+    """The step beside each one whose slip goes on as in it, and the place of its far end as a fraction of that one.
+
+    The shorter one in which all contacts keep their states, if it is not far longer or shorter; else the place is NaN.
+    """
+    row = np.arange(steps.h.size)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = steps.h[1:] / steps.h[:-1]
+        alike = (steps.state[1:] == steps.state[:-1]).all(axis=1) & (np.maximum(ratio, 1 / ratio) < MOST_UNLIKE)
+        after = np.append(np.where(alike, ratio, np.inf), np.inf)
+        before = np.append(np.inf, np.where(alike, 1 / ratio, np.inf))
+    place = np.where(after <= before, 1 + after, -before)
+    beside = np.where(after <= before, row + 1, row - 1).clip(0, row.size - 1)
+    return beside, np.where(np.isinf(place), np.nan, place)
 
 
 def joined(parts: list[Any]) -> Any:
