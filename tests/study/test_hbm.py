@@ -98,6 +98,24 @@ def test_each_curve_is_said_in_a_line(curves):
         assert f"{part.slip_share.values.max():.2f} of a period in slip" in line
 
 
+def test_a_contact_that_sticks_beside_one_that_works_is_named(curves):
+    """Its mean force is free; where nothing works, or no contact sticks, or it has no friction, nothing is said."""
+    data = curves.isel(solution=slice(0, 3), contact=[0, 0]).copy(deep=True)
+    data = data.assign_coords(contact=["pad", "stop"], friction=("contact", [0.5, 0.5]))
+    data["slip_share"].values[:] = [[0.0, 0.0], [0.0, 0.3], [0.0, 0.0]]
+    data["separation_share"].values[:] = [[0.0, 0.0], [0.0, 0.0], [0.0, 0.4]]
+
+    def said(data):
+        return [line for line in curve_lines(data, ()) if "sticks all the time" in line]
+
+    (line,) = said(data)
+    assert line.startswith("contacts.pad.preload -4: contact pad sticks all the time at 2 solutions at which others")
+    assert not said(data.isel(solution=[0]))
+    assert not said(data.assign_coords(friction=("contact", [0.0, 0.5])))
+    data["slip_share"].values[:] = 0.1
+    assert not said(data)
+
+
 def test_harmonics_make_the_amplitude(curves):
     """The amplitude is that of the motion of the Fourier coefficients."""
     angle = np.linspace(0, 2 * np.pi, 2001)[:, None, None]

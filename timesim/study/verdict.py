@@ -30,7 +30,9 @@ def curve_lines(data: Dataset, notes: Sequence[str]) -> Iterator[str]:
     yield from notes
     for number in numbers:
         curve = data.isel(solution=data["curve"].values == number)
-        yield in_words({key: curve[key].values[0] for key in over_keys(data)}, ": ") + _curve_line(curve)
+        values = in_words({key: curve[key].values[0] for key in over_keys(data)}, ": ")
+        yield values + _curve_line(curve)
+        yield from (values + line for line in _free_lines(curve))
     if "convergence" in attrs:
         yield from attrs["convergence"].split("\n")
 
@@ -59,6 +61,18 @@ def _curve_line(curve: Dataset) -> str:
         f"peak {with_unit(f'{height:.5g}', curve['amplitude'].attrs)} of {name} at {where}; {turning}{also}; "
         f"{counted(int(np.sum(~stable & ~fold)), 'unstable solution')}; {states}"
     )
+
+
+def _free_lines(curve: Dataset) -> Iterator[str]:
+    """Contacts that stick all along where others work: the balance has chosen one of many motions."""
+    slip, apart, rub = curve["slip_share"].values, curve["separation_share"].values, rubs(curve).values
+    works = np.any(switches(slip, apart) & (rub | (apart > 0)), axis=1, keepdims=True)
+    sticks = rub & (slip == 0) & (apart == 0) & works
+    for name, number in zip(curve["contact"].values, sticks.sum(axis=0), strict=True):
+        if number:
+            where = f"at {counted(int(number), 'solution')} at which others work"
+            freedom = "its mean force is not unique, and the motion may depend on it"
+            yield f"contact {name} sticks all the time {where}: {freedom}"
 
 
 def convergence_lines(refined: Convergence) -> list[str]:
