@@ -114,10 +114,11 @@ def test_with_one_killed_the_others_go_on_in_threads(tmp_path: Path):
 
 
 def test_an_interrupt_stops_them_and_keeps_what_is_done(two: Processes, tmp_path: Path):
-    chunks = chains(2, 2, faults={"c-1-0": "stay"})
+    chunks, sent = chains(2, 2, faults={"c-1-0": "stay"}), threading.Event()
 
     def interrupt(done: float, *_: Any) -> None:
-        if done == 4:
+        if done == 4 and not sent.is_set():  # it is shown again where the processes' counts are looked at
+            sent.set()
             os.kill(os.getpid(), signal.SIGINT)
 
     results, reason = carried(chunks, two, progress=interrupt, folder=tmp_path)
@@ -125,6 +126,18 @@ def test_an_interrupt_stops_them_and_keeps_what_is_done(two: Processes, tmp_path
     assert list(results) == ["c-0-0", "c-0-1"]
     assert not two.submit(unseen, ignores_interrupts).result()[1]  # they may be used again
     assert {path.stem for path in (tmp_path / "checkpoint").glob("*.npz")} == set(results)
+
+
+def test_another_interrupt_while_they_stop_leaves_none_halted(two: Processes, monkeypatch: pytest.MonkeyPatch):
+    def interrupted(_: Any) -> None:
+        raise KeyboardInterrupt
+
+    two.submit(unseen, ignores_interrupts).result()
+    with monkeypatch.context() as patch:
+        patch.setattr(processes, "wait", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            two.give_up([])
+    assert not two.submit(unseen, ignores_interrupts).result()[1]
 
 
 def ignores_interrupts() -> tuple[bool, bool]:

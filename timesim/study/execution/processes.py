@@ -110,10 +110,13 @@ class Processes:
             raise interrupt
 
     def give_up(self, works: Iterable[Future[Any]]) -> None:
-        """Halt the works under way, and wait until they have ended."""
-        if self._pool is not None:
-            self._halt.set()
+        """Halt the works under way, and wait until they have ended, or until another interrupt."""
+        if self._pool is None:
+            return
+        self._halt.set()
+        try:
             wait(works)
+        finally:
             self._halt.clear()
 
     def _started(self) -> ProcessPoolExecutor:
