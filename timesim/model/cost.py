@@ -1,6 +1,6 @@
 """About how long an integration and a harmonic balance take, from figures measured on one core of a server.
 
-    python benchmarks/cost.py           a step and a derivative: within 25 and 60 % for 2 to 30 modes, 1 to 4 contacts
+    python benchmarks/cost.py           a step and a derivative: within 25 and 45 % for 2 to 30 modes, 1 to 4 contacts
     python benchmarks/accuracy.py       steps of a cycle: those of the oscillator, the blade and 20 modes
 
 Another machine, separation within the cycle and many transitions change them by a factor of two or three.
