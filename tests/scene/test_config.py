@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 
 from timesim.fault import RuleError, SceneError
 from timesim.model.cost import cycles_to_settle, seconds_a_cycle, seconds_a_derivative
+from timesim.model.finding import contact_line
 from timesim.model.model import SEPARATION, SLIP, STICK
 from timesim.model.solver import NEVER, SHOOT, SLOW, Criterion
-from timesim.scene.report import contact_line, describe, warnings_of
+from timesim.scene.report import describe, warnings_of
 from timesim.scene.text import MAX_BYTES, parse, yaml_text
 from timesim.study.registry import json_schema, load_scene
 

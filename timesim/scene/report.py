@@ -23,8 +23,8 @@ from timesim.model.cost import (
     slip_stiff,
     stable_steps,
 )
-from timesim.model.finding import turning
-from timesim.model.model import CONE, GROUND, Contact, Model
+from timesim.model.finding import contact_line, turning
+from timesim.model.model import Model
 from timesim.model.promise import PROMISE
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import CLOSED_FORM, COMPANION, SHOOT, Solver, coarser
@@ -177,33 +177,6 @@ def _duration(seconds: float) -> str:
     unit, size = next((unit, size) for unit, size, least in DURATIONS if seconds >= least)
     number = seconds / size
     return f"{number:.{0 if number >= 10 else 1}f} {unit}"
-
-
-def contact_line(contact: Contact) -> str:
-    """One contact in words: where, of what kind, its stiffness and its preload or gap."""
-    return f"{contact.name}: {', '.join(_contact_parts(contact))}"
-
-
-def _contact_parts(contact: Contact) -> Iterator[str]:
-    if contact.point:
-        yield f"{contact.point} against {'the ground' if contact.against == GROUND else contact.against}"
-    if contact.law != CONE:
-        own = ", ".join(f"{key} {value:g}" for key, value in contact.law_parameters.items())
-        yield f"law {contact.law}" + (f" ({own})" if own else "")
-    if contact.friction == 0 and not np.any(contact.tangential_stiffness):
-        yield "frictionless stop"
-    else:
-        (k11, k12), (k21, k22) = contact.tangential_stiffness
-        isotropic = k11 == k22 and k12 == 0
-        stiffness = f"{k11:g}" if isotropic else f"[[{k11:g}, {k12:g}], [{k21:g}, {k22:g}]]"
-        yield f"friction {contact.friction:g}"
-        yield f"tangential stiffness {stiffness}"
-    if contact.normal_stiffness == 0:
-        yield f"constant normal load {contact.preload:g}"
-        return
-    yield f"normal stiffness {contact.normal_stiffness:g}"
-    gap = -contact.preload / contact.normal_stiffness
-    yield f"gap {gap:g}" if contact.preload < 0 else f"preload {contact.preload:g}"
 
 
 def _structure_lines(model: Model) -> Iterator[str]:
