@@ -22,7 +22,7 @@ from timesim.hbm.continuation import (
     follow_both_ways,
     joined,
     part_of,
-    solve,
+    solve_near,
 )
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.period import contact_forces
@@ -252,8 +252,7 @@ def solutions_at(
     rows: list[Solution] = []
     branch = []
     for f, i, share in places:
-        guess = unknowns[i] + share * (unknowns[i + 1] - unknowns[i])
-        solution = solve(balance, guess, float(f), Controls())
+        solution = solve_near(balance, _between(unknowns, curve.frequency, (i, share), f), float(f), Controls())
         if solution is not None:
             rows.append((solution[0], f, False, sign_with_offsets_kept(balance, solution[0], f, solution[1])))
             branch.append(curve.branch[i + 1])
@@ -261,6 +260,17 @@ def solutions_at(
     message = f"{len(rows)} of {len(places)} solutions at {wanted.size} frequencies"
     solved = Curve.of(rows, balance.num_unknowns, ending, message)
     return replace(evaluated(balance, solved, stability=stability), branch=np.array(branch, dtype=np.int64))
+
+
+def _between(unknowns: Array, frequency: Array, crossing: tuple[int, float], place: float) -> Array:
+    """Unknowns where a curve passes a frequency: by a cubic through four points if it goes one way along them."""
+    i, share = crossing
+    four = slice(max(i - 1, 0), i + 3)
+    if np.ptp(np.sign(np.diff(frequency[four]))) > 0:  # a fold beside it, where they are no function of the frequency
+        return unknowns[i] + share * (unknowns[i + 1] - unknowns[i])
+    from scipy.interpolate import KroghInterpolator
+
+    return KroghInterpolator(frequency[four], unknowns[four])(place)
 
 
 def crossings(frequency: Array, place: float) -> Iterator[tuple[int, float]]:

@@ -1,7 +1,7 @@
 """Continuation of the solutions of any residual in a parameter: points, steps, folds."""
 
 from timesim.hbm.continuation.bordered import Bordered, Condensed, Nearby
-from timesim.hbm.continuation.corrector import solve
+from timesim.hbm.continuation.corrector import solve, solve_near
 from timesim.hbm.continuation.residual import NoSolutionError, Residual
 from timesim.hbm.continuation.solutions import Curve, Ending, Solution, joined, part_of
 from timesim.hbm.continuation.tracker import SAME, follow, follow_both_ways
@@ -23,4 +23,5 @@ __all__ = [
     "joined",
     "part_of",
     "solve",
+    "solve_near",
 ]

@@ -9,6 +9,7 @@ The Jacobian of both together, dr/dy bordered by the row b, is regular at a fold
 sign of det dr/dx, which changes at a fold.
 """
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -302,10 +303,24 @@ def meeting(point: CurvePoint, other: CurvePoint) -> tuple[float, float]:
 
 def solve(residual: Residual, guess: Array, p: float, controls: Controls) -> tuple[Array, int] | None:
     """Solution near a guess at one value of the parameter, and the sign of det dr/dx; None if Newton's method fails."""
+    return _solved(Corrector.damped_newton, residual, guess, p, controls)
+
+
+def solve_near(residual: Residual, guess: Array, p: float, controls: Controls) -> tuple[Array, int] | None:
+    """The same from a good guess, beside which derivatives are kept as long as that converges."""
+    return _solved(Corrector.simplified_newton, residual, guess, p, controls) or solve(residual, guess, p, controls)
+
+
+def _solved(
+    newton: Callable[[Corrector, Array, Array], CurvePoint],
+    residual: Residual,
+    guess: Array,
+    p: float,
+    controls: Controls,
+) -> tuple[Array, int] | None:
     corrector = Corrector(residual, controls, abs(p) or 1.0, guess)
-    normal = np.append(np.zeros(guess.size), 1.0)
     try:
-        point = corrector.damped_newton(corrector.in_units(guess, p), normal)
+        point = newton(corrector, corrector.in_units(guess, p), np.append(np.zeros(guess.size), 1.0))
     except NoSolutionError:
         return None
     return corrector.unscaled(point.y)[0], point.determinant
