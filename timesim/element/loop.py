@@ -17,7 +17,7 @@ from timesim.engine.method import step_method
 from timesim.engine.solver import step_control
 from timesim.engine.status import Status
 from timesim.engine.step import Step
-from timesim.model.model import Contact
+from timesim.model.model import SEPARATION, Contact
 from timesim.model.solver import Solver
 
 FINE = Solver("tsit5", 1e-12, 1e-12)
@@ -27,6 +27,9 @@ MAX_CYCLES = 1000
 ROUNDING, REPEATS = 1e-14, 1e-11
 BRIEF = 1e-8
 """Angle [rad] that a state must last to count: a slip that only touches the cone was seen to last 1.4e-9."""
+TOUCH = 1e-5
+"""The same of a contact between two separations, of which n rises to 1e-11 of its amplitude at most: a gap of exactly
+the amplitude closes for as long as a margin of 1e-12 takes."""
 
 
 @dataclass(frozen=True)
@@ -62,14 +65,12 @@ class Difference:
         coefficient: largest difference of a coefficient of (19) relative to the largest mu n, f_b left out where
             the offset is free.
         dissipation: difference of the dissipation relative to mu n times the size of the motion.
-        settled: whether the event loop came to a cycle that repeats.
     """
 
     same_sequence: bool
     angle: float
     coefficient: float
     dissipation: float
-    settled: bool
 
 
 def loop_cycle(contact: Contact, motion: Motion, *, max_cycles: int = MAX_CYCLES) -> LoopCycle:
@@ -136,7 +137,6 @@ def difference(cycle: ElementCycle, other: LoopCycle) -> Difference:
         min(options, default=np.nan),
         max(float(np.abs(a - b).max()) for a, b in pairs) / load,
         abs(cycle.dissipation - other.dissipation) / (load * reach),
-        other.periodic,
     )
 
 
@@ -147,12 +147,17 @@ def _lasting(transitions: Sequence[Transition]) -> list[Transition]:
     """
     kept: list[Transition] = []
     for item in sorted(transitions, key=lambda item: item.angle):
-        back = kept and (kept[-1].before, kept[-1].after) == (item.after, item.before)
-        if back and item.angle - kept[-1].angle < BRIEF:
+        if kept and _brief(kept[-1], item):
             kept.pop()
         else:
             kept.append(item)
-    return kept
+    return kept[1:-1] if len(kept) > 1 and _brief(kept[-1], kept[0]) else kept
+
+
+def _brief(begin: Transition, end: Transition) -> bool:
+    """Whether a state that two transitions enclose, in the order of the cycle, is none but for rounding."""
+    back = (begin.before, begin.after) == (end.after, end.before)
+    return back and (end.angle - begin.angle) % CYCLE < (TOUCH if begin.before == SEPARATION else BRIEF)
 
 
 def _apart(a: float, b: float) -> float:
