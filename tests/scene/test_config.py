@@ -713,12 +713,12 @@ def test_modes_far_above_the_excitation_are_worth_a_warning():
     assert "330695 Hz" in warning
     assert "keep_modes" in warning
     sweep = "study={kind: sweep, frequency: {from: 500, to: 1000, step: 250}}"
-    unused, far = warnings_of(load_scene(CONFIGS / "blade.yaml", ["structure.keep_modes=24", sweep]))
+    unused, *_, far = warnings_of(load_scene(CONFIGS / "blade.yaml", ["structure.keep_modes=24", sweep]))
     assert "excitation.frequency is not used" in unused
     assert "331 times the excitation" in far
     report = describe(load_scene(CONFIGS / "blade.yaml", [sweep]))
     assert report["excitation"][0].startswith("frequency set by the study")
-    (far,) = warnings_of(load_scene(CONFIGS / "blade_response.yaml", ["structure.keep_modes=24"]))
+    *_, far = warnings_of(load_scene(CONFIGS / "blade_response.yaml", ["structure.keep_modes=24"]))
     assert "367 times the excitation" in far
 
 
@@ -751,9 +751,39 @@ def test_another_form_than_is_asked_for_is_answered_with_that_form(key, value, s
     assert "known:" not in str(refused.value)
 
 
-def test_a_contact_under_prescribed_motion_has_no_frequency():
-    warnings = list(warnings_of(load_scene(CONFIGS / "figure4.yaml", {"excitation.frequency": 3.0})))
-    assert warnings == ["excitation.frequency is not used: in a study of kind element the motion has none"]
+def test_a_contact_under_prescribed_motion_has_neither_structure_nor_solver():
+    """What such a scene names of a structure is not modelled, and `check` does not describe it."""
+    body = {"modes": [{"frequency": 0.9, "damping_ratio": 0.01, "mass": 1.0, "shape": {"tip": [1, 0, 0]}}]}
+    element = load_scene(
+        CONFIGS / "figure4.yaml", {"structure": body, "solver.accuracy": "draft", "contacts.pad.point": "tip"}
+    )
+    says = "is not used: in a study of kind element the motion of the contact is given"
+    assert list(warnings_of(element)) == [f"structure {says}", f"solver {says}"]
+    report = describe(element)
+    assert "structure" not in report
+    assert not any("moves straight" in line for line in report["contacts"])
+    assert not any(line.startswith(("solver", "start")) for line in report["scene"])
+    assert any(line.startswith("solver") for line in describe(load_scene(CONFIGS / "figure7.yaml"))["scene"])
+
+
+def test_steps_that_pass_over_a_resonance_are_worth_a_warning():
+    """A mode of 0.1 % at 434.5 Hz is 0.87 Hz wide at half of its power."""
+
+    def warnings(step: float, damping: float = 1e-3) -> list[str]:
+        modes = {"modes": [{"frequency": 434.5, "damping_ratio": damping, "mass": 1.0, "shape": {"tip": [1, 0, 0]}}]}
+        study = {"kind": "sweep", "frequency": {"from": 400, "to": 500, "step": step}}
+        changes = {
+            "structure": modes,
+            "contacts": [],
+            "excitation": {"modal_force": [{"amplitude": 1}]},
+            "study": study,
+        }
+        return list(warnings_of(load_scene(CONFIGS / "oscillator.yaml", changes)))
+
+    (passed,) = warnings(10.0)
+    assert "at 434.5 Hz is 0.87 Hz wide" in passed
+    assert "steps of 10 Hz" in passed
+    assert warnings(0.8) == warnings(10.0, 0.02) == []
 
 
 def test_damping_given_in_percent_and_a_result_of_gigabytes_are_worth_a_warning():

@@ -86,6 +86,8 @@ class ElementPlan:
 class Element(ElementSection):
     """A contact under prescribed motion: u = [A sin θ, B sin(θ + φ)], v = D sin(θ + ψ), or one from a file."""
 
+    uses_solver: ClassVar[bool] = False
+
     kind: Literal["element"]
     A: NotNegative = 0.0
     """Amplitude along t1."""

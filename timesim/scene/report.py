@@ -32,7 +32,7 @@ from timesim.result.label import counted
 from timesim.scene.file import SceneFile
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
-from timesim.scene.study import SteadySection, StudySection, SweepPlan
+from timesim.scene.study import SteadySection, StudySection, SweepPlan, SweepSection
 from timesim.scene.text import value_text
 from timesim.scene.transient import Schedule, TradeoffPlan
 
@@ -41,6 +41,7 @@ LARGE_RESULT = 1.0  # gigabytes of samples
 FASTER, NOTICED = 1.5, 3.0  # times, and seconds, from which on another way to settle is named
 FEWEST_SAMPLES = 8  # of a cycle, between which its motion can be guessed
 MOST_SAMPLES = 2**16  # of a period of a balance
+STEPS_OF_WIDTH = 1.0  # widths of a resonance at half its power that a step may have
 FAR_ABOVE = 100.0
 """Modes from matrices above this multiple of the highest excitation frequency are worth a warning."""
 
@@ -48,7 +49,7 @@ FAR_ABOVE = 100.0
 def describe(scene: Scene) -> dict[str, tuple[str, ...]]:
     """What ``timesim check`` prints: what is modelled, what is left out and why, and warnings, lines by heading."""
     report = {"scene": tuple(_study_lines(scene))}
-    if scene.file.structure is None:
+    if not scene.file.study.requires:
         report["contacts"] = tuple(contact_line(item.build()) for item in scene.file.contacts)
     else:
         model = scene.model()
@@ -224,8 +225,10 @@ def _study_lines(scene: Scene) -> Iterator[str]:
     yield f"study: {_keys(scene.file.study, ('kind', *written['study']))}"
     if extent := scene.file.study.extent():
         yield f"points: {extent}"
-    yield f"solver: {_keys(scene.file.solver, written.get('solver', ()))}"
-    yield f"start: {initial if isinstance(initial, str) else _keys(initial, written['initial'])}"
+    if scene.file.study.uses_solver:
+        yield f"solver: {_keys(scene.file.solver, written.get('solver', ()))}"
+    if scene.file.study.requires:
+        yield f"start: {initial if isinstance(initial, str) else _keys(initial, written['initial'])}"
 
 
 def _keys(section: BaseModel, order: Iterable[str]) -> str:
@@ -252,16 +255,20 @@ def warnings_of(scene: Scene) -> Iterator[str]:
     """What is accepted in a scene but may not be intended."""
     file = scene.file
     frequency = file.excitation.frequency if file.excitation else None
-    if frequency is not None and not file.study.uses_frequency:
-        instead = "its own frequencies rule" if file.study.requires else "the motion has none"
-        yield f"excitation.frequency is not used: in a study of kind {file.study.kind} {instead}"
+    if not file.study.requires:
+        unused = ("structure", "excitation", "initial", *([] if file.study.uses_solver else ["solver"]))
+        for key in (key for key in unused if key in scene.source.data):
+            yield f"{key} is not used: in a study of kind {file.study.kind} the motion of the contact is given"
+    elif frequency is not None and not file.study.uses_frequency:
+        yield f"excitation.frequency is not used: in a study of kind {file.study.kind} its own frequencies rule"
     for contact in file.contacts:
         if contact.idle_stiffness and np.any(contact.stiffness_matrix()):
             yield f"contacts.{contact.name}.tangential_stiffness has no effect without friction"
-    if file.structure is None:
+    if not file.study.requires:
         return
     model = scene.model()
     yield from model.notes
+    yield from _narrow(file.study, model)
     yield from _still_parts(file, model)
     yield from _large_numbers(file.study, scene.plan, model)
     highest = _highest_frequency(scene) * float(model.excitation.harmonic.max())
@@ -272,6 +279,21 @@ def warnings_of(scene: Scene) -> Iterator[str]:
         reach = f"{model.structure.frequency[keep - 1]:.6g} Hz"
         advice = f"structure.keep_modes: {keep} would reach {reach}"
         yield f"the modes kept reach {top}, which costs steps; {advice}"
+
+
+def _narrow(study: StudySection, model: Model) -> Iterator[str]:
+    """Resonances, free or stuck, that the steps of a sweep may pass over."""
+    if not isinstance(study, SweepSection):
+        return
+    swept = study.sweep().frequency
+    zeta = np.nanmin(model.structure.damping_ratio, initial=np.inf)
+    natural = np.concatenate([model.structure.frequency, model.stuck_omega / (2 * np.pi)])
+    natural = natural[(natural > swept[0]) & (natural < swept[-1])]
+    after = np.searchsorted(swept, natural)
+    step, width = swept[after] - swept[after - 1], 2 * zeta * natural
+    for place in np.flatnonzero(step > STEPS_OF_WIDTH * width)[:1]:
+        peak = f"a resonance as at {natural[place]:.6g} Hz is {width[place]:.2g} Hz wide by its structural damping"
+        yield f"study.frequency: {peak}; steps of {step[place]:.3g} Hz may miss its peak where no contact slips"
 
 
 def _highest_frequency(scene: Scene) -> float:

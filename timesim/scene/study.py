@@ -107,6 +107,8 @@ class StudySection(Section):
     """Keys that the scene must have."""
     uses_frequency: ClassVar[bool] = False
     """Whether ``excitation.frequency`` is the one it runs at."""
+    uses_solver: ClassVar[bool] = True
+    """Whether its result depends on the method of time integration."""
     explicit_only: ClassVar[bool] = False
     """Whether ``solver.method`` must be an explicit one."""
     cone_only: ClassVar[bool] = False

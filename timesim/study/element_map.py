@@ -29,7 +29,7 @@ from timesim.scene.resolution import Scene
 from timesim.study.execution.campaign import INTERRUPTED, Execution
 from timesim.study.execution.progress import Progress, unwatched
 from timesim.study.execution.worker import threads
-from timesim.study.outcome import Outcome, attributes
+from timesim.study.outcome import Outcome, attributes, took
 
 BATCH = 256
 MAX_CYCLES = 300
@@ -179,9 +179,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     }
     about = attributes(scene, str(solver), compiled - clock, seconds, reason)
     record = dataset(variables, coords, about | {"contact": plan.contact.name})
-    took = f"in {seconds:.2f} s, after {compiled - clock:.1f} s of compilation"
     lines = (
-        f"{counted(elements.size, 'point')} by {solver} {took}",
+        f"{counted(elements.size, 'point')} by {solver} {took(about)}",
         f"cycles to the steady one: {np.median(result['cycles']):.0f} in the median, {result['cycles'].max()} at most",
         *([f"{counted(creeping, 'point')} still creeping after {MAX_CYCLES} cycles (settled = 0)"] if creeping else []),
     )

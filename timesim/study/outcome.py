@@ -10,6 +10,8 @@ from timesim.scene.resolution import Scene
 if TYPE_CHECKING:
     from xarray import Dataset
 
+FELT = 0.5  # seconds
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -31,6 +33,12 @@ def unit_names(scene: Scene) -> dict[str, str]:
     units = scene.file.units
     names = {} if units is None else {"length_unit": units.length, "force_unit": units.force}
     return {attribute: name for attribute, name in names.items() if name}
+
+
+def took(attrs: Mapping[Any, Any]) -> str:
+    """The time of a run in words, apart from that of compilation where it can be felt."""
+    compiling, running = attrs["compile_seconds"], f"in {attrs['run_seconds']:.2f} s"
+    return f"{running}, after {compiling:.1f} s of compilation" if compiling > FELT else running
 
 
 def attributes(scene: Scene, method: str, compiling: float, running: float, reason: str | None) -> dict[str, Any]:

@@ -16,10 +16,12 @@ from timesim.result.coordinate import over_keys
 from timesim.result.label import axis_value, counted, first_few, in_words, with_unit
 from timesim.scene.transient import Schedule
 from timesim.study.drift import largest_step, step_of_points
+from timesim.study.outcome import took
 
 MOTIONS = ("smaller", "larger")
 PHASES = 12  # of a schedule at most that are listed
 POINTS = 5  # failed points, or spans of points, that are named
+SHARP = 0.5  # of a peak: where a point beside it is lower, they do not tell how high it is
 TIE = 1e-7  # relative difference of peaks up to which they are equal: the accuracy of the time integration
 LINES = 12  # lines on peaks, on ranges with two motions, or on folds
 
@@ -31,7 +33,7 @@ def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
     """
     attrs, amplitude = data.attrs, data["cycle_amplitude"].values
     whole, transitions = counted(len(amplitude), "cycle"), counted(data.sizes["event"], "transition")
-    yield f"{whole} by {attrs['method']} in {attrs['run_seconds']:.2f} s, {transitions}"
+    yield f"{whole} by {attrs['method']} {took(attrs)}, {transitions}"
     if not len(amplitude):
         return
     largest = max(np.max(np.abs(data["energy_input"].values)), attrs["peak_stored_energy"])
@@ -83,7 +85,7 @@ def number_of_states(data: Dataset) -> int:
 def sweep_lines(data: Dataset) -> Iterator[str]:
     """The summary of a sweep: its steady states, peaks and jumps."""
     states, cycles = counted(number_of_states(data), "steady state"), counted(data["cycles"].values.sum(), "cycle")
-    yield f"{states} by {data.attrs['method']} in {data.attrs['run_seconds']:.2f} s, {cycles}"
+    yield f"{states} by {data.attrs['method']} {took(data.attrs)}, {cycles}"
     yield from peak_lines(data)
     yield from unusual_lines(data)
     yield from jump_lines(data)
@@ -92,7 +94,7 @@ def sweep_lines(data: Dataset) -> Iterator[str]:
 def peak_lines(data: Dataset) -> Iterator[str]:
     """The largest amplitude for each set of values, and the direction of the sweep that has it where the other has not.
 
-    It is that of a point, between which the response may be larger.
+    It is that of a point. Where those beside it are far lower, the response between them may be far higher.
     """
     amplitude, count = np.nan_to_num(data["amplitude"].values, nan=-1.0), data.sizes["frequency"]
     lines = []
@@ -108,6 +110,9 @@ def peak_lines(data: Dataset) -> Iterator[str]:
         alone = own[..., point, axis].max(axis=1).min() < (1 - SAME) * top
         way = f", direction {data['direction'].values[direction]}" if alone else ""
         end = ", an end of the frequencies" if count > 1 and at in (0, count - 1) else ""
+        beside = own[direction, max(at - 1, 0) : at + 2, point, axis]
+        if count > 1 and beside.min() < SHARP * top:
+            end += f"; beside it {beside.min() / top:.0%} of that: between the points it may be far higher"
         what, frequency = "peak" if count > 1 else "amplitude", axis_value(data["frequency"].values[at])
         lines.append(f"{label}{what} {height} of {name} at {frequency} Hz{way}{end}")
     yield from first_few(lines, LINES, lambda left: f"and {counted(left, 'more peak')}, all in the result file")

@@ -49,7 +49,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
             more["repetition"] = f"{better}: {again.reason}"
             break
         done = _doubted(again, promise)
-    record = _record(scene, done, time.perf_counter() - clock).assign_attrs(more)
+    record = _record(scene, done, time.perf_counter() - clock - done.compiling).assign_attrs(more)
     lines += [*transient_lines(record, scene.plan), *run_lines(record, scene.plan, scene.model().structure.frequency)]
     return Outcome({"": record}, done.reason, tuple(lines))
 

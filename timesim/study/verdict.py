@@ -12,6 +12,7 @@ from timesim.orbit.steady_state import switches
 from timesim.result.coordinate import over_keys, rubs
 from timesim.result.label import counted, in_words, with_unit
 from timesim.scene.study import combinations
+from timesim.study.outcome import took
 
 # Within this share of a fold's frequency a small error of either method changes the answer much.
 NEAR_FOLD = 1e-3
@@ -26,7 +27,7 @@ def curve_lines(data: Dataset, notes: Sequence[str]) -> Iterator[str]:
     """Response curves: how many, notes of the study, each curve, and whether harmonics and samples suffice."""
     numbers, attrs = np.unique(data["curve"].values), data.attrs
     solutions, curves = counted(data.sizes["solution"], "solution"), counted(numbers.size, "curve")
-    yield f"{solutions} on {curves} by {attrs['method']} in {attrs['run_seconds']:.2f} s"
+    yield f"{solutions} on {curves} by {attrs['method']} {took(attrs)}"
     yield from notes
     for number in numbers:
         curve = data.isel(solution=data["curve"].values == number)
