@@ -91,8 +91,9 @@ def test_steady_states_and_curves(tmp_path):
     assert abs(point["amplitude"].sel(point="tip", axis="x").item() - 0.15612878) < 1e-7
     row = timesim.sweep(oscillator(), [1.39])
     assert_same(row.isel(direction=0, frequency=0), point)
-    with pytest.raises(ValueError, match=r"a single direction and a single frequency: .* result.sel\(direction="):
-        timesim.plot(point, tmp_path)
+    with pytest.raises(ValueError, match=r"a single direction: .* result.sel\(direction="):
+        timesim.plot(row.isel(direction=0), tmp_path)
+    assert timesim.plot(point, tmp_path / "point", log="amplitude")
     assert timesim.plot(row.isel(frequency=[0]), tmp_path)
     curve = timesim.follow(oscillator(), 1.38, 1.40)
     assert {"amplitude", "stable"} <= set(curve)
@@ -123,6 +124,11 @@ def test_steady_states_and_curves(tmp_path):
         (lambda: timesim.modal_forces([np.nan]), "excitation.modal_force.0.amplitude: .nan: must be finite"),
         (lambda: timesim.system(one_mass(), [pad(point="rim")], FORCE), "contacts.pad.point: rim: must be a point of"),
         (lambda: timesim.system(one_mass(), [pad(), pad()], FORCE), "contacts.1.name: pad: must differ"),
+        (lambda: timesim.system(one_mass(), pad(), FORCE), r"contacts must be a list, of one contact too"),
+        (
+            lambda: timesim.system(one_mass(), [pad()], [timesim.modal_forces([1])] * 2),
+            "several modal_forces: give one",
+        ),
         (
             lambda: timesim.system(one_mass(), [pad()], timesim.modal_forces([1, 1])),
             "must have 1 entry, one a mode, not",

@@ -1,0 +1,166 @@
+"""The studies of a system as functions: a transient, a steady state, a sweep, a curve, a point again, pictures.
+
+Each runs the scene that a file would describe. A scene file, `timesim.run` and these functions therefore share their
+checks and their numerics, and give the same bits.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from numpy.typing import ArrayLike
+
+from timesim.fault import RuleError
+from timesim.notebook.parts import Section, array_of, given
+from timesim.study.point import point_again
+from timesim.study.registry import draw, run
+
+if TYPE_CHECKING:
+    import xarray
+
+DRAWN = ("direction", "frequency", "point", "axis", "contact", "time", "cycle", "harmonic")
+"""Axes of results that pictures need."""
+SETTLED = ["direction", "frequency"]
+"""Axes of a sweep that the one point of `settle` has none of."""
+
+
+def integrate(
+    system: Section,
+    frequency: float,
+    cycles: int,
+    *,
+    samples_per_cycle: int = 200,
+    record_last: int | None = None,
+    initial: str | Section = "rest",
+) -> "xarray.Dataset":
+    """Integrate from a starting state through every transition, as a transient study does.
+
+    Args:
+        system: from `system`.
+        frequency: of the excitation [Hz].
+        cycles: of the excitation.
+        samples_per_cycle: samples that are kept of a cycle.
+        record_last: cycles of which samples are kept; all by default.
+        initial: the section `initial` of a scene: "rest", "static", or displacements and velocities of the modes.
+
+    Returns:
+        The variables of a transient's result file, `displacement` of shape (time, point, axis) among them.
+    """
+    study = {"kind": "transient", "cycles": cycles, "samples_per_cycle": samples_per_cycle}
+    driven = system["excitation"] | {"frequency": frequency}
+    scene = system | {"excitation": driven, "initial": initial, "study": study | given(record_last=record_last)}
+    return run(scene)
+
+
+def sweep(
+    system: Section,
+    frequency: ArrayLike,
+    *,
+    direction: str = "independent",
+    over: Mapping[str, Sequence[float]] | None = None,
+    periodic: str = "march",
+    refine: float | None = None,
+    tolerance: float = 1e-8,
+    max_cycles: int = 2000,
+) -> "xarray.Dataset":
+    """Steady states over frequency, by time integration until the motion settles.
+
+    Args:
+        system: from `system`.
+        frequency: [Hz], shape (F,).
+        direction: "independent", each from the start; "up", "down", "both": the motion is carried along.
+        over: values of scalars of the scene by their key, ``{"contacts.pad.preload": [1, 2]}``, each a further axis.
+        periodic: "march" until the motion repeats, or "shoot": Newton's method on the state after a period at once.
+        refine: width to which the frequency of each jump is bisected [Hz]; None: jumps are not looked for.
+        tolerance: change of the state from cycle to cycle, relative, from which on it counts as settled.
+        max_cycles: given to a point at most.
+
+    Returns:
+        The variables of a sweep's result file, `amplitude` of shape (..., direction, frequency, point, axis) among
+        them; `settled` is 0 where a motion does not repeat.
+    """
+    study = {
+        "kind": "sweep",
+        "frequency": {"values": array_of("frequency", frequency, ("F",))},
+        "direction": direction,
+        "periodic": periodic,
+        "settle": {"tolerance": tolerance, "max_cycles": max_cycles},
+    }
+    return run(system | {"study": study | given(over=over and dict(over), refine=refine)})
+
+
+def settle(system: Section, frequency: float, *, tolerance: float = 1e-8, max_cycles: int = 2000) -> "xarray.Dataset":
+    """The steady state at one frequency [Hz], from the start of the system; arguments and variables as of `sweep`."""
+    result = sweep(system, [frequency], tolerance=tolerance, max_cycles=max_cycles)
+    return result.isel(direction=0, frequency=0)
+
+
+def follow(
+    system: Section, start: float, stop: float, *, harmonics: int | str = "auto", time_samples: int | str = "auto"
+) -> "xarray.Dataset":
+    """Follow periodic responses by harmonic balance from one frequency to another, through folds.
+
+    Args:
+        system: from `system`.
+        start: frequency where the curve begins [Hz]; may be the larger one.
+        stop: frequency where it ends [Hz].
+        harmonics: of the displacement, above the mean, a number or auto.
+        time_samples: of a period at which the contacts are evaluated, a number or auto.
+
+    Returns:
+        The variables of the result file of a harmonic balance, along `solution`, `amplitude` (solution, point, axis)
+        and `stable` among them.
+    """
+    span = {"from": start, "to": stop}
+    study = {"kind": "hbm", "frequency": span, "harmonics": harmonics, "time_samples": time_samples}
+    return run(system | {"study": study})
+
+
+def show(path: str | Path, at: Mapping[str, float | str]) -> "xarray.Dataset":
+    """Compute the motion at a point of a sweep again, from the state saved in the result; see `timesim show`.
+
+    Args:
+        path: result file of a study with a sweep, or the folder of its run.
+        at: the point, values along the axes of the sweep by name: ``{"frequency": 0.945, "direction": "up"}``.
+
+    Returns:
+        A period of the motion, ten cycles where it has none: the result of a transient.
+
+    Raises:
+        ValueError: the result has no such point, or more than one.
+    """
+    try:
+        return point_again(path, at).motion
+    except RuleError as error:
+        raise ValueError(f"{'.'.join(map(str, error.key)) or path}: {error.rule} ({error.hint})") from None
+
+
+def plot(
+    result: "xarray.Dataset | xarray.DataTree",
+    folder: str | Path,
+    *,
+    kind: str = "png",
+    log: str | Collection[str] = (),
+) -> list[Path]:
+    """Draw the pictures of a result into a folder, creating it, and return the files; see `timesim plot`.
+
+    Args:
+        result: a result in memory.
+        folder: created if it does not exist.
+        kind: format of the files: png, pdf or svg.
+        log: "amplitude", "frequency", or both: axes to be logarithmic.
+
+    Raises:
+        ValueError: what is given is no result, or a part of one, which names no study or lacks an axis.
+    """
+    if "study" not in getattr(result, "attrs", ()):
+        rule = "names no study: it must be a whole result, as a function of timesim or `timesim.open_result` returns it"
+        raise ValueError(f"result is a {type(result).__name__} that {rule}")
+    single = [name for name in DRAWN if name in result.coords and not result[name].dims]
+    if single == SETTLED:
+        result, single = result.expand_dims(SETTLED), []
+    if single:
+        rule = f"keep it as an axis, by a list of one: result.sel({single[0]}=[...])"
+        raise ValueError(f"result has a single {' and a single '.join(single)}: {rule}")
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    return draw(result, folder, kind=kind, log=[log] if isinstance(log, str) else log)
