@@ -11,7 +11,7 @@ import numpy as np
 from timesim.engine import dense_output as hermite
 from timesim.engine.law.table import law_class
 from timesim.engine.trajectory import Steps
-from timesim.model.model import Model
+from timesim.model.model import SEPARATION, Model
 
 MOST_UNLIKE = 5.0
 """Ratio of the lengths of two steps from which on no polynomial goes through the ends of both."""
@@ -113,6 +113,7 @@ class CycleTotals:
         size: largest displacement and velocity at the ends of the steps of the last cycle, modes normalised to unit
             mass, shape (2,).
         transitions: how many there were.
+        opens: whether a contact has opened or closed.
     """
 
     model: Model
@@ -125,6 +126,7 @@ class CycleTotals:
     peak: float = 0.0
     size: np.ndarray = field(default_factory=lambda: np.zeros(2))
     transitions: int = 0
+    opens: bool = False
     _low: Any = None
     _high: Any = None
     _open: int = -1
@@ -139,7 +141,9 @@ class CycleTotals:
             low[0], high[0] = np.minimum(low[0], self._low), np.maximum(high[0], self._high)
         energy = stored_energy(self.model, *steps.reached, steps.state_after)
         self.peak = max(self.peak, float(np.max(np.abs(energy))))
-        self.transitions += int(np.sum(steps.state != steps.state_after))
+        switched = steps.state != steps.state_after
+        self.transitions += int(np.sum(switched))
+        self.opens |= bool(np.any(switched & (np.maximum(steps.state, steps.state_after) == SEPARATION)))
         self._measure(steps, first[-1], goes_on=goes_on and first.size == 1)
         done = steps.cycle[first] < completed
         last = np.append(first[1:], steps.cycle.size)[done] - 1
