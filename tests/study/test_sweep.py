@@ -3,6 +3,7 @@
 import copy
 import json
 import signal
+import re
 import subprocess
 import sys
 import time
@@ -294,6 +295,9 @@ def test_the_peak_of_each_set_of_values_is_named(both: xarray.Dataset) -> None:
     assert line.endswith("Hz, an end of the frequencies")
     (line,) = peak_lines(data.isel(frequency=[5]))
     assert f"{PRELOAD} -4: amplitude " in line
+    data.amplitude[:, :, 6] *= 5
+    (line,) = peak_lines(data)
+    assert re.search(r"Hz; beside it \d+% of that: between the points it may be far higher$", line)
     data.amplitude[:] = np.nan
     assert list(peak_lines(data)) == []
 
