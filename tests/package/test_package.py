@@ -103,7 +103,8 @@ def test_whoever_uses_jax_has_it_as_the_package_needs_it():
 def test_a_folder_can_be_taken_in_at_a_glance():
     for folder in {source.parent for source in SOURCES} - {PACKAGE}:
         modules = [path for path in folder.glob("*.py") if path.name != "__init__.py"]
-        assert len(modules) <= 15, f"{folder.name} has {len(modules)} modules"
+        room = 15 - (folder.name == "study")  # for the study that the README tells how to add
+        assert len(modules) <= room, f"{folder.name} has {len(modules)} modules"
         assert ast.get_docstring(ast.parse((folder / "__init__.py").read_text())), folder
 
 

@@ -34,7 +34,7 @@ from timesim.study import registry as plot
 from timesim.study.execution.campaign import Execution
 from timesim.study.outcome import Outcome
 from timesim.study.registry import carry_out, load_scene
-from timesim.study.report import bistable_lines, fold_lines
+from timesim.study.summary.bistable import bistable_lines, fold_lines
 
 QUICK = {
     "study.frequency": "{from: 1.24, to: 1.27}",

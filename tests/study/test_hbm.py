@@ -28,7 +28,7 @@ from timesim.study import registry as plot
 from timesim.study.execution.campaign import Execution
 from timesim.study.hbm import study as followed_study
 from timesim.study.registry import carry_out, load_scene
-from timesim.study.verdict import convergence_lines, curve_lines
+from timesim.study.summary.curve import convergence_lines, curve_lines
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 BASE = oscillator_scene(preload=-4.0)

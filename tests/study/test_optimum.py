@@ -19,7 +19,7 @@ from timesim.study import registry as plot
 from timesim.study.execution.campaign import Execution
 from timesim.study.optimum import Peaks, Response, SearchError, _peak, data_of
 from timesim.study.registry import carry_out, load_scene
-from timesim.study.report import optimum_lines
+from timesim.study.summary.optimum import optimum_lines
 from timesim.study.sweep import blank_columns
 
 KEY = "contacts.pad.preload"

@@ -2,8 +2,8 @@
 
 import copy
 import json
-import signal
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -29,7 +29,7 @@ from timesim.result.netcdf import read, save
 from timesim.study import sweep
 from timesim.study.outcome import attributes
 from timesim.study.registry import load_scene
-from timesim.study.report import jump_lines, peak_lines
+from timesim.study.summary.sweep import jump_lines, peak_lines
 
 DATA = Path(__file__).parents[1] / "data"
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -29,7 +29,8 @@ from timesim.study.execution.progress import CURVE, Phases
 from timesim.study.execution.worker import each, point_done
 from timesim.study.hbm import compile_beside, followed
 from timesim.study.outcome import Outcome, attributes
-from timesim.study.report import bistable_lines, failure_line, fold_lines, number_of_states, unusual_lines
+from timesim.study.summary.bistable import bistable_lines, fold_lines
+from timesim.study.summary.sweep import failure_line, number_of_states, unusual_lines
 from timesim.study.sweep import STEPS_A_CHUNK, Grid, continued, sizes_of
 
 SEARCH = "sweeps, ends and starts"  # phase of the progress

@@ -40,9 +40,10 @@ from timesim.study.execution.processes import Processes, unseen
 from timesim.study.execution.progress import CURVE, Phases
 from timesim.study.hbm import compile_beside, followed, left_out
 from timesim.study.outcome import Outcome, attributes, unit_names
-from timesim.study.report import jump_lines
+from timesim.study.summary.comparison import WORTH_ASKING, Points, compared_points, comparison_lines
+from timesim.study.summary.curve import curve_lines
+from timesim.study.summary.sweep import jump_lines
 from timesim.study.sweep import sweep_record
-from timesim.study.verdict import WORTH_ASKING, Points, compared_points, comparison_lines, curve_lines
 
 # Amplitudes below this share of the largest of a motion are those of axes that do not move.
 STILL = 1e-9

@@ -21,7 +21,7 @@ from timesim.study.curves.record import solutions
 from timesim.study.execution.campaign import Execution
 from timesim.study.execution.progress import Phases
 from timesim.study.outcome import Outcome, attributes
-from timesim.study.verdict import curve_lines
+from timesim.study.summary.curve import curve_lines
 
 
 def study(scene: Scene, execution: Execution) -> Outcome:

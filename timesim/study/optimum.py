@@ -29,7 +29,8 @@ from timesim.study.execution.campaign import Chunk, Execution, Result, carry_thr
 from timesim.study.execution.progress import Phases
 from timesim.study.execution.worker import each, point_done
 from timesim.study.outcome import Outcome, attributes
-from timesim.study.report import TIE, as_low, failure_line, optimum_lines
+from timesim.study.summary.optimum import TIE, as_low, optimum_lines
+from timesim.study.summary.sweep import failure_line
 from timesim.study.sweep import blank_columns, steady_dataset
 
 NEARLY = 0.9  # of the largest amplitude: other maxima above it may be larger between the points of the sweep

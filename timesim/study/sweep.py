@@ -29,7 +29,7 @@ from timesim.study.execution.campaign import Chunk, Execution, Result, carry_thr
 from timesim.study.execution.progress import Phases
 from timesim.study.execution.worker import each, halted, point_done
 from timesim.study.outcome import Outcome, attributes, unit_names
-from timesim.study.report import failure_line, sweep_lines
+from timesim.study.summary.sweep import failure_line, sweep_lines
 
 POINTS_A_CHUNK = 128  # independent points: enough to keep a batch full while some of them settle late
 CHAINS_A_CHUNK = (4, 32)  # few chains are spread over the processors, many are kept in few files

@@ -19,11 +19,11 @@ from timesim.result.dataset import Arrays, dataset
 from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.transient import Schedule
-from timesim.study.drift import run_lines
 from timesim.study.execution.campaign import Execution
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.recorder import Recorder, contact_forces
-from timesim.study.report import transient_lines
+from timesim.study.summary.drift import run_lines
+from timesim.study.summary.transient import transient_lines
 
 REPETITIONS = 2
 """Of a run that errs more than promised: the first estimate may be far off if errors are not proportional yet."""

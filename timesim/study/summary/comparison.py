@@ -1,4 +1,4 @@
-"""The summaries of harmonic balance, and of its comparison with a sweep, in words, from the finished results."""
+"""The verdict on two methods, in words, from the finished results of a sweep and of the harmonic balance."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,13 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from xarray import Dataset
 
-from timesim.hbm.convergence import Convergence, order_of
-from timesim.hbm.curve import changes_of_stability, peak
 from timesim.orbit.steady_state import switches
-from timesim.result.coordinate import over_keys, rubs
-from timesim.result.label import counted, in_words, with_unit
+from timesim.result.coordinate import rubs
+from timesim.result.label import counted, in_words
 from timesim.scene.study import combinations
-from timesim.study.outcome import took
 
 # Within this share of a fold's frequency a small error of either method changes the answer much.
 NEAR_FOLD = 1e-3
@@ -21,79 +18,6 @@ NEAR_FOLD = 1e-3
 AGREE, NEARLY, WORTH_ASKING = 2e-3, 2e-2, 5e-4
 # Share of the period for which a contact that has crept up to its cone may slip by rounding.
 SHAKEN_DOWN = 1e-5
-
-
-def curve_lines(data: Dataset, notes: Sequence[str]) -> Iterator[str]:
-    """Response curves: how many, notes of the study, each curve, and whether harmonics and samples suffice."""
-    numbers, attrs = np.unique(data["curve"].values), data.attrs
-    solutions, curves = counted(data.sizes["solution"], "solution"), counted(numbers.size, "curve")
-    yield f"{solutions} on {curves} by {attrs['method']} {took(attrs)}"
-    yield from notes
-    for number in numbers:
-        curve = data.isel(solution=data["curve"].values == number)
-        values = in_words({key: curve[key].values[0] for key in over_keys(data)}, ": ")
-        yield values + _curve_line(curve)
-        yield from (values + line for line in _free_lines(curve))
-    if "convergence" in attrs:
-        yield from attrs["convergence"].split("\n")
-
-
-def _curve_line(curve: Dataset) -> str:
-    """The peak of a curve, its folds, and how much its contacts slip and separate."""
-    amplitude, along = curve["amplitude"].values, curve[curve.attrs.get("along", "frequency")].values
-    stable, fold = curve["stable"].values > 0, curve["fold"].values > 0
-    point, axis = np.unravel_index(np.argmax(amplitude.max(axis=0)), amplitude.shape[1:])
-    motion = np.stack([curve["harmonic_cos"].values, curve["harmonic_sin"].values], axis=1)
-    place, height = peak(along, amplitude[:, point, axis], motion)
-    folds = ", ".join(f"{p:.6g}" for p in along[fold])
-    turning = f"folds at {folds}" if folds else "no fold"
-    changes = ", ".join(f"{p:.6g}" for p in along[changes_of_stability(stable, fold)])
-    also = f"; stability changes at {changes} without a fold" if changes else ""
-    touching, apart = curve["slip_share"].values, curve["separation_share"].values.max(initial=0.0)
-    rub = rubs(curve).values
-    slip, closed = (touching[:, own].max(initial=0.0) for own in (rub, ~rub))
-    stops = f", a stop closed for {closed:.2f}" if closed else ""
-    states = f"at most {slip:.2f} of a period in slip, {apart:.2f} in separation{stops}"
-    if slip == apart == closed == 0:
-        states = "full stick throughout, which says nothing of friction"
-    name = f"{curve['point'].values[point]} {curve['axis'].values[axis]}"
-    where = with_unit(f"{place:.6g}", curve[curve.attrs.get("along", "frequency")].attrs)
-    return (
-        f"peak {with_unit(f'{height:.5g}', curve['amplitude'].attrs)} of {name} at {where}; {turning}{also}; "
-        f"{counted(int(np.sum(~stable & ~fold)), 'unstable solution')}; {states}"
-    )
-
-
-def _free_lines(curve: Dataset) -> Iterator[str]:
-    """Contacts that stick all along where others work: the balance has chosen one of many motions."""
-    slip, apart, rub = curve["slip_share"].values, curve["separation_share"].values, rubs(curve).values
-    works = np.any(switches(slip, apart) & (rub | (apart > 0)), axis=1, keepdims=True)
-    sticks = rub & (slip == 0) & (apart == 0) & works
-    for name, number in zip(curve["contact"].values, sticks.sum(axis=0), strict=True):
-        if number:
-            where = f"at {counted(int(number), 'solution')} at which others work"
-            freedom = "its mean force is not unique, and the motion may depend on it"
-            yield f"contact {name} sticks all the time {where}: {freedom}"
-
-
-def convergence_lines(refined: Convergence) -> list[str]:
-    """How the answer depends on harmonics and time samples."""
-    if not refined.count:
-        return ["convergence: no stable solution slips or separates, so harmonics and samples change nothing"]
-    lost = ", ".join(f"{count} with {name}" for name, count in refined.lost.items())
-    return [
-        f"convergence of {counted(refined.count, 'solution')} with slip or separation, change from the finest: "
-        + _listed(refined.harmonics, refined.with_harmonics, "harmonics"),
-        _listed(refined.time_samples, refined.with_samples, "time samples"),
-        *([f"not found: {lost}"] if lost else []),
-    ]
-
-
-def _listed(numbers: np.ndarray, changes: np.ndarray, name: str) -> str:
-    parts = ", ".join(f"{int(n)}: {change:.1e}" for n, change in zip(numbers[:-1], changes[:-1], strict=True))
-    order = order_of(numbers, changes)
-    seen = f"order {order:.1f}" if np.isfinite(order) else "no order yet"
-    return f"{name} {parts} ({seen}, and the finest, {int(numbers[-1])}, moved it by {changes[-1]:.1e})"
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,113 @@
+"""The summary of a search for two motions, in words, from its finished result: ranges, starts, offsets, folds."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from xarray import Dataset
+
+from timesim.orbit.basin import ANOTHER, IRREGULAR, LOWER, NONE, UPPER, unique
+from timesim.orbit.two_motions import LARGER, NO_MOTION, SMALLER
+from timesim.result.coordinate import over_keys
+from timesim.result.label import counted, first_few, in_words, with_unit
+from timesim.study.summary.sweep import LINES
+
+MOTIONS = ("smaller", "larger")
+
+
+def bistable_lines(data: Dataset, sweep: Dataset, width: float) -> Iterator[str]:
+    """The ranges with two motions, from the root of the result and its sweeps; each end is bisected to a width [Hz]."""
+    *keys, jump, _ = data["range"].dims
+    lines = []
+    for place in np.argwhere(np.isfinite(data["range"].values).all(axis=-1)):
+        one = data[dict(zip((*keys, jump), place, strict=True))]
+        label = in_words({str(key): float(one[key]) for key in keys}, ": ")
+        lines += [label + line for line in _range_lines(one, width)]
+    yield from first_few(lines, LINES, lambda left: f"and {counted(left, 'more line')}, all of it in the result file")
+    if not lines and data.attrs["complete"]:
+        span = sweep["frequency"].values
+        yield (
+            f"no range with two motions was found from {span[0]:g} to {span[-1]:g} Hz: both sweeps are on one motion "
+            f"at all {span.size} frequencies, and no jump is left when a step is bisected"
+        )
+
+
+def _range_lines(one: Dataset, width: float) -> Iterator[str]:
+    """A range with two motions."""
+    (low, high), smaller, larger = (one[name].values for name in ("range", "amplitude_lower", "amplitude_upper"))
+    place = np.unravel_index(np.argmax(larger), larger.shape)
+    name = f"{one['point'].values[place[0]]} {one['axis'].values[place[1]]}"
+    either = with_unit(f"{smaller[place]:.6g} or {larger[place]:.6g}", one["amplitude_upper"].attrs)
+    yield (
+        f"two motions from {low:.8g} to {high:.8g} Hz (each end to {width:g} Hz): amplitude of {name} "
+        f"{either} at {0.5 * (low + high):.6g} Hz"
+    )
+    for end in one["end"].values[one["range_cut"].values > 0]:
+        yield f"the {end} end of it is that of the search, not of the range: widen frequency"
+    for motion, period in zip(MOTIONS, one["period"].values, strict=True):
+        if period > 1:
+            yield f"the {motion} motion repeats after {period} cycles"
+    for end, place, loser in zip(one["end"].values, (low, high), one["range_irregular"].values, strict=True):
+        if loser > NO_MOTION:
+            motion = {SMALLER: "smaller", LARGER: "larger"}[int(loser)]
+            yield (
+                f"the {end} end of it is where the {motion} motion loses its period: beyond {place:.8g} Hz it is "
+                "quasi-periodic or irregular, and not counted"
+            )
+    if not one["range_settled"].values.all():
+        yield (
+            "next to an end of it the motion had not settled after settle.max_cycles, "
+            "which may move that end by some of the width"
+        )
+    if "start_branch" in one:
+        yield from _start_lines(one)
+        yield from _offset_lines(one, float(max(smaller.max(), larger.max())))
+
+
+def _start_lines(one: Dataset) -> Iterator[str]:
+    """Where the starts at the middle of a range lead."""
+    branch = one["start_branch"].values
+    count = {side: int(np.sum(branch == side)) for side in (LOWER, UPPER, ANOTHER, IRREGULAR, NONE)}
+    rest = ((ANOTHER, "to another motion"), (IRREGULAR, "to one that does not repeat"), (NONE, "did not settle"))
+    others = "".join(f", {count[side]} {words}" for side, words in rest if count[side])
+    lead = counted(count[LOWER], "leads", "lead")
+    yield f"of {branch.size} starts {lead} to the smaller motion, {count[UPPER]} to the larger{others}"
+    at_rest = np.flatnonzero(np.isclose(one["share_lower"].values, 0.0))
+    if at_rest.size:
+        led = {LOWER: "the smaller motion", UPPER: "the larger motion", ANOTHER: "another motion"}
+        led |= {IRREGULAR: "a motion that does not repeat"}
+        yield f"rest leads to {led.get(int(branch[at_rest[0], at_rest[0]]), 'no settled motion')}"
+
+
+def _offset_lines(one: Dataset, size: float) -> Iterator[str]:
+    """Contacts that stick all the time with an offset that is not unique."""
+    low, high = one["offset_low"].values, one["offset_high"].values
+    for side, i in np.argwhere(~unique(low, high, size).all(axis=-1)):
+        spans = " and ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(low[side, i], high[side, i], strict=True))
+        yield (
+            f"contact {one['contact'].values[i]} sticks all the time on the {MOTIONS[side]} motion, and its offset is "
+            f"not unique: over the starts w is {spans}. The end at which this motion is lost holds for the offset that "
+            "the sweep left it with"
+        )
+
+
+def fold_lines(hbm: Dataset, ends: Mapping[tuple[float, ...], np.ndarray], reach: float) -> Iterator[str]:
+    """Folds of the balance, to compare with the ends of the ranges, and folds without an end within a reach [Hz].
+
+    ``ends``: of the ranges of each set of values of the further axes.
+    """
+    frequency, keys, sets = hbm["frequency"].values, over_keys(hbm), dict[tuple[float, ...], list[float]]()
+    for place in np.flatnonzero(hbm["fold"].values):
+        values = tuple(float(hbm[key].values[place]) for key in keys)
+        sets.setdefault(values, []).append(float(frequency[place]))
+    for values, turning in list(sets.items())[:LINES]:
+        label = in_words(dict(zip(keys, values, strict=True)), ": ")
+        yield f"{label}folds of the balance at {', '.join(f'{place:.7g}' for place in sorted(turning))} Hz"
+        known = ends.get(values)
+        alone = [] if known is None else [fold for fold in turning if np.abs(known - fold).min(initial=np.inf) > reach]
+        for fold in sorted(alone):
+            yield (
+                f"{label}beside the fold at {fold:.7g} Hz, near which no range ends, the balance has motions that no "
+                "sweep came to, one of which may be stable: search wider, or from another start"
+            )
+    if not sets and frequency.size:
+        yield f"the branch of the balance has no fold{'' if hbm.attrs['complete'] else ' as far as it was followed'}"

@@ -1,0 +1,50 @@
+"""The summary of a search for the least peak, in words, from its finished result."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from xarray import Dataset
+
+from timesim.orbit.threshold import LONGEST
+from timesim.result.label import counted, with_unit
+from timesim.study.summary.sweep import unusual_lines
+
+TIE = 1e-7  # relative difference of peaks up to which they are equal: the accuracy of the time integration
+
+
+def as_low(peak: np.ndarray, at: int) -> tuple[int, int]:
+    """Positions of the first and last of the adjacent peaks that equal one of them; a missing peak ends them."""
+    higher = np.flatnonzero(~(peak * (1 - TIE) <= peak[at]))
+    return int(higher[higher < at].max(initial=-1)) + 1, int(higher[higher > at].min(initial=len(peak))) - 1
+
+
+def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
+    """The least peak over a scalar, sought to an accuracy."""
+    key = str(data["peak"].dims[0])
+    values, peak, cycles = data[key].values, data["peak"].values, counted(data["cycles"].values.sum(), "cycle")
+    frequencies = counted(data.sizes["frequency"], "frequency", "frequencies")
+    yield f"{counted(values.size, 'value')} of {key}, {frequencies} up and down, {cycles}"
+    best = float(data["optimum"])
+    if not np.isfinite(best):
+        return
+    at = int(np.flatnonzero(values == best)[0])
+    least, value = (
+        with_unit(text, data[name].attrs) for text, name in ((f"{peak[at]:.7g}", "peak"), (f"{best:.6g}", key))
+    )
+    yield f"least peak {least} at {key} = {value}, at {float(data['optimum_frequency']):.6g} Hz"
+    beside = [i for value in (best - accuracy, best + accuracy) for i in np.flatnonzero(values == value)]
+    first, last = (float(values[place]) for place in as_low(peak, at))
+    if data.attrs["complete"] and last - first > 3 * accuracy:
+        yield f"the peak is the same from {first:.6g} to {last:.6g}: any value between does as well"
+    elif data.attrs["complete"] and beside:
+        heights = " and ".join(f"{peak[i]:.7g} at {values[i]:.6g}" for i in beside)
+        yield f"an accuracy away the peak is not smaller: {heights}"
+    if data.attrs["complete"] and best in (values[0], values[-1]):
+        yield f"it is at an end of the range of {key}, so beyond it the peak may be smaller still"
+    if data["peak_at_end"].values[at]:
+        yield "its peak is at an end of frequency, so beyond it the response may be larger"
+    if data["peak_irregular"].values[at]:
+        yield f"its motion does not repeat after up to {LONGEST} cycles: it is quasi-periodic or irregular"
+    elif not data["peak_settled"].values[at]:
+        yield "its motion had not settled in settle.max_cycles"
+    yield from unusual_lines(data)

@@ -1,0 +1,135 @@
+"""The summary of a sweep, in words, from its finished result: states, peaks, what is unusual, jumps, failures."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from xarray import Dataset
+
+from timesim.orbit.steady_state import SAME
+from timesim.orbit.threshold import LONGEST
+from timesim.result.coordinate import over_keys
+from timesim.result.label import axis_value, counted, first_few, in_words, with_unit
+from timesim.study.outcome import took
+from timesim.study.summary.drift import largest_step, step_of_points
+
+LINES = 12  # lines on peaks, on ranges with two motions, or on folds
+POINTS = 5  # failed points, or spans of points, that are named
+SHARP = 0.5  # of a peak: where a point beside it is lower, they do not tell how high it is
+
+
+def number_of_states(data: Dataset) -> int:
+    """Steady states of a sweep that could be computed."""
+    return int(np.isfinite(data["amplitude"].values).all(axis=(-2, -1)).sum())
+
+
+def sweep_lines(data: Dataset) -> Iterator[str]:
+    """The summary of a sweep: its steady states, peaks and jumps."""
+    states, cycles = counted(number_of_states(data), "steady state"), counted(data["cycles"].values.sum(), "cycle")
+    yield f"{states} by {data.attrs['method']} {took(data.attrs)}, {cycles}"
+    yield from peak_lines(data)
+    yield from unusual_lines(data)
+    yield from jump_lines(data)
+
+
+def peak_lines(data: Dataset) -> Iterator[str]:
+    """The largest amplitude for each set of values, and the direction of the sweep that has it where the other has not.
+
+    It is that of a point. Where those beside it are far lower, the response between them may be far higher.
+    """
+    amplitude, count = np.nan_to_num(data["amplitude"].values, nan=-1.0), data.sizes["frequency"]
+    lines = []
+    for place in np.ndindex(amplitude.shape[:-4]):
+        own = amplitude[place]
+        direction, at, point, axis = map(int, np.unravel_index(np.argmax(own), own.shape))
+        top = own[direction, at, point, axis]
+        if top < 0:
+            continue
+        label = in_words({key: float(data[key].values[i]) for key, i in zip(over_keys(data), place, strict=True)}, ": ")
+        height = with_unit(f"{top:.5g}", data["amplitude"].attrs)
+        name = f"{data['point'].values[point]} {data['axis'].values[axis]}"
+        alone = own[..., point, axis].max(axis=1).min() < (1 - SAME) * top
+        way = f", direction {data['direction'].values[direction]}" if alone else ""
+        end = ", an end of the frequencies" if count > 1 and at in (0, count - 1) else ""
+        beside = own[direction, max(at - 1, 0) : at + 2, point, axis]
+        if count > 1 and beside.min() < SHARP * top:
+            end += f"; beside it {beside.min() / top:.0%} of that: between the points it may be far higher"
+        what, frequency = "peak" if count > 1 else "amplitude", axis_value(data["frequency"].values[at])
+        lines.append(f"{label}{what} {height} of {name} at {frequency} Hz{way}{end}")
+    yield from first_few(lines, LINES, lambda left: f"and {counted(left, 'more peak')}, all in the result file")
+
+
+def unusual_lines(data: Dataset) -> Iterator[str]:
+    """Points of a sweep whose motion repeats after several cycles, is less exact than asked for, or never settles."""
+    done, settled = np.isfinite(data["amplitude"].values).all(axis=(-2, -1)), data["settled"].values == 1
+    several, irregular, left = int(np.sum(data["period"].values > 1)), data["irregular"].values == 1, data["settled_to"]
+    if several:
+        yield f"{counted(several, 'of them repeats', 'of them repeat')} after more than one cycle (variable period)"
+    vague = settled & (left.values > data.attrs["settle_tolerance"])
+    if vague.any():
+        yield (
+            f"{counted(vague.sum(), 'of them is', 'of them are')} settled to {left.values[vague].max():.1e}, not to "
+            "settle.tolerance, which is below what the noise of the steps allows (variable settled_to)"
+        )
+    if irregular.any():
+        points = counted(irregular.sum(), "point does", "points do")
+        yield (
+            f"{points} not repeat after up to {LONGEST} cycles: the motion is quasi-periodic or irregular "
+            f"(irregular = 1, with the band of its amplitude): {_spans(data, irregular)}"
+        )
+    step = step_of_points(data)
+    drifts = done & step.any(axis=(-2, -1))
+    if drifts.any():
+        points, moved = counted(drifts.sum(), "point drifts", "points drift"), largest_step(data["amplitude"], step)
+        yield f"{points}, {moved} a cycle: nothing holds the body (settled = 0): {_spans(data, drifts)}"
+    lost = done & ~settled & ~irregular & ~drifts
+    if lost.any():
+        yield (
+            f"{counted(lost.sum(), 'point')} did not settle in settle.max_cycles (settled = 0, with the band of the "
+            f"amplitude): {_spans(data, lost)}"
+        )
+
+
+def jump_lines(data: Dataset) -> Iterator[str]:
+    """The jumps of a sweep, or without bisection the steps of frequency over which its amplitude changes most."""
+    bisected = data.attrs.get("jumps_bisected", 1)
+    ends = np.stack([data["jump_low"].values, data["jump_high"].values], axis=-1)
+    for place in map(tuple, np.argwhere(np.isfinite(ends[..., 0]))):
+        low, high = ends[place]
+        what = "the motion jumps" if bisected else "the amplitude changes steeply"
+        hint = "" if bisected else ", over a slope or a jump: study.refine tells which"
+        yield f"{_chain(data, place[:-1])}{what} between {low:.8g} and {high:.8g} Hz{hint}"
+    if data.attrs.get("jumps_bisected") and not np.isfinite(ends).any():
+        yield "no jump: the amplitude changes along slopes only, as shorter steps show"
+
+
+def failure_line(data: Dataset) -> str | None:
+    """How many points failed, and the first of them with their reasons; None if none did."""
+    dims, reason = data["failure"].dims, data["failure"].values
+    failed = np.argwhere(reason != "")
+    if not failed.size:
+        return None
+    named = [f"{', '.join(_where(data, dims, place))}: {reason[place]}" for place in map(tuple, failed)]
+    listed = first_few(named, POINTS, lambda left: f"and {left} more, all in the variable failure")
+    return f"{len(failed)} of {counted(reason.size, 'point')} failed: {'; '.join(listed)}"
+
+
+def _spans(data: Dataset, chosen: np.ndarray) -> str:
+    """The range of frequency of chosen points, for each chain that has some."""
+    spans = []
+    for place in map(tuple, np.argwhere(chosen.any(axis=-1))):
+        at = data["frequency"].values[chosen[place]]
+        span = f"at {at[0]:g} Hz" if at.size == 1 else f"between {at[0]:g} and {at[-1]:g} Hz"
+        spans.append(_chain(data, place) + span)
+    return "; ".join(first_few(spans, POINTS, lambda left: f"and in {counted(left, 'more row')} of the result"))
+
+
+def _chain(data: Dataset, place: Sequence[int]) -> str:
+    """Values that tell a chain from the others, with a colon; empty where there are no others."""
+    named = [words for words in _where(data, data["settled"].dims[:-1], place) if words != "direction independent"]
+    return f"{', '.join(named)}: " if named else ""
+
+
+def _where(data: Dataset, dims: Sequence[Any], place: Sequence[int]) -> list[str]:
+    """Values along some axes."""
+    return [f"{dim} {axis_value(data[dim].values[i])}" for dim, i in zip(dims, place, strict=True)]

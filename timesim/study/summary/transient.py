@@ -1,0 +1,65 @@
+"""The summary of a run, in words, from its finished result."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from xarray import Dataset
+
+from timesim.model.promise import MARGIN, tightened
+from timesim.model.solver import Solver
+from timesim.result.label import counted, with_unit
+from timesim.scene.transient import Schedule
+from timesim.study.outcome import took
+
+PHASES = 12  # of a schedule at most that are listed
+
+
+def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
+    """A run: its size, how well its energy balance closes, and the phases of its schedule unless they are many.
+
+    Of each phase it gives the amplitude at the end, of the point and axis that move most during the run.
+    """
+    attrs, amplitude = data.attrs, data["cycle_amplitude"].values
+    whole, transitions = counted(len(amplitude), "cycle"), counted(data.sizes["event"], "transition")
+    yield f"{whole} by {attrs['method']} {took(attrs)}, {transitions}"
+    if not len(amplitude):
+        return
+    largest = max(np.max(np.abs(data["energy_input"].values)), attrs["peak_stored_energy"])
+    residual = np.max(np.abs(data["energy_residual"].values)) / largest if largest > 0 else 0.0
+    yield f"energy balance of a cycle closes to {residual:.1e} of the larger of input and stored energy"
+    if "estimated_error" in attrs:
+        yield from error_lines(data)
+    if not 1 < len(plan.phases) <= PHASES:
+        return
+    _, point, axis = np.unravel_index(np.argmax(amplitude), amplitude.shape)
+    name = f"{data['point'].values[point]} {data['axis'].values[axis]}"
+    ends = np.cumsum([cycles for _, cycles in plan.phases])
+    for number, ((frequency, cycles), end) in enumerate(zip(plan.phases, ends, strict=True), 1 - plan.run_up):
+        if end <= len(amplitude):
+            which = f"phase {number}" if number > 0 else "run-up"
+            reached = with_unit(f"{amplitude[end - 1, point, axis]:.6g}", data["cycle_amplitude"].attrs)
+            size = f"amplitude {reached} of {name} at its end"
+            yield f"{which}: {counted(cycles, 'cycle')} at {frequency:.6g} Hz, {size}"
+
+
+def error_lines(data: Dataset) -> Iterator[str]:
+    """The estimated error of a run, and the tolerances that might keep its promise if it has not."""
+    attrs = data.attrs
+    error, remark, promise = attrs["estimated_error"], attrs["estimate_remark"], attrs.get("promised_error", np.inf)
+    if not np.isfinite(error):
+        yield f"estimated error of the state at the end: not known, {remark}"
+        return
+    largest = float(data["cycle_amplitude_error"].max())
+    sizes = f"{error:.1e} of its size, of the amplitude of a cycle at most {largest:.1e}"
+    yield f"estimated error of the state at the end: {sizes}{f' ({remark})' if remark else ''}"
+    if error <= promise:
+        return
+    now = Solver(attrs["method"].partition(",")[0], attrs.get("rtol", 0.0), attrs.get("atol", 0.0))
+    better = tightened(now, promise / (MARGIN * error))
+    over = f"warning: that is more than the {promise:.0e} that the accuracy promises"
+    if "repetition" in attrs:
+        yield f"{over}; a repetition with finer tolerances did not reach the end"
+    elif better.rtol == now.rtol:
+        yield f"{over}, and rounding allows no finer tolerance: the motion amplifies any error"
+    else:
+        yield f"{over}; try solver: {{method: {now.name}, rtol: {better.rtol:g}, atol: {better.atol:g}}}"
