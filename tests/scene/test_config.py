@@ -751,6 +751,12 @@ def test_another_form_than_is_asked_for_is_answered_with_that_form(key, value, s
     assert "known:" not in str(refused.value)
 
 
+def test_a_key_of_another_section_is_sent_there():
+    for key, place in (("frequency", "excitation.frequency"), ("accuracy", "it is solver.accuracy")):
+        with pytest.raises(SceneError, match=f"study.{key}: .*is no key here .*{place}"):
+            load_scene(CONFIGS / "oscillator.yaml", {f"study.{key}": 2})
+
+
 def test_a_contact_under_prescribed_motion_has_neither_structure_nor_solver():
     """What such a scene names of a structure is not modelled, and `check` does not describe it."""
     body = {"modes": [{"frequency": 0.9, "damping_ratio": 0.01, "mass": 1.0, "shape": {"tip": [1, 0, 0]}}]}

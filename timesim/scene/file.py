@@ -162,6 +162,13 @@ RULES = {
 }
 
 
+ELSEWHERE = {
+    ("study", "frequency"): "the frequency of one run is excitation.frequency",
+    ("study", "accuracy"): "it is solver.accuracy",
+    ("study", "method"): "it is solver.method",
+    ("excitation", "amplitude"): "each of forces, constant_forces and modal_force has its own",
+}
+"""What is said of keys that stand in another section, by the section and the key."""
 MAPPINGS = ("dict_type", "model_type", "model_attributes_type")
 NO_NUMBER = {RULES[kind] for kind in ("string_type", "bool_type", "tuple_type", "dict_type", "model_type")}
 """Rules that any number breaks, whatever its value."""
@@ -218,6 +225,8 @@ def _length_rule(context: Mapping[str, Any]) -> str:
 def _hint(
     kind: str, location: Sequence[str | int], value: Any, context: Mapping[str, Any], tree: type[SceneParts]
 ) -> str:
+    if kind == "extra_forbidden" and (location[0], location[-1]) in ELSEWHERE:
+        return ELSEWHERE[location[0], location[-1]]
     if kind == "extra_forbidden":
         return nearest(str(location[-1]), _fields_at(location[:-1], tree))
     if kind == "missing" and (field := _fields_at(location[:-1], tree).get(str(location[-1]))):

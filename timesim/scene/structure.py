@@ -108,7 +108,7 @@ class InlineMatrices(Section):
     stiffness: Matrix
     """Stiffness matrix, symmetric, by its rows: [[2, -1], [-1, 2]]."""
     damping: Matrix | None = None
-    """Viscous damping matrix, symmetric."""
+    """Viscous damping matrix, symmetric; a share of critical damping is damping_ratio."""
     damping_ratio: Ratio | None = None
     """Share of critical damping of every mode, or one a mode; instead of the matrix."""
     points: Points
