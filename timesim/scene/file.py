@@ -225,10 +225,9 @@ def _length_rule(context: Mapping[str, Any]) -> str:
 def _hint(
     kind: str, location: Sequence[str | int], value: Any, context: Mapping[str, Any], tree: type[SceneParts]
 ) -> str:
-    if kind == "extra_forbidden" and (location[0], location[-1]) in ELSEWHERE:
-        return ELSEWHERE[location[0], location[-1]]
     if kind == "extra_forbidden":
-        return nearest(str(location[-1]), _fields_at(location[:-1], tree))
+        instead = ELSEWHERE.get((str(location[0]), str(location[-1])))
+        return instead or nearest(str(location[-1]), _fields_at(location[:-1], tree))
     if kind == "missing" and (field := _fields_at(location[:-1], tree).get(str(location[-1]))):
         return _described(field)
     if kind == "literal_error":
