@@ -142,10 +142,12 @@ def test_the_envelope_covers_cycles_that_were_not_recorded() -> None:
     short = friction_run(1, record_last=2)
     ax = plot_transient.displacement(short, point="tip", axis="x")
     assert _curve(ax, "displacement")[0][0] == pytest.approx((CYCLES - 2) / FREQUENCY)
-    upper = ax.patches[0].get_data()
-    assert upper.edges[0] == 0
-    assert np.isfinite(upper.values).all()
-    assert upper.values[0] < upper.values[-1]
+    known, _, unknown, _ = (patch.get_data() for patch in ax.patches)
+    assert unknown.edges[0] == 0
+    assert unknown.edges[-1] == known.edges[0] == pytest.approx((CYCLES - 2) / FREQUENCY)
+    assert (known.values.size, unknown.values.size) == (2, CYCLES - 2)
+    assert unknown.values[0] < known.values[-1]
+    assert "about a mean that is not kept" in ax.patches[2].get_label()
 
 
 def test_the_last_cycles_of_a_displacement(run: xarray.Dataset) -> None:

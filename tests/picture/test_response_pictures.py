@@ -212,6 +212,16 @@ def test_a_coefficient_that_is_the_same_everywhere_is_a_number() -> None:
     assert ax.get_xlim() == (0, 4)
 
 
+def test_a_surface_over_other_amplitudes_hides_no_point() -> None:
+    """Over equal ones the half b <= a is drawn, as in the paper, and the title says so."""
+    square = _map(np.add.outer(np.arange(5.0), np.arange(5.0)))
+    assert element_map.surface(square).get_title().endswith("b ≤ a")
+    other = square.assign_coords(b=square.b + 3)
+    ax = element_map.surface(other)
+    assert "b ≤ a" not in ax.get_title()
+    assert len(ax.collections[0].get_array()) == 16
+
+
 def test_noise_of_the_steps_is_no_landscape() -> None:
     """A coefficient that is zero by symmetry is drawn as zero, beside those that are not."""
     data = _map(np.add.outer(np.arange(8.0), np.arange(8.0)))

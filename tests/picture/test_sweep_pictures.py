@@ -121,10 +121,16 @@ def test_the_point_that_moves_most_along_an_axis() -> None:
     assert motion(data, "tip", None) == ("tip", "y")
 
 
-def test_up_and_down_differ_by_marker_and_show_both_branches(both: xarray.Dataset) -> None:
+def test_up_and_down_differ_by_marker_and_show_both_branches(
+    both: xarray.Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ax = plot_sweep.response(both)
     up, down = _lines(ax, "_0.3")
     assert (up.get_linestyle(), up.get_color()) == (down.get_linestyle(), down.get_color())
+    assert [line.get_marker() for line in (up, down)] == [PAIRED["up"], PAIRED["down"]]
+    assert _marked(up) == _marked(down) == FREQUENCY.tolist(), "no point looks as if one direction had left it out"
+    monkeypatch.setattr(plot_sweep, "MARKED", 10)
+    up, down = _lines(plot_sweep.response(both), "_0.3")
     assert [line.get_marker() for line in (up, down)] == ["^", "v"]
     assert not set(_marked(up)) & set(_marked(down))
     gap = np.asarray(up.get_ydata()) - np.asarray(down.get_ydata())
@@ -306,8 +312,8 @@ def test_points_that_a_run_did_not_come_to_are_neither_failed_nor_judged() -> No
 
 def test_peaks_of_up_and_down_differ_by_marker() -> None:
     ax = plot_sweep.peak(sweep({FRICTION: [0.1, 0.3], PRELOAD: [0.0, 0.1, 0.2]}, ("up", "down")))
-    for name, marker in (("up", "^"), ("down", "v")):
-        assert [line.get_marker() for line in _lines(ax, f"0.1, {name}")] == [marker]
+    for name in ("up", "down"):
+        assert [line.get_marker() for line in _lines(ax, f"0.1, {name}")] == [PAIRED[name]]
 
 
 def test_the_peak_of_two_scalars_takes_one_along_and_one_by_colour() -> None:

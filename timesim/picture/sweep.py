@@ -45,7 +45,8 @@ class Curve(NamedTuple):
     Attributes:
         label: the values of the further axes; empty if there are none.
         where: position along each of these axes and along the direction, for `isel`.
-        beside: whether there is a curve of the other direction too; the two are marked at alternate points.
+        beside: whether there is a curve of the other direction too. Triangles above and below the points of both are
+            told apart where they coincide; of many points each direction marks others.
     """
 
     label: str
@@ -217,16 +218,14 @@ def _band(ax: Axes, data: Dataset, curve: Curve, point: str, axis: str) -> None:
 def _curve(ax: Axes, x: np.ndarray, y: np.ndarray, curve: Curve, hollow: np.ndarray, meaning: str, **look: Any) -> None:
     """A curve with filled markers at some of its points, and hollow ones at all points that have a given meaning."""
     style, every = curve.style, max(1, -(-x.size // MARKED))
-    if curve.beside and x.size > 1:
-        every = max(2, every)
+    paired = {marker: PAIRED[direction] for direction, marker in DIRECTIONS.items()}.get(style.marker, style.marker)
+    look |= {"color": style.colour, "marker": paired if curve.beside and every == 1 else style.marker}
     first = every // 2 if curve.beside and curve.direction == "down" else 0
     filled = ~hollow & (np.arange(x.size) % every == first)
-    look |= {"color": style.colour, "marker": style.marker}
     ax.plot(x, y, linestyle=style.line, ms=3.5, markevery=np.flatnonzero(filled).tolist(), **look)
     hollow = hollow & np.isfinite(y)
     if hollow.any():
-        paired = {marker: PAIRED[direction] for direction, marker in DIRECTIONS.items()}
-        look |= {"label": meaning, "fillstyle": "none", "marker": paired.get(style.marker, style.marker)}
+        look |= {"label": meaning, "fillstyle": "none", "marker": paired}
         ax.plot(x[hollow], y[hollow], linestyle="", ms=6, **look)
 
 

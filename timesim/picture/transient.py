@@ -64,8 +64,14 @@ def _envelope(data: Dataset, ax: Axes, x: np.ndarray, amplitude: np.ndarray) -> 
     recorded = next((number for number, part in enumerate(parts) if part.size > 1), len(parts))
     middle = np.array([(part.max() + part.min()) / 2 if part.size > 1 else np.nan for part in parts])
     middle[:recorded] = middle[recorded] if recorded < len(parts) else 0.0
-    for sign, name in ((1, "± amplitude of the cycle"), (-1, None)):
-        ax.stairs(middle + sign * amplitude, edges, baseline=None, color=VERMILION, label=name)
+    # Of cycles without samples the amplitude is known, but not what it is about.
+    for some, line, name in (
+        (slice(recorded, None), "-", "± amplitude of the cycle"),
+        (slice(recorded), ":", "± amplitude of cycles without samples, about a mean that is not kept"),
+    ):
+        sides, ends = (middle[some] + amplitude[some], middle[some] - amplitude[some]), edges[some.start or 0 :]
+        for side, label in zip(sides, (name, None), strict=True) if middle[some].size else ():
+            ax.stairs(side, ends[: side.size + 1], baseline=None, color=VERMILION, linestyle=line, label=label)
     for change in start[1:][np.abs(np.diff(period)) > 1e-6 * period[0]]:
         ax.axvline(change, color="black", linewidth=1.0, linestyle=":", label="change of frequency")
 
