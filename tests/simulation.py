@@ -10,7 +10,7 @@ from timesim.engine.history import CycleTotals, Events, events, stored_energy
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import SLIP, Model
 from timesim.model.solver import PRESETS, Solver
-from timesim.orbit.batch import march
+from timesim.orbit.batch import march_lanes
 from timesim.orbit.lane import Lane
 from timesim.orbit.threshold import CYCLES_A_ROUND
 
@@ -77,7 +77,7 @@ def follow(run: Run) -> Trace:
 
 def after_a_cycle(lanes: Sequence[Lane], solver: Solver) -> np.ndarray:
     """State vectors after the first cycle; marched on as settling does, whose program is compiled already."""
-    return np.array([returns[0] for _, returns in march(lanes, solver, CYCLES_A_ROUND)])
+    return np.array([returns[0] for _, returns in march_lanes(lanes, solver, CYCLES_A_ROUND)])
 
 
 def relative_error(found: np.ndarray, true: Any) -> float:

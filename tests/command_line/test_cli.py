@@ -205,15 +205,15 @@ def test_signals_while_saving(in_cycle: int, in_saving: int, tmp_path: Path, mon
 
 
 def test_an_interrupted_map_saves_what_it_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    cycle = element_map.March._cycle
+    cycle = element_map.MapMarch._cycle
 
-    def interrupted(march: element_map.March, number: int, rows: np.ndarray) -> np.ndarray:
+    def interrupted(march: element_map.MapMarch, number: int, rows: np.ndarray) -> np.ndarray:
         kept = cycle(march, number, rows)
         if number == 3:
             os.kill(os.getpid(), signal.SIGINT)
         return kept
 
-    monkeypatch.setattr(element_map.March, "_cycle", interrupted)
+    monkeypatch.setattr(element_map.MapMarch, "_cycle", interrupted)
     axes = ("--set", "study.A={from: 0.0, to: 2.0, num: 7}", "--set", "study.B={from: 0.0, to: 2.0, num: 7}")
     status, out, error = call("run", CONFIGS / "figure7.yaml", "-o", tmp_path, "--no-plots", *axes)
     result = timesim.open_result(tmp_path)

@@ -16,7 +16,7 @@ from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.reduction import reduction_of
 from timesim.model.scales import Scales
 from timesim.model.solver import Solver
-from timesim.orbit.batch import march
+from timesim.orbit.batch import march_lanes
 from timesim.orbit.lane import Lane
 
 ONE = Scales(1.0, np.ones(1), 1.0, 1.0, 1.0)
@@ -89,7 +89,7 @@ def a_cycle_in_short_steps(state: int, displacement: float, velocity: float) -> 
     model, solver = Model(body, (pad(0.4, 99.0, 1.0, 0.0),), excited, start), Solver("tsit5", 1e-7, 1e-9, budget=1000)
     lane = Lane.begin(model, reduction_of(model, [1 / TURN], reduce=False), 1 / TURN, solver, start)
     short = eqx.tree_at(lambda control: control.opening, lane.control, np.array(1e-9))
-    ((end, returns),) = march([replace(lane, control=short)], solver, 1)
+    ((end, returns),) = march_lanes([replace(lane, control=short)], solver, 1)
     return end, returns
 
 

@@ -12,7 +12,7 @@ from timesim.model.model import SEPARATION, SLIP, Model
 from timesim.model.reduction import reduction_of
 from timesim.model.scales import scales_of
 from timesim.model.solver import NEVER, PRESETS, SHOOT, Criterion, Solver
-from timesim.orbit.batch import march, record
+from timesim.orbit.batch import march_lanes, record
 from timesim.orbit.lane import Lane
 from timesim.orbit.settling import Chain, begin_of, first_lane, steady_states
 from timesim.orbit.threshold import CYCLES_A_ROUND
@@ -223,7 +223,7 @@ def test_lanes_of_a_wide_system_end_where_each_ends_alone():
     """One after the other: each keeps its own frequency, and the same transitions."""
     lanes = [lane_at_rest(wide_model(frequency)) for frequency in (1.0, 1.1)]
     assert lanes[0].system.wide
-    done = march(lanes, FINE, CYCLES_A_ROUND)
+    done = march_lanes(lanes, FINE, CYCLES_A_ROUND)
     for frequency, (_, returns) in zip((1.0, 1.1), done, strict=True):
         trace = simulate(wide_model(frequency), CYCLES_A_ROUND, FINE)
         scales = scales_of(wide_model(frequency), frequency)
@@ -233,7 +233,7 @@ def test_lanes_of_a_wide_system_end_where_each_ends_alone():
 
 def test_the_state_after_a_cycle_is_that_of_the_lane():
     """Displacements, velocities and slips: what is compared from cycle to cycle is the whole state."""
-    ((lane, returns),) = march([lane_at_rest(oscillator(3.0, 1.39))], FINE, CYCLES_A_ROUND)
+    ((lane, returns),) = march_lanes([lane_at_rest(oscillator(3.0, 1.39))], FINE, CYCLES_A_ROUND)
     point = lane.here.point
     assert np.all(lane.here.state != SEPARATION)
     np.testing.assert_array_equal(returns[-1], np.concatenate([point.q, point.p, *point.w]))

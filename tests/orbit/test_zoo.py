@@ -14,7 +14,7 @@ from zoo import structure
 
 from timesim.model.model import Model
 from timesim.model.solver import PRESETS, SHOOT, Criterion
-from timesim.orbit.batch import march
+from timesim.orbit.batch import march_lanes
 from timesim.orbit.settling import Chain, first_lane, steady_states
 from timesim.orbit.steady_state import Orbit
 from timesim.orbit.threshold import CYCLES_A_ROUND, LONGEST
@@ -56,7 +56,7 @@ def changes(chains: list[Chain], orbits: list[Orbit]) -> Iterator[float]:
     again = [Chain(replace(c.model, start=o.end), c.frequencies) for c, o in zip(chains, orbits, strict=True)]
     lanes = [first_lane(chain, FINE) for chain in again]
     # As many cycles as settling marches at a time, or more are compiled.
-    done = march(lanes, FINE, max(CYCLES_A_ROUND, *(orbit.period for orbit in orbits)))
+    done = march_lanes(lanes, FINE, max(CYCLES_A_ROUND, *(orbit.period for orbit in orbits)))
     for lane, orbit, (_, returns) in zip(lanes, orbits, done, strict=True):
         size = 2 * lane.here.point.q.size
         start, end = lane.vector[:size], returns[orbit.period - 1][:size]
@@ -67,7 +67,7 @@ def least_change(chain: Chain, longest: int) -> float:
     """Least change of the state over a period of up to so many cycles, after 20,000 cycles of fine steps."""
     lane, returns = first_lane(chain, REFERENCE), np.zeros((0, 0))
     for _ in range(100):
-        ((lane, returns),) = march([lane], REFERENCE, 200)
+        ((lane, returns),) = march_lanes([lane], REFERENCE, 200)
     changes = [np.abs(returns[n:] - returns[:-n]).max() for n in range(1, longest + 1)]
     return float(min(changes) / np.abs(returns).max())
 

@@ -25,7 +25,7 @@ from timesim.orbit.fourier import HARMONICS
 from timesim.orbit.jump import Stretch, narrowed, steps_of
 from timesim.orbit.settling import Chain, SteadyStates
 from timesim.orbit.steady_state import Orbit, differ, without_orbit
-from timesim.orbit.two_motions import DOWN, UP, Search, Sweeps, losses, ranges, suspect_steps
+from timesim.orbit.two_motions import DOWN, UP, RangeSearch, Sweeps, losses, ranges, suspect_steps
 from timesim.picture import bistable as plot_bistable
 from timesim.result.netcdf import open_result, save
 from timesim.scene.resolution import Scene
@@ -291,13 +291,13 @@ def two_branches(low: float, high: float, **shape: float) -> Branches:
     return Branches((-np.inf, high), (low, np.inf), **shape)
 
 
-def toy_search(toy: Branches) -> Search:
+def toy_search(toy: Branches) -> RangeSearch:
     """A search along the known motions."""
 
     def steady(chains: Sequence[Chain]) -> list[list[Orbit]]:
         return [toy.along(chain.model.start, chain.frequencies) for chain in chains]
 
-    return Search(oscillator(2.0, 1.0), steady, 1e-6)
+    return RangeSearch(oscillator(2.0, 1.0), steady, 1e-6)
 
 
 class Counted:

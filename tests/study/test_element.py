@@ -24,7 +24,7 @@ from timesim.model.model import SEPARATION, SLIP, STICK
 from timesim.orbit.extrapolation import limits
 from timesim.result.netcdf import open_result
 from timesim.study.element import summary
-from timesim.study.element_map import March, elements_of
+from timesim.study.element_map import MapMarch, elements_of
 from timesim.study.registry import load_scene, run
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -376,9 +376,9 @@ def test_map_batches_do_not_matter(monkeypatch):
 
     loaded = load_scene(scene({"kind": "element_map", "A": [0.5, 1.0, 1.5], "B": [0.1, 0.2, 0.3], "D": 0.5}))
     elements, phase = elements_of(loaded.plan)
-    whole = March(elements, phase, loaded.solver()).run()
+    whole = MapMarch(elements, phase, loaded.solver()).run()
     monkeypatch.setattr(element_map, "BATCH", 4)
-    parts = March(elements, phase, loaded.solver()).run()
+    parts = MapMarch(elements, phase, loaded.solver()).run()
     np.testing.assert_allclose(parts["f_s"], whole["f_s"], atol=1e-12)
     np.testing.assert_array_equal(parts["cycles"], whole["cycles"])
 
@@ -386,7 +386,7 @@ def test_map_batches_do_not_matter(monkeypatch):
 def test_elements_that_never_touch_are_zero():
     phasor = np.array([[1.0, 0.5j, 0.3], [1.0, 0.5j, 1.5]])
     elements = harmonic_elements(0.3, 1.0, -0.5, np.eye(2), phasor)
-    found = March(elements, np.array([[0.0, np.pi / 2]] * 2), load_scene(scene(element(A=1))).solver()).run()
+    found = MapMarch(elements, np.array([[0.0, np.pi / 2]] * 2), load_scene(scene(element(A=1))).solver()).run()
     assert (found["dissipation"][0], found["transitions"][0]) == (0.0, 0)
     assert found["dissipation"][1] > 0
 

@@ -123,7 +123,7 @@ def _kept(
     return advance_lanes(attempt, partial(_unfinished, cycles=cycles), now, none, keep, lambda kept: kept[2] < capacity)
 
 
-def march(
+def march_lanes(
     lanes: Sequence[Lane], solver: Solver, num_cycles: int, *, size: int = SIDE_BY_SIDE, each: Each = map
 ) -> list[tuple[Lane, np.ndarray]]:
     """March lanes by a number of cycles: each at the end, and its state vector at the end of each completed cycle."""

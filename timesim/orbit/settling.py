@@ -19,7 +19,7 @@ from timesim.model.contact_state import start_states
 from timesim.model.model import Model, Start
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import NEVER, Criterion, Solver
-from timesim.orbit.batch import SIDE_BY_SIDE, Each, march, record
+from timesim.orbit.batch import SIDE_BY_SIDE, Each, march_lanes, record
 from timesim.orbit.lane import Lane, Recorded
 from timesim.orbit.linear import held_lane, linear_orbit, proven_orbit, slowest_decay
 from timesim.orbit.recurrence import Recurrence, is_irregular, nearest_period, recurrence_of
@@ -253,7 +253,7 @@ def warm_up(chains: Iterable[Chain], solver: Solver) -> None:
         lane = first_lane(Chain(chain.model, chain.frequencies[:1]), solver)
         if lane.here.state.size:
             with ThreadPoolExecutor(1) as beside:
-                marched = beside.submit(march, [lane], solver, CYCLES_A_ROUND)
+                marched = beside.submit(march_lanes, [lane], solver, CYCLES_A_ROUND)
                 record([lane], solver, [UNSETTLED_CYCLES])
                 marched.result()
             return
@@ -329,7 +329,7 @@ class _Work:
     def _marched(self, searches: Sequence[Search]) -> Iterator[Search]:
         lonely = len(searches) < SIDE_BY_SIDE and all(search.cycles > LONELY for search in searches)
         size = 1 if lonely else SIDE_BY_SIDE
-        done = march([search.lane for search in searches], self.solver, CYCLES_A_ROUND, size=size, each=self.each)
+        done = march_lanes([search.lane for search in searches], self.solver, CYCLES_A_ROUND, size=size, each=self.each)
         for search, (lane, returns) in zip(searches, done, strict=True):
             yield after_march(search, lane, returns, self.solver, self.criterion)
 

@@ -30,7 +30,7 @@ FURTHER = 6  # times that a motion is followed on where it was lost by the lengt
 
 
 @dataclass(frozen=True)
-class Search:
+class RangeSearch:
     """Where to look for the ends of ranges, each to a width [Hz], by steady states as those of the sweeps.
 
     ``each`` does the work on both sweeps.
@@ -116,13 +116,13 @@ def merging_steps(sweeps: Sweeps, direction: int) -> list[int]:
     return [k for k, beyond in steps if 0 <= k < last and not any(own[beyond].reason for own in sweeps.orbits)]
 
 
-def losses(search: Search, sweeps: Sweeps) -> Iterator[Loss]:
+def losses(search: RangeSearch, sweeps: Sweeps) -> Iterator[Loss]:
     """All jumps of both sweeps, and places where they lose their period without one, bisected."""
     for own in search.each(lambda direction: list(_losses_of(search, sweeps, direction)), (UP, DOWN)):
         yield from own
 
 
-def _losses_of(search: Search, sweeps: Sweeps, direction: int) -> Iterator[Loss]:
+def _losses_of(search: RangeSearch, sweeps: Sweeps, direction: int) -> Iterator[Loss]:
     """Those of one sweep."""
     frequency, orbits = sweeps.frequency, sweeps.orbits[direction]
     limit = float(frequency[-1 if direction == UP else 0])
@@ -143,7 +143,7 @@ def _losses_of(search: Search, sweeps: Sweeps, direction: int) -> Iterator[Loss]
             yield Loss(direction, back.near, _without_period(search, back), of_period=True)
 
 
-def _lost(search: Search, step: Stretch, limit: float) -> Iterator[Stretch]:
+def _lost(search: RangeSearch, step: Stretch, limit: float) -> Iterator[Stretch]:
     """Bisect the jumps in a step; a motion that was lost by the length of a step alone is followed beyond it."""
     for _, jump in narrowed([step], search.steady, search.width):
         end = _followed(search, jump, limit, abs(step.far - step.near) / WALK)
@@ -151,7 +151,7 @@ def _lost(search: Search, step: Stretch, limit: float) -> Iterator[Stretch]:
             yield end
 
 
-def _followed(search: Search, jump: Stretch, limit: float, longest: float) -> Stretch | None:
+def _followed(search: RangeSearch, jump: Stretch, limit: float, longest: float) -> Stretch | None:
     """The jump at which a motion is lost however short the steps; None if it is lost over a slope."""
     for _ in range(FURTHER):
         ahead = _ahead(search, jump, limit, longest)
@@ -164,7 +164,7 @@ def _followed(search: Search, jump: Stretch, limit: float, longest: float) -> St
     return jump
 
 
-def _merging(search: Search, step: Stretch) -> Stretch:
+def _merging(search: RangeSearch, step: Stretch) -> Stretch:
     """Bisect a jump that is small beside the slope of the step: there are two motions on its near side only."""
     while abs(step.far - step.near) > search.width and (middle := step.middle) not in (step.near, step.far):
         (ahead,), (back,) = search.along(step.on.end, [middle]), search.along(step.beyond.end, [middle])
@@ -172,7 +172,7 @@ def _merging(search: Search, step: Stretch) -> Stretch:
     return step
 
 
-def _without_period(search: Search, step: Stretch) -> Stretch:
+def _without_period(search: RangeSearch, step: Stretch) -> Stretch:
     """Bisect the place beyond which a motion does not repeat."""
     while abs(step.far - step.near) > search.width and (middle := step.middle) not in (step.near, step.far):
         (orbit,) = search.along(step.on.end, [middle])
@@ -181,7 +181,7 @@ def _without_period(search: Search, step: Stretch) -> Stretch:
     return step
 
 
-def _ahead(search: Search, jump: Stretch, limit: float, longest: float) -> Stretch | None:
+def _ahead(search: RangeSearch, jump: Stretch, limit: float, longest: float) -> Stretch | None:
     """Where the motion is lost beyond a jump; None if it is lost right there."""
     near, on, far = jump.near, jump.on, jump.far
     step = jump.far - jump.near
@@ -225,7 +225,7 @@ class Range:
     upper: Orbit
 
 
-def ranges(search: Search, sweeps: Sweeps, lost: Sequence[Loss]) -> Iterator[Range]:
+def ranges(search: RangeSearch, sweeps: Sweeps, lost: Sequence[Loss]) -> Iterator[Range]:
     """The ranges between jumps in which the sweeps are on different motions."""
     first, last = float(sweeps.frequency[0]), float(sweeps.frequency[-1])
     ends = sorted({first, last, *(loss.jump.near for loss in lost)})
@@ -250,7 +250,7 @@ def ranges(search: Search, sweeps: Sweeps, lost: Sequence[Loss]) -> Iterator[Ran
 
 
 def _at_middle(
-    search: Search, sweeps: Sweeps, lost: Sequence[Loss], direction: int, ends: tuple[float, float]
+    search: RangeSearch, sweeps: Sweeps, lost: Sequence[Loss], direction: int, ends: tuple[float, float]
 ) -> Orbit:
     """The motion of a sweep at the middle of a range, led there from the nearest place where it is known."""
     sign, middle = (1.0, 0.5 * sum(ends)) if direction == UP else (-1.0, 0.5 * sum(ends))
@@ -274,7 +274,7 @@ def _at_middle(
     return search.along(known[nearest].end, np.linspace(nearest, middle, num + 1)[1:].tolist())[-1]
 
 
-def ranges_of(search: Search, sweeps: Columns) -> dict[str, np.ndarray]:
+def ranges_of(search: RangeSearch, sweeps: Columns) -> dict[str, np.ndarray]:
     """The jumps and the ranges of a pair of sweeps, and the motions in the middle of ranges, as arrays."""
     both = Sweeps.of(sweeps, search.model.start.phase)
     lost = list(losses(search, both))

@@ -19,7 +19,7 @@ from timesim.orbit.basin import LOWER, UPPER, explore, shares
 from timesim.orbit.fourier import phase_deg
 from timesim.orbit.settling import Chain, steady_states, warm_up
 from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of
-from timesim.orbit.two_motions import UP, Search, ranges_of
+from timesim.orbit.two_motions import UP, RangeSearch, ranges_of
 from timesim.result.dataset import dataset
 from timesim.result.label import counted
 from timesim.scene.resolution import Scene
@@ -73,7 +73,7 @@ class Ends(Payload):
     def result(self, before: Result | None) -> Result:
         """The jumps, and the ranges with their motions."""
         assert before is not None
-        return ranges_of(Search(self.model, self.steady, self.width, each), before)
+        return ranges_of(RangeSearch(self.model, self.steady, self.width, each), before)
 
 
 @dataclass(frozen=True)

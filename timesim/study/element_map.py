@@ -39,7 +39,7 @@ SETTLED = 0.1
 HISTORY = 6
 
 
-class March:
+class MapMarch:
     """N elements on their way to a steady cycle.
 
     Attributes:
@@ -65,7 +65,7 @@ class March:
         self.result["settled"] = np.zeros(count, dtype=bool)
 
     def run(self, progress: Progress = unwatched, max_cycles: int = MAX_CYCLES) -> dict[str, np.ndarray]:
-        """March until every cycle repeats, at most `max_cycles` cycles."""
+        """MapMarch until every cycle repeats, at most `max_cycles` cycles."""
         # The stiffness relative to the least limit of friction sets the steps; elements alike in it share a batch.
         stiffness = np.linalg.norm(self.elements.stiffness, axis=(1, 2))
         swing = np.hypot(self.elements.start[:, 2], self.elements.rate[:, 2])
@@ -84,7 +84,7 @@ class March:
         return self.result
 
     def _cycle(self, cycle: int, rows: np.ndarray) -> np.ndarray:
-        """March a batch by one cycle, and return which of its elements must go on."""
+        """MapMarch a batch by one cycle, and return which of its elements must go on."""
         full = np.concatenate([rows, np.repeat(rows[:1], BATCH - rows.size)])
         dynamics = jax.tree.map(lambda leaf: leaf[full], self.dynamics)
         slip, state = tuple(self.slip[full].T), self.state[full]
@@ -156,9 +156,9 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     plan: MapPlan = scene.plan
     solver, (elements, phase) = scene.solver(), elements_of(plan)
     clock = time.perf_counter()
-    March(elements.pick(np.arange(1)), phase[:1], solver).run(max_cycles=1)
+    MapMarch(elements.pick(np.arange(1)), phase[:1], solver).run(max_cycles=1)
     compiled = time.perf_counter()
-    march, reason = March(elements, phase, solver), None
+    march, reason = MapMarch(elements, phase, solver), None
     result = march.result
     try:
         execution.progress(0, elements.size)
