@@ -27,7 +27,7 @@ from timesim.picture.style import (
     stacked,
     unit,
 )
-from timesim.result.label import told_apart
+from timesim.result.label import is_scalar_key, told_apart
 
 DIRECTIONS = {"up": "^", "down": "v", "independent": "o"}
 PAIRED: dict[str, Any] = {"up": 10, "down": 11, "independent": "o"}
@@ -45,7 +45,7 @@ def key_words(key: str) -> str:
 
 def axis_label(data: Dataset, name: str) -> str:
     """A variable or a scalar of the scene, with its unit."""
-    return (key_words(name) if "." in name else name) + unit(data, name)
+    return (key_words(name) if is_scalar_key(name) else name) + unit(data, name)
 
 
 def amplitude_label(data: Dataset, point: str, axis: str, name: str = "amplitude") -> str:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from timesim.model.model import Model
+from timesim.result.label import is_scalar_key
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
@@ -56,6 +57,6 @@ def rubs(data: "Dataset") -> "DataArray":
 
 
 def over_keys(data: "Dataset") -> list[str]:
-    """Keys of the scalars of the scene that a result varies, in the scene's order: they alone have a dot."""
+    """Keys of the scalars of the scene that a result varies, in the scene's order."""
     names = dict.fromkeys((*(dim for array in data.data_vars.values() for dim in array.dims), *data.data_vars))
-    return [name for name in map(str, names) if "." in name and name != data.attrs.get("along")]
+    return [name for name in map(str, names) if is_scalar_key(name) and name != data.attrs.get("along")]

@@ -237,14 +237,19 @@ BASE = ("length", "force")
 """Quantities whose units a scene may name; the other units follow from them, such as ``N*m/s`` of power."""
 
 
+def is_scalar_key(name: str) -> bool:
+    """Whether a variable or an axis of a result is a scalar of the scene, named by its key: they alone have a dot."""
+    return "." in name
+
+
 def attributes(name: str, named: Mapping[str, str] | None = None) -> dict[str, Any]:
     """`long_name` and `units` of a variable or coordinate, and the meaning of flags; empty for a name not listed.
 
     Args:
-        name: one with a dot is the key of a scalar in the scene, such as ``contacts.pad.preload``.
+        name: of a variable, or the key of a scalar in the scene, such as ``contacts.pad.preload``.
         named: units of the quantities of `BASE`, ``{"length": "mm"}``.
     """
-    if "." in name:
+    if is_scalar_key(name):
         part, _, key = re.sub(r"\.\d+", "", name).rpartition(".")
         long_name = f"scene value {name}"
         units = SCENE_UNITS.get(key, SCENE_UNITS.get(f"{part.rpartition('.')[2]}.{key}"))

@@ -13,7 +13,7 @@ from timesim.orbit.steady_state import BRIEF
 from timesim.orbit.threshold import UNSETTLED_CYCLES
 from timesim.picture.choice import motions
 from timesim.picture.style import unit
-from timesim.result.label import axis_value, counted
+from timesim.result.label import axis_value, counted, is_scalar_key
 from timesim.result.netcdf import read
 from timesim.result.state import states_in
 from timesim.study.registry import carry_out, load_scene
@@ -64,7 +64,7 @@ def point_again(path: Path | str, at: Mapping[str, float | str]) -> Point:
     places = {name: places[0] for name, places in states.places(at).items()}
     where = {name: values[places[name]].item() for name, values in states.axes.items()}
     here = sweep.isel(places)
-    overrides = {key: value for key, value in where.items() if "." in key and not key.startswith("initial.")}
+    overrides = {key: value for key, value in where.items() if is_scalar_key(key) and not key.startswith("initial.")}
     words = ", ".join(
         f"{name} {axis_value(value)}{' Hz' if name == 'frequency' else ''}" for name, value in where.items()
     )
