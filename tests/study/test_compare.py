@@ -18,9 +18,10 @@ from timesim.cli import app
 from timesim.engine.status import RunError
 from timesim.orbit.settling import steady_states
 from timesim.picture import compare as plot_compare
-from timesim.study import compare, verdict
+from timesim.study import compare
 from timesim.study import registry as plot
 from timesim.study.registry import carry_out, load_scene
+from timesim.study.summary import comparison
 
 SHORT: dict[str, Any] = {
     "study.frequency": {"values": [0.85, 0.9, 1.2, 1.42]},
@@ -183,7 +184,7 @@ def test_a_point_is_compared_with_the_nearest_stable_solution_at_its_frequency(m
 
 def points_on(
     difference: float | np.ndarray, missing: int = 0, folds: Sequence[tuple[float, float]] = (), **changes: np.ndarray
-) -> verdict.Points:
+) -> comparison.Points:
     """Points of motions along x in which a contact slips and opens, the balance off by a share of each amplitude.
 
     Args:
@@ -211,12 +212,14 @@ def points_on(
     off = np.full((*SHAPE, 1, 3), np.nan)
     off[..., 0] = np.asarray(difference)[..., None]
     off.reshape(-1, 3)[:missing] = np.nan
-    return verdict.compared_points(xarray.Dataset(variables, coords), xarray.Dataset(hbm, attrs={"complete": 1}), off)
+    return comparison.compared_points(
+        xarray.Dataset(variables, coords), xarray.Dataset(hbm, attrs={"complete": 1}), off
+    )
 
 
 def lines_on(*given: Any, **changes: Any) -> list[str]:
     """The lines on these points."""
-    return list(verdict.comparison_lines(points_on(*given, **changes)))
+    return list(comparison.comparison_lines(points_on(*given, **changes)))
 
 
 @pytest.mark.parametrize(("size", "word"), [(1e-4, "agree"), (1e-2, "nearly agree"), (0.1, "differ")])
@@ -292,7 +295,7 @@ def test_points_with_another_offset_are_listed_with_the_reason():
     shares = {"slip_share": slip, "separation_share": np.zeros((*SHAPE, 2)), "friction": np.ones(2)}
     points = points_on(sizes, **shares)
     np.testing.assert_array_equal(points.doubtful, known)
-    lines = list(verdict.comparison_lines(replace(points, other_offset=known)))
+    lines = list(comparison.comparison_lines(replace(points, other_offset=known)))
     assert lines[0].startswith("the methods nearly agree: at 4 points")
     assert lines[1].startswith(
         "at 2 points they differ by up to 3.0e-03 because a contact that sticks all the time keep"
@@ -355,7 +358,7 @@ def test_points_without_an_answer_are_named():
     assert "at 2 points the balance has no stable solution: contacts.pad.preload -4 at 1 to 2 Hz" in text
     assert "at 1 point the motion repeats after several cycles, which the balance cannot show: contacts.pad.pre" in text
     assert "at 1 point the motion did not settle and is left out: contacts.pad.preload 3 at 3 Hz" in text
-    text = "\n".join(verdict.comparison_lines(replace(points_on(1e-5, missing=2), followed=np.zeros(SHAPE, bool))))
+    text = "\n".join(comparison.comparison_lines(replace(points_on(1e-5, missing=2), followed=np.zeros(SHAPE, bool))))
     assert "at 2 points the balance has no solution, as it ended before" in text
     assert "no stable solution" not in text
     text = "\n".join(lines_on(1e-5, settled=settled, irregular=1 - settled))
