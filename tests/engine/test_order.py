@@ -71,7 +71,7 @@ def in_fixed_steps(method: Method, count: int) -> tuple[np.ndarray, list[tuple[i
         ("dopri5", 4.75, 5.25, DECADE),
         pytest.param("kvaerno5", 4.75, 5.25, DECADE, marks=pytest.mark.slow),
         ("collocation, 3 nodes", 4.5, 5.25, np.array([30, 42, 58, 80, 112, 155])),
-        # Radau's rule is of order 2 s - 1; few steps a cycle reach rounding, and how they meet the transitions scatters.
+        # Radau's rule is of order 2 s - 1; few steps reach rounding, and how they meet the transitions scatters.
         ("collocation, 5 nodes", 7.5, 10.0, np.array([12, 16, 20, 26, 33])),
         # Rounding comes after half a decade, and errors of eighth order are small beside those of ninth.
         ("dopri8", 7.75, 9.25, np.array([30, 35, 41, 48, 56, 65, 77, 90])),

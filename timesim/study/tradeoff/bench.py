@@ -20,8 +20,8 @@ REPEATED, REPEATS = 0.3, 5
 """A run of fewer seconds is made this many times, and the least time counts: other work of the machine adds to it."""
 STEP = {CLOSED_FORM: 0.1, "tsit5": 1.0, "rk4": 0.6, "dopri8": 2.0, "exponential": 4.0}
 COMPILED = {CLOSED_FORM: 0.0, "tsit5": 1.0, "rk4": 0.6, "dopri8": 2.5, "exponential": 4.0}
-"""Time of a step, and of compilation, roughly, as multiples of that of tsit5. Measured for collocation: 2.3 to 3.8 from 2
-modes with a contact to 50 with ten; with more a first run would leave it out for want of time."""
+"""Time of a step, and of compilation, roughly, as multiples of that of tsit5. Compilation of collocation: measured, 2.3
+to 3.8 from 2 modes with a contact to 50 with ten; taken for more, a first run leaves it out for want of time."""
 SETTLING = Solver("tsit5", 1e-9, 1e-11)
 """The solver that marches to the settled motion, whose amplitude is judged."""
 LEFT = 0.1
