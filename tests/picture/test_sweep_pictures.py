@@ -248,6 +248,19 @@ def test_shares_of_the_states() -> None:
     assert plot_sweep.PICTURES["contact_states"](data.isel(contact=slice(0, 0))) is None
 
 
+def test_a_state_that_never_occurs_has_a_note_and_no_axes() -> None:
+    data = sweep()
+    data.separation_share.loc[{"contact": "stop"}] = 0.0
+    figure = plot_sweep.PICTURES["contact_states"](data)
+    assert figure is not None
+    assert [ax.get_title(loc="right") for ax in figure.axes] == ["pad", "pad", "stop"]
+    assert "zero throughout: share in separation of stop" in [text.get_text() for text in figure.texts]
+    still = data.assign(slip_share=0 * data.slip_share, separation_share=0 * data.separation_share)
+    figure = plot_sweep.PICTURES["contact_states"](still)
+    assert figure is not None
+    assert len(figure.axes) == 1
+
+
 def test_peaks_and_whether_they_lie_at_an_end() -> None:
     rows = np.array([[1, 3, 2], [5, 1, 2], [np.nan, 2, 4], [np.nan] * 3])
     largest, at_end = plot_sweep.peaks(rows)

@@ -204,15 +204,24 @@ def response_figure(
 def states_figure(
     data: Dataset, *, share: Callable[..., Axes], legend: Legend, hidden: Callable[[Dataset], str]
 ) -> Figure | None:
-    """The shares of slip and separation of each contact, one above the other."""
+    """The shares of slip and separation of each contact, one above the other; a note names those that are zero."""
     shares = data.slip_share + data.separation_share
     contacts = busiest(data, shares.sum([dim for dim in shares.dims if dim != "contact"]).values)
     if not contacts:
         return None
-    fig, axs = stacked(2 * len(contacts), 1.9 if len(contacts) == 1 else 1.5)
-    for ax, (contact, state) in zip(axs, product(contacts, ("slip", "separation")), strict=True):
+    pairs = list(product(contacts, ("slip", "separation")))
+    occurs = [bool(data[f"{state}_share"].sel(contact=contact).values.any()) for contact, state in pairs]  # NaN too
+    shown = [pair for pair, some in zip(pairs, occurs, strict=True) if some] or pairs[:1]
+    fig, axs = stacked(len(shown), 1.9 if len(shown) < 3 else 1.5)
+    for ax, (contact, state) in zip(axs, shown, strict=True):
         label_axes(share(data, ax, contact=contact, state=state), short(contact))
         ax.label_outer()
     legend(axs, data)
+    never = [
+        f"{share_label(data, contact, state).removesuffix(' [1]')} of {short(contact)}"
+        for (contact, state), some in zip(pairs, occurs, strict=True)
+        if not some
+    ]
+    zero = f"zero throughout: {', '.join(never)}" if never else ""
     note = left_out(data.sizes["contact"], len(contacts), "contacts")
-    return finish(fig, data, "shares of a period in slip and in separation", note, hidden(data))
+    return finish(fig, data, "shares of a period in slip and in separation", zero, note, hidden(data))
