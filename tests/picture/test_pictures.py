@@ -435,6 +435,24 @@ def test_a_long_title_fits_the_figure(run: xarray.Dataset, name: str) -> None:
     assert 0 <= heading.x0 < heading.x1 <= figure.bbox.width
 
 
+def test_a_power_of_ten_stands_with_the_unit(run: xarray.Dataset, tmp_path: Path) -> None:
+    """In steps of three, unless an axis is logarithmic; ticks are numbers of that unit."""
+    small = run.assign(displacement=1e-5 * run.displacement, cycle_amplitude=1e-5 * run.cycle_amplitude)
+    drawn: list[Figure] = []
+
+    def picture(data: xarray.Dataset) -> Figure | None:
+        drawn.append(plot_transient.PICTURES["displacement"](data))  # type: ignore[arg-type]
+        return drawn[-1]
+
+    write(small, tmp_path, {"displacement": picture})
+    write(run, tmp_path, {"displacement": picture})
+    first, plain = drawn[0].axes[0], drawn[1].axes[0]
+    assert first.get_ylabel() == "tip x [1e-6 length]"
+    assert plain.get_ylabel() == "tip x [length]"
+    assert "1" in [text.get_text() for text in first.get_yticklabels()]
+    assert not first.yaxis.get_offset_text().get_visible()
+
+
 def test_a_contact_that_does_not_move_in_its_plane_has_no_orbit(run: xarray.Dataset) -> None:
     motion = run.contact_displacement.copy()
     motion.loc[{"contact": "stop", "component": ["t1", "t2"]}] = 0.0

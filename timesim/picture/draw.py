@@ -54,6 +54,7 @@ def write(
         figure = picture(data)
         if figure is not None:
             make_logarithmic(figure, log)
+            put_factors_in_labels(figure)
             written.append(Path(folder) / f"{name}.{kind}")
             write_whole(written[-1], _png(figure) if kind == "png" else _vectors(figure, kind))
     return written
@@ -72,6 +73,27 @@ def make_logarithmic(figure: Figure, quantities: Collection[str]) -> None:
             if low <= 0:
                 ax.set_ylim(max(0.8 * least, SMALLEST * top), 1.25 * top)
             _plain_ticks(ax.yaxis, *ax.get_ylim())
+
+
+def put_factors_in_labels(figure: Figure) -> None:
+    """Write the power of ten that all ticks of an axis share into the unit of its label: ``tip x [1e-6 m]``.
+
+    Powers are those of SI prefixes, multiples of three.
+    """
+    from matplotlib.ticker import ScalarFormatter
+
+    for axis in (axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)):
+        before, bracket, unit = axis.get_label_text().rpartition("[")
+        formatter = axis.get_major_formatter()
+        if not (bracket and isinstance(formatter, ScalarFormatter)):
+            continue
+        formatter.set_locs(axis.get_majorticklocs().tolist())
+        factor = formatter.get_offset().replace("\N{MINUS SIGN}", "-")  # 1e-5, or nothing
+        power = 3 * (int(factor.partition("e")[2] or 0) // 3)
+        if power:
+            formatter.set_powerlimits((power, power))
+            axis.get_offset_text().set_visible(False)
+            axis.set_label_text(f"{before}[1e{power}{']' if unit == '1]' else f' {unit}'}")
 
 
 def _plain_ticks(axis: Any, low: float, high: float) -> None:

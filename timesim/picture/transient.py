@@ -171,7 +171,7 @@ def _displacement_figure(data: Dataset) -> Figure:
     for row, (point, axis) in zip(grid, shown, strict=True):
         displacement(data, row[0], point=point, axis=axis).label_outer()
         for ax in row[1:]:
-            displacement(data, ax, point=point, axis=axis, cycles=LAST_CYCLES).set(ylabel="", xlabel="")
+            displacement(data, ax, point=point, axis=axis, cycles=LAST_CYCLES).set_xlabel("")
     for ax in grid[-1]:
         ax.set_xlabel("time [s]")
     return finish(fig, data, "displacement", _hidden(data))
