@@ -435,6 +435,17 @@ def test_a_long_title_fits_the_figure(run: xarray.Dataset, name: str) -> None:
     assert 0 <= heading.x0 < heading.x1 <= figure.bbox.width
 
 
+@pytest.mark.parametrize("name", ["energy", "hysteresis", "displacement"])
+def test_the_title_stands_just_above_the_axes_and_what_is_written_above_them(run: xarray.Dataset, name: str) -> None:
+    figure = plot_transient.PICTURES[name](run)
+    assert figure is not None
+    figure.canvas.draw()
+    ax = figure.axes[0]
+    label = ax._right_title.get_window_extent()  # type: ignore[attr-defined]
+    below = max(ax.bbox.y1, label.y1 if ax.get_title("right") else 0.0)
+    assert 0 < figure._suptitle.get_window_extent().y0 - below < 0.2 * figure.dpi  # type: ignore[attr-defined]
+
+
 def test_a_power_of_ten_stands_with_the_unit(run: xarray.Dataset, tmp_path: Path) -> None:
     """In steps of three, unless an axis is logarithmic; ticks are numbers of that unit."""
     small = run.assign(displacement=1e-5 * run.displacement, cycle_amplitude=1e-5 * run.cycle_amplitude)

@@ -121,6 +121,12 @@ def test_a_legend_names_what_is_drawn_and_nothing_else() -> None:
     assert "not settled" in named(whole, "response")
 
 
+def test_a_legend_speaks_of_stability_where_some_solutions_are_unstable() -> None:
+    for part, words in ((slice(None), ["2", "stable", "unstable", "fold"]), (slice(10), ["2"])):
+        legend = hbm.PICTURES["response"](_balance([2.0]).isel(solution=part)).axes[0].get_legend()  # type: ignore[union-attr]
+        assert [text.get_text() for text in legend.get_texts()] == words
+
+
 def test_an_end_of_the_search_is_no_jump() -> None:
     """The response has no arrow there, and the picture of all ranges no marker."""
     data = two_motions([1.8, 2.0])

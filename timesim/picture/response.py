@@ -161,10 +161,16 @@ def draw_branch(
 
 
 def legend(axs: Iterable[Axes], entries: Mapping[str, Series], title: str | None = None) -> None:
-    """A legend to the right of the first axes: the styles of the curves, and in grey whatever else has a label."""
+    """A legend to the right of the first axes: the styles of the curves, and in grey whatever else has a label.
+
+    Curves that are stable throughout do not say so.
+    """
     from matplotlib.lines import Line2D
 
     first, *others = axs
+    if "unstable" not in labelled(first, *others):
+        for line in (line for ax in (first, *others) for line in ax.get_lines() if line.get_label() == "stable"):
+            line.set_label("_stable")
     handles = [
         Line2D([], [], color=style.colour, linestyle=style.line, marker=style.marker, ms=5, label=name)
         for name, style in entries.items()

@@ -23,6 +23,7 @@ else:  # matplotlib is loaded when there is something to draw
 BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9"
 PALE, NEUTRAL = "0.7", "0.25"
 _HEAD, _FOOT = 0.68, 0.95  # inch
+_LABELLED, _PLAIN = 0.27, 0.1  # inch from axes with a label above them, or without one, to the title
 
 
 class Series(NamedTuple):
@@ -126,19 +127,26 @@ def stacked(rows: int, height: float, *, share_x: bool = True, **options: Any) -
 
 
 def finish(fig: Figure, data: Dataset | DataTree, what: str, *notes: str) -> Figure:
-    """Add the title, notes of what is left out at the foot, and a legend there if no axes have one.
+    """Add the title just above the axes, notes of what is left out at the foot, and a legend there if no axes have one.
 
     The title is that of the scene, and what is shown.
     """
     title = short(" ".join(str(data.attrs.get("title") or "").split()), 90)
     unfinished = "" if int(data.attrs["complete"]) else " (incomplete run)"
     tall, heading = fig.get_figheight(), (f"{title}\n" if title else "") + what + unfinished
-    drawn = fig.suptitle(heading.replace(r"\$", "$"), fontsize=10, y=1 - 0.08 / tall, va="top", parse_math=False)
+    above = max(ax.get_position().y1 for ax in fig.axes)
+    top = [ax for ax in fig.axes if ax.get_position().y1 > above - 0.01]
+    labels = any(ax.get_title(place) for ax in top for place in ("left", "center", "right"))
+    foot = above + (_LABELLED if labels else _PLAIN) / tall
+    drawn = fig.suptitle(heading.replace(r"\$", "$"), fontsize=10, y=foot, va="bottom", parse_math=False)
     too_wide = drawn.get_window_extent().width / (0.97 * fig.get_figwidth() * fig.dpi)
     drawn.set_fontsize(10 / max(too_wide, 1.0))
-    fig.text(0.99, 0.04 / tall, "; ".join(filter(None, notes)), fontsize=7, color="0.35", ha="right", va="bottom")
-    if all(ax.get_legend() is None for ax in fig.axes):
+    beside = any(ax.get_legend() for ax in fig.axes)
+    if not beside:
         _legend_below(fig)
+    x, y = (max(ax.get_position().x1 for ax in fig.axes), 0.3) if beside else (0.99, 0.04)
+    note: dict[str, Any] = {"fontsize": 7, "color": "0.35", "ha": "right", "va": "bottom"}
+    fig.text(x, y / tall, "; ".join(filter(None, notes)), **note)
     return fig
 
 
