@@ -331,6 +331,24 @@ def test_harmonics_are_exact_for_samples_of_a_known_motion(run: xarray.Dataset) 
     assert found[2] < 1e-12
 
 
+def test_a_spectrum_says_that_the_motion_has_not_settled(run: xarray.Dataset) -> None:
+    """A motion that repeats after two cycles has; the axis ends below the smallest harmonic."""
+    theta = 2 * np.pi * FREQUENCY * run.time.values
+    unit = xarray.ones_like(run.displacement)
+
+    def drawn(x: np.ndarray) -> tuple[str, float]:
+        ax = plot_transient.spectrum(run.assign(displacement=unit * x[:, None, None]))
+        return ax.get_title("right"), ax.get_ylim()[0]
+
+    label, low = drawn(np.cos(theta) * (1 + 1e-3 * theta / theta[-1]))
+    assert label.startswith("not settled, by 4e-05 of the range of a cycle")
+    assert 1e-7 < low < 1e-5
+    assert drawn(np.cos(theta) + 0.1 * np.cos(theta / 2))[0] == ""
+    x = np.where(theta < theta[-1] - 2 * np.pi, 0.0, np.sin(theta))
+    assert plot_transient.unsettled(run, x) == pytest.approx(0.5, rel=1e-3)
+    assert plot_transient.unsettled(run, 0 * theta) == 0.0
+
+
 def test_the_harmonic_at_half_the_rate_of_samples_counts_once() -> None:
     coords = {"time": np.arange(17) / 8}
     data = xarray.Dataset({"cycle_start": ("cycle", [0.0, 1.0]), "cycle_period": ("cycle", [1.0, 1.0])}, coords)

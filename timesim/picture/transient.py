@@ -20,6 +20,7 @@ from timesim.picture.style import (
     axes,
     figure,
     finish,
+    label_axes,
     labelled,
     legend_beside,
     short,
@@ -28,6 +29,7 @@ from timesim.picture.style import (
 
 SPECTRUM_CYCLES = 10
 HIGHEST_ORDER = 30
+REPEATS = 1e-6  # share of the range of a cycle: over ten cycles it leaves a tail of 3e-7/order, at the foot of the axis
 MARKED = 60  # cycles of a curve that bear a marker
 
 
@@ -80,19 +82,25 @@ def spectrum(data: Dataset, ax: Axes | None = None) -> Axes:
     """Amplitude of the harmonics over the last cycles of what moves most, on a logarithmic axis.
 
     Markers are at the harmonics of the excitation. A thin line joins all orders, so that a motion of another period, or
-    one that has not settled, shows between the markers.
+    one that has not settled, shows between the markers. A label says of the latter that the smooth tail, which the
+    jump from its end to its start leaves, is none of its harmonics.
     """
     ax = axes(ax)
-    peak = 0.0
+    lowest, peak, change = np.inf, 0.0, 0.0
     for (point, axis), style in zip(moving(data)[:MAX_ROWS], SERIES, strict=False):
-        order, amplitude = harmonics(data, data.displacement.sel(point=point, axis=axis).values)
+        x = data.displacement.sel(point=point, axis=axis).values
+        order, amplitude = harmonics(data, x)
         whole = np.abs(order - np.round(order)) < 1e-9
         ax.plot(order, amplitude, color=style.colour, linestyle=style.line, linewidth=0.5)
         ax.plot(order[whole], amplitude[whole], style.marker, color=style.colour, ms=4, label=f"{short(point)} {axis}")
         peak = max(peak, float(amplitude.max(initial=0.0)))
+        lowest = min(lowest, float(amplitude[whole & (amplitude > 0)].min(initial=np.inf)))
+        change = max(change, unsettled(data, x))
     if peak > 0:
         ax.set_yscale("log")
-        ax.set_ylim(1e-8 * peak, 3 * peak)
+        ax.set_ylim(max(1e-8 * peak, lowest / 2), 3 * peak)
+    if change > REPEATS:
+        label_axes(ax, f"not settled, by {change:.1g} of the range of a cycle: smooth tails are no harmonics")
     ax.set(xlabel="multiple of the excitation frequency", ylabel=f"displacement amplitude{unit(data, 'displacement')}")
     return ax
 
@@ -103,18 +111,40 @@ def harmonics(data: Dataset, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Returns multiples of the excitation frequency up to `HIGHEST_ORDER`, and the amplitude at each; both are empty where
     no cycle was finished.
     """
+    cycles, first, last = _window(data)
+    if not cycles:
+        return np.empty(0), np.empty(0)
+    amplitude = np.abs(np.fft.rfft(x[first:last])) / (last - first)
+    amplitude[1 : (last - first + 1) // 2] *= 2  # all but the mean, and the half of the rate of samples
+    order = np.arange(amplitude.size) / cycles
+    return order[order <= HIGHEST_ORDER], amplitude[order <= HIGHEST_ORDER]
+
+
+def unsettled(data: Dataset, x: np.ndarray) -> float:
+    """Least difference of the last of these cycles from another, or of its ends if there is no other, over its range.
+
+    Zero where nothing moves or no cycle was finished; a motion that repeats after several of the cycles has settled.
+    """
+    cycles, first, last = _window(data)
+    size = (last - first) // max(cycles, 1)
+    if not size or not np.ptp(x[last - size : last]):
+        return 0.0
+    each = x[last - cycles * size : last].reshape(cycles, size)
+    others = np.abs(each[:-1] - each[-1]).max(axis=1)
+    apart = others.min() if cycles > 1 else np.abs(x[min(last, x.size - 1)] - x[first])
+    return float(apart / np.ptp(each[-1]))
+
+
+def _window(data: Dataset) -> tuple[int, int, int]:
+    """Number of the last recorded cycles of one frequency, at most `SPECTRUM_CYCLES`, their first sample and end."""
     start, period, time = data.cycle_start.values, data.cycle_period.values, data.time.values
     slack = 1e-6 * period.min(initial=np.inf)
     same = (np.abs(period - period[-1:]) < slack) & (start > time[0] - slack)
     cycles = int(np.cumprod(same[::-1][:SPECTRUM_CYCLES]).sum())
     if not cycles:
-        return np.empty(0), np.empty(0)
-    window = np.array([start[-cycles], start[-1] + period[-1]]) - slack
-    first, last = np.searchsorted(time, window)
-    amplitude = np.abs(np.fft.rfft(x[first:last])) / (last - first)
-    amplitude[1 : (last - first + 1) // 2] *= 2  # all but the mean, and the half of the rate of samples
-    order = np.arange(amplitude.size) / cycles
-    return order[order <= HIGHEST_ORDER], amplitude[order <= HIGHEST_ORDER]
+        return 0, 0, 0
+    first, last = np.searchsorted(time, np.array([start[-cycles], start[-1] + period[-1]]) - slack)
+    return cycles, int(first), int(last)
 
 
 def energy(data: Dataset, ax: Axes | None = None) -> Axes:
