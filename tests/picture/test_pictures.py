@@ -147,7 +147,7 @@ def test_the_envelope_covers_cycles_that_were_not_recorded() -> None:
     assert unknown.edges[-1] == known.edges[0] == pytest.approx((CYCLES - 2) / FREQUENCY)
     assert (known.values.size, unknown.values.size) == (2, CYCLES - 2)
     assert unknown.values[0] < known.values[-1]
-    assert "about a mean that is not kept" in ax.patches[2].get_label()
+    assert "about the middle of the samples" in ax.patches[2].get_label()
 
 
 def test_the_last_cycles_of_a_displacement(run: xarray.Dataset) -> None:

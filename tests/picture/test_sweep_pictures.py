@@ -196,6 +196,18 @@ def test_many_points_are_marked_now_and_then_but_unsettled_ones_always() -> None
     ax = plot_sweep.response(data)
     assert 30 <= len(_marked(_lines(ax, "_")[0])) <= plot_sweep.MARKED
     assert len(_lines(ax, "not settled")[0].get_xdata()) == 3
+    for of, note in ((data, "markers at one point in 5"), (sweep(), None)):
+        figure = plot_sweep.PICTURES["response"](of)
+        assert figure is not None
+        assert (note in [text.get_text() for text in figure.texts]) == (note is not None)
+
+
+def test_a_single_curve_needs_no_legend() -> None:
+    for data, words in ((sweep(), None), (sweep(directions=("up",)), ["up"]), (sweep({PRELOAD: [0.2]}), ["0.2"])):
+        figure = plot_sweep.PICTURES["response"](data)
+        assert figure is not None
+        legend = figure.axes[0].get_legend()
+        assert (legend and [text.get_text() for text in legend.get_texts()]) == words
 
 
 def test_every_set_of_values_has_its_own_style() -> None:

@@ -141,10 +141,9 @@ def finish(fig: Figure, data: Dataset | DataTree, what: str, *notes: str) -> Fig
     drawn = fig.suptitle(heading.replace(r"\$", "$"), fontsize=10, y=foot, va="bottom", parse_math=False)
     too_wide = drawn.get_window_extent().width / (0.97 * fig.get_figwidth() * fig.dpi)
     drawn.set_fontsize(10 / max(too_wide, 1.0))
-    beside = any(ax.get_legend() for ax in fig.axes)
-    if not beside:
+    if all(ax.get_legend() is None for ax in fig.axes):
         _legend_below(fig)
-    x, y = (max(ax.get_position().x1 for ax in fig.axes), 0.3) if beside else (0.99, 0.04)
+    x, y = (0.99, 0.04) if fig.legends else (max(ax.get_position().x1 for ax in fig.axes), 0.3)
     note: dict[str, Any] = {"fontsize": 7, "color": "0.35", "ha": "right", "va": "bottom"}
     fig.text(x, y / tall, "; ".join(filter(None, notes)), **note)
     return fig

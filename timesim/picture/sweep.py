@@ -237,6 +237,8 @@ def legend(axs: Sequence[Axes], data: Dataset) -> None:
         entries.setdefault(
             curve.label or curve.direction, curve.style._replace(marker="") if keys and several else curve.style
         )
+    if not keys and not several and shown[0].direction == "independent":
+        entries.clear()  # a single curve, whose axes say what it is
     if keys and several:
         ways = shown[: data.sizes["direction"]]
         entries |= {curve.direction: curve.style._replace(colour=NEUTRAL, line="") for curve in ways}
@@ -244,8 +246,11 @@ def legend(axs: Sequence[Axes], data: Dataset) -> None:
 
 
 def _hidden(data: Dataset) -> str:
-    sets = int(np.prod([data.sizes[key] for key in over_keys(data)]))
-    return left_out(sets, MAX_CURVES, "sets of values")
+    """A note of the sets of values that are not shown, and of settled points without a marker."""
+    sets, every = int(np.prod([data.sizes[key] for key in over_keys(data)])), -(-data.sizes["frequency"] // MARKED)
+    others = ", up and down at different ones" if data.sizes["direction"] > 1 else ""
+    thinned = f"markers at one point in {every}{others}" if every > 1 else ""
+    return "; ".join(filter(None, (left_out(sets, MAX_CURVES, "sets of values"), thinned)))
 
 
 def _floquet_figure(data: Dataset) -> Figure | None:

@@ -65,11 +65,11 @@ def _envelope(data: Dataset, ax: Axes, x: np.ndarray, amplitude: np.ndarray) -> 
     parts = [x[a : b + 1] for a, b in pairwise(samples)]
     recorded = next((number for number, part in enumerate(parts) if part.size > 1), len(parts))
     middle = np.array([(part.max() + part.min()) / 2 if part.size > 1 else np.nan for part in parts])
-    middle[:recorded] = middle[recorded] if recorded < len(parts) else 0.0
+    middle[:recorded] = (x.max() + x.min()) / 2
     # Of cycles without samples the amplitude is known, but not what it is about.
     for some, line, name in (
         (slice(recorded, None), "-", "± amplitude of the cycle"),
-        (slice(recorded), ":", "± amplitude of cycles without samples, about a mean that is not kept"),
+        (slice(recorded), ":", "± amplitude of earlier cycles, about the middle of the samples"),
     ):
         sides, ends = (middle[some] + amplitude[some], middle[some] - amplitude[some]), edges[some.start or 0 :]
         for side, label in zip(sides, (name, None), strict=True) if middle[some].size else ():
