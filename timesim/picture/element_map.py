@@ -33,21 +33,17 @@ def contour(data: Dataset, ax: Axes | None = None, *, name: str = "f_s", tangent
 
 
 def surface(data: Dataset, ax: Any = None, *, name: str = "f_s", tangent: str = "t1") -> Any:
-    """The same as a surface, on axes with projection 3d; over equal amplitudes the half b <= a, as in the paper."""
+    """The same as a surface, on axes with projection 3d."""
     ax = figure(subplot_kw={"projection": "3d"})[1][0, 0] if ax is None else ax
     first, second = parameters(data)
     x, y = np.meshgrid(data[first].values, data[second].values, indexing="ij")
     z = _coefficient(data, name, tangent)
-    half = (first, second) == ("a", "b") and np.array_equal(data[first], data[second])
-    if half:
-        z = np.where(y <= x * (1 + 1e-9), z, np.nan)
     step = [max(1, size // 27) for size in z.shape]
     faces = {"rstride": step[0], "cstride": step[1], "edgecolor": "0.25", "linewidth": 0.25}
     _colour_bar(ax, ax.plot_surface(x, y, z, cmap="viridis", **faces), shrink=0.6, pad=0.1)
     ax.set_xlabel(_axis_label(data, first), fontsize=8, labelpad=0)
     ax.set_ylabel(_axis_label(data, second), fontsize=8, labelpad=0)
-    shown = ", b ≤ a" if half else ""
-    ax.set_title(_coefficient_label(data, name, tangent) + shown, fontsize=9, pad=-6)
+    ax.set_title(_coefficient_label(data, name, tangent), fontsize=9, pad=-6)
     ax.tick_params(labelsize=7, pad=0)
     ax.tick_params(axis="z", pad=3)
     ax.locator_params(axis="z", nbins=5)
