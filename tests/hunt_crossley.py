@@ -28,6 +28,10 @@ class HuntCrossley(ContactLaw):
         stiffness = np.array([c.normal_stiffness for c in contacts]) * (scales.length / scales.force)
         return cls(damping, stiffness, np.array([c.preload for c in contacts]) / scales.force)
 
+    @staticmethod
+    def start_states(contacts: Sequence[Contact], normal: np.ndarray) -> np.ndarray:
+        return np.where(normal > 0, SLIP, SEPARATION)
+
     def _load(self, motion: Motion) -> Scalar:
         return self.preload + self.normal_stiffness * motion.v
 

@@ -8,13 +8,14 @@ from simulation import after_a_cycle, simulate
 from systems import at_rest, excitation, generated_model, oscillator, pad, structure
 
 from timesim.engine.law.contact_law import Motion
+from timesim.engine.law.table import begin_of
 from timesim.model.model import SEPARATION, SLIP, Model
 from timesim.model.reduction import reduction_of
 from timesim.model.scales import scales_of
 from timesim.model.solver import NEVER, PRESETS, SHOOT, Criterion, Solver
 from timesim.orbit.batch import march_lanes, record
 from timesim.orbit.lane import Lane
-from timesim.orbit.settling import Chain, begin_of, first_lane, steady_states
+from timesim.orbit.settling import Chain, first_lane, steady_states
 from timesim.orbit.threshold import CYCLES_A_ROUND
 from timesim.study.registry import load_scene
 

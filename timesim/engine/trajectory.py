@@ -17,13 +17,14 @@ from timesim.engine.event_loop import Batch, Reached, batches
 from timesim.engine.exponential.extremes import extremes
 from timesim.engine.exponential.linear import linear_batches, linear_leap
 from timesim.engine.exponential.parts import short_steps
+from timesim.engine.law.table import begin_of
 from timesim.engine.method import Method, step_method
 from timesim.engine.solver import step_control
 from timesim.engine.status import RunError, Status, message_of
 from timesim.engine.step import PERIOD, Trajectory, begin
 from timesim.engine.step import Step as LoopStep
 from timesim.engine.system import Point, System, Work, contact_axes, held_force, system_of
-from timesim.model.contact_state import contact_loads, slip_follows_motion, start_states
+from timesim.model.contact_state import contact_loads, slip_follows_motion
 from timesim.model.model import SEPARATION, STICK, Model, Start
 from timesim.model.reduction import Reduction, reduction_of
 from timesim.model.scales import Scales, scales_of
@@ -70,9 +71,9 @@ class Run:
         self.reduction = reduction_of(self.model, frequencies, reduce=self.solver.reduce)
         if self.closed and self.reduction.live.size:
             raise ValueError("contacts that may leave their state have no motion in closed form")
-        start = self.model.start
+        start = begin_of(self.model)
         self.displacement, self.velocity = start.displacement.copy(), start.velocity.copy()
-        self.slip, self.state = start.slip.copy(), start_states(self.model)
+        self.slip, self.state = start.slip.copy(), start.state
         self.phase, self.time, self.completed = start.phase, 0.0, 0
         self.compile_seconds = 0.0
         self.work = np.zeros(2 + self.model.num_contacts)

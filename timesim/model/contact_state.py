@@ -2,12 +2,13 @@
 
 A contact is apart where its normal load n is not positive; one that touches sticks, unless it is known to slip or has
 no friction. The slip w of a contact that is apart, or that has no friction, is its motion u. That of one that sticks
-may be anything that leaves its force in the cone, ``|K_u (u - w)| <= mu n``.
+may be anything that leaves its force in the cone, ``|K_u (u - w)| <= mu n``. That is the law of the cone.
+Another law says itself in which state its contacts start, and nothing here limits their slip.
 
 Elementwise in numpy; C counts contacts.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,11 +41,16 @@ def slip_follows_motion(state: ArrayLike, friction: ArrayLike) -> np.ndarray:
     return np.equal(state, SEPARATION) | np.equal(friction, 0)
 
 
-def start_states(model: Model) -> np.ndarray:
-    """State of each contact at the start of a model, shape (C,): as given, else as it follows from the normal load."""
+def cone_states(contacts: Sequence[Contact], normal: np.ndarray) -> np.ndarray:
+    """States in which contacts of the cone law start under a normal load [force], shape (C,)."""
+    return contact_state(normal, np.array([contact.friction for contact in contacts], dtype=float))
+
+
+def start_states(model: Model, rule: Callable[[Sequence[Contact], np.ndarray], np.ndarray] = cone_states) -> np.ndarray:
+    """State of each contact at the start of a model, shape (C,): as given, else by the rule of its law."""
     given = np.asarray(model.start.state, dtype=int)
     normal = model.preload + model.normal_stiffness * (model.contact_shape[:, 2] @ model.start.displacement)
-    return np.where(given == UNKNOWN, contact_state(normal, model.friction), given)
+    return np.where(given == UNKNOWN, rule(model.contacts, normal), given)
 
 
 @dataclass(frozen=True)
@@ -56,7 +62,7 @@ class ContactLoads:
         slip: w, shape (C, 2).
         force: friction force K_u (u - w) of a contact that sticks, shape (C, 2).
         normal: n0 + k_v v, negative where the bodies are apart, shape (C,).
-        limit: mu max(n, 0), shape (C,).
+        limit: mu max(n, 0), infinite under another law than the cone, shape (C,).
     """
 
     motion: np.ndarray
@@ -82,7 +88,13 @@ def contact_loads(model: Model, displacement: np.ndarray, slip: np.ndarray) -> C
     relative = model.contact_shape @ displacement
     normal = model.preload + model.normal_stiffness * relative[:, 2]
     force = np.einsum("cij,cj->ci", model.tangential_stiffness, relative[:, :2] - slip)
-    return ContactLoads(relative[:, :2], slip, force, normal, model.friction * np.maximum(normal, 0.0))
+    limit = np.where(obeys_cone(model), model.friction * np.maximum(normal, 0.0), np.inf)
+    return ContactLoads(relative[:, :2], slip, force, normal, limit)
+
+
+def obeys_cone(model: Model) -> np.ndarray:
+    """Whether each contact obeys the law of the cone, shape (C,)."""
+    return np.array([contact.law == CONE for contact in model.contacts], dtype=bool)
 
 
 def require_cone(contacts: Iterable[Contact], what: str) -> None:

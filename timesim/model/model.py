@@ -130,8 +130,8 @@ class Start:
     Attributes:
         displacement, velocity: modal displacement and velocity, shape (M,).
         slip: w of each contact (t1, t2), shape (C, 2).
-        state: state of each contact, shape (C,); -1 where it follows from the motion: separated if n <= 0,
-            else stuck.
+        state: state of each contact, shape (C,); -1 where it follows from the motion by the law of the contact, in
+            the cone: separated if n <= 0, else stuck.
         phase: phase of the excitation [rad].
     """
 

@@ -1,7 +1,7 @@
 """The state a run starts from: at rest, in equilibrium, as given, or where another run ended.
 
-A contact whose state is left at -1 is separated if its normal load is not positive, else stuck; the slip
-``w`` of a separated contact is its motion ``u``, and so is that of a frictionless one.
+A contact whose state is left at -1 is separated if its normal load is not positive, else stuck, or as another law than
+the cone says; the slip ``w`` of a separated contact is its motion ``u``, and so is that of a frictionless one.
 """
 
 from collections.abc import Sequence
@@ -10,7 +10,14 @@ from dataclasses import replace
 import numpy as np
 
 from timesim.fault import RuleError
-from timesim.model.contact_state import UNKNOWN, ContactLoads, contact_loads, contact_state, slip_follows_motion
+from timesim.model.contact_state import (
+    UNKNOWN,
+    ContactLoads,
+    contact_loads,
+    contact_state,
+    obeys_cone,
+    slip_follows_motion,
+)
 from timesim.model.model import SEPARATION, Model, Start
 
 ROUNDING = 1e-9
@@ -146,6 +153,8 @@ def resumed_start(physics: Model, end: Start, contacts: Sequence[str]) -> Start:
     loads = contact_loads(physics, end.displacement, slip)
     rounding = ROUNDING * (np.abs(physics.preload) + np.abs(loads.normal - physics.preload))
     state = contact_state(loads.normal, physics.friction, before, rounding=rounding)
+    kept = np.where((state == SEPARATION) == (before == SEPARATION), before, UNKNOWN)
+    state = np.where(obeys_cone(physics), state, kept)
     follows = slip_follows_motion(state, physics.friction) | (before == SEPARATION)
     hint = "its friction or preload was higher"
     slip = _slip_in_cone(physics, loads, follows, hint, rounding=RESULT_ROUNDING, room=1.0)

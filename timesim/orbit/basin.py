@@ -10,7 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from timesim.model.contact_state import contact_loads, contact_state, slip_follows_motion
+from timesim.engine.law.table import law_class
+from timesim.model.contact_state import contact_loads, obeys_cone, slip_follows_motion
 from timesim.model.model import Model, Start
 from timesim.orbit.settling import Chain, SteadyStates
 from timesim.orbit.steady_state import SAME, Columns, Orbit, differ, orbit_of
@@ -31,14 +32,15 @@ def placed(
 ) -> Start:
     """A start whose friction forces lie inside their cones; the slip of a contact that is apart is its motion.
 
-    ``pull``: force by which each contact is pulled aside, as a share of its friction limit, shape (C, 2).
+    ``pull``: force by which each contact of the cone is pulled aside, as a share of its friction limit, shape (C, 2).
     """
     loads = contact_loads(model, displacement, slip)
     if pull is not None:
         # The inverse of a stiffness that is 0, as that of a frictionless contact, counts as 0.
-        aside = np.linalg.pinv(model.tangential_stiffness) @ (pull * loads.limit[:, None])[:, :, None]
+        most = np.where(obeys_cone(model), loads.limit, 0.0)[:, None]
+        aside = np.linalg.pinv(model.tangential_stiffness) @ (pull * most)[:, :, None]
         loads = contact_loads(model, displacement, slip - aside[:, :, 0])
-    state = contact_state(loads.normal, model.friction)
+    state = law_class(model.contacts).start_states(model.contacts, loads.normal)
     follows = slip_follows_motion(state, model.friction)[:, None]
     kept = np.where(follows, loads.motion, loads.slip_in_cone(INSIDE))
     return Start(displacement, velocity, kept, state, model.start.phase)

@@ -11,15 +11,14 @@ import numpy as np
 
 from timesim.engine.exponential.extremes import extremes
 from timesim.engine.exponential.parts import short_steps
-from timesim.engine.law.cone import ConeLaw
+from timesim.engine.law.contact_law import Motion
 from timesim.engine.quadrature import means
 from timesim.engine.solver import Control, step_control
 from timesim.engine.status import NOBODY, Status
 from timesim.engine.step import Step, Trajectory
 from timesim.engine.system import Point, System, system_of
 from timesim.engine.trajectory import Frame
-from timesim.model.contact_state import contact_state, slip_follows_motion
-from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
+from timesim.model.model import SEPARATION, SLIP, Model, Start
 from timesim.model.reduction import Reduction
 from timesim.model.solver import Solver
 from timesim.orbit.fourier import HARMONICS
@@ -115,28 +114,15 @@ class Lane:
         return whole
 
     def moved(self, vector: np.ndarray) -> "Lane | None":
-        """The lane at another state vector, its forces in their cones.
-
-        A contact that sticks slips where its force would lie outside, one that slips sticks where the cone runs ahead
-        of the force. None where a contact would touch that was apart, or the reverse, and for other laws than the cone.
-        """
-        point, state, law = point_of(vector, self.here.point), self.here.state, self.system.law
-        if not isinstance(law, ConeLaw):
+        """The lane at another state vector; None where a contact would not be in its state there, see `placed`."""
+        point, (*along, across) = point_of(vector, self.here.point), self.system.shape
+        u, du = (tuple(axis @ x for axis in along) for x in (point.q, point.p))
+        motion = Motion(u, across @ point.q, du, across @ point.p)
+        placed = self.system.law.placed(self.here.state, motion, point.w)
+        if placed is None:
             return None
-        w, (*along, across) = np.stack(point.w), self.system.shape
-        u, du = (np.stack([axis @ x for axis in along]) if state.size else w for x in (point.q, point.p))
-        n, dn = law.preload + law.normal_stiffness * (across @ point.q), law.normal_stiffness * (across @ point.p)
-        if not np.array_equal(contact_state(n, law.friction, state), state):
-            return None
-        K, C = (np.stack([part[i % len(part)] for i in range(len(w))]) for part in (law.stiffness, law.compliance))
-        force = K * (u - w)
-        size, limit, follows = np.linalg.norm(force, axis=0), law.friction * n, slip_follows_motion(state, law.friction)
-        on = force * (limit / np.where(size > 0, size, 1.0))
-        runs_ahead = (on * (K * du)).sum(axis=0) < limit * law.friction * dn
-        rubs = ((state == SLIP) & ~follows & (size > 0)) | ((state == STICK) & (size > limit))
-        w = np.where(follows, u, np.where(rubs, u - C * on, w))
-        state = np.where(follows, state, np.where(rubs & ~runs_ahead, SLIP, STICK))
-        return replace(self, here=HybridState(Point(point.q, point.p, tuple(w), None), state))
+        state, w = placed
+        return replace(self, here=HybridState(Point(point.q, point.p, w, None), state))
 
 
 @dataclass(frozen=True)

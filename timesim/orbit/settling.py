@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from timesim.engine.law.table import begin_of
 from timesim.engine.status import Status, message_of
 from timesim.engine.step import PERIOD
-from timesim.model.contact_state import start_states
-from timesim.model.model import Model, Start
+from timesim.model.model import Model
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import NEVER, Criterion, Solver
 from timesim.orbit.batch import SIDE_BY_SIDE, Each, march_lanes, record
@@ -263,11 +263,6 @@ def first_lane(chain: Chain, solver: Solver) -> Lane:
     """The first frequency of a chain, from the start of its model."""
     reduction = reduction_of(chain.model, chain.frequencies, reduce=solver.reduce)
     return Lane.begin(chain.model, reduction, chain.frequencies[0], solver, begin_of(chain.model))
-
-
-def begin_of(model: Model) -> Start:
-    """The start of a model with the state of each contact."""
-    return replace(model.start, state=start_states(model))
 
 
 def _linear_orbits(chain: Chain, lane: Lane, solver: Solver) -> list[Orbit]:

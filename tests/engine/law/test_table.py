@@ -12,11 +12,15 @@ from simulation import FINE, REFERENCE, simulate
 from timesim.element.elements import single_element
 from timesim.element.motion import HarmonicMotion
 from timesim.element.state_by_state import steady_cycle
-from timesim.engine.law.table import LAWS, LawEntry, law_class
+from timesim.engine.law.table import LAWS, LawEntry, begin_of, law_class
 from timesim.hbm.balance import Balance
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import CONE, SEPARATION, SLIP, Contact, Model
 from timesim.model.reduction import reduction_of
+from timesim.model.solver import NEVER, SHOOT, Criterion
+from timesim.model.start import given_start, resumed_start
+from timesim.orbit.basin import placed
+from timesim.orbit.settling import Chain, steady_states
 from timesim.study.recorder import contact_forces
 
 GAP, STIFFNESS = 0.5, 400.0
@@ -79,6 +83,41 @@ def test_the_speed_after_an_impact() -> None:
         c = damping * speed
         assert np.log((1 + c) / (1 - c * e)) == pytest.approx(c * (1 + e), abs=1e-9)
         assert 0.7 < e < 1 - 0.5 * c
+
+
+def with_friction(model: Model) -> Model:
+    """The same, its contact with a friction and a tangential stiffness that its law does not use."""
+    (contact,) = model.contacts
+    return replace(model, contacts=(replace(contact, friction=0.5, tangential_stiffness=20 * np.eye(2)),))
+
+
+@pytest.mark.parametrize(("preload", "state"), [(-8.0, SEPARATION), (1.0, SLIP)])
+def test_a_contact_starts_in_the_state_that_its_law_says(preload: float, state: int) -> None:
+    model = with_friction(driven(0.3, preload))
+    assert begin_of(model).state.tolist() == [state]
+    assert {s for _, *pair in simulate(model, 5, FINE).sequence for s in pair} == {SLIP, SEPARATION}
+    far = np.full((1, 2), 1.0)  # a slip that no cone would allow
+    start = given_start(model, np.zeros(1), np.zeros(1), far)
+    assert begin_of(replace(model, start=start)).state.tolist() == [state]
+    np.testing.assert_array_equal(start.slip, 0 * far if state == SEPARATION else far)
+    aside = placed(model, np.zeros(1), np.zeros(1), far, np.ones((1, 2)))
+    assert aside.state.tolist() == [state]
+    np.testing.assert_array_equal(aside.slip, start.slip)
+    for before in (SLIP, SEPARATION):
+        resumed = resumed_start(model, replace(start, state=np.array([before])), ["pad"])
+        assert begin_of(replace(model, start=resumed)).state.tolist() == [state]
+
+
+def test_shooting_finds_what_marching_finds() -> None:
+    """A gap that is closed for a part of the cycle."""
+    chains = [Chain(with_friction(driven(0.3)), (0.9,))]
+    ways = [steady_states(chains, FINE, Criterion(1e-9, 500, first)) for first in (NEVER, SHOOT)]
+    ((marched,),), ((shot,),) = ways
+    assert marched.settled
+    assert shot.settled
+    np.testing.assert_allclose(shot.amplitude, marched.amplitude, rtol=1e-6)
+    assert 0.1 < shot.slip_share[0] < 0.2
+    assert shot.cycles < SHOOT + 10 < marched.cycles
 
 
 def test_recorded_forces_are_those_of_the_law() -> None:

@@ -44,6 +44,7 @@ from timesim.engine.law.contact_law import (
 )
 from timesim.engine.law.rule import Rule
 from timesim.engine.tolerance import FORCE_FLOOR, NO_LOAD, SINGULAR, SOON, TOGETHER, VIOLATED
+from timesim.model.contact_state import cone_states, contact_state, slip_follows_motion
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact
 from timesim.model.scales import Scales
 
@@ -83,6 +84,8 @@ class ConeLaw(ContactLaw):
         along = along[:1] if np.all(along == along[0]) else along
         inverse = np.divide(1.0, along, out=np.zeros_like(along), where=along > 0)
         return cls(friction, tuple(along), tuple(inverse), normal_stiffness, preload)
+
+    start_states = staticmethod(cone_states)
 
     @apart
     def reaction(self, state: State, motion: Motion, w: Plane) -> Reaction:
@@ -132,6 +135,23 @@ class ConeLaw(ContactLaw):
         on_cone = minus(motion.u, product(self.compliance, scaled(sliding, slip_direction(self, motion, w))))
         w = where(before == SLIP, on_cone, w)
         return where((before == SEPARATION) | (after == SEPARATION), motion.u, w)
+
+    def placed(self, state: np.ndarray, motion: Motion, w: Plane) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
+        # A contact that sticks slips where its force would lie outside the cone, one that slips sticks where the cone
+        # runs ahead of the force.
+        n, dn = normal_load(self, motion.v), self.normal_stiffness * motion.dv
+        if not np.array_equal(contact_state(n, self.friction, state), state):
+            return None
+        u, du, before = (np.stack(part) for part in (motion.u, motion.du, w))
+        K, C = (np.stack([part[i % len(part)] for i in range(len(w))]) for part in (self.stiffness, self.compliance))
+        force = K * (u - before)
+        size, limit = np.linalg.norm(force, axis=0), self.friction * n
+        follows = slip_follows_motion(state, self.friction)
+        on = force * (limit / np.where(size > 0, size, 1.0))
+        runs_ahead = (on * (K * du)).sum(axis=0) < limit * self.friction * dn
+        rubs = ((state == SLIP) & ~follows & (size > 0)) | ((state == STICK) & (size > limit))
+        after = np.where(follows, u, np.where(rubs, u - C * on, before))
+        return np.where(follows, state, np.where(rubs & ~runs_ahead, SLIP, STICK)), tuple(after)
 
     def inner(self, state: State, motion: Motion, w: Plane) -> Scalar:
         # All nodes of a step hang on it: after one iteration more than the first some directions are off by 0.1 rad.

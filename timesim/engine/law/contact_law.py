@@ -110,6 +110,16 @@ class ContactLaw(eqx.Module):
                 (C, 2, 1) where all motion is straight; by default the axes of the contacts themselves.
         """
 
+    @staticmethod
+    @abc.abstractmethod
+    def start_states(contacts: Sequence[Contact], normal: np.ndarray) -> np.ndarray:
+        """States in which contacts start where nothing else says so, in numpy, shape (C,).
+
+        Args:
+            contacts: their parameters in the units of the scene.
+            normal: n0 + k_v v of each [force], shape (C,).
+        """
+
     @abc.abstractmethod
     def reaction(self, state: State, motion: Motion, w: Plane) -> Reaction:
         """Forces and slip rate of each contact in its state; smooth a little beyond its end, for trial steps."""
@@ -128,6 +138,16 @@ class ContactLaw(eqx.Module):
     @abc.abstractmethod
     def slip_at_transition(self, before: State, after: State, motion: Motion, w: Plane) -> Plane:
         """Slip with which a contact goes on after a step, its state changed or not."""
+
+    def placed(self, state: np.ndarray, motion: Motion, w: Plane) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
+        """States and slip of contacts that are put elsewhere, as by Newton's method between two periods; in numpy.
+
+        By default the states stay, and the slip is that with which they go on. None where a contact would touch that
+        was apart, or the reverse, or be outside its state otherwise.
+        """
+        w = self.slip_at_transition(state, state, motion, w)
+        inside = np.minimum(*self.margins(state, motion, w)) >= 0
+        return (state, tuple(map(np.asarray, w))) if inside.all() else None
 
     def inner(self, state: State, motion: Motion, w: Plane) -> PyTree:
         """What the law iterates on in a step that is taken at all its nodes at once: by default the slip."""

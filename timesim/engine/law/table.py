@@ -2,10 +2,11 @@
 
 import importlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from timesim.model.model import CONE, Contact
+from timesim.model.contact_state import start_states
+from timesim.model.model import CONE, Contact, Model, Start
 
 if TYPE_CHECKING:
     from timesim.engine.law.contact_law import ContactLaw
@@ -45,3 +46,8 @@ def law_class(contacts: Sequence[Contact]) -> "type[ContactLaw]":
         raise ValueError(f"contacts: law must be one of {', '.join(LAWS)}, not {name}")
     entry = LAWS[name]
     return getattr(importlib.import_module(entry.module), entry.name)
+
+
+def begin_of(model: Model) -> Start:
+    """The start of a model with the state of each contact, as given or as its law says."""
+    return replace(model.start, state=start_states(model, law_class(model.contacts).start_states))
