@@ -27,6 +27,7 @@ def test_a_law_is_read_with_its_parameters():
         assert (contact.law, contact.law_parameters) == ("hunt_crossley", {"damping": 0.1})
     assert load_scene(scene.resolved_yaml()).file == scene.file
     assert any("law hunt_crossley (damping 0.1)" in line for lines in describe(scene).values() for line in lines)
+    assert not any("stuck" in line for lines in describe(scene).values() for line in lines)
     varied = load_scene(SWEEP, STOPS | {"study.over": {"contacts.pad.law.damping": [0.2, 0.3]}})
     assert varied.variant({"contacts.pad.law.damping": 0.3}).contacts[0].law_parameters == {"damping": 0.3}
 

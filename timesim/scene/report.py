@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from timesim.hbm.scheme import NOTED
+from timesim.model.contact_state import obeys_cone
 from timesim.model.cost import (
     LITTLE_FRICTION,
     REACH,
@@ -185,7 +186,7 @@ def _structure_lines(model: Model) -> Iterator[str]:
     span = f"{frequency[0]:.6g} Hz" if frequency.size == 1 else f"{frequency[0]:.6g} to {frequency[-1]:.6g} Hz"
     yield f"{counted(frequency.size, 'mode')}, {span}"
     yield f"natural frequencies without contacts: {_listed(frequency)} Hz"
-    if model.contacts:
+    if model.contacts and obeys_cone(model).all():
         yield f"natural frequencies with every contact stuck: {_listed(model.stuck_omega / (2 * np.pi))} Hz"
     if structure.damping.ndim == 2:
         yield "damping: a whole matrix, which the modes do not diagonalise"
@@ -287,7 +288,8 @@ def _narrow(study: StudySection, model: Model) -> Iterator[str]:
         return
     swept = study.sweep().frequency
     zeta = np.nanmin(model.structure.damping_ratio, initial=np.inf)
-    natural = np.concatenate([model.structure.frequency, model.stuck_omega / (2 * np.pi)])
+    stuck = model.stuck_omega / (2 * np.pi) if obeys_cone(model).all() else np.zeros(0)
+    natural = np.concatenate([model.structure.frequency, stuck])
     natural = natural[(natural > swept[0]) & (natural < swept[-1])]
     after = np.searchsorted(swept, natural)
     step, width = swept[after] - swept[after - 1], 2 * zeta * natural
