@@ -107,6 +107,7 @@ class CycleTotals:
         initial: energy stored at the start.
         amplitude: (max - min)/2 of each cycle, of each point along each axis.
         start, end: times of each cycle.
+        steps: how many it took.
         work: done until the end of each cycle.
         stored: energy stored there.
         peak: largest energy stored at the end of a step.
@@ -121,6 +122,7 @@ class CycleTotals:
     amplitude: list[np.ndarray] = field(default_factory=list)
     start: list[float] = field(default_factory=list)
     end: list[float] = field(default_factory=list)
+    steps: list[int] = field(default_factory=list)
     work: list[np.ndarray] = field(default_factory=list)
     stored: list[float] = field(default_factory=list)
     peak: float = 0.0
@@ -130,15 +132,17 @@ class CycleTotals:
     _low: Any = None
     _high: Any = None
     _open: int = -1
+    _taken: int = 0
 
     def add(self, steps: Steps, completed: int) -> None:
         """Take up a batch of steps; ``completed``: cycles that are complete at its end."""
         if steps.time.size == 0:
             return
         first = np.flatnonzero(np.diff(steps.cycle, prepend=steps.cycle[0] - 1))
-        low, high = steps.extremes(first)
+        taken, (low, high) = np.diff(first, append=steps.cycle.size), steps.extremes(first)
         if goes_on := bool(steps.cycle[0] == self._open):
             low[0], high[0] = np.minimum(low[0], self._low), np.maximum(high[0], self._high)
+            taken[0] += self._taken
         energy = stored_energy(self.model, *steps.reached, steps.state_after)
         self.peak = max(self.peak, float(np.max(np.abs(energy))))
         switched = steps.state != steps.state_after
@@ -149,10 +153,11 @@ class CycleTotals:
         last = np.append(first[1:], steps.cycle.size)[done] - 1
         self.start += steps.time[first[goes_on:]].tolist()
         self.end += (steps.time[last] + steps.h[last]).tolist()
+        self.steps += taken[done].tolist()
         self.work += [*steps.work[last]]
         self.stored += energy[last].tolist()
         self.amplitude += [*0.5 * (high - low)[done].reshape(-1, low.shape[1] // 3, 3)]
-        self._open, self._low, self._high = int(steps.cycle[-1]), low[-1], high[-1]
+        self._open, self._taken, self._low, self._high = int(steps.cycle[-1]), int(taken[-1]), low[-1], high[-1]
 
     def _measure(self, steps: Steps, first: int, *, goes_on: bool) -> None:
         """Take the size of the motion from the last steps on; they may go on with the cycle before."""

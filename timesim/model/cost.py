@@ -135,15 +135,23 @@ def slip_stiff(model: Model, frequency: float) -> bool:
     return slip_steps(model, frequency) >= max(least, multiple * stable_steps(model, frequency))
 
 
+def steps_for(solver: Solver) -> tuple[float, float]:
+    """Steps of a cycle that its tolerance asks for, and how many beside them for each one that stability asks for."""
+    high = solver.name == "dopri8"  # of the eighth order as `reference` is; the others as draft and standard, the fifth
+    alike = [name for name, preset in PRESETS.items() if (preset.name == "dopri8") == high]
+    near = min(alike, key=lambda name: abs(np.log(PRESETS[name].rtol / solver.rtol)))
+    finer = (PRESETS[near].rtol / solver.rtol) ** (1 / 8 if high else 1 / 5)
+    return finer * STEPS[near][0], max(finer, 1.0) * STEPS[near][1]
+
+
 def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side: int | None = None) -> float:
     """Of a cycle at a frequency [Hz]: of one of several that are marched side by side; None: of one run, recorded."""
     steps = 2 * np.pi / solver.longest
     if solver.name == CLOSED_FORM:
         steps = FOLLOWED
     elif solver.name != "rk4":
-        near = min(PRESETS, key=lambda name: abs(np.log(PRESETS[name].rtol / solver.rtol)))
-        finer = (PRESETS[near].rtol / solver.rtol) ** (1 / 8 if solver.name == "dopri8" else 1 / 5)
-        steps = finer * STEPS[near][0] + max(finer, 1.0) * STEPS[near][1] * stable_steps(model, frequency)
+        least, multiple = steps_for(solver)
+        steps = least + multiple * stable_steps(model, frequency)
         steps = max(steps, SLIPPING * slip_steps(model, frequency) * (solver.name != "exponential"))
     each, share = RECORDED if side_by_side is None else SIDE_BY_SIDE
     alone = 1.0 if side_by_side is None else max(1.0, ALONE ** (1 - np.log(side_by_side) / np.log(16)))

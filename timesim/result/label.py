@@ -58,6 +58,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     ),
     "cycle_start": ("time at the start of the cycle", "s"),
     "cycle_period": ("length of the cycle", "s"),
+    "cycle_steps": ("steps of the time integration in the cycle", "1"),
     "cycle_frequency": ("excitation frequency of the cycle", "Hz"),
     "final_modal_displacement": ("modal displacement at the end", "modal length"),
     "final_modal_velocity": ("modal velocity at the end", "modal length/s"),

@@ -23,6 +23,7 @@ from timesim.study.execution.campaign import Execution
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.recorder import Recorder, contact_forces
 from timesim.study.summary.drift import run_lines
+from timesim.study.summary.effort import effort_lines
 from timesim.study.summary.transient import transient_lines
 
 REPETITIONS = 2
@@ -51,6 +52,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         done = _doubted(again, promise)
     record = _record(scene, done, time.perf_counter() - clock - done.compiling).assign_attrs(more)
     lines += [*transient_lines(record, scene.plan), *run_lines(record, scene.plan, scene.model().structure.frequency)]
+    lines += effort_lines(record, scene.model(), done.solver)
     return Outcome({"": record}, done.reason, tuple(lines))
 
 
@@ -193,6 +195,7 @@ def _cycle_variables(recorder: Recorder) -> Arrays:
         "cycle_amplitude": (("cycle", "point", "axis"), amplitude),
         "cycle_start": (("cycle",), np.array(totals.start[:count])),
         "cycle_period": (("cycle",), np.array(totals.end) - np.array(totals.start[:count])),
+        "cycle_steps": (("cycle",), np.array(totals.steps, dtype=np.int64)),
         "cycle_frequency": (("cycle",), recorder.plan.cycle_frequency()[:count]),
         "energy_input": (("cycle",), work[:, 0]),
         "energy_damping": (("cycle",), work[:, 1]),

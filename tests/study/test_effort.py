@@ -1,0 +1,87 @@
+"""Why a run took many steps, in its summary."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import systems
+from xarray import Dataset
+
+from timesim.model.model import Model
+from timesim.model.solver import PRESETS, Solver
+from timesim.study.registry import carry_out, load_scene
+from timesim.study.summary.effort import effort_lines
+
+OSCILLATOR = Path(__file__).parents[2] / "configs" / "oscillator.yaml"
+VIBRATES = "with its contacts stuck the structure vibrates up to"
+TURNS = "contact pad slips under so little load that the direction of slip turns fast"
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({}, None),
+        ({"contacts.pad.normal_stiffness": 1e5, "contacts.pad.tangential_stiffness": 1e4}, VIBRATES),
+        ({"contacts.pad.friction": 1e-3}, TURNS),
+    ],
+)
+def test_the_summary_names_what_asks_for_many_steps(changes: dict[str, Any], why: str | None) -> None:
+    study = {"study.cycles": 6, "study.record_last": 2}
+    outcome = carry_out(load_scene(OSCILLATOR, study | changes | {"solver.estimate_error": False}))
+    found = [line for line in outcome.summary if "steps a cycle" in line]
+    steps = outcome.groups[""]["cycle_steps"].values
+    if why is None:
+        assert not found
+        assert np.all((steps > 50) & (steps < 100))
+    else:
+        (line,) = found
+        assert f"{steps.max()} in cycle {steps.argmax() + 1}, where" in line
+        assert "asks for about 80: " in line
+        assert [why in line for why in (VIBRATES, TURNS)] == [why == VIBRATES, why == TURNS]
+
+
+def cycles(steps: list[int], events: int) -> Dataset:
+    """Cycles of 1 s with the transitions of two contacts in the second, the last one without samples."""
+    count = len(steps)
+    return Dataset(
+        {
+            "cycle_steps": ("cycle", steps),
+            "cycle_start": ("cycle", np.arange(count, dtype=float)),
+            "cycle_period": ("cycle", np.ones(count)),
+            "cycle_frequency": ("cycle", np.ones(count)),
+            "event_time": ("event", 1 + np.linspace(0.1, 0.9, events)),
+            "event_contact": ("event", np.arange(events) % 3 % 2),
+            "contact_force": (("time", "contact", "component"), np.zeros((0, 2, 3))),
+            "contact_state": (("time", "contact"), np.zeros((0, 2))),
+            "modal_velocity": (("time", "mode"), np.zeros((0, 1))),
+        },
+        {"time": np.zeros(0), "cycle": np.arange(1, count + 1), "contact": ["pad", "stop"]},
+    )
+
+
+def soft() -> Model:
+    """A mass of 1 Hz with two contacts that add nothing to its stiffness."""
+    body = systems.structure([(2 * np.pi) ** 2], [0.1], [[1, 0, 0]])
+    return Model(
+        body, (systems.pad(0.3, 1e-3, 0.0, 1.0),) * 2, systems.excitation(1.0, [1.0], [0.0]), systems.at_rest(1, 2)
+    )
+
+
+def test_transitions_that_accumulate() -> None:
+    (line,) = effort_lines(cycles([75, 5000, 80], 900), soft(), PRESETS["standard"])
+    assert line == (
+        "1.72e+03 steps a cycle, 5000 in cycle 2, where its tolerance asks for about 80: "
+        "900 transitions in it, 600 of contact pad"
+    )
+
+
+def test_what_has_no_known_cause_is_said_to_have_none() -> None:
+    (line,) = effort_lines(cycles([75, 5000, 80], 9), soft(), PRESETS["standard"])
+    assert line.endswith(": neither stiffness nor transitions nor little normal load account for them")
+
+
+def test_usual_cycles_and_fixed_steps_are_not_spoken_of() -> None:
+    assert not [*effort_lines(cycles([75, 500, 80], 9), soft(), PRESETS["standard"])]
+    assert not [*effort_lines(cycles([75, 5000, 80], 9), soft(), Solver("rk4", 0.0, 0.0, longest=2 * np.pi / 5000))]
+    assert not [*effort_lines(cycles([], 9), soft(), PRESETS["standard"])]
