@@ -1,6 +1,7 @@
 """What does an error cost, by our methods and by what others do: error against time a cycle on fourteen scenes.
 
     python benchmarks/work_precision.py --picture configs/pictures/work_precision.png
+    python benchmarks/work_precision.py --quick --rest --scene n0 1000    # and methods that `auto` never takes
 
 Each scene runs from its start for some cycles. The error is that of the last state, displacement and velocity each by
 its own largest entry, against dopri8 at rtol 1e-13; `known to` is how far the same is from Tsit5 written apart from it
@@ -35,6 +36,7 @@ from timesim.engine.status import Status
 from timesim.engine.system import system_of
 from timesim.engine.trajectory import Frame
 from timesim.model.contact_state import start_states
+from timesim.model.cost import stable_steps
 from timesim.model.model import Model
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import Solver
@@ -138,11 +140,25 @@ def leaping(problem: Problem) -> Callable[[], Run] | None:
     return run
 
 
+REST = ("dopri5", "rk4", "kvaerno5")
+"""Methods that a scene may name and `method: auto` never takes."""
+
+
+def rest_entries(problem: Problem) -> list[Entry]:
+    def entry(name: str, setting: str, solver: Solver) -> Entry:
+        return Entry(f"{OURS} {name}", setting, marched(problem, 1, solver))
+
+    steps = [n for n in (50, 100, 200, 400, 800, 1600, 3200) if n > stable_steps(problem.model, problem.frequency)]
+    return [
+        *(entry("dopri5", f"rtol {rtol:.1e}", Solver("dopri5", rtol, 1e-2 * rtol)) for rtol in ladder(2, 10)),
+        *(entry("rk4", f"{n} steps a cycle", Solver("rk4", 1e-8, 1e-10, longest=2 * np.pi / n)) for n in steps),
+        *(entry("kvaerno5", f"rtol {rtol:.1e}", Solver("kvaerno5", rtol, 1e-2 * rtol)) for rtol in (1e-4, 1e-6, 1e-8)),
+    ]
+
+
 def our_entries(problem: Problem, quick: bool) -> list[Entry]:
     each = 1 if quick else 2
     methods = {"tsit5": ladder(2, 11, each), "dopri8": ladder(2, 11, each), "exponential": ladder(1, 9, each)}
-    if "stiff" in problem.name and not quick:
-        methods["kvaerno5"] = [1e-4, 1e-6]  # compiles anew for each
     found = [
         Entry(f"{OURS} {name}", f"rtol {rtol:.1e}", marched(problem, 1, Solver(name, rtol, 1e-2 * rtol)))
         for name, tolerances in methods.items()
@@ -260,8 +276,12 @@ def fastest(rows: list[Row], level: float) -> Row | None:
 
 
 def single(row: Row) -> bool:
-    """One trajectory of ours."""
-    return row.family.startswith(OURS) and SIDE_BY_SIDE not in row.family
+    """One trajectory of ours, by a method that `auto` may take."""
+    return row.family.startswith(OURS) and SIDE_BY_SIDE not in row.family and not rest(row)
+
+
+def rest(row: Row) -> bool:
+    return row.family.removeprefix(f"{OURS} ") in REST
 
 
 SHORT = {
@@ -269,7 +289,7 @@ SHORT = {
     "timesim dopri8": "dopri8",
     "timesim exponential": "exponential",
     "timesim closed form": "closed form",
-    "timesim kvaerno5": "kvaerno5",
+    **{f"timesim {name}": name for name in REST},
     "numba Tsit5": "Tsit5",
     "numba RK4, Newton": "RK4",
     "numba return mapping": "mapping",
@@ -289,7 +309,8 @@ def summary(problem: Problem, rows: list[Row], known: float) -> str:
     """The fastest at each error: one trajectory of ours, many side by side, and the opponents."""
     parts = {
         "ours": [row for row in rows if single(row)],
-        SIDE_BY_SIDE.strip(", "): [row for row in rows if row.family.startswith(OURS) and not single(row)],
+        SIDE_BY_SIDE.strip(", "): [row for row in rows if SIDE_BY_SIDE in row.family],
+        **{name: [row for row in rows if row.family == f"{OURS} {name}"] for name in REST},
         "others": [row for row in rows if not row.family.startswith(OURS)],
     }
     lines = []
@@ -320,7 +341,6 @@ LOOKS: dict[str, dict[str, Any]] = {
     "timesim dopri8": {"color": "#D55E00", "marker": "s"},
     "timesim exponential": {"color": "#009E73", "marker": "D"},
     "timesim closed form": {"color": "#000000", "marker": "P"},
-    "timesim kvaerno5": {"color": "#CC79A7", "marker": "^"},
     f"timesim tsit5{SIDE_BY_SIDE}": {"color": "#0072B2", "marker": "o", "fillstyle": "none", "linestyle": ":"},
     f"timesim dopri8{SIDE_BY_SIDE}": {"color": "#D55E00", "marker": "s", "fillstyle": "none", "linestyle": ":"},
     "numba Tsit5": {"color": "0.35", "marker": "x"},
@@ -383,6 +403,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--budget", type=float, default=0.15, help="CPU seconds of timed runs of an entry")
     parser.add_argument("--quick", action="store_true", help="fewer tolerances, fewer opponents")
+    parser.add_argument("--rest", action="store_true", help=f"also {', '.join(REST)}, one program for each tolerance")
     parser.add_argument("--rows", action="store_true", help="print every run")
     parser.add_argument("--scene", nargs="+", help="parts of the names of those to run")
     parser.add_argument("--picture", type=Path, help="draw error against time into this file")
@@ -396,6 +417,7 @@ def main() -> None:
         if options.scene and not any(part in problem.name for part in options.scene):
             continue
         entries = our_entries(problem, options.quick) + numba_entries(problem, options.quick)
+        entries += rest_entries(problem) if options.rest else []
         entries += cvode_entries(problem, options.quick) + python_entries(problem, options.quick)
         begun = time.process_time()
         rows, known = measure(problem, entries, options.repeats, options.budget)
