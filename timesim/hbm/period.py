@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from timesim.engine.law.cone import ConeLaw, normal_load
 from timesim.engine.law.contact_law import Motion, Plane, Scalar, dot, length, minus, product, scaled
 from timesim.hbm.interval import Interval, IntervalEnd, advance, unchanging
-from timesim.hbm.stuck_offset import Offset, plainly_works, stuck_offset
+from timesim.hbm.stuck_offset import Offset, plainly_sticks, plainly_works, stuck_offset
 from timesim.orbit.fourier import fourier_basis
 from timesim.program import program
 
@@ -235,7 +235,11 @@ def offsets_of(
     sticks, force = np.zeros_like(works), np.zeros((2, works.size))
     for own in np.flatnonzero(~works)[:, None]:
         part, dense = part_of(law, own), dense_motion_of(basis, coefficient[own])
-        if not _apart(part, dense).all():
+        if _apart(part, dense).all():
+            continue
+        if plainly_sticks(part, dense).all():
+            sticks[own] = True
+        else:
             found = stuck_offset(part, dense)
             force[:, own], sticks[own] = found.force, found.sticks
             works[own] = ~sticks[own]

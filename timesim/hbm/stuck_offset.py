@@ -34,7 +34,7 @@ CONVERGED = 1e-12  # change of g that counts as none, relative to R
 # Room left in the widened cones relative to the widening, below which they cannot be narrowed to what they are.
 NO_ROOM = 0.02
 # Change of g, relative to the room, below which it has come to rest and the cones may be narrowed.
-AT_REST = 0.03
+AT_REST = 0.1
 FREE = 0.5
 SLIGHT = 0.01  # weight of |g|^2 as long as the cones are widened
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.5**0.5, 0.5**0.5), (0.5**0.5, -(0.5**0.5)))
@@ -57,34 +57,26 @@ class _Iterate(eqx.Module):
     count: Scalar
 
 
-def _phi(ratio: Scalar) -> Scalar:
+def _slopes(g: Plane, force: Plane, limit: Scalar, unit: Scalar, weight: Scalar) -> tuple[Plane, Plane]:
+    """Gradient of the function by g, in units of 1 / unit, and its second derivatives 11, 12, 22, of 1 / unit^2.
+
+    `weight` is that of |g|^2. With ``z = max(2 |K_u u + g|^2 / (mu n)^2 - 1, 0)`` the barrier is ``z^3 / (1 - z)^2``.
+    """
     # So steep because the mean over time is taken: at a touch of the cone 1 - z falls to 0 as t^2, where the mean of a
     # log barrier stays finite, and the offset did not tend to the one that the motion leaves; that of a pole grows.
-    z = jnp.maximum(ratio - FREE, 0.0) / (1 - FREE)
-    return z**3 / (1 - jnp.minimum(z, 1 - 1e-7)) ** 2
+    x, y = (f + part for f, part in zip(force, g, strict=True))
+    size, steep = unit / limit, 1 / (1 - FREE)
+    z = jnp.maximum((x**2 + y**2) / limit**2 - FREE, 0.0) * steep
+    left = 1 / (1 - jnp.minimum(z, 1 - 1e-7))
+    once, twice = steep * z**2 * (3 - z) * left**3, steep**2 * 6 * z * left**4
+    a, b = 2 * size * x / limit, 2 * size * y / limit
+    even = weight + jnp.mean(2 * once * size**2, axis=0)
+    gradient = tuple(weight * part / unit + jnp.mean(once * e, axis=0) for part, e in zip(g, (a, b), strict=True))
+    bend = tuple(jnp.mean(twice * e, axis=0) for e in (a * a, a * b, b * b))
+    return gradient, (even + bend[0], bend[1], even + bend[2])
 
 
-def _objective(g: Plane, force: Plane, limit: Scalar, unit: Scalar, weight: Scalar) -> Scalar:
-    """The function that the offset of each contact minimises; `weight` is that of |g|^2."""
-    square = sum((f + x) ** 2 for f, x in zip(force, g, strict=True))
-    return weight * sum(x**2 for x in g) / (2 * unit**2) + jnp.mean(_phi(square / limit**2), axis=0)
-
-
-def _gradient(g: Plane, force: Plane, limit: Scalar, unit: Scalar, weight: Scalar) -> Plane:
-    """Gradient in units of 1 / unit, from which derivatives by the motion follow as well."""
-    return tuple(unit * x for x in jax.grad(lambda g: jnp.sum(_objective(g, force, limit, unit, weight)))(g))
-
-
-def _hessian(g: Plane, force: Plane, limit: Scalar, unit: Scalar, weight: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """Second derivatives (11, 12, 22) in units of 1 / unit^2."""
-    first, second = (
-        jax.jvp(lambda g: _gradient(g, force, limit, unit, weight), (g,), (seed,))[1]
-        for seed in ((unit, jnp.zeros_like(unit)), (jnp.zeros_like(unit), unit))
-    )
-    return first[0], first[1], second[1]
-
-
-def _change_of(hessian: tuple[Scalar, Scalar, Scalar], gradient: Plane, unit: Scalar) -> Plane:
+def _change_of(hessian: Plane, gradient: Plane, unit: Scalar) -> Plane:
     """Change of g that changes the gradient by a given vector."""
     (a, b, c), (x, y) = hessian, gradient
     scale = unit / (a * c - b * b)
@@ -92,8 +84,8 @@ def _change_of(hessian: tuple[Scalar, Scalar, Scalar], gradient: Plane, unit: Sc
 
 
 def _newton_step(g: Plane, force: Plane, limit: Scalar, unit: Scalar, weight: Scalar) -> Plane:
-    gradient = _gradient(g, force, limit, unit, weight)
-    return _change_of(_hessian(g, force, limit, unit, weight), tuple(-x for x in gradient), unit)
+    gradient, hessian = _slopes(g, force, limit, unit, weight)
+    return _change_of(hessian, tuple(-x for x in gradient), unit)
 
 
 def _size(force: Plane) -> Scalar:
@@ -133,14 +125,19 @@ def plainly_works(law: ConeLaw, motion: Motion) -> NDArray[np.bool_]:
     return np.asarray((load > 0).any(axis=0) & ((limit <= 0).any(axis=0) | _must_slip(force, limit)))
 
 
+def plainly_sticks(law: ConeLaw, motion: Motion) -> NDArray[np.bool_]:
+    """Which contacts stick all along with w = 0, far inside their cones, shape (C,); on the host, which is quick."""
+    force = product(tuple(map(np.asarray, law.stiffness)), motion.u)
+    limit = np.asarray(law.friction) * (np.asarray(law.preload) + np.asarray(law.normal_stiffness) * motion.v)
+    square = sum(np.asarray(f) ** 2 for f in force)
+    return np.asarray((limit > 0).all(axis=0) & (square <= FREE * limit**2).all(axis=0))
+
+
 @program
 def stuck_offset(law: ConeLaw, motion: Motion) -> Offset:
     """The offset with which each contact only sticks under a periodic motion, shape (N, C); 0 where there is none."""
     force, limit, unit = without_slip(law, motion)
     none = (jnp.zeros_like(unit),) * 2
-    square = sum(f**2 for f in force)
-    room = jnp.min(limit, axis=0) > 0
-    at_once = room & (jnp.max(square - FREE * limit**2, axis=0) <= 0)
 
     def least_widening(g: Plane) -> Scalar:
         """By how much the cones must at least be wider."""
@@ -164,8 +161,8 @@ def stuck_offset(law: ConeLaw, motion: Motion) -> Offset:
     begin = tuple(jnp.where(least_widening(none) < 0, 0.0, x) for x in middle)
     least = least_widening(begin)
     start = jnp.where(least < 0, 0.0, least + 0.1 * unit)
-    moves = room & ~at_once & ~_must_slip(force, limit)
-    first = _Iterate(begin, start, moves, at_once, jnp.zeros_like(moves, int))
+    moves = (jnp.min(limit, axis=0) > 0) & ~_must_slip(force, limit)
+    first = _Iterate(begin, start, moves, jnp.zeros_like(moves), jnp.zeros_like(moves, int))
     last, _ = advance_lanes(
         improved, lambda now: now.moves & (now.count < MAX_ITERATIONS), first, None, lambda *step: None
     )
@@ -178,12 +175,12 @@ def offset_slope(law: ConeLaw, g: Plane, motion: Motion) -> Float[Array, "2 samp
     one, none = jnp.ones_like(g[0]), jnp.zeros_like(g[0])
 
     def gradient(u: Plane, v: Scalar) -> Plane:
-        return _gradient(g, *without_slip(law, Motion(u, v, (), v)), one)
+        return _slopes(g, *without_slip(law, Motion(u, v, (), v)), one)[0]
 
     pull = jax.vjp(gradient, motion.u, motion.v)[1]
     ((a1, a2), a3), ((b1, b2), b3) = pull((one, none)), pull((none, one))
     here = without_slip(law, motion)
-    hessian = _hessian(g, *here, one)
+    hessian = _slopes(g, *here, one)[1]
     rows = [_change_of(hessian, (-a, -b), here[2]) for a, b in ((a1, b1), (a2, b2), (a3, b3))]
     elastic = [product(law.compliance, row) for row in rows]
     return jnp.stack([jnp.stack(component, axis=-1) for component in zip(*elastic, strict=True)])
