@@ -30,9 +30,13 @@ with install_import_hook(list(CHECKED), "beartype.beartype"):
     import timesim.engine.trajectory
 
 import jax  # noqa: E402
+import scipy.linalg  # noqa: E402, F401
+from threadpoolctl import threadpool_limits  # noqa: E402
 
 from timesim.program import LOADED  # noqa: E402
 
+THREADS = threadpool_limits(1, "blas")
+"""Of products of matrices, as in a study: workers have a core each."""
 LARGE = 1.0e9
 """Resident bytes of a worker above which compiled programs are let go, also those that the next module asks for."""
 

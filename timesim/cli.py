@@ -324,10 +324,6 @@ def _bar(standing: "Standing") -> AbstractContextManager[Any]:
 
 def main() -> None:
     """Entry point of the ``timesim`` command."""
-    # The matrices are small and all processors are used already. On a machine that others use too, the threads of
-    # OpenBLAS wait for each other and make a curve of harmonic balance eight times slower (measured on two processors
-    # at load 5: 45 s against 5.7 s). numpy reads the variable when it is imported.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Imports and traces leave half a million objects that stay alive. At Python's own threshold the garbage collector
     # visits them so often that a second run of configs/oscillator.yaml takes 4.4 s of processor time instead of 3.8.
     gc.set_threshold(50_000)

@@ -24,6 +24,7 @@ from timesim.scene import file, resolution
 from timesim.scene.resolution import Scene
 from timesim.scene.study import StudySection
 from timesim.study.execution.campaign import Execution, ExecutionError
+from timesim.study.execution.worker import one_thread
 from timesim.study.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -125,7 +126,9 @@ def carry_out(scene: Scene, execution: Execution | None = None) -> Outcome:
     """
     execution = execution or Execution()
     check_execution(scene.kind, execution)
-    return _loaded(STUDIES[scene.kind].run)(scene, execution)
+    study = _loaded(STUDIES[scene.kind].run)
+    with one_thread():
+        return study(scene, execution)
 
 
 def check_execution(kind: str, execution: Execution) -> None:

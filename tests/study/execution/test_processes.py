@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 import toys
+from threadpoolctl import threadpool_info, threadpool_limits
 from toys import SCENE, chains, digest, expected
 
+from timesim.study import registry
 from timesim.study.execution import campaign, processes
 from timesim.study.execution.campaign import Chunk, Execution, carry_through
 from timesim.study.execution.processes import Processes, unseen
@@ -34,6 +36,24 @@ def two() -> Iterator[Processes]:
 
 def carried(chunks: list[Chunk], own: Processes, **options: Any) -> tuple[dict[str, Any], str | None]:
     return carry_through(chunks, toys.work, Execution(workers=2, processes=own, **options), identity=SCENE)
+
+
+def threads() -> list[int]:
+    """Of each library for products of matrices that is loaded."""
+    return [each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]
+
+
+def test_products_of_matrices_take_one_thread_in_a_study_and_in_its_processes(
+    two: Processes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with threadpool_limits(2, "blas"):
+        scene = registry.load_scene(Path(__file__).parents[3] / "configs" / "oscillator.yaml")
+        monkeypatch.setattr(registry, "_loaded", lambda _: lambda scene, execution: threads())
+        inside = registry.carry_out(scene)
+        outside = threads()
+    assert set(inside) == {1}
+    assert set(outside) == {2}
+    assert set(two.submit(unseen, threads).result()) == {1}
 
 
 def places(payload: Any, before: Any) -> dict[str, np.ndarray]:

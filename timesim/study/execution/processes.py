@@ -18,7 +18,7 @@ from multiprocessing.sharedctypes import RawArray
 from multiprocessing.synchronize import Event
 from typing import Any, Self, TypeVar
 
-from timesim.study.execution.worker import count_by, default_workers, halt_by
+from timesim.study.execution.worker import count_by, default_workers, halt_by, one_thread
 
 LASTS = 5.0
 """Seconds of work after which the rest is given to processes."""
@@ -185,4 +185,5 @@ def _counted(slot: int, function: Callable[..., Any], *args: Any) -> Any:
         _COUNTS[slot] += 1
 
     count_by(count)
-    return function(*args)
+    with one_thread():
+        return function(*args)
