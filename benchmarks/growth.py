@@ -160,7 +160,8 @@ def draw(found: dict[str, list[Row]], path: Path) -> None:
     """Time of a piece against each number."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-    from timesim.picture.style import SERIES, figure
+    from timesim.picture.figure import figure
+    from timesim.picture.style import SERIES
 
     fig, grid = figure(2, 3, width=10.0, height=2.1, gap=0.75)
     for ax, (axis, rows) in zip(grid.flat, found.items(), strict=False):

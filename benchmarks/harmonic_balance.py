@@ -114,7 +114,8 @@ def growth(repeats: int) -> dict[str, list[tuple[int, float]]]:
 
 def draw(found: dict[str, list[tuple[int, float]]], path: Path) -> None:
     """The growth as a picture."""
-    from timesim.picture.style import SERIES, figure
+    from timesim.picture.figure import figure
+    from timesim.picture.style import SERIES
 
     made, grid = figure(1, 3, width=9.5, height=2.6, sharey=True)
     told = {"harmonics": "50 modes, 5 contacts", "contacts": "50 modes, 9 harmonics", "modes": "1 contact, 9 harmonics"}

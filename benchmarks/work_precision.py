@@ -359,7 +359,7 @@ LEAST = 1e-12
 
 def draw(found: dict[str, tuple[list[Row], float]], path: Path) -> None:
     """Error against time, a panel a scene; the front of one trajectory of ours thick behind it."""
-    from timesim.picture.style import figure
+    from timesim.picture.figure import figure
 
     columns = min(4, len(found))
     tall = -(-len(found) // columns)

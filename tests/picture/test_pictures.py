@@ -20,6 +20,7 @@ from timesim.picture import contact as plot_contact
 from timesim.picture import style
 from timesim.picture import transient as plot_transient
 from timesim.picture.draw import MARGIN, write
+from timesim.picture.figure import axes
 from timesim.picture.style import STATE_STYLE
 from timesim.result.dataset import dataset
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES
@@ -195,7 +196,7 @@ def test_a_slider_is_not_drawn_in_separation(run: xarray.Dataset) -> None:
 
 
 def test_curves_of_states_join_and_do_not_cross_other_states() -> None:
-    ax = style.axes()
+    ax = axes()
     x = np.arange(8.0)
     style.state_curves(ax, x, 10 * x, np.array([0, 0, 1, 0, 2, 2, 0, 1]))
     pieces = {line.get_label(): np.asarray(line.get_xdata()) for line in ax.get_lines()}
@@ -572,8 +573,8 @@ def test_a_run_that_never_moved(run: xarray.Dataset, tmp_path: Path) -> None:
 
 def test_pictures_need_no_pyplot(tmp_path: Path) -> None:
     code = (
-        "import sys\nimport timesim.picture.draw, timesim.picture.style\nassert 'matplotlib' not in sys.modules\n"
-        "timesim.picture.style.axes().figure.savefig(sys.argv[1])\n"
+        "import sys\nimport timesim.picture.draw, timesim.picture.figure\nassert 'matplotlib' not in sys.modules\n"
+        "timesim.picture.figure.axes().figure.savefig(sys.argv[1])\n"
         "assert not {'matplotlib.pyplot', 'jax', 'xarray'} & set(sys.modules)\n"
     )
     command = [sys.executable, "-c", code, str(tmp_path / "a.png")]

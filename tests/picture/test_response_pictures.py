@@ -10,7 +10,7 @@ import xarray
 from matplotlib.figure import Figure
 from matplotlib.markers import MarkerStyle
 
-from timesim.picture import bistable, compare, draw, element, element_map, hbm
+from timesim.picture import bistable, compare, draw, element, hbm
 
 PRELOAD = "contacts.pad.preload"
 FREQUENCY = np.linspace(0.9, 1.1, 21)
@@ -201,19 +201,19 @@ def test_surfaces_whatever_is_in_memory(monkeypatch: pytest.MonkeyPatch, tmp_pat
 
     data = _map(1e-3 * np.add.outer(np.arange(56.0), np.arange(56.0)))
     monkeypatch.setattr(np, "empty", garbage)
-    assert [path.stem for path in draw.write(data, tmp_path, element_map.PICTURES)] == ["surfaces", "contours"]
+    assert [path.stem for path in draw.write(data, tmp_path, element.MAP_PICTURES)] == ["surfaces", "contours"]
 
 
 def test_surfaces_and_contours_have_colour_bars() -> None:
     data = _map(1e-3 * np.add.outer(np.arange(8.0), np.arange(8.0)))
     for name in ("surfaces", "contours"):
-        figure = element_map.PICTURES[name](data)
+        figure = element.MAP_PICTURES[name](data)
         assert figure is not None
         assert sum(ax.get_label() == "<colorbar>" for ax in figure.axes) == 6
 
 
 def test_a_coefficient_that_is_the_same_everywhere_is_a_number() -> None:
-    ax = element_map.contour(_map(np.full((4, 5), 0.25)))
+    ax = element.contour(_map(np.full((4, 5), 0.25)))
     assert [text.get_text() for text in ax.texts] == ["0.25 everywhere"]
     assert ax.get_xlim() == (0, 4)
 
@@ -222,18 +222,18 @@ def test_a_surface_hides_no_point() -> None:
     """Over equal amplitudes too: the half b > a has coefficients of its own."""
     square = _map(np.add.outer(np.arange(5.0), np.arange(5.0)))
     for data in (square, square.assign_coords(b=square.b + 3)):
-        assert len(element_map.surface(data).collections[0].get_array()) == 16
+        assert len(element.surface(data).collections[0].get_array()) == 16
 
 
 def test_noise_of_the_steps_is_no_landscape() -> None:
     """A coefficient that is zero by symmetry is drawn as zero, beside those that are not."""
     data = _map(np.add.outer(np.arange(8.0), np.arange(8.0)))
     data["f_b"] = 1e-9 * data["f_b"]
-    ax = element_map.contour(data, name="f_b")
+    ax = element.contour(data, name="f_b")
     assert [text.get_text() for text in ax.texts] == ["0 everywhere"]
-    (faces,) = element_map.surface(data, name="f_b").collections
+    (faces,) = element.surface(data, name="f_b").collections
     assert not faces.get_array().any()
-    assert not element_map.contour(data, name="f_s").texts[0].get_text().endswith("everywhere")
+    assert not element.contour(data, name="f_s").texts[0].get_text().endswith("everywhere")
 
 
 def test_angles_stand_beside_their_transitions() -> None:

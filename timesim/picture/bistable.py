@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from timesim.picture.choice import left_out, motion
+from timesim.picture.figure import axes, figure, finish, from_zero, label_axes, labelled, legend_beside, stacked
 from timesim.picture.response import (
     PAIRED,
     amplitude_label,
@@ -20,23 +21,7 @@ from timesim.picture.response import (
     unwound,
     with_phase,
 )
-from timesim.picture.style import (
-    BLUE,
-    VERMILION,
-    Axes,
-    Dataset,
-    DataTree,
-    Figure,
-    Picture,
-    axes,
-    figure,
-    finish,
-    from_zero,
-    label_axes,
-    labelled,
-    legend_beside,
-    stacked,
-)
+from timesim.picture.style import BLUE, VERMILION, Axes, Dataset, DataTree, Figure, Picture
 from timesim.result.coordinate import over_keys
 from timesim.result.label import told_apart
 

@@ -13,26 +13,9 @@ import numpy as np
 from timesim.orbit.steady_state import switches
 from timesim.picture import hbm as balance
 from timesim.picture.choice import MAX_ROWS, motion, motions
+from timesim.picture.figure import axes, figure, finish, from_zero, label_axes, over_cycle, stacked
 from timesim.picture.response import PAIRED, with_phase
-from timesim.picture.style import (
-    SERIES,
-    Axes,
-    Dataset,
-    DataTree,
-    Figure,
-    Picture,
-    axes,
-    figure,
-    finish,
-    from_zero,
-    is_stop,
-    label_axes,
-    over_cycle,
-    short,
-    stacked,
-    state_bar,
-    unit,
-)
+from timesim.picture.style import SERIES, Axes, Dataset, DataTree, Figure, Picture, is_stop, short, state_bar, unit
 from timesim.result.coordinate import over_keys, rubs
 
 METHODS = {"sweep": "time integration", "hbm": "harmonic balance"}

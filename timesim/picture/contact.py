@@ -7,6 +7,7 @@ import numpy as np
 from timesim.model.model import SEPARATION
 from timesim.picture import choice
 from timesim.picture.choice import MAX_ROWS, left_out
+from timesim.picture.figure import axes, figure, finish, label_axes
 from timesim.picture.style import (
     BLUE,
     PALE,
@@ -15,11 +16,7 @@ from timesim.picture.style import (
     Dataset,
     Figure,
     Picture,
-    axes,
-    figure,
-    finish,
     is_stop,
-    label_axes,
     shade,
     short,
     state_bar,

@@ -12,8 +12,9 @@ import numpy as np
 
 from timesim.picture import response as shared
 from timesim.picture.choice import MAX_CURVES, left_out, motion, spread
+from timesim.picture.figure import axes, finish, from_zero, stacked
 from timesim.picture.response import amplitude_label, axis_label, draw_branch, values_labels
-from timesim.picture.style import Axes, Dataset, Figure, Picture, Series, axes, finish, from_zero, short, stacked, unit
+from timesim.picture.style import Axes, Dataset, Figure, Picture, Series, short, unit
 from timesim.result.coordinate import over_keys
 
 NOISE = 1e-9

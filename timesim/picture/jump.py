@@ -7,22 +7,9 @@ import numpy as np
 
 from timesim.picture import transient
 from timesim.picture.choice import MAX_ROWS, asked, motions
+from timesim.picture.figure import axes, figure, finish, from_zero
 from timesim.picture.response import amplitude_label
-from timesim.picture.style import (
-    BLUE,
-    SERIES,
-    VERMILION,
-    Axes,
-    Dataset,
-    Figure,
-    Picture,
-    axes,
-    figure,
-    finish,
-    from_zero,
-    short,
-    unit,
-)
+from timesim.picture.style import BLUE, SERIES, VERMILION, Axes, Dataset, Figure, Picture, short, unit
 
 MAX_NUMBERS = 12
 ROOM = 0.055  # share of an axis that a frequency takes as text

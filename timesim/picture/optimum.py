@@ -5,22 +5,9 @@ from typing import Any
 import numpy as np
 
 from timesim.picture.choice import motion
+from timesim.picture.figure import axes, finish, from_zero, labelled, legend_beside, stacked
 from timesim.picture.response import amplitude_label, axis_label, over_phase, styles, unwound, with_phase
-from timesim.picture.style import (
-    BLUE,
-    VERMILION,
-    Axes,
-    Dataset,
-    Figure,
-    Picture,
-    axes,
-    finish,
-    from_zero,
-    labelled,
-    legend_beside,
-    stacked,
-    unit,
-)
+from timesim.picture.style import BLUE, VERMILION, Axes, Dataset, Figure, Picture, unit
 from timesim.result.label import told_apart
 
 MAX_CURVES = 7

@@ -11,22 +11,8 @@ from typing import Any
 import numpy as np
 
 from timesim.picture.choice import MAX_ROWS, busiest, left_out, main_axes
-from timesim.picture.style import (
-    NEUTRAL,
-    SERIES,
-    Axes,
-    Dataset,
-    Figure,
-    Series,
-    finish,
-    is_stop,
-    label_axes,
-    labelled,
-    legend_beside,
-    short,
-    stacked,
-    unit,
-)
+from timesim.picture.figure import finish, label_axes, labelled, legend_beside, stacked
+from timesim.picture.style import NEUTRAL, SERIES, Axes, Dataset, Figure, Series, is_stop, short, unit
 from timesim.result.label import is_scalar_key, told_apart
 
 DIRECTIONS = {"up": "^", "down": "v", "independent": "o"}

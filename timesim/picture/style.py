@@ -1,8 +1,7 @@
-"""How every picture looks: figures, margins, colours, legends, and how contact states are distinguished.
+"""How curves look, and how contact states are distinguished.
 
-Figures are made without pyplot, which is slow to import and whose global state would keep them in memory. Contact
-states are distinguished by colour (Okabe and Ito 2008) and, for print and the colour-blind, by the line style of curves
-and the hatching of bars.
+It is by colour (Okabe and Ito 2008) and, for print and the colour-blind, by the line style of curves and the hatching
+of bars.
 """
 
 from collections.abc import Callable, Iterable
@@ -22,8 +21,6 @@ else:  # matplotlib is loaded when there is something to draw
 
 BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9"
 PALE, NEUTRAL = "0.7", "0.25"
-_HEAD, _FOOT = 0.68, 0.95  # inch
-_LABELLED, _PLAIN = 0.27, 0.1  # inch from axes with a label above them, or without one, to the title
 
 
 class Series(NamedTuple):
@@ -63,108 +60,6 @@ CLOSED = "closed"
 
 Picture = Callable[[Any], Figure | None]
 """Draws a result, a Dataset or the DataTree of one with groups; gives None where there is nothing to show."""
-
-
-def axes(ax: Axes | None = None) -> Axes:
-    """The axes given, or those of a new figure."""
-    return figure()[1][0, 0] if ax is None else ax
-
-
-def figure(
-    rows: int = 1,
-    columns: int = 1,
-    *,
-    width: float = 7.0,
-    height: float = 3.0,
-    gap: float = 0.25,
-    left: float = 0.9,
-    right: float = 0.2,
-    **options: Any,
-) -> tuple[Figure, np.ndarray]:
-    """A figure that needs no display, and its axes, with room for a heading above and a legend below.
-
-    Margins are fixed, since computing a layout takes as long as all the drawing (measured).
-
-    Args:
-        rows, columns: of axes, the shape of the array returned.
-        width: of the figure [inch].
-        height, gap: of a row of axes, and between rows [inch].
-        left, right: margins [inch].
-        options: of `matplotlib.figure.Figure.subplots`.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    tall = _HEAD + rows * height + (rows - 1) * gap + _FOOT
-    fig = Figure(figsize=(width, tall))
-    FigureCanvasAgg(fig)
-    edges = {
-        "left": left / width,
-        "right": 1 - right / width,
-        "top": 1 - _HEAD / tall,
-        "bottom": _FOOT / tall,
-    }
-    between = 0.8 / ((width - left - right - (columns - 1) * 0.8) / columns)
-    fig.subplots_adjust(hspace=gap / height, wspace=between, **edges)
-    grid = fig.subplots(rows, columns, squeeze=False, **options)
-    for ax in grid.flat:
-        ax.locator_params(nbins=6)
-        ax.ticklabel_format(useOffset=False, scilimits=(-3, 4))
-        ax.tick_params(labelsize=8)
-        ax.grid(True, color="0.9", linewidth=0.6)
-        ax.set_axisbelow(True)
-    return fig, grid
-
-
-def stacked(rows: int, height: float, *, share_x: bool = True, **options: Any) -> tuple[Figure, list[Axes]]:
-    """Axes of a height [inch] one above the other, with room for a legend on the right.
-
-    Without a common abscissa there is room for the label of each. Options are those of `figure`.
-    """
-    gap = 0.3 if share_x else 0.8
-    fig, grid = figure(rows, 1, width=9.0, height=height, gap=gap, right=2.4, sharex=share_x, **options)
-    return fig, list(grid[:, 0])
-
-
-def finish(fig: Figure, data: Dataset | DataTree, what: str, *notes: str) -> Figure:
-    """Add the title just above the axes, notes of what is left out at the foot, and a legend there if no axes have one.
-
-    The title is that of the scene, and what is shown.
-    """
-    title = short(" ".join(str(data.attrs.get("title") or "").split()), 90)
-    unfinished = "" if int(data.attrs["complete"]) else " (incomplete run)"
-    tall, heading = fig.get_figheight(), (f"{title}\n" if title else "") + what + unfinished
-    above = max(ax.get_position().y1 for ax in fig.axes)
-    top = [ax for ax in fig.axes if ax.get_position().y1 > above - 0.01]
-    labels = any(ax.get_title(place) for ax in top for place in ("left", "center", "right"))
-    foot = above + (_LABELLED if labels else _PLAIN) / tall
-    drawn = fig.suptitle(heading.replace(r"\$", "$"), fontsize=10, y=foot, va="bottom", parse_math=False)
-    too_wide = drawn.get_window_extent().width / (0.97 * fig.get_figwidth() * fig.dpi)
-    drawn.set_fontsize(10 / max(too_wide, 1.0))
-    if all(ax.get_legend() is None for ax in fig.axes):
-        _legend_below(fig)
-    x, y = (0.99, 0.04) if fig.legends else (max(ax.get_position().x1 for ax in fig.axes), 0.3)
-    note: dict[str, Any] = {"fontsize": 7, "color": "0.35", "ha": "right", "va": "bottom"}
-    fig.text(x, y / tall, "; ".join(filter(None, notes)), **note)
-    return fig
-
-
-def from_zero(ax: Axes) -> None:
-    """Begin the ordinate at zero, with some room above what is drawn."""
-    top = ax.dataLim.y1
-    ax.set_ylim(0, 1.05 * top if 0 < top < np.inf else 1.0)
-
-
-def over_cycle(ax: Axes, label: str) -> Axes:
-    """Label and limit the abscissa of a cycle, an angle [degree]."""
-    ax.set(xlim=(0, 360), xlabel=label)
-    ax.set_xticks(range(0, 361, 60))
-    return ax
-
-
-def label_axes(ax: Axes, label: str) -> None:
-    """Write above the upper right corner which of several things the axes show."""
-    ax.set_title(label, fontsize=9, pad=4, loc="right")
 
 
 def unit(data: Any, name: str) -> str:
@@ -223,29 +118,3 @@ def state_bar(
         name, style = look_of(state, stop=stop)
         bars = ax.broken_barh([(start, end - start)], (row - height / 2, height), facecolor=style.colour, linewidth=0)
         bars.set(edgecolor="white", hatch=style.hatch, label=name)
-
-
-def labelled(*axs: Axes) -> dict[str, Any]:
-    """Everything in some axes that has a label, each label once."""
-    handles: dict[str, Any] = {}
-    for ax in axs:
-        for handle, name in zip(*ax.get_legend_handles_labels(), strict=True):
-            handles.setdefault(name, handle)
-    return handles
-
-
-def _legend_below(fig: Figure) -> None:
-    """One legend for all axes of a figure, the states first."""
-    handles = labelled(*fig.axes)
-    states = (*STATE_NAMES, CLOSED)
-    names = sorted(handles, key=lambda name: states.index(name) if name in states else 9)
-    if names:
-        place: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 0.16 / fig.get_figheight())}
-        fig.legend([handles[name] for name in names], names, ncols=len(names), fontsize=8, **place)
-
-
-def legend_beside(ax: Axes, handles: Iterable[Any], title: str | None = None) -> None:
-    """A legend to the right of the axes, of handles that have their labels."""
-    if shown := list(handles):
-        place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
-        ax.legend(handles=shown, title=title, title_fontsize=8, fontsize=8, **place)

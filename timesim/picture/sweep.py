@@ -14,23 +14,9 @@ import numpy as np
 
 from timesim.picture import response as shared
 from timesim.picture.choice import MAX_CURVES, left_out, motion, spread
+from timesim.picture.figure import axes, finish, from_zero, labelled, legend_beside, stacked
 from timesim.picture.response import DIRECTIONS, PAIRED, amplitude_label, axis_label, values_labels
-from timesim.picture.style import (
-    NEUTRAL,
-    SERIES,
-    Axes,
-    Dataset,
-    Figure,
-    Picture,
-    Series,
-    axes,
-    finish,
-    from_zero,
-    labelled,
-    legend_beside,
-    short,
-    stacked,
-)
+from timesim.picture.style import NEUTRAL, SERIES, Axes, Dataset, Figure, Picture, Series, short
 from timesim.result.coordinate import over_keys
 from timesim.result.label import counted, told_apart
 

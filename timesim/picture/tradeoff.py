@@ -4,20 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from timesim.picture.style import (
-    PALE,
-    SERIES,
-    VERMILION,
-    Axes,
-    Dataset,
-    Figure,
-    Picture,
-    axes,
-    figure,
-    finish,
-    labelled,
-    legend_beside,
-)
+from timesim.picture.figure import axes, figure, finish, labelled, legend_beside
+from timesim.picture.style import PALE, SERIES, VERMILION, Axes, Dataset, Figure, Picture
 from timesim.result.label import counted
 
 

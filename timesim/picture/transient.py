@@ -8,24 +8,8 @@ import numpy as np
 from timesim.picture import contact
 from timesim.picture.choice import MAX_ROWS, asked, left_out, motions
 from timesim.picture.contact import LAST_CYCLES, busiest, last_cycles
-from timesim.picture.style import (
-    BLUE,
-    SERIES,
-    VERMILION,
-    Axes,
-    Dataset,
-    Figure,
-    Picture,
-    Series,
-    axes,
-    figure,
-    finish,
-    label_axes,
-    labelled,
-    legend_beside,
-    short,
-    unit,
-)
+from timesim.picture.figure import axes, figure, finish, label_axes, labelled, legend_beside
+from timesim.picture.style import BLUE, SERIES, VERMILION, Axes, Dataset, Figure, Picture, Series, short, unit
 
 SPECTRUM_CYCLES = 10
 HIGHEST_ORDER = 30

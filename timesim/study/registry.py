@@ -57,7 +57,7 @@ STUDIES = {
     "jump": Study(".scene.transient:Jump", ".study.transient:study", ".picture.jump:PICTURES"),
     "tradeoff": Study(".scene.transient:Tradeoff", ".study.tradeoff.study:study", ".picture.tradeoff:PICTURES"),
     "element": Study(".scene.element:Element", ".study.element:study", ".picture.element:PICTURES"),
-    "element_map": Study(".scene.element:ElementMap", ".study.element_map:study", ".picture.element_map:PICTURES"),
+    "element_map": Study(".scene.element:ElementMap", ".study.element_map:study", ".picture.element:MAP_PICTURES"),
     "sweep": Study(".scene.sweep:Sweep", ".study.sweep:study", ".picture.sweep:PICTURES", in_chunks=True),
     "hbm": Study(".scene.hbm:Hbm", ".study.hbm:study", ".picture.hbm:PICTURES", in_curves=True),
     "compare": Study(".scene.hbm:Compare", ".study.compare:study", ".picture.compare:PICTURES", in_chunks=True),
