@@ -19,27 +19,13 @@ from timesim.engine.step import PERIOD
 from timesim.model.model import Model
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import NEVER, Criterion, Solver
+from timesim.orbit import threshold
 from timesim.orbit.batch import SIDE_BY_SIDE, Each, march_lanes, record
 from timesim.orbit.lane import Lane, Recorded
 from timesim.orbit.linear import held_lane, linear_orbit, proven_orbit, slowest_decay
 from timesim.orbit.recurrence import Recurrence, is_irregular, nearest_period, recurrence_of
 from timesim.orbit.shooting import Converged, Shot, iterated
 from timesim.orbit.steady_state import Orbit, without_orbit
-from timesim.orbit.threshold import (
-    CYCLES_A_ROUND,
-    FEW_SHOTS,
-    LATER,
-    LONELY,
-    LONGEST,
-    MOST_SHOTS,
-    NEARLY_REPEATS,
-    NOISY,
-    PERIODS,
-    TRIES,
-    UNDER_WAY,
-    UNSETTLED_CYCLES,
-    VAGUE,
-)
 
 
 @dataclass(frozen=True)
@@ -106,11 +92,12 @@ class Search:
 
 def after_march(search: Search, lane: Lane, returns: np.ndarray, solver: Solver, criterion: Criterion) -> Search:
     """The search after a round of marching."""
-    kept, cycles = (*search.returns, *returns)[-LONGEST - CYCLES_A_ROUND :], search.cycles + len(returns)
+    kept = (*search.returns, *returns)[-threshold.LONGEST - threshold.CYCLES_A_ROUND :]
+    cycles = search.cycles + len(returns)
     search = replace(search, lane=lane, returns=kept, cycles=cycles)
     if lane.status != Status.RUNNING:
         return _failed(search, solver)
-    latest = np.array(kept[-2 * CYCLES_A_ROUND :])
+    latest = np.array(kept[-2 * threshold.CYCLES_A_ROUND :])
     seen = recurrence_of(latest, criterion.tolerance, solver.rtol)
     search = replace(search, settled_to=seen.left, changes=(*search.changes, seen.left), period=seen.period)
     if seen.period and seen.left > criterion.tolerance and criterion.first_shot < NEVER:
@@ -132,19 +119,19 @@ def after_march(search: Search, lane: Lane, returns: np.ndarray, solver: Solver,
 def _spent(search: Search, criterion: Criterion) -> Search:
     """The search at the end of its budget: what nearly repeats after a long period is shot, or has settled."""
     long = _long_recurrence(search)
-    if criterion.first_shot == NEVER and long.period > max(PERIODS) and long.left < criterion.tolerance:
+    if criterion.first_shot == NEVER and long.period > max(threshold.PERIODS) and long.left < criterion.tolerance:
         return replace(search, phase=Phase.MEASURE, period=long.period, settled_to=long.left)
-    if criterion.first_shot == NEVER or long.period <= CYCLES_A_ROUND or long.left > NEARLY_REPEATS:
+    if criterion.first_shot == NEVER or long.period <= threshold.CYCLES_A_ROUND or long.left > threshold.NEARLY_REPEATS:
         return replace(search, phase=Phase.MEASURE)
-    shot = Shot(search.lane, long.period, count=MOST_SHOTS - FEW_SHOTS)
+    shot = Shot(search.lane, long.period, count=threshold.MOST_SHOTS - threshold.FEW_SHOTS)
     return replace(search, phase=Phase.SHOOT, shot=shot, last=True)
 
 
 def _long_recurrence(search: Search) -> Recurrence:
     """How nearly a motion repeats after up to the longest period; one that was marched for less does not count."""
-    if len(search.returns) < LONGEST + CYCLES_A_ROUND:
+    if len(search.returns) < threshold.LONGEST + threshold.CYCLES_A_ROUND:
         return Recurrence(0, np.inf)
-    return nearest_period(np.array(search.returns), LONGEST)
+    return nearest_period(np.array(search.returns), threshold.LONGEST)
 
 
 def _held(search: Search, solver: Solver, *, may_shoot: bool) -> Search:
@@ -155,7 +142,7 @@ def _held(search: Search, solver: Solver, *, may_shoot: bool) -> Search:
     orbit = proven_orbit(search.lane, solver)
     if orbit is not None:
         return replace(search, phase=Phase.DONE, orbit=replace(orbit, cycles=search.cycles))
-    search = replace(search, next_held=LATER * search.cycles)
+    search = replace(search, next_held=threshold.LATER * search.cycles)
     steady = held_lane(search.lane, solver) if may_shoot else None
     return search if steady is None else replace(search, phase=Phase.SHOOT, shot=Shot(steady, held=True))
 
@@ -174,7 +161,7 @@ def after_shot(search: Search, recorded: Recorded, criterion: Criterion) -> Sear
         return replace(search, phase=Phase.MEASURE)
     if shot.held:
         return replace(search, shot=Shot(search.lane))
-    return replace(search, phase=Phase.MARCH, shot=None, next_shot=LATER * search.cycles)
+    return replace(search, phase=Phase.MARCH, shot=None, next_shot=threshold.LATER * search.cycles)
 
 
 def after_measure(search: Search, recorded: Recorded, solver: Solver, criterion: Criterion) -> Search:
@@ -192,8 +179,8 @@ def after_measure(search: Search, recorded: Recorded, solver: Solver, criterion:
 
 
 def _done(search: Search, recorded: Recorded) -> Search:
-    noise = NOISY * float(search.lane.control.rtol)
-    repeats = search.period > 0 or _long_recurrence(search).left < VAGUE
+    noise = threshold.NOISY * float(search.lane.control.rtol)
+    repeats = search.period > 0 or _long_recurrence(search).left < threshold.VAGUE
     irregular = not repeats and is_irregular(search.changes, slowest_decay(search.lane), noise)
     orbit = recorded.orbit(search.cycles, search.period, search.settled_to, irregular=irregular)
     return replace(search, phase=Phase.DONE, orbit=orbit)
@@ -253,8 +240,8 @@ def warm_up(chains: Iterable[Chain], solver: Solver) -> None:
         lane = first_lane(Chain(chain.model, chain.frequencies[:1]), solver)
         if lane.here.state.size:
             with ThreadPoolExecutor(1) as beside:
-                marched = beside.submit(march_lanes, [lane], solver, CYCLES_A_ROUND)
-                record([lane], solver, [UNSETTLED_CYCLES])
+                marched = beside.submit(march_lanes, [lane], solver, threshold.CYCLES_A_ROUND)
+                record([lane], solver, [threshold.UNSETTLED_CYCLES])
                 marched.result()
             return
 
@@ -286,7 +273,7 @@ class _Work:
         """Yield the searches of a group, and those that follow along their chains, when each is done."""
         active: list[Search] = []
         while pending or active:
-            while pending and len(active) < UNDER_WAY:
+            while pending and len(active) < threshold.UNDER_WAY:
                 active.append(pending.popleft())
             moved = self._round(active)
             yield from (search for search in moved if search.phase is Phase.DONE)
@@ -317,19 +304,20 @@ class _Work:
     def _shot(self, searches: Sequence[Search]) -> Iterator[Search]:
         shots = [search.shot for search in searches if search.shot is not None]
         lanes, cycles = [shot.lane for shot in shots], [shot.period for shot in shots]
-        done = record(lanes, self.solver, cycles, TRIES * max(cycles, default=1), each=self.each)
+        done = record(lanes, self.solver, cycles, threshold.TRIES * max(cycles, default=1), each=self.each)
         for search, recorded in zip(searches, done, strict=True):
             yield after_shot(search, recorded, self.criterion)
 
     def _marched(self, searches: Sequence[Search]) -> Iterator[Search]:
-        lonely = len(searches) < SIDE_BY_SIDE and all(search.cycles > LONELY for search in searches)
+        lonely = len(searches) < SIDE_BY_SIDE and all(search.cycles > threshold.LONELY for search in searches)
         size = 1 if lonely else SIDE_BY_SIDE
-        done = march_lanes([search.lane for search in searches], self.solver, CYCLES_A_ROUND, size=size, each=self.each)
+        lanes = [search.lane for search in searches]
+        done = march_lanes(lanes, self.solver, threshold.CYCLES_A_ROUND, size=size, each=self.each)
         for search, (lane, returns) in zip(searches, done, strict=True):
             yield after_march(search, lane, returns, self.solver, self.criterion)
 
     def _measured(self, searches: Sequence[Search]) -> Iterator[Search]:
-        cycles = [search.period or UNSETTLED_CYCLES for search in searches]
+        cycles = [search.period or threshold.UNSETTLED_CYCLES for search in searches]
         done = record([search.lane for search in searches], self.solver, cycles, each=self.each)
         for search, recorded in zip(searches, done, strict=True):
             yield after_measure(search, recorded, self.solver, self.criterion)
