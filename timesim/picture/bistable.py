@@ -9,18 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from timesim.picture import response as shared
 from timesim.picture.choice import left_out, motion
 from timesim.picture.figure import axes, figure, finish, from_zero, label_axes, labelled, legend_beside, stacked
-from timesim.picture.response import (
-    PAIRED,
-    amplitude_label,
-    axis_label,
-    draw_branch,
-    key_words,
-    over_phase,
-    unwound,
-    with_phase,
-)
 from timesim.picture.style import BLUE, VERMILION, Axes, Dataset, DataTree, Figure, Picture
 from timesim.result.coordinate import over_keys
 from timesim.result.label import told_apart
@@ -83,7 +74,7 @@ def _keys(data: DataTree) -> list[str]:
 
 def _label(data: DataTree, at: Mapping[str, int]) -> str:
     root = data.to_dataset()
-    return ", ".join(f"{key_words(key)} {told_apart(root[key].values)[i]}" for key, i in at.items())
+    return ", ".join(f"{shared.key_words(key)} {told_apart(root[key].values)[i]}" for key, i in at.items())
 
 
 def response(
@@ -115,7 +106,7 @@ def response(
         _range(data, ax, item, point, axis, middle=wide or near is not None)
     if "hbm" in data.children:
         _branch(data, ax, at, point, axis, window)
-    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(sweep, point, axis))
+    ax.set(xlabel="frequency [Hz]", ylabel=shared.amplitude_label(sweep, point, axis))
     if near is None:
         from_zero(ax)
     else:
@@ -140,8 +131,8 @@ def _sweep(
     x, y, settled = part.frequency.values, part[name].values, part.settled.values > 0
     shown = (x >= window[0]) & (x <= window[1])
     if shown.all():
-        ax.plot(*(unwound(x, y) if name == "phase_deg" else (x, y)), color=colour, linewidth=0.8, label="_line")
-    look: dict[str, Any] = {"color": colour, "marker": PAIRED[direction], "linestyle": "", "ms": 6}
+        ax.plot(*(shared.unwound(x, y) if name == "phase_deg" else (x, y)), color=colour, linewidth=0.8, label="_line")
+    look: dict[str, Any] = {"color": colour, "marker": shared.PAIRED[direction], "linestyle": "", "ms": 6}
     ax.plot(x[settled & shown], y[settled & shown], label=f"sweep {direction}", **look)
     loose = ~settled & shown & np.isfinite(y)
     if loose.any():
@@ -178,7 +169,7 @@ def _branch(
             "zorder": 1.5,
             "phase": name == "phase_deg",
         }
-        draw_branch(ax, x, y, part.stable.values > 0, fold & shown, **look)
+        shared.draw_branch(ax, x, y, part.stable.values > 0, fold & shown, **look)
 
 
 def phase(data: DataTree, ax: Axes | None = None, *, at: Mapping[str, int] | None = None) -> Axes:
@@ -192,7 +183,7 @@ def phase(data: DataTree, ax: Axes | None = None, *, at: Mapping[str, int] | Non
     if "hbm" in data.children and "phase_deg" in data.children["hbm"]:
         _branch(data, ax, at, point, axis, name="phase_deg")
     ax.set_xlabel("frequency [Hz]")
-    return over_phase(ax)
+    return shared.over_phase(ax)
 
 
 def _range(data: DataTree, ax: Axes, item: Range, point: str, axis: str, *, middle: bool) -> None:
@@ -244,7 +235,7 @@ def existence(data: DataTree, ax: Axes | None = None, *, key: str | None = None)
                 ax.plot(value, end, kind, color=colour, ms=5, label=f"the sweep {name} jumps")
     margin = 0.05 * np.ptp(scalar) or 1.0
     ax.set_xlim(scalar.min() - margin, scalar.max() + margin)
-    ax.set(xlabel=axis_label(root, key), ylabel="frequency [Hz]")
+    ax.set(xlabel=shared.axis_label(root, key), ylabel="frequency [Hz]")
     return ax
 
 
@@ -252,7 +243,7 @@ def _response_figure(data: DataTree) -> Figure:
     sets, two = _sets(data), [item.at for item in ranges(data)]
     first = sorted(range(len(sets)), key=lambda i: sets[i] not in two)[:MAX_RANGES]
     shown = [response, phase] if "phase_deg" in data.children["sweep"] else [response]
-    fig, axs = with_phase(len(first), 4.0 if len(first) == 1 else 2.4, len(shown) > 1)
+    fig, axs = shared.with_phase(len(first), 4.0 if len(first) == 1 else 2.4, len(shown) > 1)
     for ax, (i, draw) in zip(axs, product(sorted(first), shown), strict=True):
         label_axes(draw(data, ax, at=sets[i]), _label(data, sets[i]))
         ax.label_outer()

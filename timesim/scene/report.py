@@ -9,21 +9,8 @@ import numpy as np
 from pydantic import BaseModel
 
 from timesim.hbm.scheme import NOTED
+from timesim.model import cost
 from timesim.model.contact_state import obeys_cone
-from timesim.model.cost import (
-    LITTLE_FRICTION,
-    REACH,
-    SETTLING,
-    SOLUTIONS,
-    Work,
-    seconds,
-    seconds_a_cycle,
-    seconds_a_derivative,
-    seconds_a_solution,
-    slip_rates,
-    slip_stiff,
-    stable_steps,
-)
 from timesim.model.finding import contact_line, turning
 from timesim.model.model import Model
 from timesim.model.promise import PROMISE
@@ -87,13 +74,13 @@ def _method_lines(scene: Scene, model: Model) -> Iterator[str]:
     if not isinstance(scene.plan, TradeoffPlan):
         solver, chosen = scene.solver(), scene.choice
         place = "" if own is not None else f" (at {frequency:g} Hz, the lowest, where it asks most)"
-        steps = f"; stability asks about {stable_steps(model, frequency):.3g} explicit steps a cycle{place}"
+        steps = f"; stability asks about {cost.stable_steps(model, frequency):.3g} explicit steps a cycle{place}"
         why = "given" if chosen is None else chosen.why
         yield f"{solver.name}: {why}{'' if solver.name == CLOSED_FORM else steps}"
-    if slip_stiff(model, frequency):
-        for contact, rate in zip(model.contacts, slip_rates(model, frequency), strict=True):
-            if rate > 0 and contact.friction <= LITTLE_FRICTION:
-                yield turning(contact, rate, rate / (REACH * frequency))
+    if cost.slip_stiff(model, frequency):
+        for contact, rate in zip(model.contacts, cost.slip_rates(model, frequency), strict=True):
+            if rate > 0 and contact.friction <= cost.LITTLE_FRICTION:
+                yield turning(contact, rate, rate / (cost.REACH * frequency))
 
 
 def _accuracy_lines(scene: Scene, model: Model) -> Iterator[str]:
@@ -123,7 +110,7 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
     lines = []
     if isinstance(plan, Schedule):
         cycles = sum(cycles for _, cycles in plan.phases)
-        total = seconds(model, solver, Work.of_run(plan.phases, estimated=False))
+        total = cost.seconds(model, solver, cost.Work.of_run(plan.phases, estimated=False))
         lines.append(f"{counted(cycles, 'cycle')} of {_duration(total / cycles)}: {_duration(total)}")
     elif isinstance(study, SteadySection):
         sweep = study.sweep()
@@ -143,10 +130,10 @@ def _cost_lines(scene: Scene, model: Model) -> Iterator[str]:
         if "harmonics" in balance.chosen:
             more = f", and up to {finer[-1].harmonics} harmonics where they are needed" if finer else ""
             yield f"{scheme}{more}; if those above make more than {NOTED:g} of the amplitude, the run says so"
-        own = seconds_a_solution(model, scheme.time_samples, stability=balance.stability)
-        work = f"{SOLUTIONS} solutions of {_duration(own)}"
+        own = cost.seconds_a_solution(model, scheme.time_samples, stability=balance.stability)
+        work = f"{cost.SOLUTIONS} solutions of {_duration(own)}"
         which = counted(curves, "curve")
-        lines.append(f"{which} of harmonic balance of {work}: {_duration(curves * SOLUTIONS * own)}")
+        lines.append(f"{which} of harmonic balance of {work}: {_duration(curves * cost.SOLUTIONS * own)}")
     yield from (f"about {line}" for line in lines)
     if lines:
         yield "as measured on one core of a server (timesim/model/cost.py); a first run compiles before that"
@@ -159,9 +146,9 @@ def _sweep_cost(model: Model, solver: Solver, sweep: SweepPlan) -> tuple[int, fl
     """
     whole = sweep.work(model)
     ((frequency, every),) = whole.phases
-    cycles, own = round(every / sweep.size), seconds_a_cycle(model, solver, frequency, whole.side_by_side)
+    cycles, own = round(every / sweep.size), cost.seconds_a_cycle(model, solver, frequency, whole.side_by_side)
     marched = int(min(cycles, sweep.criterion.first_shot))
-    beside = SETTLING + (1 + cycles - marched) * seconds_a_derivative(model, solver, frequency)
+    beside = cost.SETTLING + (1 + cycles - marched) * cost.seconds_a_derivative(model, solver, frequency)
     return marched, own, beside, sweep.size * (marched * own + beside)
 
 

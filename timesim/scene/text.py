@@ -11,17 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ruamel.yaml import YAML
+from ruamel.yaml import YAML, events
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.events import (
-    AliasEvent,
-    DocumentStartEvent,
-    MappingEndEvent,
-    MappingStartEvent,
-    ScalarEvent,
-    SequenceEndEvent,
-    SequenceStartEvent,
-)
 
 from timesim.fault import Key, RuleError
 from timesim.result.label import WIDTH, shortened
@@ -117,20 +108,20 @@ class _Reader:
     def document(self) -> Any:
         next(self.events)
         start = next(self.events)
-        if not isinstance(start, DocumentStartEvent):
+        if not isinstance(start, events.DocumentStartEvent):
             raise RuleError((), "is empty", "a scene needs structure:, excitation: and study:", line=1)
         if start.version not in (None, (1, 2)):
             version = ".".join(map(str, start.version))
             raise RuleError((), f"is YAML {version}", "write YAML 1.2, without a %YAML line", line=1)
         value = self.value(next(self.events), ())
         next(self.events)
-        if isinstance(following := next(self.events), DocumentStartEvent):
+        if isinstance(following := next(self.events), events.DocumentStartEvent):
             raise RuleError((), "holds more than one document", "keep one scene a file", line=_line(following))
         return value
 
     def value(self, event: Any, key: Key) -> Any:
         value: Any
-        if isinstance(event, AliasEvent):
+        if isinstance(event, events.AliasEvent):
             return self.alias(event, key)
         if event.tag is not None and event.tag != "!":
             raise RuleError(key, f"has the tag {event.tag}", "a scene has no tags", line=_line(event))
@@ -138,9 +129,9 @@ class _Reader:
             raise RuleError(key[:4], f"is nested deeper than {MAX_DEPTH} levels", line=_line(event))
         before = self.num_values
         self.count(1, event)
-        if isinstance(event, MappingStartEvent):
+        if isinstance(event, events.MappingStartEvent):
             value = self.mapping(key)
-        elif isinstance(event, SequenceStartEvent):
+        elif isinstance(event, events.SequenceStartEvent):
             value = self.sequence(key)
         else:
             value = scalar(event.value) if event.implicit[0] else event.value
@@ -150,8 +141,8 @@ class _Reader:
 
     def mapping(self, key: Key) -> dict[str, Any]:
         values: dict[str, Any] = {}
-        while not isinstance(event := next(self.events), MappingEndEvent):
-            if not isinstance(event, ScalarEvent) or event.tag not in (None, "!"):
+        while not isinstance(event := next(self.events), events.MappingEndEvent):
+            if not isinstance(event, events.ScalarEvent) or event.tag not in (None, "!"):
                 raise RuleError(key, "has a key that is not plain text", line=_line(event))
             below = (*key, event.value)
             if event.value in values:
@@ -163,7 +154,7 @@ class _Reader:
 
     def sequence(self, key: Key) -> list[Any]:
         values: list[Any] = []
-        while not isinstance(event := next(self.events), SequenceEndEvent):
+        while not isinstance(event := next(self.events), events.SequenceEndEvent):
             below = (*key, len(values))
             self.lines[below] = _line(event)
             values.append(self.value(event, below))
