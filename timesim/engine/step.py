@@ -17,20 +17,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from timesim.engine import guard
 from timesim.engine.barrier import apart
 from timesim.engine.exponential.collocation import Inside, state_inside
-from timesim.engine.guard import (
-    NONE,
-    End,
-    Segment,
-    arriving,
-    end_on_guard,
-    first_crossing,
-    first_exit,
-    indivisible,
-    segment,
-    segment_of_nodes,
-)
 from timesim.engine.law.contact_law import ContinuousState, Dynamics, State
 from timesim.engine.law.rule import rule_of
 from timesim.engine.method import Method
@@ -149,11 +138,11 @@ class Trial(NamedTuple):
         inside: its dense output, of a method that has its own.
     """
 
-    end: End
+    end: guard.End
     error: Float[Array, ""]
     precise: Bool[Array, ""]
     early: Bool[Array, ""]
-    part: Segment
+    part: guard.Segment
     inside: Inside | None
 
 
@@ -169,14 +158,14 @@ def integrated(
     size = jnp.where(jnp.isfinite(size), size, 1e9)
     points, rates, whole = (now.point, end), (now.rate, rate), jnp.asarray(False)
     if solved is None:
-        part = segment(dynamics, now.state, points, rates, h)
-        return Trial(End(h, end, rate, part.margin[1], part.slope[1]), size, size <= 1, whole, part, None)
+        part = guard.segment(dynamics, now.state, points, rates, h)
+        return Trial(guard.End(h, end, rate, part.margin[1], part.slope[1]), size, size <= 1, whole, part, None)
     rule = rule_of(method.order - 1)
-    part = segment_of_nodes(dynamics, now.state, points, rates, h, solved.nodes, rule)
+    part = guard.segment_of_nodes(dynamics, now.state, points, rates, h, solved.nodes, rule)
     # A contact that is apart asks for no short step; the guards look at the path, which has to be known as well.
     unseen = jnp.stack([jnp.abs(polynomial[-1]).max(initial=0.0) for polynomial in part.path]).max()
     size = jnp.maximum(size, rule.touch * unseen / tolerance)
-    trial = Trial(End(h, end, rate, part.margin[1], part.slope[1]), size, size <= 1, whole, part, solved.inside)
+    trial = Trial(guard.End(h, end, rate, part.margin[1], part.slope[1]), size, size <= 1, whole, part, solved.inside)
     return cut(control, dynamics, now, trial, reach)
 
 
@@ -189,9 +178,9 @@ def cut(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, rea
         point = state_inside(dynamics, (now.state, now.time, now.point), inside, span / part.h)
         return point, dynamics.field(now.state, now.time + span, point)
 
-    x, early = first_exit(dynamics, now.state, part, reach / part.h)
+    x, early = guard.first_exit(dynamics, now.state, part, reach / part.h)
     wanted = (x * part.h, early, reach)
-    part_of_it = partial(end_on_guard, dynamics, now.state, at, trial.end, wanted, 0.1 * control.landing)
+    part_of_it = partial(guard.end_on_guard, dynamics, now.state, at, trial.end, wanted, 0.1 * control.landing)
     end = jax.lax.cond(trial.precise & (early | (reach < part.h)), part_of_it, lambda: trial.end)
     return trial._replace(end=end, early=early)
 
@@ -225,14 +214,15 @@ class Landing(NamedTuple):
 def landed(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, last: Array) -> Landing:
     """Follow the margins over a step: the first crossing inside, else the transitions that are due at its end."""
     h, _, _, margin, slope = trial.end
-    to_zero, due = arriving(margin, slope, h, last, control.landing)
+    to_zero, due = guard.arriving(margin, slope, h, last, control.landing)
     if trial.inside is None:
         # The shortest step stands: a margin that was below zero at its start is so at each of its nodes.
-        crossing = jnp.where(indivisible(h), NONE, first_crossing(dynamics, now.state, trial.part, due))
+        first = guard.first_crossing(dynamics, now.state, trial.part, due)
+        crossing = jnp.where(guard.indivisible(h), guard.NONE, first)
     else:  # It was cut at the first crossing; where its end is beyond one after all, a little less is taken of it.
-        crossing = jnp.where(((margin < -VIOLATED) & ~due).any(), SHORTER, NONE)
-    astray = trial.early & indivisible(h) & (margin.min(initial=jnp.inf) > TOGETHER)
-    accepted = trial.precise & (crossing >= NONE) & ~astray
+        crossing = jnp.where(((margin < -VIOLATED) & ~due).any(), SHORTER, guard.NONE)
+    astray = trial.early & guard.indivisible(h) & (margin.min(initial=jnp.inf) > TOGETHER)
+    accepted = trial.precise & (crossing >= guard.NONE) & ~astray
     on_guard = accepted & due.any()
     soonest = jnp.where(due, to_zero, jnp.inf).min(initial=jnp.inf)
     correction = jnp.where(on_guard, soonest, 0.0)
@@ -242,8 +232,8 @@ def landed(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, 
 
 def limit_of_next(trial: Trial, landing: Landing, h: Array) -> Float[Array, ""]:
     """Length of the next try where a contact has left its state inside this one; infinite where none has."""
-    fraction = jnp.where(landing.crossing < NONE, landing.crossing, 1.0)
-    inside = trial.precise & (landing.crossing < NONE)
+    fraction = jnp.where(landing.crossing < guard.NONE, landing.crossing, 1.0)
+    inside = trial.precise & (landing.crossing < guard.NONE)
     return jnp.where(inside, jnp.maximum(fraction * h, SHORTEST), jnp.inf)
 
 
