@@ -32,16 +32,7 @@ from timesim.element.elements import Elements
 from timesim.element.motion import CYCLE, HarmonicMotion, Motion, SplineMotion
 from timesim.engine import dense_output
 from timesim.engine.event_loop import advance, march
-from timesim.engine.law.contact_law import (
-    ContactLaw,
-    ContinuousState,
-    Dynamics,
-    Path,
-    Plane,
-    Scalar,
-    State,
-    dot,
-)
+from timesim.engine.law.contact_law import ContactLaw, ContinuousState, Dynamics, Path, Plane, Scalar, State, dot
 from timesim.engine.law.contact_law import Motion as RelativeMotion
 from timesim.engine.method import Method
 from timesim.engine.solver import Control

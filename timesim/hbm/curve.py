@@ -229,12 +229,7 @@ def _check_range(start: float, stop: float) -> None:
 
 
 def solutions_at(
-    model: Model,
-    curve: HbmCurve,
-    frequency: float | Array,
-    *,
-    scheme: Scheme | None = None,
-    stability: bool = True,
+    model: Model, curve: HbmCurve, frequency: float | Array, *, scheme: Scheme | None = None, stability: bool = True
 ) -> HbmCurve:
     """The solutions of a curve at given frequencies, each solved for anew, in the order of these and of the curve.
 
@@ -337,8 +332,7 @@ def peak(parameter: Array, height: Array, motion: Array) -> tuple[float, float]:
     rows = slice(i - 1, i + 2)
     near, p = motion[rows].reshape(3, -1), parameter[rows]
     steps = np.hypot(
-        np.diff(p) / np.ptp(parameter),
-        np.linalg.norm(np.diff(near, axis=0), axis=1) / (np.linalg.norm(near[1]) or 1.0),
+        np.diff(p) / np.ptp(parameter), np.linalg.norm(np.diff(near, axis=0), axis=1) / (np.linalg.norm(near[1]) or 1.0)
     )
     s = np.array([-steps[0], 0.0, steps[1]])
     bend, slope, middle = np.polyfit(s, height[rows], 2)

@@ -137,12 +137,7 @@ def march_lanes(
 
 
 def record(
-    lanes: Sequence[Lane],
-    solver: Solver,
-    num_cycles: Sequence[int],
-    most: int | None = None,
-    *,
-    each: Each = map,
+    lanes: Sequence[Lane], solver: Solver, num_cycles: Sequence[int], most: int | None = None, *, each: Each = map
 ) -> list[Recorded]:
     """March each lane by its number of cycles and keep its steps.
 

@@ -202,8 +202,4 @@ def _cycle_figure(data: DataTree) -> Figure | None:
     return finish(fig, data, f"a cycle by both methods where they differ most: {data['cycle'].attrs['place']}")
 
 
-PICTURES: dict[str, Picture] = {
-    "overlay": _overlay_figure,
-    "difference": _difference_figure,
-    "cycle": _cycle_figure,
-}
+PICTURES: dict[str, Picture] = {"overlay": _overlay_figure, "difference": _difference_figure, "cycle": _cycle_figure}

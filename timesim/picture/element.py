@@ -153,11 +153,7 @@ def _cycle_figure(data: Dataset) -> Figure:
     return finish(fig, data, "normal load, friction force and state over the cycle")
 
 
-PICTURES: dict[str, Picture] = {
-    "force_path": _path_figure,
-    "hysteresis": _hysteresis_figure,
-    "cycle": _cycle_figure,
-}
+PICTURES: dict[str, Picture] = {"force_path": _path_figure, "hysteresis": _hysteresis_figure, "cycle": _cycle_figure}
 
 
 # Fourier coefficients over two parameters of the motion

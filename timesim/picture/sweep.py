@@ -92,12 +92,7 @@ def floquet(data: Dataset, ax: Axes | None = None) -> Axes:
 
 
 def peak(
-    data: Dataset,
-    ax: Axes | None = None,
-    *,
-    key: str | None = None,
-    point: str | None = None,
-    axis: str | None = None,
+    data: Dataset, ax: Axes | None = None, *, key: str | None = None, point: str | None = None, axis: str | None = None
 ) -> Axes:
     """Largest amplitude over the frequencies against a scalar of the scene, by default the one with most values.
 

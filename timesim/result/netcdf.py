@@ -12,15 +12,7 @@ if TYPE_CHECKING:
     import xarray
 
 RESULT_NAME = "result.nc"
-REQUIRED_ATTRIBUTES = (
-    "timesim_version",
-    "scene",
-    "study",
-    "complete",
-    "method",
-    "compile_seconds",
-    "run_seconds",
-)
+REQUIRED_ATTRIBUTES = ("timesim_version", "scene", "study", "complete", "method", "compile_seconds", "run_seconds")
 
 _COMPRESS_ABOVE = 64 * 1024  # bytes of an array
 _COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": True}

@@ -25,17 +25,7 @@ from timesim.result.last_cycle import PeriodicMotion, periodic_motion
 from timesim.result.state import SavedStates, saved_states
 from timesim.scene.integration import ResultSection
 from timesim.scene.section import AsMapping, AsNumber, AsText, AutoOr, Section, by_form, refuse
-from timesim.scene.study import (
-    AlongOne,
-    Axes,
-    Context,
-    Over,
-    Scalar,
-    StudySection,
-    SweepPlan,
-    SweepSection,
-    axes_of,
-)
+from timesim.scene.study import AlongOne, Axes, Context, Over, Scalar, StudySection, SweepPlan, SweepSection, axes_of
 from timesim.scene.value import Count, Positive, Span, Switch, Whole
 
 
@@ -272,8 +262,7 @@ class Hbm(BalanceSection):
 
     kind: Literal["hbm"]
     frequency: Annotated[
-        AsNumber[Positive] | AsMapping[FrequencySpan],
-        by_form("a mapping with from and to, or with `along` a number"),
+        AsNumber[Positive] | AsMapping[FrequencySpan], by_form("a mapping with from and to, or with `along` a number")
     ]
     """{from, to} [Hz]; a number where the curve runs `along` another scalar."""
     along: Annotated[dict[Scalar, Span], AlongOne] = Field(default_factory=dict)

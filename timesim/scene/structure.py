@@ -155,8 +155,7 @@ class FileSection(Section):
     """A structure by the matrices in a file."""
 
     file: Annotated[
-        AsText[FilePath] | AsMapping[MatrixFiles],
-        by_form("a .npz or .mat file, or paths of mass, stiffness, damping"),
+        AsText[FilePath] | AsMapping[MatrixFiles], by_form("a .npz or .mat file, or paths of mass, stiffness, damping")
     ]
     """A .npz or .mat file with mass, stiffness, damping (or M, K, C), or a file for each."""
     damping_ratio: Ratio | None = None

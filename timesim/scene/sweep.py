@@ -10,17 +10,7 @@ from timesim.fault import RuleError
 from timesim.model.model import CONE, Model
 from timesim.scene.hbm import HarmonicsOrNone, HbmPlan, TimeSamples, balance_problems, balanced, default_steps
 from timesim.scene.section import refuse
-from timesim.scene.study import (
-    AlongOne,
-    Context,
-    Over,
-    Scalar,
-    Settle,
-    SteadySection,
-    SweepPlan,
-    SweepSection,
-    axes_of,
-)
+from timesim.scene.study import AlongOne, Context, Over, Scalar, Settle, SteadySection, SweepPlan, SweepSection, axes_of
 from timesim.scene.value import MAX_POINTS, Ascending, Count, Frequencies, PointName, Positive, Range, Whole, spaced
 
 
