@@ -8,18 +8,3 @@ result = timesim.integrate(system, 1.39, 60)
 
 from timesim.notebook.parts import contact, matrices, modal_forces, modes, point_force, system
 from timesim.notebook.studies import follow, integrate, plot, settle, show, sweep
-
-__all__ = [
-    "contact",
-    "follow",
-    "integrate",
-    "matrices",
-    "modal_forces",
-    "modes",
-    "plot",
-    "point_force",
-    "settle",
-    "show",
-    "sweep",
-    "system",
-]

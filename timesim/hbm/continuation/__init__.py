@@ -6,22 +6,3 @@ from timesim.hbm.continuation.residual import NoSolutionError, Residual
 from timesim.hbm.continuation.solutions import Curve, Ending, Solution, joined, part_of
 from timesim.hbm.continuation.tracker import SAME, follow, follow_both_ways
 from timesim.hbm.scheme import Controls
-
-__all__ = [
-    "SAME",
-    "Bordered",
-    "Condensed",
-    "Controls",
-    "Curve",
-    "Ending",
-    "Nearby",
-    "NoSolutionError",
-    "Residual",
-    "Solution",
-    "follow",
-    "follow_both_ways",
-    "joined",
-    "part_of",
-    "solve",
-    "solve_near",
-]
