@@ -16,7 +16,7 @@ from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import GROUND, Contact, Excitation, Model, Structure
 from timesim.model.solver import PRESETS
 from timesim.model.start import rest_start
-from timesim.orbit.batch import march, record
+from timesim.orbit.batch import march_lanes, record
 from timesim.orbit.settling import Chain, first_lane
 
 SIZES = ((2, 1), (10, 1), (10, 4), (30, 1), (30, 4))
@@ -58,7 +58,7 @@ def side_by_side(model: Model, accuracy: str, steps: float) -> tuple[float, floa
     best = (np.inf, np.inf)
     for _ in range(REPEATS + 1):
         wall, cpu = time.perf_counter(), time.process_time()
-        march(lanes, PRESETS[accuracy], CYCLES, size=LANES)
+        march_lanes(lanes, PRESETS[accuracy], CYCLES, size=LANES)
         best = min(best, (time.perf_counter() - wall, time.process_time() - cpu))
     number = steps * CYCLES * LANES
     return 1e6 * best[0] / number, 1e6 * best[1] / number

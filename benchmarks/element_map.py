@@ -19,7 +19,7 @@ from scipy.integrate import simpson, solve_ivp
 
 from timesim.element.motion import HarmonicMotion
 from timesim.element.state_by_state import steady_cycle
-from timesim.study.element_map import March, elements_of
+from timesim.study.element_map import MapMarch, elements_of
 from timesim.study.registry import load_scene
 
 SCENE = Path(__file__).parents[1] / "configs/figure7.yaml"
@@ -123,7 +123,7 @@ def main() -> None:
     solver = scene.solver()
     contact = scene.plan.contact
     clock = time.perf_counter()
-    March(elements.pick(np.arange(1)), phase[:1], solver).run(max_cycles=1)
+    MapMarch(elements.pick(np.arange(1)), phase[:1], solver).run(max_cycles=1)
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}; compilation {time.perf_counter() - clock:.1f} s")
     rows = np.random.default_rng(0).permutation(elements.size)[: options.points]
     phasor = (elements.start * 1j + elements.rate) * elements.length[:, None]
@@ -131,7 +131,7 @@ def main() -> None:
     ours, theirs = [], []
     for _ in range(options.repeats):
         clock = time.perf_counter()
-        found = March(elements, phase, solver).run()
+        found = MapMarch(elements, phase, solver).run()
         ours.append(time.perf_counter() - clock)
         clock = time.perf_counter()
         law = (contact.friction, contact.tangential_stiffness[0, 0], contact.normal_stiffness, contact.preload)

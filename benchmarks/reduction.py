@@ -21,7 +21,7 @@ from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import Model
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import CLOSED_FORM, PRESETS, Criterion, Solver
-from timesim.orbit.batch import march
+from timesim.orbit.batch import march_lanes
 from timesim.orbit.settling import Chain, first_lane, steady_states
 from timesim.study.registry import load_scene
 
@@ -97,7 +97,7 @@ def side_by_side(model: Model, solver: Solver) -> np.ndarray:
     """The state of one of many lanes at the end of a march."""
     assert model.excitation.frequency is not None
     lane = first_lane(Chain(model, (model.excitation.frequency,)), solver)
-    return march([lane] * LANES, solver, CYCLES, size=LANES)[0][1][-1]
+    return march_lanes([lane] * LANES, solver, CYCLES, size=LANES)[0][1][-1]
 
 
 def alternated(work: Callable[..., np.ndarray], both: Pair, repeats: int) -> tuple[list[float], list[np.ndarray]]:

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -130,6 +131,15 @@ def test_only_the_commands_print_or_exit():
 def test_private_parts_of_libraries_are_left_alone():
     for source in SOURCES:
         assert not re.search(r"jax\._src|equinox\.internal|diffrax\._", source.read_text()), source
+
+
+def test_benchmarks_import_what_there_is():
+    for source in (ROOT / "benchmarks").rglob("*.py"):
+        for node in ast.walk(ast.parse(source.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("timesim"):
+                module = import_module(str(node.module))
+                missing = [alias.name for alias in node.names if not hasattr(module, alias.name)]
+                assert all(f"{node.module}.{name}" in NAMES for name in missing), f"{source}: {missing}"
 
 
 def test_every_scene_in_configs_is_good_and_commented():

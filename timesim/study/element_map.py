@@ -65,7 +65,7 @@ class MapMarch:
         self.result["settled"] = np.zeros(count, dtype=bool)
 
     def run(self, progress: Progress = unwatched, max_cycles: int = MAX_CYCLES) -> dict[str, np.ndarray]:
-        """MapMarch until every cycle repeats, at most `max_cycles` cycles."""
+        """March until every cycle repeats, at most `max_cycles` cycles."""
         # The stiffness relative to the least limit of friction sets the steps; elements alike in it share a batch.
         stiffness = np.linalg.norm(self.elements.stiffness, axis=(1, 2))
         swing = np.hypot(self.elements.start[:, 2], self.elements.rate[:, 2])
@@ -84,7 +84,7 @@ class MapMarch:
         return self.result
 
     def _cycle(self, cycle: int, rows: np.ndarray) -> np.ndarray:
-        """MapMarch a batch by one cycle, and return which of its elements must go on."""
+        """March a batch by one cycle, and return which of its elements must go on."""
         full = np.concatenate([rows, np.repeat(rows[:1], BATCH - rows.size)])
         dynamics = jax.tree.map(lambda leaf: leaf[full], self.dynamics)
         slip, state = tuple(self.slip[full].T), self.state[full]
