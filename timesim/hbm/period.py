@@ -231,13 +231,13 @@ def offsets_of(
     law: ConeLaw, basis: Basis, coefficient: NDArray[np.float64], motion: Motion
 ) -> tuple[Offset, NDArray[np.bool_]]:
     """Which contacts stick all along, and the offset of their force; and which neither do nor are apart all along."""
-    works = plainly_works(law, motion)
+    works, touches = plainly_works(law, motion), np.max(normal_load(law, motion.v), axis=0) > 0
     sticks, force = np.zeros_like(works), np.zeros((2, works.size))
     for own in np.flatnonzero(~works)[:, None]:
         part, dense = part_of(law, own), dense_motion_of(basis, coefficient[own])
-        if _apart(part, dense).all():
-            continue
-        if plainly_sticks(part, dense).all():
+        if not touches[own]:
+            works[own] = ~_apart(part, dense)
+        elif plainly_sticks(part, dense).all():
             sticks[own] = True
         else:
             found = stuck_offset(part, dense)
