@@ -64,6 +64,8 @@ def _turning(data: Dataset, model: Model) -> Iterator[str]:
         load = contact.friction * data["contact_force"].values[last, c, 2]
         slips = (data["contact_state"].values[last, c] == SLIP) & (load > 0)
         stiffness = np.linalg.eigvalsh(contact.tangential_stiffness)[-1]
-        rate = np.divide(stiffness * speed, load, out=np.zeros_like(speed), where=slips)
-        if np.trapezoid(rate, time[last]) / REACH > CAUSE * steps:
+        with np.errstate(over="ignore", invalid="ignore"):  # a load may be next to nothing
+            rate = np.divide(stiffness * speed, load, out=np.zeros_like(speed), where=slips)
+            asked = np.trapezoid(rate, time[last]) / REACH
+        if asked > CAUSE * steps:
             yield f"contact {contact.name} slips under so little load that the direction of slip turns fast"
