@@ -13,7 +13,7 @@ from timesim.model.solver import NEVER, PRESETS, SHOOT, SLOW, Criterion, Solver
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.fourier import phase_deg, to_phasors
 from timesim.orbit.recurrence import is_irregular, recurrence_of
-from timesim.orbit.settling import Chain, Phase, Search, after_march, after_shot, steady_states
+from timesim.orbit.settling import Chain, Phase, Search, after_march, after_shot, steady_states, warm_up
 from timesim.orbit.threshold import CYCLES_A_ROUND, LONGEST
 
 SETTLED = {(3.0, 1.39): 0.15612878, (-1.0, 0.97): 0.28839155, (5.0, 1.52): 0.15680399}
@@ -200,3 +200,15 @@ def test_what_nearly_repeats_after_a_long_period_is_shot_once_the_budget_is_spen
     assert spent(turning[CYCLES_A_ROUND:]).phase is Phase.MEASURE  # too short a march
     failed = after_shot(found, SimpleNamespace(closes=False, cycles=12), Criterion())
     assert failed.phase is Phase.MEASURE
+
+
+def test_what_a_chain_needs_is_compiled_though_at_its_first_frequency_no_contact_could_move(monkeypatch):
+    """With one frequency more is proven than with several, so that of the first tells nothing of the chain."""
+    compiled = []
+    monkeypatch.setattr("timesim.orbit.settling.march_lanes", lambda *given: compiled.append(given))
+    monkeypatch.setattr("timesim.orbit.settling.record", lambda *given: compiled.append(given))
+    model, solver = oscillator(3.0, 0.2), PRESETS["standard"]
+    warm_up([Chain(model, (0.2,))], solver)
+    assert not compiled, "it sticks at rest"
+    warm_up([Chain(model, (0.2, 1.39))], solver)
+    assert len(compiled) == 2

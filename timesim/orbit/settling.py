@@ -237,7 +237,7 @@ def steady_states(
 def warm_up(chains: Iterable[Chain], solver: Solver) -> None:
     """Compile the loops, two side by side, before several threads ask for the same."""
     for chain in chains:
-        lane = first_lane(Chain(chain.model, chain.frequencies[:1]), solver)
+        lane = first_lane(chain, solver)
         if lane.here.state.size:
             with ThreadPoolExecutor(1) as beside:
                 marched = beside.submit(march_lanes, [lane], solver, threshold.CYCLES_A_ROUND)

@@ -105,7 +105,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     earlier, clock = execution.earlier(""), time.perf_counter()
     if plan.balance is not None:
         compile_beside(scene, plan.balance)
-    warm_up([Chain(grid.any_model, (float(grid.frequency[0]),))], solver)
+    warm_up((Chain(model, tuple(map(float, grid.frequency))) for model in grid.models.values()), solver)
     compiling = time.perf_counter() - clock
     every = chunks(grid, plan, solver)
     curves = 0 if plan.balance is None else 2 * grid.shape[0]

@@ -31,7 +31,7 @@ from timesim.study.execution.worker import each, point_done
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.summary.optimum import TIE, as_low, optimum_lines
 from timesim.study.summary.sweep import failure_line
-from timesim.study.sweep import blank_columns, steady_dataset
+from timesim.study.sweep import Grid, blank_columns, steady_dataset
 
 NEARLY = 0.9  # of the largest amplitude: other maxima above it may be larger between the points of the sweep
 FINE = 1e-3  # of a step of the sweep: the frequency of a peak, whose height depends on it in second order only
@@ -251,7 +251,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     """Run an optimum scene; the result is incomplete if the least peak was not found or points of a sweep failed."""
     peaks, reason = Peaks(scene, execution), None
     earlier, clock = execution.earlier(), time.perf_counter()
-    warm_up([Chain(scene.model(), (float(peaks.frequency[0]),))], peaks.solver)
+    models = Grid(scene, peaks.plan.sweep).models.values()
+    warm_up((Chain(model, tuple(map(float, peaks.frequency))) for model in models), peaks.solver)
     compiling = time.perf_counter() - clock
     execution.progress(0, 1)
     try:
