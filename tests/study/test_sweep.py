@@ -345,7 +345,10 @@ def test_a_slope_is_no_jump() -> None:
     assert unrefined.jump_low.values.tolist() == [[[0.97]]]
     assert unrefined.jump_high.values.tolist() == [[[1.39]]]
     assert refined.sizes["jump"] == 0
-    assert list(jump_lines(refined)) == ["no jump: the amplitude changes along slopes only, as shorter steps show"]
+    slopes = ": the amplitude changes along slopes only, as shorter steps show"
+    assert list(jump_lines(refined)) == [f"no jump{slopes}"]
+    cut_off = refined.assign(amplitude=refined.amplitude.where(refined.frequency < 1.395))
+    assert list(jump_lines(cut_off)) == [f"no jump between the points that were computed{slopes}"]
     assert list(jump_lines(unrefined)) == [
         f"{PRELOAD} 3, direction up: the amplitude changes steeply between 0.97 and 1.39 Hz, over a slope or a jump: "
         "study.refine tells which"

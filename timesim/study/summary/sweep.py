@@ -100,7 +100,9 @@ def jump_lines(data: Dataset) -> Iterator[str]:
         hint = "" if bisected else ", over a slope or a jump: study.refine tells which"
         yield f"{_chain(data, place[:-1])}{what} between {low:.8g} and {high:.8g} Hz{hint}"
     if data.attrs.get("jumps_bisected") and not np.isfinite(ends).any():
-        yield "no jump: the amplitude changes along slopes only, as shorter steps show"
+        whole = np.isfinite(data["amplitude"].values).all()
+        where = "no jump" if whole else "no jump between the points that were computed"
+        yield f"{where}: the amplitude changes along slopes only, as shorter steps show"
 
 
 def failure_line(data: Dataset) -> str | None:
