@@ -236,6 +236,14 @@ def test_the_verdict_gives_the_median_of_what_it_judges():
     assert "most at 3 Hz with contacts.pad.preload 3" in lines[0]
 
 
+@pytest.mark.parametrize(("other", "said"), [(1.0, False), (1000.0, True)])
+def test_the_verdict_says_where_the_axis_that_differs_hardly_moves(other, said):
+    amplitude = np.ones((*SHAPE, 1, 3))
+    amplitude[..., 2] = other
+    verdict = lines_on(1e-2, amplitude=amplitude)[0]
+    assert (", along 0 0, which moves 1.0e-03 of the largest amplitude, a contact" in verdict) == said
+
+
 def test_points_next_to_a_fold_of_their_own_curve_are_judged_apart():
     """Within 1e-3 of its frequency; the other preload's curve has no fold there."""
     sizes = np.full(SHAPE, 1e-5)

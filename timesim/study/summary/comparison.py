@@ -18,6 +18,8 @@ NEAR_FOLD = 1e-3
 AGREE, NEARLY, WORTH_ASKING = 2e-3, 2e-2, 5e-4
 # Share of the period for which a contact that has crept up to its cone may slip by rounding.
 SHAKEN_DOWN = 1e-5
+# Share of the largest amplitude below which the verdict says that its difference is that of an axis that hardly moves.
+HARDLY = 0.05
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,7 @@ class Points:
         frequency: [Hz], shape (F,).
         difference: largest absolute value of (balance - sweep) / sweep over points and axes, shape (V, D, F), like all
             that follow.
+        name, share: point and axis of that value, and its amplitude as a share of the largest.
         solved, followed: whether the balance has a stable solution there; whether it came to its end.
         settled, doubled: whether the motion repeats after one cycle, after several.
         irregular: whether it never repeats.
@@ -43,6 +46,8 @@ class Points:
     values: Sequence[Mapping[str, float]]
     frequency: np.ndarray
     difference: np.ndarray
+    name: np.ndarray
+    share: np.ndarray
     solved: np.ndarray
     followed: np.ndarray
     settled: np.ndarray
@@ -84,6 +89,9 @@ def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarra
     difference = np.abs(relative_difference).reshape(*shape, -1)
     period, settled = (sweep[name].values.reshape(shape) for name in ("period", "settled"))
     slip, apart = (sweep[f"{name}_share"].values.reshape(*shape, -1) for name in ("slip", "separation"))
+    size = np.nan_to_num(sweep["amplitude"].values).reshape(*shape, -1)
+    most = np.argmax(np.nan_to_num(difference, nan=-1.0), axis=-1, keepdims=True)
+    names = np.array([f"{point} {axis}" for point in sweep["point"].values for axis in sweep["axis"].values])
     near_fold, rub = np.zeros(shape, dtype=bool), rubs(sweep).values
     for v, own in enumerate(values):
         here = np.all([hbm["fold"].values > 0, *(hbm[key].values == value for key, value in own.items())], axis=0)
@@ -93,6 +101,8 @@ def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarra
         values=values,
         frequency=frequency,
         difference=difference.max(axis=-1, initial=0.0, where=np.isfinite(difference)),
+        name=names[most[..., 0]],
+        share=np.take_along_axis(size, most, axis=-1)[..., 0] / np.maximum(size.max(axis=-1), np.finfo(float).tiny),
         solved=np.isfinite(difference).any(axis=-1),
         followed=np.full(shape, hbm.attrs["complete"] > 0),
         settled=(settled > 0) & (period == 1),
@@ -153,6 +163,8 @@ def _judgement(points: Points) -> str:
     shares = (
         f"a contact {points.slip[place]:.2f} of the cycle in slip, one {points.separation[place]:.2f} in separation"
     )
+    if points.share[place] < HARDLY:
+        shares = f"along {points.name[place]}, which moves {points.share[place]:.1e} of the largest amplitude, {shares}"
     means = f"{points.slip[judged].mean():.2f} and {points.separation[judged].mean():.2f}"
     return (
         f"the methods {word}: at {counted(judged.sum(), 'point')} with slip, or contact for a part of the cycle, they "
