@@ -86,6 +86,12 @@ def test_both_see_the_same_phases_harmonics_and_losses(result):
     assert sweep.dissipated_power.max() > 0.5
 
 
+def test_the_balance_promises_nothing_of_time_integration(result):
+    promises = ("promised_error", "rtol", "atol", "method_choice")
+    assert [name in result.attrs for name in promises] == [True] * 4
+    assert not [name for name in promises if name in result["hbm"].attrs]
+
+
 def test_the_command_prints_the_verdict(folder, result):
     said = (folder / "said").read_text()
     verdict = result.attrs["verdict"]

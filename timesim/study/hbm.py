@@ -49,7 +49,7 @@ def followed(
         phases["convergence"](0, 1, "convergence of the balance")
     refined = convergence(curves.to_refine(), curves.scheme) if plan.convergence and reason is None else None
     seconds = time.perf_counter() - clock
-    attrs = attributes(scene, str(curves.scheme), compiling, seconds, reason)
+    attrs = attributes(scene, str(curves.scheme), compiling, seconds, reason, integrated=False)
     if curves.notes:
         attrs["notes"] = "\n".join(curves.notes)
     return solutions(curves, attrs, refined), curves, reason
@@ -65,7 +65,8 @@ def _sets(curves: Curves) -> list[Any]:
 def left_out(scene: Scene, plan: HbmPlan) -> tuple[Dataset, Curves, str | None]:
     """The same where nothing is to be followed any more."""
     curves, reason = Curves(scene, plan), "not begun"
-    return solutions(curves, attributes(scene, str(curves.scheme), 0.0, 0.0, reason)), curves, reason
+    attrs = attributes(scene, str(curves.scheme), 0.0, 0.0, reason, integrated=False)
+    return solutions(curves, attrs), curves, reason
 
 
 def compile_beside(scene: Scene, plan: HbmPlan) -> None:

@@ -41,8 +41,14 @@ def took(attrs: Mapping[Any, Any]) -> str:
     return f"{running}, after {compiling:.1f} s of compilation" if compiling > FELT else running
 
 
-def attributes(scene: Scene, method: str, compiling: float, running: float, reason: str | None) -> dict[str, Any]:
-    """Attributes of every result file; ``reason``: why the run ended early, None if it is complete."""
+def attributes(
+    scene: Scene, method: str, compiling: float, running: float, reason: str | None, *, integrated: bool = True
+) -> dict[str, Any]:
+    """Attributes of every result file.
+
+    ``reason``: why the run ended early, None if it is complete; ``integrated``: whether it is one of time integration,
+    whose tolerances and promise are none of harmonic balance.
+    """
     attrs = {
         "timesim_version": version("timesim"),
         "scene": scene.resolved_yaml(),
@@ -54,7 +60,7 @@ def attributes(scene: Scene, method: str, compiling: float, running: float, reas
         "compile_seconds": compiling,
         "run_seconds": running,
     }
-    if scene.choice is not None:
+    if integrated and scene.choice is not None:
         solver = scene.solver()
         attrs["promised_error"] = scene.promise
         attrs |= {"rtol": solver.rtol, "atol": solver.atol} if solver.has_tolerance else {}

@@ -118,7 +118,8 @@ class _Work:
         grown, values = self.curves, self.curves.values[place]
         for one in (*own.curves, StudyCurve(values, own.model_at(values), curve)):
             grown = grown.with_curve(one)
-        return solutions(grown, attributes(grown.scene, str(grown.scheme), 0.0, 0.0, curve.message))
+        attrs = attributes(grown.scene, str(grown.scheme), 0.0, 0.0, curve.message, integrated=False)
+        return solutions(grown, attrs)
 
     def _know(self, place: int, found: Found) -> None:
         """Take in what was found for a set, and the samples that it needed."""
