@@ -21,9 +21,9 @@ from typer.testing import CliRunner
 import timesim
 from timesim.cli import app
 from timesim.fault import SceneError
-from timesim.orbit import settling as steady
 from timesim.orbit.linear import linear_orbit
 from timesim.orbit.settling import Chain, first_lane
+from timesim.orbit.threshold import UNSETTLED_CYCLES
 from timesim.picture import sweep as plot_sweep
 from timesim.result.netcdf import read, save
 from timesim.study import sweep
@@ -448,7 +448,7 @@ def test_a_motion_that_does_not_settle_is_reported_with_its_band(tmp_path: Path)
     assert not result.settled.values.any()
     assert not result.period.values.any()
     assert np.isnan(result.floquet_max.values).all()
-    assert np.all((result.cycles.values >= 16) & (result.cycles.values <= 16 + steady.UNSETTLED_CYCLES))
+    assert np.all((result.cycles.values >= 16) & (result.cycles.values <= 16 + UNSETTLED_CYCLES))
     low, high = (x(result.amplitude_band.to_dataset(name="amplitude").sel(band=end)) for end in ("smallest", "largest"))
     assert np.all(low.values < high.values)
     assert np.all(x(result).values >= high.values)  # over ten cycles, of which each has its own
