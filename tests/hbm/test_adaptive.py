@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import systems
 
-from timesim.hbm import adaptive
+from timesim.hbm import adaptive, first_guess
 from timesim.hbm.adaptive import AdaptiveBalance, tail
 from timesim.hbm.balance import Balance
-from timesim.hbm.continuation import Bordered, Curve, Ending, Nearby
+from timesim.hbm.continuation import Bordered, Controls, Curve, Ending, Nearby
 from timesim.hbm.continuation.bordered import STEEPEST
 from timesim.hbm.convergence import neglected
 from timesim.hbm.curve import by_schemes, evaluated, hbm_curve, solutions_at
-from timesim.hbm.scheme import NEGLECTED, Scheme, coarsest
-from timesim.model.model import Excitation, Model, Structure
+from timesim.hbm.scheme import NEGLECTED, Scheme, coarsest, finer_schemes
+from timesim.model.model import GROUND, Contact, Excitation, Model, Structure
 
 SCHEMES = [Scheme(harmonics, 256) for harmonics in (3, 7, 11, 15)]
 FINE = Scheme(25, 256)
@@ -258,3 +258,41 @@ def test_a_finer_scheme_is_left_again_behind_a_fold(model, monkeypatch):
         balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6)
         places.append(balance.place)
     assert places == [1] * adaptive.HELD + [0]
+
+
+def rattling():
+    """A contact so stiff that it rings 19 times a cycle."""
+    frequency, mass = np.array([85.0, 174.0, 324.0]), np.array([0.1443, 0.5948, 0.3973])
+    damping = 4 * np.pi * frequency * mass * [0.00618, 0.00724, 0.00597]
+    touching = np.array([[-0.954, 0.22, 0.542], [-0.851, -0.0366, -0.155], [1.19, 0.701, -0.31]])
+    pushed = np.array([[-0.13, -1.39, -1.57], [-0.96, 0.564, 0.0688], [-0.361, -0.116, 0.0612]])
+    force, normal = np.array([0.535, -0.0332, 1.41]), np.array([0.0, 0.3, 1.0]) / np.hypot(0.3, 1.0)
+    ahead, phase = 9.0 * force @ pushed / np.linalg.norm(force), np.deg2rad(70.0)
+    body = Structure(frequency, mass, damping, ("t",), touching[None])
+    frame = np.array([[1.0, 0.0, 0.0], np.cross(normal, [1.0, 0.0, 0.0]), normal])
+    contact = Contact("c", "t", GROUND, frame, 0.2, 4.564e6 * np.eye(2), 1.141e7, 6.0)
+    load = systems.excitation(100.0, ahead + 5 * np.cos(phase) * touching[2], -5 * np.sin(phase) * touching[2])
+    return Model(body, (contact,), load, systems.at_rest(3, 1))
+
+
+def test_no_curve_begins_at_a_solution_that_more_harmonics_do_not_have():
+    """13 harmonics have one of more than twice the amplitude; the other is that of a time integration."""
+    schemes = finer_schemes(Scheme(9, 256), 81, choose_samples=True)
+    curve = hbm_curve(rattling(), 100.0, 100.4, scheme=schemes, controls=Controls(max_points=2))
+    assert curve.stable.all()
+    assert curve.amplitude[0].max() == pytest.approx(7.2466e-6, rel=1e-3)
+
+
+def test_a_guess_that_is_refused_is_the_last_resort(model, monkeypatch):
+    balance, guesses = AdaptiveBalance(lambda own: Balance(model, 1.6, own), SCHEMES, 1), []
+    first = np.zeros(balance.residual.num_unknowns)
+    monkeypatch.setattr(first_guess, "first_guesses", lambda *_: iter([("one", first), ("none", None), ("two", first)]))
+
+    def followed(guess):
+        guesses.append(balance.demanding)
+        balance.refused = balance.demanding and len(guesses) == 1
+        ending = Ending.START if balance.demanding else Ending.COMPLETE
+        return Curve.of([], guess.size, ending, "")
+
+    assert first_guess.curve_near(balance, 1.6, 1.6, Controls(), None, followed).complete
+    assert guesses == [True, True, False]

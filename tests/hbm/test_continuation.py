@@ -444,6 +444,9 @@ class Growing:
     def restore(self):
         self.count = 1
 
+    def refuses(self, x, p):
+        return False
+
     def value(self, x, p):
         if self.count == 1:
             return np.array([x[0] ** 3 - 0.06 * x[0] - p if p < self.wall else np.nan])
@@ -553,6 +556,9 @@ class Moving:
     def restore(self):
         self.count = 1
 
+    def refuses(self, x, p):
+        return False
+
     def value(self, x, p):
         force = x[0] ** 3 - self.slope * x[0] - p
         return np.array([force] if self.count == 1 else [force + x[1], x[1] - self.shift])
@@ -590,6 +596,14 @@ class Late(Moving):
 
     def value(self, x, p):
         return super().value(x, p) * (np.nan if self.count == 2 and x[0] < 0.1 else 1.0)
+
+
+@pytest.mark.parametrize("strict", [False, True])
+def test_no_curve_begins_where_more_unknowns_have_no_solution_if_that_is_refused(strict):
+    residual = Late()
+    residual.refuses = lambda x, p: strict
+    curve = follow(residual, np.array([0.0, 0.0]), 0.0, 2.0, Controls(size=0.1, max_step=0.01))
+    assert curve.ending is (Ending.START if strict else Ending.COMPLETE)
 
 
 def test_other_unknowns_that_have_no_solution_yet_are_asked_for_again():

@@ -17,6 +17,9 @@ from timesim.orbit.fourier import to_coefficients, to_phasors
 
 # Share of `NEGLECTED` that harmonics may add which a solution does without again.
 SPARED = 0.5
+# What the harmonics that a solution lacks may add, relative to the amplitude, where none is near it with them: if they
+# add more, it may be one for no other reason than that it lacks them.
+MISSED = 1e-2
 # Solutions after which a scheme that was taken for a fold may be left again.
 HELD = 20
 
@@ -35,6 +38,9 @@ class AdaptiveBalance:
     """A balance by the one of several schemes that the solution at hand asks for.
 
     The unknowns are those of the finest scheme; those that the scheme in use does not have are zero.
+
+    Attributes:
+        demanding: whether it refuses solutions that lack much; `refused`: whether it did since the curve began.
     """
 
     def __init__(self, residual_of: Callable[[Scheme], Family], schemes: Sequence[Scheme], num_contacts: int):
@@ -42,6 +48,7 @@ class AdaptiveBalance:
         self.schemes, self.residual_of = tuple(schemes), lru_cache(maxsize=None)(residual_of)
         self.shape = 3 * num_contacts, 2 * self.schemes[-1].harmonics + 1
         self.place = self._least = self._held = 0
+        self.demanding = self.refused = False
         self._before: list[tuple[int, int]] = []
 
     @property
@@ -72,7 +79,7 @@ class AdaptiveBalance:
         """Take the coarsest scheme above which a guess has next to nothing, or the finest."""
         above = _above(np.abs(to_phasors(x.reshape(self.shape))).max(axis=0))
         enough = (i for i, own in enumerate(self.schemes) if above[min(own.harmonics, above.size - 1)] <= NEGLECTED)
-        self.place, self._least = next(enough, len(self.schemes) - 1), 0
+        self.place, self._least, self.refused = next(enough, len(self.schemes) - 1), 0, False
 
     def adapt(self, x: Array, p: float) -> bool:
         """Take the scheme that a solution asks for; whether it is another one than before."""
@@ -103,6 +110,14 @@ class AdaptiveBalance:
         self.place = self._least = self.place + 1
         self._held = HELD
         return True
+
+    def refuses(self, x: Array, p: float) -> bool:
+        """Whether no curve is to begin from a solution, whose harmonics could not be raised: see `MISSED`."""
+        own = self.residual
+        if self.demanding:
+            above = tail(own.at(p), x[self.active], own.frequency_at(p))
+            self.refused = bool(above[self.schemes[self.place].harmonics] > MISSED)
+        return self.refused
 
     def whole(self, x: Array, place: int = 0) -> Array:
         """All unknowns from those of a scheme."""

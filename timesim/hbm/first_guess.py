@@ -43,6 +43,8 @@ def curve_near(
 ) -> Curve:
     """The curve through a solution near a modal guess, or else near the first of `first_guesses` that leads to one.
 
+    To one that does not lack much of what harmonics add (`AdaptiveBalance.refuses`), if any of them does.
+
     Args:
         adaptive: the balance.
         p, frequency: where the curve begins: the parameter, and the frequency of the excitation [Hz].
@@ -53,13 +55,19 @@ def curve_near(
     coarse, fine = (adaptive.residual_of(adaptive.schemes[place]).at(p) for place in (0, -1))
     if guess is not None:
         return followed(unknowns_of_modes(fine, guess))
-    tried = []
+    tried, poor = [], []
+    adaptive.demanding = True
     for way, first in first_guesses(coarse, frequency, controls, fine):
         tried.append(way)
         if first is not None:
-            curve = followed(first if first.size == fine.num_unknowns else adaptive.whole(first))
+            whole = first if first.size == fine.num_unknowns else adaptive.whole(first)
+            curve = followed(whole)
             if curve.ending is not Ending.START:
                 return curve
+            poor += [whole] * adaptive.refused
+    adaptive.demanding = False
+    if poor:
+        return followed(poor[0])
     return replace(curve, message=f"{curve.message}; tried: {', '.join(tried)}")
 
 

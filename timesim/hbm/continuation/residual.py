@@ -49,6 +49,9 @@ class Adaptive(Residual, Protocol):
     def refine(self) -> bool:
         """Take more, and not less for the next solutions; False if there are no more."""
 
+    def refuses(self, x: Array, p: float) -> bool:
+        """Whether no curve is to begin from a solution, shape (n,), that asks for more where none is near with more."""
+
 
 class NoSolutionError(Exception):
     """Newton's method does not converge; the message names the cause where the residual knows one."""

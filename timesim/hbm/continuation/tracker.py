@@ -126,7 +126,10 @@ class _PathTracker:
             self.cause = str(error)
             return self._curve(Ending.START)
         point = self.corrector.adapted(point, self.ahead)
-        self.corrector.recentre(self.corrector.unscaled(point.y)[0])
+        adaptive, (x, p) = self.corrector.adaptive, self.corrector.unscaled(point.y)
+        if adaptive is not None and self.corrector.failures and adaptive.refuses(x, p):
+            return self._curve(Ending.START)
+        self.corrector.recentre(x)
         self._keep(point)
         try:
             return self._curve(self._follow(point))
