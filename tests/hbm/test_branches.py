@@ -65,3 +65,15 @@ def test_curves_from_both_ends(there, back, both, expected, monkeypatch):
     assert [(own.ending, own.frequency[0]) for own in found] == expected
     if found[0].ending is Ending.RETURNED:
         assert found[0].message == f"continuation at 1, after 3 points: {Ending.RETURNED.value}"
+
+
+def test_an_interrupt_at_the_other_end_keeps_the_first_curve(monkeypatch):
+    def followed(_, start, stop):
+        if start == HIGH:
+            raise KeyboardInterrupt
+        return BACK_TO_LOW
+
+    monkeypatch.setattr(branches, "hbm_curve", followed)
+    (found,) = curves_from_ends(None, LOW, HIGH, both=False)
+    assert found.ending is Ending.INTERRUPTED
+    assert found.frequency.size == 3

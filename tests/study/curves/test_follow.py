@@ -15,6 +15,7 @@ from timesim.result.checkpoint import chunks_done
 from timesim.result.file import StoreError
 from timesim.study.compare import matched
 from timesim.study.curves import follow
+from timesim.study.curves.collection import Curves
 from timesim.study.curves.kept import KeptCurves
 from timesim.study.execution.campaign import Execution
 from timesim.study.execution.processes import Processes
@@ -106,6 +107,21 @@ def test_an_interrupt_keeps_what_is_followed(here: Any, tmp_path: Path, at_once:
     assert reason is None
     assert at_once == [0, 2, 3]
     same(here[0], again)
+
+
+@pytest.mark.parametrize("name", ["_with_more_samples", "_left_out"])
+def test_an_interrupt_behind_a_curve_keeps_it(here: Any, name: str, monkeypatch: pytest.MonkeyPatch):
+    """While it is judged, or as its like with more samples begins."""
+
+    def interrupted(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Curves, name, interrupted)
+    data, _, reason = followed(SCENE, SCENE.plan, Execution())
+    assert reason is not None
+    assert "interrupted" in reason
+    first = here[0].isel(solution=here[0]["contacts.pad.preload"].values == -4)
+    np.testing.assert_array_equal(data["frequency"], first["frequency"])
 
 
 def test_where_a_process_is_killed_the_rest_is_followed_here(here: Any, at_once: list[int]):

@@ -83,13 +83,16 @@ class Curves:
         Raises:
             KeyboardInterrupt: it was interrupted; what was followed is added.
         """
-        curves = list(self._from_ends(values, watch))
-        while (finer := self._with_more_samples(curves)) is not None:
-            self.schemes = finer
+        curves: list[StudyCurve] = []
+        try:
             curves = list(self._from_ends(values, watch))
-        self.notes.extend(self._left_out(values, curves))
-        for curve in curves:
-            self.add(curve)
+            while (finer := self._with_more_samples(curves)) is not None:
+                self.schemes = finer
+                curves = list(self._from_ends(values, watch))
+            self.notes.extend(self._left_out(values, curves))
+        finally:  # where the next ones, or what they leave out, are interrupted too
+            for curve in curves:
+                self.add(curve)
         for sweep in sweeps:
             for curve in self._through(values, *sweep, watch):
                 self.notes.append(_isolated(curve))
