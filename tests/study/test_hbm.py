@@ -28,6 +28,7 @@ from timesim.study import registry as plot
 from timesim.study.execution.campaign import Execution
 from timesim.study.hbm import study as followed_study
 from timesim.study.registry import carry_out, load_scene
+from timesim.study.summary import curve
 from timesim.study.summary.curve import convergence_lines, curve_lines
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -96,6 +97,12 @@ def test_each_curve_is_said_in_a_line(curves):
         assert line.startswith(f"contacts.pad.preload {preload}: peak ")
         assert f" Hz; folds at {folds}; {unstable} unstable solutions; at most" in line
         assert f"{part.slip_share.values.max():.2f} of a period in slip" in line
+
+
+def test_of_many_folds_the_first_are_listed(curves, monkeypatch):
+    monkeypatch.setattr(curve, "MOST", 1)
+    line = next(line for line in curve_lines(curves, ()) if "folds at" in line)
+    assert re.search(r"; folds at 0\.\d+, and 1 more; ", line)
 
 
 def test_a_contact_that_sticks_beside_one_that_works_is_named(curves):
@@ -293,6 +300,7 @@ def test_along_a_scalar():
         same = solutions_at(model, curve, 0.947, scheme=Scheme(5, 512)).amplitude[:, 0, 0]
         assert np.min(np.abs(same / found.amplitude.values[i, 0, 0] - 1)) < 1e-6
     assert found.slip_share.values.max() > 0.2
+    assert re.search(r"peak \S+ of tip y at contacts\.pad\.preload = -3\.9\d+; no fold", "\n".join(curve_lines(found, ())))
 
 
 def test_a_curve_along_a_scalar_that_turns_back_says_so():
@@ -470,7 +478,7 @@ def test_what_the_most_harmonics_leave_out_is_said(monkeypatch: pytest.MonkeyPat
     loaded = load_scene(scene(harmonics="auto", time_samples=256, **narrow))
     outcome = followed_study(loaded, Execution())
     (said,) = re.findall(
-        r"auto ends at 4 harmonics: .* or change it by, up to (\S+) of it, where 0.0001 is wanted",
+        r"auto took up to 4 harmonics: .* or change it by, up to (\S+) of it, where 0.0001 is wanted",
         outcome.groups[""].attrs["notes"],
     )
     assert float(said) > NOTED
@@ -486,7 +494,7 @@ def test_what_the_most_samples_leave_out_is_said(monkeypatch: pytest.MonkeyPatch
         monkeypatch.setattr(hbm_convergence, "MOST_SAMPLES", most)
         outcome = followed_study(load_scene(scene(time_samples="auto", **narrow)), Execution())
         notes = outcome.groups[""].attrs.get("notes", "")
-        said = re.findall(r"auto ends at 24 time samples: .* by up to (\S+), where 0.001 is wanted", notes)
+        said = re.findall(r"auto took 24 time samples: .* by up to (\S+), where 0.001 is wanted", notes)
         assert len(said) == count
     assert float(said[0]) > SAMPLED
     assert notes in outcome.summary

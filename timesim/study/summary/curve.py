@@ -12,6 +12,8 @@ from timesim.result.coordinate import over_keys, rubs
 from timesim.result.label import counted, in_words, with_unit
 from timesim.study.outcome import took
 
+MOST = 8  # folds and changes of stability that are listed
+
 
 def curve_lines(data: Dataset, notes: Sequence[str]) -> Iterator[str]:
     """Response curves: how many, notes of the study, each curve, and whether harmonics and samples suffice."""
@@ -35,10 +37,9 @@ def _curve_line(curve: Dataset) -> str:
     point, axis = np.unravel_index(np.argmax(amplitude.max(axis=0)), amplitude.shape[1:])
     motion = np.stack([curve["harmonic_cos"].values, curve["harmonic_sin"].values], axis=1)
     place, height = peak(along, amplitude[:, point, axis], motion)
-    folds = ", ".join(f"{p:.6g}" for p in along[fold])
-    turning = f"folds at {folds}" if folds else "no fold"
-    changes = ", ".join(f"{p:.6g}" for p in along[changes_of_stability(stable, fold)])
-    also = f"; stability changes at {changes} without a fold" if changes else ""
+    turning = f"folds at {_first_of(along[fold])}" if fold.any() else "no fold"
+    changes = along[changes_of_stability(stable, fold)]
+    also = f"; stability changes at {_first_of(changes)} without a fold" if changes.size else ""
     touching, apart = curve["slip_share"].values, curve["separation_share"].values.max(initial=0.0)
     rub = rubs(curve).values
     slip, closed = (touching[:, own].max(initial=0.0) for own in (rub, ~rub))
@@ -47,11 +48,18 @@ def _curve_line(curve: Dataset) -> str:
     if slip == apart == closed == 0:
         states = "full stick throughout, which says nothing of friction"
     name = f"{curve['point'].values[point]} {curve['axis'].values[axis]}"
-    where = with_unit(f"{place:.6g}", curve[curve.attrs.get("along", "frequency")].attrs)
+    key = curve.attrs.get("along", "frequency")
+    where = with_unit(f"{place:.6g}" if key == "frequency" else f"{key} = {place:.6g}", curve[key].attrs)
     return (
         f"peak {with_unit(f'{height:.5g}', curve['amplitude'].attrs)} of {name} at {where}; {turning}{also}; "
         f"{counted(int(np.sum(~stable & ~fold)), 'unstable solution')}; {states}"
     )
+
+
+def _first_of(places: np.ndarray) -> str:
+    """The first of them, and how many there are beside."""
+    more = places.size - MOST
+    return ", ".join([f"{place:.6g}" for place in places[:MOST]] + ([f"and {more} more"] if more > 0 else []))
 
 
 def _free_lines(curve: Dataset) -> Iterator[str]:
