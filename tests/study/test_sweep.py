@@ -288,6 +288,9 @@ def test_the_peak_of_each_set_of_values_is_named(both: xarray.Dataset) -> None:
     top = float(amplitude.max())
     assert line.startswith(f"{PRELOAD} -4: peak {top:.5g} of tip ")
     assert line.endswith(f" at {frequency[0]:g} Hz, direction up")
+    data.amplitude[:, 1] = np.nan  # as of a sweep that was interrupted
+    (line,) = peak_lines(data)
+    assert line.endswith(f" at {frequency[0]:g} Hz")
     data.amplitude[:, 1] = data.amplitude[:, 0]
     (line,) = peak_lines(data)
     assert line.endswith(f" at {frequency[0]:g} Hz")

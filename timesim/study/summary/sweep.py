@@ -33,7 +33,7 @@ def sweep_lines(data: Dataset) -> Iterator[str]:
 
 
 def peak_lines(data: Dataset) -> Iterator[str]:
-    """The largest amplitude for each set of values, and the direction of the sweep that has it where the other has not.
+    """The largest amplitude for each set of values, and the direction that has it where another one has not.
 
     It is that of a point. Where those beside it are far lower, the response between them may be far higher.
     """
@@ -48,7 +48,8 @@ def peak_lines(data: Dataset) -> Iterator[str]:
         label = in_words({key: float(data[key].values[i]) for key, i in zip(over_keys(data), place, strict=True)}, ": ")
         height = with_unit(f"{top:.5g}", data["amplitude"].attrs)
         name = f"{data['point'].values[point]} {data['axis'].values[axis]}"
-        alone = own[..., point, axis].max(axis=1).min() < (1 - SAME) * top
+        highest = own[..., point, axis].max(axis=1)
+        alone = highest.min(where=highest >= 0, initial=top) < (1 - SAME) * top
         way = f", direction {data['direction'].values[direction]}" if alone else ""
         end = ", an end of the frequencies" if count > 1 and at in (0, count - 1) else ""
         beside = own[direction, max(at - 1, 0) : at + 2, point, axis]
