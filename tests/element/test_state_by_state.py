@@ -182,6 +182,22 @@ def test_never_touches():
         np.testing.assert_array_equal(cycle.coefficients.f_s, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"normal": 0.0, "preload": 0.0}, "preload must be positive"),
+        ({"normal": 0.0, "preload": -1.0}, "never be contact"),
+        ({"stiffness": 0.0}, "positive definite"),
+        ({"stiffness": [[1.0, 2.0], [2.0, 1.0]]}, "positive definite"),
+        ({"stiffness": [[1.0, 0.2], [0.0, 1.0]]}, "symmetric"),
+        ({"friction": -0.1}, "not be negative"),
+    ],
+)
+def test_meaningless_contacts_are_refused(values, message):
+    with pytest.raises(ValueError, match=message):
+        steady_cycle(contact(**values), HarmonicMotion(1.0, 0.0, 0.0))
+
+
 def test_amplitude_zero_has_no_stiffness():
     cycle = steady_cycle(contact(), HarmonicMotion(1.0, 0.0, 0.5))
     assert np.isnan(cycle.coefficients.effective_stiffness).tolist() == [False, True]

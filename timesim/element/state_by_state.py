@@ -58,12 +58,10 @@ def steady_cycle(contact: Contact, motion: Motion, *, max_cycles: int = MAX_CYCL
     whether the bound of the march sufficed.
 
     Raises:
-        ValueError: the contact obeys another law than the cone.
+        ValueError: there is no contact to speak of, or K_u and friction do not go together.
         RuntimeError: a slip could not be integrated, or the states change without end.
     """
-    require_cone([contact], "prescribed motion")
-    stiffness = np.asarray(contact.tangential_stiffness, float)
-    law = Law(stiffness, contact.friction, contact.normal_stiffness, contact.preload)
+    law = _law(contact)
     march = March(law, motion)
     phase = march.begin()
     forces, history = [march.force(phase, 0.0)], []
@@ -87,6 +85,28 @@ def steady_cycle(contact: Contact, motion: Motion, *, max_cycles: int = MAX_CYCL
             phase = march.moved(phase, forces[-1] + reach * (limit - forces[-1]))
             forces = [march.force(phase, 0.0)]
     return ElementCycle(law, motion, tuple(stays), tuple(transitions), cycle, residual, tuple(history))
+
+
+def _law(contact: Contact) -> Law:
+    require_cone([contact], "prescribed motion")
+    K = np.asarray(contact.tangential_stiffness, float)
+    where = f"contact {contact.name}"
+    if contact.normal_stiffness < 0 or contact.friction < 0:
+        raise ValueError(
+            f"{where}: friction and normal stiffness must not be negative, "
+            f"not {contact.friction} and {contact.normal_stiffness}"
+        )
+    if contact.normal_stiffness == 0 and contact.preload <= 0:
+        raise ValueError(
+            f"{where}: without normal stiffness the preload must be positive, not {contact.preload}: "
+            "there would never be contact"
+        )
+    if not np.array_equal(K, K.T) or (contact.friction > 0 and np.linalg.eigvalsh(K)[0] <= 0):
+        raise ValueError(
+            f"{where}: the tangential stiffness must be symmetric and positive definite, or zero together "
+            f"with friction 0, not {K.tolist()}"
+        )
+    return Law(K, contact.friction, contact.normal_stiffness, contact.preload)
 
 
 class March:
