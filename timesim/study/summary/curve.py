@@ -9,7 +9,7 @@ from timesim.hbm.convergence import Convergence, order_of
 from timesim.hbm.curve import changes_of_stability, peak
 from timesim.orbit.steady_state import switches
 from timesim.result.coordinate import over_keys, rubs
-from timesim.result.label import counted, in_words, with_unit
+from timesim.result.label import counted, first_few, in_words, with_unit
 from timesim.study.outcome import took
 
 MOST = 8  # folds and changes of stability that are listed
@@ -59,8 +59,7 @@ def _curve_line(curve: Dataset) -> str:
 
 def _first_of(places: np.ndarray) -> str:
     """The first of them, and how many there are beside."""
-    more = places.size - MOST
-    return ", ".join([f"{place:.6g}" for place in places[:MOST]] + ([f"and {more} more"] if more > 0 else []))
+    return ", ".join(first_few([f"{place:.6g}" for place in places], MOST, lambda left: f"and {left} more"))
 
 
 def _free_lines(curve: Dataset) -> Iterator[str]:
