@@ -8,6 +8,7 @@ import pytest
 import systems
 from xarray import Dataset
 
+from timesim.model.cost import steps_for
 from timesim.model.model import Model
 from timesim.model.solver import PRESETS, Solver
 from timesim.study.registry import carry_out, load_scene
@@ -85,3 +86,38 @@ def test_usual_cycles_and_fixed_steps_are_not_spoken_of() -> None:
     assert not [*effort_lines(cycles([75, 500, 80], 9), soft(), PRESETS["standard"])]
     assert not [*effort_lines(cycles([75, 5000, 80], 9), soft(), Solver("rk4", 0.0, 0.0, longest=2 * np.pi / 5000))]
     assert not [*effort_lines(cycles([], 9), soft(), PRESETS["standard"])]
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({}, None),
+        ({"contacts.pad.normal_stiffness": 1e6, "contacts.pad.tangential_stiffness": 1e6}, VIBRATES),
+        ({"contacts.pad.friction": 1e-3}, TURNS),
+    ],
+)
+def test_a_sweep_says_where_its_cycles_take_many_steps_and_why(changes: dict[str, Any], why: str | None) -> None:
+    study = {"kind": "sweep", "frequency": {"values": [0.9, 1.0]}, "over": {"contacts.pad.preload": [1, 3]}}
+    scene = load_scene(OSCILLATOR, {"study": study} | changes)
+    outcome, usual = carry_out(scene), steps_for(scene.solver())[0]
+    data = outcome.groups[""]
+    found = [line for line in outcome.summary if "ten times the steps" in line]
+    assert np.all(data["cycle_steps"] > 50)
+    if why is None:
+        assert not found
+        # At the lighter preload the contact slips and opens in each cycle, at the other one it sticks.
+        np.testing.assert_array_equal(data["cycle_transitions"].values.squeeze(), [[4, 4], [0, 0]])
+        return
+    (line,) = found
+    steps = data["cycle_steps"].values
+    preload, _, frequency = np.unravel_index(np.argmax(steps), steps.shape)
+    place = f"contacts.pad.preload {[1, 3][preload]}, {[0.9, 1][frequency]} Hz: {why}"
+    assert line.startswith(f"{np.count_nonzero(steps >= 10 * usual)} points take ten times the steps")
+    assert f"the most, {steps.max():.0f} a cycle where it asks for about {round(usual, -1):.0f}, at {place}" in line
+
+
+def test_points_without_steps_are_not_spoken_of() -> None:
+    linear = load_scene(OSCILLATOR, {"contacts": [], "study": {"kind": "sweep", "frequency": {"values": [0.9]}}})
+    outcome = carry_out(linear)
+    assert outcome.groups[""]["cycle_steps"].item() == 0
+    assert not [line for line in outcome.summary if "steps" in line]

@@ -230,9 +230,18 @@ class Recorded:
             phasor=(phasor @ shape.T).reshape(-1, *place) if period else np.full((HARMONICS + 1, *place), np.nan + 0j),
             dissipated_power=lane.power(power),
             floquet=multipliers if period else np.full_like(multipliers, np.nan),
+            cycle_steps=self.steps.h.size / self.cycles,
+            cycle_transitions=self._transitions,
             settled_to=settled_to,
             irregular=irregular,
         )
+
+    @property
+    def _transitions(self) -> np.ndarray:
+        """Of each contact in a cycle, shape (C,)."""
+        number = np.zeros(self.start.model.num_contacts)
+        number[self.start.reduction.live] = np.count_nonzero(self.steps.state_after != self.steps.state, axis=0)
+        return number / self.cycles
 
     def _share(self, steps: Step, state: int) -> np.ndarray:
         lane = self.start

@@ -55,6 +55,8 @@ def linear_orbit(lane: Lane) -> Orbit | None:
         phasor=kept,
         dissipated_power=lost,
         floquet=multipliers[np.argsort(-np.abs(multipliers))],
+        cycle_steps=0.0,
+        cycle_transitions=np.zeros(lane.model.num_contacts),
     )
 
 

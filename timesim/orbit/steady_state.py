@@ -36,6 +36,8 @@ class Orbit:
         floquet: Floquet multipliers, largest first, without those of free offsets; NaN where it has not settled.
         settled_to: estimated distance of its state from one that repeats, relative to the largest entry; where the
             motion has not settled, its change over the cycle, or the several cycles, after which it changes least.
+        cycle_steps: steps of a cycle, the mean over those that show the motion; 0 where there is none to integrate.
+        cycle_transitions: of each contact, the same, shape (C,).
         irregular: whether it has been marched for long enough to show that it repeats after no number of cycles up to
             `timesim.orbit.threshold.LONGEST`.
         reason: why it could not be computed; None if it was.
@@ -51,6 +53,8 @@ class Orbit:
     phasor: np.ndarray
     dissipated_power: np.ndarray
     floquet: np.ndarray
+    cycle_steps: float
+    cycle_transitions: np.ndarray
     settled_to: float = 0.0
     irregular: bool = False
     reason: str | None = None
@@ -84,6 +88,8 @@ def without_orbit(model: Model, reason: str, cycles: int = 0) -> Orbit:
         phasor=unknown(HARMONICS + 1, *places).astype(complex),
         dissipated_power=unknown(contacts),
         floquet=unknown(1),
+        cycle_steps=np.nan,
+        cycle_transitions=unknown(contacts),
         settled_to=np.nan,
         reason=reason,
     )
@@ -142,8 +148,8 @@ Columns = Mapping[str, np.ndarray]
 """Steady states as arrays by the names of `COLUMNS`."""
 
 START = ("end_displacement", "end_velocity", "end_slip", "end_state")  # in the order of `Start`
-ARRAYS = ("amplitude", "band", "slip_share", "separation_share", "phasor", "dissipated_power")
-NUMBERS = ("cycles", "period", "settled_to", "irregular")
+ARRAYS = ("amplitude", "band", "slip_share", "separation_share", "phasor", "dissipated_power", "cycle_transitions")
+NUMBERS = ("cycles", "period", "settled_to", "irregular", "cycle_steps")
 COLUMNS = (*ARRAYS, *NUMBERS, "settled", "floquet_max", "reason", *START)
 
 

@@ -30,6 +30,7 @@ from timesim.study.execution.worker import each, point_done
 from timesim.study.hbm import compile_beside, followed
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.summary.bistable import bistable_lines, fold_lines
+from timesim.study.summary.effort import sweep_effort_lines
 from timesim.study.summary.sweep import failure_line, number_of_states, unusual_lines
 from timesim.study.sweep import STEPS_A_CHUNK, Grid, continued, sizes_of
 
@@ -118,7 +119,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     sweep = gathered.sweep({"method": str(solver), "compile_seconds": compiling, "run_seconds": running})
     states = counted(number_of_states(sweep), "steady state")
     states = f"{states} of both sweeps, and the search, in {running:.2f} s"
-    lines, groups, reasons = [states, *unusual_lines(sweep)], {"sweep": sweep}, [reason or failure_line(sweep)]
+    lines = [states, *unusual_lines(sweep), *sweep_effort_lines(sweep, scene)]
+    groups, reasons = {"sweep": sweep}, [reason or failure_line(sweep)]
     if plan.balance is not None and not (reason or "").startswith(INTERRUPTED):
         after = replace(execution, progress=phases["balance"])
         hbm, _, hbm_reason = followed(scene, plan.balance, after, stage="balance")

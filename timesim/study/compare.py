@@ -42,6 +42,7 @@ from timesim.study.hbm import compile_beside, followed, left_out
 from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.summary.comparison import WORTH_ASKING, Points, compared_points, comparison_lines
 from timesim.study.summary.curve import curve_lines
+from timesim.study.summary.effort import sweep_effort_lines
 from timesim.study.summary.sweep import jump_lines
 from timesim.study.sweep import sweep_record
 
@@ -138,7 +139,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     reason = "; ".join(faults) or None
     phases["comparison"](0, 1, "comparison of the methods")
     arrays, compared, cycle, interrupted = _compared(scene, sweep, hbm, curves, after.several, whole=reason is None)
-    lines, groups, reason = [*jump_lines(sweep), *compared], {"sweep": sweep, "hbm": hbm} | cycle, reason or interrupted
+    groups, reason = {"sweep": sweep, "hbm": hbm} | cycle, reason or interrupted
+    lines = [*jump_lines(sweep), *compared, *sweep_effort_lines(sweep, scene)]
     lines.append(
         f"time integration: {counted(sweep['settled'].size, 'point')} in {seconds:.2f} s; harmonic balance: "
         f"{counted(hbm.sizes['solution'], 'solution')} in {hbm.attrs['run_seconds']:.2f} s"
@@ -152,6 +154,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     )
     dims = tuple(map(str, sweep["amplitude"].dims))
     variables = {name: (dims[: array.ndim], array) for name, array in arrays.items()}
+    # Not those of the frequency and of further axes: groups inherit them, and the balance has its own.
     coords = {name: sweep[name].values for name in ("direction", "point", "axis")}
     root = dataset(variables, coords, attrs | {"verdict": "\n".join(lines)})
     return Outcome({"": root, **groups}, reason, (*curve_lines(hbm, curves.notes), *lines))

@@ -29,6 +29,7 @@ from timesim.study.execution.campaign import Chunk, Execution, Result, carry_thr
 from timesim.study.execution.progress import Phases
 from timesim.study.execution.worker import each, halted, point_done
 from timesim.study.outcome import Outcome, attributes, unit_names
+from timesim.study.summary.effort import sweep_effort_lines
 from timesim.study.summary.sweep import failure_line, sweep_lines
 
 POINTS_A_CHUNK = 128  # independent points: enough to keep a batch full while some of them settle late
@@ -101,7 +102,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     data, reason = sweep_record(scene, scene.plan, replace(execution, progress=phases["sweep"]))
     method, compiling, running = (data.attrs[name] for name in ("method", "compile_seconds", "run_seconds"))
     attrs = attributes(scene, method, compiling, running, reason)
-    return Outcome({"": data.assign_attrs(attrs)}, reason, tuple(sweep_lines(data)))
+    return Outcome({"": data.assign_attrs(attrs)}, reason, (*sweep_lines(data), *sweep_effort_lines(data, scene)))
 
 
 def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[Dataset, str | None]:
@@ -137,6 +138,7 @@ TAILS = {
     "slip_share": ("contact",),
     "separation_share": ("contact",),
     "dissipated_power": ("contact",),
+    "cycle_transitions": ("contact",),
     "end_displacement": ("mode",),
     "end_velocity": ("mode",),
     "end_slip": ("contact", "tangent"),
