@@ -47,6 +47,8 @@ class AdaptiveBalance:
         """From the equations by a scheme, and schemes with more and more harmonics."""
         self.schemes, self.residual_of = tuple(schemes), lru_cache(maxsize=None)(residual_of)
         self.shape = 3 * num_contacts, 2 * self.schemes[-1].harmonics + 1
+        whole = np.arange(np.prod(self.shape)).reshape(self.shape)
+        self._positions = [whole[:, : 2 * scheme.harmonics + 1].ravel() for scheme in self.schemes]
         self.place = self._least = self._held = 0
         self.demanding = self.refused = False
         self._before: list[tuple[int, int]] = []
@@ -63,7 +65,7 @@ class AdaptiveBalance:
 
     def positions(self, place: int) -> NDArray[np.int64]:
         """Positions of the unknowns of a scheme."""
-        return np.arange(np.prod(self.shape)).reshape(self.shape)[:, : 2 * self.schemes[place].harmonics + 1].ravel()
+        return self._positions[place]
 
     def centre(self, x: Array) -> Array:
         """The mean of a motion."""

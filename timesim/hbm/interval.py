@@ -117,14 +117,28 @@ class _Slip(eqx.Module):
     d: Plane
 
 
-def advance(law: ConeLaw, d: Plane, interval: Interval) -> IntervalEnd:
-    """The law over one interval, from the elastic displacement at its start."""
+def _path(law: ConeLaw, interval: Interval) -> tuple[Path, Cubic]:
+    """The path over an interval, and the normal load along it where it is positive."""
     ends = zip(interval.change, interval.du0, interval.du1, strict=True)
     u = tuple(cubic_through(jnp.zeros_like(change), change, *rates) for change, *rates in ends)
     v = cubic_through(interval.v0, interval.v1 - interval.v0, interval.dv0, interval.dv1)
     load = v.scaled(law.normal_stiffness)
     load = Cubic(load.c0 + law.preload, load.c1, load.c2, load.c3)
-    path = Path(u, load.scaled(law.friction), v, minus(interval.du1, interval.du0))
+    return Path(u, load.scaled(law.friction), v, minus(interval.du1, interval.du0)), load
+
+
+def slid(law: ConeLaw, d: Plane, interval: Interval) -> Plane:
+    """Elastic displacement at the end of an interval along which a contact slips, as it did before: as of `advance`."""
+    path, _ = _path(law, interval)
+    start, end = jnp.zeros_like(d[0]), jnp.ones_like(d[0])
+    first = direction_of(product(law.stiffness, d), product(law.stiffness, path.rates(start).du))
+    last = turned(law, path, first, start, end)
+    return product(law.compliance, scaled(path.limit.value(end), last))
+
+
+def advance(law: ConeLaw, d: Plane, interval: Interval) -> IntervalEnd:
+    """The law over one interval, from the elastic displacement at its start."""
+    path, load = _path(law, interval)
     window = window_of(load)
     slip = _slip(law, d, path, window)
     before, after = _added(_kinks(law, d, path, load, window, slip))

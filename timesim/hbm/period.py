@@ -27,7 +27,7 @@ from timesim.engine.law.cone import ConeLaw, normal_load
 from timesim.engine.law.contact_law import Motion, Plane, Scalar, dot, length, minus, product, scaled
 from timesim.hbm.interval import Interval, IntervalEnd, advance, unchanging
 from timesim.hbm.stuck_offset import Offset, plainly_sticks, plainly_works, stuck_offset
-from timesim.orbit.fourier import fourier_basis
+from timesim.orbit.fourier import fourier_basis, fourier_coefficients, periodic_samples, to_phasors
 from timesim.program import program
 
 MAX_PASSES = 100
@@ -272,14 +272,16 @@ class ContactForces:
 
 def motion_of(basis: Basis, coefficient: NDArray[np.float64]) -> Motion:
     """Relative motion at the samples, shape (N, C), from (u1, u2, v), shape (C, 3, 2H + 1); rates as of `Basis`."""
-    u1, u2, v = (basis.value @ coefficient[:, i].T for i in range(3))
-    du1, du2, dv = (basis.rate @ coefficient[:, i].T for i in range(3))
+    phasor, count = to_phasors(coefficient.swapaxes(0, 1)), len(basis.value)
+    turn = 2j * np.pi / count * np.arange(phasor.shape[-1])
+    u1, u2, v, du1, du2, dv = (part.T for part in periodic_samples(np.concatenate([phasor, turn * phasor]), count))
     return Motion((u1, u2), v, (du1, du2), dv)
 
 
 def dense_motion_of(basis: Basis, coefficient: NDArray[np.float64]) -> Motion:
     """`motion_of` at the samples where a contact must stick all along, shape (max(DENSE, N), C); no rates."""
-    u1, u2, v = (basis.dense @ coefficient[:, i].T for i in range(3))
+    phasor = to_phasors(coefficient.swapaxes(0, 1))
+    u1, u2, v = (part.T for part in periodic_samples(phasor, len(basis.dense)))
     return Motion((u1, u2), v, (), v)
 
 
@@ -299,8 +301,8 @@ def forces_of(law: ConeLaw, basis: Basis, period: ClosedPeriod) -> ContactForces
     ends, stiffness = period.ends, tuple(map(np.asarray, law.stiffness))
     load = np.maximum(np.asarray(law.preload) + np.asarray(law.normal_stiffness) * period.motion.v, 0.0)
     parts = zip((*product(stiffness, ends.d), load), ends.before, ends.after, strict=True)
-    force = [basis.project @ (f + np.roll(before, -1, axis=0) + after) for f, before, after in parts]
-    coefficient = np.stack(force).transpose(2, 0, 1).copy()
+    force = np.stack([f + np.roll(before, -1, axis=0) + after for f, before, after in parts], axis=1)
+    coefficient = fourier_coefficients(force, 0.0)[: basis.value.shape[1]].T.copy()
     return ContactForces(coefficient, period.slip, period.separation, period.closure, period.passes)
 
 

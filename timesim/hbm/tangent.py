@@ -1,14 +1,16 @@
 """Derivatives of the contact forces of a period by the Fourier coefficients of the motion.
 
 The law over one interval, `timesim.hbm.interval`, has 12 arguments and 8 results a contact and is differentiated
-forward. The derivatives are chained through the period; that d at its end is that at its start gives two linear
-equations a contact. All coefficients together cost a few passes of the law: differentiating the passes themselves would
-cost one for every coefficient. Only intervals that neither stick nor are apart all along are links of that chain: in
-between d follows the motion, or there is none.
+forward; where a contact slips all along there are 2 results, and little of the law is needed. The derivatives are
+chained through the period; that d at its end is that at its start gives two linear equations a contact. All
+coefficients together cost a few passes of the law: differentiating the passes themselves would cost one for every
+coefficient. Only intervals that neither stick nor are apart all along are links of that chain: in between d follows the
+motion, or there is none.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,8 +23,9 @@ from scipy.linalg import lapack
 
 from timesim.engine.law.cone import ConeLaw
 from timesim.engine.law.contact_law import product
-from timesim.hbm.interval import Interval, advance, before, intervals_of
+from timesim.hbm.interval import Interval, advance, before, intervals_of, slid
 from timesim.hbm.period import (
+    WHOLE,
     Basis,
     ClosedPeriod,
     ContactForces,
@@ -37,8 +40,8 @@ from timesim.hbm.stuck_offset import Offset, offset_slope
 from timesim.program import program
 
 Array64 = NDArray[np.float64]
-# Intervals that are differentiated side by side.
-LANES = 128
+# Intervals that are differentiated side by side: of those in which the state changes, and of those that slip.
+LANES, SLIPPING = 32, 128
 
 
 class Slope(NamedTuple):
@@ -66,7 +69,9 @@ def interval_slopes(law: ConeLaw, period: ClosedPeriod) -> Slope:
     """Derivatives of the law over the intervals of a closed period."""
     of, (active, sticks) = intervals_of(period.motion), _kinds(law, period)
     arguments = (*starts_of(period), *of.change, *of.du0, *of.du1, of.v0, of.v1, of.dv0, of.dv1)
-    slope = _slopes(law, arguments, active)
+    slope, slips = np.zeros((*active.shape, 8, 12)), active & _slips(period)
+    _put_slopes(slope, law, arguments, active & ~slips, (_slopes, LANES))
+    _put_slopes(slope[:, :, :2], law, arguments, slips, (_slip_slopes, SLIPPING))
     for i in range(2):
         slope[..., i, i] += sticks
         slope[..., i, 2 + i] += sticks
@@ -86,34 +91,58 @@ def _kinds(law: ConeLaw, period: ClosedPeriod) -> tuple[NDArray[np.bool_], NDArr
     return active, sticks & ~active
 
 
-def _slopes(law: ConeLaw, motion: tuple[Array | Array64, ...], active: NDArray[np.bool_]) -> Array64:
-    """Derivatives of the results over the active intervals by d at the start and by the motion, shape (N, C, 8, 12).
+def _slips(period: ClosedPeriod) -> NDArray[np.bool_]:
+    """Which intervals slip all along, as before them: nothing is put on the samples beside them, shape (N, C)."""
+    ends = period.ends
+    put = np.any([np.asarray(part) != 0 for part in (*ends.before, *ends.after)], axis=0)
+    return (np.asarray(ends.slip) > WHOLE) & ~put
 
-    They are gathered, so that one program serves any number of samples and contacts.
+
+def _put_slopes(
+    slope: Array64,
+    law: ConeLaw,
+    motion: tuple[Array | Array64, ...],
+    chosen: NDArray[np.bool_],
+    by: tuple[Callable[[ConeLaw, Array64], Array], int],
+) -> None:
+    """Put the derivatives of R results over chosen intervals, by d at the start and by the motion; (N, C, R, 12).
+
+    They are gathered, so that one program serves any number of samples and contacts: `by` are this, and its lanes.
     """
-    place = np.nonzero(active)
-    slope = np.zeros((*active.shape, 8, 12))
-    arguments = np.stack([np.asarray(x)[place] for x in motion])
-    count = len(place[0])
-    for first in range(0, count, LANES):
+    (program_of, width), place = by, np.nonzero(chosen)
+    arguments, count = np.stack([np.asarray(x)[place] for x in motion]), place[0].size
+    for first in range(0, count, width):
         # The last lanes are filled up with the last interval.
-        lanes = np.minimum(np.arange(first, first + LANES), count - 1)
+        lanes = np.minimum(np.arange(first, first + width), count - 1)
         own = jax.tree.map(lambda leaf, which=place[1][lanes]: np.asarray(leaf)[which], law)
-        part = np.asarray(_lane_slopes(own, arguments[:, lanes]))
-        slope[place[0][lanes], place[1][lanes]] = part
-    return slope
+        slope[place[0][lanes], place[1][lanes]] = np.asarray(program_of(own, arguments[:, lanes]))
 
 
-@program
-def _lane_slopes(law: ConeLaw, arguments: Float[Array, "12 lane"]) -> Float[Array, "lane 8 12"]:
-    def results(x: Float[Array, "12 lane"]) -> Float[Array, "8 lane"]:
-        end = advance(law, (x[0], x[1]), Interval((x[2], x[3]), (x[4], x[5]), (x[6], x[7]), *x[8:]))
-        return jnp.stack([*end.d, *end.before, *end.after])
+def _forward(results: Callable[[Array], Array], arguments: Float[Array, "12 lane"]) -> Float[Array, "lane result 12"]:
+    """Derivatives of results of each lane by its arguments."""
 
-    def along(seed: Float[Array, " 12"]) -> Float[Array, "8 lane"]:
+    def along(seed: Float[Array, " 12"]) -> Float[Array, "result lane"]:
         return jax.jvp(results, (arguments,), (jnp.broadcast_to(seed[:, None], arguments.shape),))[1]
 
     return jax.vmap(along, out_axes=2)(jnp.eye(len(arguments))).swapaxes(0, 1)
+
+
+def _interval(x: Float[Array, "12 lane"]) -> Interval:
+    return Interval((x[2], x[3]), (x[4], x[5]), (x[6], x[7]), *x[8:])
+
+
+@program
+def _slopes(law: ConeLaw, arguments: Float[Array, "12 lane"]) -> Float[Array, "lane 8 12"]:
+    def results(x: Float[Array, "12 lane"]) -> Float[Array, "8 lane"]:
+        end = advance(law, (x[0], x[1]), _interval(x))
+        return jnp.stack([*end.d, *end.before, *end.after])
+
+    return _forward(results, arguments)
+
+
+@program
+def _slip_slopes(law: ConeLaw, arguments: Float[Array, "12 lane"]) -> Float[Array, "lane 2 12"]:
+    return _forward(lambda x: jnp.stack(slid(law, (x[0], x[1]), _interval(x))), arguments)
 
 
 @dataclass(frozen=True)

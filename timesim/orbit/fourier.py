@@ -39,6 +39,18 @@ def to_coefficients(phasor: NDArray[Any]) -> Array:
     return np.concatenate([phasor[..., :1].real, pairs.reshape(*phasor.shape[:-1], 2 * pairs.shape[-2])], axis=-1)
 
 
+def periodic_samples(phasor: Complex, count: int) -> Array:
+    """Re sum_h phasor_h exp(i h theta), h along the last axis, at N equal samples, the last at 2 pi: shape (..., N).
+
+    Args:
+        phasor: shape (..., H + 1).
+        count: N, more than 2H.
+    """
+    spectrum = phasor * (0.5 * count)
+    spectrum[..., 0] *= 2
+    return np.roll(np.fft.irfft(spectrum, count), -1, axis=-1)
+
+
 def phase_deg(phasor: Complex) -> Array:
     """Phase [degree] of the first harmonic against the excitation, in (-180, 180]: x ~ A cos(2 pi f t + phase).
 
