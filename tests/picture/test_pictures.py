@@ -382,6 +382,11 @@ def test_energy_balance(run: xarray.Dataset) -> None:
     assert _curve(residual, "|residual|")[1] == pytest.approx(np.abs(run.energy_residual.values))
 
 
+def test_a_stop_without_friction_has_no_line_of_friction(run: xarray.Dataset) -> None:
+    smooth = run.assign_coords(friction=("contact", [0.3, 0.0]))
+    assert _labels(plot_transient.energy(smooth)) == ["input", "structural damping", "friction pad", "change of stored"]
+
+
 def test_many_cycles_are_marked_now_and_then(run: xarray.Dataset) -> None:
     many = run.isel(cycle=np.arange(600) % CYCLES).assign_coords(cycle=np.arange(1, 601))
     for ax in (plot_transient.energy(many), plot_transient.energy_residual(many)):

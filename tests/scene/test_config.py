@@ -815,6 +815,23 @@ def test_numbers_of_samples_that_make_no_sense_are_worth_a_warning():
         assert list(warnings_of(load_scene(CONFIGS / f"{name}.yaml", ["study.time_samples=65536"]))) == []
 
 
+def test_sets_of_values_that_make_no_scene_are_worth_a_warning():
+    """A contact without normal stiffness needs a preload: two of the six sets are refused."""
+    over = {"contacts.pad.normal_stiffness": [0, 20], "contacts.pad.preload": [3, 0, -1]}
+    study = {"kind": "sweep", "frequency": {"values": [0.9]}, "over": over}
+    (warning,) = (
+        line for line in warnings_of(load_scene(CONFIGS / "oscillator.yaml", {"study": study})) if "over" in line
+    )
+    assert warning.startswith("study.over: 2 of 6 sets of values make no scene, and get no motion: ")
+    for preload in (0, -1):
+        place = f"contacts.pad.normal_stiffness 0, contacts.pad.preload {preload}"
+        assert f"{place}: contacts.pad.preload must be > 0 where normal_stiffness is 0" in warning
+    study["over"] = over | {"contacts.pad.normal_stiffness": [20]}
+    assert not [
+        line for line in warnings_of(load_scene(CONFIGS / "oscillator.yaml", {"study": study})) if "over" in line
+    ]
+
+
 def test_natural_frequencies_with_contacts_absent_and_stuck():
     """Springs (2 pi)^2 along x and z; stuck, 10 and 20 are added to them."""
     lines = describe(load_scene(one_mass()))["structure"]

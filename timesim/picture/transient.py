@@ -10,6 +10,7 @@ from timesim.picture.choice import MAX_ROWS, asked, left_out, motions
 from timesim.picture.contact import LAST_CYCLES, busiest, last_cycles
 from timesim.picture.figure import axes, figure, finish, label_axes, labelled, legend_beside
 from timesim.picture.style import BLUE, SERIES, VERMILION, Axes, Dataset, Figure, Picture, Series, short, unit
+from timesim.result.coordinate import rubs
 
 SPECTRUM_CYCLES = 10
 HIGHEST_ORDER = 30
@@ -136,6 +137,8 @@ def energy(data: Dataset, ax: Axes | None = None) -> Axes:
     ax, cycle = axes(ax), data.cycle.values
     terms = {"input": data.energy_input.values, "structural damping": data.energy_damping.values}
     for name in busiest(data, MAX_ROWS):
+        if not rubs(data).sel(contact=name):
+            continue
         terms[f"friction {short(name, 16)}"] = data.energy_friction.sel(contact=name).values
     if data.sizes["contact"] > MAX_ROWS:
         terms["friction, all contacts"] = data.energy_friction.values.sum(axis=1)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
+from timesim.fault import Problem
 from timesim.hbm.scheme import NOTED
 from timesim.model import cost
 from timesim.model.contact_state import obeys_cone
@@ -16,7 +17,7 @@ from timesim.model.model import Model
 from timesim.model.promise import PROMISE
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import CLOSED_FORM, COMPANION, SHOOT, Solver, coarser
-from timesim.result.label import counted
+from timesim.result.label import counted, first_few, in_words
 from timesim.scene.file import SceneFile
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
@@ -24,6 +25,7 @@ from timesim.scene.study import SteadySection, StudySection, SweepPlan, SweepSec
 from timesim.scene.text import value_text
 from timesim.scene.transient import Schedule, TradeoffPlan
 
+FAILING = 3  # sets of values without a scene that are named
 LISTED = 6  # entries of a list that are all shown
 LARGE_RESULT = 1.0  # gigabytes of samples
 FASTER, NOTICED = 1.5, 3.0  # times, and seconds, from which on another way to settle is named
@@ -254,6 +256,7 @@ def warnings_of(scene: Scene) -> Iterator[str]:
             yield f"contacts.{contact.name}.tangential_stiffness has no effect without friction"
     if not file.study.requires:
         return
+    yield from _failing(scene)
     model = scene.model()
     yield from model.notes
     yield from _narrow(file.study, model)
@@ -267,6 +270,15 @@ def warnings_of(scene: Scene) -> Iterator[str]:
         reach = f"{model.structure.frequency[keep - 1]:.6g} Hz"
         advice = f"structure.keep_modes: {keep} would reach {reach}"
         yield f"the modes kept reach {top}, which costs steps; {advice}"
+
+
+def _failing(scene: Scene) -> Iterator[str]:
+    """Sets of values that make no scene; the others are computed all the same."""
+    lost = [(values, found) for values, found in scene.tried if isinstance(found, Problem)]
+    if lost:
+        named = [f"{in_words(values)}: {problem.key} {problem.rule}" for values, problem in lost]
+        few = "; ".join(first_few(named, FAILING, lambda left: f"and {left} more"))
+        yield f"study.over: {len(lost)} of {len(scene.tried)} sets of values make no scene, and get no motion: {few}"
 
 
 def _narrow(study: StudySection, model: Model) -> Iterator[str]:

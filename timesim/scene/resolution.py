@@ -112,6 +112,18 @@ class Scene:
         return model
 
     @cached_property
+    def tried(self) -> tuple[tuple[dict[str, float], int | Problem], ...]:
+        """All sets of values of the scalars that the study varies: how many modes each has, or why it is no scene."""
+        axes = {str(place[-1]): values for place, values in self.file.study.varied().items()}
+        return tuple((values, self._tried(values)) for values in (combinations(axes) if axes else ()))
+
+    def _tried(self, values: Mapping[str, float]) -> int | Problem:
+        try:
+            return self.variant(values).structure.num_modes
+        except SceneError as error:
+            return error.problems[0]
+
+    @cached_property
     def _files(self) -> Files:
         """Matrices that have been read; all variants have the same ones, even if a file changes meanwhile."""
         return {}
@@ -193,31 +205,16 @@ def _check_axes(scene: Scene) -> None:
 
 
 def _check_combinations(scene: Scene) -> None:
-    """Refuse values that make no valid scene.
-
-    Every combination must make one. Where the study keeps failed points, it is enough that each value makes one in some
-    combination.
-    """
-    study = scene.file.study
-    axes = {str(place[-1]): values for place, values in study.varied().items()}
-    failures: list[tuple[dict[str, float], Problem]] = []
-    good: set[tuple[str, float]] = set()
-    sizes: set[int] = set()
-    for values in combinations(axes) if axes else ():
-        try:
-            sizes.add(scene.variant(values).structure.num_modes)
-        except SceneError as error:
-            failures.append((values, error.problems[0]))
-        else:
-            good.update(values.items())
-    if len(sizes) > 1 and isinstance(study, SteadySection):
+    """Refuse values of which a combination makes no scene; where the study keeps failed points, of which none does."""
+    study, valid = scene.file.study, [(values, found) for values, found in scene.tried if isinstance(found, int)]
+    good = {item for values, _ in valid for item in values.items()}
+    if len({found for _, found in valid}) > 1 and isinstance(study, SteadySection):
         key = next(place for place in study.varied() if str(place[-1]).startswith("structure."))
         rule, hint = "must not change the number of modes, as each point has their state", "run a study for each number"
         raise SceneError([scene.source.problem(RuleError(("study", *key), rule, hint))])
-    for values, problem in failures:
-        if not study.keeps_failures or not good.issuperset(values.items()):
-            refused = _refused(scene, values, problem)
-            raise SceneError([scene.source.problem(refused)])
+    for values, found in scene.tried:
+        if isinstance(found, Problem) and not (study.keeps_failures and good.issuperset(values.items())):
+            raise SceneError([scene.source.problem(_refused(scene, values, found))])
 
 
 def _refused(scene: Scene, values: Mapping[str, float], problem: Problem) -> RuleError:
