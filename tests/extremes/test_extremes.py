@@ -443,7 +443,7 @@ def test_one_cycle(solver: Solver):
     assert one.run.completed == 1
     assert one.run.time == pytest.approx(1 / 1.1, rel=1e-14)
     assert one.sequence == whole.sequence[: len(one.sequence)]
-    np.testing.assert_array_equal(one.amplitude[0], whole.amplitude[0])
+    np.testing.assert_array_max_ulp(one.amplitude[0], whole.amplitude[0], 2)  # as many steps, as wide the program
 
 
 @pytest.mark.parametrize("solver", METHODS)

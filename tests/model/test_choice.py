@@ -46,7 +46,7 @@ def test_the_table_by_the_rates_of_a_scene() -> None:
     assert taken(slowly_driven()).name == "dopri8"
     assert taken(oscillator(3.0, 1.39)).name == "tsit5"
     methods = [line.method for line in TABLE]
-    assert methods == ["exponential", "exponential", "dopri8"]
+    assert methods == ["exponential", "kvaerno5", "exponential", "dopri8"]
 
 
 @pytest.mark.parametrize("model", [slippery(), scene(MANY_MODES), slowly_driven()], ids=["slip", "fast", "slow"])

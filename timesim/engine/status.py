@@ -38,13 +38,14 @@ class Status(enum.IntEnum):
     TOO_SHORT = (
         2,
         "the step fell below rounding",
-        "The problem is too stiff for {solver}: try solver.method: exponential, fewer modes (structure.keep_modes), or "
-        "a larger rtol",
+        "The problem is too stiff for {solver}: try solver.method: exponential (kvaerno5 where dampers couple the "
+        "modes), fewer modes (structure.keep_modes), or a larger rtol",
     )
     BUDGET = (
         3,
         "the budget of {budget} steps a cycle is spent",
-        "Raise solver.max_steps, keep fewer modes (structure.keep_modes), or try solver.method: exponential",
+        "Raise solver.max_steps, keep fewer modes (structure.keep_modes), or try solver.method: exponential "
+        "(kvaerno5 where dampers couple the modes)",
     )
     NOT_FINITE = (
         4,

@@ -31,8 +31,10 @@ class Line:
         share: of the time that the preset's own method takes, in one run and in a sweep.
         compiling: CPU seconds that its programs take longer to compile, for one run and for a sweep.
         slippery: only where the direction of slip turns fast (`timesim.model.cost.slip_stiff`).
-        passive: least ratio of the fastest rate of the stuck structure to that of its contacts (`contact_rate`).
+        passive: least ratio of the fastest rate of the stuck structure to what is none of its own motion by modes: that
+            of its contacts (`contact_rate`), and of damping between the modes.
         fast: least ratio of the fastest rate of the stuck structure to the excitation's.
+        dashpots: least ratio of the rate of damping between the modes to the highest circular frequency.
         largest: tolerance of a step.
     """
 
@@ -44,13 +46,17 @@ class Line:
     slippery: bool = False
     passive: float = 0.0
     fast: float = 0.0
+    dashpots: float = 0.0
     largest: float = 1.0
 
     def applies(self, model: Model, frequency: float) -> bool:
         """Whether it does by the rates of a model at a frequency [Hz]."""
         if self.slippery and not slip_stiff(model, frequency):
             return False
-        return model.stuck_rate >= max(self.passive * contact_rate(model), self.fast * 2 * np.pi * frequency)
+        if self.dashpots and model.coupling_rate < self.dashpots * model.stuck_omega[-1]:
+            return False
+        others = max(contact_rate(model), model.coupling_rate)
+        return model.stuck_rate >= max(self.passive * others, self.fast * 2 * np.pi * frequency)
 
 
 def contact_rate(model: Model) -> float:
@@ -71,6 +77,18 @@ TABLE = (
         compiling=(7.0, 20.0),
         slippery=True,
         largest=1e-7,
+    ),
+    # Chains of 4, 12 and 40 masses with a damper between two of them, 10,000 times as fast as all vibrations: at rtol
+    # 1e-7 12, 23 and 80 ms a cycle against 124, 160 and 300 by tsit5. 1,000 times as fast: 21 and 33 against 17 and 20;
+    # collocation, to which such damping is one more force, 98 and 640 (benchmarks/dampers.py).
+    Line(
+        method="kvaerno5",
+        why="dampers that couple its modes are far faster than its vibrations, and explicit steps follow them",
+        accuracies=("draft", "standard"),
+        share=(0.6, 0.8),
+        compiling=(5.0, 23.0),
+        fast=4000.0,
+        dashpots=10.0,
     ),
     # Modes to 40 times the excitation with contacts as soft as the first: 20 x 3 470 and 520 against 720 and 1,130 by
     # tsit5, 820 and 1,060 by dopri8; 50 x 10 2,670 and 2,680 against 2,140 and 3,790, 2,550 and 3,570; the blade with
@@ -135,7 +153,7 @@ def choice(accuracy: str, model: Model, work: Work, budget: int, *, reduce: bool
     sweep = work.side_by_side is not None
     saved, compiling = (1 - line.share[sweep]) * seconds(model, own, work), line.compiling[sweep]
     hopeless = max(stable_steps(model, frequency), SLIPPING * slip_steps(model, frequency)) > budget
-    if saved <= compiling and not (hopeless and line.method == "exponential"):
+    if saved <= compiling and not (hopeless and line.method in ("exponential", "kvaerno5")):
         shorter = f"{line.method} would save about {saved:.1g} s and take {compiling:g} s longer to compile"
         return Choice(own, f"the method of accuracy {accuracy}, since {shorter}")
     taken = tightened(own, line.largest / own.rtol)

@@ -30,10 +30,10 @@ STAGES = {
     "dopri5": 1.0,
     "rk4": 0.6,
     "dopri8": 1.9,
-    "kvaerno5": 15.0,
+    "kvaerno5": 80.0,
     "exponential": 0.6,
 }
-"""Work of a step, as a multiple of that of tsit5; of `exponential`, of a cycle (benchmarks/method_choice.py)."""
+"""Work of a step over that of tsit5; of `exponential`, of a cycle (benchmarks/method_choice.py, dampers.py)."""
 SLIP_STIFF = (120.0, 5.0)
 """Least steps of a cycle that the direction of slip asks for, and the least multiple of those that stability asks for,
 from which on it rules the time of an explicit method (benchmarks/method_choice.py)."""
@@ -151,7 +151,8 @@ def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side
         steps = FOLLOWED
     elif solver.name != "rk4":
         least, multiple = steps_for(solver)
-        steps = least + multiple * stable_steps(model, frequency)
+        asked = float(model.stuck_omega[-1]) if solver.name == "kvaerno5" else model.stuck_rate
+        steps = least + multiple * asked / (REACH * frequency)
         steps = max(steps, SLIPPING * slip_steps(model, frequency) * (solver.name != "exponential"))
     each, share = RECORDED if side_by_side is None else SIDE_BY_SIDE
     alone = 1.0 if side_by_side is None else max(1.0, ALONE ** (1 - np.log(side_by_side) / np.log(16)))

@@ -226,10 +226,18 @@ class Model:
     @property
     def stuck_rate(self) -> float:
         """Fastest rate with every contact stuck [rad/time]: the highest circular frequency, or decay."""
+        return float(max(self.stuck_omega[-1], np.linalg.eigvalsh(self.decays)[-1]))
+
+    @property
+    def coupling_rate(self) -> float:
+        """Fastest rate at which damping acts between the modes [1/time]; 0 where it does not couple them."""
+        return float(np.abs(np.linalg.eigvalsh(self.decays - np.diag(np.diag(self.decays)))).max())
+
+    @property
+    def decays(self) -> np.ndarray:
+        """Damping of the modes, normalised to unit mass, shape (M, M) [1/time]."""
         root, damping = np.sqrt(self.structure.mass), self.structure.damping
-        damping = np.diag(damping) if damping.ndim == 1 else damping
-        decay = np.linalg.eigvalsh(damping / np.outer(root, root))[-1]
-        return float(max(self.stuck_omega[-1], decay))
+        return np.asarray((np.diag(damping) if damping.ndim == 1 else damping) / np.outer(root, root))
 
     def _relative_shape(self, contact: Contact) -> np.ndarray:
         points, shape = self.structure.points, self.structure.shape

@@ -49,7 +49,7 @@ def remembered(model: Model, frequency: float) -> float:
 def growth(model: Model, frequency: float, cycles: float | None = None) -> float:
     """Error at the end over the tolerance, after so many cycles at a frequency [Hz]; None: in a steady state."""
     counted = min(remembered(model, frequency), LONGEST if cycles is None else cycles)
-    return GROWTH * counted * max(model.stuck_rate / (2 * np.pi * frequency), 1.0)
+    return GROWTH * counted * max(float(model.stuck_omega[-1]) / (2 * np.pi * frequency), 1.0)
 
 
 def preset(accuracy: str, model: Model, frequency: float, cycles: float | None = None) -> Solver:
