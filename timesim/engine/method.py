@@ -271,10 +271,10 @@ def _kvaerno5(rtol: float, atol: float) -> Implicit:
     import diffrax
     import optimistix
 
-    # The Newton iteration is to be a hundred times finer than the step, or its remainder shows up as noise. It ends by the
-    # size of its steps: beside a damper 1e5 times as fast as all else the residual of a solution is rounding above
-    # that. Where a slip begins at n = 0 the Jacobian changes over any step, however short: diffrax's own VeryChord, which
-    # keeps it, diverges there until the step is rounding (and takes 18 times as many steps elsewhere).
+    # The Newton iteration is to be a hundred times finer than the step, or its remainder shows up as noise. It ends by
+    # the size of its steps: beside a damper 1e5 times as fast as all else the residual of a solution is rounding
+    # above that. Where a slip begins at n = 0 the Jacobian changes over any step, however short: diffrax's own
+    # VeryChord, which keeps it, diverges there until the step is rounding (and takes 18 times as many steps elsewhere).
     root_finder: Any = optimistix.Newton(
         rtol=max(rtol, 1e-11), atol=max(atol, 1e-12), kappa=1e-2, cauchy_termination=False
     )
