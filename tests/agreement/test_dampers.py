@@ -40,7 +40,7 @@ def chain(rate: float | None, study: dict[str, Any], accuracy: str = "standard")
     }
 
 
-RUN: dict[str, Any] = {"kind": "transient", "cycles": 20, "record_last": 1}
+RUN: dict[str, Any] = {"kind": "transient", "cycles": 60, "record_last": 1}
 
 
 def amplitude(outcome: Outcome) -> np.ndarray:
@@ -86,3 +86,15 @@ def test_a_sweep_settles_with_such_a_damper() -> None:
     assert held.reason is None
     assert held.groups[""].settled.values.all()
     np.testing.assert_allclose(amplitude(held), amplitude(one), rtol=1e-5)
+
+
+@pytest.mark.parametrize("rate", [1e4, 1e6])
+def test_a_tradeoff_recommends_the_method_that_does_not_follow_the_damper(rate: float) -> None:
+    """With 1e6 no other method comes to its end in the budget of steps."""
+    study = {"kind": "tradeoff", "cycles": 5, "error": 1e-4, "budget": 60}
+    outcome = carry_out(load_scene(chain(rate, study) | {"solver": {"max_steps": 60_000}}))
+    data = outcome.groups[""]
+    assert outcome.reason is None
+    assert '"method": "kvaerno5"' in data.attrs["recommended"]
+    best = np.nanargmin(np.where(data["error"] < 1e-4, data["seconds_a_cycle"], np.inf))
+    assert data["method"].values[best] == "kvaerno5"

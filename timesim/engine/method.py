@@ -267,17 +267,31 @@ class Exponential(Method):
 
 
 @functools.cache
-def _kvaerno5(rtol: float, atol: float) -> Implicit:
-    import diffrax
+def _stage_newton() -> Any:
+    """Newton's method that has converged once a step is shorter than `kappa` tolerances, or the next one would be.
+
+    Not by the residual: beside a damper 1e5 times as fast as all else that of a solution is rounding above tolerances.
+    Nor by the ratio of two steps alone: where both are rounding, the second one may be longer.
+    """
     import optimistix
 
-    # The Newton iteration is to be a hundred times finer than the step, or its remainder shows up as noise. It ends by
-    # the size of its steps: beside a damper 1e5 times as fast as all else the residual of a solution is rounding
-    # above that. Where a slip begins at n = 0 the Jacobian changes over any step, however short: diffrax's own
-    # VeryChord, which keeps it, diverges there until the step is rounding (and takes 18 times as many steps elsewhere).
-    root_finder: Any = optimistix.Newton(
-        rtol=max(rtol, 1e-11), atol=max(atol, 1e-12), kappa=1e-2, cauchy_termination=False
-    )
+    class StageNewton(optimistix.Newton):
+        def terminate(self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any) -> tuple[Array, Any]:
+            ends, result = super().terminate(fn, y, args, options, state, tags)
+            short = state.diffsize < self.kappa
+            return ends | short, optimistix.RESULTS.where(short, optimistix.RESULTS.successful, result)
+
+    return StageNewton
+
+
+@functools.cache
+def _kvaerno5(rtol: float, atol: float) -> Implicit:
+    import diffrax
+
+    # The Newton iteration is to be a hundred times finer than the step, or its remainder shows up as noise. Where a
+    # slip begins at n = 0 the Jacobian changes over any step, however short: diffrax's own VeryChord, which keeps it,
+    # diverges there until the step is rounding (and takes 18 times as many steps elsewhere).
+    root_finder = _stage_newton()(rtol=max(rtol, 1e-11), atol=max(atol, 1e-12), kappa=1e-2, cauchy_termination=False)
     # Of diffrax's loops over the stages only the plain one has a forward-mode derivative, which multipliers need.
     solver = diffrax.Kvaerno5(root_finder=root_finder, scan_kind="lax")
     return Implicit(order=5, solver=solver, fallback=Explicit("tsit5"))

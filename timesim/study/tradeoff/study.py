@@ -12,6 +12,7 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.engine.companion import amplitude_error, state_error
+from timesim.model.choice import TABLE
 from timesim.model.promise import PROMISE
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import CLOSED_FORM, Solver
@@ -60,6 +61,9 @@ def _try_all(bench: Bench, settings: dict[str, Any]) -> None:
         bench.try_(by("tsit5", float(f"{rtol:g}")))
     for name in ("draft", "standard"):
         bench.try_(own[name], preset=name)
+    if any(line.method == "kvaerno5" and line.applies(model, plan.frequency) for line in TABLE):
+        for rtol in (1e-5, 1e-6, 1e-7, 1e-8):
+            bench.try_(by("kvaerno5", rtol))
     bench.try_(by("tsit5", FINE))
     bench.try_(by("dopri8", FINE))
     for rtol in (1e-4, 1e-6, 1e-8):
