@@ -88,11 +88,19 @@ def test_a_sweep_settles_with_such_a_damper() -> None:
     np.testing.assert_allclose(amplitude(held), amplitude(one), rtol=1e-5)
 
 
-@pytest.mark.parametrize("rate", [1e4, 1e6])
-def test_a_tradeoff_recommends_the_method_that_does_not_follow_the_damper(rate: float) -> None:
+def test_a_run_that_follows_a_damper_says_so() -> None:
+    solver = {"solver": {"method": "tsit5", "rtol": 1e-5, "estimate_error": False}}
+    outcome = carry_out(load_scene(chain(1e3, RUN | {"cycles": 2}) | solver))
+    (line,) = (line for line in outcome.summary if "steps a cycle" in line)
+    assert ": its damping is up to 2.24e+03 times as fast as the excitation" in line
+    assert "vibrates" not in line
+
+
+@pytest.mark.parametrize(("rate", "most"), [pytest.param(1e4, 60_000, marks=pytest.mark.slow), (1e6, 5_000)])
+def test_a_tradeoff_recommends_the_method_that_does_not_follow_the_damper(rate: float, most: int) -> None:
     """With 1e6 no other method comes to its end in the budget of steps."""
     study = {"kind": "tradeoff", "cycles": 5, "error": 1e-4, "budget": 60}
-    outcome = carry_out(load_scene(chain(rate, study) | {"solver": {"max_steps": 60_000}}))
+    outcome = carry_out(load_scene(chain(rate, study) | {"solver": {"max_steps": most}}))
     data = outcome.groups[""]
     assert outcome.reason is None
     assert '"method": "kvaerno5"' in data.attrs["recommended"]

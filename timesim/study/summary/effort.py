@@ -29,11 +29,10 @@ def effort_lines(data: Dataset, model: Model, solver: Solver) -> Iterator[str]:
     if steps[most] < MANY * usual:
         return
     cycle = data.isel(cycle=most)
-    turning = _turning(data, model)
     causes = [
         *_vibrations(steps[most], model, float(cycle["cycle_frequency"]), usual),
         *_transitions(steps[most], _in_cycle(cycle, data), data["contact"].values),
-        *_turning_lines(steps[-1], turning, data["contact"].values),
+        *_turning_lines(steps[-1], _turning(data, model), data["contact"].values),
     ]
     yield (
         f"{steps.mean():.3g} steps a cycle, {steps[most]} in cycle {int(cycle['cycle'])}, where its tolerance asks for "
@@ -69,10 +68,12 @@ def _why(causes: list[str]) -> str:
 
 
 def _vibrations(steps: float, model: Model, frequency: float, usual: float) -> Iterator[str]:
-    """Vibrations that are fast beside the excitation; each asks for as many steps as usually a cycle does."""
-    number = model.stuck_rate / (2 * np.pi * frequency)
+    """Vibrations, or damping, fast beside the excitation; each asks for as many steps as usually a cycle does."""
+    number, decays = np.array([model.stuck_omega[-1], model.stuck_rate]) / (2 * np.pi * frequency)
     if usual * number > CAUSE * steps:
         yield f"with its contacts stuck the structure vibrates up to {number:.3g} times in a cycle"
+    elif usual * decays > CAUSE * steps:
+        yield f"its damping is up to {decays:.3g} times as fast as the excitation"
 
 
 def _transitions(steps: float, number: np.ndarray, names: np.ndarray) -> Iterator[str]:
