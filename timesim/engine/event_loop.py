@@ -20,12 +20,13 @@ from timesim.engine.law.contact_law import Dynamics
 from timesim.engine.method import Method
 from timesim.engine.solver import Control
 from timesim.engine.status import Status
-from timesim.engine.step import Step, Trajectory, try_step
+from timesim.engine.step import Step, Trajectory, begin, try_step
 from timesim.engine.system import Point, System, Work
 from timesim.program import program
 
 D = TypeVar("D", bound=Dynamics)
 Rows = TypeVar("Rows")
+begun = program(begin)
 ROOM = 2**18  # numbers in a batch of steps: what is done once a batch hardly counts, and XLA runs the loop as one
 LEAST, BATCH = 64, 2048  # steps handed over at a time, at least and at most
 

@@ -13,7 +13,7 @@ from functools import cached_property
 import jax
 import numpy as np
 
-from timesim.engine.event_loop import Batch, Reached, batches
+from timesim.engine.event_loop import Batch, Reached, batches, begun
 from timesim.engine.exponential.extremes import extremes
 from timesim.engine.exponential.linear import linear_batches, linear_leap
 from timesim.engine.exponential.parts import short_steps
@@ -21,7 +21,7 @@ from timesim.engine.law.table import begin_of
 from timesim.engine.method import Method, step_method
 from timesim.engine.solver import step_control
 from timesim.engine.status import RunError, Status, message_of
-from timesim.engine.step import PERIOD, Trajectory, begin
+from timesim.engine.step import PERIOD, Trajectory
 from timesim.engine.step import Step as LoopStep
 from timesim.engine.system import Point, System, Work, contact_axes, held_force, system_of
 from timesim.model.contact_state import contact_loads, slip_follows_motion
@@ -29,9 +29,6 @@ from timesim.model.model import SEPARATION, STICK, Model, Start
 from timesim.model.reduction import Reduction, reduction_of
 from timesim.model.scales import Scales, scales_of
 from timesim.model.solver import CLOSED_FORM, Solver
-from timesim.program import program
-
-_begin = program(begin)
 
 ROUNDED = 8 * np.finfo(float).eps  # of a frequency, of the highest where they are found from those of others
 
@@ -186,7 +183,7 @@ class Frame:
         """The loop's trajectory from the present state of a run, with or without its energies."""
         point, state = self.point(run.here)
         nothing = Work(np.zeros(()), np.zeros(()), np.zeros(state.size)) if work else None
-        return _begin(system, Point(point.q, point.p, point.w, nothing), state, np.asarray(first_step))
+        return begun(system, Point(point.q, point.p, point.w, nothing), state, np.asarray(first_step))
 
     def point(self, start: Start) -> tuple[Point, np.ndarray]:
         """The loop's continuous state and contact states (C,) of a start whose contact states are known."""

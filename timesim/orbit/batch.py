@@ -11,13 +11,12 @@ from functools import partial
 from itertools import chain, pairwise
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from timesim.engine.event_loop import alone, one_by_one
+from timesim.engine.event_loop import advance, alone, begun, capacity, first_rows, one_by_one
 from timesim.engine.lanes import Over, advance_lanes, batch_first, batch_last, by_itself, over_lanes
 from timesim.engine.method import Method, step_method
 from timesim.engine.solver import Control
@@ -26,11 +25,11 @@ from timesim.engine.step import Step, Trajectory, begin, try_step
 from timesim.engine.system import System
 from timesim.model.solver import Solver
 from timesim.orbit.lane import Lane, Recorded
-from timesim.orbit.monodromy import HybridState, Tries, derivative, state_vector
+from timesim.orbit.monodromy import HybridState, derivative, state_vector
 from timesim.program import program
 
 SIDE_BY_SIDE = 4  # lanes of a batch: of 16 each takes as long; a batch that is not full is filled up
-CAPACITY = 256  # tries of one call that records
+CAPACITY = 256  # steps of one call that records, at most
 PIECE = 32  # most steps whose derivative is one piece of work: 16 of them take longer than to prepare them
 
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
@@ -82,47 +81,6 @@ def _marched(method: Method, problem: Problem, num_cycles: int, over: Over) -> t
     return advance_lanes(attempt, partial(_unfinished, cycles=num_cycles), now, returns, keep)
 
 
-@program
-def record_cycles(
-    method: Method, controls: Control, systems: System, now: Trajectory, cycles: Int[Array, " batch"], capacity: int
-) -> tuple[Trajectory, Tries]:
-    """Advance a batch, all steps kept, until each has completed its cycles or the record is full.
-
-    Args:
-        method: the method.
-        controls, systems: of each, batch first.
-        now: trajectories as `Lane.at_start` or an earlier call gives them, batch first; their rates are computed anew.
-        cycles: how many each is to complete.
-        capacity: tries that the record has room for.
-    """
-    problem = (controls, systems, now)
-    if one_by_one(method, systems):
-        one = partial(_kept, method, capacity=capacity, over=by_itself)
-        end, (rows, taken, count) = jax.lax.map(lambda lane: one(_alone(method, lane[0]), lane[1]), (problem, cycles))
-        return end, Tries(*batch_last((rows, taken)), count.max())
-    end, tries = _kept(method, batch_last(problem), cycles, capacity, over_lanes)
-    return batch_first(end), Tries(*tries)
-
-
-def _kept(
-    method: Method, problem: Problem, cycles: Array, capacity: int, over: Over
-) -> tuple[Trajectory, tuple[Step, Array, Array]]:
-    """`record_cycles` with the batch last, or of one trajectory: its end, and the parts of `Tries`."""
-    controls, systems, now = problem
-    now = eqx.tree_at(lambda t: t.rate, now, over(System.field)(systems, now.state, now.time, now.point))
-    attempt = partial(over(partial(try_step, method)), controls, systems)
-    blank = jax.eval_shape(attempt, now)[1]
-    rows = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), blank)
-    none = (rows, jnp.zeros((capacity, *cycles.shape), dtype=bool), jnp.zeros((), dtype=jnp.int64))
-
-    def keep(kept: tuple, moves: Array, before: Trajectory, after: Trajectory, step: Step, accepted: Array) -> tuple:
-        rows, taken, count = kept
-        rows = jax.tree.map(lambda rows, row: rows.at[count].set(row), rows, step)
-        return rows, taken.at[count].set(moves & accepted), count + 1
-
-    return advance_lanes(attempt, partial(_unfinished, cycles=cycles), now, none, keep, lambda kept: kept[2] < capacity)
-
-
 def march_lanes(
     lanes: Sequence[Lane], solver: Solver, num_cycles: int, *, size: int = SIDE_BY_SIDE, each: Each = map
 ) -> list[tuple[Lane, np.ndarray]]:
@@ -141,10 +99,9 @@ def record(
 ) -> list[Recorded]:
     """March each lane by its number of cycles and keep its steps.
 
-    ``most``: tries after which to give up; the budget of the solver by default.
+    ``most``: steps after which to give up; the budget of the solver by default.
     """
-    pairs = list(zip(lanes, num_cycles, strict=True))
-    ends = list(chain.from_iterable(each(partial(_advanced, solver=solver, most=most), _batches(pairs))))
+    ends = list(each(partial(_recorded, solver=solver, most=most), list(zip(lanes, num_cycles, strict=True))))
     slopes = _slopes(lanes, step_method(solver), [steps for _, steps in ends], each)
     done = []
     for lane, num, (now, steps), slope in zip(lanes, num_cycles, ends, slopes, strict=True):
@@ -154,27 +111,22 @@ def record(
     return done
 
 
-def _advanced(batch: list[tuple[Lane, int]], solver: Solver, most: int | None) -> list[tuple[Any, Step]]:
-    """The end of each lane of a batch, and its steps, the first axis that of the steps."""
-    method, padded = step_method(solver), _padded(batch)
-    controls, systems, now = _stacked([(lane.control, lane.system, lane.at_start()) for lane, _ in padded])
-    cycles = np.array([num for _, num in padded])
-    parts: list[list[Step]] = []  # of the steps that were taken: the tries of a long period would fill the memory
-    count = 0
+def _recorded(own: tuple[Lane, int], solver: Solver, most: int | None) -> tuple[Trajectory, Step]:
+    """The end of a lane after some cycles, and its steps, the first axis that of the steps.
+
+    By itself, in the loop of a transient: it is the derivative that takes most of the time, and a loop that records
+    several side by side is compiled for as long as the one that marches them.
+    """
+    (lane, num), method = own, step_method(solver)
+    room = min(CAPACITY, capacity(lane.system, 0 if method.integrates_work else method.order))
+    now, parts, count = begun(lane.system, lane.here.point, lane.here.state, lane.control.opening), [], 0
     while count < (most or np.inf):
-        now, tries = _on_host(record_cycles(method, controls, systems, now, cycles, CAPACITY))
-        parts.append([_of_lane(tries, i) for i in range(len(batch))])
-        count += int(tries.count)
-        if not _unfinished(now, cycles).any():
+        now, rows, taken = advance(method, lane.control, lane.system, now, np.asarray(num), room)
+        parts.append(first_rows(rows, int(taken)))
+        count += int(taken)
+        if not _unfinished(now, num):
             break
-    joined = [jax.tree.map(lambda *rows: np.concatenate(rows), *own) for own in zip(*parts, strict=True)]
-    return [(_entry(now, i), steps) for i, steps in enumerate(joined)]
-
-
-def _of_lane(tries: Tries, index: int) -> Step:
-    """The steps of one lane of a batch that were taken."""
-    taken = tries.accepted[:, index]
-    return jax.tree.map(lambda rows: rows[taken, ..., index], tries.step)
+    return _on_host(now), jax.tree.map(lambda *rows: np.concatenate(rows), *parts)
 
 
 def _slopes(lanes: Sequence[Lane], method: Method, steps: Sequence[Step], each: Each) -> list[np.ndarray]:

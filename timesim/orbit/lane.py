@@ -77,15 +77,6 @@ class Lane:
         finer = eqx.tree_at(lambda c: (c.rtol, c.atol), control, (control.rtol * share, control.atol * share))
         return replace(self, control=finer)
 
-    def at_start(self) -> Trajectory:
-        """The trajectory for `record_cycles`; its rate is a placeholder."""
-        zero, one, none = np.zeros(()), np.ones(()), np.zeros((), dtype=np.int64)
-        return Trajectory(
-            cycle=none, time=zero, point=self.here.point, rate=self.here.point, state=self.here.state,
-            length=self.control.opening, limit=np.asarray(np.inf), last_error=one, since=one, repeats=none, tried=none,
-            status=none, culprit=np.asarray(NOBODY),
-        )  # fmt: skip
-
     @property
     def shapes(self) -> tuple[tuple[int, ...], ...]:
         """Shapes of the arrays given to the loop; all lanes of a batch have the same."""

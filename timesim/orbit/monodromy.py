@@ -42,20 +42,6 @@ class HybridState(eqx.Module):
     state: State
 
 
-class Tries(eqx.Module):
-    """Tried steps of a batch; the first axis is that of the tries, the last one that of the batch.
-
-    Attributes:
-        step: the steps; rows beyond `count` are empty.
-        accepted: whether the step was taken, by a trajectory that was still under way.
-        count: number of tries.
-    """
-
-    step: Step
-    accepted: Bool[Array, "try batch"]
-    count: Int[Array, ""]
-
-
 def vector_of(point: Point, numpy: Any = jnp) -> Any:
     """(q, q', w) as one vector; ``numpy``: the library that the arrays are of."""
     return numpy.concatenate([point.q, point.p, *point.w])
