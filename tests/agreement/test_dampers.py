@@ -96,7 +96,8 @@ def test_a_run_that_follows_a_damper_says_so() -> None:
     assert "vibrates" not in line
 
 
-@pytest.mark.parametrize(("rate", "most"), [pytest.param(1e4, 60_000, marks=pytest.mark.slow), (1e6, 5_000)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("rate", "most"), [(1e4, 60_000), (1e6, 5_000)])
 def test_a_tradeoff_recommends_the_method_that_does_not_follow_the_damper(rate: float, most: int) -> None:
     """With 1e6 no other method comes to its end in the budget of steps."""
     study = {"kind": "tradeoff", "cycles": 5, "error": 1e-4, "budget": 60}

@@ -275,6 +275,7 @@ def rattling():
     return Model(body, (contact,), load, systems.at_rest(3, 1))
 
 
+@pytest.mark.slow
 def test_no_curve_begins_at_a_solution_that_more_harmonics_do_not_have():
     """13 harmonics have one of more than twice the amplitude; the other is that of a time integration."""
     schemes = finer_schemes(Scheme(9, 256), 81, choose_samples=True)

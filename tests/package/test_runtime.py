@@ -14,7 +14,8 @@ import pytest
 
 from timesim import runtime
 
-LOOP_FLAG = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=8388608"
+OPTIONS = "xla_cpu_small_while_loop_byte_threshold=8388608,xla_cpu_disable_new_fusion_emitters=true"
+LOOP_FLAG = f"--xla_backend_extra_options={OPTIONS}"
 COMPUTE = "import jax, jax.numpy as jnp; assert (jnp.zeros(3) + 1).sum() == 3"
 EAGER = "jax.config.update('jax_persistent_cache_min_compile_time_secs', 0.0)"
 
