@@ -15,11 +15,12 @@ from timesim.hbm import first_guess
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, Ending, solve
 from timesim.hbm.continuation.bordered import Bordered
-from timesim.hbm.curve import hbm_curve, solutions_at
+from timesim.hbm.curve import hbm_curve, solutions_at, warm_up
 from timesim.hbm.first_guess import first_guesses, unknowns_of_modes
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model, Structure
 from timesim.orbit.fourier import to_coefficients
+from timesim.program import LOADED
 
 TURN = 2 * np.pi
 
@@ -424,6 +425,20 @@ def test_no_start_gives_an_empty_curve_with_the_reason():
     assert curve.frequency.size == 0
     assert not curve.complete
     assert "no solution at the start" in curve.message
+
+
+def test_whatever_the_contact_does_first_all_is_compiled_before_a_curve_is_followed():
+    """At 0.8 Hz it sticks all along, at 1.26 Hz it slips."""
+    model, scheme = systems.oscillator(2.0, 1.0), Scheme(5, 256)
+    assert hbm_curve(model, 0.8, 0.801, scheme=scheme).slip_share[0, 0] == 0
+    for programs in LOADED:
+        programs.clear()
+    warm_up(model, 0.8, scheme)
+    ready = [len(programs) for programs in LOADED]
+    curve = hbm_curve(model, 1.26, 1.27, scheme=scheme)
+    assert curve.complete
+    assert curve.slip_share.min() > 0.05
+    assert [len(programs) for programs in LOADED] == ready
 
 
 def test_time_integration_leads_to_the_first_solution():

@@ -223,6 +223,16 @@ class Balance:
     def num_unknowns(self) -> int:
         return 3 * self.num_contacts * self.size
 
+    @property
+    def working(self) -> Array:
+        """A motion in which contacts stick and slip to and fro, and separate where they have a normal stiffness."""
+        law, x = self.law, np.zeros((self.num_contacts, 3, self.size))
+        preload, normal, along = (np.asarray(part) for part in (law.preload, law.normal_stiffness, law.stiffness[0]))
+        x[:, 2, 1] = 2 * np.divide(np.abs(preload), normal, out=np.zeros_like(preload), where=normal > 0)
+        limit = law.friction * (np.abs(preload) + normal * x[:, 2, 1])
+        x[:, 0, 2] = 4 * np.divide(limit, along, out=np.zeros_like(preload), where=along > 0)
+        return x.ravel()
+
     def coefficients(self, x: Array) -> Array:
         """The unknowns by contact, component and coefficient, shape (..., C, 3, 2H + 1)."""
         return x.reshape(*x.shape[:-1], self.num_contacts, 3, self.size)

@@ -175,6 +175,13 @@ def hbm_curve(
     return finished(balance, curve, evaluated, stability)
 
 
+def warm_up(model: Model, frequency: float, scheme: Scheme, *, stability: bool = True) -> None:
+    """Compile what curves take, whatever their contacts do at a frequency [Hz]; arguments as of `hbm_curve`."""
+    hbm_curve(model, frequency, 1.001 * frequency, scheme=scheme, controls=Controls(max_points=2), stability=stability)
+    balance = Balance(model, frequency, scheme)
+    balance.linearised(balance.working, frequency)
+
+
 def schemes_of(scheme: Scheme | Sequence[Scheme] | None) -> Sequence[Scheme]:
     """One or several schemes; the default is one."""
     return (scheme or Scheme(),) if scheme is None or isinstance(scheme, Scheme) else scheme

@@ -7,9 +7,8 @@ from typing import Any
 
 from xarray import Dataset
 
-from timesim.hbm.continuation import Controls
 from timesim.hbm.convergence import convergence
-from timesim.hbm.curve import hbm_curve
+from timesim.hbm.curve import warm_up
 from timesim.result.state import SavedStates
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
@@ -76,8 +75,6 @@ def compile_beside(scene: Scene, plan: HbmPlan) -> None:
 
 def _warmed_up(scene: Scene, plan: HbmPlan) -> float:
     """Seconds that the first points of a curve took, most of them compilation."""
-    clock = time.perf_counter()
-    model, frequency, few = scene.variant(next(combinations(plan.over))), plan.span[0], Controls(max_points=2)
-    scheme = plan.schemes_for(model)[0]
-    hbm_curve(model, frequency, 1.001 * frequency, scheme=scheme, controls=few, stability=plan.stability)
+    clock, model = time.perf_counter(), scene.variant(next(combinations(plan.over)))
+    warm_up(model, plan.span[0], plan.schemes_for(model)[0], stability=plan.stability)
     return time.perf_counter() - clock
