@@ -2,8 +2,8 @@
 
     python benchmarks/compile_time.py --against DIR      # DIR: a checkout of what it was before
 
-A generated structure (tests/zoo.py) runs for two cycles by `timesim run`, with an empty folder of compiled programs and
-again: CPU seconds of the first run beyond those of the second, children included.
+A generated structure (tests/zoo.py) runs for two cycles by `timesim run`, or is swept over two frequencies, with an
+empty folder of compiled programs and again: CPU seconds of the first run beyond those of the second, children included.
 """
 
 import argparse
@@ -23,13 +23,18 @@ SOLVERS = {
     "exponential, 3 nodes": {"method": "exponential", "rtol": 1e-4, "atol": 1e-6},
     "exponential, 5 nodes": {"method": "exponential", "rtol": 1e-7, "atol": 1e-9},
 }
+SWEEP = "sweep by "  # before the name of a solver
 SEED = 8100
 
 
-def scene(size: tuple[int, int], solver: dict[str, object]) -> str:
+def scene(size: tuple[int, int], name: str) -> str:
     model, _ = ZOO["driven"](SEED, size)
-    study = {"kind": "transient", "cycles": 2}
-    return yaml_text(ZOO["scene_of"](model) | {"study": study, "solver": solver})
+    study: dict[str, object] = {"kind": "transient", "cycles": 2}
+    if name.startswith(SWEEP):
+        frequency = model.excitation.frequency
+        settle = {"tolerance": 1e-3, "max_cycles": 8}
+        study = {"kind": "sweep", "frequency": {"values": [frequency, 1.01 * frequency]}, "settle": settle}
+    return yaml_text(ZOO["scene_of"](model) | {"study": study, "solver": SOLVERS[name.removeprefix(SWEEP)]})
 
 
 def compiling(text: str, root: Path) -> float:
@@ -44,17 +49,20 @@ def compiling(text: str, root: Path) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    names = [*SOLVERS, *(SWEEP + name for name in SOLVERS)]
     parser.add_argument("--against", type=Path, metavar="DIR", help="another checkout")
-    parser.add_argument("--methods", nargs="+", choices=list(SOLVERS), default=list(SOLVERS))
+    parser.add_argument("--methods", nargs="+", choices=names, default=names)
+    parser.add_argument("--sizes", nargs="+", metavar="MxC", default=[f"{m}x{c}" for m, c in SIZES])
     options = parser.parse_args()
-    heads = [f"{m} x {c}" for m, c in SIZES]
+    sizes = [tuple(map(int, size.split("x"))) for size in options.sizes]
+    heads = [f"{m} x {c}" for m, c in sizes]
     print("\n".join(["| method | " + " | ".join(heads) + " |", "|---" * (1 + len(heads)) + "|"]), flush=True)
     for name in options.methods:
         for root in (ROOT, options.against and options.against.resolve()):
             if root is None:
                 continue
             label = name if root == ROOT else f"{name}, {root.name}"
-            found = [f"{compiling(scene(size, SOLVERS[name]), root):.1f}" for size in SIZES]
+            found = [f"{compiling(scene(size, name), root):.1f}" for size in sizes]
             print(f"| {label} | {' | '.join(found)} |", flush=True)
 
 
