@@ -20,8 +20,8 @@ import numpy as np
 # XLA runs a loop over small buffers as one compiled function, and any other as a sequence of kernels, each of which
 # costs more than the arithmetic in it. The event loop of one trajectory is 15 times faster as one function (measured;
 # see benchmarks/README.md), but its record of steps is larger than XLA's own limit of 1 kB. Read by JAX's first use.
-# Inside one function what XLA's newer emitters write takes LLVM up to half as long again, and runs no faster. An option
-# of this kind that a version of XLA does not know is ignored.
+# What XLA's newer emitters write into one function takes LLVM a fifth longer for a balance, for transients hardly, and
+# runs no faster (benchmarks/README.md). An option of this kind that a version of XLA does not know is ignored.
 _LOOP_LIMIT = "xla_cpu_small_while_loop_byte_threshold"
 _LOOP_FLAG = f"--xla_backend_extra_options={_LOOP_LIMIT}={2**23},xla_cpu_disable_new_fusion_emitters=true"
 if _LOOP_LIMIT not in os.environ.get("XLA_FLAGS", ""):

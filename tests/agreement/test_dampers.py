@@ -64,7 +64,7 @@ def test_the_method_by_the_rate_of_a_damper_between_modes() -> None:
     assert methods(1e6, 1) == ["kvaerno5", "kvaerno5", "dopri8"]
 
 
-@pytest.mark.parametrize("accuracy", ["draft", "standard"])
+@pytest.mark.parametrize("accuracy", [pytest.param("draft", marks=pytest.mark.slow), "standard"])
 def test_a_damper_that_is_very_fast_holds_two_masses_together(accuracy: str) -> None:
     """At 1e4 and 1e6 times the highest frequency; what it leaves falls with its rate."""
     one = carry_out(load_scene(chain(None, RUN, "reference")))

@@ -350,7 +350,8 @@ def test_the_order_of_the_contacts_does_not_matter():
     assert len(trace.sequence) > 8
 
 
-@pytest.mark.parametrize("first", [pytest.param(SHOOT, marks=pytest.mark.slow), NEVER])
+@pytest.mark.slow
+@pytest.mark.parametrize("first", [SHOOT, NEVER])
 def test_the_order_of_the_contacts_does_not_matter_in_a_sweep(first: float):
     """Nor where the motion is shot, by derivatives."""
     model, order = shared_pads(3), [2, 0, 1]

@@ -172,7 +172,7 @@ def test_a_free_mode_that_nothing_holds(damping, force, constant, monkeypatch):
     assert curve.stable[-1] == expected.stable[-1]
 
 
-@pytest.mark.parametrize("constant", [0.0, 0.1])
+@pytest.mark.parametrize("constant", [pytest.param(0.0, marks=pytest.mark.slow), 0.1])
 def test_a_free_mass_that_friction_alone_holds(constant, monkeypatch):
     """While it slips its mean is free; one harmonic of it in closed form, as in `configs/one_slider.yaml` with k = 0.
 

@@ -13,7 +13,7 @@ from timesim.model.solver import NEVER, PRESETS, SHOOT, SLOW, Criterion, Solver
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.fourier import phase_deg, to_phasors
 from timesim.orbit.recurrence import is_irregular, recurrence_of
-from timesim.orbit.settling import Chain, Phase, Search, after_march, after_shot, steady_states, warm_up
+from timesim.orbit.settling import Chain, Search, Task, after_march, after_shot, steady_states, warm_up
 from timesim.orbit.threshold import CYCLES_A_ROUND, LONGEST
 
 SETTLED = {(3.0, 1.39): 0.15612878, (-1.0, 0.97): 0.28839155, (5.0, 1.52): 0.15680399}
@@ -164,20 +164,20 @@ DRIFT = STILL + 1e-5 * np.outer(np.arange(2 * CYCLES_A_ROUND), [0, 0, 0, 1])
 
 def test_what_repeats_is_measured_and_what_drifts_is_marched_on():
     settled_, drifting = marched(STILL), marched(DRIFT)
-    assert (settled_.phase, settled_.period, settled_.cycles) == (Phase.MEASURE, 1, 2 * CYCLES_A_ROUND)
-    assert (drifting.phase, drifting.period) == (Phase.MARCH, 0)
+    assert (settled_.task, settled_.period, settled_.cycles) == (Task.MEASURE, 1, 2 * CYCLES_A_ROUND)
+    assert (drifting.task, drifting.period) == (Task.MARCH, 0)
     spent = marched(DRIFT, max_cycles=2 * CYCLES_A_ROUND)
-    assert (spent.phase, spent.period) == (Phase.MEASURE, 0)
+    assert (spent.task, spent.period) == (Task.MEASURE, 0)
 
 
 def test_it_is_shot_where_that_is_asked_for_and_not_too_early():
-    assert marched(DRIFT, first_shot=SHOOT).phase is Phase.SHOOT
+    assert marched(DRIFT, first_shot=SHOOT).task is Task.SHOOT
     assert marched(DRIFT, first_shot=SHOOT).shot.period == 1
-    assert marched(DRIFT, first_shot=SHOOT, cycles=CYCLES_A_ROUND - 1).phase is Phase.MARCH
-    assert marched(STILL, first_shot=SHOOT).phase is Phase.MEASURE
-    for cycles, phase in ((SLOW - CYCLES_A_ROUND - 1, Phase.MARCH), (SLOW - CYCLES_A_ROUND, Phase.SHOOT)):
-        assert marched(DRIFT, cycles=cycles).phase is phase
-    assert marched(DRIFT, first_shot=NEVER, cycles=SLOW).phase is Phase.MARCH
+    assert marched(DRIFT, first_shot=SHOOT, cycles=CYCLES_A_ROUND - 1).task is Task.MARCH
+    assert marched(STILL, first_shot=SHOOT).task is Task.MEASURE
+    for cycles, task in ((SLOW - CYCLES_A_ROUND - 1, Task.MARCH), (SLOW - CYCLES_A_ROUND, Task.SHOOT)):
+        assert marched(DRIFT, cycles=cycles).task is task
+    assert marched(DRIFT, first_shot=NEVER, cycles=SLOW).task is Task.MARCH
 
 
 def test_what_nearly_repeats_after_a_long_period_is_shot_once_the_budget_is_spent():
@@ -192,14 +192,14 @@ def test_what_nearly_repeats_after_a_long_period_is_shot_once_the_budget_is_spen
         return after_march(before, lane, last, PRESETS["standard"], criterion)
 
     found = spent(turning)
-    assert (found.phase, found.shot.period, found.last) == (Phase.SHOOT, 12, True)
+    assert (found.task, found.shot.period, found.last) == (Task.SHOOT, 12, True)
     marched_only = spent(turning, first_shot=NEVER)  # a shot may lead elsewhere
-    assert (marched_only.phase, marched_only.period) == (Phase.MEASURE, 12)
+    assert (marched_only.task, marched_only.period) == (Task.MEASURE, 12)
     assert spent(turning * 0.999 ** cycles[:, None], first_shot=NEVER).period == 0
-    assert spent(never).phase is Phase.MEASURE
-    assert spent(turning[CYCLES_A_ROUND:]).phase is Phase.MEASURE  # too short a march
+    assert spent(never).task is Task.MEASURE
+    assert spent(turning[CYCLES_A_ROUND:]).task is Task.MEASURE  # too short a march
     failed = after_shot(found, SimpleNamespace(closes=False, cycles=12), Criterion())
-    assert failed.phase is Phase.MEASURE
+    assert failed.task is Task.MEASURE
 
 
 def test_what_a_chain_needs_is_compiled_though_at_its_first_frequency_no_contact_could_move(monkeypatch):

@@ -59,7 +59,7 @@ def assert_both_agree(pad, motion):
 # The two ways ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("count", [80, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [40, pytest.param(200, marks=pytest.mark.slow)])
 def test_both_methods_agree_on_random_motions(count):
     """State by state and the event loop: all transitions, and the coefficients to 1e-8."""
     rng = np.random.default_rng(2024)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
-from timesim.element.motion import CYCLE, Array, Motion, unit
+from timesim.element.motion import CYCLE, Array, PrescribedMotion, unit
 from timesim.element.slip_path import NUM_STAGES, TO_LEGENDRE, Law, SlipPath
 from timesim.model.model import SEPARATION, SLIP, STICK
 
@@ -133,7 +133,7 @@ class ElementCycle:
     """
 
     law: Law
-    motion: Motion
+    motion: PrescribedMotion
     stays: tuple[Stay, ...]
     transitions: tuple[Transition, ...]
     num_cycles: int

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from timesim.element.motion import CYCLE, Motion
+from timesim.element.motion import CYCLE, PrescribedMotion
 from timesim.engine.law.cone import ConeLaw, matrix_and_inverse
 from timesim.model.contact_state import contact_state, require_cone
 from timesim.model.model import SEPARATION, Contact
@@ -77,7 +77,7 @@ def harmonic_elements(
     return _in_own_units(mu, kv, n0, K, phasor.imag, phasor.real, size, size[:, 2])
 
 
-def single_element(contact: Contact, motion: Motion) -> Elements:
+def single_element(contact: Contact, motion: PrescribedMotion) -> Elements:
     """One contact under any motion."""
     require_cone([contact], "prescribed motion")
     extremes, _ = motion.crossings(np.array([0.0, 0.0, 1.0]), 0.0, rate=True)

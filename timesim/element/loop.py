@@ -11,7 +11,7 @@ import numpy as np
 
 from timesim.element.cycle import ElementCycle, Transition, in_phase
 from timesim.element.elements import single_element
-from timesim.element.motion import CYCLE, Motion
+from timesim.element.motion import CYCLE, PrescribedMotion
 from timesim.element.prescribed import CAPACITY, PrescribedContacts, cycle_end, drive_of, record_cycle
 from timesim.engine.method import step_method
 from timesim.engine.solver import step_control
@@ -73,7 +73,7 @@ class Difference:
     dissipation: float
 
 
-def loop_cycle(contact: Contact, motion: Motion, *, max_cycles: int = MAX_CYCLES) -> LoopCycle:
+def loop_cycle(contact: Contact, motion: PrescribedMotion, *, max_cycles: int = MAX_CYCLES) -> LoopCycle:
     """March a contact through the prescribed motion by the event loop until its cycle repeats.
 
     Of the contact friction, K_u, k_v and n0 are used; its points and frame are not.

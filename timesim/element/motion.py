@@ -32,7 +32,7 @@ from timesim.engine.dense_output import control_points
 MIN_SAMPLES = 16
 
 
-class Motion(ABC):
+class PrescribedMotion(ABC):
     """One cycle of motion of body 1 relative to body 2 in the contact frame, period 2 pi in theta [rad]."""
 
     @abstractmethod
@@ -94,7 +94,7 @@ class Motion(ABC):
 
 
 @dataclass(frozen=True)
-class HarmonicMotion(Motion):
+class HarmonicMotion(PrescribedMotion):
     """u = [A sin theta, B sin(theta + phi)], v = D sin(theta + psi): section 3.1 of the paper.
 
     Attributes:
@@ -164,7 +164,7 @@ class HarmonicMotion(Motion):
 
 
 @dataclass(frozen=True)
-class SplineMotion(Motion):
+class SplineMotion(PrescribedMotion):
     """Periodic quintic spline through samples at theta = 2 pi k / N; smooth to the fourth derivative.
 
     Attributes:

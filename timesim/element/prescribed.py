@@ -29,11 +29,20 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from timesim.element.elements import Elements
-from timesim.element.motion import CYCLE, HarmonicMotion, Motion, SplineMotion
+from timesim.element.motion import CYCLE, HarmonicMotion, PrescribedMotion, SplineMotion
 from timesim.engine import dense_output
 from timesim.engine.event_loop import advance, march
-from timesim.engine.law.contact_law import ContactLaw, ContinuousState, Dynamics, Path, Plane, Scalar, State, dot
-from timesim.engine.law.contact_law import Motion as RelativeMotion
+from timesim.engine.law.contact_law import (
+    ContactLaw,
+    ContinuousState,
+    Dynamics,
+    Motion,
+    Path,
+    Plane,
+    Scalar,
+    State,
+    dot,
+)
 from timesim.engine.method import Method
 from timesim.engine.solver import Control
 from timesim.engine.status import Status
@@ -121,15 +130,15 @@ class PrescribedContacts(Dynamics):
         force = waves[:, None, None] * jnp.stack(acts.f)
         return CycleState(jnp.ones(()), acts.dw, force, dot(acts.f, acts.dw))
 
-    def motion(self, point: CycleState) -> RelativeMotion:
+    def motion(self, point: CycleState) -> Motion:
         x, dx, _ = self.drive.path(point.angle)
-        return RelativeMotion(x[:-1], x[-1], dx[:-1], dx[-1])
+        return Motion(x[:-1], x[-1], dx[:-1], dx[-1])
 
     def path(self, point: CycleState, rate: CycleState) -> Path:
         return self.drive.path(point.angle)
 
 
-def drive_of(elements: Elements, motion: Motion | None = None) -> Drive:
+def drive_of(elements: Elements, motion: PrescribedMotion | None = None) -> Drive:
     """The motion of elements, harmonic unless another one is given for a single element.
 
     Raises:

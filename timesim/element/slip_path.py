@@ -22,7 +22,7 @@ from numpy.polynomial import legendre
 from scipy.linalg.lapack import dgesv
 from scipy.optimize import brentq
 
-from timesim.element.motion import Array, Motion
+from timesim.element.motion import Array, PrescribedMotion
 from timesim.engine.law.rule import radau_nodes
 
 NUM_STAGES = 16
@@ -149,7 +149,9 @@ def constant_path(alpha: float, start: float, stop: float, stuck: bool) -> SlipP
     return SlipPath(np.array([start]), np.array([max(stop - start, 1e-300)]), nodes, stop, alpha, stuck)
 
 
-def integrate_slip(law: Law, motion: Motion, alpha: float, start: float, end: float, largest: float) -> SlipPath:
+def integrate_slip(
+    law: Law, motion: PrescribedMotion, alpha: float, start: float, end: float, largest: float
+) -> SlipPath:
     """Integrate alpha from `start` until the contact sticks, at most to `end`.
 
     Args:
@@ -206,7 +208,7 @@ def _predict(previous: tuple[Array, float] | None, length: float, alpha: float) 
 
 
 def _collocate(
-    law: Law, motion: Motion, alpha: Array, alpha0: float, start: float, length: float
+    law: Law, motion: PrescribedMotion, alpha: Array, alpha0: float, start: float, length: float
 ) -> tuple[Array | None, Array, float]:
     """Solve the collocation equations of one step by Newton's method.
 
@@ -252,7 +254,9 @@ def _error(alpha: Array) -> float:
     return float(max(tail[1], 0.1 * tail[0]))
 
 
-def _sticking_place(law: Law, motion: Motion, alpha: Array, dy: Array, start: float, length: float) -> float | None:
+def _sticking_place(
+    law: Law, motion: PrescribedMotion, alpha: Array, dy: Array, start: float, length: float
+) -> float | None:
     """Where in the step, of [0, 1], the slip speed falls through zero first; None where it does not."""
     fine = TO_FINE @ law.slip_margin(alpha, dy)
     negative = np.flatnonzero(fine[1:] < 0)

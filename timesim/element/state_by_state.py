@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from timesim.element.cycle import PERIODIC, ElementCycle, Stay, Transition, next_reach
-from timesim.element.motion import CYCLE, Array, Motion
+from timesim.element.motion import CYCLE, Array, PrescribedMotion
 from timesim.element.slip_path import VANISHED, Law, SlipPath, constant_path, contact_direction, integrate_slip
 from timesim.model.contact_state import contact_state, require_cone
 from timesim.model.model import SEPARATION, SLIP, STICK, Contact
@@ -31,7 +31,7 @@ AHEAD = 1e-4
 
 
 @dataclass(frozen=True)
-class Phase:
+class Spell:
     """What the contact is about to do at an angle.
 
     Attributes:
@@ -51,7 +51,7 @@ class Phase:
     separation: float = np.inf
 
 
-def steady_cycle(contact: Contact, motion: Motion, *, max_cycles: int = MAX_CYCLES) -> ElementCycle:
+def steady_cycle(contact: Contact, motion: PrescribedMotion, *, max_cycles: int = MAX_CYCLES) -> ElementCycle:
     """March a contact through the prescribed motion, state by state, until its cycle repeats to rounding.
 
     Of the contact friction, K_u, k_v and n0 are used; its points and frame are not. `ElementCycle.periodic` says
@@ -63,18 +63,18 @@ def steady_cycle(contact: Contact, motion: Motion, *, max_cycles: int = MAX_CYCL
     """
     law = _law(contact)
     march = March(law, motion)
-    phase = march.begin()
-    forces, history = [march.force(phase, 0.0)], []
+    spell = march.begin()
+    forces, history = [march.force(spell, 0.0)], []
     before, reach, best = np.inf, 1.0, np.inf
     for cycle in range(1, max_cycles + 1):
-        state = phase.state
-        stays, transitions, phase = march.cycle(phase)
+        state = spell.state
+        stays, transitions, spell = march.cycle(spell)
         history += [replace(item, angle=item.angle + CYCLE * (cycle - 1)) for item in transitions]
-        forces.append(march.force(phase, 0.0))
+        forces.append(march.force(spell, 0.0))
         residual = float(np.hypot(*(forces[-1] - forces[-2]))) / (march.largest or 1.0)
         # A transition right at theta = 0 shows at the end of the first cycle only, as another state.
         settled = residual <= ROUNDING or (residual <= PERIODIC and residual > before / 2)
-        if settled and (phase.state == state or before <= PERIODIC):
+        if settled and (spell.state == state or before <= PERIODIC):
             break
         before = residual
         if len(forces) < MIN_FORCES:
@@ -82,8 +82,8 @@ def steady_cycle(contact: Contact, motion: Motion, *, max_cycles: int = MAX_CYCL
         (limit,), (leads,) = limits(np.array([forces[-4:]]))
         if leads:
             reach, best = float(next_reach(reach, residual, best)), residual
-            phase = march.moved(phase, forces[-1] + reach * (limit - forces[-1]))
-            forces = [march.force(phase, 0.0)]
+            spell = march.moved(spell, forces[-1] + reach * (limit - forces[-1]))
+            forces = [march.force(spell, 0.0)]
     return ElementCycle(law, motion, tuple(stays), tuple(transitions), cycle, residual, tuple(history))
 
 
@@ -112,7 +112,7 @@ def _law(contact: Contact) -> Law:
 class March:
     """The rules by which one state follows another, for one contact and one motion."""
 
-    def __init__(self, law: Law, motion: Motion):
+    def __init__(self, law: Law, motion: PrescribedMotion):
         self.law, self.motion = law, motion
         extremes, _ = motion.crossings(np.array([0.0, 0.0, 1.0]), 0.0, rate=True)
         y, _ = motion.evaluate(np.append(extremes, 0.0))
@@ -143,41 +143,41 @@ class March:
             stops.append(angles[~rising])
         return line, stops[0], stops[1]
 
-    def begin(self) -> Phase:
+    def begin(self) -> Spell:
         """The start at theta = 0: f = 0, stuck if n > 0, else separated."""
         y, _ = self.motion.evaluate(0.0)
         load = self.law.preload + self.law.normal_stiffness * y[2]
         state = contact_state(load, self.law.friction, SEPARATION, rounding=self.load_floor)
         if state == SEPARATION:
-            return Phase(SEPARATION, _next(self.closings, 0.0, SEAM), STICK, np.zeros(2))
+            return Spell(SEPARATION, _next(self.closings, 0.0, SEAM), STICK, np.zeros(2))
         opening = _next(self.openings, 0.0)
         if state == SLIP:
-            return Phase(SLIP, opening, SEPARATION, y[:2], 0.0, opening)
+            return Spell(SLIP, opening, SEPARATION, y[:2], 0.0, opening)
         return self._stuck(0.0, y[:2], opening, on_cone=False)
 
-    def _separated(self, theta: float) -> Phase:
-        return Phase(SEPARATION, _next(self.closings, theta), STICK, np.zeros(2))
+    def _separated(self, theta: float) -> Spell:
+        return Spell(SEPARATION, _next(self.closings, theta), STICK, np.zeros(2))
 
-    def _stuck(self, theta: float, slip: Array, separation: float, *, on_cone: bool) -> Phase:
+    def _stuck(self, theta: float, slip: Array, separation: float, *, on_cone: bool) -> Spell:
         offset = np.append(-self.law.stiffness @ slip, self.law.friction * self.law.preload)
         leave, to = self.motion.cone_exit(self.trial, offset, theta, on_cone=on_cone), SLIP
         # Where the cone and n = 0 are met at once the force only touches the cone, and `leave` is later.
         if separation <= leave:
             leave, to = separation, SEPARATION
-        return Phase(STICK, leave, to, slip, 0.0, separation)
+        return Spell(STICK, leave, to, slip, 0.0, separation)
 
-    def _touching(self, theta: float) -> Phase:
+    def _touching(self, theta: float) -> Spell:
         """Re-contact: stick if |K_u u'| < mu n' (15), else slip (17)."""
         y, dy = self.motion.evaluate(theta)
         separation = _next(self.openings, theta)
         if np.hypot(*(self.law.stiffness @ dy[:2])) < self.law.limit(y, dy)[1]:
             return self._stuck(theta, y[:2], separation, on_cone=True)
         direction = 0.0 if self.law.frictionless else contact_direction(self.law, dy)[0]
-        return Phase(SLIP, separation, SEPARATION, np.zeros(2), direction, separation)
+        return Spell(SLIP, separation, SEPARATION, np.zeros(2), direction, separation)
 
-    def _sliding(self, theta: float, phase: Phase) -> Phase:
-        direction = self._direction(theta, self.force(phase, theta))
-        return replace(phase, state=SLIP, leave=phase.separation, to=SEPARATION, direction=direction)
+    def _sliding(self, theta: float, spell: Spell) -> Spell:
+        direction = self._direction(theta, self.force(spell, theta))
+        return replace(spell, state=SLIP, leave=spell.separation, to=SEPARATION, direction=direction)
 
     def _direction(self, theta: float, force: Array) -> float:
         """Direction in which slip begins [rad]: of the force, or, where n only touches 0, of the motion right after."""
@@ -187,71 +187,71 @@ class March:
             return contact_direction(self.law, self.motion.evaluate(theta + AHEAD)[1])[0]
         return float(np.arctan2(force[1], force[0]))
 
-    def _stopped(self, theta: float, phase: Phase) -> Phase:
-        slip = self.motion.evaluate(theta)[0][:2] - self.law.compliance @ self.force(phase, theta)
-        return self._stuck(theta, slip, phase.separation, on_cone=True)
+    def _stopped(self, theta: float, spell: Spell) -> Spell:
+        slip = self.motion.evaluate(theta)[0][:2] - self.law.compliance @ self.force(spell, theta)
+        return self._stuck(theta, slip, spell.separation, on_cone=True)
 
-    def force(self, phase: Phase, theta: float) -> Array:
+    def force(self, spell: Spell, theta: float) -> Array:
         """Friction force at an angle, shape (2,) [force]."""
         y, dy = self.motion.evaluate(theta)
-        if phase.state == STICK:
-            return self.law.stiffness @ (y[:2] - phase.slip)
-        if phase.state == SEPARATION:
+        if spell.state == STICK:
+            return self.law.stiffness @ (y[:2] - spell.slip)
+        if spell.state == SEPARATION:
             return np.zeros(2)
-        return self.law.limit(y, dy)[0] * np.array([np.cos(phase.direction), np.sin(phase.direction)])
+        return self.law.limit(y, dy)[0] * np.array([np.cos(spell.direction), np.sin(spell.direction)])
 
-    def moved(self, phase: Phase, force: Array) -> Phase:
-        """The phase at theta = 0 with another friction force, at most mu n."""
+    def moved(self, spell: Spell, force: Array) -> Spell:
+        """The spell at theta = 0 with another friction force, at most mu n."""
         y, dy = self.motion.evaluate(0.0)
-        if phase.state == SLIP:
-            return replace(phase, direction=float(np.arctan2(force[1], force[0])))
+        if spell.state == SLIP:
+            return replace(spell, direction=float(np.arctan2(force[1], force[0])))
         excess = np.hypot(*force) / float(self.law.limit(y, dy)[0])
         slip = y[:2] - self.law.compliance @ (force / max(excess, 1.0))
-        return self._stuck(0.0, slip, phase.separation, on_cone=False)
+        return self._stuck(0.0, slip, spell.separation, on_cone=False)
 
-    def _slide(self, theta: float, phase: Phase, end: float) -> SlipPath:
+    def _slide(self, theta: float, spell: Spell, end: float) -> SlipPath:
         """Slip from an angle up to `end` at most: in closed form where the direction cannot change."""
         if self.law.frictionless:
             return constant_path(0.0, theta, end, False)
         if self.straight_stops is None:
-            key = (theta, phase.direction, end)
+            key = (theta, spell.direction, end)
             if key not in self._paths:
-                self._paths[key] = integrate_slip(self.law, self.motion, phase.direction, theta, end, self.largest)
+                self._paths[key] = integrate_slip(self.law, self.motion, spell.direction, theta, end, self.largest)
             return self._paths[key]
         line, forward, backward = self.straight_stops
-        along = line @ [np.cos(phase.direction), np.sin(phase.direction)] > 0
+        along = line @ [np.cos(spell.direction), np.sin(spell.direction)] > 0
         stop = _next(forward if along else backward, theta, SEAM)
         # Of a force that is next to nothing where slip begins the direction is rounding.
         first, second = line if along else -line
         return constant_path(float(np.arctan2(second, first)), theta, min(stop, end), stop < end)
 
-    def cycle(self, phase: Phase) -> tuple[list[Stay], list[Transition], Phase]:
-        """One cycle from theta = 0: its stays and transitions, and the phase in which the next one begins."""
+    def cycle(self, spell: Spell) -> tuple[list[Stay], list[Transition], Spell]:
+        """One cycle from theta = 0: its stays and transitions, and the spell in which the next one begins."""
         stays: list[Stay] = []
         transitions: list[Transition] = []
         theta = 0.0
         for _ in range(MAX_TRANSITIONS):
-            inside = phase.leave < CYCLE - SEAM
-            stop = max(theta, min(phase.leave, CYCLE)) if inside else CYCLE
-            path = self._slide(theta, phase, stop) if phase.state == SLIP and stop > theta else None
+            inside = spell.leave < CYCLE - SEAM
+            stop = max(theta, min(spell.leave, CYCLE)) if inside else CYCLE
+            path = self._slide(theta, spell, stop) if spell.state == SLIP and stop > theta else None
             stuck = path is not None and path.stuck and path.stop < CYCLE - SEAM
             if path is not None:
                 stop = path.stop if stuck else stop
-                phase = replace(phase, direction=path.final)
-            stays.append(Stay(phase.state, theta, stop, phase.slip, path))
+                spell = replace(spell, direction=path.final)
+            stays.append(Stay(spell.state, theta, stop, spell.slip, path))
             if not (stuck or inside):
-                return stays, transitions, _rewound(phase)
-            following = self._stopped(stop, phase) if stuck else self._follow(stop, phase)
-            transitions.append(Transition(float(stop), phase.state, following.state))
-            phase, theta = following, stop
+                return stays, transitions, _rewound(spell)
+            following = self._stopped(stop, spell) if stuck else self._follow(stop, spell)
+            transitions.append(Transition(float(stop), spell.state, following.state))
+            spell, theta = following, stop
         raise RuntimeError(
             f"element: more than {MAX_TRANSITIONS} transitions in a cycle, the last at {np.degrees(theta):.9g} degrees"
         )
 
-    def _follow(self, theta: float, phase: Phase) -> Phase:
-        if phase.state == SEPARATION:
+    def _follow(self, theta: float, spell: Spell) -> Spell:
+        if spell.state == SEPARATION:
             return self._touching(theta)
-        return self._separated(theta) if phase.to == SEPARATION else self._sliding(theta, phase)
+        return self._separated(theta) if spell.to == SEPARATION else self._sliding(theta, spell)
 
 
 def _next(angles: Array, theta: float, slack: float = 0.0) -> float:
@@ -262,7 +262,7 @@ def _next(angles: Array, theta: float, slack: float = 0.0) -> float:
     return float(theta + max(ahead.min(), 0.0))
 
 
-def _rewound(phase: Phase) -> Phase:
-    """The phase at the end of a cycle as the next one counts its angles."""
-    direction = (phase.direction + np.pi) % CYCLE - np.pi
-    return replace(phase, leave=phase.leave - CYCLE, separation=phase.separation - CYCLE, direction=direction)
+def _rewound(spell: Spell) -> Spell:
+    """The spell at the end of a cycle as the next one counts its angles."""
+    direction = (spell.direction + np.pi) % CYCLE - np.pi
+    return replace(spell, leave=spell.leave - CYCLE, separation=spell.separation - CYCLE, direction=direction)

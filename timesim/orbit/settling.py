@@ -1,8 +1,8 @@
 """Steady states of many scenes side by side, by marching until the motion repeats, or by shooting.
 
-A search is in one of four phases. It marches, a round of cycles at a time; after some rounds it may shoot; once it has
-settled, or spent its budget, a period is recorded and measured. Searches that are done make room for others. The next
-phase of a search depends on that search alone, so the order and the company do not matter.
+A search has one of four tasks before it. It marches, a round of cycles at a time; after some rounds it may shoot; once
+it has settled, or spent its budget, a period is recorded and measured. Searches that are done make room for others. The
+next task of a search depends on that search alone, so the order and the company do not matter.
 """
 
 import enum
@@ -40,7 +40,7 @@ SteadyStates = Callable[[Sequence[Chain]], list[list[Orbit]]]
 """Computes the steady states of chains: `steady_states` with a solver and a criterion."""
 
 
-class Phase(enum.Enum):
+class Task(enum.Enum):
     """Next piece of work of a search."""
 
     MARCH = enum.auto()
@@ -56,24 +56,24 @@ class Search:
     Attributes:
         chain, place: position of the chain, and of the frequency in it.
         lane: the trajectory after the last round of marching.
-        phase: next piece of work.
+        task: next piece of work.
         returns: state vectors at the end of the last cycles, as many as show the longest period.
         changes: least change of the state over a period, relative, after each round.
         cycles: integrated so far.
         period: of the motion to be measured; 0 where it has not settled.
         settled_to: as in `Orbit`.
-        shot: the iterate of Newton's method in the phase SHOOT.
+        shot: the iterate of Newton's method where it is to SHOOT.
         attempts: at shooting, so far.
         next_shot: cycle before which there is no further attempt at shooting.
         next_held: the same for a proof that no contact leaves its state any more.
         last: whether its budget is spent, and it is shot for the last time.
-        orbit: the result in the phase DONE.
+        orbit: the result once it is DONE.
     """
 
     chain: int
     place: int
     lane: Lane
-    phase: Phase = Phase.MARCH
+    task: Task = Task.MARCH
     returns: tuple[np.ndarray, ...] = ()
     changes: tuple[float, ...] = ()
     cycles: int = 0
@@ -101,18 +101,18 @@ def after_march(search: Search, lane: Lane, returns: np.ndarray, solver: Solver,
     seen = recurrence_of(latest, criterion.tolerance, solver.rtol)
     search = replace(search, settled_to=seen.left, changes=(*search.changes, seen.left), period=seen.period)
     if seen.period and seen.left > criterion.tolerance and criterion.first_shot < NEVER:
-        return replace(search, phase=Phase.SHOOT, shot=Shot(lane, seen.period))
+        return replace(search, task=Task.SHOOT, shot=Shot(lane, seen.period))
     if seen.period:
-        return replace(search, phase=Phase.MEASURE)
+        return replace(search, task=Task.MEASURE)
     if cycles >= criterion.max_cycles:
         return _spent(search, criterion)
     may_shoot = cycles >= max(search.next_shot, criterion.first_shot)
     if (may_shoot or cycles >= search.next_held) and lane.quiet > len(returns) * PERIOD:
         search = _held(search, solver, may_shoot=may_shoot)
-    if may_shoot and search.phase is Phase.MARCH:
+    if may_shoot and search.task is Task.MARCH:
         # Every other time: a free vibration, too, may nearly repeat after several cycles while it decays.
         period = nearest_period(latest).period if search.attempts % 2 else 1
-        return replace(search, phase=Phase.SHOOT, shot=Shot(lane, period), attempts=search.attempts + 1)
+        return replace(search, task=Task.SHOOT, shot=Shot(lane, period), attempts=search.attempts + 1)
     return search
 
 
@@ -120,11 +120,11 @@ def _spent(search: Search, criterion: Criterion) -> Search:
     """The search at the end of its budget: what nearly repeats after a long period is shot, or has settled."""
     long = _long_recurrence(search)
     if criterion.first_shot == NEVER and long.period > max(threshold.PERIODS) and long.left < criterion.tolerance:
-        return replace(search, phase=Phase.MEASURE, period=long.period, settled_to=long.left)
+        return replace(search, task=Task.MEASURE, period=long.period, settled_to=long.left)
     if criterion.first_shot == NEVER or long.period <= threshold.CYCLES_A_ROUND or long.left > threshold.NEARLY_REPEATS:
-        return replace(search, phase=Phase.MEASURE)
+        return replace(search, task=Task.MEASURE)
     shot = Shot(search.lane, long.period, count=threshold.MOST_SHOTS - threshold.FEW_SHOTS)
-    return replace(search, phase=Phase.SHOOT, shot=shot, last=True)
+    return replace(search, task=Task.SHOOT, shot=shot, last=True)
 
 
 def _long_recurrence(search: Search) -> Recurrence:
@@ -141,10 +141,10 @@ def _held(search: Search, solver: Solver, *, may_shoot: bool) -> Search:
     """
     orbit = proven_orbit(search.lane, solver)
     if orbit is not None:
-        return replace(search, phase=Phase.DONE, orbit=replace(orbit, cycles=search.cycles))
+        return replace(search, task=Task.DONE, orbit=replace(orbit, cycles=search.cycles))
     search = replace(search, next_held=threshold.LATER * search.cycles)
     steady = held_lane(search.lane, solver) if may_shoot else None
-    return search if steady is None else replace(search, phase=Phase.SHOOT, shot=Shot(steady, held=True))
+    return search if steady is None else replace(search, task=Task.SHOOT, shot=Shot(steady, held=True))
 
 
 def after_shot(search: Search, recorded: Recorded, criterion: Criterion) -> Search:
@@ -158,10 +158,10 @@ def after_shot(search: Search, recorded: Recorded, criterion: Criterion) -> Sear
     if isinstance(led_to, Converged):
         return _done(replace(search, period=shot.period, settled_to=led_to.settled_to), recorded)
     if search.period or search.last:  # as nearly as marching can tell
-        return replace(search, phase=Phase.MEASURE)
+        return replace(search, task=Task.MEASURE)
     if shot.held:
         return replace(search, shot=Shot(search.lane))
-    return replace(search, phase=Phase.MARCH, shot=None, next_shot=threshold.LATER * search.cycles)
+    return replace(search, task=Task.MARCH, shot=None, next_shot=threshold.LATER * search.cycles)
 
 
 def after_measure(search: Search, recorded: Recorded, solver: Solver, criterion: Criterion) -> Search:
@@ -174,7 +174,7 @@ def after_measure(search: Search, recorded: Recorded, solver: Solver, criterion:
     search = replace(search, cycles=search.cycles + recorded.cycles)
     may_shoot = search.period and search.shot is None and criterion.first_shot < NEVER
     if may_shoot and recorded.left > criterion.tolerance:
-        return replace(search, phase=Phase.SHOOT, lane=recorded.end, shot=Shot(recorded.end, search.period))
+        return replace(search, task=Task.SHOOT, lane=recorded.end, shot=Shot(recorded.end, search.period))
     return _done(search, recorded)
 
 
@@ -183,7 +183,7 @@ def _done(search: Search, recorded: Recorded) -> Search:
     repeats = search.period > 0 or _long_recurrence(search).left < threshold.VAGUE
     irregular = not repeats and is_irregular(search.changes, slowest_decay(search.lane), noise)
     orbit = recorded.orbit(search.cycles, search.period, search.settled_to, irregular=irregular)
-    return replace(search, phase=Phase.DONE, orbit=orbit)
+    return replace(search, task=Task.DONE, orbit=orbit)
 
 
 def _failed(search: Search, solver: Solver) -> Search:
@@ -191,7 +191,7 @@ def _failed(search: Search, solver: Solver) -> Search:
     lane = search.lane
     reason = message_of(lane.model, lane.reduction, solver, lane.status, lane.culprit)
     where = f"at {lane.frequency:g} Hz, in cycle {search.cycles + 1}"
-    return replace(search, phase=Phase.DONE, orbit=without_orbit(lane.model, f"{where}: {reason}", search.cycles))
+    return replace(search, task=Task.DONE, orbit=without_orbit(lane.model, f"{where}: {reason}", search.cycles))
 
 
 # Many searches
@@ -276,7 +276,7 @@ class _Work:
             while pending and len(active) < threshold.UNDER_WAY:
                 active.append(pending.popleft())
             moved = self._round(active)
-            yield from (search for search in moved if search.phase is Phase.DONE)
+            yield from (search for search in moved if search.task is Task.DONE)
             active = [going for search in moved for going in self._going(search)]
 
     def _going(self, search: Search) -> list[Search]:
@@ -292,12 +292,12 @@ class _Work:
     def _round(self, active: Sequence[Search]) -> list[Search]:
         """Each search a step further: shot once or marched, and measured where it is ready for it."""
         moved = {search.chain: search for search in active}
-        for phase, advanced in (
-            (Phase.SHOOT, self._shot),
-            (Phase.MARCH, self._marched),
-            (Phase.MEASURE, self._measured),
+        for task, advanced in (
+            (Task.SHOOT, self._shot),
+            (Task.MARCH, self._marched),
+            (Task.MEASURE, self._measured),
         ):
-            due = [search for search in moved.values() if search.phase is phase]
+            due = [search for search in moved.values() if search.task is task]
             moved |= {search.chain: search for search in advanced(due)}
         return list(moved.values())
 

@@ -202,7 +202,7 @@ def _ahead(search: RangeSearch, jump: Stretch, limit: float, longest: float) -> 
 
 
 @dataclass(frozen=True)
-class Range:
+class BistableRange:
     """A range of frequency with two motions.
 
     Attributes:
@@ -225,7 +225,7 @@ class Range:
     upper: Orbit
 
 
-def ranges(search: RangeSearch, sweeps: Sweeps, lost: Sequence[Loss]) -> Iterator[Range]:
+def ranges(search: RangeSearch, sweeps: Sweeps, lost: Sequence[Loss]) -> Iterator[BistableRange]:
     """The ranges between jumps in which the sweeps are on different motions."""
     first, last = float(sweeps.frequency[0]), float(sweeps.frequency[-1])
     ends = sorted({first, last, *(loss.jump.near for loss in lost)})
@@ -246,7 +246,7 @@ def ranges(search: RangeSearch, sweeps: Sweeps, lost: Sequence[Loss]) -> Iterato
         none = [np.full_like(lower.amplitude, np.nan)] * 2
         jumped = [[here[0].jump.on.amplitude, here[0].jump.beyond.amplitude] if here else none for here in at_ends]
         cut, ends_settled, losers = (low == first, high == last), (settled[0], settled[1]), (irregular[0], irregular[1])
-        yield Range(low, high, cut, ends_settled, losers, np.array(jumped), lower, upper)
+        yield BistableRange(low, high, cut, ends_settled, losers, np.array(jumped), lower, upper)
 
 
 def _at_middle(

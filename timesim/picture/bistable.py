@@ -33,7 +33,7 @@ LED_TO = {
 """Label and colour of the motion that a start leads to."""
 
 
-class Range(NamedTuple):
+class DrawnRange(NamedTuple):
     """A range of frequency with two motions.
 
     ``at`` is its position along the further axes, ``number`` counts the ranges there; the ends are in Hz.
@@ -51,11 +51,11 @@ class Range(NamedTuple):
         return {**self.at, "jump": self.number}
 
 
-def ranges(data: DataTree) -> list[Range]:
+def ranges(data: DataTree) -> list[DrawnRange]:
     """All ranges, the last of the further axes varying fastest."""
     ends = data.to_dataset()["range"].transpose(..., "jump", "end").values
     return [
-        Range(at, number, _label(data, at), float(low), float(high))
+        DrawnRange(at, number, _label(data, at), float(low), float(high))
         for at in _sets(data)
         for number, (low, high) in enumerate(ends[tuple(at.values())])
         if np.isfinite(low)
@@ -82,7 +82,7 @@ def response(
     ax: Axes | None = None,
     *,
     at: Mapping[str, int] | None = None,
-    near: Range | None = None,
+    near: DrawnRange | None = None,
     point: str | None = None,
     axis: str | None = None,
 ) -> Axes:
@@ -114,7 +114,7 @@ def response(
     return ax
 
 
-def _window(item: Range) -> tuple[float, float]:
+def _window(item: DrawnRange) -> tuple[float, float]:
     beside = AROUND * (item.high - item.low)
     return item.low - beside, item.high + beside
 
@@ -186,7 +186,7 @@ def phase(data: DataTree, ax: Axes | None = None, *, at: Mapping[str, int] | Non
     return shared.over_phase(ax)
 
 
-def _range(data: DataTree, ax: Axes, item: Range, point: str, axis: str, *, middle: bool) -> None:
+def _range(data: DataTree, ax: Axes, item: DrawnRange, point: str, axis: str, *, middle: bool) -> None:
     """A range shaded, with an arrow for each jump and, where there is room, the motions at its middle."""
     ax.axvspan(item.low, item.high, color=SHADE, linewidth=0, zorder=0, label="two motions")
     here = data.to_dataset().isel(item.where).sel(point=point, axis=axis)
@@ -202,7 +202,7 @@ def _range(data: DataTree, ax: Axes, item: Range, point: str, axis: str, *, midd
         ax.plot(0.5 * (item.low + item.high), value, "*", color=colour, label=f"{words} motion", **star)
 
 
-def starts(data: DataTree, ax: Axes | None = None, *, at: Range | None = None) -> Axes:
+def starts(data: DataTree, ax: Axes | None = None, *, at: DrawnRange | None = None) -> Axes:
     """Which start leads to which motion: sums of the two motions at mid-range, as shares of each; rest is (0, 0)."""
     from matplotlib.colors import BoundaryNorm, ListedColormap
 

@@ -21,7 +21,7 @@ NOISE = 1e-9
 """Share of the largest harmonic below which one is rounding, or what is left of settling."""
 
 
-class Family(NamedTuple):
+class DrawnFamily(NamedTuple):
     """The curves of one set of values: the values, the same as text, the rows of each curve, and their style."""
 
     values: tuple[float, ...]
@@ -90,7 +90,7 @@ def harmonic_limits(lowest: float, largest: float) -> tuple[float, float]:
     return max(top * NOISE, min(lowest, top) / 2), 2 * top
 
 
-def families(data: Dataset) -> list[Family]:
+def families(data: Dataset) -> list[DrawnFamily]:
     """The curves of each set of values, of at most `MAX_CURVES` evenly spaced sets."""
     values, curve, every = _values(data), data.curve.values, sets(data)
     kept = [every[i] for i in spread(len(every))]
@@ -98,7 +98,7 @@ def families(data: Dataset) -> list[Family]:
     for look, label, chosen in zip(shared.styles(len(kept)), values_labels(kept), kept, strict=True):
         inside = np.all(values == np.array(chosen), axis=1)
         rows = [np.flatnonzero(inside & (curve == number)) for number in np.unique(curve[inside])]
-        drawn.append(Family(chosen, label, rows, look))
+        drawn.append(DrawnFamily(chosen, label, rows, look))
     return drawn
 
 

@@ -17,7 +17,7 @@ NEAR = 0.02  # share of the range: ends of phases that are nearer are not joined
 RUN_UP = "0.93"
 
 
-class Phase(NamedTuple):
+class DrawnPhase(NamedTuple):
     """Cycles ``first <= k < end`` at one frequency [Hz], counted from 0, and whether they belong to the run-up."""
 
     first: int
@@ -26,13 +26,13 @@ class Phase(NamedTuple):
     run_up: bool
 
 
-def phases(data: Dataset) -> list[Phase]:
+def phases(data: Dataset) -> list[DrawnPhase]:
     """The schedule as far as it was run; successive phases of one frequency count as one."""
     frequency = data.cycle_frequency.values
     before = data.cycle_start.values < -1e-6 * data.cycle_period.values
     changes = np.flatnonzero((np.diff(frequency) != 0) | np.diff(before)) + 1
     bounds = [0, *changes.tolist(), frequency.size] if frequency.size else [0]
-    return [Phase(a, b, float(frequency[a]), bool(before[a])) for a, b in pairwise(bounds)]
+    return [DrawnPhase(a, b, float(frequency[a]), bool(before[a])) for a, b in pairwise(bounds)]
 
 
 def envelope(data: Dataset, ax: Axes | None = None) -> Axes:

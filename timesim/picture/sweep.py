@@ -25,7 +25,7 @@ MARKED = 45  # settled points of a curve with a marker; of more points only some
 FEW = 3  # least number of values of a scalar for a picture of the peaks
 
 
-class Curve(NamedTuple):
+class DrawnCurve(NamedTuple):
     """One curve over frequency.
 
     Attributes:
@@ -139,7 +139,7 @@ def peaks(amplitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return largest, known & (last > 0) & ((place == 0) | (place == last))
 
 
-def curves(data: Dataset, without: str | None = None) -> list[Curve]:
+def curves(data: Dataset, without: str | None = None) -> list[DrawnCurve]:
     """The curves of a sweep, of at most `MAX_CURVES` sets of values; all values of `without` count as one set."""
     keys = [key for key in over_keys(data) if key != without]
     sets = list(product(*(range(data.sizes[key]) for key in keys)))
@@ -153,7 +153,7 @@ def curves(data: Dataset, without: str | None = None) -> list[Curve]:
                 look = Series(SERIES[i].colour, LINES[name], DIRECTIONS[name])
             elif beside:
                 look = look._replace(marker=DIRECTIONS[name])
-            drawn.append(Curve(label, dict(zip(keys, chosen, strict=True)) | {"direction": i}, name, look, beside))
+            drawn.append(DrawnCurve(label, dict(zip(keys, chosen, strict=True)) | {"direction": i}, name, look, beside))
     return drawn
 
 
@@ -162,7 +162,7 @@ def most_valued(data: Dataset) -> str:
     return max(over_keys(data), key=lambda key: data.sizes[key])
 
 
-def _jumps(data: Dataset, curve: Curve) -> np.ndarray:
+def _jumps(data: Dataset, curve: DrawnCurve) -> np.ndarray:
     if "jump_low" not in data:
         return np.empty(0)
     ends = [data[name].isel(curve.where, missing_dims="ignore").values.ravel() for name in ("jump_low", "jump_high")]
@@ -170,7 +170,7 @@ def _jumps(data: Dataset, curve: Curve) -> np.ndarray:
     return middle[np.isfinite(middle)]
 
 
-def _draw(ax: Axes, data: Dataset, curve: Curve, y: np.ndarray) -> None:
+def _draw(ax: Axes, data: Dataset, curve: DrawnCurve, y: np.ndarray) -> None:
     """A curve, with hollow markers where it has not settled and crosses at the foot where it failed."""
     frequency, settled = data.frequency.values, data.settled.isel(curve.where).values.astype(bool)
     failed, style = data.failure.isel(curve.where).values != "", curve.style
@@ -184,7 +184,7 @@ def _draw(ax: Axes, data: Dataset, curve: Curve, y: np.ndarray) -> None:
         ax.plot(frequency[failed], np.full(failed.sum(), 0.015), "x", color=style.colour, ms=6, label="failed", **foot)
 
 
-def _band(ax: Axes, data: Dataset, curve: Curve, point: str, axis: str) -> None:
+def _band(ax: Axes, data: Dataset, curve: DrawnCurve, point: str, axis: str) -> None:
     """The range of amplitudes over single cycles of motions that have not settled."""
     if "amplitude_band" not in data:
         return
@@ -196,7 +196,9 @@ def _band(ax: Axes, data: Dataset, curve: Curve, point: str, axis: str) -> None:
         ax.plot([], [], label="range over single cycles", **look)
 
 
-def _curve(ax: Axes, x: np.ndarray, y: np.ndarray, curve: Curve, hollow: np.ndarray, meaning: str, **look: Any) -> None:
+def _curve(
+    ax: Axes, x: np.ndarray, y: np.ndarray, curve: DrawnCurve, hollow: np.ndarray, meaning: str, **look: Any
+) -> None:
     """A curve with filled markers at some of its points, and hollow ones at all points that have a given meaning."""
     style, every = curve.style, max(1, -(-x.size // MARKED))
     paired = {marker: PAIRED[direction] for direction, marker in DIRECTIONS.items()}.get(style.marker, style.marker)

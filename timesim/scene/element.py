@@ -27,7 +27,7 @@ from timesim.scene.value import (
 )
 
 if TYPE_CHECKING:
-    from timesim.element.motion import Motion
+    from timesim.element.motion import PrescribedMotion
 
 
 class PointMotion(Section):
@@ -76,7 +76,7 @@ class ElementPlan:
     """A contact under the prescribed motion of body 1 relative to body 2, in its axes; the rest as in `Element`."""
 
     contact: Contact
-    motion: "Motion"
+    motion: "PrescribedMotion"
     harmonics: int
     principal_axes: bool
     samples: int
@@ -124,7 +124,7 @@ class Element(ElementSection):
         motion = self._motion(context, contact)
         return ElementPlan(contact, motion, self.harmonics, self.principal_axes, self.samples, self.cross_check)
 
-    def _motion(self, context: Context, contact: Contact) -> "Motion":
+    def _motion(self, context: Context, contact: Contact) -> "PrescribedMotion":
         if self.motion is None:
             from timesim.element.motion import HarmonicMotion
 

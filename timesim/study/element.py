@@ -12,7 +12,7 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.element.cycle import Coefficients, ElementCycle, Transition
-from timesim.element.motion import CYCLE, Motion
+from timesim.element.motion import CYCLE, PrescribedMotion
 from timesim.element.state_by_state import steady_cycle
 from timesim.model.model import STATE_NAMES, Contact
 from timesim.result.checkpoint import INTERRUPTED
@@ -67,7 +67,9 @@ def _unsettled(cycle: ElementCycle) -> str:
     )
 
 
-def _cross_check(contact: Contact, motion: Motion, cycle: ElementCycle) -> tuple[dict[str, Any], str | None, float]:
+def _cross_check(
+    contact: Contact, motion: PrescribedMotion, cycle: ElementCycle
+) -> tuple[dict[str, Any], str | None, float]:
     """How far the event loop's result differs, as attributes, why it does not confirm the other, or None.
 
     Last is the time of compilation [s].
