@@ -1,4 +1,4 @@
-"""Trajectories side by side through whole cycles: marched with the state at each cycle's end, or recorded.
+"""Trajectories through whole cycles: marched side by side, the state at each cycle's end kept, or recorded by itself.
 
 A trajectory starts each cycle from its state alone (the step control forgets at a cycle's end), so its cycles do not
 depend on its neighbours.
