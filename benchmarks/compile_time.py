@@ -2,8 +2,9 @@
 
     python benchmarks/compile_time.py --against DIR      # DIR: a checkout of what it was before
 
-A generated structure (tests/zoo.py) runs for two cycles by `timesim run`, or is swept over two frequencies, with an
-empty folder of compiled programs and again: CPU seconds of the first run beyond those of the second, children included.
+A generated structure (tests/zoo.py) runs for two cycles by `timesim run`, is swept over two frequencies, or has its
+balance followed over a few, with an empty folder of compiled programs and again: CPU seconds of the first run beyond
+those of the second, children included.
 """
 
 import argparse
@@ -23,18 +24,21 @@ SOLVERS = {
     "exponential, 3 nodes": {"method": "exponential", "rtol": 1e-4, "atol": 1e-6},
     "exponential, 5 nodes": {"method": "exponential", "rtol": 1e-7, "atol": 1e-9},
 }
-SWEEP = "sweep by "  # before the name of a solver
+SWEEP, BALANCE = "sweep by ", "balance"
+"""The first stands before the name of a solver."""
 SEED = 8100
 
 
 def scene(size: tuple[int, int], name: str) -> str:
     model, _ = ZOO["driven"](SEED, size)
+    frequency, method = model.excitation.frequency, name.removeprefix(SWEEP)
     study: dict[str, object] = {"kind": "transient", "cycles": 2}
-    if name.startswith(SWEEP):
-        frequency = model.excitation.frequency
+    if name == BALANCE:
+        study = {"kind": "hbm", "frequency": {"from": frequency, "to": 1.01 * frequency}}
+    elif name != method:
         settle = {"tolerance": 1e-3, "max_cycles": 8}
         study = {"kind": "sweep", "frequency": {"values": [frequency, 1.01 * frequency]}, "settle": settle}
-    return yaml_text(ZOO["scene_of"](model) | {"study": study, "solver": SOLVERS[name.removeprefix(SWEEP)]})
+    return yaml_text(ZOO["scene_of"](model) | {"study": study, "solver": SOLVERS.get(method, {})})
 
 
 def compiling(text: str, root: Path) -> float:
@@ -49,7 +53,7 @@ def compiling(text: str, root: Path) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    names = [*SOLVERS, *(SWEEP + name for name in SOLVERS)]
+    names = [*SOLVERS, *(SWEEP + name for name in SOLVERS), BALANCE]
     parser.add_argument("--against", type=Path, metavar="DIR", help="another checkout")
     parser.add_argument("--methods", nargs="+", choices=names, default=names)
     parser.add_argument("--sizes", nargs="+", metavar="MxC", default=[f"{m}x{c}" for m, c in SIZES])

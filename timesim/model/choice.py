@@ -78,9 +78,9 @@ TABLE = (
         slippery=True,
         largest=1e-7,
     ),
-    # Chains of 4, 12 and 40 masses with a damper between two of them, 10,000 times as fast as all vibrations: at rtol
-    # 1e-7 12, 23 and 80 ms a cycle against 124, 160 and 300 by tsit5. 1,000 times as fast: 21 and 33 against 17 and 20;
-    # collocation, to which such damping is one more force, 98 and 640 (benchmarks/dampers.py).
+    # Chains of masses with a damper between two, ms a cycle (benchmarks/dampers.py): 10,000 times as fast as all
+    # vibrations, 4 masses, 16 for 2e-7 against 140 for 5e-7 by tsit5. 1,000 times as fast, 12 masses, 26 for 5e-8
+    # against 16 for 4e-11 by dopri8; collocation, to which such damping is one more force, 400.
     Line(
         method="kvaerno5",
         why="dampers that couple its modes are far faster than its vibrations, and explicit steps follow them",

@@ -74,7 +74,7 @@ def compile_beside(scene: Scene, plan: HbmPlan) -> None:
 
 
 def _warmed_up(scene: Scene, plan: HbmPlan) -> float:
-    """Seconds that the first points of a curve took, most of them compilation."""
+    """Seconds that it took to compile what the curves take."""
     clock, model = time.perf_counter(), scene.variant(next(combinations(plan.over)))
     warm_up(model, plan.span[0], plan.schemes_for(model)[0], stability=plan.stability)
     return time.perf_counter() - clock
