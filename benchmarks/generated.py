@@ -4,7 +4,7 @@ Generated structures (tests/zoo.py), each run as a `compare` scene over 1.5 octa
 natural frequency, harmonics and samples chosen by the program. The seeds were set once and nothing was tuned on them.
 The load is such that at three quarters of the frequencies a contact of the linear response would slip, open or close.
 
-    python benchmarks/generated.py --seeds 100:140
+    python benchmarks/generated.py --seeds 100:140 --limit 600
 
 A row a structure: how the balance ends, its harmonics, samples, solutions and folds, CPU seconds of the balance with
 what it compiles; at how many of the frequencies a contact works, which slips or opens for a part of the cycle; and the
@@ -14,6 +14,7 @@ the methods differ by the free offset of a contact that sticks, which `compare` 
 
 import argparse
 import runpy
+import signal
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -102,7 +103,7 @@ def differences(result: DataTree) -> np.ndarray:
     return np.where(settled, found, np.inf)
 
 
-def row(seed: int) -> str:
+def row(seed: int, limit: float) -> str:
     model, free = STRUCTURE(seed)
     low, high = span_of(model, free)
     model = loaded(model, np.linspace(low, high, POINTS + 1))
@@ -110,7 +111,10 @@ def row(seed: int) -> str:
 
     def timed(*args: Any, **options: Any) -> Any:
         clock = time.process_time()
+        signal.signal(signal.SIGPROF, lambda *_: signal.raise_signal(signal.SIGINT))
+        signal.setitimer(signal.ITIMER_PROF, limit)
         done = followed(*args, **options)
+        signal.setitimer(signal.ITIMER_PROF, 0)
         seconds.append(time.process_time() - clock)
         return done
 
@@ -151,7 +155,9 @@ def row(seed: int) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", default="100:140", help="first and one behind the last")
-    first, last = map(int, parser.parse_args().seeds.split(":"))
+    parser.add_argument("--limit", type=float, default=0, help="CPU seconds after which a balance is interrupted")
+    options = parser.parse_args()
+    first, last = map(int, options.seeds.split(":"))
     heads = "seed, modes, contacts, curve, scheme, solutions, folds, CPU s of the balance, CPU s in all, "
     heads += (
         "points at work, of them of period one, largest difference, above 1e-3, "
@@ -159,7 +165,7 @@ def main() -> None:
     )
     print("| " + heads.replace(", ", " | ") + " |\n" + "|---" * (heads.count(",") + 1) + "|")
     for seed in range(first, last):
-        print(row(seed), flush=True)
+        print(row(seed, options.limit), flush=True)
 
 
 if __name__ == "__main__":
