@@ -51,6 +51,7 @@ def _sweep(preloads: list[float], height: float = 1.0) -> xarray.Dataset:
     variables = {
         "amplitude": ((*dims, *SPOT), _amplitude(np.full(shape, height))),
         "settled": (dims, np.ones(shape, int)),
+        "period": (dims, np.ones(shape, int)),
         "slip_share": ((*dims, "contact"), np.full((*shape, 1), 0.4)),
         "separation_share": ((*dims, "contact"), np.zeros((*shape, 1))),
     }
@@ -153,6 +154,20 @@ def test_up_and_down_are_told_apart_where_they_coincide() -> None:
     two = bistable.response(two_motions([2.0]))
     marks = {str(line.get_label()): line.get_marker() for line in two.get_lines()}
     assert [marks[f"sweep {name}"] for name in ("up", "down")] == [up.get_marker(), down.get_marker()]
+
+
+def test_a_motion_of_several_cycles_is_ringed() -> None:
+    """The balance has no such motion: a difference from it is none of the methods."""
+    swept = _sweep([2.0])
+    off = xarray.Dataset({"relative_difference": swept.amplitude * 1e-5})
+    tree = xarray.DataTree.from_dict(
+        {"/": off.drop_vars(["frequency", PRELOAD]), "/sweep": swept, "/hbm": _balance([2.0])}
+    )
+    for period, ringed in ((1, []), (2, [FREQUENCY[3]])):
+        tree["sweep"].period[0, 1, 3] = period
+        for picture in (compare.overlay, compare.difference):
+            rings = [line for line in picture(tree).get_lines() if line.get_label() == "period of several cycles"]
+            assert [x for ring in rings for x in ring.get_xdata()] == ringed
 
 
 def test_phases_by_both_methods_below_the_amplitudes() -> None:

@@ -14,7 +14,7 @@ from timesim.orbit.steady_state import switches
 from timesim.picture import hbm as balance
 from timesim.picture.choice import MAX_ROWS, motion, motions
 from timesim.picture.figure import axes, figure, finish, from_zero, label_axes, over_cycle, stacked
-from timesim.picture.response import PAIRED, with_phase
+from timesim.picture.response import PAIRED, several_cycles, with_phase
 from timesim.picture.style import SERIES, Axes, Dataset, DataTree, Figure, Picture, is_stop, short, state_bar, unit
 from timesim.result.coordinate import over_keys, rubs
 
@@ -39,7 +39,7 @@ def overlay(
     axis: str | None = None,
     name: str = "amplitude",
 ) -> Axes:
-    """Curves of harmonic balance and points of the sweep, which are hollow if not settled.
+    """Curves of harmonic balance and points of the sweep, hollow if not settled, ringed if of several cycles.
 
     ``name``: amplitude or phase_deg.
     """
@@ -51,6 +51,7 @@ def overlay(
         part = sweep.isel(where)
         y, settled = part[name].sel(point=point, axis=axis).values, part.settled.values > 0
         _settled_or_hollow(ax, part.frequency.values, y, settled, look)
+        several_cycles(ax, sweep, where, y)
     if name == "amplitude":
         from_zero(ax)
     return ax
@@ -59,7 +60,8 @@ def overlay(
 def difference(data: DataTree, ax: Axes | None = None) -> Axes:
     """Largest relative difference of a point's amplitudes at each frequency.
 
-    Pale where the motion is linear, hollow where it has not settled.
+    Pale where the motion is linear, hollow where it has not settled, ringed where it repeats after several cycles: the
+    balance knows motions of one.
     """
     ax, (hbm, sweep) = axes(ax), _groups(data)
     counts = sweep.amplitude > MINOR * sweep.amplitude.max(("point", "axis"))
@@ -70,6 +72,7 @@ def difference(data: DataTree, ax: Axes | None = None) -> Axes:
         settled = sweep.settled.isel(where).values > 0
         for which, faint in ((~pale, {}), (pale, {"alpha": 0.25})):
             _settled_or_hollow(ax, x[which], y[which], settled[which], look | faint)
+        several_cycles(ax, sweep, where, y)
     for fold in hbm.frequency.values[hbm.fold.values > 0]:
         ax.axvline(fold, color="0.6", linewidth=0.7, linestyle=":", label="frequency of a fold")
     ax.set_yscale("log")

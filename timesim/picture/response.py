@@ -146,6 +146,14 @@ def draw_branch(
         ax.plot(x[fold], y[fold], "D", color=colour, label="fold", **marks)
 
 
+def several_cycles(ax: Axes, data: Dataset, where: Mapping[str, int], y: np.ndarray) -> None:
+    """Rings around the points of a sweep whose motion repeats after several cycles only."""
+    longer = (data.settled.isel(where).values > 0) & (data.period.isel(where).values > 1)
+    if longer.any():
+        ring: dict[str, Any] = {"color": "black", "fillstyle": "none", "ms": 8, "linestyle": ""}
+        ax.plot(data.frequency.values[longer], y[longer], "s", label="period of several cycles", **ring)
+
+
 def legend(axs: Iterable[Axes], entries: Mapping[str, Series], title: str | None = None) -> None:
     """A legend to the right of the first axes: the styles of the curves, and in grey whatever else has a label.
 

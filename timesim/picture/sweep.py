@@ -175,10 +175,7 @@ def _draw(ax: Axes, data: Dataset, curve: DrawnCurve, y: np.ndarray) -> None:
     frequency, settled = data.frequency.values, data.settled.isel(curve.where).values.astype(bool)
     failed, style = data.failure.isel(curve.where).values != "", curve.style
     _curve(ax, frequency, y, curve, ~settled & ~failed, "not settled", label="_" + curve.label, linewidth=1.0)
-    doubled = settled & (data.period.isel(curve.where).values > 1)
-    if doubled.any():
-        ring: dict[str, Any] = {"color": "black", "fillstyle": "none", "ms": 8, "linestyle": ""}
-        ax.plot(frequency[doubled], y[doubled], "s", label="period of several cycles", **ring)
+    shared.several_cycles(ax, data, curve.where, y)
     if failed.any():
         foot: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "clip_on": False, "linestyle": "", "zorder": 4}
         ax.plot(frequency[failed], np.full(failed.sum(), 0.015), "x", color=style.colour, ms=6, label="failed", **foot)
