@@ -18,14 +18,14 @@ from jaxtyping import Array, Float
 
 from timesim.engine.event_loop import advance, alone, begun, capacity, first_rows, one_by_one
 from timesim.engine.lanes import Over, advance_lanes, batch_first, batch_last, by_itself, over_lanes
-from timesim.engine.method import Method, step_method
+from timesim.engine.method import Explicit, Method, step_method
 from timesim.engine.solver import Control
 from timesim.engine.status import Status
 from timesim.engine.step import Step, Trajectory, begin, try_step
 from timesim.engine.system import System
 from timesim.model.solver import Solver
 from timesim.orbit.lane import Lane, Recorded
-from timesim.orbit.monodromy import HybridState, derivative, state_vector
+from timesim.orbit.monodromy import MANY, Disturbed, HybridState, derivative, linear, state_vector
 from timesim.program import program
 
 SIDE_BY_SIDE = 4  # lanes of a batch: of 16 each takes as long; a batch that is not full is filled up
@@ -130,10 +130,26 @@ def _recorded(own: tuple[Lane, int], solver: Solver, most: int | None) -> tuple[
 
 
 def _slopes(lanes: Sequence[Lane], method: Method, steps: Sequence[Step], each: Each) -> list[np.ndarray]:
-    """Derivative of the state of each lane after its steps by that before them.
+    """Derivative of the state of each lane after its steps by that before them."""
+    if isinstance(method, Explicit) and any(lane.vector.size >= MANY for lane in lanes):
+        return list(each(partial(_slope_of_many, method), list(zip(lanes, steps, strict=True))))
+    return _slopes_in_pieces(lanes, method, steps, each)
 
-    The steps of each are cut into pieces whose derivatives are computed side by side: no lane waits for a longer one.
-    """
+
+def _slope_of_many(method: Explicit, own: tuple[Lane, Step]) -> np.ndarray:
+    """The same of one lane whose state has many numbers."""
+    lane, steps = own
+    system = lane.system.single()
+    columns = Disturbed(method, system, np.eye(lane.vector.size))
+    for first in range(0, steps.h.size, PIECE):
+        rows = np.arange(first, min(first + PIECE, steps.h.size))
+        piece = linear(method, system, _entry(steps, np.pad(rows, (0, PIECE - rows.size), mode="edge")))
+        columns.lead(_on_host(piece), steps.h[rows], opens=first == 0)
+    return columns.columns
+
+
+def _slopes_in_pieces(lanes: Sequence[Lane], method: Method, steps: Sequence[Step], each: Each) -> list[np.ndarray]:
+    """The same of lanes whose steps are cut into pieces, some side by side: no lane waits for a longer one."""
     slopes = [np.eye(lane.vector.size) for lane in lanes]
     pieces = []
     for index, own in enumerate(steps):
@@ -177,7 +193,7 @@ def _stacked(trees: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *rows: np.stack(rows), *trees)
 
 
-def _entry(tree: Any, index: int | slice) -> Any:
+def _entry(tree: Any, index: int | slice | np.ndarray) -> Any:
     """One of a batch, or some."""
     return jax.tree.map(lambda leaf: leaf[index], tree)
 

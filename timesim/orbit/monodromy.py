@@ -18,17 +18,19 @@ to its tolerance; its eigenvalues are the Floquet multipliers.
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from timesim.engine.lanes import batch_last, over_lanes
-from timesim.engine.law.contact_law import State
-from timesim.engine.method import Method, looped
+from timesim.engine.law.contact_law import Motion, Plane, State
+from timesim.engine.method import Explicit, Method, Tableau, looped, tableau
 from timesim.engine.step import Step, transition
 from timesim.engine.system import Point, System
 from timesim.model.model import SEPARATION, SLIP, STICK
@@ -63,7 +65,12 @@ def state_vector(point: Point, state: State) -> Float[Array, " state"]:
 def _first_guard(system: System, step: Step, vector: Float[Array, " state"]) -> Float[Array, ""]:
     """Margin of the contact that leaves its state at the end of the step; of several at once, of the first."""
     point = point_of(vector, step.end)
-    force, speed = system.law.margins(step.state, system.motion(point), point.w)
+    return _ending(system, step, system.motion(point), point.w)
+
+
+def _ending(system: System, step: Step, motion: Motion, w: Plane) -> Float[Array, ""]:
+    """The same by the motion of the contacts."""
+    force, speed = system.law.margins(step.state, motion, w)
     to_stick = (step.state == SLIP) & (step.state_after == STICK)
     margin = jnp.where(to_stick, speed, force)
     return margin[jnp.argmax(step.state != step.state_after)] if margin.size else jnp.ones(())
@@ -120,3 +127,170 @@ def derivative(
     begin = jnp.zeros((), dtype=jnp.int64), product
     _, product = jax.lax.while_loop(lambda carry: carry[0] < count.max(), body, begin)
     return jnp.moveaxis(product, -1, 0)
+
+
+class Linear(eqx.Module):
+    """What a step of an explicit method does to small disturbances, but for what the structure alone does.
+
+    A disturbance of a contact is one of (u, v, u', v', w), a rate one of (-f, -n, w'): a law acts on each contact by
+    itself.
+
+    Attributes:
+        rates: for a unit of each disturbance, at each stage, (stage, disturbance, rate, contact).
+        opening, put: w after the transitions at the start and at the end of the step, (disturbance, axis, contact).
+        delay: of the transition that ends it; 0 where there is none, (disturbance, contact).
+        before, after: rates of the whole state at both sides of it, in the order of `vector_of`.
+    """
+
+    rates: Float[Array, "stage disturbance rate contact"]
+    opening: Float[Array, "disturbance axis contact"]
+    put: Float[Array, "disturbance axis contact"]
+    delay: Float[Array, "disturbance contact"]
+    before: Float[Array, " state"]
+    after: Float[Array, " state"]
+
+
+def weights_of(own: Tableau) -> np.ndarray:
+    """Weights of the slopes at the stages and, last, at the end of a step, a row each; slopes of no weight left out."""
+    num = int(np.flatnonzero(own.weights)[-1]) + 1
+    rows = [np.pad(row, (0, num))[:num] for row in ((), *own.stages[: num - 1], own.weights)]
+    return np.array(rows)
+
+
+@program
+def linear(method: Explicit, system: System, steps: Step) -> Linear:
+    """`Linear` of steps, the first axis that of the steps; the system is of one trajectory."""
+    own = tableau(method.name)
+    rows = weights_of(own)
+    nodes = np.array([0.0, *own.nodes])[: len(rows) - 1]
+
+    def one(step: Step) -> Linear:
+        def at(row: Array, slopes: Point) -> Point:
+            return jax.tree.map(lambda y, dy: y + step.h * jnp.tensordot(row, dy, 1), step.start, slopes)
+
+        def stage(slopes: Point, now: tuple[Array, Array, Array]) -> tuple[Point, Array]:
+            index, node, row = now
+            point = at(row, slopes)
+            slope = system.field(step.state, step.time + node * step.h, point)
+            slopes = jax.tree.map(lambda all_, new: all_.at[index].set(new), slopes, slope)
+            return slopes, _by_contact(system, partial(_rates, system, step.state), point)
+
+        slopes = jax.tree.map(lambda leaf: jnp.zeros((len(nodes), *leaf.shape)), step.start)
+        slopes, rates = jax.lax.scan(
+            stage, slopes, (jnp.arange(len(nodes)), jnp.asarray(nodes), jnp.asarray(rows[:-1]))
+        )
+        end, before = at(jnp.asarray(rows[-1]), slopes), step.end_rate
+        crossed = step.state != step.state_after
+        slip = partial(system.law.slip_at_transition, step.state)
+        first = jnp.arange(crossed.size) == jnp.argmax(crossed)
+        guard = first * _by_contact(system, lambda motion, w: (_ending(system, step, motion, w)[None],), end)[:, 0]
+        falls = (guard * _local(system, before)).sum()
+        at_event = transition(system, step.state, crossed, end)[0]
+        return Linear(
+            rates=rates,
+            opening=_by_contact(system, partial(slip, step.state), step.start),
+            put=_by_contact(system, partial(slip, step.state_after), end),
+            delay=jnp.where(crossed.any() & (falls != 0), -guard / jnp.where(falls == 0, 1.0, falls), 0.0),
+            before=vector_of(before),
+            after=vector_of(system.field(step.state_after, step.time + step.h, at_event)),
+        )
+
+    return jax.vmap(one)(steps)
+
+
+def _local(system: System, point: Point) -> Float[Array, "disturbance contact"]:
+    """Motion of the contacts, its rate, and w."""
+    x, dx, _ = system.path(point, point)
+    return jnp.stack([*x, *dx, *point.w])
+
+
+def _rates(system: System, state: State, motion: Motion, w: Plane) -> Plane:
+    acts = system.law.reaction(state, motion, w)
+    return *(-f for f in acts.f), -acts.n, *acts.dw
+
+
+def _by_contact(
+    system: System, function: Callable[[Motion, Plane], Plane], point: Point
+) -> Float[Array, "disturbance row contact"]:
+    """Derivatives of what each contact, or one of them, does by itself, by a disturbance of each kind."""
+    here, axes = _local(system, point), len(system.shape)
+
+    def of_rows(z: Array) -> Array:
+        x, dx, w = (tuple(z[first:last]) for first, last in ((0, axes), (axes, 2 * axes), (2 * axes, len(z))))
+        return jnp.stack(function(Motion(x[:-1], x[-1], dx[:-1], dx[-1]), w))
+
+    kinds = jnp.broadcast_to(jnp.eye(len(here))[:, :, None], (len(here), *here.shape))
+    return jax.vmap(lambda kind: jax.jvp(of_rows, (here,), (kind,))[1])(kinds)
+
+
+MANY = 64
+"""Numbers in a state from which on products of whole matrices are quicker: with 46 they take twice as long."""
+
+
+class Disturbed:
+    """Small disturbances of a trajectory, a column each, led through steps of an explicit method.
+
+    They are multiplied by the same derivatives as in `derivative`, but by products of whole matrices.
+
+    Args:
+        method: that of the steps.
+        system: of one trajectory, its arrays of numpy.
+        columns: disturbances before the first step, in the order of `vector_of`.
+    """
+
+    def __init__(self, method: Explicit, system: System, columns: np.ndarray):
+        self.weights, self.shape = weights_of(tableau(method.name)), np.concatenate(system.shape)
+        self.contacts, self.modes = system.shape[0].shape
+        self.stiffness, self.damping = np.asarray(system.stiffness)[:, None], np.asarray(system.damping)
+        self.columns, size = columns, len(columns)
+        self._slopes = np.empty((len(self.weights) - 1, size, size))
+        self._local = np.empty((2 * len(self.shape) + size - 2 * self.modes, size))
+
+    def lead(self, steps: Linear, h: np.ndarray, *, opens: bool) -> None:
+        """Lead them through some steps of lengths h; ``opens``: whether they are the first, as in `derivative`."""
+        if opens and len(h):
+            self._put(_on_diagonals(steps.opening[0]))
+        flat, stages = self._slopes.reshape(len(self._slopes), -1), len(self._slopes)
+        rates = _on_diagonals(steps.rates)
+        for k, length in enumerate(h):
+            weights = length * self.weights
+            for stage in range(stages):
+                here = np.dot(weights[stage, :stage], flat[:stage]).reshape(self.columns.shape)
+                here += self.columns
+                self._rate(rates[k, stage], here, self._slopes[stage])
+            self.columns = self.columns + np.dot(weights[-1], flat).reshape(self.columns.shape)
+            if not steps.delay[k].any():
+                self._put(_on_diagonals(steps.put[k]))
+                continue
+            delay = steps.delay[k].ravel() @ self._of_contacts(self.columns)
+            self.columns += np.outer(steps.before[k], delay)
+            self._put(_on_diagonals(steps.put[k]))
+            self.columns -= np.outer(steps.after[k], delay)
+
+    def _of_contacts(self, columns: np.ndarray) -> np.ndarray:
+        """Those of the contacts, rows in the order of the disturbance and the contact."""
+        ports, modes = len(self.shape), self.modes
+        np.dot(self.shape, columns[:modes], out=self._local[:ports])
+        np.dot(self.shape, columns[modes : 2 * modes], out=self._local[ports : 2 * ports])
+        self._local[2 * ports :] = columns[2 * modes :]
+        return self._local
+
+    def _rate(self, blocks: np.ndarray, columns: np.ndarray, rate: np.ndarray) -> None:
+        """Write the rate of columns."""
+        modes, ports = self.modes, len(self.shape)
+        q, p, acts = columns[:modes], columns[modes : 2 * modes], blocks @ self._of_contacts(columns)
+        rate[:modes], rate[2 * modes :], own = p, acts[ports:], rate[modes : 2 * modes]
+        np.dot(self.shape.T, acts[:ports], out=own)
+        own -= self.stiffness * q
+        own -= self.damping[:, None] * p if self.damping.ndim == 1 else self.damping @ p
+
+    def _put(self, blocks: np.ndarray) -> None:
+        self.columns[2 * self.modes :] = blocks @ self._of_contacts(self.columns)
+
+
+def _on_diagonals(blocks: np.ndarray) -> np.ndarray:
+    """Rows by columns of all contacts, from (..., column, row, contact)."""
+    *before, columns, rows, contacts = blocks.shape
+    whole, at = np.zeros((*before, rows, contacts, columns, contacts)), np.arange(contacts)
+    whole[..., :, at, :, at] = np.moveaxis(blocks, (-1, -2, -3), (0, -2, -1))
+    return whole.reshape(*before, rows * contacts, columns * contacts)
