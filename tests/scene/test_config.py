@@ -722,6 +722,12 @@ def test_modes_far_above_the_excitation_are_worth_a_warning():
     assert "367 times the excitation" in far
 
 
+def test_an_excitation_far_above_all_modes_is_worth_a_warning():
+    (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["excitation.frequency=8.73"]))
+    assert warning.startswith("the excitation reaches 8.73 Hz, 7.94 times the highest mode: frequencies are in Hz")
+    assert list(warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["excitation.frequency=4"]))) == []
+
+
 def test_damping_of_a_body_that_nothing_holds():
     """Its frequency is 0, so that it has no share of critical damping."""
     matrices = {"mass": [[1]], "stiffness": [[0]], "damping": [[0.1]], "points": {"m": {"x": 0}}}
@@ -795,7 +801,9 @@ def test_steps_that_pass_over_a_resonance_are_worth_a_warning():
 def test_damping_given_in_percent_and_a_result_of_gigabytes_are_worth_a_warning():
     (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["structure.modes.1.damping_ratio=2"]))
     assert warning.startswith("structure: damping ratio 2 of mode 2 at 1.1 Hz")
-    assert list(warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["structure.modes.1.damping_ratio=0.99"]))) == []
+    (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["structure.modes.1.damping_ratio=0.5"]))
+    assert warning.endswith("that is 50 % of critical; 1 % is 0.01")
+    assert list(warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["structure.modes.1.damping_ratio=0.1"]))) == []
     long = ["study.cycles=100000", "study.samples_per_cycle=200"]
     (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", [*long, "study.record_last=100000"]))
     assert warning.startswith("study: 20000001 samples make a result of 2.9 GB")

@@ -29,7 +29,7 @@ from timesim.result.netcdf import read, save
 from timesim.study import sweep
 from timesim.study.outcome import attributes
 from timesim.study.registry import load_scene
-from timesim.study.summary.sweep import jump_lines, peak_lines
+from timesim.study.summary.sweep import anew_lines, jump_lines, peak_lines, unusual_lines
 
 DATA = Path(__file__).parents[1] / "data"
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -301,8 +301,38 @@ def test_the_peak_of_each_set_of_values_is_named(both: xarray.Dataset) -> None:
     data.amplitude[:, :, 6] *= 5
     (line,) = peak_lines(data)
     assert re.search(r"Hz; beside it \d+% of that: between the points it may be far higher$", line)
+    data.attrs["jumps_bisected"] = 1
+    data.jump_low[:], data.jump_high[:] = both.frequency[5], both.frequency[6]
+    (line,) = peak_lines(data)
+    assert line.endswith("Hz")  # what lies between is known: a jump
+    data.amplitude[:, :, :3] = np.nan
+    (line,) = peak_lines(data)
+    size = both.sizes["frequency"]
+    assert line.endswith(f"Hz; of {size - 3} of {size} points, the others are missing")
+    data.amplitude[:, :, 5], data.attrs["jumps_bisected"] = np.nan, 0
+    (line,) = peak_lines(data)
+    assert "-" not in line.partition("peak")[2]  # a point that is missing is no small one
     data.amplitude[:] = np.nan
     assert list(peak_lines(data)) == []
+
+
+def test_points_that_stand_apart_are_named_as_such(both: xarray.Dataset) -> None:
+    data = both.copy(deep=True)
+    data.irregular[0, 0, [0, 1, 5]] = 1
+    (line,) = (line for line in unusual_lines(data) if "irregular" in line)
+    f = data.frequency.values
+    assert line.endswith(f"direction up: between {f[0]:g} and {f[1]:g} Hz, at {f[5]:g} Hz")
+
+
+def test_a_jump_between_points_that_each_start_anew_is_no_slope_in_silence() -> None:
+    """The far end of a bistable range: the peak of the other motion is missing, and nothing else tells."""
+    anew = run({"frequency": {"values": [0.95, 0.97, 1.39, 1.40]}, "over": {PRELOAD: [3]}})
+    (line,) = anew_lines(anew)
+    assert line.startswith(
+        f"{PRELOAD} 3: the amplitude changes steeply between 0.97 and 1.39 Hz, over a slope or a jump"
+    )
+    assert "study.direction: both tells of another motion" in line
+    assert list(anew_lines(run({"frequency": {"values": [0.95, 0.96, 0.97]}, "over": {PRELOAD: [3]}}))) == []
 
 
 def test_the_motion_loses_its_stability_before_it_jumps(both: xarray.Dataset) -> None:

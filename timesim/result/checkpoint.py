@@ -237,7 +237,8 @@ def is_finished(run_folder: Path | str, scene: str, *, force: bool, resume: bool
     With ``force`` its contents may be overwritten, with ``resume`` they are to be taken up.
 
     Raises:
-        StoreError: the folder holds an unfinished run and neither is given, or a run of another scene is to be resumed.
+        StoreError: the folder holds an unfinished run and neither is given, another run is at work in it, or a run of
+            another scene is to be resumed.
     """
     folder = Path(run_folder)
     if force and resume:
@@ -248,6 +249,9 @@ def is_finished(run_folder: Path | str, scene: str, *, force: bool, resume: bool
         return False
     _refuse_orphans(folder / FOLDER_NAME)
     if done := chunks_done(folder):
+        with suppress(OSError):
+            locked(folder).release()
+            (folder / LOCK_NAME).unlink(missing_ok=True)
         hint = "give --resume to go on, or --force to start anew"
         raise StoreError(f"{folder} holds a run that was cut off, {counted(done, 'chunk')} done; {hint}")
     return False

@@ -32,8 +32,8 @@ FASTER, NOTICED = 1.5, 3.0  # times, and seconds, from which on another way to s
 FEWEST_SAMPLES = 8  # of a cycle, between which its motion can be guessed
 MOST_SAMPLES = 2**16  # of a period of a balance
 STEPS_OF_WIDTH = 1.0  # widths of a resonance at half its power that a step may have
-FAR_ABOVE = 100.0
-"""Modes from matrices above this multiple of the highest excitation frequency are worth a warning."""
+FAR_BELOW, FAR_ABOVE = 0.2, 100.0  # times the highest excitation frequency: a highest mode beyond is worth a warning
+HEAVY = 0.15  # damping ratio above which a percentage is suspected
 
 
 def describe(scene: Scene) -> dict[str, tuple[str, ...]]:
@@ -264,6 +264,9 @@ def warnings_of(scene: Scene) -> Iterator[str]:
     yield from _large_numbers(file.study, scene.plan, model)
     highest = _highest_frequency(scene) * float(model.excitation.harmonic.max())
     ratio = float(model.structure.frequency[-1]) / highest if highest else 0.0
+    if 0 < ratio < FAR_BELOW:
+        far = f"the excitation reaches {highest:.6g} Hz, {1 / ratio:.3g} times the highest mode"
+        yield f"{far}: frequencies are in Hz, and modes left out would answer there"
     if ratio > FAR_ABOVE and not hasattr(file.structure, "modes"):
         keep = max(1, int(np.sum(model.structure.frequency <= 20 * highest)))
         top = f"{model.structure.frequency[-1]:.6g} Hz, {ratio:.3g} times the excitation"
@@ -309,10 +312,10 @@ def _highest_frequency(scene: Scene) -> float:
 
 def _large_numbers(study: StudySection, plan: Any, model: Model) -> Iterator[str]:
     structure = model.structure
-    for mode in np.flatnonzero(structure.damping_ratio > 1 - 1e-9)[:1]:
-        place = f"mode {mode + 1} at {structure.frequency[mode]:.6g} Hz"
-        ratio = f"damping ratio {structure.damping_ratio[mode]:.4g} of {place}"
-        yield f"structure: {ratio}: from 1 on it does not oscillate; 1 % is 0.01"
+    for mode in np.flatnonzero(structure.damping_ratio > HEAVY)[:1]:
+        place, ratio = f"mode {mode + 1} at {structure.frequency[mode]:.6g} Hz", structure.damping_ratio[mode]
+        so = "from 1 on it does not oscillate" if ratio > 1 - 1e-9 else f"that is {100 * ratio:.3g} % of critical"
+        yield f"structure: damping ratio {ratio:.4g} of {place}: {so}; 1 % is 0.01"
     if isinstance(plan, Schedule):
         numbers = 6 * len(structure.points) + 2 * structure.num_modes + 8 * model.num_contacts
         gigabytes = 8e-9 * plan.num_samples * numbers

@@ -123,8 +123,9 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     groups, reasons = {"sweep": sweep}, [reason or failure_line(sweep)]
     if plan.balance is not None and not (reason or "").startswith(INTERRUPTED):
         after = replace(execution, progress=phases["balance"])
-        hbm, _, hbm_reason = followed(scene, plan.balance, after, stage="balance")
+        hbm, own, hbm_reason = followed(scene, plan.balance, after, stage="balance")
         groups["hbm"] = hbm
+        lines += own.notes
         lines += fold_lines(hbm, gathered.ends, float(np.diff(grid.frequency).max(initial=0.0)))
         compiling, running = (compiling + hbm.attrs["compile_seconds"], running + hbm.attrs["run_seconds"])
         if hbm_reason and INTERRUPTED in hbm_reason:

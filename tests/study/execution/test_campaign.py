@@ -26,6 +26,7 @@ from timesim.cli import app
 from timesim.result import checkpoint, file
 from timesim.result.change import fingerprint
 from timesim.result.file import StoreError
+from timesim.result.folder import locked_folder
 from timesim.result.netcdf import open_result
 from timesim.study import registry as study
 from timesim.study.execution import campaign, worker
@@ -320,6 +321,10 @@ def test_two_runs_do_not_work_in_one_folder(tmp_path: Path):
             checkpoint.clear(tmp_path)
 
     assert carried(chains(1, 1), replace(execution, progress=second))[1] is None
+    with locked_folder(tmp_path), pytest.raises(StoreError, match="another run is at work"):
+        checkpoint.is_finished(tmp_path, "", force=False, resume=False)
+    with pytest.raises(StoreError, match="holds a run that was cut off"):
+        checkpoint.is_finished(tmp_path, "", force=False, resume=False)
 
 
 def test_stages_of_a_study_keep_apart(tmp_path: Path):

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from xarray import Dataset
 
+from timesim.orbit.jump import suspects
 from timesim.orbit.steady_state import SAME
 from timesim.orbit.threshold import LONGEST
 from timesim.result.coordinate import over_keys
@@ -30,6 +31,7 @@ def sweep_lines(data: Dataset) -> Iterator[str]:
     yield from peak_lines(data)
     yield from unusual_lines(data)
     yield from jump_lines(data)
+    yield from anew_lines(data)
 
 
 def peak_lines(data: Dataset) -> Iterator[str]:
@@ -53,11 +55,21 @@ def peak_lines(data: Dataset) -> Iterator[str]:
         way = f", direction {data['direction'].values[direction]}" if alone else ""
         end = ", an end of the frequencies" if count > 1 and at in (0, count - 1) else ""
         beside = own[direction, max(at - 1, 0) : at + 2, point, axis]
-        if count > 1 and beside.min() < SHARP * top:
-            end += f"; beside it {beside.min() / top:.0%} of that: between the points it may be far higher"
+        lowest = beside.min(where=beside >= 0, initial=top)
+        if count > 1 and lowest < SHARP * top and not _jumps_beside(data, (*place, direction), at):
+            end += f"; beside it {lowest / top:.0%} of that: between the points it may be far higher"
+        done = np.count_nonzero(own[direction, :, point, axis] >= 0)
+        end += f"; of {done} of {counted(count, 'point')}, the others are missing" if done < count else ""
         what, frequency = "peak" if count > 1 else "amplitude", axis_value(data["frequency"].values[at])
         lines.append(f"{label}{what} {height} of {name} at {frequency} Hz{way}{end}")
     yield from first_few(lines, LINES, lambda left: f"and {counted(left, 'more peak')}, all in the result file")
+
+
+def _jumps_beside(data: Dataset, chain: tuple[int, ...], at: int) -> bool:
+    """Whether a jump that is located lies in a step beside a point."""
+    low, high = (data[name].values[chain] for name in ("jump_low", "jump_high"))
+    near = data["frequency"].values[max(at - 1, 0) : at + 2]
+    return bool(data.attrs.get("jumps_bisected", 0) and np.any((low >= near[0]) & (high <= near[-1])))
 
 
 def unusual_lines(data: Dataset) -> Iterator[str]:
@@ -106,6 +118,19 @@ def jump_lines(data: Dataset) -> Iterator[str]:
         yield f"{where}: the amplitude changes along slopes only, as shorter steps show"
 
 
+def anew_lines(data: Dataset) -> Iterator[str]:
+    """The steps over which the amplitude stands out where each point starts anew: another motion may go on there."""
+    if data["direction"].values.tolist() != ["independent"]:
+        return
+    amplitude, lines = data["amplitude"].values, []
+    for place in np.ndindex(amplitude.shape[:-3]):
+        for k in suspects(amplitude[place].reshape(data.sizes["frequency"], -1)):
+            low, high = data["frequency"].values[k : k + 2]
+            lines.append(f"{_chain(data, place)}the amplitude changes steeply between {low:.8g} and {high:.8g} Hz")
+    why = ", over a slope or a jump: as each point starts anew, study.direction: both tells of another motion"
+    yield from first_few([line + why for line in lines], LINES, lambda left: f"and over {counted(left, 'more step')}")
+
+
 def failure_line(data: Dataset) -> str | None:
     """How many points failed, and the first of them with their reasons; None if none did."""
     dims, reason = data["failure"].dims, data["failure"].values
@@ -118,12 +143,15 @@ def failure_line(data: Dataset) -> str | None:
 
 
 def _spans(data: Dataset, chosen: np.ndarray) -> str:
-    """The range of frequency of chosen points, for each chain that has some."""
+    """The ranges of frequency of chosen points, for each chain that has some."""
     spans = []
     for place in map(tuple, np.argwhere(chosen.any(axis=-1))):
-        at = data["frequency"].values[chosen[place]]
-        span = f"at {at[0]:g} Hz" if at.size == 1 else f"between {at[0]:g} and {at[-1]:g} Hz"
-        spans.append(_chain(data, place) + span)
+        index = np.flatnonzero(chosen[place])
+        rows = [data["frequency"].values[row] for row in np.split(index, np.flatnonzero(np.diff(index) > 1) + 1)]
+        named = [f"at {row[0]:g} Hz" if row.size == 1 else f"between {row[0]:g} and {row[-1]:g} Hz" for row in rows]
+        spans.append(
+            _chain(data, place) + ", ".join(first_few(named, POINTS, lambda left: f"and in {left} more ranges"))
+        )
     return "; ".join(first_few(spans, POINTS, lambda left: f"and in {counted(left, 'more row')} of the result"))
 
 
