@@ -19,7 +19,7 @@ from timesim.model.start import rest_start
 from timesim.orbit.batch import march_lanes, record
 from timesim.orbit.settling import Chain, first_lane
 
-SIZES = ((2, 1), (10, 1), (10, 4), (30, 1), (30, 4))
+SIZES = ((2, 1), (10, 1), (10, 4), (30, 1), (30, 4), (50, 10))
 CYCLES, LANES, REPEATS = 20, 16, 3
 FREQUENCY = 1.3
 
@@ -78,11 +78,12 @@ def differentiated(model: Model, accuracy: str) -> tuple[float, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--accuracy", nargs="+", default=["standard"], choices=list(PRESETS))
+    parser.add_argument("--sizes", nargs="+", metavar="MxC", default=[f"{m}x{c}" for m, c in SIZES])
     options = parser.parse_args()
     times = "µs a step, recorded (CPU) | side by side (CPU) | ms a cycle with its derivative (CPU)"
     print(f"| modes | contacts | accuracy | steps a cycle | {times} |")
     print("|---|---|---|---|---|---|---|")
-    for num_modes, num_contacts in SIZES:
+    for num_modes, num_contacts in (map(int, size.split("x")) for size in options.sizes):
         model = structure(num_modes, num_contacts)
         for accuracy in options.accuracy:
             steps, wall, cpu = recorded(model, accuracy)
