@@ -38,10 +38,14 @@ def straight() -> Model:
 )
 def test_both_ways_give_the_same_derivative(method, model, monkeypatch):
     solver = Solver("rk4", 1e-6, 1e-8, longest=2 * np.pi / 200) if method == "rk4" else Solver(method, 1e-6, 1e-8)
+    led, lead = [], batch.Disturbed.lead
+    monkeypatch.setattr(batch.Disturbed, "lead", lambda *args, **options: led.append(1) or lead(*args, **options))
     lane, found = first_lane(Chain(model, (model.excitation.frequency,)), solver), []
     for many in (0, np.inf):
         monkeypatch.setattr(batch, "MANY", many)
         found.append(batch.record([lane], solver, [CYCLES])[0])
+        assert bool(led) == (many == 0)
+        led.clear()
     products, columns = (one.slope for one in found)
     states = set(found[0].steps.state.ravel().tolist())
     print(found[0].steps.h.size, "steps", states)

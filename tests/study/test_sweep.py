@@ -29,7 +29,7 @@ from timesim.result.netcdf import read, save
 from timesim.study import sweep
 from timesim.study.outcome import attributes
 from timesim.study.registry import load_scene
-from timesim.study.summary.sweep import anew_lines, jump_lines, peak_lines, unusual_lines
+from timesim.study.summary.sweep import anew_lines, jump_lines, peak_lines, sweep_lines, unusual_lines
 
 DATA = Path(__file__).parents[1] / "data"
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -328,6 +328,7 @@ def test_a_jump_between_points_that_each_start_anew_is_no_slope_in_silence() -> 
     """The far end of a bistable range: the peak of the other motion is missing, and nothing else tells."""
     anew = run({"frequency": {"values": [0.95, 0.97, 1.39, 1.40]}, "over": {PRELOAD: [3]}})
     (line,) = anew_lines(anew)
+    assert line in sweep_lines(anew)
     assert line.startswith(
         f"{PRELOAD} 3: the amplitude changes steeply between 0.97 and 1.39 Hz, over a slope or a jump"
     )

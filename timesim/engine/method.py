@@ -183,6 +183,11 @@ class Looped(Method):
     def advance(
         self, dynamics: Dynamics, state: State, time: Array, point: Y, rate: Y, h: Array, tolerance: Array | None = None
     ) -> Advance:
+        end, _ = self.staged(dynamics, state, time, point, rate, h)
+        return Advance(end, dynamics.field(state, time + h, end), None)
+
+    def staged(self, dynamics: Dynamics, state: State, time: Array, point: Y, rate: Y, h: Array) -> tuple[Y, Y]:
+        """The end of a step, and the continuous states at its stages behind the first, their axis the first."""
         field = partial(dynamics.field, state)
         own = tableau(self.method.name)
         num_slopes = len(own.nodes) + 1
@@ -192,15 +197,15 @@ class Looped(Method):
         def combined(row: Array, slopes: Y) -> Y:
             return jax.tree.map(lambda y, dy: y + h * jnp.tensordot(row, dy, 1), point, slopes)
 
-        def stage(slopes: Y, now: tuple[Array, Array, Array]) -> tuple[Y, None]:
+        def stage(slopes: Y, now: tuple[Array, Array, Array]) -> tuple[Y, Y]:
             index, node, row = now
-            slope = field(time + node * h, combined(row, slopes))
-            return jax.tree.map(lambda dy, own: dy.at[index].set(own), slopes, slope), None
+            here = combined(row, slopes)
+            slope = field(time + node * h, here)
+            return jax.tree.map(lambda dy, own: dy.at[index].set(own), slopes, slope), here
 
         turns = (jnp.arange(1, num_slopes), jnp.asarray(own.nodes), jnp.asarray(rows[:-1]))
-        slopes, _ = jax.lax.scan(stage, slopes, turns)
-        end = combined(jnp.asarray(rows[-1]), slopes)
-        return Advance(end, field(time + h, end), None)
+        slopes, stages = jax.lax.scan(stage, slopes, turns)
+        return combined(jnp.asarray(rows[-1]), slopes), stages
 
 
 def looped(method: Method) -> Method:

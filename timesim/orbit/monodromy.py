@@ -30,7 +30,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from timesim.engine.lanes import batch_last, over_lanes
 from timesim.engine.law.contact_law import Motion, Plane, State
-from timesim.engine.method import Explicit, Method, Tableau, looped, tableau
+from timesim.engine.method import Explicit, Looped, Method, Tableau, looped, tableau
 from timesim.engine.step import Step, transition
 from timesim.engine.system import Point, System
 from timesim.model.model import SEPARATION, SLIP, STICK
@@ -160,26 +160,14 @@ def weights_of(own: Tableau) -> np.ndarray:
 @program
 def linear(method: Explicit, system: System, steps: Step) -> Linear:
     """`Linear` of steps, the first axis that of the steps; the system is of one trajectory."""
-    own = tableau(method.name)
-    rows = weights_of(own)
-    nodes = np.array([0.0, *own.nodes])[: len(rows) - 1]
+    last = len(weights_of(tableau(method.name))) - 2  # stages behind the first that have a weight
 
     def one(step: Step) -> Linear:
-        def at(row: Array, slopes: Point) -> Point:
-            return jax.tree.map(lambda y, dy: y + step.h * jnp.tensordot(row, dy, 1), step.start, slopes)
-
-        def stage(slopes: Point, now: tuple[Array, Array, Array]) -> tuple[Point, Array]:
-            index, node, row = now
-            point = at(row, slopes)
-            slope = system.field(step.state, step.time + node * step.h, point)
-            slopes = jax.tree.map(lambda all_, new: all_.at[index].set(new), slopes, slope)
-            return slopes, _by_contact(system, partial(_rates, system, step.state), point)
-
-        slopes = jax.tree.map(lambda leaf: jnp.zeros((len(nodes), *leaf.shape)), step.start)
-        slopes, rates = jax.lax.scan(
-            stage, slopes, (jnp.arange(len(nodes)), jnp.asarray(nodes), jnp.asarray(rows[:-1]))
-        )
-        end, before = at(jnp.asarray(rows[-1]), slopes), step.end_rate
+        here = (system, step.state, step.time, step.start, system.field(step.state, step.time, step.start), step.h)
+        end, stages = Looped(method.order, method).staged(*here)
+        points = jax.tree.map(lambda y, rows: jnp.concatenate([y[None], rows[:last]]), step.start, stages)
+        rates = jax.vmap(partial(_by_contact, system, partial(_rates, system, step.state)))(points)
+        before = step.end_rate
         crossed = step.state != step.state_after
         slip = partial(system.law.slip_at_transition, step.state)
         first = jnp.arange(crossed.size) == jnp.argmax(crossed)

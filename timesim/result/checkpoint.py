@@ -250,8 +250,9 @@ def is_finished(run_folder: Path | str, scene: str, *, force: bool, resume: bool
     _refuse_orphans(folder / FOLDER_NAME)
     if done := chunks_done(folder):
         with suppress(OSError):
-            locked(folder).release()
-            (folder / LOCK_NAME).unlink(missing_ok=True)
+            lock = locked(folder)  # it is not cut off where another run is at work
+            (folder / LOCK_NAME).unlink()
+            lock.release()
         hint = "give --resume to go on, or --force to start anew"
         raise StoreError(f"{folder} holds a run that was cut off, {counted(done, 'chunk')} done; {hint}")
     return False
