@@ -228,8 +228,14 @@ def test_a_balance_that_comes_to_no_end_leaves_the_study_whole(monkeypatch: pyte
     given = QUICK | {"study.frequency": "{from: 1.4, to: 1.45}", "study.starts": "0"}
     scene = load_scene(CONFIGS / "softening.yaml", [f"{key}={value}" for key, value in given.items()])
     reason = ["the corrector did not converge"]
-    monkeypatch.setattr(hbm, "follow_all", lambda *_: reason[0])
+
+    def not_whole(curves: Any, *_: Any) -> str:
+        curves.notes.append("few harmonics were enough")
+        return reason[0]
+
+    monkeypatch.setattr(hbm, "follow_all", not_whole)
     outcome = carry_out(scene)
+    assert "few harmonics were enough" in outcome.summary
     assert outcome.reason is None
     assert outcome.groups[""].attrs["complete"] == 1
     assert outcome.groups["hbm"].attrs["complete"] == 0
