@@ -305,3 +305,8 @@ class Compare(SweepSection, BalanceSection):
         sweep = self.sweep()
         low, high = float(sweep.frequency[0]), float(sweep.frequency[-1])
         return ComparePlan(sweep, self.balance(context, (low, high if high > low else 1.001 * low), sweep.over))
+
+
+def balance_of(plan: Any) -> HbmPlan | None:
+    """The harmonic balance that is the whole or a part of a study."""
+    return plan if isinstance(plan, HbmPlan) else getattr(plan, "balance", None)

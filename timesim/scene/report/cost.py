@@ -1,0 +1,76 @@
+"""About how long a study takes, in words."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from math import prod
+
+from timesim.hbm.scheme import NOTED
+from timesim.model import cost
+from timesim.model.model import Model
+from timesim.model.solver import SHOOT, Solver
+from timesim.result.label import counted
+from timesim.scene.hbm import balance_of
+from timesim.scene.resolution import Scene
+from timesim.scene.study import SteadySection, SweepPlan
+from timesim.scene.transient import Schedule
+
+FASTER, NOTICED = 1.5, 3.0  # times, and seconds, from which on another way to settle is named
+
+
+def cost_lines(scene: Scene, model: Model) -> Iterator[str]:
+    """Roughly how long each phase of the study takes, and where the figures come from; empty if none is known."""
+    study, plan, solver = scene.file.study, scene.plan, scene.solver()
+    lines = []
+    if isinstance(plan, Schedule):
+        cycles = sum(cycles for _, cycles in plan.phases)
+        total = cost.seconds(model, solver, cost.Work.of_run(plan.phases, estimated=False))
+        lines.append(f"{counted(cycles, 'cycle')} of {_duration(total / cycles)}: {_duration(total)}")
+    elif isinstance(study, SteadySection):
+        sweep = study.sweep()
+        cycles, own, beside, total = _sweep_cost(model, solver, sweep)
+        each = f"{counted(cycles, 'cycle')} of {_duration(own)} and {_duration(beside)} beside them"
+        lines.append(f"{counted(sweep.size, 'point')} of {each}: {_duration(total)}{study.search()}")
+        shot = replace(sweep, criterion=replace(sweep.criterion, first_shot=SHOOT))
+        fewer, _, _, less = _sweep_cost(model, solver, shot)
+        if total > max(FASTER * less, NOTICED):
+            why = "vibrations decay slowly; of several motions it may find another"
+            few = f"{counted(fewer, 'cycle')} a point, Newton's method and {_duration(less)}"
+            lines.append(f"{few} with study.periodic: shoot, as {why}")
+    balance = balance_of(plan)
+    if balance is not None:
+        curves = prod(map(len, balance.over.values())) * (1 + balance.both_ends)
+        scheme, *finer = balance.schemes_for(model)
+        if "harmonics" in balance.chosen:
+            more = f", and up to {finer[-1].harmonics} harmonics where they are needed" if finer else ""
+            yield f"{scheme}{more}; if those above make more than {NOTED:g} of the amplitude, the run says so"
+        own = cost.seconds_a_solution(model, scheme.time_samples, stability=balance.stability)
+        work = f"{cost.SOLUTIONS} solutions of {_duration(own)}"
+        which = counted(curves, "curve")
+        lines.append(f"{which} of harmonic balance of {work}: {_duration(curves * cost.SOLUTIONS * own)}")
+    yield from (f"about {line}" for line in lines)
+    if lines:
+        yield "as measured on one core of a server (timesim/model/cost.py); a first run compiles before that"
+
+
+def _sweep_cost(model: Model, solver: Solver, sweep: SweepPlan) -> tuple[int, float, float, float]:
+    """The cycles that a point of a sweep marches, the seconds of one, those beside them, and those of all points.
+
+    Cycles of Newton's method, and the one that is measured, take longer, by their derivatives.
+    """
+    whole = sweep.work(model)
+    ((frequency, every),) = whole.phases
+    cycles, own = round(every / sweep.size), cost.seconds_a_cycle(model, solver, frequency, whole.side_by_side)
+    marched = int(min(cycles, sweep.criterion.first_shot))
+    beside = cost.SETTLING + (1 + cycles - marched) * cost.seconds_a_derivative(model, solver, frequency)
+    return marched, own, beside, sweep.size * (marched * own + beside)
+
+
+DURATIONS = (("h", 3600.0, 7200.0), ("min", 60.0, 120.0), ("s", 1.0, 1.0), ("ms", 1e-3, 1e-3), ("µs", 1e-6, 0.0))
+"""Units of time: the seconds in one, and from how many seconds on it is used."""
+
+
+def _duration(seconds: float) -> str:
+    """A time with about two digits, in the unit that suits it."""
+    unit, size = next((unit, size) for unit, size, least in DURATIONS if seconds >= least)
+    number = seconds / size
+    return f"{number:.{0 if number >= 10 else 1}f} {unit}"

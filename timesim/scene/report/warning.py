@@ -1,0 +1,132 @@
+"""What is accepted in a scene but may not be intended."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from timesim.fault import Problem
+from timesim.model.contact_state import obeys_cone
+from timesim.model.model import Model
+from timesim.result.label import first_few, in_words
+from timesim.scene.file import SceneFile
+from timesim.scene.hbm import balance_of
+from timesim.scene.resolution import Scene
+from timesim.scene.study import SteadySection, StudySection, SweepSection
+from timesim.scene.transient import Schedule, TradeoffPlan
+
+FAILING = 3  # sets of values without a scene that are named
+LARGE_RESULT = 1.0  # gigabytes of samples
+FEWEST_SAMPLES = 8  # of a cycle, between which its motion can be guessed
+MOST_SAMPLES = 2**16  # of a period of a balance
+STEPS_OF_WIDTH = 1.0  # widths of a resonance at half its power that a step may have
+FAR_BELOW, FAR_ABOVE = 0.2, 100.0  # times the highest excitation frequency: a highest mode beyond is worth a warning
+HEAVY = 0.15  # damping ratio above which a percentage is suspected
+
+
+def warnings_of(scene: Scene) -> Iterator[str]:
+    """What is accepted in a scene but may not be intended."""
+    file = scene.file
+    frequency = file.excitation.frequency if file.excitation else None
+    if not file.study.requires:
+        unused = ("structure", "excitation", "initial", *([] if file.study.uses_solver else ["solver"]))
+        for key in (key for key in unused if key in scene.source.data):
+            yield f"{key} is not used: in a study of kind {file.study.kind} the motion of the contact is given"
+    elif frequency is not None and not file.study.uses_frequency:
+        yield f"excitation.frequency is not used: in a study of kind {file.study.kind} its own frequencies rule"
+    for contact in file.contacts:
+        if contact.idle_stiffness and np.any(contact.stiffness_matrix()):
+            yield f"contacts.{contact.name}.tangential_stiffness has no effect without friction"
+    if not file.study.requires:
+        return
+    yield from _failing(scene)
+    model = scene.model()
+    yield from model.notes
+    yield from _narrow(file.study, model)
+    yield from _still_parts(file, model)
+    yield from _large_numbers(file.study, scene.plan, model)
+    highest = _highest_frequency(scene) * float(model.excitation.harmonic.max())
+    ratio = float(model.structure.frequency[-1]) / highest if highest else 0.0
+    if 0 < ratio < FAR_BELOW:
+        far = f"the excitation reaches {highest:.6g} Hz, {1 / ratio:.3g} times the highest mode"
+        yield f"{far}: frequencies are in Hz, and modes left out would answer there"
+    if ratio > FAR_ABOVE and not hasattr(file.structure, "modes"):
+        keep = max(1, int(np.sum(model.structure.frequency <= 20 * highest)))
+        top = f"{model.structure.frequency[-1]:.6g} Hz, {ratio:.3g} times the excitation"
+        reach = f"{model.structure.frequency[keep - 1]:.6g} Hz"
+        advice = f"structure.keep_modes: {keep} would reach {reach}"
+        yield f"the modes kept reach {top}, which costs steps; {advice}"
+
+
+def _failing(scene: Scene) -> Iterator[str]:
+    """Sets of values that make no scene; the others are computed all the same."""
+    lost = [(values, found) for values, found in scene.tried if isinstance(found, Problem)]
+    if lost:
+        named = [f"{in_words(values)}: {problem.key} {problem.rule}" for values, problem in lost]
+        few = "; ".join(first_few(named, FAILING, lambda left: f"and {left} more"))
+        yield f"study.over: {len(lost)} of {len(scene.tried)} sets of values make no scene, and get no motion: {few}"
+
+
+def _narrow(study: StudySection, model: Model) -> Iterator[str]:
+    """Resonances, free or stuck, that the steps of a sweep may pass over."""
+    if not isinstance(study, SweepSection):
+        return
+    swept = study.sweep().frequency
+    zeta = np.nanmin(model.structure.damping_ratio, initial=np.inf)
+    stuck = model.stuck_omega / (2 * np.pi) if obeys_cone(model).all() else np.zeros(0)
+    natural = np.concatenate([model.structure.frequency, stuck])
+    natural = natural[(natural > swept[0]) & (natural < swept[-1])]
+    after = np.searchsorted(swept, natural)
+    step, width = swept[after] - swept[after - 1], 2 * zeta * natural
+    for place in np.flatnonzero(step > STEPS_OF_WIDTH * width)[:1]:
+        peak = f"a resonance as at {natural[place]:.6g} Hz is {width[place]:.2g} Hz wide by its structural damping"
+        yield f"study.frequency: {peak}; steps of {step[place]:.3g} Hz may miss its peak where no contact slips"
+
+
+def _highest_frequency(scene: Scene) -> float:
+    """Highest frequency of the time integration of a scene [Hz]; 0 where it has none."""
+    study, plan = scene.file.study, scene.plan
+    if isinstance(plan, Schedule):
+        return max(frequency for frequency, _ in plan.phases)
+    if isinstance(study, SteadySection):
+        return float(study.sweep().frequency[-1])
+    return plan.frequency if isinstance(plan, TradeoffPlan) else 0.0
+
+
+def _large_numbers(study: StudySection, plan: Any, model: Model) -> Iterator[str]:
+    structure = model.structure
+    for mode in np.flatnonzero(structure.damping_ratio > HEAVY)[:1]:
+        place, ratio = f"mode {mode + 1} at {structure.frequency[mode]:.6g} Hz", structure.damping_ratio[mode]
+        so = "from 1 on it does not oscillate" if ratio > 1 - 1e-9 else f"that is {100 * ratio:.3g} % of critical"
+        yield f"structure: damping ratio {ratio:.4g} of {place}: {so}; 1 % is 0.01"
+    if isinstance(plan, Schedule):
+        numbers = 6 * len(structure.points) + 2 * structure.num_modes + 8 * model.num_contacts
+        gigabytes = 8e-9 * plan.num_samples * numbers
+        if gigabytes > LARGE_RESULT:
+            less = "a longer run_up" if hasattr(study, "run_up") else "record_last"
+            advice = f"{less} or a smaller samples_per_cycle would do with less"
+            yield f"study: {plan.num_samples} samples make a result of {gigabytes:.2g} GB; {advice}"
+        if plan.samples_per_cycle < FEWEST_SAMPLES:
+            so = "cycle_amplitude is that of the continuous motion all the same"
+            yield f"study: {plan.samples_per_cycle} samples of a cycle show little of its motion; {so}"
+    balance = balance_of(plan)
+    if balance is not None and balance.scheme.time_samples > MOST_SAMPLES:
+        so = "each solution takes seconds; study.convergence tells how few are enough"
+        yield f"study.time_samples: {balance.scheme.time_samples} samples of a period: {so}"
+
+
+def _still_parts(file: SceneFile, model: Model) -> Iterator[str]:
+    start, excitation = model.start, model.excitation
+    if not any(np.any(part) for part in (excitation.cosine, excitation.sine, excitation.constant)):
+        moving = np.any(start.displacement) or np.any(start.velocity) or np.any(start.slip)
+        yield "no force acts" if moving else "no force acts and the start is at rest: nothing will move"
+    if file.excitation is not None:
+        yield from file.excitation.without_effect(model.structure)
+    for contact, shape in zip(model.contacts, model.contact_shape, strict=True):
+        if not np.any(shape):
+            yield f"contacts.{contact.name} does not move in any mode"
+    given = getattr(file.initial, "slip", {})
+    for contact, slip in zip(model.contacts, start.slip, strict=True):
+        if contact.name in given and not np.allclose(slip, given[contact.name], rtol=1e-8, atol=0.0):
+            reason = "the contact starts separated or has no friction"
+            yield f"initial.slip.{contact.name} has no effect: {reason}"
