@@ -207,7 +207,9 @@ def test_a_check_that_comes_to_no_cycle_leaves_the_result_complete(monkeypatch):
     data = run(scene(plan, **creeping))
     assert data.attrs["complete"] == 1
     assert "after 3" in data.attrs["cross_check_failure"]
-    lines = list(summary(steady_cycle(contact(), HarmonicMotion(1.0, 0.2, 0.0)), {"cross_check_failure": "no reason"}))
+    cycle = steady_cycle(contact(), HarmonicMotion(1.0, 0.2, 0.0))
+    lines = list(summary(cycle, {"cross_check_failure": "no reason"}, {"units": "N*mm"}))
+    assert any(line.startswith("dissipation ") and line.endswith(" N*mm (work of slip)") for line in lines)
     assert "not confirmed by a second way: no reason" in lines
 
 

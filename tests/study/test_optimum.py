@@ -166,6 +166,10 @@ def test_a_peak_that_is_the_same_over_a_span_is_told_and_drawn_so():
     first, last = (float(word.strip(":")) for word in (line.split()[6], line.split()[8]))
     assert 5.2 < first < 6.1
     assert last == 10
+    units = {"peak": data["peak"].assign_attrs(units="mm"), KEY: data[KEY].assign_attrs(units="N")}
+    said = list(optimum_lines(data.assign(peak=units["peak"]).assign_coords({KEY: units[KEY]}), 1e-3))
+    assert any("to 10 N: any value between" in line for line in said)
+    assert any(line.startswith("least peak 2.8 mm at ") for line in said)
     low, high = plot_optimum.magnified(data).get_ylim()
     assert high - low > 1e-4 * 2.8
 

@@ -54,6 +54,10 @@ class SceneParts(Section):
     initial: InitialSection = "rest"
     solver: SolverSection = Field(default_factory=lambda: SolverSection.model_validate({}))
 
+    def unit_names(self) -> dict[str, str]:
+        """Units that the scene names, by their quantities: ``{"length": "mm"}``."""
+        return {} if self.units is None else self.units.model_dump(exclude_none=True)
+
 
 class SceneFile(SceneParts):
     """A scene: what is modelled, and what is computed."""

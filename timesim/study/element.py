@@ -5,7 +5,7 @@ where the two do not agree. Where it comes to no steady cycle of its own the res
 """
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from timesim.element.state_by_state import steady_cycle
 from timesim.model.model import STATE_NAMES, Contact
 from timesim.result.checkpoint import INTERRUPTED
 from timesim.result.dataset import Arrays, dataset
-from timesim.result.label import counted
+from timesim.result.label import counted, with_unit
 from timesim.scene.element import ElementPlan
 from timesim.scene.resolution import Scene
 from timesim.study.execution.campaign import Execution
@@ -57,7 +57,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     about = attributes(scene, METHOD, compiling, time.perf_counter() - clock - compiling, reason) | compared
     execution.progress(1, 1)
     record = record_of(plan, cycle, about)
-    return Outcome({"": record}, reason, tuple(summary(cycle, compared)))
+    return Outcome({"": record}, reason, tuple(summary(cycle, compared, record["dissipation"].attrs)))
 
 
 def _unsettled(cycle: ElementCycle) -> str:
@@ -115,8 +115,8 @@ def _arrow(item: Transition) -> str:
     return f"{STATE_NAMES[item.before]}→{STATE_NAMES[item.after]}"
 
 
-def summary(cycle: ElementCycle, compared: dict[str, Any]) -> Iterator[str]:
-    """The lines of the summary."""
+def summary(cycle: ElementCycle, compared: dict[str, Any], energy: Mapping[str, Any]) -> Iterator[str]:
+    """The lines of the summary; ``energy``: attributes with the unit of an energy."""
     if UNCHECKED in compared:
         yield f"not confirmed by a second way: {compared[UNCHECKED]}"
     if not cycle.touches:
@@ -128,7 +128,8 @@ def summary(cycle: ElementCycle, compared: dict[str, Any]) -> Iterator[str]:
     yield f"steady to {cycle.residual:.1e} of the largest mu n in {counted(cycle.num_cycles, 'cycle')}"
     if cycle.offset_free:
         yield "full stick: w, and with it f_b, may keep another offset; here that of a start with f = 0"
-    yield f"dissipation {cycle.dissipation:.9g} a cycle (loop area), {cycle.work:.9g} (work of slip)"
+    area, work = (with_unit(f"{size:.9g}", energy) for size in (cycle.dissipation, cycle.work))
+    yield f"dissipation {area} a cycle (loop area), {work} (work of slip)"
     if "cross_check_angle_deg" in compared:
         yield (
             f"the event loop agrees to {compared['cross_check_angle_deg']:.1e}° in the transitions and "

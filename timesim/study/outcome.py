@@ -30,9 +30,7 @@ class Outcome:
 
 def unit_names(scene: Scene) -> dict[str, str]:
     """Attributes of a Dataset that name the scene's own units, by which `timesim.result.dataset.dataset` labels it."""
-    units = scene.file.units
-    names = {} if units is None else {"length_unit": units.length, "force_unit": units.force}
-    return {attribute: name for attribute, name in names.items() if name}
+    return {f"{quantity}_unit": name for quantity, name in scene.file.unit_names().items()}
 
 
 def took(attrs: Mapping[Any, Any]) -> str:

@@ -28,16 +28,20 @@ def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
     if not np.isfinite(best):
         return
     at = int(np.flatnonzero(values == best)[0])
-    least, value = (
-        with_unit(text, data[name].attrs) for text, name in ((f"{peak[at]:.7g}", "peak"), (f"{best:.6g}", key))
-    )
-    yield f"least peak {least} at {key} = {value}, at {float(data['optimum_frequency']):.6g} Hz"
-    beside = [i for value in (best - accuracy, best + accuracy) for i in np.flatnonzero(values == value)]
-    first, last = (float(values[place]) for place in as_low(peak, at))
-    if data.attrs["complete"] and last - first > 3 * accuracy:
-        yield f"the peak is the same from {first:.6g} to {last:.6g}: any value between does as well"
+
+    def at_value(i: int) -> str:
+        return with_unit(f"{values[i]:.6g}", data[key].attrs)
+
+    def height(i: int) -> str:
+        return with_unit(f"{peak[i]:.7g}", data["peak"].attrs)
+
+    yield f"least peak {height(at)} at {key} = {at_value(at)}, at {float(data['optimum_frequency']):.6g} Hz"
+    beside = [i for value in (best - accuracy, best + accuracy) for i in np.flatnonzero(values == value).tolist()]
+    first, last = as_low(peak, at)
+    if data.attrs["complete"] and values[last] - values[first] > 3 * accuracy:
+        yield f"the peak is the same from {values[first]:.6g} to {at_value(last)}: any value between does as well"
     elif data.attrs["complete"] and beside:
-        heights = " and ".join(f"{peak[i]:.7g} at {values[i]:.6g}" for i in beside)
+        heights = " and ".join(f"{height(i)} at {at_value(i)}" for i in beside)
         yield f"an accuracy away the peak is not smaller: {heights}"
     if data.attrs["complete"] and best in (values[0], values[-1]):
         yield f"it is at an end of the range of {key}, so beyond it the peak may be smaller still"
