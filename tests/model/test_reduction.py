@@ -14,6 +14,7 @@ import pytest
 from scipy.linalg import expm
 from systems import at_rest, den_hartog, excitation, generated_model, oscillator, pad, provable_model, structure
 
+from timesim.model import finding
 from timesim.model.held import springs
 from timesim.model.model import GROUND, SEPARATION, SLIP, STICK, Contact, Excitation, Model, Start, Structure
 from timesim.model.reduction import Reduction, _normalised, reduction_of
@@ -227,6 +228,11 @@ def test_straight_motion_is_found_in_any_frame() -> None:
     assert found.line is not None
     np.testing.assert_allclose(found.line, [[np.cos(0.4), -np.sin(0.4)]], atol=1e-14)
     assert any("contact pad moves straight along (0.921061, -0.389418)" in text for text in found.findings)
+
+
+def test_a_line_is_named_without_its_rounding() -> None:
+    (text,) = finding.straight(three_modes(), np.array([0]), np.array([[1.0, -5e-14]]))
+    assert "along (1, 0) of its plane" in text
 
 
 def test_motion_in_two_directions_is_not_straight() -> None:

@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 
 from timesim.fault import RuleError, SceneError
 from timesim.model.cost import cycles_to_settle, seconds_a_cycle, seconds_a_derivative
-from timesim.model.finding import contact_line
 from timesim.model.model import SEPARATION, SLIP, STICK
 from timesim.model.solver import NEVER, SHOOT, SLOW, Criterion
 from timesim.scene.report import describe, warnings_of
+from timesim.scene.report.description import contact_line
 from timesim.scene.text import MAX_BYTES, parse, yaml_text
 from timesim.study.registry import json_schema, load_scene
 
@@ -624,7 +624,7 @@ def test_describe_names_every_part():
     scene = load_scene(CONFIGS / "oscillator.yaml")
     report = describe(scene)
     assert report["structure"] == (
-        "2 modes, 0.9 to 1.1 Hz",
+        "2 modes",
         "natural frequencies without contacts: 0.9, 1.1 Hz",
         "natural frequencies with every contact stuck: 1.41464, 1.59744 Hz",
         "damping ratio 0.02",
@@ -699,12 +699,18 @@ def test_describe_counts_points_and_names_the_method_at_the_lowest_frequency():
 
 def test_describe_contacts():
     def line(**changes: Any) -> str:
-        return contact_line(load_scene(one_mass(contact=changes)).model().contacts[0])
+        return contact_line(load_scene(one_mass(contact=changes)).model().contacts[0], {})
 
     assert "gap 0.1" in line(preload=-2)
     assert "frictionless stop" in line(friction=0, tangential_stiffness=0)
     assert "constant normal load 4" in line(normal_stiffness=0, preload=4)
-    assert "[[1, 0], [0, 2]]" in line(tangential_stiffness=[1, 2])
+    assert "stiffness [1, 2]," in line(tangential_stiffness=[1, 2])
+    assert "stiffness [[2, 1], [1, 2]]," in line(tangential_stiffness=[[2, 1], [1, 2]])
+    contact = load_scene(one_mass(contact={"preload": -2})).model().contacts[0]
+    said = contact_line(contact, {"length": "mm", "force": "N"})
+    assert "tangential stiffness 10 N/mm, normal stiffness 20 N/mm, gap 0.1 mm" in said
+    units, *_ = describe(load_scene(one_mass(units={"length": "mm", "force": "N"})))["scene"]
+    assert units == "units: length mm, force N, mass N s²/mm = t, time s"
 
 
 def test_modes_far_above_the_excitation_are_worth_a_warning():
@@ -845,7 +851,27 @@ def test_natural_frequencies_with_contacts_absent_and_stuck():
     lines = describe(load_scene(one_mass()))["structure"]
     stuck = np.sqrt((2 * np.pi) ** 2 + np.array([10.0, 20.0])) / (2 * np.pi)
     assert lines[1] == "natural frequencies without contacts: 1, 1 Hz"
-    assert lines[2] == f"natural frequencies with every contact stuck: {stuck[0]:.6g}, {stuck[1]:.6g} Hz"
+    assert lines[2] == f"natural frequencies with every contact closed and stuck: {stuck[0]:.6g}, {stuck[1]:.6g} Hz"
+
+
+def test_a_free_body_and_contacts_that_are_open_at_rest_are_told_apart():
+    """Two free masses, one of which a pad holds along x; what rounding leaves of a frequency is shown as 0."""
+    k = 1e7 / 3
+    matrices = {"mass": [[1, 0], [0, 1.1]], "stiffness": [[k, -k], [-k, k]], "damping_ratio": 0.01}
+    matrices["points"] = {"tip": {"x": 0}, "end": {"x": 1}}
+    contact = {"point": "tip", "normal": [1, 0, 0], "friction": 0.0, "tangential_stiffness": 0, "preload": -2}
+    body = one_mass(contact=contact) | {"structure": {"matrices": matrices}}
+    stop = body["contacts"][0]
+    lines = describe(load_scene(body))["structure"]
+    assert lines[1].startswith("natural frequencies without contacts: 0 (rigid body), ")
+    assert lines[2].startswith("natural frequencies with every contact closed and stuck: 0.49")
+    pad = stop | {"name": "pad", "point": "end", "normal": [0, 0, 1], "friction": 0.3, "preload": 1}
+    pad["tangential_stiffness"] = 5
+    lines = describe(load_scene(body | {"contacts": [stop, pad]}))["structure"]
+    assert lines[2].startswith("natural frequencies with what carries a preload stuck (pad): 0.24")
+    across = stop | {"normal": [0, 0, 1]}
+    lines = describe(load_scene(body | {"contacts": [across]}))["structure"]
+    assert lines[2].startswith("natural frequencies with every contact closed and stuck: 0 (rigid body), ")
 
 
 def test_check_estimates_the_cost_of_each_phase():

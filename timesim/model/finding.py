@@ -1,37 +1,10 @@
-"""Contacts, and what a run leaves out or simplifies, in words for the user."""
+"""What a run leaves out or simplifies, in words for the user."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from timesim.model.model import CONE, GROUND, Contact, Model, Structure
-
-
-def contact_line(contact: Contact) -> str:
-    """One contact in words: where, of what kind, its stiffness and its preload or gap."""
-    return f"{contact.name}: {', '.join(_contact_parts(contact))}"
-
-
-def _contact_parts(contact: Contact) -> Iterator[str]:
-    if contact.point:
-        yield f"{contact.point} against {'the ground' if contact.against == GROUND else contact.against}"
-    if contact.law != CONE:
-        own = ", ".join(f"{key} {value:g}" for key, value in contact.law_parameters.items())
-        yield f"law {contact.law}" + (f" ({own})" if own else "")
-    if contact.friction == 0 and not np.any(contact.tangential_stiffness):
-        yield "frictionless stop"
-    else:
-        (k11, k12), (k21, k22) = contact.tangential_stiffness
-        isotropic = k11 == k22 and k12 == 0
-        stiffness = f"{k11:g}" if isotropic else f"[[{k11:g}, {k12:g}], [{k21:g}, {k22:g}]]"
-        yield f"friction {contact.friction:g}"
-        yield f"tangential stiffness {stiffness}"
-    if contact.normal_stiffness == 0:
-        yield f"constant normal load {contact.preload:g}"
-        return
-    yield f"normal stiffness {contact.normal_stiffness:g}"
-    gap = -contact.preload / contact.normal_stiffness
-    yield f"gap {gap:g}" if contact.preload < 0 else f"preload {contact.preload:g}"
+from timesim.model.model import Contact, Model, Structure
 
 
 def proven(contact: Contact, margin: float, *, stuck: bool) -> str:
@@ -58,7 +31,8 @@ def straight(model: Model, live: np.ndarray, line: np.ndarray) -> Iterator[str]:
     for row in np.argsort(live):
         c, (first, second) = live[row], line[row]
         if model.contacts[c].friction > 0:
-            where = f"along ({first:.6g}, {second:.6g}) of its plane"
+            # A unit vector: beyond its sixth decimal is rounding.
+            where = f"along ({round(first, 6) + 0.0:g}, {round(second, 6) + 0.0:g}) of its plane"
             name = model.contacts[c].name
             yield f"contact {name} moves straight {where}: one tangential component is modelled"
 

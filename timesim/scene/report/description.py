@@ -8,12 +8,13 @@ from pydantic import BaseModel
 
 from timesim.model import cost
 from timesim.model.contact_state import obeys_cone
-from timesim.model.finding import contact_line, turning
-from timesim.model.model import Model
+from timesim.model.finding import turning
+from timesim.model.held import natural_modes
+from timesim.model.model import CONE, GROUND, Contact, Model
 from timesim.model.promise import PROMISE
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import CLOSED_FORM, COMPANION, coarser
-from timesim.result.label import counted
+from timesim.result.label import BASE, attributes, counted, with_unit
 from timesim.scene.report.cost import cost_lines
 from timesim.scene.report.warning import warnings_of
 from timesim.scene.resolution import Scene
@@ -21,17 +22,18 @@ from timesim.scene.text import value_text
 from timesim.scene.transient import Schedule, TradeoffPlan
 
 LISTED = 6  # entries of a list that are all shown
+EPSILON = np.finfo(float).eps
 
 
 def describe(scene: Scene) -> dict[str, tuple[str, ...]]:
     """What ``timesim check`` prints: what is modelled, what is left out and why, and warnings, lines by heading."""
     report = {"scene": tuple(_study_lines(scene))}
     if not scene.file.study.requires:
-        report["contacts"] = tuple(contact_line(item.build()) for item in scene.file.contacts)
+        report["contacts"] = tuple(contact_line(item.build(), scene.file.unit_names()) for item in scene.file.contacts)
     else:
         model = scene.model()
         report["structure"] = tuple(_structure_lines(model))
-        report["contacts"] = tuple(map(contact_line, model.contacts)) or ("none",)
+        report["contacts"] = tuple(contact_line(item, scene.file.unit_names()) for item in model.contacts) or ("none",)
         report["excitation"] = tuple(_excitation_lines(scene, model))
         report["accuracy"] = tuple(_accuracy_lines(scene, model))
         report["method"] = tuple(_method_lines(scene, model))
@@ -93,13 +95,42 @@ def _accuracy_lines(scene: Scene, model: Model) -> Iterator[str]:
             yield f"{way} a second run ({coarse}), {COMPANION:g} of the time of the first"
 
 
+def contact_line(contact: Contact, units: Mapping[str, str]) -> str:
+    """One contact in words: where, of what kind, its stiffness and its preload or gap, in units of the scene."""
+    return f"{contact.name}: {', '.join(_contact_parts(contact, units))}"
+
+
+def _contact_parts(contact: Contact, units: Mapping[str, str]) -> Iterator[str]:
+    def size(name: str, number: str) -> str:
+        return with_unit(number, attributes(name, units))
+
+    if contact.point:
+        yield f"{contact.point} against {'the ground' if contact.against == GROUND else contact.against}"
+    if contact.law != CONE:
+        own = ", ".join(f"{key} {value:g}" for key, value in contact.law_parameters.items())
+        yield f"law {contact.law}" + (f" ({own})" if own else "")
+    if contact.friction == 0 and not np.any(contact.tangential_stiffness):
+        yield "frictionless stop"
+    else:
+        (k11, k12), (k21, k22) = contact.tangential_stiffness
+        diagonal = f"{k11:g}" if k11 == k22 else f"[{k11:g}, {k22:g}]"
+        stiffness = diagonal if k12 == 0 else f"[[{k11:g}, {k12:g}], [{k21:g}, {k22:g}]]"
+        yield f"friction {contact.friction:g}"
+        yield f"tangential stiffness {size('normal_stiffness', stiffness)}"
+    if contact.normal_stiffness == 0:
+        yield f"constant normal load {size('preload', f'{contact.preload:g}')}"
+        return
+    yield f"normal stiffness {size('normal_stiffness', f'{contact.normal_stiffness:g}')}"
+    if contact.preload < 0:
+        yield f"gap {size('v', f'{-contact.preload / contact.normal_stiffness:g}')}"
+    else:
+        yield f"preload {size('preload', f'{contact.preload:g}')}"
+
+
 def _structure_lines(model: Model) -> Iterator[str]:
     structure, frequency = model.structure, model.structure.frequency
-    span = f"{frequency[0]:.6g} Hz" if frequency.size == 1 else f"{frequency[0]:.6g} to {frequency[-1]:.6g} Hz"
-    yield f"{counted(frequency.size, 'mode')}, {span}"
-    yield f"natural frequencies without contacts: {_listed(frequency)} Hz"
-    if model.contacts and obeys_cone(model).all():
-        yield f"natural frequencies with every contact stuck: {_listed(model.stuck_omega / (2 * np.pi))} Hz"
+    yield counted(frequency.size, "mode")
+    yield from _natural_frequencies(model)
     if structure.damping.ndim == 2:
         yield "damping: a whole matrix, which the modes do not diagonalise"
     elif not np.any(structure.damping):
@@ -113,10 +144,35 @@ def _structure_lines(model: Model) -> Iterator[str]:
     yield f"points: {', '.join(structure.points)}"
 
 
-def _listed(numbers: np.ndarray) -> str:
-    """Ascending numbers, those between the first few and the last left out where there are many."""
-    texts = [f"{number:.6g}" for number in numbers]
-    return ", ".join(texts if len(texts) <= LISTED else (*texts[: LISTED - 2], "…", texts[-1]))
+def _natural_frequencies(model: Model) -> Iterator[str]:
+    """Without contacts, with those stuck that carry a preload, and with all of them closed and stuck."""
+    free = model.structure.frequency
+    # A stiffness below the rounding of the highest mode's is none.
+    least = np.sqrt(EPSILON) * free.max()
+    yield f"natural frequencies without contacts: {_listed(free, least)}"
+    if not model.contacts or not obeys_cone(model).all():
+        return
+    loaded = np.flatnonzero(model.preload > 0)
+    every = np.arange(model.num_contacts)
+    if 0 < loaded.size < every.size:
+        names = ", ".join(model.contacts[c].name for c in loaded)
+        yield f"natural frequencies with what carries a preload stuck ({names}): {_stuck(model, loaded, least)}"
+    how = "stuck" if loaded.size == every.size else "closed and stuck"
+    yield f"natural frequencies with every contact {how}: {_stuck(model, every, least)}"
+
+
+def _stuck(model: Model, contacts: np.ndarray, least: float) -> str:
+    omega, _ = natural_modes(model, np.arange(model.structure.num_modes), contacts)
+    return _listed(omega / (2 * np.pi), max(least, omega.size * EPSILON * omega.max()))
+
+
+def _listed(frequency: np.ndarray, least: float) -> str:
+    """Ascending frequencies [Hz], those up to the least a rigid body's, those between the first few and the last left
+    out where there are many."""
+    rigid = int(np.count_nonzero(frequency <= least))
+    free = f"0 ({'rigid body' if rigid == 1 else f'{rigid} rigid-body motions'})"
+    texts = [*([free] if rigid else []), *(f"{number:.6g}" for number in frequency[rigid:])]
+    return ", ".join(texts if len(texts) <= LISTED else (*texts[: LISTED - 2], "…", texts[-1])) + " Hz"
 
 
 def _excitation_lines(scene: Scene, model: Model) -> Iterator[str]:
@@ -134,7 +190,8 @@ def _study_lines(scene: Scene) -> Iterator[str]:
         yield scene.file.title
     written, initial = scene.source.data, scene.file.initial
     if scene.file.units is not None:
-        yield f"units: {_keys(scene.file.units, ())}"
+        names = scene.file.unit_names()
+        yield f"units: {_keys(scene.file.units, ())}{_mass(**names) if len(names) == len(BASE) else ''}, time s"
     yield f"study: {_keys(scene.file.study, ('kind', *written['study']))}"
     if extent := scene.file.study.extent():
         yield f"points: {extent}"
@@ -142,6 +199,12 @@ def _study_lines(scene: Scene) -> Iterator[str]:
         yield f"solver: {_keys(scene.file.solver, written.get('solver', ()))}"
     if scene.file.study.requires:
         yield f"start: {initial if isinstance(initial, str) else _keys(initial, written['initial'])}"
+
+
+def _mass(length: str, force: str) -> str:
+    """The unit of mass that goes with those of length and force: not that of the scale where these are N and mm."""
+    name = {("m", "N"): "kg", ("mm", "N"): "t", ("m", "kN"): "t", ("mm", "kN"): "kt"}.get((length, force))
+    return f", mass {force} s²/{length}" + (f" = {name}" if name else "")
 
 
 def _keys(section: BaseModel, order: Iterable[str]) -> str:
