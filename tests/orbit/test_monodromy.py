@@ -30,8 +30,8 @@ def straight() -> Model:
 @pytest.mark.parametrize(
     ("method", "model"),
     [
-        pytest.param("tsit5", generated_model(5, 4, 2), id="4x2"),
-        pytest.param("rk4", coupled(generated_model(9, 3, 2)), id="coupled"),
+        pytest.param("tsit5", generated_model(5, 4, 2), id="4x2", marks=pytest.mark.slow),
+        pytest.param("rk4", coupled(generated_model(9, 2, 1)), id="coupled"),
         pytest.param("tsit5", straight(), id="straight"),
         pytest.param("dopri8", oscillator(-1.0, 0.97), id="opens", marks=pytest.mark.slow),
     ],
