@@ -247,6 +247,24 @@ def test_the_summary_gives_the_amplitude_of_each_phase() -> None:
     lines = carry_out(load_scene(SHORT)).summary
     assert [line.split(":")[0] for line in lines[-5:]] == ["run-up", "run-up", "phase 1", "phase 2", "phase 3"]
     assert "2 cycles at 1.6 Hz, amplitude" in lines[-2]
+    assert ["those of the cycle before differ by" in line for line in lines[-5:]] == [True, True, False, True, False]
+
+
+def test_the_summary_of_a_transient_gives_the_last_amplitude_and_how_settled_it_is() -> None:
+    study = {"kind": "transient", "cycles": 3, "record_last": 1}
+    made = SHORT | {"units": {"length": "mm"}, "study": study}
+    made["excitation"] = SHORT["excitation"] | {"frequency": 1.1}
+    outcome = carry_out(load_scene(made))
+    amplitude = outcome.groups[""].cycle_amplitude.values[:, 0]
+    axis = np.argmax(amplitude.max(axis=0))
+    change = np.abs(amplitude[2] - amplitude[1]).max() / amplitude[2].max()
+    assert change > 0.01
+    assert outcome.summary[-1] == (
+        f"amplitude {amplitude[2, axis]:.6g} mm of tip {'xyz'[axis]} in the last cycle; "
+        f"those of the cycle before differ by {change:.1e} of the largest"
+    )
+    once = carry_out(load_scene(made, {"study.cycles": 1}))
+    assert once.summary[-1].endswith("in the last cycle")
 
 
 def test_the_resolved_scene_runs_again_and_an_unused_frequency_is_reported() -> None:

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from xarray import Dataset
 
+from timesim.engine.companion import amplitude_error
 from timesim.model.promise import MARGIN, tightened
 from timesim.model.solver import Solver
 from timesim.result.label import counted, with_unit
@@ -17,7 +18,7 @@ PHASES = 12  # of a schedule at most that are listed
 def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
     """A run: its size, how well its energy balance closes, and the phases of its schedule unless they are many.
 
-    Of each phase it gives the amplitude at the end, of the point and axis that move most during the run.
+    It gives the amplitude at the end, or at that of each phase, of the point and axis that move most during the run.
     """
     attrs, amplitude = data.attrs, data["cycle_amplitude"].values
     whole, transitions = counted(len(amplitude), "cycle"), counted(data.sizes["event"], "transition")
@@ -29,17 +30,28 @@ def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
     yield f"energy balance of a cycle closes to {residual:.1e} of the larger of input and stored energy"
     if "estimated_error" in attrs:
         yield from error_lines(data)
-    if not 1 < len(plan.phases) <= PHASES:
-        return
-    _, point, axis = np.unravel_index(np.argmax(amplitude), amplitude.shape)
-    name = f"{data['point'].values[point]} {data['axis'].values[axis]}"
     ends = np.cumsum([cycles for _, cycles in plan.phases])
+    if not 1 < len(plan.phases) <= PHASES:
+        yield _reached(data, len(amplitude), "in the last cycle", len(amplitude) - 1 not in (0, *ends))
+        return
     for number, ((frequency, cycles), end) in enumerate(zip(plan.phases, ends, strict=True), 1 - plan.run_up):
         if end <= len(amplitude):
             which = f"phase {number}" if number > 0 else "run-up"
-            reached = with_unit(f"{amplitude[end - 1, point, axis]:.6g}", data["cycle_amplitude"].attrs)
-            size = f"amplitude {reached} of {name} at its end"
-            yield f"{which}: {counted(cycles, 'cycle')} at {frequency:.6g} Hz, {size}"
+            reached = _reached(data, end, "at its end", cycles > 1)
+            yield f"{which}: {counted(cycles, 'cycle')} at {frequency:.6g} Hz, {reached}"
+
+
+def _reached(data: Dataset, end: int, when: str, compared: bool) -> str:
+    """The amplitude of a cycle, and perhaps how much the amplitudes of the one before differ."""
+    amplitude = data["cycle_amplitude"].values
+    _, point, axis = np.unravel_index(np.argmax(amplitude), amplitude.shape)
+    name = f"{data['point'].values[point]} {data['axis'].values[axis]}"
+    size = with_unit(f"{amplitude[end - 1, point, axis]:.6g}", data["cycle_amplitude"].attrs)
+    words = f"amplitude {size} of {name} {when}"
+    if not compared:
+        return words
+    (change,) = amplitude_error(amplitude[end - 1 : end], amplitude[end - 2 : end - 1])
+    return f"{words}; those of the cycle before differ by {change:.1e} of the largest"
 
 
 def error_lines(data: Dataset) -> Iterator[str]:
