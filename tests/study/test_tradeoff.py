@@ -92,6 +92,18 @@ def test_what_fewer_modes_and_all_that_is_left_out_make_of_a_run() -> None:
         assert "with nothing left out (solver.reduce: false) a run takes 2.5 times as long" in said
 
 
+def test_modes_that_were_not_tried_and_times_that_are_not_told_apart_are_said() -> None:
+    quick = trial("dopri8", 3e-6, 8e-7, 2.1)
+    made = bench([*(replace(one, scatter=0.1) for one in TRIALS[:6]), quick])
+    made.left_out[Solver("tsit5", 1e-7, 1e-9), 1] = benches.NO_TIME
+    said = list(lines(study._record(SCENE, made, judge(made), None)))
+    assert "no time left to try the lowest 1 of 2 modes" in said
+    assert "times of one run scatter by 10 %: they do not tell which is quicker, that or dopri8 3e-06" in said
+    made.trials[-1] = replace(quick, seconds=2.3)
+    said = list(lines(study._record(SCENE, made, judge(made), None)))
+    assert not any("scatter" in line for line in said)
+
+
 def test_steps_are_counted_in_whole_numbers_whichever_runs_were_made() -> None:
     for trials in (TRIALS, TRIALS[:4], []):
         made = bench(trials)
@@ -121,20 +133,28 @@ def test_a_tolerance_between_two_for_half_the_wanted_error() -> None:
 
 
 def test_what_has_no_time_left_or_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = bench(TRIALS[:1], budget=0.0)
-    made._compiling[benches.program(TRIALS[0].solver, 2)] = 3.0
+    made = bench(TRIALS[2:3], budget=0.0)
+    made._compiling[benches.program(TRIALS[2].solver, 2)] = 3.0
     assert made.try_(Solver("dopri8", 1e-9, 1e-11), num_modes=1) is None
     made.plan = replace(made.plan, budget=1e9)
 
-    def failing(*_: Any) -> Any:
-        raise RunError("at time 1 s: too stiff")
+    failed: list[str] = []
+
+    def failing(_: Any, solver: Solver, *__: Any) -> Any:
+        failed.append(solver.name)
+        raise RunError("at time 1 s: too stiff. Try something else")
 
     monkeypatch.setattr(benches, "_through", failing)
     made.try_(Solver("rk4", 1e-8, 1e-10, longest=0.1))
-    assert made.left_out == [
-        "dopri8, rtol 1e-09, atol 1e-11, 1 mode: no time left",
-        "rk4, 63 steps a cycle: at time 1 s: too stiff",
+    for _ in range(2):  # what failed once is not tried again
+        made.try_(Solver("tsit5", 1e-3, 1e-5))
+    assert failed == ["rk4", "tsit5"]
+    data = study._record(SCENE, made, judge(made), None)
+    assert list(lines(data))[-2:] == [
+        "left out, no time left: dopri8, rtol 1e-09, 1 mode",
+        "left out, too stiff: rk4, 63 steps a cycle (at time 1 s); tsit5, rtol 0.001 (at time 1 s)",
     ]
+    assert data.attrs["modes_not_tried"] == "1"
 
 
 def test_compilation_is_what_the_first_run_takes_longer_than_the_quickest(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -155,6 +175,8 @@ def test_compilation_is_what_the_first_run_takes_longer_than_the_quickest(monkey
     assert again is not None
     assert (first.seconds, first.compiling) == (pytest.approx(0.1), pytest.approx(4.9))
     assert (again.seconds, again.compiling) == (pytest.approx(0.5), 0.0)
+    assert first.scatter == pytest.approx(1.5)
+    assert np.isnan(again.scatter)
     assert made.left == pytest.approx(60.0 - 6.5)
 
 
@@ -248,8 +270,9 @@ def test_what_is_over_the_budget_is_left_out() -> None:
     outcome = carry_out(load_scene(CONFIG, {"study.cycles": 3, "study.budget": 1e-3}))
     assert outcome.reason is None
     assert outcome.groups[""].sizes["trial"] == 1
-    assert outcome.groups[""].attrs["left_out"].count("no time left") > 10
     assert "one run says nothing of its error" in outcome.summary[-2]
+    assert outcome.summary[-1].startswith("left out, no time left: tsit5, rtol 0.0001; tsit5, rtol 1e-05; ")
+    assert outcome.summary[-1].count("; ") > 10
 
 
 def test_of_a_run_in_closed_form_the_accuracy_is_recommended() -> None:

@@ -151,6 +151,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "modes_kept": ("lowest modes that were kept", "1"),
     "reduced": ("1 where what the scene cannot need was left out", None),
     "preset": ("accuracy of which it is the solver; empty where it is of none", None),
+    "seconds_scatter": ("how much longer than the least the times of the run were; NaN where timed once", "1"),
     "compile_seconds_before": ("time of compilation before it; 0 where the program was compiled", "s"),
     # element, element map
     "u": ("tangential relative displacement", "length"),

@@ -44,6 +44,7 @@ class Trial:
         displacement, velocity: of all modes at the end, 0 for those not kept.
         size: largest of both in the last cycle, as of `timesim.engine.history.CycleTotals`.
         amplitude: of the last cycle, of each point along each axis.
+        scatter: how much longer than the least its times were, as a share of it; NaN where it was timed once.
     """
 
     solver: Solver
@@ -57,6 +58,10 @@ class Trial:
     velocity: np.ndarray
     size: np.ndarray
     amplitude: np.ndarray
+    scatter: float = np.nan
+
+
+NO_TIME = "no time left"
 
 
 class Bench:
@@ -64,7 +69,7 @@ class Bench:
 
     Attributes:
         trials: the runs that have come to their end.
-        left_out: runs that were not made, or failed, each with the reason.
+        left_out: solvers with the number of modes of runs that were not made, or failed, each with the reason.
         settled_to: change of the amplitude over the last cycle before the runs, where it is judged; else NaN.
     """
 
@@ -72,7 +77,7 @@ class Bench:
         self.model, self.plan, self.execution = model, plan, execution
         self.begun = time.perf_counter()
         self.trials: list[Trial] = []
-        self.left_out: list[str] = []
+        self.left_out: dict[tuple[Solver, int], str] = {}
         self.settled_to = np.nan
         self._compiling: dict[tuple[str, float, int, bool], float] = {}
         self._models: dict[int, Model] = {}
@@ -91,20 +96,27 @@ class Bench:
             if (trial.solver, trial.num_modes) == (solver, kept):
                 self.trials[i] = replace(trial, preset=preset or trial.preset)
                 return self.trials[i]
-        name = str(solver) + (f", {counted(kept, 'mode')}" if kept < self.model.structure.num_modes else "")
-        name += "" if solver.reduce else ", nothing left out"
-        self._show(name)
+        self._show(self.name_of(solver, kept))
+        if self.left_out.get((solver, kept), NO_TIME) != NO_TIME:
+            return None
         if self.trials and self._guess(solver, kept) > self.left:
-            self.left_out.append(f"{name}: no time left")
+            self.left_out[solver, kept] = NO_TIME
             return None
         try:
             trial = self._timed(solver, kept, preset)
         except RunError as error:
             # Without the advice, which is the same for many.
-            self.left_out.append(f"{name}: {str(error).partition('. ')[0]}")
+            self.left_out[solver, kept] = str(error).partition(". ")[0]
             return None
+        self.left_out.pop((solver, kept), None)
         self.trials.append(trial)
         return trial
+
+    def name_of(self, solver: Solver, num_modes: int) -> str:
+        """A solver in words, with what its run leaves out; its atol is always the same share of rtol."""
+        name = str(solver).partition(", atol")[0]
+        name += f", {counted(num_modes, 'mode')}" if num_modes < self.model.structure.num_modes else ""
+        return name + ("" if solver.reduce else ", nothing left out")
 
     def time_again(self) -> None:
         """Time the short runs once more, since the machine may have done other work during the first ones."""
@@ -113,7 +125,8 @@ class Bench:
                 self._show(f"{trial.solver} again")
                 model, clock = self.model_of(trial.num_modes), time.perf_counter()
                 _through(model, trial.solver, self.plan.frequency, self.plan.cycles)
-                self.trials[i] = replace(trial, seconds=min(trial.seconds, time.perf_counter() - clock))
+                less, more = sorted((trial.seconds, time.perf_counter() - clock))
+                self.trials[i] = replace(trial, seconds=less, scatter=np.fmax(trial.scatter, more / less - 1))
 
     def model_of(self, num_modes: int) -> Model:
         """The lowest modes from the scene's start, or, where the amplitude is judged, from their settled motion."""
@@ -163,6 +176,7 @@ class Bench:
             velocity=np.pad(run.velocity, missing),
             size=totals.size,
             amplitude=np.array(totals.amplitude[-1]),
+            scatter=float(np.median(seconds[first:]) / min(seconds) - 1) if len(seconds) > 1 + first else np.nan,
         )
 
     def _guess(self, solver: Solver, num_modes: int) -> float:

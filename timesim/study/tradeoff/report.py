@@ -17,8 +17,7 @@ def lines(data: Dataset) -> Iterator[str]:
     if data.sizes["trial"]:
         yield from table(data)
         yield from _verdict(data)
-    if attrs["left_out"]:
-        yield f"left out: {attrs['left_out']}"
+    yield from (f"left out, {line}" for line in attrs["left_out"].splitlines())
 
 
 def _verdict(data: Dataset) -> Iterator[str]:
@@ -76,12 +75,26 @@ def _advice(data: Dataset) -> Iterator[str]:
         yield f"for an error of {wanted:.0e}: {section}, {error:.1e} in {seconds:.2g} s"
     else:
         yield f"no run keeps an error of {wanted:.0e}; the best: {section}, {error:.1e} in {seconds:.2g} s"
+    yield from _as_quick(data)
     front = data.isel(trial=np.flatnonzero(data["pareto"].values)).sortby("seconds_a_cycle")
     yield "for other times:"
     for i in np.unique(np.linspace(0, front.sizes["trial"] - 1, 5).astype(int)):
         one = front.isel(trial=i)
         seconds = float(one.seconds_a_cycle) * attrs["cycles"]
         yield f"  {seconds:.2g} s, error {float(one.error):.0e}: solver: {value_text(block(one))}"
+
+
+def _as_quick(data: Dataset) -> Iterator[str]:
+    """Runs that keep the wanted error too, and whose times the scatter does not tell from that of the chosen one."""
+    attrs, seconds = data.attrs, data["seconds_a_cycle"].values
+    known, chosen = data["seconds_scatter"].values, attrs["recommended_trial"]
+    scatter = float(np.nanmedian(known)) if np.isfinite(known).any() else 0.0
+    alike = (data["error"].values <= attrs["error_wanted"]) & (seconds <= (1 + scatter) * seconds[chosen])
+    alike &= (data["modes_kept"].values == attrs["num_modes"]) & (data["reduced"].values == 1)
+    alike &= np.arange(seconds.size) != chosen
+    if alike.any():
+        names = "; ".join(words_of(data.isel(trial=i)) for i in np.flatnonzero(alike))
+        yield f"times of one run scatter by {100 * scatter:.2g} %: they do not tell which is quicker, that or {names}"
 
 
 def block(one: Dataset) -> dict[str, Any]:
@@ -98,6 +111,8 @@ def _modes(data: Dataset) -> Iterator[str]:
     """How many modes the answer needs."""
     count, wanted = data.attrs["num_modes"], data.attrs["error_wanted"]
     few = data.isel(trial=np.flatnonzero(data["modes_kept"].values < count))
+    if data.attrs["modes_not_tried"]:
+        yield f"no time left to try the lowest {data.attrs['modes_not_tried']} of {count} modes"
     if not few.sizes["trial"]:
         return
     each = ", ".join(

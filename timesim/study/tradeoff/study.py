@@ -5,6 +5,7 @@ much.
 """
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,7 +23,7 @@ from timesim.scene.resolution import Scene
 from timesim.scene.transient import TradeoffPlan
 from timesim.study.execution.campaign import Execution
 from timesim.study.outcome import Outcome, attributes
-from timesim.study.tradeoff.bench import Bench, Trial
+from timesim.study.tradeoff.bench import NO_TIME, Bench, Trial
 from timesim.study.tradeoff.report import block, lines
 
 FINE = 1e-11
@@ -43,7 +44,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     except KeyboardInterrupt:
         reason = f"interrupted after {counted(len(bench.trials), 'run')}"
     if not bench.trials and reason is None:
-        reason = f"no run has come to its end: {bench.left_out[0]}"
+        reason = f"no run has come to its end: {next(left_out_lines(bench))}"
     judged = judge(bench)
     data = _record(scene, bench, judged, reason)
     return Outcome({"": data}, reason, tuple(lines(data)))
@@ -164,8 +165,18 @@ def _apart(bench: Bench, trial: Trial, true: Trial) -> float:
     return state_error(bench.model, bench.plan.frequency, trial, true, true.size)
 
 
+def left_out_lines(bench: Bench) -> Iterator[str]:
+    """The runs that were left out, a line for each reason; where a run failed is said beside its solver."""
+    names: dict[str, list[str]] = {}
+    for (solver, kept), why in bench.left_out.items():
+        place, _, cause = why.rpartition(": ") if why.startswith("at time") else ("", "", why)
+        names.setdefault(cause, []).append(bench.name_of(solver, kept) + (f" ({place})" if place else ""))
+    return (f"{cause}: {'; '.join(those)}" for cause, those in names.items())
+
+
 def _record(scene: Scene, bench: Bench, judged: Judged, reason: str | None) -> Dataset:
-    trials, cycles = bench.trials, bench.plan.cycles
+    trials, cycles, num_modes = bench.trials, bench.plan.cycles, bench.model.structure.num_modes
+    untried = [str(kept) for (_, kept), why in bench.left_out.items() if kept < num_modes and why == NO_TIME]
     rk4 = np.array([trial.solver.name == "rk4" for trial in trials], dtype=bool)
     most_steps = 2 * np.pi / np.array([trial.solver.longest for trial in trials])
     of_run = {"long_name": "transitions in the run"}
@@ -174,6 +185,7 @@ def _record(scene: Scene, bench: Bench, judged: Judged, reason: str | None) -> D
         "rtol": np.where(rk4, np.nan, [trial.solver.rtol for trial in trials]),
         "error": judged.error,
         "seconds_a_cycle": np.array([trial.seconds for trial in trials]) / cycles,
+        "seconds_scatter": np.array([trial.scatter for trial in trials]),
         "steps_a_cycle": np.array([trial.steps for trial in trials]) / cycles,
         "steps_asked": np.where(rk4, np.round(most_steps), 0).astype(int),
         "pareto": judged.pareto,
@@ -194,8 +206,9 @@ def _record(scene: Scene, bench: Bench, judged: Judged, reason: str | None) -> D
         "judged_by_amplitude": bench.plan.amplitude,
         "settled_to": bench.settled_to,
         "recommended_trial": judged.recommended,
-        "num_modes": bench.model.structure.num_modes,
-        "left_out": "; ".join(bench.left_out),
+        "num_modes": num_modes,
+        "left_out": "\n".join(left_out_lines(bench)),
+        "modes_not_tried": " or ".join(untried),
     }
     data = dataset(variables, {}, attrs)
     chosen = block(data.isel(trial=judged.recommended)) if judged.recommended >= 0 else {}
