@@ -1,6 +1,7 @@
 """A contact under prescribed motion: two independent methods against each other, studies, pictures, bad motions."""
 
 import json
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -25,7 +26,7 @@ from timesim.orbit.extrapolation import limits
 from timesim.result.netcdf import open_result
 from timesim.study.element import summary
 from timesim.study.element_map import MapMarch, elements_of
-from timesim.study.registry import load_scene, run
+from timesim.study.registry import carry_out, load_scene, run
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 TABLE = json.loads((Path(__file__).parents[1] / "data/element_motions.json").read_text())["cases"]
@@ -257,6 +258,8 @@ def test_full_stick_says_that_its_offset_is_free():
     assert data.attrs["offset_free"] == 1
     np.testing.assert_allclose(data.effective_stiffness, 1.0, atol=1e-14)
     assert data.sizes["event"] == 0
+    said = carry_out(load_scene(scene(element(A=0.1, B=0.1, phi_deg=90, cross_check=True)))).summary[-1]
+    assert re.fullmatch("the event loop agrees to [0-9.e-]+ of the largest mu n in the coefficients", said)
 
 
 def test_no_contact_gives_zero():

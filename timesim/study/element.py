@@ -131,10 +131,9 @@ def summary(cycle: ElementCycle, compared: dict[str, Any], energy: Mapping[str, 
     area, work = (with_unit(f"{size:.9g}", energy) for size in (cycle.dissipation, cycle.work))
     yield f"dissipation {area} a cycle (loop area), {work} (work of slip)"
     if "cross_check_angle_deg" in compared:
-        yield (
-            f"the event loop agrees to {compared['cross_check_angle_deg']:.1e}° in the transitions and "
-            f"{compared['cross_check_coefficients']:.1e} of the largest mu n in the coefficients"
-        )
+        angles = f"{compared['cross_check_angle_deg']:.1e}° in the transitions and " if cycle.transitions else ""
+        forces = f"{compared['cross_check_coefficients']:.1e} of the largest mu n in the coefficients"
+        yield f"the event loop agrees to {angles}{forces}"
 
 
 def record_of(plan: ElementPlan, cycle: ElementCycle, about: dict[str, Any]) -> Dataset:
