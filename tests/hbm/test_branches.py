@@ -54,6 +54,7 @@ FAILS_FROM_HIGH = curve(Ending.STEP, (HIGH, 4.0), (1.7, 2.0))
         (BACK_TO_LOW, FROM_HIGH, False, [(Ending.COMPLETE, HIGH)]),
         (BACK_TO_LOW, OTHER_FROM_HIGH, False, [(Ending.RETURNED, LOW), (Ending.COMPLETE, HIGH)]),
         (BACK_TO_LOW, FAILS_FROM_HIGH, False, [(Ending.LEFT, LOW), (Ending.STEP, HIGH)]),
+        (WHOLE, curve(Ending.INTERRUPTED, (HIGH, 4.0), (1.7, 3.5)), True, [(Ending.INTERRUPTED, LOW)]),
         (curve(Ending.INTERRUPTED, (LOW, 3.0)), None, True, [(Ending.INTERRUPTED, LOW)]),
     ],
 )

@@ -234,3 +234,21 @@ def test_an_interrupt_among_the_multipliers_keeps_the_curve(monkeypatch):
     assert curve.frequency.size > 2
     assert np.isnan(curve.floquet_max).all()
     assert curve.message.endswith("interrupted before the multipliers")
+
+
+@pytest.mark.parametrize("stability", [True, False])
+def test_an_interrupt_along_the_curve_leaves_its_multipliers_out(stability, monkeypatch):
+    monkeypatch.setattr("timesim.hbm.curve.checked_multipliers", lambda *_, **__: pytest.fail("they take long"))
+    seen = []
+
+    def watch(share, so_far):
+        seen.append(share)
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+
+    options = {"scheme": Scheme(3, 64), "stability": stability, "watch": watch}
+    curve = hbm_curve(systems.oscillator(-1.0, 0.97), 0.97, 0.975, **options)
+    assert curve.ending is Ending.INTERRUPTED
+    assert curve.frequency.size == 3
+    assert np.isnan(curve.floquet_max).all()
+    assert curve.message.endswith("after 3 points: interrupted" + " before the multipliers" * stability)

@@ -45,13 +45,14 @@ def curves_from_ends(model: Model, start: float, stop: float, *, both: bool, **o
     there = hbm_curve(model, start, stop, **options)
     if there.ending is Ending.INTERRUPTED or not (both or there.ending is Ending.LEFT):
         return [there]
+    message = f"{there.message}; {Ending.INTERRUPTED.value} at the other end of the range"
+    cut = replace(there, ending=Ending.INTERRUPTED, message=message)
     try:
         back = hbm_curve(model, stop, start, **options)
     except KeyboardInterrupt:
-        message = f"{there.message}; {Ending.INTERRUPTED.value} at the other end of the range"
-        return [replace(there, ending=Ending.INTERRUPTED, message=message)]
+        return [cut]
     if there.complete and _meet(there, -1, back, 0):
-        return [there]
+        return [cut if back.ending is Ending.INTERRUPTED else there]
     if back.complete and _meet(there, 0, back, -1):
         return [back]
     if there.ending is Ending.LEFT and back.complete:

@@ -190,13 +190,14 @@ def schemes_of(scheme: Scheme | Sequence[Scheme] | None) -> Sequence[Scheme]:
 
 
 def finished(balance: AdaptiveBalance, curve: Curve, evaluate: Callable[..., HbmCurve], stability: bool) -> HbmCurve:
-    """`by_schemes`; without multipliers, which take long, where an interrupt comes meanwhile."""
-    try:
-        return by_schemes(balance, curve, partial(evaluate, stability=stability))
-    except KeyboardInterrupt:
-        ending = Ending.INTERRUPTED
-        cut = replace(curve, ending=ending, message=f"{curve.message}; {ending.value} before the multipliers")
-        return by_schemes(balance, cut, partial(evaluate, stability=False))
+    """`by_schemes`; without multipliers, which take long, where an interrupt came or comes meanwhile."""
+    if not stability or curve.ending is not Ending.INTERRUPTED:
+        try:
+            return by_schemes(balance, curve, partial(evaluate, stability=stability))
+        except KeyboardInterrupt:
+            curve = replace(curve, ending=Ending.INTERRUPTED, message=f"{curve.message}; {Ending.INTERRUPTED.value}")
+    cut = replace(curve, message=f"{curve.message} before the multipliers")
+    return by_schemes(balance, cut, partial(evaluate, stability=False))
 
 
 def by_schemes(balance: AdaptiveBalance, curve: Curve, evaluate: Callable[[Any, Curve], HbmCurve]) -> HbmCurve:

@@ -107,6 +107,31 @@ def test_a_run_cut_off_goes_on_with_its_curves(
     assert again.groups[""].attrs["run_seconds"] > earlier
 
 
+@pytest.mark.parametrize("along", [True, False])
+def test_a_curve_without_its_multipliers_is_followed_again(
+    along: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """The interrupt comes along the curve, or among its multipliers."""
+
+    def interrupted(done: float = 1.0, *_: Any) -> None:
+        if done > 0.2:
+            raise KeyboardInterrupt
+
+    scene = load_scene(SCENE | {"study": STUDY | {"frequency": {"from": 1.0, "to": 0.999}, "stability": True}})
+    execution = Execution(folder=tmp_path, notice=lambda _: None)
+    with monkeypatch.context() as patched:
+        if not along:
+            patched.setattr("timesim.hbm.curve.checked_multipliers", lambda *_: interrupted())
+        outcome = carry_out(scene, replace(execution, progress=interrupted) if along else execution)
+    assert outcome.reason is not None
+    assert "interrupted before the multipliers" in outcome.reason
+    assert np.isnan(outcome.groups[""]["floquet_max"]).all()
+    assert chunks_done(tmp_path) == 0
+    again = carry_out(scene, replace(execution, resume=True))
+    assert again.reason is None
+    assert np.isfinite(again.groups[""]["floquet_max"]).all()
+
+
 def test_the_samples_that_the_first_curves_needed_are_kept_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """At -4 a contact that is closed for a quarter of the cycle needs 96; at 3 the 24 would do that it began with."""
     monkeypatch.setattr(hbm_scheme, "ENOUGH_SAMPLES", 24)
