@@ -43,6 +43,21 @@ def test_the_time_left_is_that_of_all_parts_so_far():
     assert standing.line() == "40 %, 1 points/s, 0:00:45 so far, 0:01:00 left, sweep, 40 of 100 points"
 
 
+def test_the_time_left_falls_while_nothing_advances():
+    clock = Clock()
+    standing = Standing("points", clock=clock)
+    standing(0, 100)
+    clock.now = 10.0
+    standing(40, 100)
+    left = []
+    for now in (10.0, 14.0, 30.0):
+        clock.now = now
+        standing(40, 100, "40 of 100 points")
+        left.append(standing.left)
+    assert left == [15.0, 11.0, 0.0]
+    assert standing.line() == "40 %, 4 points/s, 0:00:30 so far, 0:00:00 left, 40 of 100 points"
+
+
 def test_all_of_it_is_never_shown_as_done_and_the_share_never_falls():
     standing = Standing("points")
     shown = []

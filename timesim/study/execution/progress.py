@@ -61,14 +61,15 @@ class Standing:
         """For a run that counts in ``unit``, earlier parts of which have taken ``earlier`` seconds."""
         self.unit, self.clock, self.share, self.phase = unit, clock, 0.0, "compiling programs, or loading them"
         self._earlier, self._number = earlier, 0.0
-        self._begun = self._worked = clock()
+        self._begun = self._worked = self._advanced = clock()
 
     def __call__(self, done: float, number: float, phase: str = "", /) -> None:
         if not done:
             self._worked = self.clock()  # up to now it has compiled
-        share = done / number if number else 0.0
-        self.share, self.phase = max(self.share, min(share, NEARLY_ALL)), phase
-        self._number = number
+        share = min(done / number if number else 0.0, NEARLY_ALL)
+        if share > self.share:
+            self.share, self._advanced = share, self.clock()
+        self.phase, self._number = phase, number
 
     @property
     def percent(self) -> str:
@@ -80,16 +81,22 @@ class Standing:
         return self._earlier + self.clock() - self._begun
 
     @property
+    def _spent(self) -> float:
+        """Seconds in which the share was done: those since it last rose say nothing of the rate."""
+        return self._earlier + self._advanced - self._worked
+
+    @property
     def left(self) -> float | None:
         """Seconds left at the rate of all parts so far; None where nothing is done yet."""
-        worked = self._earlier + self.clock() - self._worked
-        return worked * (1 / self.share - 1) if self.share > 0 and worked > 0 else None
+        if not self.share > 0 or not self._spent > 0:
+            return None
+        return max(self._spent * (1 / self.share - 1) - (self.clock() - self._advanced), 0.0)
 
     def line(self) -> str:
         """All of this in a line, with what may be long at its end."""
         parts = [self.percent, f"{_clock_time(self.elapsed)} so far", self.phase]
-        if left := self.left:
-            rate = (1 - self.share) * self._number / left
+        if (left := self.left) is not None:
+            rate = self.share * self._number / self._spent
             parts[1:1] = [f"{rate:.0f} {self.unit}/s" if rate >= 100 else f"{rate:.3g} {self.unit}/s"]
             parts[-1:-1] = [f"{_clock_time(left)} left"]
         return ", ".join(parts)
