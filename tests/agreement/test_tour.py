@@ -2,6 +2,7 @@
 
 import importlib
 import re
+import shutil
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -10,9 +11,12 @@ import numpy as np
 import pytest
 
 import timesim
+from timesim.scene.source import read
+from timesim.study.registry import load_scene
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
+BLOCKS = re.findall(r"```yaml\n(.*?)```", README, re.S)
 
 
 @pytest.fixture
@@ -43,7 +47,7 @@ def test_the_rows_are_the_scenes_that_are_there(tour: ModuleType):
 
 
 def test_the_scene_to_paste_slips_and_peaks_as_it_says():
-    text = re.findall(r"```yaml\n(.*?)```", README, re.S)[0]
+    text = BLOCKS[0]
     sentence = r"peak is (\S+) mm at (\S+) Hz.*?slips for (\S+) % of the\s+cycle and dissipates (\S+) W"
     says = re.search(sentence, README, re.S)
     assert says is not None
@@ -55,6 +59,24 @@ def test_the_scene_to_paste_slips_and_peaks_as_it_says():
     assert amplitude[1] == pytest.approx(peak, abs=5e-4)
     assert point["slip_share"].values[1] == pytest.approx(share / 100, abs=5e-3)
     assert point["dissipated_power"].values[1] == pytest.approx(power, abs=5e-4)
+
+
+SECTIONS = [part for block in BLOCKS[1:] for part in block.split("\n\n")]
+
+
+@pytest.mark.parametrize("section", SECTIONS, ids=[" ".join(part.split()[:4]) for part in SECTIONS])
+def test_the_sections_to_paste_are_those_of_a_scene(section: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Put into a scene that has the points and contacts which they name, with the lines that are commented out."""
+    given = read(re.sub(r"^ {,4}# (?=\w+: )", "  ", section, flags=re.M)).data
+    base = read(ROOT / "configs" / "oscillator.yaml").data
+    if "structure" in given:
+        source = given["structure"]
+        points = source.get("matrices", source)["points"]
+        forces = [{"point": name, "direction": [1, 0, 0], "amplitude": 1} for name in points]
+        base |= {"contacts": [], "excitation": {"frequency": 1, "forces": forces}}
+        shutil.copy(ROOT / "tests" / "data" / "blade.npz", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert load_scene(base | given).model().structure.num_modes > 1
 
 
 @pytest.mark.parametrize(
