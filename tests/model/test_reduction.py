@@ -695,6 +695,14 @@ def test_findings_name_what_is_taken_out() -> None:
     assert any("contact live has the same tangential stiffness 8" in text for text in findings)
 
 
+def test_findings_have_the_units_that_are_named() -> None:
+    _, held, apart, live = reduction_of(mixed(), [1.0], units={"length": "mm", "force": "N"}).findings
+    assert held.endswith(" N below friction times normal load (preload 1.5 N)")
+    assert apart.endswith(" mm (preload 0.2 N)")
+    assert "the same tangential stiffness 8 N/mm in all directions" in live
+    assert "stiffness 8 in all" in reduction_of(mixed(), [1.0], units={"length": "mm"}).findings[-1]
+
+
 def test_findings_say_what_the_law_makes_simpler() -> None:
     assert any("constant normal load 1" in t for t in reduction_of(den_hartog(1.2, 0.3, 9.0), [0.19]).findings)
     stop = forced_stop(0.5 * steady_amplitude())

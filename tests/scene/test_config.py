@@ -709,8 +709,9 @@ def test_describe_contacts():
     contact = load_scene(one_mass(contact={"preload": -2})).model().contacts[0]
     said = contact_line(contact, {"length": "mm", "force": "N"})
     assert "tangential stiffness 10 N/mm, normal stiffness 20 N/mm, gap 0.1 mm" in said
-    units, *_ = describe(load_scene(one_mass(units={"length": "mm", "force": "N"})))["scene"]
-    assert units == "units: length mm, force N, mass N s²/mm = t, time s"
+    report = describe(load_scene(one_mass(units={"length": "mm", "force": "N"}, contact={"preload": -2000})))
+    assert report["scene"][0] == "units: length mm, force N, mass N s²/mm = t, time s"
+    assert report["left out or simplified"][-1].endswith(" mm (gap 100 mm)")
 
 
 def test_modes_far_above_the_excitation_are_worth_a_warning():

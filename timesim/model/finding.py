@@ -1,20 +1,30 @@
-"""What a run leaves out or simplifies, in words for the user."""
+"""What a run leaves out or simplifies, in words for the user, in the units of length and force that a scene names."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from timesim.model.model import Contact, Model, Structure
 
+Units = Mapping[str, str]
+"""Names of the units of length and force, as far as the scene gives them."""
 
-def proven(contact: Contact, margin: float, *, stuck: bool) -> str:
+
+def _size(number: str, units: Units, *quantities: str) -> str:
+    """A number with the unit of a quantity, or of the quotient of two."""
+    names = [units[quantity] for quantity in quantities if quantity in units]
+    return f"{number} {'/'.join(names)}" if len(names) == len(quantities) else number
+
+
+def proven(contact: Contact, margin: float, units: Units, *, stuck: bool) -> str:
     """Why a contact keeps its state: the margin [force] by which it stays inside."""
+    preload = f"preload {_size(f'{contact.preload:g}', units, 'force')}"
     if stuck:
-        reason = f"|f| stays more than {margin:.3g} below friction times normal load (preload {contact.preload:g})"
-        return f"contact {contact.name} sticks from start to end and is taken into the structure: {reason}"
-    start = f"gap {-contact.preload / contact.normal_stiffness:g}"
-    start = start if contact.preload < 0 else f"preload {contact.preload:g}"
-    reason = f"it stays open by more than {margin / contact.normal_stiffness:.3g} ({start})"
+        reason = f"|f| stays more than {_size(f'{margin:.3g}', units, 'force')} below friction times normal load"
+        return f"contact {contact.name} sticks from start to end and is taken into the structure: {reason} ({preload})"
+    gap, room = -contact.preload / contact.normal_stiffness, margin / contact.normal_stiffness
+    start = f"gap {_size(f'{gap:g}', units, 'length')}" if contact.preload < 0 else preload
+    reason = f"it stays open by more than {_size(f'{room:.3g}', units, 'length')} ({start})"
     return f"contact {contact.name} never touches and is left out: {reason}"
 
 
@@ -37,20 +47,21 @@ def straight(model: Model, live: np.ndarray, line: np.ndarray) -> Iterator[str]:
             yield f"contact {name} moves straight {where}: one tangential component is modelled"
 
 
-def simplified(contact: Contact, shape: np.ndarray, *, is_straight: bool) -> Iterator[str]:
+def simplified(contact: Contact, shape: np.ndarray, units: Units, *, is_straight: bool) -> Iterator[str]:
     """Simplifications of the contact law in a live contact."""
-    name, K = contact.name, contact.tangential_stiffness
+    name, K, load = contact.name, contact.tangential_stiffness, _size(f"{contact.preload:g}", units, "force")
     if contact.friction == 0:
         yield f"contact {name} is a frictionless stop: no friction force and no slip are modelled"
         return
     if not is_straight and K[0, 0] == K[1, 1] and K[0, 1] == 0:
         direction = "slip begins along the velocity, without an equation for its direction"
-        yield f"contact {name} has the same tangential stiffness {K[0, 0]:g} in all directions: {direction}"
+        stiffness = _size(f"{K[0, 0]:g}", units, "force", "length")
+        yield f"contact {name} has the same tangential stiffness {stiffness} in all directions: {direction}"
     if contact.normal_stiffness == 0:
-        yield f"contact {name} has the constant normal load {contact.preload:g}: it never separates"
+        yield f"contact {name} has the constant normal load {load}: it never separates"
     elif not np.any(shape[2]) and contact.preload > 0:
         reason = "no mode moves it along its normal"
-        yield f"contact {name} keeps the normal load {contact.preload:g}: {reason}, so it never separates"
+        yield f"contact {name} keeps the normal load {load}: {reason}, so it never separates"
 
 
 def turning(contact: Contact, rate: float, steps: float) -> str:

@@ -23,7 +23,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from timesim.model.contact_state import start_states
-from timesim.model.finding import left_out, proven, simplified, straight
+from timesim.model.finding import Units, left_out, proven, simplified, straight
 from timesim.model.held import constant_force, held_force, natural_modes, springs
 from timesim.model.linear_bound import Envelope, Oscillation, envelopes
 from timesim.model.model import CONE, SEPARATION, SLIP, STICK, Contact, Model
@@ -76,7 +76,9 @@ class Reduction:
         return held_force(self.model, self.modes, self.stuck, self.apart)
 
 
-def reduction_of(model: Model, frequencies: Sequence[float], *, reduce: bool = True) -> Reduction:
+def reduction_of(
+    model: Model, frequencies: Sequence[float], *, reduce: bool = True, units: Units | None = None
+) -> Reduction:
     """Find what need not be modelled.
 
     Args:
@@ -84,7 +86,9 @@ def reduction_of(model: Model, frequencies: Sequence[float], *, reduce: bool = T
         frequencies: base frequencies that the run visits [Hz], in any order. With exactly one the bounds of
             contact forces use the response at it; else they hold for every schedule, and are much wider.
         reduce: False keeps everything; so does a contact of another law than the cone, which the proofs do not know.
+        units: of length and force, for the findings.
     """
+    units = units or {}
     every, none = model.summation_order, np.arange(0)
     if not reduce or any(contact.law != CONE for contact in model.contacts):
         return Reduction(model, np.arange(model.structure.num_modes), every, none, none, None, ())
@@ -102,12 +106,12 @@ def reduction_of(model: Model, frequencies: Sequence[float], *, reduce: bool = T
     line = _line(scene, modes, live)
     findings = (
         *still,
-        *(proven(model.contacts[c], margins[c], stuck=scene.state[c] == STICK) for c in sorted(margins)),
+        *(proven(model.contacts[c], margins[c], units, stuck=scene.state[c] == STICK) for c in sorted(margins)),
         *(() if line is None else straight(model, live, line)),
         *(
             text
             for c in sorted(live)
-            for text in simplified(model.contacts[c], scene.shape[c], is_straight=line is not None)
+            for text in simplified(model.contacts[c], scene.shape[c], units, is_straight=line is not None)
         ),
     )
     return Reduction(model, modes, live, stuck, apart, line, findings)

@@ -52,7 +52,8 @@ def _left_out(scene: Scene, model: Model) -> tuple[str, ...]:
     if not scene.file.solver.reduce:
         return ("nothing: solver.reduce is false",)
     frequency = _own_frequency(scene, model)
-    findings = reduction_of(model, [] if frequency is None else [frequency]).findings
+    visited, units = [] if frequency is None else [frequency], scene.file.unit_names()
+    findings = reduction_of(model, visited, units=units).findings
     return findings or ("nothing: every mode, contact and direction is needed",)
 
 
