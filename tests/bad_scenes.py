@@ -398,6 +398,7 @@ CHANGES = (
         ("study.frequency.values.1", "{from: 0.9, to: 1.1, step: 0.05}", "{values: [1.0, -1.1]}", "must be > 0"),
         ("study.direction", "direction: both", "direction: sideways", "'independent'"),
         ("study.refine", "direction: both", "direction: independent", "needs a direction", "refine:"),
+        ("study.refine", "refine: 1e-3", "refine: 0.06", "must be at most the least step of frequency"),
         ("study.periodic", "direction: both", "direction: both\n  periodic: shot", "did you mean shoot?", "shot"),
         ("study.settle.tolerance", "tolerance: 1e-8", "tolerance: 0.1", "must be <= 0.01", "settle:"),
         ("study.settle.max_cycles", "max_cycles: 500", "max_cycles: 0", "must be >= 1", "settle:"),

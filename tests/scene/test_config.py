@@ -765,9 +765,18 @@ def test_another_form_than_is_asked_for_is_answered_with_that_form(key, value, s
 
 
 def test_a_key_of_another_section_is_sent_there():
-    for key, place in (("frequency", "excitation.frequency"), ("accuracy", "it is solver.accuracy")):
-        with pytest.raises(SceneError, match=f"study.{key}: .*is no key here .*{place}"):
-            load_scene(CONFIGS / "oscillator.yaml", {f"study.{key}": 2})
+    def refused(key: str) -> str:
+        with pytest.raises(SceneError, match=f"{key}: .*is no key here") as caught:
+            load_scene(
+                CONFIGS / f"{'two_contacts' if 'step' in key or 'refine' in key else 'oscillator'}.yaml", {key: 2}
+            )
+        return str(caught.value)
+
+    assert "the frequency of one run is excitation.frequency" in refused("study.frequency")
+    assert "it is solver.accuracy" in refused("study.accuracy")
+    assert "each of forces and modal_force has its own" in refused("excitation.phase_deg")
+    assert "it belongs in frequency" in refused("study.step")
+    assert "it belongs beside frequency, not in it" in refused("study.frequency.refine")
 
 
 def test_a_contact_under_prescribed_motion_has_neither_structure_nor_solver():
@@ -830,6 +839,55 @@ def test_numbers_of_samples_that_make_no_sense_are_worth_a_warning():
         assert list(warnings_of(load_scene(CONFIGS / f"{name}.yaml", ["study.time_samples=65536"]))) == []
 
 
+def test_explicit_steps_that_stability_does_not_allow_are_worth_a_warning():
+    """Of rk4 because they are too long for the closed contact, of an adaptive method because they are too many."""
+
+    def warnings(solver: str, *overrides: str) -> list[str]:
+        return list(warnings_of(load_scene(CONFIGS / "oscillator.yaml", [f"solver={solver}", *overrides])))
+
+    stiff = "contacts.pad.normal_stiffness=1e6"
+    (warning,) = warnings("{method: rk4}", stiff)
+    assert warning.startswith(
+        "solver.steps_per_cycle: 200 steps are fewer than the 218 that stability asks for at 1.39 "
+    )
+    assert warnings("{method: rk4}") == warnings("{method: rk4, steps_per_cycle: 400}", stiff) == []
+    (warning,) = warnings("{method: dopri8, rtol: 1e-4}", "contacts.pad.normal_stiffness=1e14")
+    assert warning.startswith(
+        "solver.max_steps: 100000 steps a cycle are fewer than the 2.18e+06 that stability asks for"
+    )
+    assert warnings("{method: dopri8, rtol: 1e-4}", stiff) == warnings("{method: exponential}", stiff) == []
+
+
+def test_a_contact_that_rounding_spoils_is_worth_a_warning():
+    """The share of eps k / (m w^2) summed over two modes of 0.9 and 1.1 Hz, against what each accuracy promises."""
+
+    def warnings(stiffness: float, accuracy: str) -> list[str]:
+        changes = [f"contacts.pad.normal_stiffness={stiffness}", f"solver={{accuracy: {accuracy}}}"]
+        found = warnings_of(load_scene(CONFIGS / "oscillator.yaml", changes))
+        return [warning for warning in found if warning.startswith("contacts.")]
+
+    (warning,) = warnings(1e13, "reference")
+    assert warning.startswith(
+        "contacts.pad is very stiff: rounding leaves an error of about 6e-05, more than the 1e-08 "
+    )
+    keeps = float(warning.partition("up to about ")[2].split()[0])
+    assert len(warnings(1.1 * keeps, "reference")) == 1
+    assert warnings(0.9 * keeps, "reference") == warnings(1e13, "draft") == []
+
+
+def test_a_stop_that_is_hardly_ever_met_is_worth_a_warning():
+    """Beside a contact that acts it cannot be proven to stay apart, and costs what a contact costs."""
+
+    def warnings(gap: float) -> list[str]:
+        scene = load_scene(CONFIGS / "two_contacts.yaml", {"contacts.shroud.preload": -40 * gap})
+        assert len(describe(scene)["contacts"]) == 2
+        return list(warnings_of(scene))
+
+    (warning,) = warnings(3000.0)
+    assert warning.startswith("contacts.shroud is unlikely ever to touch: its gap of 3000 is ")
+    assert warnings(20.0) == []
+
+
 def test_sets_of_values_that_make_no_scene_are_worth_a_warning():
     """A contact without normal stiffness needs a preload: two of the six sets are refused."""
     over = {"contacts.pad.normal_stiffness": [0, 20], "contacts.pad.preload": [3, 0, -1]}
@@ -884,6 +942,7 @@ def test_check_estimates_the_cost_of_each_phase():
     assert run == "about 60 cycles of 271 µs: 16 ms"
     assert "one core" in source
     assert said("oscillator", "study.cycles=10000000")[0] == "about 10000000 cycles of 271 µs: 45 min"
+    assert said("oscillator", "study.cycles=1000000000")[0].endswith(": 3.1 days")
     sweep, balance, _ = said("figure10")
     assert sweep.startswith("about 774 points of ")
     # 7 + 3 + 0.18 x 2 modes, of 256 samples; 0.8 of it goes with them.

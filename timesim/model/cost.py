@@ -16,6 +16,8 @@ from timesim.model.solver import CLOSED_FORM, COMPANION, PRESETS, Criterion, Sol
 
 REACH = 3.3
 """Largest |eigenvalue| times step at which an explicit fifth-order method stays stable on an oscillation."""
+EXPLICIT = ("tsit5", "dopri5", "dopri8", "rk4")
+"""Methods whose steps stability bounds."""
 STEPS = {"draft": (38, 2.3), "standard": (75, 4.9), "reference": (63, 7.0)}
 """Steps of a cycle: for accuracy alone, and beside them for each one that stability asks for."""
 RECORDED, SIDE_BY_SIDE = (3.0, 0.078), (0.75, 0.068)

@@ -16,7 +16,7 @@
 Plain numpy, so that a scene is checked without loading JAX.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -36,6 +36,8 @@ STRAIGHT = 1e-13
 """Share by which a motion may leave its line, or K_u turn it: rounding."""
 MARGIN = 1e-4
 """Share of the bound by which a contact must stay inside its state: more than the error of the bound."""
+DISTANT = 100.0
+"""Times the motion without contacts that a gap is wide which is worth a warning."""
 RECENT = 16
 """Models whose parts and proofs are cached: a sweep asks at every frequency, a run and its companion at one."""
 DIRECTIONS = 720
@@ -214,6 +216,21 @@ def _kept_modes(scene: _Scene, parts: list[_Part], frequency: float) -> tuple[np
         return np.flatnonzero(moved), ()
     share = float(np.max(reach[still])) / (scale or 1.0)
     return np.flatnonzero(moved), (left_out(structure, still, share),)
+
+
+def distant_stops(model: Model, live: np.ndarray) -> Iterator[tuple[Contact, float]]:
+    """Live contacts with a gap so wide that the structure hardly closes it, with how many times it is too wide.
+
+    No proof, since the forces of other contacts may move the structure further than it moves without any.
+    """
+    reach = _reach(_normalised(model)) / np.sqrt(model.structure.mass)
+    for c in sorted(live):
+        contact, shape = model.contacts[c], model.contact_shape[c, 2]
+        moves = float(np.abs(shape[shape != 0]) @ reach[shape != 0])
+        if contact.preload < 0 and contact.law == CONE and moves > 0:
+            times = -contact.preload / contact.normal_stiffness / moves
+            if times > DISTANT:
+                yield contact, times
 
 
 def _reach(scene: _Scene) -> np.ndarray:

@@ -171,6 +171,7 @@ ELSEWHERE = {
     ("study", "accuracy"): "it is solver.accuracy",
     ("study", "method"): "it is solver.method",
     ("excitation", "amplitude"): "each of forces, constant_forces and modal_force has its own",
+    ("excitation", "phase_deg"): "each of forces and modal_force has its own",
 }
 """What is said of keys that stand in another section, by the section and the key."""
 MAPPINGS = ("dict_type", "model_type", "model_attributes_type")
@@ -230,7 +231,7 @@ def _hint(
     kind: str, location: Sequence[str | int], value: Any, context: Mapping[str, Any], tree: type[SceneParts]
 ) -> str:
     if kind == "extra_forbidden":
-        instead = ELSEWHERE.get((str(location[0]), str(location[-1])))
+        instead = ELSEWHERE.get((str(location[0]), str(location[-1]))) or _neighbour(location, tree)
         return instead or nearest(str(location[-1]), _fields_at(location[:-1], tree))
     if kind == "missing" and (field := _fields_at(location[:-1], tree).get(str(location[-1]))):
         return _described(field)
@@ -244,6 +245,19 @@ def _hint(
         return "put it in quotes"
     if kind == "float_type" and isinstance(value, str):
         return "without quotes and unit, with a point for the decimals"
+    return ""
+
+
+def _neighbour(location: Sequence[str | int], tree: type[SceneParts]) -> str:
+    """Where a key belongs that stands one section too high or too low."""
+    *above, key = location
+    for name in _fields_at(above, tree):
+        if key in _fields_at([*above, name], tree):
+            return f"it belongs in {name}"
+    for i, outer in reversed([*enumerate(above)]):
+        fields = _fields_at(above[:i], tree)
+        if outer in fields and key in fields:
+            return f"it belongs beside {outer}, not in it"
     return ""
 
 

@@ -30,6 +30,9 @@ Each is checked before anything runs, which takes 0.4 ms where the structure doe
 model while the study runs.
 """
 
+ROUNDED = 1 + 1e-9
+"""A share of a range may be larger by this factor: 1.4 - 1.3 is less than 0.1."""
+
 PARTS = ("structure", "contacts", "excitation", "initial")
 """Parts of a scene that a study may vary."""
 
@@ -242,6 +245,9 @@ class SweepSection(SteadySection):
     def _jumps_need_a_direction(self) -> Self:
         if self.refine is not None and self.direction == "independent":
             raise refuse("needs a direction", key=("refine",), hint="set direction to up, down or both")
+        steps = np.diff(self.frequency.values())
+        if self.refine is not None and len(steps) and self.refine > steps.min() * ROUNDED:
+            raise refuse("must be at most the least step of frequency", key=("refine",), value=self.refine)
         return self
 
     def sweep(self) -> SweepPlan:

@@ -10,7 +10,18 @@ from timesim.fault import RuleError
 from timesim.model.model import CONE, Model
 from timesim.scene.hbm import HarmonicsOrNone, HbmPlan, TimeSamples, balance_problems, balanced, default_steps
 from timesim.scene.section import refuse
-from timesim.scene.study import AlongOne, Context, Over, Scalar, Settle, SteadySection, SweepPlan, SweepSection, axes_of
+from timesim.scene.study import (
+    ROUNDED,
+    AlongOne,
+    Context,
+    Over,
+    Scalar,
+    Settle,
+    SteadySection,
+    SweepPlan,
+    SweepSection,
+    axes_of,
+)
 from timesim.scene.value import MAX_POINTS, Ascending, Count, Frequencies, PointName, Positive, Range, Whole, spaced
 
 
@@ -23,10 +34,6 @@ class Sweep(SweepSection):
 
     def plan(self, context: Context) -> SweepPlan:
         return self.sweep()
-
-
-ROUNDED = 1 + 1e-9
-"""A share of a range may be larger by this factor: 1.4 - 1.3 is less than 0.1."""
 
 
 # The scalar of least peak

@@ -65,7 +65,15 @@ def _sweep_cost(model: Model, solver: Solver, sweep: SweepPlan) -> tuple[int, fl
     return marched, own, beside, sweep.size * (marched * own + beside)
 
 
-DURATIONS = (("h", 3600.0, 7200.0), ("min", 60.0, 120.0), ("s", 1.0, 1.0), ("ms", 1e-3, 1e-3), ("µs", 1e-6, 0.0))
+DURATIONS = (
+    ("years", 3.156e7, 6.3e7),
+    ("days", 86400.0, 1.8e5),
+    ("h", 3600.0, 7200.0),
+    ("min", 60.0, 120.0),
+    ("s", 1.0, 1.0),
+    ("ms", 1e-3, 1e-3),
+    ("µs", 1e-6, 0.0),
+)
 """Units of time: the seconds in one, and from how many seconds on it is used."""
 
 
@@ -73,4 +81,4 @@ def _duration(seconds: float) -> str:
     """A time with about two digits, in the unit that suits it."""
     unit, size = next((unit, size) for unit, size, least in DURATIONS if seconds >= least)
     number = seconds / size
-    return f"{number:.{0 if number >= 10 else 1}f} {unit}"
+    return f"{number:.{0 if number >= 10 else 1}f} {unit}" if number < 1e4 else f"{number:.0e} {unit}"

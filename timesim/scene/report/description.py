@@ -16,7 +16,7 @@ from timesim.model.reduction import reduction_of
 from timesim.model.solver import CLOSED_FORM, COMPANION, coarser
 from timesim.result.label import BASE, attributes, counted, with_unit
 from timesim.scene.report.cost import cost_lines
-from timesim.scene.report.warning import warnings_of
+from timesim.scene.report.warning import asked_frequency, warnings_of
 from timesim.scene.resolution import Scene
 from timesim.scene.text import value_text
 from timesim.scene.transient import Schedule, TradeoffPlan
@@ -59,8 +59,7 @@ def _left_out(scene: Scene, model: Model) -> tuple[str, ...]:
 
 def _method_lines(scene: Scene, model: Model) -> Iterator[str]:
     """The method of time integration and why it was chosen; contacts that are hard for explicit methods."""
-    own = _own_frequency(scene, model)
-    frequency = scene.file.study.lowest_frequency() if own is None else own
+    own, frequency = _own_frequency(scene, model), asked_frequency(scene, model)
     if frequency is None:
         return
     if not isinstance(scene.plan, TradeoffPlan):

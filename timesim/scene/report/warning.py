@@ -7,8 +7,11 @@ import numpy as np
 
 from timesim.fault import Problem
 from timesim.model.contact_state import obeys_cone
+from timesim.model.cost import EXPLICIT, stable_steps
 from timesim.model.model import Model
-from timesim.result.label import first_few, in_words
+from timesim.model.promise import rounded
+from timesim.model.reduction import distant_stops, reduction_of
+from timesim.result.label import attributes, first_few, in_words, with_unit
 from timesim.scene.file import SceneFile
 from timesim.scene.hbm import balance_of
 from timesim.scene.resolution import Scene
@@ -45,6 +48,8 @@ def warnings_of(scene: Scene) -> Iterator[str]:
     yield from _narrow(file.study, model)
     yield from _still_parts(file, model)
     yield from _large_numbers(file.study, scene.plan, model)
+    yield from _steps(scene, model)
+    yield from _far_contacts(scene, model)
     highest = _highest_frequency(scene) * float(model.excitation.harmonic.max())
     ratio = float(model.structure.frequency[-1]) / highest if highest else 0.0
     if 0 < ratio < FAR_BELOW:
@@ -56,6 +61,45 @@ def warnings_of(scene: Scene) -> Iterator[str]:
         reach = f"{model.structure.frequency[keep - 1]:.6g} Hz"
         advice = f"structure.keep_modes: {keep} would reach {reach}"
         yield f"the modes kept reach {top}, which costs steps; {advice}"
+
+
+def asked_frequency(scene: Scene, model: Model) -> float | None:
+    """Frequency at which a time integration asks most [Hz]: the excitation's or the lowest; None without one."""
+    study = scene.file.study
+    return model.excitation.frequency if study.uses_frequency else study.lowest_frequency()
+
+
+def _steps(scene: Scene, model: Model) -> Iterator[str]:
+    """Explicit steps that are too long or too many where the contacts are closed."""
+    frequency, solver = asked_frequency(scene, model), scene.solver()
+    if frequency is None or solver.name not in EXPLICIT or isinstance(scene.plan, TradeoffPlan):
+        return
+    asked, fixed = stable_steps(model, frequency), round(2 * np.pi / solver.longest)
+    stability = f"{asked:.3g} that stability asks for at {frequency:.6g} Hz"
+    if solver.name == "rk4" and asked > fixed:
+        so = "the motion may grow without bound where contacts are closed"
+        yield f"solver.steps_per_cycle: {fixed} steps are fewer than the {stability}: {so}"
+    elif asked > solver.budget:
+        advice = "method: exponential does without them, and a smaller structure.keep_modes may too"
+        yield f"solver.max_steps: {solver.budget} steps a cycle are fewer than the {stability}; {advice}"
+
+
+def _far_contacts(scene: Scene, model: Model) -> Iterator[str]:
+    """Contacts so stiff that rounding spoils the accuracy, and stops so far away that they only cost time."""
+    frequency, units = asked_frequency(scene, model), scene.file.unit_names()
+    if frequency is None:
+        return
+    live, promise = reduction_of(model, [frequency]).live, scene.promise
+    for c in sorted(live):
+        stiffness, error = rounded(model, c, frequency)
+        if promise is not None and error > promise:
+            most = with_unit(f"{stiffness * promise / error:.1e}", attributes("normal_stiffness", units))
+            so = f"rounding leaves an error of about {error:.0e}, more than the {promise:.0e} promised"
+            yield f"contacts.{model.contacts[c].name} is very stiff: {so}; a stiffness up to about {most} keeps that"
+    for contact, times in distant_stops(model, live):
+        gap = with_unit(f"{-contact.preload / contact.normal_stiffness:g}", attributes("v", units))
+        so = f"its gap of {gap} is {times:.3g} times as wide as the structure moves there without contacts"
+        yield f"contacts.{contact.name} is unlikely ever to touch: {so}; without it a run is quicker"
 
 
 def _failing(scene: Scene) -> Iterator[str]:
