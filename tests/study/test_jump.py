@@ -267,6 +267,16 @@ def test_the_summary_of_a_transient_gives_the_last_amplitude_and_how_settled_it_
     assert once.summary[-1].endswith("in the last cycle")
 
 
+def test_the_summary_warns_of_an_energy_balance_that_does_not_close() -> None:
+    """200 steps a cycle are too few for the closed contact: energy appears from nowhere."""
+    study = {"kind": "transient", "cycles": 3}
+    made = oscillator_scene(preload=3.0) | {"study": study, "solver": {"method": "rk4"}}
+    stiff = {"contacts.pad.normal_stiffness": 1e6, "excitation.frequency": 1.39}
+    assert "warning: energy balance of a cycle closes to" in carry_out(load_scene(made, stiff)).summary[1]
+    right = carry_out(load_scene(made, stiff | {"solver.steps_per_cycle": 800})).summary
+    assert right[1].startswith("energy balance of a cycle closes to")
+
+
 def test_the_resolved_scene_runs_again_and_an_unused_frequency_is_reported() -> None:
     loaded = load_scene(SHORT)
     assert load_scene(loaded.resolved_yaml()).file == loaded.file

@@ -13,6 +13,8 @@ from timesim.scene.transient import Schedule
 from timesim.study.outcome import took
 
 PHASES = 12  # of a schedule at most that are listed
+OPEN = 1e-2
+"""Share of the energy from which on what a cycle leaves unexplained is no error of a few digits."""
 
 
 def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
@@ -27,7 +29,9 @@ def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
         return
     largest = max(np.max(np.abs(data["energy_input"].values)), attrs["peak_stored_energy"])
     residual = np.max(np.abs(data["energy_residual"].values)) / largest if largest > 0 else 0.0
-    yield f"energy balance of a cycle closes to {residual:.1e} of the larger of input and stored energy"
+    closes = f"energy balance of a cycle closes to {residual:.1e} of the larger of input and stored energy"
+    wrong = ": this is no motion of the scene; take finer tolerances or more steps"
+    yield f"warning: {closes}{wrong}" if residual > OPEN else closes
     if "estimated_error" in attrs:
         yield from error_lines(data)
     ends = np.cumsum([cycles for _, cycles in plan.phases])
