@@ -138,7 +138,7 @@ def assert_in_its_units(one: xarray.Dataset, other: xarray.Dataset, name: str) -
         np.testing.assert_array_equal(values, variable, err_msg=name)
         return
     by = factor(variable.attrs["units"])
-    if name in ("closure", "seconds_a_cycle", "compile_seconds_before"):  # rounding over what is tolerated; times
+    if name in ("closure", "seconds_a_cycle", "seconds_scatter", "compile_seconds_before"):  # of rounding; times
         return
     # A difference of motions that are nearly the same: known to their rounding.
     if name in ("settled_to", "cycle_amplitude_error"):
