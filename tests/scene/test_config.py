@@ -858,6 +858,13 @@ def test_explicit_steps_that_stability_does_not_allow_are_worth_a_warning():
     assert warnings("{method: dopri8, rtol: 1e-4}", stiff) == warnings("{method: exponential}", stiff) == []
 
 
+def test_a_budget_that_leaves_no_time_for_fine_runs_is_worth_a_warning():
+    """Of 60 cycles a run takes some 30 ms, of 100,000 close to a minute."""
+    assert list(warnings_of(load_scene(CONFIGS / "tradeoff.yaml"))) == []
+    (warning,) = warnings_of(load_scene(CONFIGS / "tradeoff.yaml", ["study.cycles=100000"]))
+    assert warning.startswith("study.budget: 60 s are little for fine runs, which take about ")
+
+
 def test_a_contact_that_rounding_spoils_is_worth_a_warning():
     """The share of eps k / (m w^2) summed over two modes of 0.9 and 1.1 Hz, against what each accuracy promises."""
 
@@ -953,6 +960,7 @@ def test_check_estimates_the_cost_of_each_phase():
     assert said("two_contacts")[0].endswith(", and the search for jumps")
     assert said("two_contacts", "study.refine=null")[0].endswith(" s")
     assert said("figure7") == ()
+    assert said("tradeoff")[0].endswith("ms a run at reference, of 60 s for all runs and their compilation")
 
 
 def test_check_names_the_quicker_way_where_vibrations_decay_slowly():

@@ -12,7 +12,7 @@ from timesim.result.label import counted
 from timesim.scene.hbm import balance_of
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SteadySection, SweepPlan
-from timesim.scene.transient import Schedule
+from timesim.scene.transient import Schedule, TradeoffPlan
 
 FASTER, NOTICED = 1.5, 3.0  # times, and seconds, from which on another way to settle is named
 
@@ -25,6 +25,11 @@ def cost_lines(scene: Scene, model: Model) -> Iterator[str]:
         cycles = sum(cycles for _, cycles in plan.phases)
         total = cost.seconds(model, solver, cost.Work.of_run(plan.phases, estimated=False))
         lines.append(f"{counted(cycles, 'cycle')} of {_duration(total / cycles)}: {_duration(total)}")
+    elif isinstance(plan, TradeoffPlan):
+        finest = plan.preset("reference", model, solver.budget)
+        own = cost.seconds_a_cycle(model, finest, plan.frequency)
+        each = f"{counted(plan.cycles, 'cycle')} of {_duration(own)}: {_duration(plan.cycles * own)} a run at reference"
+        lines.append(f"{each}, of {_duration(plan.budget)} for all runs and their compilation")
     elif isinstance(study, SteadySection):
         sweep = study.sweep()
         cycles, own, beside, total = _sweep_cost(model, solver, sweep)

@@ -7,7 +7,7 @@ import numpy as np
 
 from timesim.fault import Problem
 from timesim.model.contact_state import obeys_cone
-from timesim.model.cost import EXPLICIT, stable_steps
+from timesim.model.cost import EXPLICIT, seconds_a_cycle, stable_steps
 from timesim.model.model import Model
 from timesim.model.promise import rounded
 from timesim.model.reduction import distant_stops, reduction_of
@@ -25,6 +25,7 @@ MOST_SAMPLES = 2**16  # of a period of a balance
 STEPS_OF_WIDTH = 1.0  # widths of a resonance at half its power that a step may have
 FAR_BELOW, FAR_ABOVE = 0.2, 100.0  # times the highest excitation frequency: a highest mode beyond is worth a warning
 HEAVY = 0.15  # damping ratio above which a percentage is suspected
+FEW_RUNS = 4  # at reference for which a tradeoff should have time
 
 
 def warnings_of(scene: Scene) -> Iterator[str]:
@@ -70,9 +71,16 @@ def asked_frequency(scene: Scene, model: Model) -> float | None:
 
 
 def _steps(scene: Scene, model: Model) -> Iterator[str]:
-    """Explicit steps that are too long or too many where the contacts are closed."""
-    frequency, solver = asked_frequency(scene, model), scene.solver()
-    if frequency is None or solver.name not in EXPLICIT or isinstance(scene.plan, TradeoffPlan):
+    """Explicit steps that are too long or too many where the contacts are closed; a tradeoff without time for them."""
+    frequency, solver, plan = asked_frequency(scene, model), scene.solver(), scene.plan
+    if isinstance(plan, TradeoffPlan):
+        finest = plan.preset("reference", model, solver.budget)
+        needed = FEW_RUNS * plan.cycles * seconds_a_cycle(model, finest, plan.frequency)
+        if needed > plan.budget:
+            so = "what is known of the errors comes from the finest of them; give it more, or fewer cycles"
+            yield f"study.budget: {plan.budget:g} s are little for fine runs, which take about {needed:.2g} s: {so}"
+        return
+    if frequency is None or solver.name not in EXPLICIT:
         return
     asked, fixed = stable_steps(model, frequency), round(2 * np.pi / solver.longest)
     stability = f"{asked:.3g} that stability asks for at {frequency:.6g} Hz"
