@@ -128,6 +128,21 @@ def test_a_legend_speaks_of_stability_where_some_solutions_are_unstable() -> Non
         assert [text.get_text() for text in legend.get_texts()] == words
 
 
+def test_ends_of_starts_are_told_apart_by_hatching() -> None:
+    data = two_motions([2.0]).copy(deep=True)
+    data["start_branch"][:] = np.array([[0, 1], [2, 3]])
+    ax = bistable.starts(data)
+    hatched = {str(patch.get_hatch()): patch.get_path().get_extents().bounds for patch in ax.patches}
+    assert len(hatched) == 3
+    for kind, (x, y) in {0: (-0.5, -0.5), 2: (-0.5, 0.5), 3: (0.5, 0.5)}.items():
+        assert hatched[bistable.LED_TO[kind][2]] == pytest.approx((x, y, 1.0, 1.0))
+    assert len({hatch for _, _, hatch in bistable.LED_TO.values()}) == 4
+    figure = bistable.PICTURES["starts"](data)
+    assert figure is not None
+    patches = figure.axes[0].get_legend().get_patches()  # type: ignore[union-attr]
+    assert [patch.get_hatch() or "" for patch in patches] == [bistable.LED_TO[kind][2] for kind in range(4)]
+
+
 def test_an_end_of_the_search_is_no_jump() -> None:
     """The response has no arrow there, and the picture of all ranges no marker."""
     data = two_motions([1.8, 2.0])

@@ -19,18 +19,18 @@ from timesim.result.label import told_apart
 MAX_RANGES = 4
 SWEEPS = {"up": BLUE, "down": VERMILION}
 SHADE = "0.90"
-BEHIND = "0.45"
+BEHIND = "0.2"
 WIDE = 0.05  # of the sweeps: narrower ranges are seen magnified only
 EVERYWHERE = (0.0, np.inf)  # window of frequency [Hz]
 AROUND = 0.6  # of a range, shown to both sides of it
 LED_TO = {
-    -1: ("did not settle", "white"),
-    0: ("to the smaller motion", BLUE),
-    1: ("to the larger motion", VERMILION),
-    2: ("to another motion", "0.55"),
-    3: ("to one that does not repeat", "0.25"),
+    -1: ("did not settle", "white", ""),
+    0: ("to the smaller motion", BLUE, "////"),
+    1: ("to the larger motion", VERMILION, ""),
+    2: ("to another motion", "0.55", "...."),
+    3: ("to one that does not repeat", "0.25", "xxxx"),
 }
-"""Label and colour of the motion that a start leads to."""
+"""Label, colour and, for print, hatching of the motion that a start leads to."""
 
 
 class DrawnRange(NamedTuple):
@@ -205,20 +205,36 @@ def _range(data: DataTree, ax: Axes, item: DrawnRange, point: str, axis: str, *,
 def starts(data: DataTree, ax: Axes | None = None, *, at: DrawnRange | None = None) -> Axes:
     """Which start leads to which motion: sums of the two motions at mid-range, as shares of each; rest is (0, 0)."""
     from matplotlib.colors import BoundaryNorm, ListedColormap
+    from matplotlib.patches import PathPatch
 
     ax, item, root = axes(ax), at or ranges(data)[0], data.to_dataset()
     branch = root["start_branch"].isel(item.where).transpose("share_lower", "share_upper").values
-    colours = ListedColormap([colour for _, colour in LED_TO.values()])
+    colours = ListedColormap([colour for _, colour, _ in LED_TO.values()])
     norm = BoundaryNorm(np.arange(-1.5, len(LED_TO) - 1), colours.N)
     x, y = root["share_upper"].values, root["share_lower"].values
     ax.pcolormesh(x, y, branch, shading="nearest", cmap=colours, norm=norm, alpha=0.55, edgecolor="white")
+    for number, (_, _, hatch) in LED_TO.items():
+        if hatch and (branch == number).any():
+            cells = _cells(x, y, branch == number)
+            ax.add_patch(PathPatch(cells, facecolor="none", edgecolor=BEHIND, linewidth=0.0, hatch=hatch))
     for spot, kind, name in (((0, 0), "o", "rest"), ((0, 1), "v", "smaller motion"), ((1, 0), "^", "larger motion")):
-        ax.plot(*spot, kind, color="black", fillstyle="none", ms=9, markeredgewidth=1.6, linestyle="", label=name)
+        look: dict[str, Any] = {"color": "white", "markeredgecolor": "black", "markeredgewidth": 1.6, "linestyle": ""}
+        ax.plot(*spot, kind, ms=9, label=name, **look)
     ax.set(xlabel="share of the larger motion [1]", ylabel="share of the smaller motion [1]")
     ax.grid(False)
     ax.set_aspect("equal")
     ax.set_title(", ".join(filter(None, (item.label, f"{0.5 * (item.low + item.high):.6g} Hz"))), fontsize=9)
     return ax
+
+
+def _cells(x: np.ndarray, y: np.ndarray, inside: np.ndarray) -> Any:
+    """Outline of the cells about some points of a regular grid, of shape (y, x)."""
+    from matplotlib.path import Path
+
+    across, up = 0.5 * (x[1] - x[0]), 0.5 * (y[1] - y[0])
+    corners = np.array([(-across, -up), (across, -up), (across, up), (-across, up), (-across, -up)])
+    middles = (np.array([x[j], y[i]]) for i, j in np.argwhere(inside))
+    return Path.make_compound_path(*(Path(corners + middle, closed=True) for middle in middles))
 
 
 def existence(data: DataTree, ax: Axes | None = None, *, key: str | None = None) -> Axes:
@@ -274,7 +290,10 @@ def _starts_figure(data: DataTree) -> Figure | None:
         starts(data, ax, at=item)
     led = np.unique([data["start_branch"].isel(item.where).values for item in shown])
     looks = [LED_TO[kind] for kind in led.tolist()]
-    patches = [Patch(facecolor=colour, edgecolor=BEHIND, alpha=0.55, label=label) for label, colour in looks]
+    patches = [
+        Patch(facecolor=colour, edgecolor=BEHIND, alpha=0.55, hatch=hatch, label=label)
+        for label, colour, hatch in looks
+    ]
     legend_beside(grid[0, -1], [*patches, *labelled(grid[0, 0]).values()])
     return finish(fig, data, "which start leads to which motion", left_out(len(ranges(data)), len(shown), "ranges"))
 
