@@ -10,7 +10,7 @@ import xarray
 from matplotlib.figure import Figure
 from matplotlib.markers import MarkerStyle
 
-from timesim.picture import bistable, compare, draw, element, hbm
+from timesim.picture import bistable, compare, draw, element, hbm, optimum
 
 PRELOAD = "contacts.pad.preload"
 FREQUENCY = np.linspace(0.9, 1.1, 21)
@@ -128,6 +128,35 @@ def test_a_legend_speaks_of_stability_where_some_solutions_are_unstable() -> Non
         assert [text.get_text() for text in legend.get_texts()] == words
 
 
+def test_lines_of_both_sweeps_end_at_the_jumps_and_are_told_apart() -> None:
+    """Up is wide and pale beneath down, which is dashed; the ranges are shaded behind amplitudes and phases alike."""
+    data = two_motions([2.0])
+    swept = data["sweep"].to_dataset().assign(jump_low=((PRELOAD, "direction", "jump"), [[[1.0149], [0.9751]]]))
+    swept = swept.assign(jump_high=swept.jump_low + 2e-4, phase_deg=-90.0 * swept.amplitude)
+    data["sweep"] = xarray.DataTree(swept)
+    for ax in (bistable.response(data), bistable.phase(data)):
+        up, down = (line for line in ax.get_lines() if str(line.get_label()).startswith("sweep"))
+        for line, jump in ((up, 1.015), (down, 0.975)):
+            x = np.asarray(line.get_xdata())
+            (gap,) = np.flatnonzero(np.isnan(x))
+            assert x[gap - 1] < jump < x[gap + 1]
+            assert x[line.get_markevery()].tolist() == FREQUENCY.tolist()  # type: ignore[index]
+        assert (up.get_linestyle(), down.get_linestyle()) == ("-", "--")
+        assert up.get_linewidth() > 2 * down.get_linewidth()
+        assert up.get_zorder() < down.get_zorder()
+        (span,) = [patch for patch in ax.patches if patch.get_label() == "two motions"]
+        assert (span.get_x(), span.get_width()) == pytest.approx((0.98, 0.04))  # type: ignore[attr-defined]
+
+
+def test_a_window_without_points_of_a_sweep_does_not_name_it() -> None:
+    data = two_motions([2.0])
+    (place,) = bistable.ranges(data)
+    assert "sweep up" in {line.get_label() for line in bistable.response(data, near=place).get_lines()}
+    few = data["sweep"].to_dataset().isel(frequency=[0, 1, -1])
+    data = xarray.DataTree.from_dict({"/": data.to_dataset(), "/sweep": few, "/hbm": data["hbm"].to_dataset(False)})
+    assert "sweep up" not in {line.get_label() for line in bistable.response(data, near=place).get_lines()}
+
+
 def test_ends_of_starts_are_told_apart_by_hatching() -> None:
     data = two_motions([2.0]).copy(deep=True)
     data["start_branch"][:] = np.array([[0, 1], [2, 3]])
@@ -209,6 +238,63 @@ def test_points_without_a_curve_are_shown_and_named(followed: list[float]) -> No
     named = {text.get_text() for text in fig.axes[0].get_legend().get_texts()}
     assert {f"time integration, {way}, no curve" for way in ("up", "down")} <= named
     assert ("time integration, up" in named) == bool(followed)
+
+
+def _optimum(values: list[float], peaks: list[float]) -> xarray.Dataset:
+    """The result of an `optimum` study, with resonances of these peaks at 1 Hz."""
+    shape = 1 / (1 + ((FREQUENCY - 1.0) / 0.05) ** 2)
+    best, columns = int(np.argmin(peaks)), {"peak": peaks, "peak_frequency": np.ones(len(peaks))}
+    dims = (PRELOAD, "direction", "frequency", *SPOT)
+    amplitude = _amplitude(np.array(peaks)[:, None, None] * np.stack([shape, shape]))
+    least = {"optimum": values[best], "optimum_peak": peaks[best], "optimum_frequency": 1.0}
+    variables = {name: (PRELOAD, column) for name, column in columns.items()} | {"amplitude": (dims, amplitude)}
+    variables |= {"phase_deg": (dims, -90.0 * amplitude), "peak_at_end": (PRELOAD, np.zeros(len(peaks), int))}
+    coords = {PRELOAD: values, "direction": ["up", "down"], "frequency": FREQUENCY, **PLACES}
+    return xarray.Dataset(variables | {name: ((), value) for name, value in least.items()}, coords, ATTRS)
+
+
+def test_the_scale_shows_the_optimum() -> None:
+    """On a linear axis a peak of a hundredth of the others would lie at its foot."""
+    wide, narrow = _optimum([0.1, 1.0, 10.0], [40.0, 0.4, 20.0]), _optimum([1.0, 2.0, 3.0], [4.0, 0.4, 2.0])
+    for data, scale in ((wide, "log"), (narrow, "linear")):
+        for picture in (optimum.peak, optimum.responses):
+            ax = picture(data)
+            assert ax.get_yscale() == scale
+            foot = ax.transData.transform((1.0, float(data.optimum_peak)))[1]
+            assert foot > ax.bbox.y0 + 0.05 * ax.bbox.height
+        assert optimum.peak(data).get_xscale() == scale
+        near = optimum.magnified(data)
+        assert (near.get_xscale(), near.get_yscale()) == ("linear", "linear")
+        assert near.get_ylim()[1] < 3 * float(data.optimum_peak)
+        assert near.get_xlim()[0] > 0
+
+
+def test_the_best_point_has_a_star_whose_value_the_legend_names() -> None:
+    data = _optimum([1.0, 2.0, 3.0], [4.0, 0.4, 2.0])
+    for name, place, words in (
+        ("peak", (2.0, 0.4), "least: 0.4 at 2"),
+        ("response", (1.0, 0.4), "least peak: 0.4\nat 1 Hz"),
+    ):
+        figure = optimum.PICTURES[name](data)
+        assert figure is not None
+        (star,) = [line for line in figure.axes[0].get_lines() if line.get_marker() == "*"]
+        assert np.ravel(star.get_xydata()).tolist() == list(place)
+        legend = figure.axes[0].get_legend()
+        assert legend is not None
+        assert words in [text.get_text() for text in legend.get_texts()]
+
+
+def test_responses_of_both_sweeps_are_told_apart() -> None:
+    figure = optimum.PICTURES["response"](_optimum([1.0, 2.0, 3.0], [4.0, 0.4, 2.0]))
+    assert figure is not None
+    for ax in figure.axes:
+        lines = [line for line in ax.get_lines() if line.get_xydata().shape[0] == FREQUENCY.size]
+        assert [line.get_linestyle() for line in lines] == 3 * ["-", "--"]
+        assert all(
+            up.get_linewidth() > 2 * down.get_linewidth() for up, down in zip(lines[::2], lines[1::2], strict=True)
+        )
+    named = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]  # type: ignore[union-attr]
+    assert named[:5] == ["1", "3", "2, the least", "up", "down"]
 
 
 def _map(values: np.ndarray) -> xarray.Dataset:

@@ -14,7 +14,7 @@ from timesim.picture import style
 from timesim.picture import sweep as plot_sweep
 from timesim.picture.choice import MAX_CURVES, main_axes, motion
 from timesim.picture.draw import make_logarithmic
-from timesim.picture.response import PAIRED, values_labels
+from timesim.picture.response import LINES, PAIRED, values_labels
 from timesim.result.dataset import dataset
 from timesim.result.label import told_apart
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES
@@ -82,6 +82,12 @@ def _lines(ax: Axes, label: str) -> list[Line2D]:
     return [line for line in ax.get_lines() if line.get_label() == label]
 
 
+def _drawn(line: Line2D) -> np.ndarray:
+    """Points of a curve without the gaps in its line, shape (N, 2)."""
+    points = np.asarray(line.get_xydata())
+    return points[np.isfinite(points).all(axis=1)]
+
+
 def _marked(line: Line2D) -> list[float]:
     """Frequencies at which a curve bears a marker."""
     return np.asarray(line.get_xdata())[line.get_markevery()].tolist()
@@ -126,20 +132,20 @@ def test_up_and_down_differ_by_marker_and_show_both_branches(
 ) -> None:
     ax = plot_sweep.response(both)
     up, down = _lines(ax, "_0.3")
-    assert (up.get_linestyle(), up.get_color()) == (down.get_linestyle(), down.get_color())
+    assert up.get_markerfacecolor() == down.get_markerfacecolor() == down.get_color()
     assert [line.get_marker() for line in (up, down)] == [PAIRED["up"], PAIRED["down"]]
     assert _marked(up) == _marked(down) == FREQUENCY.tolist(), "no point looks as if one direction had left it out"
     monkeypatch.setattr(plot_sweep, "MARKED", 10)
     up, down = _lines(plot_sweep.response(both), "_0.3")
     assert [line.get_marker() for line in (up, down)] == ["^", "v"]
     assert not set(_marked(up)) & set(_marked(down))
-    gap = np.asarray(up.get_ydata()) - np.asarray(down.get_ydata())
+    gap = _drawn(up)[:, 1] - _drawn(down)[:, 1]
     several = FREQUENCY[gap > 0.1]
     assert several.size >= 3
     for frequency in several:
         pair = [spring_amplitude(frequency, 0.5, largest=largest) for largest in (True, False)]
         place = np.flatnonzero(frequency == FREQUENCY)[0]
-        assert [up.get_ydata()[place], down.get_ydata()[place]] == pytest.approx(pair)
+        assert [_drawn(line)[place, 1] for line in (up, down)] == pytest.approx(pair)
     assert [line.get_xdata()[0] for line in _lines(ax, "jump")] == [1.39, 1.21]
     plot_sweep.legend([ax], both)
     assert _legend(ax) == ["0.3", "up", "down", "jump"]
@@ -149,9 +155,48 @@ def test_up_and_down_differ_by_marker_and_show_both_branches(
 def test_without_further_axes_the_directions_have_colours() -> None:
     data = sweep(directions=("up", "down"))
     ax = plot_sweep.response(data)
-    assert [line.get_color() for line in _lines(ax, "_")] == [style.BLUE, style.VERMILION]
+    assert [line.get_markerfacecolor() for line in _lines(ax, "_")] == [style.BLUE, style.VERMILION]
     plot_sweep.legend([ax], data)
     assert _legend(ax) == ["up", "down"]
+
+
+def test_a_line_is_broken_where_the_motion_is_known_to_jump(both: xarray.Dataset) -> None:
+    """In all pictures; not where only steep steps are known, of which some are slopes."""
+    both = both.assign(phase_deg=(both.amplitude.dims, np.full(both.amplitude.shape, -30.0)))
+    drawn = [draw(both) for draw in (plot_sweep.response, plot_sweep.phase, plot_sweep.share, plot_sweep.floquet)]
+    for ax in drawn:
+        for line, jump in zip(_lines(ax, "_0.3"), (1.39, 1.21), strict=True):
+            x = np.asarray(line.get_xdata())
+            (gap,) = np.flatnonzero(np.isnan(x))
+            assert x[gap - 1] < jump < x[gap + 1]
+            assert _drawn(line)[:, 0].tolist() == _marked(line) == FREQUENCY.tolist()
+    for line in _lines(plot_sweep.response(both.assign_attrs(jumps_bisected=0)), "_0.3"):
+        assert np.isfinite(line.get_xdata()).all()
+
+
+@pytest.mark.parametrize("over", [{}, {PRELOAD: [0.0, 0.1, 0.2]}])
+def test_up_is_wide_and_pale_and_down_dashed_on_top(over: Mapping[str, Sequence[float]]) -> None:
+    """So that both are seen where they coincide, in print without colours too."""
+
+    def lightness(line: Line2D) -> float:
+        return float(np.dot(to_rgb(line.get_color()), (0.3, 0.6, 0.1)))
+
+    data = sweep(over, ("up", "down"))
+    figures = [plot_sweep.PICTURES[name](data) for name in ("response", "contact_states", "stability")]
+    lines = [line for figure in figures for ax in figure.axes for line in ax.get_lines() if line.get_label()[0] == "_"]  # type: ignore[union-attr]
+    assert len(lines) == 2 * 7 * max(1, len(over) and 3)
+    for up, down in zip(lines[::2], lines[1::2], strict=True):
+        assert (up.get_linestyle(), down.get_linestyle()) == ("-", "--")
+        assert up.get_linewidth() > 2 * down.get_linewidth()
+        assert up.get_zorder() < down.get_zorder()
+        assert lightness(up) > lightness(down) + 0.1
+    figure = plot_sweep.PICTURES["response"](data)
+    assert figure is not None
+    legend = figure.axes[0].get_legend()
+    assert legend is not None
+    assert [line.get_linestyle() for line in legend.get_lines()[-2:]] == ["-", "--"]
+    alone = _lines(plot_sweep.response(data.isel(direction=[0])), "_0" if over else "_")[0]
+    assert alone.get_linewidth() == lines[1].get_linewidth()
 
 
 def test_up_and_down_do_not_cover_each_other_where_neither_has_settled() -> None:
@@ -228,10 +273,10 @@ def test_values_near_each_other_have_labels_of_their_own() -> None:
     assert told_apart([1.0, 1.0, np.nextafter(1.0, 2.0)]) == ["1", "1", "1.0000000000000002"]
 
 
-def test_with_up_and_down_the_values_differ_in_lightness_and_line() -> None:
+def test_with_up_and_down_the_values_differ_in_lightness_and_the_directions_in_line() -> None:
     shown = plot_sweep.curves(sweep({PRELOAD: [0.0, 0.1, 0.2]}, ("up", "down")))
     assert [(curve.label, curve.direction) for curve in shown][:3] == [("0", "up"), ("0", "down"), ("0.1", "up")]
-    assert [curve.style.line for curve in shown] == ["-", "-", "--", "--", "-.", "-."]
+    assert [curve.style.line for curve in shown] == 3 * [LINES["up"], LINES["down"]]
     lightness = [np.dot(to_rgb(curve.style.colour), (0.3, 0.6, 0.1)) for curve in shown]
     assert np.diff(lightness)[::2] == pytest.approx(0)
     assert np.all(np.diff(lightness)[1::2] > 0.15)

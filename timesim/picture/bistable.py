@@ -130,13 +130,17 @@ def _sweep(
     """The points of a sweep inside a window, hollow if not settled, joined by a line if all of them are shown."""
     x, y, settled = part.frequency.values, part[name].values, part.settled.values > 0
     shown = (x >= window[0]) & (x <= window[1])
-    if shown.all():
-        ax.plot(*(shared.unwound(x, y) if name == "phase_deg" else (x, y)), color=colour, linewidth=0.8, label="_line")
-    look: dict[str, Any] = {"color": colour, "marker": shared.PAIRED[direction], "linestyle": "", "ms": 6}
-    ax.plot(x[settled & shown], y[settled & shown], label=f"sweep {direction}", **look)
+    style = shared.one_way(direction, colour, shared.PAIRED[direction], beside=True)
+    look = (style if shown.all() else style._replace(line="")).look()
+    gaps = shared.jumps(part, {})
+    gaps = np.union1d(gaps, shared.turns(y)) if name == "phase_deg" else gaps
+    marked = np.flatnonzero(np.insert(settled & shown, gaps, False)).tolist()
+    if marked or shown.all():
+        ax.plot(*shared.broken(x, y, gaps), label=f"sweep {direction}", ms=5, markevery=marked, **look)
     loose = ~settled & shown & np.isfinite(y)
     if loose.any():
-        ax.plot(x[loose], y[loose], fillstyle="none", label="not settled", **look)
+        around: dict[str, Any] = {"color": colour, "fillstyle": "none", "marker": style.marker, "linestyle": ""}
+        ax.plot(x[loose], y[loose], ms=6, label="not settled", **around)
 
 
 def _branch(
@@ -165,7 +169,7 @@ def _branch(
         look: dict[str, Any] = {
             "colour": BEHIND,
             "stable_label": "harmonic balance",
-            "widths": (2.2, 1.4),
+            "widths": (1.6, 1.2),
             "zorder": 1.5,
             "phase": name == "phase_deg",
         }
@@ -180,15 +184,22 @@ def phase(data: DataTree, ax: Axes | None = None, *, at: Mapping[str, int] | Non
     for i, (direction, colour) in enumerate(SWEEPS.items()):
         part = sweep.isel(at).isel(direction=i).sel(point=point, axis=axis)
         _sweep(ax, part, direction, colour, name="phase_deg")
+    for item in ranges(data):
+        if item.at == at:
+            _span(ax, item)
     if "hbm" in data.children and "phase_deg" in data.children["hbm"]:
         _branch(data, ax, at, point, axis, name="phase_deg")
     ax.set_xlabel("frequency [Hz]")
     return shared.over_phase(ax)
 
 
+def _span(ax: Axes, item: DrawnRange) -> None:
+    ax.axvspan(item.low, item.high, color=SHADE, linewidth=0, zorder=0, label="two motions")
+
+
 def _range(data: DataTree, ax: Axes, item: DrawnRange, point: str, axis: str, *, middle: bool) -> None:
     """A range shaded, with an arrow for each jump and, where there is room, the motions at its middle."""
-    ax.axvspan(item.low, item.high, color=SHADE, linewidth=0, zorder=0, label="two motions")
+    _span(ax, item)
     here = data.to_dataset().isel(item.where).sel(point=point, axis=axis)
     ends = here["jump_from"].values, here["jump_to"].values
     for frequency, before, after in zip((item.low, item.high), *ends, strict=True):

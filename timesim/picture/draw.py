@@ -3,17 +3,16 @@
 import io
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from timesim.picture.figure import plain_ticks
 from timesim.picture.style import Dataset, DataTree, Figure, Picture
 from timesim.result.file import write_whole
 
 DPI = 110
 KINDS = ("png", "pdf", "svg")
 LOGARITHMIC = ("amplitude", "frequency")
-MANY_DECADES = 2.5  # from which on an axis has ticks at powers of ten only
 SMALLEST = 1e-6  # share of the largest value down to which a logarithmic axis goes
 MARGIN = 9  # pixels of white around what is drawn
 LEAST = {"time": 2, "angle": 2, "solution": 1}
@@ -65,14 +64,14 @@ def make_logarithmic(figure: Figure, quantities: Collection[str]) -> None:
     for ax in figure.axes:
         if not _words(ax.get_xlabel()).isdisjoint(quantities):
             ax.set_xscale("log")
-            _plain_ticks(ax.xaxis, *ax.get_xlim())
+            plain_ticks(ax.xaxis, *ax.get_xlim())
         least, top = ax.dataLim.minposy, ax.dataLim.y1
         if not _words(ax.get_ylabel()).isdisjoint(quantities) and 0 < least < top < np.inf:
             low = ax.get_ylim()[0]
             ax.set_yscale("log")
             if low <= 0:
                 ax.set_ylim(max(0.8 * least, SMALLEST * top), 1.25 * top)
-            _plain_ticks(ax.yaxis, *ax.get_ylim())
+            plain_ticks(ax.yaxis, *ax.get_ylim())
 
 
 def put_factors_in_labels(figure: Figure) -> None:
@@ -94,17 +93,6 @@ def put_factors_in_labels(figure: Figure) -> None:
             formatter.set_powerlimits((power, power))
             axis.get_offset_text().set_visible(False)
             axis.set_label_text(f"{before}[1e{power}{']' if unit == '1]' else f' {unit}'}")
-
-
-def _plain_ticks(axis: Any, low: float, high: float) -> None:
-    """Ticks as plain numbers: below one decade as on a linear axis, over many decades at powers of ten only."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
-
-    decades = np.log10(high / low)
-    steps = (1.0, 2.0, 5.0) if decades < MANY_DECADES else (1.0,)
-    axis.set_major_locator(MaxNLocator(6) if decades < 1 else LogLocator(subs=steps))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.6g}"))
-    axis.set_minor_locator(NullLocator())
 
 
 def _words(label: str) -> set[str]:

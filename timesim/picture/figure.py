@@ -11,6 +11,7 @@ import numpy as np
 from timesim.model.model import STATE_NAMES
 from timesim.picture.style import CLOSED, Axes, Dataset, DataTree, Figure, short
 
+MANY_DECADES = 2.5  # from which on a logarithmic axis has ticks at powers of ten only
 _HEAD, _FOOT = 0.68, 0.95  # inch
 _LABELLED, _PLAIN = 0.27, 0.1  # inch from axes with a label above them, or without one, to the title
 
@@ -98,6 +99,17 @@ def from_zero(ax: Axes) -> None:
     """Begin the ordinate at zero, with some room above what is drawn."""
     top = ax.dataLim.y1
     ax.set_ylim(0, 1.05 * top if 0 < top < np.inf else 1.0)
+
+
+def plain_ticks(axis: Any, low: float, high: float) -> None:
+    """Ticks of a logarithmic axis as plain numbers: below one decade as on a linear one, over many at powers of ten."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+
+    decades = np.log10(high / low)
+    steps = (1.0, 2.0, 5.0) if decades < MANY_DECADES else (1.0,)
+    axis.set_major_locator(MaxNLocator(6) if decades < 1 else LogLocator(subs=steps))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.6g}"))
+    axis.set_minor_locator(NullLocator())
 
 
 def over_cycle(ax: Axes, label: str) -> Axes:

@@ -1,18 +1,31 @@
 """Pictures of an optimum: the peak of the response against a scalar, and the responses beside the best one."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from timesim.picture.choice import motion
-from timesim.picture.figure import axes, finish, from_zero, labelled, legend_beside, stacked
-from timesim.picture.response import amplitude_label, axis_label, over_phase, styles, unwound, with_phase
-from timesim.picture.style import BLUE, VERMILION, Axes, Dataset, Figure, Picture, unit
+from timesim.picture.figure import axes, finish, from_zero, labelled, legend_beside, plain_ticks, stacked
+from timesim.picture.response import (
+    amplitude_label,
+    axis_label,
+    broken,
+    handles,
+    one_way,
+    over_phase,
+    styles,
+    turns,
+    with_phase,
+)
+from timesim.picture.style import BLUE, NEUTRAL, VERMILION, Axes, Dataset, Figure, Picture, Series, unit
 from timesim.result.label import told_apart
 
 MAX_CURVES = 7
 FLAT = 1e-4  # share of a peak: the least height magnified, since longer numbers would not fit beside the axis
 NEAR = 0.15  # share of the range of the scalar that is magnified, to each side of the optimum
+WIDE = 30.0  # largest by smallest value: on a linear axis a value below that is at the foot
+STEEP = 2.0  # times the least peak: what is larger is not magnified
+BELOW = 1e-3  # share of the least peak: smaller amplitudes are below the foot of a logarithmic axis
 
 
 def scalar(data: Dataset) -> str:
@@ -21,88 +34,126 @@ def scalar(data: Dataset) -> str:
 
 
 def peak(data: Dataset, ax: Axes | None = None) -> Axes:
-    """Peak over the frequencies against the scalar; hollow where it is at an end of them; a star at the least."""
-    ax, key = axes(ax), scalar(data)
+    """Peak over the frequencies against the scalar; hollow where it is at an end of them; a star at the least.
+
+    An axis over more than a factor of `WIDE` is logarithmic.
+    """
+    ax = _points(data, axes(ax))
+    if _wide(data[scalar(data)].values):
+        ax.set_xscale("log")
+        plain_ticks(ax.xaxis, *ax.get_xlim())
+    return _scaled(ax, data, BELOW * float(data["optimum_peak"]))
+
+
+def _points(data: Dataset, ax: Axes) -> Axes:
+    key = scalar(data)
     x, y, at_end = data[key].values, data["peak"].values, data["peak_at_end"].values > 0
     ax.plot(x, y, color=BLUE, linewidth=1.0)
     ax.plot(x[~at_end], y[~at_end], "o", color=BLUE, ms=4, label="peak")
     if at_end.any():
         ax.plot(x[at_end], y[at_end], "o", color=BLUE, ms=6, fillstyle="none", label="peak at an end of frequency")
     best = float(data["optimum"]), float(data["optimum_peak"])
-    if np.isfinite(best).all():
-        name = f"least: {best[1]:.5g} at {best[0]:.5g}"
-        ax.plot(*best, "*", color=VERMILION, markeredgecolor="black", ms=12, zorder=4, label=name)
+    _star(ax, *best, f"least: {best[1]:.5g} at {best[0]:.5g}")
     ax.set(xlabel=axis_label(data, key), ylabel=f"peak amplitude{unit(data, 'peak')}")
+    return ax
+
+
+def _star(ax: Axes, x: float, y: float, label: str) -> None:
+    look: dict[str, Any] = {"color": VERMILION, "markeredgecolor": "black", "ms": 12, "linestyle": "", "zorder": 4}
+    if np.isfinite(y):
+        ax.plot(x, y, "*", label=label, **look)
+
+
+def _wide(values: np.ndarray) -> bool:
+    """Whether values, of which some may be NaN, are over a range that a linear axis does not show."""
+    return bool(0 < np.nanmin(values) < np.nanmax(values) / WIDE)
+
+
+def _scaled(ax: Axes, data: Dataset, low: float) -> Axes:
+    """The ordinate from zero, or logarithmic, and not below `low`, where the least peak would be at its foot."""
+    if not _wide(data["peak"].values):
+        from_zero(ax)
+        return ax
+    ax.set_yscale("log")
+    ax.set_ylim(max(0.6 * ax.dataLim.minposy, low), 1.6 * ax.dataLim.y1)
+    plain_ticks(ax.yaxis, *ax.get_ylim())
     return ax
 
 
 def magnified(data: Dataset, ax: Axes | None = None) -> Axes:
     """The same about the least peak."""
-    ax = peak(data, ax)
+    ax = _points(data, axes(ax))
     values, heights = data[scalar(data)].values, data["peak"].values
     best, reach = float(data["optimum"]), NEAR * float(np.ptp(values))
-    ax.set_xlim(best - reach, best + reach)
+    ax.set_xlim(max(best - reach, values[0] - 0.05 * reach), min(best + reach, values[-1] + 0.05 * reach))
     inside = heights[(values >= best - reach) & (values <= best + reach)]
-    low, high = np.nanmin(inside), np.nanmax(inside)
+    low = np.nanmin(inside)
+    high = min(np.nanmax(inside), STEEP * low)
     margin = max(0.1 * (high - low), FLAT * high) or 1.0
     ax.set_ylim(low - margin, high + margin)
     return ax
 
 
 def responses(data: Dataset, ax: Axes | None = None) -> Axes:
-    """Amplitude against frequency for some values and the best one, both sweeps; a dot at each peak."""
+    """Amplitude against frequency for some values and the best one, both sweeps; a dot at each peak, a star at its.
+
+    Where the peaks are over more than a factor of `WIDE`, the ordinate is logarithmic.
+    """
     ax, (point, axis) = axes(ax), motion(data, data.attrs.get("point"), data.attrs.get("axis"))
-    amplitude = data["amplitude"].sel(point=point, axis=axis)
-    for row, look in _looks(data):
-        _curves(ax, data, amplitude, row, look)
-    from_zero(ax)
+    _both_ways(ax, data, data["amplitude"].sel(point=point, axis=axis))
+    for value in _shown(data):
+        top = float(data["peak_frequency"][value.row]), float(data["peak"][value.row])
+        ax.plot(*top, ".", color=value.colour, ms=7, label="_peak", zorder=3)
+    best = float(data["optimum_frequency"]), float(data["optimum_peak"])
+    _star(ax, *best, f"least peak: {best[1]:.5g}\nat {best[0]:.5g} Hz")
     ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(data, point, axis))
-    return ax
+    return _scaled(ax, data, BELOW * best[1])
 
 
 def phases(data: Dataset, ax: Axes | None = None) -> Axes:
     """Phase of the first harmonic against frequency for the same values."""
     ax, (point, axis) = axes(ax), motion(data, data.attrs.get("point"), data.attrs.get("axis"))
-    phase = data["phase_deg"].sel(point=point, axis=axis).transpose(scalar(data), "direction", "frequency").values
-    for row, look in _looks(data):
-        for y, line in zip(phase[row], ("-", "--"), strict=True):
-            ax.plot(*unwound(data["frequency"].values, y), **look | {"linestyle": line})
+    _both_ways(ax, data, data["phase_deg"].sel(point=point, axis=axis), phase=True)
     ax.set_xlabel("frequency [Hz]")
     return over_phase(ax)
 
 
-def _looks(data: Dataset) -> list[tuple[int, dict[str, Any]]]:
-    """Positions and styles of the values that are shown: some roughly evenly spaced ones, then the best one."""
+class ShownValue(NamedTuple):
+    """A value of the scalar of which the response is shown; ``widened``: factor of the width of its lines."""
+
+    row: int
+    label: str
+    colour: str
+    widened: float = 1.0
+
+
+def _shown(data: Dataset) -> list[ShownValue]:
+    """Some roughly evenly spaced values, then the best one."""
     values, best = data[scalar(data)].values, float(data["optimum"])
-    wanted = np.linspace(values[0], values[-1], MAX_CURVES)
-    spread = sorted({int(np.argmin(np.abs(values - value))) for value in wanted})
-    rows = [i for i in spread if values[i] != best]
+    wanted = (np.geomspace if _wide(values) else np.linspace)(values[0], values[-1], MAX_CURVES)
+    rows = [i for i in sorted({int(np.argmin(np.abs(values - value))) for value in wanted}) if values[i] != best]
     *texts, least = told_apart([*values[rows], best], 4)
-    looks: list[tuple[int, dict[str, Any]]] = [
-        (row, {"color": look.colour, "linewidth": 1.0, "label": text})
-        for row, look, text in zip(rows, styles(len(rows), shades=True), texts, strict=True)
-    ]
-    for row in np.flatnonzero(values == best):
-        looks.append((int(row), {"color": "black", "linewidth": 2.0, "zorder": 3, "label": f"{least}, the least"}))
-    return looks
+    looks = styles(len(rows), shades=True)
+    shown = [ShownValue(row, text, look.colour) for row, text, look in zip(rows, texts, looks, strict=True)]
+    return shown + [ShownValue(int(row), f"{least}, the least", "black", 1.5) for row in np.flatnonzero(values == best)]
 
 
-def _curves(ax: Axes, data: Dataset, amplitude: Any, row: int, style: dict[str, Any]) -> None:
-    """Both sweeps with one value of the scalar, and their peak."""
+def _both_ways(ax: Axes, data: Dataset, quantity: Any, *, phase: bool = False) -> None:
+    """A quantity of both sweeps against frequency, a phase with a gap where it wraps around."""
     x = data["frequency"].values
-    for i, line in enumerate(("-", "--")):
-        ax.plot(x, amplitude.isel({scalar(data): row, "direction": i}).values, linestyle=line, **style)
-        style = style | {"label": "_down"}
-    top = float(data["peak_frequency"][row]), float(data["peak"][row])
-    ax.plot(*top, ".", color=style["color"], ms=7, label="_peak", zorder=style.get("zorder", 2))
+    for row, label, colour, widened in _shown(data):
+        for i, way in enumerate(("up", "down")):
+            y = quantity.isel({scalar(data): row, "direction": i}).values
+            look = one_way(way, colour, "", beside=True).look()
+            look["linewidth"] *= widened
+            ax.plot(*(broken(x, y, turns(y)) if phase else (x, y)), label="_down" if i else label, **look)
 
 
 def _peak_figure(data: Dataset) -> Figure | None:
     if not np.isfinite(data["peak"].values).any():
         return None
     fig, axs = stacked(2, 2.8, share_x=False)
-    from_zero(peak(data, axs[0]))
-    axs[0].set_xlabel("")
+    peak(data, axs[0]).set_xlabel("")
     magnified(data, axs[1])
     legend_beside(axs[0], labelled(axs[0]).values())
     return finish(fig, data, "peak over the frequencies, below magnified")
@@ -114,8 +165,13 @@ def _responses_figure(data: Dataset) -> Figure | None:
     fig, axs = with_phase(1, 4.0, "phase_deg" in data)
     for ax, draw in zip(axs, (responses, phases), strict=False):
         draw(data, ax).label_outer()
-    legend_beside(axs[0], labelled(axs[0]).values(), axis_label(data, scalar(data)))
-    return finish(fig, data, "responses, dashed where the sweep down differs; dots: refined peaks")
+    ways = {way: one_way(way, NEUTRAL, "", beside=True) for way in ("up", "down")}
+    lines = handles({value.label: Series(value.colour, "-", "") for value in _shown(data)} | ways)
+    for line, value in zip(lines, _shown(data), strict=False):
+        line.set_linewidth(value.widened * line.get_linewidth())
+    star = [line for line in axs[0].get_lines() if line.get_marker() == "*"]
+    legend_beside(axs[0], [*lines, *star], axis_label(data, scalar(data)))
+    return finish(fig, data, "responses, swept up and down; dots: peaks, sought between the points")
 
 
 PICTURES: dict[str, Picture] = {"peak": _peak_figure, "response": _responses_figure}

@@ -18,6 +18,7 @@ from timesim.result.label import is_scalar_key, told_apart
 DIRECTIONS = {"up": "^", "down": "v", "independent": "o"}
 PAIRED: dict[str, Any] = {"up": 10, "down": 11, "independent": "o"}
 """Triangles above and below the point, CARETUPBASE and CARETDOWNBASE, which do not cover each other."""
+LINES: dict[str, Any] = {"up": "-", "down": (0, (2.5, 1.5)), "independent": "-"}
 DASHES = (0, (4, 2))
 HALF_TURN = 180.0  # degrees
 PHASE_HEIGHT = 1.4  # inch
@@ -56,10 +57,34 @@ def turns(phase: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.abs(np.diff(phase)) > HALF_TURN) + 1
 
 
-def unwound(x: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A phase along x, with a gap where it wraps around."""
-    breaks = turns(phase)
-    return np.insert(x, breaks, np.nan), np.insert(phase, breaks, np.nan)
+def steep(data: Dataset, where: Mapping[str, int]) -> np.ndarray:
+    """Frequencies [Hz] at which a sweep jumps, or where jumps were not bisected at which it may as well be steep."""
+    if "jump_low" not in data:
+        return np.empty(0)
+    ends = [data[name].isel(where, missing_dims="ignore").values.ravel() for name in ("jump_low", "jump_high")]
+    middle = 0.5 * (ends[0] + ends[1])
+    return middle[np.isfinite(middle)]
+
+
+def jumps(data: Dataset, where: Mapping[str, int]) -> np.ndarray:
+    """Positions before which a sweep is known to have jumped to another motion, where no line is to be drawn."""
+    known = steep(data, where) if data.attrs.get("jumps_bisected", 1) else np.empty(0)
+    place = np.unique(np.searchsorted(data.frequency.values, known))
+    return place[(place > 0) & (place < data.sizes["frequency"])]
+
+
+def broken(x: np.ndarray, y: np.ndarray, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A curve with a gap before each of some positions."""
+    return np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan)
+
+
+def one_way(direction: str, colour: str, marker: Any, *, beside: bool) -> Series:
+    """How the sweep in a direction is drawn.
+
+    ``beside``: whether there is one of the other direction too. Then up is wide and pale, and down dashed on top of it:
+    where both coincide, both are seen, in print without colours too.
+    """
+    return Series(colour, LINES[direction], marker, beside and direction == "up")
 
 
 def with_phase(rows: int, height: float, phase: bool) -> tuple[Figure, list[Axes]]:
@@ -135,7 +160,7 @@ def draw_branch(
     """
     if phase:
         breaks = turns(y)
-        x, y = unwound(x, y)
+        x, y = broken(x, y, breaks)
         stable, fold = np.insert(stable, breaks, stable[breaks]), np.insert(fold, breaks, False)
     solid: dict[str, Any] = {"linestyle": "-", "linewidth": widths[0], "label": stable_label}
     dashed: dict[str, Any] = {"linestyle": DASHES, "linewidth": widths[1], "label": "unstable"}
@@ -159,22 +184,22 @@ def legend(axs: Iterable[Axes], entries: Mapping[str, Series], title: str | None
 
     Curves that are stable throughout do not say so.
     """
-    from matplotlib.lines import Line2D
-
     first, *others = axs
     if "unstable" not in labelled(first, *others):
         for line in (line for ax in (first, *others) for line in ax.get_lines() if line.get_label() == "stable"):
             line.set_label("_stable")
-    handles = [
-        Line2D([], [], color=style.colour, linestyle=style.line, marker=style.marker, ms=5, label=name)
-        for name, style in entries.items()
-    ]
-    for name, drawn in labelled(first, *others).items():
-        handle = Line2D([], [], label=name)
+    meanings = handles({name: Series(NEUTRAL, "-", "") for name in labelled(first, *others)})
+    for handle, (name, drawn) in zip(meanings, labelled(first, *others).items(), strict=True):
         handle.update_from(drawn)
         handle.set(color=NEUTRAL, label=name, markersize=5)
-        handles.append(handle)
-    legend_beside(first, handles, title)
+    legend_beside(first, [*handles(entries), *meanings], title)
+
+
+def handles(entries: Mapping[str, Series]) -> list[Any]:
+    """Lines of a legend by their names."""
+    from matplotlib.lines import Line2D
+
+    return [Line2D([], [], **style.look(), ms=5, label=name) for name, style in entries.items()]
 
 
 Legend = Callable[[Sequence[Axes], Dataset], None]

@@ -24,11 +24,28 @@ PALE, NEUTRAL = "0.7", "0.25"
 
 
 class Series(NamedTuple):
-    """How one of several curves is drawn."""
+    """How one of several curves is drawn; ``beneath``: wide and pale, so that one that lies on it is seen as well."""
 
     colour: str
     line: Any
-    marker: str
+    marker: Any
+    beneath: bool = False
+
+    def look(self) -> dict[str, Any]:
+        """Keywords of a line."""
+        plain = {"color": self.colour, "linestyle": self.line, "marker": self.marker, "linewidth": 1.2}
+        if not self.beneath:
+            return plain
+        full = {"markerfacecolor": self.colour, "markeredgecolor": self.colour}
+        return plain | full | {"color": _paled(self.colour), "linewidth": 3.2, "zorder": 1.4}
+
+
+def _paled(colour: str) -> str:
+    """A colour mixed with white."""
+    from matplotlib.colors import to_hex, to_rgb
+
+    red, green, blue = (0.5 + 0.5 * part for part in to_rgb(colour))
+    return to_hex((red, green, blue))
 
 
 class StateStyle(NamedTuple):

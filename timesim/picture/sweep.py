@@ -1,8 +1,8 @@
 """Pictures of a sweep: response curves, shares of the contact states, peaks against a scalar, stability.
 
-Each set of values of the further axes has its own colour and line; up and down differ by marker. Filled markers are
-settled motions; hollow ones are not settled, and a bar spans the amplitudes of their single cycles. Crosses at the foot
-are points that failed; points that the run did not reach are not drawn.
+Each set of values of the further axes has its own colour; up and down differ by line and marker. A line ends where the
+motion is known to jump. Filled markers are settled motions; hollow ones are not settled, and a bar spans the amplitudes
+of their single cycles. Crosses at the foot are points that failed; points that the run did not reach are not drawn.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,9 +20,9 @@ from timesim.picture.style import NEUTRAL, SERIES, Axes, Dataset, Figure, Pictur
 from timesim.result.coordinate import over_keys
 from timesim.result.label import counted, told_apart
 
-LINES = {"up": "-", "down": "--", "independent": "-"}
 MARKED = 45  # settled points of a curve with a marker; of more points only some are marked
 FEW = 3  # least number of values of a scalar for a picture of the peaks
+NO_GAPS = np.empty(0, int)
 
 
 class DrawnCurve(NamedTuple):
@@ -49,7 +49,7 @@ def response(data: Dataset, ax: Axes | None = None, *, point: str | None = None,
         _draw(ax, data, curve, data.amplitude.sel(point=point, axis=axis).isel(curve.where).values)
         _band(ax, data, curve, point, axis)
         word = "jump" if data.attrs.get("jumps_bisected", 1) else "jump or slope"
-        for frequency in _jumps(data, curve):
+        for frequency in shared.steep(data, curve.where):
             ax.axvline(frequency, color=curve.style.colour, linestyle=":", linewidth=1.0, label=word)
     from_zero(ax)
     ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(data, point, axis))
@@ -61,11 +61,8 @@ def phase(data: Dataset, ax: Axes | None = None, *, point: str | None = None, ax
     ax, (point, axis), x = axes(ax), motion(data, point, axis), data.frequency.values
     for curve in curves(data):
         y = data.phase_deg.sel(point=point, axis=axis).isel(curve.where).values
-        label, line = "_" + curve.label, {"color": curve.style.colour, "linestyle": curve.style.line}
-        ax.plot(*shared.unwound(x, y), label=label, linewidth=1.0, **line)
-        _curve(
-            ax, x, y, curve._replace(style=curve.style._replace(line="")), np.zeros(x.size, dtype=bool), "", label=label
-        )
+        gaps = np.union1d(shared.turns(y), shared.jumps(data, curve.where))
+        _curve(ax, x, y, curve, np.zeros(x.size, dtype=bool), "", "_" + curve.label, gaps)
     ax.set_xlabel("frequency [Hz]")
     return shared.over_phase(ax)
 
@@ -107,7 +104,7 @@ def peak(
         largest, at_end = peaks(amplitude.isel(curve.where).transpose(key, "frequency").values[order])
         direction = curve.direction if data.sizes["direction"] > 1 else ""
         name = ", ".join(filter(None, (curve.label, direction)))
-        _curve(ax, value, largest, curve, at_end, "peak at an end of the frequencies", label=name or "peak")
+        _curve(ax, value, largest, curve, at_end, "peak at an end of the frequencies", name or "peak")
         if np.isfinite(largest).all():
             place = int(np.argmin(largest))
             least.setdefault((value[place], f"{largest[place]:.4g}"), []).append((name, curve.style.colour))
@@ -149,10 +146,9 @@ def curves(data: Dataset, without: str | None = None) -> list[DrawnCurve]:
     labels = values_labels([[data[key].values[i] for key, i in zip(keys, sets[k], strict=True)] for k in kept])
     for look, label, chosen in zip(looks, labels, (sets[k] for k in kept), strict=True):
         for i, name in enumerate(names):
-            if not keys:
-                look = Series(SERIES[i].colour, LINES[name], DIRECTIONS[name])
-            elif beside:
-                look = look._replace(marker=DIRECTIONS[name])
+            if beside or not keys:
+                colour = look.colour if keys else SERIES[i].colour
+                look = shared.one_way(name, colour, DIRECTIONS[name], beside=beside)
             drawn.append(DrawnCurve(label, dict(zip(keys, chosen, strict=True)) | {"direction": i}, name, look, beside))
     return drawn
 
@@ -162,19 +158,12 @@ def most_valued(data: Dataset) -> str:
     return max(over_keys(data), key=lambda key: data.sizes[key])
 
 
-def _jumps(data: Dataset, curve: DrawnCurve) -> np.ndarray:
-    if "jump_low" not in data:
-        return np.empty(0)
-    ends = [data[name].isel(curve.where, missing_dims="ignore").values.ravel() for name in ("jump_low", "jump_high")]
-    middle = 0.5 * (ends[0] + ends[1])
-    return middle[np.isfinite(middle)]
-
-
 def _draw(ax: Axes, data: Dataset, curve: DrawnCurve, y: np.ndarray) -> None:
     """A curve, with hollow markers where it has not settled and crosses at the foot where it failed."""
     frequency, settled = data.frequency.values, data.settled.isel(curve.where).values.astype(bool)
     failed, style = data.failure.isel(curve.where).values != "", curve.style
-    _curve(ax, frequency, y, curve, ~settled & ~failed, "not settled", label="_" + curve.label, linewidth=1.0)
+    gaps = shared.jumps(data, curve.where)
+    _curve(ax, frequency, y, curve, ~settled & ~failed, "not settled", "_" + curve.label, gaps)
     shared.several_cycles(ax, data, curve.where, y)
     if failed.any():
         foot: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "clip_on": False, "linestyle": "", "zorder": 4}
@@ -194,19 +183,29 @@ def _band(ax: Axes, data: Dataset, curve: DrawnCurve, point: str, axis: str) -> 
 
 
 def _curve(
-    ax: Axes, x: np.ndarray, y: np.ndarray, curve: DrawnCurve, hollow: np.ndarray, meaning: str, **look: Any
+    ax: Axes,
+    x: np.ndarray,
+    y: np.ndarray,
+    curve: DrawnCurve,
+    hollow: np.ndarray,
+    meaning: str,
+    label: str,
+    gaps: np.ndarray = NO_GAPS,
 ) -> None:
-    """A curve with filled markers at some of its points, and hollow ones at all points that have a given meaning."""
+    """A curve with filled markers at some of its points, and hollow ones at all points that have a given meaning.
+
+    ``gaps``: positions before which its line is broken.
+    """
     style, every = curve.style, max(1, -(-x.size // MARKED))
     paired = {marker: PAIRED[direction] for direction, marker in DIRECTIONS.items()}.get(style.marker, style.marker)
-    look |= {"color": style.colour, "marker": paired if curve.beside and every == 1 else style.marker}
     first = every // 2 if curve.beside and curve.direction == "down" else 0
-    filled = ~hollow & (np.arange(x.size) % every == first)
-    ax.plot(x, y, linestyle=style.line, ms=3.5, markevery=np.flatnonzero(filled).tolist(), **look)
+    filled = np.insert(~hollow & (np.arange(x.size) % every == first), gaps, False)
+    look = style._replace(marker=paired if curve.beside and every == 1 else style.marker).look()
+    ax.plot(*shared.broken(x, y, gaps), label=label, ms=3.5, markevery=np.flatnonzero(filled).tolist(), **look)
     hollow = hollow & np.isfinite(y)
     if hollow.any():
-        look |= {"label": meaning, "fillstyle": "none", "marker": paired}
-        ax.plot(x[hollow], y[hollow], linestyle="", ms=6, **look)
+        around: dict[str, Any] = {"color": style.colour, "fillstyle": "none", "marker": paired, "linestyle": ""}
+        ax.plot(x[hollow], y[hollow], label=meaning, ms=6, **around)
 
 
 def legend(axs: Sequence[Axes], data: Dataset) -> None:
@@ -215,13 +214,13 @@ def legend(axs: Sequence[Axes], data: Dataset) -> None:
     several, keys, shown = data.sizes["direction"] > 1, over_keys(data), curves(data)
     for curve in shown:
         entries.setdefault(
-            curve.label or curve.direction, curve.style._replace(marker="") if keys and several else curve.style
+            curve.label or curve.direction, Series(curve.style.colour, "-", "") if keys and several else curve.style
         )
     if not keys and not several and shown[0].direction == "independent":
         entries.clear()  # a single curve, whose axes say what it is
     if keys and several:
         ways = shown[: data.sizes["direction"]]
-        entries |= {curve.direction: curve.style._replace(colour=NEUTRAL, line="") for curve in ways}
+        entries |= {curve.direction: curve.style._replace(colour=NEUTRAL) for curve in ways}
     shared.legend(axs, entries, shared.legend_title(data, keys))
 
 
