@@ -277,6 +277,31 @@ def test_a_stop_without_friction_is_closed_where_others_slip(run: xarray.Dataset
     assert "closed" in [text.get_text() for text in legend.get_texts()]
 
 
+def test_orbits_and_hysteresis_are_of_contacts_with_friction(run: xarray.Dataset) -> None:
+    """A stop slides freely: it has no slider, and a loop of zero force."""
+    for values, orbits, loops in (
+        ((FRICTION, 0.0), ["pad"], ["pad, t1", "pad, t2"]),
+        ((0.0, FRICTION), ["stop"], ["stop, t1", "stop, t2"]),
+        ((0.0, 0.0), None, None),
+    ):
+        for name, titles in (("orbit", orbits), ("hysteresis", loops)):
+            figure = plot_contact.PICTURES[name](with_friction(run, *values))
+            assert (figure and [ax.get_title("right") for ax in figure.axes]) == titles
+    for name in ("normal_load", "contact_states"):
+        assert plot_contact.PICTURES[name](with_friction(run, 0.0, 0.0)) is not None
+
+
+def test_contacts_with_friction_are_counted_among_themselves() -> None:
+    many = friction_run(5).assign_coords(friction=("contact", [0.0, 0.3, 0.3, 0.3, 0.3]))
+    figure = plot_contact.PICTURES["hysteresis"](many)
+    assert figure is not None
+    assert "1 of 4 contacts with friction not shown (the least active)" in _texts(figure)
+    energy = plot_transient.PICTURES["energy"](many)
+    assert energy is not None
+    assert "1 of 4 contacts shown in the sum only" in _texts(energy)
+    assert "friction, all contacts" not in _labels(plot_transient.energy(many.isel(contact=slice(0, 4))))
+
+
 def test_bars_stand_at_the_times_of_the_events(run: xarray.Dataset) -> None:
     ax = plot_contact.contact_states(run)
     start, end = ax.get_xlim()

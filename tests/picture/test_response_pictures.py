@@ -214,6 +214,16 @@ def test_a_motion_of_several_cycles_is_ringed() -> None:
             assert [x for ring in rings for x in ring.get_xdata()] == ringed
 
 
+@pytest.mark.parametrize(("friction", "rows"), [(0.3, ["slip", "separation"]), (0.0, ["separation"])])
+def test_a_difference_shows_the_slip_of_contacts_with_friction(friction: float, rows: list[str]) -> None:
+    balance, swept = (data.assign_coords(friction=("contact", [friction])) for data in (_balance([2.0]), _sweep([2.0])))
+    off = xarray.Dataset({"relative_difference": swept.amplitude * 1e-5}, attrs=ATTRS)
+    groups = {"/": off.drop_vars(["frequency", PRELOAD, "friction"], errors="ignore"), "/sweep": swept, "/hbm": balance}
+    figure = compare.PICTURES["difference"](xarray.DataTree.from_dict(groups))
+    assert figure is not None
+    assert [ax.get_ylabel() for ax in figure.axes[1:]] == [f"share in {state} [1]" for state in rows]
+
+
 def test_phases_by_both_methods_below_the_amplitudes() -> None:
     balance, swept = _balance([2.0]), _sweep([2.0])
     balance["phase_deg"] = balance.amplitude.dims, -90.0 * balance.amplitude.values

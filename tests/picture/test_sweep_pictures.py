@@ -464,6 +464,27 @@ def test_a_stop_without_friction_has_a_share_closed() -> None:
     assert plot_sweep.share(data, contact=CONTACTS[0], state="separation").get_ylabel() == "share in separation [1]"
 
 
+def test_a_stop_without_friction_has_no_slip_among_the_shares() -> None:
+    """It is closed where it is not apart, which the share in separation says already."""
+    data = sweep()
+    for friction, shown, words in (
+        ([0.0, 0.3], ["pad", "stop", "stop"], "in slip and in separation"),
+        ([0.3, 0.0], ["pad", "pad", "stop"], "in slip and in separation"),
+        ([0.0, 0.0], ["pad", "stop"], "in separation"),
+    ):
+        figure = plot_sweep.PICTURES["contact_states"](data.assign_coords(friction=("contact", friction)))
+        assert figure is not None
+        assert [ax.get_title(loc="right") for ax in figure.axes] == shown
+        assert not any("closed" in ax.get_ylabel() for ax in figure.axes)
+        assert figure.get_suptitle().endswith(f"shares of a period {words}")
+    never = data.assign(separation_share=0 * data.separation_share)
+    figure = plot_sweep.PICTURES["contact_states"](never.assign_coords(friction=("contact", [0.0, 0.0])))
+    assert figure is not None
+    assert "zero throughout: share in separation of pad, share in separation of stop" in [
+        t.get_text() for t in figure.texts
+    ]
+
+
 def test_units_of_the_scene_are_those_of_the_labels() -> None:
     data = sweep({PRELOAD: [0.0, 0.1]})
     data.amplitude.attrs["units"], data[PRELOAD].attrs["units"] = "mm", "kN"

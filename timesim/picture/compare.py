@@ -89,10 +89,11 @@ def _settled_or_hollow(ax: Axes, x: np.ndarray, y: np.ndarray, settled: np.ndarr
 
 
 def share(data: DataTree, ax: Axes | None = None, *, state: str = "slip") -> Axes:
-    """Share of a period in a state by both methods, for the contact in which it is largest."""
+    """Share of a period in a state by both methods, for the contact in which it is largest; of slip, if it can slip."""
     hbm, sweep = _groups(data)
     name = f"{state}_share"
-    contact = str(sweep.contact.values[int(np.argmax(hbm[name].sum("solution").values))])
+    size = hbm[name].sum("solution").values * (rubs(sweep).values if state == "slip" else 1)
+    contact = str(sweep.contact.values[int(np.argmax(size))])
     ax = balance.share(hbm, axes(ax), contact=contact, state=state)
     for where, look in _points(hbm, sweep):
         part = sweep.isel(where)
@@ -180,10 +181,11 @@ def _overlay_figure(data: DataTree) -> Figure:
 
 
 def _difference_figure(data: DataTree) -> Figure | None:
-    hbm, _ = _groups(data)
+    hbm, sweep = _groups(data)
     if not np.isfinite(np.asarray(data["relative_difference"])).any():
         return None
-    shares = ("slip", "separation") if hbm.sizes["contact"] else ()
+    exist = {"slip": rubs(sweep).any(), "separation": hbm.sizes["contact"]}
+    shares = [state for state, some in exist.items() if some]
     fig, axs = stacked(1 + len(shares), 2.2)
     difference(data, axs[0])
     for ax, state in zip(axs[1:], shares, strict=True):

@@ -23,6 +23,7 @@ from timesim.picture.style import (
     state_curves,
     unit,
 )
+from timesim.result.coordinate import rubs
 
 LAST_CYCLES = 3
 MAX_BARS = 12
@@ -125,10 +126,15 @@ def contact_states(data: Dataset, ax: Axes | None = None, *, contacts: Sequence[
     return ax
 
 
-def busiest(data: Dataset, limit: int) -> list[str]:
-    """At most `limit` contacts, those with most friction energy and transitions, in the scene's order."""
+def busiest(data: Dataset, limit: int, *, rubbing: bool = False) -> list[str]:
+    """At most `limit` contacts, those with most friction energy and transitions, in the scene's order.
+
+    ``rubbing``: among those that have friction.
+    """
     events = np.bincount(data.event_contact.values.astype(int), minlength=data.sizes["contact"])
-    return choice.busiest(data, data.energy_friction.values.sum(axis=0), events, limit=limit)
+    among = np.flatnonzero(rubs(data).values if rubbing else np.ones(events.size, bool))
+    activity = data.energy_friction.values.sum(axis=0)[among], events[among]
+    return choice.busiest(data[["contact"]].isel(contact=among), *activity, limit=limit)
 
 
 def last_cycles(data: Dataset, cycles: int = LAST_CYCLES) -> slice:
@@ -193,14 +199,19 @@ def _states_figure(data: Dataset, contacts: Sequence[str]) -> Figure:
     return fig
 
 
-def _of_contacts(what: str, drawn: Callable[[Dataset, Sequence[str]], Figure], limit: int = MAX_ROWS) -> Picture:
-    """A picture of the last cycles of the busiest contacts; none if there is no contact."""
+def _of_contacts(
+    what: str, drawn: Callable[[Dataset, Sequence[str]], Figure], limit: int = MAX_ROWS, *, rubbing: bool = False
+) -> Picture:
+    """A picture of the last cycles of the busiest contacts, or of those with friction; none if there is no such one."""
 
     def picture(data: Dataset) -> Figure | None:
-        contacts = busiest(data, limit)
+        contacts = busiest(data, limit, rubbing=rubbing)
         if not contacts:
             return None
-        hidden = left_out(data.sizes["contact"], len(contacts), "contacts", "the least active")
+        every = data.sizes["contact"]
+        number = int(rubs(data).sum()) if rubbing else every
+        kind = "contacts with friction" if number < every else "contacts"
+        hidden = left_out(number, len(contacts), kind, "the least active")
         which = "one cycle" if data.sizes["cycle"] == 1 else "last cycles"
         return finish(drawn(data, contacts), data, f"{what}, {which}", hidden)
 
@@ -208,8 +219,8 @@ def _of_contacts(what: str, drawn: Callable[[Dataset, Sequence[str]], Figure], l
 
 
 PICTURES: dict[str, Picture] = {
-    "orbit": _of_contacts("orbit in the contact plane", _orbit_figure),
-    "hysteresis": _of_contacts("friction force against displacement", _hysteresis_figure),
+    "orbit": _of_contacts("orbit in the contact plane", _orbit_figure, rubbing=True),
+    "hysteresis": _of_contacts("friction force against displacement", _hysteresis_figure, rubbing=True),
     "normal_load": _of_contacts("normal load", _normal_load_figure),
     "contact_states": _of_contacts("contact states", _states_figure, MAX_BARS),
 }

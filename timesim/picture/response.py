@@ -13,6 +13,7 @@ import numpy as np
 from timesim.picture.choice import MAX_ROWS, busiest, left_out, main_axes
 from timesim.picture.figure import finish, label_axes, labelled, legend_beside, stacked
 from timesim.picture.style import NEUTRAL, SERIES, Axes, Dataset, Figure, Series, is_stop, short, unit
+from timesim.result.coordinate import rubs
 from timesim.result.label import is_scalar_key, told_apart
 
 DIRECTIONS = {"up": "^", "down": "v", "independent": "o"}
@@ -229,12 +230,16 @@ def response_figure(
 def states_figure(
     data: Dataset, *, share: Callable[..., Axes], legend: Legend, hidden: Callable[[Dataset], str]
 ) -> Figure | None:
-    """The shares of slip and separation of each contact, one above the other; a note names those that are zero."""
-    shares = data.slip_share + data.separation_share
+    """The shares of slip and separation of each contact, one above the other; a note names those that are zero.
+
+    A stop without friction has no slip: it is closed when it is not apart.
+    """
+    shares = data.slip_share * rubs(data) + data.separation_share
     contacts = busiest(data, shares.sum([dim for dim in shares.dims if dim != "contact"]).values)
     if not contacts:
         return None
-    pairs = list(product(contacts, ("slip", "separation")))
+    states = {contact: ("separation",) if is_stop(data, contact) else ("slip", "separation") for contact in contacts}
+    pairs = [(contact, state) for contact in contacts for state in states[contact]]
     occurs = [bool(data[f"{state}_share"].sel(contact=contact).values.any()) for contact, state in pairs]  # NaN too
     shown = [pair for pair, some in zip(pairs, occurs, strict=True) if some] or pairs[:1]
     fig, axs = stacked(len(shown), 1.9 if len(shown) < 3 else 1.5)
@@ -243,10 +248,11 @@ def states_figure(
         ax.label_outer()
     legend(axs, data)
     never = [
-        f"{share_label(data, contact, state).removesuffix(' [1]')} of {short(contact)}"
+        f"share in {state} of {short(contact)}"
         for (contact, state), some in zip(pairs, occurs, strict=True)
         if not some
     ]
     zero = f"zero throughout: {', '.join(never)}" if never else ""
     note = left_out(data.sizes["contact"], len(contacts), "contacts")
-    return finish(fig, data, "shares of a period in slip and in separation", zero, note, hidden(data))
+    words = " and ".join(f"in {state}" for state in ("slip", "separation") if state in {state for _, state in pairs})
+    return finish(fig, data, f"shares of a period {words}", zero, note, hidden(data))

@@ -136,11 +136,9 @@ def energy(data: Dataset, ax: Axes | None = None) -> Axes:
     """Energy balance of each cycle: input, structural damping, friction a contact, change of the stored energy."""
     ax, cycle = axes(ax), data.cycle.values
     terms = {"input": data.energy_input.values, "structural damping": data.energy_damping.values}
-    for name in busiest(data, MAX_ROWS):
-        if not rubs(data).sel(contact=name):
-            continue
+    for name in busiest(data, MAX_ROWS, rubbing=True):
         terms[f"friction {short(name, 16)}"] = data.energy_friction.sel(contact=name).values
-    if data.sizes["contact"] > MAX_ROWS:
+    if rubs(data).sum() > MAX_ROWS:
         terms["friction, all contacts"] = data.energy_friction.values.sum(axis=1)
     terms["change of stored"] = data.energy_stored_change.values
     for (name, values), style in zip(terms.items(), SERIES, strict=False):
@@ -214,7 +212,7 @@ def _energy_figure(data: Dataset) -> Figure | None:
     energy_residual(data, grid[1, 0])
     for ax in grid[:, 0]:
         legend_beside(ax, labelled(ax).values())
-    number = data.sizes["contact"]
+    number = int(rubs(data).sum())
     hidden = f"{number - MAX_ROWS} of {number} contacts shown in the sum only" if number > MAX_ROWS else ""
     return finish(fig, data, "energy balance of each cycle", hidden)
 
