@@ -130,6 +130,9 @@ def test_displacement_within_its_envelope(run: xarray.Dataset) -> None:
     upper, lower = (patch.get_data() for patch in ax.patches)
     assert len(upper.values) == CYCLES
     assert upper.edges[-1] == pytest.approx(CYCLES / FREQUENCY)
+    assert [patch.get_edgecolor()[:3] for patch in ax.patches] == 2 * [(0, 0, 0)], (
+        "seen around the curve without colours"
+    )
     middle = (upper.values + lower.values) / 2
     amplitude = run.cycle_amplitude.sel(point="tip", axis="z").values
     assert (upper.values - middle) == pytest.approx(amplitude)
@@ -403,8 +406,15 @@ def test_energy_balance(run: xarray.Dataset) -> None:
     assert terms.pop("input") == pytest.approx(sum(terms.values()))
     assert ax.get_ylabel() == "energy a cycle [force·length]"
     residual = plot_transient.energy_residual(run)
+    assert residual.get_ylabel() == "energy [force·length]"
     assert residual.get_yscale() == "log"
     assert _curve(residual, "|residual|")[1] == pytest.approx(np.abs(run.energy_residual.values))
+
+
+def test_a_residual_without_input_stands_alone(run: xarray.Dataset) -> None:
+    """As of a free decay: a legend names no line that a logarithmic axis does not show."""
+    free = run.assign(energy_input=0 * run.energy_input)
+    assert _labels(plot_transient.energy_residual(free)) == ["|residual|"]
 
 
 def test_a_stop_without_friction_has_no_line_of_friction(run: xarray.Dataset) -> None:

@@ -14,7 +14,7 @@ from timesim.picture import style
 from timesim.picture import sweep as plot_sweep
 from timesim.picture.choice import MAX_CURVES, main_axes, motion
 from timesim.picture.draw import make_logarithmic
-from timesim.picture.response import LINES, PAIRED, values_labels
+from timesim.picture.response import LINES, PAIRED, key_words, values_labels
 from timesim.result.dataset import dataset
 from timesim.result.label import told_apart
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES
@@ -406,6 +406,15 @@ def test_stability_beside_its_limit() -> None:
     assert plot_sweep.PICTURES["stability"](data.assign(floquet_max=np.nan * data.floquet_max)) is None
 
 
+def test_the_limit_of_stability_lies_inside_the_axes_over_all_frequencies() -> None:
+    """Multipliers just below 1, and none where the motion has not settled."""
+    data = sweep()
+    data.floquet_max[:], data.floquet_max[..., -8:] = np.linspace(0.86, 0.9999, FREQUENCY.size), np.nan
+    ax = plot_sweep.floquet(data)
+    assert ax.transAxes.inverted().transform(ax.transData.transform((1.0, 1.0)))[1] < 0.97
+    assert ax.get_xlim()[0] < FREQUENCY[0] < FREQUENCY[-1] < ax.get_xlim()[1]
+
+
 def test_all_pictures_of_a_sweep(both: xarray.Dataset, tmp_path: Path) -> None:
     assert plot.picture_names("sweep") == ["response.png", "peak.png", "contact_states.png", "stability.png"]
     data = sweep({PRELOAD: [0.0, 0.1, 0.2]})
@@ -455,6 +464,17 @@ def test_the_phase_stands_below_its_amplitude() -> None:
             assert np.isnan(y).sum() == 1
             assert np.nanmax(np.abs(np.diff(y))) < 90
     assert figure.axes[1].get_yticks().tolist() == [-180, -90, 0, 90, 180]
+
+
+def test_a_phase_of_zero_but_for_rounding_needs_no_quarter_above_it() -> None:
+    data = sweep()
+    data["phase_deg"] = data.amplitude.dims, np.full(data.amplitude.shape, -30.0)
+    data.phase_deg[0, :3] = 1e-9
+    assert plot_sweep.phase(data).get_yticks().tolist() == [-90, 0]
+
+
+def test_keys_are_words() -> None:
+    assert key_words("contacts.left_pad.tangential_stiffness") == "left_pad tangential stiffness"
 
 
 def test_a_stop_without_friction_has_a_share_closed() -> None:

@@ -22,13 +22,15 @@ PAIRED: dict[str, Any] = {"up": 10, "down": 11, "independent": "o"}
 LINES: dict[str, Any] = {"up": "-", "down": (0, (2.5, 1.5)), "independent": "-"}
 DASHES = (0, (4, 2))
 HALF_TURN = 180.0  # degrees
+ROUNDING = 1e-6  # of a quarter turn
 PHASE_HEIGHT = 1.4  # inch
-MARKERS = "osD<>phXPd"
+MARKERS = "os<>pXPhdH"  # without the diamond, which is a fold
 
 
 def key_words(key: str) -> str:
-    """A scalar's key as words, without the section: ``pad preload``; dollars in it make no formula."""
-    return " ".join(key.split(".")[1:]).replace("$", r"\$")
+    """A scalar's key as words, without the section: ``pad tangential stiffness``; dollars in it make no formula."""
+    *names, scalar = key.split(".")[1:]
+    return " ".join([*names, scalar.replace("_", " ")]).replace("$", r"\$")
 
 
 def axis_label(data: Dataset, name: str) -> str:
@@ -47,7 +49,8 @@ PHASE_LABEL = "phase [degree]"
 def over_phase(ax: Axes) -> Axes:
     """Label and limit the axes of a phase, at quarters of a turn."""
     low, high = (ax.dataLim.y0, ax.dataLim.y1) if np.isfinite(ax.dataLim.y1) else (-1.0, 0.0)
-    first, last = int(np.floor(low / 90)), max(int(np.ceil(high / 90)), int(np.floor(low / 90)) + 1)
+    first = int(np.floor(low / 90 + ROUNDING))
+    last = max(int(np.ceil(high / 90 - ROUNDING)), first + 1)
     ax.set(ylabel=PHASE_LABEL, ylim=(90 * first - 10, 90 * last + 10))
     ax.set_yticks(range(90 * first, 90 * last + 1, 90))
     return ax
@@ -192,7 +195,7 @@ def legend(axs: Iterable[Axes], entries: Mapping[str, Series], title: str | None
     meanings = handles({name: Series(NEUTRAL, "-", "") for name in labelled(first, *others)})
     for handle, (name, drawn) in zip(meanings, labelled(first, *others).items(), strict=True):
         handle.update_from(drawn)
-        handle.set(color=NEUTRAL, label=name, markersize=5)
+        handle.set(color=NEUTRAL, label=name, markersize=min(drawn.get_markersize(), 7))
     legend_beside(first, [*handles(entries), *meanings], title)
 
 

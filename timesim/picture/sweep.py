@@ -84,6 +84,8 @@ def floquet(data: Dataset, ax: Axes | None = None) -> Axes:
     for curve in curves(data):
         _draw(ax, data, curve, data.floquet_max.isel(curve.where).values)
     ax.axhline(1.0, color="black", linewidth=0.8, label="limit of stability")
+    ax.update_datalim([(frequency, 1.0) for frequency in data.frequency.values[[0, -1]]])
+    ax.autoscale_view()
     ax.set(xlabel="frequency [Hz]", ylabel="largest Floquet multiplier [1]")
     return ax
 

@@ -9,7 +9,7 @@ from timesim.picture import contact
 from timesim.picture.choice import MAX_ROWS, asked, left_out, motions
 from timesim.picture.contact import LAST_CYCLES, busiest, last_cycles
 from timesim.picture.figure import axes, figure, finish, label_axes, labelled, legend_beside
-from timesim.picture.style import BLUE, SERIES, VERMILION, Axes, Dataset, Figure, Picture, Series, short, unit
+from timesim.picture.style import BLUE, SERIES, Axes, Dataset, Figure, Picture, Series, short, unit
 from timesim.result.coordinate import rubs
 
 SPECTRUM_CYCLES = 10
@@ -58,7 +58,7 @@ def _envelope(data: Dataset, ax: Axes, x: np.ndarray, amplitude: np.ndarray) -> 
     ):
         sides, ends = (middle[some] + amplitude[some], middle[some] - amplitude[some]), edges[some.start or 0 :]
         for side, label in zip(sides, (name, None), strict=True) if middle[some].size else ():
-            ax.stairs(side, ends[: side.size + 1], baseline=None, color=VERMILION, linestyle=line, label=label)
+            ax.stairs(side, ends[: side.size + 1], baseline=None, color="black", linestyle=line, label=label)
     for change in start[1:][np.abs(np.diff(period)) > 1e-6 * period[0]]:
         ax.axvline(change, color="black", linewidth=1.0, linestyle=":", label="change of frequency")
 
@@ -155,8 +155,8 @@ def energy_residual(data: Dataset, ax: Axes | None = None) -> Axes:
         shown = size > 0
         if shown.any():
             ax.set_yscale("log")
-        _terms(ax, cycle[shown], size[shown], style._replace(line="-"), f"|{name}|")
-    ax.set_ylabel(unit(data, "energy_input").strip())
+            _terms(ax, cycle[shown], size[shown], style._replace(line="-"), f"|{name}|")
+    ax.set_ylabel(f"energy{unit(data, 'energy_input')}")
     return _along_cycles(ax)
 
 
