@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
+from matplotlib.colors import to_rgb
+from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.markers import MarkerStyle
 
@@ -179,6 +181,62 @@ def test_an_end_of_the_search_is_no_jump() -> None:
     lines = bistable.existence(data).get_lines()
     for name, count in (("the sweep down jumps", 2), ("the sweep up jumps", 1)):
         assert sum(line.get_label() == name for line in lines) == count
+
+
+def _lightness(colour: Any) -> float:
+    return float(np.dot(to_rgb(colour), (0.3, 0.6, 0.1)))
+
+
+def test_values_are_told_apart_without_colours() -> None:
+    """Curves differ in lightness, since their lines tell stable parts; points of independent starts also by marker."""
+    preloads = [1.8, 2.0, 2.2]
+    lightness = [_lightness(family.style.colour) for family in hbm.families(_balance(preloads))]
+    assert np.all(np.diff(lightness) > 0.15)
+    swept = _sweep(preloads).isel(direction=[0]).assign_coords(direction=["independent"])
+    tree = xarray.DataTree.from_dict({"/": xarray.Dataset(attrs=ATTRS), "/sweep": swept, "/hbm": _balance(preloads)})
+    figure = compare.PICTURES["overlay"](tree)
+    assert figure is not None
+    drawn = [line.get_marker() for line in figure.axes[0].get_lines() if line.get_label() == "_time integration"]
+    legend = figure.axes[0].get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == ["1.8", "2", "2.2", "stable", "unstable", "fold"]
+    assert drawn == [line.get_marker() for line in legend.get_lines()[:3]]
+    assert len({*drawn, "D"}) == 4
+
+
+def test_harmonics_that_are_rounding_are_not_drawn() -> None:
+    """A line from one that is would run out of the axes."""
+    data = _balance([2.0])
+    content = np.array([1e-17, 1.0, 1e-16, 1e-2])
+    shape = (data.sizes["solution"], content.size, 1, 3)
+    dims = ("solution", "harmonic", *SPOT)
+    data["harmonic_amplitude"] = dims, np.broadcast_to(content[None, :, None, None], shape).copy()
+    (line,) = hbm.harmonics(data.assign_coords(harmonic=np.arange(4))).get_lines()
+    assert np.isfinite(line.get_ydata()).tolist() == [False, True, False, True]
+
+
+def _two_methods() -> xarray.DataTree:
+    """A cycle in which both methods agree."""
+    angle = np.arange(0, 360, 5.0)
+    x = np.cos(np.deg2rad(angle)) * np.array([1.0, 0.5, 0.0])[:, None]
+    spot = ("found_by", *SPOT)
+    variables: dict[str, Any] = {
+        "displacement": ((*spot, "excitation_angle"), np.broadcast_to(x, (2, 1, *x.shape))),
+        "harmonic_amplitude": ((*spot, "harmonic"), np.broadcast_to([1e-14, 1.0, 1e-3], (2, 1, 3, 3))),
+    }
+    coords = {"found_by": ["sweep", "hbm"], "excitation_angle": angle, "harmonic": [0, 1, 2], **PLACES}
+    return xarray.DataTree.from_dict({"/cycle": xarray.Dataset(variables, coords)})
+
+
+def test_both_methods_are_seen_where_they_agree() -> None:
+    march, balance = compare.waveform(_two_methods()).get_lines()
+    assert march.get_linewidth() > 2 * balance.get_linewidth()
+    assert (march.get_linestyle(), balance.get_linestyle()) == ("-", "--")
+    assert march.get_zorder() < balance.get_zorder()
+    ax = compare.harmonics(_two_methods())
+    assert ax.get_xlabel() == "harmonic (circles: time integration, squares: harmonic balance)"
+    assert [line.get_marker() for line in ax.get_lines()] == ["o", "s"]
+    assert all(np.isnan(line.get_ydata()).tolist() == [True, False, False] for line in ax.get_lines())
 
 
 def test_points_above_the_curves_are_shown() -> None:
@@ -362,7 +420,29 @@ def test_noise_of_the_steps_is_no_landscape() -> None:
     assert not element.contour(data, name="f_s").texts[0].get_text().endswith("everywhere")
 
 
-def test_angles_stand_beside_their_transitions() -> None:
+def test_noise_beside_a_landscape_is_zero() -> None:
+    """Where the contact sticks a coefficient is zero: no contour lines run through its rounding."""
+    values = np.add.outer(np.arange(16.0), np.arange(16.0)) - 12
+    noise = 1e-9 * np.where((np.arange(256) % 2).reshape(16, 16), 1.0, -1.0)
+    ax = element.contour(_map(np.where(values > 0, values, noise)))
+    (lines,) = [shown for shown in ax.collections if isinstance(shown, ContourSet) and not shown.filled]
+    assert lines.levels[0] == 0
+    assert all(np.sum(line, axis=1).min() > 4 * 11 / 15 for line in lines.allsegs[0] if len(line))
+
+
+def test_labels_of_contour_lines_do_not_cover_each_other() -> None:
+    """Near a corner lines are too dense for all of them."""
+    x = np.linspace(0, 1, 61)
+    radius = np.hypot(*np.meshgrid(x, x))
+    ax = element.contour(_map(1 / (0.15 + radius)))
+    ax.figure.canvas.draw()
+    boxes = [text.get_window_extent() for text in ax.texts]
+    assert len(boxes) >= 2
+    assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+    assert all(ax.bbox.contains(*box.min) and ax.bbox.contains(*box.max) for box in boxes)
+
+
+def _element() -> xarray.Dataset:
     theta = np.deg2rad(np.arange(0, 360, 5.0))
     force = np.stack([np.cos(theta), np.sin(theta)], axis=-1)
     angles = np.arange(10.0, 360, 60)
@@ -375,10 +455,30 @@ def test_angles_stand_beside_their_transitions() -> None:
         "transition_angle_deg": ("event", angles),
         "transition_force": (("event", "tangent"), np.stack([np.cos(there), np.sin(there)], axis=-1)),
     }
-    ax = element.force_path(xarray.Dataset(variables, attrs={"friction": 0.5}))
+    return xarray.Dataset(variables, {"angle": np.rad2deg(theta), "tangent": ["t1", "t2"]}, ATTRS | {"friction": 0.5})
+
+
+def test_limit_and_force_are_seen_where_they_agree() -> None:
+    data = _element().assign(transition_to=("event", np.ones(6, int)))
+    limit, force = element.friction_limit(data).get_lines()[:2]
+    assert limit.get_linewidth() > 2 * force.get_linewidth()
+    assert limit.get_zorder() < force.get_zorder()
+    assert (limit.get_linestyle(), force.get_linestyle()) == ("-", "--")
+
+
+def test_the_picture_of_hysteresis_has_the_loss_and_its_unit() -> None:
+    data = _element()
+    figure = element.PICTURES["hysteresis"](data.assign(u=data.force, dissipation=((), 0.25)))
+    assert figure is not None
+    assert figure.get_suptitle().endswith("hysteresis, steady cycle, which dissipates 0.25 force·length")
+
+
+def test_angles_stand_beside_their_transitions() -> None:
+    ax = element.force_path(_element())
     ax.figure.canvas.draw()
     dots = [line.get_xydata()[0] for line in ax.get_lines() if line.get_marker() == "o" and len(line.get_xydata()) == 1]
-    assert len(dots) == len(ax.texts) == angles.size
+    assert len(dots) == len(ax.texts) == 6
+    assert all(text.get_bbox_patch() is not None for text in ax.texts), "readable over a curve"
     for text, dot in zip(ax.texts, dots, strict=True):
         box = text.get_window_extent()
         x, y = ax.transData.transform(dot)

@@ -4,7 +4,7 @@
 or stay apart, `cycle`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise, product
 from typing import Any
 
@@ -15,7 +15,19 @@ from timesim.picture import hbm as balance
 from timesim.picture.choice import MAX_ROWS, motion, motions
 from timesim.picture.figure import axes, figure, finish, from_zero, label_axes, over_cycle, stacked
 from timesim.picture.response import PAIRED, several_cycles, with_phase
-from timesim.picture.style import SERIES, Axes, Dataset, DataTree, Figure, Picture, is_stop, short, state_bar, unit
+from timesim.picture.style import (
+    SERIES,
+    Axes,
+    Dataset,
+    DataTree,
+    Figure,
+    Picture,
+    Series,
+    is_stop,
+    short,
+    state_bar,
+    unit,
+)
 from timesim.result.coordinate import over_keys, rubs
 
 METHODS = {"sweep": "time integration", "hbm": "harmonic balance"}
@@ -23,7 +35,8 @@ SHORT = {"sweep": "in time", "hbm": "balance"}  # beside a bar
 PHASE = "phase of the excitation [degree]"
 # Amplitudes below this share of the largest are left out of the difference that is drawn.
 MINOR = 1e-3
-DOT = {"ms": 3.2}
+NO_CURVE = Series("0.5", "", "o")
+DOT = {"ms": 3.8}
 TRIANGLE = {"ms": 7.0, "markeredgecolor": "white", "markeredgewidth": 0.6}  # beside the point
 
 
@@ -107,19 +120,24 @@ def _groups(data: DataTree) -> tuple[Dataset, Dataset]:
 
 
 def _points(hbm: Dataset, sweep: Dataset) -> Iterator[Points]:
-    """The points of the sweep in the colours of the curves with the same values; grey if there is no such curve."""
+    """The points of the sweep in the colours of the curves with the same values; grey if there is no such curve.
+
+    Markers tell the directions, or the values if there are no directions.
+    """
     keys = over_keys(hbm)
-    colours = {family.values: family.style.colour for family in balance.families(hbm)}
-    undrawn = set(balance.sets(hbm)) - set(colours)
+    styles = {family.values: family.style for family in balance.families(hbm)}
+    undrawn = set(balance.sets(hbm)) - set(styles)
     for where in product(*(range(sweep.sizes[key]) for key in keys)):
         values = tuple(float(sweep[key].values[i]) for key, i in zip(keys, where, strict=True))
         if values in undrawn:
             continue
         for i, direction in enumerate(sweep.direction.values):
-            alone = direction == "independent"
-            words = (METHODS["sweep"], "" if alone else direction, "" if values in colours else "no curve")
-            look = {"color": colours.get(values, "0.5"), "marker": PAIRED[direction], "linestyle": ""}
+            alone, style = direction == "independent", styles.get(values, NO_CURVE)
+            words = (METHODS["sweep"], "" if alone else direction, "" if values in styles else "no curve")
+            look = {"color": style.colour, "marker": style.marker if alone else PAIRED[direction], "linestyle": ""}
             look |= {"label": ", ".join(filter(None, words)), **(DOT if alone else TRIANGLE)}
+            if alone and values in styles and len(styles) > 1:
+                look["label"] = f"_{METHODS['sweep']}"  # the legend has the markers of the values
             yield dict(zip(keys, where, strict=True)) | {"direction": i}, look
 
 
@@ -128,7 +146,8 @@ def waveform(data: DataTree, ax: Axes | None = None) -> Axes:
     ax, (cycle, point, axis) = axes(ax), _cycle(data)
     for method, style in zip(cycle.found_by.values, SERIES, strict=False):
         x = cycle.displacement.sel(found_by=method, point=point, axis=axis).values
-        ax.plot(cycle.excitation_angle.values, x, color=style.colour, linestyle=style.line, label=METHODS[method])
+        look = style._replace(marker="", beneath=style.line == "-").look()
+        ax.plot(cycle.excitation_angle.values, x, label=METHODS[method], **look)
     ax.set_ylabel(f"{short(point, 16)} {axis}{unit(cycle, 'displacement')}")
     return over_cycle(ax, PHASE)
 
@@ -155,11 +174,13 @@ def harmonics(data: DataTree, ax: Axes | None = None) -> Axes:
     for method, style in zip(cycle.found_by.values, SERIES, strict=False):
         height = np.abs(cycle.harmonic_amplitude.sel(found_by=method, point=point, axis=axis).values)
         look: dict[str, Any] = {"fillstyle": "none", "linestyle": "", "ms": 6 if method == "sweep" else 3.5}
-        ax.plot(cycle.harmonic.values, np.where(height > 0, height, np.nan), style.marker, color=style.colour, **look)
+        known = np.where(height > balance.NOISE * height.max(), height, np.nan)
+        ax.plot(cycle.harmonic.values, known, style.marker, color=style.colour, **look)
     ax.set_yscale("log")
     content = np.abs(cycle.harmonic_amplitude.sel(point=point, axis=axis).values)
     ax.set_ylim(*balance.harmonic_limits(float(np.min(content[content > 0], initial=np.inf)), float(content.max())))
-    ax.set(xlabel="harmonic", ylabel=f"amplitude{unit(cycle, 'harmonic_amplitude')}")
+    what = "harmonic (circles: time integration, squares: harmonic balance)"
+    ax.set(xlabel=what, ylabel=f"amplitude{unit(cycle, 'harmonic_amplitude')}")
     ax.locator_params(axis="x", integer=True)
     return ax
 
@@ -171,12 +192,16 @@ def _cycle(data: DataTree) -> tuple[Dataset, str, str]:
     return cycle, *motions(cycle, np.ptp(x.reshape(*x.shape[:2], -1), axis=-1))[0]
 
 
+def _legend(axs: Sequence[Axes], hbm: Dataset, sweep: Dataset) -> None:
+    balance.legend(axs, hbm, markers="independent" in sweep.direction.values)
+
+
 def _overlay_figure(data: DataTree) -> Figure:
     hbm, sweep = _groups(data)
     fig, axs = with_phase(1, 4.6, "phase_deg" in hbm and "phase_deg" in sweep)
     for ax, name in zip(axs, ("amplitude", "phase_deg"), strict=False):
         overlay(data, ax, name=name).label_outer()
-    balance.legend(axs, hbm)
+    _legend(axs, hbm, sweep)
     return finish(fig, data, "harmonic balance (lines) and time integration (markers)", balance.hidden(hbm))
 
 
@@ -192,7 +217,7 @@ def _difference_figure(data: DataTree) -> Figure | None:
         share(data, ax, state=state)
     for ax in axs:
         ax.label_outer()
-    balance.legend(axs, hbm)
+    _legend(axs, hbm, sweep)
     what = "difference of the amplitudes (pale: the contacts only stick or stay apart), and the shares of the states"
     return finish(fig, data, what, balance.hidden(hbm))
 

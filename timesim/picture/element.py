@@ -17,6 +17,7 @@ from timesim.picture.style import (
     Dataset,
     Figure,
     Picture,
+    Series,
     shade,
     state_bar,
     state_curves,
@@ -26,6 +27,7 @@ from timesim.picture.style import (
 MAX_CIRCLES = 8
 ANGLE = "angle θ [degree]"
 COEFFICIENTS = {"f_b": "static", "f_s": "in phase", "f_c": "out of phase"}
+APART = 0.12  # share of the axes, between labels of contour lines
 NOISE = 1e-6
 """Of the largest coefficient: the steps leave up to 2e-9 of it in one that is zero by symmetry."""
 
@@ -64,7 +66,8 @@ def _transition_circles(data: Dataset, ax: Axes) -> None:
             "va": "bottom" if y > 0 else "top",
         }
         text = ", ".join(f"{degrees:.1f}°" for degrees in angles)
-        ax.annotate(text, (f[0], f[1]), (5 * x, 5 * y), textcoords="offset points", fontsize=7, **beside)
+        above: dict[str, Any] = {"zorder": 5, "bbox": {"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 0.5}}
+        ax.annotate(text, (f[0], f[1]), (6 * x, 6 * y), textcoords="offset points", fontsize=7, **beside, **above)
 
 
 def _transition_forces(data: Dataset) -> list[tuple[np.ndarray, list[float]]]:
@@ -99,7 +102,7 @@ def friction_limit(data: Dataset, ax: Axes | None = None) -> Axes:
     limit = data.attrs["friction"] * _closed(data.normal_load.values)
     force = _closed(np.hypot(*data.force.values.T))
     shade(ax, ((start, end) for start, end, state in intervals(data) if state == SEPARATION), "no contact")
-    ax.plot(angle, limit, color=BLUE, linewidth=1.4, label="limit μn")
+    ax.plot(angle, limit, label="limit μn", **Series(BLUE, "-", "", beneath=True).look())
     ax.plot(angle, force, color=VERMILION, linestyle="--", linewidth=1.2, label="friction force |f|")
     for degrees in data.transition_angle_deg.values:
         ax.axvline(degrees, color="0.4", linewidth=0.7, linestyle=":")
@@ -142,15 +145,15 @@ def _hysteresis_figure(data: Dataset) -> Figure:
     fig, grid = figure(1, 2, width=8.5, height=3.2)
     for ax, tangent in zip(grid[0], ("t1", "t2"), strict=True):
         hysteresis(data, ax, tangent=tangent)
-    lost = f"{float(data.dissipation):.4g}{unit(data, 'dissipation')}"
-    return finish(fig, data, f"hysteresis, steady cycle: {lost} a cycle")
+    lost = f"{float(data.dissipation):.4g} {unit(data, 'dissipation').strip(' []')}"
+    return finish(fig, data, f"hysteresis, steady cycle, which dissipates {lost}".rstrip())
 
 
 def _cycle_figure(data: Dataset) -> Figure:
     fig, grid = figure(2, 1, width=8.0, height=1.7, sharex=True, height_ratios=[4, 1])
     friction_limit(data, grid[0, 0]).set_xlabel("")
     contact_states(data, grid[1, 0])
-    return finish(fig, data, "normal load, friction force and state over the cycle")
+    return finish(fig, data, "limit of the friction force, friction force and state over the cycle")
 
 
 PICTURES: dict[str, Picture] = {"force_path": _path_figure, "hysteresis": _hysteresis_figure, "cycle": _cycle_figure}
@@ -167,7 +170,9 @@ def contour(data: Dataset, ax: Axes | None = None, *, name: str = "f_s", tangent
         shades = ax.contourf(x, y, z.T, levels=12, cmap="viridis")
         _colour_bar(ax, shades)
         lines = ax.contour(x, y, z.T, levels=list(shades.levels), colors="black", linewidths=0.4)
-        ax.clabel(lines, np.asarray(lines.levels)[1::2], fontsize=6, fmt="%.3g")
+        ax.clabel(
+            lines, fontsize=6, fmt="%.3g", manual=_label_places(lines, np.stack([x[[0, -1]], y[[0, -1]]], axis=1))
+        )
     else:
         ax.text(0.5, 0.5, f"{z.flat[0]:.4g} everywhere", transform=ax.transAxes, ha="center", fontsize=9)
         ax.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
@@ -175,6 +180,22 @@ def contour(data: Dataset, ax: Axes | None = None, *, name: str = "f_s", tangent
     ax.set_title(_coefficient_label(data, name, tangent), fontsize=9)
     ax.grid(False)
     return ax
+
+
+def _label_places(lines: Any, corners: np.ndarray) -> list[tuple[float, float]]:
+    """The middle of the longest contour line of each second level where there is room for a label.
+
+    ``corners``: of the axes, lower left and upper right.
+    """
+    (first, last), places = corners, list[np.ndarray]()
+    for segments in lines.allsegs[1::2]:
+        for longest in sorted((segment for segment in segments if len(segment)), key=len)[-1:]:
+            line = (longest - first) / (last - first)
+            middle, size = line[len(line) // 2], np.ptp(line, axis=0).max()
+            inside = np.all(np.abs(middle - 0.5) < 0.5 - 0.3 * APART)
+            if inside and size > 2 * APART and all(np.hypot(*(middle - other)) > APART for other in places):
+                places.append(middle)
+    return [(float(x), float(y)) for x, y in (first + place * (last - first) for place in places)]
 
 
 def surface(data: Dataset, ax: Any = None, *, name: str = "f_s", tangent: str = "t1") -> Any:
@@ -209,10 +230,11 @@ def parameters(data: Dataset) -> tuple[str, str]:
 
 
 def _coefficient(data: Dataset, name: str, tangent: str) -> np.ndarray:
-    """A coefficient over both parameters, the same everywhere where its differences are the noise of the steps."""
-    z, noise = data[name].sel(tangent=tangent).values, NOISE * max(np.abs(data[part]).max() for part in COEFFICIENTS)
-    middle = (z.max() + z.min()) / 2
-    return z if np.ptp(z) > noise else np.full_like(z, middle if np.abs(middle) > noise else 0.0)
+    """A coefficient over both parameters without the noise of the steps: zero, or the same everywhere, but for it."""
+    z = data[name].sel(tangent=tangent).values
+    noise = NOISE * max(float(np.abs(data[part]).max()) for part in COEFFICIENTS)
+    z = np.where(np.abs(z) > noise, z, 0.0)
+    return z if np.ptp(z) > noise else np.full_like(z, (z.max() + z.min()) / 2)
 
 
 def _axis_label(data: Dataset, name: str) -> str:

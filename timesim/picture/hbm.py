@@ -76,7 +76,8 @@ def harmonics(data: Dataset, ax: Axes | None = None, *, point: str | None = None
             height = content[rows[np.argmax(amplitude[rows])]]
             lowest = min(lowest, float(np.min(height[height > 0], initial=np.inf)))
             look: dict[str, Any] = {"color": family.style.colour, "linewidth": 0.6, "ms": 4}
-            ax.plot(data.harmonic.values, np.where(height > 0, height, np.nan), marker=family.style.marker, **look)
+            known = np.where(height > NOISE * height.max(), height, np.nan)
+            ax.plot(data.harmonic.values, known, marker=family.style.marker, **look)
     ax.set_yscale("log")
     ax.set_ylim(*harmonic_limits(lowest, float(content.max(initial=0.0))))
     ax.set(xlabel="harmonic", ylabel=f"harmonic of {short(point, 16)} {axis}{unit(data, 'harmonic_amplitude')}")
@@ -95,7 +96,8 @@ def families(data: Dataset) -> list[DrawnFamily]:
     values, curve, every = _values(data), data.curve.values, sets(data)
     kept = [every[i] for i in spread(len(every))]
     drawn = []
-    for look, label, chosen in zip(shared.styles(len(kept)), values_labels(kept), kept, strict=True):
+    looks = shared.styles(len(kept), shades=len(kept) > 1)  # since lines tell stable parts from unstable ones
+    for look, label, chosen in zip(looks, values_labels(kept), kept, strict=True):
         inside = np.all(values == np.array(chosen), axis=1)
         rows = [np.flatnonzero(inside & (curve == number)) for number in np.unique(curve[inside])]
         drawn.append(DrawnFamily(chosen, label, rows, look))
