@@ -211,7 +211,9 @@ def test_harmonics_that_are_rounding_are_not_drawn() -> None:
     shape = (data.sizes["solution"], content.size, 1, 3)
     dims = ("solution", "harmonic", *SPOT)
     data["harmonic_amplitude"] = dims, np.broadcast_to(content[None, :, None, None], shape).copy()
-    (line,) = hbm.harmonics(data.assign_coords(harmonic=np.arange(4))).get_lines()
+    ax = hbm.harmonics(data.assign_coords(harmonic=np.arange(4)))
+    assert ax.get_xlim() == (-0.5, 3.5)
+    (line,) = ax.get_lines()
     assert np.isfinite(line.get_ydata()).tolist() == [False, True, False, True]
 
 
@@ -330,11 +332,19 @@ def test_the_scale_shows_the_optimum() -> None:
             assert ax.get_yscale() == scale
             foot = ax.transData.transform((1.0, float(data.optimum_peak)))[1]
             assert foot > ax.bbox.y0 + 0.05 * ax.bbox.height
-        assert optimum.peak(data).get_xscale() == scale
         near = optimum.magnified(data)
         assert (near.get_xscale(), near.get_yscale()) == ("linear", "linear")
         assert near.get_ylim()[1] < 3 * float(data.optimum_peak)
         assert near.get_xlim()[0] > 0
+
+
+def test_an_optimum_of_which_every_point_failed() -> None:
+    data = _optimum([1.0, 2.0, 3.0], [4.0, 0.4, 2.0])
+    for name in ("peak", "optimum_peak", "optimum_frequency", "amplitude"):
+        data[name][...] = np.nan
+    for picture in (optimum.peak, optimum.responses):
+        assert not [line for line in picture(data).get_lines() if line.get_marker() == "*"]
+    assert optimum.PICTURES["peak"](data) is optimum.PICTURES["response"](data) is None
 
 
 def test_the_best_point_has_a_star_whose_value_the_legend_names() -> None:

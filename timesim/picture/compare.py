@@ -181,8 +181,7 @@ def harmonics(data: DataTree, ax: Axes | None = None) -> Axes:
     ax.set_ylim(*balance.harmonic_limits(float(np.min(content[content > 0], initial=np.inf)), float(content.max())))
     what = "harmonic (circles: time integration, squares: harmonic balance)"
     ax.set(xlabel=what, ylabel=f"amplitude{unit(cycle, 'harmonic_amplitude')}")
-    ax.locator_params(axis="x", integer=True)
-    return ax
+    return balance.over_harmonics(ax, cycle)
 
 
 def _cycle(data: DataTree) -> tuple[Dataset, str, str]:

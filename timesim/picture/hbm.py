@@ -81,6 +81,12 @@ def harmonics(data: Dataset, ax: Axes | None = None, *, point: str | None = None
     ax.set_yscale("log")
     ax.set_ylim(*harmonic_limits(lowest, float(content.max(initial=0.0))))
     ax.set(xlabel="harmonic", ylabel=f"harmonic of {short(point, 16)} {axis}{unit(data, 'harmonic_amplitude')}")
+    return over_harmonics(ax, data)
+
+
+def over_harmonics(ax: Axes, data: Dataset) -> Axes:
+    """Limit the abscissa to the harmonics of a result, those that are not drawn included."""
+    ax.set_xlim(-0.5, data.harmonic.values[-1] + 0.5)
     ax.locator_params(axis="x", integer=True)
     return ax
 

@@ -36,13 +36,9 @@ def scalar(data: Dataset) -> str:
 def peak(data: Dataset, ax: Axes | None = None) -> Axes:
     """Peak over the frequencies against the scalar; hollow where it is at an end of them; a star at the least.
 
-    An axis over more than a factor of `WIDE` is logarithmic.
+    Where the peaks are over more than a factor of `WIDE`, the ordinate is logarithmic.
     """
-    ax = _points(data, axes(ax))
-    if _wide(data[scalar(data)].values):
-        ax.set_xscale("log")
-        plain_ticks(ax.xaxis, *ax.get_xlim())
-    return _scaled(ax, data, BELOW * float(data["optimum_peak"]))
+    return _scaled(_points(data, axes(ax)), data, BELOW * float(data["optimum_peak"]))
 
 
 def _points(data: Dataset, ax: Axes) -> Axes:
@@ -64,14 +60,10 @@ def _star(ax: Axes, x: float, y: float, label: str) -> None:
         ax.plot(x, y, "*", label=label, **look)
 
 
-def _wide(values: np.ndarray) -> bool:
-    """Whether values, of which some may be NaN, are over a range that a linear axis does not show."""
-    return bool(0 < np.nanmin(values) < np.nanmax(values) / WIDE)
-
-
 def _scaled(ax: Axes, data: Dataset, low: float) -> Axes:
     """The ordinate from zero, or logarithmic, and not below `low`, where the least peak would be at its foot."""
-    if not _wide(data["peak"].values):
+    heights = data["peak"].values  # NaN where points failed
+    if not 0 < np.nanmin(heights, initial=np.inf) < np.nanmax(heights, initial=0.0) / WIDE:
         from_zero(ax)
         return ax
     ax.set_yscale("log")
@@ -130,7 +122,7 @@ class ShownValue(NamedTuple):
 def _shown(data: Dataset) -> list[ShownValue]:
     """Some roughly evenly spaced values, then the best one."""
     values, best = data[scalar(data)].values, float(data["optimum"])
-    wanted = (np.geomspace if _wide(values) else np.linspace)(values[0], values[-1], MAX_CURVES)
+    wanted = np.linspace(values[0], values[-1], MAX_CURVES)
     rows = [i for i in sorted({int(np.argmin(np.abs(values - value))) for value in wanted}) if values[i] != best]
     *texts, least = told_apart([*values[rows], best], 4)
     looks = styles(len(rows), shades=True)
