@@ -127,13 +127,27 @@ def _path(law: ConeLaw, interval: Interval) -> tuple[Path, Cubic]:
     return Path(u, load.scaled(law.friction), v, minus(interval.du1, interval.du0)), load
 
 
-def slid(law: ConeLaw, d: Plane, interval: Interval) -> Plane:
-    """Elastic displacement at the end of an interval along which a contact slips, as it did before: as of `advance`."""
+def sliding(law: ConeLaw, d: Plane, interval: Interval) -> tuple[Flag, IntervalEnd]:
+    """Whether a contact plainly slips all along, as it did before, and its end if so, in a quarter of the time of `advance`.
+
+    It is closed all along, leaves the cone at once, and has not come to rest at the end.
+    """
     path, _ = _path(law, interval)
-    start, end = jnp.zeros_like(d[0]), jnp.ones_like(d[0])
-    first = direction_of(product(law.stiffness, d), product(law.stiffness, path.rates(start).du))
-    last = turned(law, path, first, start, end)
-    return product(law.compliance, scaled(path.limit.value(end), last))
+    none, one = jnp.zeros_like(d[0]), jnp.ones_like(d[0])
+    force, rates = product(law.stiffness, d), product(law.stiffness, interval.du0)
+    first = direction_of(force, rates)
+    last = turned(law, path, first, none, one)
+    leaves = (length(force) > (1 - ON_CONE) * path.limit.value(none)) & (dot(first, rates) > path.limit.rate(none))
+    slips = leaves & (bounds_of_load(law, interval)[0] > 0) & (law.friction > 0)
+    slips &= slip_speed(law, last, path.rates(one)) >= 0
+    end = product(law.compliance, scaled(path.limit.value(one), last))
+    return slips, IntervalEnd(end, one, none, (none,) * 3, (none,) * 3)
+
+
+def bounds_of_load(law: ConeLaw, interval: Interval) -> tuple[Scalar, Scalar]:
+    """Bounds of the normal load, where it is positive, over an interval: of its control points (S. Bernstein)."""
+    v = (interval.v0, interval.v0 + interval.dv0 / 3, interval.v1 - interval.dv1 / 3, interval.v1)
+    return tuple(law.preload + law.normal_stiffness * reduce(pick, v) for pick in (jnp.minimum, jnp.maximum))
 
 
 def advance(law: ConeLaw, d: Plane, interval: Interval) -> IntervalEnd:
@@ -155,8 +169,7 @@ def unchanging(law: ConeLaw, d: Plane, interval: Interval) -> tuple[Flag, Interv
     ends = zip(d, interval.change, interval.du0, interval.du1, strict=True)
     path = [(x, x + rate0 / 3, x + change - rate1 / 3, x + change) for x, change, rate0, rate1 in ends]
     pull = [length(product(law.stiffness, place)) for place in zip(*path, strict=True)]
-    v = (interval.v0, interval.v0 + interval.dv0 / 3, interval.v1 - interval.dv1 / 3, interval.v1)
-    least, most = (law.preload + law.normal_stiffness * reduce(pick, v) for pick in (jnp.minimum, jnp.maximum))
+    least, most = bounds_of_load(law, interval)
     sticks = reduce(jnp.maximum, pull) < (1 - ON_CONE) * law.friction * least
     apart, free = most < 0, (law.friction == 0) & (least > 0)
     none = jnp.zeros_like(least)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from timesim.engine.law.cone import ConeLaw, normal_load
 from timesim.engine.law.contact_law import Motion, Plane, Scalar, dot, length, minus, product, scaled
-from timesim.hbm.interval import Interval, IntervalEnd, advance, unchanging
+from timesim.hbm.interval import Interval, IntervalEnd, advance, sliding, unchanging
 from timesim.hbm.stuck_offset import Offset, plainly_sticks, plainly_works, stuck_offset
 from timesim.orbit.fourier import fourier_basis, fourier_coefficients, periodic_samples, to_phasors
 from timesim.program import program
@@ -140,6 +140,12 @@ class _Passes(eqx.Module):
     count: Scalar
 
 
+def _moving(law: ConeLaw, d: Plane, interval: Interval) -> IntervalEnd:
+    """The law over an interval in which some contact slips or changes its state."""
+    slips, along = sliding(law, d, interval)
+    return jax.lax.cond(jnp.all(slips), lambda: along, lambda: advance(law, d, interval))
+
+
 @program
 def _closed(law: ConeLaw, motion: Float[Array, "room+1 6 lane"], count: Int[Array, ""]) -> _Passes:
     """Pass through a periodic motion until d closes, at most `MAX_PASSES` times.
@@ -161,7 +167,7 @@ def _closed(law: ConeLaw, motion: Float[Array, "room+1 6 lane"], count: Int[Arra
             (u1, u2, v0, *du0, dv0), (w1, w2, v1, *du1, dv1) = motion[k], motion[k + 1]
             interval = Interval((w1 - u1, w2 - u2), tuple(du0), tuple(du1), v0, v1, dv0, dv1)
             plain, simple = unchanging(law, d, interval)
-            end = jax.lax.cond(jnp.all(plain), lambda: simple, lambda: advance(law, d, interval))
+            end = jax.lax.cond(jnp.all(plain), lambda: simple, lambda: _moving(law, d, interval))
             row = jnp.stack([*end.d, end.slip, end.separation, *end.before, *end.after])
             return end.d, jnp.maximum(largest, length(end.d)), path.at[k].set(row)
 

@@ -23,7 +23,7 @@ from scipy.linalg import lapack
 
 from timesim.engine.law.cone import ConeLaw
 from timesim.engine.law.contact_law import product
-from timesim.hbm.interval import Interval, advance, before, intervals_of, slid
+from timesim.hbm.interval import Interval, advance, before, intervals_of, sliding
 from timesim.hbm.period import (
     WHOLE,
     Basis,
@@ -142,7 +142,7 @@ def _slopes(law: ConeLaw, arguments: Float[Array, "12 lane"]) -> Float[Array, "l
 
 @program
 def _slip_slopes(law: ConeLaw, arguments: Float[Array, "12 lane"]) -> Float[Array, "lane 2 12"]:
-    return _forward(lambda x: jnp.stack(slid(law, (x[0], x[1]), _interval(x))), arguments)
+    return _forward(lambda x: jnp.stack(sliding(law, (x[0], x[1]), _interval(x))[1].d), arguments)
 
 
 @dataclass(frozen=True)
