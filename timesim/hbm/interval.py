@@ -128,7 +128,7 @@ def _path(law: ConeLaw, interval: Interval) -> tuple[Path, Cubic]:
 
 
 def sliding(law: ConeLaw, d: Plane, interval: Interval) -> tuple[Flag, IntervalEnd]:
-    """Whether a contact plainly slips all along, as it did before, and its end if so, in a quarter of the time of `advance`.
+    """Whether a contact plainly slips all along, as before, and its end if so: a quarter of the work of `advance`.
 
     It is closed all along, leaves the cone at once, and has not come to rest at the end.
     """

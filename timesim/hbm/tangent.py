@@ -11,6 +11,7 @@ motion, or there is none.
 import timesim.runtime  # noqa: F401  isort: skip
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -114,7 +115,7 @@ def _put_slopes(
     for first in range(0, count, width):
         # The last lanes are filled up with the last interval.
         lanes = np.minimum(np.arange(first, first + width), count - 1)
-        own = jax.tree.map(lambda leaf, which=place[1][lanes]: np.asarray(leaf)[which], law)
+        own = part_of(law, place[1][lanes])
         slope[place[0][lanes], place[1][lanes]] = np.asarray(program_of(own, arguments[:, lanes]))
 
 
@@ -143,6 +144,17 @@ def _slopes(law: ConeLaw, arguments: Float[Array, "12 lane"]) -> Float[Array, "l
 @program
 def _slip_slopes(law: ConeLaw, arguments: Float[Array, "12 lane"]) -> Float[Array, "lane 2 12"]:
     return _forward(lambda x: jnp.stack(sliding(law, (x[0], x[1]), _interval(x))[1].d), arguments)
+
+
+def compile_slopes(law: ConeLaw) -> None:
+    """Compile both, side by side: they take longer than all else of a balance."""
+
+    def compiled(by: tuple[Callable[[ConeLaw, Array64], Array], int]) -> None:
+        program_of, width = by
+        program_of(part_of(law, np.zeros(width, dtype=int)), np.zeros((12, width)))
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(compiled, ((_slopes, LANES), (_slip_slopes, SLIPPING))))
 
 
 @dataclass(frozen=True)
