@@ -111,7 +111,7 @@ class HbmCurve:
         """
         u, f = (to_phasors(part[:, :, :2]) for part in (self.contact_motion, self.contact_force))
         work = -np.pi * np.sum(np.arange(u.shape[-1]) * (f.conj() * u).imag, axis=(2, 3))
-        return self.frequency[:, None] * work
+        return self.frequency[:, None] * np.where(self.slip_share > 0, work, 0.0)
 
 
 Watch = Callable[[float, Callable[[], HbmCurve]], None]

@@ -81,7 +81,7 @@ def _advice(data: Dataset) -> Iterator[str]:
     for i in np.unique(np.linspace(0, front.sizes["trial"] - 1, 5).astype(int)):
         one = front.isel(trial=i)
         seconds = float(one.seconds_a_cycle) * attrs["cycles"]
-        yield f"  {seconds:.2g} s, error {float(one.error):.0e}: solver: {value_text(block(one))}"
+        yield f"  {seconds:.3g} s, error {float(one.error):.0e}: solver: {value_text(block(one))}"
 
 
 def _as_quick(data: Dataset) -> Iterator[str]:
