@@ -5,7 +5,7 @@ import pytest
 
 from timesim.hbm import branches
 from timesim.hbm.branches import curves_from_ends
-from timesim.hbm.continuation import Ending
+from timesim.hbm.continuation import Controls, Ending
 from timesim.hbm.curve import HbmCurve
 
 LOW, HIGH = 1.0, 2.0
@@ -66,6 +66,26 @@ def test_curves_from_both_ends(there, back, both, expected, monkeypatch):
     assert [(own.ending, own.frequency[0]) for own in found] == expected
     if found[0].ending is Ending.RETURNED:
         assert found[0].message == f"continuation at 1, after 3 points: {Ending.RETURNED.value}"
+
+
+def test_a_curve_that_goes_round_a_closed_branch_is_followed_once_more_in_shorter_steps(monkeypatch):
+    """Then, if it does so again, from the other end."""
+    steps = []
+
+    def followed(_, start, stop, controls):
+        steps.append((start, controls.max_step))
+        return WHOLE if controls.max_step < least else curve(Ending.AGAIN, (start, 3.0), (1.5, 3.5))
+
+    monkeypatch.setattr(branches, "hbm_curve", followed)
+    least = 0.15
+    (found,) = curves_from_ends(None, LOW, HIGH, both=False, controls=Controls(max_step=0.2))
+    assert found is WHOLE
+    assert steps == [(LOW, 0.2), (LOW, 0.1)]
+    least = 0.05
+    found = curves_from_ends(None, LOW, HIGH, both=False, controls=Controls(max_step=0.2))
+    assert [one.ending for one in found] == [Ending.AGAIN] * 2
+    assert not any(one.complete for one in found)
+    assert steps[2:] == [(LOW, 0.2), (LOW, 0.1), (HIGH, 0.2), (HIGH, 0.1)]
 
 
 def test_an_interrupt_at_the_other_end_keeps_the_first_curve(monkeypatch):

@@ -288,6 +288,16 @@ def test_a_closed_curve_is_found_from_inside(start):
     assert abs(turned[-1] - turned[0]) == pytest.approx(2 * np.pi, rel=1e-5)
 
 
+def test_a_curve_that_goes_round_and_round_ends(monkeypatch):
+    """As one does that a step has led onto a closed branch, which it did not begin on."""
+    monkeypatch.setattr(_PathTracker, "_start_again", lambda *_: None)
+    curve = follow(Isola(), np.array([3.9]), 0.3, 2.0, CONTROLS, behind=-2.0)
+    assert curve.ending is Ending.AGAIN
+    assert not curve.complete
+    assert "closed branch" in curve.message
+    assert curve.fold.sum() == 4
+
+
 @pytest.mark.parametrize(("start", "guess"), [(5.0, 2.3), (0.0, 0.01), (0.0, 1.7)])
 def test_from_inside_the_range_the_curve_is_the_same(start, guess):
     curve = follow_both_ways(Cubic(), np.full(2, guess), start, (-10.0, 10.0), CONTROLS)

@@ -15,6 +15,8 @@ from timesim.model.model import Model
 
 # Difference of amplitudes, relative to the largest, up to which a curve passes through a motion.
 NEAR = 0.05
+# Share of the longest step, where that led onto another branch.
+SHORTER = 0.5
 
 
 @dataclass(frozen=True)
@@ -42,13 +44,13 @@ def curves_from_ends(model: Model, start: float, stop: float, *, both: bool, **o
         both: begin at the other end too in any case, not only where the first curve turns back to where it began.
         options: as for `hbm_curve`.
     """
-    there = hbm_curve(model, start, stop, **options)
-    if there.ending is Ending.INTERRUPTED or not (both or there.ending is Ending.LEFT):
+    there = _followed(model, start, stop, **options)
+    if there.ending is Ending.INTERRUPTED or not (both or there.ending in (Ending.LEFT, Ending.AGAIN)):
         return [there]
     message = f"{there.message}; {Ending.INTERRUPTED.value} at the other end of the range"
     cut = replace(there, ending=Ending.INTERRUPTED, message=message)
     try:
-        back = hbm_curve(model, stop, start, **options)
+        back = _followed(model, stop, start, **options)
     except KeyboardInterrupt:
         return [cut]
     if there.complete and _meet(there, -1, back, 0):
@@ -59,6 +61,17 @@ def curves_from_ends(model: Model, start: float, stop: float, *, both: bool, **o
         place = there.message.split(": ")[0]
         there = replace(there, ending=Ending.RETURNED, message=f"{place}: {Ending.RETURNED.value}")
     return [there, back]
+
+
+def _followed(model: Model, start: float, stop: float, **options: Any) -> HbmCurve:
+    """The curve from one end; once more in shorter steps where a step has led it onto another branch, a closed one."""
+    curve = hbm_curve(model, start, stop, **options)
+    if curve.ending is not Ending.AGAIN:
+        return curve
+    controls = options.get("controls", Controls())
+    finer = replace(controls, max_step=SHORTER * controls.max_step)
+    other = hbm_curve(model, start, stop, **options | {"controls": finer})
+    return other if other.complete or other.ending is Ending.INTERRUPTED else curve
 
 
 def isolated_curves(

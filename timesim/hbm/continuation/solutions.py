@@ -20,6 +20,9 @@ class Ending(Enum):
     STEP = "Newton's method fails even at the smallest step; smaller min_step, or a smoother residual, may help"
     POINTS = "the largest number of points is reached; raise max_points or max_step"
     RETURNED = "complete: the curve turned back to where it began; the one from the other end of the range is another"
+    AGAIN = (
+        "the curve goes round a closed branch, onto which a step has led it; a smaller max_step may keep it on its own"
+    )
     LEFT = "the curve turned back and left the range where it began; begin at the other end of the range"
     INTERRUPTED = "interrupted"
 

@@ -18,6 +18,8 @@ from timesim.hbm.continuation.solutions import Solution
 # How far the parameter may go back without a fold, as shares of its range and of its value: where slip of the paper's
 # oscillator begins it does so by up to 4e-7 Hz at 1.37 Hz, in a range of 0.06 Hz.
 NOISE_OF_RANGE, NOISE_OF_VALUE = 1e-5, 1e-6
+# Differences of the parameter and of x, relative to them, up to which two folds are one: x is known to the root of p.
+SAME_PARAMETER, SAME_FOLD = 1e-7, 1e-3
 
 
 @dataclass
@@ -42,11 +44,13 @@ class Trace:
     Attributes:
         solutions: so far.
         direction: in which the parameter goes but for noise, 1 or -1.
+        again: how many of the last folds in a row the curve had passed before.
     """
 
     def __init__(self, corrector: Corrector, direction: float):
         self.corrector, self.direction = corrector, direction
         self.solutions: list[Solution] = []
+        self.again = 0
         self._summit: _Summit | None = None
         self._last: CurvePoint | None = None
         self._moved = 0.0
@@ -81,6 +85,7 @@ class Trace:
             if back > least:
                 self.direction = -self.direction
                 self._turn_at(summit)
+                self.again = self.again + 1 if self._is_passed_again() else 0
             elif not noise:
                 self._forget_noise(summit)
         if not noise:
@@ -111,6 +116,14 @@ class Trace:
                 self.solutions.insert(summit.place + side, (*self.corrector.unscaled(top.y), True, 0))
                 return
         self.solutions[summit.place] = (x, p, True, 0)
+
+    def _is_passed_again(self) -> bool:
+        """Whether the last fold is one of those before."""
+        *before, (last, place) = [(x, p) for x, p, fold, _ in self.solutions if fold]
+        size = SAME_FOLD * self.corrector.size_of(last)
+        return any(
+            abs(p - place) <= SAME_PARAMETER * abs(place) and np.linalg.norm(x - last) <= size for x, p in before
+        )
 
     def _extreme(self, one: CurvePoint, other: CurvePoint) -> CurvePoint | None:
         """Where the parameter turns between two points, if it does."""

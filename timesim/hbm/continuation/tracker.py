@@ -40,6 +40,8 @@ SHARP, AT_CORNER, APPROACH = 0.5**0.5, 1e-6, 0.95
 BRANCHING = 1e-6
 # Iterations of Newton's method from which on the next step is shorter.
 SLOW = 6
+# Folds in a row that a curve has passed before, from which on it goes round and round.
+ROUND = 2
 # Growth of a step at most, and of one that is shorter than the first, as behind a corner.
 GROWTH, CATCHING_UP = 1.6, 3.0
 
@@ -293,6 +295,8 @@ class _PathTracker:
                 self._keep(last)
                 return ending
         self._keep(point, step.moved)
+        if self.trace.again >= ROUND:
+            return Ending.AGAIN
         return Ending.POINTS if len(self.trace.solutions) >= self.controls.max_points else None
 
     def _start_again(self, before: CurvePoint, after: CurvePoint) -> CurvePoint | None:
