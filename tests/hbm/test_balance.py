@@ -13,11 +13,13 @@ import systems
 
 from timesim.hbm import first_guess
 from timesim.hbm.balance import Balance
+from timesim.hbm.branches import warm_up
 from timesim.hbm.continuation import Controls, Ending, solve
 from timesim.hbm.continuation.bordered import Bordered
-from timesim.hbm.curve import hbm_curve, solutions_at, warm_up
+from timesim.hbm.curve import hbm_curve, solutions_at
 from timesim.hbm.first_guess import first_guesses, unknowns_of_modes
 from timesim.hbm.scheme import Scheme
+from timesim.hbm.tangent import compile_slopes
 from timesim.model.model import Model, Structure
 from timesim.orbit.fourier import to_coefficients
 from timesim.program import LOADED
@@ -435,7 +437,11 @@ def test_whatever_the_contact_does_first_all_is_compiled_before_a_curve_is_follo
     assert hbm_curve(model, 0.8, 0.801, scheme=scheme).slip_share[0, 0] == 0
     for programs in LOADED:
         programs.clear()
+    compile_slopes(Balance(model, 0.8, scheme).law)
+    slopes = [programs for programs in LOADED if programs]
+    assert [len(programs) for programs in slopes] == [1, 1]
     warm_up(model, 0.8, scheme)
+    assert [len(programs) for programs in slopes] == [1, 1]  # those that a curve takes
     ready = [len(programs) for programs in LOADED]
     curve = hbm_curve(model, 1.26, 1.27, scheme=scheme)
     assert curve.complete

@@ -1,6 +1,7 @@
 """All curves of one model: those from both ends of a range, and isolated ones through motions by time integration."""
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,6 +12,7 @@ from timesim.hbm.continuation import SAME, Controls, Ending, solve
 from timesim.hbm.curve import HbmCurve, crossings, hbm_curve, schemes_of, solutions_at
 from timesim.hbm.first_guess import unknowns_of_modes
 from timesim.hbm.scheme import Scheme
+from timesim.hbm.tangent import compile_slopes, linearised
 from timesim.model.model import Model
 
 # Difference of amplitudes, relative to the largest, up to which a curve passes through a motion.
@@ -32,6 +34,16 @@ class SettledMotion:
     frequency: float
     amplitude: Array
     coefficients: Callable[[], Array | None]
+
+
+def warm_up(model: Model, frequency: float, scheme: Scheme, *, stability: bool = True) -> None:
+    """Compile what curves take, whatever their contacts do at a frequency [Hz]; arguments as of `hbm_curve`."""
+    balance, end, controls = Balance(model, frequency, scheme), 1.001 * frequency, Controls(max_points=2)
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(compile_slopes, balance.law)
+        hbm_curve(model, frequency, end, scheme=scheme, controls=controls, stability=stability)
+        # Of the contacts alone: at this frequency the structure may be in resonance without damping.
+        linearised(balance.law, balance.basis, balance.coefficients(balance.working))
 
 
 def curves_from_ends(model: Model, start: float, stop: float, *, both: bool, **options: Any) -> list[HbmCurve]:

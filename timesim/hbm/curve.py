@@ -28,7 +28,6 @@ from timesim.hbm.first_guess import curve_near
 from timesim.hbm.period import contact_forces
 from timesim.hbm.scheme import Scheme, coarsest
 from timesim.hbm.stability import checked_multipliers, grows, sign_with_offsets_kept, with_offsets_kept
-from timesim.hbm.tangent import linearised
 from timesim.model.model import Model
 from timesim.orbit.fourier import Array, half_range, phase_deg, to_phasors
 
@@ -174,14 +173,6 @@ def hbm_curve(
 
     curve = curve_near(balance, place, place, steps, guess, followed)
     return finished(balance, curve, evaluated, stability)
-
-
-def warm_up(model: Model, frequency: float, scheme: Scheme, *, stability: bool = True) -> None:
-    """Compile what curves take, whatever their contacts do at a frequency [Hz]; arguments as of `hbm_curve`."""
-    hbm_curve(model, frequency, 1.001 * frequency, scheme=scheme, controls=Controls(max_points=2), stability=stability)
-    balance = Balance(model, frequency, scheme)
-    # Of the contacts alone: at this frequency the structure may be in resonance without damping.
-    linearised(balance.law, balance.basis, balance.coefficients(balance.working))
 
 
 def schemes_of(scheme: Scheme | Sequence[Scheme] | None) -> Sequence[Scheme]:

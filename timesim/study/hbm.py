@@ -7,10 +7,8 @@ from typing import Any
 
 from xarray import Dataset
 
-from timesim.hbm.balance import Balance
+from timesim.hbm.branches import warm_up
 from timesim.hbm.convergence import convergence
-from timesim.hbm.curve import warm_up
-from timesim.hbm.tangent import compile_slopes
 from timesim.result.state import SavedStates
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
@@ -78,8 +76,5 @@ def compile_beside(scene: Scene, plan: HbmPlan) -> None:
 def _warmed_up(scene: Scene, plan: HbmPlan) -> float:
     """Seconds that it took to compile what the curves take."""
     clock, model = time.perf_counter(), scene.variant(next(combinations(plan.over)))
-    scheme, low = plan.schemes_for(model)[0], plan.span[0]
-    with ThreadPoolExecutor(1) as pool:
-        pool.submit(compile_slopes, Balance(model, low, scheme).law)
-        warm_up(model, low, scheme, stability=plan.stability)
+    warm_up(model, plan.span[0], plan.schemes_for(model)[0], stability=plan.stability)
     return time.perf_counter() - clock
