@@ -396,6 +396,23 @@ def test_two_jumps_of_the_same_size_in_one_step(ends: tuple[float, float]):
     np.testing.assert_allclose([jump.near for _, jump in jumps], ends, atol=1e-6)
 
 
+@pytest.mark.parametrize("peak", [1.5, 1.6, 1.65, 1.7, 1.8, 1.9])
+@pytest.mark.parametrize("width", [0.3, 0.05, 0.02, 1e-3])
+def test_a_peak_between_the_points_of_a_sweep_is_no_jump(peak: float, width: float):
+    """The amplitudes at both ends are alike; over a part of the step they change by more than from end to end."""
+    toy = two_branches(-np.inf, np.inf, slope=0.0)
+
+    def orbit(frequency: float) -> Orbit:
+        one = toy.orbit(0.0, frequency)
+        return replace(one, amplitude=one.amplitude / (1 + ((frequency - peak) / 0.15) ** 2))
+
+    def steady(chains: Sequence[Chain]) -> list[list[Orbit]]:
+        return [[orbit(frequency) for frequency in chain.frequencies] for chain in chains]
+
+    step = Stretch(oscillator(2.0, 1.0), 1.5, 1.9, orbit(1.5), orbit(1.9), least=0.03)
+    assert narrowed([step], steady, width) == []
+
+
 def test_a_slope_over_several_steps_takes_one_motion_each():
     """Steps of like change are as even as two halves are; a change that stands alone is halved until it is told."""
     toy = two_branches(-np.inf, np.inf, slope=1.0)

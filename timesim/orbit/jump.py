@@ -31,7 +31,7 @@ class Stretch:
         near, far: ends, in the direction of the sweep [Hz].
         on, beyond: the motions there.
         least: change of amplitude below which nothing is called a jump.
-        before: changes over the stretches that this one is a part of, the longest first.
+        before: changes over the stretches that this one is a part of, each by way of its middle, the longest first.
         even: whether the amplitude changes alike over the stretch beside it, its other half or a step of the sweep.
         whole: whether it cannot be halved any more.
     """
@@ -77,7 +77,8 @@ class Stretch:
         even = max(parts) < EVEN * self.change < EVEN * GENTLE * self.least
         if even and self.even:
             return
-        half = replace(self, before=(*self.before, self.change), even=even)
+        # Not the change from end to end: over a peak in between that is less than over a part of the way.
+        half = replace(self, before=(*self.before, sum(parts)), even=even)
         yield replace(half, far=self.middle, beyond=orbit)
         yield replace(half, near=self.middle, on=orbit)
 
