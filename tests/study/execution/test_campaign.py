@@ -408,6 +408,7 @@ def test_on_a_cluster_with_a_worker_killed_nothing_is_lost(scheduler: str, tmp_p
     execution, _ = execution_of(tmp_path, cluster=scheduler)
     results, reason = carried(chunks, execution)
     assert Path(f"{log}.killed").exists()
+    assert list(results) == [chunk.name for chunk in chunks[:6]], reason
     assert digest(results) == digest(expected(chunks[:6]))
     assert reason is not None
     assert "c-2-0: ArithmeticError: c-2-0 has no solution; 6 of 18 points missing" in reason
