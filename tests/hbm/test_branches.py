@@ -1,5 +1,7 @@
 """Which of the curves from both ends of a range are told, and how they end."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -41,7 +43,14 @@ BACK_TO_LOW = curve(Ending.LEFT, (LOW, 3.0), (1.5, 5.0), (LOW, 6.0))
 FROM_HIGH = curve(Ending.COMPLETE, (HIGH, 4.0), (LOW, 3.0))
 OTHER_FROM_HIGH = curve(Ending.COMPLETE, (HIGH, 4.0), (LOW, 2.0))
 ANOTHER = curve(Ending.COMPLETE, (HIGH, 4.1), (LOW, 2.0))
+FAILS_FROM_LOW = curve(Ending.STEP, (LOW, 3.0), (1.4, 3.5))
 FAILS_FROM_HIGH = curve(Ending.STEP, (HIGH, 4.0), (1.7, 2.0))
+NO_START = replace(
+    FAILS_FROM_LOW.with_harmonics(1),
+    **{name: np.zeros((0, *np.shape(getattr(WHOLE, name))[1:])) for name in ("frequency", "contact_motion")},
+    ending=Ending.START,
+    message=f"continuation at 1, after 0 points: {Ending.START.value}; tried: this and that",
+)
 
 
 @pytest.mark.parametrize(
@@ -54,6 +63,10 @@ FAILS_FROM_HIGH = curve(Ending.STEP, (HIGH, 4.0), (1.7, 2.0))
         (BACK_TO_LOW, FROM_HIGH, False, [(Ending.COMPLETE, HIGH)]),
         (BACK_TO_LOW, OTHER_FROM_HIGH, False, [(Ending.RETURNED, LOW), (Ending.COMPLETE, HIGH)]),
         (BACK_TO_LOW, FAILS_FROM_HIGH, False, [(Ending.LEFT, LOW), (Ending.STEP, HIGH)]),
+        (FAILS_FROM_LOW, FROM_HIGH, False, [(Ending.BACKWARDS, HIGH)]),
+        (FAILS_FROM_LOW, OTHER_FROM_HIGH, False, [(Ending.STEP, LOW), (Ending.COMPLETE, HIGH)]),
+        (FAILS_FROM_LOW, FAILS_FROM_HIGH, False, [(Ending.STEP, LOW), (Ending.STEP, HIGH)]),
+        (NO_START, FROM_HIGH, False, [(Ending.BACKWARDS, HIGH)]),
         (WHOLE, curve(Ending.INTERRUPTED, (HIGH, 4.0), (1.7, 3.5)), True, [(Ending.INTERRUPTED, LOW)]),
         (curve(Ending.INTERRUPTED, (LOW, 3.0)), None, True, [(Ending.INTERRUPTED, LOW)]),
     ],
@@ -66,6 +79,10 @@ def test_curves_from_both_ends(there, back, both, expected, monkeypatch):
     assert [(own.ending, own.frequency[0]) for own in found] == expected
     if found[0].ending is Ending.RETURNED:
         assert found[0].message == f"continuation at 1, after 3 points: {Ending.RETURNED.value}"
+    if found[0].ending is Ending.BACKWARDS:
+        whole = f"continuation at 1, after 2 points: {Ending.BACKWARDS.value}"
+        assert found[0].complete
+        assert found[0].message == f"{whole}; from the first one: {there.message}"
 
 
 def test_a_curve_that_goes_round_a_closed_branch_is_followed_once_more_in_shorter_steps(monkeypatch):

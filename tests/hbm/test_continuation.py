@@ -350,6 +350,24 @@ def test_no_solution_at_the_start():
     assert "3" in curve.message
 
 
+class Pole:
+    """x = 1 / (1 - p): no curve goes through p = 1, and none turns back."""
+
+    def value(self, x, p):
+        return (1 - p) * x - 1
+
+    def linearised(self, x, p):
+        return self.value(x, p), np.array([[1 - p]]), -x
+
+
+def test_a_curve_that_goes_to_infinity_ends():
+    curve = follow(Pole(), np.array([1.0]), 0.0, 2.0, CONTROLS)
+    assert curve.ending is Ending.UNBOUNDED
+    assert not curve.complete
+    assert abs(curve.x[-1, 0]) > 1e10 > abs(curve.x[-2, 0])
+    assert "without damping" in curve.message
+
+
 def test_the_number_of_points_is_bounded():
     curve = follow(Cubic(), np.array([-3.0, -3.0]), -10.0, 10.0, Controls(size=0.1, max_points=7))
     assert curve.ending is Ending.POINTS

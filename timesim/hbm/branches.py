@@ -19,6 +19,8 @@ from timesim.model.model import Model
 NEAR = 0.05
 # Share of the longest step, where that led onto another branch.
 SHORTER = 0.5
+# What a curve ends with that may be passed from the other end of the range.
+FAILED = (Ending.START, Ending.STEP, Ending.AGAIN, Ending.UNBOUNDED)
 
 
 @dataclass(frozen=True)
@@ -53,11 +55,12 @@ def curves_from_ends(model: Model, start: float, stop: float, *, both: bool, **o
         model, start, stop: as for `timesim.hbm.curve.hbm_curve`.
 
     Keyword Args:
-        both: begin at the other end too in any case, not only where the first curve turns back to where it began.
+        both: begin at the other end too in any case, not only where the first curve turns back to where it began, or
+            fails.
         options: as for `hbm_curve`.
     """
     there = _followed(model, start, stop, **options)
-    if there.ending is Ending.INTERRUPTED or not (both or there.ending in (Ending.LEFT, Ending.AGAIN)):
+    if there.ending is Ending.INTERRUPTED or not (both or there.ending in (Ending.LEFT, *FAILED)):
         return [there]
     message = f"{there.message}; {Ending.INTERRUPTED.value} at the other end of the range"
     cut = replace(there, ending=Ending.INTERRUPTED, message=message)
@@ -67,12 +70,20 @@ def curves_from_ends(model: Model, start: float, stop: float, *, both: bool, **o
         return [cut]
     if there.complete and _meet(there, -1, back, 0):
         return [cut if back.ending is Ending.INTERRUPTED else there]
-    if back.complete and _meet(there, 0, back, -1):
-        return [back]
+    if back.complete and (there.ending is Ending.START or _meet(there, 0, back, -1)):
+        return [_instead_of(there, back)]
     if there.ending is Ending.LEFT and back.complete:
         place = there.message.split(": ")[0]
         there = replace(there, ending=Ending.RETURNED, message=f"{place}: {Ending.RETURNED.value}")
     return [there, back]
+
+
+def _instead_of(there: HbmCurve, back: HbmCurve) -> HbmCurve:
+    """A curve from the other end that has the whole of one; it says why that one has not, if it failed."""
+    if there.ending not in FAILED:
+        return back
+    whole = back.message.replace(back.ending.value, Ending.BACKWARDS.value)
+    return replace(back, ending=Ending.BACKWARDS, message=f"{whole}; from the first one: {there.message}")
 
 
 def _followed(model: Model, start: float, stop: float, **options: Any) -> HbmCurve:

@@ -20,16 +20,20 @@ class Ending(Enum):
     STEP = "Newton's method fails even at the smallest step; smaller min_step, or a smoother residual, may help"
     POINTS = "the largest number of points is reached; raise max_points or max_step"
     RETURNED = "complete: the curve turned back to where it began; the one from the other end of the range is another"
+    BACKWARDS = "complete: the whole range was followed, from its other end"
     AGAIN = (
         "the curve goes round a closed branch, onto which a step has led it; a smaller max_step may keep it on its own"
     )
     LEFT = "the curve turned back and left the range where it began; begin at the other end of the range"
+    UNBOUNDED = (
+        "the motion grows without bound, as in a resonance without damping; leave that frequency out, or add damping"
+    )
     INTERRUPTED = "interrupted"
 
     @property
     def complete(self) -> bool:
         """Whether the whole range was followed, or the whole of a curve in it."""
-        return self in (Ending.COMPLETE, Ending.CLOSED, Ending.RETURNED)
+        return self in (Ending.COMPLETE, Ending.CLOSED, Ending.RETURNED, Ending.BACKWARDS)
 
 
 Solution = tuple[Array, float, bool, int]

@@ -42,6 +42,8 @@ BRANCHING = 1e-6
 SLOW = 6
 # Folds in a row that a curve has passed before, from which on it goes round and round.
 ROUND = 2
+# Size of a solution against that of the first one above which the curve goes to infinity.
+UNBOUNDED = 1e10
 # Growth of a step at most, and of one that is shorter than the first, as behind a corner.
 GROWTH, CATCHING_UP = 1.6, 3.0
 
@@ -116,6 +118,7 @@ class _PathTracker:
         self.ahead = np.append(np.zeros(guess.size), self.sign)  # normal of a plane of constant p
         self.trace = Trace(self.corrector, self.sign)
         self.reached = 0.0  # share of the range
+        self.first_size = 0.0  # of the first solution
         self.cause = ""  # of the last failure of Newton's method
 
     def curve(self) -> Curve:
@@ -132,6 +135,7 @@ class _PathTracker:
         if adaptive is not None and self.corrector.failures and adaptive.refuses(x, p):
             return self._curve(Ending.START)
         self.corrector.recentre(x)
+        self.first_size = self.corrector.size_of(x)
         self._keep(point)
         try:
             return self._curve(self._follow(point))
@@ -297,6 +301,8 @@ class _PathTracker:
         self._keep(point, step.moved)
         if self.trace.again >= ROUND:
             return Ending.AGAIN
+        if self.corrector.size_of(self.corrector.unscaled(point.y)[0]) > UNBOUNDED * self.first_size:
+            return Ending.UNBOUNDED
         return Ending.POINTS if len(self.trace.solutions) >= self.controls.max_points else None
 
     def _start_again(self, before: CurvePoint, after: CurvePoint) -> CurvePoint | None:

@@ -89,6 +89,7 @@ class Curves:
             while (finer := self._with_more_samples(curves)) is not None:
                 self.schemes = finer
                 curves = list(self._from_ends(values, watch))
+            self.notes += [own.label + own.curve.message for own in curves if own.curve.ending is Ending.BACKWARDS]
             self.notes.extend(self._left_out(values, curves))
         finally:  # where the next ones, or what they leave out, are interrupted too
             for curve in curves:
