@@ -1,6 +1,7 @@
 """Exponential collocation: against Runge-Kutta, closed forms, and itself; its order, energies and transitions."""
 
 from dataclasses import replace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,6 +13,7 @@ from simulation import REFERENCE, relative_error, simulate
 from systems import at_rest, excitation, generated_model, generated_models, oscillator, pad, structure
 from zoo import driven
 
+from timesim.engine import event_loop
 from timesim.engine.event_loop import advance, march
 from timesim.engine.exponential.parts import parts_of
 from timesim.engine.law.cone import ConeLaw
@@ -86,6 +88,22 @@ def test_the_extremes_of_each_step_are_those_of_its_parts() -> None:
     first = np.searchsorted(parts.time + 0.5 * parts.h, steps.time)
     for found, true in zip((low, high), parts.extremes(first), strict=True):
         np.testing.assert_allclose(found, true, rtol=0, atol=1e-6 * np.abs(true).max())
+
+
+def test_what_steps_need_of_the_system_is_computed_once_for_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(event_loop, "LEAST", 8)
+    monkeypatch.setattr(event_loop, "ROOM", 1)
+    tables = []
+
+    def watched(method: Exponential, control: Any, dynamics: Any, *args: Any) -> Any:
+        tables.append(dynamics.ladder)
+        return advance(method, control, dynamics, *args)
+
+    monkeypatch.setattr(event_loop, "advance", watched)
+    run = Run(oscillator(3.0, 1.39), [Phase(1.39, 2)], LOOSE)
+    assert sum(steps.loop.h.size for steps in run.batches()) > 8 * (len(tables) - 1) > 8
+    assert tables[0] is not None
+    assert all(one is tables[0] for one in tables)
 
 
 def test_a_free_body_that_begins_at_rest_beside_a_mode_that_rings() -> None:

@@ -61,8 +61,9 @@ def batches(method: Method, control: Control, system: System, now: Trajectory, c
     room = capacity(system, 0 if method.integrates_work else method.order)
     fast = has_fast_modes(system, float(control.longest))
     done = Work(np.zeros(()), np.zeros(()), np.zeros(now.state.size))
+    ready = prepared(method, control, system) if method.prepares else system
     while now.cycle < cycles and now.status == Status.RUNNING:
-        now, record, count = advance(method, control, system, now, np.asarray(cycles), room)
+        now, record, count = advance(method, control, ready, now, np.asarray(cycles), room)
         loop = first_rows(record, int(count))
         if method.integrates_work:
             work = loop.end.work
@@ -123,6 +124,9 @@ def one_by_one(method: Method, dynamics: Dynamics) -> bool:
 def alone(method: Method, control: Control, dynamics: D) -> D:
     """The system for a trajectory that is advanced by itself, with what the method needs of it."""
     return method.prepared(dynamics.single(), control.longest)
+
+
+prepared = program(alone)
 
 
 @program

@@ -64,11 +64,13 @@ class Method(eqx.Module):
         integrates_work: whether the energies are part of the state that it advances.
         one_by_one: whether trajectories are advanced one after the other: where a step has loops and branches of its
             own, each of those side by side would take as long as the slowest.
+        prepares: whether its steps need something of the system that is computed beforehand, see `prepared`.
     """
 
     order: eqx.AbstractVar[int]
     integrates_work: ClassVar[bool] = True
     one_by_one: ClassVar[bool] = False
+    prepares: ClassVar[bool] = False
 
     @abc.abstractmethod
     def advance(
@@ -86,7 +88,7 @@ class Method(eqx.Module):
         """
 
     def prepared(self, dynamics: Any, longest: Float[Array, ""]) -> Any:
-        """The system with what the steps of the method need of it; none is longer than ``longest``."""
+        """The system with what the steps of the method need of it, once; none is longer than ``longest``."""
         return dynamics
 
     def length(self, dynamics: Any, wanted: Array, limit: Array, remaining: Array) -> Array:
@@ -249,12 +251,15 @@ class Exponential(Method):
     num_nodes: int = eqx.field(static=True)
     integrates_work: ClassVar[bool] = False
     one_by_one: ClassVar[bool] = True
+    prepares: ClassVar[bool] = True
 
     @property
     def order(self) -> int:
         return self.num_nodes + 1
 
     def prepared(self, dynamics: Any, longest: Float[Array, ""]) -> Any:
+        if dynamics.ladder is not None:
+            return dynamics
         ladder = Ladder.of(dynamics, rule_of(self.num_nodes), longest)
         return eqx.tree_at(lambda system: system.ladder, dynamics, ladder, is_leaf=lambda x: x is None)
 
