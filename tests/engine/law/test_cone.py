@@ -152,6 +152,21 @@ def test_a_contact_at_rest_has_finite_derivatives():
     assert np.isfinite(slope)
 
 
+@pytest.mark.parametrize("speed", [1e-2, 1e-5, 1e-9, 0.0])
+def test_a_stop_that_turns_back_has_finite_derivatives(speed: float):
+    """A stop without K_u, in the form of a K_u that is not isotropic, as it has beside a contact with one."""
+    zero = np.zeros(1)
+    stop = ConeLaw(zero, (zero, zero), (zero, zero), np.ones(1), np.ones(1))
+
+    def acts(du: jax.Array) -> jax.Array:
+        moves = Motion((jnp.ones(1), jnp.zeros(1)), jnp.zeros(1), (du, -du), du)
+        reaction = stop.reaction(jnp.asarray([SLIP]), moves, moves.u)
+        return jnp.stack([*reaction.f, reaction.n, *reaction.dw])
+
+    _, slopes = jax.jvp(acts, (jnp.array([speed]),), (jnp.ones(1),))
+    assert np.all(np.isfinite(slopes))
+
+
 @pytest.mark.parametrize("v", [1e-6, -1e-9, 1e-30])
 def test_the_stored_energy_of_a_motion_far_below_the_preload(v: float):
     stop = Contact("pad", "tip", GROUND, np.eye(3), 0.0, np.zeros((2, 2)), 20.0, 3.0)

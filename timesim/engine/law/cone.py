@@ -271,7 +271,9 @@ def _turn(law: ConeLaw) -> tuple[Scalar, Scalar]:
 
 def _along_principal_axes(law: ConeLaw, stiff: tuple[Scalar, ...], du: Plane, dv: Scalar, iterations: int) -> Plane:
     """`incipient_direction` where K_u is diagonal."""
-    stiff = tuple(jnp.maximum(k, 1e-150) for k in stiff)
+    # That of a stop without stiffness means nothing. One next to zero would do for it, but its inverse overflows in the
+    # derivative where the point is about to turn back.
+    stiff = tuple(jnp.where(k > 0, k, 1.0) for k in stiff)
     load = tuple(k * x for k, x in zip(stiff, du, strict=True))
     growth = law.friction * law.normal_stiffness * dv
     s = jnp.maximum(*((jnp.abs(p) - growth) / k for p, k in zip(load, stiff, strict=True)))
