@@ -237,6 +237,25 @@ def test_runs_whose_amplitude_is_judged_begin_where_it_has_settled() -> None:
     assert made.model_of(2) is made.model_of(2)
 
 
+def test_a_motion_that_repeats_after_two_cycles_has_settled_and_has_one_amplitude() -> None:
+    """A mass that hits a stop at three times its natural frequency hits it in every other cycle."""
+    stop = {"name": "stop", "point": "tip", "friction": 0, "tangential_stiffness": 0, "normal_stiffness": 200}
+    scene = {
+        "structure": {"modes": [{"frequency": 1, "damping_ratio": 0.02, "mass": 1, "shape": {"tip": [0, 0, 1]}}]},
+        "contacts": [stop | {"preload": 0.4}],
+        "excitation": {"frequency": 3.2, "modal_force": [{"amplitude": 40}]},
+        "study": {"kind": "tradeoff", "amplitude": True},
+    }
+    model, heights = load_scene(scene).model(), []
+    for cycles in (3, 4):
+        made = Bench(model, TradeoffPlan(3.2, cycles, 1e-6, 60.0, amplitude=True), Execution())
+        run = made.try_(Solver("tsit5", 1e-7, 1e-9))
+        assert run is not None
+        assert made.settled_to < 1e-6
+        heights.append(run.amplitude[0, 2])
+    assert heights[0] == pytest.approx(heights[1], rel=1e-6)
+
+
 def test_what_has_not_settled_is_said() -> None:
     made = bench([], cycles=3, amplitude=True, budget=1e-9)
     made.model_of(2)

@@ -12,6 +12,7 @@ from timesim.engine.trajectory import Phase, Run
 from timesim.model.cost import cycles_to_settle, seconds_a_cycle
 from timesim.model.model import Model, Start
 from timesim.model.solver import CLOSED_FORM, NEVER, Criterion, Solver
+from timesim.orbit.threshold import PERIODS
 from timesim.result.label import counted
 from timesim.scene.transient import TradeoffPlan
 from timesim.study.execution.campaign import Execution
@@ -43,7 +44,7 @@ class Trial:
         seconds, compiling: of the compiled run, and of its compilation; 0 where it was compiled before.
         displacement, velocity: of all modes at the end, 0 for those not kept.
         size: largest of both in the last cycle, as of `timesim.engine.history.CycleTotals`.
-        amplitude: of the last cycle, of each point along each axis.
+        amplitude: of the last cycle, of each point along each axis; the largest of the last period where it is judged.
         scatter: how much longer than the least its times were, as a share of it; NaN where it was timed once.
     """
 
@@ -70,7 +71,7 @@ class Bench:
     Attributes:
         trials: the runs that have come to their end.
         left_out: solvers with the number of modes of runs that were not made, or failed, each with the reason.
-        settled_to: change of the amplitude over the last cycle before the runs, where it is judged; else NaN.
+        settled_to: change of the amplitude over the last period before the runs, where it is judged; else NaN.
     """
 
     def __init__(self, model: Model, plan: TradeoffPlan, execution: Execution):
@@ -81,6 +82,7 @@ class Bench:
         self.settled_to = np.nan
         self._compiling: dict[tuple[str, float, int, bool], float] = {}
         self._models: dict[int, Model] = {}
+        self._periods: dict[int, int] = {}
 
     @property
     def left(self) -> float:
@@ -148,8 +150,8 @@ class Bench:
             if self.left < until and run.completed > 1:
                 break
         self._compiling.setdefault(program(SETTLING, model.structure.num_modes), run.compile_seconds)
-        before, after = np.array(totals.amplitude)[: run.completed][-2:]
-        self.settled_to = float(np.nanmax([self.settled_to, amplitude_error(after[None], before[None])[0]]))
+        self._periods[model.structure.num_modes], left = repeats(np.array(totals.amplitude)[: run.completed])
+        self.settled_to = float(np.nanmax([self.settled_to, left]))
         start = Start(run.displacement, run.velocity, run.slip, run.state, run.phase % (2 * np.pi))
         return replace(model, start=start)
 
@@ -164,6 +166,7 @@ class Bench:
         compiling = seconds[0] - min(seconds) if first else 0.0
         self._compiling.setdefault(key, compiling)
         missing = (0, self.model.structure.num_modes - num_modes)
+        period = self._periods.get(num_modes, 1)
         return Trial(
             solver=solver,
             num_modes=num_modes,
@@ -175,7 +178,7 @@ class Bench:
             displacement=np.pad(run.displacement, missing),
             velocity=np.pad(run.velocity, missing),
             size=totals.size,
-            amplitude=np.array(totals.amplitude[-1]),
+            amplitude=np.max(totals.amplitude[-period:], axis=0),
             scatter=float(np.median(seconds[first:]) / min(seconds) - 1) if len(seconds) > 1 + first else np.nan,
         )
 
@@ -191,6 +194,17 @@ class Bench:
             own = self.plan.cycles * seconds_a_cycle(self.model, solver, self.plan.frequency)
         first = next(iter(self._compiling.values())) * COMPILED[solver.name]
         return min(max(own, REPEATED), REPEATS * own) + (0.0 if key in self._compiling else first)
+
+
+def repeats(amplitude: np.ndarray) -> tuple[int, float]:
+    """Cycles after which amplitudes, of shape (cycle, point, axis), repeat best, and how they still change."""
+    change = {
+        period: float(np.max(amplitude_error(amplitude[-period:], amplitude[-2 * period : -period])))
+        for period in PERIODS
+        if 2 * period <= len(amplitude)
+    }
+    period = min(change, key=lambda period: change[period])
+    return period, change[period]
 
 
 def program(solver: Solver, num_modes: int) -> tuple[str, float, int, bool]:

@@ -32,7 +32,7 @@ def _verdict(data: Dataset) -> Iterator[str]:
     yield "* no other run of the whole scene is both faster and better"
     yield f"errors are those {what}, relative to its size, known to {known:.1e} {by}"
     if attrs["settled_to"] > attrs["error_wanted"]:
-        yield f"before the runs the amplitude still changed by {attrs['settled_to']:.1e} in a cycle: it had not settled"
+        yield f"before the runs the amplitude still changed by {attrs['settled_to']:.1e}: it had not settled"
     yield from _advice(data)
     yield from _modes(data)
     yield from _reductions(data)
