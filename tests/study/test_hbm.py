@@ -15,7 +15,7 @@ from timesim.fault import SceneError
 from timesim.hbm import branches, first_guess
 from timesim.hbm import convergence as hbm_convergence
 from timesim.hbm import scheme as hbm_scheme
-from timesim.hbm.continuation import Controls, solve
+from timesim.hbm.continuation import Controls, Ending, part_of, solve
 from timesim.hbm.convergence import SAMPLED, Known, convergence, neglected, order_of, sampling_error
 from timesim.hbm.curve import changes_of_stability, hbm_curve, peak, solutions_at
 from timesim.hbm.scheme import NEGLECTED, NOTED, Scheme, most_harmonics
@@ -348,6 +348,26 @@ def test_a_curve_without_a_start_is_reported_and_the_others_stay(marches: bool, 
     curves = outcome.groups[""].set_coords("structure.modes.0.damping_ratio").groupby("structure.modes.0.damping_ratio")
     assert curves[0.0].frequency.values[0] == 1.2
     assert curves[0.01].frequency.values[[0, -1]].tolist() == [1.0, 1.2]
+
+
+def test_a_curve_that_is_whole_from_the_other_end_alone_says_why(monkeypatch: pytest.MonkeyPatch):
+    def fails_upwards(model, start, stop, **options):
+        whole = hbm_curve(model, start, stop, **options)
+        if start > stop:
+            return whole
+        message = f"continuation at {start:g}, after 0 points: {Ending.START.value}; tried: nothing"
+        return replace(part_of(whole, slice(0)), ending=Ending.START, message=message)
+
+    monkeypatch.setattr(branches, "hbm_curve", fails_upwards)
+    outcome = carry_out(load_scene(scene(frequency={"from": 0.9, "to": 1.0})))
+    assert outcome.reason is None
+    assert outcome.groups[""].frequency.values[[0, -1]].tolist() == [1.0, 0.9]
+    (said,) = [line for line in outcome.summary if "other end" in line]
+    assert said.startswith("continuation at 0.9, after")
+    assert said.endswith(
+        "from the first one: continuation at 0.9, after 0 points: no solution at the start; tried: nothing"
+    )
+    assert said in outcome.groups[""].attrs["notes"]
 
 
 @pytest.mark.slow
