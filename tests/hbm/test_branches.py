@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from timesim.hbm import branches
-from timesim.hbm.branches import curves_from_ends
+from timesim.hbm.branches import SettledMotion, curves_from_ends, passes
 from timesim.hbm.continuation import Controls, Ending
-from timesim.hbm.curve import HbmCurve
+from timesim.hbm.curve import HbmCurve, crossings
 
 LOW, HIGH = 1.0, 2.0
 
@@ -115,3 +115,13 @@ def test_an_interrupt_at_the_other_end_keeps_the_first_curve(monkeypatch):
     (found,) = curves_from_ends(None, LOW, HIGH, both=False)
     assert found.ending is Ending.INTERRUPTED
     assert found.frequency.size == 3
+
+
+def test_a_curve_passes_a_motion_if_all_its_amplitudes_do():
+    motion = SettledMotion(1.5, np.array([[3.5, 3.5, 3.5]]), lambda: None)
+    assert passes(WHOLE, motion)
+    assert not passes(WHOLE, replace(motion, amplitude=np.array([[3.5, 3.5, 3.0]])))
+
+
+def test_a_curve_may_lead_straight_up():
+    assert [*crossings(np.array([0.9, 1.0, 1.0, 1.1]), 1.0)] == [(1, 0.0), (2, 0.0)]

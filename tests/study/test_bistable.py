@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 
 import timesim
 from timesim.cli import app
+from timesim.model.contact_state import contact_loads
 from timesim.model.model import SEPARATION, STICK, Model, Start
 from timesim.orbit.basin import ANOTHER, IRREGULAR, NONE, branch_of, offsets, placed, starts_between, unique
 from timesim.orbit.fourier import HARMONICS
@@ -574,6 +575,9 @@ def test_starts_stay_in_the_cone():
     assert states == {STICK, SEPARATION}
     kept = placed(model, np.array([0.01, 0.0]), np.zeros(2), np.array([[0.02, 0.01]]))
     np.testing.assert_array_equal(kept.slip, [[0.02, 0.01]])
+    none, pull = np.zeros(2), np.array([[0.5, -0.2]])
+    pulled = contact_loads(model, none, placed(model, none, none, np.zeros((1, 2)), pull).slip)
+    np.testing.assert_allclose(pulled.force, pull * pulled.limit)
 
 
 def test_the_motions_and_rest_are_among_the_starts():
@@ -597,9 +601,10 @@ def test_offsets_of_a_contact_that_sticks():
     low, high = offsets(orbits)
     np.testing.assert_allclose((low, high), [[[-0.2, -0.3]], [[0.3, 0.2]]])
     assert not unique(low, high, 1.0).any()
-    low, high = offsets([replace(orbit, slip_share=np.array([0.1])) for orbit in orbits])
-    assert np.isnan([low, high]).all()
-    assert unique(low, high, 1.0).all()
+    for works in ({"slip_share": np.array([0.1])}, {"separation_share": np.array([1.0])}):
+        low, high = offsets([replace(orbit, **works) for orbit in orbits])
+        assert np.isnan([low, high]).all()
+        assert unique(low, high, 1.0).all()
 
 
 def test_where_a_start_has_led():

@@ -275,7 +275,8 @@ def crossings(frequency: Array, place: float) -> Iterator[tuple[int, float]]:
     side = np.where(np.isclose(frequency, place, rtol=1e-12, atol=0.0), 0.0, np.sign(frequency - place))
     last = np.arange(1, side.size) == side.size - 1
     for i in np.flatnonzero((side[1:] * side[:-1] < 0) | (side[:-1] == 0) | last & (side[1:] == 0)):
-        yield int(i), (place - frequency[i]) / (frequency[i + 1] - frequency[i])
+        way = frequency[i + 1] - frequency[i]  # none where a resonance without damping leads straight up
+        yield int(i), (place - frequency[i]) / way if way else 0.0
 
 
 def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmCurve:
