@@ -23,7 +23,7 @@ from timesim.model.contact_state import contact_loads
 from timesim.model.model import SEPARATION, STICK, Model, Start
 from timesim.orbit.basin import ANOTHER, IRREGULAR, NONE, branch_of, offsets, placed, starts_between, unique
 from timesim.orbit.fourier import HARMONICS
-from timesim.orbit.jump import Stretch, narrowed, steps_of
+from timesim.orbit.jump import Stretch, jumps_of, narrowed, steps_of
 from timesim.orbit.settling import Chain, SteadyStates
 from timesim.orbit.steady_state import Orbit, differ, without_orbit
 from timesim.orbit.two_motions import DOWN, UP, RangeSearch, Sweeps, losses, ranges, suspect_steps
@@ -395,6 +395,16 @@ def test_two_jumps_of_the_same_size_in_one_step(ends: tuple[float, float]):
     (beyond,) = toy.along(on.end, [2.0])
     jumps = narrowed([Stretch(search.model, 1.5, 2.0, on, beyond, least=0.03 * 1.2)], search.steady, 1e-6)
     np.testing.assert_allclose([jump.near for _, jump in jumps], ends, atol=1e-6)
+
+
+@pytest.mark.parametrize(("end", "expected"), [(9.0, (1.0, 2.0)), (1.3, (1.3, 1.3))])
+def test_what_only_a_long_step_reaches_counts_as_a_jump_where_there_is_no_other(end: float, expected):
+    """Motion 0 lives up to its end, where motion 1 follows; only the step as a whole leads to motion 2."""
+    toy = Branches((-np.inf, end), (1.1, np.inf), (1.1, np.inf), rise=0.5)
+    search = toy_search(toy)
+    step = Stretch(search.model, 1.0, 2.0, toy.orbit(0, 1.0), toy.orbit(2, 2.0), least=0.05)
+    ((_, *jump),) = jumps_of([step], search.steady, 1e-6)
+    assert jump == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("peak", [1.5, 1.6, 1.65, 1.7, 1.8, 1.9])

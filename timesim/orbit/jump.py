@@ -119,7 +119,8 @@ def jumps_of(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -
     """The jumps within the steps of sweeps: position of the step, low and high end [Hz]; arguments as `narrowed`.
 
     A motion that shorter steps carry to the end of the step exists there: it was lost only because the step was long,
-    and the jump is the whole step.
+    and the jump is the whole step. Where another jump lies in the step, that has ended the motion, and the length of
+    the step only decided which one follows.
     """
     jumps = narrowed(stretches, steady, width)
     ends = [(index, jump) for index, jump in jumps if jump.far == stretches[index].far and not jump.whole]
@@ -130,8 +131,12 @@ def jumps_of(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -
         for (index, jump), (orbit,) in zip(ends, carried, strict=True)
         if orbit.reason is None and distance(jump.on, orbit) < STAYS * jump.change
     }
+    located = {index for index, jump in jumps if jump.far != stretches[index].far}
     for index, jump in jumps:
-        step = stretches[index] if index in by_length and jump.far == stretches[index].far else jump
+        whole = index in by_length and jump.far == stretches[index].far
+        if whole and index in located:
+            continue
+        step = stretches[index] if whole else jump
         yield index, min(step.near, step.far), max(step.near, step.far)
 
 
