@@ -196,3 +196,12 @@ def test_multipliers_come_largest_first_and_free_offsets_are_left_out():
     step = recorded.newton_step(recorded.change)
     assert step[0] == 0
     np.testing.assert_allclose((np.eye(2) - slope[1:, 1:]) @ step[1:], [0.3, 0.2])
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_derivative_that_overflows_ends_the_iteration_and_nothing_else(value):
+    start = at(FIXED)
+    recorded = Recorded(start, near(1e-6), 1, True, SWING, np.diag([value, 0.1]))
+    assert iterated(Shot(start), recorded, TOLERANCE) is Failure.ASTRAY
+    assert np.isnan(recorded.multipliers).all()
+    assert recorded.left == 0

@@ -125,7 +125,7 @@ class Recorded:
         cycles: how many.
         complete: whether all of them were done.
         steps: of which they are made up, numpy arrays, the first axis that of the steps.
-        slope: derivative of the state vector at the end by that at the start.
+        slope: derivative of the state vector at the end by that at the start; it may overflow.
     """
 
     start: Lane
@@ -137,9 +137,10 @@ class Recorded:
 
     @property
     def multipliers(self) -> np.ndarray:
-        """Floquet multipliers, largest first, without those of free offsets."""
+        """Floquet multipliers, largest first, without those of free offsets; NaN where the derivative is not finite."""
         moves = self._moves
-        values = np.linalg.eigvals(self.slope[np.ix_(moves, moves)])
+        slope = self.slope[np.ix_(moves, moves)]
+        values = np.linalg.eigvals(slope) if np.isfinite(slope).all() else np.full(len(slope), np.nan)
         return np.asarray(values[np.argsort(-np.abs(values))])
 
     @property
@@ -161,8 +162,9 @@ class Recorded:
 
     @property
     def closes(self) -> bool:
-        """Whether all cycles were done and the contacts that are apart at the end are those that began so."""
-        return self.complete and np.array_equal(self.end.apart, self.start.apart)
+        """Whether all cycles were done, to the contacts that began apart, and their derivative is finite."""
+        same = np.array_equal(self.end.apart, self.start.apart)
+        return self.complete and same and bool(np.isfinite(self.slope).all())
 
     @property
     def is_held(self) -> bool:
