@@ -318,10 +318,13 @@ def test_the_peak_of_each_set_of_values_is_named(both: xarray.Dataset) -> None:
 
 def test_points_that_stand_apart_are_named_as_such(both: xarray.Dataset) -> None:
     data = both.copy(deep=True)
-    data.irregular[0, 0, [0, 1, 5]] = 1
-    (line,) = (line for line in unusual_lines(data) if "irregular" in line)
-    f = data.frequency.values
-    assert line.endswith(f"direction up: between {f[0]:g} and {f[1]:g} Hz, at {f[5]:g} Hz")
+    kinds = ("irregular", 1, "irregular"), ("period", 2, "repeat after more"), ("floquet_max", np.nan, "overflow")
+    for name, value, _ in kinds:
+        data[name][0, 0, [0, 1, 5]] = value
+    f, lines = data.frequency.values, list(unusual_lines(data))
+    for _, _, words in kinds:
+        (line,) = (line for line in lines if words in line)
+        assert line.endswith(f"direction up: between {f[0]:g} and {f[1]:g} Hz, at {f[5]:g} Hz")
 
 
 def test_a_jump_between_points_that_each_start_anew_is_no_slope_in_silence() -> None:

@@ -75,15 +75,19 @@ def _jumps_beside(data: Dataset, chain: tuple[int, ...], at: int) -> bool:
 def unusual_lines(data: Dataset) -> Iterator[str]:
     """Points of a sweep whose motion repeats after several cycles, is less exact than asked for, or never settles."""
     done, settled = np.isfinite(data["amplitude"].values).all(axis=(-2, -1)), data["settled"].values == 1
-    several, irregular, left = int(np.sum(data["period"].values > 1)), data["irregular"].values == 1, data["settled_to"]
-    if several:
-        yield f"{counted(several, 'of them repeats', 'of them repeat')} after more than one cycle (variable period)"
+    several, irregular, left = data["period"].values > 1, data["irregular"].values == 1, data["settled_to"]
+    if several.any():
+        points = counted(several.sum(), "of them repeats", "of them repeat")
+        yield f"{points} after more than one cycle (variable period): {_spans(data, several)}"
     vague = settled & (left.values > data.attrs["settle_tolerance"])
     if vague.any():
         yield (
             f"{counted(vague.sum(), 'of them is', 'of them are')} settled to {left.values[vague].max():.1e}, not to "
             "settle.tolerance, which is below what the noise of the steps allows (variable settled_to)"
         )
+    unknown = settled & np.isnan(data["floquet_max"].values)
+    if unknown.any():
+        yield f"the multipliers overflow, so stability is not known (floquet_max = NaN): {_spans(data, unknown)}"
     if irregular.any():
         points = counted(irregular.sum(), "point does", "points do")
         yield (
