@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 from timesim.element.motion import CYCLE, SplineMotion
 from timesim.element.state_by_state import steady_cycle
 from timesim.engine.law.cone import ConeLaw
-from timesim.hbm.interval import Interval, advance, intervals_of
+from timesim.hbm.interval import Interval, advance
 from timesim.hbm.path import Cubic, window_of
 from timesim.hbm.period import (
     MAX_PASSES,
@@ -24,7 +24,7 @@ from timesim.hbm.period import (
     starts_of,
 )
 from timesim.hbm.stuck_offset import stuck_offset, without_slip
-from timesim.hbm.tangent import linearised
+from timesim.hbm.tangent import intervals_of, linearised
 from timesim.orbit.fourier import fourier_basis, to_coefficients, to_phasors
 
 # A, B, D and phase of the normal motion in degrees: u = (A cos, B cos(. + 90)), v = D cos(. + phase).
@@ -359,6 +359,25 @@ def test_slip_that_begins_within_an_interval_is_short_at_first():
         middle = (low + high) / 2
         low, high = (middle, high) if slip(middle) == 0 else (low, middle)
     assert 0 < slip(high) < 1e-4
+
+
+@pytest.mark.parametrize("kind", STIFFNESS)
+@pytest.mark.parametrize("angle", [0.3, 1.8, 4.0])
+def test_slip_with_which_a_contact_opens_may_be_as_short_as_it_likes(kind, angle):
+    """The force vanishes where it opens but for a rest: what that puts on the samples goes to nothing with the rest."""
+    contact, lanes = element(STIFFNESS[kind], 1.0), 10.0 ** -np.arange(2, 13, 2)
+    law, shape = law_of([contact] * SIDE_BY_SIDE), (COARSE, SIDE_BY_SIDE)
+    ways = (0.04, 0.03, 0.05, 0.04, 0.03, 0.02, -0.98, -1.03, -0.05, -0.05)  # v + 1 falls from 0.02 through 0 at 0.4
+    each = [np.full(shape, x) for x in ways]
+    along = [0.4 * rate0 + 0.4**2 * (3 * x - 2 * rate0 - rate1) + 0.4**3 * (rate0 + rate1 - 2 * x)
+             for x, rate0, rate1 in zip(ways[:2], ways[2:4], ways[4:6], strict=True)]  # fmt: skip
+    rest = np.linalg.solve(contact.tangential_stiffness, [np.cos(angle), np.sin(angle)])
+    d = tuple(np.broadcast_to(lanes * x - u, shape) for x, u in zip(rest, along, strict=True))
+    end = side_by_side(law, d, Interval(tuple(each[:2]), tuple(each[2:4]), tuple(each[4:6]), *each[6:]))
+    slip, put = np.asarray(end.slip[0]), np.array([part[0] for part in (*end.before, *end.after)])
+    assert np.all(np.diff(slip) < 0)
+    assert slip[-1] < 1e-8
+    assert np.all(np.abs(put - put[:, -1:]) < lanes + 1e-15)
 
 
 def test_slip_that_is_shorter_than_the_distance_of_samples():

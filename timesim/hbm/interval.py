@@ -19,18 +19,18 @@ Where the first two rates of a force change by J1 and J2, at the share s of an i
 the trapezoidal rule errs by ``J1 B2(s) / 2 - J2 B3(s) / 6`` and in its first moment about that place by
 ``-J1 B3(s) / 3``, with Bernoulli's polynomials B2 and B3 (Euler and Maclaurin; F. W. J. Olver, Asymptotics and Special
 Functions (Academic Press 1974), chapter 8). Both are put on the two samples beside it. The error is of third order.
+Over the slip with which a contact opens a rate goes evenly from one to the other.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+from collections.abc import Iterator
 from functools import reduce
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax.lax import stop_gradient
-from jaxtyping import Array
 
 from timesim.engine.barrier import apart
 from timesim.engine.law.cone import ConeLaw, incipient_direction, slip_speed
@@ -80,18 +80,6 @@ class IntervalEnd(NamedTuple):
     separation: Scalar
     before: Force
     after: Force
-
-
-def intervals_of(motion: Motion) -> Interval:
-    """The intervals that end at each sample of a periodic motion with its rates, shape (N, C)."""
-    change, du0 = tuple(u - before(u) for u in motion.u), tuple(map(before, motion.du))
-    return Interval(change, du0, motion.du, before(motion.v), motion.v, before(motion.dv), motion.dv)
-
-
-def before(samples: Array) -> Array:
-    """The sample before each one of a period, along the first axis."""
-    # By indices, so that arrays of numpy remain such.
-    return samples[np.arange(len(samples)) - 1]
 
 
 class _Slip(eqx.Module):
@@ -307,7 +295,7 @@ def _kinks(law: ConeLaw, d: Plane, path: Path, load: Cubic, window: Window, slip
     rubs, none = law.friction > 0, jnp.zeros_like(window.start)
     place, gap = window.start, window.gap
     pull = product(law.stiffness, path.rates(place).du)
-    bend = product(law.stiffness, tuple(u.curvature(place) for u in path.u))
+    bend = product(law.stiffness, path.curvature(place))
     on_cone = (scaled(f, slip.first) for f in (path.limit.rate(place), path.limit.curvature(place)))
     grips = ~slip.fresh
     first, second = (
@@ -315,19 +303,35 @@ def _kinks(law: ConeLaw, d: Plane, path: Path, load: Cubic, window: Window, slip
     )
     closing = ((*first, load.rate(place)), (*second, load.curvature(place)))
     gone = where(gap < place, direction_of(d, slip.first), slip.last)
-    opening = tuple(
-        (*scaled(jnp.where(rubs, -x * law.friction, 0.0), gone), -x) for x in (load.rate(gap), load.curvature(gap))
-    )
+    against = jnp.where(rubs, -law.friction, 0.0)
+    leaving, bent = (scaled(against * x, gone) for x in (load.rate(gap), load.curvature(gap)))
     begins = slip.slides & ~slip.fresh & ~slip.follows
     ends = slip.slides & (slip.end < window.end)
-    lost = product(law.stiffness, slip.first)
-    back = product(law.stiffness, slip.last)
+    last = begins & window.opens & (gap >= place)
+    lost, back = (product(law.stiffness, e) for e in (slip.first, slip.last))
+    held, bent_held = (product(law.stiffness, x) for x in (path.rates(slip.start).du, path.curvature(slip.start)))
+    slows = scaled(-slip.speed, lost)
+    turn = tuple(-x - y - z for x, y, z in zip(leaving, held, slows, strict=True))
+    onset = minus(scaled(jnp.where(last, 0.0, -slip.growth), lost), scaled(jnp.where(last, 1.0, 0.0), bent_held))
+    bent = scaled(jnp.where(last, 0.0, 1.0), bent)
     return [
         (place, window.closes, *closing),
-        (slip.start, begins, (*scaled(-slip.speed, lost), none), (*scaled(-slip.growth, lost), none)),
+        (slip.start, begins, (*slows, none), (*onset, none)),
         (slip.end, ends, (none,) * 3, (*scaled(slip.growth, back), none)),
-        (gap, window.opens, *opening),
+        (gap, window.opens, (*leaving, -load.rate(gap)), (*bent, -load.curvature(gap))),
+        *_spread(slip.start, gap, last, turn),
     ]
+
+
+def _spread(start: Scalar, end: Scalar, happens: Flag, change: Plane) -> Iterator[Kink]:
+    """A change of the first rate that is spread evenly over a part of the interval: Simpson's rule, exact here.
+
+    The last slip before a contact opens may be as short as it likes, and its force turns from that in stick to that at
+    the opening: as two changes of the second rate, each as large as the slip is short, both would be rounding.
+    """
+    none = jnp.zeros_like(start)
+    for place, weight in ((start, 1 / 6), ((start + end) / 2, 4 / 6), (end, 1 / 6)):
+        yield place, happens, (*scaled(weight * jnp.ones_like(start), change), none), (none,) * 3
 
 
 def _added(kinks: list[Kink]) -> tuple[Force, Force]:

@@ -140,6 +140,9 @@ class Path(eqx.Module):
     def at(self, t: Scalar) -> Plane:
         return tuple(u.value(t) for u in self.u)
 
+    def curvature(self, t: Scalar) -> Plane:
+        return tuple(u.curvature(t) for u in self.u)
+
     def rates(self, t: Scalar) -> Motion:
         du, dv = tuple(u.rate(t) for u in self.u), self.v.rate(t)
         return Motion(du, dv, du, dv)

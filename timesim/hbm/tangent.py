@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from timesim.engine.law.cone import ConeLaw
-from timesim.engine.law.contact_law import product
-from timesim.hbm.interval import Interval, advance, before, intervals_of, sliding
+from timesim.engine.law.contact_law import Motion, Scalar, product
+from timesim.hbm.interval import Interval, advance, sliding
 from timesim.hbm.period import (
     WHOLE,
     Basis,
@@ -78,6 +78,18 @@ def interval_slopes(law: ConeLaw, period: ClosedPeriod) -> Slope:
         slope[..., i, 2 + i] += sticks
     tangential = slope[..., 2:8].reshape(*slope.shape[:3], 3, 2).swapaxes(3, 4)
     return Slope(slope[..., :2], tangential, slope[..., 8:], active, sticks)
+
+
+def intervals_of(motion: Motion) -> Interval:
+    """The intervals that end at each sample of a periodic motion with its rates, shape (N, C)."""
+    change, du0 = tuple(u - before(u) for u in motion.u), tuple(map(before, motion.du))
+    return Interval(change, du0, motion.du, before(motion.v), motion.v, before(motion.dv), motion.dv)
+
+
+def before(samples: Scalar) -> Scalar:
+    """The sample before each one of a period, along the first axis."""
+    # By indices, so that arrays of numpy remain such.
+    return samples[np.arange(len(samples)) - 1]
 
 
 def _kinds(law: ConeLaw, period: ClosedPeriod) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
