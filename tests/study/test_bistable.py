@@ -6,7 +6,7 @@ lower motion lives to 1.2560 Hz and is gone at 1.2561, the upper one to 1.2511 a
 """
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from timesim.model.contact_state import contact_loads
 from timesim.model.model import SEPARATION, STICK, Model, Start
 from timesim.orbit.basin import ANOTHER, IRREGULAR, NONE, branch_of, offsets, placed, starts_between, unique
 from timesim.orbit.fourier import HARMONICS
-from timesim.orbit.jump import Stretch, narrowed, steps_of
+from timesim.orbit.jump import Stretch, jumps_of, narrowed, steps_of
 from timesim.orbit.settling import Chain, SteadyStates
 from timesim.orbit.steady_state import Orbit, differ, without_orbit
 from timesim.orbit.two_motions import DOWN, UP, RangeSearch, Sweeps, losses, ranges, suspect_steps
@@ -367,6 +367,43 @@ def test_adjacent_jumps_are_one():
     assert (index, jump.near, jump.far) == (0, 1.484375, 1.515625)
     np.testing.assert_array_equal(jump.on.amplitude, toy.orbit(0, jump.near).amplitude)
     np.testing.assert_array_equal(jump.beyond.amplitude, toy.orbit(2, jump.far).amplitude)
+
+
+@pytest.mark.parametrize(("low", "high"), [(-np.inf, 1.3), (1.1, 1.3), (-np.inf, 1.7)])
+def test_a_motion_is_lost_once_in_a_step(low: float, high: float):
+    """At the end of a long step up the sweep is on motion 2; shorter steps lead from motion 0 to 1, or stay on 0.
+
+    Where motion 0 lives to the end of the step, only its length has lost it, and the jump is the whole step. Where it
+    is lost on the way, the jump is there: the sweep was never on motion 1, and does not lose it.
+    """
+    toy = Branches((low, high), (1.2, np.inf), (1.4, np.inf))
+    search = toy_search(toy)
+    step = Stretch(search.model, 1.25, 1.5, toy.orbit(0, 1.25), toy.orbit(2, 1.5), least=0.05)
+    ((index, *ends),) = jumps_of([step], search.steady, 1e-6)
+    assert index == 0
+    assert ends == ([1.25, 1.5] if high > 1.5 else pytest.approx([high, high], abs=1e-6))
+
+
+@pytest.mark.parametrize("high", [1.38, 1.44, 1.56, 1.7, 1.9])
+@pytest.mark.parametrize("longest", [0.01, 0.07, 0.1, 0.13])
+def test_a_motion_lost_by_halving_is_followed(longest: float, high: float):
+    """Motion 0 is lost by steps longer than `longest`, also by those that halve a step, and truly at `high`."""
+    toy = two_branches(-np.inf, high, slope=0.0)
+
+    def steady(chains: Sequence[Chain]) -> list[list[Orbit]]:
+        return [list(carried(*chain.model.start.displacement, chain.frequencies)) for chain in chains]
+
+    def carried(branch: float, last: float, frequencies: Sequence[float]) -> Iterator[Orbit]:
+        for frequency in frequencies:
+            orbit = toy.orbit(1 if abs(frequency - last) > longest else branch, frequency)
+            branch, last = orbit.end.displacement[0], frequency
+            yield replace(orbit, end=replace(orbit.end, displacement=np.array([branch, frequency])))
+
+    (on,), (beyond,) = carried(0, 1.25, [1.25]), carried(1, 1.75, [1.75])
+    step = Stretch(oscillator(2.0, 1.0), 1.25, 1.75, on, beyond, least=0.05)
+    ((_, low, far),) = jumps_of([step], steady, 1e-3)
+    assert low <= high <= far or (low, far) == (1.25, 1.75)
+    assert far - low <= (0.5 if high > 1.75 else 1e-3)
 
 
 def test_a_slope_and_a_jump_in_one_step():
