@@ -25,8 +25,8 @@ from timesim.orbit.basin import ANOTHER, IRREGULAR, NONE, branch_of, offsets, pl
 from timesim.orbit.fourier import HARMONICS
 from timesim.orbit.jump import Stretch, jumps_of, narrowed, steps_of
 from timesim.orbit.settling import Chain, SteadyStates
-from timesim.orbit.steady_state import Orbit, differ, without_orbit
-from timesim.orbit.two_motions import DOWN, UP, RangeSearch, Sweeps, losses, ranges, suspect_steps
+from timesim.orbit.steady_state import Orbit, columns_of, differ, without_orbit
+from timesim.orbit.two_motions import DOWN, UP, RangeSearch, Sweeps, losses, ranges, ranges_of, suspect_steps
 from timesim.picture import bistable as plot_bistable
 from timesim.result.netcdf import open_result, save
 from timesim.scene.resolution import Scene
@@ -337,9 +337,10 @@ def test_ranges_of_known_motions(num: int):
     assert (found.lower.end.displacement[0], found.upper.end.displacement[0]) == (0, 1)
 
 
-def test_a_motion_lost_by_a_long_step_is_led_on():
-    """The sweep up leaves the small motion three steps too early; its end is found all the same."""
-    toy = two_branches(1.23, 1.52)
+@pytest.mark.parametrize(("high", "cut"), [(1.52, False), (2.5, True)])
+def test_a_motion_lost_by_a_long_step_is_led_on(high: float, cut: bool):
+    """The sweep up leaves the small motion early; its end is found all the same, or that it lives to the last point."""
+    toy = two_branches(1.23, high)
     search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
     early = [
         toy.orbit(1.0, f) if f > 1.36 else orbit for f, orbit in zip(sweeps.frequency, sweeps.orbits[UP], strict=True)
@@ -347,12 +348,37 @@ def test_a_motion_lost_by_a_long_step_is_led_on():
     sweeps = replace(sweeps, orbits=(early, sweeps.orbits[DOWN]))
     lost = list(losses(search, sweeps))
     (found,) = ranges(search, sweeps, lost)
-    assert (found.low, found.high) == pytest.approx((1.23, 1.52), abs=1e-6)
+    assert (found.low, found.high) == pytest.approx((1.23, min(high, 2.0)), abs=1e-6)
+    assert found.cut == (False, cut)
+    assert np.isnan(found.jumped).all(axis=(1, 2, 3)).tolist() == [False, cut]
+    columns = columns_of([early, sweeps.orbits[DOWN][::-1]]) | {"frequency": np.array([sweeps.frequency] * 2)}
+    columns["frequency"][DOWN] = sweeps.frequency[::-1]
+    (_, up_low, up_high), _ = ranges_of(search, columns)["jumps"]
+    assert (up_low, up_high) == pytest.approx((1.35, 1.4) if cut else (high, high), abs=1e-6)
 
 
 def test_a_jump_that_is_small_beside_the_slope():
     toy = two_branches(1.43, 1.62, rise=0.05, slope=8.0)
     search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    (found,) = ranges(search, sweeps, list(losses(search, sweeps)))
+    assert (found.low, found.high) == pytest.approx((1.43, 1.62), abs=1e-6)
+
+
+def test_a_range_within_a_step_beside_one_of_larger_change():
+    """The response goes on to change over the next step by five times as much, without a jump."""
+    toy = two_branches(1.43, 1.47, rise=0.3, slope=8.0)
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 3))
+    (found,) = ranges(search, sweeps, list(losses(search, sweeps)))
+    assert (found.low, found.high) == pytest.approx((1.43, 1.47), abs=1e-6)
+
+
+def test_a_range_in_which_both_sweeps_are_on_one_motion():
+    """The sweep up leaves the small motion in the step in which the range begins, which ends in the step after it."""
+    toy = two_branches(1.43, 1.62)
+    search, frequencies = toy_search(toy), np.linspace(1.0, 2.0, 11)
+    up = [toy.orbit(f > 1.45, f) for f in frequencies]
+    sweeps = replace(toy_sweeps(toy, frequencies), orbits=(up, toy_sweeps(toy, frequencies).orbits[DOWN]))
+    assert not sweeps.apart.any()
     (found,) = ranges(search, sweeps, list(losses(search, sweeps)))
     assert (found.low, found.high) == pytest.approx((1.43, 1.62), abs=1e-6)
 
