@@ -6,7 +6,7 @@ lower motion lives to 1.2560 Hz and is gone at 1.2561, the upper one to 1.2511 a
 """
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,8 +25,8 @@ from timesim.orbit.basin import ANOTHER, IRREGULAR, NONE, branch_of, offsets, pl
 from timesim.orbit.fourier import HARMONICS
 from timesim.orbit.jump import Stretch, jumps_of, narrowed, steps_of
 from timesim.orbit.settling import Chain, SteadyStates
-from timesim.orbit.steady_state import Orbit, differ, without_orbit
-from timesim.orbit.two_motions import DOWN, UP, RangeSearch, Sweeps, losses, ranges, suspect_steps
+from timesim.orbit.steady_state import Orbit, columns_of, differ, without_orbit
+from timesim.orbit.two_motions import DOWN, UP, RangeSearch, Sweeps, losses, ranges, ranges_of, suspect_steps
 from timesim.picture import bistable as plot_bistable
 from timesim.result.netcdf import open_result, save
 from timesim.scene.resolution import Scene
@@ -337,9 +337,10 @@ def test_ranges_of_known_motions(num: int):
     assert (found.lower.end.displacement[0], found.upper.end.displacement[0]) == (0, 1)
 
 
-def test_a_motion_lost_by_a_long_step_is_led_on():
-    """The sweep up leaves the small motion three steps too early; its end is found all the same."""
-    toy = two_branches(1.23, 1.52)
+@pytest.mark.parametrize(("high", "cut"), [(1.52, False), (2.5, True)])
+def test_a_motion_lost_by_a_long_step_is_led_on(high: float, cut: bool):
+    """The sweep up leaves the small motion early; its end is found all the same, or that it lives to the last point."""
+    toy = two_branches(1.23, high)
     search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
     early = [
         toy.orbit(1.0, f) if f > 1.36 else orbit for f, orbit in zip(sweeps.frequency, sweeps.orbits[UP], strict=True)
@@ -347,12 +348,37 @@ def test_a_motion_lost_by_a_long_step_is_led_on():
     sweeps = replace(sweeps, orbits=(early, sweeps.orbits[DOWN]))
     lost = list(losses(search, sweeps))
     (found,) = ranges(search, sweeps, lost)
-    assert (found.low, found.high) == pytest.approx((1.23, 1.52), abs=1e-6)
+    assert (found.low, found.high) == pytest.approx((1.23, min(high, 2.0)), abs=1e-6)
+    assert found.cut == (False, cut)
+    assert np.isnan(found.jumped).all(axis=(1, 2, 3)).tolist() == [False, cut]
+    columns = columns_of([early, sweeps.orbits[DOWN][::-1]]) | {"frequency": np.array([sweeps.frequency] * 2)}
+    columns["frequency"][DOWN] = sweeps.frequency[::-1]
+    (_, up_low, up_high), _ = ranges_of(search, columns)["jumps"]
+    assert (up_low, up_high) == pytest.approx((1.35, 1.4) if cut else (high, high), abs=1e-6)
 
 
 def test_a_jump_that_is_small_beside_the_slope():
     toy = two_branches(1.43, 1.62, rise=0.05, slope=8.0)
     search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    (found,) = ranges(search, sweeps, list(losses(search, sweeps)))
+    assert (found.low, found.high) == pytest.approx((1.43, 1.62), abs=1e-6)
+
+
+def test_a_range_within_a_step_beside_one_of_larger_change():
+    """The response goes on to change over the next step by five times as much, without a jump."""
+    toy = two_branches(1.43, 1.47, rise=0.3, slope=8.0)
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 3))
+    (found,) = ranges(search, sweeps, list(losses(search, sweeps)))
+    assert (found.low, found.high) == pytest.approx((1.43, 1.47), abs=1e-6)
+
+
+def test_a_range_in_which_both_sweeps_are_on_one_motion():
+    """The sweep up leaves the small motion in the step in which the range begins, which ends in the step after it."""
+    toy = two_branches(1.43, 1.62)
+    search, frequencies = toy_search(toy), np.linspace(1.0, 2.0, 11)
+    up = [toy.orbit(f > 1.45, f) for f in frequencies]
+    sweeps = replace(toy_sweeps(toy, frequencies), orbits=(up, toy_sweeps(toy, frequencies).orbits[DOWN]))
+    assert not sweeps.apart.any()
     (found,) = ranges(search, sweeps, list(losses(search, sweeps)))
     assert (found.low, found.high) == pytest.approx((1.43, 1.62), abs=1e-6)
 
@@ -367,6 +393,43 @@ def test_adjacent_jumps_are_one():
     assert (index, jump.near, jump.far) == (0, 1.484375, 1.515625)
     np.testing.assert_array_equal(jump.on.amplitude, toy.orbit(0, jump.near).amplitude)
     np.testing.assert_array_equal(jump.beyond.amplitude, toy.orbit(2, jump.far).amplitude)
+
+
+@pytest.mark.parametrize(("low", "high"), [(-np.inf, 1.3), (1.1, 1.3), (-np.inf, 1.7)])
+def test_a_motion_is_lost_once_in_a_step(low: float, high: float):
+    """At the end of a long step up the sweep is on motion 2; shorter steps lead from motion 0 to 1, or stay on 0.
+
+    Where motion 0 lives to the end of the step, only its length has lost it, and the jump is the whole step. Where it
+    is lost on the way, the jump is there: the sweep was never on motion 1, and does not lose it.
+    """
+    toy = Branches((low, high), (1.2, np.inf), (1.4, np.inf))
+    search = toy_search(toy)
+    step = Stretch(search.model, 1.25, 1.5, toy.orbit(0, 1.25), toy.orbit(2, 1.5), least=0.05)
+    ((index, *ends),) = jumps_of([step], search.steady, 1e-6)
+    assert index == 0
+    assert ends == ([1.25, 1.5] if high > 1.5 else pytest.approx([high, high], abs=1e-6))
+
+
+@pytest.mark.parametrize("high", [1.38, 1.44, 1.56, 1.7, 1.9])
+@pytest.mark.parametrize("longest", [0.01, 0.07, 0.1, 0.13])
+def test_a_motion_lost_by_halving_is_followed(longest: float, high: float):
+    """Motion 0 is lost by steps longer than `longest`, also by those that halve a step, and truly at `high`."""
+    toy = two_branches(-np.inf, high, slope=0.0)
+
+    def steady(chains: Sequence[Chain]) -> list[list[Orbit]]:
+        return [list(carried(*chain.model.start.displacement, chain.frequencies)) for chain in chains]
+
+    def carried(branch: float, last: float, frequencies: Sequence[float]) -> Iterator[Orbit]:
+        for frequency in frequencies:
+            orbit = toy.orbit(1 if abs(frequency - last) > longest else branch, frequency)
+            branch, last = orbit.end.displacement[0], frequency
+            yield replace(orbit, end=replace(orbit.end, displacement=np.array([branch, frequency])))
+
+    (on,), (beyond,) = carried(0, 1.25, [1.25]), carried(1, 1.75, [1.75])
+    step = Stretch(oscillator(2.0, 1.0), 1.25, 1.75, on, beyond, least=0.05)
+    ((_, low, far),) = jumps_of([step], steady, 1e-3)
+    assert low <= high <= far or (low, far) == (1.25, 1.75)
+    assert far - low <= (0.5 if high > 1.75 else 1e-3)
 
 
 def test_a_slope_and_a_jump_in_one_step():
@@ -395,16 +458,6 @@ def test_two_jumps_of_the_same_size_in_one_step(ends: tuple[float, float]):
     (beyond,) = toy.along(on.end, [2.0])
     jumps = narrowed([Stretch(search.model, 1.5, 2.0, on, beyond, least=0.03 * 1.2)], search.steady, 1e-6)
     np.testing.assert_allclose([jump.near for _, jump in jumps], ends, atol=1e-6)
-
-
-@pytest.mark.parametrize(("end", "expected"), [(9.0, (1.0, 2.0)), (1.3, (1.3, 1.3))])
-def test_what_only_a_long_step_reaches_counts_as_a_jump_where_there_is_no_other(end: float, expected):
-    """Motion 0 lives up to its end, where motion 1 follows; only the step as a whole leads to motion 2."""
-    toy = Branches((-np.inf, end), (1.1, np.inf), (1.1, np.inf), rise=0.5)
-    search = toy_search(toy)
-    step = Stretch(search.model, 1.0, 2.0, toy.orbit(0, 1.0), toy.orbit(2, 2.0), least=0.05)
-    ((_, *jump),) = jumps_of([step], search.steady, 1e-6)
-    assert jump == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("peak", [1.5, 1.6, 1.65, 1.7, 1.8, 1.9])

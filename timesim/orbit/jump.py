@@ -118,26 +118,64 @@ def _joined(jumps: Sequence[tuple[int, Stretch]]) -> list[tuple[int, Stretch]]:
 def jumps_of(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -> Iterator[tuple[int, float, float]]:
     """The jumps within the steps of sweeps: position of the step, low and high end [Hz]; arguments as `narrowed`.
 
-    A motion that shorter steps carry to the end of the step exists there: it was lost only because the step was long,
-    and the jump is the whole step. Where another jump lies in the step, that has ended the motion, and the length of
-    the step only decided which one follows.
+    Halving takes long steps too, and may lose a motion by their length alone: one that is carried over such a jump is
+    followed from there on. If it lives to the end of the step, it was lost only because the step was long, and the jump
+    is the whole step. Where the motion of the sweep is lost before that, shorter steps carry another one, which the
+    sweep was never on: what it loses at the end is no jump of the sweep.
     """
-    jumps = narrowed(stretches, steady, width)
-    ends = [(index, jump) for index, jump in jumps if jump.far == stretches[index].far and not jump.whole]
-    chains = [Chain(replace(jump.model, start=jump.on.end), (jump.far,)) for _, jump in ends]
-    carried = steady(chains) if chains else []
-    by_length = {
-        index
-        for (index, jump), (orbit,) in zip(ends, carried, strict=True)
-        if orbit.reason is None and distance(jump.on, orbit) < STAYS * jump.change
-    }
-    located = {index for index, jump in jumps if jump.far != stretches[index].far}
-    for index, jump in jumps:
-        whole = index in by_length and jump.far == stretches[index].far
-        if whole and index in located:
-            continue
-        step = stretches[index] if whole else jump
-        yield index, min(step.near, step.far), max(step.near, step.far)
+    found: list[list[Stretch]] = [[] for _ in stretches]
+    left, by_length = dict(enumerate(stretches)), set[int]()
+    while left:
+        steps = list(left)
+        jumps = narrowed(list(left.values()), steady, width)
+        chains = [Chain(replace(jump.model, start=jump.on.end), (jump.far,)) for _, jump in jumps]
+        carried = steady(chains) if chains else []
+        ahead: dict[int, Stretch] = {}
+        for (position, jump), (orbit,) in zip(jumps, carried, strict=True):
+            index = steps[position]
+            if index in ahead:  # a jump behind one at which the motion is not lost
+                continue
+            if jump.whole or not _lives(jump, orbit):
+                found[index].append(jump)
+                continue
+            step = stretches[index]
+            lost = _followed(replace(jump, near=jump.far, on=orbit), step.far, steady, width)
+            if lost is None:
+                by_length.add(index)
+            else:
+                found[index].append(lost)
+            end = step.far if lost is None else lost.far
+            beyond = step.beyond if lost is None else lost.beyond
+            ahead[index] = replace(step, near=end, on=beyond, before=(), even=False)
+        left = {index: rest for index, rest in ahead.items() if rest.near != rest.far}
+    for index, step in enumerate(stretches):
+        for jump in found[index] or [step] * (index in by_length):
+            yield index, min(jump.near, jump.far), max(jump.near, jump.far)
+
+
+def _followed(jump: Stretch, limit: float, steady: SteadyStates, width: float) -> Stretch | None:
+    """Where the motion before a jump is lost however short the steps; None if it lives to the limit [Hz].
+
+    Steps grow until one loses it, and are then halved, down to the wanted width [Hz]; from then on they are at most
+    half as long as any that has.
+    """
+    least = max(width, 4 * float(np.spacing(abs(limit))))
+    near, on, size, longest = jump.near, jump.on, least, np.inf
+    while near != limit:
+        far = near + float(np.copysign(size, limit - near)) if size < abs(limit - near) else limit
+        ((orbit,),) = steady([Chain(replace(jump.model, start=on.end), (far,))])
+        if _lives(replace(jump, on=on), orbit):
+            near, on, size = far, orbit, min(2 * size, longest)
+        elif size <= least or orbit.reason is not None:
+            return replace(jump, near=near, far=far, on=on, beyond=orbit, whole=orbit.reason is not None)
+        else:
+            longest = size = max(min(size, abs(far - near)) / 2, least)
+    return None
+
+
+def _lives(jump: Stretch, orbit: Orbit) -> bool:
+    """Whether the motion before a jump, carried over it, is still the same."""
+    return orbit.reason is None and distance(jump.on, orbit) < STAYS * distance(jump.on, jump.beyond)
 
 
 def steps_of(model: Model, frequencies: Sequence[float], orbits: Sequence[Orbit]) -> list[Stretch]:

@@ -2,9 +2,9 @@
 
 A sweep carries its motion along until the motion is gone, at a fold or where it loses its stability, and jumps. Where
 the sweeps up and down are on different motions there are two: such a range begins where the downward sweep loses its
-motion, and ends where the upward one does. A jump is sought in every step over which the amplitude changes more than
-over the steps beside it, and in those after which both sweeps are on one motion. Halving the step distinguishes a jump
-from a slope, so ranges far narrower than the step of the sweeps are resolved.
+motion, and ends where the upward one does. A jump is sought in every step over which the amplitude changes, and in
+those after which both sweeps are on one motion. Halving the step distinguishes a jump from a slope, so ranges far
+narrower than the step of the sweeps are resolved.
 
 A motion that does not repeat is not one of two. Where a motion that is carried along loses its period, without a jump,
 the range ends too: the place is bisected, and its end says so.
@@ -57,7 +57,8 @@ class Loss:
     Attributes:
         direction: `UP` or `DOWN`.
         begin: last frequency of the sweep with the motion [Hz].
-        jump: between the last frequency with the motion and the first one without.
+        jump: between the last frequency with the motion and the first one without; where shorter steps carry the motion
+            to the end of the sweep, that frequency twice.
         of_period: whether it goes on without a period there; then the motion that repeats is the near one, even if the
             sweep comes to it from the other side.
     """
@@ -66,6 +67,11 @@ class Loss:
     begin: float
     jump: Stretch
     of_period: bool = False
+
+    @property
+    def lives(self) -> bool:
+        """Whether only the length of a step has lost it, and it lives to the end of the sweep."""
+        return self.jump.near == self.jump.far
 
 
 @dataclass(frozen=True)
@@ -88,6 +94,11 @@ class Sweeps:
         """Shape (F, X), NaN where a point failed."""
         return np.array([orbit.amplitude.ravel() for orbit in self.orbits[direction]])
 
+    def change(self, direction: int) -> np.ndarray:
+        """Change of the amplitude over each step, the largest of all points, 0 where one failed; shape (F - 1,)."""
+        change = np.abs(np.diff(self.amplitude(direction), axis=0))
+        return np.nan_to_num(np.max(change, axis=1, initial=0.0))
+
     @property
     def apart(self) -> np.ndarray:
         """Whether they are on different motions, shape (F,)."""
@@ -97,12 +108,8 @@ class Sweeps:
 def suspect_steps(sweeps: Sweeps, direction: int) -> np.ndarray:
     """Steps in which a sweep may jump, by the position of the lower point of each."""
     suspects = set(merging_steps(sweeps, direction))
-    amplitude = sweeps.amplitude(direction)
-    change = np.max(np.abs(np.diff(amplitude, axis=0)), axis=1, initial=0.0)
-    known = np.nan_to_num(np.concatenate([[0.0], change, [0.0]]))
-    large = AT_LEAST * np.nanmax(np.abs(amplitude), initial=0.0)
-    stands_out = (known[1:-1] > large) & (known[1:-1] >= np.maximum(known[:-2], known[2:]))
-    suspects |= set(np.flatnonzero(stands_out).tolist())
+    large = AT_LEAST * np.nanmax(np.abs(sweeps.amplitude(direction)), initial=0.0)
+    suspects |= set(np.flatnonzero(sweeps.change(direction) > large).tolist())
     reason = [orbit.reason for orbit in sweeps.orbits[direction]]
     last = len(reason) - 1
     return np.array(sorted(k for k in suspects if 0 <= k < last and not reason[k] and not reason[k + 1]), dtype=int)
@@ -127,10 +134,13 @@ def _losses_of(search: RangeSearch, sweeps: Sweeps, direction: int) -> Iterator[
     frequency, orbits = sweeps.frequency, sweeps.orbits[direction]
     limit = float(frequency[-1 if direction == UP else 0])
     least = AT_LEAST * np.nanmax(sweeps.amplitude(direction), initial=0.0)
+    change = np.pad(sweeps.change(direction), 1)
+    even = change[1:-1] < np.maximum(change[:-2], change[2:])
     merging, suspects = merging_steps(sweeps, direction), set(suspect_steps(sweeps, direction).tolist())
     for k in range(frequency.size - 1):
         near, far = (k, k + 1) if direction == UP else (k + 1, k)
-        step = Stretch(search.model, float(frequency[near]), float(frequency[far]), orbits[near], orbits[far], least)
+        ends = float(frequency[near]), float(frequency[far])
+        step = Stretch(search.model, *ends, orbits[near], orbits[far], least, even=bool(even[k]))
         jumps = list(_lost(search, step, limit)) if k in suspects else []
         if not jumps and k in merging:
             jumps = [_merging(search, step)]
@@ -152,11 +162,16 @@ def _lost(search: RangeSearch, step: Stretch, limit: float) -> Iterator[Stretch]
 
 
 def _followed(search: RangeSearch, jump: Stretch, limit: float, longest: float) -> Stretch | None:
-    """The jump at which a motion is lost however short the steps; None if it is lost over a slope."""
+    """The jump at which a motion is lost however short the steps; None if it is lost over a slope.
+
+    Where it lives to the limit, the stretch has no length.
+    """
     for _ in range(FURTHER):
         ahead = _ahead(search, jump, limit, longest)
         if ahead is None:
             break
+        if ahead.near == limit:
+            return ahead
         jumps = narrowed([ahead], search.steady, search.width)
         if not jumps:
             return None
@@ -182,7 +197,7 @@ def _without_period(search: RangeSearch, step: Stretch) -> Stretch:
 
 
 def _ahead(search: RangeSearch, jump: Stretch, limit: float, longest: float) -> Stretch | None:
-    """Where the motion is lost beyond a jump; None if it is lost right there."""
+    """Where the motion is lost beyond a jump; None if it is lost there. Without length if it lives to the limit."""
     near, on, far = jump.near, jump.on, jump.far
     step = jump.far - jump.near
     while True:
@@ -192,9 +207,9 @@ def _ahead(search: RangeSearch, jump: Stretch, limit: float, longest: float) -> 
         if distance(orbit, on) > distance(orbit, jump.beyond):
             return None if near == jump.near else Stretch(search.model, near, far, on, orbit, jump.least)
         if far == limit:
-            return None
+            return replace(jump, near=limit, far=limit, on=orbit, beyond=orbit)
         near, on = far, orbit
-        step = np.sign(step) * min(2 * abs(step), longest)
+        step = float(np.copysign(min(2 * abs(step), longest), step))
         far = near + step if abs(step) < abs(limit - near) else limit
 
 
@@ -232,14 +247,14 @@ def ranges(search: RangeSearch, sweeps: Sweeps, lost: Sequence[Loss]) -> Iterato
     for low, high in pairwise(ends):
         above, below = sweeps.frequency > low, sweeps.frequency < high
         within = sweeps.apart[(above | (low == first)) & (below | (high == last))]
-        jumps = (low != first) + (high != last)
+        jumps = int(low != first) + int(high != last)
         if high - low <= 2 * search.width or (jumps < BOTH and not within.any()):
             continue
         motions = [_at_middle(search, sweeps, lost, direction, (low, high)) for direction in (UP, DOWN)]
         if any(orbit.reason is not None or orbit.irregular for orbit in motions) or not differ(*motions):
             continue
         lower, upper = sorted(motions, key=lambda orbit: orbit.largest)
-        at_ends = [[loss for loss in lost if loss.jump.near == end] for end in (low, high)]
+        at_ends = [[loss for loss in lost if loss.jump.near == end and not loss.lives] for end in (low, high)]
         settled = [all(loss.jump.on.settled for loss in here) for here in at_ends]
         number = [SMALLER if orbit is lower else LARGER for orbit in motions]
         irregular = [next((number[one.direction] for one in here if one.of_period), NO_MOTION) for here in at_ends]
@@ -274,12 +289,20 @@ def _at_middle(
     return search.along(known[nearest].end, np.linspace(nearest, middle, num + 1)[1:].tolist())[-1]
 
 
+def _interval(frequency: np.ndarray, loss: Loss) -> list[float]:
+    """Low and high end of a jump [Hz]: the whole step where only its length has lost the motion."""
+    if not loss.lives:
+        return sorted((loss.jump.near, loss.jump.far))
+    near = int(np.searchsorted(frequency, loss.begin))
+    return sorted(map(float, (frequency[near], frequency[near + (1 if loss.direction == UP else -1)])))
+
+
 def ranges_of(search: RangeSearch, sweeps: Columns) -> dict[str, np.ndarray]:
     """The jumps and the ranges of a pair of sweeps, and the motions in the middle of ranges, as arrays."""
     both = Sweeps.of(sweeps, search.model.start.phase)
     lost = list(losses(search, both))
     every = list(ranges(search, both, lost))
-    jumps = [(loss.direction, *sorted((loss.jump.near, loss.jump.far))) for loss in lost if not loss.of_period]
+    jumps = [(loss.direction, *_interval(both.frequency, loss)) for loss in lost if not loss.of_period]
     ends = np.array([(one.low, one.high) for one in every]).reshape(-1, 2)
     found = {"jumps": np.array(jumps, dtype=float).reshape(-1, 3), "range": ends}
     if not every:
