@@ -162,7 +162,7 @@ class Recorded:
 
     @property
     def closes(self) -> bool:
-        """Whether all cycles were done, to the contacts that began apart, and their derivative is finite."""
+        """Whether all cycles were done, the contacts that began apart are so again, and the derivative is finite."""
         same = np.array_equal(self.end.apart, self.start.apart)
         return self.complete and same and bool(np.isfinite(self.slope).all())
 
