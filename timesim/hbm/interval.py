@@ -268,7 +268,7 @@ def _highest(trial: _Trial, path: Path, place: Scalar) -> tuple[Scalar, Scalar]:
         stiffness = trial.law.stiffness
         pull, elastic = product(stiffness, path.rates(place).du), product(stiffness, path.at(place))
         force = length(tuple(b + f for b, f in zip(trial.base, elastic, strict=True)))
-        bend = dot(e, product(stiffness, tuple(u.curvature(place) for u in path.u)))
+        bend = dot(e, product(stiffness, path.curvature(place)))
         turning = quotient(dot(pull, pull) - dot(e, pull) ** 2, force)
         curvature = bend + turning - path.limit.curvature(place)
         step = jnp.where(curvature < 0, quotient(rate, curvature), 0.0)
