@@ -19,6 +19,7 @@ from timesim.element.motion import HarmonicMotion
 from timesim.model.model import GROUND, Contact, Excitation, Model, Start, Structure
 
 GENERATED_CYCLES = 12
+CREEPING = (322, 789, 1230, 1304, 1382, 2748, 3154, 3493)
 TURN = 2 * np.pi
 
 
@@ -55,6 +56,15 @@ def contact(
     matrix = np.asarray(stiffness, dtype=float)
     K = matrix if matrix.ndim == 2 else matrix * np.eye(2)
     return Contact("pad", "tip", GROUND, np.eye(3), friction, K, normal, preload)
+
+
+def creeping(seed: int) -> tuple[Contact, HarmonicMotion]:
+    """A contact and a motion; of the seeds `CREEPING` it creeps towards full stick, in 23 to 400 cycles."""
+    rng = np.random.default_rng(seed)
+    half = rng.normal(size=(2, 2))
+    friction, preload = rng.uniform(0.2, 0.8), rng.uniform(0.5, 1.5)
+    size, phase = (*rng.uniform(0.1, 1, 2), 0.5 * rng.integers(2) * preload), rng.uniform(0, TURN, 2)
+    return contact(half @ half.T / 2 + 0.3 * np.eye(2), friction, 1.0, preload), HarmonicMotion(*size, *phase)
 
 
 def slipping_pair(rng: np.random.Generator, full: bool) -> tuple[Contact, HarmonicMotion]:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from systems import contact, slipping_pair
+from systems import CREEPING, contact, creeping, slipping_pair
 from typer.testing import CliRunner
 
 from timesim.cli import app
@@ -22,6 +22,7 @@ from timesim.element.motion import CYCLE, HarmonicMotion, SplineMotion
 from timesim.element.state_by_state import steady_cycle
 from timesim.fault import SceneError
 from timesim.model.model import SEPARATION, SLIP, STICK
+from timesim.model.solver import Solver
 from timesim.orbit.extrapolation import limits
 from timesim.result.netcdf import open_result
 from timesim.study.element import summary
@@ -364,6 +365,21 @@ def test_map_carries_creep_to_its_limit():
     data = run(scene(study, friction=0.4))
     assert data.settled.all()
     assert int(data.cycles.max()) < 100
+
+
+def test_map_ends_creep_where_the_march_does():
+    """As state by state finds it: at the border of the offsets of full stick, not within."""
+    pairs = [creeping(seed) for seed in CREEPING]
+    law = np.array([(pad.friction, pad.normal_stiffness, pad.preload) for pad, _ in pairs]).T
+    angle = np.array([0.0, np.pi / 2])
+    path = np.array([motion.evaluate(angle)[0] for _, motion in pairs])  # sine and cosine parts: of rest, a quarter on
+    phasor = path[:, :, 1] + 1j * path[:, :, 0]
+    elements = harmonic_elements(*law, np.array([pad.tangential_stiffness for pad, _ in pairs]), phasor)
+    found = MapMarch(elements, np.zeros((len(pairs), 2)), Solver("tsit5", 1e-7, 1e-9)).run()
+    assert found["settled"].all()
+    assert found["offset_free"].all()
+    expected = [steady_cycle(*pair).coefficients.f_b for pair in pairs]
+    np.testing.assert_allclose((found["f_b"] - expected) / elements.force[:, None], 0.0, atol=1e-6)
 
 
 def test_limits_of_sequences():

@@ -20,6 +20,10 @@ from timesim.model.model import SEPARATION, SLIP, STICK
 PERIODIC = 1e-13
 GAUSS_NODES, GAUSS_WEIGHTS = legendre.leggauss(16)
 INTERVAL = 0.6
+# Cycles after which a leap is judged: the first one takes back what is across its way.
+JUDGED = 2
+# Share of its way that a leap beyond the limit is taken by instead.
+WITHDRAWN = 3 / 4
 
 
 @dataclass(frozen=True)
@@ -82,14 +86,13 @@ def in_phase(first: NDArray[np.complex128], phase: Array) -> tuple[Array, Array]
     return -turned.imag, turned.real
 
 
-def next_reach(reach: ArrayLike, residual: ArrayLike, best: ArrayLike) -> Array:
-    """Share of the way to an extrapolated limit to go next, where the last leap went the share ``reach``.
+def beyond(way: Array, change: Array) -> NDArray[np.bool_]:
+    """Whether a leap of friction forces went beyond their limit, as cycles after it do not go on in its direction.
 
-    Beyond the limit other slips may push it back, again and again: it goes half as far then. ``residual`` is the change
-    from cycle to cycle now, ``best`` that before the last leap.
+    There other slips push back, or none is left: among the offsets of full stick, on the border of which the march
+    ends. ``change`` is that of the force over a cycle; shapes (..., 2) [force].
     """
-    better = np.less(residual, (1 - np.divide(reach, 2)) * best)
-    return np.where(better, np.minimum(1.0, np.multiply(reach, 2)), np.divide(reach, 2))
+    return np.sum(np.multiply(way, change), axis=-1) <= 0
 
 
 def _ratio(force: Array, amplitude: Array) -> Array:
@@ -174,7 +177,8 @@ class ElementCycle:
         local = np.mod(np.asarray(theta, float), CYCLE)
         piece = np.searchsorted(start, local, side="right") - 1
         basis = legendre.legvander(2 * (local - start[piece]) / length[piece] - 1, NUM_STAGES)
-        return state[piece], np.moveaxis(slip[piece], -1, 0), np.sum(basis * series[piece], -1), local
+        direction = np.sum(basis * series[piece], -1).reshape(local.shape)  # legvander makes one angle an array of it
+        return state[piece], np.moveaxis(slip[piece], -1, 0), direction, local
 
     def state(self, theta: ArrayLike) -> NDArray[np.int64]:
         """State at angles of any shape [rad]: 0 stick, 1 slip, 2 separation."""

@@ -39,6 +39,11 @@ class Elements:
         return self.friction.size
 
     @property
+    def least_load(self) -> np.ndarray:
+        """Least normal load of a harmonic motion, below zero where the contact would have to pull, shape (N,)."""
+        return self.preload - self.normal_stiffness * np.hypot(self.start[:, 2], self.rate[:, 2])
+
+    @property
     def start_state(self) -> np.ndarray:
         """State at θ = 0, where f = 0 in contact, shape (N,)."""
         load = self.preload + self.normal_stiffness * self.start[:, 2]

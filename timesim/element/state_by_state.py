@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from timesim.element.cycle import PERIODIC, ElementCycle, Stay, Transition, next_reach
+from timesim.element.cycle import JUDGED, PERIODIC, WITHDRAWN, ElementCycle, Stay, Transition, beyond
 from timesim.element.motion import CYCLE, Array, PrescribedMotion
 from timesim.element.slip_path import VANISHED, Law, SlipPath, constant_path, contact_direction, integrate_slip
 from timesim.model.contact_state import contact_state, require_cone
@@ -24,10 +24,38 @@ ROUNDING = 1e-14
 MAX_TRANSITIONS = 400
 # Cycles after which the march is carried on to its limit, if it converges geometrically.
 MIN_FORCES = 7
+# Length of a leap, relative to the largest mu n, that is not withdrawn, and before which a contact that slips by as
+# little is at its full stick.
+SHORT = 1e-8
+# Work of slip, relative to the largest mu n and the amplitude, that is rounding.
+NO_WORK = 1e-11
 # A transition so near the end of the cycle [rad] belongs to the start of the next.
 SEAM = 1e-11
 # Angle [rad] after an extreme of the motion at which its rate has the direction of its second derivative.
 AHEAD = 1e-4
+
+
+@dataclass(frozen=True)
+class Leap:
+    """A way ahead of the march at theta = 0: from a spell and its friction force, by `way` [force]."""
+
+    origin: "Spell"
+    force: Array
+    way: Array
+
+    @property
+    def length(self) -> float:
+        """Of the way [force]."""
+        return float(np.hypot(*self.way))
+
+    def shortened(self) -> "Leap":
+        """The same by `WITHDRAWN` of its way."""
+        return replace(self, way=WITHDRAWN * self.way)
+
+    def taken(self, march: "March") -> tuple["Spell", list[Array]]:
+        """The spell at its end, and the friction force there, alone."""
+        spell = march.moved(self.origin, self.force + self.way)
+        return spell, [march.force(spell, 0.0)]
 
 
 @dataclass(frozen=True)
@@ -54,6 +82,8 @@ class Spell:
 def steady_cycle(contact: Contact, motion: PrescribedMotion, *, max_cycles: int = MAX_CYCLES) -> ElementCycle:
     """March a contact through the prescribed motion, state by state, until its cycle repeats to rounding.
 
+    One that creeps towards full stick comes to its border, and is given as full stick there.
+
     Of the contact friction, K_u, k_v and n0 are used; its points and frame are not. `ElementCycle.periodic` says
     whether the bound of the march sufficed.
 
@@ -64,27 +94,48 @@ def steady_cycle(contact: Contact, motion: PrescribedMotion, *, max_cycles: int 
     law = _law(contact)
     march = March(law, motion)
     spell = march.begin()
-    forces, history = [march.force(spell, 0.0)], []
-    before, reach, best = np.inf, 1.0, np.inf
+    forces, history, before, leap = [march.force(spell, 0.0)], [], np.inf, None
     for cycle in range(1, max_cycles + 1):
         state = spell.state
         stays, transitions, spell = march.cycle(spell)
         history += [replace(item, angle=item.angle + CYCLE * (cycle - 1)) for item in transitions]
         forces.append(march.force(spell, 0.0))
         residual = float(np.hypot(*(forces[-1] - forces[-2]))) / (march.largest or 1.0)
+        reached = ElementCycle(law, motion, tuple(stays), tuple(transitions), cycle, residual, tuple(history))
+        if leap is not None and len(forces) == JUDGED + 1:
+            if leap.length > SHORT * march.largest and beyond(leap.way, forces[-1] - forces[-2]):
+                leap = leap.shortened()
+                spell, forces = leap.taken(march)
+                continue
+            leap = None
         # A transition right at theta = 0 shows at the end of the first cycle only, as another state.
         settled = residual <= ROUNDING or (residual <= PERIODIC and residual > before / 2)
-        if settled and (spell.state == state or before <= PERIODIC):
-            break
+        if settled and leap is None and (spell.state == state or before <= PERIODIC):
+            return _stuck(reached) if _sticks(reached, NO_WORK) else reached
         before = residual
         if len(forces) < MIN_FORCES:
             continue
         (limit,), (leads,) = limits(np.array([forces[-4:]]))
         if leads:
-            reach, best = float(next_reach(reach, residual, best)), residual
-            spell = march.moved(spell, forces[-1] + reach * (limit - forces[-1]))
-            forces = [march.force(spell, 0.0)]
-    return ElementCycle(law, motion, tuple(stays), tuple(transitions), cycle, residual, tuple(history))
+            leap = Leap(spell, forces[-1], limit - forces[-1])
+            if leap.length <= SHORT * march.largest and _sticks(reached, SHORT):
+                return _stuck(reached)
+            spell, forces = leap.taken(march)
+    return reached
+
+
+def _sticks(cycle: ElementCycle, tolerance: float) -> bool:
+    """Whether the contact all but sticks: by its work of slip, relative to the largest mu n and the amplitude."""
+    states = {stay.state for stay in cycle.stays}
+    scale = cycle.largest_limit * np.hypot(*cycle.motion.amplitude)
+    return SEPARATION not in states and STICK in states and cycle.work <= tolerance * scale
+
+
+def _stuck(cycle: ElementCycle) -> ElementCycle:
+    """The same as full stick, as in the longest stay in it."""
+    stays = [stay for stay in cycle.stays if stay.state == STICK]
+    slip = max(stays, key=lambda stay: stay.stop - stay.start).slip
+    return replace(cycle, stays=(Stay(STICK, 0.0, CYCLE, slip),), transitions=(), residual=0.0)
 
 
 def _law(contact: Contact) -> Law:

@@ -13,13 +13,13 @@ from functools import partial
 import jax
 import numpy as np
 
-from timesim.element.cycle import in_phase, next_reach
+from timesim.element.cycle import JUDGED, WITHDRAWN, beyond, in_phase
 from timesim.element.elements import Elements, harmonic_elements
 from timesim.element.prescribed import CycleEnd, PrescribedContacts, cycle_end, drive_of, march_cycle
 from timesim.engine.method import step_method
 from timesim.engine.solver import step_control
 from timesim.model.contact_state import require_cone
-from timesim.model.model import SEPARATION
+from timesim.model.model import SEPARATION, SLIP
 from timesim.model.solver import Solver
 from timesim.orbit.extrapolation import limits, remaining
 from timesim.result.dataset import dataset
@@ -44,7 +44,8 @@ class MapMarch:
 
     Attributes:
         result: the present results, by the names of the result file: the coefficients of (19), shape (N, 2) [force],
-            the dissipation [force length], the transitions in the cycle, the cycles marched, whether it repeats.
+            the dissipation [force length], the transitions in the cycle, the cycles marched, whether it repeats, and
+            whether it sticks throughout, so that w, and with it f_b, may keep another offset.
     """
 
     def __init__(self, elements: Elements, phase: np.ndarray, solver: Solver):
@@ -57,20 +58,19 @@ class MapMarch:
         self.forces = np.full((count, 4, 2), np.nan)
         self.forces[:, -1] = elements.start_force(self.slip, self.state)
         self.since = np.zeros(count, dtype=int)
-        self.reach, self.best = np.ones(count), np.full(count, np.inf)
         pair = np.full((count, 2), np.nan)
+        # Of the last leap: the friction force and the state before it, and the change of the force.
+        self.origin, self.origin_state, self.way = pair.copy(), self.state.copy(), pair.copy()
         self.result: dict[str, np.ndarray] = {name: pair.copy() for name in ("f_b", "f_s", "f_c")}
         self.result["dissipation"] = np.full(count, np.nan)
         self.result |= {name: np.zeros(count, dtype=int) for name in ("transitions", "cycles")}
-        self.result["settled"] = np.zeros(count, dtype=bool)
+        self.result |= {name: np.zeros(count, dtype=bool) for name in ("settled", "offset_free")}
 
     def run(self, progress: Progress = unwatched, max_cycles: int = MAX_CYCLES) -> dict[str, np.ndarray]:
         """March until every cycle repeats, at most `max_cycles` cycles."""
         # The stiffness relative to the least limit of friction sets the steps; elements alike in it share a batch.
         stiffness = np.linalg.norm(self.elements.stiffness, axis=(1, 2))
-        swing = np.hypot(self.elements.start[:, 2], self.elements.rate[:, 2])
-        least = self.elements.preload - self.elements.normal_stiffness * swing
-        load = np.maximum(least * self.elements.friction, 0.02)
+        load = np.maximum(self.elements.least_load * self.elements.friction, 0.02)
         waiting = np.argsort(stiffness / load)
         done = self.elements.size
         with threads() as pool:
@@ -117,21 +117,37 @@ class MapMarch:
         settled = same & (rounding | (left <= self.tolerance)) & reached.good
         self.slip[rows], self.state[rows] = reached.slip, reached.state
         self.forces[rows], self.since[rows] = history, self.since[rows] + 1
+        far = (np.linalg.norm(self.way[rows], axis=1) > self.tolerance) & reached.good
+        back = far & (self.since[rows] == JUDGED) & beyond(self.way[rows], history[:, -1] - history[:, -2])
+        settled &= ~back & ~(far & (self.since[rows] < JUDGED))
         self.result["settled"][rows] = settled
-        self._leap(rows[~settled & (self.since[rows] >= HISTORY) & (reached.state != SEPARATION)])
+        self.result["offset_free"][rows] = settled & self._sticks(rows, reached)
+        self.way[rows[back]] *= WITHDRAWN
+        self._move(rows[back])
+        self._leap(rows[~settled & ~back & (self.since[rows] >= HISTORY) & (reached.state != SEPARATION)])
         return ~settled & reached.good
+
+    def _sticks(self, rows: np.ndarray, reached: CycleEnd) -> np.ndarray:
+        """Which never separate and all but stick: their work of slip is below the tolerance."""
+        elements = self.elements.pick(rows)
+        work = reached.dissipation / (elements.length * elements.force)
+        return (elements.least_load > 0) & (elements.friction > 0) & (work <= self.tolerance)
 
     def _leap(self, rows: np.ndarray) -> None:
         """Set the friction force at θ = 0 to the limit extrapolated from its last changes."""
         limit, leads = limits(self.forces[rows])
         rows, limit = rows[leads], limit[leads]
-        residual = np.hypot(*(self.forces[rows, -1] - self.forces[rows, -2]).T)
-        self.reach[rows], self.best[rows] = next_reach(self.reach[rows], residual, self.best[rows]), residual
-        last = self.forces[rows, -1]
-        force = last + self.reach[rows, None] * (limit - last)
+        self.origin[rows], self.origin_state[rows] = self.forces[rows, -1], self.state[rows]
+        self.way[rows] = limit - self.origin[rows]
+        self._move(rows)
+
+    def _move(self, rows: np.ndarray) -> None:
+        """Set the friction force at θ = 0 to the end of the last leap, of the size mu n in slip, else at most that."""
+        force, self.state[rows] = self.origin[rows] + self.way[rows], self.origin_state[rows]
         elements = self.elements.pick(rows)
         load = elements.friction * (elements.preload + elements.normal_stiffness * elements.start[:, 2])
-        force /= np.maximum(np.hypot(*force.T) / load, 1.0)[:, None]
+        share = np.hypot(*force.T) / load
+        force /= np.where(self.state[rows] == SLIP, share, np.maximum(share, 1.0))[:, None]
         elastic = np.linalg.solve(elements.stiffness, force[..., None])[..., 0]
         self.slip[rows] = elements.start[:, :2] - elastic
         self.forces[rows] = np.nan
@@ -172,6 +188,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     if lost.any() and reason is None:
         of_all = f"{lost.sum()} of {counted(elements.size, 'point')}"
         reason = f"the event loop ended early at {of_all}, NaN in the result"
+    stuck = int(np.sum(result["offset_free"]))
     coords = {MAP_AXES[key]: np.array(plan.values[key]) for key in plan.axes}
     variables = {
         name: ((*coords, "tangent")[: 1 + array.ndim], array.reshape(*map(len, coords.values()), *array.shape[1:]))
@@ -183,5 +200,6 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         f"{counted(elements.size, 'point')} by {solver} {took(about)}",
         f"cycles to the steady one: {np.median(result['cycles']):.0f} in the median, {result['cycles'].max()} at most",
         *([f"{counted(creeping, 'point')} still creeping after {MAX_CYCLES} cycles (settled = 0)"] if creeping else []),
+        *([f"{counted(stuck, 'point')} in full stick: f_b there is that of a start with f = 0"] if stuck else []),
     )
     return Outcome({"": record}, reason, lines)
