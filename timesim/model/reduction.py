@@ -119,6 +119,14 @@ def reduction_of(
     return Reduction(model, modes, live, stuck, apart, line, findings)
 
 
+def keeps_states(model: Model, frequency: float) -> bool:
+    """Whether it is proven that no contact ever leaves the state it starts in, at one base frequency [Hz]."""
+    if any(contact.law != CONE for contact in model.contacts):
+        return False
+    scene, omega = _normalised(model), 2 * np.pi * frequency
+    return all(_proof(scene, part, omega) for part in _parts(scene) if part.contacts.size)
+
+
 @dataclass(frozen=True, eq=False)
 class _Scene:
     """A model with unit modal masses.

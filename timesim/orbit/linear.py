@@ -13,7 +13,7 @@ import numpy as np
 
 from timesim.engine.system import Point, System
 from timesim.model.model import CONE, SEPARATION, SLIP
-from timesim.model.reduction import Reduction, reduction_of
+from timesim.model.reduction import Reduction, keeps_states, reduction_of
 from timesim.model.solver import Solver
 from timesim.orbit.fourier import HARMONICS, half_range
 from timesim.orbit.lane import Lane
@@ -84,9 +84,9 @@ def _rates(K: np.ndarray, D: np.ndarray) -> np.ndarray:
 def proven_orbit(lane: Lane, solver: Solver) -> Orbit | None:
     """The steady state of a lane in which no contact will ever leave its state from now on; None without a proof."""
     model = replace(lane.model, start=lane.start())
-    reduction = reduction_of(model, [lane.frequency], reduce=solver.reduce)
-    if reduction.live.size:
+    if not solver.reduce or not keeps_states(model, lane.frequency):
         return None
+    reduction = reduction_of(model, [lane.frequency])
     return linear_orbit(Lane.begin(model, reduction, lane.frequency, solver, model.start))
 
 

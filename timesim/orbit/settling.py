@@ -142,7 +142,7 @@ def _held(search: Search, solver: Solver, *, may_shoot: bool) -> Search:
     orbit = proven_orbit(search.lane, solver)
     if orbit is not None:
         return replace(search, task=Task.DONE, orbit=replace(orbit, cycles=search.cycles))
-    search = replace(search, next_held=threshold.LATER * search.cycles)
+    search = replace(search, next_held=threshold.NEXT_PROOF * search.cycles)
     steady = held_lane(search.lane, solver) if may_shoot else None
     return search if steady is None else replace(search, task=Task.SHOOT, shot=Shot(steady, held=True))
 

@@ -44,6 +44,9 @@ fallen by less than this, for even that of a creeping contact falls by more."""
 LATER = 1.5
 """Cycles before the next attempt, as a multiple of those so far: a motion that never repeats costs little to shoot
 beside what it costs to march."""
+NEXT_PROOF = 3.0
+"""Cycles before the next proof that no contact leaves its state, as a multiple of those so far: it takes a third of a
+round of marching, and fails as long as the free vibration could still move a contact."""
 REACH = 0.5
 """Longest step, relative to the state: a longer one leaves the neighbourhood in which the linear map is valid."""
 SHORTER, SHORTEST_SHARE = 0.25, 1 / 64
