@@ -106,6 +106,24 @@ def test_periods_of_sequences():
     assert recurrence_of(still + (1e-6 * 0.3**cycles)[:, None], 1e-8).period == 1
 
 
+def test_an_alternation_counts_from_thirty_times_the_tolerance():
+    """A smaller one may be the end of a beat that decays: it neither repeats after one cycle nor after two."""
+    cycles = np.arange(2 * CYCLES_A_ROUND)
+    alternation = 1 + np.stack([cycles % 2] * 3, axis=1) * np.array([1.0, 0.5, 0.2])
+    for times, period in ((0.5, 1), (2, 0), (25, 0), (40, 2)):
+        assert recurrence_of(1 + times * 1e-8 * (alternation - 1), 1e-8).period == period
+
+
+def test_rounding_is_at_rest():
+    """A change of rounding does not fall any more: what is left is of its size, not what its ratio leads to."""
+    cycles = np.arange(2 * CYCLES_A_ROUND)
+    for change in (2e-14, 5e-14):
+        for returns in (1 + change * (cycles % 2), 1 + change * cycles):
+            seen = recurrence_of(returns[:, None], 1e-8)
+            assert seen.period == 1
+            assert 0 < seen.left <= 1e-13
+
+
 def test_a_decaying_vibration_is_no_multiple_period():
     """It nearly repeats after three cycles, by then within the tolerance; one that stays does repeat after three."""
     cycles = np.arange(200)
