@@ -6,7 +6,7 @@ lower motion lives to 1.2560 Hz and is gone at 1.2561, the upper one to 1.2511 a
 """
 
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -410,21 +410,66 @@ def test_a_motion_is_lost_once_in_a_step(low: float, high: float):
     assert ends == ([1.25, 1.5] if high > 1.5 else pytest.approx([high, high], abs=1e-6))
 
 
-@pytest.mark.parametrize("high", [1.38, 1.44, 1.56, 1.7, 1.9])
-@pytest.mark.parametrize("longest", [0.01, 0.07, 0.1, 0.13])
-def test_a_motion_lost_by_halving_is_followed(longest: float, high: float):
-    """Motion 0 is lost by steps longer than `longest`, also by those that halve a step, and truly at `high`."""
-    toy = two_branches(-np.inf, high, slope=0.0)
+Carried = Callable[[float, float, Sequence[float]], Iterator[Orbit]]
+
+
+def stepping(toy: Branches, lands: Callable[[float, float, float], float]) -> tuple[SteadyStates, Carried]:
+    """Motions that depend on the steps: ``lands`` is the number of that to which one at a frequency is carried.
+
+    From (number, last frequency, next frequency); below zero the steady state is not found. Also the orbits along
+    frequencies from such a motion on.
+    """
 
     def steady(chains: Sequence[Chain]) -> list[list[Orbit]]:
         return [list(carried(*chain.model.start.displacement, chain.frequencies)) for chain in chains]
 
     def carried(branch: float, last: float, frequencies: Sequence[float]) -> Iterator[Orbit]:
         for frequency in frequencies:
-            orbit = toy.orbit(1 if abs(frequency - last) > longest else branch, frequency)
+            number = lands(branch, last, frequency)
+            orbit = toy.orbit(max(number, 0), frequency)
             branch, last = orbit.end.displacement[0], frequency
-            yield replace(orbit, end=replace(orbit.end, displacement=np.array([branch, frequency])))
+            end = replace(orbit.end, displacement=np.array([branch, frequency]))
+            yield replace(orbit, end=end, reason="no steady state" if number < 0 else None)
 
+    return steady, carried
+
+
+def test_a_motion_that_is_carried_to_a_third_one_is_lost():
+    """Beyond 1.7 steps lead from motion 0 to 3, those up to 0.1 to 2, which is as far from it as most of the way."""
+    toy = Branches(*[(-np.inf, np.inf)] * 4, slope=0.0)
+
+    def lands(branch: float, last: float, frequency: float) -> float:
+        lost = branch == 0 and frequency > 1.7
+        return (2 if frequency - last <= 0.1 else 3) if lost else branch
+
+    steady, carried = stepping(toy, lands)
+    (on,), (beyond,) = carried(0, 1.0, [1.0]), carried(3, 2.0, [2.0])
+    step = Stretch(oscillator(2.0, 1.0), 1.0, 2.0, on, beyond, least=0.05)
+    assert list(jumps_of([step], steady, 1 / 16)) == [(0, 1.6875, 1.75)]
+
+
+@pytest.mark.parametrize("carries", [0.3, 0.6])
+def test_a_step_whose_middle_has_no_steady_state_is_halved_no_further(carries: float):
+    """Between 1.6 and 1.9 none is found: the jump is in the half from 1.5 on, if a step of its length jumps or not."""
+    toy = Branches(*[(-np.inf, np.inf)] * 2, slope=0.0)
+
+    def lands(branch: float, last: float, frequency: float) -> float:
+        if 1.6 < frequency < 1.9:
+            return -1
+        return 1 if frequency - last > carries and frequency > 1.6 else branch
+
+    steady, carried = stepping(toy, lands)
+    (on,), (beyond,) = carried(0, 1.0, [1.0]), carried(1, 2.0, [2.0])
+    step = Stretch(oscillator(2.0, 1.0), 1.0, 2.0, on, beyond, least=0.05)
+    assert list(jumps_of([step], steady, 1e-3)) == [(0, 1.5, 2.0)]
+
+
+@pytest.mark.parametrize("high", [1.38, 1.44, 1.56, 1.7, 1.9])
+@pytest.mark.parametrize("longest", [0.01, 0.07, 0.1, 0.13])
+def test_a_motion_lost_by_halving_is_followed(longest: float, high: float):
+    """Motion 0 is lost by steps longer than `longest`, also by those that halve a step, and truly at `high`."""
+    toy = two_branches(-np.inf, high, slope=0.0)
+    steady, carried = stepping(toy, lambda branch, last, frequency: 1 if abs(frequency - last) > longest else branch)
     (on,), (beyond,) = carried(0, 1.25, [1.25]), carried(1, 1.75, [1.75])
     step = Stretch(oscillator(2.0, 1.0), 1.25, 1.75, on, beyond, least=0.05)
     ((_, low, far),) = jumps_of([step], steady, 1e-3)
