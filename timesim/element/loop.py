@@ -31,6 +31,10 @@ TOUCH = 1e-5
 """The same of a contact between two separations, of which n rises to 1e-11 of its amplitude at most: a gap of exactly
 the amplitude closes for as long as a margin of 1e-12 takes."""
 
+STILL = 1e-8
+"""Work of slip in a cycle, relative to mu n times the size of the motion, up to which it is what is left of a creep to
+full stick."""
+
 
 @dataclass(frozen=True)
 class LoopCycle:
@@ -119,7 +123,11 @@ def transitions(steps: Step, count: int) -> tuple[Transition, ...]:
 
 def difference(cycle: ElementCycle, other: LoopCycle) -> Difference:
     """How far two results for the same contact and motion are apart."""
+    load = cycle.largest_limit or 1.0
+    reach = np.hypot(*cycle.motion.amplitude) or 1.0
     first, second = (_lasting(c.transitions) for c in (cycle, other))
+    if cycle.offset_free and abs(other.dissipation) <= STILL * load * reach:
+        second = [item for item in second if SEPARATION in (item.before, item.after)]
     # One right at the seam may stand at either end of the list.
     turns = range(-1, 2) if len(first) == len(second) else ()
     options = [
@@ -130,8 +138,6 @@ def difference(cycle: ElementCycle, other: LoopCycle) -> Difference:
     ours = cycle.coefficients
     pairs = [(ours.f_s, other.f_s), (ours.f_c, other.f_c)]
     pairs += [] if cycle.offset_free else [(ours.f_b, other.f_b)]
-    load = cycle.largest_limit or 1.0
-    reach = np.hypot(*cycle.motion.amplitude) or 1.0
     return Difference(
         bool(options),
         min(options, default=np.nan),

@@ -171,7 +171,10 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "force_sin": ("sine part of the friction force's harmonic", "force"),
     "friction_work": ("work of the friction force on the slip in a cycle", "force*length"),
     "transitions": ("transitions in the cycle", "1"),
-    "offset_free": ("1 where the contact sticks throughout: w, and with it f_b, may keep another offset", None),
+    "offset_free": (
+        "1 where the contact sticks throughout, or all but: w, and with it f_b, may keep another offset",
+        None,
+    ),
     "principal_f_b": ("mean friction force along the principal axes, the major one first", "force"),
     "principal_f_s": ("friction force in phase with the displacement along the principal axes", "force"),
     "principal_f_c": ("friction force in phase with the velocity along the principal axes", "force"),
