@@ -36,29 +36,6 @@ AHEAD = 1e-4
 
 
 @dataclass(frozen=True)
-class Leap:
-    """A way ahead of the march at theta = 0: from a spell and its friction force, by `way` [force]."""
-
-    origin: "Spell"
-    force: Array
-    way: Array
-
-    @property
-    def length(self) -> float:
-        """Of the way [force]."""
-        return float(np.hypot(*self.way))
-
-    def shortened(self) -> "Leap":
-        """The same by `WITHDRAWN` of its way."""
-        return replace(self, way=WITHDRAWN * self.way)
-
-    def taken(self, march: "March") -> tuple["Spell", list[Array]]:
-        """The spell at its end, and the friction force there, alone."""
-        spell = march.moved(self.origin, self.force + self.way)
-        return spell, [march.force(spell, 0.0)]
-
-
-@dataclass(frozen=True)
 class Spell:
     """What the contact is about to do at an angle.
 
@@ -77,6 +54,29 @@ class Spell:
     slip: Array
     direction: float = 0.0
     separation: float = np.inf
+
+
+@dataclass(frozen=True)
+class Leap:
+    """A way ahead of the march at theta = 0: from a spell and its friction force, by `way` [force]."""
+
+    origin: Spell
+    force: Array
+    way: Array
+
+    @property
+    def length(self) -> float:
+        """Of the way [force]."""
+        return float(np.hypot(*self.way))
+
+    def shortened(self) -> "Leap":
+        """The same by `WITHDRAWN` of its way."""
+        return replace(self, way=WITHDRAWN * self.way)
+
+    def taken(self, march: "March") -> tuple[Spell, list[Array]]:
+        """The spell at its end, and the friction force there, alone."""
+        spell = march.moved(self.origin, self.force + self.way)
+        return spell, [march.force(spell, 0.0)]
 
 
 def steady_cycle(contact: Contact, motion: PrescribedMotion, *, max_cycles: int = MAX_CYCLES) -> ElementCycle:
