@@ -48,7 +48,7 @@ FINEST = Solver("dopri8", 1e-13, 1e-15)
 LANES = 64
 SIDE_BY_SIDE = f", {LANES} side by side"
 FEW_MODES = 4
-"""Structures of which lanes are run side by side, as a sweep runs them; of larger ones a core takes them in turn."""
+"""Most modes of structures of which lanes are run side by side; of larger ones a core takes them in turn."""
 
 
 class Entry(NamedTuple):
