@@ -48,7 +48,7 @@ class MapMarch:
     Attributes:
         result: the present results, by the names of the result file: the coefficients of (19), shape (N, 2) [force],
             the dissipation [force length], the transitions in the cycle, the cycles marched, whether it repeats, and
-            whether it sticks throughout, so that w, and with it f_b, may keep another offset.
+            whether it sticks throughout, or all but, so that w, and with it f_b, may keep another offset.
     """
 
     def __init__(self, elements: Elements, phase: np.ndarray, solver: Solver):
@@ -136,7 +136,7 @@ class MapMarch:
         return ~settled & reached.good
 
     def _sticks(self, rows: np.ndarray, reached: CycleEnd) -> np.ndarray:
-        """Which never separate and all but stick, so that f_b is known but by the history of rounding."""
+        """Which never separate and all but stick: the errors of the steps decide where on the border f_b ends."""
         elements = self.elements.pick(rows)
         work = reached.dissipation / (elements.length * elements.force)
         return (elements.least_load > 0) & (elements.friction > 0) & (work <= ALMOST_STUCK)
@@ -213,7 +213,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         ),
         *([f"{counted(creeping, 'point')} still creeping after {MAX_CYCLES} cycles (settled = 0)"] if creeping else []),
         *(
-            [f"{counted(stuck, 'point')} in full stick, or all but: f_b there is that of a start with f = 0"]
+            [f"{counted(stuck, 'point')} in full stick, or all but: f_b there depends on the start, here f = 0"]
             if stuck
             else []
         ),
