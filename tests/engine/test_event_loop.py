@@ -17,7 +17,7 @@ from oracle import OracleResult
 from oracle import simulate as consult
 from oracle_traps import double_crossing_truth, earliest_event_truth, separates, slips
 from simulation import FINE, Trace, relative_error, shares, simulate
-from systems import GENERATED_CYCLES, generated_models, oscillator
+from systems import GENERATED_CYCLES, generated_model, generated_models, oscillator
 
 import timesim
 from timesim.engine import dense_output as hermite
@@ -565,6 +565,16 @@ def test_nothing_compiles_anew() -> None:
     jax.clear_caches()
     assert compilations(lambda: simulate(oscillator(3.0, 1.39), 1, FINE)) > 0
     assert fresh >= 0
+
+
+def test_structures_of_nearly_as_many_modes_share_what_is_compiled() -> None:
+    """9 and 10 modes take one program; with 11 it is another."""
+    models = {num: whole_damping(generated_model(1, num, 1)) for num in (9, 10, 11)}
+    simulate(models[10], 1, FINE)
+    assert compilations(lambda: simulate(models[9], 1, FINE)) == 0
+    jax.clear_caches()
+    assert compilations(lambda: simulate(models[9], 1, FINE)) > 0
+    assert compilations(lambda: simulate(models[11], 1, FINE)) > 0
 
 
 def test_device_memory_does_not_grow() -> None:

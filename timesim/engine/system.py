@@ -78,8 +78,14 @@ WIDE = 100
 """Entries of the matrix of contacts and modes from which on 16 trajectories take longer side by side: measured."""
 
 
+IDLE_DAMPING = 2.0
+"""Damping of modes that are not those of the model, whose stiffness is 1: critical."""
+
+
 class System(Dynamics):
     """A model at one frequency, dimensionless. Leaves only: what changes between runs needs no new compilation.
+
+    Modes beyond those of the model, see `room_of`, are at rest: neither a force nor a contact moves them.
 
     Attributes:
         law: parameters of the contacts.
@@ -196,18 +202,45 @@ def system_of(model: Model, frequency: float, phase: float = 0.0, reduction: Red
     shape = np.concatenate([np.einsum("cax,cam->cxm", axes, shape[:, :2]), shape[:, 2:]], axis=1)
     rows = [*np.moveaxis(shape, 1, 0), excited.cosine[:, modes] / push, excited.sine[:, modes] / push]
     rows.append(excited.constant[modes] / push)
-    *shape, cosine, sine, constant = rows if turn is None else [row @ turn for row in rows]
+    rows = rows if turn is None else [row @ turn for row in rows]
+    rows[-1] = rows[-1] + held_force(reduction, scales)
+    *shape, cosine, sine, constant = [widened(row, reduction) for row in rows]
+    damping, idle = widened(_damping(model, modes, turn) / scales.omega, reduction), slice(modes.size, None)
+    if damping.ndim == 2:
+        damping = widened(damping.T, reduction).T
+        damping[idle, idle] = IDLE_DAMPING * np.eye(room_of(reduction) - modes.size)
+    else:
+        damping[idle] = IDLE_DAMPING
+    stiffness = widened((omega / scales.omega) ** 2, reduction)
+    stiffness[idle] = 1.0
     return System(
         law=law_class(live).of(live, scales, axes),
         shape=tuple(shape),
-        stiffness=(omega / scales.omega) ** 2,
-        damping=_damping(model, modes, turn) / scales.omega,
+        stiffness=stiffness,
+        damping=damping,
         harmonic=np.asarray(excited.harmonic, dtype=float),
         cosine=cosine,
         sine=sine,
-        constant=constant + held_force(reduction, scales),
+        constant=constant,
         phase=np.asarray(phase, dtype=float),
     )
+
+
+def room_of(reduction: Reduction) -> int:
+    """Modes that a system has room for, four sizes an octave or fewer: 1, 2, 3, 4, 6, 8, 10, 12, 14, 16, 20, ...
+
+    So structures of nearly as many modes share what is compiled. Where no contact is left nothing is.
+    """
+    num = reduction.modes.size
+    step = max(2 ** (num.bit_length() - 3), 2) if num > 4 and reduction.live.size else 1
+    return -(-num // step) * step
+
+
+def widened(row: np.ndarray, reduction: Reduction) -> np.ndarray:
+    """Numbers of each mode along the last axis, and zero for those that a system has room for beyond them."""
+    whole = np.zeros((*row.shape[:-1], room_of(reduction)))
+    whole[..., : row.shape[-1]] = row
+    return whole
 
 
 def _push(model: Model, modes: np.ndarray, scales: Scales) -> np.ndarray:

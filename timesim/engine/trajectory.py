@@ -23,7 +23,7 @@ from timesim.engine.solver import step_control
 from timesim.engine.status import RunError, Status, message_of
 from timesim.engine.step import PERIOD, Trajectory
 from timesim.engine.step import Step as LoopStep
-from timesim.engine.system import Point, System, Work, contact_axes, held_force, system_of
+from timesim.engine.system import Point, System, Work, contact_axes, held_force, system_of, widened
 from timesim.model.contact_state import contact_loads, slip_follows_motion
 from timesim.model.model import SEPARATION, STICK, Model, Start
 from timesim.model.reduction import Reduction, reduction_of
@@ -177,7 +177,7 @@ class Frame:
         self.model, self.reduction = model, reduction
         self.scales: Scales = scales_of(model, frequency)
         self.axes = contact_axes(model, reduction)
-        self.turn, self.held = reduction.natural[1], held_force(reduction, self.scales)
+        self.turn, self.held = reduction.natural[1], widened(held_force(reduction, self.scales), reduction)
 
     def begin(self, system: System, run: Run, first_step: float, *, work: bool = True) -> Trajectory:
         """The loop's trajectory from the present state of a run, with or without its energies."""
@@ -192,7 +192,7 @@ class Frame:
         p = start.velocity[modes] / (scales.mode[modes] * scales.omega)
         q, p = (q, p) if self.turn is None else (q @ self.turn, p @ self.turn)
         w = np.einsum("cax,ca->xc", self.axes, start.slip[live]) / scales.length
-        return Point(q, p, tuple(w), None), start.state[live]
+        return Point(widened(q, self.reduction), widened(p, self.reduction), tuple(w), None), start.state[live]
 
     def start(self, point: Point, state: np.ndarray, phase: float) -> Start:
         """The inverse of `point`; what the loop does not know is as in the model's own start."""
@@ -206,14 +206,15 @@ class Frame:
 
     @property
     def shape(self) -> np.ndarray:
-        """Displacements in the units of the scene for unit dimensionless modal displacements, shape (3P, M)."""
+        """Displacements in the units of the scene for unit dimensionless modal displacements of a system, (3P, M)."""
         structure, modes = self.model.structure, self.reduction.modes
         shape = structure.shape.reshape(-1, structure.num_modes)[:, modes] * self.scales.mode[modes]
-        return shape if self.turn is None else shape @ self.turn
+        return widened(shape if self.turn is None else shape @ self.turn, self.reduction)
 
     def modal(self, x: np.ndarray, unit: float = 1.0) -> np.ndarray:
         """Modal displacements of the scene, or rates of them where a unit of time is given."""
         modes, num = self.reduction.modes, self.model.structure.num_modes
+        x = x[..., : modes.size]
         own = (x if self.turn is None else x @ self.turn.T) * (self.scales.mode[modes] * unit)
         if modes.size == num:
             return own

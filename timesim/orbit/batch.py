@@ -107,6 +107,7 @@ def record(
     for lane, num, (now, steps), slope in zip(lanes, num_cycles, ends, slopes, strict=True):
         end = lane.after(now)
         slope = np.where(end.apart[:, None] | lane.apart, 0.0, slope)
+        slope[lane.idle] = np.eye(len(slope))[lane.idle]
         done.append(Recorded(lane, end, num, bool(now.cycle >= num), steps, slope))
     return done
 

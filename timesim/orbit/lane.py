@@ -90,6 +90,12 @@ class Lane:
         return np.concatenate([quiet, np.tile(state == SEPARATION, len(point.w))])
 
     @property
+    def idle(self) -> np.ndarray:
+        """Entries of the state vector that are of no mode of the model, see `timesim.engine.system.room_of`."""
+        room, num = self.here.point.q.size, self.reduction.modes.size
+        return np.flatnonzero(np.tile(np.arange(room) >= num, 2))
+
+    @property
     def vector(self) -> np.ndarray:
         """(q, q', w) as one vector; w of a separated contact, which is u, counts as 0."""
         return np.where(self.apart, 0.0, vector_of(self.here.point, np))
@@ -125,7 +131,8 @@ class Recorded:
         cycles: how many.
         complete: whether all of them were done.
         steps: of which they are made up, numpy arrays, the first axis that of the steps.
-        slope: derivative of the state vector at the end by that at the start; it may overflow.
+        slope: derivative of the state vector at the end by that at the start, of idle modes as if they stayed where
+            they are; it may overflow.
     """
 
     start: Lane
@@ -145,7 +152,7 @@ class Recorded:
 
     @property
     def _moves(self) -> np.ndarray:
-        """Which entries of the state vector change over the cycles: all but the offsets of stuck contacts."""
+        """Which entries of the state vector change over the cycles: all but offsets of stuck contacts and idle modes."""
         return ~np.all(self.slope == np.eye(len(self.slope)), axis=1)
 
     @property

@@ -29,7 +29,7 @@ def linear_orbit(lane: Lane) -> Orbit | None:
     system, here = lane.system, lane.here
     if here.state.size:
         return None
-    K, D = _matrices(system)
+    K, D = _matrices(lane)
     rates = _rates(K, D)
     if not np.all(rates.real < -ROUNDING * np.abs(rates).max()):
         return None
@@ -62,7 +62,7 @@ def linear_orbit(lane: Lane) -> Orbit | None:
 
 def slowest_decay(lane: Lane) -> float:
     """Least decay of a free motion over a cycle, of the logarithm of its amplitude; friction adds to it."""
-    K, D = _matrices(lane.system)
+    K, D = _matrices(lane)
     rates = _rates(K, D)
     moves = np.abs(rates) > ROUNDING * np.abs(rates).max()  # a free body stays where it is
     rings = 0.5 * np.linalg.eigvalsh(0.5 * (D + D.T))[0]
@@ -70,10 +70,11 @@ def slowest_decay(lane: Lane) -> float:
     return float(2 * np.pi * np.min(-rates.real, initial=rings, where=moves))
 
 
-def _matrices(system: System) -> tuple[np.ndarray, np.ndarray]:
-    """K and D, shape (M, M)."""
-    K, D = np.diag(system.stiffness), np.asarray(system.damping)
-    return K, np.diag(D) if D.ndim == 1 else D
+def _matrices(lane: Lane) -> tuple[np.ndarray, np.ndarray]:
+    """K and D of the modes kept, shape (M, M)."""
+    system, own = lane.system, slice(lane.reduction.modes.size)
+    D = np.asarray(system.damping)
+    return np.diag(system.stiffness[own]), np.diag(D[own]) if D.ndim == 1 else D[own, own]
 
 
 def _rates(K: np.ndarray, D: np.ndarray) -> np.ndarray:
