@@ -152,7 +152,7 @@ class Recorded:
 
     @property
     def _moves(self) -> np.ndarray:
-        """Which entries of the state vector change over the cycles: all but offsets of stuck contacts and idle modes."""
+        """Which entries of the state vector change over the cycles: all but free offsets and idle modes."""
         return ~np.all(self.slope == np.eye(len(self.slope)), axis=1)
 
     @property
