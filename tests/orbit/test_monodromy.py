@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import zoo
 from systems import at_rest, excitation, generated_model, oscillator, pad, structure
 
 from timesim.model.model import SEPARATION, SLIP, STICK, Model
@@ -27,12 +28,20 @@ def straight() -> Model:
     return Model(body, (pad(0.5, 20.0, 20.0, 3.0),), excitation(1.2, [5.0, 2.0], [0.0, 0.0]), at_rest(2, 1))
 
 
+def stiff() -> Model:
+    """A contact whose direction of slip explicit steps do not resolve: see `test_shooting`."""
+    model, base = zoo.structure(425, (2e-2, 0.3), (3, 1))
+    load = replace(model.excitation, frequency=0.6 * base, cosine=8 * np.abs(model.excitation.cosine))
+    return replace(model, excitation=load)
+
+
 @pytest.mark.parametrize(
     ("method", "model"),
     [
         pytest.param("tsit5", generated_model(5, 4, 2), id="4x2", marks=pytest.mark.slow),
         pytest.param("rk4", coupled(generated_model(9, 2, 1)), id="coupled"),
         pytest.param("tsit5", straight(), id="straight"),
+        pytest.param("tsit5", stiff(), id="stiff"),
         pytest.param("dopri8", oscillator(-1.0, 0.97), id="opens", marks=pytest.mark.slow),
     ],
 )

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import zoo
 from simulation import after_a_cycle, simulate
 from systems import at_rest, excitation, generated_model, oscillator, pad, structure
 
@@ -128,6 +129,28 @@ def test_multipliers_are_those_of_the_return_map(case, solver):
     found[: exact.multipliers.size] = exact.multipliers
     np.testing.assert_allclose(np.abs(found), np.abs(expected), atol=1e-6)
     np.testing.assert_allclose(exact.slope, slope, atol=3e-6 * max(1, np.abs(exact.slope).max()))
+
+
+def sliding_fast(seed, share):
+    """A generated stiff contact that slides fast under little load; at a share of the first natural frequency."""
+    model, base = zoo.structure(seed, (2e-2, 0.3), (3, 1))
+    load = replace(model.excitation, frequency=share * base, cosine=8 * np.abs(model.excitation.cosine))
+    return replace(model, excitation=load)
+
+
+@pytest.mark.parametrize("method", ["tsit5", "dopri8"])
+@pytest.mark.parametrize("case", [(413, 0.5), (420, 1.1), (425, 0.6)], ids=str)
+def test_multipliers_where_an_explicit_step_does_not_resolve_the_direction_of_slip(case, method):
+    """Each such step would multiply a disturbance of it, up to 1e15 times in a cycle; truth by differences."""
+    fine = Solver("exponential", 1e-11, 1e-13)
+    lane, orbit = settled_lane(sliding_fast(*case), fine)
+    assert partly(orbit)[0]
+    expected = np.abs(np.linalg.eigvals(differences(lane, fine, reach=1e-6)))
+    found = np.zeros(expected.size)
+    solver = Solver(method, 1e-7, 1e-9)
+    own = np.abs(record([lane.at(lane.frequency, orbit.end, solver)], solver, [1])[0].multipliers)
+    found[: own.size] = own
+    np.testing.assert_allclose(found, np.sort(expected)[::-1], rtol=0, atol=1e-4)
 
 
 def test_a_stuck_offset_is_free_and_left_alone():

@@ -78,6 +78,7 @@ def _ending(system: System, step: Step, motion: Motion, w: Plane) -> Float[Array
 
 def _image(method: Method, system: System, step: Step, start: Float[Array, " state"]) -> Float[Array, " state"]:
     """Where a start close to that of the step is led to, at the fixed time of its end."""
+    system = _felt(method, system, step)
     point = point_of(start, step.start)
     rate = system.field(step.state, step.time, point)
     end = vector_of(method.advance(system, step.state, step.time, point, rate, step.h).point)
@@ -150,6 +151,14 @@ class Linear(eqx.Module):
     after: Float[Array, " state"]
 
 
+def _felt(method: Method, system: System, step: Step) -> System:
+    """The system as a step of an explicit method follows it with a disturbance."""
+    if not isinstance(method, Explicit | Looped):
+        return system
+    ends = [(system.motion(point), point.w) for point in (step.start, step.end)]
+    return eqx.tree_at(lambda s: s.law, system, system.law.disturbed(step.h, ends))
+
+
 def weights_of(own: Tableau) -> np.ndarray:
     """Weights of the slopes at the stages and, last, at the end of a step, a row each; slopes of no weight left out."""
     num = int(np.flatnonzero(own.weights)[-1]) + 1
@@ -163,24 +172,25 @@ def linear(method: Explicit, system: System, steps: Step) -> Linear:
     last = len(weights_of(tableau(method.name))) - 2  # stages behind the first that have a weight
 
     def one(step: Step) -> Linear:
-        here = (system, step.state, step.time, step.start, system.field(step.state, step.time, step.start), step.h)
+        felt = _felt(method, system, step)
+        here = (felt, step.state, step.time, step.start, felt.field(step.state, step.time, step.start), step.h)
         end, stages = Looped(method.order, method).staged(*here)
         points = jax.tree.map(lambda y, rows: jnp.concatenate([y[None], rows[:last]]), step.start, stages)
-        rates = jax.vmap(partial(_by_contact, system, partial(_rates, system, step.state)))(points)
+        rates = jax.vmap(partial(_by_contact, system, partial(_rates, felt, step.state)))(points)
         before = step.end_rate
         crossed = step.state != step.state_after
-        slip = partial(system.law.slip_at_transition, step.state)
+        slip = partial(felt.law.slip_at_transition, step.state)
         first = jnp.arange(crossed.size) == jnp.argmax(crossed)
-        guard = first * _by_contact(system, lambda motion, w: (_ending(system, step, motion, w)[None],), end)[:, 0]
-        falls = (guard * _local(system, before)).sum()
-        at_event = transition(system, step.state, crossed, end)[0]
+        guard = first * _by_contact(felt, lambda motion, w: (_ending(felt, step, motion, w)[None],), end)[:, 0]
+        falls = (guard * _local(felt, before)).sum()
+        at_event = transition(felt, step.state, crossed, end)[0]
         return Linear(
             rates=rates,
-            opening=_by_contact(system, partial(slip, step.state), step.start),
-            put=_by_contact(system, partial(slip, step.state_after), end),
+            opening=_by_contact(felt, partial(slip, step.state), step.start),
+            put=_by_contact(felt, partial(slip, step.state_after), end),
             delay=jnp.where(crossed.any() & (falls != 0), -guard / jnp.where(falls == 0, 1.0, falls), 0.0),
             before=vector_of(before),
-            after=vector_of(system.field(step.state_after, step.time + step.h, at_event)),
+            after=vector_of(felt.field(step.state_after, step.time + step.h, at_event)),
         )
 
     return jax.vmap(one)(steps)

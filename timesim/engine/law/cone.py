@@ -20,7 +20,9 @@ ends a slip before it.
 import timesim.runtime  # noqa: F401  isort: skip
 
 from collections.abc import Sequence
+from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
@@ -52,6 +54,8 @@ from timesim.model.scales import Scales
 # the last stages of a step that ends on n = 0. There the direction is the incipient one. Without the switch the
 # error estimate sees noise, and a run into separation takes some ten steps more.
 UNDIRECTED = 10.0
+# Decay of a disturbed direction in a step up to which an explicit method follows it.
+FOLLOWED = 2.5
 
 
 class ConeLaw(ContactLaw):
@@ -64,6 +68,8 @@ class ConeLaw(ContactLaw):
         compliance: its inverse in the same form; zero for a frictionless stop without stiffness.
         normal_stiffness: k_v.
         preload: n0.
+        step: length of the step whose derivative is sought, of contacts with a direction that it does not resolve, else
+            0, see `felt_direction`; None elsewhere.
     """
 
     friction: Scalar
@@ -71,6 +77,7 @@ class ConeLaw(ContactLaw):
     compliance: tuple[Scalar, ...]
     normal_stiffness: Scalar
     preload: Scalar
+    step: Scalar | None = None
 
     @classmethod
     def of(cls, contacts: Sequence[Contact], scales: Scales, axes: np.ndarray | None = None) -> "ConeLaw":
@@ -87,11 +94,23 @@ class ConeLaw(ContactLaw):
 
     start_states = staticmethod(cone_states)
 
+    def disturbed(self, h: Scalar, ends: Sequence[tuple[Motion, Plane]]) -> "ConeLaw":
+        # Where a contact opens or has just closed, any step is long at one end, and follows that well.
+        decays = [h * self._turning_rate(motion, slip_direction(self, motion, w)) for motion, w in ends]
+        return replace(self, step=jnp.where(jnp.minimum(*decays) > FOLLOWED, h, 0.0))
+
+    def _turning_rate(self, motion: Motion, e: Plane) -> Scalar:
+        """At which a disturbed direction of slip e is led back to that of u'."""
+        across = (-e[-1], e[0])
+        limit = self.friction * jnp.abs(normal_load(self, motion.v))
+        stiffness = dot(across, product(self.stiffness, across)) if len(e) == 2 else jnp.zeros_like(limit)
+        return jnp.abs(slip_speed(self, e, motion)) * stiffness / jnp.maximum(limit, 1e-150)
+
     @apart
     def reaction(self, state: State, motion: Motion, w: Plane) -> Reaction:
         # In contact n is not clipped at 0: the field stays smooth for the trial step that ends beyond a separation.
         n = normal_load(self, motion.v)
-        e = slip_direction(self, motion, w)
+        e = felt_direction(self, motion, w)
         slips = state == SLIP
         sliding = jnp.where(slips, self.friction * n, 0.0)
         elastic = product(self.stiffness, minus(motion.u, w))
@@ -106,7 +125,7 @@ class ConeLaw(ContactLaw):
         # never without a load either, which is known better than the cone where K_u is far above k_v.
         n = normal_load(self, motion.v)
         cone = self.friction * n - length(product(self.stiffness, minus(motion.u, w)))
-        speed = slip_speed(self, slip_direction(self, motion, w), motion)
+        speed = slip_speed(self, felt_direction(self, motion, w), motion)
         singular = n < SINGULAR * jnp.abs(self.normal_stiffness * motion.dv)
         # What has opened with a load next to nothing has not closed: the loop would find no step that ends before.
         opened = jnp.where((n > 0) & self._opens(n, motion), 0.0, -n)
@@ -243,6 +262,26 @@ def slip_direction(law: ConeLaw, motion: Motion, w: Plane, iterations: int = 1) 
         return scaled(1 / length(chosen), chosen)
     along = scaled(jnp.where(n < 0, -1.0, 1.0) / size, trial)
     return where(directed, along, incipient_direction(law, motion, iterations))
+
+
+def felt_direction(law: ConeLaw, motion: Motion, w: Plane) -> Plane:
+    """`slip_direction`, in the derivative of a step with as much of a disturbance as the step can follow.
+
+    A disturbed direction is led back to that of u' at the rate ``s K_u / (mu n)``, which an explicit step does not
+    resolve where a stiff contact carries little load, as before it opens: each would multiply the disturbance. Of that
+    rate only what the step follows is taken, and as little of the disturbance is in the force, so that the impulse
+    until it has died out stays the same. The rest of the direction is that of u'.
+    """
+    e = slip_direction(law, motion, w)
+    if law.step is None or len(e) == 1:
+        return e
+    along, motion_there = jax.lax.stop_gradient((e, motion))
+    across, rate = (-along[1], along[0]), law._turning_rate(motion_there, along)
+    follows = FOLLOWED / jnp.maximum(law.step * rate, FOLLOWED)
+    speed = jnp.maximum(jnp.abs(slip_speed(law, along, motion_there)), 1e-150)
+    led = dot(across, minus(motion.du, motion_there.du)) / speed
+    change = (1 - follows) * (led - dot(across, e))
+    return tuple(x + change * y for x, y in zip(e, across, strict=True))
 
 
 def incipient_direction(law: ConeLaw, motion: Motion, iterations: int = 7) -> Plane:

@@ -120,6 +120,15 @@ class ContactLaw(eqx.Module):
             normal: n0 + k_v v of each [force], shape (C,).
         """
 
+    def disturbed(self, h: Scalar, ends: Sequence[tuple[Motion, Plane]]) -> "ContactLaw":
+        """The law as an explicit step follows it with a disturbance: by default this one.
+
+        Args:
+            h: length of the step.
+            ends: motion and slip at both of its ends.
+        """
+        return self
+
     @abc.abstractmethod
     def reaction(self, state: State, motion: Motion, w: Plane) -> Reaction:
         """Forces and slip rate of each contact in its state; smooth a little beyond its end, for trial steps."""
