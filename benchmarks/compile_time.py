@@ -41,14 +41,23 @@ def scene(size: tuple[int, int], name: str) -> str:
     return yaml_text(ZOO["scene_of"](model) | {"study": study, "solver": SOLVERS.get(method, {})})
 
 
-def compiling(text: str, root: Path) -> float:
-    """CPU seconds that a first run takes beyond a second."""
+def compiling(text: str, root: Path, before: str | None = None) -> float:
+    """CPU seconds that a first run takes beyond a second, after that of another scene where one is given."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "scene.yaml")
-        file.write_text(text)
         command = ("-m", "timesim", "run", str(file), "--force", "--no-plots", "-o", "{folder}")
+        if before is not None:
+            file.write_text(before)
+            seconds(command, root, Path(folder))
+        file.write_text(text)
         first, later = (seconds(command, root, Path(folder)) for _ in range(2))
     return first - later
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """Modes and contacts."""
+    modes, contacts = text.split("x")
+    return int(modes), int(contacts)
 
 
 def main() -> None:
@@ -57,8 +66,9 @@ def main() -> None:
     parser.add_argument("--against", type=Path, metavar="DIR", help="another checkout")
     parser.add_argument("--methods", nargs="+", choices=names, default=names)
     parser.add_argument("--sizes", nargs="+", metavar="MxC", default=[f"{m}x{c}" for m, c in SIZES])
+    parser.add_argument("--after", metavar="MxC", help="size of a structure that has run before each")
     options = parser.parse_args()
-    sizes = [tuple(map(int, size.split("x"))) for size in options.sizes]
+    sizes = [size_of(text) for text in options.sizes]
     heads = [f"{m} x {c}" for m, c in sizes]
     print("\n".join(["| method | " + " | ".join(heads) + " |", "|---" * (1 + len(heads)) + "|"]), flush=True)
     for name in options.methods:
@@ -66,7 +76,8 @@ def main() -> None:
             if root is None:
                 continue
             label = name if root == ROOT else f"{name}, {root.name}"
-            found = [f"{compiling(scene(size, name), root):.1f}" for size in sizes]
+            before = scene(size_of(options.after), name) if options.after else None
+            found = [f"{compiling(scene(size, name), root, before):.1f}" for size in sizes]
             print(f"| {label} | {' | '.join(found)} |", flush=True)
 
 
