@@ -742,6 +742,39 @@ def test_damping_of_a_body_that_nothing_holds():
     assert "damping: of free motions, of which there is no ratio" in describe(load_scene(scene))["structure"]
 
 
+RING = [[200, -50, -50], [-50, 200, -50], [-50, -50, 200]]
+"""Three masses in a ring, a disk of three sectors: one mode, and two of one frequency."""
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "kept", "says"),
+    [
+        (
+            RING,
+            2,
+            "2 parts modes 2 to 3, which have one frequency, 2.51646 Hz: which of them is kept is chance; 1 or 3",
+        ),
+        (np.diag([1.0, 1.0, 2.0]).tolist(), 1, "1 parts modes 1 to 2, which have one frequency, 0.159155 Hz"),
+        (np.diag([0.0, 0.0, 2.0]).tolist(), 1, "1 parts modes 1 to 2, which have one frequency, 0 Hz"),
+        (RING, 1, None),
+        (RING, 3, None),
+        (np.diag([1.0, 1.001, 2.0]).tolist(), 1, None),
+    ],
+)
+def test_modes_of_one_frequency_that_are_kept_in_part_are_worth_a_warning(stiffness, kept, says):
+    """Which of them that is, the numbering of the rows decides."""
+    points = {"a": {"x": 0}, "b": {"x": 1}, "c": {"x": 2}}
+    matrices = {"mass": np.eye(3).tolist(), "stiffness": stiffness, "damping_ratio": 0.02, "points": points}
+    scene = {
+        "structure": {"matrices": matrices, "keep_modes": kept},
+        "excitation": {"frequency": 0.3, "forces": [{"point": "a", "direction": [1, 0, 0], "amplitude": 1}]},
+        "study": {"kind": "transient", "cycles": 1},
+    }
+    found = [warning for warning in warnings_of(load_scene(scene)) if warning.startswith("structure.keep_modes: ")]
+    assert len(found) == (says is not None)
+    assert says is None or says in found[0]
+
+
 def inline(mass):
     points = {"tip": {"x": 0}}
     return {"matrices": {"mass": mass, "stiffness": [[1, 0], [0, 1]], "damping_ratio": 0.01, "points": points}}

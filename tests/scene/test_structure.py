@@ -122,6 +122,19 @@ def test_proportional_damping_of_the_stiff_blade_is_diagonal():
     assert structure.damping.shape == (12,)
 
 
+@pytest.mark.parametrize("masses", [[0.5, 0.3], [0.7, 0.1], [0.4, 0.9], [0.3, 0.7, 0.6]])
+def test_damping_that_does_nothing_to_the_rigid_modes_kept_has_no_negative_eigenvalue(masses: list[float]):
+    """In them it is rounding, of either sign."""
+    num = len(masses)
+    links = np.zeros((num, num))
+    links[:2, :2] = [[1.0, -1.0], [-1.0, 1.0]]
+    matrices = Matrices(np.diag(masses), 10 * links, 0.1 * links)
+    found = modal_structure(matrices, points={"a": {"x": 0}}, keep_modes=num - 1)
+    assert np.abs(found.damping).max() < 1e-15
+    with pytest.raises(RuleError, match="no negative eigenvalue"):
+        modal_structure(Matrices(matrices.mass, matrices.stiffness, -matrices.damping), points={})
+
+
 def test_free_body_has_frequency_zero():
     stiffness = np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
     structure = modal_structure(Matrices(np.diag([1.0, 2, 1]), stiffness), points=POINTS, damping_ratio=0.01)

@@ -37,7 +37,7 @@ NEGATIVE = 1e-10
 class Matrices:
     """Matrices of one structure, dense or sparse, shape (N, N); damping None where there is none.
 
-    `solved` keeps their lowest eigenvalues and modes, by the number of them.
+    `solved` keeps modes, by the number of them, with their eigenvalues and those above that are known.
     """
 
     mass: Any
@@ -170,7 +170,7 @@ def modal_structure(
         matrices.solved[num_modes] = _eigenmodes(mass, stiffness, num_modes)
     squared, modes = matrices.solved[num_modes]
     modes = modes * _signs(modes)
-    omega = np.sqrt(squared)
+    omega = np.sqrt(squared[:num_modes])
     if damping_ratio is not None:
         damping = 2 * _ratios(damping_ratio, num_modes) * omega
     elif matrices.damping is not None:
@@ -232,7 +232,7 @@ def _signs(modes: np.ndarray) -> np.ndarray:
 
 
 def _eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest eigenvalues ``omega^2``, shape (M,), and mass-normalised modes, shape (N, M)."""
+    """Eigenvalues ``omega^2``, the lowest M and those above that are known, and mass-normalised modes, shape (N, M)."""
     if mass.shape[0] <= MAX_DENSE:
         squared, modes = _dense_eigenmodes(*(m.toarray() if hasattr(m, "toarray") else m for m in (mass, stiffness)))
     else:
@@ -242,7 +242,7 @@ def _eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.ndarray, 
         hint = f"its lowest eigenvalue is omega^2 = {smallest:.6g}"
         raise RuleError(("stiffness",), "the stiffness matrix must have no negative eigenvalue", hint)
     free = np.logical_and.accumulate(squared <= np.diag(_rounding(stiffness, modes)))
-    return np.where(free, 0.0, squared)[:num_modes], modes[:, :num_modes]
+    return np.where(free, 0.0, squared), modes[:, :num_modes]
 
 
 def _rounding(matrix: Any, modes: np.ndarray) -> np.ndarray:
@@ -307,7 +307,7 @@ def _sparse_eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.nd
     if num_modes < size and (count := _num_negative(stiffness - below * mass)) != expected:
         hint = f"{count} lie below omega^2 = {below:.6g}, Lanczos' method gave {expected}; try another keep_modes"
         raise RuleError(("keep_modes",), "the eigenvalue solver missed modes", hint, num_modes)
-    return np.where(np.abs(squared) < -2 * shift, np.maximum(squared, 0), squared)[:num_modes], modes[:, :num_modes]
+    return np.where(np.abs(squared) < -2 * shift, np.maximum(squared, 0), squared), modes
 
 
 def _num_negative(matrix: Any) -> int:
@@ -327,7 +327,7 @@ def _modal_damping(damping: Any, modes: np.ndarray) -> np.ndarray:
     modal = modes.T @ (damping @ modes)
     modal = (modal + modal.T) / 2
     values = np.linalg.eigvalsh(modal)
-    if values[0] < -NEGATIVE * max(values[-1], 0.0) or (values[-1] <= 0 and values[0] < 0):
+    if values[0] < -max(NEGATIVE * values[-1], _rounding(damping, modes).max()):
         rule = "the damping matrix must have no negative eigenvalue"
         raise RuleError(("damping",), rule, f"in the modes kept: {values[0]:.6g}")
     diagonal = np.clip(np.diag(modal), 0, None)

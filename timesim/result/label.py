@@ -75,7 +75,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "amplitude": ("displacement amplitude, (max - min)/2 over a period", "length"),
     "phase_deg": (
         "phase of the first harmonic of the excitation's frequency against the excitation, "
-        "x ~ A cos(2 pi f t + phase); NaN where the motion has no period",
+        "x ~ A cos(2 pi f t + phase); NaN where the motion has no period or no first harmonic",
         "degree",
     ),
     "dissipated_power": (

@@ -31,6 +31,8 @@ BuiltStructure = tuple[model.Structure, np.ndarray, tuple[str, ...]]
 """A structure, the scene's index of each of its modes, and notes."""
 Files = dict[str, Matrices]
 """Matrices that have been read, by their files."""
+EQUAL = 1e-8
+"""Share by which eigenvalues may differ that are one but for rounding."""
 
 
 class Mode(Section):
@@ -135,7 +137,20 @@ class MatrixSection(Section):
             structure = _modal_structure(given, matrices, self.keep_modes)
         except RuleError as error:
             raise (error if error.key == ("keep_modes",) else error.below("matrices")) from None
-        return structure, np.arange(structure.num_modes), ()
+        return structure, np.arange(structure.num_modes), tuple(_cuts(matrices, structure.num_modes))
+
+
+def _cuts(matrices: Matrices, kept: int) -> Iterator[str]:
+    """What is to be said where modes of one frequency, as disks have them, are kept in part."""
+    squared, _ = matrices.solved[kept]
+    if kept == len(squared) or squared[kept] - squared[kept - 1] > EQUAL * squared[kept]:
+        return
+    alike = np.flatnonzero(np.abs(squared - squared[kept - 1]) <= EQUAL * squared[kept])
+    first, last, frequency = alike[0], alike[-1] + 1, np.sqrt(squared[kept]) / (2 * np.pi)
+    fewer = f"{first} or " if first else ""
+    more = " or more" if last == len(squared) < matrices.mass.shape[0] else ""
+    parts = f"{kept} parts modes {first + 1} to {last}{more}, which have one frequency, {frequency:.6g} Hz"
+    yield f"structure.keep_modes: {parts}: which of them is kept is chance; {fewer}{last}{more} keeps them together"
 
 
 def _modal_structure(source: Any, matrices: Matrices, keep_modes: int | None) -> model.Structure:
@@ -178,7 +193,7 @@ class FileSection(Section):
             structure = _modal_structure(self, matrices, self.keep_modes)
         except RuleError as error:
             raise self._placed(error) from None
-        notes = matrices.notes
+        notes = (*matrices.notes, *_cuts(matrices, structure.num_modes))
         if self.damping_ratio is not None and matrices.damping is not None:
             notes = (*notes, "structure.damping_ratio is used; the damping matrix in the file is not")
         return structure, np.arange(structure.num_modes), notes
