@@ -233,6 +233,32 @@ def test_a_gap_of_the_amplitude_just_touches():
     assert "cross_check_failure" not in data.attrs
 
 
+@pytest.mark.parametrize(
+    ("A", "D", "pad"),
+    [
+        (1.0, 0.1, {"friction": 0.3, "normal_stiffness": 3.0, "preload": -0.3}),
+        (3.0, 1.0000000000000002, {"friction": 0.25, "normal_stiffness": 1.0, "preload": -1.0}),
+    ],
+    ids=["rounded product", "last bit"],
+)
+def test_a_touch_by_rounding_is_none(A, D, pad):
+    """-0.3 + 3 * 0.1 is 5.6e-17; the forces of the event loop are no more than that either."""
+    plan = element(A=A, B=0.5, phi_deg=90, D=D, cross_check=True)
+    data = run(scene(plan, tangential_stiffness=2.0, **pad))
+    assert (data.attrs["complete"], data.attrs["touches"]) == (1, 0)
+    assert not data.force.values.any()
+
+
+def test_a_graze_is_confirmed_though_its_angle_is_badly_known():
+    """n falls 4e-10 below zero about 240 degrees: its zeros are at 240 +- 0.00081 degrees, where its slope is 6e-5."""
+    graze = {"friction": 0.25, "tangential_stiffness": 2.0, "normal_stiffness": 1.0, "preload": 4.0}
+    data = run(scene(element(A=3, D=4.0000000004, psi_deg=30, cross_check=True), **graze))
+    assert data.attrs["complete"] == 1
+    opens = data.transition_angle_deg.values[data.transition_to.values == SEPARATION]
+    assert opens == pytest.approx(240 - np.degrees(np.sqrt(2e-10)), abs=1e-7)
+    assert data.attrs["cross_check_angle_deg"] > np.degrees(1e-6), "or it would be confirmed without a word"
+
+
 def test_element_result():
     plan = element(A=1.0, B=0.2, phi_deg=60, D=0.3, psi_deg=150, harmonics=5, principal_axes=True)
     data = run(scene(plan | {"cross_check": True}))

@@ -31,6 +31,8 @@ TOUCH = 1e-5
 """The same of a contact between two separations, of which n rises to 1e-11 of its amplitude at most: a gap of exactly
 the amplitude closes for as long as a margin of 1e-12 takes."""
 
+SLIGHT = 1e-8
+"""Share of the largest mu n that counts as none, and of the forces that n is the sum of."""
 STILL = 1e-8
 """Work of slip in a cycle, relative to mu n times the size of the motion, up to which it is what is left of a creep to
 full stick."""
@@ -66,6 +68,7 @@ class Difference:
     Attributes:
         same_sequence: whether the states follow one another alike.
         angle: largest difference of a transition [rad]; nan where the sequences differ.
+        telling: the same of those between which the normal load of one that opens or closes changes, see `SLIGHT`.
         coefficient: largest difference of a coefficient of (19) relative to the largest mu n, f_b left out where
             the offset is free.
         dissipation: difference of the dissipation relative to mu n times the size of the motion.
@@ -73,6 +76,7 @@ class Difference:
 
     same_sequence: bool
     angle: float
+    telling: float
     coefficient: float
     dissipation: float
 
@@ -123,27 +127,34 @@ def transitions(steps: Step, count: int) -> tuple[Transition, ...]:
 
 def difference(cycle: ElementCycle, other: LoopCycle) -> Difference:
     """How far two results for the same contact and motion are apart."""
-    load = cycle.largest_limit or 1.0
+    load = max(cycle.largest_limit, SLIGHT * cycle.force_scale) or 1.0
     reach = np.hypot(*cycle.motion.amplitude) or 1.0
     first, second = (_lasting(c.transitions) for c in (cycle, other))
     if cycle.offset_free and abs(other.dissipation) <= STILL * load * reach:
         second = [item for item in second if SEPARATION in (item.before, item.after)]
     # One right at the seam may stand at either end of the list.
     turns = range(-1, 2) if len(first) == len(second) else ()
-    options = [
-        max((abs(_apart(a.angle, b.angle)) for a, b in zip(first, _rolled(second, turn), strict=True)), default=0.0)
-        for turn in turns
-        if [(a.before, a.after) for a in first] == [(b.before, b.after) for b in _rolled(second, turn)]
-    ]
+    pairings = [list(zip(first, _rolled(second, turn), strict=True)) for turn in turns]
+    alike = [pairs for pairs in pairings if all((a.before, a.after) == (b.before, b.after) for a, b in pairs)]
+    options = [max((abs(_apart(a.angle, b.angle)) for a, b in pairs), default=0.0) for pairs in alike]
+    best = alike[int(np.argmin(options))] if alike else []
+    telling = [abs(_apart(a.angle, b.angle)) for a, b in best if not _grazes(cycle, a, b, SLIGHT * load)]
     ours = cycle.coefficients
     pairs = [(ours.f_s, other.f_s), (ours.f_c, other.f_c)]
     pairs += [] if cycle.offset_free else [(ours.f_b, other.f_b)]
     return Difference(
         bool(options),
         min(options, default=np.nan),
+        max(telling, default=0.0),
         max(float(np.abs(a - b).max()) for a, b in pairs) / load,
         abs(cycle.dissipation - other.dissipation) / (load * reach),
     )
+
+
+def _grazes(cycle: ElementCycle, one: Transition, other: Transition, limit: float) -> bool:
+    """Whether n hardly changes between two angles at which a contact opens or closes: less than a limit of mu n."""
+    trial = cycle.law.preload + cycle.law.normal_stiffness * cycle.motion.evaluate([one.angle, other.angle])[0][2]
+    return SEPARATION in (one.before, one.after) and cycle.law.friction * float(np.ptp(trial)) <= limit
 
 
 def _lasting(transitions: Sequence[Transition]) -> list[Transition]:

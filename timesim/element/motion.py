@@ -124,7 +124,7 @@ class HarmonicMotion(PrescribedMotion):
 
     def crossings(self, weights: Array, constant: float, *, rate: bool = False) -> tuple[Array, NDArray[np.bool_]]:
         phasor = (1j if rate else 1.0) * np.dot(weights, self.phasor)
-        if abs(phasor) <= abs(constant):
+        if abs(phasor) <= abs(constant) * (1 + TOUCH):  # no more than rounding beyond it
             return np.zeros(0), np.zeros(0, bool)
         rise = -np.arcsin(constant / abs(phasor))
         angles = wrap(np.array([rise, np.pi - rise]) - np.angle(phasor))

@@ -103,7 +103,7 @@ def _compared(cycle: ElementCycle, other: "LoopCycle", apart: "Difference") -> t
     if not apart.same_sequence:
         paths = [" ".join(_arrow(item) for item in c.transitions) or "none" for c in (cycle, other)]
         return compared, f"state by state finds the transitions {paths[0]}, the event loop {paths[1]}"
-    if apart.angle > ANGLE or max(apart.coefficient, apart.dissipation) > FORCE:
+    if apart.telling > ANGLE or max(apart.coefficient, apart.dissipation) > FORCE:
         return compared, (
             f"state by state and the event loop differ by {np.degrees(apart.angle):.1e} degree and by "
             f"{max(apart.coefficient, apart.dissipation):.1e} of the largest mu n"
