@@ -19,7 +19,7 @@ import sys
 import sysconfig
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain
@@ -279,8 +279,8 @@ def faults_of_the_text(text: str) -> Iterator[str]:
                 yield f"nothing checks {number[0]} in: {cell[2].strip()}"
 
 
-def faults_of_the_results(text: str, folder: Path) -> Iterator[str]:
-    """Claims that the results do not bear out."""
+def faults_of_the_results(text: str, folder: Path, only: Sequence[str]) -> Iterator[str]:
+    """Claims that the results do not bear out: those of some rows, of all by default."""
 
     @cache
     def result(name: str) -> Result:
@@ -289,7 +289,7 @@ def faults_of_the_results(text: str, folder: Path) -> Iterator[str]:
         said = spaced(printed.read_text())
         return Result(read(folder / name), said, len(list((folder / name).glob("*.png"))))
 
-    for claim in CLAIMS:
+    for claim in (claim for claim in CLAIMS if not only or claim.row in only):
         found = sentence(claim, spaced(text))
         printed = (found.groups() or ("1",)) if found else ()  # 1: true
         values = np.atleast_1d(np.asarray(claim.gives(result(claim.row)), dtype=float))
@@ -348,7 +348,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder of the runs")
     parser.add_argument("--check", action="store_true", help="run nothing: compare with the results in DIR")
     parser.add_argument("--times", action="store_true", help="run everything twice and write the table of times")
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="run these rows alone")
+    parser.add_argument("--only", nargs="+", metavar="NAME", default=(), help="run and check these rows alone")
     options = parser.parse_args()
     text, load = README.read_text(), os.getloadavg()[0]
     options.output.mkdir(parents=True, exist_ok=True)
@@ -373,7 +373,9 @@ def main() -> None:
         if not options.only:
             before, _, rest = REPORT.read_text().partition(MARKS[0])
             REPORT.write_text(f"{before}{MARKS[0]}\n\n{table}\n\n{MARKS[1]}{rest.partition(MARKS[1])[2]}")
-    said = (faults_of_the_results(text, options.output), printed_blocks(text, options.output))
+    said = [faults_of_the_results(text, options.output, options.only)]
+    if not options.only:
+        said.append(printed_blocks(text, options.output))
     wrong = [*faults_of_the_text(text), *chain(*said)]
     for fault in wrong:
         print(f"WRONG  {fault}")
