@@ -7,7 +7,8 @@ at the event,
     dy+ = DT (dy- + f- dt) - f+ dt,        dt = -Dm dy- / (Dm f-),
 
 the saltation matrix [1]_ [2]_ [3]_ applied to dy-. The product over the steps is exact for the method's own orbit up
-to its tolerance; its eigenvalues are the Floquet multipliers.
+to its tolerance, but for directions of slip that an explicit step does not resolve: see
+`timesim.engine.law.cone.felt_direction`. Its eigenvalues are the Floquet multipliers.
 
 .. [1] M. A. Aizerman & F. R. Gantmakher, On the stability of periodic motions, Journal of Applied Mathematics and
    Mechanics 22 (1958) 1065-1078.
