@@ -269,9 +269,24 @@ def test_a_motion_of_several_cycles_is_ringed() -> None:
     )
     for period, ringed in ((1, []), (2, [FREQUENCY[3]])):
         tree["sweep"].period[0, 1, 3] = period
-        for picture in (compare.overlay, compare.difference):
+        for picture in (compare.overlay, compare.difference, compare.share):
             rings = [line for line in picture(tree).get_lines() if line.get_label() == "period of several cycles"]
             assert [x for ring in rings for x in ring.get_xdata()] == ringed
+    tree["relative_difference"][0, 1, 3] = np.nan
+    labels = [line.get_label() for line in compare.difference(tree).get_lines()]
+    assert "period of several cycles" not in labels, "it is not shown there"
+
+
+def test_differences_of_one_size_are_shown_over_two_decades() -> None:
+    """Below that every tick has a label, which pushes that of the axis out of the picture."""
+    swept = _sweep([2.0])
+    off = xarray.Dataset({"relative_difference": 1e-6 * (1 + 0.0 * swept.amplitude)})
+    tree = xarray.DataTree.from_dict(
+        {"/": off.drop_vars(["frequency", PRELOAD]), "/sweep": swept, "/hbm": _balance([2.0])}
+    )
+    low, high = compare.difference(tree).get_ylim()
+    assert low < 1e-6 < high
+    assert high > 100 * low
 
 
 @pytest.mark.parametrize(("friction", "rows"), [(0.3, ["slip", "separation"]), (0.0, ["separation"])])

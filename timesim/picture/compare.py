@@ -13,7 +13,7 @@ import numpy as np
 from timesim.orbit.steady_state import switches
 from timesim.picture import hbm as balance
 from timesim.picture.choice import MAX_ROWS, motion, motions
-from timesim.picture.figure import axes, figure, finish, from_zero, label_axes, over_cycle, stacked
+from timesim.picture.figure import axes, figure, finish, from_zero, label_axes, over_cycle, over_decades, stacked
 from timesim.picture.response import PAIRED, several_cycles, with_phase
 from timesim.picture.style import (
     SERIES,
@@ -88,7 +88,7 @@ def difference(data: DataTree, ax: Axes | None = None) -> Axes:
         several_cycles(ax, sweep, where, y)
     for fold in hbm.frequency.values[hbm.fold.values > 0]:
         ax.axvline(fold, color="0.6", linewidth=0.7, linestyle=":", label="frequency of a fold")
-    ax.set_yscale("log")
+    over_decades(ax)
     ax.set(xlabel="frequency [Hz]", ylabel="relative difference [1]")
     return ax
 
@@ -110,7 +110,9 @@ def share(data: DataTree, ax: Axes | None = None, *, state: str = "slip") -> Axe
     ax = balance.share(hbm, axes(ax), contact=contact, state=state)
     for where, look in _points(hbm, sweep):
         part = sweep.isel(where)
-        ax.plot(part.frequency.values, part[name].sel(contact=contact).values, **look)
+        y = part[name].sel(contact=contact).values
+        ax.plot(part.frequency.values, y, **look)
+        several_cycles(ax, sweep, where, y)
     label_axes(ax, short(contact))
     return ax
 

@@ -11,6 +11,7 @@ import numpy as np
 from timesim.model.model import STATE_NAMES
 from timesim.picture.style import CLOSED, Axes, Dataset, DataTree, Figure, short
 
+LEAST_DECADES = 2.2  # with two powers of ten at least
 MANY_DECADES = 2.5  # from which on a logarithmic axis has ticks at powers of ten only
 _HEAD, _FOOT = 0.68, 0.95  # inch
 _LABELLED, _PLAIN = 0.27, 0.1  # inch from axes with a label above them, or without one, to the title
@@ -99,6 +100,15 @@ def from_zero(ax: Axes) -> None:
     """Begin the ordinate at zero, with some room above what is drawn."""
     top = ax.dataLim.y1
     ax.set_ylim(0, 1.05 * top if 0 < top < np.inf else 1.0)
+
+
+def over_decades(ax: Axes) -> None:
+    """Make the ordinate logarithmic, over two decades at least: below, all of its ticks are labelled, and at length."""
+    ax.set_yscale("log")
+    low, high = ax.get_ylim()
+    wider = max(LEAST_DECADES / np.log10(high / low), 1.0) if high > low > 0 else 1.0
+    middle = np.sqrt(low * high)
+    ax.set_ylim(middle * (low / middle) ** wider, middle * (high / middle) ** wider)
 
 
 def plain_ticks(axis: Any, low: float, high: float) -> None:

@@ -176,8 +176,8 @@ def draw_branch(
 
 
 def several_cycles(ax: Axes, data: Dataset, where: Mapping[str, int], y: np.ndarray) -> None:
-    """Rings around the points of a sweep whose motion repeats after several cycles only."""
-    longer = (data.settled.isel(where).values > 0) & (data.period.isel(where).values > 1)
+    """Rings around the points of a sweep whose motion repeats after several cycles only, where they are shown."""
+    longer = (data.settled.isel(where).values > 0) & (data.period.isel(where).values > 1) & np.isfinite(y)
     if longer.any():
         ring: dict[str, Any] = {"color": "black", "fillstyle": "none", "ms": 8, "linestyle": ""}
         ax.plot(data.frequency.values[longer], y[longer], "s", label="period of several cycles", **ring)

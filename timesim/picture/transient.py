@@ -8,7 +8,7 @@ import numpy as np
 from timesim.picture import contact
 from timesim.picture.choice import MAX_ROWS, asked, left_out, motions
 from timesim.picture.contact import LAST_CYCLES, busiest, last_cycles
-from timesim.picture.figure import axes, figure, finish, label_axes, labelled, legend_beside
+from timesim.picture.figure import axes, figure, finish, label_axes, labelled, legend_beside, over_decades
 from timesim.picture.style import BLUE, SERIES, Axes, Dataset, Figure, Picture, Series, short, unit
 from timesim.result.coordinate import rubs
 
@@ -154,8 +154,9 @@ def energy_residual(data: Dataset, ax: Axes | None = None) -> Axes:
         size = np.abs(data[f"energy_{name}"].values)
         shown = size > 0
         if shown.any():
-            ax.set_yscale("log")
             _terms(ax, cycle[shown], size[shown], style._replace(line="-"), f"|{name}|")
+    if ax.has_data():
+        over_decades(ax)
     ax.set_ylabel(f"energy{unit(data, 'energy_input')}")
     return _along_cycles(ax)
 
