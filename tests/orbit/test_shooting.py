@@ -153,6 +153,20 @@ def test_multipliers_where_an_explicit_step_does_not_resolve_the_direction_of_sl
     np.testing.assert_allclose(found, np.sort(expected)[::-1], rtol=0, atol=1e-4)
 
 
+@pytest.mark.parametrize("rtol", [1e-5, 1e-7])
+def test_multipliers_of_fast_modes_that_the_motion_hardly_shows(rtol):
+    """Of themselves steps as long as the motion allows let such a mode grow up to 94 times in a cycle."""
+    model, base = zoo.structure(704, (5e-5, 3e-4), (4, 1))
+    load = replace(model.excitation, frequency=0.9 * base, cosine=300 * np.abs(model.excitation.cosine))
+    fine, solver = Solver("exponential", 1e-9, 1e-12), Solver("tsit5", rtol, 1e-3 * rtol)
+    lane, orbit = settled_lane(replace(model, excitation=load), fine)
+    expected = np.sort(np.abs(np.linalg.eigvals(differences(lane, fine, reach=1e-6))))[::-1]
+    found = np.abs(record([lane.at(lane.frequency, orbit.end, solver)], solver, [1])[0].multipliers)
+    assert 0.999 < expected[0] < 0.9992
+    np.testing.assert_allclose(found[:2], expected[:2], rtol=0, atol=2e-6)
+    assert found.max() < 1
+
+
 def test_a_stuck_offset_is_free_and_left_alone():
     """In full stick the motion settles around any offset: no multiplier shows it, and shooting does not move it."""
     model = oscillator(64.0, 1.3)

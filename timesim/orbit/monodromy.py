@@ -29,6 +29,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from timesim.engine.exponential.turning import Turning, turned, turning_rates
 from timesim.engine.lanes import batch_last, over_lanes
 from timesim.engine.law.contact_law import Motion, Plane, State
 from timesim.engine.method import Explicit, Looped, Method, Tableau, looped, tableau
@@ -77,12 +78,20 @@ def _ending(system: System, step: Step, motion: Motion, w: Plane) -> Float[Array
     return margin[jnp.argmax(step.state != step.state_after)] if margin.size else jnp.ones(())
 
 
+def _advanced(method: Method, system: System, step: Step, point: Point) -> Point:
+    """The end of the step of a method from a point close to the start of a step."""
+    here = (step.state, step.time)
+    if not isinstance(method, Looped):
+        return method.advance(system, *here, point, system.field(*here, point), step.h).point
+    turning = Turning.of(system, step.time, step.h)
+    end, _ = method.staged(turning, *here, point, turning.field(*here, point), step.h)
+    return turning.real(step.time + step.h, end)
+
+
 def _image(method: Method, system: System, step: Step, start: Float[Array, " state"]) -> Float[Array, " state"]:
     """Where a start close to that of the step is led to, at the fixed time of its end."""
     system = _felt(method, system, step)
-    point = point_of(start, step.start)
-    rate = system.field(step.state, step.time, point)
-    end = vector_of(method.advance(system, step.state, step.time, point, rate, step.h).point)
+    end = vector_of(_advanced(method, system, step, point_of(start, step.start)))
     crossed = step.state != step.state_after
     before, middle = vector_of(step.end_rate), jax.lax.stop_gradient(end)
     guard = partial(_first_guard, system, step)
@@ -174,9 +183,12 @@ def linear(method: Explicit, system: System, steps: Step) -> Linear:
 
     def one(step: Step) -> Linear:
         felt = _felt(method, system, step)
-        here = (felt, step.state, step.time, step.start, felt.field(step.state, step.time, step.start), step.h)
-        end, stages = Looped(method.order, method).staged(*here)
-        points = jax.tree.map(lambda y, rows: jnp.concatenate([y[None], rows[:last]]), step.start, stages)
+        turning, begin = Turning.of(felt, step.time, step.h), (step.state, step.time, step.start)
+        end, stages = Looped(method.order, method).staged(turning, *begin, turning.field(*begin), step.h)
+        end, nodes = turning.real(step.time + step.h, end), jnp.asarray(tableau(method.name).nodes[:last])
+        stages = jax.tree.map(lambda rows: rows[:last], stages)
+        stages = jax.vmap(turning.real)(step.time + step.h * nodes, stages)
+        points = jax.tree.map(lambda y, rows: jnp.concatenate([y[None], rows]), step.start, stages)
         rates = jax.vmap(partial(_by_contact, system, partial(_rates, felt, step.state)))(points)
         before = step.end_rate
         crossed = step.state != step.state_after
@@ -238,7 +250,9 @@ class Disturbed:
     """
 
     def __init__(self, method: Explicit, system: System, columns: np.ndarray):
-        self.weights, self.shape = weights_of(tableau(method.name)), np.concatenate(system.shape)
+        own = tableau(method.name)
+        self.weights, self.shape = weights_of(own), np.concatenate(system.shape)
+        self.nodes = np.concatenate([[0.0], own.nodes])[: len(self.weights) - 1]
         self.contacts, self.modes = system.shape[0].shape
         self.stiffness, self.damping = np.asarray(system.stiffness)[:, None], np.asarray(system.damping)
         self.columns, size = columns, len(columns)
@@ -252,12 +266,16 @@ class Disturbed:
         flat, stages = self._slopes.reshape(len(self._slopes), -1), len(self._slopes)
         rates = _on_diagonals(steps.rates)
         for k, length in enumerate(h):
-            weights = length * self.weights
+            weights, turns = length * self.weights, turning_rates(self.stiffness, length, np)
             for stage in range(stages):
                 here = np.dot(weights[stage, :stage], flat[:stage]).reshape(self.columns.shape)
                 here += self.columns
-                self._rate(rates[k, stage], here, self._slopes[stage])
+                after = length * self.nodes[stage]
+                self._turn(turns, here, after)
+                self._rate(rates[k, stage], turns, here, self._slopes[stage])
+                self._turn(turns, self._slopes[stage], -after)
             self.columns = self.columns + np.dot(weights[-1], flat).reshape(self.columns.shape)
+            self._turn(turns, self.columns, length)
             if not steps.delay[k].any():
                 self._put(_on_diagonals(steps.put[k]))
                 continue
@@ -274,13 +292,18 @@ class Disturbed:
         self._local[2 * ports :] = columns[2 * modes :]
         return self._local
 
-    def _rate(self, blocks: np.ndarray, columns: np.ndarray, rate: np.ndarray) -> None:
-        """Write the rate of columns."""
+    def _turn(self, rates: np.ndarray, columns: np.ndarray, time: float) -> None:
+        """Let the modes of columns turn, as in `Turning`."""
+        q, p = columns[: self.modes], columns[self.modes : 2 * self.modes]
+        q[:], p[:] = turned(rates, q, p, time, np)
+
+    def _rate(self, blocks: np.ndarray, turns: np.ndarray, columns: np.ndarray, rate: np.ndarray) -> None:
+        """Write the rate of columns, but for how modes turn."""
         modes, ports = self.modes, len(self.shape)
         q, p, acts = columns[:modes], columns[modes : 2 * modes], blocks @ self._of_contacts(columns)
-        rate[:modes], rate[2 * modes :], own = p, acts[ports:], rate[modes : 2 * modes]
+        rate[:modes], rate[2 * modes :], own = np.where(turns > 0, 0.0, p), acts[ports:], rate[modes : 2 * modes]
         np.dot(self.shape.T, acts[:ports], out=own)
-        own -= self.stiffness * q
+        own -= np.where(turns > 0, 0.0, self.stiffness) * q
         own -= self.damping[:, None] * p if self.damping.ndim == 1 else self.damping @ p
 
     def _put(self, blocks: np.ndarray) -> None:
