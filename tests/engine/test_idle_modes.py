@@ -56,7 +56,7 @@ def test_a_run_is_what_it_is_without_them(
     np.testing.assert_allclose(work[0], work[1], rtol=0, atol=ROUNDING * np.abs(work).max())
 
 
-@pytest.mark.parametrize("method", ["tsit5", "exponential"])
+@pytest.mark.parametrize("method", ["tsit5", pytest.param("exponential", marks=pytest.mark.slow)])
 def test_a_sweep_is_what_it_is_without_them(method: str, monkeypatch: pytest.MonkeyPatch):
     """Shot, with its multipliers: all motions of the model decay faster than those of an idle mode."""
     model, base = structure(23, (0.9, 0.95), (5, 1))
