@@ -15,6 +15,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from timesim.engine.barrier import apart
 from timesim.engine.law.contact_law import ContactLaw, Dynamics, Motion, Path, State
 from timesim.engine.system import Point, System
 
@@ -29,6 +30,12 @@ def turned(rate: Any, q: Any, p: Any, time: Any, numpy: Any = jnp) -> tuple[Any,
     A mode whose rate is zero stays where it is.
     """
     cosine, sine = numpy.cos(rate * time), numpy.sin(rate * time)
+    return _turned(rate, (cosine, sine), q, p, numpy)
+
+
+def _turned(rate: Any, angle: tuple[Any, Any], q: Any, p: Any, numpy: Any = jnp) -> tuple[Any, Any]:
+    """The same by the cosine and the sine of the angle."""
+    cosine, sine = angle
     return cosine * q + sine / numpy.where(rate > 0, rate, 1.0) * p, cosine * p - rate * sine * q
 
 
@@ -36,6 +43,11 @@ def turning_rates(stiffness: Any, h: Any, numpy: Any = jnp) -> Any:
     """Rates at which modes turn over steps of length h: their own where they are fast, else 0."""
     root = numpy.sqrt(stiffness)
     return numpy.where(root * h > FAST, root, 0.0)
+
+
+@apart
+def _cosine_and_sine(rate: Array, time: Array) -> tuple[Array, Array]:
+    return jnp.cos(rate * time), jnp.sin(rate * time)
 
 
 class Turning(Dynamics):
@@ -59,13 +71,18 @@ class Turning(Dynamics):
 
     def real(self, time: Float[Array, ""], point: Point) -> Point:
         """The point as the system has it at a time."""
-        return Point(*turned(self.rates, point.q, point.p, time - self.origin), point.w, None)
+        return Point(*_turned(self.rates, self._angle(time), point.q, point.p), point.w, None)
 
     def field(self, state: State, time: Float[Array, ""], point: Point) -> Point:
-        here, turns = self.real(time, point), self.rates > 0
+        turns, (cosine, sine) = self.rates > 0, self._angle(time)
+        here = Point(*_turned(self.rates, (cosine, sine), point.q, point.p), point.w, None)
         rate = self.system.field(state, time, here)
         left = jnp.where(turns, 0.0, rate.q), rate.p + jnp.where(turns, self.system.stiffness, 0.0) * here.q
-        return Point(*turned(self.rates, *left, self.origin - time), rate.w, None)
+        return Point(*_turned(self.rates, (cosine, -sine), *left), rate.w, None)
+
+    def _angle(self, time: Float[Array, ""]) -> tuple[Array, Array]:
+        """Cosine and sine of the angle by which each mode has turned."""
+        return _cosine_and_sine(self.rates, time - self.origin)
 
     def motion(self, point: Point) -> Motion:
         return self.system.motion(point)
