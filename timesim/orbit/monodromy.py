@@ -7,8 +7,9 @@ at the event,
     dy+ = DT (dy- + f- dt) - f+ dt,        dt = -Dm dy- / (Dm f-),
 
 the saltation matrix [1]_ [2]_ [3]_ applied to dy-. The product over the steps is exact for the method's own orbit up
-to its tolerance, but for directions of slip that an explicit step does not resolve: see
-`timesim.engine.law.cone.felt_direction`. Its eigenvalues are the Floquet multipliers.
+to its tolerance, but for what an explicit step does not resolve of disturbances: directions of slip, see
+`timesim.engine.law.cone.felt_direction`, and fast modes, see `timesim.engine.exponential.turning`. Its eigenvalues are
+the Floquet multipliers.
 
 .. [1] M. A. Aizerman & F. R. Gantmakher, On the stability of periodic motions, Journal of Applied Mathematics and
    Mechanics 22 (1958) 1065-1078.
@@ -189,7 +190,7 @@ def linear(method: Explicit, system: System, steps: Step) -> Linear:
         stages = jax.tree.map(lambda rows: rows[:last], stages)
         stages = jax.vmap(turning.real)(step.time + step.h * nodes, stages)
         points = jax.tree.map(lambda y, rows: jnp.concatenate([y[None], rows]), step.start, stages)
-        rates = jax.vmap(partial(_by_contact, system, partial(_rates, felt, step.state)))(points)
+        rates = jax.vmap(partial(_by_contact, felt, partial(_rates, felt, step.state)))(points)
         before = step.end_rate
         crossed = step.state != step.state_after
         slip = partial(felt.law.slip_at_transition, step.state)
@@ -294,8 +295,9 @@ class Disturbed:
 
     def _turn(self, rates: np.ndarray, columns: np.ndarray, time: float) -> None:
         """Let the modes of columns turn, as in `Turning`."""
-        q, p = columns[: self.modes], columns[self.modes : 2 * self.modes]
-        q[:], p[:] = turned(rates, q, p, time, np)
+        if rates.any():
+            q, p = columns[: self.modes], columns[self.modes : 2 * self.modes]
+            q[:], p[:] = turned(rates, q, p, time, np)
 
     def _rate(self, blocks: np.ndarray, turns: np.ndarray, columns: np.ndarray, rate: np.ndarray) -> None:
         """Write the rate of columns, but for how modes turn."""
