@@ -58,15 +58,52 @@ def test_multipliers_against_those_of_the_return_map(preload, frequency):
 
 
 @pytest.mark.parametrize(("preload", "frequency"), [(-1.0, 0.97), (1.0, 1.2)])
-def test_multipliers_are_of_second_order_in_the_samples(preload, frequency):
+def test_multipliers_are_of_second_order_in_the_samples_and_extrapolated(preload, frequency):
     """Also where the contact begins to slip, closes or opens between two of them."""
-    model, scheme = systems.oscillator(preload, frequency), Scheme(9, 256)
+    balance, x, f = solved(systems.oscillator(preload, frequency), frequency, Scheme(9, 256))
+    numbers = np.array([64, 128, 256, 512])
+    exact = np.abs(floquet_multipliers(balance, x, f, samples=4096)[0, :4])
+    plain = [np.abs(stability._by_samples(balance, x, f, int(n))[0]) for n in numbers]
+    better = [np.abs(floquet_multipliers(balance, x, f, samples=int(n))[0, :4]) for n in numbers]
+    errors = np.abs(np.sort(plain)[:, :-5:-1] - exact).max(axis=1)
+    assert -np.polyfit(np.log(numbers), np.log(errors), 1)[0] > 1.7, errors
+    assert (np.abs(better - exact).max(axis=1)[1:] < errors[1:] / 2).all()
+
+
+@pytest.mark.parametrize(("ratio", "speed", "error"), [(100.0, 1.0, 5e-4), (1000.0, 0.98, 1e-2)])
+def test_multipliers_of_a_motion_that_meets_a_stiff_stop(ratio, speed, error):
+    """Those of the samples alone err by 3.2e-3 and 0.037."""
+    balance, x, f = solved(systems.stopped_chain(ratio), speed / systems.TURN, Scheme(27, 432))
+    exact = np.abs(floquet_multipliers(balance, x, f, samples=8192)[0, 0])
+    assert exact > 1.5
+    assert np.abs(floquet_multipliers(balance, x, f)[0, 0]) == pytest.approx(exact, abs=error)
+
+
+def solved(model, frequency, scheme):
+    """A balance, and a solution of it at about a frequency [Hz]."""
     curve = hbm_curve(model, frequency, 1.001 * frequency, scheme=scheme, controls=Controls(max_points=2))
-    balance, numbers = Balance(model, frequency, scheme), np.array([64, 128, 256, 512, 4096])
-    x = curve.contact_motion[:1].reshape(1, -1) / balance.length
-    found = [np.abs(floquet_multipliers(balance, x, curve.frequency[:1], samples=int(n))[0, :4]) for n in numbers]
-    errors = np.abs(np.array(found[:-1]) - found[-1]).max(axis=1)
-    assert -np.polyfit(np.log(numbers[:-1]), np.log(errors), 1)[0] > 1.7, errors
+    balance = Balance(model, frequency, scheme)
+    return balance, curve.contact_motion[:1].reshape(1, -1) / balance.length, curve.frequency[:1]
+
+
+def test_what_samples_tell_of_multipliers():
+    """Real ones, complex pairs and those that are exact are extrapolated; some stay as they are.
+
+    They are a mode that is faster than the samples, a pair that has just become complex, and what may grow or not.
+    """
+    turn = np.exp(1j * np.array([1, -1]))
+    exact = np.concatenate([[0.7, -0.8, 1.0], 0.9 * turn, 1.2 * turn])
+    error = np.concatenate([[0.01, 0.02, 0.0], 0.01 * np.exp(0.3j * np.array([1, -1])), [0.02, 0.02]])
+    fine, coarse = exact * np.exp(error), exact * np.exp(4 * error)
+    found, doubt = stability.extrapolated(fine, coarse[::-1], 2.0)
+    np.testing.assert_allclose(found, exact, rtol=1e-12)
+    assert not doubt.any()
+    fast, pair, near = 0.99 * turn, [0.5 + 0.01j, 0.5 - 0.01j], [1.004]
+    fine = np.concatenate([fast, pair, near])
+    coarse = np.concatenate([0.99 * turn**2, [0.6, 0.4], [0.998]])
+    found, doubt = stability.extrapolated(fine, coarse, 2.0)
+    np.testing.assert_array_equal(found, fine)
+    assert doubt.tolist() == [False] * 4 + [True]
 
 
 @pytest.mark.parametrize("share", [0.0, 0.9])
@@ -189,23 +226,25 @@ def test_a_multiplier_beyond_the_unit_circle_is_unstable(largest, turn, stable, 
 
 
 def test_what_is_in_doubt_is_looked_at_with_more_samples(monkeypatch):
-    """Where it hardly grows, and where the determinant is not that of so many real multipliers above 1."""
+    """Where samples leave it open, and where the determinant is not that of so many real multipliers above 1."""
     turn = np.exp(2j) ** np.array([1, -1])
-    complex_pairs = np.array([1.0042, 1.2, 0.9])[:, None] * turn
+    complex_pairs = np.array([1.0042, 1.2, 0.99])[:, None] * turn
     coarse = np.concatenate([complex_pairs, [[1.3, 0.9], [1.3, 0.9], [1.3, 1.1], [0.9, 0.3], [0.9, 0.3]]])
     fine = 0.9985 * turn
     sign = np.array([1, 1, 1, 1, -1, -1, -1, 0])
     looked_at: list[list[float]] = []
 
-    def multipliers(_, x, frequency, *, samples=None):
+    def multipliers(_, x, frequency, samples=None):
         looked_at.append(frequency.tolist())
-        return coarse.copy() if samples is None else np.tile(fine, (len(x), 1))
+        doubt = np.zeros((len(x), 2), dtype=bool)
+        doubt[[0, 2] if samples is None else [], 1] = True
+        return coarse.copy() if samples is None else np.tile(fine, (len(x), 1)), doubt
 
-    monkeypatch.setattr(stability, "floquet_multipliers", multipliers)
+    monkeypatch.setattr(stability, "_with_doubt", multipliers)
     balance = Balance(systems.oscillator(-1.0, 0.97), 0.97, Scheme(1, 64))
     found = stability.checked_multipliers(balance, np.zeros((8, 1)), np.arange(8.0), sign)
-    assert looked_at == [list(range(8)), [0, 3, 5, 6]]
-    np.testing.assert_allclose(np.abs(found[:, 0]), [0.9985, 1.2, 0.9, 0.9985, 1.3, 0.9985, 0.9985, 0.9])
+    assert looked_at == [list(range(8)), [0, 2, 3, 5, 6]]
+    np.testing.assert_allclose(np.abs(found[:, 0]), [0.9985, 1.2, 0.9985, 0.9985, 1.3, 0.9985, 0.9985, 0.9])
     assert stability.grows(found).tolist() == [False, True, False, False, True, False, False, False]
 
 

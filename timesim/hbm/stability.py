@@ -30,6 +30,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
+from scipy.optimize import linear_sum_assignment
 
 from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.balance import Array, Balance
@@ -43,9 +44,11 @@ BORDER = 1 + 1e-3
 # Distance of a real multiplier from 1 within which the determinant of the balance decides: the samples leave an error
 # of this size.
 NEAR_ONE = 0.03
-# Modulus of a multiplier up to which growth is seen again with `MANY` samples before it counts. Against 4,096, the
-# largest one erred by up to 0.021 with those of the balance and by 3e-4 with `MANY` (benchmarks/balance_error.py).
-NEARLY, MANY = 1.1, 2048
+# Estimated errors by which a modulus must be off that, or the solution is looked at again with `MANY` samples.
+SAFETY, MANY = 5.0, 2048
+# Change of the logarithm from fewer samples up to which a multiplier is the same one, and modulus from which on it is
+# extrapolated.
+ALIKE, DEAD = 0.3, 1e-2
 # With half as many the largest multiplier errs by at most 3e-3 on the paper's oscillator in slip and separation, and by
 # up to 0.097 on the structures there.
 SAMPLES = 256
@@ -67,27 +70,17 @@ def floquet_multipliers(balance: Balance, x: Array, frequency: Array, *, samples
         frequency: of the excitation [Hz], shape (S,).
 
     Keyword Args:
-        samples: of the period; second order; by default those of the balance, at least `SAMPLES`.
+        samples: of the period, from which and from half as many they are extrapolated; by default those of the
+            balance, at least `SAMPLES`.
 
     Returns:
         multipliers, complex, shape (S, 2M + 2C).
     """
-    size = 2 * (balance.model.structure.num_modes + balance.num_contacts)
-    if not len(x):
-        return np.zeros((0, size), complex)
-    samples = samples or max(SAMPLES, balance.scheme.time_samples)
-    local = _linearised(balance, balance.coefficients(x), samples)
-    count = max(1, MAX_ENTRIES // (samples * ENTRIES * balance.num_contacts**2))
-    parts = [slice(i, i + count) for i in range(0, len(x), count)]
-    matrix = np.concatenate(
-        [_monodromy(balance, _steps(balance, frequency[at], samples), [part[at] for part in local]) for at in parts]
-    )
-    multipliers = np.linalg.eigvals(matrix).astype(complex)  # real where all of them are
-    return np.take_along_axis(multipliers, np.argsort(-np.abs(multipliers), axis=1), axis=1)
+    return _with_doubt(balance, x, frequency, samples)[0]
 
 
 def checked_multipliers(balance: Balance, x: Array, frequency: Array, sign: NDArray[np.int64]) -> Array:
-    """`floquet_multipliers`, with more samples where solutions hardly grow or the sign of det dr/dx contradicts.
+    """`floquet_multipliers`, with more samples where stability is in doubt or the sign of det dr/dx contradicts.
 
     On structures with stiff contacts real ones of 0.95 and 1.20 were 1.29 and 0.34 with 128 and 156 samples.
 
@@ -95,13 +88,57 @@ def checked_multipliers(balance: Balance, x: Array, frequency: Array, sign: NDAr
         balance, x, frequency: as of `floquet_multipliers`.
         sign: of det dr/dx, shape (S,), 0 where it does not tell.
     """
-    multipliers = floquet_multipliers(balance, x, frequency)
-    hardly = grows(multipliers) & (np.abs(multipliers[:, 0]) < NEARLY)
+    multipliers, doubt = _with_doubt(balance, x, frequency)
     passed = np.count_nonzero((multipliers.imag == 0) & (multipliers.real > BORDER), axis=1)
-    again = np.flatnonzero(hardly | (sign * (-1) ** passed < 0))
+    again = np.flatnonzero(doubt.any(axis=1) | (sign * (-1) ** passed < 0))
     if balance.scheme.time_samples < MANY:
         multipliers[again] = floquet_multipliers(balance, x[again], frequency[again], samples=MANY)
     return multipliers
+
+
+def _with_doubt(
+    balance: Balance, x: Array, frequency: Array, samples: int | None = None
+) -> tuple[Array, NDArray[np.bool_]]:
+    """`floquet_multipliers`, and of which of them more samples might tell that they are on the other side of 1."""
+    samples = samples or max(SAMPLES, balance.scheme.time_samples)
+    fine, coarse = (_by_samples(balance, x, frequency, number) for number in (samples, samples // 2))
+    both = [extrapolated(*pair, samples / (samples // 2)) for pair in zip(fine, coarse, strict=True)]
+    multipliers, doubt = np.array(both, complex).reshape(-1, 2, fine.shape[1]).swapaxes(0, 1)
+    order = np.argsort(-np.abs(multipliers), axis=1)
+    return np.take_along_axis(multipliers, order, axis=1), np.take_along_axis(doubt, order, axis=1) == 1
+
+
+def extrapolated(fine: Array, coarse: Array, ratio: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Multipliers of a solution from those with samples and with fewer [1]_, and which may be on the other side of 1.
+
+    Logarithms are extrapolated, so a mode that vibrates faster than the samples keeps its modulus. It may find no
+    partner among those with fewer samples, or a wrong one; one of a pair that is real in one and complex in the other
+    finds none. They stay as they are, and so do those that may be on the other side.
+
+    .. [1] L. F. Richardson, Philosophical Transactions of the Royal Society A 210 (1911) 307-357.
+    """
+    partner = coarse[linear_sum_assignment(np.abs(fine[:, None] - coarse))[1]]
+    alike = (np.minimum(np.abs(fine), np.abs(partner)) > DEAD) & ((fine.imag == 0) == (partner.imag == 0))
+    change = np.log(np.where(alike, fine / np.where(alike, partner, 1.0), 1.0))
+    change = np.where(np.abs(change) < ALIKE, change, 0.0) / (ratio**2 - 1)
+    better = fine * np.exp(change)
+    error = np.abs(np.abs(fine) - np.abs(np.where(change == 0, partner, better)))
+    doubt = np.abs(np.abs(better) - BORDER) < SAFETY * error
+    return np.where(doubt, fine, better), doubt
+
+
+def _by_samples(balance: Balance, x: Array, frequency: Array, samples: int) -> Array:
+    """The multipliers that so many samples give, shape (S, 2M + 2C)."""
+    size = 2 * (balance.model.structure.num_modes + balance.num_contacts)
+    if not len(x):
+        return np.zeros((0, size), complex)
+    local = _linearised(balance, balance.coefficients(x), samples)
+    count = max(1, MAX_ENTRIES // (samples * ENTRIES * balance.num_contacts**2))
+    parts = [slice(i, i + count) for i in range(0, len(x), count)]
+    matrix = np.concatenate(
+        [_monodromy(balance, _steps(balance, frequency[at], samples), [part[at] for part in local]) for at in parts]
+    )
+    return np.linalg.eigvals(matrix).astype(complex)  # real where all of them are
 
 
 def grows(multipliers: Array) -> NDArray[np.bool_]:
@@ -169,8 +206,7 @@ def _linearised(balance: Balance, coefficient: Array, samples: int) -> list[Arra
 def _steps(balance: Balance, frequency: Array, samples: int) -> tuple[Array, Array]:
     """The modes over an interval: x1 = keep x0 + hold (g0 + g1) for the forces g at its ends, their mean held.
 
-    x = (q, q'), time in periods over 2 pi; shapes (S, 2M, 2M), or (S, M, 2, 2) of modes that the damping leaves apart,
-    and (S, 2M, 3C).
+    x = (q, q'), time in periods over 2 pi; shapes (S, 2M, 2M) and (S, 2M, 3C).
     """
     if balance.damping.ndim == 2:
         each = [_coupled_step(balance, one, samples) for one in frequency]
@@ -185,7 +221,15 @@ def _steps(balance: Balance, frequency: Array, samples: int) -> tuple[Array, Arr
     whole[..., 1, 2] = span / omega**2 / 2
     flow = expm(whole)
     hold = flow[..., :2, 2].swapaxes(1, 2)[..., None] * balance.shape.T
-    return flow[..., :2, :2], hold.reshape(len(frequency), 2 * size, -1)
+    return _diagonal(flow[..., :2, :2]), hold.reshape(len(frequency), 2 * size, -1)
+
+
+def _diagonal(flow: Array) -> Array:
+    """Matrices of (q, q') from those of each mode, shape (S, M, 2, 2)."""
+    count, size = flow.shape[:2]
+    whole, modes = np.zeros((count, 2, size, 2, size)), np.arange(size)
+    whole[:, :, modes, :, modes] = flow.swapaxes(0, 1)
+    return whole.reshape(count, 2 * size, 2 * size)
 
 
 def _coupled_step(balance: Balance, frequency: float, samples: int) -> tuple[Array, Array]:
@@ -201,20 +245,15 @@ def _coupled_step(balance: Balance, frequency: float, samples: int) -> tuple[Arr
     return flow[:, : 2 * size], flow[:, 2 * size :]
 
 
-def _kept(keep: Array, x: Array) -> Array:
-    """keep x of `_steps`, x of shape (S, 2M, columns)."""
-    if keep.ndim == 3:
-        return keep @ x
-    q, p = np.split(x, 2, axis=1)
-    k = keep[..., None]
-    return np.concatenate([k[:, :, 0, 0] * q + k[:, :, 0, 1] * p, k[:, :, 1, 0] * q + k[:, :, 1, 1] * p], axis=1)
-
-
 def _monodromy(balance: Balance, steps: tuple[Array, Array], local: list[Array]) -> Array:
     """Product of the maps of (x, d) over the intervals of a period, shape (S, 2M + 2C, 2M + 2C).
 
     The motion s = T x of the contacts and d at its end obey the law, with the force g = -K d - P s at both ends. What
-    is put on them for kinks acts for a whole interval: for twice as long as an end does by `hold`.
+    is put on them for kinks acts for a whole interval: for twice as long as an end does by `hold`. So over an interval
+
+        x1 = keep x + hold (A (d, s) - F s1),  d1 = B (d, s) + D s1,  s1 = T x1,
+
+    with matrices that are put together beforehand, F s1 = (1 + F T hold)^-1 F T (keep x + hold A (d, s)) among them.
     """
     keep, hold = steps
     *slopes, touching = local
@@ -224,20 +263,23 @@ def _monodromy(balance: Balance, steps: tuple[Array, Array], local: list[Array])
     press, spring = ratio * _blocks(press), ratio * _spring(balance.law)
     carry, begin, end = ([_blocks(part[..., rows, :]) for rows in RESULTS] for part in slopes)
     seen = _seen(balance, touching.shape[1])
-    size = 2 * num_modes + carry[0].shape[-1]
+    moved, put = (np.concatenate(pair, axis=-1) for pair in zip(carry, begin, strict=True))
+    before = np.concatenate([np.broadcast_to(spring, (*press.shape[:-1], spring.shape[1])), np.roll(press, 1, 1)], -1)
+    given = np.concatenate([-before - 2 * ratio * put - spring @ moved, moved], axis=-2)
+    felt = spring @ end[0] + press + 2 * ratio * end[1]
+    flow, forces, at_contacts = np.concatenate([keep, hold], axis=-1), len(spring), seen @ hold
+    held = np.linalg.solve(np.eye(forces) + felt @ at_contacts[:, None], felt)
+    size = 2 * num_modes + spring.shape[1]
     start = np.broadcast_to(np.eye(size), (len(hold), size, size))
     x, d = start[:, : 2 * num_modes], start[:, 2 * num_modes :]
-    s = seen @ x
-    g = -spring @ d - press[:, -1] @ s
-    felt = spring @ end[0] + press + 2 * ratio * end[1]
-    inverse = np.linalg.inv(np.eye(len(seen)) + (seen @ hold)[:, None] @ felt)
+    s, seen_flow = seen @ x, seen @ flow
     for k in range(touching.shape[1]):
-        moved, put = (a[:, k] @ d + b[:, k] @ s for a, b in zip(carry, begin, strict=True))
-        free = _kept(keep, x) + hold @ (g - 2 * ratio * put - spring @ moved)
-        s = inverse[:, k] @ (seen @ free)
-        d = moved + end[0][:, k] @ s
-        x = free - hold @ (felt[:, k] @ s)
-        g = -spring @ d - press[:, k] @ s
+        own = given[:, k] @ np.concatenate([d, s], axis=1)
+        free = seen_flow @ np.concatenate([x, own[:, :forces]], axis=1)
+        back = held[:, k] @ free
+        s = free - at_contacts @ back
+        x = flow @ np.concatenate([x, own[:, :forces] - back], axis=1)
+        d = own[:, forces:] + end[0][:, k] @ s
     return np.concatenate([x, d], axis=1)
 
 
