@@ -8,12 +8,11 @@ import systems
 from scipy.optimize import linear_sum_assignment
 from simulation import FINE, after_a_cycle
 
-from timesim.hbm import stability
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, Ending, solve
 from timesim.hbm.curve import hbm_curve
 from timesim.hbm.scheme import Scheme
-from timesim.hbm.stability import floquet_multipliers
+from timesim.hbm.stability import floquet_multipliers, multipliers
 from timesim.model.held import springs
 from timesim.model.model import GROUND, Contact, Model
 from timesim.model.solver import PRESETS, Criterion
@@ -63,7 +62,7 @@ def test_multipliers_are_of_second_order_in_the_samples_and_extrapolated(preload
     balance, x, f = solved(systems.oscillator(preload, frequency), frequency, Scheme(9, 256))
     numbers = np.array([64, 128, 256, 512])
     exact = np.abs(floquet_multipliers(balance, x, f, samples=4096)[0, :4])
-    plain = [np.abs(stability._by_samples(balance, x, f, int(n))[0]) for n in numbers]
+    plain = [np.abs(multipliers._by_samples(balance, x, f, int(n))[0]) for n in numbers]
     better = [np.abs(floquet_multipliers(balance, x, f, samples=int(n))[0, :4]) for n in numbers]
     errors = np.abs(np.sort(plain)[:, :-5:-1] - exact).max(axis=1)
     assert -np.polyfit(np.log(numbers), np.log(errors), 1)[0] > 1.7, errors
@@ -95,13 +94,13 @@ def test_what_samples_tell_of_multipliers():
     exact = np.concatenate([[0.7, -0.8, 1.0], 0.9 * turn, 1.2 * turn])
     error = np.concatenate([[0.01, 0.02, 0.0], 0.01 * np.exp(0.3j * np.array([1, -1])), [0.02, 0.02]])
     fine, coarse = exact * np.exp(error), exact * np.exp(4 * error)
-    found, doubt = stability.extrapolated(fine, coarse[::-1], 2.0)
+    found, doubt = multipliers.extrapolated(fine, coarse[::-1], 2.0)
     np.testing.assert_allclose(found, exact, rtol=1e-12)
     assert not doubt.any()
     fast, pair, near = 0.99 * turn, [0.5 + 0.01j, 0.5 - 0.01j], [1.004]
     fine = np.concatenate([fast, pair, near])
     coarse = np.concatenate([0.99 * turn**2, [0.6, 0.4], [0.998]])
-    found, doubt = stability.extrapolated(fine, coarse, 2.0)
+    found, doubt = multipliers.extrapolated(fine, coarse, 2.0)
     np.testing.assert_array_equal(found, fine)
     assert doubt.tolist() == [False] * 4 + [True]
 
@@ -234,23 +233,23 @@ def test_what_is_in_doubt_is_looked_at_with_more_samples(monkeypatch):
     sign = np.array([1, 1, 1, 1, -1, -1, -1, 0])
     looked_at: list[list[float]] = []
 
-    def multipliers(_, x, frequency, samples=None):
+    def given(_, x, frequency, samples=None):
         looked_at.append(frequency.tolist())
         doubt = np.zeros((len(x), 2), dtype=bool)
         doubt[[0, 2] if samples is None else [], 1] = True
         return coarse.copy() if samples is None else np.tile(fine, (len(x), 1)), doubt
 
-    monkeypatch.setattr(stability, "_with_doubt", multipliers)
+    monkeypatch.setattr(multipliers, "_with_doubt", given)
     balance = Balance(systems.oscillator(-1.0, 0.97), 0.97, Scheme(1, 64))
-    found = stability.checked_multipliers(balance, np.zeros((8, 1)), np.arange(8.0), sign)
+    found = multipliers.checked_multipliers(balance, np.zeros((8, 1)), np.arange(8.0), sign)
     assert looked_at == [list(range(8)), [0, 2, 3, 5, 6]]
     np.testing.assert_allclose(np.abs(found[:, 0]), [0.9985, 1.2, 0.9985, 0.9985, 1.3, 0.9985, 0.9985, 0.9])
-    assert stability.grows(found).tolist() == [False, True, False, False, True, False, False, False]
+    assert multipliers.grows(found).tolist() == [False, True, False, False, True, False, False, False]
 
 
 def test_multipliers_are_complex_where_all_are_real(monkeypatch):
     """Those that hardly grow are put in place of the first ones, and may well turn while those do not."""
-    monkeypatch.setattr(stability, "_monodromy", lambda *_: np.tile(np.diag([0.5, 1.002]), (3, 1, 1)))
+    monkeypatch.setattr(multipliers, "monodromy", lambda *_: np.tile(np.diag([0.5, 1.002]), (3, 1, 1)))
     balance = Balance(systems.oscillator(-1.0, 0.97), 0.97, Scheme(1, 64))
     found = floquet_multipliers(balance, np.zeros((3, 9)), np.full(3, 0.97))
     assert found.dtype == complex
