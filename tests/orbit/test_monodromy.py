@@ -1,4 +1,4 @@
-"""The derivative of a motion by its start: by products of whole matrices it is the one that is led step by step."""
+"""The derivative of a motion by its start: by products of matrices, by automatic differentiation, in closed form."""
 
 from dataclasses import replace
 
@@ -7,9 +7,11 @@ import pytest
 import zoo
 from systems import at_rest, excitation, generated_model, oscillator, pad, structure
 
-from timesim.model.model import SEPARATION, SLIP, STICK, Model
+from timesim.model.held import springs
+from timesim.model.model import GROUND, SEPARATION, SLIP, STICK, Contact, Model, Structure
 from timesim.model.solver import Solver
 from timesim.orbit import batch
+from timesim.orbit.monodromy import disturbed
 from timesim.orbit.settling import Chain, first_lane
 
 CYCLES = 3
@@ -46,12 +48,15 @@ def stiff() -> Model:
     ],
 )
 def test_both_ways_give_the_same_derivative(method, model, monkeypatch):
+    """Where no mode is taken out of the rates."""
     solver = Solver("rk4", 1e-6, 1e-8, longest=2 * np.pi / 200) if method == "rk4" else Solver(method, 1e-6, 1e-8)
-    led, lead = [], batch.Disturbed.lead
-    monkeypatch.setattr(batch.Disturbed, "lead", lambda *args, **options: led.append(1) or lead(*args, **options))
+    led, moved = [], disturbed.Disturbed.moved
+    monkeypatch.setattr(disturbed.Disturbed, "moved", lambda *args: led.append(1) or moved(*args))
+    monkeypatch.setattr(disturbed, "FAST", np.inf)
     lane, found = first_lane(Chain(model, (model.excitation.frequency,)), solver), []
     for many in (0, np.inf):
         monkeypatch.setattr(batch, "MANY", many)
+        monkeypatch.setattr(batch, "LOST", np.inf)
         found.append(batch.record([lane], solver, [CYCLES])[0])
         assert bool(led) == (many == 0)
         led.clear()
@@ -60,3 +65,42 @@ def test_both_ways_give_the_same_derivative(method, model, monkeypatch):
     print(found[0].steps.h.size, "steps", states)
     assert {STICK, SLIP} <= states or {SLIP, SEPARATION} <= states
     np.testing.assert_allclose(products, columns, rtol=0, atol=1e-11 * np.abs(columns).max())
+
+
+def held_by_a_stiff_pad(stiffness: float) -> Model:
+    """Two modes and a pad that sticks so stiffly that explicit steps are at the limit of stability all along."""
+    natural, points = np.array([10.0, 25.0]), ("tip", "far")
+    shape = np.array([[[1.0, 0.5], [0.0, 0.0], [0.3, -0.6]], [[0.2, 1.0], [0.0, 0.0], [0.0, 0.0]]])
+    omega = 2 * np.pi * natural
+    body = Structure(natural, np.ones(2), 0.02 * omega, points, shape)
+    contact = Contact("pad", "tip", GROUND, np.eye(3), 0.5, stiffness * np.eye(2), stiffness, 6000.0)
+    return Model(body, (contact,), excitation(8.0, 30 * shape[1, 0], [0.0, 0.0]), at_rest(2, 1))
+
+
+@pytest.mark.parametrize("method", ["tsit5", pytest.param("dopri8", marks=pytest.mark.slow)])
+def test_multipliers_of_a_structure_that_a_stiff_contact_holds(method):
+    """Explicit steps of themselves let its fast vibration grow 30,000 times in a cycle, or die out."""
+    model = held_by_a_stiff_pad(1e9)
+    lane = first_lane(Chain(model, (8.0,)), Solver(method, 1e-6, 1e-8))
+    recorded = batch.record([lane], Solver(method, 1e-6, 1e-8), [1])[0]
+    assert (recorded.steps.state == STICK).all()
+    K, D = np.diag(model.structure.stiffness), np.diag(model.structure.damping)
+    K = K + model.contact_shape[0].T @ springs(model.contacts[0]) @ model.contact_shape[0]
+    exact = np.exp(np.linalg.eigvals(np.block([[np.zeros((2, 2)), np.eye(2)], [-K, -D]])) / 8.0)
+    np.testing.assert_allclose(np.sort(np.abs(recorded.multipliers)), np.sort(np.abs(exact)), rtol=1e-4)
+
+
+def test_a_mode_whose_shape_is_vague_is_not_taken_out():
+    """A critically damped one has one shape for two rates."""
+    fast = disturbed.modes_of(np.array([[0.0, 1.0, 0.0], [-4.0, -4.0, 0.0], [0.0, 0.0, -3.0]]))
+    np.testing.assert_allclose(fast.rates, [-3.0])
+    assert fast.fastest(0).rates.size == 0
+
+
+@pytest.mark.parametrize(("method", "order"), [("tsit5", 5), ("dopri5", 5), ("dopri8", 8), ("rk4", 4)])
+def test_error_of_a_vibration_in_a_step(method, order):
+    """It is of an order higher than the method's."""
+    angles = np.array([0.4, 0.8])
+    errors = disturbed.error_of(method, angles)
+    assert np.log2(errors[1] / errors[0]) > order + 0.8
+    assert disturbed.error_of("rk4", 0.1) == pytest.approx(0.1**5 / 120, rel=1e-2)

@@ -25,7 +25,7 @@ from timesim.engine.step import Step, Trajectory, begin, try_step
 from timesim.engine.system import System
 from timesim.model.solver import Solver
 from timesim.orbit.lane import Lane, Recorded
-from timesim.orbit.monodromy import MANY, Disturbed, HybridState, derivative, linear, state_vector
+from timesim.orbit.monodromy import LOST, MANY, Disturbed, HybridState, derivative, error_of, linear, state_vector
 from timesim.program import program
 
 SIDE_BY_SIDE = 4  # lanes of a batch: of 16 each takes as long; a batch that is not full is filled up
@@ -132,21 +132,36 @@ def _recorded(own: tuple[Lane, int], solver: Solver, most: int | None) -> tuple[
 
 def _slopes(lanes: Sequence[Lane], method: Method, steps: Sequence[Step], each: Each) -> list[np.ndarray]:
     """Derivative of the state of each lane after its steps by that before them."""
-    if isinstance(method, Explicit) and any(lane.vector.size >= MANY for lane in lanes):
-        return list(each(partial(_slope_of_many, method), list(zip(lanes, steps, strict=True))))
-    return _slopes_in_pieces(lanes, method, steps, each)
+    slopes: dict[int, np.ndarray] = {}
+    if isinstance(method, Explicit):
+        own = [i for i, pair in enumerate(zip(lanes, steps, strict=True)) if _by_matrices(method, *pair)]
+        found = each(partial(_slope_of_explicit, method), [(lanes[i], steps[i]) for i in own])
+        slopes |= zip(own, found, strict=True)
+    others = [i for i in range(len(lanes)) if i not in slopes]
+    pieces = _slopes_in_pieces([lanes[i] for i in others], method, [steps[i] for i in others], each)
+    slopes |= zip(others, pieces, strict=True)
+    return [slopes[i] for i in range(len(lanes))]
 
 
-def _slope_of_many(method: Explicit, own: tuple[Lane, Step]) -> np.ndarray:
-    """The same of one lane whose state has many numbers."""
+def _by_matrices(method: Explicit, lane: Lane, steps: Step) -> bool:
+    """Whether products of matrices are quicker, or needed, as a mode may be fast over the steps."""
+    fastest = lane.model.stuck_rate / lane.frame.scales.omega
+    return lane.vector.size >= MANY or error_of(method.name, fastest * steps.h).sum() > LOST
+
+
+def _slope_of_explicit(method: Explicit, own: tuple[Lane, Step]) -> np.ndarray:
+    """The same of one lane by an explicit method, by products of matrices."""
     lane, steps = own
-    system = lane.system.single()
-    columns = Disturbed(method, system, np.eye(lane.vector.size))
-    for first in range(0, steps.h.size, PIECE):
-        rows = np.arange(first, min(first + PIECE, steps.h.size))
-        piece = linear(method, system, _entry(steps, np.pad(rows, (0, PIECE - rows.size), mode="edge")))
-        columns.lead(_on_host(piece), steps.h[rows], opens=first == 0)
-    return columns.columns
+    system, size, pieces = lane.system.single(), steps.h.size, []
+    if not size:
+        return np.eye(lane.vector.size)
+    for first in range(0, size, PIECE):
+        rows = np.minimum(np.arange(first, first + PIECE), size - 1)
+        pieces.append(_on_host(linear(method, system, _entry(steps, rows))))
+    whole = jax.tree.map(lambda *rows: np.concatenate(rows)[:size], *pieces)
+    disturbed = Disturbed(method, system)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return disturbed.moved(whole, steps.h, steps.state) @ disturbed.opening(whole)
 
 
 def _slopes_in_pieces(lanes: Sequence[Lane], method: Method, steps: Sequence[Step], each: Each) -> list[np.ndarray]:

@@ -1,0 +1,118 @@
+"""Derivative of steps of any method by automatic differentiation, side by side for several lanes."""
+
+import timesim.runtime  # noqa: F401  isort: skip
+
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from timesim.engine.lanes import batch_last, over_lanes
+from timesim.engine.law.contact_law import Motion, Plane, State
+from timesim.engine.method import Explicit, Looped, Method, looped
+from timesim.engine.step import Step, transition
+from timesim.engine.system import Point, System
+from timesim.model.model import SEPARATION, SLIP, STICK
+from timesim.program import program
+
+
+class HybridState(eqx.Module):
+    """Continuous state of a trajectory, and the state of each contact."""
+
+    point: Point
+    state: State
+
+
+def vector_of(point: Point, numpy: Any = jnp) -> Any:
+    """(q, q', w) as one vector; ``numpy``: the library that the arrays are of."""
+    return numpy.concatenate([point.q, point.p, *point.w])
+
+
+def point_of(vector: Any, like: Point) -> Point:
+    """The inverse of `vector_of`, in the shapes of another point."""
+    size, contacts, axes = like.q.shape[0], like.w[0].shape[0], len(like.w)
+    slip = vector[2 * size :].reshape(axes, contacts)
+    return Point(vector[:size], vector[size : 2 * size], tuple(slip[i] for i in range(axes)), None)
+
+
+def state_vector(point: Point, state: State) -> Float[Array, " state"]:
+    """(q, q', w) as one vector; w of a separated contact, which is u, counts as 0."""
+    apart = state == SEPARATION
+    return jnp.concatenate([point.q, point.p, *(jnp.where(apart, 0.0, w) for w in point.w)])
+
+
+def _first_guard(system: System, step: Step, vector: Float[Array, " state"]) -> Float[Array, ""]:
+    """Margin of the contact that leaves its state at the end of the step; of several at once, of the first."""
+    point = point_of(vector, step.end)
+    return ending(system, step, system.motion(point), point.w)
+
+
+def ending(system: System, step: Step, motion: Motion, w: Plane) -> Float[Array, ""]:
+    """The same by the motion of the contacts."""
+    force, speed = system.law.margins(step.state, motion, w)
+    to_stick = (step.state == SLIP) & (step.state_after == STICK)
+    margin = jnp.where(to_stick, speed, force)
+    return margin[jnp.argmax(step.state != step.state_after)] if margin.size else jnp.ones(())
+
+
+def _image(method: Method, system: System, step: Step, start: Float[Array, " state"]) -> Float[Array, " state"]:
+    """Where a start close to that of the step is led to, at the fixed time of its end."""
+    system, here, point = felt(method, system, step), (step.state, step.time), point_of(start, step.start)
+    end = vector_of(method.advance(system, *here, point, system.field(*here, point), step.h).point)
+    crossed = step.state != step.state_after
+    before, middle = vector_of(step.end_rate), jax.lax.stop_gradient(end)
+    guard = partial(_first_guard, system, step)
+    falls = jax.jvp(guard, (middle,), (before,))[1]
+    falls = jnp.where(falls == 0, jnp.inf, falls)
+    delay = jnp.where(crossed.any(), -(guard(end) - guard(middle)) / falls, 0.0)
+    at_event = transition(system, step.state, crossed, point_of(end + before * delay, step.end))[0]
+    after = vector_of(system.field(step.state_after, step.time + step.h, jax.lax.stop_gradient(at_event)))
+    return vector_of(at_event) - after * delay
+
+
+def felt(method: Method, system: System, step: Step) -> System:
+    """The system as a step of an explicit method follows it with a disturbance."""
+    if not isinstance(method, Explicit | Looped):
+        return system
+    ends = [(system.motion(point), point.w) for point in (step.start, step.end)]
+    return eqx.tree_at(lambda s: s.law, system, system.law.disturbed(step.h, ends))
+
+
+@program
+def derivative(
+    method: Method, systems: System, steps: Step, count: Int[Array, " batch"], opens: Bool[Array, " batch"]
+) -> Float[Array, "batch state state"]:
+    """Products over the steps of the derivative of each, in the order of `vector_of`.
+
+    Args:
+        method: that of the steps.
+        systems: batch first.
+        steps: accepted steps in a row of each, the first axis that of the steps, the last one that of the batch.
+        count: how many of them there are; rows beyond are empty.
+        opens: whether they begin with the state from which the cycles do, which may be moved off the friction cone: w
+            of a contact that slips is put back on it.
+    """
+    systems = batch_last(systems)
+
+    def on_cone(system: System, step: Step, opens: Bool[Array, ""]) -> Float[Array, "state state"]:
+        """Derivative of the state from which the first step starts by that from which its lane does."""
+        quiet, start = jnp.zeros(step.state.shape, dtype=bool), vector_of(step.start)
+        put = lambda y: vector_of(transition(system, step.state, quiet, point_of(y, step.start))[0])  # noqa: E731
+        return jnp.where(opens, jax.jacfwd(put)(start), jnp.eye(start.size))
+
+    def push(system: System, step: Step, columns: Float[Array, "state state"]) -> Float[Array, "state state"]:
+        image, start = partial(_image, looped(method), system, step), vector_of(step.start)
+        return jax.vmap(lambda column: jax.jvp(image, (start,), (column,))[1], in_axes=1, out_axes=1)(columns)
+
+    def body(carry: tuple) -> tuple:
+        index, product = carry
+        step = jax.tree.map(lambda rows: rows[index], steps)
+        return index + 1, jnp.where(index < count, over_lanes(push)(systems, step, product), product)
+
+    product = over_lanes(on_cone)(systems, jax.tree.map(lambda rows: rows[0], steps), opens)
+    begin = jnp.zeros((), dtype=jnp.int64), product
+    _, product = jax.lax.while_loop(lambda carry: carry[0] < count.max(), body, begin)
+    return jnp.moveaxis(product, -1, 0)
