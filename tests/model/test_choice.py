@@ -94,9 +94,35 @@ def test_rate_at_which_the_direction_of_slip_turns() -> None:
     stiffness, omega = np.array([30.0, 30.0, 40.0 + 7.0]), 2 * np.pi * 1.5
     motion = np.abs(np.array([1.0, 0.0, 1.0]) / (stiffness * (1 + 1e-3j) - omega**2))
     assert slip_rates(model, 1.5) == pytest.approx(5 * omega * motion[0] / (0.04 * (3 + 7 * motion[2])))
-    assert slip_steps(model, 1.5) == pytest.approx(slip_rates(model, 1.5)[0] / (REACH * 1.5))
+    varying = load_scene(_mass(friction=0.04, preload=0.5)).model()
+    assert slip_steps(varying, 1.5) == pytest.approx(slip_rates(varying, 1.5)[0] / (REACH * 1.5))
     assert contact_rate(model) == pytest.approx(np.sqrt(7.0))
-    assert slip_steps(load_scene(_mass(friction=0.06)).model(), 1.5) == 0.0
+    assert slip_steps(load_scene(_mass(friction=0.06, preload=0.5)).model(), 1.5) == 0.0
+
+
+def test_under_a_steady_load_it_is_mu_n_that_counts() -> None:
+    """The same equation, mu n = 0.01; whether it slides is told by the force that would hold it, by hand."""
+    steady = {"normal_stiffness": 0.0, "tangential_stiffness": 5e6}
+    little, large = (
+        load_scene(_mass(friction=friction, preload=0.01 / friction, **steady)).model() for friction in (0.01, 0.5)
+    )
+    assert slip_steps(large, 1.5) == pytest.approx(slip_steps(little, 1.5))
+    assert 0.4 * slip_steps(large, 1.5) > BUDGET
+    assert taken(large, 2).name == taken(little, 2).name == "exponential"
+    held = 5.0 / abs(30.0 + 5.0 - (2 * np.pi * 1.5) ** 2)
+    soft = {"normal_stiffness": 0.0, "tangential_stiffness": 5.0, "friction": 0.5}
+    assert slip_steps(load_scene(_mass(preload=1.98 * held, **soft)).model(), 1.5) > 0
+    assert slip_steps(load_scene(_mass(preload=2.02 * held, **soft)).model(), 1.5) == 0.0
+
+
+def test_check_warns_of_a_method_that_slip_takes_beyond_the_budget() -> None:
+    sliding = _mass(friction=0.5, preload=0.02, normal_stiffness=0.0, tangential_stiffness=5e6)
+    (line,) = (
+        own for own in describe(load_scene(sliding | {"solver": {"method": "tsit5"}}))["warnings"] if "max" in own
+    )
+    assert line.startswith("solver.max_steps: 100000 steps a cycle are fewer than the ")
+    assert "that the direction of slip may ask for at 1.5 Hz" in line
+    assert not any("max_steps" in own for own in describe(load_scene(sliding)).get("warnings", ()))
 
 
 def test_nothing_turns_where_nothing_slides_or_only_along_a_line() -> None:
@@ -172,7 +198,9 @@ def test_a_method_that_is_given_is_obeyed() -> None:
 def test_check_names_contacts_whose_slip_is_stiff() -> None:
     lines = describe(load_scene(OSCILLATOR, ["contacts.pad.friction=1e-4", "solver={method: tsit5}"]))["method"]
     rate = slip_rates(slippery(), 1.39)[0]
-    assert lines[1].startswith("contact pad: friction 0.0001 lets the direction of its slip turn at a rate of about ")
+    assert lines[1].startswith(
+        "contact pad: its friction force is so little (coefficient 0.0001) that the direction of "
+    )
     assert f"{rate:.2g} a second" in lines[1]
     assert len(describe(load_scene(OSCILLATOR))["method"]) == 1
 

@@ -66,7 +66,8 @@ def simplified(contact: Contact, shape: np.ndarray, units: Units, *, is_straight
 
 def turning(contact: Contact, rate: float, steps: float) -> str:
     """A contact whose direction of slip turns fast: its rate [rad/time], and the steps a cycle that this asks for."""
-    why = f"friction {contact.friction:g} lets the direction of its slip turn at a rate of about {rate:.2g} a second"
+    little = f"its friction force is so little (coefficient {contact.friction:g})"
+    why = f"{little} that the direction of its slip may turn at a rate of about {rate:.2g} a second"
     return (
         f"contact {contact.name}: {why}, for which explicit methods may take {float(f'{steps:.2g}'):,.0f} steps a cycle"
     )

@@ -69,8 +69,8 @@ def _method_lines(scene: Scene, model: Model) -> Iterator[str]:
         why = "given" if chosen is None else chosen.why
         yield f"{solver.name}: {why}{'' if solver.name == CLOSED_FORM else steps}"
     if cost.slip_stiff(model, frequency):
-        for contact, rate in zip(model.contacts, cost.slip_rates(model, frequency), strict=True):
-            if rate > 0 and contact.friction <= cost.LITTLE_FRICTION:
+        for contact, rate in zip(model.contacts, cost.stiff_rates(model, frequency), strict=True):
+            if rate > 0:
                 yield turning(contact, rate, rate / (cost.REACH * frequency))
 
 

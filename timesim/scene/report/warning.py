@@ -7,7 +7,7 @@ import numpy as np
 
 from timesim.fault import Problem
 from timesim.model.contact_state import obeys_cone
-from timesim.model.cost import EXPLICIT, seconds_a_cycle, stable_steps
+from timesim.model.cost import EXPLICIT, SLIPPING, seconds_a_cycle, slip_steps, stable_steps
 from timesim.model.model import Model
 from timesim.model.promise import rounded
 from timesim.model.reduction import distant_stops, reduction_of
@@ -90,6 +90,10 @@ def _steps(scene: Scene, model: Model) -> Iterator[str]:
     elif asked > solver.budget:
         advice = "method: exponential does without them, and a smaller structure.keep_modes may too"
         yield f"solver.max_steps: {solver.budget} steps a cycle are fewer than the {stability}; {advice}"
+    elif solver.name != "rk4" and SLIPPING * (turns := slip_steps(model, frequency)) > solver.budget:
+        slip = f"{turns:.2g} that the direction of slip may ask for at {frequency:.6g} Hz"
+        advice = "method: exponential does without them"
+        yield f"solver.max_steps: {solver.budget} steps a cycle are fewer than the {slip}; {advice}"
 
 
 def _far_contacts(scene: Scene, model: Model) -> Iterator[str]:
