@@ -96,6 +96,23 @@ def _covered(fig: Figure) -> list[tuple[str, str]]:
     return [(a, b) for a, b in combinations(boxes, 2) if boxes[a].padded(-1).overlaps(boxes[b].padded(-1))]
 
 
+def test_two_motions_are_shown_where_the_summary_quotes_them() -> None:
+    """Along y the sweeps are larger, and the motion with the larger amplitude of all the smaller of the two."""
+    data = two_motions([2.0])
+    data["amplitude_lower"][..., 1] = 0.8
+    data["sweep"]["amplitude"][..., 1] = 2.0
+    (place,) = bistable.ranges(data)
+    for ax in (bistable.response(data), bistable.response(data, near=place)):
+        assert " x " in ax.get_ylabel()
+        stars = {
+            str(line.get_label()): float(line.get_ydata()[0]) for line in ax.get_lines() if line.get_marker() == "*"
+        }  # type: ignore[arg-type,index]
+        assert stars == {"smaller motion": 0.36, "larger motion": 0.84}
+    along = bistable.response(data, near=place, axis="y")
+    assert " y " in along.get_ylabel()
+    assert not [line for line in along.get_lines() if line.get_marker() == "*"]
+
+
 @pytest.mark.parametrize("preloads", [[2.0], [1.8, 2.0], [1.8, 2.0, 2.2, 2.4, 2.6]])
 def test_nothing_covers_a_label_of_two_motions(preloads: list[float], tmp_path: Path) -> None:
     data = two_motions(preloads)

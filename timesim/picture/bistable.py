@@ -13,7 +13,7 @@ from timesim.picture import response as shared
 from timesim.picture.choice import left_out, motion
 from timesim.picture.figure import axes, figure, finish, from_zero, label_axes, labelled, legend_beside, stacked
 from timesim.picture.style import BLUE, VERMILION, Axes, Dataset, DataTree, Figure, Picture
-from timesim.result.coordinate import over_keys
+from timesim.result.coordinate import largest_motion, over_keys
 from timesim.result.label import told_apart
 
 MAX_RANGES = 4
@@ -92,15 +92,15 @@ def response(
         data, ax: the result, and axes to draw on.
         at: position along the further axes; the first of each by default.
         near: show only this range and its surroundings.
-        point, axis: whose amplitude is shown; by default those with the largest.
+        point, axis: whose amplitude is shown; by default those of the summary (`_motion`).
     """
     ax, sweep = axes(ax), data.children["sweep"].to_dataset()
-    point, axis = motion(sweep, point, axis)
     at = {key: (at or {}).get(key, 0) for key in _keys(data)} if near is None else near.at
+    shown = [item for item in ranges(data) if item.at == at] if near is None else [near]
+    point, axis = _motion(data, shown, point, axis)
     window = EVERYWHERE if near is None else _window(near)
     for i, (direction, colour) in enumerate(SWEEPS.items()):
         _sweep(ax, sweep.isel(at).isel(direction=i).sel(point=point, axis=axis), direction, colour, window)
-    shown = [item for item in ranges(data) if item.at == at] if near is None else [near]
     for item in shown:
         wide = item.high - item.low > WIDE * float(np.ptp(sweep.frequency.values))
         _range(data, ax, item, point, axis, middle=wide or near is not None)
@@ -112,6 +112,17 @@ def response(
     else:
         ax.set_xlim(*window)
     return ax
+
+
+def _motion(
+    data: DataTree, shown: list[DrawnRange], point: str | None = None, axis: str | None = None
+) -> tuple[str, str]:
+    """Point and axis that are asked for; by default where the larger motion in the ranges shown is largest."""
+    if point or axis or not shown:
+        return motion(data.children["sweep"].to_dataset(), point, axis)
+    upper = data.to_dataset()["amplitude_upper"].isel(shown[0].at).isel(jump=[item.number for item in shown])
+    place = largest_motion(upper)
+    return place["point"], place["axis"]
 
 
 def _window(item: DrawnRange) -> tuple[float, float]:
@@ -179,14 +190,14 @@ def _branch(
 def phase(data: DataTree, ax: Axes | None = None, *, at: Mapping[str, int] | None = None) -> Axes:
     """Phase of the same motion in both sweeps; arguments as of `response`."""
     ax, sweep = axes(ax), data.children["sweep"].to_dataset()
-    point, axis = motion(sweep, None, None)
     at = {key: (at or {}).get(key, 0) for key in _keys(data)}
+    shown = [item for item in ranges(data) if item.at == at]
+    point, axis = _motion(data, shown)
     for i, (direction, colour) in enumerate(SWEEPS.items()):
         part = sweep.isel(at).isel(direction=i).sel(point=point, axis=axis)
         _sweep(ax, part, direction, colour, name="phase_deg")
-    for item in ranges(data):
-        if item.at == at:
-            _span(ax, item)
+    for item in shown:
+        _span(ax, item)
     if "hbm" in data.children and "phase_deg" in data.children["hbm"]:
         _branch(data, ax, at, point, axis, name="phase_deg")
     ax.set_xlabel("frequency [Hz]")
@@ -208,6 +219,8 @@ def _range(data: DataTree, ax: Axes, item: DrawnRange, point: str, axis: str, *,
             ax.annotate("", (frequency, after), (frequency, before), arrowprops=arrow, zorder=5)
             ax.plot([], [], color="black", marker=r"$\downarrow$", linestyle="", ms=9, label="jump")
     star: dict[str, Any] = {"markeredgecolor": "black", "linestyle": "", "ms": 11, "zorder": 6}
+    # Where another axis is shown, the motion with the larger amplitude of all may have the smaller one along it.
+    middle = middle and bool(here["amplitude_lower"] <= here["amplitude_upper"])
     for name, words, colour in (("lower", "smaller", BLUE), ("upper", "larger", VERMILION)) if middle else ():
         value = float(here[f"amplitude_{name}"])
         ax.plot(0.5 * (item.low + item.high), value, "*", color=colour, label=f"{words} motion", **star)

@@ -56,6 +56,13 @@ def rubs(data: "Dataset") -> "DataArray":
     return data["contact"].notnull() if known is None else known > 0
 
 
+def largest_motion(amplitude: "DataArray") -> dict[str, str]:
+    """Point and axis of the largest of some amplitudes, along any further dimensions."""
+    values = amplitude.transpose(..., "point", "axis").values
+    place = np.unravel_index(np.argmax(np.nan_to_num(values, nan=-1.0)), values.shape)[-2:]
+    return {name: str(amplitude[name].values[i]) for name, i in zip(("point", "axis"), place, strict=True)}
+
+
 def over_keys(data: "Dataset") -> list[str]:
     """Keys of the scalars of the scene that a result varies, in the scene's order."""
     names = dict.fromkeys((*(dim for array in data.data_vars.values() for dim in array.dims), *data.data_vars))

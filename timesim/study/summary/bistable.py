@@ -7,7 +7,7 @@ from xarray import Dataset
 
 from timesim.orbit.basin import ANOTHER, IRREGULAR, LOWER, NONE, UPPER, unique
 from timesim.orbit.two_motions import LARGER, NO_MOTION, SMALLER
-from timesim.result.coordinate import over_keys
+from timesim.result.coordinate import largest_motion, over_keys
 from timesim.result.label import counted, first_few, in_words, with_unit
 from timesim.study.summary.sweep import LINES
 
@@ -34,12 +34,12 @@ def bistable_lines(data: Dataset, sweep: Dataset, width: float) -> Iterator[str]
 def _range_lines(one: Dataset, width: float) -> Iterator[str]:
     """A range with two motions."""
     (low, high), smaller, larger = (one[name].values for name in ("range", "amplitude_lower", "amplitude_upper"))
-    place = np.unravel_index(np.argmax(larger), larger.shape)
-    name = f"{one['point'].values[place[0]]} {one['axis'].values[place[1]]}"
-    either = with_unit(f"{smaller[place]:.6g} or {larger[place]:.6g}", one["amplitude_upper"].attrs)
+    shown = largest_motion(one["amplitude_upper"])
+    two = (float(one[f"amplitude_{name}"].sel(shown)) for name in ("lower", "upper"))
+    either = with_unit(" or ".join(f"{value:.6g}" for value in two), one["amplitude_upper"].attrs)
     yield (
-        f"two motions from {low:.8g} to {high:.8g} Hz (each end to {width:g} Hz): amplitude of {name} "
-        f"{either} at {0.5 * (low + high):.6g} Hz"
+        f"two motions from {low:.8g} to {high:.8g} Hz (each end to {width:g} Hz): amplitude of "
+        f"{' '.join(shown.values())} {either} at {0.5 * (low + high):.6g} Hz"
     )
     for end in one["end"].values[one["range_cut"].values > 0]:
         yield f"the {end} end of it is that of the search, not of the range: widen frequency"
