@@ -232,6 +232,20 @@ def test_the_energies_of_every_cycle_balance(short: xarray.Dataset) -> None:
     assert np.abs(short.energy_residual).max() < 1e-8 * short.attrs["peak_stored_energy"]
 
 
+def test_a_run_whose_chosen_method_spends_its_steps_begins_anew_by_collocation(short: xarray.Dataset) -> None:
+    few = SHORT | {"solver": {"accuracy": "standard", "max_steps": 60}}
+    outcome = carry_out(load_scene(few))
+    assert load_scene(few).solver().name == "tsit5"
+    assert outcome.reason is None
+    assert any(
+        "the 60 steps a cycle are spent in cycle 1: begun anew by exponential" in line for line in outcome.summary
+    )
+    again = outcome.groups[""]
+    assert again.attrs["method"].startswith("exponential")
+    assert again.attrs["method_choice"] == "exponential: tsit5, chosen at first, spent its budget of steps"
+    assert again.displacement.values == pytest.approx(short.displacement.values, abs=1e-5)
+
+
 def test_a_run_that_fails_in_its_run_up_keeps_what_it_has(tmp_path: Path) -> None:
     outcome = carry_out(load_scene(SHORT | {"solver": {"method": "tsit5", "max_steps": 12}}))
     assert outcome.reason is not None

@@ -72,6 +72,7 @@ class Run:
         self.displacement, self.velocity = start.displacement.copy(), start.velocity.copy()
         self.slip, self.state = start.slip.copy(), start.state
         self.phase, self.time, self.completed = start.phase, 0.0, 0
+        self.status = Status.RUNNING
         self.compile_seconds = 0.0
         self.work = np.zeros(2 + self.model.num_contacts)
 
@@ -154,7 +155,8 @@ class Run:
         Raises:
             RunError: the loop has ended early.
         """
-        if status == Status.RUNNING:
+        self.status = Status(status)
+        if self.status == Status.RUNNING:
             return
         message = message_of(self.model, self.reduction, self.solver, status, culprit)
         raise RunError(f"at time {self.time:.9g} s, in cycle {self.completed + 1}: {message}")

@@ -10,9 +10,11 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.engine.companion import Estimate, companion_of, compared, estimate, rounding, unknown
-from timesim.engine.status import RunError
+from timesim.engine.status import RunError, Status
 from timesim.engine.trajectory import Phase, Run
+from timesim.model.choice import TABLE
 from timesim.model.contact_state import slip_follows_motion
+from timesim.model.cost import EXPLICIT
 from timesim.model.promise import AMPLIFIED, CLOSE, MARGIN, tightened
 from timesim.model.solver import COMPANION, Solver
 from timesim.result.dataset import Arrays, dataset
@@ -26,6 +28,8 @@ from timesim.study.summary.drift import run_lines
 from timesim.study.summary.effort import effort_lines
 from timesim.study.summary.transient import transient_lines
 
+SLIPPERY = TABLE[0].largest
+"""Tolerance from which on collocation begins a run anew: most often slip spends the budget."""
 REPETITIONS = 2
 """Of a run that errs more than promised: the first estimate may be far off if errors are not proportional yet."""
 
@@ -33,11 +37,18 @@ REPETITIONS = 2
 def study(scene: Scene, execution: Execution) -> Outcome:
     """Run a scene of a transient or a jump; the result is marked incomplete where the run ended early.
 
-    Where the estimated error is above what the accuracy promises, the run is repeated with tighter tolerances.
+    Where a method that was chosen, not given, spends its budget of explicit steps, the run begins anew by collocation.
+    Where the estimated error is above what the accuracy promises, it is repeated with tighter tolerances.
     """
     clock = time.perf_counter()
     promise, lines, more = scene.promise or np.inf, [], {}
     done = _carried(scene, scene.solver(), execution)
+    if scene.choice is not None and done.solver.name in EXPLICIT and done.recorder.run.status == Status.BUDGET:
+        instead = replace(tightened(done.solver, SLIPPERY / done.solver.rtol), name="exponential")
+        spent = f"{done.solver.budget} steps a cycle are spent in cycle {done.recorder.run.completed + 1}"
+        lines.append(f"by {done.solver} the {spent}: begun anew by {instead}")
+        done = _carried(scene, instead, execution)
+        more["method_choice"] = f"exponential: {scene.solver().name}, chosen at first, spent its budget of steps"
     for _ in range(REPETITIONS):
         state = done.error.state if done.error else 0.0
         better = tightened(done.solver, promise / (MARGIN * state)) if state > CLOSE * promise else done.solver
