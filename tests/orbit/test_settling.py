@@ -114,6 +114,28 @@ def test_an_alternation_counts_from_thirty_times_the_tolerance():
         assert recurrence_of(1 + times * 1e-8 * (alternation - 1), 1e-8).period == period
 
 
+@pytest.mark.parametrize("multiplier", [-0.9, -0.97])
+def test_a_motion_that_alternates_while_it_decays_has_its_own_period(multiplier):
+    """Under a negative multiplier the change over twice the period falls below that over the period."""
+    cycles = np.arange(3000)
+    for period, multiple in ((1, 2), (2, 4)):
+        decays = 1e-3 * (multiplier ** (cycles // period))
+        returns = np.stack([1 + decays, 0.3 * (cycles % period)], axis=1)
+        seen = [recurrence_of(returns[n - 16 : n], 1e-8).period for n in range(16, len(returns), CYCLES_A_ROUND)]
+        assert set(seen) <= {0, period}
+        assert seen[-1] == period
+        assert multiple not in seen
+
+
+def test_the_halves_of_a_period_must_differ_clearly():
+    """Within the tolerance a motion of four cycles is one of two; just above it a difference may still decay."""
+    cycles = np.arange(2 * CYCLES_A_ROUND)
+    halves = 0.1 * (cycles % 2)
+    for times, period in ((0.5, 2), (2, 0), (25, 0), (40, 4)):
+        returns = 1 + halves + times * 1e-8 * (cycles % 4 // 2)
+        assert recurrence_of(returns[:, None], 1e-8).period == period
+
+
 def test_rounding_is_at_rest():
     """A change of rounding does not fall any more: what is left is of its size, not what its ratio leads to."""
     cycles = np.arange(2 * CYCLES_A_ROUND)
@@ -214,6 +236,8 @@ def test_what_nearly_repeats_after_a_long_period_is_shot_once_the_budget_is_spen
     marched_only = spent(turning, first_shot=NEVER)  # a shot may lead elsewhere
     assert (marched_only.task, marched_only.period) == (Task.MEASURE, 12)
     assert spent(turning * 0.999 ** cycles[:, None], first_shot=NEVER).period == 0
+    decays = 1e-8 * (-0.97) ** (cycles // 5)  # changes less over ten cycles than over five
+    assert spent(np.stack([cycles % 5, decays], axis=1), first_shot=NEVER).period == 5
     assert spent(never).task is Task.MEASURE
     assert spent(turning[CYCLES_A_ROUND:]).task is Task.MEASURE  # too short a march
     failed = after_shot(found, SimpleNamespace(closes=False, cycles=12), Criterion())

@@ -68,12 +68,24 @@ def recurrence_of(returns: np.ndarray, tolerance: float, noise: float = 0.0) -> 
                 left, tolerance = last, max(tolerance, noise)
         left = min(left, last) if last < REST else left
         if last < REST or (last < tolerance and left < tolerance):
-            earlier, now = _by_halves(_changes(returns, 1) / size)
-            if period == 1 or now < tolerance:
-                return Recurrence(1, left)
-            if now > DOUBLED * tolerance and now > STILL_THERE * earlier:
-                return Recurrence(period, left)
+            own = _own_period(returns / size, period, tolerance)
+            if own:
+                return Recurrence(own, left)
     return Recurrence(0, least)
+
+
+def _own_period(returns: np.ndarray, period: int, tolerance: float) -> int:
+    """The shortest divisor of a period over which the state repeats as well; 0 where that is open.
+
+    What alternates while it decays changes less over twice its period than over the period.
+    """
+    for part in (part for part in range(1, period) if period % part == 0):
+        earlier, now = _by_halves(_changes(returns, part))
+        if now < tolerance:
+            return part
+        if not (now > DOUBLED * tolerance and now > STILL_THERE * earlier):
+            return 0
+    return period
 
 
 def _changes(returns: np.ndarray, period: int) -> np.ndarray:
@@ -86,17 +98,18 @@ def _by_halves(change: np.ndarray) -> tuple[float, float]:
     return np.max(change[-2 * HALF : -HALF]), np.max(change[-HALF:])
 
 
-def nearest_period(returns: np.ndarray, longest: int = CYCLES_A_ROUND) -> Recurrence:
+def nearest_period(returns: np.ndarray, longest: int = CYCLES_A_ROUND, tolerance: float = 0.0) -> Recurrence:
     """The shortest period over which the state changes little more than over that of the least change.
 
     Args:
         returns: the state at the end of consecutive cycles, shape (N, state).
         longest: period [cycles] to be looked at; of a short march, that over which its last cycles show a change.
+        tolerance: change that counts as none, relative to the largest entry.
     """
     longest = min(longest, len(returns) - HALF)
     size = max(np.max(np.abs(returns)), 1e-300)
     change = np.array([_changes(returns, period)[-HALF:].max() for period in range(1, longest + 1)]) / size
-    place = int(np.argmax(change <= NEARLY_LEAST * max(change.min(), REST)))
+    place = int(np.argmax(change <= max(NEARLY_LEAST * max(change.min(), REST), tolerance)))
     return Recurrence(place + 1, float(change[place]))
 
 

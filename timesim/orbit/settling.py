@@ -118,7 +118,7 @@ def after_march(search: Search, lane: Lane, returns: np.ndarray, solver: Solver,
 
 def _spent(search: Search, criterion: Criterion) -> Search:
     """The search at the end of its budget: what nearly repeats after a long period is shot, or has settled."""
-    long = _long_recurrence(search)
+    long = _long_recurrence(search, criterion.tolerance if criterion.first_shot == NEVER else 0.0)
     if criterion.first_shot == NEVER and long.period > max(threshold.PERIODS) and long.left < criterion.tolerance:
         return replace(search, task=Task.MEASURE, period=long.period, settled_to=long.left)
     if criterion.first_shot == NEVER or long.period <= threshold.CYCLES_A_ROUND or long.left > threshold.NEARLY_REPEATS:
@@ -127,11 +127,11 @@ def _spent(search: Search, criterion: Criterion) -> Search:
     return replace(search, task=Task.SHOOT, shot=shot, last=True)
 
 
-def _long_recurrence(search: Search) -> Recurrence:
+def _long_recurrence(search: Search, tolerance: float = 0.0) -> Recurrence:
     """How nearly a motion repeats after up to the longest period; one that was marched for less does not count."""
     if len(search.returns) < threshold.LONGEST + threshold.CYCLES_A_ROUND:
         return Recurrence(0, np.inf)
-    return nearest_period(np.array(search.returns), threshold.LONGEST)
+    return nearest_period(np.array(search.returns), threshold.LONGEST, tolerance)
 
 
 def _held(search: Search, solver: Solver, *, may_shoot: bool) -> Search:
