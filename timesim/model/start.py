@@ -18,6 +18,7 @@ from timesim.model.contact_state import (
     obeys_cone,
     slip_follows_motion,
 )
+from timesim.model.mode_shapes import ModeShapes
 from timesim.model.model import SEPARATION, Model, Start
 
 ROUNDING = 1e-9
@@ -129,13 +130,14 @@ def _equilibrium(physics: Model, closed: np.ndarray) -> tuple[np.ndarray, bool]:
     return displacement, bool(np.all(np.abs(loose) <= 1e-12 * np.linalg.norm(force / scale)))
 
 
-def resumed_start(physics: Model, end: Start, contacts: Sequence[str]) -> Start:
+def resumed_start(physics: Model, end: Start, contacts: Sequence[str], shapes: ModeShapes | None = None) -> Start:
     """The state that another run has ended in, adapted to a model.
 
     Args:
         physics: the model, with as many modes and the same contacts.
         end: that state, its phase included.
         contacts: names of the contacts in the order of `end`.
+        shapes: of its modes, where they are known; else its modes are taken for those of the model.
 
     Raises:
         RuleError: the state is one of another structure, or lies outside a cone.
@@ -148,6 +150,9 @@ def resumed_start(physics: Model, end: Start, contacts: Sequence[str]) -> Start:
         raise RuleError((), f"has {end.displacement.size} modes, the scene has {modes}")
     if not all(np.all(np.isfinite(value)) for value in (end.displacement, end.velocity, end.slip)):
         raise RuleError((), "holds a final state that is not finite")
+    change = shapes.change(physics.structure) if shapes is not None else None
+    if change is not None:
+        end = replace(end, displacement=change @ end.displacement, velocity=change @ end.velocity)
     rows = [contacts.index(name) for name in names]
     slip, before = end.slip.reshape(-1, 2)[rows], end.state.astype(int).ravel()[rows]
     loads = contact_loads(physics, end.displacement, slip)

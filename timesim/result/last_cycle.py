@@ -1,13 +1,18 @@
 """The last whole cycle that a transient has recorded, read from its result."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from timesim.fault import RuleError
+from timesim.model.mode_shapes import ModeShapes
+from timesim.model.model import Structure
 from timesim.orbit.fourier import fourier_coefficients
 from timesim.result.netcdf import read
+from timesim.result.state import SHAPE
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -41,10 +46,19 @@ class PeriodicMotion:
     Attributes:
         frequency: of the excitation [Hz].
         modal: modal displacement by 1, cos, sin, ... of the excitation's phase, shape (2K + 1, M) [modal length].
+        shapes: of its modes; None where a result of an earlier version does not hold them.
     """
 
     frequency: float
     modal: np.ndarray
+    shapes: ModeShapes | None = None
+
+    def guess(self, structure: Structure) -> np.ndarray:
+        """`modal` in the modes of a structure, or as it is where its points do not determine that."""
+        with suppress(RuleError):
+            change = None if self.shapes is None else self.shapes.change(structure)
+            return self.modal if change is None else self.modal @ change.T
+        return self.modal
 
 
 def periodic_motion(path: Path) -> PeriodicMotion:
@@ -53,4 +67,5 @@ def periodic_motion(path: Path) -> PeriodicMotion:
     if rows[-1] < data.sizes["time"] - 1:
         raise ValueError(f"result {path}: it does not end with a whole cycle")
     motion, phase = data["modal_displacement"].values[rows[1:]], float(np.deg2rad(data["final_phase_deg"].values))
-    return PeriodicMotion(1 / data["cycle_period"].values[-1], fourier_coefficients(motion, phase))
+    shapes = ModeShapes(tuple(map(str, data["point"].values)), data[SHAPE].values) if SHAPE in data else None
+    return PeriodicMotion(1 / data["cycle_period"].values[-1], fourier_coefficients(motion, phase), shapes)

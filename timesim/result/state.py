@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from timesim.fault import RuleError, nearest
+from timesim.model.mode_shapes import ModeShapes
 from timesim.model.model import Model, Start
 from timesim.model.start import resumed_start
 from timesim.orbit.steady_state import switches
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 STATE = ("modal_displacement", "modal_velocity", "slip", "contact_state")
+SHAPE = "mode_shape"
 POINT = ("amplitude", "settled", "period", "slip_share", "separation_share", "failure")
 LISTED = 12  # values, or points, that a message names
 SAME = 1e-9  # share of a value by which one that is asked for may differ from one on the axis
@@ -33,15 +35,18 @@ class SavedStates:
 
     Attributes:
         contacts: their names.
-        arrays: `final_...` of every state, and of a sweep `POINT` as well, the axes of the sweep first.
+        arrays: `final_...` of every state, `SHAPE` unless the result is of an earlier version, and of a sweep `POINT`
+            as well, the axes of the sweep first.
         axes: the values along these axes; empty for a single run.
         phase: of the excitation, the same in all these states [rad].
+        points: of the structure, at which the shapes of the modes are known.
     """
 
     contacts: tuple[str, ...]
     arrays: Mapping[str, np.ndarray]
     axes: Mapping[str, np.ndarray]
     phase: float
+    points: tuple[str, ...] = ()
 
     def at(self, place: tuple[int, ...]) -> dict[str, np.ndarray]:
         """The arrays of one of the states."""
@@ -122,7 +127,11 @@ def states_in(data: "Dataset") -> SavedStates:
     contacts = tuple(map(str, data["contact"].values)) if "contact" in data else ()
     phase = float(np.deg2rad(data["final_phase_deg"].values))
     arrays, axes = ({name: data[name].values for name in own} for own in (names, dims))
-    return SavedStates(contacts, arrays, axes, phase)
+    if SHAPE not in data:
+        return SavedStates(contacts, arrays, axes, phase)
+    shape = data[SHAPE].expand_dims({dim: data.sizes[dim] for dim in dims if dim not in data[SHAPE].dims})
+    arrays[SHAPE] = shape.transpose(*dims, "point", "axis", "mode").values
+    return SavedStates(contacts, arrays, axes, phase, tuple(map(str, data["point"].values)))
 
 
 def _position(name: str, values: np.ndarray, value: float | str) -> int:
@@ -178,4 +187,19 @@ def start_of(physics: Model, states: SavedStates, chosen: Mapping[str, np.ndarra
         RuleError: the result is of another structure, or the state lies outside a friction cone.
     """
     displacement, velocity, slip, state = (chosen[f"final_{name}"] for name in STATE)
-    return resumed_start(physics, Start(displacement, velocity, slip, state, states.phase), states.contacts)
+    end = Start(displacement, velocity, slip, state, states.phase)
+    return resumed_start(physics, end, states.contacts, _shapes_of(states, chosen))
+
+
+def _shapes_of(states: SavedStates, chosen: Mapping[str, np.ndarray]) -> ModeShapes | None:
+    return ModeShapes(states.points, chosen[SHAPE]) if SHAPE in chosen else None
+
+
+def start_notes(physics: Model, states: SavedStates, chosen: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+    """What there is to say of a start that `start_of` gives."""
+    shapes = _shapes_of(states, chosen)
+    if shapes is None:
+        return ("the result does not hold the shapes of its modes, which are taken for those of the scene",)
+    if shapes.change(physics.structure) is None:
+        return ()
+    return ("the result has other modes than the scene: the motion of its points is carried over",)

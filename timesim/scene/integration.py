@@ -13,7 +13,7 @@ from timesim.model.model import Model, Start
 from timesim.model.solver import PRESETS, Solver
 from timesim.model.start import given_start, static_start
 from timesim.result.label import counted
-from timesim.result.state import SavedStates, saved_states, start_of
+from timesim.result.state import SavedStates, saved_states, start_notes, start_of
 from timesim.scene.section import AsText, Section, by_form, form, refuse
 from timesim.scene.value import ContactName, Count, FilePath, Number, Pair, Switch, Text, Whole
 
@@ -88,6 +88,10 @@ class InitialResult(ResultSection):
             return start_of(physics, *end)
         except RuleError as error:
             raise self.refused(error.rule, error.hint) from None
+
+    def notes(self, physics: Model, end: EndOfRun) -> tuple[str, ...]:
+        """Warnings of a start of a model from that state."""
+        return tuple(f"initial.from: {note}" for note in start_notes(physics, *end))
 
 
 def _initial_form(value: Any) -> str | None:

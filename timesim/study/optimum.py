@@ -283,6 +283,7 @@ def data_of(peaks: Peaks) -> Dataset:
         "optimum_peak": ((), np.array(best.get("peak", np.nan))),
         "optimum_frequency": ((), np.array(best.get("peak_frequency", np.nan))),
     }
-    data = steady_dataset(peaks.scene, replace(peaks.plan.sweep, over={key: tuple(values)}), columns, own, model)
+    grid = Grid(peaks.scene, replace(peaks.plan.sweep, over={key: tuple(values)}))
+    data = steady_dataset(grid, columns, own, model)
     data["optimum"].attrs |= {name: text for name, text in data[key].attrs.items() if name == "units"}
     return data

@@ -189,11 +189,13 @@ def variables_of(columns: Columns, axes: Mapping[str, int]) -> Arrays:
     return {STORED.get(name, name): ((*axes, *TAILS.get(name, ())), shaped(value)) for name, value in values.items()}
 
 
-def steady_dataset(scene: Scene, plan: SweepPlan, columns: Columns, own: Arrays, model: Model) -> Dataset:
+def steady_dataset(grid: "Grid", columns: Columns, own: Arrays, model: Model) -> Dataset:
     """The result file of a sweep: its steady states, and further variables of its own."""
+    scene, plan = grid.scene, grid.plan
     coords = {key: np.array(values) for key, values in plan.over.items()}
     coords |= {"direction": np.array(plan.directions), "frequency": plan.frequency}
     variables = variables_of(columns, {name: len(values) for name, values in coords.items()})
+    variables["mode_shape"] = grid.mode_shapes()
     variables["final_phase_deg"] = ((), np.array(np.rad2deg(model.start.phase) % 360))
     return dataset(variables | own, coords, {"settle_tolerance": plan.criterion.tolerance, **unit_names(scene)}, model)
 
@@ -295,7 +297,17 @@ class Grid:
         ends = self._jump_table(jumps).reshape(*map(len, self.axes.values()), self.shape[1], -1, 2)
         dims = (*self.axes, "direction", "jump")
         own = {name: (dims, ends[..., i]) for i, name in enumerate(("jump_low", "jump_high"))}
-        return steady_dataset(self.scene, self.plan, arrays, own, self.any_model).assign_attrs(attrs)
+        return steady_dataset(self, arrays, own, self.any_model).assign_attrs(attrs)
+
+    def mode_shapes(self) -> tuple[tuple[str, ...], np.ndarray]:
+        """Shapes of the modes, along the further axes too where they depend on these; NaN where there is no model."""
+        dims, first = ("point", "axis", "mode"), self.any_model.structure.shape
+        if all(np.array_equal(model.structure.shape, first) for model in self.models.values()):
+            return dims, first
+        every = np.full((self.shape[0], *first.shape), np.nan)
+        for v, model in self.models.items():
+            every[v] = model.structure.shape
+        return (*self.axes, *dims), every.reshape(*map(len, self.axes.values()), *first.shape)
 
     def _jump_table(self, jumps: Sequence[Jump]) -> np.ndarray:
         """Both ends of the jumps of each chain, shape (sets, directions, jumps, 2), NaN where a chain has fewer."""

@@ -160,7 +160,10 @@ class Curves:
         """The curves from the ends of the range, or from the motion that the plan gives."""
         plan, along, options = self.plan, self.plan.along, self._options(watch)
         model_at = self.model_at(values)
-        guess, begin = (plan.motion.modal, plan.motion.frequency) if plan.motion is not None else (None, None)
+        guess, begin = None, None
+        if plan.motion is not None:
+            structure = model_at(plan.span[0] if along is None else along.first).structure
+            guess, begin = plan.motion.guess(structure), plan.motion.frequency
         if along is not None:
             curve = parameter_curve(model_at, plan.span[0], along.first, along.last, guess=guess, **options)
             yield StudyCurve(values, model_at, curve)
