@@ -64,7 +64,7 @@ class Fast(NamedTuple):
     def fastest(self, num: int) -> "Fast":
         """The first ones."""
         right, left = self.shapes[:, :num], self.parts[:num]
-        return Fast(self.rates[:num], right, np.linalg.solve(left @ right, left) if num else left)
+        return Fast(self.rates[:num], right, np.linalg.pinv(left @ right) @ left)
 
     def turned(self, columns: np.ndarray, time: np.ndarray) -> np.ndarray:
         """Columns after these modes have moved by themselves for a time, or before it where it is negative."""
@@ -175,7 +175,7 @@ class Disturbed:
 
 def modes_of(matrix: np.ndarray) -> Fast:
     """Eigenvalues, the fastest first, and eigenvectors of a matrix; without those that a defect leaves vague."""
-    values, left, right = scipy.linalg.eig(matrix, left=True)
+    values, left, right = scipy.linalg.eig(np.nan_to_num(matrix), left=True)
     clear = np.abs((left.conj() * right).sum(axis=0)) > VAGUE
     order = np.argsort(-np.abs(values), kind="stable")
     order = order[clear[order]]

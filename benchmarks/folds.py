@@ -1,0 +1,143 @@
+"""Are the folds of a balance's curves real, on structures that nobody has seen?
+
+At a fold a real Floquet multiplier passes 1, so the number of those above 1 is even on one side and odd on the other.
+The curves are those of benchmarks/generated.py. First the multipliers of the balance are asked, of solutions on both
+sides; where one of them is too near 1 to tell, time integration: the motion of the solution is shot by collocation at
+1e-9, be it stable or not, and the multipliers are those of the cycle to which that leads.
+
+    python benchmarks/folds.py --seeds 103 107 116
+
+A row a structure: how many of the folds are real by the balance's multipliers, by those of time integration, false by
+these, and open, where Newton's method leads from no solution near by to a cycle; CPU seconds.
+"""
+
+import argparse
+import runpy
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import timesim
+from timesim.hbm.balance import Balance
+from timesim.hbm.curve import HbmCurve
+from timesim.hbm.scheme import Scheme
+from timesim.hbm.stability import floquet_multipliers
+from timesim.model.model import Model
+from timesim.model.reduction import reduction_of
+from timesim.model.solver import Solver
+from timesim.orbit.batch import record
+from timesim.orbit.lane import Lane
+from timesim.study import compare, hbm
+
+GENERATED = runpy.run_path(str(Path(__file__).with_name("generated.py")))
+SOLVER = Solver("exponential", 1e-9, 1e-11)
+SAMPLES = 2048
+# Distance of a real multiplier from 1 from which on the samples of the balance tell its side; the same of integration.
+CLEAR, FINE = 1e-2, 1e-5
+# Solutions on each side of a fold that are asked, iterations of Newton's method, and a change that ends it.
+NEIGHBOURS, SHOTS, CLOSED = 5, 12, 1e-8
+# Largest distance of a cycle from the motion of the balance, relative to the state: farther it is another motion.
+SAME = 0.02
+
+
+def followed(seed: int) -> tuple[Model, list[HbmCurve], Scheme]:
+    """The curves of a structure from the ends of its range."""
+    model, free = GENERATED["STRUCTURE"](seed)
+    low, high = GENERATED["span_of"](model, free)
+    model = GENERATED["loaded"](model, np.linspace(low, high, GENERATED["POINTS"] + 1))
+    kept: list[Any] = []
+
+    def solutions(curves: Any, *given: Any) -> Any:
+        kept.append(curves)
+        return record_of(curves, *given)
+
+    record_of, hbm.solutions = hbm.solutions, solutions
+    try:
+        scene = GENERATED["SCENE"](model) | {"study": {"kind": "hbm", "frequency": {"from": low, "to": high}}}
+        timesim.run(scene)
+    finally:
+        hbm.solutions = record_of
+    return model, [one.curve for one in kept[0].curves], kept[0].scheme
+
+
+def number_above(multipliers: np.ndarray, clear: float) -> int | None:
+    """How many real multipliers are above 1; None where one is too near to tell."""
+    real = multipliers.real[np.abs(multipliers.imag) < 1e-9]
+    real = real[np.abs(real - 1) > 1e-12]  # those of a contact that sticks all along are 1
+    return None if np.any(np.abs(real - 1) < clear) else int(np.count_nonzero(real > 1))
+
+
+def by_balance(balance: Balance, curve: HbmCurve, at: int) -> int | None:
+    """The number at a solution by the balance."""
+    x = (curve.contact_motion[at] / balance.length).ravel()[None]
+    return number_above(floquet_multipliers(balance, x, curve.frequency[at : at + 1], samples=SAMPLES)[0], CLEAR)
+
+
+def by_integration(balance: Balance, curve: HbmCurve, at: int) -> int | None:
+    """The number by the cycle to which Newton's method leads from the motion of a solution; None where to none."""
+    model, frequency = balance.model, float(curve.frequency[at])
+    coefficient = curve.contact_motion[at] / balance.length
+    modal = balance.modes(coefficient.ravel(), curve.contact_force[at] / balance.force, frequency)
+    elastic, _ = compare._contacts(balance, coefficient)
+    start = compare._start(model, balance, coefficient, modal, elastic, frequency)
+    lane: Lane | None = Lane.begin(model, reduction_of(model, [frequency], reduce=False), frequency, SOLVER, start)
+    first = lane.vector
+    for _ in range(SHOTS):
+        if lane is None:
+            return None
+        (cycle,) = record([lane], SOLVER, [1])
+        if not cycle.closes:
+            return None
+        step, size = cycle.newton_step(cycle.change), np.abs(first).max()
+        if np.abs(step).max() < CLOSED * size:
+            modes = slice(2 * lane.here.point.q.size)
+            near = np.abs((lane.vector - first)[modes]).max() < SAME * np.abs(first[modes]).max()
+            return number_above(cycle.multipliers, FINE) if near else None
+        lane = next((moved for share in (1.0, 0.5, 0.25) if (moved := lane.moved(lane.vector + share * step))), None)
+    return None
+
+
+def sides(curve: HbmCurve, fold: int) -> Iterator[list[int]]:
+    """Solutions on each side of a fold, the nearest first, as far as the next fold."""
+    for step in (-1, 1):
+        places = [fold + step * k for k in range(1, NEIGHBOURS + 1)]
+        inside = [k for k in places if 0 <= k < curve.frequency.size]
+        ends = [i for i, k in enumerate(inside) if curve.fold[k]]
+        yield inside[: ends[0]] if ends else inside
+
+
+def verdict(balance: Balance, curve: HbmCurve, fold: int) -> str:
+    """Whether a fold is real, and by what."""
+    for name, number in (("balance", by_balance), ("integration", by_integration)):
+        found = []
+        for side in sides(curve, fold):
+            found.append(next((n for at in side if (n := number(balance, curve, at)) is not None), None))
+        if None not in found and (sum(found) % 2 or name == "integration"):
+            return name if sum(found) % 2 else "false"
+    return "open"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[103, 107, 116, 118, 123, 129, 130, 135])
+    print("| seed | folds | real by the balance | by time integration | false | open | CPU s |\n" + "|---" * 7 + "|")
+    for seed in parser.parse_args().seeds:
+        model, curves, scheme = followed(seed)
+        clock, verdicts = time.process_time(), Counter()
+        for curve in curves:
+            balance = Balance(model, float(curve.frequency[0]), scheme)
+            for fold in np.flatnonzero(curve.fold):
+                verdicts[found := verdict(balance, curve, int(fold))] += 1
+                if found in ("false", "open"):
+                    print(f"{seed}: {found}: fold at {curve.frequency[fold]:.9g} Hz, solution {fold}", flush=True)
+        cells = (verdicts[name] for name in ("balance", "integration", "false", "open"))
+        seconds = f"{time.process_time() - clock:.0f}"
+        print(f"| {seed} | {verdicts.total()} | {' | '.join(map(str, cells))} | {seconds} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
