@@ -76,16 +76,18 @@ def assert_same(one: Any, other: Any, name: str = "", roots: np.ndarray | float 
 
 
 def assert_same_result(one: Any, other: Any) -> None:
-    """Results of two runs: modal coordinates in their scales, everything else the same."""
+    """Results of two runs: modal coordinates and shapes in their scales, everything else the same."""
     groups = [tree.subtree if isinstance(tree, xarray.DataTree) else [tree] for tree in (one, other)]
     for here, there in zip(*groups, strict=True):
         assert set(here.variables) == set(there.variables)
         assert here.attrs.get("complete", 1) == there.attrs.get("complete", 1) == 1
         for name, variable in here.variables.items():
             # The residual of an energy balance is an error: it is judged by the energies themselves.
-            found, size = there.variables[name], 1.0
+            found, size = there.variables[name], np.ones(1)
             if "mode" in variable.dims and name != "mode":
                 size = ROOTS[: variable.sizes["mode"]]
+            if name == "mode_shape":
+                size = 1 / size
             if name == "energy_residual":
                 np.testing.assert_allclose(found, variable, rtol=0, atol=1e-9 * abs(here["energy_input"]).max())
                 continue
