@@ -15,7 +15,6 @@ import argparse
 import runpy
 import time
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +38,7 @@ SAMPLES = 2048
 # Distance of a real multiplier from 1 from which on the samples of the balance tell its side; the same of integration.
 CLEAR, FINE = 1e-2, 1e-5
 # Solutions on each side of a fold that are asked, iterations of Newton's method, and a change that ends it.
-NEIGHBOURS, SHOTS, CLOSED = 5, 12, 1e-8
+NEIGHBOURS, SHOTS, CLOSED = 12, 12, 1e-8
 # Largest distance of a cycle from the motion of the balance, relative to the state: farther it is another motion.
 SAME = 0.02
 
@@ -101,24 +100,32 @@ def by_integration(balance: Balance, curve: HbmCurve, at: int) -> int | None:
     return None
 
 
-def sides(curve: HbmCurve, fold: int) -> Iterator[list[int]]:
-    """Solutions on each side of a fold, the nearest first, as far as the next fold."""
+def sides(curve: HbmCurve, fold: int) -> list[list[int]]:
+    """Solutions on each side of a fold as far as the next fold, the nearest first."""
+    found = []
     for step in (-1, 1):
         places = [fold + step * k for k in range(1, NEIGHBOURS + 1)]
         inside = [k for k in places if 0 <= k < curve.frequency.size]
         ends = [i for i, k in enumerate(inside) if curve.fold[k]]
-        yield inside[: ends[0]] if ends else inside
+        found.append(inside[: ends[0]] if ends else inside)
+    return found
 
 
 def verdict(balance: Balance, curve: HbmCurve, fold: int) -> str:
-    """Whether a fold is real, and by what."""
+    """Whether a fold is real, and by what.
+
+    The farthest solutions are asked first: from the nearest Newton's method may go across. But the multiplier of a free
+    offset may have passed 1 on the way to them.
+    """
+    told = False
     for name, number in (("balance", by_balance), ("integration", by_integration)):
-        found = []
-        for side in sides(curve, fold):
-            found.append(next((n for at in side if (n := number(balance, curve, at)) is not None), None))
-        if None not in found and (sum(found) % 2 or name == "integration"):
-            return name if sum(found) % 2 else "false"
-    return "open"
+        for order in (-1, 1):
+            each = ((number(balance, curve, at) for at in side[::order]) for side in sides(curve, fold))
+            known = [n for side in each if (n := next((n for n in side if n is not None), None)) is not None]
+            if len(known) == 2 and sum(known) % 2:
+                return name
+            told |= name == "integration" and len(known) == 2
+    return "false" if told else "open"
 
 
 def main() -> None:
