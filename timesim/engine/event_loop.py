@@ -60,7 +60,7 @@ def batches(method: Method, control: Control, system: System, now: Trajectory, c
     """Steps of one trajectory through some cycles from the start of one, or until it ends early."""
     room = capacity(system, 0 if method.integrates_work else method.order)
     fast = has_fast_modes(system, float(control.longest))
-    done = Work(np.zeros(()), np.zeros(()), np.zeros(now.state.size))
+    done = Work.none(now.state.size)
     ready = prepared(method, control, system) if method.prepares else system
     while now.cycle < cycles and now.status == Status.RUNNING:
         now, record, count = advance(method, control, ready, now, np.asarray(cycles), room)

@@ -44,6 +44,10 @@ class Work(eqx.Module):
     damping: Float[Leaf, ""]
     friction: Float[Leaf, " contact"]
 
+    @classmethod
+    def none(cls, contacts: int) -> "Work":
+        return cls(np.zeros(()), np.zeros(()), np.zeros(contacts))
+
 
 class Point(ContinuousState):
     """Continuous state of a `System`.
@@ -174,11 +178,11 @@ def _response(system: System, time: Float[Array, ""], point: Point, acts: Reacti
         acceleration = acceleration + times(axis.T, force, system.by_itself)
     power = None
     if point.work is not None:
-        power = Work(jnp.sum(drive * point.p), jnp.sum(drag * point.p), power_lost(acts))
+        power = Work(jnp.sum(drive * point.p), jnp.sum(drag * point.p), _power_lost(acts))
     return Point(point.p, acceleration, acts.dw, power)
 
 
-def power_lost(acts: Reaction) -> Scalar:
+def _power_lost(acts: Reaction) -> Scalar:
     """Power lost in each contact."""
     rubbing = dot(acts.f, acts.dw)
     return rubbing if acts.lost is None else rubbing + acts.lost

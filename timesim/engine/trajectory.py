@@ -184,7 +184,7 @@ class Frame:
     def begin(self, system: System, run: Run, first_step: float, *, work: bool = True) -> Trajectory:
         """The loop's trajectory from the present state of a run, with or without its energies."""
         point, state = self.point(run.here)
-        nothing = Work(np.zeros(()), np.zeros(()), np.zeros(state.size)) if work else None
+        nothing = Work.none(state.size) if work else None
         return begun(system, Point(point.q, point.p, point.w, nothing), state, np.asarray(first_step))
 
     def point(self, start: Start) -> tuple[Point, np.ndarray]:

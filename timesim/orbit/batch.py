@@ -7,22 +7,25 @@ depend on its neighbours.
 import timesim.runtime  # noqa: F401  isort: skip
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import chain, pairwise
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from timesim.engine.event_loop import advance, alone, begun, capacity, first_rows, one_by_one
+from timesim.engine.exponential.work import energy_lost
 from timesim.engine.lanes import Over, advance_lanes, batch_first, batch_last, by_itself, over_lanes
 from timesim.engine.method import Explicit, Method, step_method
 from timesim.engine.solver import Control
 from timesim.engine.status import Status
 from timesim.engine.step import Step, Trajectory, begin, try_step
-from timesim.engine.system import System
+from timesim.engine.system import System, Work
 from timesim.model.solver import Solver
 from timesim.orbit.lane import Lane, Recorded
 from timesim.orbit.monodromy import LOST, MANY, Disturbed, HybridState, derivative, error_of, linear, state_vector
@@ -102,32 +105,42 @@ def record(
     ``most``: steps after which to give up; the budget of the solver by default.
     """
     ends = list(each(partial(_recorded, solver=solver, most=most), list(zip(lanes, num_cycles, strict=True))))
-    slopes = _slopes(lanes, step_method(solver), [steps for _, steps in ends], each)
+    slopes = _slopes(lanes, step_method(solver), [steps for _, steps, _ in ends], each)
     done = []
-    for lane, num, (now, steps), slope in zip(lanes, num_cycles, ends, slopes, strict=True):
+    for lane, num, (now, steps, lost), slope in zip(lanes, num_cycles, ends, slopes, strict=True):
         end = lane.after(now)
         slope = np.where(end.apart[:, None] | lane.apart, 0.0, slope)
         slope[lane.idle] = np.eye(len(slope))[lane.idle]
-        done.append(Recorded(lane, end, num, bool(now.cycle >= num), steps, slope))
+        done.append(Recorded(lane, end, num, bool(now.cycle >= num), steps, lost, slope))
     return done
 
 
-def _recorded(own: tuple[Lane, int], solver: Solver, most: int | None) -> tuple[Trajectory, Step]:
-    """The end of a lane after some cycles, and its steps, the first axis that of the steps.
+def _recorded(own: tuple[Lane, int], solver: Solver, most: int | None) -> tuple[Trajectory, Step, np.ndarray]:
+    """The end of a lane after some cycles, its steps, their axis the first, and the energy lost in each contact.
 
     By itself, in the loop of a transient: it is the derivative that takes most of the time, and a loop that records
     several side by side is compiled for as long as the one that marches them.
     """
     (lane, num), method = own, step_method(solver)
     room = min(CAPACITY, capacity(lane.system, 0 if method.integrates_work else method.order))
-    now, parts, count = begun(lane.system, lane.here.point, lane.here.state, lane.control.opening), [], 0
+    work = Work.none(lane.here.state.size) if method.integrates_work else None
+    here = replace(lane.here.point, work=work)
+    now, parts, count = begun(lane.system, here, lane.here.state, lane.control.opening), [], 0
     while count < (most or np.inf):
         now, rows, taken = advance(method, lane.control, lane.system, now, np.asarray(num), room)
         parts.append(first_rows(rows, int(taken)))
         count += int(taken)
         if not _unfinished(now, num):
             break
-    return _on_host(now), jax.tree.map(lambda *rows: np.concatenate(rows), *parts)
+    now, steps = _on_host(now), jax.tree.map(lambda *rows: np.concatenate(rows), *parts)
+    if now.point.work is None:
+        return now, steps, energy_lost(steps)
+    return *eqx.tree_at(_works, (now, steps), replace_fn=lambda _: None), now.point.work.friction
+
+
+def _works(recorded: tuple[Trajectory, Step]) -> list[Work]:
+    now, steps = recorded
+    return [y.work for y in (now.point, now.rate, steps.start, steps.start_rate, steps.end, steps.end_rate)]
 
 
 def _slopes(lanes: Sequence[Lane], method: Method, steps: Sequence[Step], each: Each) -> list[np.ndarray]:

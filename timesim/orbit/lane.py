@@ -12,10 +12,10 @@ import numpy as np
 from timesim.engine.exponential.extremes import extremes
 from timesim.engine.exponential.parts import short_steps
 from timesim.engine.law.contact_law import Motion
-from timesim.engine.quadrature import means
+from timesim.engine.quadrature import phasors
 from timesim.engine.solver import Control, step_control
 from timesim.engine.status import NOBODY, Status
-from timesim.engine.step import Step, Trajectory
+from timesim.engine.step import PERIOD, Step, Trajectory
 from timesim.engine.system import Point, System, system_of
 from timesim.engine.trajectory import Frame
 from timesim.model.model import SEPARATION, SLIP, Model, Start
@@ -131,6 +131,7 @@ class Recorded:
         cycles: how many.
         complete: whether all of them were done.
         steps: of which they are made up, numpy arrays, the first axis that of the steps.
+        lost: energy lost in each contact of the loop, as a transient counts it, shape (C,).
         slope: derivative of the state vector at the end by that at the start, of idle modes as if they stayed where
             they are; it may overflow.
     """
@@ -140,6 +141,7 @@ class Recorded:
     cycles: int
     complete: bool
     steps: Step
+    lost: np.ndarray
     slope: np.ndarray
 
     @property
@@ -218,7 +220,7 @@ class Recorded:
         least, most = extremes(lane.system, self.steps, shape, first, float(lane.control.rtol))
         each, place = 0.5 * (most - least), (len(lane.model.structure.points), 3)
         band = np.stack([each.min(axis=0), each.max(axis=0)]).reshape(2, *place)
-        phasor, power = means(lane.system, steps, self.cycles, HARMONICS)
+        phasor = phasors(lane.system, steps, self.cycles, HARMONICS)
         return Orbit(
             end=self.end.start(),
             amplitude=0.5 * (most.max(axis=0) - least.min(axis=0)).reshape(place),
@@ -228,7 +230,7 @@ class Recorded:
             slip_share=self._share(steps, SLIP),
             separation_share=self._share(steps, SEPARATION),
             phasor=(phasor @ shape.T).reshape(-1, *place) if period else np.full((HARMONICS + 1, *place), np.nan + 0j),
-            dissipated_power=lane.power(power),
+            dissipated_power=lane.power(self.lost / (PERIOD * self.cycles)),
             floquet=multipliers if period else np.full_like(multipliers, np.nan),
             cycle_steps=self.steps.h.size / self.cycles,
             cycle_transitions=self._transitions,

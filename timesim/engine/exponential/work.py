@@ -25,7 +25,7 @@ from timesim.engine.barrier import apart
 from timesim.engine.dense_output import evaluate
 from timesim.engine.exponential.collocation import Inside
 from timesim.engine.exponential.steady import Steady, diagonals
-from timesim.engine.lanes import batch_first, batch_last, over_lanes
+from timesim.engine.lanes import batch_first, batch_last, by_rows, over_lanes
 from timesim.engine.law.rule import rule_of
 from timesim.engine.step import Step
 from timesim.engine.system import System, Work
@@ -74,6 +74,16 @@ def work_done(system: System, has_fast: bool, steps: Step, count: Int[Array, ""]
         return jax.tree.map(lambda all_, some: jax.lax.dynamic_update_slice_in_dim(all_, some, first, 0), done, found)
 
     return jax.lax.fori_loop(0, (count + rows - 1) // rows, part, none)
+
+
+def energy_lost(steps: Step) -> np.ndarray:
+    """Energy lost in each contact over all steps, shape (C,); steps are numpy arrays, their axis the first."""
+    return by_rows(_frictions, (), (steps,)).sum(axis=0) if steps.h.size else np.zeros(steps.state.shape[1])
+
+
+@program
+def _frictions(steps: Step) -> Array:
+    return jax.vmap(_friction)(steps)
 
 
 def _row(steps: Step) -> Step:
