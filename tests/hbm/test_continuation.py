@@ -104,6 +104,21 @@ def test_a_fold_beside_a_point_with_the_tangent_of_earlier_derivatives():
     np.testing.assert_allclose(x, -1.0, atol=1e-4)
 
 
+def test_a_fold_that_is_not_found_between_solutions_is_not_the_one_before(monkeypatch):
+    """With one solution between both the first one lies between its neighbours as well."""
+    corrector = Corrector(Cubic(), CONTROLS, 20.0, np.full(2, -1.0))
+    trace = Trace(corrector, 1.0)
+    extreme = trace._extreme
+    monkeypatch.setattr(
+        trace, "_extreme", lambda *pair: None if corrector.unscaled(pair[1].y)[0][0] > 1 else extreme(*pair)
+    )
+    for x in (-1.2, 0.98, 1.3, 1.6):
+        guess = corrector.in_units(np.full(2, x), x**3 - 3 * x)
+        trace.add(corrector.simplified_newton(guess, np.array([1.0, 1.0, -1.0 if abs(x) < 1 else 1.0])))
+    folds = [(x[0], p) for x, p, fold, _ in trace.solutions if fold]
+    np.testing.assert_allclose(folds, [(-1.0, 2.0), (0.98, 0.98**3 - 3 * 0.98)], atol=1e-4)
+
+
 @dataclass
 class Watched(Circle):
     """Remembers how large the residual was wherever derivatives were asked for."""

@@ -110,7 +110,9 @@ class Trace:
             return
         x, p, _, determinant = self.solutions[summit.place]
         for one, other, side in ((summit.point, summit.after, 1), (summit.before, summit.point, 0)):
-            if one is not None and other is not None and (top := self._extreme(one, other)) is not None:
+            # Between a summit and the solution before it may lie the fold before, an extreme of the other kind.
+            top = None if one is None or other is None else self._extreme(one, other)
+            if top is not None and self.direction * (summit.point.y[-1] - top.y[-1]) >= 0:
                 if side == 0:
                     self.solutions[summit.place] = (x, p, False, -determinant)
                 self.solutions.insert(summit.place + side, (*self.corrector.unscaled(top.y), True, 0))
