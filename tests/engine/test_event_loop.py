@@ -148,7 +148,8 @@ def violation(model: Model, cycles: int, solver: Solver) -> float:
     for steps in Run(model, [Phase(frequency, cycles)], solver).batches():
         q, _ = hermite.quintic(x, steps.h[:, None], steps.start, steps.end)
         slips = zip(steps.slip_start, steps.slip_end, strict=True)
-        w = hermite.cubic(x[..., None], steps.h[:, None, None], *zip(*slips, strict=True))
+        through = hermite.cubic_coefficients(steps.h[:, None, None], *zip(*slips, strict=True))
+        w = hermite.evaluate(x[..., None], through)[0]
         moves = np.einsum("cam,xnm->xnca", shape, q)
         n = preload + normal * moves[..., 2]
         f = np.linalg.norm(np.einsum("cab,xncb->xnca", K, moves[..., :2] - w), axis=-1)

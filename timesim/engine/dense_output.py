@@ -41,13 +41,8 @@ def quintic_coefficients(
     return q0, v0, 0.5 * b0, c3, c4, c5
 
 
-def cubic(x: Any, h: Any, start: tuple[Any, Any], end: tuple[Any, Any]) -> Any:
-    """Value at a fraction x of a step of length h, from (value, rate) at its ends."""
-    return evaluate(x, cubic_coefficients(h, start, end))[0]
-
-
 def cubic_coefficients(h: Any, start: tuple[Any, Any], end: tuple[Any, Any]) -> tuple[Any, ...]:
-    """Coefficients of 1, x, x^2, x^3 of `cubic`."""
+    """Coefficients of 1, x, x^2, x^3 of the cubic over a step of length h, from (value, rate) at its ends."""
     (w0, d0), (w1, d1) = start, end
     jump = w1 - w0
     return w0, h * d0, 3 * jump - h * (2 * d0 + d1), -2 * jump + h * (d0 + d1)
@@ -56,7 +51,7 @@ def cubic_coefficients(h: Any, start: tuple[Any, Any], end: tuple[Any, Any]) -> 
 def through_third(
     x: Any, h: Any, start: tuple[Any, Any], end: tuple[Any, Any], place: Any, third: tuple[Any, Any]
 ) -> Any:
-    """`cubic`, and what makes it the quintic through a third value and rate, at a fraction ``place`` outside [0, 1].
+    """The cubic over a step, and what makes it the quintic through a third value and rate, at a fraction ``place`` outside [0, 1].
 
     Where ``place`` is no number the cubic alone.
     """
