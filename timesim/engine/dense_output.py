@@ -51,7 +51,7 @@ def cubic_coefficients(h: Any, start: tuple[Any, Any], end: tuple[Any, Any]) -> 
 def through_third(
     x: Any, h: Any, start: tuple[Any, Any], end: tuple[Any, Any], place: Any, third: tuple[Any, Any]
 ) -> Any:
-    """The cubic over a step, and what makes it the quintic through a third value and rate, at a fraction ``place`` outside [0, 1].
+    """The cubic over a step, and what makes it the quintic through a third value and rate at ``place`` outside [0, 1].
 
     Where ``place`` is no number the cubic alone.
     """
