@@ -232,7 +232,11 @@ def test_the_energies_of_every_cycle_balance(short: xarray.Dataset) -> None:
     assert np.abs(short.energy_residual).max() < 1e-8 * short.attrs["peak_stored_energy"]
 
 
-def test_a_run_whose_chosen_method_spends_its_steps_begins_anew_by_collocation(short: xarray.Dataset) -> None:
+def test_a_run_whose_chosen_method_spends_its_steps_begins_anew_by_collocation(
+    short: xarray.Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Unless the scene itself says how many it may take."""
+    monkeypatch.setattr(transient, "BUDGET", 60)
     few = SHORT | {"solver": {"accuracy": "standard", "max_steps": 60}}
     outcome = carry_out(load_scene(few))
     assert load_scene(few).solver().name == "tsit5"

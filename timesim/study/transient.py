@@ -30,6 +30,8 @@ from timesim.study.summary.transient import transient_lines
 
 SLIPPERY = TABLE[0].largest
 """Tolerance from which on collocation begins a run anew: most often slip spends the budget."""
+BUDGET = Solver.budget
+"""Steps of a cycle unless the scene asks for others: those are its own bound, at which its run ends."""
 REPETITIONS = 2
 """Of a run that errs more than promised: the first estimate may be far off if errors are not proportional yet."""
 
@@ -43,10 +45,11 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     clock = time.perf_counter()
     promise, lines, more = scene.promise or np.inf, [], {}
     done = _carried(scene, scene.solver(), execution)
-    if scene.choice is not None and done.solver.name in EXPLICIT and done.recorder.run.status == Status.BUDGET:
+    spent = done.recorder.run.status == Status.BUDGET and done.solver.budget == BUDGET
+    if scene.choice is not None and done.solver.name in EXPLICIT and spent:
         instead = replace(tightened(done.solver, SLIPPERY / done.solver.rtol), name="exponential")
-        spent = f"{done.solver.budget} steps a cycle are spent in cycle {done.recorder.run.completed + 1}"
-        lines.append(f"by {done.solver} the {spent}: begun anew by {instead}")
+        where = f"{BUDGET} steps a cycle are spent in cycle {done.recorder.run.completed + 1}"
+        lines.append(f"by {done.solver} the {where}: begun anew by {instead}")
         done = _carried(scene, instead, execution)
         more["method_choice"] = f"exponential: {scene.solver().name}, chosen at first, spent its budget of steps"
     for _ in range(REPETITIONS):
