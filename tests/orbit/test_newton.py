@@ -33,6 +33,9 @@ def near(*aside, **lane):
     return at(FIXED + np.array((*aside, 0.0))[:2], **lane)
 
 
+NOTHING = np.zeros(1)  # lost in the contact
+
+
 class Cycle(Recorded):
     """A cycle whose state vectors are its returns."""
 
@@ -44,7 +47,7 @@ class Cycle(Recorded):
 def cycle(start, slope, *, state=(STICK,), complete=True, noise=0.0):
     """A cycle by a linear map, and an error of it."""
     end = at(FIXED + slope @ (start.vector - FIXED) + noise, state)
-    return Cycle(start, end, 1, complete, SWING, slope)
+    return Cycle(start, end, 1, complete, SWING, slope, NOTHING)
 
 
 def turning(size, angle=0.3):
@@ -172,7 +175,7 @@ def test_a_steady_state_in_closed_form_holds_if_no_contact_leaves_its_state():
 
     start = at(FIXED)
     for kind, outcome in ((Held, Converged(0.0)), (Left, Failure.ASTRAY)):
-        recorded = kind(start, near(1e-6), 1, True, None, np.diag([0.999, 0.1]))
+        recorded = kind(start, near(1e-6), 1, True, None, np.diag([0.999, 0.1]), NOTHING)
         assert iterated(Shot(start, held=True), recorded, TOLERANCE) == outcome
 
 
@@ -184,14 +187,14 @@ def test_a_motion_that_repeats_within_the_period_is_shot_over_its_own(within, pe
             return np.array([FIXED + (n % within > 0) * 0.1 for n in range(1, 5)])
 
     start = at(FIXED)
-    led_to = iterated(Shot(start, 4), Four(start, at(FIXED), 4, True, SWING, turning(0.5)), TOLERANCE)
+    led_to = iterated(Shot(start, 4), Four(start, at(FIXED), 4, True, SWING, turning(0.5), NOTHING), TOLERANCE)
     assert led_to == (Converged(0.0) if period == 4 else Shot(start, period))
 
 
 def test_multipliers_come_largest_first_and_free_offsets_are_left_out():
     slope = np.eye(3)
     slope[1:, 1:] = [[0.2, 0.0], [0.1, -0.7]]
-    recorded = Recorded(at(np.zeros(3)), at(np.array([0.0, 0.3, 0.2])), 1, True, None, slope)
+    recorded = Recorded(at(np.zeros(3)), at(np.array([0.0, 0.3, 0.2])), 1, True, None, slope, NOTHING)
     np.testing.assert_allclose(recorded.multipliers, [-0.7, 0.2])
     step = recorded.newton_step(recorded.change)
     assert step[0] == 0
@@ -201,7 +204,7 @@ def test_multipliers_come_largest_first_and_free_offsets_are_left_out():
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_derivative_that_overflows_ends_the_iteration_and_nothing_else(value):
     start = at(FIXED)
-    recorded = Recorded(start, near(1e-6), 1, True, SWING, np.diag([value, 0.1]))
+    recorded = Recorded(start, near(1e-6), 1, True, SWING, np.diag([value, 0.1]), NOTHING)
     assert iterated(Shot(start), recorded, TOLERANCE) is Failure.ASTRAY
     assert np.isnan(recorded.multipliers).all()
     assert recorded.left == 0

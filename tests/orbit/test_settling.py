@@ -62,6 +62,7 @@ def power_over_a_period(orbit, model):
     return frequency * run.work[2:] / orbit.period
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", [Solver("dopri8", 1e-8, 1e-10), Solver("exponential", 1e-7, 1e-9)])
 def test_power_over_long_steps(solver):
     """As exact as the motion: in slip, with separation, and with impacts of a stiff stop over two cycles."""

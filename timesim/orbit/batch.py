@@ -111,7 +111,7 @@ def record(
         end = lane.after(now)
         slope = np.where(end.apart[:, None] | lane.apart, 0.0, slope)
         slope[lane.idle] = np.eye(len(slope))[lane.idle]
-        done.append(Recorded(lane, end, num, bool(now.cycle >= num), steps, lost, slope))
+        done.append(Recorded(lane, end, num, bool(now.cycle >= num), steps, slope, lost))
     return done
 
 

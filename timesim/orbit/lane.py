@@ -131,9 +131,9 @@ class Recorded:
         cycles: how many.
         complete: whether all of them were done.
         steps: of which they are made up, numpy arrays, the first axis that of the steps.
-        lost: energy lost in each contact of the loop, as a transient counts it, shape (C,).
         slope: derivative of the state vector at the end by that at the start, of idle modes as if they stayed where
             they are; it may overflow.
+        lost: energy lost in each contact of the loop, as a transient counts it, shape (C,).
     """
 
     start: Lane
@@ -141,8 +141,8 @@ class Recorded:
     cycles: int
     complete: bool
     steps: Step
-    lost: np.ndarray
     slope: np.ndarray
+    lost: np.ndarray
 
     @property
     def multipliers(self) -> np.ndarray:
