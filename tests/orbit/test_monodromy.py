@@ -41,8 +41,8 @@ def stiff() -> Model:
     ("method", "model"),
     [
         pytest.param("tsit5", generated_model(5, 4, 2), id="4x2", marks=pytest.mark.slow),
-        pytest.param("rk4", coupled(generated_model(9, 2, 1)), id="coupled"),
-        pytest.param("tsit5", straight(), id="straight"),
+        pytest.param("rk4", coupled(generated_model(9, 2, 1)), id="coupled", marks=pytest.mark.slow),
+        pytest.param("tsit5", straight(), id="straight", marks=pytest.mark.slow),
         pytest.param("tsit5", stiff(), id="stiff"),
         pytest.param("dopri8", oscillator(-1.0, 0.97), id="opens", marks=pytest.mark.slow),
     ],
