@@ -28,7 +28,7 @@ from timesim.study.summary.drift import run_lines
 from timesim.study.summary.effort import effort_lines
 from timesim.study.summary.transient import transient_lines
 
-SLIPPERY = TABLE[0].largest
+SLIPPERY = next(line.largest for line in TABLE if line.method == "exponential")
 """Tolerance from which on collocation begins a run anew: most often slip spends the budget."""
 BUDGET = Solver.budget
 """Steps of a cycle unless the scene asks for others: those are its own bound, at which its run ends."""
