@@ -280,8 +280,9 @@ class Balance:
         return r, by_x, to_coefficients(by_p.T).ravel() * (-2 * np.pi / self.length)
 
     def _stiffness(self, slope: Array) -> Array:
-        """Derivatives of the forces on the supported structure, from those of (f1, f2, n) of each contact."""
-        stiffness = -slope.reshape(-1, 3, self.size, 3, self.size) * (self.force / self.length)
+        """Derivatives of the forces on the supported structure, from those of (f1, f2, n) of each contact, in place."""
+        stiffness = slope.reshape(-1, 3, self.size, 3, self.size)
+        stiffness *= -(self.force / self.length)
         if self.support.any():
             own = self.support.reshape(self.num_contacts, 3, self.num_contacts, 3)
             each, alike = np.arange(self.num_contacts), np.eye(self.size)

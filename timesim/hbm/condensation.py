@@ -78,7 +78,9 @@ class Condensation:
             last = first + columns.shape[2]
             motion[:, :, first:last] = to_coefficients(given.transpose(1, 2, 0)).swapaxes(1, 2)
             first = last
-        return np.eye(count * size) - motion.reshape(count * size, count * size)
+        matrix = np.negative(motion, out=motion).reshape(count * size, count * size)
+        matrix[np.diag_indices(count * size)] += 1.0
+        return matrix
 
     def _rows(self, x: Array) -> Array:
         return x.reshape(-1, self.size)
@@ -91,13 +93,16 @@ class Condensation:
 def _linear_part(stiffness: Array) -> tuple[NDArray[np.bool_], Array]:
     """Which components act alike on each coefficient, and by what: shapes (3C,), (3C, 3C)."""
     num_contacts, size = stiffness.shape[0], stiffness.shape[2]
-    constant, rest, own = stiffness[:, :, 1, :, 1], stiffness.copy(), np.arange(size)
-    rest[:, :, own, :, own] -= constant
-    # Without arrays of magnitudes: these have a million entries.
-    largest = np.maximum(stiffness.max(axis=(1, 2, 3, 4)), -stiffness.min(axis=(1, 2, 3, 4)))
-    left = np.maximum(rest.max(axis=(2, 4)), -rest.min(axis=(2, 4))).max(axis=1)
-    linear = left <= ROUNDING * largest[:, None]
+    constant, each = stiffness[:, :, 1, :, 1], np.arange(size)
+    linear = np.zeros((num_contacts, 3), dtype=bool)
+    for (contact, k), _ in np.ndenumerate(linear):
+        by, rounding = stiffness[contact, :, :, k], ROUNDING * max(stiffness[contact].max(), -stiffness[contact].min())
+        # The column of one coefficient tells of most components that do not.
+        if np.abs(np.delete(by[..., 1], 1, axis=1)).max(initial=0.0) <= rounding:
+            rest = by.copy()
+            rest[:, each, each] -= constant[contact, :, k, None]
+            linear[contact, k] = np.abs(rest, out=rest).max() <= rounding
     whole = np.zeros((num_contacts, 3, num_contacts, 3))
-    each = np.arange(num_contacts)
-    whole[each, :, each] = constant * linear[:, None, :]
+    own = np.arange(num_contacts)
+    whole[own, :, own] = constant * linear[:, None, :]
     return linear.ravel(), whole.reshape(3 * num_contacts, -1)

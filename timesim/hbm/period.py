@@ -50,12 +50,14 @@ class Basis:
         value: shape (N, 2H + 1).
         rate: their derivatives, the interval between two samples as the unit of time, shape (N, 2H + 1).
         project: Fourier coefficients from samples, shape (2H + 1, N).
+        sums: those of the first 0 ... N samples being 1, the others 0, shape (2H + 1, N + 1).
         dense: the functions at the samples where a contact must stick all along, shape (max(DENSE, N), 2H + 1).
     """
 
     value: NDArray[np.float64]
     rate: NDArray[np.float64]
     project: NDArray[np.float64]
+    sums: NDArray[np.float64]
     dense: NDArray[np.float64]
 
 
@@ -69,7 +71,8 @@ def basis_of(harmonics: int, time_samples: int) -> Basis:
     rate, order = np.zeros_like(value), 2 * np.pi / time_samples * np.arange(1, harmonics + 1)
     rate[:, 1::2], rate[:, 2::2] = -order * value[:, 2::2], order * value[:, 1::2]
     weight = np.append(1.0, np.full(2 * harmonics, 2.0)) / time_samples
-    return Basis(value, rate, weight[:, None] * value.T, dense)
+    project = weight[:, None] * value.T
+    return Basis(value, rate, project, np.cumsum(np.pad(project, [(0, 0), (1, 0)]), axis=1), dense)
 
 
 def onto_cone(law: ConeLaw, d: Plane, v: Scalar) -> Plane:

@@ -10,7 +10,7 @@ motion, or there is none.
 
 import timesim.runtime  # noqa: F401  isort: skip
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -20,10 +20,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 from timesim.engine.law.cone import ConeLaw
-from timesim.engine.law.contact_law import Motion, Scalar, product
+from timesim.engine.law.contact_law import Motion, Plane, Scalar, product
 from timesim.hbm.interval import Interval, advance, sliding
 from timesim.hbm.period import (
     WHOLE,
@@ -37,33 +36,37 @@ from timesim.hbm.period import (
     starts_of,
     touching_stiffness,
 )
-from timesim.hbm.stuck_offset import Offset, offset_slope
+from timesim.hbm.stuck_offset import offset_slope
 from timesim.program import program
 
 Array64 = NDArray[np.float64]
 # Intervals that are differentiated side by side: of those in which the state changes, and of those that slip.
 LANES, SLIPPING = 32, 128
+# Intervals whose motion is put together at a time: few enough to stay near the processor.
+TOGETHER = 64
 
 
 class Slope(NamedTuple):
     """Derivatives of what the law gives over each interval: d at its end, and the forces put on both samples, R = 8.
 
     Attributes:
-        start: by d at its start, shape (N, C, R, 2).
-        tangential: by the change and by the rates at both ends of u1 and u2, shape (N, C, R, 2, 3).
-        normal: by v at both ends and its rates there, shape (N, C, R, 4).
+        by: d at its start, the change of u and its rates at both ends, each by components, and v at both ends and its
+            rates there, shape (N, C, R, 12).
         active, sticks: as `_kinds` gives them.
     """
 
-    start: Array64
-    tangential: Array64
-    normal: Array64
+    by: Array64
     active: NDArray[np.bool_]
     sticks: NDArray[np.bool_]
 
-    def of(self, places: NDArray[np.int64], contact: int, results: slice) -> list[Array64]:
-        """Derivatives of some of the results over some intervals of a contact: by d, by u1 and u2, and by v."""
-        return [part[places, contact, results] for part in (self.start, self.tangential, self.normal)]
+    def of(self, places: NDArray[np.int64], contact: int, results: slice) -> tuple[Array64, Array64, Array64]:
+        """`by_parts` of some of the results over some intervals of a contact."""
+        return by_parts(self.by[places, contact, results])
+
+
+def by_parts(by: Array64) -> tuple[Array64, Array64, Array64]:
+    """`Slope.by`, by d, by u1 and u2, namely both rates and the change, and by v; (..., 2), (..., 2, 3), (..., 4)."""
+    return by[..., :2], by[..., (4, 6, 2, 5, 7, 3)].reshape(*by.shape[:-1], 2, 3), by[..., 8:]
 
 
 def interval_slopes(law: ConeLaw, period: ClosedPeriod) -> Slope:
@@ -76,8 +79,7 @@ def interval_slopes(law: ConeLaw, period: ClosedPeriod) -> Slope:
     for i in range(2):
         slope[..., i, i] += sticks
         slope[..., i, 2 + i] += sticks
-    tangential = slope[..., 2:8].reshape(*slope.shape[:3], 3, 2).swapaxes(3, 4)
-    return Slope(slope[..., :2], tangential, slope[..., 8:], active, sticks)
+    return Slope(slope, active, sticks)
 
 
 def intervals_of(motion: Motion) -> Interval:
@@ -185,38 +187,38 @@ class _Chain:
 
     @classmethod
     def of(cls, slopes: Slope, contact: int, basis: Basis) -> "_Chain":
-        """Each follows from the one before, x_k = A_k x_(k-1) + b_k: a banded triangular system for all of them."""
+        """Each follows from the one before, x_k = A_k x_(k-1) + b_k."""
         active, sticks = slopes.active[:, contact], slopes.sticks[:, contact]
         places = np.append(-1, np.flatnonzero(active))
         follows = np.append(active | sticks, True)[places + 1]
         own, size = places[1:], basis.value.shape[1]
         start, tangential, normal = slopes.of(own, contact, slice(2))
-        of_u, of_v = _of_intervals(basis, own)
-        source = np.zeros((3 * size + 2, places.size, 2))
-        along = tangential.reshape(-1, 4, 3) @ of_u
-        along += start.reshape(-1, 4, 1) * _followed(basis, follows, places)[:-1, None]
-        source[: 2 * size, 1:] = along.reshape(-1, 2, 2, size).transpose(2, 3, 0, 1).reshape(2 * size, -1, 2)
-        source[2 * size : -2, 1:] = (normal @ of_v).transpose(2, 0, 1)
-        source[-2:, 0] = np.eye(2)
-        band = np.zeros((4, places.size, 2))
-        for i, j in np.ndindex(2, 2):
-            band[2 + i - j, :-1, j] = -start[:, i, j] * follows[:-1]
-        done, _ = lapack.dtbtrs(
-            band.reshape(4, -1), source.reshape(len(source), -1).T, uplo="L", diag="U", overwrite_b=True
-        )
-        return cls(places, follows, np.ascontiguousarray(done).reshape(places.size, 2, -1))
+        before, rows = _followed(basis, follows, places), np.empty((places.size, 2, 3 * size + 2))
+        rows[0], rows[0, :, -2:], rows[1:, :, -2:] = 0.0, np.eye(2), 0.0
+        for first in range(0, own.size, TOGETHER):
+            some = slice(first, min(first + TOGETHER, own.size))
+            course, out = _course(basis, own[some], before[some]), rows[some.start + 1 : some.stop + 1]
+            for j in range(2):
+                by_u = np.concatenate([tangential[some, :, j], start[some, :, j, None]], axis=2)
+                np.matmul(by_u, course[:, 2:], out=out[..., j * size : (j + 1) * size])
+            np.matmul(normal[some], course[:, :4], out=out[..., 2 * size : -2])
+        for k in np.flatnonzero(follows[:-1]):
+            rows[k + 1] += start[k] @ rows[k]
+        return cls(places, follows, rows)
 
-    def starts(self, basis: Basis) -> Array64:
-        """The same at the start of each of the intervals but the first, and at the end of the period."""
-        rows = self.rows * self.follows[:, None, None]
-        _add_to_both(rows, _followed(basis, self.follows, self.places))
+    def starts(self, basis: Basis, of: NDArray[np.int64]) -> Array64:
+        """The same at the start of some of the intervals, of which 0 is the first; of one behind them: of the period.
+
+        Shape (P, 2, 3 (2H + 1) + 2).
+        """
+        rows = self.rows[of] * self.follows[of, None, None]
+        _add_to_both(rows, _followed(basis, self.follows, self.places)[of])
         return rows
 
     def spectrum(self, basis: Basis) -> Array64:
         """Fourier coefficients of d, shape (2H + 1, 2, 3 (2H + 1) + 2)."""
         count, own = len(basis.value), self.places[1:]
-        sums = np.concatenate([np.zeros((len(basis.project), 1)), np.cumsum(basis.project, axis=1)], axis=1)
-        weight = (sums[:, np.append(own, count)] - sums[:, self.places + 1]) * self.follows
+        weight = (basis.sums[:, np.append(own, count)] - basis.sums[:, self.places + 1]) * self.follows
         sticks = np.repeat(self.follows, np.diff(np.append(self.places, count)))[1:]
         sticks[own] = False
         direct = basis.project[:, sticks] @ basis.value[sticks] - weight @ basis.value[self.places]
@@ -239,10 +241,18 @@ def _followed(basis: Basis, follows: NDArray[np.bool_], places: NDArray[np.int64
     return (basis.value[until] - basis.value[places]) * follows[:, None]
 
 
-def _of_intervals(basis: Basis, places: NDArray[np.int64]) -> tuple[Array64, Array64]:
-    """What enters `Slope.tangential` and `Slope.normal`, by the coefficients: shapes (P, 3, 2H + 1), (P, 4, 2H + 1)."""
-    value0, value, rate0, rate = (part[i] for part in (basis.value, basis.rate) for i in (places - 1, places))
-    return np.stack([value - value0, rate0, rate], axis=1), np.stack([value0, value, rate0, rate], axis=1)
+def _course(basis: Basis, places: NDArray[np.int64], followed: Array64 | float = 0.0) -> Array64:
+    """What a component of the motion does in some intervals, by its coefficients, shape (P, 6, 2H + 1).
+
+    Value and rate at both ends, the change, and the change that d followed since the interval before: the first four as
+    `by_parts` has those of v, the last but the first two as those of u.
+    """
+    course = np.empty((places.size, 6, basis.value.shape[1]))
+    for i, part in enumerate((basis.value, basis.rate)):
+        course[:, 2 * i], course[:, 2 * i + 1] = part[places - 1], part[places]
+    np.subtract(course[:, 1], course[:, 0], out=course[:, 4])
+    course[:, 5] = followed
+    return course
 
 
 def linearised(
@@ -255,74 +265,69 @@ def linearised(
     period, size = period_of(law, basis, coefficient), 3 * basis.value.shape[1]
     slope = np.zeros((len(coefficient), size, size))
     if (own := np.flatnonzero(period.works)).size:
-        slope[own] = _working(part_of(law, own), basis, period.of(own))
-    if (own := np.flatnonzero(period.stuck.sticks)).size:
-        stuck = part_of(period.stuck, own)
+        for contact, part in zip(own, _working(part_of(law, own), basis, period.of(own)), strict=True):
+            slope[contact] = part
+    for own in np.flatnonzero(period.stuck.sticks)[:, None]:
+        stuck = part_of(period.stuck, own).force
         # An offset that is zero stays so.
-        follows = np.flatnonzero(np.any(stuck.force, axis=0) & (not keep_offsets))
-        slope[own] = _stuck(part_of(law, own), basis, coefficient[own], stuck, follows)
+        offset = stuck if np.any(stuck) and not keep_offsets else None
+        slope[own] = _stuck(part_of(law, own), basis, coefficient[own], offset)
     return forces_of(law, basis, period), slope
 
 
-def _working(law: ConeLaw, basis: Basis, period: ClosedPeriod) -> Array64:
-    """Derivatives of the forces of contacts that slip, or open and close, shape (C, 3 (2H + 1), 3 (2H + 1)).
+def _working(law: ConeLaw, basis: Basis, period: ClosedPeriod) -> Iterator[Array64]:
+    """Derivatives of the forces of each of the contacts that slip, or open and close: 3 (2H + 1) rows and columns.
 
     With d at the end of the last pass e(y, d0) and d0 = e, ``(1 - de/dd0) dd0/dy = de/dy`` closes the period.
     """
     slopes = interval_slopes(law, period)
     touching, size = touching_stiffness(law, period.motion), basis.value.shape[1]
-    slope = np.zeros((touching.shape[1], 3, size, 3 * size))
-    for contact, whole in enumerate(slope):
+    for contact in range(touching.shape[1]):
         chain = _Chain.of(slopes, contact, basis)
-        starts = chain.starts(basis)
         spectrum = np.zeros((3, size, 3 * size + 2))
         stiffness = tuple(np.asarray(k)[contact, None, None] for k in law.stiffness)
         spectrum[0], spectrum[1] = product(stiffness, tuple(chain.spectrum(basis).swapaxes(0, 1)))
         spectrum[2, :, 2 * size : -2] = (basis.project * touching[:, contact]) @ basis.value
-        _add_kinks(spectrum, slopes, contact, basis, chain.places[1:], starts)
-        by_motion, by_start = starts[-1, :, :-2], starts[-1, :, -2:]
+        _add_kinks(spectrum, slopes, contact, basis, chain)
+        (end,) = chain.starts(basis, np.array([chain.places.size - 1]))
+        by_motion, by_start = end[:, :-2], end[:, -2:]
         change = np.eye(2) - by_start
-        unique = np.abs(np.linalg.det(change)) > 1e-13
-        start = np.linalg.solve(change, by_motion) if unique else np.zeros_like(by_motion)
-        whole[:] = spectrum[..., :-2] + spectrum[..., -2:] @ start
-    return slope.reshape(-1, 3 * size, 3 * size)
+        if np.abs(np.linalg.det(change)) > 1e-13:
+            spectrum[..., :-2] += spectrum[..., -2:] @ np.linalg.solve(change, by_motion)
+        yield spectrum[..., :-2].reshape(3 * size, 3 * size)
 
 
-def _stuck(law: ConeLaw, basis: Basis, coefficient: Array64, stuck: Offset, follows: NDArray[np.intp]) -> Array64:
-    """The same of contacts that stick all along, whose forces follow the motion, as the offsets of some of them do."""
-    num_contacts, _, size = coefficient.shape
-    elastic = np.zeros((2, num_contacts, size, 3, size))
-    for own in follows[:, None]:
-        weight = offset_slope(part_of(law, own), part_of(stuck, own).force, dense_motion_of(basis, coefficient[own]))
-        elastic[:, own, 0] = np.einsum("itca,tk->icak", np.asarray(weight), basis.dense, optimize=True)
-    each = np.arange(size)
+def _stuck(law: ConeLaw, basis: Basis, coefficient: Array64, offset: Plane | None) -> Array64:
+    """The same of one that sticks all along, whose force follows the motion, as its offset does if one is given."""
+    size = coefficient.shape[-1]
+    each, slope = np.arange(size), np.zeros((3, size, 3, size))
+    elastic = np.zeros((2, size, 3, size))
+    if offset is not None:
+        weight = offset_slope(law, offset, dense_motion_of(basis, coefficient))
+        elastic[:, 0] = np.einsum("itca,tk->icak", np.asarray(weight), basis.dense, optimize=True)[:, 0]
     for i in range(2):
-        elastic[i, :, each, i, each] += 1.0
-    stiffness = tuple(np.asarray(k)[:, None, None, None] for k in law.stiffness)
-    slope = np.zeros((num_contacts, 3, size, 3, size))
-    slope[:, 0], slope[:, 1] = product(stiffness, tuple(elastic))
-    slope[:, 2, each, 2, each] = np.asarray(law.normal_stiffness)[:, None]
-    return slope.reshape(num_contacts, 3 * size, 3 * size)
+        elastic[i, each, i, each] += 1.0
+    slope[0], slope[1] = product(tuple(map(np.asarray, law.stiffness)), tuple(elastic))
+    slope[2, each, 2, each] = law.normal_stiffness
+    return slope.reshape(3 * size, 3 * size)
 
 
-def _add_kinks(
-    spectrum: Array64, slopes: Slope, contact: int, basis: Basis, places: NDArray[np.int64], starts: Array64
-) -> None:
+def _add_kinks(spectrum: Array64, slopes: Slope, contact: int, basis: Basis, chain: _Chain) -> None:
     """Add what the few intervals with kinks put on the samples before and after them.
 
     Args:
         spectrum: derivatives of the coefficients of a contact's forces.
-        slopes, contact, basis: as in `_Chain.of`.
-        places, starts: intervals that slip or change their state, and the derivatives of d at their starts.
+        slopes, contact, basis, chain: as in `_Chain.of`, and what that gives.
     """
+    places = chain.places[1:]
     start, tangential, normal = slopes.of(places, contact, slice(2, None))
     kinks = np.flatnonzero(np.any(tangential, axis=(1, 2, 3)) | np.any(normal, axis=(1, 2)))
     if not kinks.size:
         return
-    of_u, of_v = _of_intervals(basis, places[kinks])
-    along = (tangential[kinks].reshape(kinks.size, 12, 3) @ of_u).reshape(kinks.size, 6, -1)
-    rows = start[kinks] @ starts[kinks]
-    rows[..., :-2] += np.concatenate([along, normal[kinks] @ of_v], axis=2)
+    course = _course(basis, places[kinks])
+    along = tangential[kinks].reshape(kinks.size, 12, 3) @ course[:, 2:5]
+    rows = start[kinks] @ chain.starts(basis, kinks)
+    rows[..., :-2] += np.concatenate([along.reshape(kinks.size, 6, -1), normal[kinks] @ course[:, :4]], axis=2)
     for side, at in ((slice(0, 3), places[kinks] - 1), (slice(3, 6), places[kinks])):
         put = basis.project[:, at] @ rows[:, side].reshape(kinks.size, -1)
         spectrum += put.reshape(len(put), 3, -1).swapaxes(0, 1)

@@ -22,7 +22,7 @@ from scipy.linalg import expm
 from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.period import Basis, basis_of, period_of, touching_stiffness
-from timesim.hbm.tangent import Slope, interval_slopes
+from timesim.hbm.tangent import Slope, by_parts, interval_slopes
 
 # Intervals in a row without any change of state from which on they are passed by their exact flow.
 LONG = 8
@@ -80,10 +80,11 @@ class _Local(NamedTuple):
         Of d at the end, and of the force put on the samples beside them; s = (u1, u2, v) and its rates, time in units
         of the interval.
         """
-        change, rate0, rate1 = np.moveaxis(self.slope.tangential[:, places], -1, 0)
-        v0, v1, dv0, dv1 = np.moveaxis(self.slope.normal[:, places, ..., None], -2, 0)
+        start, tangential, normal = by_parts(self.slope.by[:, places])
+        rate0, rate1, change = np.moveaxis(tangential, -1, 0)
+        v0, v1, dv0, dv1 = np.moveaxis(normal[..., None], -2, 0)
         sides = [-change, v0, rate0, dv0], [change, v1, rate1, dv1]
-        rows = self.slope.start[:, places], *(np.concatenate(side, axis=-1) for side in sides)
+        rows = start, *(np.concatenate(side, axis=-1) for side in sides)
         return [np.concatenate([x[..., :2, :], x[..., 2:5, :] + x[..., 5:, :]], axis=-2) for x in rows]
 
 
