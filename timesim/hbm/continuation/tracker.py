@@ -184,7 +184,8 @@ class _PathTracker:
         """To the next point; None if there is none."""
         while length >= self.controls.min_step:
             try:
-                new = self.corrector.simplified_newton(_predicted(point, before, length), point.tangent)
+                guess = _predicted(point, before, length)
+                new = self.corrector.simplified_newton(guess, point.tangent, known=point.factors)
             except NoSolutionError as error:
                 self.cause = str(error)
                 if (step := self._around_corner(point, length)) is not None:
