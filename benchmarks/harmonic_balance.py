@@ -24,12 +24,13 @@ from scipy.interpolate import CubicSpline
 
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, follow
-from timesim.hbm.curve import evaluated, hbm_curve, peak, solutions_at
+from timesim.hbm.curve import evaluated, hbm_curve, solutions_at
 from timesim.hbm.scheme import Scheme, enough_samples
 from timesim.model.model import GROUND, Contact, Excitation, Model, Start, Structure
 from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.settling import Chain, steady_states
 from timesim.study.registry import load_scene
+from timesim.study.summary.curve import peak
 
 RANGE = (0.75, 1.3)
 

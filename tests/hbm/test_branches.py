@@ -7,8 +7,8 @@ import pytest
 
 from timesim.hbm import branches
 from timesim.hbm.branches import SettledMotion, curves_from_ends, passes
-from timesim.hbm.continuation import Controls, Ending
-from timesim.hbm.curve import HbmCurve, crossings
+from timesim.hbm.continuation import Controls, Ending, crossings
+from timesim.hbm.curve import HbmCurve
 
 LOW, HIGH = 1.0, 2.0
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from timesim.hbm.continuation import Controls, Ending, follow, follow_both_ways, solve
+from timesim.hbm.continuation import Controls, Curve, Ending, follow, follow_both_ways, other_end, solve
 from timesim.hbm.continuation.corrector import Corrector
 from timesim.hbm.continuation.trace import Trace
 from timesim.hbm.continuation.tracker import _PathTracker
@@ -130,6 +130,71 @@ class Watched(Circle):
         r = super().value(x, p)
         self.sizes.append(abs(r[0]))
         return r
+
+
+class OtherProcess:
+    """Follows a curve at once, in this process; one that failed has none."""
+
+    share = 1.0
+
+    def __init__(self, curve: Curve | None):
+        self.ended, self.given_up = curve, False
+
+    def curve(self) -> Curve | None:
+        return self.ended
+
+    def give_up(self) -> None:
+        self.given_up = True
+
+
+@pytest.mark.parametrize("ends", [(-10.0, 10.0), (10.0, -10.0), (-10.0, 12.0)])
+def test_a_curve_that_takes_long_is_followed_from_both_ends(monkeypatch, ends):
+    """The middle lies between the folds, where three solutions are: it is met when it is passed for the third time."""
+    monkeypatch.setattr(other_end, "WORK", 2)
+    start, stop = ends
+    guesses = {p: np.full(2, 3.0 * np.sign(p)) for p in ends}
+    alone = follow(Cubic(), guesses[start], start, stop, CONTROLS)
+    asked, shares = [], []
+
+    def from_end(middle: float) -> OtherProcess:
+        asked.append((middle, OtherProcess(follow(Cubic(), guesses[stop], stop, middle, CONTROLS))))
+        return asked[-1][1]
+
+    watched = replace(CONTROLS, watch=lambda share, _: shares.append(share))
+    both = follow(Cubic(), guesses[start], start, stop, watched, from_end=from_end)
+    ((middle, other),) = asked
+    assert abs(middle) < 2
+    assert other.given_up
+    assert both.complete
+    assert len(shares) < both.p.size < alone.p.size + 10
+    assert shares[-1] == 1.0
+    assert both.p[[0, -1]].tolist() == [start, stop]
+    np.testing.assert_allclose(both.p[both.fold], alone.p[alone.fold], rtol=1e-9)
+    assert np.count_nonzero(both.fold) == 2
+    for x, p, fold, sign in zip(both.x, both.p, both.fold, both.determinant, strict=True):
+        assert abs(x[0] ** 3 - 3 * x[0] - p) < 1e-7
+        assert sign == (0 if fold else np.sign(3 * x[0] ** 2 - 3))
+    way = np.diff(both.x[:, 0]) * np.sign(stop - start)
+    assert np.all(way > 0)  # no solution twice
+
+
+def test_a_curve_goes_on_alone_where_the_other_end_does_not_lead_to_it(monkeypatch):
+    monkeypatch.setattr(other_end, "WORK", 20)
+    alone = follow(Cubic(), np.full(2, -3.0), -10.0, 10.0, CONTROLS)
+    lost = follow(Cubic(), np.full(2, 3.0), 10.0, 5.0, replace(CONTROLS, max_points=3))
+    elsewhere = replace(follow(Cubic(), np.full(2, 3.0), 10.0, 0.0, CONTROLS))
+    elsewhere = replace(elsewhere, x=elsewhere.x + 0.1)
+    for curve in (None, lost, elsewhere):
+        for_all = follow(Cubic(), np.full(2, -3.0), -10.0, 10.0, CONTROLS, from_end=lambda _: OtherProcess(curve))  # noqa: B023
+        np.testing.assert_array_equal(for_all.x, alone.x)
+        assert for_all.message == alone.message
+    few = replace(CONTROLS, max_points=alone.p.size - 2)
+    whole = follow(Cubic(), np.full(2, -3.0), -10.0, 10.0, few, from_end=lambda middle: OtherProcess(half_from(middle)))
+    assert whole.ending is Ending.POINTS
+
+
+def half_from(middle: float) -> Curve:
+    return follow(Cubic(), np.full(2, 3.0), 10.0, middle, CONTROLS)
 
 
 def test_the_predictor_is_of_second_order():

@@ -17,7 +17,7 @@ from timesim.hbm import convergence as hbm_convergence
 from timesim.hbm import scheme as hbm_scheme
 from timesim.hbm.continuation import Controls, Ending, part_of, solve
 from timesim.hbm.convergence import SAMPLED, Known, convergence, neglected, order_of, sampling_error
-from timesim.hbm.curve import changes_of_stability, hbm_curve, peak, solutions_at
+from timesim.hbm.curve import hbm_curve, solutions_at
 from timesim.hbm.scheme import NEGLECTED, NOTED, Scheme, most_harmonics
 from timesim.picture import hbm as plot_hbm
 from timesim.picture.response import stable_parts
@@ -29,7 +29,7 @@ from timesim.study.execution.campaign import Execution
 from timesim.study.hbm import study as followed_study
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.summary import curve
-from timesim.study.summary.curve import convergence_lines, curve_lines
+from timesim.study.summary.curve import changes_of_stability, convergence_lines, curve_lines, peak
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 BASE = oscillator_scene(preload=-4.0)

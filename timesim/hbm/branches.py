@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from timesim.hbm.balance import Array, Balance
-from timesim.hbm.continuation import SAME, Controls, Ending, solve
-from timesim.hbm.curve import HbmCurve, crossings, hbm_curve, schemes_of, solutions_at
+from timesim.hbm.continuation import SAME, Controls, Ending, crossings, solve
+from timesim.hbm.curve import HbmCurve, hbm_curve, schemes_of, solutions_at
 from timesim.hbm.first_guess import unknowns_of_modes
 from timesim.hbm.scheme import Scheme
 from timesim.hbm.tangent import compile_slopes, linearised
@@ -93,7 +93,7 @@ def _followed(model: Model, start: float, stop: float, **options: Any) -> HbmCur
         return curve
     controls = options.get("controls", Controls())
     finer = replace(controls, max_step=SHORTER * controls.max_step)
-    other = hbm_curve(model, start, stop, **options | {"controls": finer})
+    other = hbm_curve(model, start, stop, **options | {"controls": finer, "aside": None})
     return other if other.complete or other.ending is Ending.INTERRUPTED else curve
 
 

@@ -3,10 +3,10 @@
 The balance is `timesim.hbm.balance`, the way along the curve `timesim.hbm.continuation`.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,10 @@ from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import (
     Controls,
     Curve,
+    Elsewhere,
     Ending,
     Solution,
+    crossings,
     follow,
     follow_both_ways,
     joined,
@@ -30,6 +32,9 @@ from timesim.hbm.scheme import Scheme, coarsest
 from timesim.hbm.stability import checked_multipliers, grows, sign_with_offsets_kept, with_offsets_kept
 from timesim.model.model import Model
 from timesim.orbit.fourier import Array, half_range, phase_deg, to_phasors
+
+PIECE = 128
+"""Solutions that are evaluated at a time: one to three seconds of work where it takes long."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +122,16 @@ Watch = Callable[[float, Callable[[], HbmCurve]], None]
 """Takes in the share of the range that a curve has reached, and what gives its solutions so far."""
 
 
+class Aside(Protocol):
+    """Other processes that take a part of the work on a curve that takes long."""
+
+    def part(self, model: Model, start: float, first: float, last: float) -> Elsewhere:
+        """Begin `part_of_curve`."""
+
+    def each(self, function: Callable[[Curve], HbmCurve], pieces: Sequence[Curve], /) -> list[HbmCurve]:
+        """A function of a module, applied to each of some pieces."""
+
+
 def watched(controls: Controls, watch: Watch, evaluate: Callable[[Curve], HbmCurve]) -> Controls:
     """Steps of a continuation whose curve is watched while it grows."""
     return replace(controls, watch=lambda share, so_far: watch(share, lambda: evaluate(so_far())))
@@ -133,6 +148,7 @@ def hbm_curve(
     begin: float | None = None,
     stability: bool = True,
     watch: Watch | None = None,
+    aside: Aside | None = None,
 ) -> HbmCurve:
     """Follow the periodic response of a model in frequency, around folds.
 
@@ -152,6 +168,7 @@ def hbm_curve(
             by default it begins at `start`.
         stability: compute Floquet multipliers; without them stability follows from the sign of the determinant alone.
         watch: called while the curve grows.
+        aside: processes that follow the curve from `stop` meanwhile, and evaluate its solutions, if that takes long.
 
     Returns:
         The curve; if the continuation fails, the part before, with the reason and the place in `message`.
@@ -165,14 +182,42 @@ def hbm_curve(
     if watch is not None:
         steps = watched(steps, watch, lambda curve: by_schemes(balance, curve, partial(evaluated, stability=False)))
 
+    from_end = None if aside is None else partial(aside.part, model, start, stop)
+
     def followed(first: Array) -> Curve:
         if start < place < stop or stop < place < start:
             return follow_both_ways(balance, first, place, (start, stop), steps)
-        ends = (stop, start) if np.isclose(place, stop, rtol=1e-9, atol=0.0) else (start, stop)
-        return follow(balance, first, *ends, steps)
+        if np.isclose(place, stop, rtol=1e-9, atol=0.0):
+            return follow(balance, first, stop, start, steps)
+        return follow(balance, first, start, stop, steps, from_end=from_end)
 
     curve = curve_near(balance, place, place, steps, guess, followed)
-    return finished(balance, curve, evaluated, stability)
+    return finished(balance, curve, partial(_in_pieces, _listed if aside is None else aside.each), stability)
+
+
+def part_of_curve(
+    model: Model, start: float, first: float, last: float, schemes: Sequence[Scheme], controls: Controls
+) -> Curve:
+    """The curve from one frequency to another, in the unknowns of the `hbm_curve` that begins at `start`."""
+    balance = AdaptiveBalance(lambda own: Balance(model, start, own), schemes, model.num_contacts)
+    return curve_near(balance, first, first, controls, None, lambda x: follow(balance, x, first, last, controls))
+
+
+def _in_pieces(
+    each: Callable[[Callable[[Curve], HbmCurve], Sequence[Curve]], list[HbmCurve]],
+    balance: Balance,
+    curve: Curve,
+    *,
+    stability: bool,
+) -> HbmCurve:
+    """`evaluated`, a piece of the curve at a time, the same ones whoever does it."""
+    pieces = [part_of(curve, slice(first, first + PIECE)) for first in range(0, curve.p.size, PIECE)]
+    return joined(each(partial(evaluated, balance, stability=stability), pieces or [curve]))
+
+
+def _listed(function: Callable[[Curve], HbmCurve], pieces: Sequence[Curve]) -> list[HbmCurve]:
+    """`Aside.each` by this process."""
+    return list(map(function, pieces))
 
 
 def schemes_of(scheme: Scheme | Sequence[Scheme] | None) -> Sequence[Scheme]:
@@ -269,16 +314,6 @@ def _between(unknowns: Array, frequency: Array, crossing: tuple[int, float], pla
     return KroghInterpolator(frequency[four], unknowns[four])(place)
 
 
-def crossings(frequency: Array, place: float) -> Iterator[tuple[int, float]]:
-    """Where a curve passes a frequency: the point before, and the share of the way to the next one."""
-    # An end of the range is met but for rounding.
-    side = np.where(np.isclose(frequency, place, rtol=1e-12, atol=0.0), 0.0, np.sign(frequency - place))
-    last = np.arange(1, side.size) == side.size - 1
-    for i in np.flatnonzero((side[1:] * side[:-1] < 0) | (side[:-1] == 0) | last & (side[1:] == 0)):
-        way = frequency[i + 1] - frequency[i]  # none where a resonance without damping leads straight up
-        yield int(i), (place - frequency[i]) / way if way else 0.0
-
-
 def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmCurve:
     """Motion, contact states and stability of the solutions of a balance, in the units of the scene."""
     size, order = curve.p.size, balance.scheme.harmonics + 1
@@ -311,32 +346,3 @@ def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmC
         ending=curve.ending,
         message=curve.message,
     )
-
-
-def changes_of_stability(stable: NDArray[np.bool_], fold: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Solutions after which a curve gains or loses its stability though it does not turn, shape (S,)."""
-    changes = np.zeros(stable.size, dtype=bool)
-    changes[:-1] = (stable[1:] != stable[:-1]) & ~fold[1:] & ~fold[:-1]
-    return changes
-
-
-def peak(parameter: Array, height: Array, motion: Array) -> tuple[float, float]:
-    """Parameter and value of the largest height, by a parabola along the curve.
-
-    Args:
-        parameter: of the solutions, shape (S,).
-        height: the quantity that peaks, shape (S,).
-        motion: of the solutions, for the arc length between them, shape (S, ...).
-    """
-    i = int(np.argmax(height))
-    if not 0 < i < height.size - 1:
-        return float(parameter[i]), float(height[i])
-    rows = slice(i - 1, i + 2)
-    near, p = motion[rows].reshape(3, -1), parameter[rows]
-    steps = np.hypot(
-        np.diff(p) / np.ptp(parameter), np.linalg.norm(np.diff(near, axis=0), axis=1) / (np.linalg.norm(near[1]) or 1.0)
-    )
-    s = np.array([-steps[0], 0.0, steps[1]])
-    bend, slope, middle = np.polyfit(s, height[rows], 2)
-    top = float(np.clip(-slope / (2 * bend), s[0], s[2])) if bend < 0 else 0.0
-    return float(np.polyval(np.polyfit(s, p, 2), top)), float(np.polyval([bend, slope, middle], top))

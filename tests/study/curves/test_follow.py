@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 from systems import oscillator_scene
 
+from timesim.hbm import curve
+from timesim.hbm.continuation import other_end
 from timesim.result.checkpoint import chunks_done
 from timesim.result.file import StoreError
 from timesim.study.compare import matched
-from timesim.study.curves import follow
+from timesim.study.curves import aside, follow
 from timesim.study.curves.collection import Curves
 from timesim.study.curves.kept import KeptCurves
 from timesim.study.execution.campaign import Execution
@@ -149,3 +151,59 @@ def test_curves_that_cannot_be_kept_are_in_the_result(
     assert reason == "the disk is full"
     first = here[0].isel(solution=here[0]["curve"].values == 0)
     np.testing.assert_array_equal(data["amplitude"], first["amplitude"])
+
+
+STEEP = {"stability": True, "frequency": {"from": 1.0, "to": 0.93}}
+LONG = load_scene(oscillator_scene(preload=-4.0) | {"study": STUDY | STEEP})
+
+
+@pytest.fixture
+def takes_long(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """A curve takes long from its second solution on; the functions that processes are given."""
+    monkeypatch.setattr(other_end, "WORK", 60)
+    monkeypatch.setattr(aside, "WORK", 60)
+    monkeypatch.setattr(curve, "PIECE", 16)
+    given: list[str] = []
+    own = Processes.submit
+
+    def submit(self: Processes, seen: Any, function: Any, *args: Any) -> Any:
+        given.append(getattr(function, "func", function).__name__)
+        return own(self, seen, function, *args)
+
+    monkeypatch.setattr(Processes, "submit", submit)
+    return given
+
+
+def test_processes_take_a_part_of_a_curve_that_takes_long(two: Processes, takes_long: list[str]):
+    alone, *_ = followed(LONG, LONG.plan, Execution())
+    assert not takes_long
+    both, _, reason = followed(LONG, LONG.plan, Execution(processes=two))
+    assert reason is None
+    assert takes_long[0] == "followed_part"
+    assert takes_long[1:] == ["evaluated"] * -(-both.sizes["solution"] // 16)
+    folds = [data.frequency.values[data.fold.values > 0] for data in (both, alone)]
+    assert folds[0].size == 2
+    np.testing.assert_allclose(*folds, rtol=1e-9)
+    for branch in range(3):
+        one, other = (data.isel(solution=data.branch.values == branch).sortby("frequency") for data in (both, alone))
+        for name in ("amplitude", "floquet_max"):
+            wanted, found = (
+                np.interp(one.frequency, own.frequency, own[name].values.reshape(own.sizes["solution"], -1)[:, 0])
+                for own in (other, one)
+            )
+            inside = slice(2, -2)  # beside a fold the curve is steep
+            np.testing.assert_allclose(found[inside], wanted[inside], rtol=0.02, err_msg=f"{name} {branch}")
+
+
+def test_where_the_process_of_a_part_is_killed_the_curve_is_the_same_as_here(
+    takes_long: list[str], monkeypatch: pytest.MonkeyPatch
+):
+    def killed(*_: Any) -> Any:
+        raise BrokenExecutor
+
+    alone, *_ = followed(LONG, LONG.plan, Execution())
+    monkeypatch.setattr(Processes, "submit", killed)
+    with Processes(2) as own:
+        data, _, reason = followed(LONG, LONG.plan, Execution(processes=own))
+    assert reason is None
+    same(alone, data)

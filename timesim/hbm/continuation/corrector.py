@@ -73,6 +73,11 @@ class Corrector:
         self.x_unit = self.size_of(x)
         self.failures = self.unasked = 0  # of `adapted`: in a row, and points that it lets pass
 
+    @property
+    def num_in_use(self) -> int:
+        """Unknowns in use."""
+        return self.size if self.adaptive is None else self.adaptive.active.size
+
     def recentre(self, x: Array) -> None:
         """Measure solutions about the centre of one from now on."""
         if isinstance(self.residual, Centred):

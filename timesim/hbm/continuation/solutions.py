@@ -1,6 +1,6 @@
 """Solutions of a residual in the order of a curve, and why the curve ends."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, TypeVar
@@ -95,3 +95,13 @@ def joined(parts: Sequence[Solutions]) -> Solutions:
 
 def _arrays(curve: Any) -> dict[str, Any]:
     return {name: value for name, value in vars(curve).items() if isinstance(value, np.ndarray)}
+
+
+def crossings(parameter: Array, place: float) -> Iterator[tuple[int, float]]:
+    """Where a curve passes a value of its parameter: the point before, and the share of the way to the next one."""
+    # An end of the range is met but for rounding.
+    side = np.where(np.isclose(parameter, place, rtol=1e-12, atol=0.0), 0.0, np.sign(parameter - place))
+    last = np.arange(1, side.size) == side.size - 1
+    for i in np.flatnonzero((side[1:] * side[:-1] < 0) | (side[:-1] == 0) | last & (side[1:] == 0)):
+        way = parameter[i + 1] - parameter[i]  # none where a resonance without damping leads straight up
+        yield int(i), (place - parameter[i]) / way if way else 0.0

@@ -14,25 +14,25 @@ Applications of Bifurcation Theory (Academic Press 1977) 359-384, for the arclen
 Introduction to Numerical Continuation Methods (SIAM 2003), chapters 2 and 6, for predictor and step.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from timesim.hbm.continuation.bordered import Array
 from timesim.hbm.continuation.corrector import STRAIGHT, Controls, Corrector, CurvePoint, meeting
+from timesim.hbm.continuation.other_end import FromEnd, OtherEnd
 from timesim.hbm.continuation.residual import NoSolutionError, Residual
 from timesim.hbm.continuation.solutions import Curve, Ending, joined, part_of
+from timesim.hbm.continuation.step import Step, is_corner, predicted
 from timesim.hbm.continuation.trace import Trace
 
 # Lengths of a jump over a place where the residual is not smooth, as shares of the longest step, tried in turn.
 JUMPS = (0.02, 0.06, 0.2, 0.6, 1.0)
 # Share of the way over such a place that lies along the tangent behind it, where the way is long.
 ALONG = 0.9
-# Distance of two solutions that are one, relative to their size.
-SAME = 1e-5
-# Length of a step up to which a tangent that turns by much may have met a corner of the curve.
-NEAR_CORNER = 0.01
+# Distance of two solutions that are one, relative to their size; and if their numbers of harmonics may differ.
+SAME, MEET = 1e-5, 1e-3
 # Cosine of the turn at a corner beyond which the curve goes to it, how close, and the share of the way at a time.
 SHARP, AT_CORNER, APPROACH = 0.5**0.5, 1e-6, 0.95
 # Longest step over which the orientation of the curve may change, as at a bifurcation: a longer one leads to another
@@ -49,7 +49,14 @@ GROWTH, CATCHING_UP = 1.6, 3.0
 
 
 def follow(
-    residual: Residual, guess: Array, start: float, stop: float, controls: Controls, *, behind: float | None = None
+    residual: Residual,
+    guess: Array,
+    start: float,
+    stop: float,
+    controls: Controls,
+    *,
+    behind: float | None = None,
+    from_end: FromEnd | None = None,
 ) -> Curve:
     """Follow the solution near a guess from one value of the parameter to another, around folds.
 
@@ -62,6 +69,7 @@ def follow(
     Keyword Args:
         behind: the other end of the range where the curve begins inside it; `start` by default. Such a curve may also
             end there, or where it began.
+        from_end: begins to follow the curve from `stop` meanwhile, once this one takes long; where they meet it ends.
 
     Returns:
         The curve; if it could not be followed to its end, the part that could, with the reason and the place.
@@ -74,7 +82,12 @@ def follow(
         raise ValueError(f"continuation: the range must have two different finite ends, not {start} and {stop}")
     if guess.ndim != 1 or not np.isfinite(guess).all():
         raise ValueError(f"continuation: the guess must be a vector of finite numbers, not of shape {guess.shape}")
-    return _PathTracker(residual, guess, controls, start, stop, behind).curve()
+    tracker = _PathTracker(residual, guess, controls, start, stop, behind)
+    tracker.other = OtherEnd(from_end, stop)
+    try:
+        return tracker.curve()
+    finally:
+        tracker.other.give_up()
 
 
 def follow_both_ways(
@@ -93,20 +106,6 @@ def follow_both_ways(
     return replace(whole, ending=worse.ending, message=worse.message)
 
 
-@dataclass(frozen=True)
-class _Step:
-    """A step along the curve: where it leads, its length of arc, the length to try next, and whether round a corner.
-
-    `moved`: by how much other unknowns have moved the parameter where it leads.
-    """
-
-    point: CurvePoint
-    length: float
-    next_length: float
-    corner: bool = False
-    moved: float = 0.0
-
-
 class _PathTracker:
     """A curve while it is followed."""
 
@@ -114,6 +113,7 @@ class _PathTracker:
         self.corrector = Corrector(residual, controls, abs(stop - behind), guess)
         self.guess, self.controls = guess, controls
         self.start, self.stop, self.behind = start, stop, behind
+        self.other = OtherEnd(None, stop)
         self.sign = float(np.sign(stop - start))
         self.ahead = np.append(np.zeros(guess.size), self.sign)  # normal of a plane of constant p
         self.trace = Trace(self.corrector, self.sign)
@@ -153,8 +153,10 @@ class _PathTracker:
         self.trace.add(point, moved)
         p = self.corrector.unscaled(point.y)[1]
         self.reached = max(self.reached, (p - self.start) / (self.stop - self.start))
+        self.other.count(self.corrector.num_in_use, p)
         if self.controls.watch is not None:
-            self.controls.watch(min(self.reached, 1.0), partial(self._curve, Ending.INTERRUPTED))
+            reached = self.reached + self.other.reached / abs(self.stop - self.start)
+            self.controls.watch(min(reached, 1.0), partial(self._curve, Ending.INTERRUPTED))
 
     def _follow(self, point: CurvePoint) -> Ending:
         """From the first point to the end; how the curve ends."""
@@ -180,11 +182,11 @@ class _PathTracker:
             point, length = step.point, step.next_length
         return ending
 
-    def _step(self, point: CurvePoint, before: tuple[CurvePoint, float] | None, length: float) -> _Step | None:
+    def _step(self, point: CurvePoint, before: tuple[CurvePoint, float] | None, length: float) -> Step | None:
         """To the next point; None if there is none."""
         while length >= self.controls.min_step:
             try:
-                guess = _predicted(point, before, length)
+                guess = predicted(point, before, length)
                 new = self.corrector.simplified_newton(guess, point.tangent, known=point.factors)
             except NoSolutionError as error:
                 self.cause = str(error)
@@ -203,10 +205,10 @@ class _PathTracker:
             growth = np.clip(np.sqrt(self.controls.turn / max(turn, 1e-9)), 0.5, fastest)
             if new.iterations > SLOW:
                 growth = min(growth, 0.7)
-            return _Step(new, length, min(float(growth) * length, self.controls.max_step))
+            return Step(new, length, min(float(growth) * length, self.controls.max_step))
         return self._jump(point)
 
-    def _around_corner(self, point: CurvePoint, length: float, new: CurvePoint | None = None) -> _Step | None:
+    def _around_corner(self, point: CurvePoint, length: float, new: CurvePoint | None = None) -> Step | None:
         """Behind a corner of the curve, as where slip begins; or to a sharp one, since it is an extreme of something.
 
         A corner may turn the curve by more than a right angle. Then no solution lies ahead; else `new` does.
@@ -218,16 +220,16 @@ class _PathTracker:
                     guess = point.y + along * point.tangent + length * tangent
                     new = self.corrector.simplified_newton(guess, tangent)
             if new is not None:
-                if new.orientation * point.orientation < 0 or not _is_corner(point, new):
+                if new.orientation * point.orientation < 0 or not is_corner(point, new):
                     return None
                 if point.tangent @ new.tangent > SHARP:
-                    return _Step(new, float(np.linalg.norm(new.y - point.y)), length, corner=True)
+                    return Step(new, float(np.linalg.norm(new.y - point.y)), length, corner=True)
                 along, tangent = meeting(point, new)[0], new.tangent
             return self._at_corner(point, along, tangent)
         except NoSolutionError:
             return None
 
-    def _at_corner(self, point: CurvePoint, along: float, tangent: Array) -> _Step | None:
+    def _at_corner(self, point: CurvePoint, along: float, tangent: Array) -> Step | None:
         """Next to a sharp corner ahead, or right behind it, where the curve has another tangent.
 
         Raises:
@@ -237,13 +239,13 @@ class _PathTracker:
             way = APPROACH * along
             near = self.corrector.simplified_newton(point.y + way * point.tangent, point.tangent)
             same = near.orientation * point.orientation >= 0
-            return _Step(near, way, along / 4) if same and point.tangent @ near.tangent > SHARP else None
+            return Step(near, way, along / 4) if same and point.tangent @ near.tangent > SHARP else None
         guess = point.y + along * point.tangent + AT_CORNER * tangent
         new = self.corrector.simplified_newton(guess, tangent)
         same = new.orientation * point.orientation >= 0
-        return _Step(new, along + AT_CORNER, self.controls.first_step / 10, corner=True) if same else None
+        return Step(new, along + AT_CORNER, self.controls.first_step / 10, corner=True) if same else None
 
-    def _jump(self, point: CurvePoint) -> _Step | None:
+    def _jump(self, point: CurvePoint) -> Step | None:
         """Over a place where no short step succeeds; a point to which the way is not along its tangent is elsewhere.
 
         The derivatives may mean little where it starts: after the tangent, a change of the parameter alone is tried,
@@ -266,7 +268,7 @@ class _PathTracker:
                 near = distance <= 8 * length or ALONG * distance <= abs(way @ new.tangent) <= self.controls.max_step
                 onwards = way[-1] * ahead[-1] > 0 and new.orientation * point.orientation >= 0
                 if near and onwards and not self._is_known(new):
-                    return _Step(new, distance, length)
+                    return Step(new, distance, length)
         return None
 
     def _is_known(self, point: CurvePoint) -> bool:
@@ -278,7 +280,7 @@ class _PathTracker:
         distance = np.linalg.norm(first + share[:, None] * way - point.y, axis=1)
         return bool(np.any(distance <= STRAIGHT * np.sqrt(square)))
 
-    def _take(self, before: CurvePoint, step: _Step) -> Ending | None:
+    def _take(self, before: CurvePoint, step: Step) -> Ending | None:
         """Keep the point that a step leads to, or the end of the range before it.
 
         Returns:
@@ -288,6 +290,8 @@ class _PathTracker:
         if inside and (again := self._start_again(before, point)) is not None:
             self._keep(again)
             return Ending.CLOSED
+        if self._meets_other(before, point):
+            return Ending.COMPLETE
         p = self.corrector.unscaled(point.y)[1]
         for end, side, ending in (
             (self.stop, 1, Ending.COMPLETE),
@@ -305,6 +309,21 @@ class _PathTracker:
         if self.corrector.size_of(self.corrector.unscaled(point.y)[0]) > UNBOUNDED * self.first_size:
             return Ending.UNBOUNDED
         return Ending.POINTS if len(self.trace.solutions) >= self.controls.max_points else None
+
+    def _meets_other(self, before: CurvePoint, after: CurvePoint) -> bool:
+        """Whether the curve from the other end ends between two points; then this one goes on as that."""
+        middle, places = self.other.middle, [self.corrector.unscaled(point.y)[1] for point in (before, after)]
+        if middle is None or not self.sign * (places[0] - middle) < 0 <= self.sign * (places[1] - middle):
+            return False
+        if (last := self._between(before, after, middle)) is None:
+            return False
+        x, p = self.corrector.unscaled(last.y)
+        rest = self.other.rest_from(x, p, MEET * self.corrector.size_of(x))
+        if rest is None or len(self.trace.solutions) + len(rest) >= self.controls.max_points:
+            return False
+        self._keep(last)
+        self.trace.solutions += rest
+        return True
 
     def _start_again(self, before: CurvePoint, after: CurvePoint) -> CurvePoint | None:
         """The point where the curve began, if it comes through it again in the same direction."""
@@ -329,19 +348,3 @@ class _PathTracker:
         except NoSolutionError as error:
             self.cause = str(error)
             return None
-
-
-def _is_corner(point: CurvePoint, new: CurvePoint) -> bool:
-    """Whether the short way between two points is along the tangent of the one, then along that of the other."""
-    way = float(np.linalg.norm(new.y - point.y))
-    along, gap = meeting(point, new)
-    back, _ = meeting(new, point)
-    return way <= NEAR_CORNER and along > 0 > back and gap <= STRAIGHT * way
-
-
-def _predicted(point: CurvePoint, before: tuple[CurvePoint, float] | None, length: float) -> Array:
-    """Along the tangent, and its turn since the point before."""
-    if before is None:
-        return point.y + length * point.tangent
-    last, last_length = before
-    return point.y + length * point.tangent + (length**2 / (2 * last_length)) * (point.tangent - last.tangent)

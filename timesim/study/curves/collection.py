@@ -25,7 +25,9 @@ from timesim.result.state import SavedStates, SweepPoint, settled_points, start_
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
 from timesim.scene.study import combinations
+from timesim.study.curves.aside import Aside
 from timesim.study.curves.kept import Found
+from timesim.study.execution.processes import Processes
 
 Sweep = tuple[SavedStates, Mapping[str, float | str]]
 """The states of a sweep, and the values along its axes that select points."""
@@ -77,18 +79,22 @@ class Curves:
         if schemes[0].time_samples > self.schemes[0].time_samples:
             self.schemes = schemes
 
-    def follow(self, values: Mapping[str, float], sweeps: Sequence[Sweep], watch: Watch) -> None:
+    def follow(
+        self, values: Mapping[str, float], sweeps: Sequence[Sweep], watch: Watch, processes: Processes | None = None
+    ) -> None:
         """Add the curves of a set of values, including those through points of some sweeps.
+
+        ``processes``: may follow parts of them meanwhile.
 
         Raises:
             KeyboardInterrupt: it was interrupted; what was followed is added.
         """
         curves: list[StudyCurve] = []
         try:
-            curves = list(self._from_ends(values, watch))
+            curves = list(self._from_ends(values, watch, processes))
             while (finer := self._with_more_samples(curves)) is not None:
                 self.schemes = finer
-                curves = list(self._from_ends(values, watch))
+                curves = list(self._from_ends(values, watch, processes))
             self.notes += [own.label + own.curve.message for own in curves if own.curve.ending is Ending.BACKWARDS]
             self.notes.extend(self._left_out(values, curves))
         finally:  # where the next ones, or what they leave out, are interrupted too
@@ -156,7 +162,9 @@ class Curves:
         if curve.curve.ending is Ending.INTERRUPTED:
             raise KeyboardInterrupt
 
-    def _from_ends(self, values: Mapping[str, float], watch: Watch) -> Iterator[StudyCurve]:
+    def _from_ends(
+        self, values: Mapping[str, float], watch: Watch, processes: Processes | None
+    ) -> Iterator[StudyCurve]:
         """The curves from the ends of the range, or from the motion that the plan gives."""
         plan, along, options = self.plan, self.plan.along, self._options(watch)
         model_at = self.model_at(values)
@@ -170,7 +178,8 @@ class Curves:
             return
         model = self.scene.variant(values)
         if guess is None:
-            curves = curves_from_ends(model, *plan.span, both=plan.both_ends, **options)
+            aside = None if processes is None else Aside(processes, options["scheme"], options["controls"])
+            curves = curves_from_ends(model, *plan.span, both=plan.both_ends, aside=aside, **options)
         else:
             curves = [hbm_curve(model, *plan.span, guess=guess, begin=begin, **options)]
         yield from (StudyCurve(values, model_at, curve) for curve in curves)

@@ -12,16 +12,15 @@ from timesim.hbm.curve import HbmCurve
 from timesim.result.file import StoreError
 from timesim.result.label import counted, in_words
 from timesim.result.state import SavedStates
+from timesim.study.curves.aside import PARTS, counting
 from timesim.study.curves.collection import Curves, StudyCurve, Sweep
 from timesim.study.curves.kept import Found, KeptCurves
 from timesim.study.curves.record import solutions
 from timesim.study.execution.campaign import Execution
 from timesim.study.execution.processes import LASTS
-from timesim.study.execution.worker import halted, point_done
 from timesim.study.outcome import attributes
 
 FOLLOWED = 0.6  # share of the time of a curve; its multipliers take the rest
-PARTS = 100  # into which a process divides a set of values to count its progress
 
 
 def follow_all(
@@ -99,7 +98,8 @@ class _Work:
         """Find the curves of a set."""
         own = self.first.none
         try:
-            own.follow(self.curves.values[place], self.sweeps, partial(self._grown, place, own))
+            watch = partial(self._grown, place, own)
+            own.follow(self.curves.values[place], self.sweeps, watch, self.execution.several)
         except KeyboardInterrupt:
             self._know(place, own.found)
             raise
@@ -169,18 +169,9 @@ def _part(own: Curves, share: float) -> float:
 
 def followed_set(none: Curves, values: Mapping[str, float], sweeps: Sequence[Sweep]) -> tuple[Found, bool]:
     """Find the curves of a set of values in another process; and whether they are complete, or it was halted."""
-    own, counted = none.none, 0
-
-    def watch(share: float, so_far: Callable[[], HbmCurve]) -> None:
-        nonlocal counted
-        while counted < int(PARTS * _part(own, share)):
-            point_done()
-            counted += 1
-        if halted():
-            raise KeyboardInterrupt
-
+    own = none.none
     try:
-        own.follow(values, sweeps, watch)
+        own.follow(values, sweeps, counting(lambda share: _part(own, share)))
     except KeyboardInterrupt:
         return own.found, False
     return own.found, True

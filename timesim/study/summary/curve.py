@@ -6,7 +6,6 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.hbm.convergence import Convergence, order_of
-from timesim.hbm.curve import changes_of_stability, peak
 from timesim.orbit.steady_state import switches
 from timesim.result.coordinate import over_keys, rubs
 from timesim.result.label import counted, first_few, in_words, with_unit
@@ -92,3 +91,32 @@ def _listed(numbers: np.ndarray, changes: np.ndarray, name: str) -> str:
     order = order_of(numbers, changes)
     seen = f"order {order:.1f}" if np.isfinite(order) else "no order yet"
     return f"{name} {parts} ({seen}, and the finest, {int(numbers[-1])}, moved it by {changes[-1]:.1e})"
+
+
+def changes_of_stability(stable: np.ndarray, fold: np.ndarray) -> np.ndarray:
+    """Solutions after which a curve gains or loses its stability though it does not turn, shape (S,)."""
+    changes = np.zeros(stable.size, dtype=bool)
+    changes[:-1] = (stable[1:] != stable[:-1]) & ~fold[1:] & ~fold[:-1]
+    return changes
+
+
+def peak(parameter: np.ndarray, height: np.ndarray, motion: np.ndarray) -> tuple[float, float]:
+    """Parameter and value of the largest height, by a parabola along the curve.
+
+    Args:
+        parameter: of the solutions, shape (S,).
+        height: the quantity that peaks, shape (S,).
+        motion: of the solutions, for the arc length between them, shape (S, ...).
+    """
+    i = int(np.argmax(height))
+    if not 0 < i < height.size - 1:
+        return float(parameter[i]), float(height[i])
+    rows = slice(i - 1, i + 2)
+    near, p = motion[rows].reshape(3, -1), parameter[rows]
+    steps = np.hypot(
+        np.diff(p) / np.ptp(parameter), np.linalg.norm(np.diff(near, axis=0), axis=1) / (np.linalg.norm(near[1]) or 1.0)
+    )
+    s = np.array([-steps[0], 0.0, steps[1]])
+    bend, slope, middle = np.polyfit(s, height[rows], 2)
+    top = float(np.clip(-slope / (2 * bend), s[0], s[2])) if bend < 0 else 0.0
+    return float(np.polyval(np.polyfit(s, p, 2), top)), float(np.polyval([bend, slope, middle], top))

@@ -1,0 +1,89 @@
+"""What other processes do for a curve that takes long: a part of it, and the evaluation of its solutions."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Future
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+from timesim.hbm.continuation import WORK, Controls, Curve
+from timesim.hbm.curve import HbmCurve, part_of_curve
+from timesim.hbm.scheme import Scheme
+from timesim.model.model import Model
+from timesim.study.execution.processes import Processes, unseen
+from timesim.study.execution.worker import halted, point_done
+
+PARTS = 100  # into which a process divides its work to count its progress
+
+
+class Aside:
+    """Processes that take a part of the work on a curve: a `timesim.hbm.curve.Aside`."""
+
+    def __init__(self, processes: Processes, schemes: Sequence[Scheme], controls: Controls):
+        """For curves by some schemes, in some steps."""
+        self.processes, self.schemes, self.controls = processes, tuple(schemes), controls
+
+    def part(self, model: Model, start: float, first: float, last: float) -> "Part":
+        """Begin `part_of_curve`."""
+        return Part(self.processes, model, start, first, last, self.schemes, self.controls)
+
+    def each(self, function: Callable[[Curve], HbmCurve], pieces: Sequence[Curve]) -> list[HbmCurve]:
+        """A function of a module, applied to each of some pieces."""
+        found: dict[int, HbmCurve] = {}
+        if len(pieces) > 1 and sum(piece.x.size for piece in pieces) >= WORK:
+            with suppress(BrokenExecutor):
+                found.update(self.processes.each([(unseen, function, (piece,)) for piece in pieces]))
+        return [found[k] if k in found else function(piece) for k, piece in enumerate(pieces)]
+
+
+class Part:
+    """The part of the curve of a model between two frequencies: a `timesim.hbm.continuation.Elsewhere`."""
+
+    def __init__(self, processes: Processes, *asked: Any):
+        """Begin to follow it on one of some processes; arguments as of `part_of_curve`."""
+        self.processes, self.share = processes, 0.0
+        self._future: Future[Curve] | None = None
+        with suppress(BrokenExecutor):
+            self._future = processes.submit(self._seen, followed_part, *asked)
+
+    def _seen(self, parts: int) -> None:
+        self.share = parts / PARTS
+
+    def curve(self) -> Curve | None:
+        """The curve once it has ended, None if the process did not live so long."""
+        if self._future is None:
+            return None
+        try:
+            return self._future.result()
+        except (BrokenExecutor, CancelledError):
+            return None
+
+    def give_up(self) -> None:
+        """Stop it, if it has not ended."""
+        if self._future is not None and not self._future.done():
+            self.processes.give_up([self._future])
+
+
+def followed_part(
+    model: Model, start: float, first: float, last: float, schemes: Sequence[Scheme], controls: Controls
+) -> Curve:
+    """`part_of_curve` in another process; as far as it has come where it is halted."""
+    return part_of_curve(model, start, first, last, schemes, replace(controls, watch=counting(lambda share: share)))
+
+
+def counting(part: Callable[[float], float]) -> Callable[[float, Any], None]:
+    """What watches a curve in a process: counts the parts of its work that are done, and ends it where it is halted.
+
+    ``part``: of the work, that is done when a share of the range of the present curve is followed.
+    """
+    counted = 0
+
+    def watch(share: float, _: Any) -> None:
+        nonlocal counted
+        while counted < int(PARTS * part(share)):
+            point_done()
+            counted += 1
+        if halted():
+            raise KeyboardInterrupt
+
+    return watch
