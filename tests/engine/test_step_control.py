@@ -12,7 +12,8 @@ from timesim.engine.solver import Solver, next_length, step_control
 from timesim.engine.step import advanced, controlled
 from timesim.engine.system import system_of
 from timesim.engine.trajectory import Frame, Phase, Run
-from timesim.model.model import SLIP, Model
+from timesim.model.model import SEPARATION, SLIP, STICK, Model
+from timesim.study.registry import load_scene
 
 RTOL = (1e-4, 1e-5, 1e-6, 1e-7)
 
@@ -85,6 +86,59 @@ def test_the_control_forgets_at_the_end_of_a_cycle():
     assert [int(state.tried) for state in found] == [0, 8, 8]
     assert [float(state.length) for state in found] == [CONTROL.opening, 0.05, 0.05]
     assert [float(state.last_error) for state in found] == [1.0, 0.3, now.last_error]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "accepted", "length"),
+    [
+        (SEPARATION, SLIP, True, CONTROL.opening),
+        (SEPARATION, SLIP, False, 0.05),
+        (SEPARATION, STICK, True, 0.05),
+        (STICK, SLIP, True, 0.05),
+    ],
+)
+def test_slip_begins_with_a_short_step_where_a_contact_closes(before: int, after: int, accepted: bool, length: float):
+    model = oscillator(-1.0, 0.97)
+    run = Run(model, [Phase(0.97, 5)], Solver("tsit5", 1e-6, 1e-8))
+    now = Frame(model, run.reduction, 0.97).begin(system_of(model, 0.97, 0.0, run.reduction), run, 0.01)
+    now, new = (replace(now, state=jnp.asarray([state])) for state in (before, after))
+    found = controlled(CONTROL, now, new, jnp.asarray(0.3), jnp.asarray(0.05), jnp.asarray(accepted))
+    assert float(found.length) == length
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rtol", [1e-6, 1e-7, 1e-8])
+def test_the_error_of_slip_that_begins_where_a_contact_closes_follows_the_tolerance(rtol: float):
+    """Two contacts, which open 26 times in 20 cycles; long first steps of the slip left errors of 0.06 to 0.4 rtol."""
+    columns = {
+        "frequency": (0.27503, 0.9468, 1.20454),
+        "damping_ratio": (0.01671, 0.01442, 0.04153),
+        "mass": (1.66511, 1.09153, 1.58932),
+        "p0": ([-0.8806, 0.9068, 0.9681], [0.6447, -0.3408, -0.4116], [0.4859, -0.3657, -0.2508]),
+        "p1": ([0.4296, -0.8846, 0.4381], [0.3588, 0.4313, 0.3526], [-0.1836, 0.9513, 0.4481]),
+        "p2": ([0.6425, -0.906, -0.5711], [-0.6022, 0.467, -0.7233], [-0.0588, -0.9397, 0.5465]),
+    }
+    rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    modes = [{"shape": {point: row.pop(point) for point in ("p0", "p1", "p2")}} | row for row in rows]
+    numbers = ("friction", "tangential_stiffness", "normal_stiffness", "preload")
+    contacts = [
+        {"name": name, "point": name, "normal": normal} | dict(zip(numbers, values, strict=True))
+        for name, normal, values in (
+            ("p1", [-1.473, 0.824, -0.11], (0.303386, 7.71844, 2.87696, 36.7453)),
+            ("p2", [-1.419, -0.056, -0.106], (0.239516, 5.76738, 3.83425, 124.811)),
+        )
+    ]
+    forces = [
+        {"point": "p2", "direction": [1.085, 0.713, -0.155], "amplitude": 684.867, "phase_deg": 113.2},
+        {"point": "p0", "direction": [1, 0, 0], "amplitude": 236.004, "harmonic": 2},
+    ]
+    scene = {"structure": {"modes": modes}, "contacts": contacts, "study": {"kind": "transient", "cycles": 20}}
+    model = load_scene(scene | {"excitation": {"frequency": 0.357534, "forces": forces}}).model()
+    true = simulate(model, 20, Solver("dopri8", 1e-12, 1e-14))
+    found = simulate(model, 20, Solver("dopri8", rtol, rtol / 100))
+    assert found.sequence == true.sequence
+    size = np.abs(true.motion[-200:]).max()
+    assert np.abs(found.run.displacement - true.run.displacement).max() < 0.01 * rtol * size
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ class Control(eqx.Module):
         longest: longest step, and the step of a method without error estimate [rad of the excitation].
         opening: first step of each cycle. The control forgets at a cycle's end: what a cycle makes of a state depends
             on that state alone, so a settled motion repeats to rounding, and a run taken up again is the same run.
+            Also the longest first step of a slip that starts where a contact closes.
         budget: most steps tried in a cycle.
         stiffest: highest circular frequency of the structure, in units of the excitation's.
     """
