@@ -23,6 +23,7 @@ from timesim.cli import app
 from timesim.fault import SceneError
 from timesim.orbit.linear import linear_orbit
 from timesim.orbit.settling import Chain, first_lane
+from timesim.orbit.steady_state import without_orbit
 from timesim.orbit.threshold import UNSETTLED_CYCLES
 from timesim.picture import sweep as plot_sweep
 from timesim.result.netcdf import read, save
@@ -818,3 +819,25 @@ def test_the_promise_of_its_accuracy_is_in_the_result() -> None:
     assert own["rtol"] == scene.solver().rtol < 1e-7
     given = scene.with_overrides(["solver={method: tsit5}"])
     assert "promised_error" not in attributes(given, "tsit5", 0.0, 0.0, None)
+
+
+def test_a_motion_of_the_search_for_jumps_that_fails_makes_the_result_incomplete(monkeypatch: pytest.MonkeyPatch):
+    """The search goes on without it, so that a jump may be wider than asked for, or none."""
+    known, steady = [0.945, 0.96], sweep.steady_states
+
+    def failing(chains: list[Chain], *args: Any, **options: Any) -> list[list[Any]]:
+        found = steady(chains, *args, **options)
+        return [
+            [
+                orbit if frequency in known else without_orbit(chain.model, f"no steps are left at {frequency:g} Hz")
+                for frequency, orbit in zip(chain.frequencies, own, strict=True)
+            ]
+            for chain, own in zip(chains, found, strict=True)
+        ]
+
+    monkeypatch.setattr(sweep, "steady_states", failing)
+    study = {"frequency": {"values": known}, "direction": "up", "refine": 1e-3, "over": {PRELOAD: [-4.0]}}
+    with pytest.warns(RuntimeWarning, match="the search for jumps is not exact, as 1 motion of it could not be comp"):
+        result = run(study, workers=1)
+    assert (result.attrs["complete"], result.jump_low.item(), result.jump_high.item()) == (0, *known)
+    assert result.attrs["reason"].endswith("no steps are left at 0.9525 Hz")

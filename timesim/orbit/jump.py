@@ -7,7 +7,7 @@ its halves as even as a slope does, but not the halves of these.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -21,6 +21,19 @@ AT_LEAST = 0.03  # least change over a jump, as a share of the amplitude; of the
 STAYS, HALVINGS = 0.5, 3  # share of the change that a jump keeps over so many halvings; a slope keeps an eighth
 EVEN = 0.6  # largest share of the change in one half of a slope
 GENTLE = 10.0  # change, as a multiple of the least, up to which one that is even twice in a row is a slope
+
+
+@dataclass(frozen=True)
+class Watched:
+    """Steady states of a search, and why some of them could not be computed: it has gone on without these."""
+
+    steady: SteadyStates
+    failures: list[str] = field(default_factory=list)
+
+    def __call__(self, chains: Sequence[Chain]) -> list[list[Orbit]]:
+        orbits = self.steady(chains)
+        self.failures.extend(orbit.reason for own in orbits for orbit in own if orbit.reason is not None)
+        return orbits
 
 
 @dataclass(frozen=True)

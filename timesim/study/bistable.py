@@ -17,6 +17,7 @@ from timesim.model.model import Model
 from timesim.model.solver import NEVER, Criterion, Solver
 from timesim.orbit.basin import LOWER, UPPER, explore, shares
 from timesim.orbit.fourier import phase_deg
+from timesim.orbit.jump import Watched
 from timesim.orbit.settling import Chain, steady_states, warm_up
 from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of
 from timesim.orbit.two_motions import UP, RangeSearch, ranges_of
@@ -32,7 +33,7 @@ from timesim.study.outcome import Outcome, attributes
 from timesim.study.summary.bistable import bistable_lines, fold_lines
 from timesim.study.summary.effort import sweep_effort_lines
 from timesim.study.summary.sweep import failure_line, number_of_states, unusual_lines
-from timesim.study.sweep import STEPS_A_CHUNK, Grid, continued, sizes_of
+from timesim.study.sweep import FAILURES, STEPS_A_CHUNK, Grid, continued, search_failure, sizes_of
 
 SEARCH = "sweeps, ends and starts"  # phase of the progress
 
@@ -74,7 +75,9 @@ class Ends(Payload):
     def result(self, before: Result | None) -> Result:
         """The jumps, and the ranges with their motions."""
         assert before is not None
-        return ranges_of(RangeSearch(self.model, self.steady, self.width, each), before)
+        steady = Watched(self.steady)
+        found = ranges_of(RangeSearch(self.model, steady, self.width, each), before)
+        return found | {FAILURES: np.array(steady.failures, dtype=str)}
 
 
 @dataclass(frozen=True)
@@ -120,7 +123,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     states = counted(number_of_states(sweep), "steady state")
     states = f"{states} of both sweeps, and the search, in {running:.2f} s"
     lines = [states, *unusual_lines(sweep), *sweep_effort_lines(sweep, scene)]
-    groups, reasons = {"sweep": sweep}, [reason or failure_line(sweep)]
+    groups, reasons = {"sweep": sweep}, [reason or failure_line(sweep) or search_failure(filter(None, gathered.whole))]
     if plan.balance is not None and not (reason or "").startswith(INTERRUPTED):
         after = replace(execution, progress=phases["balance"])
         hbm, own, hbm_reason = followed(scene, plan.balance, after, stage="balance")

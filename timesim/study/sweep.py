@@ -5,7 +5,7 @@ gives the same bits however its chunks are spread over threads or a cluster, and
 """
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -18,7 +18,7 @@ from timesim.fault import SceneError
 from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
 from timesim.orbit.fourier import HARMONICS, phase_deg, signed_amplitude
-from timesim.orbit.jump import Stretch, jumps_of, steps_of, suspects
+from timesim.orbit.jump import Stretch, Watched, jumps_of, steps_of, suspects
 from timesim.orbit.settling import Chain, SteadyStates, steady_states, warm_up
 from timesim.orbit.steady_state import COLUMNS, START, Columns, Orbit, columns_of, end_of, orbit_of
 from timesim.result.coordinate import most_friction
@@ -30,11 +30,12 @@ from timesim.study.execution.progress import Phases
 from timesim.study.execution.worker import each, halted, point_done
 from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.summary.effort import sweep_effort_lines
-from timesim.study.summary.sweep import failure_line, sweep_lines
+from timesim.study.summary.sweep import failure_line, search_line, sweep_lines
 
 POINTS_A_CHUNK = 128  # independent points: enough to keep a batch full while some of them settle late
 CHAINS_A_CHUNK = (4, 32)  # few chains are spread over the processors, many are kept in few files
 MANY_CHAINS = 64
+FAILURES = "search_failures"  # of a chunk: why motions of its search could not be computed
 STEPS_A_CHUNK = 16  # of a chain: the most that is lost when a sweep is interrupted
 
 
@@ -60,9 +61,10 @@ def solve(segment: Segment, before: Result | None) -> Result:
     steady = partial(steady_states, solver=segment.solver, criterion=segment.criterion, halted=halted, each=each)
     orbits = steady(chains, halted=point_done)
     rows = columns_of(orbits)
-    jumps = [] if segment.refine is None else list(_jumps(steady, segment.refine, chains, orbits, before))
-    last = np.array([chain.frequencies[-1] for chain in chains])
-    return rows | {"last_frequency": last, "jumps": np.array(jumps, dtype=float).reshape(-1, 3)}
+    search = Watched(steady)
+    jumps = [] if segment.refine is None else list(_jumps(search, segment.refine, chains, orbits, before))
+    rows |= {"jumps": np.array(jumps, dtype=float).reshape(-1, 3), FAILURES: np.array(search.failures, dtype=str)}
+    return rows | {"last_frequency": np.array([chain.frequencies[-1] for chain in chains])}
 
 
 def _jumps(
@@ -125,7 +127,12 @@ def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[D
     if plan.chained:
         attrs["jumps_bisected"] = int(plan.refine is not None)
     data = grid.data(arrays, jumps, attrs)
-    return data, reason or failure_line(data)
+    return data, reason or failure_line(data) or search_failure(results.values())
+
+
+def search_failure(results: Iterable[Result]) -> str | None:
+    """Why the search for jumps of some chunks is not whole; None if it is."""
+    return search_line([str(why) for result in results for why in result.get(FAILURES, ())])
 
 
 # Dimensions of the quantities of a point after those of the sweep; values for points that were not computed, where
