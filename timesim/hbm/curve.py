@@ -128,8 +128,11 @@ class Aside(Protocol):
     def part(self, model: Model, start: float, first: float, last: float) -> Elsewhere:
         """Begin `part_of_curve`."""
 
-    def each(self, function: Callable[[Curve], HbmCurve], pieces: Sequence[Curve], /) -> list[HbmCurve]:
-        """A function of a module, applied to each of some pieces."""
+    def each(self, function: Callable[..., HbmCurve], pieces: Sequence[tuple[Any, Curve]], /) -> list[HbmCurve]:
+        """A function of a module of some residuals and solutions of each."""
+
+
+Each = Callable[[Callable[..., HbmCurve], Sequence[tuple[Any, Curve]]], list[HbmCurve]]
 
 
 def watched(controls: Controls, watch: Watch, evaluate: Callable[[Curve], HbmCurve]) -> Controls:
@@ -192,7 +195,7 @@ def hbm_curve(
         return follow(balance, first, start, stop, steps, from_end=from_end)
 
     curve = curve_near(balance, place, place, steps, guess, followed)
-    return finished(balance, curve, partial(_in_pieces, _listed if aside is None else aside.each), stability)
+    return finished(balance, curve, evaluated, stability, each_here if aside is None else aside.each)
 
 
 def part_of_curve(
@@ -203,21 +206,9 @@ def part_of_curve(
     return curve_near(balance, first, first, controls, None, lambda x: follow(balance, x, first, last, controls))
 
 
-def _in_pieces(
-    each: Callable[[Callable[[Curve], HbmCurve], Sequence[Curve]], list[HbmCurve]],
-    balance: Balance,
-    curve: Curve,
-    *,
-    stability: bool,
-) -> HbmCurve:
-    """`evaluated`, a piece of the curve at a time, the same ones whoever does it."""
-    pieces = [part_of(curve, slice(first, first + PIECE)) for first in range(0, curve.p.size, PIECE)]
-    return joined(each(partial(evaluated, balance, stability=stability), pieces or [curve]))
-
-
-def _listed(function: Callable[[Curve], HbmCurve], pieces: Sequence[Curve]) -> list[HbmCurve]:
+def each_here(function: Callable[..., HbmCurve], pieces: Sequence[tuple[Any, Curve]]) -> list[HbmCurve]:
     """`Aside.each` by this process."""
-    return list(map(function, pieces))
+    return [function(*piece) for piece in pieces]
 
 
 def schemes_of(scheme: Scheme | Sequence[Scheme] | None) -> Sequence[Scheme]:
@@ -225,18 +216,22 @@ def schemes_of(scheme: Scheme | Sequence[Scheme] | None) -> Sequence[Scheme]:
     return (scheme or Scheme(),) if scheme is None or isinstance(scheme, Scheme) else scheme
 
 
-def finished(balance: AdaptiveBalance, curve: Curve, evaluate: Callable[..., HbmCurve], stability: bool) -> HbmCurve:
+def finished(
+    balance: AdaptiveBalance, curve: Curve, evaluate: Callable[..., HbmCurve], stability: bool, each: Each = each_here
+) -> HbmCurve:
     """`by_schemes`; without multipliers, which take long, where an interrupt came or comes meanwhile."""
     if not stability or curve.ending is not Ending.INTERRUPTED:
         try:
-            return by_schemes(balance, curve, partial(evaluate, stability=stability))
+            return by_schemes(balance, curve, partial(evaluate, stability=stability), each)
         except KeyboardInterrupt:
             curve = replace(curve, ending=Ending.INTERRUPTED, message=f"{curve.message}; {Ending.INTERRUPTED.value}")
     cut = replace(curve, message=f"{curve.message} before the multipliers")
     return by_schemes(balance, cut, partial(evaluate, stability=False))
 
 
-def by_schemes(balance: AdaptiveBalance, curve: Curve, evaluate: Callable[[Any, Curve], HbmCurve]) -> HbmCurve:
+def by_schemes(
+    balance: AdaptiveBalance, curve: Curve, evaluate: Callable[[Any, Curve], HbmCurve], each: Each = each_here
+) -> HbmCurve:
     """The solutions of a curve evaluated each by its own scheme, with the harmonics of the finest of these.
 
     Contacts keep their offsets for the sign of the determinant (see `timesim.hbm.stability`).
@@ -244,22 +239,25 @@ def by_schemes(balance: AdaptiveBalance, curve: Curve, evaluate: Callable[[Any, 
     Args:
         balance, curve: what was followed, and the solutions.
         evaluate: the solutions of the balance by one scheme.
+        each: does so with the pieces of the curve, which are the same ones whoever does it.
     """
     places = np.array([coarsest(balance.schemes, x.reshape(balance.shape)) for x in curve.x], dtype=int)
-    used = np.unique(places) if places.size else np.zeros(1, dtype=int)
-    rows = [np.flatnonzero(places == place) for place in used]
-    families = [balance.residual_of(balance.schemes[place]) for place in used]
-    unknowns = [curve.x[own][:, balance.positions(place)] for place, own in zip(used, rows, strict=True)]
+    used = np.unique(places)[::-1] if places.size else np.zeros(1, dtype=int)
     sign = curve.determinant.copy()
-    for own, family, part in zip(rows, families, unknowns, strict=True):
-        for i, x in zip(own, part, strict=True):
-            at, frequency = family.at(curve.p[i]), family.frequency_at(curve.p[i])
-            sign[i] = sign_with_offsets_kept(at, x, frequency, sign[i])
+    for i, place in enumerate(places):
+        family, x = balance.residual_of(balance.schemes[place]), curve.x[i, balance.positions(place)]
+        sign[i] = sign_with_offsets_kept(family.at(curve.p[i]), x, family.frequency_at(curve.p[i]), sign[i])
     curve = with_offsets_kept(curve, sign)
-    done = [
-        evaluate(family, replace(part_of(curve, own), x=part)).with_harmonics(balance.schemes[used[-1]].harmonics)
-        for own, family, part in zip(rows, families, unknowns, strict=True)
-    ]
+    rows, pieces = [], []
+    for place in used:
+        own = np.flatnonzero(places == place)
+        for first in range(0, own.size or 1, PIECE):
+            rows.append(own[first : first + PIECE])
+            piece = part_of(curve, rows[-1])
+            pieces.append(
+                (balance.residual_of(balance.schemes[place]), replace(piece, x=piece.x[:, balance.positions(place)]))
+            )
+    done = [own.with_harmonics(balance.schemes[used[0]].harmonics) for own in each(evaluate, pieces)]
     whole: HbmCurve = part_of(joined(done), np.argsort(np.concatenate(rows)))
     return replace(whole, branch=curve.branch)
 

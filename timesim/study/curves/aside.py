@@ -27,13 +27,13 @@ class Aside:
         """Begin `part_of_curve`."""
         return Part(self.processes, model, start, first, last, self.schemes, self.controls)
 
-    def each(self, function: Callable[[Curve], HbmCurve], pieces: Sequence[Curve]) -> list[HbmCurve]:
-        """A function of a module, applied to each of some pieces."""
+    def each(self, function: Callable[..., HbmCurve], pieces: Sequence[tuple[Any, Curve]]) -> list[HbmCurve]:
+        """A function of a module of some residuals and solutions of each."""
         found: dict[int, HbmCurve] = {}
-        if len(pieces) > 1 and sum(piece.x.size for piece in pieces) >= WORK:
+        if len(pieces) > 1 and sum(curve.x.size for _, curve in pieces) >= WORK:
             with suppress(BrokenExecutor):
-                found.update(self.processes.each([(unseen, function, (piece,)) for piece in pieces]))
-        return [found[k] if k in found else function(piece) for k, piece in enumerate(pieces)]
+                found.update(self.processes.each([(unseen, function, piece) for piece in pieces]))
+        return [found[k] if k in found else function(*piece) for k, piece in enumerate(pieces)]
 
 
 class Part:
