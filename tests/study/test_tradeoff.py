@@ -104,6 +104,18 @@ def test_modes_that_were_not_tried_and_times_that_are_not_told_apart_are_said() 
     assert not any("scatter" in line for line in said)
 
 
+def test_a_block_keeps_what_the_scene_sets_and_no_run_varies() -> None:
+    """Pasted in the place of the scene's own section it changes only the method and its tolerance."""
+    made, given = bench(TRIALS), {"max_steps": 5000, "estimate_error": False}
+    data = study._record(load_scene(CONFIG, {"solver": given}), made, judge(made), None)
+    block_of_run = json.loads(data.attrs["recommended"])
+    assert block_of_run == {"method": "dopri8", "rtol": 1e-6, "atol": 1e-8} | given
+    assert load_scene(CONFIG, {"solver": block_of_run}).solver().budget == 5000
+    blocks = [line for line in lines(data) if "solver: {" in line]
+    assert len(blocks) > 2
+    assert all("max_steps: 5000, estimate_error: false" in line for line in blocks)
+
+
 def test_steps_are_counted_in_whole_numbers_whichever_runs_were_made() -> None:
     for trials in (TRIALS, TRIALS[:4], []):
         made = bench(trials)

@@ -36,7 +36,7 @@ _UNPRINTABLE = re.compile("[\x7f-\x9f\u2028\u2029\ud800-\udfff\ufeff\ufffe\uffff
 
 def value_text(value: Any) -> str:
     """A value as YAML writes it, shortened to fit a message."""
-    return shortened(_flow(value), WIDTH)
+    return shortened(flow(value), WIDTH)
 
 
 def plain(value: Any, key: Key = ()) -> Any:
@@ -198,19 +198,20 @@ def yaml_text(data: Mapping[str, Any]) -> str:
 def _block(data: Any, indent: int) -> Iterator[str]:
     for key, value in data.items() if isinstance(data, Mapping) else ((None, item) for item in data):
         head = " " * indent + ("-" if key is None else f"{_text(key)}:")
-        if not isinstance(value, Mapping | list | tuple) or not value or len(_flow(value)) < 100 - indent:
-            yield f"{head} {_flow(value)}\n"
+        if not isinstance(value, Mapping | list | tuple) or not value or len(flow(value)) < 100 - indent:
+            yield f"{head} {flow(value)}\n"
             continue
         first, *others = _block(value, indent + 2)
         yield f"{head} {first.lstrip()}" if key is None else f"{head}\n{first}"
         yield from others
 
 
-def _flow(value: Any) -> str:
+def flow(value: Any) -> str:
+    """A value as YAML writes it in one line."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_text(str(key))}: {_flow(item)}" for key, item in value.items()) + "}"
+        return "{" + ", ".join(f"{_text(str(key))}: {flow(item)}" for key, item in value.items()) + "}"
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_flow, value)) + "]"
+        return "[" + ", ".join(map(flow, value)) + "]"
     if isinstance(value, str):
         return _text(value)
     text = json.dumps(value, default=str)

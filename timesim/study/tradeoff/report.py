@@ -8,7 +8,10 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.model.solver import CLOSED_FORM
-from timesim.scene.text import value_text
+from timesim.scene.text import flow
+
+KEPT = "solver_kept"
+"""Attribute of the result: the keys of the scene's own section `solver` that belong in every block, as JSON."""
 
 
 def lines(data: Dataset) -> Iterator[str]:
@@ -67,7 +70,7 @@ def _advice(data: Dataset) -> Iterator[str]:
     attrs, chosen = data.attrs, json.loads(data.attrs["recommended"])
     if not chosen:
         return
-    section = f"solver: {value_text(chosen)}"
+    section = f"solver: {flow(chosen)}"
     row = data.isel(trial=int(attrs["recommended_trial"]))
     error, seconds = float(row.error), float(row.seconds_a_cycle) * attrs["cycles"]
     wanted = attrs["error_wanted"]
@@ -81,7 +84,7 @@ def _advice(data: Dataset) -> Iterator[str]:
     for i in np.unique(np.linspace(0, front.sizes["trial"] - 1, 5).astype(int)):
         one = front.isel(trial=i)
         seconds = float(one.seconds_a_cycle) * attrs["cycles"]
-        yield f"  {seconds:.3g} s, error {float(one.error):.0e}: solver: {value_text(block(one))}"
+        yield f"  {seconds:.3g} s, error {float(one.error):.0e}: solver: {flow(block(one))}"
 
 
 def _as_quick(data: Dataset) -> Iterator[str]:
@@ -98,13 +101,13 @@ def _as_quick(data: Dataset) -> Iterator[str]:
 
 
 def block(one: Dataset) -> dict[str, Any]:
-    """The section `solver` of a scene file by which a run is made."""
-    rtol = float(one.rtol)
+    """The section `solver` of a scene file by which a run is made, with what the scene itself sets there."""
+    rtol, kept = float(one.rtol), json.loads(one.attrs.get(KEPT, "{}"))
     if one.method.item() == CLOSED_FORM:
-        return {"accuracy": one.preset.item()}
+        return {"accuracy": one.preset.item()} | kept
     if np.isfinite(rtol):
-        return {"method": one.method.item(), "rtol": rtol, "atol": float(f"{rtol / 100:.2g}")}
-    return {"method": one.method.item(), "steps_per_cycle": int(one.steps_asked)}
+        return {"method": one.method.item(), "rtol": rtol, "atol": float(f"{rtol / 100:.2g}")} | kept
+    return {"method": one.method.item(), "steps_per_cycle": int(one.steps_asked)} | kept
 
 
 def _modes(data: Dataset) -> Iterator[str]:

@@ -24,12 +24,14 @@ from timesim.scene.transient import TradeoffPlan
 from timesim.study.execution.campaign import Execution
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.tradeoff.bench import NO_TIME, Bench, Trial
-from timesim.study.tradeoff.report import block, lines
+from timesim.study.tradeoff.report import KEPT, block, lines
 
 FINE = 1e-11
 """Tolerance of the runs by which the others are judged."""
 SAFETY = 0.5
 """Share of the wanted error for which a tolerance is interpolated between two that were tried."""
+UNVARIED = ("max_steps", "estimate_error")
+"""Keys of the section `solver` that no run varies: whoever pastes a block is to keep them."""
 
 
 def study(scene: Scene, execution: Execution) -> Outcome:
@@ -209,7 +211,15 @@ def _record(scene: Scene, bench: Bench, judged: Judged, reason: str | None) -> D
         "num_modes": num_modes,
         "left_out": "\n".join(left_out_lines(bench)),
         "modes_not_tried": " or ".join(untried),
+        KEPT: json.dumps(_kept(scene)),
     }
     data = dataset(variables, {}, attrs)
     chosen = block(data.isel(trial=judged.recommended)) if judged.recommended >= 0 else {}
     return data.assign_attrs(recommended=json.dumps(chosen))
+
+
+def _kept(scene: Scene) -> dict[str, Any]:
+    """What the scene itself sets in `solver`, other than the default, that no run varies."""
+    solver = scene.file.solver
+    own = {name: getattr(solver, name) for name in UNVARIED}
+    return {name: value for name, value in own.items() if value != type(solver).model_fields[name].default}
