@@ -1,7 +1,9 @@
 """The preload of least peak response, to the accuracy asked for; the search on known peaks."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +17,9 @@ from timesim.orbit.steady_state import Orbit, without_orbit
 from timesim.picture import optimum as plot_optimum
 from timesim.scene.study import SweepPlan
 from timesim.scene.sweep import OptimumPlan
+from timesim.study import optimum
 from timesim.study import registry as plot
-from timesim.study.execution.campaign import Execution
+from timesim.study.execution.campaign import Chunk, Execution
 from timesim.study.optimum import Peaks, Response, SearchError, _peak, data_of
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.summary.optimum import optimum_lines
@@ -179,6 +182,28 @@ def test_values_near_each_other_have_labels_of_their_own():
     peaks.search()
     labels = [str(line.get_label()) for line in plot_optimum.responses(data_of(peaks)).get_lines()]
     assert {"5", "5.00001, the least"} < set(labels)
+
+
+def test_a_search_that_is_cut_off_says_what_is_done(monkeypatch: pytest.MonkeyPatch):
+    """Of the values, not of the points of the one that was under way alone."""
+    cut, known = "interrupted; 12 of 12 points missing", Known(lambda value: (value - 3.3) ** 2)
+    done = [5]
+
+    def carried(chunks: list[Chunk], *_: Any, stage: str, **__: Any) -> tuple[dict[str, Any], str | None]:
+        if stage:
+            return {}, cut
+        known.take(list(known.values[: done[0]]), "")
+        results = [known.results[value] for value in known.values[: done[0]]]
+        return dict(zip([chunk.name for chunk in chunks], results, strict=False)), None if done[0] > 5 else cut
+
+    monkeypatch.setattr(optimum, "carry_through", carried)
+    for number, said in (
+        (5, f"{cut}; 5 of 11 values of {KEY} are done and kept"),
+        (11, f"{cut} at {KEY} = 2.76393; 11 other values are done and kept"),
+    ):
+        done[0] = number
+        with pytest.raises(SearchError, match=re.escape(said)):
+            Peaks(known.scene, Execution()).search()
 
 
 def test_a_value_without_a_motion_is_named():

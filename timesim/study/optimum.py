@@ -23,6 +23,7 @@ from timesim.model.solver import Solver
 from timesim.orbit.settling import Chain, steady_states, warm_up
 from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of
 from timesim.result.dataset import Arrays
+from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import OptimumPlan
 from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through
@@ -168,7 +169,11 @@ class Peaks:
             if chunk.name in results:
                 self.results[value] = results[chunk.name]
         if reason is not None:
-            raise SearchError(reason)
+            known = len(self.results)
+            done = f"{known} of {counted(len(values), 'value')} of {self.key}"
+            if stage:
+                reason, done = f"{reason} at {self.key} = {values[0]:.6g}", counted(known, "other value")
+            raise SearchError(f"{reason}; {done} {'is' if known == 1 else 'are'} done and kept")
 
     def _searched(self, done: float, number: float, phase: str = "", /) -> None:
         """Take in the progress of a stage of the search, which may need more stages than expected."""
