@@ -1,6 +1,7 @@
 """The study of response curves by harmonic balance: what it computes, what it writes, and how it fails."""
 
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,16 +16,19 @@ from timesim.fault import SceneError
 from timesim.hbm import branches, first_guess
 from timesim.hbm import convergence as hbm_convergence
 from timesim.hbm import scheme as hbm_scheme
+from timesim.hbm.branches import SettledMotion
 from timesim.hbm.continuation import Controls, Ending, part_of, solve
 from timesim.hbm.convergence import SAMPLED, Known, convergence, neglected, order_of, sampling_error
-from timesim.hbm.curve import hbm_curve, solutions_at
+from timesim.hbm.curve import HbmCurve, hbm_curve, solutions_at
 from timesim.hbm.scheme import NEGLECTED, NOTED, Scheme, most_harmonics
+from timesim.model.model import Model
 from timesim.picture import hbm as plot_hbm
 from timesim.picture.response import stable_parts
 from timesim.result.netcdf import save
 from timesim.scene import hbm as scene_hbm
 from timesim.scene.report import describe
 from timesim.study import registry as plot
+from timesim.study.curves import collection
 from timesim.study.execution.campaign import Execution
 from timesim.study.hbm import study as followed_study
 from timesim.study.registry import carry_out, load_scene
@@ -270,6 +274,24 @@ def test_a_sweep_of_another_structure(swept: Path):
     outcome = carry_out(load_scene(more | {"study": more["study"] | INSIDE}))
     assert outcome.reason is None
     assert any("no curve is begun" in line and "has 2 modes, the scene has 3" in line for line in outcome.summary)
+
+
+def test_points_from_which_no_curve_can_begin_are_one_note(swept: Path, monkeypatch: pytest.MonkeyPatch):
+    """For a reason and the points of a set of values: also where each of several sets meets the same points."""
+
+    def asked(model: Model, known: Any, motions: Sequence[SettledMotion], *_: Any, **__: Any) -> Iterator[HbmCurve]:
+        assert [motion.coefficients() for motion in motions] == [None] * 6
+        yield from ()
+
+    monkeypatch.setattr(collection, "isolated_curves", asked)
+    modes = [*BASE["structure"]["modes"], BASE["structure"]["modes"][1] | {"frequency": 2.0}]
+    more = {"structure": {"modes": modes}, "excitation": {"modal_force": [{"amplitude": 1.0}] * 3}}
+    start = {"from": str(swept), "at": {"contacts.pad.preload": -4}}
+    given = {"start": start, "over": {"structure.modes.2.mass": [1, 2]}, "stability": False, **INSIDE}
+    outcome = carry_out(load_scene(scene(**given) | more))
+    (line,) = (line for line in outcome.summary if "no curve is begun" in line)
+    said = "no curve is begun from 6 points of the sweep from 0.93 to 0.946 Hz: the result has 2 modes, the scene has 3"
+    assert line.startswith(said)
 
 
 def test_a_transient_of_another_structure(tmp_path: Path):

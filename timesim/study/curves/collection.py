@@ -101,9 +101,13 @@ class Curves:
             for curve in curves:
                 self.add(curve)
         for sweep in sweeps:
-            for curve in self._through(values, *sweep, watch):
-                self.notes.append(_isolated(curve))
-                self.add(curve)
+            useless: dict[str, list[float]] = {}
+            try:
+                for curve in self._through(values, *sweep, watch, useless):
+                    self.notes.append(_isolated(curve))
+                    self.add(curve)
+            finally:
+                self.notes.extend(_not_begun(sweep[0], values, useless))
 
     def _left_out(self, values: Mapping[str, float], curves: Sequence[StudyCurve]) -> Iterator[str]:
         """What the harmonics and the samples that the program chose at most still leave out."""
@@ -185,11 +189,17 @@ class Curves:
         yield from (StudyCurve(values, model_at, curve) for curve in curves)
 
     def _through(
-        self, values: Mapping[str, float], states: SavedStates, asked: Mapping[str, float | str], watch: Watch
+        self,
+        values: Mapping[str, float],
+        states: SavedStates,
+        asked: Mapping[str, float | str],
+        watch: Watch,
+        useless: dict[str, list[float]],
     ) -> Iterator[StudyCurve]:
         """Curves from settled points of a sweep that no other curve passes, which may be isolated branches.
 
-        Points without slip or part-time contact are skipped, since the motion is linear there.
+        Points without slip or part-time contact are skipped, since the motion is linear there. The frequencies of
+        those from which no curve can be begun are added to ``useless``, by the reason.
         """
         own = {key: value for key, value in values.items() if key in states.axes}
         try:
@@ -198,24 +208,26 @@ class Curves:
             return  # the sweep has no such values
         model = self.scene.variant(values)
         motions = [
-            SettledMotion(point[0], point[1]["amplitude"], partial(self._coefficients, model, states, point))
+            SettledMotion(point[0], point[1]["amplitude"], partial(self._coefficients, model, states, point, useless))
             for point in points
         ]
         known = [curve.curve for curve in self.curves if curve.values == values]
         for curve in isolated_curves(model, known, motions, self.plan.span, **self._options(watch)):
             yield StudyCurve(values, self.model_at(values), curve)
 
-    def _coefficients(self, model: Model, states: SavedStates, point: SweepPoint) -> np.ndarray | None:
-        """Modal Fourier coefficients of a point of a sweep; None with a note where this model cannot start from it."""
+    def _coefficients(
+        self, model: Model, states: SavedStates, point: SweepPoint, useless: dict[str, list[float]]
+    ) -> np.ndarray | None:
+        """Modal Fourier coefficients of a point of a sweep; None, and why, where this model cannot start from it."""
         frequency, arrays = point
         try:
             start = start_of(model, states, arrays)
             return modal_coefficients(replace(model, start=start), frequency, self.scene.solver())
         except RuleError as error:
-            reason = f"it {error.rule}"
+            reason = f"the result {error.rule}"
         except RunError as error:
             reason = str(error)
-        self.notes.append(f"no curve is begun from the sweep's point at {frequency:g} Hz: {reason}")
+        useless.setdefault(reason, []).append(frequency)
         return None
 
     def _options(self, watch: Watch) -> dict[str, Any]:
@@ -247,3 +259,15 @@ def _isolated(curve: StudyCurve) -> str:
     closed = "closed, " if curve.curve.ending is Ending.CLOSED else ""
     span = f"{frequency.min():.6g} to {frequency.max():.6g} Hz" if frequency.size else "without a solution"
     return f"{curve.label}a curve of its own, {closed}{span}, begun from points of the sweep that no other passes"
+
+
+def _not_begun(states: SavedStates, values: Mapping[str, float], useless: Mapping[str, Sequence[float]]) -> list[str]:
+    """From which points of a sweep no curve could be begun, a note for each reason."""
+    label = in_words({key: value for key, value in values.items() if key in states.axes}, ": ")
+    notes = []
+    for reason, at in useless.items():
+        points = "the sweep's point" if len(at) == 1 else f"{len(at)} points of the sweep"
+        low, high = (f"{end:g}" for end in (min(at), max(at)))
+        where = f"at {low} Hz" if low == high else f"from {low} to {high} Hz"
+        notes.append(f"{label}no curve is begun from {points} {where}: {reason}")
+    return notes

@@ -90,7 +90,7 @@ class _Work:
     def _add(self, place: int) -> None:
         (curves, notes, _), values = self.found[place], self.curves.values[place]
         self.added.add(place)
-        self.curves.notes += notes
+        self.curves.notes += [note for note in notes if note not in self.curves.notes]
         for curve in curves:
             self.curves.add(StudyCurve(values, self.curves.model_at(values), curve))
 
