@@ -21,11 +21,11 @@ import timesim
 from timesim.cli import app
 from timesim.model.contact_state import contact_loads
 from timesim.model.model import SEPARATION, STICK, Model, Start
-from timesim.orbit.basin import ANOTHER, IRREGULAR, NONE, branch_of, offsets, placed, starts_between, unique
+from timesim.orbit.basin import ANOTHER, IRREGULAR, NONE, branch_of, explore, offsets, placed, starts_between, unique
 from timesim.orbit.fourier import HARMONICS
 from timesim.orbit.jump import Stretch, jumps_of, narrowed, steps_of
 from timesim.orbit.settling import Chain, SteadyStates
-from timesim.orbit.steady_state import Orbit, columns_of, differ, without_orbit
+from timesim.orbit.steady_state import Orbit, columns_of, differ, orbit_of, without_orbit
 from timesim.orbit.two_motions import DOWN, UP, RangeSearch, Sweeps, losses, ranges, ranges_of, suspect_steps
 from timesim.picture import bistable as plot_bistable
 from timesim.result.netcdf import open_result, save
@@ -223,6 +223,30 @@ def test_more_jumps_than_ranges_or_fewer(searched: Searched, num: int, tmp_path:
     assert data["sweep"].jump_low.dims == ("direction", "jump")
     assert np.isfinite(data["sweep"].jump_low).sum() == num
     assert data["range_cut"].dtype.kind == "i"
+
+
+def test_a_start_that_fails_is_not_one_that_did_not_settle(
+    searched: Searched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """It is counted apart, with the reason, and the study is not complete."""
+    before, model, why = searched.chunks["00000-ends"], searched.scene.model(), "no steps are left"
+
+    def steady(chains: Sequence[Chain]) -> list[list[Orbit]]:
+        led = [[orbit_of(before, (0, 1), 0.0)] for _ in chains]
+        led[6], led[7] = [without_orbit(model, why)], [replace(led[7][0], period=0)]  # the first is rest
+        return led
+
+    changed = searched.chunks | {"00000-starts": before | explore(model, steady, before, 5)}
+    monkeypatch.setattr(bistable, "carry_through", lambda *_, **__: (changed, None))
+    outcome = carry_out(searched.scene)
+    data = open_result(save(outcome.groups, tmp_path / "result.nc"))
+    assert outcome.reason == f"the motion from 1 start could not be computed: {why}"
+    assert data.attrs["complete"] == 0
+    lines = ["of 25 starts 0 lead to the smaller motion, 23 to the larger, 1 did not settle", outcome.reason]
+    assert list(outcome.summary[1:4]) == [*lines, "where rest leads is not known"]
+    failure, branch = data["start_failure"].values[0], data["start_branch"].values[0]
+    assert (failure[1, 1], failure[1, 2], np.sum(failure != "")) == (why, "", 1)
+    assert branch[1, 1] == branch[1, 2] == NONE
 
 
 def test_a_balance_that_comes_to_no_end_leaves_the_study_whole(monkeypatch: pytest.MonkeyPatch):

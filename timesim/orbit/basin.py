@@ -62,7 +62,7 @@ def starts_between(model: Model, motions: Sequence[Orbit], num: int) -> list[Sta
 
 
 def branch_of(orbit: Orbit, motions: Sequence[Orbit]) -> int:
-    """Motion to which a start has led: `LOWER`, `UPPER`, `ANOTHER`, `IRREGULAR`, or `NONE` where it has not settled."""
+    """Motion to which a start leads: `LOWER`, `UPPER`, `ANOTHER`, `IRREGULAR`; `NONE` if it failed or never settled."""
     if orbit.irregular:
         return IRREGULAR
     if orbit.reason is not None or not orbit.settled:
@@ -91,6 +91,7 @@ def _row(orbits: Sequence[Orbit], motions: Sequence[Orbit], square: tuple[int, i
     low, high = np.stack([offsets([*own, motion]) for own, motion in zip(led, motions, strict=True)], axis=1)
     return {
         "start_branch": branch.reshape(square),
+        "start_failure": np.array([orbit.reason or "" for orbit in orbits]).reshape(square),
         "start_cycles": np.array([orbit.cycles for orbit in orbits], dtype=np.int32).reshape(square),
         "start_amplitude": np.array([orbit.amplitude for orbit in orbits]).reshape(*square, -1, 3),
         "offset_low": low,

@@ -24,7 +24,7 @@ WIDE = 0.05  # of the sweeps: narrower ranges are seen magnified only
 EVERYWHERE = (0.0, np.inf)  # window of frequency [Hz]
 AROUND = 0.6  # of a range, shown to both sides of it
 LED_TO = {
-    -1: ("did not settle", "white", ""),
+    -1: ("to no settled motion", "white", ""),
     0: ("to the smaller motion", BLUE, "////"),
     1: ("to the larger motion", VERMILION, ""),
     2: ("to another motion", "0.55", "...."),

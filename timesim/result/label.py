@@ -128,6 +128,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
         "motion that the start leads to: 0 the smaller, 1 the larger, 2 another, 3 one that does not repeat, -1 none",
         None,
     ),
+    "start_failure": ("why the motion from the start could not be computed; empty where it was", None),
     "start_cycles": ("excitation cycles run from the start", "1"),
     "start_amplitude": ("displacement amplitude of the motion that the start leads to", "length"),
     "offset_low": ("smallest slip displacement w over the starts; NaN where the contact does not stick", "length"),

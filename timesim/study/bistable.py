@@ -30,7 +30,7 @@ from timesim.study.execution.progress import CURVE, Phases
 from timesim.study.execution.worker import each, point_done
 from timesim.study.hbm import compile_beside, followed
 from timesim.study.outcome import Outcome, attributes
-from timesim.study.summary.bistable import bistable_lines, fold_lines
+from timesim.study.summary.bistable import bistable_lines, fold_lines, starts_line
 from timesim.study.summary.effort import sweep_effort_lines
 from timesim.study.summary.sweep import failure_line, number_of_states, unusual_lines
 from timesim.study.sweep import FAILURES, STEPS_A_CHUNK, Grid, continued, search_failure, sizes_of
@@ -123,7 +123,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     states = counted(number_of_states(sweep), "steady state")
     states = f"{states} of both sweeps, and the search, in {running:.2f} s"
     lines = [states, *unusual_lines(sweep), *sweep_effort_lines(sweep, scene)]
-    groups, reasons = {"sweep": sweep}, [reason or failure_line(sweep) or search_failure(filter(None, gathered.whole))]
+    groups, reasons = {"sweep": sweep}, [reason or failure_line(sweep) or gathered.failure]
     if plan.balance is not None and not (reason or "").startswith(INTERRUPTED):
         after = replace(execution, progress=phases["balance"])
         hbm, own, hbm_reason = followed(scene, plan.balance, after, stage="balance")
@@ -177,13 +177,18 @@ DIMS: dict[str, tuple[str, ...]] = {
 }
 OF_STARTS: dict[str, tuple[str, ...]] = {
     "start_branch": ("share_lower", "share_upper"),
+    "start_failure": ("share_lower", "share_upper"),
     "start_cycles": ("share_lower", "share_upper"),
     "start_amplitude": ("share_lower", "share_upper", *SPOT),
     "offset_low": ("motion", "contact", "tangent"),
     "offset_high": ("motion", "contact", "tangent"),
 }
-# Whole numbers; -1 where there is no range.
-WHOLE = ("range_cut", "range_settled", "range_irregular", "period", "start_branch", "start_cycles")
+# Values where there is no range, where these are not NaN.
+BLANK: dict[str, tuple[Any, type]] = {
+    **dict.fromkeys(("range_cut", "range_settled", "range_irregular", "period"), (-1, np.int32)),
+    **dict.fromkeys(("start_branch", "start_cycles"), (-1, np.int32)),
+    "start_failure": ("", object),
+}
 
 
 class Gathered:
@@ -199,6 +204,13 @@ class Gathered:
         """Ends of the ranges [Hz] of each set of values that knows its ranges."""
         sets = zip(product(*self.plan.sweep.over.values()), self.whole, strict=True)
         return {values: np.ravel(result["range"]) for values, result in sets if result is not None}
+
+    @property
+    def failure(self) -> str | None:
+        """Why the search for jumps is not whole, or else the ensemble of starts; None if both are."""
+        known = [result for result in self.whole if result is not None]
+        starts = [str(why) for result in known for why in np.ravel(result.get("start_failure", ()))]
+        return search_failure(known) or starts_line(list(filter(None, starts)))
 
     def _last(self, v: int) -> Result | None:
         """The last result of a set of values that has the ranges; None if they are not known."""
@@ -238,9 +250,9 @@ class Gathered:
         return dataset(variables, self.grid.axes | of_starts, attrs, model)
 
     def _table(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
-        """A quantity of all ranges, shape (sets, ranges, ...); NaN, or -1, where there are fewer."""
-        fill, kind = (-1, np.int32) if name in WHOLE else (np.nan, float)
-        table = np.full((len(self.whole), self.count, *shape), fill, dtype=kind)
+        """A quantity of all ranges, shape (sets, ranges, ...); blank where there are fewer."""
+        fill, kind = BLANK.get(name, (np.nan, float))
+        table: np.ndarray = np.full((len(self.whole), self.count, *shape), fill, dtype=kind)
         for v, result in enumerate(self.whole):
             rows = None if result is None else _of_ranges(result, name)
             if rows is not None:

@@ -1,6 +1,6 @@
 """The summary of a search for two motions, in words, from its finished result: ranges, starts, offsets, folds."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from xarray import Dataset
@@ -65,17 +65,30 @@ def _range_lines(one: Dataset, width: float) -> Iterator[str]:
 
 def _start_lines(one: Dataset) -> Iterator[str]:
     """Where the starts at the middle of a range lead."""
-    branch = one["start_branch"].values
+    branch, failure = one["start_branch"].values, one["start_failure"].values
     count = {side: int(np.sum(branch == side)) for side in (LOWER, UPPER, ANOTHER, IRREGULAR, NONE)}
+    failed = failure[failure != ""]
+    count[NONE] -= failed.size
     rest = ((ANOTHER, "to another motion"), (IRREGULAR, "to one that does not repeat"), (NONE, "did not settle"))
     others = "".join(f", {count[side]} {words}" for side, words in rest if count[side])
     lead = counted(count[LOWER], "leads", "lead")
     yield f"of {branch.size} starts {lead} to the smaller motion, {count[UPPER]} to the larger{others}"
+    if (line := starts_line(failed)) is not None:
+        yield line
     at_rest = np.flatnonzero(np.isclose(one["share_lower"].values, 0.0))
     if at_rest.size:
         led = {LOWER: "the smaller motion", UPPER: "the larger motion", ANOTHER: "another motion"}
         led |= {IRREGULAR: "a motion that does not repeat"}
-        yield f"rest leads to {led.get(int(branch[at_rest[0], at_rest[0]]), 'no settled motion')}"
+        rest_at = (at_rest[0], at_rest[0])
+        lead_to = led.get(int(branch[rest_at]), "no settled motion")
+        yield "where rest leads is not known" if failure[rest_at] else f"rest leads to {lead_to}"
+
+
+def starts_line(failures: Sequence[str] | np.ndarray) -> str | None:
+    """How many starts failed, with the first reason; None if none did."""
+    if not len(failures):
+        return None
+    return f"the motion from {counted(len(failures), 'start')} could not be computed: {failures[0]}"
 
 
 def _offset_lines(one: Dataset, size: float) -> Iterator[str]:
