@@ -133,10 +133,12 @@ def test_the_summary_names_motions_that_do_not_repeat_each_cycle(result):
 def test_a_fold_near_which_no_range_ends_is_named(result):
     """As of a stop whose sweeps both stay on the upper motion: nobody may take it for the only one."""
     balance, ends = result["hbm"].to_dataset(), result["range"].values.ravel()
-    assert not any("no range ends" in line for line in fold_lines(balance, {(): ends}, 0.02))
-    (line,) = fold_lines(balance.isel(solution=[0]).assign(fold=("solution", [0])).assign_attrs(complete=0), {}, 0.02)
+    assert not any("no range ends" in line for line in fold_lines(balance, {(): ends}, {}, 0.02))
+    (line,) = fold_lines(
+        balance.isel(solution=[0]).assign(fold=("solution", [0])).assign_attrs(complete=0), {}, {}, 0.02
+    )
     assert line == "the branch of the balance has no fold as far as it was followed"
-    lines = [line for line in fold_lines(balance, {(): ends[1:]}, 1e-3) if "no range ends" in line]
+    lines = [line for line in fold_lines(balance, {(): ends[1:]}, {}, 1e-3) if "no range ends" in line]
     assert [line.split(" Hz")[0] for line in lines] == ["beside the fold at " + f"{_folds(balance)[0]:.7g}"]
 
 
@@ -146,9 +148,17 @@ def test_folds_are_held_against_the_ranges_with_their_own_values(result, other: 
     balance, ends = result["hbm"].to_dataset(), result["range"].values.ravel()
     balance["contacts.pad.preload"] = ("solution", np.full(balance.sizes["solution"], -4.0))
     sets = {(-4.0,): ends[1:], (other,): ends}
-    assert sum("no range ends" in line for line in fold_lines(balance, sets, 1e-3)) == 1
+    assert sum("no range ends" in line for line in fold_lines(balance, sets, {}, 1e-3)) == 1
     sets.pop((-4.0,))  # whose ends are not known
-    assert not any("no range ends" in line for line in fold_lines(balance, sets, 1e-3))
+    assert not any("no range ends" in line for line in fold_lines(balance, sets, {}, 1e-3))
+
+
+def test_a_fold_beside_points_that_failed_asks_for_no_other_search(result):
+    balance, ends = result["hbm"].to_dataset(), result["range"].values.ravel()
+    (first, _), failed = _folds(balance), np.array([1.24, 1.25, 1.27])
+    lines = list(fold_lines(balance, {(): ends[1:]}, {(): failed}, 1e-3))
+    because = "no range ends, perhaps because 3 points of the sweeps failed, the nearest at 1.25 Hz"
+    assert lines[1:] == [f"near the fold at {first:.7g} Hz {because}"]
 
 
 def _folds(balance):

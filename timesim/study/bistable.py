@@ -129,7 +129,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         hbm, own, hbm_reason = followed(scene, plan.balance, after, stage="balance")
         groups["hbm"] = hbm
         lines += own.notes
-        lines += fold_lines(hbm, gathered.ends, float(np.diff(grid.frequency).max(initial=0.0)))
+        lines += fold_lines(hbm, gathered.ends, gathered.failed, float(np.diff(grid.frequency).max(initial=0.0)))
         compiling, running = (compiling + hbm.attrs["compile_seconds"], running + hbm.attrs["run_seconds"])
         if hbm_reason and INTERRUPTED in hbm_reason:
             reasons.append(f"hbm: {hbm_reason}")
@@ -211,6 +211,13 @@ class Gathered:
         known = [result for result in self.whole if result is not None]
         starts = [str(why) for result in known for why in np.ravel(result.get("start_failure", ()))]
         return search_failure(known) or starts_line(list(filter(None, starts)))
+
+    @property
+    def failed(self) -> dict[tuple[float, ...], np.ndarray]:
+        """Frequencies [Hz] of the points of both sweeps that failed, of each set of values that is swept."""
+        sets = list(product(*self.plan.sweep.over.values()))
+        swept = {int(name.split("-")[0]): result for name, result in self.results.items() if "-sweep-" in name}
+        return {sets[v]: result["frequency"][result["reason"] != ""] for v, result in swept.items()}
 
     def _last(self, v: int) -> Result | None:
         """The last result of a set of values that has the ranges; None if they are not known."""

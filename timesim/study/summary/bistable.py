@@ -103,10 +103,20 @@ def _offset_lines(one: Dataset, size: float) -> Iterator[str]:
         )
 
 
-def fold_lines(hbm: Dataset, ends: Mapping[tuple[float, ...], np.ndarray], reach: float) -> Iterator[str]:
+Frequencies = Mapping[tuple[float, ...], np.ndarray]
+"""Some for each set of values of the further axes [Hz]."""
+
+
+def fold_lines(hbm: Dataset, ends: Frequencies, failed: Frequencies, reach: float) -> Iterator[str]:
     """Folds of the balance, to compare with the ends of the ranges, and folds without an end within a reach [Hz].
 
-    ``ends``: of the ranges of each set of values of the further axes.
+    Where points of the sweeps failed, such a fold does not ask for a wider search: beyond each a sweep starts anew.
+
+    Args:
+        hbm: the balance.
+        ends: those of the ranges.
+        failed: points of the sweeps that failed.
+        reach: a step of the sweeps.
     """
     frequency, keys, sets = hbm["frequency"].values, over_keys(hbm), dict[tuple[float, ...], list[float]]()
     for place in np.flatnonzero(hbm["fold"].values):
@@ -117,7 +127,15 @@ def fold_lines(hbm: Dataset, ends: Mapping[tuple[float, ...], np.ndarray], reach
         yield f"{label}folds of the balance at {', '.join(f'{place:.7g}' for place in sorted(turning))} Hz"
         known = ends.get(values)
         alone = [] if known is None else [fold for fold in turning if np.abs(known - fold).min(initial=np.inf) > reach]
+        lost = failed.get(values, np.zeros(0))
         for fold in sorted(alone):
+            if lost.size:
+                nearest = lost[np.argmin(np.abs(lost - fold))]
+                yield (
+                    f"{label}near the fold at {fold:.7g} Hz no range ends, perhaps because "
+                    f"{counted(lost.size, 'point')} of the sweeps failed, the nearest at {nearest:.7g} Hz"
+                )
+                continue
             yield (
                 f"{label}beside the fold at {fold:.7g} Hz, near which no range ends, the balance has motions that no "
                 "sweep came to, one of which may be stable: search wider, or from another start"
