@@ -38,7 +38,16 @@ def test_multipliers_of_a_stuck_structure(share, full):
     np.testing.assert_allclose(paired(found, exact), exact, rtol=1e-4)
 
 
-@pytest.mark.parametrize(("preload", "frequency"), [(-1.0, 0.97), (1.0, 1.2), (2.0, 1.3), (3.0, 1.39), (5.0, 1.52)])
+@pytest.mark.parametrize(
+    ("preload", "frequency"),
+    [
+        (-1.0, 0.97),
+        (1.0, 1.2),
+        (5.0, 1.52),
+        pytest.param(2.0, 1.3, marks=pytest.mark.slow),
+        pytest.param(3.0, 1.39, marks=pytest.mark.slow),
+    ],
+)
 def test_multipliers_against_those_of_the_return_map(preload, frequency):
     """Motions with slip or separation; the others are exact derivatives of the event loop."""
     model = systems.oscillator(preload, frequency)
