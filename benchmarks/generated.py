@@ -4,14 +4,14 @@ Generated structures (tests/zoo.py), each run as a `compare` scene over 1.5 octa
 natural frequency, harmonics and samples chosen by the program. The seeds were set once and nothing was tuned on them.
 The load is such that at three quarters of the frequencies a contact of the linear response would slip, open or close.
 
-    python benchmarks/generated.py --seeds 100:140 --limit 600
+    python benchmarks/generated.py --seeds 100:140 --limit 600 --processes 2
 
-A row a structure: how the balance ends, its harmonics, samples, solutions and folds, CPU seconds of the balance with
-what it compiles; at how many of the frequencies a contact works, which slips or opens for a part of the cycle; and the
-difference of amplitudes, relative to the largest, where one does and the motion settles with period one. Points where
-the methods differ by the free offset of a contact that sticks, which `compare` proves and lists, are counted apart.
-Between the two folds of a pair a multiplier passes 1: of how many pairs it does not, or hardly, is the column behind
-the folds.
+A row a structure: how the balance ends, its harmonics, samples, solutions and folds, seconds of the balance after
+compilation, and its CPU seconds in this process with what it compiles; at how many of the frequencies a contact works,
+which slips or opens for a part of the cycle; and the difference of amplitudes, relative to the largest, where one does
+and the motion settles with period one. Points where the methods differ by the free offset of a contact that sticks,
+which `compare` proves and lists, are counted apart. Between the two folds of a pair a multiplier passes 1: of how many
+pairs it does not, or hardly, is the column behind the folds.
 """
 
 import argparse
@@ -25,13 +25,16 @@ from typing import Any
 import numpy as np
 from xarray import Dataset, DataTree
 
-import timesim
 from timesim.hbm.balance import Balance, contact_stiffness
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Contact, Model
 from timesim.orbit.steady_state import switches
+from timesim.result.netcdf import joined
 from timesim.study import compare
+from timesim.study.execution.campaign import Execution
+from timesim.study.execution.processes import Processes
 from timesim.study.hbm import followed
+from timesim.study.registry import carry_out, load_scene
 
 POINTS = 16
 ZOO = runpy.run_path(str(Path(__file__).parents[1] / "tests" / "zoo.py"))
@@ -115,24 +118,31 @@ def differences(result: DataTree) -> np.ndarray:
     return np.where(settled, found, np.inf)
 
 
-def row(seed: int, limit: float) -> str:
+def result_of(scene: dict[str, Any], processes: Processes | None) -> DataTree:
+    """The result of a scene, with what processes take over, as of the command line."""
+    outcome = carry_out(load_scene(scene), Execution(processes=processes))
+    result: DataTree = joined(outcome.groups)
+    return result
+
+
+def row(seed: int, limit: float, processes: Processes | None) -> str:
     model, free = STRUCTURE(seed)
     low, high = span_of(model, free)
     model = loaded(model, np.linspace(low, high, POINTS + 1))
     begin, seconds = time.process_time(), []
 
     def timed(*args: Any, **options: Any) -> Any:
-        clock = time.process_time()
+        clock, begun = time.process_time(), time.perf_counter()
         signal.signal(signal.SIGPROF, lambda *_: signal.raise_signal(signal.SIGINT))
         signal.setitimer(signal.ITIMER_PROF, limit)
         done = followed(*args, **options)
         signal.setitimer(signal.ITIMER_PROF, 0)
-        seconds.append(time.process_time() - clock)
+        seconds.extend([time.process_time() - clock, time.perf_counter() - begun])
         return done
 
     compare.followed = timed
     try:
-        result = timesim.run(scene_of(model, low, high))
+        result = result_of(scene_of(model, low, high), processes)
     except Exception as error:  # a row of the table
         return f"| {seed} | {model.structure.num_modes} | {model.num_contacts} | {type(error).__name__}: {error} |"
     own = result["hbm"].to_dataset()
@@ -152,6 +162,7 @@ def row(seed: int, limit: float) -> str:
         own.sizes["solution"],
         int(own.fold.sum()),
         doubtful(own),
+        f"{seconds[1] - own.attrs['compile_seconds']:.1f}",
         f"{seconds[0]:.1f}",
         f"{time.process_time() - begin:.1f}",
         f"{np.count_nonzero(works)} of {works.size}",
@@ -167,20 +178,24 @@ def row(seed: int, limit: float) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", default="100:140", help="first and one behind the last")
+    parser.add_argument("--seeds", default="100:140", help="first and one behind the last, or some with commas")
+    parser.add_argument("--processes", type=int, default=1, help="that work on a curve which takes long")
     parser.add_argument("--limit", type=float, default=0, help="CPU seconds after which a balance is interrupted")
     options = parser.parse_args()
-    first, last = map(int, options.seeds.split(":"))
+    ends = options.seeds.split(":")
+    seeds = range(*map(int, ends)) if len(ends) > 1 else map(int, options.seeds.split(","))
     heads = (
-        "seed, modes, contacts, curve, scheme, solutions, folds, pairs in doubt, CPU s of the balance, CPU s in all, "
+        "seed, modes, contacts, curve, scheme, solutions, folds, pairs in doubt, "
+        "s of the balance, CPU s of the balance, CPU s in all, "
     )
     heads += (
         "points at work, of them of period one, largest difference, above 1e-3, "
         "with another offset, on another branch, without a solution"
     )
     print("| " + heads.replace(", ", " | ") + " |\n" + "|---" * (heads.count(",") + 1) + "|")
-    for seed in range(first, last):
-        print(row(seed, options.limit), flush=True)
+    with Processes(options.processes) as processes:
+        for seed in seeds:
+            print(row(seed, options.limit, processes), flush=True)
 
 
 if __name__ == "__main__":
