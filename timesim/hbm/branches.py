@@ -93,7 +93,9 @@ def _followed(model: Model, start: float, stop: float, **options: Any) -> HbmCur
         return curve
     controls = options.get("controls", Controls())
     finer = replace(controls, max_step=SHORTER * controls.max_step)
-    other = hbm_curve(model, start, stop, **options | {"controls": finer, "aside": None})
+    # Processes know of the longer steps alone.
+    own = {name: value for name, value in options.items() if name != "aside"}
+    other = hbm_curve(model, start, stop, **own | {"controls": finer})
     return other if other.complete or other.ending is Ending.INTERRUPTED else curve
 
 

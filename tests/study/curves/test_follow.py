@@ -191,8 +191,8 @@ def test_processes_take_a_part_of_a_curve_that_takes_long(two: Processes, takes_
                 np.interp(one.frequency, own.frequency, own[name].values.reshape(own.sizes["solution"], -1)[:, 0])
                 for own in (other, one)
             )
-            inside = slice(2, -2)  # beside a fold the curve is steep
-            np.testing.assert_allclose(found[inside], wanted[inside], rtol=0.02, err_msg=f"{name} {branch}")
+            inside = slice(3, -3)  # beside a fold the curve is steep
+            np.testing.assert_allclose(found[inside], wanted[inside], rtol=0.05, err_msg=f"{name} {branch}")
 
 
 def test_where_the_process_of_a_part_is_killed_the_curve_is_the_same_as_here(
