@@ -133,6 +133,7 @@ class Aside(Protocol):
 
 
 Each = Callable[[Callable[..., HbmCurve], Sequence[tuple[Any, Curve]]], list[HbmCurve]]
+"""As `Aside.each`."""
 
 
 def watched(controls: Controls, watch: Watch, evaluate: Callable[[Curve], HbmCurve]) -> Controls:

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Iterator
-from concurrent.futures import BrokenExecutor
+from concurrent.futures import BrokenExecutor, Future
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -195,11 +195,16 @@ def test_processes_take_a_part_of_a_curve_that_takes_long(two: Processes, takes_
             np.testing.assert_allclose(found[inside], wanted[inside], rtol=0.05, err_msg=f"{name} {branch}")
 
 
+@pytest.mark.parametrize("refused", [True, False])
 def test_where_the_process_of_a_part_is_killed_the_curve_is_the_same_as_here(
-    takes_long: list[str], monkeypatch: pytest.MonkeyPatch
+    takes_long: list[str], refused: bool, monkeypatch: pytest.MonkeyPatch
 ):
     def killed(*_: Any) -> Any:
-        raise BrokenExecutor
+        if refused:
+            raise BrokenExecutor
+        broken = Future[Any]()
+        broken.set_exception(BrokenExecutor())
+        return broken
 
     alone, *_ = followed(LONG, LONG.plan, Execution())
     monkeypatch.setattr(Processes, "submit", killed)

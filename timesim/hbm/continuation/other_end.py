@@ -20,7 +20,7 @@ class Elsewhere(Protocol):
     share: float
 
     def curve(self) -> Curve | None:
-        """The curve once it has ended, None if the process did not live so long."""
+        """The curve once it has ended, None if it failed or the process did not live so long."""
 
     def give_up(self) -> None:
         """Stop it, if it has not ended."""

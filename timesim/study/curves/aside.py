@@ -1,7 +1,7 @@
 """What other processes do for a curve that takes long: a part of it, and the evaluation of its solutions."""
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Future
+from concurrent.futures import BrokenExecutor, Future
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -50,13 +50,11 @@ class Part:
         self.share = parts / PARTS
 
     def curve(self) -> Curve | None:
-        """The curve once it has ended, None if the process did not live so long."""
-        if self._future is None:
+        """The curve once it has ended, None if it failed or the process did not live so long."""
+        # Whatever fails there this process meets itself, on its way along the curve.
+        if self._future is None or self._future.exception() is not None:
             return None
-        try:
-            return self._future.result()
-        except (BrokenExecutor, CancelledError):
-            return None
+        return self._future.result()
 
     def give_up(self) -> None:
         """Stop it, if it has not ended."""
