@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-import timesim
 from timesim.hbm.balance import Balance
 from timesim.hbm.curve import HbmCurve
 from timesim.hbm.scheme import Scheme
@@ -31,6 +30,7 @@ from timesim.model.solver import Solver
 from timesim.orbit.batch import record
 from timesim.orbit.lane import Lane
 from timesim.study import compare, hbm
+from timesim.study.execution.processes import Processes
 
 GENERATED = runpy.run_path(str(Path(__file__).with_name("generated.py")))
 SOLVER = Solver("exponential", 1e-9, 1e-11)
@@ -43,7 +43,7 @@ NEIGHBOURS, SHOTS, CLOSED = 12, 12, 1e-8
 SAME = 0.02
 
 
-def followed(seed: int) -> tuple[Model, list[HbmCurve], Scheme]:
+def followed(seed: int, processes: Processes) -> tuple[Model, list[HbmCurve], Scheme]:
     """The curves of a structure from the ends of its range."""
     model, free = GENERATED["STRUCTURE"](seed)
     low, high = GENERATED["span_of"](model, free)
@@ -57,7 +57,7 @@ def followed(seed: int) -> tuple[Model, list[HbmCurve], Scheme]:
     record_of, hbm.solutions = hbm.solutions, solutions
     try:
         scene = GENERATED["SCENE"](model) | {"study": {"kind": "hbm", "frequency": {"from": low, "to": high}}}
-        timesim.run(scene)
+        GENERATED["result_of"](scene, processes)
     finally:
         hbm.solutions = record_of
     return model, [one.curve for one in kept[0].curves], kept[0].scheme
@@ -131,9 +131,12 @@ def verdict(balance: Balance, curve: HbmCurve, fold: int) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="+", default=[103, 107, 116, 118, 123, 129, 130, 135])
+    parser.add_argument("--processes", type=int, default=1, help="that work on a curve which takes long")
+    options = parser.parse_args()
     print("| seed | folds | real by the balance | by time integration | false | open | CPU s |\n" + "|---" * 7 + "|")
-    for seed in parser.parse_args().seeds:
-        model, curves, scheme = followed(seed)
+    for seed in options.seeds:
+        with Processes(options.processes) as processes:
+            model, curves, scheme = followed(seed, processes)
         clock, verdicts = time.process_time(), Counter()
         for curve in curves:
             balance = Balance(model, float(curve.frequency[0]), scheme)
