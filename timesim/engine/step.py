@@ -287,8 +287,8 @@ def controlled(
     """The trajectory after a try with what the step control goes on with; it forgets at the end of a cycle.
 
     Slip that starts at n = 0 begins with a short step. In a long one all stages lie where w is too far off the cone to
-    give a direction and take that of u' instead, which is so smooth that the error estimate sees nothing: errors of
-    100 tolerances, the same at any tolerance, were left once in a thousand starts (3 contacts, 23,000 times as stiff).
+    give a direction and take that of u' instead, which is so smooth that the error estimate sees nothing: now and
+    then errors of many tolerances were left, the same at any tolerance.
     """
     ended = accepted & (new.cycle > now.cycle)
     tried = jnp.where(ended, 0, now.tried + 1)

@@ -106,7 +106,7 @@ class Corrector:
         """Solution near a good guess on the plane through it; its tangent points to the side of the normal.
 
         Derivatives are kept as long as the steps contract fast with them; `fresh` evaluates them anew at the solution,
-        for an exact tangent. A first step by those `known` from a solution nearby saves one evaluation in seven.
+        for an exact tangent. A first step by those `known` from a solution nearby saves evaluations.
 
         Raises:
             NoSolutionError: the steps grow, or there are too many.

@@ -54,7 +54,7 @@ class OtherEnd:
         """Take in a solution, at a value of the parameter, and begin where the work of all so far is long."""
         self._work += num_unknowns
         if self._work >= WORK and self.from_end is not None:
-            # Of frequencies the geometric mean halves the work, within a third of it on eight curves.
+            # Of frequencies the geometric mean: curves have more solutions where frequencies are low.
             self.middle = math.sqrt(p * self.end) if min(p, self.end) > 0 else (p + self.end) / 2
             self._elsewhere, self.from_end = self.from_end(self.middle), None
 
