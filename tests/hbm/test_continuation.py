@@ -122,14 +122,20 @@ def test_a_fold_that_is_not_found_between_solutions_is_not_the_one_before(monkey
 
 @dataclass
 class Watched(Circle):
-    """Remembers how large the residual was wherever it was asked for."""
+    """Remembers how large the residual was wherever it was asked for, and where derivatives were."""
 
     sizes: list[float] = field(default_factory=list)
+    derived: list[float] = field(default_factory=list)
 
     def value(self, x, p):
         r = super().value(x, p)
         self.sizes.append(abs(r[0]))
         return r
+
+    def linearised(self, x, p):
+        done = super().linearised(x, p)
+        self.derived.append(self.sizes[-1])
+        return done
 
 
 class OtherProcess:
@@ -207,6 +213,8 @@ def test_the_predictor_is_of_second_order():
         begun = [size for before, size in pairwise(circle.sizes) if before <= 1e-12 < size]
         assert len(begun) == pytest.approx(curve.p.size, abs=3)
         errors.append(np.median(begun))
+        # Those of the solution before are good for a first step.
+        assert np.median(circle.derived) < 0.2 * errors[-1]
     assert np.log2(errors[0] / errors[1]) == pytest.approx(3, abs=0.2)
     assert np.log2(errors[1] / errors[2]) == pytest.approx(3, abs=0.2)
 
