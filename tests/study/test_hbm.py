@@ -18,7 +18,15 @@ from timesim.hbm import convergence as hbm_convergence
 from timesim.hbm import scheme as hbm_scheme
 from timesim.hbm.branches import SettledMotion
 from timesim.hbm.continuation import Controls, Ending, part_of, solve
-from timesim.hbm.convergence import SAMPLED, Known, convergence, neglected, order_of, sampling_error
+from timesim.hbm.convergence import (
+    SAMPLED,
+    Known,
+    convergence,
+    neglected,
+    order_of,
+    sampling_error,
+    with_more_samples,
+)
 from timesim.hbm.curve import HbmCurve, hbm_curve, solutions_at
 from timesim.hbm.scheme import NEGLECTED, NOTED, Scheme, most_harmonics
 from timesim.model.model import Model
@@ -497,6 +505,30 @@ def test_samples_that_prove_too_few_are_taken_finer(monkeypatch: pytest.MonkeyPa
         errors.append(sampling_error(lambda _: model, curve, [Scheme(5, count)], np.array([0, -1])))
     assert errors[0] > 2 * SAMPLED
     assert 0 < errors[1] < SAMPLED / 2
+
+
+def test_a_curve_whose_samples_prove_too_few_is_given_up_on_its_way(monkeypatch: pytest.MonkeyPatch):
+    """It would be followed again anyway. Solutions are looked at as they come; the answer is that of more samples."""
+    monkeypatch.setattr(hbm_scheme, "ENOUGH_SAMPLES", 24)
+    monkeypatch.setattr(hbm_scheme, "SAMPLES_PER_WAVE", 4)
+    narrow: dict[str, Any] = {"frequency": {"from": 0.93, "to": 0.935}, "stability": False}
+    enough = timesim.run(scene(time_samples=96, **narrow))
+    looked_at = []
+
+    def counted(model_at: Any, curve: HbmCurve, schemes: Any) -> Any:
+        looked_at.append((curve.frequency.size, float(curve.frequency[-1])))
+        return with_more_samples(model_at, curve, schemes)
+
+    monkeypatch.setattr(collection, "CHECKED", 3)
+    monkeypatch.setattr(collection, "with_more_samples", counted)
+    chosen = timesim.run(scene(time_samples="auto", **narrow))
+    np.testing.assert_array_equal(chosen.amplitude, enough.amplitude)
+    sizes, frequencies = zip(*looked_at, strict=True)
+    number = enough.sizes["solution"]
+    assert number >= 6
+    # One of the first pass, every third of the second, and in the end the whole of it.
+    assert sizes == (1,) * (1 + number // 3) + (number,)
+    np.testing.assert_array_equal(frequencies[1:-1], enough.frequency[2::3])
 
 
 def test_harmonics_are_as_many_as_the_answer_needs(monkeypatch: pytest.MonkeyPatch):

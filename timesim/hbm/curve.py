@@ -118,7 +118,9 @@ class HbmCurve:
         return self.frequency[:, None] * np.where(self.slip_share > 0, work, 0.0)
 
 
-Watch = Callable[[float, Callable[[], HbmCurve]], None]
+SoFar = Callable[..., HbmCurve]
+"""Gives the solutions so far of a curve that grows; or the last ones, if it is told how many."""
+Watch = Callable[[float, SoFar], None]
 """Takes in the share of the range that a curve has reached, and what gives its solutions so far."""
 
 
@@ -138,7 +140,11 @@ Each = Callable[[Callable[..., HbmCurve], Sequence[tuple[Any, Curve]]], list[Hbm
 
 def watched(controls: Controls, watch: Watch, evaluate: Callable[[Curve], HbmCurve]) -> Controls:
     """Steps of a continuation whose curve is watched while it grows."""
-    return replace(controls, watch=lambda share, so_far: watch(share, lambda: evaluate(so_far())))
+
+    def given(so_far: Callable[[], Curve], last: int = 0) -> HbmCurve:
+        return evaluate(part_of(so_far(), slice(-last, None)))
+
+    return replace(controls, watch=lambda share, so_far: watch(share, partial(given, so_far)))
 
 
 def hbm_curve(
@@ -171,7 +177,7 @@ def hbm_curve(
         begin: frequency [Hz] in the range from which the curve is followed to both sides, or from one end to the other;
             by default it begins at `start`.
         stability: compute Floquet multipliers; without them stability follows from the sign of the determinant alone.
-        watch: called while the curve grows.
+        watch: called while the curve grows; what it raises ends it.
         aside: processes that follow the curve from `stop` meanwhile, and evaluate its solutions, if that takes long.
 
     Returns:
@@ -185,7 +191,6 @@ def hbm_curve(
     steps, place = controls or Controls(), start if begin is None else begin
     if watch is not None:
         steps = watched(steps, watch, lambda curve: by_schemes(balance, curve, partial(evaluated, stability=False)))
-
     from_end = None if aside is None else partial(aside.part, model, start, stop)
 
     def followed(first: Array) -> Curve:
@@ -289,8 +294,7 @@ def solutions_at(
     balance = Balance(model, float(wanted[0]), scheme or Scheme())
     unknowns = curve.contact_motion.reshape(curve.frequency.size, balance.num_unknowns) / balance.length
     places = [(f, *crossing) for f in wanted for crossing in crossings(curve.frequency, f)]
-    rows: list[Solution] = []
-    branch = []
+    rows, branch = list[Solution](), []
     for f, i, share in places:
         solution = solve_near(balance, _between(unknowns, curve.frequency, (i, share), f), float(f), Controls())
         if solution is not None:
@@ -316,10 +320,9 @@ def _between(unknowns: Array, frequency: Array, crossing: tuple[int, float], pla
 def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmCurve:
     """Motion, contact states and stability of the solutions of a balance, in the units of the scene."""
     size, order = curve.p.size, balance.scheme.harmonics + 1
-    motion = balance.coefficients(curve.x)
+    motion, shape = balance.coefficients(curve.x), balance.model.structure.shape
     done = [contact_forces(balance.law, balance.basis, own) for own in motion]
     forces = np.array([own.coefficient for own in done])
-    shape = balance.model.structure.shape
     phasor = np.zeros((size, order, *shape.shape[:2]), complex)
     for i, (x, p) in enumerate(zip(curve.x, curve.p, strict=True)):
         phasor[i] = np.einsum("pam,hm->hpa", shape, balance.modes(x, forces[i], p))

@@ -13,7 +13,7 @@ from timesim.fault import RuleError
 from timesim.hbm.branches import SettledMotion, curves_from_ends, isolated_curves
 from timesim.hbm.continuation import Controls, Ending
 from timesim.hbm.convergence import FINER, SAMPLED, Known, left_to_samples, neglected, with_more_samples
-from timesim.hbm.curve import HbmCurve, Watch, hbm_curve
+from timesim.hbm.curve import HbmCurve, SoFar, Watch, hbm_curve
 from timesim.hbm.parameter import parameter_curve
 from timesim.hbm.scheme import NEGLECTED, NOTED, Scheme
 from timesim.model.model import Model
@@ -32,7 +32,16 @@ from timesim.study.execution.processes import Processes
 Sweep = tuple[SavedStates, Mapping[str, float | str]]
 """The states of a sweep, and the values along its axes that select points."""
 
+CHECKED = 50  # solutions of a curve that grows after which its samples are checked at one
 REFINED = 6  # solutions for which harmonics and samples are refined, besides the one of largest amplitude
+
+
+class TooFewSamplesError(Exception):
+    """A curve needs more samples, those of the schemes."""
+
+    def __init__(self, schemes: tuple[Scheme, ...]):
+        super().__init__(f"{schemes[0].time_samples} time samples are needed")
+        self.schemes = schemes
 
 
 @dataclass(frozen=True)
@@ -91,10 +100,14 @@ class Curves:
         """
         curves: list[StudyCurve] = []
         try:
-            curves = list(self._from_ends(values, watch, processes))
-            while (finer := self._with_more_samples(curves)) is not None:
+            finer: tuple[Scheme, ...] | None = self.schemes
+            while finer is not None:
                 self.schemes = finer
-                curves = list(self._from_ends(values, watch, processes))
+                try:
+                    curves = list(self._from_ends(values, self._checking_samples(values, watch), processes))
+                    finer = self._with_more_samples(curves)
+                except TooFewSamplesError as error:
+                    finer = error.schemes
             self.notes += [own.label + own.curve.message for own in curves if own.curve.ending is Ending.BACKWARDS]
             self.notes.extend(self._left_out(values, curves))
         finally:  # where the next ones, or what they leave out, are interrupted too
@@ -128,6 +141,26 @@ class Curves:
                     f"change the contacts' motion by up to {left:.1e}, where {SAMPLED:g} is wanted; set time_samples "
                     "to more"
                 )
+
+    def _checking_samples(self, values: Mapping[str, float], watch: Watch) -> Watch:
+        """What watches a curve, and gives it up where its samples prove too few: it would be followed again anyway.
+
+        A curve that is given up raises `TooFewSamplesError`.
+        """
+        if "time_samples" not in self.plan.chosen:
+            return watch
+        model_at, number = self.model_at(values), 0
+
+        def seen(share: float, so_far: SoFar) -> None:
+            nonlocal number
+            number += 1
+            if number % CHECKED == 0:
+                finer = with_more_samples(model_at, so_far(1), self.schemes)
+                if finer is not None:
+                    raise TooFewSamplesError(finer)
+            watch(share, so_far)
+
+        return seen
 
     def _with_more_samples(self, curves: Sequence[StudyCurve]) -> tuple[Scheme, ...] | None:
         """Schemes with more samples, if the curves need them and should be followed again."""
