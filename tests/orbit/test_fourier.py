@@ -3,8 +3,16 @@
 import tracemalloc
 
 import numpy as np
+import pytest
 
-from timesim.orbit.fourier import fourier_basis, fourier_coefficients, half_range, to_coefficients, to_phasors
+from timesim.orbit.fourier import (
+    fourier_basis,
+    fourier_coefficients,
+    half_range,
+    to_coefficients,
+    to_phasors,
+    weighted,
+)
 
 TURN = 2 * np.pi
 
@@ -33,6 +41,16 @@ def test_coefficients_of_samples():
     found = fourier_coefficients(fourier_basis(theta, 7) @ coefficient, phase)
     np.testing.assert_allclose(found[:7], coefficient, atol=1e-13)
     np.testing.assert_allclose(found[7:], 0, atol=1e-13)
+
+
+@pytest.mark.parametrize(("harmonics", "count"), [(1, 16), (3, 17), (4, 16), (9, 300)])
+def test_weighted_harmonic_functions(harmonics, count):
+    """As samples, and as whether something holds at them."""
+    size = 2 * harmonics + 1
+    basis = fourier_basis(TURN * np.arange(1, count + 1) / count, size)
+    for weight in (np.random.default_rng(3).normal(size=count), np.arange(count) % 3 == 1, np.ones(count)):
+        expected = fourier_coefficients(weight[:, None] * basis, 0.0)[:size]
+        np.testing.assert_allclose(weighted(weight, size), expected, atol=1e-14)
 
 
 def test_amplitudes_of_a_long_curve_take_little_memory():

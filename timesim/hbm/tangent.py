@@ -37,6 +37,7 @@ from timesim.hbm.period import (
     touching_stiffness,
 )
 from timesim.hbm.stuck_offset import offset_slope
+from timesim.orbit.fourier import weighted
 from timesim.program import program
 
 Array64 = NDArray[np.float64]
@@ -221,7 +222,7 @@ class _Chain:
         weight = (basis.sums[:, np.append(own, count)] - basis.sums[:, self.places + 1]) * self.follows
         sticks = np.repeat(self.follows, np.diff(np.append(self.places, count)))[1:]
         sticks[own] = False
-        direct = basis.project[:, sticks] @ basis.value[sticks] - weight @ basis.value[self.places]
+        direct = weighted(sticks, basis.value.shape[1]) - weight @ basis.value[self.places]
         weight[:, 1:] += basis.project[:, own]
         whole = np.tensordot(weight, self.rows, 1)
         _add_to_both(whole, direct)
@@ -287,7 +288,7 @@ def _working(law: ConeLaw, basis: Basis, period: ClosedPeriod) -> Iterator[Array
         spectrum = np.zeros((3, size, 3 * size + 2))
         stiffness = tuple(np.asarray(k)[contact, None, None] for k in law.stiffness)
         spectrum[0], spectrum[1] = product(stiffness, tuple(chain.spectrum(basis).swapaxes(0, 1)))
-        spectrum[2, :, 2 * size : -2] = (basis.project * touching[:, contact]) @ basis.value
+        spectrum[2, :, 2 * size : -2] = weighted(touching[:, contact], size)
         _add_kinks(spectrum, slopes, contact, basis, chain)
         (end,) = chain.starts(basis, np.array([chain.places.size - 1]))
         by_motion, by_start = end[:, :-2], end[:, -2:]

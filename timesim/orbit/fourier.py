@@ -3,6 +3,7 @@
 The phasor of harmonic h is ``a_h - i b_h`` for the coefficients a_h of cos h theta and b_h of sin h theta.
 """
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,33 @@ def periodic_samples(phasor: Complex, count: int) -> Array:
     return np.roll(np.fft.irfft(spectrum, count), -1, axis=-1)
 
 
+def weighted(weight: NDArray[Any], size: int) -> Array:
+    """Fourier coefficients of each harmonic function 1, cos, sin, ... times a weight, shape (size, size).
+
+    A product of two is half of those of the sum and of the difference of their orders.
+
+    Args:
+        weight: at N equal samples of a period, the last at 2 pi, shape (N,).
+        size: 2H + 1, of at most N / 4 harmonics; each column is one of the functions.
+    """
+    spectrum, (total, difference, sign) = np.fft.rfft(np.roll(weight, 1)) / len(weight), _orders(size // 2)
+    more, less = spectrum[total], spectrum[difference]
+    pairs, turned, whole = np.empty((len(total), 2, len(total), 2)), sign * less.imag, np.empty((size, size))
+    pairs[:, 0, :, 0], pairs[:, 0, :, 1] = less.real + more.real, turned - more.imag
+    pairs[:, 1, :, 0], pairs[:, 1, :, 1] = -turned - more.imag, less.real - more.real
+    whole[0], whole[1:, 1:] = to_coefficients(spectrum[: size // 2 + 1]), pairs.reshape(size - 1, size - 1)
+    whole[1:, 0] = 2 * whole[0, 1:]
+    return whole
+
+
+@lru_cache(maxsize=64)
+def _orders(harmonics: int) -> tuple[NDArray[np.int64], ...]:
+    """Sum and distance of any two of the orders 1 ... H, and which is larger, each of shape (H, H)."""
+    order = np.arange(1, harmonics + 1)
+    difference = order[:, None] - order
+    return order[:, None] + order, np.abs(difference), np.sign(difference)
+
+
 def phase_deg(phasor: Complex) -> Array:
     """Phase [degree] of the first harmonic against the excitation, in (-180, 180]: x ~ A cos(2 pi f t + phase).
 
@@ -85,18 +113,17 @@ def fourier_coefficients(samples: Array, phase: float) -> Array:
 
 def half_range(phasor: Complex) -> Array:
     """(max - min) / 2 over a period of Re sum_h phasor_h exp(i h theta), h along axis 1: shape (S, H + 1, ...)."""
-    order = np.arange(phasor.shape[1])
-    angle = 2 * np.pi * np.arange(SAMPLES_PER_WAVE * order.size) / (SAMPLES_PER_WAVE * order.size)
-    turn = np.exp(1j * np.outer(angle, order))
-    count = max(1, MAX_ENTRIES // max(1, angle.size * phasor[:1, 0].size))
-    parts = [phasor[first : first + count] for first in range(0, max(len(phasor), 1), count)]
-    return np.concatenate([_half_range(part, turn, angle, order) for part in parts])
+    count = SAMPLES_PER_WAVE * phasor.shape[1]
+    rows = max(1, MAX_ENTRIES // max(1, count * phasor[:1, 0].size))
+    parts = [phasor[first : first + rows] for first in range(0, max(len(phasor), 1), rows)]
+    return np.concatenate([_half_range(part, count) for part in parts])
 
 
-def _half_range(phasor: Complex, turn: Complex, angle: Array, order: NDArray[np.int64]) -> Array:
-    values = np.einsum("kh,sh...->ks...", turn, phasor).real
+def _half_range(phasor: Complex, count: int) -> Array:
+    values = periodic_samples(np.moveaxis(phasor, 1, -1), count)
+    angle, order = 2 * np.pi / count * np.arange(1, count + 1), np.arange(phasor.shape[1])
     highest, lowest = (
-        _extreme(phasor, angle[pick(values, axis=0)], order, np.pi / angle.size) for pick in (np.argmax, np.argmin)
+        _extreme(phasor, angle[pick(values, axis=-1)], order, np.pi / count) for pick in (np.argmax, np.argmin)
     )
     return (highest - lowest) / 2
 
