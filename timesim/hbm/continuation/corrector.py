@@ -179,7 +179,7 @@ class Corrector:
             if not self.adaptive.adapt(*self.unscaled(point.y)):
                 break
             try:
-                point = self.damped_newton(point.y, point.tangent if normal is None else normal)
+                point = self.newton_near(point.y, point.tangent if normal is None else normal)
             except NoSolutionError:
                 self.adaptive.restore()
                 self.failures = min(self.failures + 1, MAX_FAILURES)
@@ -196,7 +196,7 @@ class Corrector:
         while self.adaptive.refine():
             steps += 1
             with suppress(NoSolutionError):
-                new = self.damped_newton(point.y, ahead)
+                new = self.newton_near(point.y, ahead)
                 return new if new.orientation * point.orientation > 0 else replace(new, tangent=-new.tangent)
         for _ in range(steps):
             self.adaptive.restore()
@@ -208,12 +208,23 @@ class Corrector:
             return False
         determinant = after.determinant
         with suppress(NoSolutionError):
-            determinant = self.damped_newton(after.y, after.tangent).determinant
+            determinant = self.newton_near(after.y, after.tangent).determinant
         self.adaptive.restore()
         return determinant != after.determinant
 
+    def newton_near(self, guess: Array, normal: Array) -> CurvePoint:
+        """Solution near a guess that is good in most cases, as by a few more unknowns than those of a solution.
+
+        Raises:
+            NoSolutionError: as of `damped_newton`, which takes over where derivatives do not hold for long.
+        """
+        try:
+            return self.simplified_newton(guess, normal)
+        except NoSolutionError:
+            return self.damped_newton(guess, normal)
+
     def damped_newton(self, guess: Array, normal: Array) -> CurvePoint:
-        """The same from a poor guess: steps are halved until the next one would be shorter, or else taken in full.
+        """Solution on the plane through a poor guess: steps are halved until the next is shorter, or taken in full.
 
         The next one by the derivatives at hand: unlike the residual, it does not depend on how stiff contacts are
         against the structure (the natural monotonicity test of Deuflhard, Newton Methods for Nonlinear Problems, 2004).
