@@ -444,6 +444,22 @@ def test_a_coefficient_that_is_the_same_everywhere_is_a_number() -> None:
     assert ax.get_xlim() == (0, 4)
 
 
+def test_what_is_not_computed_of_a_map_is_left_blank(tmp_path: Path) -> None:
+    """Not drawn as zero, of which it could not be told: in part, all but a constant, and everywhere."""
+    values = 1.0 + np.add.outer(np.arange(8.0), np.arange(8.0))
+    values[:, 4:] = np.nan
+    (shades, *_) = element.contour(_map(values)).collections
+    assert shades.get_array().min() >= 0.5
+    assert shades.get_datalim(shades.axes.transData).y1 <= 4 * 3 / 7 + 1e-9
+    (faces,) = element.surface(_map(values)).collections
+    assert np.nanmin(faces.get_array()) >= 1
+    some = np.where(np.isnan(values), np.nan, 2.0)
+    for field, said in ((some, "2 wherever it is computed"), (np.full_like(values, np.nan), "nothing is computed")):
+        assert [text.get_text() for text in element.contour(_map(field)).texts] == [said]
+        draw.write(_map(field), tmp_path, element.MAP_PICTURES)
+    assert [text.get_text() for text in element.surface(_map(field)).texts] == [said]
+
+
 def test_a_surface_hides_no_point() -> None:
     """Over equal amplitudes too: the half b > a has coefficients of its own."""
     square = _map(np.add.outer(np.arange(5.0), np.arange(5.0)))

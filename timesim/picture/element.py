@@ -30,6 +30,7 @@ COEFFICIENTS = {"f_b": "static", "f_s": "in phase", "f_c": "out of phase"}
 APART = 0.12  # share of the axes, between labels of contour lines
 NOISE = 1e-6
 """Of the largest coefficient: the steps leave up to 2e-9 of it in one that is zero by symmetry."""
+NOTHING = "nothing is computed"
 
 
 def force_path(data: Dataset, ax: Axes | None = None) -> Axes:
@@ -165,8 +166,8 @@ PICTURES: dict[str, Picture] = {"force_path": _path_figure, "hysteresis": _hyste
 def contour(data: Dataset, ax: Axes | None = None, *, name: str = "f_s", tangent: str = "t1") -> Axes:
     """A Fourier coefficient, f_b, f_s or f_c along t1 or t2, over the axes of the map: contour lines on shades."""
     ax, (first, second) = axes(ax), parameters(data)
-    x, y, z = data[first].values, data[second].values, _coefficient(data, name, tangent)
-    if np.ptp(z) > 0:
+    x, y, z = data[first].values, data[second].values, np.ma.masked_invalid(_coefficient(data, name, tangent))
+    if z.count() and z.max() > z.min():
         shades = ax.contourf(x, y, z.T, levels=12, cmap="viridis")
         _colour_bar(ax, shades)
         lines = ax.contour(x, y, z.T, levels=list(shades.levels), colors="black", linewidths=0.4)
@@ -174,7 +175,9 @@ def contour(data: Dataset, ax: Axes | None = None, *, name: str = "f_s", tangent
             lines, fontsize=6, fmt="%.3g", manual=_label_places(lines, np.stack([x[[0, -1]], y[[0, -1]]], axis=1))
         )
     else:
-        ax.text(0.5, 0.5, f"{z.flat[0]:.4g} everywhere", transform=ax.transAxes, ha="center", fontsize=9)
+        where = "everywhere" if z.count() == z.size else "wherever it is computed"
+        said = f"{z.compressed()[0]:.4g} {where}" if z.count() else NOTHING
+        ax.text(0.5, 0.5, said, transform=ax.transAxes, ha="center", fontsize=9)
         ax.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
     ax.set(xlabel=_axis_label(data, first), ylabel=_axis_label(data, second))
     ax.set_title(_coefficient_label(data, name, tangent), fontsize=9)
@@ -206,7 +209,10 @@ def surface(data: Dataset, ax: Any = None, *, name: str = "f_s", tangent: str = 
     z = _coefficient(data, name, tangent)
     step = [max(1, size // 27) for size in z.shape]
     faces = {"rstride": step[0], "cstride": step[1], "edgecolor": "0.25", "linewidth": 0.25}
-    _colour_bar(ax, ax.plot_surface(x, y, z, cmap="viridis", **faces), shrink=0.6, pad=0.1)
+    if np.isfinite(z).any():
+        _colour_bar(ax, ax.plot_surface(x, y, z, cmap="viridis", **faces), shrink=0.6, pad=0.1)
+    else:
+        ax.text2D(0.5, 0.5, NOTHING, transform=ax.transAxes, ha="center", fontsize=9)
     ax.set_xlabel(_axis_label(data, first), fontsize=8, labelpad=0)
     ax.set_ylabel(_axis_label(data, second), fontsize=8, labelpad=0)
     ax.set_title(_coefficient_label(data, name, tangent), fontsize=9, pad=-6)
@@ -230,11 +236,15 @@ def parameters(data: Dataset) -> tuple[str, str]:
 
 
 def _coefficient(data: Dataset, name: str, tangent: str) -> np.ndarray:
-    """A coefficient over both parameters without the noise of the steps: zero, or the same everywhere, but for it."""
+    """A coefficient over both parameters without the noise of the steps: zero, or the same everywhere, but for it.
+
+    NaN where it was not computed.
+    """
     z = data[name].sel(tangent=tangent).values
     noise = NOISE * max(float(np.abs(data[part]).max()) for part in COEFFICIENTS)
-    z = np.where(np.abs(z) > noise, z, 0.0)
-    return z if np.ptp(z) > noise else np.full_like(z, (z.max() + z.min()) / 2)
+    z = np.where(np.abs(z) <= noise, 0.0, z)
+    known = z[np.isfinite(z)]
+    return z if not known.size or np.ptp(known) > noise else z - z + (known.max() + known.min()) / 2
 
 
 def _axis_label(data: Dataset, name: str) -> str:
