@@ -41,7 +41,7 @@ from timesim.study.execution.campaign import Execution
 from timesim.study.hbm import study as followed_study
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.summary import curve
-from timesim.study.summary.curve import changes_of_stability, convergence_lines, curve_lines, peak
+from timesim.study.summary.curve import changes_of_stability, convergence_lines, crossed, curve_lines, peak
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 BASE = oscillator_scene(preload=-4.0)
@@ -617,6 +617,14 @@ def test_stability_that_changes_at_a_fold_is_no_change_without_one():
     stable = np.array([True, True, False, False, False, True, True, False, True])
     fold = np.array([False, False, True, False, True, False, False, False, False])
     assert np.flatnonzero(changes_of_stability(stable, fold)).tolist() == [6, 7]
+
+
+def test_stability_changes_where_a_multiplier_passes_1():
+    """Between two solutions, not at the first of them; without moduli that tell halfway."""
+    place, changes = np.array([1.0, 2.0, 4.0, 5.0]), np.array([False, True, True, False])
+    multiplier = np.array([0.9, 0.9, 1.3, np.nan])
+    np.testing.assert_allclose(crossed(place, multiplier, changes), [2.5, 4.5])
+    assert crossed(place, multiplier, np.zeros(4, dtype=bool)).size == 0
 
 
 def test_order_of_changes_with_a_known_order():

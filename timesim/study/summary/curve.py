@@ -37,7 +37,7 @@ def _curve_line(curve: Dataset) -> str:
     motion = np.stack([curve["harmonic_cos"].values, curve["harmonic_sin"].values], axis=1)
     place, height = peak(along, amplitude[:, point, axis], motion)
     turning = f"folds at {_first_of(along[fold])}" if fold.any() else "no fold"
-    changes = along[changes_of_stability(stable, fold)]
+    changes = crossed(along, curve["floquet_max"].values, changes_of_stability(stable, fold))
     also = f"; stability changes at {_first_of(changes)} without a fold" if changes.size else ""
     touching, apart = curve["slip_share"].values, curve["separation_share"].values.max(initial=0.0)
     rub = rubs(curve).values
@@ -98,6 +98,21 @@ def changes_of_stability(stable: np.ndarray, fold: np.ndarray) -> np.ndarray:
     changes = np.zeros(stable.size, dtype=bool)
     changes[:-1] = (stable[1:] != stable[:-1]) & ~fold[1:] & ~fold[:-1]
     return changes
+
+
+def crossed(parameter: np.ndarray, multiplier: np.ndarray, changes: np.ndarray) -> np.ndarray:
+    """Values of the parameter at which the largest multiplier passes 1, straight between two solutions.
+
+    Args:
+        parameter: of the solutions, shape (S,).
+        multiplier: the largest modulus of each, shape (S,).
+        changes: solutions after which it passes, shape (S,); halfway to the next one where the moduli do not tell.
+    """
+    before = np.flatnonzero(changes)
+    excess = multiplier[[before, before + 1]] - 1
+    tells = excess[0] * excess[1] < 0
+    share = np.divide(excess[0], excess[0] - excess[1], out=np.full(before.size, 0.5), where=tells)
+    return parameter[before] + share * (parameter[before + 1] - parameter[before])
 
 
 def peak(parameter: np.ndarray, height: np.ndarray, motion: np.ndarray) -> tuple[float, float]:
