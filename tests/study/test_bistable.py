@@ -26,7 +26,18 @@ from timesim.orbit.fourier import HARMONICS
 from timesim.orbit.jump import Stretch, jumps_of, narrowed, steps_of
 from timesim.orbit.settling import Chain, SteadyStates
 from timesim.orbit.steady_state import Orbit, columns_of, differ, orbit_of, without_orbit
-from timesim.orbit.two_motions import DOWN, UP, RangeSearch, Sweeps, losses, ranges, ranges_of, suspect_steps
+from timesim.orbit.two_motions import (
+    DOWN,
+    NO_MOTION,
+    SMALLER,
+    UP,
+    RangeSearch,
+    Sweeps,
+    losses,
+    ranges,
+    ranges_of,
+    suspect_steps,
+)
 from timesim.picture import bistable as plot_bistable
 from timesim.result.netcdf import open_result, save
 from timesim.scene.resolution import Scene
@@ -301,7 +312,8 @@ class Branches:
     """Motions 0, 1, ... that live from `low` to `high` each; one that is lost gives way to the next that is there."""
 
     irregular = (np.inf, np.inf)
-    """Frequencies at which the last motion does not repeat."""
+    """Frequencies at which one of the motions does not repeat: the last one, or that of the number `wanders`."""
+    wanders = -1
 
     def __init__(self, *spans: tuple[float, float], rise: float = 1.0, slope: float = 0.1):
         self.spans, self.rise, self.slope = spans, rise, slope
@@ -312,7 +324,8 @@ class Branches:
             number += 1 if frequency > self.spans[number][1] else -1
         amplitude = np.full((1, 3), 1 + self.rise * number + self.slope * (frequency - 1) ** 3)
         end = Start(np.full(2, float(number)), np.zeros(2), np.zeros((1, 2)), np.full(1, STICK))
-        irregular = number == len(self.spans) - 1 and self.irregular[0] < frequency < self.irregular[1]
+        wanders = self.wanders % len(self.spans) == number
+        irregular = wanders and self.irregular[0] < frequency < self.irregular[1]
         return replace(
             without_orbit(oscillator(2.0, 1.0), "", 8), end=end, amplitude=amplitude, band=np.stack([amplitude] * 2),
             period=int(not irregular), irregular=irregular, slip_share=np.zeros(1), separation_share=np.zeros(1),
@@ -415,6 +428,51 @@ def test_a_range_in_which_both_sweeps_are_on_one_motion():
     assert not sweeps.apart.any()
     (found,) = ranges(search, sweeps, list(losses(search, sweeps)))
     assert (found.low, found.high) == pytest.approx((1.43, 1.62), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("spans", "wanders", "end"),
+    [
+        (((-np.inf, 1.5), (1.3, 1.8), (1.1, np.inf)), 0, (1.3, 1.8)),
+        (((-np.inf, 1.9), (1.2, 1.7), (1.5, np.inf)), 2, (1.2, 1.7)),
+        (((-np.inf, 1.5), (0.9, 1.8), (1.1, np.inf)), 0, (1.1, 1.8)),
+        (((-np.inf, 1.5), (0.9, 1.8), (0.9, np.inf)), 0, (1.0, 1.8)),
+    ],
+)
+def test_a_motion_to_which_an_irregular_one_jumps_is_followed_back(
+    spans: tuple, wanders: int, end: tuple[float, float]
+):
+    """To where it is lost, or the other sweep's motion is, or the sweep ends: there the range is cut."""
+    toy = Branches(*spans)
+    toy.irregular, toy.wanders = (1.02, 1.98), wanders
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    found = [one for one in ranges(search, sweeps, list(losses(search, sweeps))) if one.high - one.low > 0.1]
+    (own,) = [one for one in found if 1 in (one.lower.end.displacement[0], one.upper.end.displacement[0])][-1:]
+    assert (own.low, own.high) == pytest.approx(end, abs=1e-6)
+    assert own.cut == (end[0] == 1.0, False)
+    assert own.irregular == (NO_MOTION, NO_MOTION)
+
+
+def test_a_motion_that_is_followed_back_may_lose_its_period():
+    toy = Branches((-np.inf, 1.5), (1.3, 1.8), (1.1, np.inf))
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    steady = search.steady
+
+    def wandering(chains: Sequence[Chain]) -> list[list[Orbit]]:
+        """The first motion from 1.02 on, and the second one below 1.43, do not repeat."""
+        return [[wanders(orbit, f) for f, orbit in zip(chain.frequencies, own, strict=True)]
+                for chain, own in zip(chains, steady(chains), strict=True)]  # fmt: skip
+
+    def wanders(orbit: Orbit, frequency: float) -> Orbit:
+        number = orbit.end.displacement[0]
+        irregular = (number == 0 and frequency > 1.02) or (number == 1 and frequency < 1.43)
+        return replace(orbit, irregular=irregular, period=int(not irregular))
+
+    up, down = ([wanders(*one) for one in zip(own, sweeps.frequency, strict=True)] for own in sweeps.orbits)
+    search, sweeps = replace(search, steady=wandering), replace(sweeps, orbits=(up, down))
+    found = list(ranges(search, sweeps, list(losses(search, sweeps))))[-1]
+    assert (found.low, found.high) == pytest.approx((1.43, 1.8), abs=1e-6)
+    assert found.irregular == (SMALLER, NO_MOTION)
 
 
 def test_adjacent_jumps_are_one():

@@ -1,18 +1,11 @@
-"""Ranges of frequency with two steady motions: both sweeps, each jump bisected, and the motions at mid-range.
+"""Where sweeps lose their motion: by a jump, or since it does not repeat any more; each place bisected.
 
-A sweep carries its motion along until the motion is gone, at a fold or where it loses its stability, and jumps. Where
-the sweeps up and down are on different motions there are two: such a range begins where the downward sweep loses its
-motion, and ends where the upward one does. A jump is sought in every step over which the amplitude changes, and in
-those after which both sweeps are on one motion. Halving the step distinguishes a jump from a slope, so ranges far
-narrower than the step of the sweeps are resolved.
-
-A motion that does not repeat is not one of two. Where a motion that is carried along loses its period, without a jump,
-the range ends too: the place is bisected, and its end says so.
+A jump is sought in every step over which the amplitude changes, and in those after which both sweeps are on one motion.
+Halving the step distinguishes a jump from a slope, so ranges far narrower than the step of the sweeps are resolved.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -20,12 +13,10 @@ from timesim.model.model import Model, Start
 from timesim.orbit.batch import Each
 from timesim.orbit.jump import AT_LEAST, Stretch, narrowed
 from timesim.orbit.settling import Chain, SteadyStates
-from timesim.orbit.steady_state import Columns, Orbit, columns_of, differ, distance, orbit_of, without_orbit
+from timesim.orbit.steady_state import Columns, Orbit, differ, distance, orbit_of
 
 UP, DOWN = 0, 1
 WALK = 4  # least number of steps in which a motion is carried to mid-range, and parts of a step of the sweeps
-BOTH = 2  # ends of a range
-NO_MOTION, SMALLER, LARGER = 0, 1, 2
 FURTHER = 6  # times that a motion is followed on where it was lost by the length of a step alone
 
 
@@ -45,9 +36,6 @@ class RangeSearch:
         """The steady states at frequencies [Hz], carried from each to the next."""
         chain = Chain(replace(self.model, start=start), tuple(map(float, frequencies)))
         return self.steady([chain])[0]
-
-
-# Jumps
 
 
 @dataclass(frozen=True)
@@ -72,6 +60,11 @@ class Loss:
     def lives(self) -> bool:
         """Whether only the length of a step has lost it, and it lives to the end of the sweep."""
         return self.jump.near == self.jump.far
+
+    @property
+    def comes_from_irregular(self) -> bool:
+        """Whether the motion that is lost there did not repeat before."""
+        return self.jump.on.irregular and not self.of_period
 
 
 @dataclass(frozen=True)
@@ -196,6 +189,28 @@ def _without_period(search: RangeSearch, step: Stretch) -> Stretch:
     return step
 
 
+def traced_back(search: RangeSearch, sweeps: Sweeps, lost: Sequence[Loss], loss: Loss) -> Loss:
+    """Where the motion to which a sweep came by a jump is lost if it is followed back, as far as the other sweep's.
+
+    ``lost`` are the losses of both sweeps, ``loss`` is the one with the jump.
+    """
+    sign, place = (1.0 if loss.direction == UP else -1.0), loss.jump.near
+    others = [one.jump.near for one in lost if one.direction != loss.direction]
+    limits = [f for f in (*others, *map(float, sweeps.frequency[[0, -1]])) if sign * (place - f) > 0]
+    back = replace(loss.jump, near=loss.jump.far, far=place, on=loss.jump.beyond, beyond=loss.jump.on)
+    if not limits or back.on.irregular:
+        return loss
+    longest = float(sweeps.frequency[1] - sweeps.frequency[0]) / WALK
+    end = _followed(search, back, max(limits, key=lambda f: sign * f), longest) or back
+    way = np.linspace(back.near, end.near, 2 + int(abs(end.near - back.near) / longest)).tolist()
+    orbits = [back.on, *search.along(back.on.end, way[1:])]
+    for k in range(1, len(way)):
+        if orbits[k].irregular:
+            step = replace(back, near=way[k - 1], far=way[k], on=orbits[k - 1], beyond=orbits[k])
+            return Loss(loss.direction, back.near, _without_period(search, step), of_period=True)
+    return Loss(loss.direction, back.near, end)
+
+
 def _ahead(search: RangeSearch, jump: Stretch, limit: float, longest: float) -> Stretch | None:
     """Where the motion is lost beyond a jump; None if it is lost there. Without length if it lives to the limit."""
     near, on, far = jump.near, jump.on, jump.far
@@ -211,104 +226,3 @@ def _ahead(search: RangeSearch, jump: Stretch, limit: float, longest: float) -> 
         near, on = far, orbit
         step = float(np.copysign(min(2 * abs(step), longest), step))
         far = near + step if abs(step) < abs(limit - near) else limit
-
-
-# Ranges
-
-
-@dataclass(frozen=True)
-class BistableRange:
-    """A range of frequency with two motions.
-
-    Attributes:
-        low, high: its ends [Hz], at which both motions still exist.
-        cut: whether it goes on beyond the low and the high end, where the sweeps end.
-        settled: whether the motion that is lost there had settled at the low and the high end.
-        irregular: the motion that goes on without a period beyond the low and the high end: `NO_MOTION`, `SMALLER` or
-            `LARGER`.
-        jumped: amplitude before and after the jump at each end, shape (2, 2, P, 3); NaN where it is cut.
-        lower, upper: the motions at mid-range, that of the smaller amplitude first.
-    """
-
-    low: float
-    high: float
-    cut: tuple[bool, bool]
-    settled: tuple[bool, bool]
-    irregular: tuple[int, int]
-    jumped: np.ndarray
-    lower: Orbit
-    upper: Orbit
-
-
-def ranges(search: RangeSearch, sweeps: Sweeps, lost: Sequence[Loss]) -> Iterator[BistableRange]:
-    """The ranges between jumps in which the sweeps are on different motions."""
-    first, last = float(sweeps.frequency[0]), float(sweeps.frequency[-1])
-    ends = sorted({first, last, *(loss.jump.near for loss in lost)})
-    for low, high in pairwise(ends):
-        above, below = sweeps.frequency > low, sweeps.frequency < high
-        within = sweeps.apart[(above | (low == first)) & (below | (high == last))]
-        jumps = int(low != first) + int(high != last)
-        if high - low <= 2 * search.width or (jumps < BOTH and not within.any()):
-            continue
-        motions = [_at_middle(search, sweeps, lost, direction, (low, high)) for direction in (UP, DOWN)]
-        if any(orbit.reason is not None or orbit.irregular for orbit in motions) or not differ(*motions):
-            continue
-        lower, upper = sorted(motions, key=lambda orbit: orbit.largest)
-        at_ends = [[loss for loss in lost if loss.jump.near == end and not loss.lives] for end in (low, high)]
-        settled = [all(loss.jump.on.settled for loss in here) for here in at_ends]
-        number = [SMALLER if orbit is lower else LARGER for orbit in motions]
-        irregular = [next((number[one.direction] for one in here if one.of_period), NO_MOTION) for here in at_ends]
-        none = [np.full_like(lower.amplitude, np.nan)] * 2
-        jumped = [[here[0].jump.on.amplitude, here[0].jump.beyond.amplitude] if here else none for here in at_ends]
-        cut, ends_settled, losers = (low == first, high == last), (settled[0], settled[1]), (irregular[0], irregular[1])
-        yield BistableRange(low, high, cut, ends_settled, losers, np.array(jumped), lower, upper)
-
-
-def _at_middle(
-    search: RangeSearch, sweeps: Sweeps, lost: Sequence[Loss], direction: int, ends: tuple[float, float]
-) -> Orbit:
-    """The motion of a sweep at the middle of a range, led there from the nearest place where it is known."""
-    sign, middle = (1.0, 0.5 * sum(ends)) if direction == UP else (-1.0, 0.5 * sum(ends))
-    own = [loss for loss in lost if loss.direction == direction]
-    known = dict(zip(map(float, sweeps.frequency), sweeps.orbits[direction], strict=True))
-    for loss in own:
-        # Lost by a step that was too long: from there on to the true end the sweep was on another motion.
-        known = {
-            f: orbit
-            for f, orbit in known.items()
-            if not 0 < sign * (f - loss.begin) < sign * (loss.jump.near - loss.begin)
-        }
-        known |= {loss.jump.near: loss.jump.on, loss.jump.far: loss.jump.beyond}
-    left = {loss.jump.near for loss in own if not loss.of_period} & {ends[0 if direction == UP else 1]}
-    behind = [f for f, orbit in known.items() if sign * (middle - f) >= 0 and f not in left and orbit.reason is None]
-    if not behind:
-        return without_orbit(search.model, "no motion is known before it")
-    nearest = max(behind, key=lambda f: sign * f)
-    step = (sweeps.frequency[1] - sweeps.frequency[0]) / WALK
-    num = max(WALK, int(np.ceil(abs(middle - nearest) / step)))
-    return search.along(known[nearest].end, np.linspace(nearest, middle, num + 1)[1:].tolist())[-1]
-
-
-def _interval(frequency: np.ndarray, loss: Loss) -> list[float]:
-    """Low and high end of a jump [Hz]: the whole step where only its length has lost the motion."""
-    if not loss.lives:
-        return sorted((loss.jump.near, loss.jump.far))
-    near = int(np.searchsorted(frequency, loss.begin))
-    return sorted(map(float, (frequency[near], frequency[near + (1 if loss.direction == UP else -1)])))
-
-
-def ranges_of(search: RangeSearch, sweeps: Columns) -> dict[str, np.ndarray]:
-    """The jumps and the ranges of a pair of sweeps, and the motions in the middle of ranges, as arrays."""
-    both = Sweeps.of(sweeps, search.model.start.phase)
-    lost = list(losses(search, both))
-    every = list(ranges(search, both, lost))
-    jumps = [(loss.direction, *_interval(both.frequency, loss)) for loss in lost if not loss.of_period]
-    ends = np.array([(one.low, one.high) for one in every]).reshape(-1, 2)
-    found = {"jumps": np.array(jumps, dtype=float).reshape(-1, 3), "range": ends}
-    if not every:
-        return found
-    jumped = np.array([one.jumped for one in every])
-    found |= columns_of([[one.lower, one.upper] for one in every])
-    found |= {"jump_from": jumped[:, :, 0], "jump_to": jumped[:, :, 1]}
-    marks = ("cut", "settled", "irregular")
-    return found | {f"range_{name}": np.array([getattr(one, name) for one in every], dtype=np.int8) for name in marks}
