@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         sweep,
         system,
     )
+    from timesim.result.file import StoreError
     from timesim.result.netcdf import open_result
     from timesim.result.netcdf import open_result as open
     from timesim.scene.resolution import Scene
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Scene",
     "SceneError",
+    "StoreError",
     "contact",
     "follow",
     "integrate",
@@ -48,6 +50,7 @@ __all__ = [
 _MODULES = {
     "Scene": "timesim.scene.resolution",
     "SceneError": "timesim.fault",
+    "StoreError": "timesim.result.file",
     "load_scene": "timesim.study.registry",
     "open_result": "timesim.result.netcdf",
     "run": "timesim.study.registry",

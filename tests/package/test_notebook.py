@@ -1,6 +1,8 @@
 """Studies as functions of arrays: the same bits as scene files give, and arguments that are refused."""
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -135,12 +137,72 @@ def test_steady_states_and_curves(tmp_path):
         ),
         (lambda: timesim.system(one_mass(), [pad()], FORCE, solver={"accuracy": "fine"}), "solver.accuracy: fine"),
         (lambda: timesim.sweep(oscillator(), 1.39), "frequency has shape"),
+        (lambda: timesim.settle(oscillator(), [1.39]), "frequency has shape .* must be a single number"),
+        (
+            lambda: timesim.sweep(oscillator(), [1.39], over=["contacts.pad.preload"]),
+            "over must be a mapping .* not .'contacts.pad.preload'.",
+        ),
+        (lambda: timesim.integrate(one_mass(), 1.0, 2), "system has no structure, its keys are modes"),
+        (lambda: timesim.integrate("scene.yaml", 1.0, 2), "system must be what timesim.system returns .*not 'scene"),
+        (lambda: timesim.follow(None, 1.0, 2.0), "system must be what timesim.system returns .*not None"),
+        (lambda: timesim.system(one_mass(), None, FORCE), "contacts must be a list, .* not None"),
+        (lambda: timesim.system(one_mass(), [], None), r"excitation must be from timesim.modal_forces .* not None"),
+        (
+            lambda: timesim.system(one_mass(), [], [None]),
+            r"excitation\[0\] must be from timesim.modal_forces .* not None",
+        ),
+        (lambda: timesim.modes([1.0], 0.1, np.eye(1, 3)), "shapes must be a mapping of points, .* not array"),
+        (lambda: timesim.modes([1.0], 0.1, {1: [[1, 0, 0]]}), "shapes has the key 1, it must be text: '1'"),
+        (lambda: timesim.matrices(M, K, {"m1": [0, 1]}), r"points\['m1'\] must be a mapping of rows .* not \[0, 1\]"),
+        (lambda: timesim.show("nowhere", [("frequency", 1)]), "at must be a mapping of values"),
+        (lambda: timesim.show("nowhere", "frequency=1"), "at must be a mapping of values .* not 'frequency=1'"),
         (lambda: timesim.plot(oscillator(), "nowhere"), "names no study: it must be a whole result"),
+        (
+            lambda: timesim.plot(
+                xarray.Dataset(coords={"contacts.pad.friction": 0.1}, attrs={"study": "optimum"}), "nowhere"
+            ),
+            r"a single contacts.pad.friction: .* result.sel\({'contacts.pad.friction': \[",
+        ),
     ],
 )
 def test_wrong_arguments_are_named(call, message):
     with pytest.raises((ValueError, timesim.SceneError), match=message):
         call()
+
+
+@pytest.mark.parametrize(
+    ("call", "instead"),
+    [
+        (
+            lambda: timesim.modes(np.array([1.0 + 0j]), 0.1, {"tip": [[1, 0, 0]]}),
+            "frequency must be of real numbers, not complex128: take the real part",
+        ),
+        (
+            lambda: timesim.matrices(M, K * (1 + 0.02j), {"tip": {"x": 1}}),
+            "stiffness must be of real .*give damping or damping_ratio",
+        ),
+        (lambda: timesim.modal_forces([1 + 1j, 1j]), "amplitude must be of real .*as phase_deg"),
+        (lambda: timesim.point_force("tip", [1, 0, 0], 1j), "amplitude must be of real .*as phase_deg"),
+    ],
+)
+def test_complex_values_are_refused_and_not_cut_to_their_real_part(call, instead):
+    with pytest.raises(ValueError, match=instead):
+        call()
+
+
+def test_what_is_wrong_with_a_file_is_an_error_of_the_package(tmp_path):
+    file = tmp_path / "file"
+    file.write_text("no result")
+    row = xarray.Dataset(attrs={"study": "sweep"})
+    for call, message in (
+        (lambda: timesim.open(tmp_path / "none.nc"), "no result file at"),
+        (lambda: timesim.show(file, {"frequency": 1.0}), "cannot be read as a result file"),
+        (lambda: timesim.plot(row, file), r"folder .* cannot be made \(File exists\): give another one"),
+    ):
+        with pytest.raises(timesim.StoreError, match=message):
+            call()
+    code = "import sys, timesim; timesim.StoreError; sys.exit('jax' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_the_examples_of_the_readme_run(tmp_path, monkeypatch, capsys):

@@ -1,16 +1,17 @@
 """Structures, contacts, forces and systems of them from arrays, as the sections of a scene.
 
 Frequencies are in Hz, angles in degrees, the rest in any consistent unit system. Each function raises ValueError where
-the shape of an argument is wrong, and `timesim.SceneError` where a value is, naming its key, the value, what is allowed
-and what to do.
+the type or the shape of an argument is wrong, and `timesim.SceneError` where a value is, naming its key, the value,
+what is allowed and what to do.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from timesim.result.label import WIDTH, shortened
 from timesim.scene.resolution import check_parts
 from timesim.study.registry import load_scene
 
@@ -18,11 +19,42 @@ Section = dict[str, Any]
 """A part of a scene with the keys of a scene file; it may be edited or written by hand."""
 
 
+REAL = {
+    "amplitude": "give its magnitude, and its angle in degrees as phase_deg",
+    "stiffness": "hysteretic damping has no equivalent in the time domain, give damping or damping_ratio",
+}
+"""What to give instead of complex values, by the argument."""
+
+
 def _numbers(name: str, value: ArrayLike) -> np.ndarray:
     try:
-        return np.asarray(value.toarray() if hasattr(value, "toarray") else value, dtype=np.float64)
+        array = np.asarray(value.toarray() if hasattr(value, "toarray") else value)
+        if not np.iscomplexobj(array):
+            return np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"{name} must be a number or an array of numbers, not {value!r}") from None
+        raise ValueError(f"{name} must be a number or an array of numbers, not {_shown(value)}") from None
+    instead = REAL.get(name, "take the real part, if the imaginary part is rounding")
+    raise ValueError(f"{name} must be of real numbers, not {array.dtype}: {instead}")
+
+
+def _shown(value: Any) -> str:
+    return shortened(" ".join(repr(value).split()), WIDTH)
+
+
+def mapping_of(name: str, value: Any, rule: str) -> Section:
+    """The argument as a dictionary with names as keys; `rule`: what it must be."""
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{name} must be {rule}, not {_shown(value)}")
+    for key in value:
+        if not isinstance(key, str):
+            raise ValueError(f"{name} has the key {key!r}, it must be text: {str(key)!r}")
+    return dict(value)
+
+
+def _list_of(name: str, value: Any, rule: str) -> list[Any]:
+    if isinstance(value, Mapping | str) or not isinstance(value, Iterable):
+        raise ValueError(f"{name} must be {rule}, not {_shown(value)}")
+    return list(value)
 
 
 def array_of(name: str, value: ArrayLike, shape: tuple[int | str, ...]) -> np.ndarray:
@@ -30,8 +62,8 @@ def array_of(name: str, value: ArrayLike, shape: tuple[int | str, ...]) -> np.nd
     array = _numbers(name, value)
     known = [(have, want) for have, want in zip(array.shape, shape, strict=False) if isinstance(want, int)]
     if array.ndim != len(shape) or any(have != want for have, want in known):
-        wanted = ", ".join(map(str, shape))
-        raise ValueError(f"{name} has shape {array.shape}, it must have ({wanted}): reshape or transpose it")
+        wanted = f"have ({', '.join(map(str, shape))}): reshape or transpose it" if shape else "be a single number"
+        raise ValueError(f"{name} has shape {array.shape}, it must {wanted}")
     return array
 
 
@@ -62,7 +94,8 @@ def modes(
     """
     frequency = array_of("frequency", frequency, ("M",))
     count = len(frequency)
-    rows = {point: array_of(f"shapes[{point!r}]", shape, (count, 3)) for point, shape in shapes.items()}
+    by_point = mapping_of("shapes", shapes, "a mapping of points, {'tip': [[1, 0, 0]]}")
+    rows = {point: array_of(f"shapes[{point!r}]", shape, (count, 3)) for point, shape in by_point.items()}
     columns = {
         "frequency": frequency.tolist(),
         "damping_ratio": _each("damping_ratio", damping_ratio, count),
@@ -94,7 +127,9 @@ def matrices(
     inline: Section = {"mass": array_of("mass", mass, square), "stiffness": array_of("stiffness", stiffness, square)}
     if damping is not None:
         inline["damping"] = array_of("damping", damping, square)
-    inline["points"] = {point: dict(rows) for point, rows in points.items()}
+    rule = "a mapping of rows by their axis, {'x': 0}"
+    by_point = mapping_of("points", points, "a mapping of points, {'tip': {'x': 0}}")
+    inline["points"] = {point: mapping_of(f"points[{point!r}]", rows, rule) for point, rows in by_point.items()}
     whole = {"matrices": inline | given(damping_ratio=damping_ratio)} | given(keep_modes=keep_modes)
     return _checked("structure", whole)
 
@@ -160,9 +195,10 @@ def point_force(
     point: str, direction: ArrayLike, amplitude: float, *, phase_deg: float = 0.0, harmonic: int = 1
 ) -> Section:
     """A force on a point, amplitude cos(harmonic 2 pi f t + phase) along a direction of shape (3,); constant for 0."""
+    size = array_of("amplitude", amplitude, ())
     force = {"point": point, "direction": array_of("direction", direction, (3,)), "amplitude": amplitude}
     if harmonic == 0:
-        pull = float(array_of("amplitude", amplitude, ()) * np.cos(np.deg2rad(phase_deg)))
+        pull = float(size * np.cos(np.deg2rad(phase_deg)))
         return _checked("excitation", {"constant_forces": [force | {"amplitude": pull}]})
     return _checked("excitation", {"forces": [force | {"phase_deg": phase_deg, "harmonic": harmonic}]})
 
@@ -184,18 +220,20 @@ def system(
         solver: the section `solver` of a scene; ``{"accuracy": "standard"}`` by default.
 
     Raises:
-        ValueError: contacts are no list, or several `modal_forces` are given.
+        ValueError: contacts are no list, the excitation is no force and no list, or has several `modal_forces`.
     """
-    if isinstance(contacts, Mapping):
-        raise ValueError("contacts must be a list, of one contact too: [timesim.contact(...)]")
+    pads = _list_of("contacts", contacts, "a list, of one contact too: [timesim.contact(...)], or [] without contacts")
     if not isinstance(excitation, Mapping):
-        if sum("modal_force" in part for part in excitation) > 1:
+        rule = "from timesim.modal_forces or timesim.point_force"
+        listed = enumerate(_list_of("excitation", excitation, f"{rule}, or a list of these, [] without forces"))
+        parts = [mapping_of(f"excitation[{i}]", part, rule) for i, part in listed]
+        if sum("modal_force" in part for part in parts) > 1:
             raise ValueError(
                 "excitation has several modal_forces: give one, its amplitudes and phases those of the sum"
             )
-        kinds = dict.fromkeys(kind for part in excitation for kind in part)
-        excitation = {kind: [force for part in excitation for force in part.get(kind, ())] for kind in kinds}
-    whole = {"structure": structure, "contacts": list(contacts), "excitation": excitation} | given(solver=solver)
+        kinds = dict.fromkeys(kind for part in parts for kind in part)
+        excitation = {kind: [force for part in parts for force in part.get(kind, ())] for kind in kinds}
+    whole = {"structure": structure, "contacts": pads, "excitation": excitation} | given(solver=solver)
     transient = {"excitation": {"frequency": 1.0} | dict(excitation), "study": {"kind": "transient", "cycles": 1}}
     load_scene(whole | transient)
     return whole

@@ -6,22 +6,32 @@ checks and their numerics, and give the same bits.
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
 from timesim.fault import RuleError
-from timesim.notebook.parts import Section, array_of, given
+from timesim.notebook.parts import Section, array_of, given, mapping_of
+from timesim.result.file import StoreError
+from timesim.result.label import is_scalar_key
 from timesim.study.point import point_again
 from timesim.study.registry import draw, run
 
 if TYPE_CHECKING:
     import xarray
 
-DRAWN = ("direction", "frequency", "point", "axis", "contact", "time", "cycle", "harmonic")
-"""Axes of results that pictures need."""
 SETTLED = ["direction", "frequency"]
 """Axes of a sweep that the one point of `settle` has none of."""
+
+
+def _run(system: Section, study: Section, **more: Any) -> "xarray.Dataset":
+    """Run a study of a system."""
+    rule = "what timesim.system returns (timesim.run runs a scene file)"
+    whole = mapping_of("system", system, rule)
+    for part in ("structure", "excitation"):
+        if not isinstance(whole.get(part), Mapping):
+            raise ValueError(f"system has no {part}, its keys are {', '.join(whole) or 'none'}: it must be {rule}")
+    return run(whole | more | {"excitation": whole["excitation"] | more.get("excitation", {}), "study": study})
 
 
 def integrate(
@@ -47,9 +57,8 @@ def integrate(
         The variables of a transient's result file, `displacement` of shape (time, point, axis) among them.
     """
     study = {"kind": "transient", "cycles": cycles, "samples_per_cycle": samples_per_cycle}
-    driven = system["excitation"] | {"frequency": frequency}
-    scene = system | {"excitation": driven, "initial": initial, "study": study | given(record_last=record_last)}
-    return run(scene)
+    study |= given(record_last=record_last)
+    return _run(system, study, excitation={"frequency": frequency}, initial=initial)
 
 
 def sweep(
@@ -86,12 +95,15 @@ def sweep(
         "periodic": periodic,
         "settle": {"tolerance": tolerance, "max_cycles": max_cycles},
     }
-    return run(system | {"study": study | given(over=over and dict(over), refine=refine)})
+    if over is not None:
+        over = mapping_of("over", over, "a mapping of values by their key, {'contacts.pad.preload': [1, 2]}")
+    return _run(system, study | given(over=over, refine=refine))
 
 
 def settle(system: Section, frequency: float, *, tolerance: float = 1e-8, max_cycles: int = 2000) -> "xarray.Dataset":
     """The steady state at one frequency [Hz], from the start of the system; arguments and variables as of `sweep`."""
-    result = sweep(system, [frequency], tolerance=tolerance, max_cycles=max_cycles)
+    single = float(array_of("frequency", frequency, ()))
+    result = sweep(system, [single], tolerance=tolerance, max_cycles=max_cycles)
     return result.isel(direction=0, frequency=0)
 
 
@@ -113,7 +125,7 @@ def follow(
     """
     span = {"from": start, "to": stop}
     study = {"kind": "hbm", "frequency": span, "harmonics": harmonics, "time_samples": time_samples}
-    return run(system | {"study": study})
+    return _run(system, study)
 
 
 def show(path: str | Path, at: Mapping[str, float | str]) -> "xarray.Dataset":
@@ -128,7 +140,9 @@ def show(path: str | Path, at: Mapping[str, float | str]) -> "xarray.Dataset":
 
     Raises:
         ValueError: the result has no such point, or more than one.
+        StoreError: no such file, or not a result of timesim.
     """
+    at = mapping_of("at", at, "a mapping of values by their axis, {'frequency': 0.945}")
     try:
         return point_again(path, at).motion
     except RuleError as error:
@@ -152,15 +166,22 @@ def plot(
 
     Raises:
         ValueError: what is given is no result, or a part of one, which names no study or lacks an axis.
+        StoreError: the folder cannot be made, or a file cannot be written.
     """
     if "study" not in getattr(result, "attrs", ()):
         rule = "names no study: it must be a whole result, as a function of timesim or `timesim.open_result` returns it"
         raise ValueError(f"result is a {type(result).__name__} that {rule}")
-    single = [name for name in DRAWN if name in result.coords and not result[name].dims]
-    if single == SETTLED:
+    swept = result.attrs["study"] == "sweep"  # whose pictures need no axis of a scalar
+    axes = (str(name) for name, axis in result.coords.items() if not axis.dims)
+    single = [name for name in axes if not (swept and is_scalar_key(name))]
+    if set(single) == set(SETTLED):
         result, single = result.expand_dims(SETTLED), []
     if single:
-        rule = f"keep it as an axis, by a list of one: result.sel({single[0]}=[...])"
+        one = f"{{{single[0]!r}: [...]}}" if is_scalar_key(single[0]) else f"{single[0]}=[...]"
+        rule = f"keep it as an axis, by a list of one: result.sel({one})"
         raise ValueError(f"result has a single {' and a single '.join(single)}: {rule}")
-    Path(folder).mkdir(parents=True, exist_ok=True)
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"folder {folder} cannot be made ({error.strerror or error}): give another one") from None
     return draw(result, folder, kind=kind, log=[log] if isinstance(log, str) else log)
