@@ -404,6 +404,15 @@ def test_map_carries_creep_to_its_limit():
     assert int(data.cycles.max()) < 100
 
 
+def test_a_map_says_why_and_where_points_failed():
+    study = {"kind": "element_map", "A": [0.0, 1.0], "B": [0.05, 0.9], "D": 0.2, "psi_deg": 40}
+    pad = {"friction": 0.5, "tangential_stiffness": [[20, 5], [5, 12]], "normal_stiffness": 20, "preload": 3}
+    outcome = carry_out(load_scene(scene(study, **pad), {"solver.max_steps": 130}))
+    assert np.isnan(outcome.groups[""].dissipation.values).tolist() == [[False, True], [True, True]]
+    why = "the budget of 130 steps a cycle is spent (3 points, the first at A = 0, B = 0.9). Raise solver.max_steps"
+    assert outcome.reason == f"the event loop ended early at 3 of 4 points, NaN in the result: {why}"
+
+
 def test_map_ends_creep_where_the_march_does():
     """As state by state finds it: at the border of the offsets of full stick, not within."""
     pairs = [creeping(seed) for seed in CREEPING]

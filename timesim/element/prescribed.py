@@ -189,7 +189,7 @@ class CycleEnd:
         dissipation: work of friction, shape (N,) [force length].
         slip: w at the end of the cycle, shape (N, 2), in units of the elements.
         state: state there, shape (N,).
-        good: whether the loop reached it, shape (N,).
+        status: `Status` of each, shape (N,); RUNNING where the loop reached it.
     """
 
     mean: np.ndarray
@@ -197,7 +197,12 @@ class CycleEnd:
     dissipation: np.ndarray
     slip: np.ndarray
     state: np.ndarray
-    good: np.ndarray
+    status: np.ndarray
+
+    @property
+    def good(self) -> np.ndarray:
+        """Whether the loop reached it, shape (N,)."""
+        return self.status == Status.RUNNING
 
 
 def cycle_end(elements: Elements, end: Trajectory) -> CycleEnd:
@@ -210,5 +215,5 @@ def cycle_end(elements: Elements, end: Trajectory) -> CycleEnd:
         dissipation=np.ravel(point.work) * elements.length * elements.force,
         slip=np.stack([np.ravel(w) for w in point.w], axis=1),
         state=np.ravel(end.state),
-        good=np.ravel(end.status) == Status.RUNNING,
+        status=np.ravel(end.status),
     )

@@ -18,6 +18,7 @@ from timesim.element.elements import Elements, harmonic_elements
 from timesim.element.prescribed import CycleEnd, PrescribedContacts, cycle_end, drive_of, march_cycle
 from timesim.engine.method import step_method
 from timesim.engine.solver import step_control
+from timesim.engine.status import Status
 from timesim.model.contact_state import require_cone
 from timesim.model.model import SEPARATION, SLIP
 from timesim.model.solver import Solver
@@ -40,6 +41,13 @@ SETTLED = 0.1
 ALMOST_STUCK = 1e-5
 # Ends of cycles from which a limit is extrapolated.
 HISTORY = 6
+ADVICE = {
+    Status.BUDGET: "Raise solver.max_steps",
+    Status.TOO_SHORT: "Try a larger solver.rtol, or a less stiff contact",
+    Status.ZENO: "Try a softer contact, or solver.accuracy: reference",
+    Status.NOT_FINITE: "Check the values of the map, and try a smaller solver.rtol",
+}
+"""What to try for one contact without modes; `Status` has that for structures."""
 
 
 class MapMarch:
@@ -49,6 +57,7 @@ class MapMarch:
         result: the present results, by the names of the result file: the coefficients of (19), shape (N, 2) [force],
             the dissipation [force length], the transitions in the cycle, the cycles marched, whether it repeats, and
             whether it sticks throughout, or all but, so that w, and with it f_b, may keep another offset.
+        status: `Status` at the end of the last cycle, shape (N,).
     """
 
     def __init__(self, elements: Elements, phase: np.ndarray, solver: Solver):
@@ -60,7 +69,7 @@ class MapMarch:
         self.slip, self.state = elements.start[:, :2].copy(), elements.start_state.copy()
         self.forces = np.full((count, 4, 2), np.nan)
         self.forces[:, -1] = elements.start_force(self.slip, self.state)
-        self.since = np.zeros(count, dtype=int)
+        self.since, self.status = np.zeros(count, dtype=int), np.full(count, Status.RUNNING)
         pair = np.full((count, 2), np.nan)
         # Of the last leap: the friction force and the state before it, and the change of the force.
         self.origin, self.origin_state, self.way = pair.copy(), self.state.copy(), pair.copy()
@@ -104,7 +113,7 @@ class MapMarch:
 
     def _take(self, cycle: int, rows: np.ndarray, reached: CycleEnd, count: np.ndarray) -> None:
         """Write the results of a cycle."""
-        result, good = self.result, reached.good
+        result, good, self.status[rows] = self.result, reached.good, reached.status
         forces = (reached.mean, *in_phase(reached.first, self.phase[rows]))
         for name, values in zip(("f_b", "f_s", "f_c"), forces, strict=True):
             result[name][rows] = np.where(good[:, None], values, np.nan)
@@ -175,6 +184,20 @@ def elements_of(plan: MapPlan) -> tuple[Elements, np.ndarray]:
     return harmonic_elements(*numbers, plan.contact.tangential_stiffness, phasor), phase
 
 
+def _failure(march: MapMarch, plan: MapPlan, solver: Solver) -> str | None:
+    """How many points failed, why and where the first of them did, and what to try; None if none did."""
+    failed = np.flatnonzero(march.status != Status.RUNNING)
+    if not failed.size:
+        return None
+    status = Status(march.status[failed[0]])
+    place = np.unravel_index(failed[0], [len(plan.values[key]) for key in plan.axes])
+    where = ", ".join(f"{key} = {plan.values[key][i]:.6g}" for key, i in zip(plan.axes, place, strict=True))
+    alike = counted(int(np.sum(march.status == status)), "point")
+    why = f"{status.reason.format(budget=solver.budget)} ({alike}, the first at {where})"
+    of_all = f"{failed.size} of {counted(march.elements.size, 'point')}"
+    return f"the event loop ended early at {of_all}, NaN in the result: {why}. {ADVICE[status]}"
+
+
 def study(scene: Scene, execution: Execution) -> Outcome:
     """Run an element_map scene; the result is incomplete if it was interrupted or the event loop ended early."""
     plan: MapPlan = scene.plan
@@ -191,11 +214,9 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         of_all = f"{np.sum(~result['settled'])} of {counted(elements.size, 'point')}"
         reason = f"{INTERRUPTED} with {of_all} unsettled (settled = 0)"
     seconds = time.perf_counter() - compiled
+    reason = reason or _failure(march, plan, solver)
     lost = np.isnan(result["dissipation"])
     creeping = int(np.sum(~result["settled"] & ~lost & (result["cycles"] == MAX_CYCLES)))
-    if lost.any() and reason is None:
-        of_all = f"{lost.sum()} of {counted(elements.size, 'point')}"
-        reason = f"the event loop ended early at {of_all}, NaN in the result"
     stuck, taken = int(np.sum(result["offset_free"])), result["cycles"][result["settled"]]
     coords = {MAP_AXES[key]: np.array(plan.values[key]) for key in plan.axes}
     variables = {
