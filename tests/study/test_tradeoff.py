@@ -12,7 +12,7 @@ import xarray
 from xarray import Dataset
 
 import timesim
-from timesim.engine.status import RunError
+from timesim.engine.status import RunError, Status
 from timesim.model.solver import CLOSED_FORM, Solver
 from timesim.picture.tradeoff import error_against_time
 from timesim.scene.transient import TradeoffPlan
@@ -167,6 +167,24 @@ def test_what_has_no_time_left_or_fails_is_named(monkeypatch: pytest.MonkeyPatch
         "left out, too stiff: rk4, 63 steps a cycle (at time 1 s); tsit5, rtol 0.001 (at time 1 s)",
     ]
     assert data.attrs["modes_not_tried"] == "1"
+
+
+def test_where_steps_are_spent_more_of_them_are_advised(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More time for the study would not help."""
+    one_method = [trial for trial in TRIALS if trial.solver.name == "tsit5"]
+    spent = f"at time 1 s: {Status.BUDGET.message(solver='tsit5', budget=100, contact='pad')}"
+    monkeypatch.setattr(benches, "_through", lambda *_: (_ for _ in ()).throw(RunError(spent)))
+    for trials, what in ((one_method, "by no second method"), (one_method[:1], "one run says nothing of its error")):
+        made = bench(trials, budget=1e9)
+        made._compiling[benches.program(made.trials[0].solver, 2)] = 0.0
+        made.try_(Solver("rk4", 1e-8, 1e-10, longest=0.1))
+        (said,) = [line for line in lines(study._record(SCENE, made, judge(made), None)) if what in line]
+        assert said.endswith(": raise solver.max_steps")
+        made.left_out[Solver("dopri8", 1e-9, 1e-11), 2] = benches.NO_TIME
+        (said,) = [line for line in lines(study._record(SCENE, made, judge(made), None)) if what in line]
+        assert said.endswith(": raise solver.max_steps and give it a larger study.budget")
+    reason = carry_out(SCENE).reason or ""
+    assert reason.startswith("no run has come to its end (raise solver.max_steps): the budget of 100 steps")
 
 
 def test_compilation_is_what_the_first_run_takes_longer_than_the_quickest(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 from xarray import Dataset
 
+from timesim.engine.status import Status
 from timesim.model.solver import CLOSED_FORM
 from timesim.scene.text import flow
+from timesim.study.tradeoff.bench import NO_TIME
 
 KEPT = "solver_kept"
 """Attribute of the result: the keys of the scene's own section `solver` that belong in every block, as JSON."""
@@ -23,14 +25,24 @@ def lines(data: Dataset) -> Iterator[str]:
     yield from (f"left out, {line}" for line in attrs["left_out"].splitlines())
 
 
+def more_runs(left_out: str) -> list[str]:
+    """What to do for more runs to come to their end, by the lines of those that were left out."""
+    causes = {
+        Status.BUDGET.reason.partition("{")[0]: "raise solver.max_steps",
+        NO_TIME: "give it a larger study.budget",
+    }
+    return [what for cause, what in causes.items() if any(line.startswith(cause) for line in left_out.splitlines())]
+
+
 def _verdict(data: Dataset) -> Iterator[str]:
     """How well the errors are known, and what follows from them."""
     attrs = data.attrs
     known, truth = attrs["error_known_to"], attrs["truth"]
-    by = f"by two methods, {truth}" if truth else "by no second method: give it a larger study.budget"
+    more = " and ".join(more_runs(attrs["left_out"])) or "give it a larger study.budget"
+    by = f"by two methods, {truth}" if truth else f"by no second method: {more}"
     what = "of the settled amplitude" if attrs["judged_by_amplitude"] else "of the state at the end"
     if not np.isfinite(known):
-        yield "one run says nothing of its error: give it a larger study.budget"
+        yield f"one run says nothing of its error: {more}"
         return
     yield "* no other run of the whole scene is both faster and better"
     yield f"errors are those {what}, relative to its size, known to {known:.1e} {by}"

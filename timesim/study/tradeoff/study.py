@@ -24,7 +24,7 @@ from timesim.scene.transient import TradeoffPlan
 from timesim.study.execution.campaign import Execution
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.tradeoff.bench import NO_TIME, Bench, Trial
-from timesim.study.tradeoff.report import KEPT, block, lines
+from timesim.study.tradeoff.report import KEPT, block, lines, more_runs
 
 FINE = 1e-11
 """Tolerance of the runs by which the others are judged."""
@@ -46,7 +46,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     except KeyboardInterrupt:
         reason = f"interrupted after {counted(len(bench.trials), 'run')}"
     if not bench.trials and reason is None:
-        reason = f"no run has come to its end: {next(left_out_lines(bench))}"
+        why = next(left_out_lines(bench))
+        reason = f"no run has come to its end{''.join(f' ({what})' for what in more_runs(why))}: {why}"
     judged = judge(bench)
     data = _record(scene, bench, judged, reason)
     return Outcome({"": data}, reason, tuple(lines(data)))
