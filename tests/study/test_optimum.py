@@ -173,6 +173,7 @@ def test_a_peak_that_is_the_same_over_a_span_is_told_and_drawn_so():
     said = list(optimum_lines(data.assign(peak=units["peak"]).assign_coords({KEY: units[KEY]}), 1e-3))
     assert any("to 10 N: any value between" in line for line in said)
     assert any(line.startswith("least peak 2.8 mm at ") for line in said)
+    assert all(ax.get_xlabel().startswith("pad preload") for ax in plot_optimum.PICTURES["peak"](data).axes)
     low, high = plot_optimum.magnified(data).get_ylim()
     assert high - low > 1e-4 * 2.8
 
@@ -211,7 +212,7 @@ def test_a_value_without_a_motion_is_named():
     with pytest.raises(SearchError, match=r"no steady state was found at contacts.pad.preload = 3\.\d+: it broke"):
         peaks.search()
     lines = list(optimum_lines(data_of(peaks).assign_attrs(complete=0), 1e-3))
-    assert any("least peak 0.25" in line for line in lines)
+    assert any("least peak 0.25 so far, at " in line for line in lines)
     assert not any("not smaller" in line for line in lines)
 
 

@@ -145,7 +145,7 @@ def _peak_figure(data: Dataset) -> Figure | None:
     if not np.isfinite(data["peak"].values).any():
         return None
     fig, axs = stacked(2, 2.8, share_x=False)
-    peak(data, axs[0]).set_xlabel("")
+    peak(data, axs[0])
     magnified(data, axs[1])
     legend_beside(axs[0], labelled(axs[0]).values())
     return finish(fig, data, "peak over the frequencies, below magnified")

@@ -35,7 +35,8 @@ def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
     def height(i: int) -> str:
         return with_unit(f"{peak[i]:.7g}", data["peak"].attrs)
 
-    yield f"least peak {height(at)} at {key} = {at_value(at)}, at {float(data['optimum_frequency']):.6g} Hz"
+    so_far = "" if data.attrs["complete"] else " so far,"
+    yield f"least peak {height(at)}{so_far} at {key} = {at_value(at)}, at {float(data['optimum_frequency']):.6g} Hz"
     beside = [i for value in (best - accuracy, best + accuracy) for i in np.flatnonzero(values == value).tolist()]
     first, last = as_low(peak, at)
     if data.attrs["complete"] and values[last] - values[first] > 3 * accuracy:
