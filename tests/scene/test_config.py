@@ -338,6 +338,11 @@ def test_bad_override(override: str, key: str, rule: str):
     assert rule in problem.rule
 
 
+def test_an_entry_of_a_list_that_the_scene_leaves_out_cannot_be_set():
+    with pytest.raises(SceneError, match=r"contacts.stop.normal: .*must be a list \(not in the scene: give all of it"):
+        load_scene(BASE, ["contacts.stop.normal.0=1"])
+
+
 @pytest.mark.parametrize("override", ["contact.pad.preload=3", "contact=3", "solver.bogus.x=1"])
 def test_a_key_that_an_override_makes_on_the_way_is_no_line_of_the_file(override: str, tmp_path: Path):
     path = tmp_path / "scene.yaml"

@@ -239,6 +239,8 @@ def _hint(
         return meant(value, str(context["expected"]).replace(" or ", ", ").replace("'", "").split(", "))
     if kind in MAPPINGS and (fields := _fields_at(location, tree)):
         return f"its keys: {', '.join(fields)}"
+    if kind == "tuple_type" and isinstance(value, dict) and value and all(part.isdecimal() for part in value):
+        return "not in the scene: give all of it there before one of its entries is set or varied"
     if kind == "tuple_type":
         return "put - before it, as before each of several" if isinstance(value, dict) else _above(location, tree)
     if kind == "string_type" and isinstance(value, int | float):
