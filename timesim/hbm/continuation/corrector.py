@@ -219,7 +219,7 @@ class Corrector:
             NoSolutionError: as of `damped_newton`, which takes over where derivatives do not hold for long.
         """
         try:
-            return self.simplified_newton(guess, normal)
+            return self.simplified_newton(guess, normal, fresh=True)
         except NoSolutionError:
             return self.damped_newton(guess, normal)
 
