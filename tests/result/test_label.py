@@ -141,7 +141,7 @@ def assert_in_its_units(one: xarray.Dataset, other: xarray.Dataset, name: str) -
     if name in ("closure", "seconds_a_cycle", "seconds_scatter", "compile_seconds_before"):  # of rounding; times
         return
     # A difference of motions that are nearly the same: known to their rounding.
-    if name in ("settled_to", "cycle_amplitude_error"):
+    if name in ("settled_to", "cycle_amplitude_error", "relative_difference"):
         np.testing.assert_allclose(values, variable, rtol=1e-3, atol=1e-12)
         return
     size = np.abs((one["energy_input"] if name == "energy_residual" else variable).values)
