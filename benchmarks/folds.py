@@ -3,12 +3,14 @@
 At a fold a real Floquet multiplier passes 1, so the number of those above 1 is even on one side and odd on the other.
 The curves are those of benchmarks/generated.py. First the multipliers of the balance are asked, of solutions on both
 sides; where one of them is too near 1 to tell, time integration: the motion of the solution is shot by collocation at
-1e-9, be it stable or not, and the multipliers are those of the cycle to which that leads.
+1e-9, be it stable or not, and the multipliers are those of the cycle to which that leads. Where neither tells a part
+of the curve is followed again by as many harmonics as the program ever takes: whether it turns there as well, and a
+multiplier passes 1. Harmonics that are left out may move a multiplier by more than a narrow pair of folds does.
 
     python benchmarks/folds.py --seeds 103 107 116
 
-A row a structure: how many of the folds are real by the balance's multipliers, by those of time integration, false by
-these, and open, where Newton's method leads from no solution near by to a cycle; CPU seconds.
+A row a structure: how many of the folds are real by the balance's multipliers, by those of time integration, by more
+harmonics, false by all of them, and open, where Newton's method leads from no solution near by to a cycle; CPU seconds.
 """
 
 import argparse
@@ -21,8 +23,9 @@ from typing import Any
 import numpy as np
 
 from timesim.hbm.balance import Balance
+from timesim.hbm.continuation import Controls, Curve, follow
 from timesim.hbm.curve import HbmCurve
-from timesim.hbm.scheme import Scheme
+from timesim.hbm.scheme import MORE_HARMONICS, Scheme
 from timesim.hbm.stability import floquet_multipliers
 from timesim.model.model import Model
 from timesim.model.reduction import reduction_of
@@ -39,6 +42,9 @@ SAMPLES = 2048
 CLEAR, FINE = 1e-2, 1e-5
 # Solutions on each side of a fold that are asked, iterations of Newton's method, and a change that ends it.
 NEIGHBOURS, SHOTS, CLOSED = 12, 12, 1e-8
+# Solutions before and behind a fold between which it is followed by more harmonics, tried in turn; how far these may
+# move it, relative to its frequency; and the distance of a multiplier from 1 from which on it tells its side then.
+AROUND, MOVED, CLOSE = (6, 10, 16, 24), 1e-4, 2e-4
 # Largest distance of a cycle from the motion of the balance, relative to the state: farther it is another motion.
 SAME = 0.02
 
@@ -100,12 +106,45 @@ def by_integration(balance: Balance, curve: HbmCurve, at: int) -> int | None:
     return None
 
 
-def sides(curve: HbmCurve, fold: int) -> list[list[int]]:
+def by_more_harmonics(model: Model, curve: HbmCurve, fold: int) -> bool:
+    """Whether the curve turns near a fold by more harmonics as well, and a multiplier passes 1 there."""
+    balance = Balance(model, float(curve.frequency[0]), Scheme(MORE_HARMONICS[-1], SAMPLES))
+    for reach in AROUND:
+        finer = again(balance, curve, fold, reach)
+        for place in [] if finer is None else np.flatnonzero(finer.fold):
+            if abs(finer.p[place] / curve.frequency[fold] - 1) < MOVED and passes(balance, finer, int(place)):
+                return True
+    return False
+
+
+def again(balance: Balance, curve: HbmCurve, fold: int, reach: int) -> Curve | None:
+    """A part of a curve about a fold by another balance; None where the curve has no such part."""
+    first, last = fold - reach, fold + reach
+    if first < 0 or last >= curve.frequency.size:
+        return None
+    start, stop = float(curve.frequency[first]), float(curve.frequency[last])
+    if (stop - start) * (curve.frequency[first + 1] - start) <= 0:
+        return None
+    guess, known = np.zeros((balance.num_contacts, 3, balance.size)), curve.contact_motion[first]
+    guess[..., : min(balance.size, known.shape[-1])] = known[..., : balance.size] / balance.length
+    return follow(balance, guess.ravel(), start, stop, Controls())
+
+
+def passes(balance: Balance, curve: Curve, fold: int) -> bool:
+    """Whether the number of real multipliers above 1 is even on one side of a fold and odd on the other."""
+    found = []
+    for side in sides(curve, fold):
+        each = (floquet_multipliers(balance, curve.x[at][None], curve.p[at : at + 1], samples=SAMPLES) for at in side)
+        found.append(next((n for own in each if (n := number_above(own[0], CLOSE)) is not None), None))
+    return None not in found and sum(filter(None, found)) % 2 == 1
+
+
+def sides(curve: HbmCurve | Curve, fold: int) -> list[list[int]]:
     """Solutions on each side of a fold as far as the next fold, the nearest first."""
     found = []
     for step in (-1, 1):
         places = [fold + step * k for k in range(1, NEIGHBOURS + 1)]
-        inside = [k for k in places if 0 <= k < curve.frequency.size]
+        inside = [k for k in places if 0 <= k < curve.fold.size]
         ends = [i for i, k in enumerate(inside) if curve.fold[k]]
         found.append(inside[: ends[0]] if ends else inside)
     return found
@@ -125,6 +164,8 @@ def verdict(balance: Balance, curve: HbmCurve, fold: int) -> str:
             if len(known) == 2 and sum(known) % 2:
                 return name
             told |= name == "integration" and len(known) == 2
+    if by_more_harmonics(balance.model, curve, fold):
+        return "harmonics"
     return "false" if told else "open"
 
 
@@ -133,7 +174,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[103, 107, 116, 118, 123, 129, 130, 135])
     parser.add_argument("--processes", type=int, default=1, help="that work on a curve which takes long")
     options = parser.parse_args()
-    print("| seed | folds | real by the balance | by time integration | false | open | CPU s |\n" + "|---" * 7 + "|")
+    names = ("real by the balance", "by time integration", "by more harmonics", "false", "open")
+    print(f"| seed | folds | {' | '.join(names)} | CPU s |\n" + "|---" * 8 + "|")
     for seed in options.seeds:
         with Processes(options.processes) as processes:
             model, curves, scheme = followed(seed, processes)
@@ -144,7 +186,7 @@ def main() -> None:
                 verdicts[found := verdict(balance, curve, int(fold))] += 1
                 if found in ("false", "open"):
                     print(f"{seed}: {found}: fold at {curve.frequency[fold]:.9g} Hz, solution {fold}", flush=True)
-        cells = (verdicts[name] for name in ("balance", "integration", "false", "open"))
+        cells = (verdicts[name] for name in ("balance", "integration", "harmonics", "false", "open"))
         seconds = f"{time.process_time() - clock:.0f}"
         print(f"| {seed} | {verdicts.total()} | {' | '.join(map(str, cells))} | {seconds} |", flush=True)
 
