@@ -244,7 +244,9 @@ def _coefficient(data: Dataset, name: str, tangent: str) -> np.ndarray:
     noise = NOISE * max(float(np.abs(data[part]).max()) for part in COEFFICIENTS)
     z = np.where(np.abs(z) <= noise, 0.0, z)
     known = z[np.isfinite(z)]
-    return z if not known.size or np.ptp(known) > noise else z - z + (known.max() + known.min()) / 2
+    if not known.size or np.ptp(known) > noise:
+        return z
+    return np.where(np.isnan(z), z, (known.max() + known.min()) / 2)
 
 
 def _axis_label(data: Dataset, name: str) -> str:
