@@ -23,8 +23,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from timesim.hbm.balance import Balance
+from timesim.hbm.branches import solutions_at
 from timesim.hbm.continuation import Controls, follow
-from timesim.hbm.curve import evaluated, hbm_curve, solutions_at
+from timesim.hbm.curve import evaluated, hbm_curve
 from timesim.hbm.scheme import Scheme, enough_samples
 from timesim.model.model import GROUND, Contact, Excitation, Model, Start, Structure
 from timesim.model.solver import PRESETS, Criterion

@@ -10,10 +10,11 @@ import systems
 from timesim.hbm import adaptive, first_guess
 from timesim.hbm.adaptive import AdaptiveBalance, tail
 from timesim.hbm.balance import Balance
+from timesim.hbm.branches import solutions_at
 from timesim.hbm.continuation import Bordered, Controls, Curve, Ending, Nearby
 from timesim.hbm.continuation.bordered import STEEPEST
 from timesim.hbm.convergence import neglected
-from timesim.hbm.curve import by_schemes, evaluated, hbm_curve, solutions_at
+from timesim.hbm.curve import by_schemes, evaluated, hbm_curve
 from timesim.hbm.scheme import NEGLECTED, Scheme, coarsest, finer_schemes
 from timesim.model.model import GROUND, Contact, Excitation, Model, Structure
 

@@ -13,10 +13,10 @@ import systems
 
 from timesim.hbm import first_guess
 from timesim.hbm.balance import Balance
-from timesim.hbm.branches import warm_up
+from timesim.hbm.branches import solutions_at, warm_up
 from timesim.hbm.continuation import Controls, Ending, solve
 from timesim.hbm.continuation.bordered import Bordered
-from timesim.hbm.curve import hbm_curve, solutions_at
+from timesim.hbm.curve import hbm_curve
 from timesim.hbm.first_guess import first_guesses, unknowns_of_modes
 from timesim.hbm.scheme import Scheme
 from timesim.hbm.tangent import compile_slopes

@@ -170,7 +170,7 @@ def test_a_curve_that_takes_long_is_followed_from_both_ends(monkeypatch, ends):
     both = follow(Cubic(), guesses[start], start, stop, watched, from_end=from_end)
     ((middle, other),) = asked
     assert abs(middle) < 2
-    assert other.given_up
+    assert not other.given_up
     assert both.complete
     assert len(shares) < both.p.size < alone.p.size + 10
     assert shares[-1] == 1.0
@@ -191,7 +191,9 @@ def test_a_curve_goes_on_alone_where_the_other_end_does_not_lead_to_it(monkeypat
     elsewhere = replace(follow(Cubic(), np.full(2, 3.0), 10.0, 0.0, CONTROLS))
     elsewhere = replace(elsewhere, x=elsewhere.x + 0.1)
     for curve in (None, lost, elsewhere):
-        for_all = follow(Cubic(), np.full(2, -3.0), -10.0, 10.0, CONTROLS, from_end=lambda _: OtherProcess(curve))  # noqa: B023
+        other = OtherProcess(curve)
+        for_all = follow(Cubic(), np.full(2, -3.0), -10.0, 10.0, CONTROLS, from_end=lambda _: other)  # noqa: B023
+        assert other.given_up
         np.testing.assert_array_equal(for_all.x, alone.x)
         assert for_all.message == alone.message
     few = replace(CONTROLS, max_points=alone.p.size - 2)

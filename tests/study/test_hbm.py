@@ -16,7 +16,7 @@ from timesim.fault import SceneError
 from timesim.hbm import branches, first_guess
 from timesim.hbm import convergence as hbm_convergence
 from timesim.hbm import scheme as hbm_scheme
-from timesim.hbm.branches import SettledMotion
+from timesim.hbm.branches import SettledMotion, solutions_at
 from timesim.hbm.continuation import Controls, Ending, part_of, solve
 from timesim.hbm.convergence import (
     SAMPLED,
@@ -27,7 +27,7 @@ from timesim.hbm.convergence import (
     sampling_error,
     with_more_samples,
 )
-from timesim.hbm.curve import HbmCurve, hbm_curve, solutions_at
+from timesim.hbm.curve import HbmCurve, hbm_curve
 from timesim.hbm.scheme import NEGLECTED, NOTED, Scheme, most_harmonics
 from timesim.model.model import Model
 from timesim.picture import hbm as plot_hbm

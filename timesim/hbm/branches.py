@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from timesim.hbm.balance import Array, Balance
-from timesim.hbm.continuation import SAME, Controls, Ending, crossings, solve
-from timesim.hbm.curve import HbmCurve, hbm_curve, schemes_of, solutions_at
+from timesim.hbm.continuation import SAME, Controls, Curve, Ending, Solution, crossings, solve, solve_near
+from timesim.hbm.curve import HbmCurve, evaluated, hbm_curve, schemes_of
 from timesim.hbm.first_guess import unknowns_of_modes
 from timesim.hbm.scheme import Scheme
+from timesim.hbm.stability import sign_with_offsets_kept
 from timesim.hbm.tangent import compile_slopes, linearised
 from timesim.model.model import Model
 
@@ -141,6 +142,45 @@ def passes(curve: HbmCurve, motion: SettledMotion) -> bool:
         if np.max(np.abs(here - motion.amplitude)) <= NEAR * np.max(motion.amplitude):
             return True
     return False
+
+
+def solutions_at(
+    model: Model, curve: HbmCurve, frequency: float | Array, *, scheme: Scheme | None = None, stability: bool = True
+) -> HbmCurve:
+    """The solutions of a curve at given frequencies, each solved for anew, in the order of these and of the curve.
+
+    Args:
+        model, curve: as given to and got from `hbm_curve`.
+        frequency: where [Hz], one or several; outside the curve there are none.
+
+    Keyword Args:
+        scheme, stability: as given to `hbm_curve`.
+    """
+    wanted = np.atleast_1d(np.asarray(frequency, dtype=float))
+    balance = Balance(model, float(wanted[0]), scheme or Scheme())
+    unknowns = curve.contact_motion.reshape(curve.frequency.size, balance.num_unknowns) / balance.length
+    places = [(f, *crossing) for f in wanted for crossing in crossings(curve.frequency, f)]
+    rows, branch = list[Solution](), []
+    for f, i, share in places:
+        solution = solve_near(balance, _between(unknowns, curve.frequency, (i, share), f), float(f), Controls())
+        if solution is not None:
+            rows.append((solution[0], f, False, sign_with_offsets_kept(balance, solution[0], f, solution[1])))
+            branch.append(curve.branch[i + 1])
+    ending = Ending.COMPLETE if len(rows) == len(places) else Ending.STEP
+    message = f"{len(rows)} of {len(places)} solutions at {wanted.size} frequencies"
+    solved = Curve.of(rows, balance.num_unknowns, ending, message)
+    return replace(evaluated(balance, solved, stability=stability), branch=np.array(branch, dtype=np.int64))
+
+
+def _between(unknowns: Array, frequency: Array, crossing: tuple[int, float], place: float) -> Array:
+    """Unknowns where a curve passes a frequency: by a cubic through four points if it goes one way along them."""
+    i, share = crossing
+    four = slice(max(i - 1, 0), i + 3)
+    if np.ptp(np.sign(np.diff(frequency[four]))) > 0:  # a fold beside it, where they are no function of the frequency
+        return unknowns[i] + share * (unknowns[i + 1] - unknowns[i])
+    from scipy.interpolate import KroghInterpolator
+
+    return KroghInterpolator(frequency[four], unknowns[four])(place)
 
 
 def _leads_elsewhere(

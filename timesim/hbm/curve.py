@@ -18,13 +18,10 @@ from timesim.hbm.continuation import (
     Curve,
     Elsewhere,
     Ending,
-    Solution,
-    crossings,
     follow,
     follow_both_ways,
     joined,
     part_of,
-    solve_near,
 )
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.period import contact_forces
@@ -212,6 +209,17 @@ def part_of_curve(
     return curve_near(balance, first, first, controls, None, lambda x: follow(balance, x, first, last, controls))
 
 
+def left_part(
+    model: Model, start: float, part: Curve, schemes: Sequence[Scheme], *, stability: bool = True
+) -> HbmCurve:
+    """A `part_of_curve` that a curve was interrupted before it met, as another curve that was interrupted."""
+    balance = AdaptiveBalance(lambda own: Balance(model, start, own), schemes, model.num_contacts)
+    place = part.message.split(": ")[0]
+    message = f"{place} from the other end of the range: {Ending.INTERRUPTED.value}"
+    cut = replace(part, ending=Ending.INTERRUPTED, message=message)
+    return finished(balance, cut, evaluated, stability)
+
+
 def each_here(function: Callable[..., HbmCurve], pieces: Sequence[tuple[Any, Curve]]) -> list[HbmCurve]:
     """`Aside.each` by this process."""
     return [function(*piece) for piece in pieces]
@@ -276,45 +284,6 @@ def _check_range(start: float, stop: float) -> None:
         raise ValueError(
             f"hbm: frequency.from and frequency.to must differ, not both {start}; use a sweep for one point"
         )
-
-
-def solutions_at(
-    model: Model, curve: HbmCurve, frequency: float | Array, *, scheme: Scheme | None = None, stability: bool = True
-) -> HbmCurve:
-    """The solutions of a curve at given frequencies, each solved for anew, in the order of these and of the curve.
-
-    Args:
-        model, curve: as given to and got from `hbm_curve`.
-        frequency: where [Hz], one or several; outside the curve there are none.
-
-    Keyword Args:
-        scheme, stability: as given to `hbm_curve`.
-    """
-    wanted = np.atleast_1d(np.asarray(frequency, dtype=float))
-    balance = Balance(model, float(wanted[0]), scheme or Scheme())
-    unknowns = curve.contact_motion.reshape(curve.frequency.size, balance.num_unknowns) / balance.length
-    places = [(f, *crossing) for f in wanted for crossing in crossings(curve.frequency, f)]
-    rows, branch = list[Solution](), []
-    for f, i, share in places:
-        solution = solve_near(balance, _between(unknowns, curve.frequency, (i, share), f), float(f), Controls())
-        if solution is not None:
-            rows.append((solution[0], f, False, sign_with_offsets_kept(balance, solution[0], f, solution[1])))
-            branch.append(curve.branch[i + 1])
-    ending = Ending.COMPLETE if len(rows) == len(places) else Ending.STEP
-    message = f"{len(rows)} of {len(places)} solutions at {wanted.size} frequencies"
-    solved = Curve.of(rows, balance.num_unknowns, ending, message)
-    return replace(evaluated(balance, solved, stability=stability), branch=np.array(branch, dtype=np.int64))
-
-
-def _between(unknowns: Array, frequency: Array, crossing: tuple[int, float], place: float) -> Array:
-    """Unknowns where a curve passes a frequency: by a cubic through four points if it goes one way along them."""
-    i, share = crossing
-    four = slice(max(i - 1, 0), i + 3)
-    if np.ptp(np.sign(np.diff(frequency[four]))) > 0:  # a fold beside it, where they are no function of the frequency
-        return unknowns[i] + share * (unknowns[i + 1] - unknowns[i])
-    from scipy.interpolate import KroghInterpolator
-
-    return KroghInterpolator(frequency[four], unknowns[four])(place)
 
 
 def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmCurve:

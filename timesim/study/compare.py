@@ -18,8 +18,9 @@ from xarray import Dataset
 from timesim.engine.history import Samples
 from timesim.engine.status import RunError
 from timesim.hbm.balance import Array, Balance, Complex
+from timesim.hbm.branches import solutions_at
 from timesim.hbm.continuation import joined, part_of
-from timesim.hbm.curve import HbmCurve, solutions_at
+from timesim.hbm.curve import HbmCurve
 from timesim.hbm.period import period_of
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start

@@ -1,10 +1,12 @@
 """Curves of several sets of values on processes: the same as here, and what was followed is not lost."""
 
 import itertools
+import re
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Future
 from pathlib import Path
 from threading import Event
+from time import sleep
 from typing import Any
 
 import numpy as np
@@ -97,7 +99,7 @@ def test_an_interrupt_keeps_what_is_followed(here: Any, tmp_path: Path, at_once:
     with Interrupted(2) as own:
         data, _, reason = followed(SCENE, SCENE.plan, Execution(folder=tmp_path, processes=own))
     assert reason is not None
-    assert "interrupted at curve" in reason
+    assert re.fullmatch(r"contacts\.pad\.preload -2: continuation at \S+, after \d+ points: interrupted", reason)
     assert at_once == [0]
     assert chunks_done(tmp_path) == 2
     preload, whole = data["contacts.pad.preload"].values, here[0]["contacts.pad.preload"].values
@@ -193,6 +195,36 @@ def test_processes_take_a_part_of_a_curve_that_takes_long(two: Processes, takes_
             )
             inside = slice(3, -3)  # beside a fold the curve is steep
             np.testing.assert_allclose(found[inside], wanted[inside], rtol=0.05, err_msg=f"{name} {branch}")
+
+
+def test_an_interrupt_keeps_what_there_is_from_both_ends(
+    two: Processes, takes_long: list[str], monkeypatch: pytest.MonkeyPatch
+):
+    parts: list[aside.Part] = []
+
+    class Part(aside.Part):
+        def __init__(self, *asked: Any):
+            super().__init__(*asked)
+            parts.append(self)
+
+    def interrupted(*_: Any) -> None:
+        if parts:
+            while parts[0].share < 0.2:
+                sleep(0.05)
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(aside, "Part", Part)
+    data, _, reason = followed(LONG, LONG.plan, Execution(processes=two, progress=interrupted))
+    here, there = (data.isel(solution=data.curve.values == place) for place in range(2))
+    assert here.frequency.values[0] == 1.0
+    assert there.frequency.values[0] == 0.93
+    assert there.sizes["solution"] >= 3
+    assert np.all(np.isfinite(there.amplitude.values[..., 0]))
+    assert reason is not None
+    assert [part.split(", after")[0] for part in reason.split("; ")] == [
+        f"continuation at {own.frequency.values[-1]:.10g}" for own in (here, there)
+    ]
+    assert "from the other end of the range: interrupted" in reason
 
 
 @pytest.mark.parametrize("refused", [True, False])

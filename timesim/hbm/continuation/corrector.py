@@ -332,7 +332,7 @@ def solve(residual: Residual, guess: Array, p: float, controls: Controls) -> tup
 
 def solve_near(residual: Residual, guess: Array, p: float, controls: Controls) -> tuple[Array, int] | None:
     """The same from a good guess, beside which derivatives are kept as long as that converges."""
-    return _solved(Corrector.simplified_newton, residual, guess, p, controls) or solve(residual, guess, p, controls)
+    return _solved(Corrector.newton_near, residual, guess, p, controls)
 
 
 def _solved(

@@ -23,7 +23,7 @@ class Elsewhere(Protocol):
         """The curve once it has ended, None if it failed or the process did not live so long."""
 
     def give_up(self) -> None:
-        """Stop it, if it has not ended."""
+        """Stop it, if it has not ended; its solutions are not among those of the curve."""
 
 
 FromEnd = Callable[[float], Elsewhere]
@@ -35,12 +35,14 @@ class OtherEnd:
 
     Attributes:
         middle: value of the parameter up to which it is followed; None before, and where it does not get there.
+        joined: whether its solutions are among those of the curve.
     """
 
     def __init__(self, from_end: FromEnd | None, end: float):
         """Of a range that ends there; it is never followed if nothing begins to."""
         self.from_end, self.end = from_end, end
         self.middle: float | None = None
+        self.joined = False
         self._work, self._elsewhere = 0, cast(Elsewhere | None, None)
 
     @property
@@ -73,6 +75,6 @@ class OtherEnd:
         return [(own, float(place), bool(fold), int(sign)) for own, place, fold, sign in rows][1:]
 
     def give_up(self) -> None:
-        """Stop it."""
-        if self._elsewhere is not None:
+        """Stop it, unless the curve has its solutions."""
+        if self._elsewhere is not None and not self.joined:
             self._elsewhere.give_up()

@@ -281,11 +281,7 @@ class _PathTracker:
         return bool(np.any(distance <= STRAIGHT * np.sqrt(square)))
 
     def _take(self, before: CurvePoint, step: Step) -> Ending | None:
-        """Keep the point that a step leads to, or the end of the range before it.
-
-        Returns:
-            How the curve ends, if it does.
-        """
+        """Keep the point that a step leads to, or the end of the range before it; how the curve ends, if it does."""
         point, inside = step.point, self.behind != self.start
         if inside and (again := self._start_again(before, point)) is not None:
             self._keep(again)
@@ -323,6 +319,7 @@ class _PathTracker:
             return False
         self._keep(last)
         self.trace.solutions += rest
+        self.other.joined = True
         return True
 
     def _start_again(self, before: CurvePoint, after: CurvePoint) -> CurvePoint | None:

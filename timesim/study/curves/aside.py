@@ -1,13 +1,15 @@
 """What other processes do for a curve that takes long: a part of it, and the evaluation of its solutions."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Future
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from timesim.hbm.continuation import WORK, Controls, Curve
-from timesim.hbm.curve import HbmCurve, part_of_curve
+from timesim.hbm.curve import HbmCurve, left_part, part_of_curve
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
 from timesim.study.execution.processes import Processes, unseen
@@ -22,10 +24,21 @@ class Aside:
     def __init__(self, processes: Processes, schemes: Sequence[Scheme], controls: Controls):
         """For curves by some schemes, in some steps."""
         self.processes, self.schemes, self.controls = processes, tuple(schemes), controls
+        self._parts: list[tuple[Part, Model, float]] = []
 
     def part(self, model: Model, start: float, first: float, last: float) -> "Part":
         """Begin `part_of_curve`."""
-        return Part(self.processes, model, start, first, last, self.schemes, self.controls)
+        part = Part(self.processes, model, start, first, last, self.schemes, self.controls)
+        self._parts.append((part, model, start))
+        return part
+
+    def left_of(self, curves: Sequence[HbmCurve]) -> Iterator[HbmCurve]:
+        """What there is of the parts to whose ends some curves, which an interrupt has cut off, have not come."""
+        ends = [curve.frequency[place] for curve in curves if curve.frequency.size for place in (0, -1)]
+        for part, model, start in self._parts:
+            curve = part.curve() if part.given_up else None
+            if curve is not None and curve.p.size and not np.isclose(curve.p[0], ends).any():
+                yield left_part(model, start, curve, self.schemes)
 
     def each(self, function: Callable[..., HbmCurve], pieces: Sequence[tuple[Any, Curve]]) -> list[HbmCurve]:
         """A function of a module of some residuals and solutions of each."""
@@ -41,7 +54,7 @@ class Part:
 
     def __init__(self, processes: Processes, *asked: Any):
         """Begin to follow it on one of some processes; arguments as of `part_of_curve`."""
-        self.processes, self.share = processes, 0.0
+        self.processes, self.share, self.given_up = processes, 0.0, False
         self._future: Future[Curve] | None = None
         with suppress(BrokenExecutor):
             self._future = processes.submit(self._seen, followed_part, *asked)
@@ -57,7 +70,8 @@ class Part:
         return self._future.result()
 
     def give_up(self) -> None:
-        """Stop it, if it has not ended."""
+        """Stop it, if it has not ended; its solutions are not among those of the curve."""
+        self.given_up = True
         if self._future is not None and not self._future.done():
             self.processes.give_up([self._future])
 

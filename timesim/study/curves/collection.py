@@ -1,6 +1,6 @@
 """The curves of a study, and how those of one set of values are found."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -111,14 +111,13 @@ class Curves:
             self.notes += [own.label + own.curve.message for own in curves if own.curve.ending is Ending.BACKWARDS]
             self.notes.extend(self._left_out(values, curves))
         finally:  # where the next ones, or what they leave out, are interrupted too
-            for curve in curves:
-                self.add(curve)
+            self.add(curves)
         for sweep in sweeps:
             useless: dict[str, list[float]] = {}
             try:
                 for curve in self._through(values, *sweep, watch, useless):
                     self.notes.append(_isolated(curve))
-                    self.add(curve)
+                    self.add([curve])
             finally:
                 self.notes.extend(_not_begun(sweep[0], values, useless))
 
@@ -186,17 +185,20 @@ class Curves:
         key = self.plan.along.key
         return lambda p: self.scene.variant({**values, key: p})
 
-    def add(self, curve: StudyCurve) -> None:
-        """Add a curve.
+    def add(self, curves: Iterable[StudyCurve]) -> None:
+        """Add curves.
 
         Raises:
-            KeyboardInterrupt: it ends where it was interrupted.
+            KeyboardInterrupt: one of them ends where it was interrupted; all are added.
         """
-        grown = self.with_curve(curve)
-        self.scheme, self.curves = grown.scheme, grown.curves
-        if not curve.curve.complete:
-            self.faults.append(curve.label + curve.curve.message)
-        if curve.curve.ending is Ending.INTERRUPTED:
+        endings = []
+        for curve in curves:
+            grown = self.with_curve(curve)
+            self.scheme, self.curves = grown.scheme, grown.curves
+            endings.append(curve.curve.ending)
+            if not curve.curve.complete:
+                self.faults.append(curve.label + curve.curve.message)
+        if Ending.INTERRUPTED in endings:
             raise KeyboardInterrupt
 
     def _from_ends(
@@ -217,6 +219,8 @@ class Curves:
         if guess is None:
             aside = None if processes is None else Aside(processes, options["scheme"], options["controls"])
             curves = curves_from_ends(model, *plan.span, both=plan.both_ends, aside=aside, **options)
+            if aside is not None and curves[-1].ending is Ending.INTERRUPTED:
+                curves += aside.left_of(curves)
         else:
             curves = [hbm_curve(model, *plan.span, guess=guess, begin=begin, **options)]
         yield from (StudyCurve(values, model_at, curve) for curve in curves)

@@ -8,6 +8,7 @@ from functools import partial
 
 from xarray import Dataset
 
+from timesim.hbm.continuation import Ending
 from timesim.hbm.curve import HbmCurve
 from timesim.result.file import StoreError
 from timesim.result.label import counted, in_words
@@ -44,7 +45,8 @@ def follow_all(
         work.carry_out()
     except KeyboardInterrupt:
         work.take_rest()
-        curves.faults.append(f"interrupted at curve {len(curves.curves) + 1}")
+        if Ending.INTERRUPTED not in [own.curve.ending for own in curves.curves]:
+            curves.faults.append(f"interrupted at curve {len(curves.curves) + 1}")
     except StoreError as error:
         work.take_rest()
         curves.faults.append(str(error))
@@ -91,8 +93,7 @@ class _Work:
         (curves, notes, _), values = self.found[place], self.curves.values[place]
         self.added.add(place)
         self.curves.notes += [note for note in notes if note not in self.curves.notes]
-        for curve in curves:
-            self.curves.add(StudyCurve(values, self.curves.model_at(values), curve))
+        self.curves.add(StudyCurve(values, self.curves.model_at(values), curve) for curve in curves)
 
     def _here(self, place: int) -> None:
         """Find the curves of a set."""
