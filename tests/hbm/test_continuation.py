@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from timesim.hbm.continuation import Controls, Curve, Ending, follow, follow_both_ways, other_end, solve
+from timesim.hbm.continuation import Controls, Curve, Ending, corner, follow, follow_both_ways, other_end, solve
 from timesim.hbm.continuation.corrector import Corrector
 from timesim.hbm.continuation.trace import Trace
 from timesim.hbm.continuation.tracker import _PathTracker
@@ -318,7 +318,7 @@ def test_the_way_to_a_corner_does_not_lead_to_the_one_behind_it():
     assert point.orientation > 0
     landed = tracker.corrector.simplified_newton(point.y + 0.02 * point.tangent, point.tangent)
     assert landed.orientation < 0
-    assert tracker._at_corner(point, 0.02 / 0.95, point.tangent) is None
+    assert corner._at_corner(tracker.corrector, tracker.controls, point, 0.02 / 0.95, point.tangent) is None
 
 
 @dataclass

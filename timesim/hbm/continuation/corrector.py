@@ -27,8 +27,6 @@ MAX_FAILURES = 6  # of such changes, after which 2 to this power of points are n
 # Share of the parameter in the tangent at which a fold counts as met: its own error is of second order in it.
 FLAT = 1e-6
 MAX_FOLD = 12  # evaluations; at a corner the bracket only shrinks to a share of itself each time
-# Distance by which the tangents of two points miss each other, as a share of the way, up to which a corner is between.
-STRAIGHT = 0.1
 # A Newton step this long, in units of the solution, leads nowhere.
 MAX_STEP = 10.0
 # Residual relative to the norm of x, its centre included, that is rounding.
@@ -148,24 +146,18 @@ class Corrector:
             y = y + step
         raise NoSolutionError
 
-    def corner_ahead(self, point: CurvePoint, length: float) -> tuple[float, Array]:
-        """How far ahead of a point a corner of the curve lies, up to a length, and the tangent behind it.
+    def linear_ahead(self, point: CurvePoint, length: float) -> CurvePoint:
+        """Where derivatives some way ahead of a point lead, on the plane across its tangent, and the tangent there.
 
-        Derivatives from behind the corner give the line on which the curve goes on, in the direction that keeps the
-        orientation (see `CurvePoint.orientation`), which may lead back; it meets the tangent at the corner.
+        Its direction keeps the orientation (see `CurvePoint.orientation`), and may lead back.
 
         Raises:
-            NoSolutionError: there is none.
+            NoSolutionError: they are singular.
         """
         ahead = self._in_use(point.y + length * point.tangent)
         r, factors = self._bordered(ahead, point.tangent)
-        behind = self._point(ahead + self._step(factors, r, 0.0), factors, 0)
-        if behind.orientation * point.orientation < 0:
-            behind = replace(behind, tangent=-behind.tangent)
-        along, gap = meeting(point, behind)
-        if not (0 <= along <= 2 * length and gap <= STRAIGHT * length):
-            raise NoSolutionError
-        return along, behind.tangent
+        found = self._point(ahead + self._step(factors, r, 0.0), factors, 0)
+        return replace(found, tangent=-found.tangent) if found.orientation * point.orientation < 0 else found
 
     def adapted(self, point: CurvePoint, normal: Array | None = None) -> CurvePoint:
         """A solution by as many unknowns as it asks for, on the plane through it, normal to its tangent by default.
@@ -179,7 +171,10 @@ class Corrector:
             if not self.adaptive.adapt(*self.unscaled(point.y)):
                 break
             try:
-                point = self.newton_near(point.y, point.tangent if normal is None else normal)
+                new = self.newton_near(point.y, point.tangent if normal is None else normal)
+                if new.orientation * point.orientation < 0:  # a fold of one of them lies between
+                    raise NoSolutionError
+                point = new
             except NoSolutionError:
                 self.adaptive.restore()
                 self.failures = min(self.failures + 1, MAX_FAILURES)
@@ -316,13 +311,6 @@ class Corrector:
 
     def _step(self, factors: Bordered, r: Array, off_plane: float) -> Array:
         return self._spread(factors.solve(-r / self.x_unit, off_plane), self.size + 1)
-
-
-def meeting(point: CurvePoint, other: CurvePoint) -> tuple[float, float]:
-    """How far along the tangent of a point that of another one comes closest to it, and their distance there."""
-    way, lines = other.y - point.y, np.column_stack([point.tangent, other.tangent])
-    share = np.linalg.lstsq(lines, way, rcond=None)[0]
-    return float(share[0]), float(np.linalg.norm(way - lines @ share))
 
 
 def solve(residual: Residual, guess: Array, p: float, controls: Controls) -> tuple[Array, int] | None:

@@ -20,11 +20,12 @@ from functools import partial
 import numpy as np
 
 from timesim.hbm.continuation.bordered import Array
-from timesim.hbm.continuation.corrector import STRAIGHT, Controls, Corrector, CurvePoint, meeting
+from timesim.hbm.continuation.corner import STRAIGHT, around_corner
+from timesim.hbm.continuation.corrector import Controls, Corrector, CurvePoint
 from timesim.hbm.continuation.other_end import FromEnd, OtherEnd
 from timesim.hbm.continuation.residual import NoSolutionError, Residual
 from timesim.hbm.continuation.solutions import Curve, Ending, joined, part_of
-from timesim.hbm.continuation.step import Step, is_corner, predicted
+from timesim.hbm.continuation.step import Step, predicted
 from timesim.hbm.continuation.trace import Trace
 
 # Lengths of a jump over a place where the residual is not smooth, as shares of the longest step, tried in turn.
@@ -33,8 +34,6 @@ JUMPS = (0.02, 0.06, 0.2, 0.6, 1.0)
 ALONG = 0.9
 # Distance of two solutions that are one, relative to their size; and if their numbers of harmonics may differ.
 SAME, MEET = 1e-5, 1e-3
-# Cosine of the turn at a corner beyond which the curve goes to it, how close, and the share of the way at a time.
-SHARP, AT_CORNER, APPROACH = 0.5**0.5, 1e-6, 0.95
 # Longest step over which the orientation of the curve may change, as at a bifurcation: a longer one leads to another
 # part of it, as beside a corner at which it turns back.
 BRANCHING = 1e-6
@@ -117,6 +116,7 @@ class _PathTracker:
         self.sign = float(np.sign(stop - start))
         self.ahead = np.append(np.zeros(guess.size), self.sign)  # normal of a plane of constant p
         self.trace = Trace(self.corrector, self.sign)
+        self._around_corner = partial(around_corner, self.corrector, controls)
         self.reached = 0.0  # share of the range
         self.first_size = 0.0  # of the first solution
         self.cause = ""  # of the last failure of Newton's method
@@ -207,43 +207,6 @@ class _PathTracker:
                 growth = min(growth, 0.7)
             return Step(new, length, min(float(growth) * length, self.controls.max_step))
         return self._jump(point)
-
-    def _around_corner(self, point: CurvePoint, length: float, new: CurvePoint | None = None) -> Step | None:
-        """Behind a corner of the curve, as where slip begins; or to a sharp one, since it is an extreme of something.
-
-        A corner may turn the curve by more than a right angle. Then no solution lies ahead; else `new` does.
-        """
-        try:
-            if new is None:
-                along, tangent = self.corrector.corner_ahead(point, length)
-                if point.tangent @ tangent > SHARP:
-                    guess = point.y + along * point.tangent + length * tangent
-                    new = self.corrector.simplified_newton(guess, tangent)
-            if new is not None:
-                if new.orientation * point.orientation < 0 or not is_corner(point, new):
-                    return None
-                if point.tangent @ new.tangent > SHARP:
-                    return Step(new, float(np.linalg.norm(new.y - point.y)), length, corner=True)
-                along, tangent = meeting(point, new)[0], new.tangent
-            return self._at_corner(point, along, tangent)
-        except NoSolutionError:
-            return None
-
-    def _at_corner(self, point: CurvePoint, along: float, tangent: Array) -> Step | None:
-        """Next to a sharp corner ahead, or right behind it, where the curve has another tangent.
-
-        Raises:
-            NoSolutionError: Newton's method fails.
-        """
-        if along > AT_CORNER:
-            way = APPROACH * along
-            near = self.corrector.simplified_newton(point.y + way * point.tangent, point.tangent)
-            same = near.orientation * point.orientation >= 0
-            return Step(near, way, along / 4) if same and point.tangent @ near.tangent > SHARP else None
-        guess = point.y + along * point.tangent + AT_CORNER * tangent
-        new = self.corrector.simplified_newton(guess, tangent)
-        same = new.orientation * point.orientation >= 0
-        return Step(new, along + AT_CORNER, self.controls.first_step / 10, corner=True) if same else None
 
     def _jump(self, point: CurvePoint) -> Step | None:
         """Over a place where no short step succeeds; a point to which the way is not along its tangent is elsewhere.
