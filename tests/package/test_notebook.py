@@ -29,6 +29,10 @@ M, K = np.diag([1.0, 2.0]), np.array([[80.0, -40.0], [-40.0, 40.0]])
 FORCE = {"forces": [{"point": "tip", "direction": [1, 0, 0], "amplitude": 1.0}]}
 
 
+PART = xarray.Dataset(attrs={"study": "sweep"})
+"""A result without its variables."""
+
+
 def one_mass():
     return timesim.modes([1.0], 0.1, {"tip": [[1, 0, 0]]})
 
@@ -163,9 +167,20 @@ def test_steady_states_and_curves(tmp_path):
             ),
             r"a single contacts.pad.friction: .* result.sel\({'contacts.pad.friction': \[",
         ),
+        (lambda: timesim.modes([10**400], 0.1, {"tip": [[1, 0, 0]]}), "frequency must be a number or an array"),
+        (lambda: timesim.open(None), "path must be the path of a result file or of the folder of a run, not None"),
+        (lambda: timesim.show(3, {"frequency": 1}), "path must be the path of a result file .* not 3"),
+        (lambda: timesim.run(3), "the source of a scene must be the path of a file, .* not 3"),
+        (lambda: timesim.load_scene(None), "the source of a scene must be .* a mapping, not None"),
+        (lambda: timesim.run(oscillator(), 3), "overrides must be a mapping, .* not 3"),
+        (lambda: timesim.load_scene(oscillator(), "study.cycles=5"), "overrides must be .* not 'study.cycles=5'"),
+        (lambda: timesim.plot(PART, None), "folder must be the path of a folder, .* not None"),
+        (lambda: timesim.plot(PART, "nowhere/", kind=None), "format must be one of png, pdf, svg, not None"),
+        (lambda: timesim.plot(PART, "nowhere/", log=3), "log must be a list of amplitude and frequency, not 3"),
     ],
 )
-def test_wrong_arguments_are_named(call, message):
+def test_wrong_arguments_are_named(call, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     with pytest.raises((ValueError, timesim.SceneError), match=message):
         call()
 
@@ -193,11 +208,11 @@ def test_complex_values_are_refused_and_not_cut_to_their_real_part(call, instead
 def test_what_is_wrong_with_a_file_is_an_error_of_the_package(tmp_path):
     file = tmp_path / "file"
     file.write_text("no result")
-    row = xarray.Dataset(attrs={"study": "sweep"})
     for call, message in (
         (lambda: timesim.open(tmp_path / "none.nc"), "no result file at"),
         (lambda: timesim.show(file, {"frequency": 1.0}), "cannot be read as a result file"),
-        (lambda: timesim.plot(row, file), r"folder .* cannot be made \(File exists\): give another one"),
+        (lambda: timesim.plot(PART, file), r"folder .* cannot be made \(File exists\): give another one"),
+        (lambda: timesim.plot(PART, tmp_path), "the result lacks what picture response shows .*'amplitude'"),
     ):
         with pytest.raises(timesim.StoreError, match=message):
             call()

@@ -5,13 +5,13 @@ the type or the shape of an argument is wrong, and `timesim.SceneError` where a 
 what is allowed and what to do.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from timesim.result.label import WIDTH, shortened
+from timesim.result.argument import list_of, mapping_of, shown
 from timesim.scene.resolution import check_parts
 from timesim.study.registry import load_scene
 
@@ -31,30 +31,10 @@ def _numbers(name: str, value: ArrayLike) -> np.ndarray:
         array = np.asarray(value.toarray() if hasattr(value, "toarray") else value)
         if not np.iscomplexobj(array):
             return np.asarray(array, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be a number or an array of numbers, not {_shown(value)}") from None
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{name} must be a number or an array of numbers, not {shown(value)}") from None
     instead = REAL.get(name, "take the real part, if the imaginary part is rounding")
     raise ValueError(f"{name} must be of real numbers, not {array.dtype}: {instead}")
-
-
-def _shown(value: Any) -> str:
-    return shortened(" ".join(repr(value).split()), WIDTH)
-
-
-def mapping_of(name: str, value: Any, rule: str) -> Section:
-    """The argument as a dictionary with names as keys; `rule`: what it must be."""
-    if not isinstance(value, Mapping):
-        raise ValueError(f"{name} must be {rule}, not {_shown(value)}")
-    for key in value:
-        if not isinstance(key, str):
-            raise ValueError(f"{name} has the key {key!r}, it must be text: {str(key)!r}")
-    return dict(value)
-
-
-def _list_of(name: str, value: Any, rule: str) -> list[Any]:
-    if isinstance(value, Mapping | str) or not isinstance(value, Iterable):
-        raise ValueError(f"{name} must be {rule}, not {_shown(value)}")
-    return list(value)
 
 
 def array_of(name: str, value: ArrayLike, shape: tuple[int | str, ...]) -> np.ndarray:
@@ -222,10 +202,10 @@ def system(
     Raises:
         ValueError: contacts are no list, the excitation is no force and no list, or has several `modal_forces`.
     """
-    pads = _list_of("contacts", contacts, "a list, of one contact too: [timesim.contact(...)], or [] without contacts")
+    pads = list_of("contacts", contacts, "a list, of one contact too: [timesim.contact(...)], or [] without contacts")
     if not isinstance(excitation, Mapping):
         rule = "from timesim.modal_forces or timesim.point_force"
-        listed = enumerate(_list_of("excitation", excitation, f"{rule}, or a list of these, [] without forces"))
+        listed = enumerate(list_of("excitation", excitation, f"{rule}, or a list of these, [] without forces"))
         parts = [mapping_of(f"excitation[{i}]", part, rule) for i, part in listed]
         if sum("modal_force" in part for part in parts) > 1:
             raise ValueError(

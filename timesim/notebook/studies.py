@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from timesim.fault import RuleError
-from timesim.notebook.parts import Section, array_of, given, mapping_of
+from timesim.notebook.parts import Section, array_of, given
+from timesim.result.argument import mapping_of, path_of
 from timesim.result.file import StoreError
 from timesim.result.label import is_scalar_key
 from timesim.study.point import point_again
@@ -166,7 +167,7 @@ def plot(
 
     Raises:
         ValueError: what is given is no result, or a part of one, which names no study or lacks an axis.
-        StoreError: the folder cannot be made, or a file cannot be written.
+        StoreError: the folder cannot be made, a file cannot be written, or the result lacks what a picture shows.
     """
     if "study" not in getattr(result, "attrs", ()):
         rule = "names no study: it must be a whole result, as a function of timesim or `timesim.open_result` returns it"
@@ -180,8 +181,9 @@ def plot(
         one = f"{{{single[0]!r}: [...]}}" if is_scalar_key(single[0]) else f"{single[0]}=[...]"
         rule = f"keep it as an axis, by a list of one: result.sel({one})"
         raise ValueError(f"result has a single {' and a single '.join(single)}: {rule}")
+    place = path_of("folder", folder, "the path of a folder, which is made if it does not exist")
     try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
+        place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StoreError(f"folder {folder} cannot be made ({error.strerror or error}): give another one") from None
-    return draw(result, folder, kind=kind, log=[log] if isinstance(log, str) else log)
+    return draw(result, place, kind=kind, log=[log] if isinstance(log, str) else log)

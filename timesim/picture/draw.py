@@ -8,7 +8,8 @@ import numpy as np
 
 from timesim.picture.figure import plain_ticks
 from timesim.picture.style import Dataset, DataTree, Figure, Picture
-from timesim.result.file import write_whole
+from timesim.result.argument import list_of, shown
+from timesim.result.file import StoreError, write_whole
 
 DPI = 110
 KINDS = ("png", "pdf", "svg")
@@ -40,19 +41,26 @@ def write(
         The files written, in order; none for a study without pictures, or a run that has recorded nothing.
 
     Raises:
-        StoreError: a file cannot be written.
+        StoreError: a file cannot be written, or the result lacks a variable that a picture shows.
         ValueError: the format or a quantity is unknown.
     """
-    for name, given, known in (("format", {kind}, KINDS), ("log", set(log), LOGARITHMIC)):
-        if unknown := given - set(known):
-            raise ValueError(f"{name} must be one of {', '.join(known)}, not {', '.join(sorted(unknown))}")
+    quantities = list_of("log", log, f"a list of {' and '.join(LOGARITHMIC)}")
+    for name, given, known in (("format", [kind], KINDS), ("log", quantities, LOGARITHMIC)):
+        named = [item if isinstance(item, str) else shown(item) for item in given]
+        unknown = [item for item in named if item not in known]
+        if unknown:
+            raise ValueError(f"{name} must be one of {', '.join(known)}, not {', '.join(unknown)}")
     written: list[Path] = []
     if any(data.sizes.get(name, least) < least for name, least in LEAST.items()):
         return written
     for name, picture in pictures.items():
-        figure = picture(data)
+        try:
+            figure = picture(data)
+        except (KeyError, AttributeError) as error:  # as xarray names a variable that a Dataset lacks
+            lacks = f"the result lacks what picture {name} shows ({error.args[0]})"
+            raise StoreError(f"{lacks}: draw a whole result, of this version") from error
         if figure is not None:
-            make_logarithmic(figure, log)
+            make_logarithmic(figure, quantities)
             put_factors_in_labels(figure)
             written.append(Path(folder) / f"{name}.{kind}")
             write_whole(written[-1], _png(figure) if kind == "png" else _vectors(figure, kind))

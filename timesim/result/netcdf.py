@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from timesim.result.argument import path_of
 from timesim.result.file import StoreError, write_whole
 
 if TYPE_CHECKING:
@@ -63,8 +64,9 @@ def joined(groups: "Mapping[str, xarray.Dataset]") -> "xarray.Dataset | xarray.D
 
 def result_file(path: Path | str) -> Path:
     """The result file of a run, by its own path or by the folder of the run."""
+    given = path_of("path", path, "the path of a result file or of the folder of a run")
     # Of os.path, as those of pathlib raise where a folder may not be searched or a name is too long.
-    return Path(path) / RESULT_NAME if os.path.isdir(path) else Path(path)
+    return given / RESULT_NAME if os.path.isdir(given) else given
 
 
 def read(path: Path | str) -> "dict[str, xarray.Dataset]":

@@ -1,11 +1,12 @@
 """The source of a scene: its plain data, the line of every key, and new values by key path."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from timesim.fault import Key, Problem, RuleError, SceneError, nearest
+from timesim.result.argument import list_of, path_of
 from timesim.scene.text import MAX_BYTES, MAX_DEPTH, parse, plain, value_text
 
 
@@ -73,8 +74,11 @@ def read(source: str | Path | Mapping[str, Any]) -> SceneSource:
 
     Raises:
         SceneError: a file that cannot be read, text that is no YAML that a scene may be, or values of other types.
+        ValueError: the source is none of these.
     """
-    path = None if isinstance(source, Mapping) or (isinstance(source, str) and "\n" in source) else Path(source)
+    rule = "the path of a file, the text of one (of several lines) or a mapping"
+    inline = isinstance(source, Mapping) or (isinstance(source, str) and "\n" in source)
+    path = None if inline else path_of("the source of a scene", source, rule)
     folder = Path.cwd() if path is None else path.absolute().parent
     scene = SceneSource("scene" if path is None else str(path), folder, {})
     try:
@@ -113,14 +117,17 @@ NAMED_BY_KEYS = {("study", "over"), ("study", "along"), ("study", "start", "at")
 """Mappings of the scene whose keys are key paths."""
 
 
-def overridden(source: SceneSource, overrides: Mapping[str, Any] | Sequence[str]) -> SceneSource:
+def overridden(source: SceneSource, overrides: Mapping[str, Any] | Iterable[str]) -> SceneSource:
     """The source with new values; mappings that are missing on the way to a key are added, and None removes a key.
 
     Raises:
         SceneError: an override that is no assignment, or addresses nothing.
+        ValueError: the overrides are no mapping and no list.
     """
     data, errors, keys = source.data, [], list(source.overridden)
-    for given in overrides.items() if isinstance(overrides, Mapping) else overrides:
+    rule = "a mapping, {'contacts.pad.preload': 5}, or a list, ['contacts.pad.preload=5']"
+    pairs = overrides.items() if isinstance(overrides, Mapping) else list_of("overrides", overrides, rule)
+    for given in pairs:
         try:
             path, value = given if isinstance(given, tuple) else _assignment(str(given))
             data, key = _changed(data, str(path), plain(value))

@@ -172,8 +172,8 @@ def run(
         ExecutionError: the study cannot be carried out in this way.
     """
     if not isinstance(scene, Scene):
-        scene = load_scene(scene, overrides or ())
-    elif overrides:
+        scene = load_scene(scene, () if overrides is None else overrides)
+    elif overrides is not None:
         scene = scene.with_overrides(overrides)
     outcome = carry_out(scene, Execution(cluster=cluster, workers=workers))
     if outcome.reason is not None:

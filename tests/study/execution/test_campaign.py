@@ -475,6 +475,10 @@ def test_clusters_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch):
         carried(chains(1, 1), Execution(cluster="local"))
     with pytest.raises(ExecutionError, match="workers must be at least 1, not 0"):
         Execution(workers=0)
+    with pytest.raises(ExecutionError, match="workers must be a whole number, at least 1, not '2'"):
+        Execution(workers="2")
+    with pytest.raises(ExecutionError, match="cluster must be the address of a scheduler or 'local', not 3"):
+        Execution(cluster=3)
     with pytest.raises(ExecutionError, match="workers: the cluster host:8786 has its own; leave it out"):
         Execution(cluster="host:8786", workers=2)
 

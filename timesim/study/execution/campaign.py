@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
+from numbers import Integral
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -22,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from timesim.result import checkpoint
+from timesim.result.argument import shown
 from timesim.result.change import fingerprint
 from timesim.result.checkpoint import INTERRUPTED, Checkpoint, Manifest
 from timesim.result.file import StoreError
@@ -71,8 +73,9 @@ class Execution:
     notice: Callable[[str], None] = _warned
 
     def __post_init__(self) -> None:
-        if self.workers is not None and self.workers < 1:
-            raise ExecutionError(f"workers must be at least 1, not {self.workers}")
+        if self.workers is not None and not (isinstance(self.workers, Integral) and self.workers >= 1):
+            whole = "" if isinstance(self.workers, Integral) else "a whole number, "
+            raise ExecutionError(f"workers must be {whole}at least 1, not {shown(self.workers)}")
         if self.cluster is not None:
             check_address(self.cluster, self.workers)
 

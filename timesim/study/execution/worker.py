@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from timesim.result.argument import shown
 from timesim.result.checkpoint import Result
 
 Work = Callable[[Any, Result | None], Result]
@@ -199,6 +200,8 @@ def check_address(cluster: str, workers: int | None) -> None:
     Raises:
         ExecutionError: with a suggestion.
     """
+    if not isinstance(cluster, str):
+        raise ExecutionError(f"cluster must be the address of a scheduler or '{LOCAL}', not {shown(cluster)}")
     if cluster != LOCAL and not _ADDRESS.fullmatch(cluster):
         close = get_close_matches(cluster.lower(), [LOCAL], cutoff=0.6)
         hint = f"did you mean {LOCAL}?" if close else f"give one as tcp://host:8786, or '{LOCAL}'"
