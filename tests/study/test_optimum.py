@@ -207,6 +207,21 @@ def test_a_search_that_is_cut_off_says_what_is_done(monkeypatch: pytest.MonkeyPa
             Peaks(known.scene, Execution()).search()
 
 
+def test_an_interrupt_between_two_values_keeps_those_that_are_done(monkeypatch: pytest.MonkeyPatch):
+    """As where the model of the next value is made."""
+
+    def interrupted(peaks: Peaks) -> None:
+        done = Known(lambda value: (value - 3.3) ** 2)
+        done.take([3.0, 4.0], "")
+        peaks.results.update(done.results)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Peaks, "search", interrupted)
+    outcome = carry_out(Known(lambda value: value).scene)
+    assert outcome.reason == outcome.groups[""].attrs["reason"] == "interrupted; 2 values are done and kept"
+    assert outcome.groups[""][KEY].values.tolist() == [3, 4]
+
+
 def test_a_value_without_a_motion_is_named():
     peaks = Known(lambda value: np.nan if 3.1 < value < 3.9 else (value - 3.5) ** 2)
     with pytest.raises(SearchError, match=r"no steady state was found at contacts.pad.preload = 3\.\d+: it broke"):

@@ -26,7 +26,7 @@ from timesim.result.dataset import Arrays
 from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import OptimumPlan
-from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through
+from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import Phases
 from timesim.study.execution.worker import each, point_done
 from timesim.study.outcome import Outcome, attributes
@@ -264,6 +264,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         peaks.search()
     except SearchError as error:
         reason = str(error)
+    except KeyboardInterrupt:  # between two campaigns, each of which takes in its own
+        reason = f"{INTERRUPTED}; {counted(len(peaks.results), 'value is', 'values are')} done and kept"
     data = data_of(peaks)
     reason = reason or failure_line(data)
     seconds = earlier + time.perf_counter() - clock - compiling
