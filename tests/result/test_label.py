@@ -1,5 +1,6 @@
 """The units that result files name are those of the numbers: a scene in other units of length, force and time tells."""
 
+import warnings
 from collections.abc import Mapping
 from functools import cache
 from typing import Any
@@ -121,7 +122,10 @@ def scene(name: str) -> dict[str, Any]:
 @cache
 def groups(name: str) -> list[tuple[xarray.Dataset, xarray.Dataset]]:
     """The parts of a result, each beside that of the same scene in other units."""
-    results = [timesim.run(given) for given in (scene(name), in_other_units(scene(name)))]
+    with warnings.catch_warnings():
+        # Of a tradeoff one run is made, as which of several are the quickest would depend on the machine.
+        warnings.filterwarnings("ignore", "the run is incomplete: no two runs of the whole scene", RuntimeWarning)
+        results = [timesim.run(given) for given in (scene(name), in_other_units(scene(name)))]
     parts = [
         [node.to_dataset() for node in result.subtree] if isinstance(result, xarray.DataTree) else [result]
         for result in results

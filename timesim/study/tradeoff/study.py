@@ -45,10 +45,12 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         bench.time_again()
     except KeyboardInterrupt:
         reason = f"interrupted after {counted(len(bench.trials), 'run')}"
-    if not bench.trials and reason is None:
-        why = next(left_out_lines(bench))
-        reason = f"no run has come to its end{''.join(f' ({what})' for what in more_runs(why))}: {why}"
     judged = judge(bench)
+    if np.isnan(judged.known) and reason is None:
+        why = next(left_out_lines(bench))
+        done = "no two runs of the whole scene have come to their ends, so that no error is known"
+        done = done if bench.trials else "no run has come to its end"
+        reason = f"{done}{''.join(f' ({what})' for what in more_runs(why))}: {why}"
     data = _record(scene, bench, judged, reason)
     return Outcome({"": data}, reason, tuple(lines(data)))
 
