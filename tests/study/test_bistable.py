@@ -141,6 +141,17 @@ def test_the_summary_names_motions_that_do_not_repeat_each_cycle(result):
     assert ", 1 to another motion, 1 to one that does not repeat, 1 did not settle" in said
 
 
+def test_the_summary_names_contacts_whose_offset_alone_may_tell_the_motions_apart(result):
+    """Such motions are no two: others lie between them, and where they end depends on the sweeps."""
+    data, sweep = (tree.to_dataset().copy(deep=True) for tree in (result, result["sweep"]))
+    assert not any("on both motions" in line for line in bistable_lines(data, sweep, 1e-4))
+    data["slip_share"][0, 0] = data["separation_share"][0] = 0
+    assert not any("on both motions" in line for line in bistable_lines(data, sweep, 1e-4))
+    data["slip_share"][0, 1] = 0
+    (line,) = [line for line in bistable_lines(data, sweep, 1e-4) if "on both motions" in line]
+    assert line.startswith("contact pad sticks all the time on both motions: they may differ by its offset alone")
+
+
 def test_a_fold_near_which_no_range_ends_is_named(result):
     """As of a stop whose sweeps both stay on the upper motion: nobody may take it for the only one."""
     balance, ends = result["hbm"].to_dataset(), result["range"].values.ravel()

@@ -58,9 +58,20 @@ def _range_lines(one: Dataset, width: float) -> Iterator[str]:
             "next to an end of it the motion had not settled after settle.max_cycles, "
             "which may move that end by some of the width"
         )
+    yield from _stuck_lines(one)
     if "start_branch" in one:
         yield from _start_lines(one)
         yield from _offset_lines(one, float(max(smaller.max(), larger.max())))
+
+
+def _stuck_lines(one: Dataset) -> Iterator[str]:
+    """Contacts that stick all the time on both motions, which their offsets alone may tell apart."""
+    works = (one["slip_share"] + one["separation_share"]).max("motion").values
+    for name in one["contact"].values[works == 0]:
+        yield (
+            f"contact {name} sticks all the time on both motions: they may differ by its offset alone, with others "
+            "between them, and the ends then hold for the offset that the sweeps left it with"
+        )
 
 
 def _start_lines(one: Dataset) -> Iterator[str]:
