@@ -529,6 +529,15 @@ def test_a_sweep_of_which_every_point_failed(tmp_path: Path) -> None:
     assert "failed" in _legend(figure.axes[0])
 
 
+def test_a_run_that_came_to_no_point_has_no_picture(tmp_path: Path) -> None:
+    """Its axes would have no scale; also one of a result with groups."""
+    data = sweep({PRELOAD: [0.0, 0.1, 0.2]}).assign_attrs(complete=0)
+    data.amplitude[:] = np.nan
+    data.settled[:] = 0
+    tree = xarray.DataTree.from_dict({"/": xarray.Dataset(attrs=data.attrs | {"study": "bistable"}), "/sweep": data})
+    assert plot.draw(data, tmp_path) == plot.draw(tree, tmp_path) == []
+
+
 def test_a_sweep_of_one_frequency(tmp_path: Path) -> None:
     data = sweep({PRELOAD: [0.0, 0.1, 0.2]}, frequency=np.array([1.0]))
     assert len(plot.draw(data, tmp_path)) == 4

@@ -387,6 +387,7 @@ def test_a_slope_is_no_jump() -> None:
     assert list(jump_lines(refined)) == [f"no jump{slopes}"]
     cut_off = refined.assign(amplitude=refined.amplitude.where(refined.frequency < 1.395))
     assert list(jump_lines(cut_off)) == [f"no jump between the points that were computed{slopes}"]
+    assert not list(jump_lines(refined.assign(amplitude=refined.amplitude * np.nan)))
     assert list(jump_lines(unrefined)) == [
         f"{PRELOAD} 3, direction up: the amplitude changes steeply between 0.97 and 1.39 Hz, over a slope or a jump: "
         "study.refine tells which"

@@ -51,7 +51,7 @@ def write(
         if unknown:
             raise ValueError(f"{name} must be one of {', '.join(known)}, not {', '.join(unknown)}")
     written: list[Path] = []
-    if any(data.sizes.get(name, least) < least for name, least in LEAST.items()):
+    if any(data.sizes.get(name, least) < least for name, least in LEAST.items()) or not _begun(data):
         return written
     for name, picture in pictures.items():
         try:
@@ -65,6 +65,14 @@ def write(
             written.append(Path(folder) / f"{name}.{kind}")
             write_whole(written[-1], _png(figure) if kind == "png" else _vectors(figure, kind))
     return written
+
+
+def _begun(data: Dataset | DataTree) -> bool:
+    """Whether any point or solution was computed, or failed, in any group of a result that has them."""
+    parts = [part for part in getattr(data, "subtree", (data,)) if "amplitude" in part.variables]
+    known = [np.isfinite(part["amplitude"].to_numpy()).any() for part in parts]
+    failed = [(part["failure"].to_numpy() != "").any() for part in parts if "failure" in part.variables]
+    return not parts or any(known + failed)
 
 
 def make_logarithmic(figure: Figure, quantities: Collection[str]) -> None:

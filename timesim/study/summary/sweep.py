@@ -116,9 +116,9 @@ def jump_lines(data: Dataset) -> Iterator[str]:
         what = "the motion jumps" if bisected else "the amplitude changes steeply"
         hint = "" if bisected else ", over a slope or a jump: study.refine tells which"
         yield f"{_chain(data, place[:-1])}{what} between {low:.8g} and {high:.8g} Hz{hint}"
-    if data.attrs.get("jumps_bisected") and not np.isfinite(ends).any():
-        whole = np.isfinite(data["amplitude"].values).all()
-        where = "no jump" if whole else "no jump between the points that were computed"
+    known = np.isfinite(data["amplitude"].values)
+    if data.attrs.get("jumps_bisected") and known.any() and not np.isfinite(ends).any():
+        where = "no jump" if known.all() else "no jump between the points that were computed"
         yield f"{where}: the amplitude changes along slopes only, as shorter steps show"
 
 
