@@ -9,8 +9,9 @@ from systems import at_rest, oscillator, oscillator_scene
 import timesim
 from timesim.fault import RuleError
 from timesim.model.contact_state import contact_loads
-from timesim.model.model import SLIP, STICK, Start
+from timesim.model.model import SEPARATION, SLIP, STICK, Start
 from timesim.model.start import given_start, resumed_start
+from timesim.result.netcdf import save
 
 ON_CONE = 0.5 * 3.0 / 20.0
 """|w| with which the pad of preload 3 bears mu n0 at rest."""
@@ -68,3 +69,35 @@ def test_contacts_of_another_run_go_by_their_names():
     start = resumed_start(both, end, ("two", "one"))
     np.testing.assert_array_equal(start.slip, end.slip[::-1])
     assert start.state.tolist() == [STICK, SLIP]
+
+
+def test_the_slip_of_another_run_is_turned_into_the_axes_of_the_contact():
+    """It is a vector in the plane of contact; in other axes of that plane it has other components."""
+    model = oscillator(3.0, 1.39)
+    end = Start(np.zeros(2), np.zeros(2), np.array([[0.01, 0.02]]), np.array([STICK]))
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    frames = model.contact_frames
+    np.testing.assert_array_equal(resumed_start(model, end, ["pad"], None, frames).slip, end.slip)
+    turned = resumed_start(model, end, ["pad"], None, quarter @ frames)
+    np.testing.assert_allclose(turned.slip, [[0.02, -0.01]], atol=1e-15)
+    tilted = quarter[[2, 0, 1]] @ frames
+    with pytest.raises(RuleError, match=r"has another normal of contact pad, in whose plane it slipped: \["):
+        resumed_start(model, end, ["pad"], None, tilted)
+    apart = replace(end, displacement=np.array([-5.0, 0.0]), state=np.array([SEPARATION]))
+    assert resumed_start(model, apart, ["pad"], None, tilted).state.tolist() == [SEPARATION]
+
+
+@pytest.mark.parametrize("study", ["transient", "sweep"])
+def test_a_run_goes_on_in_other_axes_of_the_plane_of_contact(study: str, tmp_path):
+    scene, file = oscillator_scene(3.0), tmp_path / "result.nc"
+    scene["contacts"][0] |= {"tangent": [1, 0, 0]}
+    scene["excitation"]["frequency"] = 1.39
+    once = {"kind": "transient", "cycles": 1, "samples_per_cycle": 8}
+    first = once if study == "transient" else {"kind": "sweep", "frequency": {"values": [1.39]}}
+    save(timesim.run(scene | {"study": first}), file)
+    initial = {"from": str(file)} | ({} if study == "transient" else {"at": {"frequency": 1.39}})
+    here = timesim.run(scene | {"study": once, "initial": initial})
+    scene["contacts"][0] |= {"tangent": [0, 1, 0]}
+    there = timesim.run(scene | {"study": once, "initial": initial})
+    assert float(abs(here.slip).max()) > 1e-3
+    np.testing.assert_allclose(there.displacement, here.displacement, atol=1e-6 * float(abs(here.displacement).max()))

@@ -177,6 +177,11 @@ class Model:
         return np.array([contact.preload for contact in self.contacts], dtype=float)
 
     @property
+    def contact_frames(self) -> np.ndarray:
+        """Rows t1, t2, normal of each contact along x, y, z, shape (C, 3, 3)."""
+        return np.array([contact.frame for contact in self.contacts], dtype=float).reshape(-1, 3, 3)
+
+    @property
     def contact_shape(self) -> np.ndarray:
         """Relative motion (u1, u2, v) of each contact for a unit of each mode, shape (C, 3, M)."""
         if not self.contacts:

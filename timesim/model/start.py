@@ -18,7 +18,7 @@ from timesim.model.contact_state import (
     obeys_cone,
     slip_follows_motion,
 )
-from timesim.model.mode_shapes import ModeShapes
+from timesim.model.mode_shapes import SAME, ModeShapes
 from timesim.model.model import SEPARATION, Model, Start
 
 ROUNDING = 1e-9
@@ -130,7 +130,13 @@ def _equilibrium(physics: Model, closed: np.ndarray) -> tuple[np.ndarray, bool]:
     return displacement, bool(np.all(np.abs(loose) <= 1e-12 * np.linalg.norm(force / scale)))
 
 
-def resumed_start(physics: Model, end: Start, contacts: Sequence[str], shapes: ModeShapes | None = None) -> Start:
+def resumed_start(
+    physics: Model,
+    end: Start,
+    contacts: Sequence[str],
+    shapes: ModeShapes | None = None,
+    frames: np.ndarray | None = None,
+) -> Start:
     """The state that another run has ended in, adapted to a model.
 
     Args:
@@ -138,9 +144,11 @@ def resumed_start(physics: Model, end: Start, contacts: Sequence[str], shapes: M
         end: that state, its phase included.
         contacts: names of the contacts in the order of `end`.
         shapes: of its modes, where they are known; else its modes are taken for those of the model.
+        frames: of the contacts of `end`, where they are known, shape (C, 3, 3); else they are taken for those of the
+            model.
 
     Raises:
-        RuleError: the state is one of another structure, or lies outside a cone.
+        RuleError: the state is one of another structure or of contacts with other normals, or lies outside a cone.
     """
     names, modes = [contact.name for contact in physics.contacts], physics.structure.num_modes
     if sorted(contacts) != sorted(names):
@@ -155,6 +163,8 @@ def resumed_start(physics: Model, end: Start, contacts: Sequence[str], shapes: M
         end = replace(end, displacement=change @ end.displacement, velocity=change @ end.velocity)
     rows = [contacts.index(name) for name in names]
     slip, before = end.slip.reshape(-1, 2)[rows], end.state.astype(int).ravel()[rows]
+    if frames is not None:
+        slip = _turned(physics, slip, frames[rows], before)
     loads = contact_loads(physics, end.displacement, slip)
     rounding = ROUNDING * (np.abs(physics.preload) + np.abs(loads.normal - physics.preload))
     state = contact_state(loads.normal, physics.friction, before, rounding=rounding)
@@ -164,3 +174,22 @@ def resumed_start(physics: Model, end: Start, contacts: Sequence[str], shapes: M
     hint = "its friction or preload was higher"
     slip = _slip_in_cone(physics, loads, follows, hint, rounding=RESULT_ROUNDING, room=1.0)
     return replace(end, slip=slip, state=state)
+
+
+def _turned(physics: Model, slip: np.ndarray, frames: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Slips in the frames of the model's contacts; that of a contact that was apart follows from its motion anyway.
+
+    Raises:
+        RuleError: a contact that was closed has another normal.
+    """
+    turned = slip.copy()
+    for i in np.flatnonzero(before != SEPARATION):
+        turn = physics.contacts[i].frame @ frames[i].T
+        if np.abs(turn - np.eye(3)).max() <= SAME:
+            continue
+        if np.abs(turn[2] - [0, 0, 1]).max() > SAME:
+            normal = ", ".join(f"{part:.6g}" for part in frames[i, 2])
+            rule = f"has another normal of contact {physics.contacts[i].name}, in whose plane it slipped: [{normal}]"
+            raise RuleError((), rule, "take the normal of that result, or start from rest")
+        turned[i] = turn[:2, :2] @ slip[i]
+    return turned

@@ -63,6 +63,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "cycle_frequency": ("excitation frequency of the cycle", "Hz"),
     "final_modal_displacement": ("modal displacement at the end", "modal length"),
     "final_modal_velocity": ("modal velocity at the end", "modal length/s"),
+    "contact_frame": ("axis of the contact, along those of the scene", "1"),
     "mode_shape": ("displacement of the point for a unit of the mode", "length/modal length"),
     "final_slip": ("slip displacement w at the end", "length"),
     "final_contact_state": ("contact state at the end", None),

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 STATE = ("modal_displacement", "modal_velocity", "slip", "contact_state")
-SHAPE = "mode_shape"
+SHAPE, FRAME = "mode_shape", "contact_frame"
+GEOMETRY = {SHAPE: ("point", "axis", "mode"), FRAME: ("contact", "component", "axis")}
+"""What tells how coordinates and slips move the points, with its dimensions; results of earlier versions lack some."""
 POINT = ("amplitude", "settled", "period", "slip_share", "separation_share", "failure")
 LISTED = 12  # values, or points, that a message names
 SAME = 1e-9  # share of a value by which one that is asked for may differ from one on the axis
@@ -35,8 +37,8 @@ class SavedStates:
 
     Attributes:
         contacts: their names.
-        arrays: `final_...` of every state, `SHAPE` unless the result is of an earlier version, and of a sweep `POINT`
-            as well, the axes of the sweep first.
+        arrays: `final_...` of every state, those of `GEOMETRY` unless the result is of an earlier version, and of a
+            sweep `POINT` as well, the axes of the sweep first.
         axes: the values along these axes; empty for a single run.
         phase: of the excitation, the same in all these states [rad].
         points: of the structure, at which the shapes of the modes are known.
@@ -127,11 +129,12 @@ def states_in(data: "Dataset") -> SavedStates:
     contacts = tuple(map(str, data["contact"].values)) if "contact" in data else ()
     phase = float(np.deg2rad(data["final_phase_deg"].values))
     arrays, axes = ({name: data[name].values for name in own} for own in (names, dims))
-    if SHAPE not in data:
-        return SavedStates(contacts, arrays, axes, phase)
-    shape = data[SHAPE].expand_dims({dim: data.sizes[dim] for dim in dims if dim not in data[SHAPE].dims})
-    arrays[SHAPE] = shape.transpose(*dims, "point", "axis", "mode").values
-    return SavedStates(contacts, arrays, axes, phase, tuple(map(str, data["point"].values)))
+    for name, own in GEOMETRY.items():
+        if name in data:
+            whole = data[name].expand_dims({dim: data.sizes[dim] for dim in dims if dim not in data[name].dims})
+            arrays[name] = whole.transpose(*dims, *own).values
+    points = tuple(map(str, data["point"].values)) if SHAPE in data else ()
+    return SavedStates(contacts, arrays, axes, phase, points)
 
 
 def _position(name: str, values: np.ndarray, value: float | str) -> int:
@@ -184,11 +187,12 @@ def start_of(physics: Model, states: SavedStates, chosen: Mapping[str, np.ndarra
     """One of the states of a result as the start of a model.
 
     Raises:
-        RuleError: the result is of another structure, or the state lies outside a friction cone.
+        RuleError: the result is of another structure or of contacts with other normals, or the state lies outside a
+            friction cone.
     """
     displacement, velocity, slip, state = (chosen[f"final_{name}"] for name in STATE)
     end = Start(displacement, velocity, slip, state, states.phase)
-    return resumed_start(physics, end, states.contacts, _shapes_of(states, chosen))
+    return resumed_start(physics, end, states.contacts, _shapes_of(states, chosen), chosen.get(FRAME))
 
 
 def _shapes_of(states: SavedStates, chosen: Mapping[str, np.ndarray]) -> ModeShapes | None:

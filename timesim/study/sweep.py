@@ -5,7 +5,7 @@ gives the same bits however its chunks are spread over threads or a cluster, and
 """
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -202,7 +202,8 @@ def steady_dataset(grid: "Grid", columns: Columns, own: Arrays, model: Model) ->
     coords = {key: np.array(values) for key, values in plan.over.items()}
     coords |= {"direction": np.array(plan.directions), "frequency": plan.frequency}
     variables = variables_of(columns, {name: len(values) for name, values in coords.items()})
-    variables["mode_shape"] = grid.mode_shapes()
+    variables["mode_shape"] = grid.of_models(("point", "axis", "mode"), lambda model: model.structure.shape)
+    variables["contact_frame"] = grid.of_models(("contact", "component", "axis"), lambda model: model.contact_frames)
     variables["final_phase_deg"] = ((), np.array(np.rad2deg(model.start.phase) % 360))
     return dataset(variables | own, coords, {"settle_tolerance": plan.criterion.tolerance, **unit_names(scene)}, model)
 
@@ -306,14 +307,16 @@ class Grid:
         own = {name: (dims, ends[..., i]) for i, name in enumerate(("jump_low", "jump_high"))}
         return steady_dataset(self, arrays, own, self.any_model).assign_attrs(attrs)
 
-    def mode_shapes(self) -> tuple[tuple[str, ...], np.ndarray]:
-        """Shapes of the modes, along the further axes too where they depend on these; NaN where there is no model."""
-        dims, first = ("point", "axis", "mode"), self.any_model.structure.shape
-        if all(np.array_equal(model.structure.shape, first) for model in self.models.values()):
+    def of_models(
+        self, dims: tuple[str, ...], array_of: Callable[[Model], np.ndarray]
+    ) -> tuple[tuple[str, ...], np.ndarray]:
+        """An array of the models, along the further axes too where it depends on these; NaN where there is no model."""
+        first = array_of(self.any_model)
+        if all(np.array_equal(array_of(model), first) for model in self.models.values()):
             return dims, first
         every = np.full((self.shape[0], *first.shape), np.nan)
         for v, model in self.models.items():
-            every[v] = model.structure.shape
+            every[v] = array_of(model)
         return (*self.axes, *dims), every.reshape(*map(len, self.axes.values()), *first.shape)
 
     def _jump_table(self, jumps: Sequence[Jump]) -> np.ndarray:

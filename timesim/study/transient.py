@@ -193,6 +193,7 @@ def final_variables(run: Run) -> Arrays:
         "final_modal_displacement": (("mode",), run.displacement),
         "final_modal_velocity": (("mode",), run.velocity),
         "mode_shape": (("point", "axis", "mode"), model.structure.shape),
+        "contact_frame": (("contact", "component", "axis"), model.contact_frames),
         "final_slip": (("contact", "tangent"), np.where(free[:, None], u, run.slip)),
         "final_contact_state": (("contact",), run.state.astype(np.int8)),
         "final_phase_deg": ((), np.array(np.rad2deg(run.phase) % 360.0)),
