@@ -108,7 +108,6 @@ def _carry_out(loaded: Any, execution: Any, signals: "_Signals", *, plots: bool)
         path = netcdf.save(outcome.groups, output / netcdf.RESULT_NAME)
     except StoreError as error:
         _stop(1, f"{error}{_safe_chunks(output)}")
-    signals.saving = False
     faults, pictures = [], []
     try:
         if outcome.reason is None:
@@ -118,10 +117,13 @@ def _carry_out(loaded: Any, execution: Any, signals: "_Signals", *, plots: bool)
             faults.append(f"incomplete: {outcome.reason}\nwhat was computed is in {path}, marked complete = 0{hint}")
     except StoreError as error:
         faults.append(str(error))
+    signals.saving = False
     try:
         pictures = draw(netcdf.joined(outcome.groups), output) if plots else []
-    except StoreError as error:
-        faults.append(f"{error}\nthe result is saved; timesim plot {output} draws the pictures again")
+    except (StoreError, KeyboardInterrupt) as error:
+        faults.append(
+            f"{str(error) or 'interrupted'}\nthe result is saved; timesim plot {output} draws the pictures again"
+        )
     print(_written(path, pictures))
     if faults:
         _stop(1, "\n".join(faults))

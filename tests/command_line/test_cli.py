@@ -81,6 +81,20 @@ def test_pictures_are_drawn_by_run_and_again_by_plot(tmp_path: Path):
             path.unlink()
 
 
+def test_an_interrupt_while_pictures_are_drawn_says_that_the_result_is_saved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def interrupted(*_: Any, **__: Any) -> Any:
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr("timesim.study.registry.draw", interrupted)
+    status, out, error = call("run", OSCILLATOR, "-o", tmp_path, *SHORT)
+    assert status == 1
+    assert out.endswith(f"result: {tmp_path / 'result.nc'}\n")
+    assert f"interrupted\nthe result is saved; timesim plot {tmp_path} draws the pictures again" in error
+    assert timesim.open(tmp_path).attrs["complete"] == 1
+
+
 def test_a_disk_that_is_full_when_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     fill_disk(monkeypatch, ".png.")
     status, out, error = call("run", OSCILLATOR, "-o", tmp_path, *SHORT)
