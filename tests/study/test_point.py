@@ -66,6 +66,13 @@ def test_the_command_prints_a_table_and_draws(folder: Path):
     assert {"hysteresis.png", "orbit.png", "contact_states.png", "result.nc"} <= drawn
 
 
+def test_the_title_of_the_pictures_names_the_point_first(folder: Path):
+    """The end of a long title is cut off."""
+    for point in (POINT, POINT | {"direction": "up"}):
+        title = timesim.show(folder, point).attrs["title"]
+        assert title.startswith(f"{PRELOAD} -1, direction {point['direction']}, frequency 0.97 Hz")
+
+
 def test_a_contact_that_never_sticks_has_no_share_of_rounding(folder: Path, tmp_path: Path):
     data = timesim.open_result(folder).load()
     data["slip_share"][:], data["separation_share"][:] = 0.45 - 1e-15, 0.55

@@ -74,7 +74,7 @@ def point_again(path: Path | str, at: Mapping[str, float | str]) -> Point:
             groups[""].attrs["scene"],
             overrides
             | {
-                "title": ": ".join(filter(None, (groups[""].attrs["title"], words))),
+                "title": ": ".join(filter(None, (words, groups[""].attrs["title"]))),
                 "study": {"kind": "transient", "cycles": cycles, "samples_per_cycle": SAMPLES},
                 "excitation.frequency": where["frequency"],
                 "initial": {"from": str(Path(path).absolute()), "at": where},
