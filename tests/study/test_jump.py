@@ -250,6 +250,19 @@ def test_a_run_whose_chosen_method_spends_its_steps_begins_anew_by_collocation(
     assert again.displacement.values == pytest.approx(short.displacement.values, abs=1e-5)
 
 
+def test_a_path_over_a_sliver_of_its_amplitude_has_short_labels(short: xarray.Dataset) -> None:
+    """Where an amplitude changes by parts in a million, its digits would reach over the margin."""
+    settled = 0.511395 * (1 - 1e-6 * np.arange(short.sizes["cycle"]))
+    ax = plot_jump.path(
+        short.assign(cycle_amplitude=short.cycle_amplitude * 0 + xarray.DataArray(settled, dims="cycle"))
+    )
+    low, high = ax.get_ylim()
+    assert high - low == pytest.approx(1e-3 * 0.5114, rel=1e-3)
+    assert low < settled.min() < settled.max() < high
+    ax.figure.canvas.draw()
+    assert max(len(label.get_text()) for label in ax.get_yticklabels()) <= len("0.51140")
+
+
 def test_a_run_that_fails_in_its_run_up_keeps_what_it_has(tmp_path: Path) -> None:
     outcome = carry_out(load_scene(SHORT | {"solver": {"method": "tsit5", "max_steps": 12}}))
     assert outcome.reason is not None

@@ -14,6 +14,7 @@ from timesim.picture.style import BLUE, SERIES, VERMILION, Axes, Dataset, Figure
 MAX_NUMBERS = 12
 ROOM = 0.055  # share of an axis that a frequency takes as text
 NEAR = 0.02  # share of the range: ends of phases that are nearer are not joined by an arrow
+LEAST = 1e-3  # share of the amplitude that its axis spans at least: labels of finer ticks reach over the margin
 RUN_UP = "0.93"
 
 
@@ -96,6 +97,9 @@ def path(data: Dataset, ax: Axes | None = None, *, point: str | None = None, axi
     for number, end in enumerate(ends if len(ends) <= MAX_NUMBERS else (), 1):
         ax.annotate(f"{number}", end, (7, 5), textcoords="offset points", fontsize=9)
     ax.margins(x=0.15, y=0.12)
+    low, high = ax.get_ylim()
+    lacks = max(0.0, LEAST * np.abs(amplitude[first:]).max(initial=0.0) - (high - low))
+    ax.set_ylim(low - lacks / 2, high + lacks / 2)
     ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(data, point, axis, "cycle_amplitude"))
     return ax
 
