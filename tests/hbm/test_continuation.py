@@ -280,6 +280,28 @@ def test_a_corner_at_which_the_curve_turns_back():
     assert residual.evaluations < 3 * curve.p.size
 
 
+class RuggedReversal(Reversal):
+    """The same with p = x (0.3 sin(8 log x) - 3) behind: no line from there meets the tangent at the corner itself."""
+
+    def value(self, x, p):
+        behind = x[0] * (0.3 * np.sin(8 * np.log(max(x[0], 1e-300))) - 3)
+        return np.array([(x[0] if x[0] < 0 else behind) - p, x[0] + p - x[1]])
+
+    def linearised(self, x, p):
+        turn = 8 * np.log(max(x[0], 1e-300))
+        slope = 0.3 * np.sin(turn) + 2.4 * np.cos(turn) - 3
+        return self.value(x, p), np.array([[1.0 if x[0] < 0 else slope, 0.0], [1.0, -1.0]]), np.array([-1.0, 1.0])
+
+
+def test_a_corner_that_cannot_be_approached_is_crossed():
+    """As where a contact comes to stick all along, whose offset changes in another way in each direction."""
+    curve = follow(RuggedReversal(), np.array([-1.0, -2.0]), -1.0, 1.0, CONTROLS)
+    assert curve.ending is Ending.LEFT
+    assert curve.fold.sum() == 1
+    assert abs(curve.p[curve.fold][0]) < 1e-3
+    assert curve.x[:, 0].max() > 0.3
+
+
 class NarrowReturn:
     """|x - m| + m = 0, m = p / 10^4 + p |p| / 2: x = 0 up to p = 0, then back along x = 2 m, at first next to it."""
 
@@ -586,6 +608,33 @@ def test_a_fold_that_is_none_with_more_unknowns_is_none(share, folds):
     assert np.count_nonzero(curve.fold) == folds
     assert residual.count == (2 if folds == 0 else 1)
     assert np.all(curve.determinant[~curve.fold] == 1) == (folds == 0)
+
+
+class Turned(Growing):
+    """x = p, or with fewer unknowns p = 3 - 2 x: the curve passes the same point the other way."""
+
+    def adapt(self, x, p):
+        before, self.count = self.count, 1
+        return before == 2
+
+    def restore(self):
+        self.count = 2
+
+    def value(self, x, p):
+        return np.array([x[0] - p, x[1]]) if self.count == 2 else np.array([3 - 2 * x[0] - p])
+
+    def linearised(self, x, p):
+        matrix = [[1.0, 0.0], [0.0, 1.0]] if self.count == 2 else [[-2.0]]
+        return self.value(x, p), np.array(matrix), np.array([-1.0, 0.0][: self.count])
+
+
+def test_fewer_unknowns_do_not_lead_to_the_other_side_of_a_fold():
+    residual = Turned(0.0)
+    residual.restore()
+    corrector = Corrector(residual, CONTROLS, 1.0, np.array([1.0, 0.0]))
+    point = corrector.damped_newton(np.array([1.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0]))
+    assert corrector.adapted(point) is point
+    assert residual.count == 2
 
 
 def test_where_the_way_ends_more_unknowns_lead_on():
