@@ -637,6 +637,30 @@ def test_fewer_unknowns_do_not_lead_to_the_other_side_of_a_fold():
     assert residual.count == 2
 
 
+class Undecided(Growing):
+    """One that asks for the other number of unknowns each time."""
+
+    def adapt(self, x, p):
+        self.count = 3 - self.count
+        return True
+
+    def restore(self):
+        self.count = 3 - self.count
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_where_each_number_of_unknowns_asks_for_the_other_the_larger_stays(count):
+    residual = Undecided(0.02)
+    residual.count = count
+    corrector = Corrector(residual, CONTROLS, 1.0, np.array([1.0, 0.02]))
+    point = corrector.damped_newton(np.array([1.0, 0.02, 1.0]), np.array([0.0, 0.0, 1.0]))
+    adapted = corrector.adapted(point)
+    assert residual.count == 2
+    assert (adapted is point) == (count == 2)
+    x, p = corrector.unscaled(adapted.y)
+    np.testing.assert_allclose(residual.value(x, p), 0.0, atol=1e-9)
+
+
 def test_where_the_way_ends_more_unknowns_lead_on():
     residual = Growing(0.02, wall=-1.0)
     curve = follow(residual, np.array([-1.5, 0.0]), -2.0, 2.0, CONTROLS)

@@ -167,14 +167,22 @@ class Corrector:
         if self.adaptive is None or self.unasked > 0:
             self.unasked -= 1
             return point
+        known = {self.num_in_use: point}
         for _ in range(MAX_ADAPTED):
+            before = self.num_in_use
             if not self.adaptive.adapt(*self.unscaled(point.y)):
+                break
+            if self.num_in_use in known:  # neither solution asks for its own number: that with more stays
+                if self.num_in_use < before:
+                    self.adaptive.restore()
+                else:
+                    point = known[self.num_in_use]
                 break
             try:
                 new = self.newton_near(point.y, point.tangent if normal is None else normal)
                 if new.orientation * point.orientation < 0:  # a fold of one of them lies between
                     raise NoSolutionError
-                point = new
+                known[self.num_in_use] = point = new
             except NoSolutionError:
                 self.adaptive.restore()
                 self.failures = min(self.failures + 1, MAX_FAILURES)
