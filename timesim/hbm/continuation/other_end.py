@@ -1,6 +1,5 @@
 """The other end of a curve that takes long, followed meanwhile by another process up to the middle between both."""
 
-import math
 from collections.abc import Callable
 from typing import Protocol, cast
 
@@ -56,8 +55,9 @@ class OtherEnd:
         """Take in a solution, at a value of the parameter, and begin where the work of all so far is long."""
         self._work += num_unknowns
         if self._work >= WORK and self.from_end is not None:
-            # Of frequencies the geometric mean: curves have more solutions where frequencies are low.
-            self.middle = math.sqrt(p * self.end) if min(p, self.end) > 0 else (p + self.end) / 2
+            # Of frequencies the harmonic mean: harmonic k is in resonance at a natural frequency over k, as often over
+            # equal differences of 1 / p, and there a curve has most of its solutions.
+            self.middle = 2 / (1 / p + 1 / self.end) if min(p, self.end) > 0 else (p + self.end) / 2
             self._elsewhere, self.from_end = self.from_end(self.middle), None
 
     def rest_from(self, x: Array, p: float, tolerance: float) -> list[Solution] | None:
