@@ -19,6 +19,8 @@ STRAIGHT = 0.1
 NEAR_CORNER = 0.01
 # Cosine of the turn at a corner beyond which the curve goes to it, how close, and the share of the way at a time.
 SHARP, AT_CORNER, APPROACH = 0.5**0.5, 1e-6, 0.95
+# Length of a step up to which a sharp corner is crossed that cannot be approached: it is not located any closer.
+CROSSED = 1e-4
 
 
 def around_corner(
@@ -42,7 +44,9 @@ def around_corner(
         with suppress(NoSolutionError):
             if (step := _at_corner(corrector, controls, point, along, tangent)) is not None:
                 return step
-        # It cannot be approached, as where the slip of a contact ends, which falls with the root of the way.
+        if length > CROSSED:
+            return None
+        # As where the slip of a contact ends, which falls with the root of the way.
         new = _behind(corrector, point, (along, tangent), length) if new is None else new
         return _over(point, new, controls.first_step / 10) if _is_corner(point, new) else None
     return None
