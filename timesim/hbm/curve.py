@@ -209,9 +209,7 @@ def part_of_curve(
     return curve_near(balance, first, first, controls, None, lambda x: follow(balance, x, first, last, controls))
 
 
-def left_part(
-    model: Model, start: float, part: Curve, schemes: Sequence[Scheme], *, stability: bool = True
-) -> HbmCurve:
+def left_part(model: Model, start: float, part: Curve, schemes: Sequence[Scheme], *, stability: bool) -> HbmCurve:
     """A `part_of_curve` that a curve was interrupted before it met, as another curve that was interrupted."""
     balance = AdaptiveBalance(lambda own: Balance(model, start, own), schemes, model.num_contacts)
     place = part.message.split(": ")[0]

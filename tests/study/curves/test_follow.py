@@ -197,8 +197,9 @@ def test_processes_take_a_part_of_a_curve_that_takes_long(two: Processes, takes_
             np.testing.assert_allclose(found[inside], wanted[inside], rtol=0.05, err_msg=f"{name} {branch}")
 
 
+@pytest.mark.parametrize("stability", [True, False])
 def test_an_interrupt_keeps_what_there_is_from_both_ends(
-    two: Processes, takes_long: list[str], monkeypatch: pytest.MonkeyPatch
+    two: Processes, takes_long: list[str], stability: bool, monkeypatch: pytest.MonkeyPatch
 ):
     parts: list[aside.Part] = []
 
@@ -214,7 +215,8 @@ def test_an_interrupt_keeps_what_there_is_from_both_ends(
             raise KeyboardInterrupt
 
     monkeypatch.setattr(aside, "Part", Part)
-    data, _, reason = followed(LONG, LONG.plan, Execution(processes=two, progress=interrupted))
+    scene = LONG.with_overrides({"study.stability": stability})
+    data, _, reason = followed(scene, scene.plan, Execution(processes=two, progress=interrupted))
     here, there = (data.isel(solution=data.curve.values == place) for place in range(2))
     assert here.frequency.values[0] == 1.0
     assert there.frequency.values[0] == 0.93
@@ -225,6 +227,7 @@ def test_an_interrupt_keeps_what_there_is_from_both_ends(
         f"continuation at {own.frequency.values[-1]:.10g}" for own in (here, there)
     ]
     assert "from the other end of the range: interrupted" in reason
+    assert reason.count("before the multipliers") == (2 if stability else 0)
 
 
 @pytest.mark.parametrize("refused", [True, False])

@@ -107,5 +107,4 @@ def _at_corner(
         same = near.orientation * point.orientation >= 0
         return Step(near, way, along / 4) if same and point.tangent @ near.tangent > SHARP else None
     new = _behind(corrector, point, (along, tangent), AT_CORNER)
-    same = new.orientation * point.orientation >= 0
-    return Step(new, along + AT_CORNER, controls.first_step / 10, corner=True) if same else None
+    return _over(point, new, controls.first_step / 10) if new.orientation * point.orientation >= 0 else None

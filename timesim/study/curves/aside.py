@@ -32,13 +32,13 @@ class Aside:
         self._parts.append((part, model, start))
         return part
 
-    def left_of(self, curves: Sequence[HbmCurve]) -> Iterator[HbmCurve]:
+    def left_of(self, curves: Sequence[HbmCurve], *, stability: bool) -> Iterator[HbmCurve]:
         """What there is of the parts to whose ends some curves, which an interrupt has cut off, have not come."""
         ends = [curve.frequency[place] for curve in curves if curve.frequency.size for place in (0, -1)]
         for part, model, start in self._parts:
             curve = part.curve() if part.given_up else None
             if curve is not None and curve.p.size and not np.isclose(curve.p[0], ends).any():
-                yield left_part(model, start, curve, self.schemes)
+                yield left_part(model, start, curve, self.schemes, stability=stability)
 
     def each(self, function: Callable[..., HbmCurve], pieces: Sequence[tuple[Any, Curve]]) -> list[HbmCurve]:
         """A function of a module of some residuals and solutions of each."""

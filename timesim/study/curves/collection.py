@@ -220,7 +220,7 @@ class Curves:
             aside = None if processes is None else Aside(processes, options["scheme"], options["controls"])
             curves = curves_from_ends(model, *plan.span, both=plan.both_ends, aside=aside, **options)
             if aside is not None and curves[-1].ending is Ending.INTERRUPTED:
-                curves += aside.left_of(curves)
+                curves += aside.left_of(curves, stability=plan.stability)
         else:
             curves = [hbm_curve(model, *plan.span, guess=guess, begin=begin, **options)]
         yield from (StudyCurve(values, model_at, curve) for curve in curves)
