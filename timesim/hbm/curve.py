@@ -187,7 +187,7 @@ def hbm_curve(
     balance = AdaptiveBalance(lambda own: Balance(model, start, own), schemes_of(scheme), model.num_contacts)
     steps, place = controls or Controls(), start if begin is None else begin
     if watch is not None:
-        steps = watched(steps, watch, lambda curve: by_schemes(balance, curve, partial(evaluated, stability=False)))
+        steps = _watched_by_schemes(balance, steps, watch)
     from_end = None if aside is None else partial(aside.part, model, start, stop)
 
     def followed(first: Array) -> Curve:
@@ -202,11 +202,17 @@ def hbm_curve(
 
 
 def part_of_curve(
-    model: Model, start: float, first: float, last: float, schemes: Sequence[Scheme], controls: Controls
+    model: Model, start: float, first: float, last: float, schemes: Sequence[Scheme], controls: Controls, watch: Watch
 ) -> Curve:
     """The curve from one frequency to another, in the unknowns of the `hbm_curve` that begins at `start`."""
     balance = AdaptiveBalance(lambda own: Balance(model, start, own), schemes, model.num_contacts)
-    return curve_near(balance, first, first, controls, None, lambda x: follow(balance, x, first, last, controls))
+    steps = _watched_by_schemes(balance, controls, watch)
+    return curve_near(balance, first, first, steps, None, lambda x: follow(balance, x, first, last, steps))
+
+
+def _watched_by_schemes(balance: AdaptiveBalance, controls: Controls, watch: Watch) -> Controls:
+    """`watched` where each solution is evaluated by its own scheme."""
+    return watched(controls, watch, lambda curve: by_schemes(balance, curve, partial(evaluated, stability=False)))
 
 
 def left_part(model: Model, start: float, part: Curve, schemes: Sequence[Scheme], *, stability: bool) -> HbmCurve:

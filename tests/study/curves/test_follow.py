@@ -1,6 +1,7 @@
 """Curves of several sets of values on processes: the same as here, and what was followed is not lost."""
 
 import itertools
+import pickle
 import re
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Future
@@ -13,12 +14,12 @@ import numpy as np
 import pytest
 from systems import oscillator_scene
 
-from timesim.hbm import curve
+from timesim.hbm import curve, scheme
 from timesim.hbm.continuation import other_end
 from timesim.result.checkpoint import chunks_done
 from timesim.result.file import StoreError
 from timesim.study.compare import matched
-from timesim.study.curves import aside, follow
+from timesim.study.curves import aside, collection, follow, samples
 from timesim.study.curves.collection import Curves
 from timesim.study.curves.kept import KeptCurves
 from timesim.study.execution.campaign import Execution
@@ -228,6 +229,35 @@ def test_an_interrupt_keeps_what_there_is_from_both_ends(
     ]
     assert "from the other end of the range: interrupted" in reason
     assert reason.count("before the multipliers") == (2 if stability else 0)
+
+
+def test_too_few_samples_that_another_process_finds_end_both_parts(
+    takes_long: list[str], monkeypatch: pytest.MonkeyPatch
+):
+    """Here no solution is checked on its way, and there every third: the curve is followed again at once."""
+    monkeypatch.setattr(scheme, "ENOUGH_SAMPLES", 24)
+    monkeypatch.setattr(scheme, "SAMPLES_PER_WAVE", 4)
+    monkeypatch.setattr(samples, "CHECKED", 3)
+    monkeypatch.setattr(collection, "checking_samples", lambda model_at, schemes, watch: watch)
+    judged: list[int] = []
+    own = Curves._with_more_samples
+    monkeypatch.setattr(Curves, "_with_more_samples", lambda *asked: (judged.append(1), own(*asked))[1])
+
+    def submit(_: Processes, seen: Any, function: Any, *args: Any) -> Future[Any]:
+        done = Future[Any]()
+        try:
+            done.set_result(function(*args))
+        except Exception as error:  # as a process hands over what a work raises
+            done.set_exception(pickle.loads(pickle.dumps(error)))
+        return done
+
+    monkeypatch.setattr(Processes, "submit", submit)
+    auto = LONG.with_overrides({"study.time_samples": "auto", "study.stability": False})
+    with Processes(2) as two:
+        data, _, reason = followed(auto, auto.plan, Execution(processes=two))
+    assert reason is None
+    assert "96 time samples" in data.attrs["method"]
+    assert len(judged) == 1
 
 
 @pytest.mark.parametrize("refused", [True, False])

@@ -3,15 +3,15 @@
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Future
 from contextlib import suppress
-from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from timesim.hbm.continuation import WORK, Controls, Curve
-from timesim.hbm.curve import HbmCurve, left_part, part_of_curve
+from timesim.hbm.curve import HbmCurve, Watch, left_part, part_of_curve
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
+from timesim.study.curves.samples import TooFewSamplesError, checking_samples
 from timesim.study.execution.processes import Processes, unseen
 from timesim.study.execution.worker import halted, point_done
 
@@ -21,14 +21,16 @@ PARTS = 100  # into which a process divides its work to count its progress
 class Aside:
     """Processes that take a part of the work on a curve: a `timesim.hbm.curve.Aside`."""
 
-    def __init__(self, processes: Processes, schemes: Sequence[Scheme], controls: Controls):
-        """For curves by some schemes, in some steps."""
+    def __init__(self, processes: Processes, schemes: Sequence[Scheme], controls: Controls, *, checks_samples: bool):
+        """For curves by some schemes, in some steps, whose samples may prove too few."""
         self.processes, self.schemes, self.controls = processes, tuple(schemes), controls
+        self.checks_samples = checks_samples
         self._parts: list[tuple[Part, Model, float]] = []
 
     def part(self, model: Model, start: float, first: float, last: float) -> "Part":
         """Begin `part_of_curve`."""
-        part = Part(self.processes, model, start, first, last, self.schemes, self.controls)
+        asked = (model, start, first, last, self.schemes, self.controls, self.checks_samples)
+        part = Part(self.processes, *asked)
         self._parts.append((part, model, start))
         return part
 
@@ -36,7 +38,7 @@ class Aside:
         """What there is of the parts to whose ends some curves, which an interrupt has cut off, have not come."""
         ends = [curve.frequency[place] for curve in curves if curve.frequency.size for place in (0, -1)]
         for part, model, start in self._parts:
-            curve = part.curve() if part.given_up else None
+            curve = part.left() if part.given_up else None
             if curve is not None and curve.p.size and not np.isclose(curve.p[0], ends).any():
                 yield left_part(model, start, curve, self.schemes, stability=stability)
 
@@ -53,21 +55,44 @@ class Part:
     """The part of the curve of a model between two frequencies: a `timesim.hbm.continuation.Elsewhere`."""
 
     def __init__(self, processes: Processes, *asked: Any):
-        """Begin to follow it on one of some processes; arguments as of `part_of_curve`."""
-        self.processes, self.share, self.given_up = processes, 0.0, False
-        self._future: Future[Curve] | None = None
+        """Begin to follow it on one of some processes; arguments as of `followed_part`."""
+        self.processes, self.given_up = processes, False
+        self._parts, self._future = 0, cast(Future[Curve] | None, None)
         with suppress(BrokenExecutor):
             self._future = processes.submit(self._seen, followed_part, *asked)
 
     def _seen(self, parts: int) -> None:
-        self.share = parts / PARTS
+        self._parts = parts
+
+    @property
+    def share(self) -> float:
+        """Of its range that it has reached.
+
+        Raises:
+            TooFewSamplesError: its samples have proved too few, so that the whole curve is followed again.
+        """
+        if self._future is not None and self._future.done():
+            self.curve()
+        return self._parts / PARTS
 
     def curve(self) -> Curve | None:
-        """The curve once it has ended, None if it failed or the process did not live so long."""
-        # Whatever fails there this process meets itself, on its way along the curve.
-        if self._future is None or self._future.exception() is not None:
+        """The curve once it has ended, None if it failed or the process did not live so long.
+
+        Raises:
+            TooFewSamplesError: as of `share`.
+        """
+        if self._future is None:
             return None
-        return self._future.result()
+        if isinstance(error := self._future.exception(), TooFewSamplesError):
+            raise error
+        # Whatever else fails there this process meets itself, on its way along the curve.
+        return self._future.result() if error is None else None
+
+    def left(self) -> Curve | None:
+        """What there is of it where it was given up."""
+        with suppress(TooFewSamplesError):
+            return self.curve()
+        return None
 
     def give_up(self) -> None:
         """Stop it, if it has not ended; its solutions are not among those of the curve."""
@@ -77,10 +102,23 @@ class Part:
 
 
 def followed_part(
-    model: Model, start: float, first: float, last: float, schemes: Sequence[Scheme], controls: Controls
+    model: Model,
+    start: float,
+    first: float,
+    last: float,
+    schemes: tuple[Scheme, ...],
+    controls: Controls,
+    checks_samples: bool,
 ) -> Curve:
-    """`part_of_curve` in another process; as far as it has come where it is halted."""
-    return part_of_curve(model, start, first, last, schemes, replace(controls, watch=counting(lambda share: share)))
+    """`part_of_curve` in another process; as far as it has come where it is halted.
+
+    Raises:
+        TooFewSamplesError: its samples are checked, and are too few.
+    """
+    watch: Watch = counting(lambda share: share)
+    if checks_samples:
+        watch = checking_samples(lambda _: model, schemes, watch)
+    return part_of_curve(model, start, first, last, schemes, controls, watch)
 
 
 def counting(part: Callable[[float], float]) -> Callable[[float, Any], None]:

@@ -13,7 +13,7 @@ from timesim.fault import RuleError
 from timesim.hbm.branches import SettledMotion, curves_from_ends, isolated_curves
 from timesim.hbm.continuation import Controls, Ending
 from timesim.hbm.convergence import FINER, SAMPLED, Known, left_to_samples, neglected, with_more_samples
-from timesim.hbm.curve import HbmCurve, SoFar, Watch, hbm_curve
+from timesim.hbm.curve import HbmCurve, Watch, hbm_curve
 from timesim.hbm.parameter import parameter_curve
 from timesim.hbm.scheme import NEGLECTED, NOTED, Scheme
 from timesim.model.model import Model
@@ -27,21 +27,13 @@ from timesim.scene.resolution import Scene
 from timesim.scene.study import combinations
 from timesim.study.curves.aside import Aside
 from timesim.study.curves.kept import Found
+from timesim.study.curves.samples import TooFewSamplesError, checking_samples
 from timesim.study.execution.processes import Processes
 
 Sweep = tuple[SavedStates, Mapping[str, float | str]]
 """The states of a sweep, and the values along its axes that select points."""
 
-CHECKED = 50  # solutions of a curve that grows after which its samples are checked at one
 REFINED = 6  # solutions for which harmonics and samples are refined, besides the one of largest amplitude
-
-
-class TooFewSamplesError(Exception):
-    """A curve needs more samples, those of the schemes."""
-
-    def __init__(self, schemes: tuple[Scheme, ...]):
-        super().__init__(f"{schemes[0].time_samples} time samples are needed")
-        self.schemes = schemes
 
 
 @dataclass(frozen=True)
@@ -104,7 +96,7 @@ class Curves:
             while finer is not None:
                 self.schemes = finer
                 try:
-                    curves = list(self._from_ends(values, self._checking_samples(values, watch), processes))
+                    curves = list(self._from_ends(values, watch, processes))
                     finer = self._with_more_samples(curves)
                 except TooFewSamplesError as error:
                     finer = error.schemes
@@ -140,26 +132,6 @@ class Curves:
                     f"change the contacts' motion by up to {left:.1e}, where {SAMPLED:g} is wanted; set time_samples "
                     "to more"
                 )
-
-    def _checking_samples(self, values: Mapping[str, float], watch: Watch) -> Watch:
-        """What watches a curve, and gives it up where its samples prove too few: it would be followed again anyway.
-
-        A curve that is given up raises `TooFewSamplesError`.
-        """
-        if "time_samples" not in self.plan.chosen:
-            return watch
-        model_at, number = self.model_at(values), 0
-
-        def seen(share: float, so_far: SoFar) -> None:
-            nonlocal number
-            number += 1
-            if number % CHECKED == 0:
-                finer = with_more_samples(model_at, so_far(1), self.schemes)
-                if finer is not None:
-                    raise TooFewSamplesError(finer)
-            watch(share, so_far)
-
-        return seen
 
     def _with_more_samples(self, curves: Sequence[StudyCurve]) -> tuple[Scheme, ...] | None:
         """Schemes with more samples, if the curves need them and should be followed again."""
@@ -205,8 +177,9 @@ class Curves:
         self, values: Mapping[str, float], watch: Watch, processes: Processes | None
     ) -> Iterator[StudyCurve]:
         """The curves from the ends of the range, or from the motion that the plan gives."""
-        plan, along, options = self.plan, self.plan.along, self._options(watch)
-        model_at = self.model_at(values)
+        plan, along, model_at = self.plan, self.plan.along, self.model_at(values)
+        chosen = "time_samples" in plan.chosen
+        options = self._options(checking_samples(model_at, self.schemes, watch) if chosen else watch)
         guess, begin = None, None
         if plan.motion is not None:
             structure = model_at(plan.span[0] if along is None else along.first).structure
@@ -217,7 +190,8 @@ class Curves:
             return
         model = self.scene.variant(values)
         if guess is None:
-            aside = None if processes is None else Aside(processes, options["scheme"], options["controls"])
+            steps = options["controls"]
+            aside = None if processes is None else Aside(processes, self.schemes, steps, checks_samples=chosen)
             curves = curves_from_ends(model, *plan.span, both=plan.both_ends, aside=aside, **options)
             if aside is not None and curves[-1].ending is Ending.INTERRUPTED:
                 curves += aside.left_of(curves, stability=plan.stability)
