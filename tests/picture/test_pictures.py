@@ -604,6 +604,17 @@ def test_a_run_that_failed_early(run: xarray.Dataset, tmp_path: Path) -> None:
     assert plot.draw(begun.isel(time=slice(0, 0)), tmp_path) == []
 
 
+@pytest.mark.parametrize("samples", [8 * STEPS // EVERY, 8 * STEPS // EVERY + 31, 20, 1])
+def test_a_part_of_a_run_ends_before_its_last_cycles(run: xarray.Dataset, samples: int) -> None:
+    part = run.isel(time=slice(samples + 1))
+    cycles = samples * EVERY // STEPS
+    first = plot_contact.last_cycles(part).start or 0
+    assert first == max(cycles - plot_contact.LAST_CYCLES, 0) * STEPS // EVERY
+    order, _ = plot_transient.harmonics(part, part.displacement.sel(point="tip", axis="x").values)
+    assert order.size == (0 if not cycles else 1 + plot_transient.HIGHEST_ORDER * cycles)
+    assert all(picture(part) is not None for picture in plot_transient.PICTURES.values())
+
+
 def test_a_run_that_never_moved(run: xarray.Dataset, tmp_path: Path) -> None:
     names = ("displacement", "contact_displacement", "cycle_amplitude", "energy_input", "energy_friction")
     still = run.assign({name: xarray.zeros_like(run[name]) for name in names})

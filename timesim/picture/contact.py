@@ -139,11 +139,18 @@ def busiest(data: Dataset, limit: int, *, rubbing: bool = False) -> list[str]:
 
 def last_cycles(data: Dataset, cycles: int = LAST_CYCLES) -> slice:
     """Samples of the last whole cycles that were recorded; all samples where no cycle was finished."""
-    start, time = data.cycle_start.values, data.time.values
+    start, period = recorded_cycles(data)
     if not start.size:
         return slice(None)
-    first = start[-min(cycles, start.size)] - 1e-6 * data.cycle_period.values[-1]
-    return slice(int(np.searchsorted(time, first)), None)
+    first = start[-min(cycles, start.size)] - 1e-6 * period[-1]
+    return slice(int(np.searchsorted(data.time.values, first)), None)
+
+
+def recorded_cycles(data: Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Start and period [s] of the cycles up to the last sample: of a part of a result that may be before the end."""
+    start, period = data.cycle_start.values, data.cycle_period.values
+    whole = start + period < data.time.values.max(initial=-np.inf) + 1e-6 * period
+    return start[whole], period[whole]
 
 
 def intervals(data: Dataset, contact: str, start: float, end: float) -> list[tuple[float, float, int]]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from timesim.picture import contact
 from timesim.picture.choice import MAX_ROWS, asked, left_out, motions
-from timesim.picture.contact import LAST_CYCLES, busiest, last_cycles
+from timesim.picture.contact import LAST_CYCLES, busiest, last_cycles, recorded_cycles
 from timesim.picture.figure import axes, figure, finish, label_axes, labelled, legend_beside, over_decades
 from timesim.picture.style import BLUE, SERIES, Axes, Dataset, Figure, Picture, Series, short, unit
 from timesim.result.coordinate import rubs
@@ -122,7 +122,7 @@ def unsettled(data: Dataset, x: np.ndarray) -> float:
 
 def _window(data: Dataset) -> tuple[int, int, int]:
     """Number of the last recorded cycles of one frequency, at most `SPECTRUM_CYCLES`, their first sample and end."""
-    start, period, time = data.cycle_start.values, data.cycle_period.values, data.time.values
+    (start, period), time = recorded_cycles(data), data.time.values
     slack = 1e-6 * period.min(initial=np.inf)
     same = (np.abs(period - period[-1:]) < slack) & (start > time[0] - slack)
     cycles = int(np.cumprod(same[::-1][:SPECTRUM_CYCLES]).sum())
