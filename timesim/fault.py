@@ -28,6 +28,10 @@ class RuleError(Exception):
         return RuleError((*prefix, *self.key), self.rule, self.hint, self.value, self.line)
 
 
+FROM_SCENE = "paths start at the scene's folder"
+"""A hint where a file that a scene names does not exist."""
+
+
 @dataclass(frozen=True)
 class Problem:
     """One thing wrong with a scene, as the user reads it.

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from timesim.fault import RuleError
+from timesim.fault import FROM_SCENE, RuleError
 from timesim.model.model import Structure
 
 ARRAYS = {"mass": "M", "stiffness": "K", "damping": "C"}
@@ -78,7 +78,7 @@ def read_matrices(source: Path | Mapping[str, Path]) -> Matrices:
 def _check_present(path: Path) -> None:
     if not path.is_file():
         rule = "is no file" if path.exists() else "does not exist"
-        raise RuleError((), rule, "paths start at the scene's folder", str(path))
+        raise RuleError((), rule, FROM_SCENE, str(path))
 
 
 @contextmanager

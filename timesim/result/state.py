@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from timesim.fault import RuleError, nearest
+from timesim.fault import FROM_SCENE, RuleError, nearest
 from timesim.model.mode_shapes import ModeShapes
 from timesim.model.model import Model, Start
 from timesim.model.start import resumed_start
@@ -167,7 +167,7 @@ def saved_states(path: Path) -> SavedStates:
     """
     path = result_file(path)
     if not os.path.isfile(path):
-        raise RuleError((), "does not exist")
+        raise RuleError((), "does not exist", FROM_SCENE)
     import xarray
 
     try:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from timesim.fault import RuleError
+from timesim.fault import FROM_SCENE, RuleError
 from timesim.model.model import GROUND, Contact
 from timesim.scene.contact import ContactSection
 from timesim.scene.section import AsMapping, AsText, Section, by_form, refuse
@@ -140,7 +140,8 @@ class Element(ElementSection):
         except (ValueError, StoreError) as error:
             raise RuleError(("motion",), str(error)) from None
         except OSError as error:
-            hint = error.strerror or str(error)
+            missing = isinstance(error, FileNotFoundError)
+            hint = f"does not exist, {FROM_SCENE}" if missing else error.strerror or str(error)
             raise RuleError(("motion",), "must be a file that can be read", hint, given) from None
 
 

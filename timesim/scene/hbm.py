@@ -133,8 +133,8 @@ class ResultStart(ResultSection):
             states = saved_states(path)
             motion = None if states.axes else periodic_motion(path)
         except (RuleError, ValueError, StoreError) as error:
-            what = error.rule if isinstance(error, RuleError) else str(error)
-            raise self.refused("must be the result of a transient or a sweep", what) from None
+            said = (error.rule, error.hint) if isinstance(error, RuleError) else (str(error),)
+            raise self.refused("must be the result of a transient or a sweep", ", ".join(filter(None, said))) from None
         if motion is None:
             self._check_sweep(states, plan, context)
             return replace(plan, passing=(states, self.at))
