@@ -495,6 +495,17 @@ def test_a_long_title_fits_the_figure(run: xarray.Dataset, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["energy", "hysteresis", "displacement"])
+def test_the_title_stands_over_the_middle_of_the_axes(run: xarray.Dataset, name: str) -> None:
+    """Not of the figure, whose room for a legend beside the axes may be empty and is cut off then."""
+    figure = plot_transient.PICTURES[name](run)
+    assert figure is not None
+    heading = figure._suptitle.get_window_extent()  # type: ignore[attr-defined]
+    boxes = [ax.bbox for ax in figure.axes]
+    middle = (min(box.x0 for box in boxes) + max(box.x1 for box in boxes)) / 2
+    assert (heading.x0 + heading.x1) / 2 == pytest.approx(middle, abs=1.0)
+
+
+@pytest.mark.parametrize("name", ["energy", "hysteresis", "displacement"])
 def test_the_title_stands_just_above_the_axes_and_what_is_written_above_them(run: xarray.Dataset, name: str) -> None:
     figure = plot_transient.PICTURES[name](run)
     assert figure is not None

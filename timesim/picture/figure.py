@@ -14,6 +14,7 @@ from timesim.picture.style import CLOSED, Axes, Dataset, DataTree, Figure, short
 LEAST_DECADES = 2.2  # with two powers of ten at least
 MANY_DECADES = 2.5  # from which on a logarithmic axis has ticks at powers of ten only
 _HEAD, _FOOT = 0.68, 0.95  # inch
+_WIDEST = 0.97  # of the figure, a title
 _LABELLED, _PLAIN = 0.27, 0.1  # inch from axes with a label above them, or without one, to the title
 
 
@@ -76,7 +77,8 @@ def stacked(rows: int, height: float, *, share_x: bool = True, **options: Any) -
 def finish(fig: Figure, data: Dataset | DataTree, what: str, *notes: str) -> Figure:
     """Add the title just above the axes, notes of what is left out at the foot, and a legend there if no axes have one.
 
-    The title is that of the scene, and what is shown.
+    The title is that of the scene, and what is shown. It stands over the middle of the axes, as far as it fits there:
+    what is beside them may be empty, and is cut off then.
     """
     title = short(" ".join(str(data.attrs.get("title") or "").split()), 90)
     unfinished = "" if int(data.attrs["complete"]) else " (incomplete run)"
@@ -86,8 +88,11 @@ def finish(fig: Figure, data: Dataset | DataTree, what: str, *notes: str) -> Fig
     labels = any(ax.get_title(place) for ax in top for place in ("left", "center", "right"))
     foot = above + (_LABELLED if labels else _PLAIN) / tall
     drawn = fig.suptitle(heading.replace(r"\$", "$"), fontsize=10, y=foot, va="bottom", parse_math=False)
-    too_wide = drawn.get_window_extent().width / (0.97 * fig.get_figwidth() * fig.dpi)
+    too_wide = drawn.get_window_extent().width / (_WIDEST * fig.bbox.width)
     drawn.set_fontsize(10 / max(too_wide, 1.0))
+    places, room = [ax.get_position() for ax in fig.axes], 0.5 - drawn.get_window_extent().width / fig.bbox.width / 2
+    middle = (min(place.x0 for place in places) + max(place.x1 for place in places)) / 2
+    drawn.set_x(min(max(middle, 0.5 - room), 0.5 + room))
     if all(ax.get_legend() is None for ax in fig.axes):
         _legend_below(fig)
     x, y = (0.99, 0.04) if fig.legends else (max(ax.get_position().x1 for ax in fig.axes), 0.3)
