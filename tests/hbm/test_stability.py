@@ -114,6 +114,23 @@ def test_what_samples_tell_of_multipliers():
     assert doubt.tolist() == [False] * 4 + [True]
 
 
+def test_multipliers_of_fast_modes_that_take_each_others_place_are_not_in_doubt():
+    """The nearest of those with fewer samples is another mode's; in order, their moduli are the same."""
+    slow, fast = np.exp(1j * np.array([1, -1])), np.exp(2j * np.array([1, -1]))
+    fine, coarse = np.concatenate([0.95 * fast, 0.5 * slow]), np.concatenate([0.95 * slow, 0.5 * fast])
+    found, doubt = multipliers.extrapolated(fine, coarse, 2.0)
+    np.testing.assert_array_equal(found, fine)
+    assert not doubt.any()
+
+
+def test_the_largest_multiplier_is_in_doubt_where_it_changes_much():
+    """It is shown; others may change as much where they stay clear of 1."""
+    fine, coarse = np.array([4.0, 0.2, 0.1], complex), np.array([3.7, 0.26, 0.1], complex)
+    found, doubt = multipliers.extrapolated(fine, coarse, 2.0)
+    assert doubt.tolist() == [True, False, False]
+    np.testing.assert_allclose(found[0], fine[0] * (fine[0] / coarse[0]) ** (1 / 3))
+
+
 @pytest.mark.parametrize("share", [0.0, 0.9])
 def test_a_contact_however_stiff_makes_no_solution_unstable(share):
     """It vibrates many times between two samples, here with the modes coupled by the damping as well."""

@@ -23,11 +23,15 @@ BORDER = 1 + 1e-3
 # Distance of a real multiplier from 1 within which the determinant of the balance decides: the samples leave an error
 # of this size.
 NEAR_ONE = 0.03
-# Estimated errors by which a modulus must be off the border, or the solution is looked at again with `MANY` samples.
-SAFETY, MANY = 5.0, 2048
+# Estimated errors by which a modulus must be off the border, change from fewer samples up to which the largest one
+# stands, and samples with which a solution is looked at again where one is in doubt.
+SAFETY, ROUGH, MANY = 5.0, 0.1, 2048
 # Change of the logarithm from fewer samples up to which a multiplier is the same one, and modulus from which on it is
 # extrapolated.
 ALIKE, DEAD = 0.3, 1e-2
+# Change of the modulus from a partner, over that from the one of the same rank, up to which it is the partner; and of
+# moduli that are the same.
+SWAPPED, ROUNDING = 3.0, 1e-9
 # With half as many the largest multiplier errs by at most 3e-3 on the paper's oscillator in slip and separation.
 SAMPLES = 256
 
@@ -70,7 +74,7 @@ def checked_multipliers(balance: Balance, x: Array, frequency: Array, sign: NDAr
 def _with_doubt(
     balance: Balance, x: Array, frequency: Array, samples: int | None = None
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """`floquet_multipliers`, and of which of them more samples might tell that they are on the other side of 1."""
+    """`floquet_multipliers`, and which of them are in doubt: `extrapolated`."""
     samples = samples or max(SAMPLES, balance.scheme.time_samples)
     fine, coarse = (_by_samples(balance, x, frequency, number) for number in (samples, samples // 2))
     both = [extrapolated(*pair, samples / (samples // 2)) for pair in zip(fine, coarse, strict=True)]
@@ -80,22 +84,29 @@ def _with_doubt(
 
 
 def extrapolated(fine: Array, coarse: Array, ratio: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Multipliers of a solution from those with samples and with fewer [1]_, and which may be on the other side of 1.
+    """Multipliers of a solution from those with samples and with fewer [1]_, and which are in doubt.
+
+    That are those which may be on the other side of 1, and the largest, which is shown, where it changes much.
 
     Logarithms are extrapolated, so a mode that vibrates faster than the samples keeps its modulus. It may find no
     partner among those with fewer samples, or a wrong one; one of a pair that is real in one and complex in the other
-    finds none. They stay as they are, and so do those that may be on the other side.
+    finds none. They stay as they are, and so do those that may be on the other side. Of either the moduli in order tell
+    how much the samples change: the one of each rank depends continuously on them, whatever its partner is.
 
     .. [1] L. F. Richardson, Philosophical Transactions of the Royal Society A 210 (1911) 307-357.
     """
     partner = coarse[linear_sum_assignment(np.abs(fine[:, None] - coarse))[1]]
-    alike = (np.minimum(np.abs(fine), np.abs(partner)) > DEAD) & ((fine.imag == 0) == (partner.imag == 0))
+    size, ranked = np.abs(fine), np.empty(fine.size)
+    ranked[np.argsort(size)] = np.sort(np.abs(coarse))
+    off = np.abs(size - ranked)
+    alike = (np.minimum(size, np.abs(partner)) > DEAD) & ((fine.imag == 0) == (partner.imag == 0))
+    alike &= np.abs(size - np.abs(partner)) <= SWAPPED * off + ROUNDING
     change = np.log(np.where(alike, fine / np.where(alike, partner, 1.0), 1.0))
-    change = np.where(np.abs(change) < ALIKE, change, 0.0) / (ratio**2 - 1)
-    better = fine * np.exp(change)
-    error = np.abs(np.abs(fine) - np.abs(np.where(change == 0, partner, better)))
+    alike &= np.abs(change) < ALIKE
+    better = fine * np.exp(np.where(alike, change, 0.0) / (ratio**2 - 1))
+    error = np.where(alike, off / (ratio**2 - 1), off / 2)
     doubt = np.abs(np.abs(better) - BORDER) < SAFETY * error
-    return np.where(doubt, fine, better), doubt
+    return np.where(doubt, fine, better), doubt | ((size == size.max()) & (off > ROUGH))
 
 
 def _by_samples(balance: Balance, x: Array, frequency: Array, samples: int) -> Array:
