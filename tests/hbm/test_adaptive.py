@@ -213,6 +213,11 @@ def test_the_coarsest_scheme_of_a_motion_has_all_its_harmonics():
         assert coarsest(SCHEMES, motion) == place + 1
 
 
+def test_a_scheme_in_words():
+    assert str(Scheme(1, 64)) == "harmonic balance, 1 harmonic, 64 time samples"
+    assert str(Scheme(9, 256)) == "harmonic balance, 9 harmonics, 256 time samples"
+
+
 def test_harmonics_are_added_one_scheme_after_the_other(model, monkeypatch):
     """From a solution with few harmonics, one with many is out of reach of Newton's method where contacts are stiff."""
     balance = AdaptiveBalance(lambda own: Balance(model, 1.6, own), SCHEMES, 1)

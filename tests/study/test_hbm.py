@@ -117,6 +117,12 @@ def test_of_many_folds_the_first_are_listed(curves, monkeypatch):
     assert re.search(r"; folds at 0\.\d+, and 1 more; ", line)
 
 
+def test_one_fold_is_a_fold(curves):
+    first = int(np.flatnonzero(curves.fold.values)[0])
+    _, line = curve_lines(curves.isel(solution=slice(0, first + 2)), ())
+    assert f"; a fold at {curves.frequency.values[first]:.6g}; " in line
+
+
 def test_a_contact_that_sticks_beside_one_that_works_is_named(curves):
     """Its mean force is free; where nothing works, or no contact sticks, or it has no friction, nothing is said."""
     data = curves.isel(solution=slice(0, 3), contact=[0, 0]).copy(deep=True)

@@ -54,7 +54,8 @@ class Scheme:
             raise BalanceError("time_samples", rule, self.time_samples, "the default is enough")
 
     def __str__(self) -> str:
-        return f"harmonic balance, {self.harmonics} harmonics, {self.time_samples} time samples"
+        count = f"{self.harmonics} harmonic{'s' * (self.harmonics > 1)}"
+        return f"harmonic balance, {count}, {self.time_samples} time samples"
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,8 @@ def _curve_line(curve: Dataset) -> str:
     point, axis = np.unravel_index(np.argmax(amplitude.max(axis=0)), amplitude.shape[1:])
     motion = np.stack([curve["harmonic_cos"].values, curve["harmonic_sin"].values], axis=1)
     place, height = peak(along, amplitude[:, point, axis], motion)
-    turning = f"folds at {_first_of(along[fold])}" if fold.any() else "no fold"
+    folds = "folds" if np.sum(fold) > 1 else "a fold"
+    turning = f"{folds} at {_first_of(along[fold])}" if fold.any() else "no fold"
     changes = crossed(along, curve["floquet_max"].values, changes_of_stability(stable, fold))
     also = f"; stability changes at {_first_of(changes)} without a fold" if changes.size else ""
     touching, apart = curve["slip_share"].values, curve["separation_share"].values.max(initial=0.0)
