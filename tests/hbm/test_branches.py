@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from timesim.hbm import branches
-from timesim.hbm.branches import SettledMotion, curves_from_ends, passes
+from timesim.hbm.branches import SettledMotion, curves_from_ends, isolated_curves, passes
 from timesim.hbm.continuation import Controls, Ending, crossings
 from timesim.hbm.curve import HbmCurve
+from timesim.hbm.scheme import Scheme
 
 LOW, HIGH = 1.0, 2.0
 
@@ -121,6 +122,22 @@ def test_a_curve_passes_a_motion_if_all_its_amplitudes_do():
     motion = SettledMotion(1.5, np.array([[3.5, 3.5, 3.5]]), lambda: None)
     assert passes(WHOLE, motion)
     assert not passes(WHOLE, replace(motion, amplitude=np.array([[3.5, 3.5, 3.0]])))
+
+
+def test_a_motion_at_an_end_of_the_range_begins_a_curve_of_its_own(monkeypatch):
+    """Also where its frequency, of a range in steps, is not quite that end."""
+    begun = []
+
+    def followed(*_, begin, **__):
+        begun.append(begin)
+        return curve(Ending.COMPLETE, (LOW, 9.0), (HIGH, 9.0))
+
+    monkeypatch.setattr(branches, "hbm_curve", followed)
+    monkeypatch.setattr(branches, "_leads_elsewhere", lambda *_: True)
+    for frequency in (LOW, HIGH, np.nextafter(HIGH, 3.0), 1.01 * HIGH):
+        motion = SettledMotion(frequency, np.full((1, 3), 9.0), lambda: np.zeros((3, 1)))
+        list(isolated_curves(None, [WHOLE], [motion], (LOW, HIGH), scheme=Scheme()))
+    assert begun == [LOW, HIGH, np.nextafter(HIGH, 3.0)]
 
 
 def test_a_curve_may_lead_straight_up():

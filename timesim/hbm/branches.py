@@ -20,6 +20,8 @@ from timesim.model.model import Model
 NEAR = 0.05
 # Share of the longest step, where that led onto another branch.
 SHORTER = 0.5
+# Of the frequency: by how much an end of the range may be missed, by rounding.
+ROUNDED = 1e-12
 # What a curve ends with that may be passed from the other end of the range.
 FAILED = (Ending.START, Ending.STEP, Ending.AGAIN, Ending.UNBOUNDED)
 
@@ -114,14 +116,15 @@ def isolated_curves(
     Args:
         model: the scene.
         curves: curves followed before.
-        motions: by time integration; any outside the span are ignored.
+        motions: by time integration; any outside the span are ignored, those at its ends are not.
         span: range of the curves [Hz].
 
     Keyword Args:
         scheme, options: as for `timesim.hbm.curve.hbm_curve`.
     """
     known = list(curves)
-    left = [motion for motion in motions if min(span) < motion.frequency < max(span)]
+    low, high = min(span) * (1 - ROUNDED), max(span) * (1 + ROUNDED)
+    left = [motion for motion in motions if low <= motion.frequency <= high]
     left = [motion for motion in left if not any(passes(curve, motion) for curve in known)]
     while left:
         # The middle one of those that are left is far from the folds at the ends of its branch.
