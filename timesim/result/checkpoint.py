@@ -278,15 +278,18 @@ def _seconds(folder: Path) -> float:
 
 
 def resuming_helps(run_folder: Path | str, reason: str) -> bool:
-    """Whether a run that ended early would get further if resumed: chunks are missing, or it was interrupted later."""
-    root = Path(run_folder) / FOLDER_NAME
+    """Whether a run that ended early would get further if resumed: chunks are missing, or it was interrupted later.
+
+    Where no chunk was finished it would begin anew.
+    """
+    folders = [path.parent for path in (Path(run_folder) / FOLDER_NAME).rglob(MANIFEST_NAME)]
     missing = any(
-        not (path.parent / f"{name}.npz").exists()
-        for path in root.rglob(MANIFEST_NAME)
-        if (manifest := Manifest.read(path.parent))
+        not (folder / f"{name}.npz").exists()
+        for folder in folders
+        if (manifest := Manifest.read(folder))
         for name in manifest.chunks
     )
-    return missing or (INTERRUPTED in reason and chunks_done(run_folder) > 0)
+    return any(map(_count, folders)) and (missing or INTERRUPTED in reason)
 
 
 def _is_whole(folder: Path, scene: str) -> bool:

@@ -611,6 +611,16 @@ def test_resuming_is_advised_where_it_gets_further(tmp_path: Path):
     assert not checkpoint.resuming_helps(tmp_path / "new", "interrupted")
 
 
+def test_resuming_is_not_advised_where_no_chunk_was_finished(tmp_path: Path):
+    """It would begin anew, whatever was computed of the chunks that were under way."""
+    execution, _ = execution_of(tmp_path)
+    carried(chains(2, 2), execution)
+    for kept in (tmp_path / "checkpoint").glob("*.npz"):
+        kept.unlink()
+    assert not checkpoint.resuming_helps(tmp_path, "interrupted")
+    assert not checkpoint.resuming_helps(tmp_path, "sweep: interrupted; 42 of 42 points missing; hbm: not begun")
+
+
 def test_resume_with_nothing_there_runs(faulty: list[Any], tmp_path: Path):
     status, _, error = call(tmp_path / "new", "--resume")
     assert status == 0
