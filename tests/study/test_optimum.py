@@ -19,11 +19,11 @@ from timesim.scene.study import SweepPlan
 from timesim.scene.sweep import OptimumPlan
 from timesim.study import optimum
 from timesim.study import registry as plot
+from timesim.study.columns import blank_columns
 from timesim.study.execution.campaign import Chunk, Execution
 from timesim.study.optimum import Peaks, Response, SearchError, _peak, data_of
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.summary.optimum import optimum_lines
-from timesim.study.sweep import blank_columns
 
 KEY = "contacts.pad.preload"
 QUICK = {

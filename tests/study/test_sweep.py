@@ -22,14 +22,16 @@ import timesim
 from timesim.cli import app
 from timesim.fault import SceneError
 from timesim.orbit.linear import linear_orbit
-from timesim.orbit.settling import Chain, first_lane
+from timesim.orbit.settling import Chain, GivenUpError, first_lane
 from timesim.orbit.steady_state import without_orbit
 from timesim.orbit.threshold import UNSETTLED_CYCLES
 from timesim.picture import sweep as plot_sweep
 from timesim.result.netcdf import read, save
 from timesim.study import sweep
+from timesim.study.execution.campaign import Execution
+from timesim.study.execution.worker import UnfinishedError
 from timesim.study.outcome import attributes
-from timesim.study.registry import load_scene
+from timesim.study.registry import carry_out, load_scene
 from timesim.study.summary.sweep import anew_lines, jump_lines, peak_lines, sweep_lines, unusual_lines
 
 DATA = Path(__file__).parents[1] / "data"
@@ -543,6 +545,51 @@ def test_workers_make_no_difference(study: dict[str, Any], monkeypatch: pytest.M
     assert_same(
         run(study, workers=1, solver={"accuracy": "draft"}), run(study, workers=2, solver={"accuracy": "draft"})
     )
+
+
+@pytest.mark.parametrize(
+    "study",
+    [
+        {"frequency": {"from": 1.30, "to": 1.34, "step": 0.01}},
+        {"frequency": {"from": 1.30, "to": 1.32, "step": 0.01}, "direction": "up", "over": {PRELOAD: [0, 1]}},
+    ],
+    ids=["points", "chains"],
+)
+def test_an_interrupt_keeps_the_points_of_a_chunk_that_are_done(study: dict[str, Any], tmp_path: Path) -> None:
+    """A chunk of many points may take minutes."""
+    loaded = load_scene(scene(study, solver={"accuracy": "draft"}))
+
+    def interrupted(done: float, *_: Any) -> None:
+        if done >= 2:
+            raise KeyboardInterrupt
+
+    whole = carry_out(loaded).groups[""]
+    outcome = carry_out(loaded, Execution(progress=interrupted, folder=tmp_path, workers=1))
+    cut = outcome.groups[""]
+    found = np.isfinite(x(cut).values)
+    assert 1 <= found.sum() <= loaded.plan.size - 2
+    assert outcome.reason == f"interrupted; {loaded.plan.size - found.sum()} of {loaded.plan.size} points missing"
+    for name in ("amplitude", "phase_deg", "final_modal_displacement", "settled", "slip_share"):
+        np.testing.assert_array_equal(cut[name].values[found], whole[name].values[found], err_msg=name)
+    assert np.isnan(cut["final_modal_displacement"].values[~found]).all()
+    assert set(cut["failure"].values.ravel()) == {""}
+    again = carry_out(loaded, Execution(folder=tmp_path, resume=True, workers=1, notice=lambda _: None))
+    assert_same(again.groups[""].drop_attrs(), whole.drop_attrs())
+
+
+def test_an_interrupt_of_the_search_for_jumps_keeps_all_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    study = {"frequency": {"from": 1.30, "to": 1.31, "step": 0.01}, "direction": "up", "refine": 1e-3}
+    loaded = load_scene(scene(study, solver={"accuracy": "draft"}))
+    (chunk,), _ = sweep.Grid(loaded, loaded.plan).chunks(loaded.solver())
+
+    def interrupted(*_: Any) -> Any:
+        raise GivenUpError([[]])
+
+    monkeypatch.setattr(sweep, "_jumps", interrupted)
+    with pytest.raises(UnfinishedError) as raised:
+        sweep.solve(chunk.payload, None)
+    assert np.isfinite(raised.value.result["amplitude"][:, :, 0, 0]).all()
+    assert raised.value.size == chunk.size - 1  # not all: the chunk is not finished
 
 
 LONG = {"frequency": {"from": 0.92, "to": 0.96, "step": 0.001}, "direction": "both", "over": {PRELOAD: [-4]}}

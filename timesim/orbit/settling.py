@@ -40,6 +40,14 @@ SteadyStates = Callable[[Sequence[Chain]], list[list[Orbit]]]
 """Computes the steady states of chains: `steady_states` with a solver and a criterion."""
 
 
+class GivenUpError(KeyboardInterrupt):
+    """The work on steady states was given up; `orbits`: those of each chain up to then, in its order."""
+
+    def __init__(self, orbits: list[list[Orbit]]):
+        super().__init__(orbits)
+        self.orbits = orbits
+
+
 class Task(enum.Enum):
     """Next piece of work of a search."""
 
@@ -203,6 +211,7 @@ def steady_states(
     criterion: Criterion,
     *,
     halted: Callable[[], bool] = lambda: False,
+    count: Callable[[], object] = lambda: None,
     each: Each = map,
 ) -> list[list[Orbit]]:
     """The steady states of chains of frequencies, those of each in its order; after one that failed it starts anew.
@@ -211,13 +220,14 @@ def steady_states(
         chains: the first motion of each starts from the model's own `Start`.
         solver: method and tolerances.
         criterion: when a motion counts as settled.
-        halted: called after each steady state; True gives the work up.
+        halted: asked before each round of cycles; True gives the work up.
+        count: called after each steady state.
         each: does the work on batches of them.
 
     Raises:
-        KeyboardInterrupt: the work was given up.
+        GivenUpError: the work was given up.
     """
-    work = _Work(chains, solver, criterion, each)
+    work = _Work(chains, solver, criterion, halted, each)
     orbits: list[list[Orbit]] = [[] for _ in chains]
     groups: dict[tuple[tuple[int, ...], ...], deque[Search]] = {}
     for index, chain in enumerate(chains):
@@ -225,12 +235,14 @@ def steady_states(
         orbits[index] = _linear_orbits(chain, lane, solver)
         if not orbits[index]:
             groups.setdefault(lane.shapes, deque()).append(Search(index, 0, lane))
-    for group in groups.values():
-        for search in work.settled(group):
-            assert search.orbit is not None
-            orbits[search.chain].append(search.orbit)
-            if halted():
-                raise KeyboardInterrupt
+    try:
+        for group in groups.values():
+            for search in work.settled(group):
+                assert search.orbit is not None
+                orbits[search.chain].append(search.orbit)
+                count()
+    except KeyboardInterrupt:
+        raise GivenUpError(orbits) from None
     return orbits
 
 
@@ -267,12 +279,19 @@ class _Work:
     chains: Sequence[Chain]
     solver: Solver
     criterion: Criterion
+    halted: Callable[[], bool]
     each: Each
 
     def settled(self, pending: deque[Search]) -> Iterator[Search]:
-        """Yield the searches of a group, and those that follow along their chains, when each is done."""
+        """Yield the searches of a group, and those that follow along their chains, when each is done.
+
+        Raises:
+            KeyboardInterrupt: the work was given up.
+        """
         active: list[Search] = []
         while pending or active:
+            if self.halted():
+                raise KeyboardInterrupt
             while pending and len(active) < threshold.UNDER_WAY:
                 active.append(pending.popleft())
             moved = self._round(active)

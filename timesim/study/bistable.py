@@ -25,15 +25,16 @@ from timesim.result.dataset import dataset
 from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import BistablePlan
+from timesim.study.columns import sizes_of
 from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import CURVE, Phases
-from timesim.study.execution.worker import each, point_done
+from timesim.study.execution.worker import each, halted, point_done
 from timesim.study.hbm import compile_beside, followed
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.summary.bistable import bistable_lines, fold_lines, starts_line
 from timesim.study.summary.effort import sweep_effort_lines
 from timesim.study.summary.sweep import failure_line, number_of_states, unusual_lines
-from timesim.study.sweep import FAILURES, STEPS_A_CHUNK, Grid, continued, search_failure, sizes_of
+from timesim.study.sweep import FAILURES, STEPS_A_CHUNK, Grid, continued, search_failure
 
 SEARCH = "sweeps, ends and starts"  # phase of the progress
 
@@ -47,7 +48,8 @@ class Payload:
     criterion: Criterion
 
     def steady(self, chains: Sequence[Chain]) -> list[list[Orbit]]:
-        return steady_states(chains, self.solver, self.criterion, halted=point_done, each=each)
+        options: dict[str, Any] = {"halted": halted, "count": point_done, "each": each}
+        return steady_states(chains, self.solver, self.criterion, **options)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -26,13 +26,14 @@ from timesim.result.dataset import Arrays
 from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import OptimumPlan
+from timesim.study.columns import blank_columns
 from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import Phases
-from timesim.study.execution.worker import each, point_done
+from timesim.study.execution.worker import each, halted, point_done
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.summary.optimum import TIE, as_low, optimum_lines
 from timesim.study.summary.sweep import failure_line
-from timesim.study.sweep import Grid, blank_columns, steady_dataset
+from timesim.study.sweep import Grid, steady_dataset
 
 NEARLY = 0.9  # of the largest amplitude: other maxima above it may be larger between the points of the sweep
 FINE = 1e-3  # of a step of the sweep: the frequency of a peak, whose height depends on it in second order only
@@ -71,7 +72,8 @@ class Response:
         return float(np.max(amplitude if axis is None else amplitude[:, "xyz".index(axis)]))
 
     def steady(self, *chains: Chain) -> list[list[Orbit]]:
-        return steady_states(chains, self.solver, self.plan.sweep.criterion, halted=point_done, each=each)
+        options: dict[str, Any] = {"halted": halted, "count": point_done, "each": each}
+        return steady_states(chains, self.solver, self.plan.sweep.criterion, **options)
 
 
 class SearchError(Exception):

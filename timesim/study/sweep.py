@@ -17,17 +17,17 @@ from xarray import Dataset
 from timesim.fault import SceneError
 from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
-from timesim.orbit.fourier import HARMONICS, phase_deg, signed_amplitude
 from timesim.orbit.jump import Stretch, Watched, jumps_of, steps_of, suspects
-from timesim.orbit.settling import Chain, SteadyStates, steady_states, warm_up
-from timesim.orbit.steady_state import COLUMNS, START, Columns, Orbit, columns_of, end_of, orbit_of
+from timesim.orbit.settling import Chain, GivenUpError, SteadyStates, steady_states, warm_up
+from timesim.orbit.steady_state import COLUMNS, Columns, Orbit, columns_of, end_of, orbit_of
 from timesim.result.coordinate import most_friction
 from timesim.result.dataset import Arrays, dataset
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan, combinations
+from timesim.study.columns import blank_columns, variables_of
 from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import Phases
-from timesim.study.execution.worker import each, halted, point_done
+from timesim.study.execution.worker import UnfinishedError, each, halted, point_done
 from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.summary.effort import sweep_effort_lines
 from timesim.study.summary.sweep import failure_line, search_line, sweep_lines
@@ -54,17 +54,42 @@ class Segment:
     criterion: Criterion
     refine: float | None = None
 
+    @property
+    def size(self) -> int:
+        """Number of steady states."""
+        return sum(len(chain.frequencies) for chain in self.chains)
+
 
 def solve(segment: Segment, before: Result | None) -> Result:
-    """The steady states of a segment as arrays: chain first, then its frequencies."""
+    """The steady states of a segment as arrays: chain first, then its frequencies.
+
+    Raises:
+        UnfinishedError: it was given up; some steady states may be missing, and all jumps.
+    """
     chains = [continued(chain, index, before) for index, chain in enumerate(segment.chains)]
     steady = partial(steady_states, solver=segment.solver, criterion=segment.criterion, halted=halted, each=each)
-    orbits = steady(chains, halted=point_done)
+    orbits, search, jumps = list[list[Orbit]](), Watched(steady), list[tuple[int, float, float]]()
+    try:
+        orbits = steady(chains, count=point_done)
+        if segment.refine is not None:
+            jumps = list(_jumps(search, segment.refine, chains, orbits, before))
+    except GivenUpError as given_up:
+        own = orbits or given_up.orbits
+        result = _so_far(chains, own) | {"jumps": np.zeros((0, 3)), FAILURES: np.zeros(0, dtype=str)}
+        raise UnfinishedError(result, min(sum(map(len, own)), segment.size - 1)) from None
     rows = columns_of(orbits)
-    search = Watched(steady)
-    jumps = [] if segment.refine is None else list(_jumps(search, segment.refine, chains, orbits, before))
     rows |= {"jumps": np.array(jumps, dtype=float).reshape(-1, 3), FAILURES: np.array(search.failures, dtype=str)}
     return rows | {"last_frequency": np.array([chain.frequencies[-1] for chain in chains])}
+
+
+def _so_far(chains: Sequence[Chain], orbits: Sequence[list[Orbit]]) -> dict[str, np.ndarray]:
+    """`columns_of` where some steady states of each chain are still missing."""
+    rows = blank_columns(chains[0].model, len(chains), len(chains[0].frequencies))
+    for index, own in enumerate(orbits):
+        if own:
+            for name, array in columns_of([own]).items():
+                rows[name][index, : len(own)] = array[0]
+    return rows
 
 
 def _jumps(
@@ -135,67 +160,6 @@ def search_failure(results: Iterable[Result]) -> str | None:
     return search_line([str(why) for result in results for why in result.get(FAILURES, ())])
 
 
-# Dimensions of the quantities of a point after those of the sweep; values for points that were not computed, where
-# these are not NaN; names of some columns in the result file.
-TAILS = {
-    **dict.fromkeys(("amplitude", "phase_deg"), ("point", "axis")),
-    **dict.fromkeys(("harmonic_amplitude", "harmonic_cos", "harmonic_sin"), ("harmonic", "point", "axis")),
-    "phasor": ("harmonic", "point", "axis"),
-    "band": ("band", "point", "axis"),
-    "slip_share": ("contact",),
-    "separation_share": ("contact",),
-    "dissipated_power": ("contact",),
-    "cycle_transitions": ("contact",),
-    "end_displacement": ("mode",),
-    "end_velocity": ("mode",),
-    "end_slip": ("contact", "tangent"),
-    "end_state": ("contact",),
-}
-BLANK: dict[str, tuple[Any, type]] = {
-    **dict.fromkeys(("settled", "cycles", "period", "irregular"), (0, np.int32)),
-    "end_state": (-1, np.int8),
-    "phasor": (np.nan, complex),
-    "reason": ("", object),
-}
-STORED = {
-    "band": "amplitude_band",
-    "reason": "failure",
-    "end_displacement": "final_modal_displacement",
-    "end_velocity": "final_modal_velocity",
-    "end_slip": "final_slip",
-    "end_state": "final_contact_state",
-}
-
-
-def blank_columns(model: Model, *shape: int) -> dict[str, np.ndarray]:
-    """Columns of points that were not computed; ``shape`` is that of the points."""
-    sizes, arrays = sizes_of(model), dict[str, np.ndarray]()
-    for name in COLUMNS:
-        fill, kind = BLANK.get(name, (np.nan, float))
-        arrays[name] = np.full((*shape, *(sizes[dim] for dim in TAILS.get(name, ()))), fill, dtype=kind)
-    return arrays
-
-
-def variables_of(columns: Columns, axes: Mapping[str, int]) -> Arrays:
-    """Steady states as variables of a result file; a point that failed has no state.
-
-    The columns may have any dimensions of the points first, which become axes of these names and sizes.
-    """
-    phasor, failed = columns["phasor"], columns["reason"] != ""
-    values = {name: array for name, array in columns.items() if name != "phasor"}
-    values |= {"phase_deg": phase_deg(phasor), "harmonic_amplitude": signed_amplitude(phasor)}
-    values |= {"harmonic_cos": phasor.real, "harmonic_sin": 0.0 - phasor.imag, "reason": columns["reason"].astype(str)}
-    for name in START:
-        blank, kind = BLANK.get(name, (np.nan, float))
-        missing = failed.reshape(*failed.shape, *[1] * len(TAILS[name]))
-        values[name] = np.where(missing, blank, values[name]).astype(kind)
-
-    def shaped(array: np.ndarray) -> np.ndarray:
-        return array.reshape(*axes.values(), *array.shape[failed.ndim :])
-
-    return {STORED.get(name, name): ((*axes, *TAILS.get(name, ())), shaped(value)) for name, value in values.items()}
-
-
 def steady_dataset(grid: "Grid", columns: Columns, own: Arrays, model: Model) -> Dataset:
     """The result file of a sweep: its steady states, and further variables of its own."""
     scene, plan = grid.scene, grid.plan
@@ -245,9 +209,8 @@ class Grid:
         places: dict[str, list[Place]] = {}
         for name, after, where in self._pieces():
             chains = tuple(Chain(self.models[v], tuple(self._visited(d, f))) for v, d, f in where)
-            size = sum(len(chain.frequencies) for chain in chains)
             payload = Segment(chains, solver, self.plan.criterion, self.plan.refine)
-            chunks.append(Chunk(name, payload, after, size))
+            chunks.append(Chunk(name, payload, after, payload.size))
             places[name] = where
         return chunks, places
 
@@ -328,12 +291,6 @@ class Grid:
         for (v, d), ends in rows.items():
             table[v, d, : len(ends)] = ends
         return table
-
-
-def sizes_of(model: Model) -> dict[str, int]:
-    """Lengths of the dimensions that a model determines, or that are the same everywhere."""
-    own = {"point": len(model.structure.points), "contact": model.num_contacts, "mode": model.structure.num_modes}
-    return own | {"axis": 3, "band": 2, "tangent": 2, "harmonic": HARMONICS + 1}
 
 
 def _parts(items: list[Any], size: int) -> Iterator[list[Any]]:

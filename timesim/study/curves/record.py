@@ -8,9 +8,9 @@ from xarray import Dataset
 
 from timesim.hbm.convergence import Convergence
 from timesim.result.dataset import dataset
+from timesim.study.columns import TAILS, sizes_of
 from timesim.study.curves.collection import Curves
 from timesim.study.summary.curve import convergence_lines
-from timesim.study.sweep import TAILS, sizes_of
 
 # Quantities by their names in `HbmCurve` and in the result.
 OF_SOLUTION = ("frequency", "stable", "fold", "branch", "floquet_max", "closure")

@@ -34,6 +34,7 @@ from timesim.study.execution.worker import (
     Chunk,
     ExecutionError,
     Result,
+    UnfinishedError,
     Work,
     check_address,
     perform,
@@ -121,7 +122,8 @@ def carry_through(
 ) -> tuple[dict[str, Result], str | None]:
     """Do the work of all chunks.
 
-    On an interrupt it waits for the threads to finish their chunks, and keeps them; work that takes long asks `halted`.
+    On an interrupt it waits for the threads to finish their chunks, and keeps them. Work that takes long asks `halted`,
+    and may say what there is by an `UnfinishedError`: that is in the results, but the chunk begins anew when resumed.
     A chunk that fails is left out, with all that come after it, and the others go on. Once a checkpoint cannot be
     written, no further chunk begins.
 
@@ -171,6 +173,7 @@ class _Campaign:
         self.under_way: dict[str, int] = {}
         self.counting = threading.Lock()
         self.results: dict[str, Result] = {}
+        self.unfinished: dict[str, UnfinishedError] = {}
         self.failed: dict[str, str] = {}
         self.saved: set[str] = set()
         self.running: dict[Future[Result], Chunk] = {}
@@ -193,7 +196,8 @@ class _Campaign:
         except (StoreError, ConnectionError) as error:
             ended = str(error)
             self._collect()
-        done = {chunk.name: self.results[chunk.name] for chunk in self.chunks if chunk.name in self.results}
+        found = {name: part.result for name, part in self.unfinished.items()} | self.results
+        done = {chunk.name: found[chunk.name] for chunk in self.chunks if chunk.name in found}
         return done, self._reason(ended)
 
     def _take_up(self) -> None:
@@ -285,10 +289,15 @@ class _Campaign:
             self.saved.add(name)
 
     def _collect(self) -> None:
-        """Take in the chunks that were finished while the interrupt was handled."""
+        """Take in the chunks that were finished while the interrupt was handled, and what there is of the others."""
         for future, chunk in self.running.items():
-            if future.done() and not future.cancelled() and future.exception() is None:
+            if not future.done() or future.cancelled():
+                continue
+            error = future.exception()
+            if error is None:
                 self.results[chunk.name] = future.result()
+            elif isinstance(error, UnfinishedError):
+                self.unfinished[chunk.name] = error
         with suppress(StoreError):
             for name in self.results:
                 self._keep(name)
@@ -301,5 +310,6 @@ class _Campaign:
         reasons = [f"{name}: {why}" for name, why in self.failed.items()]
         listed = "; ".join(first_few(reasons, LISTED, lambda left: f"and {left} more"))
         failed = f"{len(reasons)} of {counted(len(self.chunks), 'chunk')} failed: {listed}" if reasons else None
-        points = f"{sum(chunk.size for chunk in missing)} of {counted(self.total, 'point')}"
+        number = sum(chunk.size for chunk in missing) - sum(part.size for part in self.unfinished.values())
+        points = f"{number} of {counted(self.total, 'point')}"
         return "; ".join(filter(None, (ended, failed, f"{points} missing")))

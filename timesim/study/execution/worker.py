@@ -42,6 +42,14 @@ class Chunk:
     size: int = 1
 
 
+class UnfinishedError(KeyboardInterrupt):
+    """The work on a chunk was given up; `result`: what there is of its result, with so many of its points, `size`."""
+
+    def __init__(self, result: Result, size: int):
+        super().__init__(result, size)
+        self.result, self.size = result, size
+
+
 class ExecutionError(ValueError):
     """A study cannot be carried out in the way asked for; the message names it, the reason and what to do."""
 
