@@ -14,7 +14,8 @@ from timesim.scene.resolution import Scene
 from timesim.scene.study import SteadySection, SweepPlan
 from timesim.scene.transient import Schedule, TradeoffPlan
 
-FASTER, NOTICED = 1.5, 3.0  # times, and seconds, from which on another way to settle is named
+# Times, and seconds, from which on another way to settle is named, and times from which on a budget that is spent is.
+FASTER, NOTICED, FAR = 1.5, 3.0, 2.0
 
 
 def cost_lines(scene: Scene, model: Model) -> Iterator[str]:
@@ -34,7 +35,10 @@ def cost_lines(scene: Scene, model: Model) -> Iterator[str]:
         sweep = study.sweep()
         cycles, own, beside, total = _sweep_cost(model, solver, sweep)
         each = f"{counted(cycles, 'cycle')} of {_duration(own)} and {_duration(beside)} beside them"
-        lines.append(f"{counted(sweep.size, 'point')} of {each}: {_duration(total)}{study.search()}")
+        most = sweep.size * sweep.criterion.max_cycles * own
+        never = f" ({_duration(most)} if none settles in settle.max_cycles = {sweep.criterion.max_cycles})"
+        slow = never if most > max(FAR * total, NOTICED) else ""
+        lines.append(f"{counted(sweep.size, 'point')} of {each}: {_duration(total)}{slow}{study.search()}")
         shot = replace(sweep, criterion=replace(sweep.criterion, first_shot=SHOOT))
         fewer, _, _, less = _sweep_cost(model, solver, shot)
         if total > max(FASTER * less, NOTICED):
