@@ -990,7 +990,7 @@ def test_check_estimates_the_cost_of_each_phase():
     assert said("oscillator", "study.cycles=1000000000")[0].endswith(": 3.1 days")
     sweep, balance, _ = said("figure10")
     assert sweep.startswith("about 774 points of ")
-    assert sweep.endswith("14 s (48 s if none settles in settle.max_cycles = 800)")
+    assert sweep.endswith(" beside them (48 s in all if none settles in settle.max_cycles = 800): 14 s")
     # 7 + 3 + 0.18 x 2 modes, of 256 samples; 0.8 of it goes with them.
     assert balance == "about 9 curves of harmonic balance of 200 solutions of 10 ms: 19 s"
     assert "of 35 ms: 63 s" in said("figure10", "study.time_samples=1024")[1]

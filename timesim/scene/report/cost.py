@@ -36,9 +36,9 @@ def cost_lines(scene: Scene, model: Model) -> Iterator[str]:
         cycles, own, beside, total = _sweep_cost(model, solver, sweep)
         each = f"{counted(cycles, 'cycle')} of {_duration(own)} and {_duration(beside)} beside them"
         most = sweep.size * sweep.criterion.max_cycles * own
-        never = f" ({_duration(most)} if none settles in settle.max_cycles = {sweep.criterion.max_cycles})"
-        slow = never if most > max(FAR * total, NOTICED) else ""
-        lines.append(f"{counted(sweep.size, 'point')} of {each}: {_duration(total)}{slow}{study.search()}")
+        if most > max(FAR * total, NOTICED):
+            each += f" ({_duration(most)} in all if none settles in settle.max_cycles = {sweep.criterion.max_cycles})"
+        lines.append(f"{counted(sweep.size, 'point')} of {each}: {_duration(total)}{study.search()}")
         shot = replace(sweep, criterion=replace(sweep.criterion, first_shot=SHOOT))
         fewer, _, _, less = _sweep_cost(model, solver, shot)
         if total > max(FASTER * less, NOTICED):
