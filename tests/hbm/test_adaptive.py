@@ -303,3 +303,20 @@ def test_a_guess_that_is_refused_is_the_last_resort(model, monkeypatch):
 
     assert first_guess.curve_near(balance, 1.6, 1.6, Controls(), None, followed).complete
     assert guesses == [True, True, False]
+
+
+@pytest.mark.parametrize("second", [Ending.COMPLETE, Ending.STEP])
+def test_a_guess_from_which_the_curve_does_not_go_on_is_not_the_last(model, second, monkeypatch):
+    """With few harmonics there may be a solution on no curve; it stays only where no guess leads further."""
+    balance = AdaptiveBalance(lambda own: Balance(model, 1.6, own), SCHEMES, 1)
+    first = np.zeros(balance.residual.num_unknowns)
+    monkeypatch.setattr(first_guess, "first_guesses", lambda *_: iter([("one", first), ("two", first)]))
+    endings = iter([Ending.STEP, second])
+
+    def followed(guess):
+        ending = next(endings)
+        return Curve.of([(guess, 1.6, False, 1)], guess.size, ending, ending.name)
+
+    curve = first_guess.curve_near(balance, 1.6, 1.6, Controls(), None, followed)
+    assert curve.ending is second
+    assert curve.message == ("COMPLETE" if second is Ending.COMPLETE else "STEP; tried: one, two")

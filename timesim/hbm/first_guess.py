@@ -15,6 +15,7 @@ from timesim.orbit.fourier import to_coefficients
 from timesim.orbit.settling import Chain, steady_states
 
 RAMP_POINTS = 200
+STAYS = 2  # solutions up to which a curve that fails has not come away from where it began
 SOLVER, SETTLED = PRESETS["standard"], Criterion(1e-6, 500)
 """How the motion of a time integration is sought; Newton's method needs it no closer."""
 
@@ -43,7 +44,8 @@ def curve_near(
 ) -> Curve:
     """The curve through a solution near a modal guess, or else near the first of `first_guesses` that leads to one.
 
-    To one that does not lack much of what harmonics add (`AdaptiveBalance.refuses`), if any of them does.
+    To one that does not lack much of what harmonics add (`AdaptiveBalance.refuses`), and from which the curve goes on,
+    if any of them does: beside few harmonics there may be a solution where the curve has none.
 
     Args:
         adaptive: the balance.
@@ -55,20 +57,27 @@ def curve_near(
     coarse, fine = (adaptive.residual_of(adaptive.schemes[place]).at(p) for place in (0, -1))
     if guess is not None:
         return followed(unknowns_of_modes(fine, guess))
-    tried, poor = [], []
+    tried, poor, stays = [], [], list[Curve]()
     adaptive.demanding = True
     for way, first in first_guesses(coarse, frequency, controls, fine):
         tried.append(way)
         if first is not None:
             whole = first if first.size == fine.num_unknowns else adaptive.whole(first)
             curve = followed(whole)
-            if curve.ending is not Ending.START:
+            if _goes_on(curve):
                 return curve
             poor += [whole] * adaptive.refused
+            stays += [curve] * bool(curve.p.size)
     adaptive.demanding = False
-    if poor:
-        return followed(poor[0])
+    if poor and (_goes_on(curve := followed(poor[0])) or not stays):
+        return curve
+    curve = stays[0] if stays else curve
     return replace(curve, message=f"{curve.message}; tried: {', '.join(tried)}")
+
+
+def _goes_on(curve: Curve) -> bool:
+    """Whether a curve has come away from where it began."""
+    return curve.ending is not Ending.START and (curve.ending is not Ending.STEP or curve.p.size > STAYS)
 
 
 Guess = tuple[str, Array | None]
