@@ -114,6 +114,16 @@ def test_an_interrupt_keeps_what_is_followed(here: Any, tmp_path: Path, at_once:
     same(here[0], again)
 
 
+def test_an_interrupt_behind_the_last_curve_is_named_as_that(here: Any):
+    def interrupted(done: float, number: float, _: str = "") -> None:
+        if done == number:
+            raise KeyboardInterrupt
+
+    data, _, reason = followed(SCENE, SCENE.plan, Execution(progress=interrupted))
+    assert reason == "interrupted behind the last curve"
+    same(here[0], data)
+
+
 @pytest.mark.parametrize("name", ["_with_more_samples", "_left_out"])
 def test_an_interrupt_behind_a_curve_keeps_it(here: Any, name: str, monkeypatch: pytest.MonkeyPatch):
     """While it is judged, or as its like with more samples begins."""

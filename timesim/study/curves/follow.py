@@ -46,7 +46,9 @@ def follow_all(
     except KeyboardInterrupt:
         work.take_rest()
         if Ending.INTERRUPTED not in [own.curve.ending for own in curves.curves]:
-            curves.faults.append(f"interrupted at curve {len(curves.curves) + 1}")
+            whole = len(work.added) == len(curves.values)
+            at = "behind the last curve" if whole else f"at curve {len(curves.curves) + 1}"
+            curves.faults.append(f"interrupted {at}")
     except StoreError as error:
         work.take_rest()
         curves.faults.append(str(error))
