@@ -48,8 +48,7 @@ class Payload:
     criterion: Criterion
 
     def steady(self, chains: Sequence[Chain]) -> list[list[Orbit]]:
-        options: dict[str, Any] = {"halted": halted, "count": point_done, "each": each}
-        return steady_states(chains, self.solver, self.criterion, **options)
+        return steady_states(chains, self.solver, self.criterion, halted=halted, count=point_done, each=each)
 
 
 @dataclass(frozen=True)

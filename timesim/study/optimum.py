@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -72,8 +72,7 @@ class Response:
         return float(np.max(amplitude if axis is None else amplitude[:, "xyz".index(axis)]))
 
     def steady(self, *chains: Chain) -> list[list[Orbit]]:
-        options: dict[str, Any] = {"halted": halted, "count": point_done, "each": each}
-        return steady_states(chains, self.solver, self.plan.sweep.criterion, **options)
+        return steady_states(chains, self.solver, self.plan.sweep.criterion, halted=halted, count=point_done, each=each)
 
 
 class SearchError(Exception):
