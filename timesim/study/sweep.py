@@ -54,11 +54,6 @@ class Segment:
     criterion: Criterion
     refine: float | None = None
 
-    @property
-    def size(self) -> int:
-        """Number of steady states."""
-        return sum(len(chain.frequencies) for chain in self.chains)
-
 
 def solve(segment: Segment, before: Result | None) -> Result:
     """The steady states of a segment as arrays: chain first, then its frequencies.
@@ -76,7 +71,7 @@ def solve(segment: Segment, before: Result | None) -> Result:
     except GivenUpError as given_up:
         own = orbits or given_up.orbits
         result = _so_far(chains, own) | {"jumps": np.zeros((0, 3)), FAILURES: np.zeros(0, dtype=str)}
-        raise UnfinishedError(result, min(sum(map(len, own)), segment.size - 1)) from None
+        raise UnfinishedError(result, sum(map(len, own))) from None
     rows = columns_of(orbits)
     rows |= {"jumps": np.array(jumps, dtype=float).reshape(-1, 3), FAILURES: np.array(search.failures, dtype=str)}
     return rows | {"last_frequency": np.array([chain.frequencies[-1] for chain in chains])}
@@ -209,8 +204,9 @@ class Grid:
         places: dict[str, list[Place]] = {}
         for name, after, where in self._pieces():
             chains = tuple(Chain(self.models[v], tuple(self._visited(d, f))) for v, d, f in where)
+            size = sum(len(chain.frequencies) for chain in chains)
             payload = Segment(chains, solver, self.plan.criterion, self.plan.refine)
-            chunks.append(Chunk(name, payload, after, payload.size))
+            chunks.append(Chunk(name, payload, after, size))
             places[name] = where
         return chunks, places
 

@@ -311,5 +311,7 @@ class _Campaign:
         listed = "; ".join(first_few(reasons, LISTED, lambda left: f"and {left} more"))
         failed = f"{len(reasons)} of {counted(len(self.chunks), 'chunk')} failed: {listed}" if reasons else None
         number = sum(chunk.size for chunk in missing) - sum(part.size for part in self.unfinished.values())
-        points = f"{number} of {counted(self.total, 'point')}"
-        return "; ".join(filter(None, (ended, failed, f"{points} missing")))
+        left = f"{len(missing)} of {counted(len(self.chunks), 'chunk')} unfinished, with all points done"
+        if number:
+            left = f"{number} of {counted(self.total, 'point')} missing"
+        return "; ".join(filter(None, (ended, failed, left)))
