@@ -22,7 +22,7 @@ import timesim
 from timesim.cli import app
 from timesim.fault import SceneError
 from timesim.orbit.linear import linear_orbit
-from timesim.orbit.settling import Chain, GivenUpError, first_lane
+from timesim.orbit.settling import Chain, GivenUpError, first_lane, steady_states
 from timesim.orbit.steady_state import without_orbit
 from timesim.orbit.threshold import UNSETTLED_CYCLES
 from timesim.picture import sweep as plot_sweep
@@ -574,6 +574,15 @@ def test_an_interrupt_keeps_the_points_of_a_chunk_that_are_done(study: dict[str,
     assert set(cut["failure"].values.ravel()) == {""}
     again = carry_out(loaded, Execution(folder=tmp_path, resume=True, workers=1, notice=lambda _: None))
     assert_same(again.groups[""].drop_attrs(), whole.drop_attrs())
+
+
+def test_work_is_given_up_between_two_rounds_of_cycles() -> None:
+    """Not only between steady states, of which one may take minutes."""
+    loaded = load_scene(scene({"frequency": {"values": [1.39]}}, solver={"accuracy": "draft"}))
+    chains, asked = [Chain(loaded.model(), (1.39,))], iter([False, True])
+    with pytest.raises(GivenUpError) as raised:
+        steady_states(chains, loaded.solver(), loaded.plan.criterion, halted=lambda: next(asked))
+    assert raised.value.orbits == [[]]
 
 
 def test_an_interrupt_of_the_search_for_jumps_keeps_all_points(monkeypatch: pytest.MonkeyPatch) -> None:
