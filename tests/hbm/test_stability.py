@@ -18,6 +18,8 @@ from timesim.model.model import GROUND, Contact, Model
 from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.settling import Chain, first_lane, steady_states
 
+MULTIPLIERS = "timesim.hbm.curve.evaluation.checked_multipliers"
+
 
 @pytest.mark.parametrize(("share", "full"), [(None, False), (0.9, False), (None, True)])
 def test_multipliers_of_a_stuck_structure(share, full):
@@ -243,7 +245,7 @@ def test_a_free_offset_turns_the_curve_and_is_not_what_makes_it_unstable(
 def test_a_multiplier_beyond_the_unit_circle_is_unstable(largest, turn, stable, monkeypatch):
     """Also where the determinant says nothing of it: a complex pair, near 1 too, or one that passes -1."""
     pair = largest * np.exp([1j * turn, -1j * turn])
-    monkeypatch.setattr("timesim.hbm.curve.checked_multipliers", lambda _, x, *given: np.tile(pair, (len(x), 1)))
+    monkeypatch.setattr(MULTIPLIERS, lambda _, x, *given: np.tile(pair, (len(x), 1)))
     controls = Controls(max_points=2)
     curve = hbm_curve(systems.oscillator(32.0, 1.0), 1.2, 1.3, scheme=Scheme(1, 64), controls=controls)
     assert curve.stable.tolist() == [stable] * 2
@@ -292,7 +294,7 @@ def test_an_interrupt_among_the_multipliers_keeps_the_curve(monkeypatch):
     def interrupted(*given):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("timesim.hbm.curve.checked_multipliers", interrupted)
+    monkeypatch.setattr(MULTIPLIERS, interrupted)
     curve = hbm_curve(systems.oscillator(-1.0, 0.97), 0.97, 0.975, scheme=Scheme(3, 64))
     assert curve.ending is Ending.INTERRUPTED
     assert curve.frequency.size > 2
@@ -302,7 +304,7 @@ def test_an_interrupt_among_the_multipliers_keeps_the_curve(monkeypatch):
 
 @pytest.mark.parametrize("stability", [True, False])
 def test_an_interrupt_along_the_curve_leaves_its_multipliers_out(stability, monkeypatch):
-    monkeypatch.setattr("timesim.hbm.curve.checked_multipliers", lambda *_, **__: pytest.fail("they take long"))
+    monkeypatch.setattr(MULTIPLIERS, lambda *_, **__: pytest.fail("they take long"))
     seen = []
 
     def watch(share, so_far):

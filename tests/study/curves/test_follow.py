@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Future
 from pathlib import Path
-from threading import Event
+from threading import Event, Thread
 from time import sleep
 from typing import Any
 
@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from systems import oscillator_scene
 
-from timesim.hbm import curve, scheme
+from timesim.hbm import scheme
 from timesim.hbm.continuation import other_end
+from timesim.hbm.curve import evaluation
 from timesim.result.checkpoint import chunks_done
 from timesim.result.file import StoreError
 from timesim.study.compare import matched
@@ -171,29 +172,30 @@ LONG = load_scene(oscillator_scene(preload=-4.0) | {"study": STUDY | STEEP})
 
 
 @pytest.fixture
-def takes_long(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """A curve takes long from its second solution on; the functions that processes are given."""
+def takes_long(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[Any, ...]]]:
+    """A curve takes long from its second solution on; the functions that processes are given, and with what."""
     monkeypatch.setattr(other_end, "WORK", 60)
     monkeypatch.setattr(aside, "WORK", 60)
-    monkeypatch.setattr(curve, "PIECE", 16)
-    given: list[str] = []
+    monkeypatch.setattr(evaluation, "PIECE", 16)
+    given: list[tuple[str, tuple[Any, ...]]] = []
     own = Processes.submit
 
     def submit(self: Processes, seen: Any, function: Any, *args: Any) -> Any:
-        given.append(getattr(function, "func", function).__name__)
+        given.append((getattr(function, "func", function).__name__, args))
         return own(self, seen, function, *args)
 
     monkeypatch.setattr(Processes, "submit", submit)
     return given
 
 
-def test_processes_take_a_part_of_a_curve_that_takes_long(two: Processes, takes_long: list[str]):
+def test_processes_take_a_part_of_a_curve_that_takes_long(two: Processes, takes_long: list[Any]):
     alone, *_ = followed(LONG, LONG.plan, Execution())
     assert not takes_long
     both, _, reason = followed(LONG, LONG.plan, Execution(processes=two))
     assert reason is None
-    assert takes_long[0] == "followed_part"
-    assert takes_long[1:] == ["evaluated"] * -(-both.sizes["solution"] // 16)
+    assert [name for name, _ in takes_long] == ["followed_part"] + ["signed"] * (len(takes_long) - 1)
+    evaluated = np.concatenate([solutions.p for _, (_, solutions) in takes_long[1:]])
+    np.testing.assert_array_equal(np.sort(evaluated), np.sort(both.frequency))
     folds = [data.frequency.values[data.fold.values > 0] for data in (both, alone)]
     assert folds[0].size == 2
     np.testing.assert_allclose(*folds, rtol=1e-9)
@@ -208,9 +210,76 @@ def test_processes_take_a_part_of_a_curve_that_takes_long(two: Processes, takes_
             np.testing.assert_allclose(found[inside], wanted[inside], rtol=0.05, err_msg=f"{name} {branch}")
 
 
+def at_once_here(_: Processes, seen: Any, function: Any, *args: Any) -> Future[Any]:
+    """`Processes.submit` by this process."""
+    done = Future[Any]()
+    done.set_result(pickle.loads(pickle.dumps(function))(*args))
+    return done
+
+
+def test_solutions_are_evaluated_before_the_curve_is_whole_where_a_process_has_nothing_else_to_do(
+    takes_long: list[Any], monkeypatch: pytest.MonkeyPatch
+):
+    """What comes out does not depend on when it happens, nor on who does it."""
+    monkeypatch.setattr(aside, "LOOKED", 1)
+    steps: list[str] = []
+
+    def submit(own: Processes, seen: Any, function: Any, *args: Any) -> Future[Any]:
+        steps.append("part" if function is aside.followed_part else "piece")
+        return at_once_here(own, seen, function, *args)
+
+    monkeypatch.setattr(Processes, "submit", submit)
+
+    def solution(done: float, whole: float, words: str = "", /) -> None:
+        steps.extend(["solution"] * ("of the range" in words))
+
+    with Processes(2) as own:
+        data, _, reason = followed(LONG, LONG.plan, Execution(progress=solution, processes=own))
+    assert reason is None
+    last = len(steps) - steps[::-1].index("solution")
+    assert steps[:last].count("piece") >= 2  # of the other part, and of this one
+    assert "piece" in steps[last:]
+    monkeypatch.setattr(aside.Aside, "meanwhile", lambda *_: None)
+    with Processes(2) as own:
+        late, *_ = followed(LONG, LONG.plan, Execution(processes=own))
+    same(data, late)
+
+
+def test_solutions_are_evaluated_while_the_other_part_is_waited_for(
+    takes_long: list[Any], monkeypatch: pytest.MonkeyPatch
+):
+    """The other part ends as soon as solutions are evaluated, or after a minute."""
+    monkeypatch.setattr(evaluation, "OPEN", 4)
+    monkeypatch.setattr(evaluation, "PIECE", 4)
+    part, waits, pieces = Future[Any](), Event(), 0
+
+    def end(function: Any, args: Any) -> None:
+        waits.wait(60.0)
+        part.set_result(function(*args))
+
+    def submit(own: Processes, seen: Any, function: Any, *args: Any) -> Future[Any]:
+        nonlocal pieces
+        if function is aside.followed_part:
+            Thread(target=end, args=(function, args)).start()
+            return part
+        pieces += not part.done()
+        waits.set()
+        return at_once_here(own, seen, function, *args)
+
+    monkeypatch.setattr(Processes, "submit", submit)
+    with Processes(2) as own:
+        data, _, reason = followed(LONG, LONG.plan, Execution(processes=own))
+    assert reason is None
+    assert pieces
+    monkeypatch.setattr(Processes, "submit", at_once_here)
+    monkeypatch.setattr(aside.Aside, "meanwhile", lambda *_: None)
+    late, *_ = followed(LONG, LONG.plan, Execution(processes=own))
+    same(data, late)
+
+
 @pytest.mark.parametrize("stability", [True, False])
 def test_an_interrupt_keeps_what_there_is_from_both_ends(
-    two: Processes, takes_long: list[str], stability: bool, monkeypatch: pytest.MonkeyPatch
+    two: Processes, takes_long: list[Any], stability: bool, monkeypatch: pytest.MonkeyPatch
 ):
     parts: list[aside.Part] = []
 
@@ -242,7 +311,7 @@ def test_an_interrupt_keeps_what_there_is_from_both_ends(
 
 
 def test_too_few_samples_that_another_process_finds_end_both_parts(
-    takes_long: list[str], monkeypatch: pytest.MonkeyPatch
+    takes_long: list[Any], monkeypatch: pytest.MonkeyPatch
 ):
     """Here no solution is checked on its way, and there every third: the curve is followed again at once."""
     monkeypatch.setattr(scheme, "ENOUGH_SAMPLES", 24)
@@ -272,7 +341,7 @@ def test_too_few_samples_that_another_process_finds_end_both_parts(
 
 @pytest.mark.parametrize("refused", [True, False])
 def test_where_the_process_of_a_part_is_killed_the_curve_is_the_same_as_here(
-    takes_long: list[str], refused: bool, monkeypatch: pytest.MonkeyPatch
+    takes_long: list[Any], refused: bool, monkeypatch: pytest.MonkeyPatch
 ):
     def killed(*_: Any) -> Any:
         if refused:

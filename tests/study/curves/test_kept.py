@@ -121,7 +121,7 @@ def test_a_curve_without_its_multipliers_is_followed_again(
     execution = Execution(folder=tmp_path, notice=lambda _: None)
     with monkeypatch.context() as patched:
         if not along:
-            patched.setattr("timesim.hbm.curve.checked_multipliers", lambda *_: interrupted())
+            patched.setattr("timesim.hbm.curve.evaluation.checked_multipliers", lambda *_: interrupted())
         outcome = carry_out(scene, replace(execution, progress=interrupted) if along else execution)
     assert outcome.reason is not None
     assert "interrupted before the multipliers" in outcome.reason

@@ -34,14 +34,14 @@ class OtherEnd:
 
     Attributes:
         middle: value of the parameter up to which it is followed; None before, and where it does not get there.
-        joined: whether its solutions are among those of the curve.
+        joined: how many of its solutions are among those of the curve.
     """
 
     def __init__(self, from_end: FromEnd | None, end: float):
         """Of a range that ends there; it is never followed if nothing begins to."""
         self.from_end, self.end = from_end, end
         self.middle: float | None = None
-        self.joined = False
+        self.joined = 0
         self._work, self._elsewhere = 0, cast(Elsewhere | None, None)
 
     @property

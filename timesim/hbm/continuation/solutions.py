@@ -49,6 +49,7 @@ class Curve:
         p: parameter, shape (S,).
         fold: whether the parameter turns here, shape (S,).
         determinant: sign of det dr/dx, 0 at a fold, shape (S,).
+        backwards: whether it was followed from the other end of the range, shape (S,).
         ending: why it ends.
         message: the same with the place.
     """
@@ -57,15 +58,20 @@ class Curve:
     p: Array
     fold: NDArray[np.bool_]
     determinant: NDArray[np.int64]
+    backwards: NDArray[np.bool_]
     ending: Ending
     message: str
 
     @classmethod
-    def of(cls, solutions: Sequence[Solution], num_unknowns: int, ending: Ending, message: str) -> "Curve":
-        """From its solutions."""
+    def of(
+        cls, solutions: Sequence[Solution], num_unknowns: int, ending: Ending, message: str, backwards: int = 0
+    ) -> "Curve":
+        """From its solutions, of which so many at the end were followed backwards."""
+        number = len(solutions)
         x, p, fold, determinant = zip(*solutions, strict=True) if solutions else ((),) * 4
-        unknowns, flags = np.array(x).reshape(len(solutions), num_unknowns), np.array(fold, dtype=bool)
-        return cls(unknowns, np.array(p, dtype=float), flags, np.array(determinant, dtype=np.int64), ending, message)
+        unknowns, flags = np.array(x).reshape(number, num_unknowns), np.array(fold, dtype=bool)
+        signs, behind = np.array(determinant, dtype=np.int64), np.arange(number) >= number - backwards
+        return cls(unknowns, np.array(p, dtype=float), flags, signs, behind, ending, message)
 
     @property
     def branch(self) -> NDArray[np.int64]:

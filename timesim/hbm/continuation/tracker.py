@@ -147,7 +147,7 @@ class _PathTracker:
         solutions = self.trace.solutions[: self.controls.max_points]
         place, count = solutions[-1][1] if solutions else self.start, len(solutions)
         message = f"continuation at {place:.10g}, after {count} points: {ending.value}{cause}"
-        return Curve.of(solutions, self.guess.size, ending, message)
+        return Curve.of(solutions, self.guess.size, ending, message, self.other.joined)
 
     def _keep(self, point: CurvePoint, moved: float = 0.0) -> None:
         self.trace.add(point, moved)
@@ -282,7 +282,7 @@ class _PathTracker:
             return False
         self._keep(last)
         self.trace.solutions += rest
-        self.other.joined = True
+        self.other.joined = len(rest)
         return True
 
     def _start_again(self, before: CurvePoint, after: CurvePoint) -> CurvePoint | None:

@@ -1,14 +1,15 @@
 """What other processes do for a curve that takes long: a part of it, and the evaluation of its solutions."""
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Future
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from contextlib import suppress
 from typing import Any, cast
 
 import numpy as np
 
-from timesim.hbm.continuation import WORK, Controls, Curve
-from timesim.hbm.curve import HbmCurve, Watch, left_part, part_of_curve
+from timesim.hbm.continuation import WORK, Controls, Curve, part_of
+from timesim.hbm.curve import HbmCurve, Piece, Pieces, Signed, Watch, left_part, part_of_curve
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
 from timesim.study.curves.samples import TooFewSamplesError, checking_samples
@@ -16,21 +17,27 @@ from timesim.study.execution.processes import Processes, unseen
 from timesim.study.execution.worker import halted, point_done
 
 PARTS = 100  # into which a process divides its work to count its progress
+LOOKED = 16  # solutions of a curve after which a process that has nothing else to do is given more of them
+
+Evaluate = Callable[[Any, Curve], Signed]
 
 
 class Aside:
-    """Processes that take a part of the work on a curve: a `timesim.hbm.curve.Aside`."""
+    """Processes that take a part of the work on a curve: a `timesim.hbm.curve.following.Aside`."""
 
     def __init__(self, processes: Processes, schemes: Sequence[Scheme], controls: Controls, *, checks_samples: bool):
         """For curves by some schemes, in some steps, whose samples may prove too few."""
         self.processes, self.schemes, self.controls = processes, tuple(schemes), controls
         self.checks_samples = checks_samples
         self._parts: list[tuple[Part, Model, float]] = []
+        self._evaluation = Evaluation(processes)
+        self._known: Callable[[], list[Piece]] = list
+        self._number = 0
 
     def part(self, model: Model, start: float, first: float, last: float) -> "Part":
         """Begin `part_of_curve`."""
         asked = (model, start, first, last, self.schemes, self.controls, self.checks_samples)
-        part = Part(self.processes, *asked)
+        part = Part(self.processes, self._wait_for, *asked)
         self._parts.append((part, model, start))
         return part
 
@@ -42,21 +49,118 @@ class Aside:
             if curve is not None and curve.p.size and not np.isclose(curve.p[0], ends).any():
                 yield left_part(model, start, curve, self.schemes, stability=stability)
 
-    def each(self, function: Callable[..., HbmCurve], pieces: Sequence[tuple[Any, Curve]]) -> list[HbmCurve]:
-        """A function of a module of some residuals and solutions of each."""
-        found: dict[int, HbmCurve] = {}
-        if len(pieces) > 1 and sum(curve.x.size for _, curve in pieces) >= WORK:
+    def meanwhile(self, function: Evaluate, pieces: Pieces, so_far: Callable[[], Curve]) -> None:
+        """Evaluate the solutions of the part that is followed elsewhere, once it has ended, and those so far."""
+
+        def known() -> list[Piece]:
+            ended = [curve for part, *_ in self._parts if (curve := part.ended) is not None]
+            # The last one is that of the curve which it meets.
+            theirs = [piece for curve in ended for piece in pieces(part_of(curve, slice(None, -1)), grows=False)]
+            return theirs + pieces(so_far(), grows=True)
+
+        self._known, self._evaluation.function = known, function
+        self._number += 1
+        if self._parts:
+            self._use_room(1, look=self._number % LOOKED == 0)
+
+    def _use_room(self, here: int, *, look: bool) -> None:
+        """Evaluate where a process has nothing to do, beside so many works of this one; look for more to evaluate."""
+        room = self.processes.workers - here - sum(part.under_way for part, *_ in self._parts)
+        if look and room > self._evaluation.under_way:
+            self._evaluation.add(self._known())
+        with suppress(BrokenExecutor):
+            self._evaluation.go_on(room)
+
+    def _wait_for(self, part: Future[Curve]) -> None:
+        """Wait for a part, and evaluate meanwhile."""
+        look = True
+        while not part.done():
+            self._use_room(0, look=look)
+            look = False
+            works: list[Future[Any]] = [part, *self._evaluation.running]
+            wait(works, return_when=FIRST_COMPLETED)
+
+    def each(self, function: Evaluate, pieces: Sequence[Piece]) -> list[Signed]:
+        """A function of a module of each of some pieces."""
+        if len(pieces) < 2 or sum(curve.x.size for _, curve in pieces) < WORK:
+            return [function(*piece) for piece in pieces]
+        self._evaluation.function = function
+        return self._evaluation.all_of(pieces)
+
+
+class Evaluation:
+    """The pieces of a curve that processes evaluate, some of them before all are known.
+
+    Attributes:
+        function: what evaluates them.
+        running: what is being evaluated, as far as is known.
+    """
+
+    def __init__(self, processes: Processes):
+        self.processes = processes
+        self.function = cast(Evaluate, None)
+        self.running: set[Future[Signed]] = set()
+        self._waiting = deque[tuple[bytes, Piece]]()
+        self._begun: dict[bytes, Future[Signed]] = {}
+
+    @property
+    def under_way(self) -> int:
+        """How many are being evaluated."""
+        self.running = {future for future in self.running if not future.done()}
+        return len(self.running)
+
+    def add(self, pieces: Sequence[Piece]) -> None:
+        """These are to be evaluated next, instead of those that wait; what has begun is not begun again."""
+        self._waiting = deque((_key(piece), piece) for piece in pieces)
+
+    def go_on(self, room: int) -> None:
+        """Begin to evaluate pieces that wait, so many at a time.
+
+        Raises:
+            BrokenExecutor: a process was killed.
+        """
+        while self._waiting and self.under_way < room:
+            key, piece = self._waiting.popleft()
+            if key not in self._begun:
+                self._begun[key] = future = self.processes.submit(unseen, self.function, *piece)
+                self.running.add(future)
+
+    def all_of(self, pieces: Sequence[Piece]) -> list[Signed]:
+        """All of these, those that no process has evaluated by this one.
+
+        Raises:
+            KeyboardInterrupt: after the processes have stopped.
+        """
+        try:
             with suppress(BrokenExecutor):
-                found.update(self.processes.each([(unseen, function, piece) for piece in pieces]))
-        return [found[k] if k in found else function(*piece) for k, piece in enumerate(pieces)]
+                self.add(pieces)
+                while self._waiting or self.under_way:
+                    self.go_on(self.processes.workers)
+                    wait(self.running, return_when=FIRST_COMPLETED)
+        except KeyboardInterrupt:
+            self.processes.give_up(self.running)
+            raise
+        return [self._result(piece) for piece in pieces]
+
+    def _result(self, piece: Piece) -> Signed:
+        if (future := self._begun.get(_key(piece))) is not None:
+            with suppress(BrokenExecutor):
+                return future.result()
+        return self.function(*piece)
+
+
+def _key(piece: Piece) -> bytes:
+    """What tells the pieces of a curve apart."""
+    _, curve = piece
+    return b"".join(array.tobytes() for array in (curve.p, curve.determinant, curve.x))
 
 
 class Part:
     """The part of the curve of a model between two frequencies: a `timesim.hbm.continuation.Elsewhere`."""
 
-    def __init__(self, processes: Processes, *asked: Any):
-        """Begin to follow it on one of some processes; arguments as of `followed_part`."""
-        self.processes, self.given_up = processes, False
+    def __init__(self, processes: Processes, wait_for: Callable[[Future[Curve]], None], *asked: Any):
+        """Begin to follow it on one of some processes; what waits for it; arguments as of `followed_part`."""
+        self.processes, self.given_up, self._wait_for = processes, False, wait_for
         self._parts, self._future = 0, cast(Future[Curve] | None, None)
         with suppress(BrokenExecutor):
             self._future = processes.submit(self._seen, followed_part, *asked)
@@ -71,9 +175,19 @@ class Part:
         Raises:
             TooFewSamplesError: its samples have proved too few, so that the whole curve is followed again.
         """
-        if self._future is not None and self._future.done():
+        if self._future is not None and not self.under_way:
             self.curve()
         return self._parts / PARTS
+
+    @property
+    def under_way(self) -> bool:
+        return self._future is not None and not self._future.done()
+
+    @property
+    def ended(self) -> Curve | None:
+        """The curve, if it has come to its end by now."""
+        curve = self.curve() if self._future is not None and self._future.done() else None
+        return curve if curve is not None and curve.complete else None
 
     def curve(self) -> Curve | None:
         """The curve once it has ended, None if it failed or the process did not live so long.
@@ -83,6 +197,7 @@ class Part:
         """
         if self._future is None:
             return None
+        self._wait_for(self._future)
         if isinstance(error := self._future.exception(), TooFewSamplesError):
             raise error
         # Whatever else fails there this process meets itself, on its way along the curve.
@@ -97,7 +212,7 @@ class Part:
     def give_up(self) -> None:
         """Stop it, if it has not ended; its solutions are not among those of the curve."""
         self.given_up = True
-        if self._future is not None and not self._future.done():
+        if self._future is not None and self.under_way:
             self.processes.give_up([self._future])
 
 
