@@ -23,9 +23,11 @@ if TYPE_CHECKING:
     from timesim.result.netcdf import open_result
     from timesim.result.netcdf import open_result as open
     from timesim.scene.resolution import Scene
+    from timesim.study.execution.worker import ExecutionError
     from timesim.study.registry import load_scene, run
 
 __all__ = [
+    "ExecutionError",
     "Scene",
     "SceneError",
     "StoreError",
@@ -48,6 +50,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "ExecutionError": "timesim.study.execution.worker",
     "Scene": "timesim.scene.resolution",
     "SceneError": "timesim.fault",
     "StoreError": "timesim.result.file",

@@ -173,8 +173,9 @@ def plot(
     except StoreError as error:
         _stop(2, str(error))
     try:
-        for path in draw(result, result_file(folder).parent, kind=kind, log=log or ()):
-            print(path)
+        pictures = draw(result, result_file(folder).parent, kind=kind, log=log or ())
+        nothing = "there is nothing to draw: no point of the result was computed"
+        print("\n".join(map(str, pictures)) or nothing)
     except ValueError as error:
         _stop(2, f"--{error}")
     except StoreError as error:

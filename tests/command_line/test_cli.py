@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray
 from bad_scenes import BAD_SCENES, BadScene
 from commands import fill_disk
 from typer.testing import CliRunner
@@ -17,6 +18,7 @@ from typer.testing import CliRunner
 import timesim
 from timesim.cli import app
 from timesim.engine import event_loop
+from timesim.result import netcdf
 from timesim.result.folder import locked_folder
 from timesim.study import element_map
 
@@ -108,6 +110,17 @@ def test_a_disk_that_is_full_when_pictures_are_drawn(tmp_path: Path, monkeypatch
     status, _, error = call("plot", tmp_path)
     assert status == 1
     assert ".png cannot be written" in error
+
+
+def test_plot_of_a_result_without_a_point_says_so(tmp_path: Path):
+    study, solver = "study={kind: sweep, frequency: {values: [1.2, 1.3]}}", "solver={method: rk4, max_steps: 5}"
+    assert call("run", OSCILLATOR, "-o", tmp_path, "--no-plots", "--set", study, "--set", solver)[0] == 1
+    result = timesim.open_result(tmp_path)
+    result["failure"] = xarray.full_like(result["failure"], "")  # as of a run that was interrupted before the first
+    netcdf.save(result, tmp_path / "result.nc")
+    status, out, _ = call("plot", tmp_path)
+    assert status == 0
+    assert out == "there is nothing to draw: no point of the result was computed\n"
 
 
 def test_plot_of_no_result(tmp_path: Path):

