@@ -338,6 +338,8 @@ def test_along_a_scalar():
     assert found.slip_share.values.max() > 0.2
     (line,) = (line for line in curve_lines(found.isel(solution=slice(3)), ()) if "peak" in line)
     assert ", an end of the curve; no fold" in line
+    assert f"{preload.size} solutions on 1 curve at 0.947 Hz by " in next(curve_lines(found, ()))
+    assert "response by harmonic balance at 0.947 Hz, " in plot_hbm.PICTURES["response"](found).get_suptitle()
     assert re.search(
         r"peak \S+ of tip y at contacts\.pad\.preload = -3\.9\d+; no fold", "\n".join(curve_lines(found, ()))
     )

@@ -143,11 +143,15 @@ def _harmonics_figure(data: Dataset) -> Figure:
     return finish(fig, data, "harmonic content at the largest response", hidden(data))
 
 
+def _response_figure(data: Dataset) -> Figure:
+    own = f" at {data.frequency.values[0]:.6g} Hz" if "along" in data.attrs else ""
+    what = f"response by harmonic balance{own}"
+    return shared.response_figure(data, what=what, response=response, phase=phase, **_SHARED)
+
+
 _SHARED: dict[str, Any] = {"legend": legend, "hidden": hidden}
 PICTURES: dict[str, Picture] = {
-    "response": partial(
-        shared.response_figure, what="response by harmonic balance", response=response, phase=phase, **_SHARED
-    ),
+    "response": _response_figure,
     "harmonics": _harmonics_figure,
     "contact_states": partial(shared.states_figure, share=share, **_SHARED),
 }

@@ -18,7 +18,8 @@ def curve_lines(data: Dataset, notes: Sequence[str]) -> Iterator[str]:
     """Response curves: how many, notes of the study, each curve, and whether harmonics and samples suffice."""
     numbers, attrs = np.unique(data["curve"].values), data.attrs
     solutions, curves = counted(data.sizes["solution"], "solution"), counted(numbers.size, "curve")
-    yield f"{solutions} on {curves} by {attrs['method']} {took(attrs)}"
+    at = f" at {data['frequency'].values[0]:.6g} Hz" if "along" in attrs and data.sizes["solution"] else ""
+    yield f"{solutions} on {curves}{at} by {attrs['method']} {took(attrs)}"
     yield from notes
     for number in numbers:
         curve = data.isel(solution=data["curve"].values == number)
