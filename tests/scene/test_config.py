@@ -780,6 +780,24 @@ def test_modes_of_one_frequency_that_are_kept_in_part_are_worth_a_warning(stiffn
     assert says is None or says in found[0]
 
 
+@pytest.mark.parametrize(("stiffness", "kept"), [(1e6, None), (1e2, 1)])
+def test_modes_that_contacts_move_are_not_to_spare(stiffness, kept):
+    """A lap joint: two plates that move together below 0.2 Hz, and against each other at 450 Hz."""
+    matrices = {"mass": [[1, 0], [0, 1]], "stiffness": [[4e6, -4e6], [-4e6, 4e6]], "damping": [[1, 0], [0, 1]]}
+    contact = {"name": "joint", "point": "a", "against": "b", "normal": [0, 1, 0], "tangent": [1, 0, 0]}
+    scene = {
+        "structure": {"matrices": matrices | {"points": {"a": {"x": 0}, "b": {"x": 1}}}},
+        "contacts": [
+            contact | {"friction": 0.3, "tangential_stiffness": stiffness, "normal_stiffness": 0, "preload": 10}
+        ],
+        "excitation": {"frequency": 3, "forces": [{"point": "a", "direction": [1, 0, 0], "amplitude": 1}]},
+        "study": {"kind": "transient", "cycles": 1},
+    }
+    found = [warning for warning in warnings_of(load_scene(scene)) if "costs steps" in warning]
+    assert len(found) == (kept is not None)
+    assert kept is None or f"structure.keep_modes: {kept} would reach 0 Hz; a study of kind tradeoff" in found[0]
+
+
 def inline(mass):
     points = {"tip": {"x": 0}}
     return {"matrices": {"mass": mass, "stiffness": [[1, 0], [0, 1]], "damping_ratio": 0.01, "points": points}}

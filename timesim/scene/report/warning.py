@@ -24,6 +24,8 @@ FEWEST_SAMPLES = 8  # of a cycle, between which its motion can be guessed
 MOST_SAMPLES = 2**16  # of a period of a balance
 STEPS_OF_WIDTH = 1.0  # widths of a resonance at half its power that a step may have
 FAR_BELOW, FAR_ABOVE = 0.2, 100.0  # times the highest excitation frequency: a highest mode beyond is worth a warning
+KEPT = 20.0  # times that frequency above which a mode may be left out
+TAKES_PART = 1e-2  # share of a mode's stiffness that contacts add if it takes part in their motion
 HEAVY = 0.15  # damping ratio above which a percentage is suspected
 FEW_RUNS = 4  # at reference for which a tradeoff should have time
 
@@ -57,17 +59,25 @@ def warnings_of(scene: Scene) -> Iterator[str]:
         far = f"the excitation reaches {highest:.6g} Hz, {1 / ratio:.3g} times the highest mode"
         yield f"{far}: frequencies are in Hz, and modes left out would answer there"
     if ratio > FAR_ABOVE and not hasattr(file.structure, "modes"):
-        keep = max(1, int(np.sum(model.structure.frequency <= 20 * highest)))
-        top = f"{model.structure.frequency[-1]:.6g} Hz, {ratio:.3g} times the excitation"
-        reach = f"{model.structure.frequency[keep - 1]:.6g} Hz"
-        advice = f"structure.keep_modes: {keep} would reach {reach}"
-        yield f"the modes kept reach {top}, which costs steps; {advice}"
+        yield from _modes_to_spare(model, highest)
 
 
 def asked_frequency(scene: Scene, model: Model) -> float | None:
     """Frequency at which a time integration asks most [Hz]: the excitation's or the lowest; None without one."""
     study = scene.file.study
     return model.excitation.frequency if study.uses_frequency else study.lowest_frequency()
+
+
+def _modes_to_spare(model: Model, highest: float) -> Iterator[str]:
+    """Modes far above the excitation, which reaches so far [Hz], that the contacts hardly move."""
+    own, structure = np.diag(model.with_contacts(np.zeros((model.structure.num_modes,) * 2))), model.structure
+    needed = (structure.frequency <= KEPT * highest) | (own > TAKES_PART * structure.omega**2)
+    keep = 1 + int(np.max(np.flatnonzero(needed), initial=0))
+    if keep < structure.num_modes:
+        top = f"{structure.frequency[-1]:.6g} Hz, {structure.frequency[-1] / highest:.3g} times the excitation"
+        advice = f"structure.keep_modes: {keep} would reach {structure.frequency[keep - 1]:.6g} Hz"
+        tells = "a study of kind tradeoff tells how many modes the answer needs"
+        yield f"the modes kept reach {top}, which costs steps; {advice}; {tells}"
 
 
 def _steps(scene: Scene, model: Model) -> Iterator[str]:
