@@ -690,6 +690,7 @@ def test_describe_counts_points_and_names_the_method_at_the_lowest_frequency():
         "study={kind: sweep, frequency: {values: [1]}, over: {contacts.pad.preload: 2}, settle: {max_cycles: 1}}"
     )
     assert "points: 1 frequency x 1 value of contacts.pad.preload = 1 point" in one["scene"]
+    assert "gives for contacts.pad.preload, which the study varies" in one["scene"][-1]
     assert one["cost"][0].startswith("about 1 point of 1 cycle of ")
     ranges = report("study={kind: bistable, frequency: {from: 1, to: 2}, harmonics: 0}")
     assert (

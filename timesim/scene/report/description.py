@@ -199,6 +199,8 @@ def _study_lines(scene: Scene) -> Iterator[str]:
         yield f"solver: {_keys(scene.file.solver, written.get('solver', ()))}"
     if scene.file.study.requires:
         yield f"start: {initial if isinstance(initial, str) else _keys(initial, written['initial'])}"
+    if varied := [str(place[-1]) for place in scene.file.study.varied()]:
+        yield f"below stands what the scene itself gives for {', '.join(varied)}, which the study varies"
 
 
 def _mass(length: str, force: str) -> str:
