@@ -31,9 +31,9 @@ class Aside(Protocol):
         """Begin `part_of_curve`."""
 
     def meanwhile(
-        self, function: Callable[[Any, Curve], Signed], pieces: Pieces, so_far: Callable[[], Curve], /
+        self, start: float, function: Callable[[Any, Curve], Signed], pieces: Pieces, so_far: Callable[[], Curve], /
     ) -> None:
-        """What may be evaluated while the curve grows; called at each of its solutions."""
+        """What of the curve that begins there may be evaluated while it grows; called at each of its solutions."""
 
     def each(self, function: Callable[[Any, Curve], Signed], pieces: Sequence[Piece], /) -> list[Signed]:
         """A function of a module of each of some pieces, some of which may have been evaluated meanwhile."""
@@ -95,7 +95,7 @@ def hbm_curve(
     from_end, to_end = None, steps
     if aside is not None:
         from_end = partial(aside.part, model, start, stop)
-        to_end = _evaluated_meanwhile(balance, steps, aside, stability)
+        to_end = _evaluated_meanwhile(balance, steps, partial(aside.meanwhile, start), stability)
 
     def followed(first: Array) -> Curve:
         if start < place < stop or stop < place < start:
@@ -122,14 +122,16 @@ def _watched_by_schemes(balance: AdaptiveBalance, controls: Controls, watch: Wat
     return watched(controls, watch, lambda curve: by_schemes(balance, curve, partial(evaluated, stability=False)))
 
 
-def _evaluated_meanwhile(balance: AdaptiveBalance, controls: Controls, aside: Aside, stability: bool) -> Controls:
+def _evaluated_meanwhile(
+    balance: AdaptiveBalance, controls: Controls, meanwhile: Callable[..., None], stability: bool
+) -> Controls:
     """Steps of a continuation whose solutions are evaluated while it goes on."""
     own, function = controls.watch, partial(signed, partial(evaluated, stability=stability))
 
     def watch(share: float, so_far: Callable[[], Curve]) -> None:
         if own is not None:
             own(share, so_far)
-        aside.meanwhile(function, partial(whole_pieces, balance), so_far)
+        meanwhile(function, partial(whole_pieces, balance), so_far)
 
     return replace(controls, watch=watch)
 

@@ -31,7 +31,7 @@ class Aside:
         self.checks_samples = checks_samples
         self._parts: list[tuple[Part, Model, float]] = []
         self._evaluation = Evaluation(processes)
-        self._known: Callable[[], list[Piece]] = list
+        self._look: Callable[[], None] = lambda: None
         self._number = 0
 
     def part(self, model: Model, start: float, first: float, last: float) -> "Part":
@@ -49,16 +49,17 @@ class Aside:
             if curve is not None and curve.p.size and not np.isclose(curve.p[0], ends).any():
                 yield left_part(model, start, curve, self.schemes, stability=stability)
 
-    def meanwhile(self, function: Evaluate, pieces: Pieces, so_far: Callable[[], Curve]) -> None:
+    def meanwhile(self, start: float, function: Evaluate, pieces: Pieces, so_far: Callable[[], Curve]) -> None:
         """Evaluate the solutions of the part that is followed elsewhere, once it has ended, and those so far."""
 
-        def known() -> list[Piece]:
-            ended = [curve for part, *_ in self._parts if (curve := part.ended) is not None]
+        def look() -> None:
+            ended = (part.ended for part, _, begun in self._parts if begun == start)
             # The last one is that of the curve which it meets.
-            theirs = [piece for curve in ended for piece in pieces(part_of(curve, slice(None, -1)), grows=False)]
-            return theirs + pieces(so_far(), grows=True)
+            others = [part_of(curve, slice(None, -1)) for curve in ended if curve is not None]
+            theirs = [piece for curve in others for piece in pieces(curve, grows=False)]
+            self._evaluation.add(function, theirs + pieces(so_far(), grows=True))
 
-        self._known, self._evaluation.function = known, function
+        self._look = look
         self._number += 1
         if self._parts:
             self._use_room(1, look=self._number % LOOKED == 0)
@@ -67,7 +68,7 @@ class Aside:
         """Evaluate where a process has nothing to do, beside so many works of this one; look for more to evaluate."""
         room = self.processes.workers - here - sum(part.under_way for part, *_ in self._parts)
         if look and room > self._evaluation.under_way:
-            self._evaluation.add(self._known())
+            self._look()
         with suppress(BrokenExecutor):
             self._evaluation.go_on(room)
 
@@ -84,23 +85,20 @@ class Aside:
         """A function of a module of each of some pieces."""
         if len(pieces) < 2 or sum(curve.x.size for _, curve in pieces) < WORK:
             return [function(*piece) for piece in pieces]
-        self._evaluation.function = function
-        return self._evaluation.all_of(pieces)
+        return self._evaluation.all_of(function, pieces)
 
 
 class Evaluation:
     """The pieces of a curve that processes evaluate, some of them before all are known.
 
     Attributes:
-        function: what evaluates them.
         running: what is being evaluated, as far as is known.
     """
 
     def __init__(self, processes: Processes):
         self.processes = processes
-        self.function = cast(Evaluate, None)
         self.running: set[Future[Signed]] = set()
-        self._waiting = deque[tuple[bytes, Piece]]()
+        self._waiting = deque[tuple[Evaluate, Piece]]()
         self._begun: dict[bytes, Future[Signed]] = {}
 
     @property
@@ -109,9 +107,9 @@ class Evaluation:
         self.running = {future for future in self.running if not future.done()}
         return len(self.running)
 
-    def add(self, pieces: Sequence[Piece]) -> None:
+    def add(self, function: Evaluate, pieces: Sequence[Piece]) -> None:
         """These are to be evaluated next, instead of those that wait; what has begun is not begun again."""
-        self._waiting = deque((_key(piece), piece) for piece in pieces)
+        self._waiting = deque((function, piece) for piece in pieces)
 
     def go_on(self, room: int) -> None:
         """Begin to evaluate pieces that wait, so many at a time.
@@ -120,12 +118,12 @@ class Evaluation:
             BrokenExecutor: a process was killed.
         """
         while self._waiting and self.under_way < room:
-            key, piece = self._waiting.popleft()
-            if key not in self._begun:
-                self._begun[key] = future = self.processes.submit(unseen, self.function, *piece)
+            function, piece = self._waiting.popleft()
+            if (key := _key(piece)) not in self._begun:
+                self._begun[key] = future = self.processes.submit(unseen, function, *piece)
                 self.running.add(future)
 
-    def all_of(self, pieces: Sequence[Piece]) -> list[Signed]:
+    def all_of(self, function: Evaluate, pieces: Sequence[Piece]) -> list[Signed]:
         """All of these, those that no process has evaluated by this one.
 
         Raises:
@@ -133,20 +131,20 @@ class Evaluation:
         """
         try:
             with suppress(BrokenExecutor):
-                self.add(pieces)
+                self.add(function, pieces)
                 while self._waiting or self.under_way:
                     self.go_on(self.processes.workers)
                     wait(self.running, return_when=FIRST_COMPLETED)
         except KeyboardInterrupt:
             self.processes.give_up(self.running)
             raise
-        return [self._result(piece) for piece in pieces]
+        return [self._result(function, piece) for piece in pieces]
 
-    def _result(self, piece: Piece) -> Signed:
+    def _result(self, function: Evaluate, piece: Piece) -> Signed:
         if (future := self._begun.get(_key(piece))) is not None:
             with suppress(BrokenExecutor):
                 return future.result()
-        return self.function(*piece)
+        return function(*piece)
 
 
 def _key(piece: Piece) -> bytes:
