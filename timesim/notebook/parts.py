@@ -177,10 +177,11 @@ def point_force(
     """A force on a point, amplitude cos(harmonic 2 pi f t + phase) along a direction of shape (3,); constant for 0."""
     size = array_of("amplitude", amplitude, ())
     force = {"point": point, "direction": array_of("direction", direction, (3,)), "amplitude": amplitude}
-    if harmonic == 0:
-        pull = float(size * np.cos(np.deg2rad(phase_deg)))
-        return _checked("excitation", {"constant_forces": [force | {"amplitude": pull}]})
-    return _checked("excitation", {"forces": [force | {"phase_deg": phase_deg, "harmonic": harmonic}]})
+    if array_of("harmonic", harmonic, ()) != 0:
+        return _checked("excitation", {"forces": [force | {"phase_deg": phase_deg, "harmonic": harmonic}]})
+    check_parts({"excitation": {"forces": [force | {"phase_deg": phase_deg}]}})
+    pull = float(size * np.cos(np.deg2rad(phase_deg)))
+    return _checked("excitation", {"constant_forces": [force | {"amplitude": pull}]})
 
 
 def system(
