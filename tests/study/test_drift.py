@@ -87,3 +87,12 @@ def test_points_of_a_sweep_that_settle_late_do_not_drift():
     lines = carry_out(load_scene(sled(late, 0.25, frequency=0.1))).summary
     assert any("did not settle" in line for line in lines)
     assert not any("drift" in line for line in lines)
+
+
+def test_the_loss_of_a_body_does_not_depend_on_how_far_it_has_come():
+    def lost(cycles: int) -> float:
+        study = SWEEP | {"frequency": {"values": [1.0]}, "settle": {"max_cycles": cycles}}
+        outcome = carry_out(load_scene(sled(study, 0.25, solver={"accuracy": "standard"})))
+        return outcome.groups[""]["dissipated_power"].item()
+
+    np.testing.assert_allclose(lost(1500), lost(150), rtol=1e-8)

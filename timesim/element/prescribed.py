@@ -105,9 +105,6 @@ class CycleState(ContinuousState):
     force: Float[Array, "3 tangent contact"]
     work: Scalar
 
-    def size(self) -> Float[Array, ""]:
-        return jnp.ones(())
-
     def error(self) -> Float[Array, ""]:
         worst = jnp.abs(self.force).max()
         for w in self.w:
@@ -136,6 +133,9 @@ class PrescribedContacts(Dynamics):
 
     def path(self, point: CycleState, rate: CycleState) -> Path:
         return self.drive.path(point.angle)
+
+    def size(self, point: CycleState) -> Float[Array, ""]:
+        return jnp.ones(())
 
 
 def drive_of(elements: Elements, motion: PrescribedMotion | None = None) -> Drive:

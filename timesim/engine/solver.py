@@ -56,9 +56,8 @@ def step_control(solver: Solver, stiffest: float) -> Control:
 
 
 @apart
-def error_size(control: Control, point: ContinuousState, error: ContinuousState) -> Float[Array, ""]:
-    """Error of a step relative to its tolerance."""
-    size = point.size()
+def error_size(control: Control, size: Float[Array, ""], error: ContinuousState) -> Float[Array, ""]:
+    """Error of a step relative to its tolerance for a motion of that size."""
     return error.error() / (control.atol + control.rtol * size)
 
 

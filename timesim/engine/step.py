@@ -151,9 +151,9 @@ def integrated(
     method: Method, control: Control, dynamics: Dynamics, now: Trajectory, h: Float[Array, ""], reach: Float[Array, ""]
 ) -> Trial:
     """The step of the method; one with a dense output of its own is cut where it is needed no longer."""
-    tolerance = control.atol + control.rtol * now.point.size()
+    tolerance = control.atol + control.rtol * dynamics.size(now.point)
     end, rate, error, solved = method.advance(dynamics, now.state, now.time, now.point, now.rate, h, tolerance)
-    size = jnp.zeros(()) if error is None else error_size(control, end, error)
+    size = jnp.zeros(()) if error is None else error_size(control, dynamics.size(end), error)
     if solved is not None:
         size = jnp.where(solved.converged, size, jnp.maximum(size, UNSOLVED))
     size = jnp.where(jnp.isfinite(size), size, 1e9)

@@ -63,11 +63,8 @@ class Point(ContinuousState):
     w: Plane
     work: Work | None
 
-    def size(self) -> Float[Array, ""]:
-        return jnp.maximum(jnp.abs(self.q).max(), jnp.abs(self.p).max())
-
     def error(self) -> Float[Array, ""]:
-        worst = self.size()
+        worst = jnp.maximum(jnp.abs(self.q).max(), jnp.abs(self.p).max())
         for w in self.w:
             worst = jnp.maximum(worst, jnp.abs(w).max(initial=0.0))
         return worst
@@ -134,6 +131,12 @@ class System(Dynamics):
 
     def path(self, point: Point, rate: Point) -> Path:
         return relative(self, point.q), relative(self, point.p), relative(self, rate.p)
+
+    def size(self, point: Point) -> Float[Array, ""]:
+        # Where a rigid body is, is no motion: relative to the way that a rotor had come in 2,000 cycles, steps of its
+        # clutch erred so much that the power lost in it was wrong by 0.4 %.
+        swung = jnp.where(self.stiffness > 0, jnp.abs(point.q), 0.0)
+        return jnp.maximum(swung.max(), jnp.abs(point.p).max())
 
 
 def excitation(system: System, time: Float[Array, ""]) -> Float[Array, " mode"]:

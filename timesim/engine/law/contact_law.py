@@ -214,10 +214,6 @@ class ContinuousState(eqx.Module):
     w: eqx.AbstractVar[Plane]
 
     @abc.abstractmethod
-    def size(self) -> Float[Array, ""]:
-        """Largest coordinate: what a relative tolerance is relative to."""
-
-    @abc.abstractmethod
     def error(self) -> Float[Array, ""]:
         """Largest entry of an error that the step control looks at."""
 
@@ -246,6 +242,10 @@ class Dynamics(eqx.Module):
     @abc.abstractmethod
     def path(self, point: P, rate: P) -> Path:
         """Relative motion of the contacts, normal last, with two derivatives; ``rate`` is that of the point."""
+
+    @abc.abstractmethod
+    def size(self, point: P) -> Float[Array, ""]:
+        """Largest coordinate of the motion: what a relative tolerance is relative to."""
 
     def single(self) -> "Dynamics":
         """The same, where its trajectory is advanced by itself and not in one operation with others."""
