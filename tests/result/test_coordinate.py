@@ -7,7 +7,7 @@ import pytest
 from systems import oscillator, oscillator_scene
 
 import timesim
-from timesim.result.coordinate import coordinates, rubs
+from timesim.result.coordinate import coordinates, rubs, runs
 
 
 def test_they_are_those_of_the_dimensions_in_use():
@@ -50,3 +50,10 @@ def test_a_contact_that_rubs_for_some_values_of_a_result_is_no_stop(study):
     scene["contacts"][0]["friction"] = 0.0
     data = timesim.run(scene | {"study": study | {"over": {"contacts.pad.friction": [0.0, 0.5]}}})
     assert rubs(data).all()
+
+
+def test_values_with_others_between_them_are_in_runs_of_their_own():
+    values = np.array([1.0, 2.0, 4.0, 8.0, 16.0])
+    found = runs(values, np.array([True, True, False, False, True]))
+    assert [run.tolist() for run in found] == [[1.0, 2.0], [16.0]]
+    assert runs(values, np.zeros(5, dtype=bool)) == []

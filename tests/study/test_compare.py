@@ -389,6 +389,14 @@ def test_points_without_an_answer_are_named():
     assert "did not settle" not in text
 
 
+def test_points_between_those_that_are_named_are_not_named_with_them():
+    """The first and the last of three frequencies do not settle, and the one between them does."""
+    settled = np.ones(SHAPE, int)
+    settled[1, 0, [0, 2]] = 0
+    text = "\n".join(lines_on(1e-5, settled=settled))
+    assert text.endswith("at 2 points the motion did not settle and is left out: contacts.pad.preload 3 at 1 Hz, 3 Hz")
+
+
 def test_a_cycle_that_does_not_settle_is_left_out_with_the_reason(monkeypatch: pytest.MonkeyPatch):
     """The sweep settles from its own start in time; from the solution of the balance no cycles are left for it."""
     study = {"kind": "compare", "frequency": {"values": [1.39]}, "harmonics": 3, "time_samples": 64}

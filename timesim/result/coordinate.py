@@ -67,3 +67,9 @@ def over_keys(data: "Dataset") -> list[str]:
     """Keys of the scalars of the scene that a result varies, in the scene's order."""
     names = dict.fromkeys((*(dim for array in data.data_vars.values() for dim in array.dims), *data.data_vars))
     return [name for name in map(str, names) if is_scalar_key(name) and name != data.attrs.get("along")]
+
+
+def runs(values: np.ndarray, chosen: np.ndarray) -> list[np.ndarray]:
+    """Chosen values along an axis, shape (N,), those together that no value between them parts."""
+    index = np.flatnonzero(chosen)
+    return [values[row] for row in np.split(index, np.flatnonzero(np.diff(index) > 1) + 1) if row.size]

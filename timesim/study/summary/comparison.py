@@ -7,8 +7,8 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.orbit.steady_state import switches
-from timesim.result.coordinate import rubs
-from timesim.result.label import counted, in_words
+from timesim.result.coordinate import rubs, runs
+from timesim.result.label import counted, first_few, in_words
 from timesim.scene.study import combinations
 
 # Within this share of a fold's frequency a small error of either method changes the answer much.
@@ -20,6 +20,7 @@ AGREE, NEARLY, WORTH_ASKING = 2e-3, 2e-2, 5e-4
 SHAKEN_DOWN = 1e-5
 # Share of the largest amplitude below which the verdict says that its difference is that of an axis that hardly moves.
 HARDLY = 0.05
+RANGES = 5  # ranges of frequency that are named for each set of values
 
 
 @dataclass(frozen=True)
@@ -184,8 +185,9 @@ def _places(points: Points, chosen: np.ndarray) -> str:
     """The ranges of frequency of chosen points, for each set of values."""
     parts = []
     for values, own in zip(points.values, chosen, strict=True):
-        at = points.frequency[own.any(axis=0)]
-        if at.size:
-            span = f"{at[0]:g} Hz" if at.size == 1 else f"{at[0]:g} to {at[-1]:g} Hz"
-            parts.append(in_words(values, " at ") + span)
+        rows = runs(points.frequency, own.any(axis=0))
+        spans = [f"{row[0]:g} Hz" if row.size == 1 else f"{row[0]:g} to {row[-1]:g} Hz" for row in rows]
+        if spans:
+            listed = first_few(spans, RANGES, lambda left: f"and {left} more")
+            parts.append(in_words(values, " at ") + ", ".join(listed))
     return "; ".join(parts)

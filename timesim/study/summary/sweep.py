@@ -9,7 +9,7 @@ from xarray import Dataset
 from timesim.orbit.jump import suspects
 from timesim.orbit.steady_state import SAME
 from timesim.orbit.threshold import LONGEST
-from timesim.result.coordinate import over_keys
+from timesim.result.coordinate import over_keys, runs
 from timesim.result.label import axis_value, counted, first_few, in_words, with_unit
 from timesim.study.outcome import took
 from timesim.study.summary.drift import largest_step, step_of_points
@@ -158,8 +158,7 @@ def _spans(data: Dataset, chosen: np.ndarray) -> str:
     """The ranges of frequency of chosen points, for each chain that has some."""
     spans = []
     for place in map(tuple, np.argwhere(chosen.any(axis=-1))):
-        index = np.flatnonzero(chosen[place])
-        rows = [data["frequency"].values[row] for row in np.split(index, np.flatnonzero(np.diff(index) > 1) + 1)]
+        rows = runs(data["frequency"].values, chosen[place])
         named = [f"at {row[0]:g} Hz" if row.size == 1 else f"between {row[0]:g} and {row[-1]:g} Hz" for row in rows]
         spans.append(
             _chain(data, place) + ", ".join(first_few(named, POINTS, lambda left: f"and in {left} more ranges"))
