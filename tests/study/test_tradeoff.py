@@ -92,6 +92,16 @@ def test_what_fewer_modes_and_all_that_is_left_out_make_of_a_run() -> None:
         assert "with nothing left out (solver.reduce: false) a run takes 2.5 times as long" in said
 
 
+def test_a_gain_within_the_scatter_of_the_times_is_none() -> None:
+    """The run that leaves out what it can takes 3 s."""
+    whole = Solver("tsit5", 1e-7, 1e-9, reduce=False)
+    for seconds, said in ((3.5, "as long, as far as the scatter of the times tells"), (3.8, "1.3 times as long")):
+        more = trial("tsit5", 1e-7, 1e-6, seconds, solver=whole)
+        made = bench([replace(one, scatter=0.1) for one in (*TRIALS[:6], more)])
+        heard = list(lines(study._record(SCENE, made, judge(made), None)))
+        assert f"with nothing left out (solver.reduce: false) a run takes {said}" in heard
+
+
 def test_modes_that_were_not_tried_and_times_that_are_not_told_apart_are_said() -> None:
     quick = trial("dopri8", 3e-6, 8e-7, 2.1)
     made = bench([*(replace(one, scatter=0.1) for one in TRIALS[:6]), quick])
