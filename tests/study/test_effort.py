@@ -12,7 +12,7 @@ from timesim.model.cost import steps_for
 from timesim.model.model import Model
 from timesim.model.solver import PRESETS, Solver
 from timesim.study.registry import carry_out, load_scene
-from timesim.study.summary.effort import effort_lines
+from timesim.study.summary.effort import effort_lines, sweep_effort_lines
 
 OSCILLATOR = Path(__file__).parents[2] / "configs" / "oscillator.yaml"
 VIBRATES = "with its contacts stuck the structure vibrates up to"
@@ -114,6 +114,21 @@ def test_a_sweep_says_where_its_cycles_take_many_steps_and_why(changes: dict[str
     place = f"contacts.pad.preload {[1, 3][preload]}, {[0.9, 1][frequency]} Hz: {why}"
     assert line.startswith(f"{np.count_nonzero(steps >= 10 * usual)} points take ten times the steps")
     assert f"the most, {steps.max():.0f} a cycle where it asks for about {round(usual, -1):.0f}, at {place}" in line
+
+
+def test_a_point_whose_motion_asks_for_no_more_steps_has_been_shot_with_finer_ones() -> None:
+    """The tolerance of settling asks for them, not the motion."""
+    study = {"kind": "sweep", "frequency": {"values": [0.9, 1.0]}, "settle": {"tolerance": 1e-8}}
+    scene = load_scene(OSCILLATOR, {"study": study})
+    dims = ("direction", "frequency")
+    steps, transitions = np.array([[80.0, 1500.0]]), np.array([[[4.0], [4.0]]])
+    data = Dataset(
+        {"cycle_steps": (dims, steps), "cycle_transitions": ((*dims, "contact"), transitions)},
+        {"direction": ["independent"], "frequency": [0.9, 1.0], "contact": ["pad"]},
+    )
+    (line,) = sweep_effort_lines(data, scene)
+    assert line.startswith("1 point takes ten times the steps that the tolerance asks for; the most, 1500 a cycle")
+    assert line.endswith("shooting takes finer steps where the noise of the usual ones is above settle.tolerance")
 
 
 def test_points_without_steps_are_not_spoken_of() -> None:

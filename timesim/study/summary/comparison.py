@@ -33,8 +33,7 @@ class Points:
         difference: largest absolute value of (balance - sweep) / sweep over points and axes, shape (V, D, F), like all
             that follow.
         name, share: point and axis of that value, and its amplitude as a share of the largest.
-        solved, followed, begun: whether the balance has a stable solution there; whether it came to its end; whether
-            it has any solution of these values.
+        solved, followed: whether the balance has a stable solution there; whether it came to its end.
         settled, doubled: whether the motion repeats after one cycle, after several.
         irregular: whether it never repeats.
         linear: whether no contact slips, or opens within the cycle.
@@ -52,7 +51,6 @@ class Points:
     share: np.ndarray
     solved: np.ndarray
     followed: np.ndarray
-    begun: np.ndarray
     settled: np.ndarray
     doubled: np.ndarray
     irregular: np.ndarray
@@ -95,11 +93,9 @@ def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarra
     size = np.nan_to_num(sweep["amplitude"].values).reshape(*shape, -1)
     most = np.argmax(np.nan_to_num(difference, nan=-1.0), axis=-1, keepdims=True)
     names = np.array([f"{point} {axis}" for point in sweep["point"].values for axis in sweep["axis"].values])
-    near_fold, begun, rub = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool), rubs(sweep).values
+    near_fold, rub = np.zeros(shape, dtype=bool), rubs(sweep).values
     for v, own in enumerate(values):
-        fold = hbm["fold"].values > 0
-        solutions = np.all([np.ones_like(fold), *(hbm[key].values == value for key, value in own.items())], axis=0)
-        here, begun[v] = fold & solutions, solutions.any()
+        here = np.all([hbm["fold"].values > 0, *(hbm[key].values == value for key, value in own.items())], axis=0)
         far = np.abs(frequency[:, None] - hbm["frequency"].values[here])
         near_fold[v] = (far < NEAR_FOLD * frequency[:, None]).any(axis=1)
     return Points(
@@ -110,7 +106,6 @@ def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarra
         share=np.take_along_axis(size, most, axis=-1)[..., 0] / np.maximum(size.max(axis=-1), np.finfo(float).tiny),
         solved=np.isfinite(difference).any(axis=-1),
         followed=np.full(shape, hbm.attrs["complete"] > 0),
-        begun=begun,
         settled=(settled > 0) & (period == 1),
         doubled=(settled > 0) & (period > 1),
         irregular=sweep["irregular"].values.reshape(shape) > 0,
@@ -147,12 +142,10 @@ def comparison_lines(points: Points) -> Iterator[str]:
             "offset, which is free: time integration that begins from the balance's motion stays there: "
             f"{_places(points, points.other_offset)}"
         )
-    unsolved = points.settled & ~points.solved & ~points.followed
     unsettled = ~(points.settled | points.doubled | points.irregular | points.missing)
     for left_out, why in (
         (points.settled & ~points.solved & points.followed, "the balance has no stable solution"),
-        (unsolved & points.begun, "the balance has no solution, as it ended before"),
-        (unsolved & ~points.begun, "there is no solution of the balance to compare with"),
+        (points.settled & ~points.solved & ~points.followed, "the balance has no solution, as it did not get there"),
         (points.doubled, "the motion repeats after several cycles, which the balance cannot show"),
         (points.irregular, "the motion does not repeat, being quasi-periodic or irregular, and is left out"),
         (unsettled, "the motion did not settle and is left out"),

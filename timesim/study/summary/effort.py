@@ -18,6 +18,8 @@ CAUSE = 0.2
 """Share of the steps that a cause must account for."""
 SWITCH = 3
 """Steps that a transition costs, about: one is cut there, and those after it are short."""
+UNKNOWN = "neither stiffness nor transitions nor little normal load account for them"
+FINER = "shooting takes finer steps where the noise of the usual ones is above settle.tolerance"
 
 
 def effort_lines(data: Dataset, model: Model, solver: Solver) -> Iterator[str]:
@@ -36,7 +38,7 @@ def effort_lines(data: Dataset, model: Model, solver: Solver) -> Iterator[str]:
     ]
     yield (
         f"{steps.mean():.3g} steps a cycle, {steps[most]} in cycle {int(cycle['cycle'])}, where its tolerance asks for "
-        f"about {round(usual, -1):.0f}: {_why(causes)}"
+        f"about {round(usual, -1):.0f}: {'; '.join(causes or [UNKNOWN])}"
     )
 
 
@@ -59,12 +61,9 @@ def sweep_effort_lines(data: Dataset, scene: Scene) -> Iterator[str]:
     points = counted(number, "point takes", "points take")
     yield (
         f"{points} ten times the steps that the tolerance asks for; the most, {most:.0f} a cycle where it asks for "
-        f"about {round(usual, -1):.0f}, at {in_words(values, ', ')}{axis_value(frequency)} Hz: {_why(causes)}"
+        f"about {round(usual, -1):.0f}, at {in_words(values, ', ')}{axis_value(frequency)} Hz: "
+        f"{'; '.join(causes or [UNKNOWN, FINER])}"
     )
-
-
-def _why(causes: list[str]) -> str:
-    return "; ".join(causes) or "neither stiffness nor transitions nor little normal load account for them"
 
 
 def _vibrations(steps: float, model: Model, frequency: float, usual: float) -> Iterator[str]:
