@@ -294,6 +294,19 @@ def test_a_motion_of_several_cycles_is_ringed() -> None:
     assert "period of several cycles" not in labels, "it is not shown there"
 
 
+def test_a_difference_by_another_offset_is_crossed_out() -> None:
+    """The verdict leaves it out: it is none of the methods."""
+    swept = _sweep([2.0])
+    off = xarray.Dataset({"relative_difference": swept.amplitude * 1e-5, "other_offset": 0 * swept.settled})
+    tree = xarray.DataTree.from_dict(
+        {"/": off.drop_vars(["frequency", PRELOAD]), "/sweep": swept, "/hbm": _balance([2.0])}
+    )
+    for other, crossed in ((0, []), (1, [FREQUENCY[3]])):
+        tree["other_offset"][0, 1, 3] = other
+        lines = [line for line in compare.difference(tree).get_lines() if "another offset" in str(line.get_label())]
+        assert [x for line in lines for x in line.get_xdata()] == crossed
+
+
 def test_differences_of_one_size_are_shown_over_two_decades() -> None:
     """Below that every tick has a label, which pushes that of the axis out of the picture."""
     swept = _sweep([2.0])

@@ -74,11 +74,11 @@ def difference(data: DataTree, ax: Axes | None = None) -> Axes:
     """Largest relative difference of a point's amplitudes at each frequency.
 
     Pale where the motion is linear, hollow where it has not settled, ringed where it repeats after several cycles: the
-    balance knows motions of one.
+    balance knows motions of one. Crossed where a contact that sticks has another offset: the verdict leaves it out.
     """
-    ax, (hbm, sweep) = axes(ax), _groups(data)
+    ax, root, (hbm, sweep) = axes(ax), data.to_dataset(), _groups(data)
     counts = sweep.amplitude > MINOR * sweep.amplitude.max(("point", "axis"))
-    size = abs(data["relative_difference"].where(counts.values)).max(("point", "axis"))
+    size = abs(root["relative_difference"].where(counts.values)).max(("point", "axis"))
     linear = ~switches(sweep.slip_share * rubs(sweep), sweep.separation_share).any("contact")
     for where, look in _points(hbm, sweep):
         x, y, pale = sweep.frequency.values, size.isel(where).values, linear.isel(where).values
@@ -86,6 +86,8 @@ def difference(data: DataTree, ax: Axes | None = None) -> Axes:
         for which, faint in ((~pale, {}), (pale, {"alpha": 0.25})):
             _settled_or_hollow(ax, x[which], y[which], settled[which], look | faint)
         several_cycles(ax, sweep, where, y)
+        if "other_offset" in root and (other := root["other_offset"].isel(where).values > 0).any():
+            ax.plot(x[other], y[other], "x", color="0.2", ms=4, label="another offset")
     for fold in hbm.frequency.values[hbm.fold.values > 0]:
         ax.axvline(fold, color="0.6", linewidth=0.7, linestyle=":", label="frequency of a fold")
     over_decades(ax)
