@@ -160,6 +160,15 @@ def test_a_fold_near_which_no_range_ends_is_named(result):
         balance.isel(solution=[0]).assign(fold=("solution", [0])).assign_attrs(complete=0), {}, {}, 0.02
     )
     assert line == "the branch of the balance has no fold as far as it was followed"
+
+
+def test_a_branch_without_a_fold_beside_two_motions_does_not_join_them(result):
+    """Of a search that one end of the range is cut off by: the other end is that of a branch that is not followed."""
+    balance, ends = result["hbm"].to_dataset(), result["range"].values.ravel()
+    one = balance.isel(solution=[0]).assign(fold=("solution", [0]))
+    (line,) = fold_lines(one, {(): ends}, {}, 0.02)
+    assert line == "the branch of the balance has no fold: it does not join the two motions"
+    assert [*fold_lines(one, {(): np.zeros(0)}, {}, 0.02)] == ["the branch of the balance has no fold"]
     lines = [line for line in fold_lines(balance, {(): ends[1:]}, {}, 1e-3) if "no range ends" in line]
     assert [line.split(" Hz")[0] for line in lines] == ["beside the fold at " + f"{_folds(balance)[0]:.7g}"]
 

@@ -152,4 +152,6 @@ def fold_lines(hbm: Dataset, ends: Frequencies, failed: Frequencies, reach: floa
                 "sweep came to, one of which may be stable: search wider, or from another start"
             )
     if not sets and frequency.size:
-        yield f"the branch of the balance has no fold{'' if hbm.attrs['complete'] else ' as far as it was followed'}"
+        so_far = "" if hbm.attrs["complete"] else " as far as it was followed"
+        apart = any(np.isfinite(known).any() for known in ends.values())
+        yield f"the branch of the balance has no fold{so_far}{': it does not join the two motions' if apart else ''}"
