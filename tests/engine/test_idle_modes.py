@@ -35,7 +35,13 @@ def test_there_is_room_for_four_sizes_an_octave_and_for_no_more_where_no_contact
 
 
 @pytest.mark.parametrize(
-    ("method", "seed", "size"), [("tsit5", 1, (5, 1)), ("tsit5", 2, (5, 1)), ("exponential", 3, (9, 2))]
+    ("method", "seed", "size"),
+    [
+        ("tsit5", 1, (5, 1)),
+        ("exponential", 2, (5, 1)),
+        pytest.param("tsit5", 2, (5, 1), marks=pytest.mark.slow),
+        pytest.param("exponential", 3, (9, 2), marks=pytest.mark.slow),
+    ],
 )
 def test_a_run_is_what_it_is_without_them(
     method: str, seed: int, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch

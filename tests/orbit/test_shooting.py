@@ -142,7 +142,7 @@ def sliding_fast(seed, share):
     ("case", "method"),
     [
         ((413, 0.5), "tsit5"),
-        ((420, 1.1), "dopri8"),
+        pytest.param((420, 1.1), "dopri8", marks=pytest.mark.slow),
         pytest.param((413, 0.5), "dopri8", marks=pytest.mark.slow),
         pytest.param((420, 1.1), "tsit5", marks=pytest.mark.slow),
         pytest.param((425, 0.6), "tsit5", marks=pytest.mark.slow),
@@ -163,7 +163,8 @@ def test_multipliers_where_an_explicit_step_does_not_resolve_the_direction_of_sl
     np.testing.assert_allclose(found, np.sort(expected)[::-1], rtol=0, atol=1e-4)
 
 
-@pytest.mark.parametrize("rtol", [1e-5, pytest.param(1e-7, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("rtol", [1e-5, 1e-7])
 def test_multipliers_of_fast_modes_that_the_motion_hardly_shows(rtol):
     """Of themselves steps as long as the motion allows let such a mode grow up to 94 times in a cycle."""
     model, base = zoo.structure(704, (5e-5, 3e-4), (4, 1))
