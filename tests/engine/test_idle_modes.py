@@ -38,7 +38,6 @@ def test_there_is_room_for_four_sizes_an_octave_and_for_no_more_where_no_contact
     ("method", "seed", "size"),
     [
         ("tsit5", 1, (5, 1)),
-        ("exponential", 2, (5, 1)),
         pytest.param("tsit5", 2, (5, 1), marks=pytest.mark.slow),
         pytest.param("exponential", 3, (9, 2), marks=pytest.mark.slow),
     ],
@@ -62,7 +61,8 @@ def test_a_run_is_what_it_is_without_them(
     np.testing.assert_allclose(work[0], work[1], rtol=0, atol=ROUNDING * np.abs(work).max())
 
 
-@pytest.mark.parametrize("method", ["tsit5", pytest.param("exponential", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["tsit5", "exponential"])
 def test_a_sweep_is_what_it_is_without_them(method: str, monkeypatch: pytest.MonkeyPatch):
     """Shot, with its multipliers: all motions of the model decay faster than those of an idle mode."""
     model, base = structure(23, (0.9, 0.95), (5, 1))

@@ -92,7 +92,11 @@ def test_usual_cycles_and_fixed_steps_are_not_spoken_of() -> None:
     ("changes", "why"),
     [
         ({}, None),
-        ({"contacts.pad.normal_stiffness": 1e6, "contacts.pad.tangential_stiffness": 1e6}, VIBRATES),
+        pytest.param(
+            {"contacts.pad.normal_stiffness": 1e6, "contacts.pad.tangential_stiffness": 1e6},
+            VIBRATES,
+            marks=pytest.mark.slow,
+        ),
         ({"contacts.pad.friction": 1e-3}, TURNS),
     ],
 )

@@ -413,6 +413,7 @@ def test_a_map_says_why_and_where_points_failed():
     assert outcome.reason == f"the event loop ended early at 3 of 4 points, NaN in the result: {why}"
 
 
+@pytest.mark.slow
 def test_map_ends_creep_where_the_march_does():
     """As state by state finds it: at the border of the offsets of full stick, not within."""
     pairs = [creeping(seed) for seed in CREEPING]
