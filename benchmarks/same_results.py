@@ -77,7 +77,10 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*")
     given = parser.parse_args()
     output = given.output.absolute()
-    for scene in sorted((given.before.absolute() / "configs").glob("*.yaml")):
+    scenes = sorted((given.before.absolute() / "configs").glob("*.yaml"))
+    if unknown := set(given.scenes) - {scene.stem for scene in scenes}:
+        parser.error(f"no scene is called {', '.join(sorted(unknown))}: give names without .yaml")
+    for scene in scenes:
         if given.scenes and scene.stem not in given.scenes:
             continue
         folders = [output / side / scene.stem for side in ("before", "after")]
