@@ -203,6 +203,11 @@ def test_from_the_result_of_a_transient(tmp_path: Path):
     errors = np.abs(found.amplitude.values[begin, 0, 0] / settled - 1)
     assert errors.min() < 3e-3
     assert found.fold.values.sum() == 2
+    start, along = {"from": str(tmp_path / "run" / "result.nc")}, {"contacts.pad.preload": {"from": -4, "to": -3}}
+    with pytest.raises(SceneError, match=r"must be at a frequency from 0\.96 to 1 Hz \(it is at 0\.945 Hz\)"):
+        load_scene(scene(start=start, frequency={"from": 0.96, "to": 1.0}))
+    with pytest.raises(SceneError, match=r"must be at a frequency of 0\.96 Hz \(it is at 0\.945 Hz\)"):
+        load_scene(scene(start=start, frequency=0.96, along=along))
 
 
 @pytest.fixture(scope="module")

@@ -140,8 +140,8 @@ class ResultStart(ResultSection):
             return replace(plan, passing=(states, self.at))
         low, high = sorted(plan.span)
         if not low * (1 - 1e-9) <= motion.frequency <= high * (1 + 1e-9):
-            rule = f"must be at a frequency from {low:g} to {high:g} Hz"
-            raise self.refused(rule, f"it is at {motion.frequency:g} Hz")
+            where = f"from {low:g} to {high:g} Hz" if high > low else f"of {low:g} Hz"
+            raise self.refused(f"must be at a frequency {where}", f"it is at {motion.frequency:g} Hz")
         if self.at:
             raise RuleError(("at",), "names a point of a sweep", "the result is that of a transient: leave it out")
         count = motion.modal.shape[1]
