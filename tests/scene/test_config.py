@@ -799,6 +799,27 @@ def test_modes_that_contacts_move_are_not_to_spare(stiffness, kept):
     assert kept is None or f"structure.keep_modes: {kept} would reach 0 Hz; a study of kind tradeoff" in found[0]
 
 
+@pytest.mark.parametrize(
+    ("torque", "normal_stiffness", "kind", "warned"),
+    [(0.8, 0, "hbm", True), (0.3, 0, "hbm", False), (0.8, 5, "hbm", False), (0.8, 0, "sweep", False)],
+)
+def test_a_body_that_friction_alone_may_not_hold_is_worth_a_warning(torque, normal_stiffness, kind, warned):
+    """A rotor whose clutch bears 0.9 of a torque of 0.5 at most about a constant one; or one that a stop holds too."""
+    matrices = {"mass": [[1, 0], [0, 0.4]], "stiffness": [[8, -8], [-8, 8]], "damping": [[0.1, -0.1], [-0.1, 0.1]]}
+    clutch = {"name": "clutch", "point": "hub", "normal": [0, 1, 0], "tangent": [1, 0, 0], "friction": 0.3}
+    stop = {"name": "stop", "point": "hub", "normal": [1, 0, 0], "tangent": [0, 1, 0], "friction": 0.0}
+    stop |= {"tangential_stiffness": 0, "normal_stiffness": normal_stiffness, "preload": -1}
+    clutch |= {"tangential_stiffness": 40, "normal_stiffness": 0, "preload": 3}
+    force = {"point": "disk", "direction": [1, 0, 0]}
+    scene = {
+        "structure": {"matrices": matrices | {"points": {"hub": {"x": 0}, "disk": {"x": 1}}}},
+        "contacts": [clutch, stop] if normal_stiffness else [clutch],
+        "excitation": {"forces": [force | {"amplitude": 0.5}], "constant_forces": [force | {"amplitude": torque}]},
+        "study": {"kind": kind, "frequency": {"from": 0.3, "to": 0.6} | ({} if kind == "hbm" else {"step": 0.1})},
+    }
+    assert any("it may drift" in warning for warning in warnings_of(load_scene(scene))) == warned
+
+
 def inline(mass):
     points = {"tip": {"x": 0}}
     return {"matrices": {"mass": mass, "stiffness": [[1, 0], [0, 1]], "damping_ratio": 0.01, "points": points}}

@@ -53,6 +53,8 @@ def warnings_of(scene: Scene) -> Iterator[str]:
     yield from _large_numbers(file.study, scene.plan, model)
     yield from _steps(scene, model)
     yield from _far_contacts(scene, model)
+    if balance_of(scene.plan) is not None:
+        yield from _unheld(model)
     highest = _highest_frequency(scene) * float(model.excitation.harmonic.max())
     ratio = float(model.structure.frequency[-1]) / highest if highest else 0.0
     if 0 < ratio < FAR_BELOW:
@@ -131,6 +133,20 @@ def _failing(scene: Scene) -> Iterator[str]:
         named = [f"{in_words(values)}: {problem.key} {problem.rule}" for values, problem in lost]
         few = "; ".join(first_few(named, FAILING, lambda left: f"and {left} more"))
         yield f"study.over: {len(lost)} of {len(scene.tried)} sets of values make no scene, and get no motion: {few}"
+
+
+def _unheld(model: Model) -> Iterator[str]:
+    """Rigid bodies that a constant force, with the others, pushes by more than the friction that alone holds them."""
+    excited, shape = model.excitation, model.contact_shape
+    push = np.abs(excited.constant) + np.hypot(excited.cosine, excited.sine).sum(axis=0)
+    held = (model.friction * np.maximum(model.preload, 0.0)) @ np.linalg.norm(shape[:, :2], axis=1)
+    supported = np.any(shape[model.normal_stiffness > 0, 2] != 0, axis=0)
+    free = (model.structure.frequency == 0) & (excited.constant != 0) & ~supported & (push > held)
+    if free.any():
+        yield (
+            "excitation.constant_forces: with the others they push the structure by more than the friction that alone "
+            "holds it: it may drift, and harmonic balance knows only motions that repeat; a sweep tells"
+        )
 
 
 def _narrow(study: StudySection, model: Model) -> Iterator[str]:
