@@ -820,6 +820,26 @@ def test_a_body_that_friction_alone_may_not_hold_is_worth_a_warning(torque, norm
     assert any("it may drift" in warning for warning in warnings_of(load_scene(scene))) == warned
 
 
+def test_a_force_that_leaves_the_rigid_body_alone_is_no_push():
+    """Three masses in a row under constant forces that add up to none but for rounding."""
+    stiffness = [[1, -1, 0], [-1, 3, -2], [0, -2, 2]]
+    matrices = {"mass": [[1, 0, 0], [0, 1.7, 0], [0, 0, 2.3]], "stiffness": stiffness, "damping_ratio": 0.1}
+    contact = {"name": "pad", "point": "b", "normal": [0, 1, 0], "tangent": [1, 0, 0], "friction": 0.3}
+    contact |= {"tangential_stiffness": 1, "normal_stiffness": 0, "preload": 1e-3}
+    pulls = {"a": 0.7, "b": -0.4, "c": -0.3}
+    forces = [{"point": name, "direction": [1, 0, 0], "amplitude": size} for name, size in pulls.items()]
+    scene = load_scene(
+        {
+            "structure": {"matrices": matrices | {"points": {"a": {"x": 0}, "b": {"x": 1}, "c": {"x": 2}}}},
+            "contacts": [contact],
+            "excitation": {"forces": forces[:1], "constant_forces": forces},
+            "study": {"kind": "hbm", "frequency": {"from": 0.1, "to": 0.2}},
+        }
+    )
+    assert 0 < abs(scene.model().excitation.constant[0]) < 1e-15
+    assert not any("it may drift" in warning for warning in warnings_of(scene))
+
+
 def inline(mass):
     points = {"tip": {"x": 0}}
     return {"matrices": {"mass": mass, "stiffness": [[1, 0], [0, 1]], "damping_ratio": 0.01, "points": points}}

@@ -5,17 +5,18 @@ import pickle
 import re
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Future
+from functools import partial
 from pathlib import Path
 from threading import Event, Thread
 from time import sleep
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from systems import oscillator_scene
 
 from timesim.hbm import scheme
-from timesim.hbm.continuation import other_end
+from timesim.hbm.continuation import Controls, Curve, Ending, other_end
 from timesim.hbm.curve import evaluation
 from timesim.result.checkpoint import chunks_done
 from timesim.result.file import StoreError
@@ -275,6 +276,31 @@ def test_solutions_are_evaluated_while_the_other_part_is_waited_for(
     monkeypatch.setattr(aside.Aside, "meanwhile", lambda *_: None)
     late, *_ = followed(LONG, LONG.plan, Execution(processes=own))
     same(data, late)
+
+
+def test_the_part_of_another_curve_is_not_evaluated(monkeypatch: pytest.MonkeyPatch):
+    """The curve from the other end of the range has units of its own."""
+    monkeypatch.setattr(aside, "LOOKED", 1)
+    monkeypatch.setattr(Processes, "submit", at_once_here)
+    solutions = Curve.of([(np.ones(2), p, False, 1) for p in (0.9, 0.95, 1.0)], 2, Ending.COMPLETE, "")
+    monkeypatch.setattr(aside, "followed_part", partial(part_at_once, solutions))
+    asked: list[list[float]] = []
+
+    def pieces(known: Curve, *, grows: bool) -> list[Any]:
+        if not grows:
+            asked.append(known.p.tolist())
+        return []
+
+    with Processes(2) as own:
+        beside = aside.Aside(own, (), Controls(), checks_samples=False)
+        beside.part(cast(Any, None), 1.2, 0.9, 1.0)
+        for start in (0.9, 1.2):
+            beside.meanwhile(start, cast(Any, None), pieces, lambda: solutions)
+    assert asked == [[0.9, 0.95]]
+
+
+def part_at_once(solutions: Curve, *_: Any) -> Curve:
+    return solutions
 
 
 @pytest.mark.parametrize("stability", [True, False])

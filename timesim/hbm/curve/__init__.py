@@ -1,6 +1,6 @@
 """Response curves by harmonic balance: how they are followed, what is known of each solution, and how it is found."""
 
-from timesim.hbm.curve.evaluation import PIECE, Piece, Signed, by_schemes, evaluated
+from timesim.hbm.curve.evaluation import Piece, Signed, Work, by_schemes, each_here, evaluated
 from timesim.hbm.curve.following import (
     Pieces,
     finished,

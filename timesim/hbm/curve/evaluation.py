@@ -31,13 +31,15 @@ Piece = tuple[Any, Curve]
 Evaluate = Callable[[Any, Curve], HbmCurve]
 Signed = tuple[HbmCurve, NDArray[np.int64]]
 """Evaluated solutions, and the sign of det dr/dx of each with the offsets of contacts kept."""
-Each = Callable[[Callable[[Any, Curve], Signed], Sequence[Piece]], list[Signed]]
-"""A function of a module of each of some pieces."""
+Work = Callable[[Any, Curve], Signed]
+"""What is done with a piece; a function of a module, as another process may do it."""
+Each = Callable[[Work, Sequence[Piece]], list[Signed]]
+"""Does it with each of some pieces."""
 
 
-def each_here(function: Callable[[Any, Curve], Signed], pieces: Sequence[Piece]) -> list[Signed]:
+def each_here(work: Work, pieces: Sequence[Piece]) -> list[Signed]:
     """`Each` by this process."""
-    return [function(*piece) for piece in pieces]
+    return [work(*piece) for piece in pieces]
 
 
 def by_schemes(balance: AdaptiveBalance, curve: Curve, evaluate: Evaluate, each: Each = each_here) -> HbmCurve:

@@ -6,14 +6,24 @@ The balance is `timesim.hbm.balance`, the way along the curve `timesim.hbm.conti
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from timesim.hbm.adaptive import AdaptiveBalance
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, Curve, Elsewhere, Ending, follow, follow_both_ways, part_of
-from timesim.hbm.curve.evaluation import Each, Piece, Signed, by_schemes, each_here, evaluated, signed, whole_pieces
+from timesim.hbm.curve.evaluation import (
+    Each,
+    Piece,
+    Signed,
+    Work,
+    by_schemes,
+    each_here,
+    evaluated,
+    signed,
+    whole_pieces,
+)
 from timesim.hbm.curve.record import HbmCurve, Watch
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.scheme import Scheme
@@ -30,13 +40,11 @@ class Aside(Protocol):
     def part(self, model: Model, start: float, first: float, last: float) -> Elsewhere:
         """Begin `part_of_curve`."""
 
-    def meanwhile(
-        self, start: float, function: Callable[[Any, Curve], Signed], pieces: Pieces, so_far: Callable[[], Curve], /
-    ) -> None:
+    def meanwhile(self, start: float, work: Work, pieces: Pieces, so_far: Callable[[], Curve], /) -> None:
         """What of the curve that begins there may be evaluated while it grows; called at each of its solutions."""
 
-    def each(self, function: Callable[[Any, Curve], Signed], pieces: Sequence[Piece], /) -> list[Signed]:
-        """A function of a module of each of some pieces, some of which may have been evaluated meanwhile."""
+    def each(self, work: Work, pieces: Sequence[Piece], /) -> list[Signed]:
+        """The pieces of the whole curve, some of which may have been evaluated meanwhile."""
 
 
 def watched(controls: Controls, watch: Watch, evaluate: Callable[[Curve], HbmCurve]) -> Controls:
@@ -126,12 +134,12 @@ def _evaluated_meanwhile(
     balance: AdaptiveBalance, controls: Controls, meanwhile: Callable[..., None], stability: bool
 ) -> Controls:
     """Steps of a continuation whose solutions are evaluated while it goes on."""
-    own, function = controls.watch, partial(signed, partial(evaluated, stability=stability))
+    own, work = controls.watch, partial(signed, partial(evaluated, stability=stability))
 
     def watch(share: float, so_far: Callable[[], Curve]) -> None:
         if own is not None:
             own(share, so_far)
-        meanwhile(function, partial(whole_pieces, balance), so_far)
+        meanwhile(work, partial(whole_pieces, balance), so_far)
 
     return replace(controls, watch=watch)
 

@@ -27,6 +27,7 @@ FAR_BELOW, FAR_ABOVE = 0.2, 100.0  # times the highest excitation frequency: a h
 KEPT = 20.0  # times that frequency above which a mode may be left out
 TAKES_PART = 1e-2  # share of a mode's stiffness that contacts add if it takes part in their motion
 HEAVY = 0.15  # damping ratio above which a percentage is suspected
+ROUNDING = 1e-9  # share of the largest constant modal force that leaves a mode alone
 FEW_RUNS = 4  # at reference for which a tradeoff should have time
 
 
@@ -141,8 +142,8 @@ def _unheld(model: Model) -> Iterator[str]:
     push = np.abs(excited.constant) + np.hypot(excited.cosine, excited.sine).sum(axis=0)
     held = (model.friction * np.maximum(model.preload, 0.0)) @ np.linalg.norm(shape[:, :2], axis=1)
     supported = np.any(shape[model.normal_stiffness > 0, 2] != 0, axis=0)
-    free = (model.structure.frequency == 0) & (excited.constant != 0) & ~supported & (push > held)
-    if free.any():
+    pushed = np.abs(excited.constant) > ROUNDING * np.abs(excited.constant).max(initial=0.0)
+    if ((model.structure.frequency == 0) & pushed & ~supported & (push > held)).any():
         yield (
             "excitation.constant_forces: with the others they push the structure by more than the friction that alone "
             "holds it: it may drift, and harmonic balance knows only motions that repeat; a sweep tells"

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from timesim.hbm.continuation import WORK, Controls, Curve, part_of
-from timesim.hbm.curve import HbmCurve, Piece, Pieces, Signed, Watch, left_part, part_of_curve
+from timesim.hbm.curve import HbmCurve, Piece, Pieces, Signed, Watch, Work, each_here, left_part, part_of_curve
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
 from timesim.study.curves.samples import TooFewSamplesError, checking_samples
@@ -18,8 +18,6 @@ from timesim.study.execution.worker import halted, point_done
 
 PARTS = 100  # into which a process divides its work to count its progress
 LOOKED = 16  # solutions of a curve after which a process that has nothing else to do is given more of them
-
-Evaluate = Callable[[Any, Curve], Signed]
 
 
 class Aside:
@@ -49,7 +47,7 @@ class Aside:
             if curve is not None and curve.p.size and not np.isclose(curve.p[0], ends).any():
                 yield left_part(model, start, curve, self.schemes, stability=stability)
 
-    def meanwhile(self, start: float, function: Evaluate, pieces: Pieces, so_far: Callable[[], Curve]) -> None:
+    def meanwhile(self, start: float, work: Work, pieces: Pieces, so_far: Callable[[], Curve]) -> None:
         """Evaluate the solutions of the part that is followed elsewhere, once it has ended, and those so far."""
 
         def look() -> None:
@@ -57,7 +55,7 @@ class Aside:
             # The last one is that of the curve which it meets.
             others = [part_of(curve, slice(None, -1)) for curve in ended if curve is not None]
             theirs = [piece for curve in others for piece in pieces(curve, grows=False)]
-            self._evaluation.add(function, theirs + pieces(so_far(), grows=True))
+            self._evaluation.add(work, theirs + pieces(so_far(), grows=True))
 
         self._look = look
         self._number += 1
@@ -81,11 +79,11 @@ class Aside:
             works: list[Future[Any]] = [part, *self._evaluation.running]
             wait(works, return_when=FIRST_COMPLETED)
 
-    def each(self, function: Evaluate, pieces: Sequence[Piece]) -> list[Signed]:
-        """A function of a module of each of some pieces."""
+    def each(self, work: Work, pieces: Sequence[Piece]) -> list[Signed]:
+        """The pieces of the whole curve, by processes if that takes long."""
         if len(pieces) < 2 or sum(curve.x.size for _, curve in pieces) < WORK:
-            return [function(*piece) for piece in pieces]
-        return self._evaluation.all_of(function, pieces)
+            return each_here(work, pieces)
+        return self._evaluation.all_of(work, pieces)
 
 
 class Evaluation:
@@ -98,7 +96,7 @@ class Evaluation:
     def __init__(self, processes: Processes):
         self.processes = processes
         self.running: set[Future[Signed]] = set()
-        self._waiting = deque[tuple[Evaluate, Piece]]()
+        self._waiting = deque[tuple[Work, Piece]]()
         self._begun: dict[bytes, Future[Signed]] = {}
 
     @property
@@ -107,9 +105,9 @@ class Evaluation:
         self.running = {future for future in self.running if not future.done()}
         return len(self.running)
 
-    def add(self, function: Evaluate, pieces: Sequence[Piece]) -> None:
+    def add(self, work: Work, pieces: Sequence[Piece]) -> None:
         """These are to be evaluated next, instead of those that wait; what has begun is not begun again."""
-        self._waiting = deque((function, piece) for piece in pieces)
+        self._waiting = deque((work, piece) for piece in pieces)
 
     def go_on(self, room: int) -> None:
         """Begin to evaluate pieces that wait, so many at a time.
@@ -118,12 +116,12 @@ class Evaluation:
             BrokenExecutor: a process was killed.
         """
         while self._waiting and self.under_way < room:
-            function, piece = self._waiting.popleft()
+            work, piece = self._waiting.popleft()
             if (key := _key(piece)) not in self._begun:
-                self._begun[key] = future = self.processes.submit(unseen, function, *piece)
+                self._begun[key] = future = self.processes.submit(unseen, work, *piece)
                 self.running.add(future)
 
-    def all_of(self, function: Evaluate, pieces: Sequence[Piece]) -> list[Signed]:
+    def all_of(self, work: Work, pieces: Sequence[Piece]) -> list[Signed]:
         """All of these, those that no process has evaluated by this one.
 
         Raises:
@@ -131,20 +129,20 @@ class Evaluation:
         """
         try:
             with suppress(BrokenExecutor):
-                self.add(function, pieces)
+                self.add(work, pieces)
                 while self._waiting or self.under_way:
                     self.go_on(self.processes.workers)
                     wait(self.running, return_when=FIRST_COMPLETED)
         except KeyboardInterrupt:
             self.processes.give_up(self.running)
             raise
-        return [self._result(function, piece) for piece in pieces]
+        return [self._result(work, piece) for piece in pieces]
 
-    def _result(self, function: Evaluate, piece: Piece) -> Signed:
+    def _result(self, work: Work, piece: Piece) -> Signed:
         if (future := self._begun.get(_key(piece))) is not None:
             with suppress(BrokenExecutor):
                 return future.result()
-        return function(*piece)
+        return work(*piece)
 
 
 def _key(piece: Piece) -> bytes:
