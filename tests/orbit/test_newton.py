@@ -21,6 +21,8 @@ def at(vector, state=(STICK,), rtol=RTOL):
     """A lane at a state vector; it moves anywhere."""
     return SimpleNamespace(
         vector=np.asarray(vector),
+        size=max(np.abs(vector)),
+        shifts=np.zeros((0, len(vector))),
         apart=np.array(state) == SEPARATION,
         control=SimpleNamespace(rtol=rtol),
         moved=lambda vector: at(vector, state, rtol),
@@ -199,6 +201,23 @@ def test_multipliers_come_largest_first_and_free_offsets_are_left_out():
     step = recorded.newton_step(recorded.change)
     assert step[0] == 0
     np.testing.assert_allclose((np.eye(2) - slope[1:, 1:]) @ step[1:], [0.3, 0.2])
+
+
+def test_a_body_that_slides_on_repeats_but_for_its_way():
+    """The first entry is its place, the second its speed."""
+    slope, start = np.array([[1.0, 2.0], [0.0, 0.3]]), near(0.0, 1e-3)
+    start.shifts = np.array([[1.0, 0.0]])
+
+    def slid(start):
+        recorded = cycle(start, slope)
+        recorded.end.vector = recorded.end.vector + np.array([0.7, 0.0])
+        return recorded
+
+    shot = iterated(Shot(start), slid(start), TOLERANCE)
+    assert isinstance(shot, Shot)
+    assert shot.lane.vector[1] == pytest.approx(FIXED[1])
+    shot.lane.shifts = start.shifts
+    assert iterated(shot, slid(shot.lane), TOLERANCE) is Failure.SLIDES
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

@@ -16,6 +16,7 @@ from timesim.orbit.recurrence import is_irregular, recurrence_of
 from timesim.orbit.settling import Chain, Search, Task, after_march, after_shot, steady_states, warm_up
 from timesim.orbit.threshold import CYCLES_A_ROUND, LONGEST
 
+HELD = np.zeros((0, 2))  # no body moves without an effect
 SETTLED = {(3.0, 1.39): 0.15612878, (-1.0, 0.97): 0.28839155, (5.0, 1.52): 0.15680399}
 
 
@@ -212,7 +213,7 @@ def marched(returns, *, cycles=CYCLES_A_ROUND, status=Status.RUNNING, **criterio
     before = Search(
         0, 0, SimpleNamespace(status=Status.RUNNING), returns=tuple(returns[:CYCLES_A_ROUND]), cycles=cycles
     )
-    lane, after = SimpleNamespace(status=status, quiet=0.0), returns[CYCLES_A_ROUND:]
+    lane, after = SimpleNamespace(status=status, quiet=0.0, shifts=HELD), returns[CYCLES_A_ROUND:]
     return after_march(before, lane, after, PRESETS["standard"], Criterion(**criterion))
 
 
@@ -244,7 +245,7 @@ def test_what_nearly_repeats_after_a_long_period_is_shot_once_the_budget_is_spen
     never = np.stack([np.cos(cycles * np.sqrt(2)), np.sin(cycles * np.sqrt(3))], axis=1)
 
     def spent(returns, **criterion):
-        lane = SimpleNamespace(status=Status.RUNNING, quiet=0.0)
+        lane = SimpleNamespace(status=Status.RUNNING, quiet=0.0, shifts=HELD)
         before = Search(0, 0, lane, returns=tuple(returns[:-CYCLES_A_ROUND]), cycles=LONGEST)
         last, criterion = returns[-CYCLES_A_ROUND:], Criterion(max_cycles=len(returns), **criterion)
         return after_march(before, lane, last, PRESETS["standard"], criterion)

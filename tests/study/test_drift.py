@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from timesim.model.solver import NEVER, SHOOT, Criterion
+from timesim.orbit.settling import Chain, steady_states
 from timesim.study.registry import carry_out, load_scene
 
 RUNNER = {
@@ -90,9 +92,62 @@ def test_points_of_a_sweep_that_settle_late_do_not_drift():
 
 
 def test_the_loss_of_a_body_does_not_depend_on_how_far_it_has_come():
-    def lost(cycles: int) -> float:
-        study = SWEEP | {"frequency": {"values": [1.0]}, "settle": {"max_cycles": cycles}}
-        outcome = carry_out(load_scene(sled(study, 0.25, solver={"accuracy": "standard"})))
+    def lost(place: float) -> float:
+        start = {"modal_displacement": [place], "modal_velocity": [0], "slip": {"runner": [place, 0]}}
+        study = SWEEP | {"frequency": {"values": [1.0]}}
+        outcome = carry_out(load_scene(sled(study, 0.25, solver={"accuracy": "standard"}, initial=start)))
         return outcome.groups[""]["dissipated_power"].item()
 
-    np.testing.assert_allclose(lost(1500), lost(150), rtol=1e-8)
+    np.testing.assert_allclose(lost(40), lost(0), rtol=1e-8)
+
+
+def clutch(**changes: Any) -> dict[str, Any]:
+    """Two disks of a rotor, one on a shaft with a third, whose clutch slips under a moment that never stops."""
+    moment = {"direction": [1, 0, 0]}
+    return {
+        "structure": {
+            "matrices": {
+                "mass": [[2, 0, 0], [0, 0.7, 0], [0, 0, 0.5]],
+                "stiffness": [[0, 0, 0], [0, 300, -300], [0, -300, 300]],
+                "damping": [[0.4, 0, 0], [0, 0.45, -0.15], [0, -0.15, 0.15]],
+                "points": {"engine": {"x": 0}, "gear": {"x": 1}, "wheel": {"x": 2}},
+            }
+        },
+        "contacts": [RUNNER | {"point": "engine", "against": "gear", "tangential_stiffness": 4000, "preload": 5}],
+        "excitation": {
+            "forces": [moment | {"point": "wheel", "amplitude": 1.2}],
+            "constant_forces": [
+                moment | {"point": "engine", "amplitude": 2.6}, moment | {"point": "gear", "amplitude": -0.1}
+            ],
+        },
+        "study": {"kind": "sweep", "frequency": {"values": [3.0, 5.0]}, "settle": {"max_cycles": 3000}},
+    } | changes  # fmt: skip
+
+
+LOST_IN_CLUTCH = (0.0740665320, 0.6740911018)
+
+
+@pytest.mark.parametrize("first", [SHOOT, NEVER])
+def test_a_clutch_that_slides_on_is_not_marched_until_the_budget_is_spent(first: float):
+    """The same by marching and by shooting as by an explicit scheme of second order with a return map, extrapolated."""
+    scene = load_scene(clutch())
+    chain = Chain(scene.model(), tuple(scene.plan.frequency))
+    (orbits,) = steady_states([chain], scene.solver(), Criterion(max_cycles=3000, first_shot=first))
+    for orbit, lost in zip(orbits, LOST_IN_CLUTCH, strict=True):
+        assert orbit.period == 0
+        assert not orbit.irregular
+        assert orbit.cycles < (50 if first == SHOOT else 600)
+        assert orbit.dissipated_power[0] == pytest.approx(lost, rel=1e-6)
+
+
+BRAKE = RUNNER | {"name": "brake", "point": "engine", "tangential_stiffness": 500, "preload": 100}
+
+
+def test_a_rotor_that_is_held_or_shaken_to_and_fro_settles():
+    """Held by a brake, whose friction is more than the moment; and without a moment that drives it on."""
+    shaken = clutch()
+    del shaken["excitation"]["constant_forces"]
+    held = clutch(contacts=[*clutch()["contacts"], BRAKE])
+    held["study"]["frequency"] = {"values": [3.0]}
+    for scene in (held, shaken):
+        assert (carry_out(load_scene(scene)).groups[""]["settled"].values == 1).all()

@@ -8,6 +8,7 @@ from typing import Self
 import equinox as eqx
 import jax
 import numpy as np
+from scipy.linalg import null_space, orth
 
 from timesim.engine.exponential.extremes import extremes
 from timesim.engine.exponential.parts import short_steps
@@ -100,6 +101,30 @@ class Lane:
         """(q, q', w) as one vector; w of a separated contact, which is u, counts as 0."""
         return np.where(self.apart, 0.0, vector_of(self.here.point, np))
 
+    @property
+    def size(self) -> float:
+        """Largest entry of the state vector, wherever a body that nothing holds has come."""
+        vector, shifts = self.vector, self.shifts
+        return max(float(np.abs(vector - vector @ shifts.T @ shifts).max(initial=0.0)), 1e-300)
+
+    @property
+    def shifts(self) -> np.ndarray:
+        """Changes of the state vector that alter no force: a body that nothing holds, and where its contacts stick.
+
+        Such a body is moved along the surfaces of all contacts. Orthonormal rows, shape (shifts, state).
+        """
+        (*along, across), size = self.system.shape, self.here.point.q.size
+        free, live = np.flatnonzero(self.system.stiffness == 0), [self.model.contacts[i] for i in self.reduction.live]
+        if not free.size:
+            return np.zeros((0, self.vector.size))
+        presses = np.array([contact.normal_stiffness > 0 for contact in live], dtype=bool)
+        rubs = np.array([np.any(contact.tangential_stiffness) for contact in live], dtype=bool)
+        q = np.zeros((size, size))
+        q[free] = np.eye(size)[free]
+        q = q[:, free] @ null_space(across[presses][:, free])
+        vectors = np.concatenate([q, np.zeros_like(q), *((axis @ q) * rubs[:, None] for axis in along)])
+        return np.asarray(orth(np.where(self.apart[:, None], 0.0, vectors)).T)
+
     def start(self) -> Start:
         """The state in the units of the scene."""
         return self.frame.start(self.here.point, self.here.state, self.phase)
@@ -183,16 +208,24 @@ class Recorded:
     @property
     def left(self) -> float:
         """Distance from the state that repeats over the cycles, relative to the largest entry; 0 where none closes."""
-        size = max(np.abs(self.start.vector).max(initial=0.0), 1e-300)
-        return float(np.abs(self.newton_step(self.change)).max(initial=0.0)) / size if self.closes else 0.0
+        step = self.newton_step(self.change) if self.closes else np.zeros(1)
+        return float(np.abs(step).max(initial=0.0)) / self.start.size
 
     def newton_step(self, change: np.ndarray) -> np.ndarray:
-        """The step after which a change over the cycles vanishes, to first order; 0 in the offsets that stay free."""
+        """The step after which a change over the cycles vanishes to first order, but for drift; 0 in free offsets."""
+        return self._parted(change)[0]
+
+    def _parted(self, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The parts of a change that a step takes away, as that step, and that `Lane.shifts` are."""
         moves = self._moves
-        step = np.zeros_like(change)
-        matrix = np.eye(int(moves.sum())) - self.slope[np.ix_(moves, moves)]
-        step[moves] = np.linalg.lstsq(matrix, change[moves], rcond=1e-12)[0]
-        return step
+        shifts = self.start.shifts
+        shifts = null_space(shifts[:, ~moves].T).T @ shifts  # a contact that sticks holds a body
+        step, along, num = np.zeros_like(change), shifts[:, moves], int(moves.sum())
+        matrix = np.eye(num) - self.slope[np.ix_(moves, moves)]
+        matrix = np.block([[matrix, along.T], [along, np.zeros((len(along), len(along)))]])
+        found = np.linalg.lstsq(matrix, np.pad(change[moves], (0, len(along))), rcond=1e-12)[0]
+        step[moves] = found[:num]
+        return step, shifts.T @ found[num:]
 
     @property
     def drifts(self) -> bool:
@@ -200,9 +233,20 @@ class Recorded:
 
         It counts beside the motion within the cycles, as such a body may have come far.
         """
-        step, (q, p) = self.newton_step(self.change), (self.steps.end.q, self.steps.end.p)
-        left = self.change - step + self.slope @ step
-        return bool(np.abs(left).max(initial=0.0) > VAGUE * np.ptp(np.stack([q, p]), axis=1).max(initial=0.0))
+        step = self.newton_step(self.change)
+        return bool(np.abs(self.change - step + self.slope @ step).max(initial=0.0) > self._negligible)
+
+    @property
+    def slides(self) -> bool:
+        """Whether there is such a change, and all of it goes on for ever."""
+        step, shift = self._parted(self.change)
+        other = self.change - step + self.slope @ step - shift
+        return self.drifts and bool(np.abs(other).max(initial=0.0) <= self._negligible)
+
+    @property
+    def _negligible(self) -> float:
+        """Drift that does not count."""
+        return float(VAGUE * np.ptp(np.stack([self.steps.end.q, self.steps.end.p]), axis=1).max(initial=0.0))
 
     def orbit(self, cycles: int, period: int, settled_to: float, *, irregular: bool = False) -> Orbit:
         """The steady state that these cycles show, amplitudes from the extremes of the dense output.

@@ -3,7 +3,7 @@
 An iteration is one recorded period. A step that does not lead closer is shortened, where closeness is measured by the
 step that would follow with the derivative of the iterate before: the natural test of Deuflhard [2]_. It is not misled
 by a slow decay, which makes the change over a period small far away from the fixed point. The offset of a contact that
-sticks all along stays as it is. An unstable motion is refused, and so is one that drifts.
+sticks all along stays as it is. An unstable motion is refused; of one that drifts it is said whether it slides on.
 
 A cycle is known to the tolerance of its steps, and the fixed point only to that error times what a slow decay makes of
 it: 1 / (2 pi zeta), 300 at a damping ratio of 5e-4. Where the iteration comes to rest at that noise, the cycles that
@@ -38,6 +38,8 @@ class Failure(enum.Enum):
 
     UNSTABLE = enum.auto()
     ASTRAY = enum.auto()
+    SLIDES = enum.auto()
+    """The motion repeats but for the way by which a body that nothing holds slides on."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ def iterated(shot: Shot, recorded: Recorded, tolerance: float) -> Shot | Converg
         return Converged(0.0) if recorded.is_held else Failure.ASTRAY
     if not recorded.closes:
         return _shorter(shot)
-    step, size = recorded.newton_step(recorded.change), max(_largest(shot.lane.vector), 1e-300)
+    step, size = recorded.newton_step(recorded.change), shot.lane.size
     left, change = _largest(step) / size, _largest(recorded.change) / size
     if left < tolerance:
         return _ended(shot, recorded, left)
@@ -130,15 +132,15 @@ def _counted(shot: Shot) -> Shot | Failure:
 
 def _ended(shot: Shot, recorded: Recorded, left: float) -> Shot | Converged | Failure:
     """The end of an iteration; a motion that repeats within the period is shot once more, over its own."""
-    size = max(_largest(shot.lane.vector), 1e-300)
-    repeats = [_largest(vector - recorded.returns[-1]) < VAGUE * size for vector in recorded.returns]
+    repeats = [_largest(vector - recorded.returns[-1]) < VAGUE * shot.lane.size for vector in recorded.returns]
     period = next(n for n, repeated in enumerate(repeats, 1) if repeated and shot.period % n == 0)
     if period < shot.period:
         return Shot(shot.lane, period)
+    if np.max(np.abs(recorded.multipliers), initial=0.0) > UNSTABLE:
+        return Failure.UNSTABLE
     if recorded.drifts:
-        return Failure.ASTRAY
-    unstable = np.max(np.abs(recorded.multipliers), initial=0.0) > UNSTABLE
-    return Failure.UNSTABLE if unstable else Converged(left)
+        return Failure.SLIDES if recorded.slides else Failure.ASTRAY
+    return Converged(left)
 
 
 def _largest(vector: np.ndarray) -> float:
