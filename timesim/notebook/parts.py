@@ -27,9 +27,13 @@ REAL = {
 
 
 def _numbers(name: str, value: ArrayLike) -> np.ndarray:
+    if np.ma.is_masked(value):
+        raise ValueError(f"{name} is masked in part: give values for all of it, such as {name}.filled(0)")
     try:
         array = np.asarray(value.toarray() if hasattr(value, "toarray") else value)
         if not np.iscomplexobj(array):
+            if array.dtype.kind in "bSU":
+                raise TypeError
             return np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} must be a number or an array of numbers, not {shown(value)}") from None

@@ -52,11 +52,14 @@ def integrate(
         cycles: of the excitation.
         samples_per_cycle: samples that are kept of a cycle.
         record_last: cycles of which samples are kept; all by default.
-        initial: the section `initial` of a scene: "rest", "static", or displacements and velocities of the modes.
+        initial: the section `initial` of a scene: "rest", "static", displacements and velocities of the modes, or
+            ``{"from": "end.nc"}``, where a result ended that was saved by ``result.to_netcdf("end.nc")``.
 
     Returns:
         The variables of a transient's result file, `displacement` of shape (time, point, axis) among them.
     """
+    if hasattr(initial, "to_netcdf"):
+        raise ValueError('initial is a result: save it, initial.to_netcdf("end.nc"), and give {"from": "end.nc"}')
     study = {"kind": "transient", "cycles": cycles, "samples_per_cycle": samples_per_cycle}
     study |= given(record_last=record_last)
     return _run(system, study, excitation={"frequency": frequency}, initial=initial)

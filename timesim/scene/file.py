@@ -236,6 +236,8 @@ def _hint(
     if kind == "missing" and (field := _fields_at(location[:-1], tree).get(str(location[-1]))):
         return _described(field)
     if kind == "literal_error":
+        if str(value).endswith(".nc"):
+            return f"a result is given as {{from: {value}}}"
         return meant(value, str(context["expected"]).replace(" or ", ", ").replace("'", "").split(", "))
     if kind in MAPPINGS and (fields := _fields_at(location, tree)):
         return f"its keys: {', '.join(fields)}"
