@@ -131,6 +131,15 @@ def contact_cycles(result: Result) -> tuple[int, int]:
     return int(first), int(last)
 
 
+def swings(result: Result) -> tuple[float, ...]:
+    """A frequency, and the gearbox's amplitude there with the largest and the middle preload of the clutch."""
+    at = of_run(result).sel(point="gearbox", axis="x").isel(direction=0, frequency=10)
+    shares, drifts = at["slip_share"].values.squeeze(), at["drift"].values
+    if not (shares[1] > 0.5 and shares[2] < 0.25 and drifts[1]):
+        return ()
+    return at["frequency"].item(), *at["amplitude"].values[:0:-1]
+
+
 def schedule(result: Result) -> tuple[float, ...]:
     """Amplitude of x and frequency at the ends of the recorded phases, the amplitude alone at that of the last."""
     data = of_run(result)
@@ -201,6 +210,7 @@ CLAIMS = (
         "not settle in # cycles and is marked so, with the band of its amplitude; at # and # Hz it is",
         unsettled,
     ),
+    Claim("clutch", "at # Hz the gearbox swings by # rad under a clutch that sticks nearly always, by # under", swings),
     Claim("two", "up and down differ between # and # Hz", jumps),
     Claim("two", "Hz, both jumps bisected", lambda result: of_run(result).attrs["jumps_bisected"]),
     Claim(

@@ -149,6 +149,23 @@ def test_den_hartog_by_contacts_that_become_rigid():
     np.testing.assert_allclose(second + (second - first) / 3, known, rtol=1e-6)
 
 
+@pytest.mark.parametrize("periodic", ["march", "shoot"])
+def test_a_clutch_that_slips_all_the_time(periodic):
+    """It passes on its capacity of 90 N m and none of the ripple of 40 N m."""
+    few = {"study.frequency": {"values": [5.0, 12.0]}, "study.over": {"contacts.clutch.preload": [300]}}
+    data = run("clutch", **few, **{"study.periodic": periodic}).squeeze().sel(axis="x")
+    assert np.all(data["settled"] == 1)
+    assert np.all(data["slip_share"] == 1)
+    omega = 2 * np.pi * data["frequency"].values
+    speed = np.array([(100 - 90) / 0.5, (90 - 100) / 2.0, (90 - 100) / 2.0])
+    np.testing.assert_allclose(data["drift"], speed / data["frequency"].values[:, None], rtol=1e-6)
+    np.testing.assert_allclose(data["dissipated_power"], 90 * (speed[0] - speed[1]), rtol=1e-6)
+    swing = 40 / (-0.2 * omega**2 + 0.5j * omega)
+    np.testing.assert_allclose(data["amplitude"].sel(point="engine"), np.abs(swing), rtol=1e-6)
+    np.testing.assert_allclose(data["phase_deg"].sel(point="engine"), np.rad2deg(np.angle(swing)), rtol=1e-6)
+    assert np.all(data["amplitude"].sel(point=["gearbox", "car"]) < 1e-8)
+
+
 def test_two_masses_that_meet_move_as_one_at_a_wall():
     both = run("two_masses")
     x = both["displacement"].sel(axis="x").values

@@ -204,8 +204,9 @@ def points_on(
     arrays: dict[str, Any] = {"settled": np.ones(SHAPE, int), "period": np.ones(SHAPE, int)}
     arrays |= {"irregular": np.zeros(SHAPE, int)} | shares | changes
     friction, amplitude = arrays.pop("friction", np.ones(1)), arrays.pop("amplitude", np.ones((*SHAPE, 1, 3)))
+    drift = arrays.pop("drift", np.zeros((*SHAPE, 1, 3)))
     variables = {name: ((*dims, "contact")[: array.ndim], array) for name, array in arrays.items()}
-    variables["amplitude"] = ((*dims, "point", "axis"), amplitude)
+    variables |= {"amplitude": ((*dims, "point", "axis"), amplitude), "drift": ((*dims, "point", "axis"), drift)}
     coords: dict[str, Any] = {
         "contacts.pad.preload": [-4.0, 3.0],
         "direction": ["independent"],
@@ -383,6 +384,14 @@ def test_points_without_an_answer_are_named():
     text = "\n".join(lines_on(1e-5, settled=settled, amplitude=amplitude))
     assert "at 1 point the sweep has no motion, having failed or ended before: contacts.pad.preload 3 at 3 Hz" in text
     assert "did not settle" not in text
+    drift = np.zeros((*SHAPE, 1, 3))
+    drift[1, 0, 0, 0, 1] = -0.1
+    points = points_on(1e-5, drift=drift)
+    assert np.count_nonzero(points.judged) == 5
+    (line,) = [line for line in comparison.comparison_lines(points) if "drift" in line]
+    assert line.startswith(
+        "at 1 point the body drifts, as nothing holds it, which the balance cannot show: contacts.pad.p"
+    )
 
 
 def test_points_between_those_that_are_named_are_not_named_with_them():

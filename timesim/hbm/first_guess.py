@@ -123,6 +123,7 @@ def _settled(balance: Balance, frequency: float) -> Guess:
     kind = f"which does not settle in {SETTLED.max_cycles} cycles"
     if orbit.settled:
         kind = "which settles" if orbit.period == 1 else f"which repeats after {orbit.period} cycles"
+        kind = "whose body slides on" if orbit.drift.any() else kind
     try:
         modal = modal_coefficients(replace(model, start=orbit.end), frequency, SOLVER)
     except RunError as error:

@@ -241,7 +241,9 @@ def _eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.ndarray, 
     if smallest < -NEGATIVE * largest:
         hint = f"its lowest eigenvalue is omega^2 = {smallest:.6g}"
         raise RuleError(("stiffness",), "the stiffness matrix must have no negative eigenvalue", hint)
-    free = np.logical_and.accumulate(squared <= np.diag(_rounding(stiffness, modes)))
+    # Of a body without any spring the product of its mode and the matrix is as good as 0, and bounds nothing.
+    least = np.finfo(float).eps ** 2 * largest
+    free = np.logical_and.accumulate(squared <= np.maximum(np.diag(_rounding(stiffness, modes)), least))
     return np.where(free, 0.0, squared), modes[:, :num_modes]
 
 

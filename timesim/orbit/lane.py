@@ -27,6 +27,8 @@ from timesim.orbit.monodromy import HybridState, point_of, vector_of
 from timesim.orbit.steady_state import Orbit, share
 from timesim.orbit.threshold import VAGUE
 
+ROUNDING = 1e-10  # of an entry of a unit vector
+
 
 @dataclass(frozen=True)
 class Lane:
@@ -109,9 +111,9 @@ class Lane:
 
     @property
     def shifts(self) -> np.ndarray:
-        """Changes of the state vector that alter no force: a body that nothing holds, and where its contacts stick.
+        """Changes of the state vector that alter no force: orthonormal rows, shape (shifts, state).
 
-        Such a body is moved along the surfaces of all contacts. Orthonormal rows, shape (shifts, state).
+        A body that nothing holds is moved along the surfaces of all contacts, and with it the places where they stick.
         """
         (*along, across), size = self.system.shape, self.here.point.q.size
         free, live = np.flatnonzero(self.system.stiffness == 0), [self.model.contacts[i] for i in self.reduction.live]
@@ -189,8 +191,8 @@ class Recorded:
 
     @property
     def returns(self) -> np.ndarray:
-        """Modal displacement and velocity at the end of each cycle, shape (cycles, 2 M)."""
-        steps = self.steps
+        """Modal displacement, without the drift, and velocity at the end of each cycle, shape (cycles, 2 M)."""
+        steps = _seen_along(self.steps, self._rate)
         last = np.searchsorted(steps.cycle, np.arange(self.cycles), side="right") - 1
         return np.concatenate([steps.end.q[last], steps.end.p[last]], axis=1)
 
@@ -213,43 +215,40 @@ class Recorded:
 
     def newton_step(self, change: np.ndarray) -> np.ndarray:
         """The step after which a change over the cycles vanishes to first order, but for drift; 0 in free offsets."""
-        return self._parted(change)[0]
-
-    def _parted(self, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The parts of a change that a step takes away, as that step, and that `Lane.shifts` are."""
-        moves = self._moves
-        shifts = self.start.shifts
-        shifts = null_space(shifts[:, ~moves].T).T @ shifts  # a contact that sticks holds a body
-        step, along, num = np.zeros_like(change), shifts[:, moves], int(moves.sum())
+        moves, shifts = self._moves, self.start.shifts
+        held = np.where(np.abs(shifts[:, ~moves]) > ROUNDING, shifts[:, ~moves], 0.0)
+        along = null_space(held.T).T @ shifts[:, moves]  # a contact that sticks holds a body
+        step, num, none = np.zeros_like(change), int(moves.sum()), np.zeros((len(along), len(along)))
         matrix = np.eye(num) - self.slope[np.ix_(moves, moves)]
-        matrix = np.block([[matrix, along.T], [along, np.zeros((len(along), len(along)))]])
-        found = np.linalg.lstsq(matrix, np.pad(change[moves], (0, len(along))), rcond=1e-12)[0]
-        step[moves] = found[:num]
-        return step, shifts.T @ found[num:]
+        matrix = np.block([[matrix, along.T], [along, none]])
+        step[moves] = np.linalg.lstsq(matrix, np.pad(change[moves], (0, len(along))), rcond=1e-12)[0][:num]
+        return step
 
     @property
-    def drifts(self) -> bool:
-        """Whether a change over the cycles is left that no step takes away: that of a body which nothing holds.
-
-        It counts beside the motion within the cycles, as such a body may have come far.
-        """
-        step = self.newton_step(self.change)
-        return bool(np.abs(self.change - step + self.slope @ step).max(initial=0.0) > self._negligible)
+    def drift(self) -> np.ndarray:
+        """The part of the change over the cycles that alters no force, if it is not negligible: a body slides on."""
+        along = self.start.shifts.T @ (self.start.shifts @ self.change)
+        return along if np.abs(along).max(initial=0.0) > self._negligible else np.zeros_like(along)
 
     @property
-    def slides(self) -> bool:
-        """Whether there is such a change, and all of it goes on for ever."""
-        step, shift = self._parted(self.change)
-        other = self.change - step + self.slope @ step - shift
-        return self.drifts and bool(np.abs(other).max(initial=0.0) <= self._negligible)
+    def strays(self) -> bool:
+        """Whether another change is left, as of a body that nothing holds and that is ever faster."""
+        return bool(np.abs(self.change - self.drift).max(initial=0.0) > self._negligible)
+
+    @property
+    def _rate(self) -> np.ndarray:
+        """Velocity of the modes by which they drift, shape (M,)."""
+        return self.drift[: self.start.here.point.q.size] / (PERIOD * self.cycles)
 
     @property
     def _negligible(self) -> float:
-        """Drift that does not count."""
+        """Change that does not count beside the motion within the cycles; a body may have come far."""
         return float(VAGUE * np.ptp(np.stack([self.steps.end.q, self.steps.end.p]), axis=1).max(initial=0.0))
 
     def orbit(self, cycles: int, period: int, settled_to: float, *, irregular: bool = False) -> Orbit:
         """The steady state that these cycles show, amplitudes from the extremes of the dense output.
+
+        A body that slides on is seen by one who moves on with it.
 
         Args:
             cycles: integrated until their end.
@@ -258,10 +257,11 @@ class Recorded:
             irregular: whether it has shown that it never will.
         """
         lane, multipliers = self.start, self.multipliers
-        steps = short_steps(lane.system, self.steps, float(lane.control.rtol))
-        shape = lane.frame.shape
-        first = np.searchsorted(self.steps.cycle, np.arange(self.cycles))
-        least, most = extremes(lane.system, self.steps, shape, first, float(lane.control.rtol))
+        rtol, shape, rate = float(lane.control.rtol), lane.frame.shape, self._rate if period else 0 * self._rate
+        steps = _seen_along(short_steps(lane.system, self.steps, rtol), rate)
+        whole = steps if rate.any() else self.steps
+        first = np.searchsorted(whole.cycle, np.arange(self.cycles))
+        least, most = extremes(lane.system, whole, shape, first, rtol)
         each, place = 0.5 * (most - least), (len(lane.model.structure.points), 3)
         band = np.stack([each.min(axis=0), each.max(axis=0)]).reshape(2, *place)
         phasor = phasors(lane.system, steps, self.cycles, HARMONICS)
@@ -280,6 +280,7 @@ class Recorded:
             cycle_transitions=self._transitions,
             settled_to=settled_to,
             irregular=irregular,
+            drift=PERIOD * (shape @ rate).reshape(place),
         )
 
     @property
@@ -295,3 +296,14 @@ class Recorded:
         shares[lane.reduction.live] = share(steps.h, steps.state == state)
         shares[lane.reduction.apart] = float(state == SEPARATION)
         return shares
+
+
+def _seen_along(steps: Step, rate: np.ndarray) -> Step:
+    """Steps as seen by one who moves along at a velocity of the modes; of these what they are inside is not kept."""
+    if not rate.any():
+        return steps
+    since = PERIOD * steps.cycle + steps.time
+    where = lambda s: (s.start.q, s.start.p, s.end.q, s.end.p, s.inside)  # noqa: E731
+    start, end = (y.q - np.outer(t, rate) for y, t in ((steps.start, since), (steps.end, since + steps.h)))
+    seen = (start, steps.start.p - rate, end, steps.end.p - rate, None)
+    return eqx.tree_at(where, steps, seen, is_leaf=lambda x: x is None)

@@ -57,6 +57,7 @@ def linear_orbit(lane: Lane) -> Orbit | None:
         floquet=multipliers[np.argsort(-np.abs(multipliers))],
         cycle_steps=0.0,
         cycle_transitions=np.zeros(lane.model.num_contacts),
+        drift=np.zeros_like(amplitude),
     )
 
 

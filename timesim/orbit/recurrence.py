@@ -74,21 +74,6 @@ def recurrence_of(returns: np.ndarray, tolerance: float, noise: float = 0.0) -> 
     return Recurrence(0, least)
 
 
-def slides_on(returns: np.ndarray, shifts: np.ndarray, tolerance: float) -> bool:
-    """Whether a motion repeats but for the way by which a body that nothing holds slides on in each period.
-
-    ``shifts``: changes of the state that alter no force, orthonormal rows, shape (shifts, state).
-    """
-    if not len(shifts):
-        return False
-    way = returns @ shifts.T
-    within = returns - way @ shifts
-    seen = recurrence_of(within, tolerance)
-    # One that comes to rest ceases to move on when it has settled.
-    moved = np.abs(way[-1] - way[-1 - seen.period]).max()
-    return seen.period > 0 and seen.left <= tolerance and bool(moved > VAGUE * np.abs(within).max())
-
-
 def _own_period(returns: np.ndarray, period: int, tolerance: float) -> int:
     """The shortest divisor of a period over which the state repeats as well; 0 where that is open.
 

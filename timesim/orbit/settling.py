@@ -23,8 +23,8 @@ from timesim.orbit import threshold
 from timesim.orbit.batch import SIDE_BY_SIDE, Each, march_lanes, record
 from timesim.orbit.lane import Lane, Recorded
 from timesim.orbit.linear import held_lane, linear_orbit, proven_orbit, slowest_decay
-from timesim.orbit.recurrence import Recurrence, is_irregular, nearest_period, recurrence_of, slides_on
-from timesim.orbit.shooting import Converged, Failure, Shot, iterated
+from timesim.orbit.recurrence import Recurrence, is_irregular, nearest_period, recurrence_of
+from timesim.orbit.shooting import Converged, Shot, iterated
 from timesim.orbit.steady_state import Orbit, without_orbit
 
 
@@ -75,7 +75,6 @@ class Search:
         next_shot: cycle before which there is no further attempt at shooting.
         next_held: the same for a proof that no contact leaves its state any more.
         last: whether its budget is spent, and it is shot for the last time.
-        slides: whether it is known to repeat but for the way by which a body slides on.
         orbit: the result once it is DONE.
     """
 
@@ -93,7 +92,6 @@ class Search:
     next_shot: float = 0
     next_held: float = 0
     last: bool = False
-    slides: bool = False
     orbit: Orbit | None = None
 
 
@@ -107,15 +105,13 @@ def after_march(search: Search, lane: Lane, returns: np.ndarray, solver: Solver,
     search = replace(search, lane=lane, returns=kept, cycles=cycles)
     if lane.status != Status.RUNNING:
         return _failed(search, solver)
-    latest = np.array(kept[-2 * threshold.CYCLES_A_ROUND :])
+    latest = _returns(search)[-2 * threshold.CYCLES_A_ROUND :]
     seen = recurrence_of(latest, criterion.tolerance, solver.rtol)
     search = replace(search, settled_to=seen.left, changes=(*search.changes, seen.left), period=seen.period)
     if seen.period and seen.left > criterion.tolerance and criterion.first_shot < NEVER:
         return replace(search, task=Task.SHOOT, shot=Shot(lane, seen.period))
     if seen.period:
         return replace(search, task=Task.MEASURE)
-    if slides_on(latest, lane.shifts, criterion.tolerance):
-        return replace(search, task=Task.MEASURE, slides=True)
     if cycles >= criterion.max_cycles:
         return _spent(search, criterion)
     may_shoot = cycles >= max(search.next_shot, criterion.first_shot)
@@ -143,7 +139,13 @@ def _long_recurrence(search: Search, tolerance: float = 0.0) -> Recurrence:
     """How nearly a motion repeats after up to the longest period; one that was marched for less does not count."""
     if len(search.returns) < threshold.LONGEST + threshold.CYCLES_A_ROUND:
         return Recurrence(0, np.inf)
-    return nearest_period(np.array(search.returns), threshold.LONGEST, tolerance)
+    return nearest_period(_returns(search), threshold.LONGEST, tolerance)
+
+
+def _returns(search: Search) -> np.ndarray:
+    """State vectors at the end of the last cycles, shape (N, state), wherever a body that nothing holds has come."""
+    returns, shifts = np.array(search.returns), search.lane.shifts
+    return returns - returns @ shifts.T @ shifts if len(shifts) else returns
 
 
 def _held(search: Search, solver: Solver, *, may_shoot: bool) -> Search:
@@ -169,8 +171,6 @@ def after_shot(search: Search, recorded: Recorded, criterion: Criterion) -> Sear
         return replace(search, shot=led_to)
     if isinstance(led_to, Converged):
         return _done(replace(search, period=shot.period, settled_to=led_to.settled_to), recorded)
-    if led_to is Failure.SLIDES:
-        return replace(search, task=Task.MEASURE, lane=recorded.end, period=0, slides=True)
     if search.period or search.last:  # as nearly as marching can tell
         return replace(search, task=Task.MEASURE)
     if shot.held:
@@ -194,7 +194,7 @@ def after_measure(search: Search, recorded: Recorded, solver: Solver, criterion:
 
 def _done(search: Search, recorded: Recorded) -> Search:
     noise = threshold.NOISY * float(search.lane.control.rtol)
-    repeats = search.period > 0 or search.slides or _long_recurrence(search).left < threshold.VAGUE
+    repeats = search.period > 0 or _long_recurrence(search).left < threshold.VAGUE
     irregular = not repeats and is_irregular(search.changes, slowest_decay(search.lane), noise)
     orbit = recorded.orbit(search.cycles, search.period, search.settled_to, irregular=irregular)
     return replace(search, task=Task.DONE, orbit=orbit)

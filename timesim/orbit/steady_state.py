@@ -38,6 +38,8 @@ class Orbit:
             motion has not settled, its change over the cycle, or the several cycles, after which it changes least.
         cycle_steps: steps of a cycle, the mean over those that show the motion; 0 where there is none to integrate.
         cycle_transitions: of each contact, the same, shape (C,).
+        drift: way by which each point moves on in a cycle, shape (P, 3); zero but for a body that nothing holds, whose
+            motion is said to be what one who moves on with it sees.
         irregular: whether it has been marched for long enough to show that it repeats after no number of cycles up to
             `timesim.orbit.threshold.LONGEST`.
         reason: why it could not be computed; None if it was.
@@ -55,6 +57,7 @@ class Orbit:
     floquet: np.ndarray
     cycle_steps: float
     cycle_transitions: np.ndarray
+    drift: np.ndarray
     settled_to: float = 0.0
     irregular: bool = False
     reason: str | None = None
@@ -90,6 +93,7 @@ def without_orbit(model: Model, reason: str, cycles: int = 0) -> Orbit:
         floquet=unknown(1),
         cycle_steps=np.nan,
         cycle_transitions=unknown(contacts),
+        drift=unknown(*places),
         settled_to=np.nan,
         reason=reason,
     )
@@ -148,7 +152,8 @@ Columns = Mapping[str, np.ndarray]
 """Steady states as arrays by the names of `COLUMNS`."""
 
 START = ("end_displacement", "end_velocity", "end_slip", "end_state")  # in the order of `Start`
-ARRAYS = ("amplitude", "band", "slip_share", "separation_share", "phasor", "dissipated_power", "cycle_transitions")
+SHARES = ("slip_share", "separation_share")
+ARRAYS = ("amplitude", "band", *SHARES, "phasor", "dissipated_power", "cycle_transitions", "drift")
 NUMBERS = ("cycles", "period", "settled_to", "irregular", "cycle_steps")
 COLUMNS = (*ARRAYS, *NUMBERS, "settled", "floquet_max", "reason", *START)
 

@@ -60,6 +60,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "cycle_period": ("length of the cycle", "s"),
     "cycle_steps": ("steps of the time integration in the cycle; of a steady state, the mean over a period", "1"),
     "cycle_transitions": ("transitions of the contact in a cycle, the mean over a period", "1"),
+    "drift": ("way by which the point moves on in a cycle; the rest is what one who moves on with it sees", "length"),
     "cycle_frequency": ("excitation frequency of the cycle", "Hz"),
     "final_modal_displacement": ("modal displacement at the end", "modal length"),
     "final_modal_velocity": ("modal velocity at the end", "modal length/s"),

@@ -13,7 +13,7 @@ from timesim.result.dataset import Arrays
 # Dimensions of the quantities of a point after those of the sweep; values for points that were not computed, where
 # these are not NaN; names of some columns in the result file.
 TAILS = {
-    **dict.fromkeys(("amplitude", "phase_deg"), ("point", "axis")),
+    **dict.fromkeys(("amplitude", "phase_deg", "drift"), ("point", "axis")),
     **dict.fromkeys(("harmonic_amplitude", "harmonic_cos", "harmonic_sin"), ("harmonic", "point", "axis")),
     "phasor": ("harmonic", "point", "axis"),
     "band": ("band", "point", "axis"),

@@ -284,6 +284,8 @@ def _settled_cycle(model: Model, frequency: float, solver: Solver, plan: SweepPl
     ((orbit,),) = steady_states([Chain(model, (frequency,))], solver, plan.criterion)
     if orbit.reason is not None:
         raise NotSettledError(orbit.reason)
+    if orbit.drift.any():
+        raise NotSettledError(f"at {frequency:g} Hz the body drifts, as nothing holds it")
     if not orbit.settled or orbit.period != 1:
         budget = plan.criterion.max_cycles
         never = "does not repeat" if orbit.irregular else "does not settle"

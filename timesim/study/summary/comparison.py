@@ -36,6 +36,7 @@ class Points:
         solved, followed: whether the balance has a stable solution there; whether it came to its end.
         settled, doubled: whether the motion repeats after one cycle, after several.
         irregular: whether it never repeats.
+        drifts: whether it repeats but for the way by which the body slides on.
         linear: whether no contact slips, or opens within the cycle.
         near_fold: whether a fold of the balance is near.
         slip, separation: largest share of a period in the state, over the contacts.
@@ -54,6 +55,7 @@ class Points:
     settled: np.ndarray
     doubled: np.ndarray
     irregular: np.ndarray
+    drifts: np.ndarray
     linear: np.ndarray
     near_fold: np.ndarray
     slip: np.ndarray
@@ -89,6 +91,7 @@ def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarra
     shape = (len(values), sweep.sizes["direction"], frequency.size)
     difference = np.abs(relative_difference).reshape(*shape, -1)
     period, settled = (sweep[name].values.reshape(shape) for name in ("period", "settled"))
+    drifts = (np.nan_to_num(sweep["drift"].values) != 0).any(axis=(-2, -1)).reshape(shape)
     slip, apart = (sweep[f"{name}_share"].values.reshape(*shape, -1) for name in ("slip", "separation"))
     size = np.nan_to_num(sweep["amplitude"].values).reshape(*shape, -1)
     most = np.argmax(np.nan_to_num(difference, nan=-1.0), axis=-1, keepdims=True)
@@ -106,9 +109,10 @@ def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarra
         share=np.take_along_axis(size, most, axis=-1)[..., 0] / np.maximum(size.max(axis=-1), np.finfo(float).tiny),
         solved=np.isfinite(difference).any(axis=-1),
         followed=np.full(shape, hbm.attrs["complete"] > 0),
-        settled=(settled > 0) & (period == 1),
-        doubled=(settled > 0) & (period > 1),
+        settled=(settled > 0) & (period == 1) & ~drifts,
+        doubled=(settled > 0) & (period > 1) & ~drifts,
         irregular=sweep["irregular"].values.reshape(shape) > 0,
+        drifts=drifts,
         linear=np.logical_not(switches(slip * rub, apart).any(axis=-1)),
         near_fold=near_fold,
         slip=slip[..., rub].max(axis=-1, initial=0.0),
@@ -142,12 +146,13 @@ def comparison_lines(points: Points) -> Iterator[str]:
             "offset, which is free: time integration that begins from the balance's motion stays there: "
             f"{_places(points, points.other_offset)}"
         )
-    unsettled = ~(points.settled | points.doubled | points.irregular | points.missing)
+    unsettled = ~(points.settled | points.doubled | points.irregular | points.drifts | points.missing)
     for left_out, why in (
         (points.settled & ~points.solved & points.followed, "the balance has no stable solution"),
         (points.settled & ~points.solved & ~points.followed, "the balance has no solution, as it did not get there"),
         (points.doubled, "the motion repeats after several cycles, which the balance cannot show"),
         (points.irregular, "the motion does not repeat, being quasi-periodic or irregular, and is left out"),
+        (points.drifts, "the body drifts, as nothing holds it, which the balance cannot show"),
         (unsettled, "the motion did not settle and is left out"),
         (points.missing, "the sweep has no motion, having failed or ended before"),
     ):

@@ -1,31 +1,15 @@
-"""Motions that nothing holds: cycle after cycle a point moves on, as a free body does under a constant force.
-
-In steady states a drift shows in the amplitudes: those of single cycles are alike, and that over several of them is
-larger by half of what is covered meanwhile.
-"""
+"""Motions that nothing holds: cycle after cycle a point moves on, as a free body does under a constant force."""
 
 from collections.abc import Iterator
 
 import numpy as np
 from xarray import DataArray, Dataset
 
-from timesim.orbit.threshold import UNSETTLED_CYCLES
 from timesim.result.label import with_unit
 from timesim.scene.transient import Schedule
 
-STEADY = 2e-3
-"""Largest difference of the single cycles' amplitudes, as a share of what the drift adds: a contact that creeps to its
-limit must do so for 500 cycles to pass, over which it settles."""
 LEAST = 1e-3  # share of the motion of a cycle that it must move on by
 FEWEST, LASTING = 3, 0.9  # cycles of a run that it must move on in one way, and the share of its speed that it keeps
-
-
-def step_of_points(data: Dataset) -> np.ndarray:
-    """Length by which each point of a sweep that drifts moves on in a cycle, shape (..., P, 3); 0 where it does not."""
-    low, high = (data["amplitude_band"].isel(band=i).values for i in (0, 1))
-    added = data["amplitude"].values - high
-    moves = (added > LEAST * high) & (high - low <= STEADY * added) & (data["settled"].values == 0)[..., None, None]
-    return np.where(moves, 2 * added / (UNSETTLED_CYCLES - 1), 0.0)
 
 
 def largest_step(moved: DataArray, step: np.ndarray) -> str:

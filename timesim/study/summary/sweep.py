@@ -12,7 +12,7 @@ from timesim.orbit.threshold import LONGEST
 from timesim.result.coordinate import over_keys, runs
 from timesim.result.label import axis_value, counted, first_few, in_words, with_unit
 from timesim.study.outcome import took
-from timesim.study.summary.drift import largest_step, step_of_points
+from timesim.study.summary.drift import largest_step
 
 LINES = 12  # lines on peaks, on ranges with two motions, or on folds
 POINTS = 5  # failed points, or spans of points, that are named
@@ -94,12 +94,12 @@ def unusual_lines(data: Dataset) -> Iterator[str]:
             f"{points} not repeat after up to {LONGEST} cycles: the motion is quasi-periodic or irregular "
             f"(irregular = 1, with the band of its amplitude): {_spans(data, irregular)}"
         )
-    step = step_of_points(data)
-    drifts = done & step.any(axis=(-2, -1))
+    way = np.abs(np.nan_to_num(data["drift"].values))
+    drifts = way.any(axis=(-2, -1))
     if drifts.any():
-        points, moved = counted(drifts.sum(), "point drifts", "points drift"), largest_step(data["amplitude"], step)
-        yield f"{points}, {moved} a cycle: nothing holds the body (settled = 0): {_spans(data, drifts)}"
-    lost = done & ~settled & ~irregular & ~drifts
+        points, moved = counted(drifts.sum(), "point drifts", "points drift"), largest_step(data["drift"], way)
+        yield f"{points}, {moved} a cycle, as nothing holds the body (variable drift): {_spans(data, drifts)}"
+    lost = done & ~settled & ~irregular
     if lost.any():
         yield (
             f"{counted(lost.sum(), 'point')} did not settle in settle.max_cycles (settled = 0, with the band of the "
