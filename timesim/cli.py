@@ -84,6 +84,8 @@ def run(
             _carry_out(loaded, execution, signals, plots=plots)
     except (StoreError, ExecutionError) as error:
         _stop(2, str(error))
+    except KeyboardInterrupt:
+        _stop(1, "interrupted before anything was run")
 
 
 def _carry_out(loaded: Any, execution: Any, signals: "_Signals", *, plots: bool) -> None:

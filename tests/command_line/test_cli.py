@@ -254,6 +254,36 @@ def test_an_interrupted_map_saves_what_it_has(tmp_path: Path, monkeypatch: pytes
     assert np.isfinite(result["dissipation"].values[settled]).all()
 
 
+def test_a_map_that_is_interrupted_behind_its_last_cycle_is_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    march = element_map.MapMarch.run
+
+    def interrupted(own: element_map.MapMarch, *args: Any, **options: Any) -> Any:
+        found = march(own, *args, **options)
+        if not options:  # else it compiles
+            os.kill(os.getpid(), signal.SIGINT)
+        return found
+
+    monkeypatch.setattr(element_map.MapMarch, "run", interrupted)
+    axes = ("--set", "study.A={from: 0.0, to: 2.0, num: 3}", "--set", "study.B={from: 0.0, to: 2.0, num: 3}")
+    assert call("run", CONFIGS / "figure7.yaml", "-o", tmp_path, "--no-plots", *axes)[0] == 0
+    assert timesim.open_result(tmp_path).attrs["complete"] == 1
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_before_anything_is_run_says_so(
+    sent: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def interrupted(_: object) -> Any:
+        os.kill(os.getpid(), sent)
+        return ()
+
+    monkeypatch.setattr("timesim.scene.report.warnings_of", interrupted)
+    status, _, error = call("run", OSCILLATOR, "-o", tmp_path, *SHORT)
+    assert status == 1
+    assert "interrupted before anything was run" in error
+    assert not (tmp_path / "result.nc").exists()
+
+
 @pytest.mark.parametrize("place", ["cross_check", "steady_cycle"])
 def test_an_interrupted_element_saves_its_cycle_or_says_that_there_is_none(
     place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -450,6 +450,23 @@ def test_a_comparison_that_is_interrupted_keeps_both_methods(at, monkeypatch, tm
     assert (tmp_path / "difference.png").exists() == (at == "cycle_by_both")
 
 
+def test_a_balance_that_is_interrupted_while_it_compiles_keeps_the_sweep(monkeypatch, tmp_path):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(compare, "followed", interrupted)
+    short = SHORT | {"study.frequency": {"values": [1.2, 1.42]}, "study.over": {"contacts.pad.preload": [3]}}
+    call = ["run", str(CONFIGS / "figure10.yaml"), "-o", str(tmp_path), "--no-plots", *options(short)]
+    said = CliRunner().invoke(app, call)
+    assert said.exit_code == 1
+    assert "hbm: interrupted, not begun" in said.output
+    assert "--resume goes on with it" in said.output
+    kept = timesim.open_result(tmp_path)
+    assert kept.attrs["complete"] == 0
+    assert kept["sweep"].settled.values.all()
+    assert kept["hbm"].sizes["solution"] == 0
+
+
 @pytest.mark.slow
 def test_the_sweep_carries_its_state():
     """Between the jumps of figure 11 each direction has its own motion; the balance has both, and a third unstable."""

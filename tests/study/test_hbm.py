@@ -615,6 +615,17 @@ def test_an_excited_harmonic_is_among_those_chosen(harmonics):
         )
 
 
+def test_an_interrupt_while_harmonics_are_refined_keeps_the_curves(monkeypatch: pytest.MonkeyPatch):
+    def interrupted(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("timesim.study.hbm.convergence", interrupted)
+    outcome = carry_out(load_scene(scene(convergence=True, frequency={"from": 1.0, "to": 0.98})))
+    assert outcome.reason == "interrupted while harmonics and time samples were refined"
+    assert outcome.groups[""].attrs["complete"] == 0
+    assert outcome.groups[""].sizes["solution"] > 1
+
+
 def test_convergence_of_full_stick_says_that_it_says_nothing():
     assert "nothing" in convergence_lines(convergence([], Scheme(3, 64)))[0]
 

@@ -32,7 +32,7 @@ from timesim.orbit.settling import Chain, steady_states
 from timesim.result.dataset import dataset
 from timesim.result.label import counted, in_words
 from timesim.result.state import states_in
-from timesim.scene.hbm import ComparePlan
+from timesim.scene.hbm import ComparePlan, HbmPlan
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan
 from timesim.study.curves.collection import Curves
@@ -133,9 +133,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     folder = execution.folder if sweep_reason is None else None
     after = replace(execution, progress=phases["balance"], folder=folder)
     given_up = (sweep_reason or "").startswith(INTERRUPTED)
-    hbm, curves, hbm_reason = (
-        left_out(scene, plan.balance) if given_up else followed(scene, plan.balance, after, states_in(sweep), "balance")
-    )
+    hbm, curves, hbm_reason = _balanced(scene, after, sweep, given_up=given_up)
     faults = [f"{name}: {why}" for name, why in (("sweep", sweep_reason), ("hbm", hbm_reason)) if why]
     reason = "; ".join(faults) or None
     phases["comparison"](0, 1, "comparison of the methods")
@@ -159,6 +157,20 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     coords = {name: sweep[name].values for name in ("direction", "point", "axis")}
     root = dataset(variables, coords, attrs | {"verdict": "\n".join(lines)})
     return Outcome({"": root, **groups}, reason, (*curve_lines(hbm, curves.notes), *lines))
+
+
+def _balanced(
+    scene: Scene, execution: Execution, sweep: Dataset, *, given_up: bool
+) -> tuple[Dataset, Curves, str | None]:
+    """The curves of the balance, and why they are not whole; none if it was interrupted before they were begun."""
+    plan: HbmPlan = scene.plan.balance
+    if given_up:
+        return left_out(scene, plan)
+    try:
+        return followed(scene, plan, execution, states_in(sweep), "balance")
+    except KeyboardInterrupt:  # while it compiled
+        hbm, curves, reason = left_out(scene, plan)
+        return hbm, curves, f"{INTERRUPTED}, {reason}"
 
 
 def _compared(

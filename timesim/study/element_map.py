@@ -211,8 +211,9 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         execution.progress(0, elements.size)
         march.run(execution.progress)
     except KeyboardInterrupt:
-        of_all = f"{np.sum(~result['settled'])} of {counted(elements.size, 'point')}"
-        reason = f"{INTERRUPTED} with {of_all} unsettled (settled = 0)"
+        if np.any(~result["settled"] & (march.status == Status.RUNNING)):  # else it came behind the last cycle
+            of_all = f"{np.sum(~result['settled'])} of {counted(elements.size, 'point')}"
+            reason = f"{INTERRUPTED} with {of_all} unsettled (settled = 0)"
     seconds = time.perf_counter() - compiled
     reason = reason or _failure(march, plan, solver)
     lost = np.isnan(result["dissipation"])

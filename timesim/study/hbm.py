@@ -17,7 +17,7 @@ from timesim.study.curves.collection import Curves
 from timesim.study.curves.follow import follow_all
 from timesim.study.curves.kept import kept_curves
 from timesim.study.curves.record import solutions
-from timesim.study.execution.campaign import Execution
+from timesim.study.execution.campaign import INTERRUPTED, Execution
 from timesim.study.execution.progress import Phases
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.summary.curve import curve_lines
@@ -46,7 +46,10 @@ def followed(
         reason = follow_all(curves, replace(execution, progress=phases["curves"]), kept, passing)
     if plan.convergence:
         phases["convergence"](0, 1, "convergence of the balance")
-    refined = convergence(curves.to_refine(), curves.scheme) if plan.convergence and reason is None else None
+    try:
+        refined = convergence(curves.to_refine(), curves.scheme) if plan.convergence and reason is None else None
+    except KeyboardInterrupt:
+        refined, reason = None, f"{INTERRUPTED} while harmonics and time samples were refined"
     seconds = time.perf_counter() - clock
     attrs = attributes(scene, str(curves.scheme), compiling, seconds, reason, integrated=False)
     if curves.notes:
