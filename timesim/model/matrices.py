@@ -141,8 +141,19 @@ def _numeric(matrix: Any, name: str) -> Any:
         raise RuleError((), f"{name} must be square, not {' x '.join(map(str, matrix.shape))}")
     matrix = matrix.astype(np.float64)
     if not np.all(np.isfinite(matrix.data if sparse else matrix)):
-        raise RuleError((), f"{name} must be finite, without NaN")
+        with np.errstate(invalid="ignore"):
+            row, column = _largest(matrix * 0)
+        raise RuleError((), f"{name} must be finite, without NaN", f"row {row}, column {column}")
     return matrix
+
+
+def _largest(matrix: Any) -> tuple[int, int]:
+    """Row and column of the entry of largest size, or of the first NaN."""
+    from scipy.sparse import coo_array
+
+    entries = coo_array(matrix)
+    at = np.argmax(np.abs(entries.data))
+    return int(entries.row[at]), int(entries.col[at])
 
 
 def modal_structure(
@@ -192,7 +203,8 @@ def _symmetric(matrix: Any, name: str) -> Any:
         raise error.below(name) from None
     difference, largest = abs(matrix - matrix.T).max(), abs(matrix).max()
     if difference > SYMMETRY * largest:
-        hint = f"mirrored entries differ by up to {difference:.3g}"
+        rows = " and ".join(map(str, sorted(_largest(matrix - matrix.T))))
+        hint = f"mirrored entries differ by up to {difference:.3g}, those of rows {rows}"
         raise RuleError((name,), f"the {name} matrix must be symmetric", hint)
     return (matrix + matrix.T) / 2
 
@@ -258,9 +270,9 @@ def _dense_eigenmodes(mass: np.ndarray, stiffness: np.ndarray) -> tuple[np.ndarr
     try:
         squared, modes = scipy.linalg.eigh(stiffness, mass)
     except np.linalg.LinAlgError:
-        raise _indefinite_mass() from None
+        raise _indefinite_mass(mass) from None
     if scipy.linalg.eigvalsh(mass / _outer_root(np.diag(mass)))[0] < 1e-13:
-        raise _indefinite_mass()
+        raise _indefinite_mass(mass)
     low = squared < SOFT * squared[-1]
     if low.any():
         squared[low], modes[:, low] = _soft_modes(mass, stiffness, modes[:, low], SHIFT * squared[-1])
@@ -283,8 +295,10 @@ def _outer_root(diagonal: np.ndarray) -> np.ndarray:
     return np.sqrt(np.outer(diagonal, diagonal))
 
 
-def _indefinite_mass() -> RuleError:
-    hint = "a row without mass must be condensed out first"
+def _indefinite_mass(mass: Any) -> RuleError:
+    hint, diagonal = "a row without mass must be condensed out first", mass.diagonal()
+    if diagonal[least := int(np.argmin(diagonal))] <= 0:
+        hint += f"; the diagonal of row {least} is {diagonal[least]:.6g}"
     return RuleError(("mass",), "the mass matrix must be positive definite", hint)
 
 
@@ -295,7 +309,7 @@ def _sparse_eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.nd
 
     mass, stiffness = sparse.csc_matrix(mass), sparse.csc_matrix(stiffness)
     if np.any(mass.diagonal() <= 0) or _num_negative(mass):
-        raise _indefinite_mass()
+        raise _indefinite_mass(mass)
     scale = float(np.max(np.abs(stiffness.diagonal()) / mass.diagonal()))
     shift = -NEGATIVE * scale
     if _num_negative(stiffness - shift * mass):
