@@ -54,6 +54,20 @@ def test_a_tab_and_the_keys_of_a_range():
         load_scene(BASE, [study, "study.over.contacts.pad.preload={from: 1, to: 2, step: 0.5}"])
 
 
+def test_a_line_that_begins_in_another_column_and_a_colon_that_is_missing():
+    for friction, hint in (
+        ("   friction: 0.3", "keys of one mapping begin in one column"),
+        ("    friction 0.3", "colon"),
+    ):
+        with pytest.raises(SceneError, match=rf"is no YAML.*\(.*{hint}"):
+            load_scene(f"contacts:\n  - name: pad\n    preload: 1\n{friction}\n    point: tip\n")
+
+
+def test_a_range_of_frequencies_the_other_way_says_how_to_sweep_downwards():
+    with pytest.raises(SceneError, match=r"frequency\.to: 1\.0: must not be smaller than from \(.*direction: down"):
+        load_scene(BASE, ["study={kind: sweep, frequency: {from: 2, to: 1, step: 0.5}}"])
+
+
 def test_a_value_of_over_is_shown_once():
     study = "study={kind: sweep, frequency: {from: 1, to: 2, step: 0.5}, over: {contacts.pad.normal_stiffness: [0]}}"
     with pytest.raises(SceneError) as caught:

@@ -62,6 +62,14 @@ def plain(value: Any, key: Key = ()) -> Any:
     raise RuleError(key, f"must be text, a number, a list or a mapping, not {type(value).__name__}")
 
 
+_HINTS = {
+    "'\\t'": "use spaces, not tabs",
+    "expected <block end>": "keys of one mapping begin in one column, and so do the items of one list",
+    "expected ':'": "a colon is missing here or in the line before",
+}
+"""What to try, by words of the YAML library's message."""
+
+
 def parse(content: bytes | str) -> tuple[Any, dict[Key, int]]:
     """Plain data of one YAML document and the line of each key path in it.
 
@@ -77,7 +85,7 @@ def parse(content: bytes | str) -> tuple[Any, dict[Key, int]]:
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         rule = " ".join(part for part in (error.context, error.problem) if part)
-        hint = "use spaces, not tabs" if "'\\t'" in rule else ""
+        hint = next((hint for words, hint in _HINTS.items() if words in rule), "")
         raise RuleError((), f"is no YAML: {rule}", hint, line=mark.line + 1 if mark else None) from None
     except (YAMLError, ValueError) as error:
         raise RuleError((), f"is no YAML: {' '.join(str(error).split())}") from None

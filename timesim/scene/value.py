@@ -202,7 +202,8 @@ class Frequencies(Section):
             rule = f"must leave at most {MAX_POINTS} points, not {count:.10g}"
             raise refuse(rule, key=("step",), value=self.step)
         if count < 1:
-            raise refuse("must not be smaller than from", key=("to",), value=self.to)
+            hint = "from is the smaller; direction: down visits it last"
+            raise refuse("must not be smaller than from", key=("to",), value=self.to, hint=hint)
         if twice := repeated(spaced(*self.spacing).tolist()):
             raise refuse("must be larger than the rounding of a frequency", key=("step",), value=self.step, hint=twice)
         return self
