@@ -189,8 +189,11 @@ def test_a_cut_off_file_is_refused(tmp_path: Path, keep: float) -> None:
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(StoreError, match="no result file at"):
+    with pytest.raises(StoreError, match=r"no result file at .* give a file or the folder of a finished run"):
         open_result(tmp_path)
+    (tmp_path / "cut" / "checkpoint").mkdir(parents=True)
+    with pytest.raises(StoreError, match=r"no result file at .* has not finished; .*--resume` goes on with it"):
+        open_result(tmp_path / "cut")
     (tmp_path / "text.nc").write_text("not a result")
     with pytest.raises(StoreError, match="cannot be read as a result file"):
         open_result(tmp_path / "text.nc")

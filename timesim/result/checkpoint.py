@@ -30,9 +30,9 @@ import numpy as np
 from timesim.result.change import first_difference, scene_difference
 from timesim.result.file import StoreError, write_whole
 from timesim.result.label import counted
-from timesim.result.netcdf import RESULT_NAME, read
+from timesim.result.netcdf import KEPT_NAME, RESULT_NAME, read
 
-FOLDER_NAME = "checkpoint"
+FOLDER_NAME = KEPT_NAME
 MANIFEST_NAME = "manifest.json"
 LOCK_NAME = ".lock"
 SECONDS_NAME = "seconds"

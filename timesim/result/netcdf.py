@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import xarray
 
 RESULT_NAME = "result.nc"
+KEPT_NAME = "checkpoint"  # folder beside it while its run goes on
 REQUIRED_ATTRIBUTES = ("timesim_version", "scene", "study", "complete", "method", "compile_seconds", "run_seconds")
 
 _COMPRESS_ABOVE = 64 * 1024  # bytes of an array
@@ -75,7 +76,10 @@ def read(path: Path | str) -> "dict[str, xarray.Dataset]":
 
     file = result_file(path)
     if not os.path.isfile(file):
-        raise StoreError(f"no result file at {file}; give a file or the folder of a finished run")
+        hint = "give a file or the folder of a finished run"
+        if os.path.isdir(file.parent / KEPT_NAME):
+            hint = "the run there has not finished; if it was cut off, `timesim run --resume` goes on with it"
+        raise StoreError(f"no result file at {file}; {hint}")
     try:
         groups = {}
         for name, data in xarray.open_groups(file, engine="h5netcdf").items():

@@ -54,6 +54,9 @@ def point_again(path: Path | str, at: Mapping[str, float | str]) -> Point:
     """
     groups = read(path)
     sweep = groups.get("sweep", groups[""])
+    if groups[""].attrs["study"] == "hbm":
+        hint = "a sweep, or kind: compare, has points to show; `timesim plot` draws the curves"
+        raise RuleError((), "is of harmonic balance, whose solutions are not integrated", hint)
     states = states_in(sweep)
     if not states.axes:
         hint = "`timesim plot` draws its pictures, `show` is for a point of a sweep"
