@@ -189,6 +189,27 @@ def test_what_is_given_up_is_yielded_before_the_interrupt_goes_on(two: Processes
     assert not two.submit(unseen, ignores_interrupts).result()[1]
 
 
+def told_to_end(number: int) -> int:
+    os.kill(os.getpid(), signal.SIGTERM)
+    return until_halted(number)
+
+
+def test_a_process_that_is_told_to_end_gives_what_it_has_if_it_is_halted():
+    """A cluster sends SIGTERM to every process of a run."""
+    with Processes(1) as own:
+        work = own.submit(unseen, told_to_end, 7)
+        while not work.running():
+            time.sleep(0.01)
+        time.sleep(1.0)
+        own.give_up([work])
+        assert work.result() == 7
+
+
+def test_a_process_that_alone_is_told_to_end_ends():
+    with Processes(1) as own, pytest.raises(BrokenExecutor):
+        own.submit(unseen, told_to_end, 7).result()
+
+
 def test_each_gives_its_result_with_its_place(two: Processes):
     assert sorted(two.each([(unseen, abs, (-number,)) for number in range(5)])) == [(i, i) for i in range(5)]
 

@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
@@ -25,6 +26,9 @@ LASTS = 5.0
 MEMORY = 2**30
 """Bytes allowed for a process; a usual scene takes half of them. A quarter of this machine's memory stays free."""
 APART = 0.5  # seconds between two looks at their counts
+HEARD = 3.0
+"""Seconds in which the process that has started those that are told to end halts them, if it is told so too."""
+HALTED = 5.0  # seconds that their work may then take to give what there is
 
 T = TypeVar("T")
 Seen = Callable[[int], None]
@@ -177,6 +181,13 @@ def _begin(halt: Event, counts: Any) -> None:
         connection.wait([parent.sentinel])
         os._exit(1)
 
+    def told_to_end() -> None:
+        if halt.wait(HEARD):
+            time.sleep(HALTED)
+        os._exit(1)
+
+    # At its time limit a cluster sends SIGTERM to every process: what there is of the work is given up, not lost.
+    signal.signal(signal.SIGTERM, lambda *_: threading.Thread(target=told_to_end, daemon=True).start())
     threading.Thread(target=ended, daemon=True).start()
 
 
