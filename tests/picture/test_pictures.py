@@ -128,6 +128,7 @@ def test_displacement_within_its_envelope(run: xarray.Dataset) -> None:
     assert ax.get_xlabel() == "time [s]"
     assert ax.get_ylabel() == "tip z [length]"
     upper, lower = (patch.get_data() for patch in ax.patches)
+    assert ax.patches[0].get_label() == "middle ± amplitude of the cycle", "which need not be about 0"
     assert len(upper.values) == CYCLES
     assert upper.edges[-1] == pytest.approx(CYCLES / FREQUENCY)
     assert [patch.get_edgecolor()[:3] for patch in ax.patches] == 2 * [(0, 0, 0)], (

@@ -627,6 +627,12 @@ def test_result_that_no_start_is(tmp_path: Path, changes: Any, rule: str):
     assert rule in refusal
 
 
+def test_a_start_from_a_run_that_was_cut_off_does_not_ask_to_resume_it(tmp_path: Path):
+    path = write_result(tmp_path / "result.nc", complete=0)
+    with pytest.raises(SceneError, match=r"not finished \(complete = 0\) \(one run is not resumed: run it again"):
+        load_scene(one_mass(contact={"preload": 2}, initial={"from": str(path)}))
+
+
 def test_files_that_no_result_are(tmp_path: Path):
     path = tmp_path / "result.nc"
     path.write_bytes(b"nothing")

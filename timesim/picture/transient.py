@@ -53,7 +53,7 @@ def _envelope(data: Dataset, ax: Axes, x: np.ndarray, amplitude: np.ndarray) -> 
     middle[:recorded] = (x.max() + x.min()) / 2
     # Of cycles without samples the amplitude is known, but not what it is about.
     for some, line, name in (
-        (slice(recorded, None), "-", "± amplitude of the cycle"),
+        (slice(recorded, None), "-", "middle ± amplitude of the cycle"),
         (slice(recorded), ":", "± amplitude of earlier cycles, about the middle of the samples"),
     ):
         sides, ends = (middle[some] + amplitude[some], middle[some] - amplitude[some]), edges[some.start or 0 :]

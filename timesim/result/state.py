@@ -179,7 +179,8 @@ def saved_states(path: Path) -> SavedStates:
     except Exception as error:  # a damaged file raises whatever HDF5 makes of it
         raise RuleError((), f"cannot be read as NetCDF-4 ({' '.join(str(error).split())[:120]})") from None
     if not complete and not states.axes:
-        raise RuleError((), "is the result of a run that was not finished (complete = 0)", "finish that run first")
+        hint = "one run is not resumed: run it again to its end, or with fewer cycles"
+        raise RuleError((), "is the result of a run that was not finished (complete = 0)", hint)
     return states
 
 
