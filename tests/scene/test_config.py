@@ -932,6 +932,20 @@ def test_steps_that_pass_over_a_resonance_are_worth_a_warning():
     assert warnings(0.8) == warnings(10.0, 0.02) == []
 
 
+def test_steps_that_pass_over_a_resonance_of_a_harmonic_are_worth_a_warning():
+    """Twice the excitation's frequency passes the resonance at 0.9 Hz, which the excitation itself stays below."""
+
+    def warnings(harmonic: int) -> list[str]:
+        force = {"point": "tip", "direction": [1, 0, 0], "amplitude": 1.0, "harmonic": harmonic}
+        study = {"kind": "sweep", "frequency": {"from": 0.41, "to": 0.47, "step": 0.03}}
+        changes = {"contacts": [], "excitation": {"forces": [force]}, "study": study}
+        return list(warnings_of(load_scene(CONFIGS / "oscillator.yaml", changes)))
+
+    (passed,) = warnings(2)
+    assert "a resonance of harmonic 2 as at 0.45 Hz is 0.018 Hz wide" in passed
+    assert warnings(1) == []
+
+
 def test_damping_given_in_percent_and_a_result_of_gigabytes_are_worth_a_warning():
     (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["structure.modes.1.damping_ratio=2"]))
     assert warning.startswith("structure: damping ratio 2 of mode 2 at 1.1 Hz")

@@ -494,6 +494,19 @@ def test_a_motion_that_does_not_settle_is_reported_with_its_band(tmp_path: Path)
     assert np.all(x(result).values >= high.values)  # over ten cycles, of which each has its own
 
 
+@pytest.mark.parametrize(("accuracy", "tolerance"), [("standard", 1e-3), ("draft", 1e-8)])
+def test_what_is_only_error_is_given_no_phase(accuracy: str, tolerance: float) -> None:
+    """Under a force of harmonic 2 alone, harmonic 1 is what has not settled yet, or noise of the steps."""
+    force = {"point": "tip", "direction": [1, 0.5, 0.2], "amplitude": 1.0, "harmonic": 2}
+    study = {"kind": "sweep", "frequency": {"values": [0.6, 0.75]}, "settle": {"tolerance": tolerance}}
+    changes = {"excitation": {"forces": [force]}, "solver": {"accuracy": accuracy}, "study": study}
+    result = timesim.run(oscillator_scene(preload=2.0) | changes)
+    assert result.settled.values.all()
+    assert np.all(result.slip_share.values > 0)
+    assert np.all(result.harmonic_amplitude.sel(harmonic=1).max(("point", "axis")).values > 0)
+    assert np.isnan(result.phase_deg.values).all()
+
+
 @pytest.mark.slow
 def test_a_period_of_two_cycles_is_reported(tmp_path: Path) -> None:
     """A mass that bounces on a stop, excited at twice its natural frequency of impacts."""

@@ -79,17 +79,19 @@ def _orders(harmonics: int) -> tuple[NDArray[np.int64], ...]:
     return order[:, None] + order, np.abs(difference), np.sign(difference)
 
 
-def phase_deg(phasor: Complex) -> Array:
+def phase_deg(phasor: Complex, error: Array | float = 0.0) -> Array:
     """Phase [degree] of the first harmonic against the excitation, in (-180, 180]: x ~ A cos(2 pi f t + phase).
 
     Args:
         phasor: harmonics, then points and axes along the last three dimensions, shape (..., H + 1, P, 3).
+        error: of the motion, relative to the largest, which may be all of a first harmonic, shape (...).
 
     Returns:
         shape (..., P, 3); NaN where a motion has no period, and along axes that do not move with the excitation.
     """
     first = phasor[..., 1, :, :]
-    moves = np.abs(first) > STILL * np.max(np.abs(phasor), axis=(-3, -2, -1), initial=0.0)[..., None, None]
+    least = np.fmax(error, STILL) * np.max(np.abs(phasor), axis=(-3, -2, -1), initial=0.0)
+    moves = np.abs(first) > least[..., None, None]
     return np.where(moves, np.rad2deg(np.angle(first)), np.nan)
 
 

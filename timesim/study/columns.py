@@ -41,6 +41,9 @@ STORED = {
     "end_state": "final_contact_state",
 }
 
+# Of a solver's rtol: what its steps leave in a harmonic that the motion has not, relative to the largest, is less.
+STEP_NOISE = 0.1
+
 
 def blank_columns(model: Model, *shape: int) -> dict[str, np.ndarray]:
     """Columns of points that were not computed; ``shape`` is that of the points."""
@@ -51,14 +54,16 @@ def blank_columns(model: Model, *shape: int) -> dict[str, np.ndarray]:
     return arrays
 
 
-def variables_of(columns: Columns, axes: Mapping[str, int]) -> Arrays:
+def variables_of(columns: Columns, axes: Mapping[str, int], rtol: float) -> Arrays:
     """Steady states as variables of a result file; a point that failed has no state.
 
-    The columns may have any dimensions of the points first, which become axes of these names and sizes.
+    The columns may have any dimensions of the points first, which become axes of these names and sizes. Where the first
+    harmonic may be all of it what has not settled yet, or noise of steps of this relative tolerance, it has no phase.
     """
     phasor, failed = columns["phasor"], columns["reason"] != ""
     values = {name: array for name, array in columns.items() if name != "phasor"}
-    values |= {"phase_deg": phase_deg(phasor), "harmonic_amplitude": signed_amplitude(phasor)}
+    error = np.fmax(columns["settled_to"], STEP_NOISE * rtol)
+    values |= {"phase_deg": phase_deg(phasor, error), "harmonic_amplitude": signed_amplitude(phasor)}
     values |= {"harmonic_cos": phasor.real, "harmonic_sin": 0.0 - phasor.imag, "reason": columns["reason"].astype(str)}
     for name in START:
         blank, kind = BLANK.get(name, (np.nan, float))

@@ -160,7 +160,8 @@ def steady_dataset(grid: "Grid", columns: Columns, own: Arrays, model: Model) ->
     scene, plan = grid.scene, grid.plan
     coords = {key: np.array(values) for key, values in plan.over.items()}
     coords |= {"direction": np.array(plan.directions), "frequency": plan.frequency}
-    variables = variables_of(columns, {name: len(values) for name, values in coords.items()})
+    axes = {name: len(values) for name, values in coords.items()}
+    variables = variables_of(columns, axes, scene.solver().rtol)
     variables["mode_shape"] = grid.of_models(("point", "axis", "mode"), lambda model: model.structure.shape)
     variables["contact_frame"] = grid.of_models(("contact", "component", "axis"), lambda model: model.contact_frames)
     variables["final_phase_deg"] = ((), np.array(np.rad2deg(model.start.phase) % 360))

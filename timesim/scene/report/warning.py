@@ -151,18 +151,22 @@ def _unheld(model: Model) -> Iterator[str]:
 
 
 def _narrow(study: StudySection, model: Model) -> Iterator[str]:
-    """Resonances, free or stuck, that the steps of a sweep may pass over."""
+    """Resonances, free or stuck, of a harmonic of the excitation that the steps of a sweep may pass over."""
     if not isinstance(study, SweepSection):
         return
     swept = study.sweep().frequency
     zeta = np.nanmin(model.structure.damping_ratio, initial=np.inf)
     stuck = model.stuck_omega / (2 * np.pi) if obeys_cone(model).all() else np.zeros(0)
     natural = np.concatenate([model.structure.frequency, stuck])
-    natural = natural[(natural > swept[0]) & (natural < swept[-1])]
+    harmonic = np.repeat(model.excitation.harmonic, natural.size)
+    natural = np.tile(natural, model.excitation.harmonic.size) / harmonic
+    inside = (natural > swept[0]) & (natural < swept[-1])
+    natural, harmonic = natural[inside], harmonic[inside]
     after = np.searchsorted(swept, natural)
     step, width = swept[after] - swept[after - 1], 2 * zeta * natural
     for place in np.flatnonzero(step > STEPS_OF_WIDTH * width)[:1]:
-        peak = f"a resonance as at {natural[place]:.6g} Hz is {width[place]:.2g} Hz wide by its structural damping"
+        of = f" of harmonic {harmonic[place]}" if harmonic[place] > 1 else ""
+        peak = f"a resonance{of} as at {natural[place]:.6g} Hz is {width[place]:.2g} Hz wide by its structural damping"
         yield f"study.frequency: {peak}; steps of {step[place]:.3g} Hz may miss its peak where no contact slips"
 
 
