@@ -61,15 +61,17 @@ def test_one_point_must_be_named():
 
 
 def test_motions_that_repeat_each_cycle_with_contacts_at_work_are_settled_points():
-    """Not what failed, has not settled, repeats after two cycles, only sticks or is open all along."""
-    frequency = np.arange(1.0, 8.0)
+    """Not what failed, has not settled, repeats after two cycles, only sticks or is open all along, or drifts."""
+    frequency = np.arange(1.0, 9.0)
     arrays = {
-        "failure": np.array([["", "no motion", "", "", "", "", ""]]),
-        "settled": np.array([[1, 1, 0, 1, 1, 1, 1]]),
-        "period": np.array([[1, 1, 1, 2, 1, 1, 1]]),
-        "slip_share": np.array([[0.2, 0.2, 0.2, 0.2, 0.0, 0.0, 0.0]])[..., None],
-        "separation_share": np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.3]])[..., None],
+        "failure": np.array([["", "no motion", "", "", "", "", "", ""]]),
+        "settled": np.array([[1, 1, 0, 1, 1, 1, 1, 1]]),
+        "period": np.array([[1, 1, 1, 2, 1, 1, 1, 1]]),
+        "slip_share": np.array([[0.2, 0.2, 0.2, 0.2, 0.0, 0.0, 0.0, 0.2]])[..., None],
+        "separation_share": np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.3, 0.0]])[..., None],
+        "drift": np.zeros((1, 8, 1, 3)),
     }
+    arrays["drift"][0, 7, 0, 1] = -0.1
     states = SavedStates(("pad",), arrays, {"direction": np.array(["up"]), "frequency": frequency}, 0.0)
     assert [place for place, _ in settled_points(states, {"direction": "up"})] == [1.0, 7.0]
     assert [place for place, _ in settled_points(states, {"frequency": 7.0})] == [7.0]

@@ -143,6 +143,17 @@ def test_free_body_has_frequency_zero():
     assert np.all(structure.frequency[1:] > 0.1)
 
 
+def test_two_free_bodies_have_frequency_zero_along_each_axis():
+    """One of them without any spring, of which rounding leaves a frequency of 1e-32."""
+    links = 1668.8 * np.array([[1.0, -1, 0], [-1, 1, 0], [0, 0, 0]])
+    stiffness, seeds = np.kron(links, np.eye(2)), (89, 141, 178)  # of 200 those where it does
+    for masses in (np.random.default_rng(seed).uniform(0.3, 3, 3) for seed in seeds):
+        mass = np.kron(np.diag(masses), np.eye(2))
+        found = modal_structure(Matrices(mass, stiffness), points={}, damping_ratio=0.01)
+        assert found.frequency[:4].tolist() == [0, 0, 0, 0]
+        assert np.all(found.frequency[4:] > 1)
+
+
 @pytest.mark.parametrize(("num", "penalty"), [(2, 1e16), (300, 1e12)])
 def test_a_chain_that_a_penalty_clamps_is_no_free_body(num: int, penalty: float):
     """Rounding of the stiff spring is larger than the squares of the lowest frequencies, known all the same."""

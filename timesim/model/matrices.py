@@ -253,10 +253,9 @@ def _eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.ndarray, 
     if smallest < -NEGATIVE * largest:
         hint = f"its lowest eigenvalue is omega^2 = {smallest:.6g}"
         raise RuleError(("stiffness",), "the stiffness matrix must have no negative eigenvalue", hint)
-    # Of a body without any spring the product of its mode and the matrix is as good as 0, and bounds nothing.
-    least = np.finfo(float).eps ** 2 * largest
-    free = np.logical_and.accumulate(squared <= np.maximum(np.diag(_rounding(stiffness, modes)), least))
-    return np.where(free, 0.0, squared), modes[:, :num_modes]
+    # The mode of a body without any spring makes next to nothing of the matrix, which then bounds nothing.
+    rounding = np.maximum(np.diag(_rounding(stiffness, modes)), np.finfo(float).eps ** 2 * largest)
+    return np.where(np.logical_and.accumulate(squared <= rounding), 0.0, squared), modes[:, :num_modes]
 
 
 def _rounding(matrix: Any, modes: np.ndarray) -> np.ndarray:
