@@ -223,6 +223,18 @@ def test_a_body_that_slides_on_repeats_but_for_its_way(slid):
     np.testing.assert_allclose(recorded.drift, [slid, 0.0], atol=1e-12)
 
 
+def test_noise_of_the_steps_is_told_from_the_way_of_a_body_that_slides_on():
+    slope, shifts = np.array([[1.0, 2.0], [0.0, 0.999]]), np.array([[1.0, 0.0]])
+    cycles = []
+    for noise in (1e-8, -1e-8):
+        start = near(0.0, 0.0)
+        start.shifts = shifts
+        cycles.append(cycle(start, slope, noise=np.array([0.7, noise])))
+    led_to = iterated(Shot(cycles[1].start, before=cycles[0]), cycles[1], TOLERANCE)
+    assert isinstance(led_to, Shot)
+    assert led_to.lane.control.rtol < RTOL
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_derivative_that_overflows_ends_the_iteration_and_nothing_else(value):
     start = at(FIXED)

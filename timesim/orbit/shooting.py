@@ -79,7 +79,7 @@ def iterated(shot: Shot, recorded: Recorded, tolerance: float) -> Shot | Converg
     if not recorded.closes:
         return _shorter(shot)
     step, size = recorded.newton_step(recorded.change), shot.lane.size
-    left, change = _largest(step) / size, _largest(recorded.change) / size
+    left, change = _largest(step) / size, _largest(recorded.change - recorded.drift) / size
     if left < tolerance:
         return _ended(shot, recorded, left)
     closer, rtol = _led_closer(shot, recorded), float(shot.lane.control.rtol)
