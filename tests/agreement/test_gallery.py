@@ -7,6 +7,7 @@ import pytest
 
 import timesim
 
+DIFFERENCE = np.array([[1.0, -1.0], [-1.0, 1.0]])
 CONFIGS = Path(__file__).parents[2] / "configs"
 
 
@@ -164,6 +165,13 @@ def test_a_clutch_that_slips_all_the_time(periodic):
     np.testing.assert_allclose(data["amplitude"].sel(point="engine"), np.abs(swing), rtol=1e-6)
     np.testing.assert_allclose(data["phase_deg"].sel(point="engine"), np.rad2deg(np.angle(swing)), rtol=1e-6)
     assert np.all(data["amplitude"].sel(point=["gearbox", "car"]) < 1e-8)
+    # The slowest decay is that of the speed of gearbox and car against its drag; their place does not count.
+    mass, stiffness, damping = np.diag([0.05, 3.0]), 900 * DIFFERENCE, 0.8 * DIFFERENCE + np.diag([0.0, 2.0])
+    rate = np.block(
+        [[np.zeros((2, 2)), np.eye(2)], [-np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)]]
+    )
+    slowest = np.sort(np.linalg.eigvals(rate).real)[-2]
+    np.testing.assert_allclose(data["floquet_max"], np.exp(slowest / data["frequency"]), rtol=1e-7)
 
 
 def test_two_masses_that_meet_move_as_one_at_a_wall():

@@ -173,9 +173,15 @@ class Recorded:
 
     @property
     def multipliers(self) -> np.ndarray:
-        """Floquet multipliers, largest first, without those of free offsets; NaN where the derivative is not finite."""
-        moves = self._moves
+        """Floquet multipliers, largest first, without those of free offsets and of the place of a body that slides.
+
+        NaN where the derivative is not finite.
+        """
+        moves, along = self._moves, self._along
         slope = self.slope[np.ix_(moves, moves)]
+        if len(along):
+            others = null_space(along)
+            slope = others.T @ slope @ others
         values = np.linalg.eigvals(slope) if np.isfinite(slope).all() else np.full(len(slope), np.nan)
         return np.asarray(values[np.argsort(-np.abs(values))])
 
@@ -215,14 +221,19 @@ class Recorded:
 
     def newton_step(self, change: np.ndarray) -> np.ndarray:
         """The step after which a change over the cycles vanishes to first order, but for drift; 0 in free offsets."""
-        moves, shifts = self._moves, self.start.shifts
-        held = np.where(np.abs(shifts[:, ~moves]) > ROUNDING, shifts[:, ~moves], 0.0)
-        along = null_space(held.T).T @ shifts[:, moves]  # a contact that sticks holds a body
+        moves, along = self._moves, self._along
         step, num, none = np.zeros_like(change), int(moves.sum()), np.zeros((len(along), len(along)))
         matrix = np.eye(num) - self.slope[np.ix_(moves, moves)]
         matrix = np.block([[matrix, along.T], [along, none]])
         step[moves] = np.linalg.lstsq(matrix, np.pad(change[moves], (0, len(along))), rcond=1e-12)[0][:num]
         return step
+
+    @property
+    def _along(self) -> np.ndarray:
+        """What `Lane.shifts` are of the entries that change over the cycles: a contact that sticks holds a body."""
+        moves, shifts = self._moves, self.start.shifts
+        held = np.where(np.abs(shifts[:, ~moves]) > ROUNDING, shifts[:, ~moves], 0.0)
+        return np.asarray(null_space(held.T).T @ shifts[:, moves])
 
     @property
     def drift(self) -> np.ndarray:
