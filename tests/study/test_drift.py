@@ -164,3 +164,30 @@ def test_a_rotor_that_is_held_or_shaken_to_and_fro_settles():
     held["study"]["frequency"] = {"values": [3.0]}
     for scene in (held, shaken):
         assert (carry_out(load_scene(scene)).groups[""]["settled"].values == 1).all()
+
+
+def test_a_body_slides_on_along_a_frictionless_floor_as_fast_as_its_drag_allows():
+    """Its bouncing under weight repeats; the speed is the push over the drag, along both axes of the floor."""
+    push, size = np.array([0.8, 0.5]), np.zeros((3, 3))
+    forces = [{"direction": [0, 0, 1], "amplitude": 9.81}, {"direction": [*push, 0], "amplitude": np.hypot(*push)}]
+    scene = {
+        "structure": {
+            "matrices": {
+                "mass": np.eye(3), "stiffness": size, "damping": np.diag([0.3, 0.3, 2]),
+                "points": {"body": {"x": 0, "y": 1, "z": 2}},
+            }
+        },
+        "contacts": [
+            {"name": "floor", "point": "body", "friction": 0, "tangential_stiffness": 0, "normal_stiffness": 2000}
+        ],
+        "excitation": {
+            "forces": [{"point": "body", "direction": [1, 0.3, 1], "amplitude": 20}],
+            "constant_forces": [{"point": "body"} | force for force in forces],
+        },
+        "study": {"kind": "sweep", "frequency": {"values": [2.0, 5.0]}, "periodic": "shoot"},
+    }  # fmt: skip
+    data = carry_out(load_scene(scene)).groups[""].isel(direction=0).sel(point="body")
+    assert (data["settled"].values == 1).all()
+    assert data["separation_share"].values.max() > 0.1
+    speed = (data["drift"] * data["frequency"]).transpose("frequency", "axis").values
+    np.testing.assert_allclose(speed, np.tile([*push / 0.3, 0], (2, 1)), rtol=1e-7, atol=1e-12)

@@ -19,7 +19,7 @@ from timesim.engine.status import NOBODY, Status
 from timesim.engine.step import PERIOD, Step, Trajectory
 from timesim.engine.system import Point, System, system_of
 from timesim.engine.trajectory import Frame
-from timesim.model.model import SEPARATION, SLIP, Model, Start
+from timesim.model.model import CONE, SEPARATION, SLIP, Model, Start
 from timesim.model.reduction import Reduction
 from timesim.model.solver import Solver
 from timesim.orbit.fourier import HARMONICS
@@ -113,18 +113,18 @@ class Lane:
     def shifts(self) -> np.ndarray:
         """Changes of the state vector that alter no force: orthonormal rows, shape (shifts, state).
 
-        A body that nothing holds is moved along the surfaces of all contacts, and with it the places where they stick.
+        A body that nothing holds is moved along the surfaces of all contacts, and with it the places where they stick;
+        of other laws than the cone only relative motion counts.
         """
         (*along, across), size = self.system.shape, self.here.point.q.size
         free, live = np.flatnonzero(self.system.stiffness == 0), [self.model.contacts[i] for i in self.reduction.live]
         if not free.size:
             return np.zeros((0, self.vector.size))
-        presses = np.array([contact.normal_stiffness > 0 for contact in live], dtype=bool)
-        rubs = np.array([np.any(contact.tangential_stiffness) for contact in live], dtype=bool)
-        q = np.zeros((size, size))
-        q[free] = np.eye(size)[free]
-        q = q[:, free] @ null_space(across[presses][:, free])
-        vectors = np.concatenate([q, np.zeros_like(q), *((axis @ q) * rubs[:, None] for axis in along)])
+        other = np.array([contact.law != CONE for contact in live], dtype=bool)
+        presses = other | np.array([contact.normal_stiffness > 0 for contact in live], dtype=bool)
+        held = np.concatenate([across[presses], *(axis[other] for axis in along)])
+        q = np.eye(size)[:, free] @ null_space(held[:, free])
+        vectors = np.concatenate([q, np.zeros_like(q), *(axis @ q for axis in along)])
         return np.asarray(orth(np.where(self.apart[:, None], 0.0, vectors)).T)
 
     def start(self) -> Start:
