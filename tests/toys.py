@@ -17,7 +17,7 @@ import numpy as np
 from timesim.result.dataset import dataset
 from timesim.scene.resolution import Scene
 from timesim.study.execution.campaign import Chunk, Execution, carry_through
-from timesim.study.execution.worker import halted
+from timesim.study.execution.worker import UnfinishedError, halted
 from timesim.study.outcome import Outcome, attributes
 
 SCENE = "title: toy\nstudy: {kind: sweep, frequency: {from: 0.8, to: 1.6, step: 0.1}}\n"
@@ -32,8 +32,9 @@ class Toy:
         start: start of the map where no chunk comes before.
         seconds: how long it takes.
         log: file that gets the name when the work begins.
-        fault: "raise", "interrupt", "kill" (once: `log` with the suffix .killed says it has happened), "halt", or
-            "stay" until it is halted.
+        fault: "raise", "interrupt", "kill" (once: `log` with the suffix .killed says it has happened), "halt", "stay"
+            until it is halted, "part", which then says what there is of it, or "deaf" until `log` with the suffix .over
+            is there.
     """
 
     name: str
@@ -69,6 +70,12 @@ def _fail(toy: Toy) -> None:
         while not halted():
             time.sleep(0.001)
         raise KeyboardInterrupt
+    if toy.fault == "part":
+        while not halted():
+            time.sleep(0.001)
+        raise UnfinishedError({"x": toy.start}, 1)
+    while toy.fault == "deaf" and not Path(f"{toy.log}.over").exists():
+        time.sleep(0.01)
     if toy.fault == "kill" and not (mark := Path(f"{toy.log}.killed")).exists():
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)

@@ -419,18 +419,51 @@ def test_on_a_cluster_with_a_worker_killed_nothing_is_lost(scheduler: str, tmp_p
     assert calls(log) - kept == Counter({"c-2-0": 1})
 
 
-def test_an_interrupt_leaves_the_cluster_at_once(scheduler: str, tmp_path: Path):
-    chunks = [*chains(1, 3), replace(chains(2, 1, seconds=600.0)[1], after="c-0-1")]
+def interrupted_with(fault: str, scheduler: str, tmp_path: Path) -> tuple[dict[str, Any], str | None]:
+    """What a campaign on a cluster gives that is interrupted when it has done all but a chunk that is under way."""
+    log = tmp_path / "log"
+    chunks = chains(2, 1, log=log, faults={"c-1-0": fault})
     execution, _ = execution_of(tmp_path, cluster=scheduler)
 
     def interrupt(done: int, number: int) -> None:
-        if done == 6:
-            os.kill(os.getpid(), signal.SIGINT)
+        begun, deadline = calls(log), time.monotonic() + 60
+        while not begun["c-1-0"] and time.monotonic() < deadline:
+            time.sleep(0.01)
+            begun = calls(log)
+        os.kill(os.getpid(), signal.SIGINT)
 
-    results, reason = carried(chunks, replace(execution, progress=interrupt))
-    assert reason == "interrupted; 2 of 8 points missing"
-    assert list(results) == ["c-0-0", "c-0-1", "c-0-2"]
-    assert {path.stem for path in (tmp_path / "checkpoint").glob("*.npz")} == set(results)
+    try:
+        return carried(chunks, replace(execution, progress=interrupt))
+    finally:
+        Path(f"{log}.over").touch()
+        assert {path.stem for path in (tmp_path / "checkpoint").glob("*.npz")} == {"c-0-0"}
+
+
+def test_an_interrupt_keeps_what_a_cluster_has_of_its_chunks(scheduler: str, tmp_path: Path):
+    results, reason = interrupted_with("part", scheduler, tmp_path)
+    assert reason == "interrupted; 1 of 4 points missing"
+    np.testing.assert_array_equal(results["c-1-0"]["x"], chains(2, 1)[1].payload.start)
+    results, reason = carried(chains(2, 2), Execution(cluster=scheduler))
+    assert reason is None, "what is given up is one campaign, not what others begin on the same workers"
+    assert digest(results) == digest(expected(chains(2, 2)))
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_an_interrupt_leaves_a_cluster_that_does_not_answer(
+    again: bool, scheduler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """After some seconds, or at another interrupt."""
+    waiting = worker.futures.wait
+
+    def wait(works: Any, seconds: float) -> None:
+        if again:
+            threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
+        waiting(works, 600 if again else 0.2)
+
+    monkeypatch.setattr(worker.futures, "wait", wait)
+    results, reason = interrupted_with("deaf", scheduler, tmp_path)
+    assert reason == "interrupted; 2 of 4 points missing"
+    assert list(results) == ["c-0-0"]
 
 
 def test_processes_of_this_machine():

@@ -122,10 +122,10 @@ def carry_through(
 ) -> tuple[dict[str, Result], str | None]:
     """Do the work of all chunks.
 
-    On an interrupt it waits for the threads to finish their chunks, and keeps them. Work that takes long asks `halted`,
-    and may say what there is by an `UnfinishedError`: that is in the results, but the chunk begins anew when resumed.
-    A chunk that fails is left out, with all that come after it, and the others go on. Once a checkpoint cannot be
-    written, no further chunk begins.
+    On an interrupt it waits for the threads to finish their chunks, and keeps them; for a cluster it waits some
+    seconds. Work that takes long asks `halted`, and may say what there is by an `UnfinishedError`: that is in the
+    results, but the chunk begins anew when resumed. A chunk that fails is left out, with all that come after it,
+    and the others go on. Once a checkpoint cannot be written, no further chunk begins.
 
     Args:
         chunks: each one listed below the chunk that it comes after.
@@ -256,7 +256,7 @@ class _Campaign:
         chunk = self.running[future]
         if future.cancelled():
             raise ConnectionError(f"the connection to the cluster {self.execution.cluster} is lost")
-        error = future.exception()
+        error = _error(future)
         if isinstance(error, KeyboardInterrupt):
             raise error
         if error is None:
@@ -293,7 +293,7 @@ class _Campaign:
         for future, chunk in self.running.items():
             if not future.done() or future.cancelled():
                 continue
-            error = future.exception()
+            error = _error(future)
             if error is None:
                 self.results[chunk.name] = future.result()
             elif isinstance(error, UnfinishedError):
@@ -315,3 +315,9 @@ class _Campaign:
         if number:
             left = f"{number} of {counted(self.total, 'point')} missing"
         return "; ".join(filter(None, (ended, failed, left)))
+
+
+def _error(future: Future[Any]) -> BaseException | None:
+    """Why a chunk has no result; a work on a cluster that is given up returns its KeyboardInterrupt."""
+    error = future.exception()
+    return future.result() if error is None and isinstance(future.result(), KeyboardInterrupt) else error

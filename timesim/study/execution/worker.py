@@ -6,6 +6,7 @@ import re
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from concurrent import futures
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
@@ -14,6 +15,7 @@ from difflib import get_close_matches
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -195,10 +197,14 @@ RETRIES = 2
 
 PATIENCE = "15s"  # for a scheduler that does not answer
 
+ANSWER = 10.0
+"""Seconds in which the workers of a cluster that are told to give up their works may say what there is."""
+
 _ADDRESS = re.compile(r"[a-z]+://\S+|[^\s:/]+:[0-9]+|\[[0-9a-fA-F:.]+\]:[0-9]+")
 
-# Ctrl-C in a terminal reaches every process, but the workers of this machine are ended by the one that started them.
-_IGNORE_INTERRUPT = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+# Ctrl-C in a terminal reaches every process, and so does SIGTERM at the time limit of a batch job, but the workers of
+# this machine are ended by the one that started them.
+_IGNORE_INTERRUPT = "import signal as s; s.signal(s.SIGINT, s.SIG_IGN); s.signal(s.SIGTERM, s.SIG_IGN)"
 
 
 def check_address(cluster: str, workers: int | None) -> None:
@@ -221,7 +227,8 @@ def check_address(cluster: str, workers: int | None) -> None:
 def processes(cluster: str, workers: int | None) -> Iterator[Executor]:
     """The workers of a cluster at an address such as ``tcp://host:8786``, or processes of this machine for `LOCAL`.
 
-    If left early, it gives up the chunks under way.
+    If left early, it gives up the chunks under way, but waits a little for what there is of them. A KeyboardInterrupt
+    would end a worker, so a work that raises one returns it instead.
 
     Raises:
         ExecutionError: dask is not installed, the scheduler does not answer, or its workers cannot do this work.
@@ -253,9 +260,7 @@ def processes(cluster: str, workers: int | None) -> Iterator[Executor]:
             hint = "give the address of a running scheduler, as tcp://host:8786, or 'local'"
             raise ExecutionError(f"cluster {target} cannot be reached: {error}; {hint}") from error
         _check_workers(client, str(target))
-        executor = client.get_executor(retries=RETRIES, pure=False)
-        stack.callback(executor.shutdown, wait=False)
-        yield executor
+        yield stack.enter_context(_Cluster(client))
 
 
 def _check_workers(client: Any, name: str) -> None:
@@ -270,3 +275,46 @@ def _check_workers(client: Any, name: str) -> None:
             raise ExecutionError(
                 f"cluster {name}: worker {worker} {installed}, this is {own}; install the same on all workers"
             )
+
+
+class _Cluster(Executor):
+    """The workers of a dask client."""
+
+    def __init__(self, client: Any):
+        self._client, self._name, self._works = client, uuid4().hex, set[Future[Any]]()
+        self._workers = client.get_executor(retries=RETRIES, pure=False)
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        work: Future[Any] = self._workers.submit(_until_given_up, self._name, fn, *args, **kwargs)
+        self._works.add(work)
+        work.add_done_callback(self._works.discard)
+        return work
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Give up the works under way; it waits for their answers, but not for long, or until another interrupt."""
+        try:
+            if works := set(self._works):
+                with suppress(Exception):  # one does not answer, and the others have done so meanwhile
+                    self._client.run(_give_up, self._name, on_error="ignore", callback_timeout=ANSWER)
+                    futures.wait(works, ANSWER)
+        finally:
+            self._workers.shutdown(wait=False)
+
+
+# In a worker of a cluster
+
+_GIVEN_UP: set[str] = set()
+
+
+def _give_up(name: str) -> None:
+    """Halt the works of an executor; dask calls it beside them."""
+    _GIVEN_UP.add(name)
+
+
+def _until_given_up(name: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+    """Do a work of an executor, or what can be done of it."""
+    halt_by(lambda: name in _GIVEN_UP)
+    try:
+        return KeyboardInterrupt() if halted() else function(*args, **kwargs)
+    except KeyboardInterrupt as error:
+        return error
