@@ -1,12 +1,12 @@
 """Processes that take work over from the threads: the same results, and nothing is lost."""
 
-import multiprocessing
 import os
 import signal
 import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor
+from multiprocessing import synchronize
 from pathlib import Path
 from typing import Any
 
@@ -232,11 +232,10 @@ def test_one_alone_is_left_out_and_holds_up_no_thread():
 
 
 def test_where_none_can_be_begun_threads_do_the_work(monkeypatch: pytest.MonkeyPatch):
-    class Without:
-        def Event(self) -> None:  # noqa: N802
-            raise OSError("no shared memory")
+    def refused(*_: Any, **__: Any) -> None:
+        raise OSError("no shared memory")
 
-    monkeypatch.setattr(multiprocessing, "get_context", lambda _: Without())
+    monkeypatch.setattr(synchronize.SemLock, "__init__", refused)
     with Processes(2) as own:
         results, reason = carried(chains(2, 2), own)
     assert reason is None

@@ -13,10 +13,9 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
-from ctypes import c_int64
+from ctypes import c_bool, c_int64
 from multiprocessing import connection
-from multiprocessing.sharedctypes import RawArray
-from multiprocessing.synchronize import Event
+from multiprocessing.sharedctypes import RawArray, RawValue
 from typing import Any, Self, TypeVar
 
 from timesim.study.execution.worker import count_by, default_workers, halt_by, one_thread
@@ -59,7 +58,7 @@ class Processes:
     def __exit__(self, *_: object) -> None:
         self._over.set()
         if self._pool is not None:
-            self._halt.set()
+            self._halt.value = True
             self._pool.shutdown(wait=True, cancel_futures=True)
 
     def submit(self, seen: Seen, function: Callable[..., Any], *args: Any) -> Future[Any]:
@@ -104,7 +103,7 @@ class Processes:
                         raise
                     interrupt = error
                     waiting.clear()
-                    self._halt.set()
+                    self._halt.value = True
                     continue
                 for future in done:
                     yield running.pop(future), future.result()
@@ -117,21 +116,22 @@ class Processes:
         """Halt the works under way, and wait until they have ended, or until another interrupt."""
         if self._pool is None:
             return
-        self._halt.set()
+        self._halt.value = True
         try:
             wait(works)
         finally:
-            self._halt.clear()
+            self._halt.value = False
 
     def _started(self) -> ProcessPoolExecutor:
         context = multiprocessing.get_context("spawn")
-        try:
-            self._halt = context.Event()
-        except OSError as error:  # a container without shared memory
-            raise BrokenExecutor(str(error)) from error
+        # No Event: its lock is held for ever by a process that is killed while it asks.
+        self._halt = RawValue(c_bool)
         # The slot of a work that is done is freed only after those who wait for it are notified, so twice as many.
         self._counts = RawArray(c_int64, 2 * self.workers)
-        self._pool = ProcessPoolExecutor(self.workers, context, _begin, (self._halt, self._counts))
+        try:
+            self._pool = ProcessPoolExecutor(self.workers, context, _begin, (self._halt, self._counts))
+        except OSError as error:  # a container without shared memory
+            raise BrokenExecutor(str(error)) from error
         threading.Thread(target=self._look, name="timesim-processes", daemon=True).start()
         return self._pool
 
@@ -168,11 +168,11 @@ def _interrupt_blocked() -> Iterator[None]:
 _COUNTS: Any = None
 
 
-def _begin(halt: Event, counts: Any) -> None:
+def _begin(halt: Any, counts: Any) -> None:
     """Set up a process: the one that has started it stops it, and it ends when that one does."""
     global _COUNTS
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    halt_by(halt.is_set)
+    halt_by(lambda: bool(halt.value))
     _COUNTS = counts
     parent = multiprocessing.parent_process()
     assert parent is not None
@@ -182,11 +182,10 @@ def _begin(halt: Event, counts: Any) -> None:
         os._exit(1)
 
     def told_to_end() -> None:
-        # One that ends while it waits for the halt would have the others' parent wait for it for ever.
         until = time.monotonic() + HEARD
-        while not halt.is_set() and time.monotonic() < until:
+        while not halt.value and time.monotonic() < until:
             time.sleep(0.1)
-        if halt.is_set():
+        if halt.value:
             time.sleep(HALTED)
         os._exit(1)
 
