@@ -12,7 +12,7 @@ from timesim.engine.status import Status
 from timesim.model.solver import NEVER, PRESETS, SHOOT, SLOW, Criterion, Solver
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.fourier import phase_deg, to_phasors
-from timesim.orbit.recurrence import is_irregular, recurrence_of
+from timesim.orbit.recurrence import is_irregular, recurrence_of, without_way
 from timesim.orbit.settling import Chain, Search, Task, after_march, after_shot, steady_states, warm_up
 from timesim.orbit.threshold import CYCLES_A_ROUND, LONGEST
 
@@ -273,3 +273,13 @@ def test_what_a_chain_needs_is_compiled_though_at_its_first_frequency_no_contact
     assert not compiled, "it sticks at rest"
     warm_up([Chain(model, (0.2, 1.39))], solver)
     assert len(compiled) == 2
+
+
+@pytest.mark.parametrize(("speed", "slides"), [(0.3, True), (1e-6, False)])
+def test_the_way_of_a_body_that_slides_on_does_not_count(speed, slides):
+    """Its place is the first entry; one that hardly moves has to come to rest."""
+    count = np.arange(16)
+    returns = np.stack([5 + speed * count, np.ones(16), 0.5 ** (20 + count)], axis=1)
+    left = without_way(returns, np.array([[1.0, 0.0, 0.0]]))
+    assert (recurrence_of(left, 1e-7).period == 1) == slides
+    np.testing.assert_array_equal(left[:, 1:], returns[:, 1:])

@@ -74,6 +74,22 @@ def recurrence_of(returns: np.ndarray, tolerance: float, noise: float = 0.0) -> 
     return Recurrence(0, least)
 
 
+def without_way(returns: np.ndarray, shifts: np.ndarray) -> np.ndarray:
+    """State vectors without the way by which a body slides on; as they are where it does not.
+
+    Args:
+        returns: at the end of consecutive cycles, shape (N, state).
+        shifts: changes of the state that alter no force, orthonormal rows, shape (K, state).
+    """
+    if not len(shifts):
+        return returns
+    way = returns @ shifts.T
+    within = returns - way @ shifts
+    moved = min(np.abs(way[-1] - way[-1 - period]).max() for period in PERIODS)
+    # Of a body that comes to rest, or that a contact holds, its place has to settle as well.
+    return within if moved > VAGUE * np.abs(within).max() else returns
+
+
 def _own_period(returns: np.ndarray, period: int, tolerance: float) -> int:
     """The shortest divisor of a period over which the state repeats as well; 0 where that is open.
 

@@ -23,7 +23,7 @@ from timesim.orbit import threshold
 from timesim.orbit.batch import SIDE_BY_SIDE, Each, march_lanes, record
 from timesim.orbit.lane import Lane, Recorded
 from timesim.orbit.linear import held_lane, linear_orbit, proven_orbit, slowest_decay
-from timesim.orbit.recurrence import Recurrence, is_irregular, nearest_period, recurrence_of
+from timesim.orbit.recurrence import Recurrence, is_irregular, nearest_period, recurrence_of, without_way
 from timesim.orbit.shooting import Converged, Shot, iterated
 from timesim.orbit.steady_state import Orbit, without_orbit
 
@@ -143,9 +143,8 @@ def _long_recurrence(search: Search, tolerance: float = 0.0) -> Recurrence:
 
 
 def _returns(search: Search) -> np.ndarray:
-    """State vectors at the end of the last cycles, shape (N, state), wherever a body that nothing holds has come."""
-    returns, shifts = np.array(search.returns), search.lane.shifts
-    return returns - returns @ shifts.T @ shifts if len(shifts) else returns
+    """State vectors at the end of the last cycles, shape (N, state), of a body that slides on without its way."""
+    return without_way(np.array(search.returns), search.lane.shifts)
 
 
 def _held(search: Search, solver: Solver, *, may_shoot: bool) -> Search:
