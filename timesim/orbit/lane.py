@@ -198,7 +198,7 @@ class Recorded:
     @property
     def returns(self) -> np.ndarray:
         """Modal displacement, without the drift, and velocity at the end of each cycle, shape (cycles, 2 M)."""
-        steps = _seen_along(self.steps, self._rate)
+        steps = self._seen_along(self.steps, self._rate)
         last = np.searchsorted(steps.cycle, np.arange(self.cycles), side="right") - 1
         return np.concatenate([steps.end.q[last], steps.end.p[last]], axis=1)
 
@@ -251,6 +251,20 @@ class Recorded:
         """Velocity of the modes by which they drift, shape (M,)."""
         return self.drift[: self.start.here.point.q.size] / (PERIOD * self.cycles)
 
+    def _seen_along(self, steps: Step, rate: np.ndarray) -> Step:
+        """Steps as seen by one who moves along from the body's place; of these what they are inside is not kept.
+
+        ``rate``: velocity of the modes by which they drift, shape (M,); where it is zero they stay as they are.
+        """
+        if not rate.any():
+            return steps
+        shifts, since = self.start.shifts, PERIOD * steps.cycle + steps.time
+        place = (shifts.T @ (shifts @ self.start.vector))[: rate.size]
+        where = lambda s: (s.start.q, s.start.p, s.end.q, s.end.p, s.inside)  # noqa: E731
+        start, end = (y.q - place - np.outer(t, rate) for y, t in ((steps.start, since), (steps.end, since + steps.h)))
+        seen = (start, steps.start.p - rate, end, steps.end.p - rate, None)
+        return eqx.tree_at(where, steps, seen, is_leaf=lambda x: x is None)
+
     @property
     def _negligible(self) -> float:
         """Change that does not count beside the motion within the cycles; a body may have come far."""
@@ -269,7 +283,7 @@ class Recorded:
         """
         lane, multipliers = self.start, self.multipliers
         rtol, shape, rate = float(lane.control.rtol), lane.frame.shape, self._rate if period else 0 * self._rate
-        steps = _seen_along(short_steps(lane.system, self.steps, rtol), rate)
+        steps = self._seen_along(short_steps(lane.system, self.steps, rtol), rate)
         whole = steps if rate.any() else self.steps
         first = np.searchsorted(whole.cycle, np.arange(self.cycles))
         least, most = extremes(lane.system, whole, shape, first, rtol)
@@ -307,14 +321,3 @@ class Recorded:
         shares[lane.reduction.live] = share(steps.h, steps.state == state)
         shares[lane.reduction.apart] = float(state == SEPARATION)
         return shares
-
-
-def _seen_along(steps: Step, rate: np.ndarray) -> Step:
-    """Steps as seen by one who moves along at a velocity of the modes; of these what they are inside is not kept."""
-    if not rate.any():
-        return steps
-    since = PERIOD * steps.cycle + steps.time
-    where = lambda s: (s.start.q, s.start.p, s.end.q, s.end.p, s.inside)  # noqa: E731
-    start, end = (y.q - np.outer(t, rate) for y, t in ((steps.start, since), (steps.end, since + steps.h)))
-    seen = (start, steps.start.p - rate, end, steps.end.p - rate, None)
-    return eqx.tree_at(where, steps, seen, is_leaf=lambda x: x is None)
