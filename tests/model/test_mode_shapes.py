@@ -5,7 +5,8 @@ import pytest
 
 import timesim
 from timesim.fault import RuleError
-from timesim.model.matrices import Matrices, modal_structure
+from timesim.model.eigenmodes import modal_structure
+from timesim.model.matrices import Matrices
 from timesim.model.mode_shapes import ModeShapes
 from timesim.model.model import Structure
 from timesim.result.last_cycle import PeriodicMotion, periodic_motion

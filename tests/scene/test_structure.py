@@ -15,8 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from timesim.fault import RuleError, SceneError
-from timesim.model import matrices
-from timesim.model.matrices import Matrices, modal_structure
+from timesim.model import eigenmodes, matrices
+from timesim.model.eigenmodes import modal_structure
+from timesim.model.matrices import Matrices
 from timesim.scene import structure as structure_sections
 from timesim.scene.report import warnings_of
 from timesim.study.registry import load_scene
@@ -230,9 +231,9 @@ def test_matrix_market_and_sparse_npz(tmp_path: Path):
 
 def test_a_file_is_read_once_for_all_values_of_an_axis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """And its eigenproblem is solved once, where the values do not change it."""
-    read, solved = Mock(wraps=matrices.read_matrices), Mock(wraps=matrices._eigenmodes)
+    read, solved = Mock(wraps=matrices.read_matrices), Mock(wraps=eigenmodes._eigenmodes)
     monkeypatch.setattr(structure_sections, "read_matrices", read)
-    monkeypatch.setattr(matrices, "_eigenmodes", solved)
+    monkeypatch.setattr(eigenmodes, "_eigenmodes", solved)
     base = chain(3)
     np.savez(tmp_path / "a.npz", M=base.mass, K=base.stiffness)
     swept = {"kind": "sweep", "frequency": {"values": [0.1]}, "over": {"structure.damping_ratio": [0.01, 0.02, 0.03]}}

@@ -9,7 +9,8 @@ from pydantic import Field, Tag, model_validator
 
 from timesim.fault import RuleError
 from timesim.model import model
-from timesim.model.matrices import Matrices, modal_structure, read_matrices
+from timesim.model.eigenmodes import modal_structure
+from timesim.model.matrices import Matrices, read_matrices
 from timesim.result.label import counted
 from timesim.scene.section import AsList, AsMapping, AsNumber, AsText, Section, by_form, refuse
 from timesim.scene.value import (
