@@ -120,10 +120,11 @@ def _settled(balance: Balance, frequency: float) -> Guess:
     ((orbit,),) = steady_states([Chain(model, (frequency,))], SOLVER, SETTLED)
     if orbit.reason is not None:
         return f"time integration, which fails ({orbit.reason})", None
+    if orbit.drift.any():
+        return "time integration, whose body drifts, as nothing holds it", None
     kind = f"which does not settle in {SETTLED.max_cycles} cycles"
     if orbit.settled:
         kind = "which settles" if orbit.period == 1 else f"which repeats after {orbit.period} cycles"
-        kind = "whose body slides on" if orbit.drift.any() else kind
     try:
         modal = modal_coefficients(replace(model, start=orbit.end), frequency, SOLVER)
     except RunError as error:

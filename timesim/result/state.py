@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 
 STATE = ("modal_displacement", "modal_velocity", "slip", "contact_state")
 SHAPE, FRAME = "mode_shape", "contact_frame"
-GEOMETRY = {SHAPE: ("point", "axis", "mode"), FRAME: ("contact", "component", "axis")}
+DRIFT = "drift"
+GEOMETRY = {SHAPE: ("point", "axis", "mode"), FRAME: ("contact", "component", "axis"), DRIFT: ("point", "axis")}
 """What tells how coordinates and slips move the points, with its dimensions; results of earlier versions lack some."""
-POINT = ("amplitude", "drift", "settled", "period", "slip_share", "separation_share", "failure")
+POINT = ("amplitude", "settled", "period", "slip_share", "separation_share", "failure")
 LISTED = 12  # values, or points, that a message names
 SAME = 1e-9  # share of a value by which one that is asked for may differ from one on the axis
 ROUNDING = 4 * np.finfo(float).eps  # share of the largest value on an axis that may be left of a zero
@@ -109,7 +110,7 @@ def settled_points(states: SavedStates, asked: Mapping[str, float | str]) -> Ite
     """
     for place in product(*states.places(asked).values()):
         point = states.at(place)
-        if str(point["failure"]) or point["settled"] != 1 or point["period"] != 1 or point["drift"].any():
+        if str(point["failure"]) or point["settled"] != 1 or point["period"] != 1 or np.any(point.get(DRIFT, 0)):
             continue
         if switches(point["slip_share"], point["separation_share"]).any():
             yield float(states.axes["frequency"][place[-1]]), point

@@ -96,7 +96,7 @@ def _kind(here: Dataset) -> str:
         return f"does not repeat in {cycles}: quasi-periodic or irregular; {UNSETTLED_CYCLES} more are shown"
     if not period:
         return f"not settled after {cycles}; {UNSETTLED_CYCLES} more are shown"
-    apart = " but for its drift" if here["drift"].values.any() else ""
+    apart = " but for its drift" if "drift" in here and here["drift"].values.any() else ""
     return f"repeats {'every cycle' if period == 1 else f'after {period} cycles'}{apart}, settled after {cycles}"
 
 
