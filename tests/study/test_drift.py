@@ -197,3 +197,12 @@ def test_a_body_slides_on_along_a_frictionless_floor_as_fast_as_its_drag_allows(
     assert data["separation_share"].values.max() > 0.1
     speed = (data["drift"] * data["frequency"]).transpose("frequency", "axis").values
     np.testing.assert_allclose(speed, np.tile([*push / 0.3, 0], (2, 1)), rtol=1e-7, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_harmonic_balance_says_that_the_body_drifts():
+    scene = clutch(study={"kind": "compare", "frequency": {"values": [3.0, 4.0]}, "stability": False})
+    outcome = carry_out(load_scene(scene))
+    assert outcome.reason.endswith("time integration, whose body drifts, as nothing holds it")
+    (line,) = [line for line in outcome.summary if "which the balance cannot show" in line]
+    assert line == "at 2 points the body drifts, as nothing holds it, which the balance cannot show: 3 to 4 Hz"
