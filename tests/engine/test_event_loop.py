@@ -33,6 +33,7 @@ from timesim.engine.trajectory import Frame, Phase, Run
 from timesim.model.contact_state import contact_loads
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.solver import PRESETS, Solver
+from timesim.result.netcdf import save
 from timesim.study.execution.campaign import Execution
 from timesim.study.registry import load_scene
 from timesim.study.transient import final_variables, study
@@ -512,6 +513,26 @@ def test_interrupt_keeps_what_there_is() -> None:
     count = result.sizes["event"]
     np.testing.assert_array_equal(result["event_time"], whole["event_time"][:count])
     assert np.all(np.isfinite(result["displacement"]))
+
+
+def test_a_run_that_was_interrupted_goes_on_from_where_it_stopped(tmp_path: Path) -> None:
+    scene = load_scene(CONFIGS / "oscillator.yaml", {"solver.accuracy": "reference"})
+
+    def impatient(done: float, total: float, phase: str) -> None:
+        raise KeyboardInterrupt
+
+    outcome = study(scene, Execution(progress=impatient))
+    first, whole = outcome.groups[""], timesim.run(scene)
+    save(outcome.groups, tmp_path / "result.nc")
+    rest = load_scene(CONFIGS / "oscillator.yaml", {"solver.accuracy": "reference", "initial": {"from": str(tmp_path)}})
+    assert rest.model().notes == (
+        f"initial.from: the run of the result is incomplete ({outcome.reason}): this one starts where it stopped",
+    )
+    # It has stopped within a cycle: its phase there is that of the start.
+    assert 1 < first["final_phase_deg"] < 359
+    stopped = (first.sizes["cycle"] + float(first["final_phase_deg"]) / 360) / 1.39
+    again, before = timesim.run(rest)["event_time"][:100] + stopped, first.sizes["event"]
+    np.testing.assert_allclose(again, whole["event_time"][before : before + 100], rtol=1e-6)
 
 
 def test_a_failed_run_keeps_what_there_is() -> None:

@@ -604,7 +604,6 @@ def test_start_from_a_result_of_other_parameters(tmp_path: Path, contact: Any, v
 @pytest.mark.parametrize(
     ("changes", "rule"),
     [
-        ({"complete": 0}, "not finished"),
         ({"names": ["d"]}, "has other contacts: d"),
         ({"values": {"final_slip": (("contact", "tangent"), [[0.5, 0.0]])}}, "outside its friction cone"),
         ({"values": {"final_modal_velocity": ("mode", [np.nan, 0])}}, "not finite"),
@@ -625,12 +624,6 @@ def test_result_that_no_start_is(tmp_path: Path, changes: Any, rule: str):
     ((key, refusal),) = problems(one_mass(contact={"preload": 2}, initial={"from": str(path)}))
     assert key == "initial.from"
     assert rule in refusal
-
-
-def test_a_start_from_a_run_that_was_cut_off_does_not_ask_to_resume_it(tmp_path: Path):
-    path = write_result(tmp_path / "result.nc", complete=0)
-    with pytest.raises(SceneError, match=r"not finished \(complete = 0\) \(one run is not resumed: run it again"):
-        load_scene(one_mass(contact={"preload": 2}, initial={"from": str(path)}))
 
 
 def test_files_that_no_result_are(tmp_path: Path):

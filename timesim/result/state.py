@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from math import prod
 from pathlib import Path
@@ -43,6 +43,7 @@ class SavedStates:
         axes: the values along these axes; empty for a single run.
         phase: of the excitation, the same in all these states [rad].
         points: of the structure, at which the shapes of the modes are known.
+        reason: why the run ended early, empty if it did not.
     """
 
     contacts: tuple[str, ...]
@@ -50,6 +51,7 @@ class SavedStates:
     axes: Mapping[str, np.ndarray]
     phase: float
     points: tuple[str, ...] = ()
+    reason: str = ""
 
     def at(self, place: tuple[int, ...]) -> dict[str, np.ndarray]:
         """The arrays of one of the states."""
@@ -164,7 +166,7 @@ def saved_states(path: Path) -> SavedStates:
     """The states of a result, by its file or the folder of the run; where it has groups, those of its sweep.
 
     Raises:
-        RuleError: no such file, a run that was not finished, or a result without states.
+        RuleError: no such file, or a result without states.
     """
     path = result_file(path)
     if not os.path.isfile(path):
@@ -174,14 +176,11 @@ def saved_states(path: Path) -> SavedStates:
     try:
         groups = xarray.open_groups(path, engine="h5netcdf")
         with groups["/"] as root, groups.get("/sweep", root) as data:
-            states, complete = states_in(data), int(root.attrs.get("complete", 1))
+            states = replace(states_in(data), reason=str(root.attrs.get("reason", "")))
     except RuleError:
         raise
     except Exception as error:  # a damaged file raises whatever HDF5 makes of it
         raise RuleError((), f"cannot be read as NetCDF-4 ({' '.join(str(error).split())[:120]})") from None
-    if not complete and not states.axes:
-        hint = "one run is not resumed: run it again to its end, or with fewer cycles"
-        raise RuleError((), "is the result of a run that was not finished (complete = 0)", hint)
     return states
 
 
@@ -203,9 +202,11 @@ def _shapes_of(states: SavedStates, chosen: Mapping[str, np.ndarray]) -> ModeSha
 
 def start_notes(physics: Model, states: SavedStates, chosen: Mapping[str, np.ndarray]) -> tuple[str, ...]:
     """What there is to say of a start that `start_of` gives."""
-    shapes = _shapes_of(states, chosen)
+    notes, shapes = [], _shapes_of(states, chosen)
+    if states.reason and not states.axes:
+        notes.append(f"the run of the result is incomplete ({states.reason}): this one starts where it stopped")
     if shapes is None:
-        return ("the result does not hold the shapes of its modes, which are taken for those of the scene",)
-    if shapes.change(physics.structure) is None:
-        return ()
-    return ("the result has other modes than the scene: the motion of its points is carried over",)
+        notes.append("the result does not hold the shapes of its modes, which are taken for those of the scene")
+    elif shapes.change(physics.structure) is not None:
+        notes.append("the result has other modes than the scene: the motion of its points is carried over")
+    return tuple(notes)
