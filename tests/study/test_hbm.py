@@ -352,7 +352,8 @@ def test_along_a_scalar():
 
 def test_a_curve_along_a_scalar_that_turns_back_says_so():
     given = scene(frequency=0.947, along={"contacts.pad.preload": {"from": -4, "to": 3}})
-    with pytest.warns(RuntimeWarning, match="turned back and left the range"):
+    said = r"continuation at contacts\.pad\.preload = -4, after \d+ points: the curve turned back and left the range"
+    with pytest.warns(RuntimeWarning, match=said):
         found = timesim.run(given)
     assert found.attrs["complete"] == 0
     assert found.fold.values.sum() == 1
@@ -384,7 +385,7 @@ def test_a_curve_without_a_start_is_reported_and_the_others_stay(marches: bool, 
     with np.errstate(all="ignore"):
         outcome = carry_out(load_scene(free))
     assert outcome.reason is not None
-    assert "structure.modes.0.damping_ratio 0: continuation at 1" in outcome.reason
+    assert "structure.modes.0.damping_ratio 0: continuation at 1 Hz" in outcome.reason
     assert "no solution at the start; tried: the linear response" in outcome.reason
     assert "up to 0% of it, time integration, which does not settle" in outcome.reason
     assert "the motion grows without bound" in outcome.reason
@@ -406,7 +407,7 @@ def test_a_curve_that_is_whole_from_the_other_end_alone_says_why(monkeypatch: py
     assert outcome.reason is None
     assert outcome.groups[""].frequency.values[[0, -1]].tolist() == [1.0, 0.9]
     (said,) = [line for line in outcome.summary if "other end" in line]
-    assert said.startswith("continuation at 0.9, after")
+    assert said.startswith("continuation at 0.9 Hz, after")
     assert said.endswith(
         "from the first one: continuation at 0.9, after 0 points: no solution at the start; tried: nothing"
     )
@@ -429,7 +430,7 @@ def test_points_of_a_sweep_begin_curves_where_the_first_has_no_solution(tmp_path
     with np.errstate(all="ignore"):
         outcome = carry_out(load_scene(base | {"study": study}))
     assert outcome.reason is not None
-    assert "structure.modes.0.damping_ratio 0: continuation at 1, after 0 points: no solution" in outcome.reason
+    assert "structure.modes.0.damping_ratio 0: continuation at 1 Hz, after 0 points: no solution" in outcome.reason
     found = outcome.groups[""]
     assert set(found["structure.modes.0.damping_ratio"].values) == {0.0, 0.01}
     assert any("damping_ratio 0: a curve of its own" in line for line in outcome.summary)

@@ -70,6 +70,7 @@ class Controls:
         tolerance: norm of the residual at a solution, relative to the size of x.
         max_newton: iterations for one point.
         turn: turn of the tangent over a step at which the step is neither lengthened nor shortened [rad].
+        place: a value of p in messages.
         watch: called after each point with the share of the range that the curve has reached, and what gives it so far.
     """
 
@@ -81,6 +82,7 @@ class Controls:
     tolerance: float = 1e-9
     max_newton: int = 8
     turn: float = 0.3
+    place: str = "{:.10g}"
     watch: Callable[[float, Callable[[], Any]], None] | None = None
 
     def __post_init__(self) -> None:

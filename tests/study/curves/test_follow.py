@@ -102,7 +102,7 @@ def test_an_interrupt_keeps_what_is_followed(here: Any, tmp_path: Path, at_once:
     with Interrupted(2) as own:
         data, _, reason = followed(SCENE, SCENE.plan, Execution(folder=tmp_path, processes=own))
     assert reason is not None
-    assert re.fullmatch(r"contacts\.pad\.preload -2: continuation at \S+, after \d+ points: interrupted", reason)
+    assert re.fullmatch(r"contacts\.pad\.preload -2: continuation at \S+ Hz, after \d+ points?: interrupted", reason)
     assert at_once == [0]
     assert chunks_done(tmp_path) == 2
     preload, whole = data["contacts.pad.preload"].values, here[0]["contacts.pad.preload"].values
@@ -330,7 +330,7 @@ def test_an_interrupt_keeps_what_there_is_from_both_ends(
     assert np.all(np.isfinite(there.amplitude.values[..., 0]))
     assert reason is not None
     assert [part.split(", after")[0] for part in reason.split("; ")] == [
-        f"continuation at {own.frequency.values[-1]:.10g}" for own in (here, there)
+        f"continuation at {own.frequency.values[-1]:.10g} Hz" for own in (here, there)
     ]
     assert "from the other end of the range: interrupted" in reason
     assert reason.count("before the multipliers") == (2 if stability else 0)

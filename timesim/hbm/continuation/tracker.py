@@ -145,8 +145,9 @@ class _PathTracker:
     def _curve(self, ending: Ending) -> Curve:
         cause = f" ({self.cause})" if self.cause and ending in (Ending.START, Ending.STEP) else ""
         solutions = self.trace.solutions[: self.controls.max_points]
-        place, count = solutions[-1][1] if solutions else self.start, len(solutions)
-        message = f"continuation at {place:.10g}, after {count} points: {ending.value}{cause}"
+        place = self.controls.place.format(solutions[-1][1] if solutions else self.start)
+        points = f"{len(solutions)} point{'s' * (len(solutions) != 1)}"
+        message = f"continuation at {place}, after {points}: {ending.value}{cause}"
         return Curve.of(solutions, self.guess.size, ending, message, self.other.joined)
 
     def _keep(self, point: CurvePoint, moved: float = 0.0) -> None:

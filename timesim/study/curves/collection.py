@@ -242,7 +242,8 @@ class Curves:
         return None
 
     def _options(self, watch: Watch) -> dict[str, Any]:
-        steps, stable = Controls(**self.plan.steps), self.plan.stability
+        along, stable = self.plan.along, self.plan.stability
+        steps = Controls(**self.plan.steps, place="{:.10g} Hz" if along is None else f"{along.key} = {{:.10g}}")
         return {"scheme": self.schemes, "controls": steps, "stability": stable, "watch": watch}
 
     def to_refine(self) -> list[Known]:
