@@ -73,7 +73,7 @@ def run(
         execution = Execution(folder=output, resume=resume, cluster=cluster, notice=_notice)
         check_execution(loaded.kind, execution)
         if checkpoint.is_finished(output, loaded.resolved_yaml(), force=force, resume=resume):
-            print(f"the result in {output} is complete: there is nothing to resume")
+            print(f"the result in {output} is complete: there is nothing to resume; timesim plot {output} draws it")
             return
         check_folder(output, overwrite=force or resume)
         with _Signals() as signals, locked_folder(output):

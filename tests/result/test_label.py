@@ -178,6 +178,11 @@ def test_a_number_has_the_unit_that_the_scene_names():
     assert with_unit("2", attributes("effective_stiffness", {"length": "mm", "force": "kgforce"})) == "2 kgforce/mm"
 
 
+def test_energy_and_power_in_newtons_and_metres_are_in_joules_and_watts():
+    for named, units in (({"length": "m", "force": "N"}, ("J", "W")), ({"length": "mm"}, ("force*mm", "force*mm/s"))):
+        assert tuple(attributes(name, named)["units"] for name in ("dissipation", "dissipated_power")) == units
+
+
 def test_one_of_a_thing_is_not_several():
     assert counted(1, "point") == "1 point"
     assert counted(0, "frequency", "frequencies") == "0 frequencies"

@@ -2,6 +2,7 @@
 
 import json
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -132,8 +133,10 @@ def test_damping_that_does_nothing_to_the_rigid_modes_kept_has_no_negative_eigen
     matrices = Matrices(np.diag(masses), 10 * links, 0.1 * links)
     found = modal_structure(matrices, points={"a": {"x": 0}}, keep_modes=num - 1)
     assert np.abs(found.damping).max() < 1e-15
-    with pytest.raises(RuleError, match="no negative eigenvalue"):
-        modal_structure(Matrices(matrices.mass, matrices.stiffness, -matrices.damping), points={})
+    for wrong in ({"stiffness": -matrices.stiffness}, {"damping": -matrices.damping}):
+        with pytest.raises(RuleError, match="no negative eigenvalue") as raised:
+            modal_structure(replace(matrices, **wrong), points={})
+        assert "look for a wrong sign; the lowest" in raised.value.hint
 
 
 def test_free_body_has_frequency_zero():

@@ -122,8 +122,7 @@ def _eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.ndarray, 
         squared, modes = _sparse_eigenmodes(mass, stiffness, num_modes)
     largest, smallest = np.abs(squared).max(), squared.min()
     if smallest < -NEGATIVE * largest:
-        hint = f"its lowest eigenvalue is omega^2 = {smallest:.6g}"
-        raise RuleError(("stiffness",), "the stiffness matrix must have no negative eigenvalue", hint)
+        raise _indefinite_stiffness(f"; the lowest is omega^2 = {smallest:.6g}")
     # The mode of a body without any spring makes next to nothing of the matrix, which then bounds nothing.
     rounding = np.maximum(np.diag(_rounding(stiffness, modes)), np.finfo(float).eps ** 2 * largest)
     return np.where(np.logical_and.accumulate(squared <= rounding), 0.0, squared), modes[:, :num_modes]
@@ -143,9 +142,10 @@ def _dense_eigenmodes(mass: np.ndarray, stiffness: np.ndarray) -> tuple[np.ndarr
         raise _indefinite_mass(mass) from None
     if scipy.linalg.eigvalsh(mass / _outer_root(np.diag(mass)))[0] < 1e-13:
         raise _indefinite_mass(mass)
-    low = squared < SOFT * squared[-1]
+    largest = np.abs(squared).max()
+    low = squared < SOFT * largest
     if low.any():
-        squared[low], modes[:, low] = _soft_modes(mass, stiffness, modes[:, low], SHIFT * squared[-1])
+        squared[low], modes[:, low] = _soft_modes(mass, stiffness, modes[:, low], SHIFT * largest)
     return squared, modes
 
 
@@ -172,6 +172,11 @@ def _indefinite_mass(mass: Any) -> RuleError:
     return RuleError(("mass",), "the mass matrix must be positive definite", hint)
 
 
+def _indefinite_stiffness(found: str = "") -> RuleError:
+    hint = f"a spring k adds k to two entries of the diagonal and -k between them: look for a wrong sign{found}"
+    return RuleError(("stiffness",), "the stiffness matrix must have no negative eigenvalue", hint)
+
+
 def _sparse_eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.ndarray, np.ndarray]:
     """Lanczos about a shift just below zero; Sylvester's law of inertia says that no mode is left out."""
     import scipy.sparse as sparse
@@ -183,7 +188,7 @@ def _sparse_eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.nd
     scale = float(np.max(np.abs(stiffness.diagonal()) / mass.diagonal()))
     shift = -NEGATIVE * scale
     if _num_negative(stiffness - shift * mass):
-        raise RuleError(("stiffness",), "the stiffness matrix must have no negative eigenvalue")
+        raise _indefinite_stiffness()
     size = min(mass.shape[0] - 1, num_modes + 1)
     squared, modes = eigsh(stiffness, size, mass, sigma=shift, v0=np.ones(mass.shape[0]), tol=0)
     order = np.argsort(squared)
@@ -215,7 +220,7 @@ def _modal_damping(damping: Any, modes: np.ndarray) -> np.ndarray:
     values = np.linalg.eigvalsh(modal)
     if values[0] < -max(NEGATIVE * values[-1], _rounding(damping, modes).max()):
         rule = "the damping matrix must have no negative eigenvalue"
-        raise RuleError(("damping",), rule, f"in the modes kept: {values[0]:.6g}")
+        raise RuleError(("damping",), rule, f"look for a wrong sign; the lowest in the modes kept is {values[0]:.6g}")
     diagonal = np.clip(np.diag(modal), 0, None)
     coupling = np.abs(modal - np.diag(np.diag(modal)))
     return diagonal if np.all(coupling <= _rounding(damping, modes) + 1e-10 * _outer_root(diagonal)) else modal

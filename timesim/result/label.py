@@ -245,7 +245,9 @@ FLAGS = {
 
 
 BASE = ("length", "force")
-"""Quantities whose units a scene may name; the other units follow from them, such as ``N*m/s`` of power."""
+"""Quantities whose units a scene may name; the other units follow from them, such as ``N*mm/s`` of power."""
+SI = {"N*m": "J", "N*m/s": "W"}
+"""Names of such units of their own."""
 
 
 def is_scalar_key(name: str) -> bool:
@@ -270,7 +272,8 @@ def attributes(name: str, named: Mapping[str, str] | None = None) -> dict[str, A
         return {}
     attrs: dict[str, Any] = {"long_name": long_name}
     if units is not None:
-        attrs["units"] = re.sub("length|force", lambda quantity: (named or {}).get(quantity[0], quantity[0]), units)
+        units = re.sub("length|force", lambda quantity: (named or {}).get(quantity[0], quantity[0]), units)
+        attrs["units"] = SI.get(units, units)
     flags = dict(enumerate(STATE_NAMES)) if long_name.startswith("contact state") else FLAGS.get(name, {})
     values = {"flag_values": np.array(list(flags), dtype=np.int8), "flag_meanings": " ".join(flags.values())}
     return attrs | (values if flags else {})

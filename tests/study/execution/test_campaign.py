@@ -586,7 +586,7 @@ def test_a_whole_run_leaves_no_checkpoint(faulty: list[Any], tmp_path: Path):
     before = (tmp_path / "result.nc").read_bytes()
     status, out, _ = call(tmp_path, "--resume")
     assert status == 0
-    assert "complete: there is nothing to resume" in out
+    assert f"complete: there is nothing to resume; timesim plot {tmp_path} draws it" in out
     status, _, error = call(tmp_path, "--resume", scene=TOY_SWEEP.replace("1.5", "1.6"))
     assert status == 2
     assert "study.frequency.to was 1.5, is 1.6" in error
