@@ -12,8 +12,10 @@ import re
 import sys
 import tempfile
 import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, dataclass_transform
 
 import numpy as np
 
@@ -38,6 +40,34 @@ if TYPE_CHECKING:
 else:
     # What the host gives to a compiled function: made by numpy it costs no call of JAX.
     Leaf = jax.Array | np.ndarray
+
+T = TypeVar("T")
+
+
+@dataclass_transform(frozen_default=True, eq_default=False)
+def tree_class(cls: type[T]) -> type[T]:
+    """A frozen dataclass that JAX takes apart into its fields, those whose metadata say `static` aside.
+
+    For what the host handles too: each attribute of an `equinox.Module` is looked up in Python, and to take one apart
+    looks up all, which was a tenth of the time of a sweep.
+    """
+    own = dataclass(frozen=True, eq=False)(cls)
+    parts = {part.name: bool(part.metadata.get("static")) for part in fields(own)}  # type: ignore[arg-type]
+    names, static = ([name for name, aside in parts.items() if aside is kept] for kept in (False, True))
+
+    def flatten(tree: Any) -> tuple[list, tuple]:
+        return [getattr(tree, name) for name in names], tuple(getattr(tree, name) for name in static)
+
+    def unflatten(aside: tuple, leaves: Iterable) -> T:
+        # Not by the constructor: JAX also puts together trees of what are no arrays.
+        tree = object.__new__(own)
+        tree.__dict__.update(zip(names, leaves, strict=True))
+        tree.__dict__.update(zip(static, aside, strict=True))
+        return tree
+
+    jax.tree_util.register_pytree_node(own, flatten, unflatten)
+    return own
+
 
 _SETTINGS: Any = jax.config
 _IDENTITY = {"vendor_id", "cpu family", "model", "model name", "flags"}

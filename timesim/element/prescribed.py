@@ -17,7 +17,7 @@ guards, step control and law are those of every simulation. Lengths are in units
 relative to one.
 """
 
-from timesim.runtime import Leaf  # isort: skip
+from timesim.runtime import Leaf, tree_class  # isort: skip
 
 import abc
 from dataclasses import dataclass
@@ -90,6 +90,7 @@ class SplineDrive(Drive):
         return tuple(value), tuple(rate), tuple(second)
 
 
+@tree_class
 class CycleState(ContinuousState):
     """Continuous state of a contact under prescribed motion, from the start of a cycle on.
 
@@ -115,6 +116,7 @@ class CycleState(ContinuousState):
         return jnp.isfinite(self.w[0]).all() & jnp.isfinite(self.w[1]).all() & jnp.isfinite(self.work).all()
 
 
+@tree_class
 class PrescribedContacts(Dynamics):
     """Contacts whose relative motion is given: their law, and what drives them."""
 

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float
 
 from timesim.engine import dense_output as hermite
 from timesim.engine.barrier import apart, matmul
-from timesim.engine.law.contact_law import ContinuousState, Dynamics, Motion, Nodes, Path, Plane, State
+from timesim.engine.law.contact_law import AnyState, Dynamics, Motion, Nodes, Path, Plane, State
 from timesim.engine.law.rule import Rule
 from timesim.engine.tolerance import AGREEMENT, SHORT, SHORTEST, TOGETHER, VIOLATED
 
@@ -58,8 +58,8 @@ class Segment(eqx.Module):
 def segment(
     dynamics: Dynamics,
     state: State,
-    points: tuple[ContinuousState, ContinuousState],
-    rates: tuple[ContinuousState, ContinuousState],
+    points: tuple[AnyState, AnyState],
+    rates: tuple[AnyState, AnyState],
     h: Float[Array, ""],
 ) -> Segment:
     """The contacts' view of a step, from the states and rates at its ends."""
@@ -83,8 +83,8 @@ def segment(
 def segment_of_nodes(
     dynamics: Dynamics,
     state: State,
-    points: tuple[ContinuousState, ContinuousState],
-    rates: tuple[ContinuousState, ContinuousState],
+    points: tuple[AnyState, AnyState],
+    rates: tuple[AnyState, AnyState],
     h: Float[Array, ""],
     nodes: Nodes,
     rule: Rule,
@@ -198,8 +198,8 @@ class End(NamedTuple):
     """
 
     h: Float[Array, ""]
-    point: ContinuousState
-    rate: ContinuousState
+    point: AnyState
+    rate: AnyState
     margin: Margins
     slope: Margins
 
@@ -207,7 +207,7 @@ class End(NamedTuple):
 def end_on_guard(
     dynamics: Dynamics,
     state: State,
-    at: Callable[[Array], tuple[ContinuousState, ContinuousState]],
+    at: Callable[[Array], tuple[AnyState, AnyState]],
     whole: End,
     cut: tuple[Array, Array, Array],
     off: Float[Array, ""],

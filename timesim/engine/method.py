@@ -16,6 +16,7 @@ import timesim.runtime  # noqa: F401  isort: skip
 
 import abc
 import functools
+from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
@@ -261,7 +262,7 @@ class Exponential(Method):
         if dynamics.ladder is not None:
             return dynamics
         ladder = Ladder.of(dynamics, rule_of(self.num_nodes), longest)
-        return eqx.tree_at(lambda system: system.ladder, dynamics, ladder, is_leaf=lambda x: x is None)
+        return replace(dynamics, ladder=ladder)
 
     def length(self, dynamics: Any, wanted: Array, limit: Array, remaining: Array) -> Array:
         # What is not needed of a step is cut off.

@@ -1,8 +1,7 @@
 """The control of the step length, from a solver's numbers."""
 
-from timesim.runtime import Leaf  # isort: skip
+from timesim.runtime import Leaf, tree_class  # isort: skip
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -13,7 +12,8 @@ from timesim.engine.tolerance import LANDING, NO_TIME
 from timesim.model.solver import Solver
 
 
-class Control(eqx.Module):
+@tree_class
+class Control:
     """Tolerances of the step size, relative to the largest coordinate and to the scene's scale.
 
     Attributes:
@@ -47,12 +47,9 @@ def step_control(solver: Solver, stiffest: float) -> Control:
         stiffest: fastest rate of the stuck structure, in units of the excitation's frequency.
     """
     stiffest = max(stiffest, 1.0)
-    return Control(
-        *(np.asarray(value, dtype=float) for value in (solver.rtol, solver.atol, solver.longest)),
-        opening=np.asarray(solver.first_step(stiffest), dtype=float),
-        budget=np.asarray(solver.budget),
-        stiffest=np.asarray(stiffest, dtype=float),
-    )
+    rtol, atol, longest = (np.asarray(value, dtype=float) for value in (solver.rtol, solver.atol, solver.longest))
+    opening, fastest = (np.asarray(value, dtype=float) for value in (solver.first_step(stiffest), stiffest))
+    return Control(rtol, atol, longest, opening, np.asarray(solver.budget), fastest)
 
 
 @apart

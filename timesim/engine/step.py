@@ -7,12 +7,12 @@ guard is removed by one Newton correction of the time, which also makes the deri
 pass through the transition exactly.
 """
 
-from timesim.runtime import Leaf  # isort: skip
+from timesim.runtime import Leaf, tree_class  # isort: skip
 
+from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 from timesim.engine import guard
 from timesim.engine.barrier import apart
 from timesim.engine.exponential.collocation import Inside, state_inside
-from timesim.engine.law.contact_law import ContinuousState, Dynamics, State
+from timesim.engine.law.contact_law import AnyState, Dynamics, State
 from timesim.engine.law.rule import rule_of
 from timesim.engine.method import Method
 from timesim.engine.solver import Control, error_size, next_length
@@ -34,7 +34,8 @@ UNSOLVED = 10.0  # error over its tolerance of a step whose equations are not so
 MOST_REPEATS = 100  # transitions in a row with no time between them: more are an accumulation
 
 
-class Trajectory(eqx.Module):
+@tree_class
+class Trajectory:
     """Everything that a trajectory goes on from.
 
     Attributes:
@@ -54,8 +55,8 @@ class Trajectory(eqx.Module):
 
     cycle: Int[Leaf, ""]
     time: Float[Leaf, ""]
-    point: ContinuousState
-    rate: ContinuousState
+    point: AnyState
+    rate: AnyState
     state: State
     length: Float[Leaf, ""]
     limit: Float[Leaf, ""]
@@ -67,22 +68,23 @@ class Trajectory(eqx.Module):
     culprit: Int[Leaf, ""]
 
 
-class Step(eqx.Module):
+@tree_class
+class Step:
     """One accepted step, for dense output and the log of transitions; ``state_after`` differs at a transition."""
 
     cycle: Int[Leaf, ""]
     time: Float[Leaf, ""]
     h: Float[Leaf, ""]
-    start: ContinuousState
-    start_rate: ContinuousState
-    end: ContinuousState
-    end_rate: ContinuousState
+    start: AnyState
+    start_rate: AnyState
+    end: AnyState
+    end_rate: AnyState
     state: State
     state_after: State
     inside: Inside | None = None
 
 
-def begin(dynamics: Dynamics, point: ContinuousState, state: State, length: Float[Array, ""]) -> Trajectory:
+def begin(dynamics: Dynamics, point: AnyState, state: State, length: Float[Array, ""]) -> Trajectory:
     """A trajectory at the start of a cycle."""
     zero, none = jnp.zeros(()), jnp.zeros((), dtype=jnp.int64)
     rate = dynamics.field(state, zero, point)
@@ -110,7 +112,7 @@ def try_step(
     length = next_length(control, method.order, (now.length, now.last_error), trial.error, asked, trial.precise)
     limit = limit_of_next(trial, landing, h)
     moved = advanced(dynamics, now, after, state, span, last & ~landing.early, landing.crossed)
-    kept = eqx.tree_at(lambda t: t.limit, now, jnp.where(landing.accepted, jnp.inf, limit))
+    kept = replace(now, limit=jnp.where(landing.accepted, jnp.inf, limit))
     result = jax.tree.map(lambda new, old: jnp.where(landing.accepted, new, old), moved, kept)
     result = controlled(control, now, result, trial.error, length, landing.accepted)
     return judged(control, result), step, landing.accepted
@@ -170,12 +172,12 @@ def integrated(
     return cut(control, dynamics, now, trial, reach)
 
 
-def cut(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, reach: Float[Array, ""]) -> Trial:
+def cut(control: Control, dynamics: Any, now: Trajectory, trial: Trial, reach: Float[Array, ""]) -> Trial:
     """The step up to where it is needed, or to the first transition."""
     inside, part = trial.inside, trial.part
     assert inside is not None
 
-    def at(span: Array) -> tuple[ContinuousState, ContinuousState]:
+    def at(span: Array) -> tuple[AnyState, AnyState]:
         point = state_inside(dynamics, (now.state, now.time, now.point), inside, span / part.h)
         return point, dynamics.field(now.state, now.time + span, point)
 
@@ -240,8 +242,8 @@ def limit_of_next(trial: Trial, landing: Landing, h: Array) -> Float[Array, ""]:
 
 @apart
 def transition(
-    dynamics: Dynamics, state: State, crossed: Bool[Array, " contact"], end: ContinuousState
-) -> tuple[ContinuousState, State]:
+    dynamics: Dynamics, state: State, crossed: Bool[Array, " contact"], end: AnyState
+) -> tuple[AnyState, State]:
     """Point and states at the end of a step, after the transitions of the contacts that have crossed a guard.
 
     Of a contact that slips on, w is put back on the cone: its drift, small as it is, would grow beyond the friction
@@ -250,12 +252,12 @@ def transition(
     law, moves = dynamics.law, dynamics.motion(end)
     after = jnp.where(crossed, law.successor(state, moves), state)
     w = law.slip_at_transition(state, after, moves, end.w)
-    return eqx.tree_at(lambda point: point.w, end, w), after
+    return replace(end, w=w), after
 
 
 @apart
 def advanced(
-    dynamics: Dynamics, now: Trajectory, point: ContinuousState, state: State, h: Array, ends: Array, crossed: Array
+    dynamics: Dynamics, now: Trajectory, point: AnyState, state: State, h: Array, ends: Array, crossed: Array
 ) -> Trajectory:
     """The trajectory after an accepted step."""
     time = now.time + h
@@ -296,8 +298,7 @@ def controlled(
     length = jnp.where(closed, jnp.minimum(length, control.opening), length)
     length = jnp.where(ended, control.opening, length)
     last_error = jnp.where(ended, 1.0, jnp.where(accepted, jnp.maximum(error, 1e-4), now.last_error))
-    where = lambda t: (t.length, t.last_error, t.tried)  # noqa: E731
-    return eqx.tree_at(where, new, (length, last_error, tried))
+    return replace(new, length=length, last_error=last_error, tried=tried)
 
 
 @apart
@@ -308,4 +309,4 @@ def judged(control: Control, now: Trajectory) -> Trajectory:
     status = jnp.where(now.length < SHORTEST, Status.TOO_SHORT, status)
     status = jnp.where(now.repeats > MOST_REPEATS, Status.ZENO, status)
     status = jnp.where(finite, status, Status.NOT_FINITE)
-    return eqx.tree_at(lambda t: t.status, now, status)
+    return replace(now, status=status)

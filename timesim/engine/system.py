@@ -8,12 +8,12 @@ where ``g = (-f, -(n - max(n0, 0)))`` is the force on body 1 in the axes of the 
 by the structure at rest, so only its change acts.
 """
 
-from timesim.runtime import Leaf  # isort: skip
+from timesim.runtime import Leaf, tree_class  # isort: skip
 
+import dataclasses
 from dataclasses import replace
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -37,7 +37,8 @@ from timesim.model.reduction import COUPLED, Reduction, reduction_of
 from timesim.model.scales import Scales, scales_of
 
 
-class Work(eqx.Module):
+@tree_class
+class Work:
     """Energy put in by the excitation, lost in modal damping, and lost in each contact."""
 
     input: Float[Leaf, ""]
@@ -49,6 +50,7 @@ class Work(eqx.Module):
         return cls(np.zeros(()), np.zeros(()), np.zeros(contacts))
 
 
+@tree_class
 class Point(ContinuousState):
     """Continuous state of a `System`.
 
@@ -83,6 +85,7 @@ IDLE_DAMPING = 2.0
 """Damping of modes that are not those of the model, whose stiffness is 1: critical."""
 
 
+@tree_class
 class System(Dynamics):
     """A model at one frequency, dimensionless. Leaves only: what changes between runs needs no new compilation.
 
@@ -112,7 +115,7 @@ class System(Dynamics):
     constant: Float[Leaf, " mode"]
     phase: Float[Leaf, ""]
     ladder: Any = None
-    by_itself: bool = eqx.field(static=True, default=False)
+    by_itself: bool = dataclasses.field(default=False, metadata={"static": True})
 
     def single(self) -> "System":
         return replace(self, by_itself=True)

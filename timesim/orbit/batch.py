@@ -10,9 +10,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain, pairwise
-from typing import Any
+from typing import Any, TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -37,6 +36,10 @@ PIECE = 32  # most steps whose derivative is one piece of work: 16 of them take 
 
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 """Does the same work on each of several batches, in their order, as `map` does; threads may share them."""
+
+ENDS = ("start", "start_rate", "end", "end_rate")
+"""Entries of a step that are points."""
+T = TypeVar("T", Trajectory, Step)
 
 Problem = tuple[Control, System, Any]
 """Of one trajectory or of a batch: control, system, and where it goes on from."""
@@ -135,12 +138,12 @@ def _recorded(own: tuple[Lane, int], solver: Solver, most: int | None) -> tuple[
     now, steps = _on_host(now), jax.tree.map(lambda *rows: np.concatenate(rows), *parts)
     if now.point.work is None:
         return now, steps, energy_lost(steps)
-    return *eqx.tree_at(_works, (now, steps), replace_fn=lambda _: None), now.point.work.friction
+    return _without_work(now, "point", "rate"), _without_work(steps, *ENDS), now.point.work.friction
 
 
-def _works(recorded: tuple[Trajectory, Step]) -> list[Work]:
-    now, steps = recorded
-    return [y.work for y in (now.point, now.rate, steps.start, steps.start_rate, steps.end, steps.end_rate)]
+def _without_work(tree: T, *names: str) -> T:
+    """A tree some of whose entries are points, without the energies of these."""
+    return replace(tree, **{name: replace(getattr(tree, name), work=None) for name in names})
 
 
 def _slopes(lanes: Sequence[Lane], method: Method, steps: Sequence[Step], each: Each) -> list[np.ndarray]:

@@ -3,9 +3,9 @@
 import timesim.runtime  # noqa: F401  isort: skip
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
-import equinox as eqx
 import jax
 import numpy as np
 from scipy.linalg import null_space, orth
@@ -77,39 +77,38 @@ class Lane:
     def within(self, rtol: float) -> Self:
         """The lane with another tolerance of a step."""
         control, share = self.control, rtol / float(self.control.rtol)
-        finer = eqx.tree_at(lambda c: (c.rtol, c.atol), control, (control.rtol * share, control.atol * share))
-        return replace(self, control=finer)
+        return replace(self, control=replace(control, rtol=control.rtol * share, atol=control.atol * share))
 
     @property
     def shapes(self) -> tuple[tuple[int, ...], ...]:
         """Shapes of the arrays given to the loop; all lanes of a batch have the same."""
         return tuple(np.shape(leaf) for leaf in jax.tree.leaves((self.control, self.system)))
 
-    @property
+    @cached_property
     def apart(self) -> np.ndarray:
         """Entries of the state vector that belong to separated contacts."""
         point, state = self.here.point, self.here.state
         quiet = np.zeros(2 * point.q.size, dtype=bool)
         return np.concatenate([quiet, np.tile(state == SEPARATION, len(point.w))])
 
-    @property
+    @cached_property
     def idle(self) -> np.ndarray:
         """Entries of the state vector that are of no mode of the model, see `timesim.engine.system.room_of`."""
         room, num = self.here.point.q.size, self.reduction.modes.size
         return np.flatnonzero(np.tile(np.arange(room) >= num, 2))
 
-    @property
+    @cached_property
     def vector(self) -> np.ndarray:
         """(q, q', w) as one vector; w of a separated contact, which is u, counts as 0."""
         return np.where(self.apart, 0.0, vector_of(self.here.point, np))
 
-    @property
+    @cached_property
     def size(self) -> float:
         """Largest entry of the state vector, wherever a body that nothing holds has come."""
         vector, shifts = self.vector, self.shifts
         return max(float(np.abs(vector - vector @ shifts.T @ shifts).max(initial=0.0)), 1e-300)
 
-    @property
+    @cached_property
     def shifts(self) -> np.ndarray:
         """Changes of the state vector that alter no force: orthonormal rows, shape (shifts, state).
 
@@ -171,7 +170,7 @@ class Recorded:
     slope: np.ndarray
     lost: np.ndarray
 
-    @property
+    @cached_property
     def multipliers(self) -> np.ndarray:
         """Floquet multipliers, largest first, without those of free offsets and of the place of a body that slides.
 
@@ -185,17 +184,17 @@ class Recorded:
         values = np.linalg.eigvals(slope) if np.isfinite(slope).all() else np.full(len(slope), np.nan)
         return np.asarray(values[np.argsort(-np.abs(values))])
 
-    @property
+    @cached_property
     def _moves(self) -> np.ndarray:
         """Which entries of the state vector change over the cycles: all but free offsets and idle modes."""
         return ~np.all(self.slope == np.eye(len(self.slope)), axis=1)
 
-    @property
+    @cached_property
     def change(self) -> np.ndarray:
         """Change of the state vector over the cycles."""
         return self.end.vector - self.start.vector
 
-    @property
+    @cached_property
     def returns(self) -> np.ndarray:
         """Modal displacement, without the drift, and velocity at the end of each cycle, shape (cycles, 2 M)."""
         steps = self._seen_along(self.steps, self._rate)
@@ -228,14 +227,16 @@ class Recorded:
         step[moves] = np.linalg.lstsq(matrix, np.pad(change[moves], (0, len(along))), rcond=1e-12)[0][:num]
         return step
 
-    @property
+    @cached_property
     def _along(self) -> np.ndarray:
         """What `Lane.shifts` are of the entries that change over the cycles: a contact that sticks holds a body."""
         moves, shifts = self._moves, self.start.shifts
+        if not len(shifts):
+            return shifts[:, moves]
         held = np.where(np.abs(shifts[:, ~moves]) > ROUNDING, shifts[:, ~moves], 0.0)
         return np.asarray(null_space(held.T).T @ shifts[:, moves])
 
-    @property
+    @cached_property
     def drift(self) -> np.ndarray:
         """The part of the change over the cycles that alters no force, if it is not negligible: a body slides on."""
         along = self.start.shifts.T @ (self.start.shifts @ self.change)
@@ -246,7 +247,7 @@ class Recorded:
         """Whether another change is left, as of a body that nothing holds and that is ever faster."""
         return bool(np.abs(self.change - self.drift).max(initial=0.0) > self._negligible)
 
-    @property
+    @cached_property
     def _rate(self) -> np.ndarray:
         """Velocity of the modes by which they drift, shape (M,)."""
         return self.drift[: self.start.here.point.q.size] / (PERIOD * self.cycles)
@@ -260,12 +261,13 @@ class Recorded:
             return steps
         shifts, since = self.start.shifts, PERIOD * steps.cycle + steps.time
         place = (shifts.T @ (shifts @ self.start.vector))[: rate.size]
-        where = lambda s: (s.start.q, s.start.p, s.end.q, s.end.p, s.inside)  # noqa: E731
-        start, end = (y.q - place - np.outer(t, rate) for y, t in ((steps.start, since), (steps.end, since + steps.h)))
-        seen = (start, steps.start.p - rate, end, steps.end.p - rate, None)
-        return eqx.tree_at(where, steps, seen, is_leaf=lambda x: x is None)
+        start, end = (
+            replace(y, q=y.q - place - np.outer(t, rate), p=y.p - rate)
+            for y, t in ((steps.start, since), (steps.end, since + steps.h))
+        )
+        return replace(steps, start=start, end=end, inside=None)
 
-    @property
+    @cached_property
     def _negligible(self) -> float:
         """Change that does not count beside the motion within the cycles; a body may have come far."""
         return float(VAGUE * np.ptp(np.stack([self.steps.end.q, self.steps.end.p]), axis=1).max(initial=0.0))

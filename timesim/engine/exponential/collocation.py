@@ -12,13 +12,13 @@ Sources: E. Hairer & G. Wanner, Solving Ordinary Differential Equations II, sect
 A. Ostermann, Exponential integrators, Acta Numerica 19 (2010) 209-286, section 2.2 (collocation).
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
+from timesim.runtime import tree_class  # isort: skip
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
@@ -40,7 +40,8 @@ ON_RUNG = 1e-6  # of a rung: rounding of its length
 SLOWEST = 0.7  # ratio of changes from which on a shorter step costs less than more sweeps
 
 
-class Flow(eqx.Module):
+@tree_class
+class Flow:
     """Motion of the modes at the nodes of a step, per unit of what it starts from and of the force at each node.
 
     Attributes:
@@ -67,7 +68,8 @@ class Flow(eqx.Module):
         return cls(h, flow.q_q, flow.q_p, flow.p_q, flow.p_p, q_force, p_force)
 
 
-class Ladder(eqx.Module):
+@tree_class
+class Ladder:
     """What steps of a system need, computed once: flows for lengths that halve every second rung.
 
     Attributes:
@@ -89,7 +91,8 @@ class Ladder(eqx.Module):
         return jax.tree.map(lambda rows: rows[jnp.clip(index, 0, NUM_RUNGS - 1)], self.flows)
 
 
-class Inside(eqx.Module):
+@tree_class
+class Inside:
     """What a step holds between its ends: polynomials of the fraction of its length, coefficients lowest first.
 
     Attributes:
@@ -220,7 +223,7 @@ def point_inside(
     here = Point(q, p, point.w, None)
     powers = x ** jnp.arange(inside.force.shape[0])
     inner = jax.tree.map(lambda c: powers @ c, inside.inner)
-    return eqx.tree_at(lambda y: y.w, here, system.law.slip_inside(state, point.w, system.motion(here), inner))
+    return replace(here, w=system.law.slip_inside(state, point.w, system.motion(here), inner))
 
 
 @partial(apart, static=(0,))

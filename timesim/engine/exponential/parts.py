@@ -6,9 +6,9 @@ mode that moves asks for.
 
 import timesim.runtime  # noqa: F401  isort: skip
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array
@@ -106,12 +106,10 @@ def in_parts(system: System, steps: Step, parts: Parts) -> Step:
     start, start_rate = _begun(parts.first, (steps.start, steps.start_rate), (end, end_rate))
     state = steps.state[parts.step]
     after = state.copy()
-    own = eqx.tree_at(lambda y: y.work, steps.end, None)
+    own = replace(steps.end, work=None)
     _set(parts.last, (end, end_rate, after), (own, steps.end_rate, steps.state_after))
     time, length = steps.time[parts.step] + parts.start, parts.end - parts.start
-    rows = (steps.cycle[parts.step], time, length, start, start_rate, end, end_rate, state, after, None)
-    where = lambda s: (s.cycle, s.time, s.h, s.start, s.start_rate, s.end, s.end_rate, s.state, s.state_after, s.inside)  # noqa: E731
-    return eqx.tree_at(where, steps, rows, is_leaf=lambda x: x is None)
+    return Step(steps.cycle[parts.step], time, length, start, start_rate, end, end_rate, state, after)
 
 
 def _begun(first: np.ndarray, own: Any, ends: Any) -> Any:

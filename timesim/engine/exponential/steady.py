@@ -5,9 +5,8 @@ larger than what the force does in a step (light damping, at resonance), the for
 collocation instead. So is what couples the modes: a damping matrix that they do not diagonalise.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
+from timesim.runtime import tree_class  # isort: skip
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -16,7 +15,8 @@ from timesim.engine.system import System
 NEAR_RESONANCE = 1e-3  # of |k - i^2 + i d| in k + i^2: below it the force is taken into the polynomial
 
 
-class Steady(eqx.Module):
+@tree_class
+class Steady:
     """The motion that each harmonic of the excitation forces on each mode: cosine and sine parts, (harmonic, mode).
 
     Attributes:

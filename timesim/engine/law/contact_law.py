@@ -9,7 +9,7 @@ from timesim.runtime import Leaf  # isort: skip
 
 import abc
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -28,7 +28,8 @@ else:
     State = Int[Leaf, "*#contact"]
 Plane: TypeAlias = tuple[Scalar, ...]
 Path: TypeAlias = tuple[Plane, Plane, Plane]
-P = TypeVar("P", bound="ContinuousState")
+AnyState: TypeAlias = Any
+"""A `ContinuousState`, of the kind that the dynamics at hand have."""
 
 
 class Motion(NamedTuple):
@@ -204,14 +205,14 @@ class ContactLaw(eqx.Module):
         """
 
 
-class ContinuousState(eqx.Module):
+class ContinuousState(abc.ABC):
     """Where a trajectory is in its continuous state, or the rate of that, or its error over a step.
 
     Attributes:
         w: slip of the contacts.
     """
 
-    w: eqx.AbstractVar[Plane]
+    w: Plane
 
     @abc.abstractmethod
     def error(self) -> Float[Array, ""]:
@@ -222,29 +223,29 @@ class ContinuousState(eqx.Module):
         """Whether every coordinate is a number."""
 
 
-class Dynamics(eqx.Module):
+class Dynamics(abc.ABC):
     """A system with contacts.
 
     Attributes:
         law: the law of its contacts.
     """
 
-    law: eqx.AbstractVar[ContactLaw]
+    law: ContactLaw
 
     @abc.abstractmethod
-    def field(self, state: State, time: Float[Array, ""], point: P) -> P:
+    def field(self, state: State, time: Float[Array, ""], point: AnyState) -> AnyState:
         """Rate of the continuous state, every contact keeping its own."""
 
     @abc.abstractmethod
-    def motion(self, point: P) -> Motion:
+    def motion(self, point: AnyState) -> Motion:
         """Relative motion of the contacts and its rates."""
 
     @abc.abstractmethod
-    def path(self, point: P, rate: P) -> Path:
+    def path(self, point: AnyState, rate: AnyState) -> Path:
         """Relative motion of the contacts, normal last, with two derivatives; ``rate`` is that of the point."""
 
     @abc.abstractmethod
-    def size(self, point: P) -> Float[Array, ""]:
+    def size(self, point: AnyState) -> Float[Array, ""]:
         """Largest coordinate of the motion: what a relative tolerance is relative to."""
 
     def single(self) -> "Dynamics":

@@ -1,11 +1,11 @@
 """Derivative of steps of any method by automatic differentiation, side by side for several lanes."""
 
-import timesim.runtime  # noqa: F401  isort: skip
+from timesim.runtime import tree_class  # isort: skip
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -19,7 +19,8 @@ from timesim.model.model import SEPARATION, SLIP, STICK
 from timesim.program import program
 
 
-class HybridState(eqx.Module):
+@tree_class
+class HybridState:
     """Continuous state of a trajectory, and the state of each contact."""
 
     point: Point
@@ -78,7 +79,7 @@ def felt(method: Method, system: System, step: Step) -> System:
     if not isinstance(method, Explicit | Looped):
         return system
     ends = [(system.motion(point), point.w) for point in (step.start, step.end)]
-    return eqx.tree_at(lambda s: s.law, system, system.law.disturbed(step.h, ends))
+    return replace(system, law=system.law.disturbed(step.h, ends))
 
 
 @program

@@ -1,11 +1,10 @@
 """What explicit steps do to small disturbances of the contacts: the law linearised at their stages and transitions."""
 
-import timesim.runtime  # noqa: F401  isort: skip
+from timesim.runtime import tree_class  # isort: skip
 
 from collections.abc import Callable
 from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +19,8 @@ from timesim.orbit.monodromy.derivative import ending, felt, vector_of
 from timesim.program import program
 
 
-class Linear(eqx.Module):
+@tree_class
+class Linear:
     """What a step of an explicit method does to small disturbances, but for what the structure alone does.
 
     A disturbance of a contact is one of (u, v, u', v', w), a rate one of (-f, -n, w'): a law acts on each contact by
