@@ -20,6 +20,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, wraps
 from importlib.metadata import version
+from itertools import compress
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
@@ -35,7 +36,7 @@ MOST_BYTES = 2**28
 _BUILT_ON = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy")
 LOADED: list[dict[tuple, Any]] = []
 """Of each function, the programs that are ready in this process."""
-_ARRAYS = (jax.Array, np.ndarray, np.generic)
+_ARRAYS = (np.ndarray, jax.Array, np.generic)
 
 
 class _Hits(threading.local):
@@ -71,8 +72,9 @@ def program(function: Callable[P, T]) -> Callable[P, T]:
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
         leaves, tree = jax.tree.flatten((args, kwargs))
-        arrays = [leaf for leaf in leaves if isinstance(leaf, _ARRAYS)]
-        form = tree, tuple(None if isinstance(leaf, _ARRAYS) else leaf for leaf in leaves)
+        kept = [isinstance(leaf, _ARRAYS) for leaf in leaves]
+        arrays = list(compress(leaves, kept))
+        form = tree, tuple(None if own else leaf for leaf, own in zip(leaves, kept, strict=True))
         if runtime.READY is None or any(isinstance(leaf, jax.core.Tracer) for leaf in arrays):
             return traced(form, *arrays)
         key = form, tuple((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)) for leaf in arrays)

@@ -14,6 +14,7 @@ import tempfile
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, dataclass_transform
 
@@ -54,15 +55,15 @@ def tree_class(cls: type[T]) -> type[T]:
     own = dataclass(frozen=True, eq=False)(cls)
     parts = {part.name: bool(part.metadata.get("static")) for part in fields(own)}  # type: ignore[arg-type]
     names, static = ([name for name, aside in parts.items() if aside is kept] for kept in (False, True))
+    values = attrgetter(*names, "__class__")  # of several names, so that it always gives a tuple
 
-    def flatten(tree: Any) -> tuple[list, tuple]:
-        return [getattr(tree, name) for name in names], tuple(getattr(tree, name) for name in static)
+    def flatten(tree: Any) -> tuple[tuple, tuple]:
+        return values(tree)[:-1], tuple([getattr(tree, name) for name in static])
 
     def unflatten(aside: tuple, leaves: Iterable) -> T:
         # Not by the constructor: JAX also puts together trees of what are no arrays.
         tree = object.__new__(own)
-        tree.__dict__.update(zip(names, leaves, strict=True))
-        tree.__dict__.update(zip(static, aside, strict=True))
+        tree.__dict__.update(zip(names, leaves, strict=True), **dict(zip(static, aside, strict=True)))
         return tree
 
     jax.tree_util.register_pytree_node(own, flatten, unflatten)

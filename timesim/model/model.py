@@ -181,7 +181,7 @@ class Model:
         """Rows t1, t2, normal of each contact along x, y, z, shape (C, 3, 3)."""
         return np.array([contact.frame for contact in self.contacts], dtype=float).reshape(-1, 3, 3)
 
-    @property
+    @cached_property
     def contact_shape(self) -> np.ndarray:
         """Relative motion (u1, u2, v) of each contact for a unit of each mode, shape (C, 3, M)."""
         if not self.contacts:
@@ -213,7 +213,7 @@ class Model:
         ]
         return np.lexsort(np.array(rows).T[::-1]) if rows else np.zeros(0, dtype=int)
 
-    @property
+    @cached_property
     def stuck_omega(self) -> np.ndarray:
         """Circular natural frequencies with every contact stuck, ascending, shape (M,) [rad/time]."""
         stiffness = self.with_contacts(np.diag(self.structure.omega**2))
@@ -228,7 +228,7 @@ class Model:
             whole += contact.normal_stiffness * np.outer(shape[2], shape[2])
         return whole
 
-    @property
+    @cached_property
     def stuck_rate(self) -> float:
         """Fastest rate with every contact stuck [rad/time]: the highest circular frequency, or decay."""
         return float(max(self.stuck_omega[-1], np.linalg.eigvalsh(self.decays)[-1]))

@@ -135,7 +135,10 @@ def _recorded(own: tuple[Lane, int], solver: Solver, most: int | None) -> tuple[
         count += int(taken)
         if not _unfinished(now, num):
             break
-    now, steps = _on_host(now), jax.tree.map(lambda *rows: np.concatenate(rows), *parts)
+    now, steps = (
+        _on_host(now),
+        parts[0] if len(parts) == 1 else jax.tree.map(lambda *rows: np.concatenate(rows), *parts),
+    )
     if now.point.work is None:
         return now, steps, energy_lost(steps)
     return _without_work(now, "point", "rate"), _without_work(steps, *ENDS), now.point.work.friction
@@ -222,7 +225,7 @@ def _padded(batch: list[Any], size: int = SIDE_BY_SIDE) -> list[Any]:
 
 def _stacked(trees: Sequence[Any]) -> Any:
     """Trees of one structure as one, batch first."""
-    return jax.tree.map(lambda *rows: np.stack(rows), *trees)
+    return jax.tree.map(lambda *rows: np.array(rows), *trees)
 
 
 def _entry(tree: Any, index: int | slice | np.ndarray) -> Any:

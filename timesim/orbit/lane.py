@@ -223,7 +223,7 @@ class Recorded:
         moves, along = self._moves, self._along
         step, num, none = np.zeros_like(change), int(moves.sum()), np.zeros((len(along), len(along)))
         matrix = np.eye(num) - self.slope[np.ix_(moves, moves)]
-        matrix = np.block([[matrix, along.T], [along, none]])
+        matrix = np.block([[matrix, along.T], [along, none]]) if len(along) else matrix
         step[moves] = np.linalg.lstsq(matrix, np.pad(change[moves], (0, len(along))), rcond=1e-12)[0][:num]
         return step
 
