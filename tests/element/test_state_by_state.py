@@ -605,3 +605,15 @@ def test_spline_of_several_harmonics_closes_more_than_once():
     assert cycle.work == pytest.approx(cycle.dissipation, rel=1e-10)
     load = cycle.normal_load(np.linspace(0, CYCLE, 4001))
     assert np.all((load < 1e-15) == (cycle.state(np.linspace(0, CYCLE, 4001)) == SEPARATION))
+
+
+@pytest.mark.parametrize("count", [360, 500, 720])
+def test_splines_whose_cycle_does_not_repeat_to_the_last_digit(count):
+    """Their pieces make f differ from cycle to cycle by 1e-13 to 1e-12 of mu n, however long the march."""
+    theta = np.arange(count) * CYCLE / count
+    for a, b, c, k1, k2 in [(0, -0.4, -1.2, 2, 7), (-1.5, -0.8, -0.1, 3, 7), (1.2, -0.1, -0.8, 8, 2)]:
+        u = [2.3 + a * np.cos(theta) + b * np.sin(2 * theta), np.sin(theta) + c * np.cos(3 * theta), 0 * theta]
+        cycle = steady_cycle(contact(np.diag([k1, k2]), normal=0.0), SplineMotion(np.stack(u, 1)))
+        assert cycle.periodic
+        assert cycle.num_cycles < 30
+        assert cycle.work == pytest.approx(cycle.dissipation, rel=1e-9)

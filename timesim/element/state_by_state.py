@@ -19,8 +19,9 @@ from timesim.model.model import SEPARATION, SLIP, STICK, Contact
 from timesim.orbit.extrapolation import limits
 
 MAX_CYCLES = 1000
-# Change of f from cycle to cycle that ends the march; so does one up to `PERIODIC` that falls no further.
-ROUNDING = 1e-14
+# Change of f from cycle to cycle that ends the march; so does one up to the second number that falls no further, and
+# several up to `PERIODIC` that go to and fro.
+ROUNDING, SLOW = 1e-14, 1e-13
 MAX_TRANSITIONS = 400
 # Cycles after which the march is carried on to its limit, if it converges geometrically.
 MIN_FORCES = 7
@@ -109,7 +110,7 @@ def steady_cycle(contact: Contact, motion: PrescribedMotion, *, max_cycles: int 
                 continue
             leap = None
         # A transition right at theta = 0 shows at the end of the first cycle only, as another state.
-        settled = residual <= ROUNDING or (residual <= PERIODIC and residual > before / 2)
+        settled = residual <= ROUNDING or (residual <= SLOW and residual > before / 2) or _wavers(forces, march.largest)
         if settled and leap is None and (spell.state == state or before <= PERIODIC):
             return _stuck(reached) if _sticks(reached, NO_WORK) else reached
         before = residual
@@ -122,6 +123,14 @@ def steady_cycle(contact: Contact, motion: PrescribedMotion, *, max_cycles: int 
                 return _stuck(reached)
             spell, forces = leap.taken(march)
     return reached
+
+
+def _wavers(forces: list[Array], load: float) -> bool:
+    """Whether f has gone to and fro over the last cycles, by no more than rounding; a creep goes one way."""
+    changes = np.diff(forces[-MIN_FORCES:], axis=0)
+    sizes = np.hypot(*changes.T)
+    to_and_fro = np.hypot(*changes.sum(axis=0)) < sizes.sum() / 2
+    return bool(len(forces) >= MIN_FORCES and to_and_fro and sizes.max() <= PERIODIC * load)
 
 
 def _sticks(cycle: ElementCycle, tolerance: float) -> bool:
