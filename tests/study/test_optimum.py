@@ -178,6 +178,19 @@ def test_a_peak_that_is_the_same_over_a_span_is_told_and_drawn_so():
     assert high - low > 1e-4 * 2.8
 
 
+def test_peaks_that_are_rounding_are_the_same():
+    """As of what is behind a clutch that slips all the time: it moves on evenly."""
+    noise = np.random.default_rng(1)
+    peaks = Known(lambda value: 1e-14 * noise.random() if value < 5.3 else value - 5.3)
+    peaks.search()
+    data = data_of(peaks).assign_attrs(complete=1)
+    assert len(peaks.computed) <= len(peaks.values) + 4
+    lines = list(optimum_lines(data.assign(peak_at_end=data["peak_at_end"] + 1), 1e-3))
+    assert any("the peak is the same from 0 to 5" in line for line in lines)
+    assert "that is rounding beside the largest peak: nothing vibrates there" in lines
+    assert not any("at an end of frequency" in line for line in lines)
+
+
 def test_values_near_each_other_have_labels_of_their_own():
     peaks = Known(lambda value: 0.1 + (value - 5.00001) ** 2, accuracy=1e-5)
     peaks.search()

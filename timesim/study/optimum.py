@@ -31,7 +31,7 @@ from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Resu
 from timesim.study.execution.progress import Phases
 from timesim.study.execution.worker import each, halted, point_done
 from timesim.study.outcome import Outcome, attributes
-from timesim.study.summary.optimum import TIE, as_low, optimum_lines
+from timesim.study.summary.optimum import as_low, optimum_lines
 from timesim.study.summary.sweep import failure_line
 from timesim.study.sweep import Grid, steady_dataset
 
@@ -213,12 +213,17 @@ class Peaks:
             FlatError: about the least peak it is the same over `FLAT` of a span, so that nothing leads on.
             SearchError: it cannot be computed.
         """
-        height, values = self.at(value), sorted(self.results)
-        peaks = np.array([float(self.results[known]["peak"]) for known in values])
-        first, last = as_low(peaks, values.index(self.least()))
-        if self.stages > 1 and last - first > 1 and values[last] - values[first] > FLAT * span:
+        height, values = self.at(value), self._as_low()
+        if self.stages > 1 and len(values) > 2 and values[-1] - values[0] > FLAT * span:
             raise FlatError
         return height
+
+    def _as_low(self) -> list[float]:
+        """The values about that of the least peak whose peaks equal it, ascending."""
+        values = sorted(self.results)
+        peaks = np.array([float(self.results[known]["peak"]) for known in values])
+        first, last = as_low(peaks, values.index(self.least()))
+        return values[first : last + 1]
 
     def search(self) -> None:
         """Look for the value of least peak between those beside the least one; then beside that, to the accuracy.
@@ -242,7 +247,7 @@ class Peaks:
             for value in (here - accuracy, here + accuracy):
                 if self.values[0] <= value <= self.values[-1]:
                     self.at(value)
-            if self.at(self.least()) >= (1 - TIE) * self.at(here):
+            if here in self._as_low():
                 return
         raise SearchError(f"the peak still falls beside {self.key} = {self.least():g}; give a larger accuracy")
 

@@ -10,10 +10,17 @@ from timesim.result.label import counted, with_unit
 from timesim.study.summary.sweep import unusual_lines
 
 TIE = 1e-7  # relative difference of peaks up to which they are equal: the accuracy of the time integration
+NOTHING = 1e-8  # of the largest peak: what is left of the search for a steady motion where nothing vibrates
+
+
+def is_nothing(peak: np.ndarray) -> np.ndarray:
+    """Whether each of some peaks is none beside the largest, as of what a clutch that slips all the time isolates."""
+    return peak <= NOTHING * np.nanmax(peak)
 
 
 def as_low(peak: np.ndarray, at: int) -> tuple[int, int]:
     """Positions of the first and last of the adjacent peaks that equal one of them; a missing peak ends them."""
+    peak = np.where(is_nothing(peak), 0.0, peak)
     higher = np.flatnonzero(~(peak * (1 - TIE) <= peak[at]))
     return int(higher[higher < at].max(initial=-1)) + 1, int(higher[higher > at].min(initial=len(peak))) - 1
 
@@ -35,7 +42,7 @@ def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
     def height(i: int) -> str:
         return with_unit(f"{peak[i]:.7g}", data["peak"].attrs)
 
-    so_far = "" if data.attrs["complete"] else " so far,"
+    so_far, vanishes = "" if data.attrs["complete"] else " so far,", bool(is_nothing(peak)[at])
     yield f"least peak {height(at)}{so_far} at {key} = {at_value(at)}, at {float(data['optimum_frequency']):.6g} Hz"
     beside = [i for value in (best - accuracy, best + accuracy) for i in np.flatnonzero(values == value).tolist()]
     first, last = as_low(peak, at)
@@ -46,7 +53,9 @@ def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
         yield f"an accuracy away the peak is not smaller: {heights}"
     if data.attrs["complete"] and best in (values[0], values[-1]):
         yield f"it is at an end of the range of {key}, so beyond it the peak may be smaller still"
-    if data["peak_at_end"].values[at]:
+    if vanishes:
+        yield "that is rounding beside the largest peak: nothing vibrates there"
+    elif data["peak_at_end"].values[at]:
         yield "its peak is at an end of frequency, so beyond it the response may be larger"
     if data["peak_irregular"].values[at]:
         yield f"its motion does not repeat after up to {LONGEST} cycles: it is quasi-periodic or irregular"
