@@ -8,6 +8,7 @@ import pytest
 from systems import oscillator, scene
 
 from timesim.model.cost import cycles_to_settle
+from timesim.model.model import Structure
 from timesim.model.promise import FINEST, GROWTH, LONGEST, growth, preset, remembered, tightened
 from timesim.model.solver import NEVER, PRESETS, Criterion, Solver
 
@@ -32,6 +33,19 @@ def test_an_overdamped_mode_creeps() -> None:
     slow = np.exp(-(50 - np.sqrt(50**2 - 1)) * 2 * np.pi * 0.9 / 1.39)
     assert remembered(creeping, 1.39) == pytest.approx(1 / (1 - slow))
     assert cycles_to_settle(creeping, Criterion(1e-8, 2000, NEVER), 1.39) == np.ceil(np.log(1e-8) / np.log(slow))
+
+
+@pytest.mark.parametrize("between", [0.0, 0.3])
+def test_a_free_body_settles_as_its_drag_sets_its_speed(between: float) -> None:
+    """Two bodies on which drag acts, with and without a dashpot in between, one without any, and one on a spring."""
+    drag = np.diag([0.02, 0.02, 0.0, 2.0])
+    drag[:2, :2] += between * np.array([[1, -1], [-1, 1]])
+    body = Structure(np.array([0, 0, 0, 1.0]), np.ones(4), drag, (), np.zeros((0, 3, 4)))
+    model = replace(oscillator(3.0, 1.39), structure=body, contacts=())
+    criterion = Criterion(1e-8, 2000, NEVER)
+    assert cycles_to_settle(model, criterion, 1.39) == np.ceil(-np.log(1e-8) * 1.39 / 0.02)
+    light = replace(model, structure=replace(body, damping=drag * 0))
+    assert cycles_to_settle(light, criterion, 1.39) == 2000
 
 
 def test_an_easy_scene_keeps_the_tolerances_of_the_preset_and_a_hard_one_gets_finer_ones() -> None:

@@ -212,8 +212,8 @@ def seconds(model: Model, solver: Solver, work: Work) -> float:
 
 
 def cycles_to_settle(model: Model, criterion: Criterion, frequency: float) -> int:
-    """Cycles at a frequency [Hz] in which the mode that decays most slowly has decayed to the tolerance, or is shot."""
-    marched = -math.log(criterion.tolerance) * frequency / max(model.structure.decay, 1e-300)
+    """Cycles at a frequency [Hz] in which what settles most slowly has done so to the tolerance, or is shot."""
+    marched = -math.log(criterion.tolerance) * frequency / max(model.structure.settling, 1e-300)
     return int(np.ceil(min(marched, criterion.first_shot + SHOTS, criterion.max_cycles)))
 
 

@@ -19,6 +19,8 @@ STATE_NAMES = ("stick", "slip", "separation")
 GROUND = "ground"
 CONE = "cone"
 """The contact law of the paper, by its name in `timesim.engine.law.table`."""
+NO_DRAG = 1e-10
+"""Share of the largest rate of damping up to which a body's drag is none."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,21 @@ class Structure:
             return float(max(-np.linalg.eigvals(free).real.max(), 0.0))
         creeping = zeta + np.sqrt(np.maximum(zeta**2 - 1, 0.0))
         return float((np.minimum(zeta, 1 / np.maximum(creeping, 1.0)) * omega).min(initial=np.inf))
+
+    @property
+    def settling(self) -> float:
+        """Least rate at which a motion settles [1/time]: as modes decay, or drag sets the speed of a free body.
+
+        What has no drag never changes its speed, and does not count.
+        """
+        rings, root = self.frequency > 0, np.sqrt(self.mass)
+        damping = np.diag(self.damping) if self.damping.ndim == 1 else self.damping
+        if rings.all() or not damping.any():
+            return self.decay
+        rate, omega = damping / np.outer(root, root), np.diag(self.omega)[rings]
+        free = np.block([[np.zeros((len(omega), len(omega))), omega], [-omega.T, -rate]])
+        falls = -np.linalg.eigvals(free).real
+        return float(min(self.decay, falls.min(initial=np.inf, where=falls > NO_DRAG * np.abs(rate).max())))
 
     @property
     def stiffness(self) -> np.ndarray:
