@@ -41,6 +41,7 @@ def curve(ending, *solutions):
 
 WHOLE = curve(Ending.COMPLETE, (LOW, 3.0), (HIGH, 4.0))
 BACK_TO_LOW = curve(Ending.LEFT, (LOW, 3.0), (1.5, 5.0), (LOW, 6.0))
+BACK_TO_HIGH = curve(Ending.LEFT, (HIGH, 5.0), (1.5, 5.0), (HIGH, 6.0))
 FROM_HIGH = curve(Ending.COMPLETE, (HIGH, 4.0), (LOW, 3.0))
 OTHER_FROM_HIGH = curve(Ending.COMPLETE, (HIGH, 4.0), (LOW, 2.0))
 ANOTHER = curve(Ending.COMPLETE, (HIGH, 4.1), (LOW, 2.0))
@@ -63,6 +64,7 @@ NO_START = replace(
         (WHOLE, ANOTHER, True, [(Ending.COMPLETE, LOW), (Ending.COMPLETE, HIGH)]),
         (BACK_TO_LOW, FROM_HIGH, False, [(Ending.COMPLETE, HIGH)]),
         (BACK_TO_LOW, OTHER_FROM_HIGH, False, [(Ending.RETURNED, LOW), (Ending.COMPLETE, HIGH)]),
+        (WHOLE, BACK_TO_HIGH, True, [(Ending.COMPLETE, LOW), (Ending.RETURNED, HIGH)]),
         (BACK_TO_LOW, FAILS_FROM_HIGH, False, [(Ending.LEFT, LOW), (Ending.STEP, HIGH)]),
         (FAILS_FROM_LOW, FROM_HIGH, False, [(Ending.BACKWARDS, HIGH)]),
         (FAILS_FROM_LOW, OTHER_FROM_HIGH, False, [(Ending.STEP, LOW), (Ending.COMPLETE, HIGH)]),

@@ -75,10 +75,15 @@ def curves_from_ends(model: Model, start: float, stop: float, *, both: bool, **o
         return [cut if back.ending is Ending.INTERRUPTED else there]
     if back.complete and (there.ending is Ending.START or _meet(there, 0, back, -1)):
         return [_instead_of(there, back)]
-    if there.ending is Ending.LEFT and back.complete:
-        place = there.message.split(": ")[0]
-        there = replace(there, ending=Ending.RETURNED, message=f"{place}: {Ending.RETURNED.value}")
-    return [there, back]
+    return [_whole_beside(there, back), _whole_beside(back, there)]
+
+
+def _whole_beside(curve: HbmCurve, other: HbmCurve) -> HbmCurve:
+    """A curve, whole also if it turned back to where it began where that from the other end, another one, is whole."""
+    if curve.ending is not Ending.LEFT or not other.complete:
+        return curve
+    place = curve.message.split(": ")[0]
+    return replace(curve, ending=Ending.RETURNED, message=f"{place}: {Ending.RETURNED.value}")
 
 
 def _instead_of(there: HbmCurve, back: HbmCurve) -> HbmCurve:
