@@ -279,6 +279,11 @@ def test_a_jump_is_reported_with_its_chain(both: xarray.Dataset, tmp_path: Path)
         f"{PRELOAD} -4, direction {way}: the motion jumps between {end}"
         for way, end in zip(("up", "down"), ends, strict=True)
     ]
+    whole = both.frequency.values[[4, 5]]
+    record["jump_low"][0, 1, 0], record["jump_high"][0, 1, 0] = whole
+    short, long = jump_lines(record)
+    assert short == lines[0]
+    assert long.partition(" Hz, ")[2].startswith("a whole step: in shorter ones the motion is not lost within it")
 
 
 def test_the_peak_of_each_set_of_values_is_named(both: xarray.Dataset) -> None:

@@ -115,6 +115,8 @@ def jump_lines(data: Dataset) -> Iterator[str]:
         low, high = ends[place]
         what = "the motion jumps" if bisected else "the amplitude changes steeply"
         hint = "" if bisected else ", over a slope or a jump: study.refine tells which"
+        if bisected and np.isin((low, high), data["frequency"].values).all():
+            hint = ", a whole step: in shorter ones the motion is not lost within it, or could not be computed"
         yield f"{_chain(data, place[:-1])}{what} between {low:.8g} and {high:.8g} Hz{hint}"
     known = np.isfinite(data["amplitude"].values)
     if data.attrs.get("jumps_bisected") and known.any() and not np.isfinite(ends).any():
