@@ -148,3 +148,5 @@ def test_a_result_without_states_says_so(tmp_path: Path):
     assert "is of one run, a transient" in call(tmp_path, "frequency=0.97").stderr
     netcdf.save(data.drop_vars("final_modal_displacement").assign_attrs(study="hbm"), tmp_path / "result.nc")
     assert "is of harmonic balance, whose solutions are not integrated (a sweep" in call(tmp_path).stderr
+    netcdf.save(data.drop_vars("final_modal_displacement").assign_attrs(study="element"), tmp_path / "result.nc")
+    assert "is of a contact under prescribed motion (a sweep" in call(tmp_path).stderr

@@ -21,6 +21,11 @@ from timesim.study.registry import carry_out, load_scene
 SAMPLES = 400  # of a cycle
 SHOWN = ("phase_deg", "dissipated_power", "irregular")
 """Variables of a point that results of earlier versions lack."""
+POINTLESS = {
+    "hbm": "harmonic balance, whose solutions are not integrated",
+    "tradeoff": "one run by several methods",
+} | dict.fromkeys(("element", "element_map"), "a contact under prescribed motion")
+"""Studies whose result has no points of a sweep, by what it is of."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +59,9 @@ def point_again(path: Path | str, at: Mapping[str, float | str]) -> Point:
     """
     groups = read(path)
     sweep = groups.get("sweep", groups[""])
-    if groups[""].attrs["study"] == "hbm":
-        hint = "a sweep, or kind: compare, has points to show; `timesim plot` draws the curves"
-        raise RuleError((), "is of harmonic balance, whose solutions are not integrated", hint)
+    if what := POINTLESS.get(groups[""].attrs["study"]):
+        hint = "a sweep, or kind: compare, has points to show; `timesim plot` draws the pictures"
+        raise RuleError((), f"is of {what}", hint)
     states = states_in(sweep)
     if not states.axes:
         hint = "`timesim plot` draws its pictures, `show` is for a point of a sweep"
