@@ -327,6 +327,7 @@ CHANGES = (
     )),
     (JUMP, (
         ("study.phases.0.frequency", "{frequency: 0.9, cycles: 5}", "{frequency: -0.9, cycles: 5}", "must be > 0"),
+        ("structure.modes.0.02", "ratio: 0.02", "ratio: 0,02", "has no value (a number takes a point", "0,02"),
         ("study.phases.1.cycles", "cycles: 7", "cycles: 0", "must be >= 1", "cycles: 0"),
         ("study.phases.1.cycles", "0.95, cycles: 7", "0.95", "is required", "frequency: 0.95"),
         ("study.phases.1.cycle", "cycles: 7", "cycle: 7", "did you mean cycles?", "cycle: 7"),

@@ -105,7 +105,9 @@ def _content(path: Path) -> bytes:
 def empty_values(data: Any, key: Key = ()) -> Iterator[RuleError]:
     """Keys without a value."""
     if data is None:
-        yield RuleError(key, "has no value", "give one, or leave the key out")
+        digits = key and isinstance(key[-1], str) and key[-1][:1].isdecimal()
+        hint = "a number takes a point for its decimals, and no comma" if digits else "give one, or leave the key out"
+        yield RuleError(key, "has no value", hint)
     items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
     for part, value in items:
         yield from empty_values(value, (*key, part))
