@@ -20,8 +20,8 @@ SHARP = 0.5  # of a peak: where a point beside it is lower, they do not tell how
 
 
 def number_of_states(data: Dataset) -> int:
-    """Steady states of a sweep that could be computed."""
-    return int(np.isfinite(data["amplitude"].values).all(axis=(-2, -1)).sum())
+    """Points of a sweep whose motion settled."""
+    return int(np.count_nonzero(data["settled"].values == 1))
 
 
 def sweep_lines(data: Dataset) -> Iterator[str]:
@@ -53,7 +53,8 @@ def peak_lines(data: Dataset) -> Iterator[str]:
         highest = own[..., point, axis].max(axis=1)
         alone = highest.min(where=highest >= 0, initial=top) < (1 - SAME) * top
         way = f", direction {data['direction'].values[direction]}" if alone else ""
-        end = ", an end of the frequencies" if count > 1 and at in (0, count - 1) else ""
+        end = ", not settled" if data["settled"].values[place][direction, at] != 1 else ""
+        end += ", an end of the frequencies" if count > 1 and at in (0, count - 1) else ""
         beside = own[direction, max(at - 1, 0) : at + 2, point, axis]
         lowest = beside.min(where=beside >= 0, initial=top)
         if count > 1 and lowest < SHARP * top and not _jumps_beside(data, (*place, direction), at):
