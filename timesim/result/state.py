@@ -106,15 +106,18 @@ SweepPoint = tuple[float, dict[str, np.ndarray]]
 
 
 def settled_points(states: SavedStates, asked: Mapping[str, float | str]) -> Iterator[SweepPoint]:
-    """Points of a sweep with slip, or contact for a part of the cycle, whose motion repeats each cycle.
+    """Points of a sweep whose motion repeats each cycle, with slip, contact for a part of the cycle, or no contact.
 
+    Where contacts only stick the motion is linear, and their offsets are free. Where all stay apart it is linear too,
+    but a curve through it leads to where they meet.
     ``asked``: values along some axes, as for `SavedStates.places`; along the others all points are taken.
     """
     for place in product(*states.places(asked).values()):
         point = states.at(place)
         if str(point["failure"]) or point["settled"] != 1 or point["period"] != 1 or np.any(point.get(DRIFT, 0)):
             continue
-        if switches(point["slip_share"], point["separation_share"]).any():
+        apart = np.all(point["separation_share"] == 1)
+        if apart or switches(point["slip_share"], point["separation_share"]).any():
             yield float(states.axes["frequency"][place[-1]]), point
 
 

@@ -209,8 +209,8 @@ class Curves:
     ) -> Iterator[StudyCurve]:
         """Curves from settled points of a sweep that no other curve passes, which may be isolated branches.
 
-        Points without slip or part-time contact are skipped, since the motion is linear there. The frequencies of
-        those from which no curve can be begun are added to ``useless``, by the reason.
+        Points at which contacts only stick are skipped. The frequencies of those from which no curve can be begun are
+        added to ``useless``, by the reason.
         """
         own = {key: value for key, value in values.items() if key in states.axes}
         try:
