@@ -505,6 +505,17 @@ def test_a_stop_without_friction_has_no_slip_among_the_shares() -> None:
     ]
 
 
+def test_a_long_note_is_within_its_picture() -> None:
+    data = sweep()
+    apart = data.assign(separation_share=0 * data.separation_share)
+    figure = plot_sweep.PICTURES["contact_states"](apart.assign_coords(contact=["W" * 30, "M" * 30]))
+    assert figure is not None
+    _, note = figure.texts
+    assert note.get_text().startswith("zero throughout: share in separation of WWW")
+    assert note.get_window_extent().x0 > 0
+    assert note.get_window_extent().y0 > 0
+
+
 def test_units_of_the_scene_are_those_of_the_labels() -> None:
     data = sweep({PRELOAD: [0.0, 0.1]})
     data.amplitude.attrs["units"], data[PRELOAD].attrs["units"] = "mm", "kN"

@@ -4,6 +4,7 @@ They are made without pyplot, which is slow to import and whose global state wou
 """
 
 from collections.abc import Iterable
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from timesim.picture.style import CLOSED, Axes, Dataset, DataTree, Figure, short
 LEAST_DECADES = 2.2  # with two powers of ten at least
 MANY_DECADES = 2.5  # from which on a logarithmic axis has ticks at powers of ten only
 _HEAD, _FOOT = 0.68, 0.95  # inch
-_WIDEST = 0.97  # of the figure, a title
+_WIDEST = 0.97  # of the figure, a title, or of the room for them, notes
 _LABELLED, _PLAIN = 0.27, 0.1  # inch from axes with a label above them, or without one, to the title
 
 
@@ -97,7 +98,10 @@ def finish(fig: Figure, data: Dataset | DataTree, what: str, *notes: str) -> Fig
         _legend_below(fig)
     x, y = (0.99, 0.04) if fig.legends else (max(ax.get_position().x1 for ax in fig.axes), 0.3)
     note: dict[str, Any] = {"fontsize": 7, "color": "0.35", "ha": "right", "va": "bottom"}
-    fig.text(x, y / tall, "; ".join(filter(None, notes)), **note)
+    below = fig.text(x, y / tall, "; ".join(filter(None, notes)), **note)
+    if (too_wide := below.get_window_extent().width / (_WIDEST * x * fig.bbox.width)) > 1:
+        below.set_text(fill(below.get_text(), int(0.9 * len(below.get_text()) / too_wide)))
+        below.set_y(0.04 / tall)
     return fig
 
 
