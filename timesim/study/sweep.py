@@ -32,7 +32,7 @@ from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.summary.effort import sweep_effort_lines
 from timesim.study.summary.sweep import failure_line, search_line, sweep_lines
 
-POINTS_A_CHUNK = 128  # independent points: enough to keep a batch full while some of them settle late
+POINTS_A_CHUNK = 32  # independent points: 16 to 128 take as long; those of a chunk under way are lost at an interrupt
 CHAINS_A_CHUNK = (4, 32)  # few chains are spread over the processors, many are kept in few files
 MANY_CHAINS = 64
 FAILURES = "search_failures"  # of a chunk: why motions of its search could not be computed
