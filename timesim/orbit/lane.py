@@ -115,10 +115,11 @@ class Lane:
         A body that nothing holds is moved along the surfaces of all contacts, and with it the places where they stick;
         of other laws than the cone only relative motion counts.
         """
-        (*along, across), size = self.system.shape, self.here.point.q.size
-        free, live = np.flatnonzero(self.system.stiffness == 0), [self.model.contacts[i] for i in self.reduction.live]
+        free = np.flatnonzero(self.system.stiffness == 0)
         if not free.size:
             return np.zeros((0, self.vector.size))
+        (*along, across), size = self.system.shape, self.here.point.q.size
+        live = [self.model.contacts[i] for i in self.reduction.live]
         other = np.array([contact.law != CONE for contact in live], dtype=bool)
         presses = other | np.array([contact.normal_stiffness > 0 for contact in live], dtype=bool)
         held = np.concatenate([across[presses], *(axis[other] for axis in along)])
