@@ -70,6 +70,13 @@ def tree_class(cls: type[T]) -> type[T]:
     return own
 
 
+def with_parts(tree: T, **parts: Any) -> T:
+    """A tree of a `tree_class` with other parts; of many at once too, which its annotations are not of."""
+    changed = object.__new__(type(tree))
+    changed.__dict__.update(tree.__dict__, **parts)
+    return changed
+
+
 _SETTINGS: Any = jax.config
 _IDENTITY = {"vendor_id", "cpu family", "model", "model name", "flags"}
 _IDENTITY |= {

@@ -4,7 +4,7 @@ A trajectory starts each cycle from its state alone (the step control forgets at
 depend on its neighbours.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
+from timesim.runtime import with_parts  # isort: skip
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -146,7 +146,7 @@ def _recorded(own: tuple[Lane, int], solver: Solver, most: int | None) -> tuple[
 
 def _without_work(tree: T, *names: str) -> T:
     """A tree some of whose entries are points, without the energies of these."""
-    return replace(tree, **{name: replace(getattr(tree, name), work=None) for name in names})
+    return with_parts(tree, **{name: with_parts(getattr(tree, name), work=None) for name in names})
 
 
 def _slopes(lanes: Sequence[Lane], method: Method, steps: Sequence[Step], each: Each) -> list[np.ndarray]:

@@ -1,6 +1,6 @@
 """Lanes of a batch: trajectories of scenes at the start of a cycle, and recorded cycles of them."""
 
-import timesim.runtime  # noqa: F401  isort: skip
+from timesim.runtime import with_parts  # isort: skip
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -263,10 +263,10 @@ class Recorded:
         shifts, since = self.start.shifts, PERIOD * steps.cycle + steps.time
         place = (shifts.T @ (shifts @ self.start.vector))[: rate.size]
         start, end = (
-            replace(y, q=y.q - place - np.outer(t, rate), p=y.p - rate)
+            with_parts(y, q=y.q - place - np.outer(t, rate), p=y.p - rate)
             for y, t in ((steps.start, since), (steps.end, since + steps.h))
         )
-        return replace(steps, start=start, end=end, inside=None)
+        return with_parts(steps, start=start, end=end, inside=None)
 
     @cached_property
     def _negligible(self) -> float:

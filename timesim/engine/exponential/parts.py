@@ -4,9 +4,8 @@ The record of a run evaluates polynomials, which the flow over a long step is no
 mode that moves asks for.
 """
 
-import timesim.runtime  # noqa: F401  isort: skip
+from timesim.runtime import with_parts  # isort: skip
 
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -106,10 +105,22 @@ def in_parts(system: System, steps: Step, parts: Parts) -> Step:
     start, start_rate = _begun(parts.first, (steps.start, steps.start_rate), (end, end_rate))
     state = steps.state[parts.step]
     after = state.copy()
-    own = replace(steps.end, work=None)
+    own = with_parts(steps.end, work=None)
     _set(parts.last, (end, end_rate, after), (own, steps.end_rate, steps.state_after))
     time, length = steps.time[parts.step] + parts.start, parts.end - parts.start
-    return Step(steps.cycle[parts.step], time, length, start, start_rate, end, end_rate, state, after)
+    return with_parts(
+        steps,
+        cycle=steps.cycle[parts.step],
+        time=time,
+        h=length,
+        start=start,
+        start_rate=start_rate,
+        end=end,
+        end_rate=end_rate,
+        state=state,
+        state_after=after,
+        inside=None,
+    )
 
 
 def _begun(first: np.ndarray, own: Any, ends: Any) -> Any:
