@@ -72,6 +72,7 @@ def tree_class(cls: type[T]) -> type[T]:
 
 def with_parts(tree: T, **parts: Any) -> T:
     """A tree of a `tree_class` with other parts; of many at once too, which its annotations are not of."""
+    assert parts.keys() <= tree.__dict__.keys()
     changed = object.__new__(type(tree))
     changed.__dict__.update(tree.__dict__, **parts)
     return changed

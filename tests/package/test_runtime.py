@@ -1,5 +1,6 @@
 """JAX as the package needs it: versions that compute right, what importing the package leaves alone, the cache."""
 
+import dataclasses
 import os
 import re
 import subprocess
@@ -11,8 +12,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array, Float, TypeCheckError
 
 from timesim import runtime
+from timesim.engine.system import Work
+
+
+@runtime.tree_class
+class Lever:
+    """Of its parts one may be missing, and one is of its structure."""
+
+    arm: Float[Array, ""]
+    load: Float[Array, ""] | None
+    name: str = dataclasses.field(default="lever", metadata={"static": True})
+
 
 OPTIONS = "xla_cpu_small_while_loop_byte_threshold=8388608,xla_cpu_disable_new_fusion_emitters=true"
 LOOP_FLAG = f"--xla_backend_extra_options={OPTIONS}"
@@ -34,6 +47,29 @@ def python(code, **environment):
 def _flags_of_the_host_are_away(monkeypatch):
     """The names of folders hold the instructions that these flags allow; the processes of `python` have none."""
     monkeypatch.delenv("XLA_FLAGS", raising=False)
+
+
+def test_a_tree_is_taken_apart_into_its_parts_and_put_together_again():
+    lever = Lever(jnp.asarray(2.0), None)
+    leaves, tree = jax.tree.flatten(lever)
+    assert leaves == [2.0]
+    assert jax.tree.unflatten(tree, ["no array"]).arm == "no array"
+    assert tree != jax.tree.structure(dataclasses.replace(lever, name="another"))
+    assert jax.jit(lambda own: own.arm * len(own.name))(lever) == 10.0
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        lever.arm = jnp.asarray(3.0)
+
+
+def test_parts_of_many_trees_at_once_are_changed():
+    """The constructor refuses what its annotations are not of."""
+    many = jax.tree.map(lambda leaf: leaf[None], Work.none(contacts=2))
+    with pytest.raises(TypeCheckError):
+        dataclasses.replace(many, input=np.ones(1))
+    changed = runtime.with_parts(many, input=np.ones(1))
+    assert (changed.input, many.input) == (1.0, 0.0)
+    assert changed.friction is many.friction
+    with pytest.raises(AssertionError):
+        runtime.with_parts(many, imput=np.ones(1))
 
 
 def test_this_jax_multiplies_many_vectors_right():
