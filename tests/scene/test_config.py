@@ -885,6 +885,7 @@ def test_a_key_of_another_section_is_sent_there():
 
     assert "the frequency of one run is excitation.frequency" in refused("study.frequency")
     assert "it is solver.accuracy" in refused("study.accuracy")
+    assert "a gap is a negative preload" in refused("contacts.pad.gap")
     assert "each of forces and modal_force has its own" in refused("excitation.phase_deg")
     assert "it belongs in frequency" in refused("study.step")
     assert "it belongs beside frequency, not in it" in refused("study.frequency.refine")
@@ -945,6 +946,8 @@ def test_damping_given_in_percent_and_a_result_of_gigabytes_are_worth_a_warning(
     (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["structure.modes.1.damping_ratio=0.5"]))
     assert warning.endswith("that is 50 % of critical; 1 % is 0.01")
     assert list(warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["structure.modes.1.damping_ratio=0.1"]))) == []
+    (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["contacts.pad.friction=50"]))
+    assert warning == "contacts.pad.friction: 50 times the normal load; 30 % is 0.3"
     long = ["study.cycles=100000", "study.samples_per_cycle=200"]
     (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", [*long, "study.record_last=100000"]))
     assert warning.startswith("study: 20000001 samples make a result of 2.9 GB")

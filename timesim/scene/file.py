@@ -170,6 +170,8 @@ ELSEWHERE = {
     ("study", "frequency"): "the frequency of one run is excitation.frequency",
     ("study", "accuracy"): "it is solver.accuracy",
     ("study", "method"): "it is solver.method",
+    ("contacts", "gap"): "a gap is a negative preload, -normal_stiffness times its width",
+    ("contacts", "mu"): "it is friction",
     ("excitation", "amplitude"): "each of forces, constant_forces and modal_force has its own",
     ("excitation", "phase_deg"): "each of forces and modal_force has its own",
 }

@@ -27,6 +27,7 @@ FAR_BELOW, FAR_ABOVE = 0.2, 100.0  # times the highest excitation frequency: a h
 KEPT = 20.0  # times that frequency above which a mode may be left out
 TAKES_PART = 1e-2  # share of a mode's stiffness that contacts add if it takes part in their motion
 HEAVY = 0.15  # damping ratio above which a percentage is suspected
+ROUGH = 3.0  # friction coefficient above which the same is
 ROUNDING = 1e-9  # share of the largest constant modal force that leaves a mode alone
 FEW_RUNS = 4  # at reference for which a tradeoff should have time
 
@@ -44,6 +45,8 @@ def warnings_of(scene: Scene) -> Iterator[str]:
     for contact in file.contacts:
         if contact.idle_stiffness and np.any(contact.stiffness_matrix()):
             yield f"contacts.{contact.name}.tangential_stiffness has no effect without friction"
+        if contact.friction > ROUGH:
+            yield f"contacts.{contact.name}.friction: {contact.friction:g} times the normal load; 30 % is 0.3"
     if not file.study.requires:
         return
     yield from _failing(scene)
