@@ -77,7 +77,8 @@ class Lane:
     def within(self, rtol: float) -> Self:
         """The lane with another tolerance of a step."""
         control, share = self.control, rtol / float(self.control.rtol)
-        return replace(self, control=replace(control, rtol=control.rtol * share, atol=control.atol * share))
+        finer = {"rtol": np.asarray(rtol), "atol": np.asarray(control.atol * share)}
+        return replace(self, control=replace(control, **finer))
 
     @property
     def shapes(self) -> tuple[tuple[int, ...], ...]:
