@@ -135,10 +135,8 @@ def _recorded(own: tuple[Lane, int], solver: Solver, most: int | None) -> tuple[
         count += int(taken)
         if not _unfinished(now, num):
             break
-    now, steps = (
-        _on_host(now),
-        parts[0] if len(parts) == 1 else jax.tree.map(lambda *rows: np.concatenate(rows), *parts),
-    )
+    now = _on_host(now)
+    steps = parts[0] if len(parts) == 1 else jax.tree.map(lambda *rows: np.concatenate(rows), *parts)
     if now.point.work is None:
         return now, steps, energy_lost(steps)
     return _without_work(now, "point", "rate"), _without_work(steps, *ENDS), now.point.work.friction
