@@ -475,6 +475,7 @@ def test_a_phase_of_zero_but_for_rounding_needs_no_quarter_above_it() -> None:
 
 def test_keys_are_words() -> None:
     assert key_words("contacts.left_pad.tangential_stiffness") == "left_pad tangential stiffness"
+    assert key_words("contacts.*.tangential_stiffness") == "tangential stiffness"
 
 
 def test_a_stop_without_friction_has_a_share_closed() -> None:

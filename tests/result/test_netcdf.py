@@ -161,6 +161,7 @@ def test_every_name_has_a_meaning_and_units_are_known() -> None:
     allowed = {"1", "s", "Hz", "degree", "length", "length/s", "modal length", "modal length/s", "force"}
     allowed |= {"force*length", "force/length", "force*length/s", "length/modal length"}
     assert {text["units"] for text in texts if "units" in text} == allowed
+    assert label.attributes("excitation.forces.*.amplitude")["units"] == "force"
     assert label.attributes("structure.modes.0.mass") == {"long_name": "scene value structure.modes.0.mass"}
     for key, unit in (("forces.0", "kN"), ("constant_forces.1", "kN"), ("modal_force.0", None)):
         assert label.attributes(f"excitation.{key}.amplitude", {"force": "kN"}).get("units") == unit

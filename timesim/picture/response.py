@@ -14,7 +14,7 @@ from timesim.picture.choice import MAX_ROWS, busiest, left_out, main_axes
 from timesim.picture.figure import finish, label_axes, labelled, legend_beside, stacked
 from timesim.picture.style import NEUTRAL, SERIES, Axes, Dataset, Figure, Series, is_stop, short, unit
 from timesim.result.coordinate import rubs
-from timesim.result.label import is_scalar_key, told_apart
+from timesim.result.label import EVERY, is_scalar_key, told_apart
 
 DIRECTIONS = {"up": "^", "down": "v", "independent": "o"}
 PAIRED: dict[str, Any] = {"up": 10, "down": 11, "independent": "o"}
@@ -29,7 +29,7 @@ MARKERS = "os<>pXPhdH"  # without the diamond, which is a fold
 
 def key_words(key: str) -> str:
     """A scalar's key as words, without the section: ``pad tangential stiffness``; dollars in it make no formula."""
-    *names, scalar = key.split(".")[1:]
+    *names, scalar = (part for part in key.split(".")[1:] if part != EVERY)
     return " ".join([*names, scalar.replace("_", " ")]).replace("$", r"\$")
 
 

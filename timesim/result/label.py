@@ -250,6 +250,10 @@ SI = {"N*m": "J", "N*m/s": "W"}
 """Names of such units of their own."""
 
 
+EVERY = "*"
+"""In the key of a scalar, every item of a list: ``contacts.*.preload``."""
+
+
 def is_scalar_key(name: str) -> bool:
     """Whether a variable or an axis of a result is a scalar of the scene, named by its key: they alone have a dot."""
     return "." in name
@@ -263,7 +267,7 @@ def attributes(name: str, named: Mapping[str, str] | None = None) -> dict[str, A
         named: units of the quantities of `BASE`, ``{"length": "mm"}``.
     """
     if is_scalar_key(name):
-        part, _, key = re.sub(r"\.\d+", "", name).rpartition(".")
+        part, _, key = re.sub(r"\.(?:\d+|\*)", "", name).rpartition(".")
         long_name = f"scene value {name}"
         units = SCENE_UNITS.get(key, SCENE_UNITS.get(f"{part.rpartition('.')[2]}.{key}"))
     elif name in LABELS:

@@ -23,7 +23,7 @@ from timesim.model.solver import Solver
 from timesim.model.start import rest_start
 from timesim.scene.file import NO_NUMBER, Kinds, SceneFile, SceneParts, parsed, rule_errors
 from timesim.scene.integration import EndOfRun, InitialResult, start
-from timesim.scene.source import SceneSource, address, empty_values, overridden, read
+from timesim.scene.source import SceneSource, addresses, empty_values, overridden, read
 from timesim.scene.structure import BuiltStructure, ExcitationSection, Files, FileSection
 from timesim.scene.study import Context, SteadySection, combinations
 from timesim.scene.text import yaml_text
@@ -198,10 +198,11 @@ def _check_axes(scene: Scene) -> None:
     """Refuse a scalar that the study varies twice, as by the name of a contact and by its number."""
     known: dict[Key, Key] = {}
     for place in scene.file.study.varied():
-        other = known.setdefault(address(scene.source.data, str(place[-1])), place)
-        if other != place:
-            error = RuleError(("study", *place), f"is the same scalar as {'.'.join(map(str, other))}", "name it once")
-            raise SceneError([scene.source.problem(error)])
+        for key in addresses(scene.source.data, str(place[-1])):
+            other = known.setdefault(key, place)
+            if other != place:
+                rule = f"is the same scalar as {'.'.join(map(str, other))}"
+                raise SceneError([scene.source.problem(RuleError(("study", *place), rule, "name it once"))])
 
 
 def _check_combinations(scene: Scene) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from timesim.fault import Key, Problem, RuleError, SceneError, nearest
 from timesim.result.argument import list_of, path_of
+from timesim.result.label import EVERY
 from timesim.scene.text import MAX_BYTES, MAX_DEPTH, parse, plain, value_text
 
 
@@ -132,8 +133,8 @@ def overridden(source: SceneSource, overrides: Mapping[str, Any] | Iterable[str]
     for given in pairs:
         try:
             path, value = given if isinstance(given, tuple) else _assignment(str(given))
-            data, key = _changed(data, str(path), plain(value))
-            keys.append(key)
+            data, changed = _changed(data, str(path), plain(value))
+            keys += changed
         except RuleError as error:
             parts = given if isinstance(given, tuple) else str(given).partition("=")[::2]
             path, shown = (str(part).strip() for part in parts)
@@ -150,32 +151,35 @@ def _assignment(text: str) -> tuple[str, Any]:
     return path.strip(), parse(value.strip())[0]
 
 
-def address(data: Mapping[str, Any], path: str) -> Key:
+def addresses(data: Mapping[str, Any], path: str) -> list[Key]:
     """Where a key path leads in the data of a scene; the path itself, as one part, where it leads nowhere."""
     try:
         return _changed(data, path, 0.0)[1]
     except RuleError:
-        return (path,)
+        return [(path,)]
 
 
-def _changed(place: Any, path: str, value: Any, above: Key = ()) -> tuple[Any, Key]:
-    """A copy of the data at a key with another value at a path below it, and the whole key path of that value.
+def _changed(place: Any, path: str, value: Any, above: Key = ()) -> tuple[Any, list[Key]]:
+    """A copy of the data at a key with another value at a path below it, and the whole key paths of that value.
 
     Only what lies on the path is copied, since the rest may be large, and since an alias shares its value with others.
     """
     if len(above) > MAX_DEPTH:
         raise RuleError(above[:4], f"is nested deeper than {MAX_DEPTH} levels")
     part, rest = _first(path, place if above in NAMED_BY_KEYS else None)
-    step = _step(place, part)
-    copy, key = place.copy(), (*above, step)
-    if isinstance(copy, dict) and value is None and (rest is None or step not in copy):
-        copy.pop(step, None)
-    elif rest is None:
-        copy[step] = value
-    else:
-        below = copy.get(step, {}) if isinstance(copy, dict) else copy[step]
-        copy[step], key = _changed(below, rest, value, key)
-    return copy, key
+    steps, keys = _steps(place, part), list[Key]()
+    copy = place.copy()
+    for step in steps:
+        own = [(*above, step)]
+        if isinstance(copy, dict) and value is None and (rest is None or step not in copy):
+            copy.pop(step, None)
+        elif rest is None:
+            copy[step] = value
+        else:
+            below = copy.get(step, {}) if isinstance(copy, dict) else copy[step]
+            copy[step], own = _changed(below, rest, value, own[0])
+        keys += own
+    return copy, keys
 
 
 def _first(path: str, named: Any) -> tuple[str, str | None]:
@@ -191,18 +195,20 @@ def _first(path: str, named: Any) -> tuple[str, str | None]:
     return part, path[len(part) + 1 :] or None
 
 
-def _step(place: Any, part: str) -> str | int:
-    """The key or index that a part of a path names."""
+def _steps(place: Any, part: str) -> list[str] | list[int]:
+    """The key or index that a part of a path names; a star, unless it is a name, names all items of a list."""
     if isinstance(place, dict) and part:
-        return part
+        return [part]
     if not isinstance(place, list):
         rule = f"{part or 'an empty part'} stands below a value that has no keys"
         raise RuleError((), rule, "override the whole value")
     names = [str(item["name"]) for item in place if isinstance(item, dict) and "name" in item]
     same = [i for i, item in enumerate(place) if isinstance(item, dict) and item.get("name") == part]
     if same:
-        return same[0]
+        return same[:1]
+    if part == EVERY and place:
+        return list(range(len(place)))
     if part.isdecimal() and int(part) < len(place):
-        return int(part)
+        return [int(part)]
     known = f"indices 0 to {len(place) - 1}" if place else "the list is empty"
     raise RuleError((), f"{part} is no item of the list", nearest(part, names) if names else known)
