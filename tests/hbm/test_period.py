@@ -34,6 +34,7 @@ MOTIONS = {
     "variable load": (1.0, 0.5, 0.5, 45.0),
     "separation": (1.0, 0.5, 1.5, 45.0),
     "straight": (1.0, 0.0, 1.5, 45.0),
+    "against": (1.0, 0.0, 1.5, -45.0),
 }
 # Contacts that a test follows at once, and samples of a period: for others more is compiled. 98 times the rounded 1/98
 # is less than 1.
@@ -310,7 +311,7 @@ def busy(name: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", STIFFNESS)
-@pytest.mark.parametrize("name", ["stick and slip", "separation", "straight"])
+@pytest.mark.parametrize("name", ["stick and slip", "separation", "straight", "against"])
 def test_forces_hardly_depend_on_where_the_samples_lie(name, kind):
     """Followed over more than the distance of two samples they neither jump nor, on 64 samples, vary by 1e-4."""
     law, basis = law_of([element(STIFFNESS[kind])] * SIDE_BY_SIDE), basis_of(3, COARSE)
@@ -378,6 +379,21 @@ def test_slip_with_which_a_contact_opens_may_be_as_short_as_it_likes(kind, angle
     assert np.all(np.diff(slip) < 0)
     assert slip[-1] < 1e-8
     assert np.all(np.abs(put - put[:, -1:]) < lanes + 1e-15)
+
+
+@pytest.mark.parametrize("kind", STIFFNESS)
+@pytest.mark.parametrize("across", [0.0, 1e-9, 1e-3])
+def test_slip_against_the_motion_ends_smoothly_where_the_contact_opens(kind, across):
+    """A falling load keeps up slip against the motion up to the opening, or next to it: no rounding turns it there."""
+    law, basis = law_of([element(STIFFNESS[kind])] * SIDE_BY_SIDE), basis_of(3, SAMPLES[-1])
+    motion = prescribed((1.0, across, 1.5, -45.0), 3)
+    exact = located_forces(element(STIFFNESS[kind]), motion)
+    angles = np.linspace(0, 2 * np.pi / SAMPLES[-1], 8 * SIDE_BY_SIDE)
+    errors = []
+    for part in angles.reshape(-1, SIDE_BY_SIDE):
+        done = contact_forces(law, basis, np.array([turned(motion, angle) for angle in part]))
+        errors += [turned(own, -angle) - exact for own, angle in zip(done.coefficient, part, strict=True)]
+    assert np.abs(errors).max() < 1e-6
 
 
 def test_slip_that_is_shorter_than_the_distance_of_samples():

@@ -23,6 +23,8 @@ LEAST = 1e-12
 # Pull, integrated over time, below which what its turn leaves behind is that of Magnus' series, and about which the
 # description changes to that of a strong one.
 WEAK, STRONG = 1e-4, 6.0
+# Share of the distance of two samples before a contact opens, over which its slip keeps its direction.
+LATE = 0.25
 
 Flag = Bool[Array, "*contact"]
 
@@ -163,7 +165,13 @@ def turned(law: ConeLaw, path: Path, e: Plane, start: Scalar, end: Scalar) -> Pl
     turns towards that of z, and by ``z x dz / 12`` as the pull turns (Magnus' series). Where it is strong, as next to
     n = 0, ``near``: the angle psi between both obeys ``psi' = -(|z| / n) psi - p'`` and decays; what the turn of the
     pull leaves behind is exact for a load that is linear, also where slip begins with contact.
+
+    Right before the contact opens the direction stays as it is. Slip against the pull, kept up by a falling load, lasts
+    to the opening along a straight path, but is unstable: next to n = 0 rounding alone would decide where it turns.
     """
+    falls = -path.limit.rate(end)
+    left = quotient(path.limit.value(end), falls)
+    end = jnp.where((falls > 0) & (left < LATE), jnp.maximum(end + left - LATE, start), end)
     none = (jnp.zeros_like(start),) * 2
     change, rest = minus(path.at(end), path.at(start)), end - start
     limit0, limit1 = path.limit.value(start), path.limit.value(end)
