@@ -366,6 +366,18 @@ def test_motion_from_a_result(tmp_path):
     np.testing.assert_allclose(data.force.values[::2], recorded[:, :2], atol=2e-4)
 
 
+def test_a_cycle_of_a_result_that_does_not_close_is_refused(tmp_path):
+    """After three cycles from rest the motion still grows: closed by force, it would be another one."""
+    source = load_scene(CONFIGS / "oscillator.yaml", ["study.cycles=3", "study.record_last=2"])
+    from timesim.result.netcdf import save
+    from timesim.study.registry import carry_out
+
+    save(carry_out(source).groups, tmp_path / "result.nc")
+    motion = {"from": str(tmp_path / "result.nc"), "point": "tip"}
+    with pytest.raises(SceneError, match=r"study\.motion: .*ends 0\.\d+ of the motion's range from where it begins"):
+        load_scene(scene(element(motion=motion)))
+
+
 def test_element_map_against_single_elements():
     for pad, study in (
         ({}, {"A": {"from": 0, "to": 1.5, "num": 3}, "B": [0.0, 0.3, 1.0], "D": 0.5, "psi_deg": 45}),

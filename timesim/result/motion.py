@@ -15,6 +15,9 @@ from timesim.result.last_cycle import last_cycle
 COLUMNS = ("u1", "u2", "v")
 # A step so many times larger than its neighbours on both sides, and than this share of the range, is a jump.
 JUMP, SHARE = 8.0, 1e-6
+# Share of its range by which a cycle of a result may end away from where it begins: a cycle still settling would be
+# taken for a periodic one with a kink.
+CLOSED = 1e-3
 
 
 def read_motion(path: str | Path) -> SplineMotion:
@@ -53,9 +56,15 @@ def read_result_motion(path: str | Path, point: str, against: str, frame: Array)
     for name in (point, against):
         if name not in names and (name, name) != (against, GROUND):
             raise ValueError(f"result {path}: no point {name}; it has {', '.join(names)}")
-    x = data["displacement"].values[rows[:-1]]
+    x = data["displacement"].values[rows]
     relative = x[:, names.index(point)] - (0.0 if against == GROUND else x[:, names.index(against)])
-    u1, u2, v = frame @ relative.T
+    missed, extent = np.abs(relative[-1] - relative[0]).max(), np.ptp(relative, axis=0).max()
+    if missed > CLOSED * extent:
+        raise ValueError(
+            f"result {path}: its last cycle ends {missed / extent:.2g} of the motion's range from where it begins, "
+            f"more than {CLOSED:g}: it has not settled, or repeats after more than a cycle; give it more cycles"
+        )
+    u1, u2, v = frame @ relative[:-1].T
     return SplineMotion(_samples(path, {"u1": u1, "u2": u2, "v": v}))
 
 
