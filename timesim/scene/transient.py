@@ -128,7 +128,7 @@ class Tradeoff(StudySection):
     """Seconds for all runs and their compilation; the cheapest runs come first, and those beyond it are left out."""
     amplitude: Switch = False
     """Judge the settled amplitude, which is what a sweep needs, instead of the state at the end: the runs begin from
-    the settled motion."""
+    the settled motion, and have more cycles than these where it takes more to come to their own."""
 
     def plan(self, context: Context) -> TradeoffPlan:
         assert context.frequency is not None

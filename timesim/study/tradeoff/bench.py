@@ -1,5 +1,6 @@
 """Runs of one scene by different methods, each compiled before it is timed, within a budget of seconds."""
 
+import math
 import time
 from dataclasses import dataclass, replace
 
@@ -29,6 +30,11 @@ LEFT = 0.1
 """Share of the wanted error to which free vibrations have decayed by then."""
 MOST_CYCLES, MOST_TIME = 2000, 0.3
 """Most cycles, and largest share of the budget, for this march."""
+FAR, NEAR = 1e-2, 1e-3
+"""Distances from the settled amplitude between which its decay is read off this march."""
+FORGOTTEN = 0.02
+"""Share to which the difference of a run's own settled motion from the one that it begins with has decayed at its end.
+"""
 ORDER = {"dopri8": 8, "exponential": 6}
 """Order of the methods where it is not 5: the number of steps grows as tolerance ** (-1/order)."""
 
@@ -72,6 +78,7 @@ class Bench:
         trials: the runs that have come to their end.
         left_out: solvers with the number of modes of runs that were not made, or failed, each with the reason.
         settled_to: change of the amplitude over the last period before the runs, where it is judged; else NaN.
+        cycles: of each run; where the amplitude is judged, enough for it to come to that of its own solver.
     """
 
     def __init__(self, model: Model, plan: TradeoffPlan, execution: Execution):
@@ -80,6 +87,7 @@ class Bench:
         self.trials: list[Trial] = []
         self.left_out: dict[tuple[Solver, int], str] = {}
         self.settled_to = np.nan
+        self.cycles = plan.cycles
         self._compiling: dict[tuple[str, float, int, bool], float] = {}
         self._models: dict[int, Model] = {}
         self._periods: dict[int, int] = {}
@@ -126,7 +134,7 @@ class Bench:
             if trial.seconds < min(REPEATED, self.left):
                 self._show(f"{trial.solver} again")
                 model, clock = self.model_of(trial.num_modes), time.perf_counter()
-                _through(model, trial.solver, self.plan.frequency, self.plan.cycles)
+                _through(model, trial.solver, self.plan.frequency, self.cycles)
                 less, more = sorted((trial.seconds, time.perf_counter() - clock))
                 self.trials[i] = replace(trial, seconds=less, scatter=np.fmax(trial.scatter, more / less - 1))
 
@@ -150,8 +158,13 @@ class Bench:
             if self.left < until and run.completed > 1:
                 break
         self._compiling.setdefault(program(SETTLING, model.structure.num_modes), run.compile_seconds)
-        self._periods[model.structure.num_modes], left = repeats(np.array(totals.amplitude)[: run.completed])
+        amplitude = np.array(totals.amplitude)[: run.completed]
+        period, left = repeats(amplitude)
+        self._periods[model.structure.num_modes] = period
         self.settled_to = float(np.nanmax([self.settled_to, left]))
+        if model is self.model:
+            unknown = cycles_to_settle(model, replace(criterion, tolerance=FORGOTTEN), frequency)
+            self.cycles = max(self.cycles, period + forgets(amplitude, period, unknown))
         start = Start(run.displacement, run.velocity, run.slip, run.state, run.phase % (2 * np.pi))
         return replace(model, start=start)
 
@@ -161,7 +174,7 @@ class Bench:
         first, seconds = key not in self._compiling, list[float]()
         while len(seconds) < 1 + first or (min(seconds) < REPEATED and len(seconds) < REPEATS):
             clock = time.perf_counter()
-            run, totals, steps = _through(model, solver, self.plan.frequency, self.plan.cycles)
+            run, totals, steps = _through(model, solver, self.plan.frequency, self.cycles)
             seconds.append(time.perf_counter() - clock)
         compiling = seconds[0] - min(seconds) if first else 0.0
         self._compiling.setdefault(key, compiling)
@@ -191,7 +204,7 @@ class Bench:
         share = STEP[solver.name] / STEP[last.solver.name] * max((last.solver.rtol / solver.rtol) ** power, 1.0)
         own = last.seconds * share
         if solver.name == "kvaerno5" and last.solver.name != solver.name:  # its steps are others than those of the rest
-            own = self.plan.cycles * seconds_a_cycle(self.model, solver, self.plan.frequency)
+            own = self.cycles * seconds_a_cycle(self.model, solver, self.plan.frequency)
         first = next(iter(self._compiling.values())) * COMPILED[solver.name]
         return min(max(own, REPEATED), REPEATS * own) + (0.0 if key in self._compiling else first)
 
@@ -205,6 +218,22 @@ def repeats(amplitude: np.ndarray) -> tuple[int, float]:
     }
     period = min(change, key=lambda period: change[period])
     return period, change[period]
+
+
+def forgets(amplitude: np.ndarray, period: int, unknown: int) -> int:
+    """Cycles in which a small difference of a settled motion has decayed to `FORGOTTEN`.
+
+    Args:
+        amplitude: while it settles, shape (cycle, point, axis).
+        period: cycles after which the settled motion repeats.
+        unknown: what is returned where the motion was never `FAR` from it.
+    """
+    same = (np.arange(len(amplitude)) - len(amplitude)) % period - period
+    away = amplitude_error(amplitude[same], amplitude)
+    far, near = np.flatnonzero(away > FAR), np.flatnonzero(away > NEAR)
+    if not far.size:
+        return unknown
+    return math.ceil((near[-1] - far[-1]) * math.log(FORGOTTEN) / math.log(NEAR / FAR))
 
 
 def program(solver: Solver, num_modes: int) -> tuple[str, float, int, bool]:

@@ -48,6 +48,11 @@ def _verdict(data: Dataset) -> Iterator[str]:
     yield f"errors are those {what}, relative to its size, known to {known:.1e} {by}"
     if attrs["settled_to"] > attrs["error_wanted"]:
         yield f"before the runs the amplitude still changed by {attrs['settled_to']:.1e}: it had not settled"
+    if attrs["cycles"] > attrs["cycles_asked"]:
+        yield (
+            f"each run has {attrs['cycles']} cycles: in {attrs['cycles_asked']} it would not have come "
+            "from the accurate motion that it begins with to its own"
+        )
     yield from _advice(data)
     yield from _modes(data)
     yield from _reductions(data)

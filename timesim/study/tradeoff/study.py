@@ -180,7 +180,7 @@ def left_out_lines(bench: Bench) -> Iterator[str]:
 
 
 def _record(scene: Scene, bench: Bench, judged: Judged, reason: str | None) -> Dataset:
-    trials, cycles, num_modes = bench.trials, bench.plan.cycles, bench.model.structure.num_modes
+    trials, cycles, num_modes = bench.trials, bench.cycles, bench.model.structure.num_modes
     untried = [str(kept) for (_, kept), why in bench.left_out.items() if kept < num_modes and why == NO_TIME]
     rk4 = np.array([trial.solver.name == "rk4" for trial in trials], dtype=bool)
     most_steps = 2 * np.pi / np.array([trial.solver.longest for trial in trials])
@@ -208,6 +208,7 @@ def _record(scene: Scene, bench: Bench, judged: Judged, reason: str | None) -> D
         "truth": judged.verified,
         "error_wanted": bench.plan.error,
         "cycles": cycles,
+        "cycles_asked": bench.plan.cycles,
         "judged_by_amplitude": bench.plan.amplitude,
         "settled_to": bench.settled_to,
         "recommended_trial": judged.recommended,
