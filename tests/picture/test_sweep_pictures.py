@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from timesim.picture import style
 from timesim.picture import sweep as plot_sweep
 from timesim.picture.choice import MAX_CURVES, main_axes, motion
-from timesim.picture.draw import make_logarithmic
+from timesim.picture.draw import make_logarithmic, write
 from timesim.picture.response import LINES, PAIRED, key_words, values_labels
 from timesim.result.dataset import dataset
 from timesim.result.label import told_apart
@@ -447,6 +447,10 @@ def test_pictures_with_logarithmic_axes_and_of_other_kinds(both: xarray.Dataset,
         plot.draw(both, tmp_path, kind="eps")
     with pytest.raises(ValueError, match="log must be one of amplitude, frequency, not phase"):
         plot.draw(both, tmp_path, log=["phase"])
+    alone = {"stability": plot_sweep.PICTURES["stability"]}
+    assert write(both, tmp_path, alone, log=["frequency"])
+    with pytest.raises(ValueError, match="log: no picture of this result has an axis of amplitude that can be"):
+        write(both, tmp_path, alone, log=["frequency", "amplitude"])
 
 
 def test_the_phase_stands_below_its_amplitude() -> None:

@@ -42,7 +42,7 @@ def write(
 
     Raises:
         StoreError: a file cannot be written, or the result lacks a variable that a picture shows.
-        ValueError: the format or a quantity is unknown.
+        ValueError: the format or a quantity is unknown, or no picture has an axis of the quantity.
     """
     quantities = list_of("log", log, f"a list of {' and '.join(LOGARITHMIC)}")
     for name, given, known in (("format", [kind], KINDS), ("log", quantities, LOGARITHMIC)):
@@ -50,9 +50,23 @@ def write(
         unknown = [item for item in named if item not in known]
         if unknown:
             raise ValueError(f"{name} must be one of {', '.join(known)}, not {', '.join(unknown)}")
-    written: list[Path] = []
     if any(data.sizes.get(name, least) < least for name, least in LEAST.items()) or not _begun(data):
-        return written
+        return []
+    figures = _figures(data, pictures)
+    met = set().union(*(make_logarithmic(figure, quantities) for figure in figures.values()))
+    if figures and (unmet := [name for name in quantities if name not in met]):
+        raise ValueError(f"log: no picture of this result has an axis of {' or '.join(unmet)} that can be logarithmic")
+    written: list[Path] = []
+    for name, figure in figures.items():
+        put_factors_in_labels(figure)
+        written.append(Path(folder) / f"{name}.{kind}")
+        write_whole(written[-1], _png(figure) if kind == "png" else _vectors(figure, kind))
+    return written
+
+
+def _figures(data: Dataset | DataTree, pictures: Mapping[str, Picture]) -> dict[str, Figure]:
+    """Those pictures that show something of the result, by their names."""
+    figures: dict[str, Figure] = {}
     for name, picture in pictures.items():
         try:
             figure = picture(data)
@@ -60,11 +74,8 @@ def write(
             lacks = f"the result lacks what picture {name} shows ({error.args[0]})"
             raise StoreError(f"{lacks}: draw a whole result, of this version") from error
         if figure is not None:
-            make_logarithmic(figure, quantities)
-            put_factors_in_labels(figure)
-            written.append(Path(folder) / f"{name}.{kind}")
-            write_whole(written[-1], _png(figure) if kind == "png" else _vectors(figure, kind))
-    return written
+            figures[name] = figure
+    return figures
 
 
 def _begun(data: Dataset | DataTree) -> bool:
@@ -75,19 +86,24 @@ def _begun(data: Dataset | DataTree) -> bool:
     return not parts or any(known + failed)
 
 
-def make_logarithmic(figure: Figure, quantities: Collection[str]) -> None:
-    """Make those axes of a figure logarithmic whose labels name one of the quantities."""
+def make_logarithmic(figure: Figure, quantities: Collection[str]) -> set[str]:
+    """Make those axes of a figure logarithmic whose labels name one of the quantities; returns those it did so for."""
+    met: set[str] = set()
     for ax in figure.axes:
-        if not _words(ax.get_xlabel()).isdisjoint(quantities):
+        along, up = (_words(label) & set(quantities) for label in (ax.get_xlabel(), ax.get_ylabel()))
+        if along:
+            met |= along
             ax.set_xscale("log")
             plain_ticks(ax.xaxis, *ax.get_xlim())
         least, top = ax.dataLim.minposy, ax.dataLim.y1
-        if not _words(ax.get_ylabel()).isdisjoint(quantities) and 0 < least < top < np.inf:
+        if up and 0 < least < top < np.inf:
+            met |= up
             low = ax.get_ylim()[0]
             ax.set_yscale("log")
             if low <= 0:
                 ax.set_ylim(max(0.8 * least, SMALLEST * top), 1.25 * top)
             plain_ticks(ax.yaxis, *ax.get_ylim())
+    return met
 
 
 def put_factors_in_labels(figure: Figure) -> None:
