@@ -100,8 +100,25 @@ def test_estimate_says_where_it_cannot_be_trusted() -> None:
     tired.solver = replace(tired.solver, budget=3)
     failed = error_of(run, totals, tired)
     assert np.isnan(failed.state)
-    assert "companion failed at time 0" in failed.remark
+    assert "companion failed: at time 0" in failed.remark
     assert "budget of 3 steps" in failed.remark
+
+
+def test_a_companion_of_fixed_steps_is_named_by_their_length() -> None:
+    run, totals = finished(oscillator(3, 1.39), 1, PRESETS["standard"])
+    run.solver, other = Solver("rk4", 1e-8, 1e-10, 0.05), replace(totals, transitions=totals.transitions + 1)
+    assert compared(run, totals, companion_of(run), other).remark.startswith("a run of steps twice as long takes ")
+
+
+@pytest.mark.parametrize("ratio", [1.5, 3.0, 10.0])
+def test_an_estimate_in_doubt_is_the_geometric_mean(ratio: float) -> None:
+    """Of the whole difference of both runs and the share of it that a proportional error has, for any companion."""
+    run, totals = finished(oscillator(3, 1.39), 1, PRESETS["standard"])
+    other = companion_of(run)
+    other.solver = replace(run.solver, rtol=ratio * run.solver.rtol)
+    other.displacement, other.velocity = run.displacement + 0.05 * totals.size[0], run.velocity
+    found = compared(run, totals, other, totals).state
+    assert found == pytest.approx(np.sqrt(0.05 * 0.05 / (ratio - 1)))
 
 
 @pytest.mark.parametrize(("apart", "share"), [(0.005, 1 / 9), (0.05, 1 / 3)])

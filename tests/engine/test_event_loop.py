@@ -456,6 +456,14 @@ def test_what_a_message_says(status: Status) -> None:
     assert any(hint in str(caught.value) for hint in ("try", "ask for", "Raise", "Check"))
 
 
+@pytest.mark.parametrize(("solver", "other"), [("exponential", "kvaerno5"), ("kvaerno5", "exponential")])
+@pytest.mark.parametrize("status", [Status.TOO_SHORT, Status.BUDGET])
+def test_no_message_advises_the_method_that_failed(status: Status, solver: str, other: str) -> None:
+    advice = status.message(solver=solver, budget=7, contact=None).split("try solver.method: ")[1]
+    assert advice.startswith(other)
+    assert solver not in advice
+
+
 def test_a_message_before_any_transition_names_no_contact() -> None:
     run = Run(oscillator(3.0, 1.39), [Phase(1.39, 5)], replace(FINE, budget=3))
     with pytest.raises(RunError, match="the budget of 3 steps a cycle is spent") as caught:

@@ -162,19 +162,13 @@ class ElementCycle:
     @property
     def largest_limit(self) -> float:
         """Largest limit force mu n of the cycle [force]; zero where there is none."""
-        return float(self.law.friction * self.normal_load(self._normal_extremes).max())
+        return float(self.law.friction * self.normal_load(self.motion.normal_extremes).max())
 
     @property
     def force_scale(self) -> float:
         """Friction times what n is the sum of, preload and largest k_v v [force]: its rounding is relative to this."""
-        pressed = self.law.normal_stiffness * np.abs(self.motion.evaluate(self._normal_extremes)[0][2]).max()
+        pressed = self.law.normal_stiffness * np.abs(self.motion.evaluate(self.motion.normal_extremes)[0][2]).max()
         return float(self.law.friction * (abs(self.law.preload) + pressed))
-
-    @property
-    def _normal_extremes(self) -> Array:
-        """Angles at which v may be largest, the start of the cycle among them [rad]."""
-        extremes, _ = self.motion.crossings(np.array([0.0, 0.0, 1.0]), 0.0, rate=True)
-        return np.append(extremes, 0.0)
 
     @cached_property
     def _pieces(self) -> tuple[Array, Array, NDArray[np.int64], Array, Array]:
@@ -199,7 +193,7 @@ class ElementCycle:
     def normal_load(self, theta: ArrayLike) -> Array:
         """n = max(0, n0 + k_v v) at angles of any shape [force]."""
         y, _ = self.motion.evaluate(np.mod(theta, CYCLE))
-        return np.maximum(self.law.preload + self.law.normal_stiffness * y[2], 0.0)
+        return np.maximum(self.law.load(y), 0.0)
 
     def force(self, theta: ArrayLike) -> Array:
         """Friction force f at angles of any shape, shape (2, ...) [force]."""

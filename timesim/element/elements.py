@@ -85,8 +85,7 @@ def harmonic_elements(
 def single_element(contact: Contact, motion: PrescribedMotion) -> Elements:
     """One contact under any motion."""
     require_cone([contact], "prescribed motion")
-    extremes, _ = motion.crossings(np.array([0.0, 0.0, 1.0]), 0.0, rate=True)
-    closest = motion.evaluate(np.append(extremes, 0.0))[0][2].max(keepdims=True)
+    closest = motion.evaluate(motion.normal_extremes)[0][2].max(keepdims=True)
     size = np.abs(motion.evaluate(np.linspace(0.0, CYCLE, 721))[0]).max(axis=1)[None]
     start, rate = (x[None] for x in motion.evaluate(0.0))
     mu, kv, n0 = np.array([[contact.friction], [contact.normal_stiffness], [contact.preload]], float)

@@ -153,7 +153,7 @@ def difference(cycle: ElementCycle, other: LoopCycle) -> Difference:
 
 def _grazes(cycle: ElementCycle, one: Transition, other: Transition, limit: float) -> bool:
     """Whether n hardly changes between two angles at which a contact opens or closes: less than a limit of mu n."""
-    trial = cycle.law.preload + cycle.law.normal_stiffness * cycle.motion.evaluate([one.angle, other.angle])[0][2]
+    trial = cycle.law.load(cycle.motion.evaluate([one.angle, other.angle])[0])
     return SEPARATION in (one.before, one.after) and cycle.law.friction * float(np.ptp(trial)) <= limit
 
 

@@ -68,6 +68,11 @@ class PrescribedMotion(ABC):
         """
 
     @property
+    def normal_extremes(self) -> Array:
+        """Angles at which v may be largest, the start of the cycle among them [rad]."""
+        return np.append(self.crossings(np.array([0.0, 0.0, 1.0]), 0.0, rate=True)[0], 0.0)
+
+    @property
     @abstractmethod
     def fundamental(self) -> NDArray[np.complex128]:
         """First harmonic of the tangential motion, u_i = Im(U_i exp(i theta)), U of shape (2,) [length]."""

@@ -81,10 +81,13 @@ class Law:
         """Mean and deviation of K_u over the directions [force/length]."""
         return _parts(self.stiffness)
 
+    def load(self, y: Array) -> Array:
+        """n0 + k_v v, below zero where the contact would have to pull, of motion of shape (3, ...) [force]."""
+        return self.preload + self.normal_stiffness * y[2]
+
     def limit(self, y: Array, dy: Array) -> tuple[Array, Array]:
         """Limit force mu n >= 0 and its rate mu n' in contact, of motion and rate of shape (3, ...)."""
-        load = self.preload + self.normal_stiffness * y[2]
-        return self.friction * np.maximum(load, 0.0), self.friction * self.normal_stiffness * dy[2]
+        return self.friction * np.maximum(self.load(y), 0.0), self.friction * self.normal_stiffness * dy[2]
 
     def slip_margin(self, alpha: Array | float, dy: Array) -> Array:
         """e . K_u u' - mu n' (12): positive in slip, and s times e . K_u e; shape (...)."""
@@ -264,7 +267,7 @@ def _sticking_place(
         return _sticking_dip(fine)
     k = negative[0]
     if fine[k] <= 0:
-        return 0.0
+        return float(FINE[k])
     series = TO_LEGENDRE @ alpha
 
     def margin(x: float) -> float:

@@ -174,8 +174,7 @@ class March:
 
     def __init__(self, law: Law, motion: PrescribedMotion):
         self.law, self.motion = law, motion
-        extremes, _ = motion.crossings(np.array([0.0, 0.0, 1.0]), 0.0, rate=True)
-        y, _ = motion.evaluate(np.append(extremes, 0.0))
+        y, _ = motion.evaluate(motion.normal_extremes)
         self.largest = float(law.limit(y, y)[0].max())
         self.load_floor = 1e-14 * (abs(law.preload) + law.normal_stiffness * np.abs(y[2]).max())
         angles, rising = motion.crossings(np.array([0.0, 0.0, law.normal_stiffness]), law.preload)
@@ -206,17 +205,16 @@ class March:
     def begin(self) -> Spell:
         """The start at theta = 0: f = 0, stuck if n > 0, else separated."""
         y, _ = self.motion.evaluate(0.0)
-        load = self.law.preload + self.law.normal_stiffness * y[2]
-        state = contact_state(load, self.law.friction, SEPARATION, rounding=self.load_floor)
+        state = contact_state(self.law.load(y), self.law.friction, SEPARATION, rounding=self.load_floor)
         if state == SEPARATION:
-            return Spell(SEPARATION, _next(self.closings, 0.0, SEAM), STICK, np.zeros(2))
+            return self._separated(0.0, SEAM)
         opening = _next(self.openings, 0.0)
         if state == SLIP:
             return Spell(SLIP, opening, SEPARATION, y[:2], 0.0, opening)
         return self._stuck(0.0, y[:2], opening, on_cone=False)
 
-    def _separated(self, theta: float) -> Spell:
-        return Spell(SEPARATION, _next(self.closings, theta), STICK, np.zeros(2))
+    def _separated(self, theta: float, slack: float = 0.0) -> Spell:
+        return Spell(SEPARATION, _next(self.closings, theta, slack), STICK, np.zeros(2))
 
     def _stuck(self, theta: float, slip: Array, separation: float, *, on_cone: bool) -> Spell:
         offset = np.append(-self.law.stiffness @ slip, self.law.friction * self.law.preload)

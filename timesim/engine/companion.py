@@ -1,5 +1,7 @@
 """The error of a run, estimated from a coarser companion: the same run again, with a tolerance ten times as large.
 
+Steps of a fixed length are twice as long there. A run that repeats another at a finer tolerance has that for companion.
+
 The error of a solution under step size control is nearly proportional to the tolerance (L. F. Shampine, Tolerance
 proportionality in ODE codes, Lecture Notes in Mathematics 1386, 1989), also through located transitions. So nearly all
 the difference between the two runs is the error of the companion, and that of the run is a known share of it.
@@ -19,7 +21,7 @@ from timesim.engine.history import CycleTotals, stored_energy
 from timesim.engine.status import RunError
 from timesim.engine.trajectory import Run
 from timesim.model.model import Model
-from timesim.model.solver import RATIO, coarser
+from timesim.model.solver import coarser
 
 PROPORTIONAL = 1e-2
 """Difference of the states up to which it is proportional to the tolerance."""
@@ -121,23 +123,24 @@ def estimate(run: Run, totals: CycleTotals, companion: Run, show: Callable[[Run]
             other.add(steps, companion.completed)
             show(companion)
     except RunError as error:
-        return unknown(totals, f"the coarser companion failed {error}")
+        return unknown(totals, f"the coarser companion failed: {error}")
     return compared(run, totals, companion, other)
 
 
 def compared(run: Run, totals: CycleTotals, companion: Run, other: CycleTotals) -> Estimate:
     """The error of a run from a coarser one; both have come to their end."""
     ratio = companion.solver.rtol / run.solver.rtol
+    coarser_run = f"at {ratio:.2g} times the tolerance"
     if run.solver.name == "rk4":
-        ratio = FIXED[totals.opens]
+        ratio, coarser_run = FIXED[totals.opens], "of steps twice as long"
     apart = state_error(run.model, run.phases[-1].frequency, run, companion, totals.size)
     share, remark = 1 / (ratio - 1), ""
     if other.transitions != totals.transitions:
         counts = f"{other.transitions} transitions against {totals.transitions}"
-        remark = f"a run at {ratio:.2g} times the tolerance takes {counts}: an order of magnitude at best"
+        remark = f"a run {coarser_run} takes {counts}: an order of magnitude at best"
     proportional = not remark and apart < PROPORTIONAL
     if not proportional:
-        share = 1 / np.sqrt(RATIO - 1)
+        share = 1 / np.sqrt(ratio - 1)
     relative = amplitude_error(np.array(totals.amplitude), np.array(other.amplitude))
     rounding = ROUNDING * np.sqrt(np.arange(1, relative.size + 1))
     return Estimate(max(share * apart, rounding[-1]), np.maximum(share * relative, rounding), remark, proportional)

@@ -36,7 +36,7 @@ def over_lanes(function: Callable[..., Any], in_axes: Any = -1) -> Callable[...,
     return jax.vmap(function, in_axes=in_axes, out_axes=-1)
 
 
-def by_itself(function: Callable[..., Any], in_axes: Any = None) -> Callable[..., Any]:
+def by_itself(function: Callable[..., Any]) -> Callable[..., Any]:
     """In place of `over_lanes` where there is one trajectory: the function itself."""
     return function
 
@@ -47,9 +47,8 @@ def advance_lanes(
     start: Lanes,
     kept: Kept,
     keep: Callable[..., Kept],
-    has_room: Callable[[Kept], Bool[Array, ""]] | None = None,
 ) -> tuple[Lanes, Kept]:
-    """Advance a batch, or one trajectory, until none of it is running or what is kept has no more room.
+    """Advance a batch, or one trajectory, until none of it is running.
 
     Args:
         attempt: tries a step of every trajectory: the trajectories after it, and what else is known of the step.
@@ -58,16 +57,13 @@ def advance_lanes(
         kept: what is kept of the steps at the start.
         keep: ``keep(kept, running, before, after, *step)``: what is kept after a step. Trajectories that wait have not
             taken it: they are the same before and after.
-        has_room: whether what is kept can take up another step; always by default.
 
     Returns:
         the trajectories and what is kept at the end.
     """
 
     def goes_on(carry: tuple[Lanes, Kept]) -> Bool[Array, ""]:
-        now, kept = carry
-        some = running(now).any()
-        return some if has_room is None else some & has_room(kept)
+        return running(carry[0]).any()
 
     def body(carry: tuple[Lanes, Kept]) -> tuple[Lanes, Kept]:
         now, kept = carry

@@ -23,7 +23,7 @@ class Control:
             on that state alone, so a settled motion repeats to rounding, and a run taken up again is the same run.
             Also the longest first step of a slip that starts where a contact closes.
         budget: most steps tried in a cycle.
-        stiffest: highest circular frequency of the structure, in units of the excitation's.
+        stiffest: fastest rate of the structure with all its contacts stuck, in units of the excitation's; at least 1.
     """
 
     rtol: Float[Leaf, ""]

@@ -9,6 +9,11 @@ from timesim.model.solver import Solver
 NOBODY = -1
 """The contact of the last transition where there was none yet."""
 
+DAMPERS = "kvaerno5 where dampers couple the modes"
+OTHER = {"exponential": DAMPERS, "kvaerno5": "exponential"}
+"""Methods to try instead of those that stay stable by themselves."""
+BOTH = f"exponential ({DAMPERS})"
+
 
 class RunError(Exception):
     """A run that ended early: the message says when, why and what to try."""
@@ -18,7 +23,7 @@ class Status(enum.IntEnum):
     """How a trajectory stands. All but RUNNING end it.
 
     Attributes:
-        reason, advice: the message for the user; may name {solver} and {budget}.
+        reason, advice: the message for the user; may name {solver}, {budget} and {other}, a method to try instead.
     """
 
     reason: str
@@ -38,26 +43,27 @@ class Status(enum.IntEnum):
     TOO_SHORT = (
         2,
         "the step fell below rounding",
-        "The problem is too stiff for {solver}: try solver.method: exponential (kvaerno5 where dampers couple the "
-        "modes), fewer modes (structure.keep_modes), or a larger rtol",
+        "The problem is too stiff for {solver}: try solver.method: {other}, fewer modes (structure.keep_modes), or a "
+        "larger rtol",
     )
     BUDGET = (
         3,
         "the budget of {budget} steps a cycle is spent",
-        "Raise solver.max_steps, keep fewer modes (structure.keep_modes), or try solver.method: exponential "
-        "(kvaerno5 where dampers couple the modes)",
+        "Raise solver.max_steps, keep fewer modes (structure.keep_modes), or try solver.method: {other}",
     )
     NOT_FINITE = (
         4,
         "the state is no longer finite",
-        "Check the scene for negative damping or forces that are far too large, and try a smaller rtol",
+        "The steps are too long for the fastest motion: raise solver.steps_per_cycle, or try a method that controls "
+        "its steps (solver.method: tsit5); check the scene for forces that are far too large",
     )
 
     def message(self, *, solver: str, budget: int, contact: str | None) -> str:
         """What has ended a trajectory, and what to try; ``contact``: that of the last transition, if there is any."""
         last = f"; contact '{contact}' switched last" if contact else ""
+        words = {"solver": solver, "budget": budget, "other": OTHER.get(solver, BOTH)}
         # The name of a contact may hold braces: it is put in last.
-        return f"{last}. ".join(text.format(solver=solver, budget=budget) for text in (self.reason, self.advice))
+        return f"{last}. ".join(text.format(**words) for text in (self.reason, self.advice))
 
 
 def message_of(model: Model, reduction: Reduction, solver: Solver, status: int, culprit: int) -> str:

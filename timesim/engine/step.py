@@ -2,9 +2,10 @@
 
 A step is tried with every contact keeping its state. If some contact leaves its state inside the step, the step is
 tried again with the length at which the first of them does so; if it then ends on the guard, the transition is
-taken there. No inner loop: many trajectories run side by side, and those that are done wait. The last remainder of a
-guard is removed by one Newton correction of the time, which also makes the derivative with respect to parameters
-pass through the transition exactly.
+taken there. No inner loop: many trajectories run side by side, and those that are done wait. A step of collocation is
+cut there instead, in a loop of its own; such trajectories go one by one. The last remainder of a guard is removed by
+one Newton correction of the time, which also makes the derivative with respect to parameters pass through the
+transition exactly.
 """
 
 from timesim.runtime import Leaf, tree_class  # isort: skip
@@ -112,7 +113,7 @@ def try_step(
     length = next_length(control, method.order, (now.length, now.last_error), trial.error, asked, trial.precise)
     limit = limit_of_next(trial, landing, h)
     moved = advanced(dynamics, now, after, state, span, last & ~landing.early, landing.crossed)
-    kept = replace(now, limit=jnp.where(landing.accepted, jnp.inf, limit))
+    kept = replace(now, limit=limit)
     result = jax.tree.map(lambda new, old: jnp.where(landing.accepted, new, old), moved, kept)
     result = controlled(control, now, result, trial.error, length, landing.accepted)
     return judged(control, result), step, landing.accepted
@@ -194,7 +195,6 @@ class Landing(NamedTuple):
     Attributes:
         crossing: fraction of the step at which a contact leaves its state inside it; `NONE` if none does.
         accepted: whether the step stands: it is precise, and no contact has left its state inside.
-        on_guard: whether a contact takes a transition at its end.
         correction: time by which the end is moved onto the guard.
         crossed: contacts that take their transition there.
         astray: whether the step was cut at its very start, where no contact is near a guard: the guards were looked for
@@ -203,7 +203,6 @@ class Landing(NamedTuple):
 
     crossing: Float[Array, ""]
     accepted: Bool[Array, ""]
-    on_guard: Bool[Array, ""]
     correction: Float[Array, ""]
     crossed: Bool[Array, " contact"]
     astray: Bool[Array, ""]
@@ -211,7 +210,7 @@ class Landing(NamedTuple):
     @property
     def early(self) -> Bool[Array, ""]:
         """Whether the step ends before the time that was asked for."""
-        return self.on_guard & (self.correction < 0)
+        return self.correction < 0
 
 
 def landed(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, last: Array) -> Landing:
@@ -230,14 +229,13 @@ def landed(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, 
     soonest = jnp.where(due, to_zero, jnp.inf).min(initial=jnp.inf)
     correction = jnp.where(on_guard, soonest, 0.0)
     crossed = on_guard & (due & (margin + correction * slope <= TOGETHER)).any(axis=0)
-    return Landing(crossing, accepted, on_guard, correction, crossed, astray)
+    return Landing(crossing, accepted, correction, crossed, astray)
 
 
 def limit_of_next(trial: Trial, landing: Landing, h: Array) -> Float[Array, ""]:
     """Length of the next try where a contact has left its state inside this one; infinite where none has."""
-    fraction = jnp.where(landing.crossing < guard.NONE, landing.crossing, 1.0)
     inside = trial.precise & (landing.crossing < guard.NONE)
-    return jnp.where(inside, jnp.maximum(fraction * h, SHORTEST), jnp.inf)
+    return jnp.where(inside, jnp.maximum(landing.crossing * h, SHORTEST), jnp.inf)
 
 
 @apart

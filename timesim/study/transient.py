@@ -155,8 +155,10 @@ def _estimate(recorder: Recorder, execution: Execution, reason: str | None) -> E
         words = f"estimating the error, {companion.completed} of {counted(run.num_cycles, 'cycle')}"
         execution.progress(done, (1 + COMPANION) * run.num_cycles, words)
 
+    companion = companion_of(run)
+    companion.time = float(recorder.plan.edges()[0])
     try:
-        return estimate(run, totals, companion_of(run), show)
+        return estimate(run, totals, companion, show)
     except KeyboardInterrupt:
         return unknown(totals, "interrupted")
 

@@ -133,7 +133,7 @@ class Start(NamedTuple):
         motion: of the contacts.
         acts: forces of the contacts.
         force: modal force that the polynomial begins with, shape (1, mode).
-        q, p: displacement and velocity of the nodes without contact forces, shape (node, mode).
+        q, p: displacement and velocity of the modes at the nodes without contact forces, shape (node, mode).
         left: force there that the steady motion leaves to the polynomial.
     """
 
