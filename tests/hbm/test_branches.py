@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from systems import oscillator
 
-from timesim.hbm import branches
-from timesim.hbm.branches import SettledMotion, curves_from_ends, isolated_curves, passes
-from timesim.hbm.continuation import Controls, Ending, crossings
+from timesim.hbm import branches, first_guess
+from timesim.hbm.balance import Balance
+from timesim.hbm.branches import SettledMotion, curves_from_ends, isolated_curves, passes, warm_up
+from timesim.hbm.continuation import Controls, Curve, Ending, crossings
 from timesim.hbm.curve import HbmCurve
+from timesim.hbm.first_guess import first_guesses
 from timesim.hbm.scheme import Scheme
 
 LOW, HIGH = 1.0, 2.0
@@ -144,3 +147,20 @@ def test_a_motion_at_an_end_of_the_range_begins_a_curve_of_its_own(monkeypatch):
 
 def test_a_curve_may_lead_straight_up():
     assert [*crossings(np.array([0.9, 1.0, 1.0, 1.1]), 1.0)] == [(1, 0.0), (2, 0.0)]
+
+
+def test_an_interrupt_while_it_compiles_is_not_lost(monkeypatch):
+    monkeypatch.setattr(branches, "compile_slopes", lambda _: None)
+    monkeypatch.setattr(branches, "hbm_curve", lambda *_, **__: curve(Ending.INTERRUPTED, (1.0, 1.0)))
+    with pytest.raises(KeyboardInterrupt):
+        warm_up(oscillator(-1.0, 0.97), 0.97, Scheme(3, 64))
+
+
+def test_an_interrupt_while_the_load_grows_is_not_lost(monkeypatch):
+    """No time integration begins after it."""
+    cut = Curve.of([], 21, Ending.INTERRUPTED, "interrupted", 0)
+    monkeypatch.setattr(first_guess, "follow", lambda *_, **__: cut)
+    monkeypatch.setattr(first_guess, "_linear_guess", lambda *_: None)
+    monkeypatch.setattr(first_guess, "_settled", lambda *_: pytest.fail("a march has begun"))
+    with pytest.raises(KeyboardInterrupt):
+        list(first_guesses(Balance(oscillator(-1.0, 0.97), 0.97, Scheme(3, 64)), 0.97, Controls()))

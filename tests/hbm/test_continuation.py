@@ -6,7 +6,17 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from timesim.hbm.continuation import Controls, Curve, Ending, corner, follow, follow_both_ways, other_end, solve
+from timesim.hbm.continuation import (
+    Controls,
+    Curve,
+    Ending,
+    corner,
+    follow,
+    follow_both_ways,
+    other_end,
+    solve,
+    tracker,
+)
 from timesim.hbm.continuation.corrector import Corrector
 from timesim.hbm.continuation.trace import Trace
 from timesim.hbm.continuation.tracker import _PathTracker
@@ -430,6 +440,39 @@ def test_from_inside_the_range_the_side_that_fails_says_why():
         assert curve.ending is Ending.STEP
         assert f"{curve.p.max():.10g}" in curve.message
         assert curve.p.min() == -1.0
+
+
+def test_the_side_that_closes_the_curve_is_the_whole_of_it(monkeypatch):
+    """Where the other one fails on the way, its points are passed again."""
+    whole, part = (follow(Isola(), np.array([3.9]), 0.3, stop, CONTROLS, behind=-2.0) for stop in (2.0, 0.5))
+    assert (whole.ending, part.ending) == (Ending.CLOSED, Ending.COMPLETE)
+    sides = iter([replace(part, ending=Ending.STEP), whole])
+    monkeypatch.setattr(tracker, "follow", lambda *_, **__: next(sides))
+    curve = follow_both_ways(Isola(), np.array([3.9]), 0.3, (-2.0, 2.0), CONTROLS)
+    np.testing.assert_array_equal(curve.x, whole.x)
+    assert curve.ending is Ending.CLOSED
+
+
+def test_an_interrupt_as_the_other_side_begins_keeps_the_first(monkeypatch):
+    first = follow(Kink(), np.array([1.0]), 0.0, 1.0, CONTROLS)
+
+    def interrupted(*args, **_):
+        if args[3] == 1.0:
+            return first
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(tracker, "follow", interrupted)
+    curve = follow_both_ways(Kink(), np.array([1.0]), 0.0, (-1.0, 1.0), CONTROLS)
+    assert curve.ending is Ending.INTERRUPTED
+    assert curve.message.endswith("interrupted on the other side")
+    np.testing.assert_array_equal(curve.p, first.p)
+
+
+def test_no_step_that_is_to_be_taken_is_below_the_shortest():
+    """Its length would not be tried at all, and the curve end where it turns."""
+    stiff = replace(CONTROLS, first_step=0.06, max_step=0.06, min_step=0.06)
+    curve = follow(Isola(), np.array([3.9]), 0.3, 2.0, stiff, behind=-2.0)
+    assert curve.ending is Ending.CLOSED
 
 
 class Interrupted(Kink):

@@ -8,12 +8,12 @@ import pytest
 from simulation import simulate
 from systems import circular, circular_radius, oscillator
 
-from timesim.engine.status import Status
+from timesim.engine.status import RunError, Status
 from timesim.model.solver import NEVER, PRESETS, SHOOT, SLOW, Criterion, Solver
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.fourier import phase_deg, to_phasors
 from timesim.orbit.recurrence import is_irregular, recurrence_of, without_way
-from timesim.orbit.settling import Chain, Search, Task, after_march, after_shot, steady_states, warm_up
+from timesim.orbit.settling import Chain, Search, Task, after_march, after_measure, after_shot, steady_states, warm_up
 from timesim.orbit.threshold import CYCLES_A_ROUND, LONGEST
 
 HELD = np.zeros((0, 2))  # no body moves without an effect
@@ -227,6 +227,18 @@ def test_what_repeats_is_measured_and_what_drifts_is_marched_on():
     assert (drifting.task, drifting.period) == (Task.MARCH, 0)
     spent = marched(DRIFT, max_cycles=2 * CYCLES_A_ROUND)
     assert (spent.task, spent.period) == (Task.MEASURE, 0)
+
+
+def test_a_motion_whose_cycles_cannot_be_recorded_is_a_point_without_one_and_says_why():
+    def orbit(*_, **__):
+        raise RunError("a step holds so many vibrations")
+
+    lane = SimpleNamespace(model=oscillator(3.0, 1.39), frequency=1.39, control=SimpleNamespace(rtol=1e-7))
+    recorded = SimpleNamespace(complete=True, cycles=2, left=0.0, end=lane, orbit=orbit)
+    search = Search(0, 0, lane, task=Task.MEASURE, cycles=30, period=1)
+    after = after_measure(search, recorded, PRESETS["standard"], Criterion())
+    assert (after.task, after.orbit.cycles) == (Task.DONE, 32)
+    assert after.orbit.reason == "at 1.39 Hz: a step holds so many vibrations"
 
 
 def test_it_is_shot_where_that_is_asked_for_and_not_too_early():

@@ -37,6 +37,7 @@ from timesim.scene import hbm as scene_hbm
 from timesim.scene.report import describe
 from timesim.study import registry as plot
 from timesim.study.curves import collection, samples
+from timesim.study.curves.collection import Curves
 from timesim.study.execution.campaign import Execution
 from timesim.study.hbm import study as followed_study
 from timesim.study.registry import carry_out, load_scene
@@ -321,6 +322,18 @@ def test_a_transient_of_another_structure(tmp_path: Path):
     more = {"structure": {"modes": modes}, "excitation": force}
     with pytest.raises(SceneError, match=r"study\.start\.from: .* must have 3 modes, as the scene, not 2"):
         load_scene(scene(start={"from": str(place)}) | more)
+    fewer = {"structure": BASE["structure"] | {"keep_modes": 2}}
+    for values in ([1, 2], [1]):
+        with pytest.raises(SceneError, match=r"keep_modes: must not change the number of modes"):
+            load_scene(scene(start={"from": str(place)}, over={"structure.keep_modes": values}) | fewer)
+
+
+def test_along_a_scalar_that_must_be_whole_is_refused():
+    """Both its ends are valid; a curve goes between them."""
+    load = [{"point": "tip", "direction": [1, 0, 0], "amplitude": 1.0, "harmonic": 1}]
+    own = scene(frequency=0.95, along={"excitation.forces.0.harmonic": {"from": 1, "to": 3}})
+    with pytest.raises(SceneError, match=r"along\.excitation\.forces\.0\.harmonic: .*must be a whole number"):
+        load_scene(own | {"excitation": {"forces": load}})
 
 
 def test_along_a_scalar():
@@ -614,6 +627,32 @@ def test_an_excited_harmonic_is_among_those_chosen(harmonics):
         assert f"up to {most_harmonics(1)} harmonics" in " ".join(
             line for part in describe(loaded).values() for line in part
         )
+
+
+@pytest.mark.parametrize(
+    ("base", "study"),
+    [
+        ((1, 1.0), {"over": {"excitation.forces.0.harmonic": [1, 12]}}),
+        ((12, 0.0), {"over": {"excitation.forces.0.amplitude": [0.5, 1.0]}}),
+        ((12, 0.0), {"frequency": 1.0, "along": {"excitation.forces.0.amplitude": {"from": 0.0, "to": 1.0}}}),
+    ],
+)
+def test_an_excited_harmonic_of_any_curve_is_among_those_chosen(base: tuple[int, float], study: dict[str, Any]):
+    """With those of the scene alone, all was computed but the first curve that has more: it could not be balanced."""
+    harmonic, amplitude = base
+    load = [{"point": "tip", "direction": [1, 0, 0], "amplitude": amplitude, "harmonic": harmonic}]
+    forces = BASE["excitation"] | {"forces": load}
+    own = scene(harmonics="auto", time_samples="auto")["study"] | study
+    loaded = load_scene(BASE | {"excitation": forces, "study": own})
+    assert Curves(loaded, loaded.plan).schemes[0] == Scheme(12, 256)
+
+
+def test_the_name_of_a_contact_may_hold_braces():
+    named = BASE | {"contacts": [BASE["contacts"][0] | {"name": "pad{a}"}]}
+    own = scene()["study"] | {"frequency": 1.0, "along": {"contacts.pad{a}.preload": {"from": 1.0, "to": 2.0}}}
+    loaded = load_scene(named | {"study": own})
+    place = Curves(loaded, loaded.plan)._options(lambda *_: None)["controls"].place
+    assert place.format(1.5) == "contacts.pad{a}.preload = 1.5"
 
 
 def test_an_interrupt_while_harmonics_are_refined_keeps_the_curves(monkeypatch: pytest.MonkeyPatch):

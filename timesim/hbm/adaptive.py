@@ -80,8 +80,8 @@ class AdaptiveBalance:
     def begin(self, x: Array) -> None:
         """Take the coarsest scheme above which a guess has next to nothing, or the finest."""
         above = _above(np.abs(to_phasors(x.reshape(self.shape))).max(axis=0))
-        enough = (i for i, own in enumerate(self.schemes) if above[min(own.harmonics, above.size - 1)] <= NEGLECTED)
-        self.place, self._least, self.refused = next(enough, len(self.schemes) - 1), 0, False
+        self.place = next(i for i, own in enumerate(self.schemes) if above[own.harmonics] <= NEGLECTED)
+        self._least, self.refused = 0, False
 
     def adapt(self, x: Array, p: float) -> bool:
         """Take the scheme that a solution asks for; whether it is another one than before."""

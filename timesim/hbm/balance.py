@@ -36,8 +36,6 @@ from timesim.model.scales import Scales, scales_of
 from timesim.model.start import rest_start
 from timesim.orbit.fourier import Array, Complex, to_coefficients, to_phasors
 
-# Solutions whose contacts are evaluated together: a fixed number, so that not every curve compiles anew.
-BATCH = 16
 LOOSE = 1e-12
 """Share of the largest stiffness of free modes, and of the constant forces on them, that is rounding."""
 SLIGHT = 1e-4

@@ -46,7 +46,9 @@ def warm_up(model: Model, frequency: float, scheme: Scheme, *, stability: bool =
     balance, end, controls = Balance(model, frequency, scheme), 1.001 * frequency, Controls(max_points=2)
     with ThreadPoolExecutor(1) as pool:
         pool.submit(compile_slopes, balance.law)
-        hbm_curve(model, frequency, end, scheme=scheme, controls=controls, stability=stability)
+        curve = hbm_curve(model, frequency, end, scheme=scheme, controls=controls, stability=stability)
+        if curve.ending is Ending.INTERRUPTED:
+            raise KeyboardInterrupt
         # Of the contacts alone: at this frequency the structure may be in resonance without damping.
         linearised(balance.law, balance.basis, balance.coefficients(balance.working))
 

@@ -15,7 +15,7 @@ from timesim.hbm.adaptive import left_out, tail
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.continuation import Bordered, Controls, Nearby, solve
 from timesim.hbm.curve import HbmCurve
-from timesim.hbm.scheme import MIN_SAMPLES, Scheme, coarsest
+from timesim.hbm.scheme import MIN_SAMPLES, Scheme, coarsest, highest_excited
 from timesim.model.model import Model
 from timesim.orbit.fourier import half_range
 from timesim.orbit.steady_state import switches
@@ -169,7 +169,7 @@ def convergence(known: Sequence[Known], scheme: Scheme) -> Convergence:
     least = max(4 * scheme.harmonics, MIN_SAMPLES)
     samples = [2**k for k in range(4, MAX_DOUBLINGS + 1) if 2**k >= least]
     enough = max(scheme.time_samples, 4 * max(HARMONICS))
-    highest = max((int(one.model.excitation.harmonic.max()) for one in known), default=1)
+    highest = max((highest_excited(one.model) for one in known), default=1)
     harmonics = [h for h in sorted({*HARMONICS, scheme.harmonics}) if h >= highest]
     by_harmonics = _refined(known, harmonics, lambda h: replace(scheme, harmonics=h, time_samples=enough))
     by_samples = _refined(known, samples, lambda n: replace(scheme, time_samples=n))

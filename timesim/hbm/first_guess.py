@@ -110,6 +110,8 @@ def first_guesses(
 def _ramped(balance: Balance, frequency: float, controls: Controls) -> Guess:
     few = replace(controls, max_points=min(controls.max_points, RAMP_POINTS), watch=None)
     ramp = follow(_LoadRamp(balance, frequency), np.zeros(balance.num_unknowns), 0.0, 1.0, few)
+    if ramp.ending is Ending.INTERRUPTED:
+        raise KeyboardInterrupt
     reached = ramp.p[-1] if ramp.p.size else 0.0
     return f"a load that grows from zero, up to {reached:.0%} of it", ramp.x[-1] if ramp.complete else None
 

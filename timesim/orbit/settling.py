@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from timesim.engine.law.table import begin_of
-from timesim.engine.status import Status, message_of
+from timesim.engine.status import RunError, Status, message_of
 from timesim.engine.step import PERIOD
 from timesim.model.model import Model
 from timesim.model.reduction import reduction_of
@@ -183,7 +183,8 @@ def after_measure(search: Search, recorded: Recorded, solver: Solver, criterion:
     What was extrapolated is the largest change: one that is smaller and falls more slowly hides below it.
     """
     if not recorded.complete:
-        return _failed(replace(search, lane=recorded.end), solver)
+        done = search.cycles + int(recorded.steps.cycle.max(initial=0))
+        return _failed(replace(search, lane=recorded.end, cycles=done), solver)
     search = replace(search, cycles=search.cycles + recorded.cycles)
     may_shoot = search.period and search.shot is None and criterion.first_shot < NEVER
     if may_shoot and recorded.left > criterion.tolerance:
@@ -195,7 +196,10 @@ def _done(search: Search, recorded: Recorded) -> Search:
     noise = threshold.NOISY * float(search.lane.control.rtol)
     repeats = search.period > 0 or _long_recurrence(search).left < threshold.VAGUE
     irregular = not repeats and is_irregular(search.changes, slowest_decay(search.lane), noise)
-    orbit = recorded.orbit(search.cycles, search.period, search.settled_to, irregular=irregular)
+    try:
+        orbit = recorded.orbit(search.cycles, search.period, search.settled_to, irregular=irregular)
+    except RunError as error:  # its cycles cannot be recorded
+        orbit = without_orbit(search.lane.model, f"at {search.lane.frequency:g} Hz: {error}", search.cycles)
     return replace(search, task=Task.DONE, orbit=orbit)
 
 
@@ -226,7 +230,7 @@ def steady_states(
         solver: method and tolerances.
         criterion: when a motion counts as settled.
         halted: asked before each round of cycles; True gives the work up.
-        count: called after each steady state.
+        count: called after each steady state that takes cycles.
         each: does the work on batches of them.
 
     Raises:

@@ -6,7 +6,7 @@ Sizes are relative to the largest entry of the state vectors; a round is a numbe
 # Marching
 CYCLES_A_ROUND = 8
 """Half of it holds a whole motion of the longest period that is recognised; the call itself, some 1 ms of host work,
-is a tenth of a round of 16 lanes."""
+is small beside a round of four lanes."""
 UNDER_WAY = 128
 """Searches under way at a time: many batches, so that most are full while some searches come to their end."""
 LONELY = 1024

@@ -288,23 +288,23 @@ class Corrector:
 
     def _in_use(self, y: Array) -> Array:
         """A vector whose other unknowns are zero."""
-        return y if self.adaptive is None else self._spread(self._gathered(y), y.size)
+        return y if self.adaptive is None else self._spread(self._gathered(y))
 
     def _gathered(self, y: Array) -> Array:
         """The unknowns in use, and the parameter."""
         return y if self.adaptive is None else np.append(y[:-1][self.adaptive.active], y[-1])
 
-    def _spread(self, own: Array, size: int) -> Array:
+    def _spread(self, own: Array) -> Array:
         """All unknowns and the parameter, from those in use."""
         if self.adaptive is None:
             return own
-        y = np.zeros(size)
+        y = np.zeros(self.size + 1)
         y[:-1][self.adaptive.active], y[-1] = own[:-1], own[-1]
         return y
 
     def _point(self, y: Array, factors: Bordered, count: int) -> CurvePoint:
         tangent, sign = factors.tangent()
-        return CurvePoint(y, self._spread(tangent, y.size), sign, count, factors)
+        return CurvePoint(y, self._spread(tangent), sign, count, factors)
 
     def _value(self, y: Array) -> Array:
         return self.residual.value(*self.unscaled(self._gathered(y)))
@@ -318,7 +318,7 @@ class Corrector:
             raise NoSolutionError from None
 
     def _step(self, factors: Bordered, r: Array, off_plane: float) -> Array:
-        return self._spread(factors.solve(-r / self.x_unit, off_plane), self.size + 1)
+        return self._spread(factors.solve(-r / self.x_unit, off_plane))
 
 
 def solve(residual: Residual, guess: Array, p: float, controls: Controls) -> tuple[Array, int] | None:

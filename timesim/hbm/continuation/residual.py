@@ -11,7 +11,7 @@ from timesim.hbm.continuation.bordered import Array, Condensed
 class Residual(Protocol):
     """A system of as many equations as unknowns.
 
-    Either method may raise `NoSolutionError` where it cannot be evaluated; the message says why.
+    Either method may raise `NoSolutionError` where it cannot be evaluated.
     """
 
     def value(self, x: Array, p: float) -> Array:
@@ -54,4 +54,4 @@ class Adaptive(Residual, Protocol):
 
 
 class NoSolutionError(Exception):
-    """Newton's method does not converge; the message names the cause where the residual knows one."""
+    """Newton's method does not converge."""

@@ -99,7 +99,13 @@ def follow_both_ways(
     ahead = follow(residual, guess, start, ends[1], controls, behind=ends[0])
     if ahead.ending in (Ending.START, Ending.CLOSED, Ending.INTERRUPTED):
         return ahead
-    back = follow(residual, ahead.x[0], start, ends[0], controls, behind=ends[1])
+    try:
+        back = follow(residual, ahead.x[0], start, ends[0], controls, behind=ends[1])
+    except KeyboardInterrupt:
+        message = f"{ahead.message}; {Ending.INTERRUPTED.value} on the other side"
+        return replace(ahead, ending=Ending.INTERRUPTED, message=message)
+    if back.ending is Ending.CLOSED:
+        return back
     worse = ahead if back.complete else back
     whole = joined([part_of(back, slice(None, 0, -1)), ahead])
     return replace(whole, ending=worse.ending, message=worse.message)
@@ -119,7 +125,6 @@ class _PathTracker:
         self._around_corner = partial(around_corner, self.corrector, controls)
         self.reached = 0.0  # share of the range
         self.first_size = 0.0  # of the first solution
-        self.cause = ""  # of the last failure of Newton's method
 
     def curve(self) -> Curve:
         """From the guess to the end."""
@@ -127,8 +132,7 @@ class _PathTracker:
             self.corrector.adaptive.begin(self.guess)
         try:
             point = self.corrector.damped_newton(self.corrector.in_units(self.guess, self.start), self.ahead)
-        except NoSolutionError as error:
-            self.cause = str(error)
+        except NoSolutionError:
             return self._curve(Ending.START)
         point = self.corrector.adapted(point, self.ahead)
         adaptive, (x, p) = self.corrector.adaptive, self.corrector.unscaled(point.y)
@@ -143,11 +147,10 @@ class _PathTracker:
             return self._curve(Ending.INTERRUPTED)
 
     def _curve(self, ending: Ending) -> Curve:
-        cause = f" ({self.cause})" if self.cause and ending in (Ending.START, Ending.STEP) else ""
         solutions = self.trace.solutions[: self.controls.max_points]
         place = self.controls.place.format(solutions[-1][1] if solutions else self.start)
         points = f"{len(solutions)} point{'s' * (len(solutions) != 1)}"
-        message = f"continuation at {place}, after {points}: {ending.value}{cause}"
+        message = f"continuation at {place}, after {points}: {ending.value}"
         return Curve.of(solutions, self.guess.size, ending, message, self.other.joined)
 
     def _keep(self, point: CurvePoint, moved: float = 0.0) -> None:
@@ -185,12 +188,12 @@ class _PathTracker:
 
     def _step(self, point: CurvePoint, before: tuple[CurvePoint, float] | None, length: float) -> Step | None:
         """To the next point; None if there is none."""
+        length = max(length, self.controls.min_step)
         while length >= self.controls.min_step:
             try:
                 guess = predicted(point, before, length)
                 new = self.corrector.simplified_newton(guess, point.tangent, known=point.factors)
-            except NoSolutionError as error:
-                self.cause = str(error)
+            except NoSolutionError:
                 if (step := self._around_corner(point, length)) is not None:
                     return step
                 length /= 4
@@ -306,6 +309,5 @@ class _PathTracker:
         onwards = np.append(np.zeros(self.guess.size), np.sign(after.y[-1] - before.y[-1]))
         try:
             return self.corrector.damped_newton(guess, onwards)
-        except NoSolutionError as error:
-            self.cause = str(error)
+        except NoSolutionError:
             return None

@@ -167,8 +167,9 @@ def finished(
             return by_schemes(balance, curve, partial(evaluate, stability=stability), each)
         except KeyboardInterrupt:
             curve = replace(curve, ending=Ending.INTERRUPTED, message=f"{curve.message}; {Ending.INTERRUPTED.value}")
-    cut = replace(curve, message=f"{curve.message} before the multipliers")
-    return by_schemes(balance, cut, partial(evaluate, stability=False))
+    if stability:
+        curve = replace(curve, message=f"{curve.message} before the multipliers")
+    return by_schemes(balance, curve, partial(evaluate, stability=False))
 
 
 def _check_range(start: float, stop: float) -> None:

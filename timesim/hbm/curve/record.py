@@ -26,8 +26,8 @@ class HbmCurve:
         contact_motion: Fourier coefficients 1, cos, sin, ... of (u1, u2, v), shape (S, C, 3, 2H + 1) [length].
         contact_force: of (f1, f2, n), shape (S, C, 3, 2H + 1) [force].
         floquet_max: largest modulus of a Floquet multiplier, shape (S,); NaN where none was computed.
-        closure: change of the elastic displacement over the period relative to its tolerance, shape (S,); at most 1
-            where the hysteresis loop of every contact is closed.
+        closure: distance of the elastic displacement from one that repeats, relative to its tolerance, shape (S,); at
+            most 1 where the hysteresis loop of every contact is closed.
         ending: why it ended.
         message: the same with the place.
     """

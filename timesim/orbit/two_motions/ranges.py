@@ -68,8 +68,6 @@ def _range(
     search: RangeSearch, sweeps: Sweeps, lost: Sequence[Loss], between: tuple[float, float], motions: Sequence[Orbit]
 ) -> BistableRange:
     """The range about the motions of both sweeps at the middle between two places of losses."""
-    lower, upper = sorted(motions, key=lambda orbit: orbit.largest)
-    number = [SMALLER if orbit is lower else LARGER for orbit in motions]
     ends, at_ends = list(between), list[list[Loss]]()
     for side, direction in enumerate((UP, DOWN)):
         here = _losses_at(lost, between[side])
@@ -78,6 +76,11 @@ def _range(
             ends[side] = begun.jump.near
             here = _losses_at([begun, *lost], ends[side])
         at_ends.append(here)
+    if sum(ends) != sum(between):  # where an end was followed back, the middle is another one
+        old, new = 0.5 * sum(between), 0.5 * sum(ends)
+        motions = [_carried(search, sweeps, orbit, old, new) for orbit in motions]
+    lower, upper = sorted(motions, key=lambda orbit: orbit.largest)
+    number = [SMALLER if orbit is lower else LARGER for orbit in motions]
     none = [np.full_like(lower.amplitude, np.nan)] * 2
     return BistableRange(
         low=ends[0],
@@ -120,9 +123,14 @@ def _at_middle(
     if not behind:
         return without_orbit(search.model, "no motion is known before it")
     nearest = max(behind, key=lambda f: sign * f)
+    return _carried(search, sweeps, known[nearest], nearest, middle)
+
+
+def _carried(search: RangeSearch, sweeps: Sweeps, orbit: Orbit, start: float, stop: float) -> Orbit:
+    """A motion led from one frequency to another, in steps shorter than those of the sweeps."""
     step = (sweeps.frequency[1] - sweeps.frequency[0]) / WALK
-    num = max(WALK, int(np.ceil(abs(middle - nearest) / step)))
-    return search.along(known[nearest].end, np.linspace(nearest, middle, num + 1)[1:].tolist())[-1]
+    num = max(WALK, int(np.ceil(abs(stop - start) / step)))
+    return search.along(orbit.end, np.linspace(start, stop, num + 1)[1:].tolist())[-1]
 
 
 def _interval(frequency: np.ndarray, loss: Loss) -> list[float]:

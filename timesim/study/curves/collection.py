@@ -15,7 +15,7 @@ from timesim.hbm.continuation import Controls, Ending
 from timesim.hbm.convergence import FINER, SAMPLED, Known, left_to_samples, neglected, with_more_samples
 from timesim.hbm.curve import HbmCurve, Watch, hbm_curve
 from timesim.hbm.parameter import parameter_curve
-from timesim.hbm.scheme import NEGLECTED, NOTED, Scheme
+from timesim.hbm.scheme import NEGLECTED, NOTED, Scheme, highest_excited
 from timesim.model.model import Model
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.steady_state import switches
@@ -55,9 +55,9 @@ class Curves:
 
     def __init__(self, scene: Scene, plan: HbmPlan):
         self.scene, self.plan = scene, plan
-        self.schemes = plan.schemes_for(scene.model())
-        self.scheme = self.schemes[0]
         self.values = list(combinations(plan.over))
+        self.schemes = plan.schemes_for(max(self._end_models(), key=highest_excited))
+        self.scheme = self.schemes[0]
         self.any_model = most_friction(map(scene.variant, self.values))
         self.curves: list[StudyCurve] = []
         self.faults: list[str] = []
@@ -157,6 +157,11 @@ class Curves:
         key = self.plan.along.key
         return lambda p: self.scene.variant({**values, key: p})
 
+    def _end_models(self) -> Iterator[Model]:
+        """The models at the ends of all curves: a force may vanish in some of them, or have another harmonic."""
+        ends = (self.plan.span[0],) if self.plan.along is None else (self.plan.along.first, self.plan.along.last)
+        return (self.model_at(values)(end) for values in self.values for end in ends)
+
     def add(self, curves: Iterable[StudyCurve]) -> None:
         """Add curves.
 
@@ -243,7 +248,9 @@ class Curves:
 
     def _options(self, watch: Watch) -> dict[str, Any]:
         along, stable = self.plan.along, self.plan.stability
-        steps = Controls(**self.plan.steps, place="{:.10g} Hz" if along is None else f"{along.key} = {{:.10g}}")
+        # The name of a contact may hold braces.
+        key = "" if along is None else along.key.replace("{", "{{").replace("}", "}}")
+        steps = Controls(**self.plan.steps, place=f"{key} = {{:.10g}}" if key else "{:.10g} Hz")
         return {"scheme": self.schemes, "controls": steps, "stability": stable, "watch": watch}
 
     def to_refine(self) -> list[Known]:
