@@ -18,6 +18,7 @@ from timesim.fault import RuleError, SceneError
 from timesim.model.cost import cycles_to_settle, seconds_a_cycle, seconds_a_derivative
 from timesim.model.model import SEPARATION, SLIP, STICK
 from timesim.model.solver import NEVER, SHOOT, SLOW, Criterion
+from timesim.scene import text as scene_text
 from timesim.scene.report import describe, warnings_of
 from timesim.scene.report.description import contact_line
 from timesim.scene.text import MAX_BYTES, parse, yaml_text
@@ -225,6 +226,17 @@ def test_text_that_is_no_scene(content: bytes, line: int | None, rule: str, tmp_
     (problem,) = caught.value.problems
     assert rule in problem.rule
     assert problem.line == line
+
+
+def test_text_that_was_written_by_the_program_may_be_long(monkeypatch: pytest.MonkeyPatch):
+    """Matrices that a notebook gives stand in the text of the scene that its result holds."""
+    monkeypatch.setattr(scene_text, "MAX_BYTES", 10)
+    monkeypatch.setattr(scene_text, "MAX_VALUES", 3)
+    assert parse("a: [1, 2, 3, 4, 5]")[0] == {"a": [1, 2, 3, 4, 5]}
+    with pytest.raises(RuleError, match="is larger than"):
+        parse(b"a: [1, 2, 3, 4, 5]")
+    with pytest.raises(RuleError, match="holds more than 74 values, aliases written out"):
+        parse(f"a: &a [{', '.join('1' * 9)}]\nb: &b [{', '.join(['*a'] * 7)}]\nc: *b")
 
 
 def test_alias_bomb_is_refused():
@@ -877,6 +889,8 @@ def inline(mass):
         ("structure", inline([2, 3]), "mass.1: 3: must be a list (Mass matrix, symmetric positive definite, by its"),
         ("excitation.forces", {"point": "tip", "amplitude": 1}, "must be a list (put - before it, as before each of"),
         ("excitation.forces", [{"direction": "x"}], "x: must be a list (Along x, y, z, such as [1, 0, 0]"),
+        ("excitation.forces", [{"direction": {"x": 1}}], "direction: {x: 1}: must be a list (Along x, y, z"),
+        ("initial", {"from": "r.nc", "at": {"frequency": [0.945]}}, "must be a number or text"),
         ("study.kind", "frf", "must be one of transient, jump, tradeoff, element, element_map, sweep, hbm, compare"),
     ],
 )
@@ -896,6 +910,9 @@ def test_a_key_of_another_section_is_sent_there():
         return str(caught.value)
 
     assert "the frequency of one run is excitation.frequency" in refused("study.frequency")
+    with pytest.raises(SceneError, match=r"study\.frequency: .*is no key here") as caught:
+        load_scene(CONFIGS / "figure4.yaml", {"study.frequency": 2})
+    assert "excitation.frequency" not in str(caught.value)
     assert "it is solver.accuracy" in refused("study.accuracy")
     assert "a gap is a negative preload" in refused("contacts.pad.gap")
     assert "each of forces and modal_force has its own" in refused("excitation.phase_deg")
@@ -911,6 +928,8 @@ def test_a_contact_under_prescribed_motion_has_neither_structure_nor_solver():
     )
     says = "is not used: in a study of kind element the motion of the contact is given"
     assert list(warnings_of(element)) == [f"structure {says}", f"solver {says}"]
+    implicit = load_scene(CONFIGS / "figure4.yaml", {"solver.method": "exponential"})
+    assert list(warnings_of(implicit)) == [f"solver {says}"]
     report = describe(element)
     assert "structure" not in report
     assert not any("moves straight" in line for line in report["contacts"])

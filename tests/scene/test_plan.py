@@ -209,7 +209,9 @@ def test_paths_are_written_from_the_root(tmp_path: Path):
     (tmp_path / "scene.yaml").write_text(
         ELEMENT.replace("  A: 1.0\n  B: 0.5\n  phi_deg: 90\n", "  motion: cycle.csv\n")
     )
-    assert f'motion: "{tmp_path / "cycle.csv"}"' in load_scene(tmp_path / "scene.yaml").resolved_yaml()
+    written = load_scene(tmp_path / "scene.yaml").resolved_yaml()
+    assert f'motion: "{tmp_path / "cycle.csv"}"' in written
+    assert load_scene(written).resolved_yaml() == written
 
 
 def test_schema_knows_the_keys_of_every_study():

@@ -211,6 +211,29 @@ def test_the_pictures_show_the_ranges(result):
     assert plot_bistable.PICTURES["existence"](result) is None
 
 
+def test_starts_that_were_not_run_are_not_said_to_lead_anywhere(result):
+    """As after an interrupt: they have led to no settled motion in the result, as those that did not settle."""
+    root, sweep = result.to_dataset(), result["sweep"].to_dataset()
+    lines = list(bistable_lines(root, sweep, 1e-3))
+    assert any(" starts " in line and "to the larger" in line for line in lines)
+    cut = root.assign(start_cycles=0 * root["start_cycles"] - 1, start_branch=0 * root["start_branch"] + NONE)
+    lines = list(bistable_lines(cut, sweep, 1e-3))
+    assert "the starts at its middle were not run" in lines
+    assert not any("to the larger" in line or "rest leads" in line for line in lines)
+
+
+def test_jumps_without_a_range_between_them_are_told(result):
+    """A range that is no wider than twice its ends are known to is none; the jumps are there all the same."""
+    root, sweep = result.to_dataset(), result["sweep"].to_dataset()
+    none = root.assign(range=np.nan * root["range"])
+    lines = list(bistable_lines(none, sweep, 0.5))
+    assert lines[0].endswith("one between jumps is at most 1 Hz wide, or has a motion that does not repeat")
+    assert sum("the motion jumps between" in line for line in lines) == 2
+    still = sweep.assign(jump_low=np.nan * sweep["jump_low"])
+    (line,) = bistable_lines(none, still, 0.5)
+    assert "both sweeps are on one motion at all" in line
+
+
 def test_no_jump_is_a_result(tmp_path: Path):
     given = QUICK | {"study.frequency": "{from: 1.4, to: 1.45}", "study.harmonics": "0"}
     call = ["run", str(CONFIGS / "softening.yaml"), "-o", str(tmp_path), *options(given)]
@@ -471,6 +494,9 @@ def test_a_motion_to_which_an_irregular_one_jumps_is_followed_back(
     assert (own.low, own.high) == pytest.approx(end, abs=1e-6)
     assert own.cut == (end[0] == 1.0, False)
     assert own.irregular == (NO_MOTION, NO_MOTION)
+    for orbit in (own.lower, own.upper):  # also where its low end has moved, of the middle of the range that is told
+        there = toy.orbit(orbit.end.displacement[0], 0.5 * (own.low + own.high))
+        np.testing.assert_array_equal(orbit.amplitude, there.amplitude)
 
 
 def test_a_motion_that_is_followed_back_may_lose_its_period():

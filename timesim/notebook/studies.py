@@ -83,7 +83,7 @@ def sweep(
         frequency: [Hz], shape (F,).
         direction: "independent", each from the start; "up", "down", "both": the motion is carried along.
         over: values of scalars of the scene by their key, ``{"contacts.pad.preload": [1, 2]}``, each a further axis.
-        periodic: "march" until the motion repeats, or "shoot": Newton's method on the state after a period at once.
+        periodic: "march" until the motion repeats, or "shoot": Newton's method on the state after a period early.
         refine: width to which the frequency of each jump is bisected [Hz]; None: jumps are not looked for.
         tolerance: change of the state from cycle to cycle, relative, from which on it counts as settled.
         max_cycles: given to a point at most.

@@ -51,7 +51,6 @@ class ElementSection(StudySection):
     """A study of one contact alone: it needs no structure, no points and no excitation."""
 
     requires: ClassVar[tuple[str, ...]] = ()
-    explicit_only: ClassVar[bool] = True
     cone_only: ClassVar[bool] = True
 
     contact: ContactName | None = None
@@ -89,16 +88,16 @@ class Element(ElementSection):
     uses_solver: ClassVar[bool] = False
 
     kind: Literal["element"]
-    A: NotNegative = 0.0
-    """Amplitude along t1."""
-    B: NotNegative = 0.0
-    """Amplitude along t2."""
-    phi_deg: Number = 0.0
-    """Phase of the motion along t2."""
-    D: NotNegative = 0.0
-    """Amplitude of the normal motion."""
-    psi_deg: Number = 0.0
-    """Phase of the normal motion."""
+    A: NotNegative | None = None
+    """Amplitude along t1, 0 by default."""
+    B: NotNegative | None = None
+    """Amplitude along t2, 0 by default."""
+    phi_deg: Number | None = None
+    """Phase of the motion along t2, 0 by default."""
+    D: NotNegative | None = None
+    """Amplitude of the normal motion, 0 by default."""
+    psi_deg: Number | None = None
+    """Phase of the normal motion, 0 by default."""
     motion: MotionSource | None = None
     """In place of the amplitudes: a file with one cycle of u1, u2 and v, or two points of an earlier result."""
     harmonics: Annotated[Count, Field(le=1000)] = 1
@@ -117,7 +116,7 @@ class Element(ElementSection):
             raise refuse("excludes motion", key=(given[0],), hint="give one of the two")
         if self.motion is None and not set(given) & {"A", "B", "D"}:
             raise refuse("must name A, B or D, or motion")
-        return self
+        return self if self.motion is not None else self.completed(A=0.0, B=0.0, phi_deg=0.0, D=0.0, psi_deg=0.0)
 
     def plan(self, context: Context) -> ElementPlan:
         contact = self.chosen(context).build()
@@ -128,7 +127,8 @@ class Element(ElementSection):
         if self.motion is None:
             from timesim.element.motion import HarmonicMotion
 
-            return HarmonicMotion(self.A, self.B, self.D, np.deg2rad(self.phi_deg), np.deg2rad(self.psi_deg))
+            sizes = (size or 0.0 for size in (self.A, self.B, self.D))
+            return HarmonicMotion(*sizes, *(np.deg2rad(phase or 0.0) for phase in (self.phi_deg, self.psi_deg)))
         from timesim.result.file import StoreError
         from timesim.result.motion import read_motion, read_result_motion
 
@@ -170,6 +170,8 @@ class MapPlan:
 
 class ElementMap(ElementSection):
     """The Fourier coefficients of a contact over any two of its parameters, amplitudes A and B as a rule."""
+
+    explicit_only: ClassVar[bool] = True
 
     kind: Literal["element_map"]
     A: Values = 0.0

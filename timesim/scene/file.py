@@ -151,13 +151,11 @@ RULES = {
     "float_type": "must be a number",
     "finite_number": "must be finite",
     "int_type": "must be a whole number",
-    "int_from_float": "must be a whole number",
     "string_type": "must be text",
     "bool_type": "must be true or false",
     "tuple_type": "must be a list",
     "dict_type": "must be a mapping of keys",
     "model_type": "must be a mapping of keys",
-    "model_attributes_type": "must be a mapping of keys",
     "literal_error": "must be {expected}",
     "greater_than": "must be > {gt:g}",
     "greater_than_equal": "must be >= {ge:g}",
@@ -167,7 +165,8 @@ RULES = {
 
 
 ELSEWHERE = {
-    ("study", "frequency"): "the frequency of one run is excitation.frequency",
+    ("<transient>", "frequency"): "the frequency of one run is excitation.frequency",
+    ("<tradeoff>", "frequency"): "the frequency of one run is excitation.frequency",
     ("study", "accuracy"): "it is solver.accuracy",
     ("study", "method"): "it is solver.method",
     ("contacts", "gap"): "a gap is a negative preload, -normal_stiffness times its width",
@@ -175,8 +174,8 @@ ELSEWHERE = {
     ("excitation", "amplitude"): "each of forces, constant_forces and modal_force has its own",
     ("excitation", "phase_deg"): "each of forces and modal_force has its own",
 }
-"""What is said of keys that stand in another section, by the section and the key."""
-MAPPINGS = ("dict_type", "model_type", "model_attributes_type")
+"""What is said of keys that stand in another section, by the section, or the tag of its kind, and the key."""
+MAPPINGS = ("dict_type", "model_type")
 NO_NUMBER = {RULES[kind] for kind in ("string_type", "bool_type", "tuple_type", "dict_type", "model_type")}
 """Rules that any number breaks, whatever its value."""
 
@@ -233,7 +232,8 @@ def _hint(
     kind: str, location: Sequence[str | int], value: Any, context: Mapping[str, Any], tree: type[SceneParts]
 ) -> str:
     if kind == "extra_forbidden":
-        instead = ELSEWHERE.get((str(location[0]), str(location[-1]))) or _neighbour(location, tree)
+        places = [(str(part), str(location[-1])) for part in location[:2]]
+        instead = next((ELSEWHERE[place] for place in places if place in ELSEWHERE), "") or _neighbour(location, tree)
         return instead or nearest(str(location[-1]), _fields_at(location[:-1], tree))
     if kind == "missing" and (field := _fields_at(location[:-1], tree).get(str(location[-1]))):
         return _described(field)
@@ -246,7 +246,8 @@ def _hint(
     if kind == "tuple_type" and isinstance(value, dict) and value and all(part.isdecimal() for part in value):
         return "not in the scene: give all of it there before one of its entries is set or varied"
     if kind == "tuple_type":
-        return "put - before it, as before each of several" if isinstance(value, dict) else _above(location, tree)
+        of_mappings = isinstance(value, dict) and _fields_at([*location, 0], tree)
+        return "put - before it, as before each of several" if of_mappings else _above(location, tree)
     if kind == "string_type" and isinstance(value, int | float):
         return "put it in quotes"
     if kind == "float_type" and isinstance(value, str):

@@ -208,7 +208,7 @@ class BalanceSection(StudySection):
     solution where those above would add more than 1e-4 of the amplitude, up to a number that `check` names."""
     time_samples: TimeSamples = "auto"
     """Samples of a period at which the contact forces are evaluated; at least 16, and 4 a harmonic; auto: 256, or more
-    from 11 harmonics on, and four times as many where those would change the contacts' motion by over 1e-3."""
+    from 17 harmonics on, and four times as many where those would change the contacts' motion by over 1e-3."""
     stability: Switch = True
     """Compute the Floquet multipliers of every point; without them only folds tell stable from unstable."""
     start: StartSection = "linear"

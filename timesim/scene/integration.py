@@ -14,7 +14,7 @@ from timesim.model.solver import PRESETS, Solver
 from timesim.model.start import given_start, static_start
 from timesim.result.label import counted
 from timesim.result.state import SavedStates, saved_states, start_notes, start_of
-from timesim.scene.section import AsText, Section, by_form, form, refuse
+from timesim.scene.section import AsNumber, AsText, Section, by_form, form, refuse
 from timesim.scene.value import ContactName, Count, FilePath, Number, Pair, Switch, Text, Whole
 
 
@@ -51,12 +51,15 @@ class StateSection(Section):
         return np.array(values)[order]
 
 
+NumberOrText = Annotated[AsNumber[Number] | AsText[Text], by_form("a number or text")]
+
+
 class ResultSection(Section):
     """The motion at the end of another run, or at a point of a sweep."""
 
     source: FilePath = Field(alias="from")
     """Path of its result.nc, relative to the scene."""
-    at: dict[Text, Number | Text] = Field(default_factory=dict)
+    at: dict[Text, NumberOrText] = Field(default_factory=dict)
     """Which point of a sweep, by its axes: {frequency: 0.945, direction: up, contacts.pad.preload: -4}."""
 
     def refused(self, rule: str, hint: str = "") -> RuleError:
@@ -151,12 +154,13 @@ class SolverSection(Section):
         if self.accuracy and not chosen:
             hint = "give one of the two, or method: auto"
             raise refuse("excludes accuracy", key=("method",), hint=hint, value=self.method)
-        allowed = () if chosen else {"rk4": ("steps_per_cycle",)}.get(str(self.method), ("rtol", "atol"))
-        owners = {"rtol": ", ".join(ADAPTIVE), "atol": ", ".join(ADAPTIVE), "steps_per_cycle": "rk4"}
-        for key, owner in owners.items():
-            if getattr(self, key) is not None and key not in allowed:
+        owners = {"rtol": ADAPTIVE, "atol": ADAPTIVE, "steps_per_cycle": ("rk4",)}
+        for key, methods in owners.items():
+            if getattr(self, key) is not None and self.method not in methods:
                 hint = "here an accuracy rules" if chosen else f"here method is {self.method}"
-                raise refuse(f"goes with method {owner} only", key=(key,), hint=hint, value=getattr(self, key))
+                raise refuse(
+                    f"goes with method {', '.join(methods)} only", key=(key,), hint=hint, value=getattr(self, key)
+                )
         if chosen:
             return self.completed(accuracy="standard", method="auto")
         if self.method == "rk4":

@@ -22,6 +22,7 @@ from timesim.model.scales import out_of_range
 from timesim.model.solver import Solver
 from timesim.model.start import rest_start
 from timesim.scene.file import NO_NUMBER, Kinds, SceneFile, SceneParts, parsed, rule_errors
+from timesim.scene.hbm import balance_of
 from timesim.scene.integration import EndOfRun, InitialResult, start
 from timesim.scene.source import SceneSource, addresses, empty_values, overridden, read
 from timesim.scene.structure import BuiltStructure, ExcitationSection, Files, FileSection
@@ -209,13 +210,21 @@ def _check_combinations(scene: Scene) -> None:
     """Refuse values of which a combination makes no scene; where the study keeps failed points, of which none does."""
     study, valid = scene.file.study, [(values, found) for values, found in scene.tried if isinstance(found, int)]
     good = {item for values, _ in valid for item in values.items()}
-    if len({found for _, found in valid}) > 1 and isinstance(study, SteadySection):
+    counts = {found for _, found in valid}
+    if (balance := balance_of(scene.plan)) is not None and balance.motion is not None and valid:
+        counts.add(balance.motion.modal.shape[1])
+    if len(counts) > 1 and (isinstance(study, SteadySection) or (balance is not None and balance.motion is not None)):
         key = next(place for place in study.varied() if str(place[-1]).startswith("structure."))
         rule, hint = "must not change the number of modes, as each point has their state", "run a study for each number"
         raise SceneError([scene.source.problem(RuleError(("study", *key), rule, hint))])
     for values, found in scene.tried:
         if isinstance(found, Problem) and not (study.keeps_failures and good.issuperset(values.items())):
             raise SceneError([scene.source.problem(_refused(scene, values, found))])
+    for place, ends in study.varied().items():
+        if place[0] == "along":  # a curve, or a search, goes between the values too
+            between = valid[0][0] | {str(place[-1]): ends[0] + (ends[-1] - ends[0]) / np.e}
+            if isinstance(found := scene._tried(between), Problem):
+                raise SceneError([scene.source.problem(_refused(scene, between, found))])
 
 
 def _refused(scene: Scene, values: Mapping[str, float], problem: Problem) -> RuleError:

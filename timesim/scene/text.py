@@ -71,12 +71,12 @@ _HINTS = {
 
 
 def parse(content: bytes | str) -> tuple[Any, dict[Key, int]]:
-    """Plain data of one YAML document and the line of each key path in it.
+    """Plain data of one YAML document and the line of each key path in it; bytes, as of a file, are limited in number.
 
     Raises:
         RuleError: what is wrong, with its line.
     """
-    if len(content) > MAX_BYTES:
+    if isinstance(content, bytes) and len(content) > MAX_BYTES:
         hint = "keep large matrices in a .npz, .mat or .mtx file"
         raise RuleError((), f"is larger than {MAX_BYTES // 1024**2} MB", hint)
     reader = _Reader(_decoded(content) if isinstance(content, bytes) else content)
@@ -112,6 +112,7 @@ class _Reader:
         self.lines: dict[Key, int] = {(): 1}
         self.anchors: dict[str, tuple[Any, int]] = {}
         self.num_values = 0
+        self.most = max(MAX_VALUES, len(text))  # each value takes a letter: more of them are aliases
 
     def document(self) -> Any:
         next(self.events)
@@ -177,8 +178,8 @@ class _Reader:
 
     def count(self, number: int, event: Any) -> None:
         self.num_values += number
-        if self.num_values > MAX_VALUES:
-            raise RuleError((), f"holds more than {MAX_VALUES} values, aliases written out", line=_line(event))
+        if self.num_values > self.most:
+            raise RuleError((), f"holds more than {self.most} values, aliases written out", line=_line(event))
 
 
 def _line(event: Any) -> int:

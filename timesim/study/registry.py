@@ -164,8 +164,8 @@ def run(
         workers: threads, or processes of a local cluster; the processors of this machine by default.
 
     Returns:
-        The result: an xarray Dataset, or a DataTree of a study with groups (`compare`). ``complete`` is 0 in its
-        attributes if the run ended early, with the reason as a warning.
+        The result: an xarray Dataset, or a DataTree of a study with groups (`compare`, `bistable`). ``complete`` is 0
+        in its attributes if the run ended early, with the reason as a warning.
 
     Raises:
         SceneError: the scene is wrong.
