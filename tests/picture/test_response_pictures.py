@@ -72,7 +72,9 @@ def two_motions(preloads: list[float]) -> xarray.DataTree:
         "jump_to": ((*dims, "end", *SPOT), _amplitude(np.broadcast_to([0.9, 0.3], (*shape, 2)))),
         "amplitude_lower": ((*dims, *SPOT), _amplitude(np.full(shape, 0.36))),
         "amplitude_upper": ((*dims, *SPOT), _amplitude(np.full(shape, 0.84))),
+        "range_irregular": ((*dims, "end"), np.zeros((*shape, 2), int)),
         "start_branch": ((*dims, *side), np.broadcast_to([[0, 1], [1, 1]], (*shape, 2, 2))),
+        "start_cycles": ((*dims, *side), np.full((*shape, 2, 2), 40)),
     }
     shares = {name: [0.0, 1.0] for name in side}
     root = xarray.Dataset(variables, {PRELOAD: preloads, **PLACES, **shares}, ATTRS | {"study": "bistable"})
@@ -189,6 +191,38 @@ def test_ends_of_starts_are_told_apart_by_hatching() -> None:
     assert figure is not None
     patches = figure.axes[0].get_legend().get_patches()  # type: ignore[union-attr]
     assert [patch.get_hatch() or "" for patch in patches] == [bistable.LED_TO[kind][2] for kind in range(4)]
+
+
+def test_starts_that_were_not_run_are_not_drawn() -> None:
+    """They lead nowhere as those do that were run and did not settle."""
+    data = two_motions([1.8, 2.0]).copy(deep=True)
+    data["start_branch"][0], data["start_cycles"][0] = -1, -1
+    figure = bistable.PICTURES["starts"](data)
+    assert figure is not None
+    assert len([ax for ax in figure.axes if ax.get_xlabel()]) == 1
+    data["start_cycles"][:] = -1
+    assert bistable.PICTURES["starts"](data) is None
+
+
+def test_a_motion_that_loses_its_period_is_drawn_without_a_jump() -> None:
+    data = two_motions([1.8, 2.0]).copy(deep=True)
+    data["range_irregular"][0, 0, 1] = 1
+    count = {line.get_label(): 0 for line in bistable.existence(data).get_lines()}
+    for line in bistable.existence(data).get_lines():
+        count[line.get_label()] += 1
+    assert (count["the sweep down jumps"], count["the sweep up jumps"]) == (2, 1)
+    first, second = bistable.ranges(data)
+    arrows = [len(bistable.response(data, near=one).texts) for one in (first, second)]
+    assert arrows == [1, 2]
+
+
+def test_curves_of_nearly_the_same_value_are_told_apart() -> None:
+    data = two_motions([2.0, 2.000001])
+    lines = [
+        line for line in bistable.response(data, at={PRELOAD: 0}).get_lines() if "balance" in str(line.get_label())
+    ]
+    alone = two_motions([2.0])
+    assert len(lines) == len([x for x in bistable.response(alone).get_lines() if "balance" in str(x.get_label())])
 
 
 def test_an_end_of_the_search_is_no_jump() -> None:

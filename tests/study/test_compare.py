@@ -18,6 +18,7 @@ from timesim.cli import app
 from timesim.engine.status import RunError
 from timesim.orbit.settling import steady_states
 from timesim.picture import compare as plot_compare
+from timesim.result.file import StoreError
 from timesim.study import compare
 from timesim.study import registry as plot
 from timesim.study.registry import carry_out, load_scene
@@ -186,6 +187,28 @@ def test_a_point_is_compared_with_the_nearest_stable_solution_at_its_frequency(m
     expected = np.full(swept.shape, np.nan)
     expected[0, 0, 0, 0, 0] = -0.2
     np.testing.assert_allclose(match.difference, expected)
+
+
+def test_each_set_of_values_has_a_curve_of_its_own():
+    """Where one fails, points of another are not said to lie where it did not get."""
+    whole, cut = ({"contacts.pad.preload": value} for value in (-4.0, 3.0))
+    curves = [SimpleNamespace(values=own, curve=SimpleNamespace(complete=own is whole)) for own in (whole, cut)]
+    found = compare._followed(SimpleNamespace(curves=curves, values=[whole, cut]), SHAPE)
+    assert found.shape == SHAPE
+    assert found[0].all()
+    assert not found[1].any()
+
+
+def test_curves_that_cannot_be_kept_leave_the_sweep(monkeypatch: pytest.MonkeyPatch):
+    def full(*_: Any) -> Any:
+        raise StoreError("no space left")
+
+    monkeypatch.setattr(compare, "followed", full)
+    monkeypatch.setattr(compare, "states_in", lambda _: None)
+    monkeypatch.setattr(compare, "left_out", lambda *_: ("no solutions", "no curves", "not begun"))
+    scene = SimpleNamespace(plan=SimpleNamespace(balance=None))
+    found = compare._balanced(scene, None, None, given_up=False)
+    assert found == ("no solutions", "no curves", "no space left")
 
 
 def points_on(

@@ -15,6 +15,7 @@ from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.settling import Chain, steady_states
 from timesim.orbit.steady_state import Orbit, without_orbit
 from timesim.picture import optimum as plot_optimum
+from timesim.result.file import StoreError
 from timesim.scene.study import SweepPlan
 from timesim.scene.sweep import OptimumPlan
 from timesim.study import optimum
@@ -140,6 +141,36 @@ class Known(Peaks):
                 "amplitude": np.full((*shape, 1, 3), self.formula(value)),
                 "reason": np.full(shape, "it broke" if np.isnan(self.formula(value)) else ""),
             }  # fmt: skip
+
+
+def test_a_stage_that_cannot_be_kept_ends_the_search_and_keeps_the_values(monkeypatch: pytest.MonkeyPatch):
+    """The first values are begun before anything is computed: there is nothing to keep yet."""
+    peaks = Peaks(load_scene(CONFIGS / "preload.yaml"), Execution())
+
+    def full(*_: Any, **__: Any) -> Any:
+        raise StoreError("no space left")
+
+    monkeypatch.setattr(optimum, "carry_through", full)
+    with pytest.raises(SearchError, match="no space left"):
+        peaks.take([3.3], "search-001")
+    with pytest.raises(StoreError):
+        peaks.take([3.3], "")
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-9])
+def test_both_motions_at_a_frequency_are_refined_in_any_unit(unit: float, monkeypatch: pytest.MonkeyPatch):
+    """That of the sweep up is smaller where that of the sweep down peaks."""
+    scene = load_scene(CONFIGS / "preload.yaml")
+    response, count = Response(scene.model(), scene.plan, scene.solver()), scene.plan.sweep.frequency.size
+    up, down = np.full(count, 0.3), np.full(count, 0.5)
+    down[2] = 1.0
+    monkeypatch.setattr(Response, "size", lambda _, orbit: orbit.largest)
+    model, refined = scene.model(), list[int]()
+    orbits = [[replace(without_orbit(model, ""), amplitude=np.full((1, 3), unit * size)) for size in own]
+              for own in (up, down)]  # fmt: skip
+    monkeypatch.setattr(optimum, "_refined", lambda _, orbit, i: (refined.append(i), optimum.Peak(-np.inf))[1])
+    assert _peak(response, orbits).peak == pytest.approx(unit)
+    assert refined == [2]
 
 
 @pytest.mark.parametrize("best", [3.64836, 0.5, 9.9996, 7.0])

@@ -616,6 +616,7 @@ def test_an_interrupt_of_the_search_for_jumps_keeps_all_points(monkeypatch: pyte
     outcome = carry_out(loaded, Execution(workers=1))
     assert outcome.reason == "interrupted; 1 of 1 chunk unfinished, with all points done"
     assert np.isfinite(x(outcome.groups[""]).values).all()
+    assert not any("no jump" in line for line in outcome.summary), "none was sought to the end"
 
 
 LONG = {"frequency": {"from": 0.92, "to": 0.96, "step": 0.001}, "direction": "both", "over": {PRELOAD: [-4]}}

@@ -168,7 +168,7 @@ def _branch(
     root, hbm = data.to_dataset(), data.children["hbm"].to_dataset(inherit=False)
     inside = np.ones(hbm.sizes["solution"], bool)
     for key, i in at.items():
-        inside &= np.isclose(hbm[key].values, float(root[key].values[i]))
+        inside &= hbm[key].values == root[key].values[i]
     row, column = root["point"].values.tolist().index(point), root["axis"].values.tolist().index(axis)
     for number in np.unique(hbm.curve.values[inside]):
         part = hbm.isel(solution=inside & (hbm.curve.values == number), point=row, axis=column)
@@ -212,9 +212,9 @@ def _range(data: DataTree, ax: Axes, item: DrawnRange, point: str, axis: str, *,
     """A range shaded, with an arrow for each jump and, where there is room, the motions at its middle."""
     _span(ax, item)
     here = data.to_dataset().isel(item.where).sel(point=point, axis=axis)
-    ends = here["jump_from"].values, here["jump_to"].values
-    for frequency, before, after in zip((item.low, item.high), *ends, strict=True):
-        if np.isfinite(before):
+    ends = here["jump_from"].values, here["jump_to"].values, here["range_irregular"].values
+    for frequency, before, after, loser in zip((item.low, item.high), *ends, strict=True):
+        if np.isfinite(before) and not loser:  # a motion that loses its period does not jump
             arrow = {"arrowstyle": "-|>", "color": "black", "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
             ax.annotate("", (frequency, after), (frequency, before), arrowprops=arrow, zorder=5)
             ax.plot([], [], color="black", marker=r"$\downarrow$", linestyle="", ms=9, label="jump")
@@ -268,10 +268,11 @@ def existence(data: DataTree, ax: Axes | None = None, *, key: str | None = None)
     for item in ranges(data):
         value = float(scalar[item.at[key]])
         ax.plot([value, value], [item.low, item.high], color=BLUE, linewidth=5, solid_capstyle="butt", alpha=0.5)
-        before = root["jump_from"].isel(item.where).transpose("end", ...).values
+        here = root[["jump_from", "range_irregular"]].isel(item.where)
+        before = here["jump_from"].transpose("end", ...).values, here["range_irregular"].values
         ends = (item.low, "v", VERMILION, "down"), (item.high, "^", BLUE, "up")
-        for (end, kind, colour, name), amplitude in zip(ends, before, strict=True):
-            if np.isfinite(amplitude).all():  # else it is the end of the search
+        for (end, kind, colour, name), amplitude, loser in zip(ends, *before, strict=True):
+            if np.isfinite(amplitude).all() and not loser:  # else it is the end of the search, or no jump
                 ax.plot(value, end, kind, color=colour, ms=5, label=f"the sweep {name} jumps")
     margin = 0.05 * np.ptp(scalar) or 1.0
     ax.set_xlim(scalar.min() - margin, scalar.max() + margin)
@@ -306,8 +307,10 @@ def _ranges_figure(data: DataTree) -> Figure | None:
 def _starts_figure(data: DataTree) -> Figure | None:
     from matplotlib.patches import Patch
 
-    shown = ranges(data)[:MAX_RANGES]
-    if not shown or "start_branch" not in data:
+    if "start_branch" not in data:
+        return None
+    every = [item for item in ranges(data) if (data["start_cycles"].isel(item.where).values >= 0).all()]
+    if not (shown := every[:MAX_RANGES]):
         return None
     fig, grid = figure(1, len(shown), width=2.6 + 3.6 * len(shown), height=3.6, right=2.0)
     for ax, item in zip(grid[0], shown, strict=True):
@@ -319,7 +322,7 @@ def _starts_figure(data: DataTree) -> Figure | None:
         for label, colour, hatch in looks
     ]
     legend_beside(grid[0, -1], [*patches, *labelled(grid[0, 0]).values()])
-    return finish(fig, data, "which start leads to which motion", left_out(len(ranges(data)), len(shown), "ranges"))
+    return finish(fig, data, "which start leads to which motion", left_out(len(every), len(shown), "ranges"))
 
 
 def _existence_figure(data: DataTree) -> Figure | None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from timesim.orbit.steady_state import switches
 from timesim.picture import hbm as balance
-from timesim.picture.choice import MAX_ROWS, motion, motions
+from timesim.picture.choice import MAX_ROWS, busiest, left_out, motion, motions
 from timesim.picture.figure import axes, figure, finish, from_zero, label_axes, over_cycle, over_decades, stacked
 from timesim.picture.response import PAIRED, several_cycles, with_phase
 from timesim.picture.style import (
@@ -160,7 +160,8 @@ def contact_states(data: DataTree, ax: Axes | None = None) -> Axes:
     """State of the contacts over the cycle by both methods, as bars."""
     ax, cycle = axes(ax), data["cycle"].to_dataset()
     angle = np.append(cycle.excitation_angle.values, 360.0)
-    rows = list(product(cycle.contact.values[:MAX_ROWS], cycle.found_by.values))
+    changes = (cycle.contact_state.diff("excitation_angle") != 0).sum(("found_by", "excitation_angle"))
+    rows = list(product(busiest(cycle, changes.values), cycle.found_by.values))
     for row, (contact, method) in enumerate(rows):
         state = cycle.contact_state.sel(contact=contact, found_by=method).values
         edges = [0, *(np.flatnonzero(np.diff(state)) + 1).tolist(), state.size]
@@ -232,7 +233,8 @@ def _cycle_figure(data: DataTree) -> Figure | None:
     waveform(data, grid[0, 0])
     contact_states(data, grid[1, 0])
     harmonics(data, grid[2, 0])
-    return finish(fig, data, f"a cycle by both methods where they differ most: {data['cycle'].attrs['place']}")
+    note = left_out(data["cycle"].sizes["contact"], MAX_ROWS, "contacts", "the least active")
+    return finish(fig, data, f"a cycle by both methods where they differ most: {data['cycle'].attrs['place']}", note)
 
 
 PICTURES: dict[str, Picture] = {"overlay": _overlay_figure, "difference": _difference_figure, "cycle": _cycle_figure}

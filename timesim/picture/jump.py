@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from timesim.picture import transient
-from timesim.picture.choice import MAX_ROWS, asked, motions
+from timesim.picture.choice import MAX_ROWS, asked, left_out, motions
 from timesim.picture.figure import axes, figure, finish, from_zero
 from timesim.picture.response import amplitude_label
 from timesim.picture.style import BLUE, SERIES, VERMILION, Axes, Dataset, Figure, Picture, short, unit
@@ -39,7 +39,7 @@ def phases(data: Dataset) -> list[DrawnPhase]:
 def envelope(data: Dataset, ax: Axes | None = None) -> Axes:
     """Amplitude of each cycle for what moves most, the run-up shaded, dotted lines at changes of frequency."""
     ax = axes(ax)
-    for (point, axis), style in zip(moving(data), SERIES, strict=False):
+    for (point, axis), style in zip(moving(data)[:MAX_ROWS], SERIES, strict=False):
         amplitude = data.cycle_amplitude.sel(point=point, axis=axis).values
         ax.plot(data.cycle.values, amplitude, color=style.colour, linestyle=style.line, label=f"{short(point)} {axis}")
     from_zero(ax)
@@ -112,25 +112,29 @@ def _arrows(ax: Axes, ends: list[tuple[float, float]]) -> None:
 
 
 def moving(data: Dataset) -> list[tuple[str, str]]:
-    """At most `MAX_ROWS` points and axes, the largest amplitude first; the first of all if none moves."""
-    return motions(data, data.cycle_amplitude.values.max(axis=0, initial=0.0))[:MAX_ROWS]
+    """Points and axes, the largest amplitude first; the first of all if none moves."""
+    return motions(data, data.cycle_amplitude.values.max(axis=0, initial=0.0))
+
+
+def _note(data: Dataset) -> str:
+    return left_out(len(moving(data)), MAX_ROWS, "motions", "the least active")
 
 
 def _envelope_figure(data: Dataset) -> Figure:
     fig, grid = figure(2, 1, width=9.0, height=1.9, gap=0.15, sharex=True, height_ratios=[2.2, 1])
     envelope(data, grid[0, 0]).set_xlabel("")
     frequency(data, grid[1, 0])
-    return finish(fig, data, "amplitude of each cycle")
+    return finish(fig, data, "amplitude of each cycle", _note(data))
 
 
 def _path_figure(data: Dataset) -> Figure | None:
     if all(part.run_up for part in phases(data)):
         return None
-    shown = moving(data)
+    shown = moving(data)[:MAX_ROWS]
     fig, grid = figure(1, len(shown), width=1.1 + 3.6 * len(shown), height=3.2, left=0.8)
     for ax, (point, axis) in zip(grid[0], shown, strict=True):
         path(data, ax, point=point, axis=axis).locator_params(axis="x", nbins=4)
-    return finish(fig, data, "amplitude against frequency, phase by phase")
+    return finish(fig, data, "amplitude against frequency, phase by phase", _note(data))
 
 
 PICTURES: dict[str, Picture] = {

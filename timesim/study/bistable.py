@@ -18,23 +18,24 @@ from timesim.model.solver import NEVER, Criterion, Solver
 from timesim.orbit.basin import LOWER, UPPER, explore, shares
 from timesim.orbit.fourier import phase_deg
 from timesim.orbit.jump import Watched
-from timesim.orbit.settling import Chain, steady_states, warm_up
+from timesim.orbit.settling import Chain, warm_up
 from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of
 from timesim.orbit.two_motions import UP, RangeSearch, ranges_of
 from timesim.result.dataset import dataset
+from timesim.result.file import StoreError
 from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import BistablePlan
 from timesim.study.columns import sizes_of
 from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import CURVE, Phases
-from timesim.study.execution.worker import each, halted, point_done
-from timesim.study.hbm import compile_beside, followed
+from timesim.study.execution.worker import each
+from timesim.study.hbm import compile_beside, followed, left_out
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.summary.bistable import bistable_lines, fold_lines, starts_line
 from timesim.study.summary.effort import sweep_effort_lines
 from timesim.study.summary.sweep import failure_line, number_of_states, unusual_lines
-from timesim.study.sweep import FAILURES, STEPS_A_CHUNK, Grid, continued, search_failure
+from timesim.study.sweep import FAILURES, STEPS_A_CHUNK, Grid, continued, search_failure, steady_of
 
 SEARCH = "sweeps, ends and starts"  # phase of the progress
 
@@ -48,7 +49,7 @@ class Payload:
     criterion: Criterion
 
     def steady(self, chains: Sequence[Chain]) -> list[list[Orbit]]:
-        return steady_states(chains, self.solver, self.criterion, halted=halted, count=point_done, each=each)
+        return steady_of(chains, self.solver, self.criterion)
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     earlier, clock = execution.earlier(""), time.perf_counter()
     if plan.balance is not None:
         compile_beside(scene, plan.balance)
-    warm_up((Chain(model, tuple(map(float, grid.frequency))) for model in grid.models.values()), solver)
+    if execution.cluster is None:
+        warm_up((Chain(model, tuple(map(float, grid.frequency))) for model in grid.models.values()), solver)
     compiling = time.perf_counter() - clock
     every = chunks(grid, plan, solver)
     curves = 0 if plan.balance is None else 2 * grid.shape[0]
@@ -127,7 +129,10 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     groups, reasons = {"sweep": sweep}, [reason or failure_line(sweep) or gathered.failure]
     if plan.balance is not None and not (reason or "").startswith(INTERRUPTED):
         after = replace(execution, progress=phases["balance"])
-        hbm, own, hbm_reason = followed(scene, plan.balance, after, stage="balance")
+        try:
+            hbm, own, hbm_reason = followed(scene, plan.balance, after, stage="balance")
+        except StoreError as error:  # it cannot be kept; the ranges can
+            hbm, own, hbm_reason = *left_out(scene, plan.balance)[:2], str(error)
         groups["hbm"] = hbm
         lines += own.notes
         lines += fold_lines(hbm, gathered.ends, gathered.failed, float(np.diff(grid.frequency).max(initial=0.0)))
@@ -217,8 +222,12 @@ class Gathered:
     def failed(self) -> dict[tuple[float, ...], np.ndarray]:
         """Frequencies [Hz] of the points of both sweeps that failed, of each set of values that is swept."""
         sets = list(product(*self.plan.sweep.over.values()))
-        swept = {int(name.split("-")[0]): result for name, result in self.results.items() if "-sweep-" in name}
-        return {sets[v]: result["frequency"][result["reason"] != ""] for v, result in swept.items()}
+        return {sets[v]: result["frequency"][result["reason"] != ""] for v, result in self.swept.items()}
+
+    @property
+    def swept(self) -> dict[int, Result]:
+        """Both sweeps of each set of values: each part includes those before it, so that the last one replaces them."""
+        return {int(name.split("-")[0]): result for name, result in self.results.items() if "-sweep-" in name}
 
     def _last(self, v: int) -> Result | None:
         """The last result of a set of values that has the ranges; None if they are not known."""
@@ -229,14 +238,10 @@ class Gathered:
         """Both sweeps as the `sweep` study writes them, their jumps bisected."""
         swept: dict[str, Result] = {}
         places: dict[str, Any] = {}
-        for name, result in self.results.items():
-            if "-sweep-" not in name:
-                continue
-            v = int(name.split("-")[0])
+        for v, result in self.swept.items():
             done = self.whole[v]
             jumps = np.zeros((0, 3)) if done is None else done["jumps"]
             key, size = f"{v:05d}", result["settled"].shape[1]
-            # Each part includes those before it, so that the last one replaces them.
             swept[key] = {column: result[column] for column in COLUMNS} | {"jumps": jumps}
             places[key] = [(v, direction, slice(0, size)) for direction in (UP, 1 - UP)]
         data = self.grid.data(*self.grid.gathered(swept, places), attrs)

@@ -30,6 +30,7 @@ from timesim.orbit.cycle import one_cycle
 from timesim.orbit.fourier import fourier_basis, fourier_coefficients
 from timesim.orbit.settling import Chain, steady_states
 from timesim.result.dataset import dataset
+from timesim.result.file import StoreError
 from timesim.result.label import counted, in_words
 from timesim.result.state import states_in
 from timesim.scene.hbm import ComparePlan, HbmPlan
@@ -171,6 +172,9 @@ def _balanced(
     except KeyboardInterrupt:  # while it compiled
         hbm, curves, reason = left_out(scene, plan)
         return hbm, curves, f"{INTERRUPTED}, {reason}"
+    except StoreError as error:  # its curves cannot be kept; the sweep can
+        hbm, curves, _ = left_out(scene, plan)
+        return hbm, curves, str(error)
 
 
 def _compared(
@@ -188,6 +192,7 @@ def _compared(
         match = matched(grid, frequency, curves, processes)
         arrays["relative_difference"][:] = match.difference.reshape(amplitude.shape)
         points = compared_points(sweep, hbm, match.difference)
+        points = replace(points, followed=_followed(curves, points.followed.shape))
         points = replace(points, other_offset=other_offsets(scene, curves, match, points))
         arrays["other_offset"][:] = points.other_offset.reshape(amplitude.shape[:-2])
         lines += comparison_lines(points)
@@ -198,6 +203,13 @@ def _compared(
     except KeyboardInterrupt:
         return arrays, lines, cycle, f"{INTERRUPTED} while the methods were compared"
     return arrays, lines, cycle, None
+
+
+def _followed(curves: Curves, shape: tuple[int, ...]) -> np.ndarray:
+    """Whether the curves with the values of each point are whole, of the shape of `Points`."""
+    own = [[one.curve for one in curves.curves if one.values == values] for values in curves.values]
+    whole = np.array([bool(each) and all(curve.complete for curve in each) for each in own])
+    return np.broadcast_to(whole[:, None, None], shape)
 
 
 class NotSettledError(Exception):

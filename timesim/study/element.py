@@ -50,14 +50,15 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         return Outcome({"": dataset({}, {"angle": np.zeros(0)}, about)}, why)
     reason = None if cycle.periodic else _unsettled(cycle)
     compared: dict[str, Any] = {}
-    compiling = 0.0
+    compiling, doubt = 0.0, None
     if plan.cross_check:
         compared, doubt, compiling = _cross_check(contact, motion, cycle)
         reason = reason or doubt
     about = attributes(scene, METHOD, compiling, time.perf_counter() - clock - compiling, reason) | compared
     execution.progress(1, 1)
     record = record_of(plan, cycle, about)
-    return Outcome({"": record}, reason, tuple(summary(cycle, compared, record["dissipation"].attrs)))
+    told = {} if doubt else compared  # the reason says what does not agree
+    return Outcome({"": record}, reason, tuple(summary(cycle, told, record["dissipation"].attrs)))
 
 
 def _unsettled(cycle: ElementCycle) -> str:

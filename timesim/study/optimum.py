@@ -20,20 +20,20 @@ from xarray import Dataset
 from timesim.fault import SceneError
 from timesim.model.model import Model
 from timesim.model.solver import Solver
-from timesim.orbit.settling import Chain, steady_states, warm_up
+from timesim.orbit.settling import Chain, warm_up
 from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of
 from timesim.result.dataset import Arrays
+from timesim.result.file import StoreError
 from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import OptimumPlan
 from timesim.study.columns import blank_columns
 from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import Phases
-from timesim.study.execution.worker import each, halted, point_done
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.summary.optimum import as_low, optimum_lines
 from timesim.study.summary.sweep import failure_line
-from timesim.study.sweep import Grid, steady_dataset
+from timesim.study.sweep import Grid, steady_dataset, steady_of
 
 NEARLY = 0.9  # of the largest amplitude: other maxima above it may be larger between the points of the sweep
 FINE = 1e-3  # of a step of the sweep: the frequency of a peak, whose height depends on it in second order only
@@ -72,7 +72,7 @@ class Response:
         return float(np.max(amplitude if axis is None else amplitude[:, "xyz".index(axis)]))
 
     def steady(self, *chains: Chain) -> list[list[Orbit]]:
-        return steady_states(chains, self.solver, self.plan.sweep.criterion, halted=halted, count=point_done, each=each)
+        return steady_of(chains, self.solver, self.plan.sweep.criterion)
 
 
 class SearchError(Exception):
@@ -105,7 +105,7 @@ def _peak(response: Response, orbits: list[list[Orbit]]) -> Peak:
             continue
         frequency, at_end = float(response.plan.sweep.frequency[i]), last > 0 and i in (0, last)
         best = max(best, Peak(size[d, i], frequency, at_end, orbits[d][i].settled, orbits[d][i].irregular))
-        if d == 1 and np.isclose(size[0, i], size[1, i], rtol=1e-6):
+        if d == 1 and np.isclose(size[0, i], size[1, i], rtol=1e-6, atol=0.0):
             continue
         if last > 0:
             best = max(best, _refined(response, orbits[d][i], i))
@@ -165,7 +165,12 @@ class Peaks:
         ]
         identity = self.scene.resolved_yaml()
         execution = replace(self.execution, progress=self._searched if stage else self.phases[FIRST])
-        results, reason = carry_through(chunks, respond, execution, identity=identity, stage=stage)
+        try:
+            results, reason = carry_through(chunks, respond, execution, identity=identity, stage=stage)
+        except StoreError as error:
+            if not stage:
+                raise
+            raise SearchError(str(error)) from None
         for chunk, value in zip(chunks, values, strict=True):
             if chunk.name in results:
                 self.results[value] = results[chunk.name]
@@ -263,7 +268,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     peaks, reason = Peaks(scene, execution), None
     earlier, clock = execution.earlier(), time.perf_counter()
     models = Grid(scene, peaks.plan.sweep).models.values()
-    warm_up((Chain(model, tuple(map(float, peaks.frequency))) for model in models), peaks.solver)
+    if execution.cluster is None:
+        warm_up((Chain(model, tuple(map(float, peaks.frequency))) for model in models), peaks.solver)
     compiling = time.perf_counter() - clock
     execution.progress(0, 1)
     try:
@@ -297,6 +303,6 @@ def data_of(peaks: Peaks) -> Dataset:
         "optimum_frequency": ((), np.array(best.get("peak_frequency", np.nan))),
     }
     grid = Grid(peaks.scene, replace(peaks.plan.sweep, over={key: tuple(values)}))
-    data = steady_dataset(grid, columns, own, model)
+    data = steady_dataset(grid, columns, own)
     data["optimum"].attrs |= {name: text for name, text in data[key].attrs.items() if name == "units"}
     return data

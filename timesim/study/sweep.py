@@ -55,6 +55,11 @@ class Segment:
     refine: float | None = None
 
 
+def steady_of(chains: Sequence[Chain], solver: Solver, criterion: Criterion) -> list[list[Orbit]]:
+    """`steady_states` within a chunk: given up with it, its points counted, its parts shared by the threads."""
+    return steady_states(chains, solver, criterion, halted=halted, count=point_done, each=each)
+
+
 def solve(segment: Segment, before: Result | None) -> Result:
     """The steady states of a segment as arrays: chain first, then its frequencies.
 
@@ -62,10 +67,10 @@ def solve(segment: Segment, before: Result | None) -> Result:
         UnfinishedError: it was given up; some steady states may be missing, and all jumps.
     """
     chains = [continued(chain, index, before) for index, chain in enumerate(segment.chains)]
-    steady = partial(steady_states, solver=segment.solver, criterion=segment.criterion, halted=halted, each=each)
+    steady = partial(steady_of, solver=segment.solver, criterion=segment.criterion)
     orbits, search, jumps = list[list[Orbit]](), Watched(steady), list[tuple[int, float, float]]()
     try:
-        orbits = steady(chains, count=point_done)
+        orbits = steady(chains)
         if segment.refine is not None:
             jumps = list(_jumps(search, segment.refine, chains, orbits, before))
     except GivenUpError as given_up:
@@ -130,7 +135,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[Dataset, str | None]:
     """The steady states over the further axes, direction and frequency, and why they are incomplete, or None.
 
-    The attributes of the result are `method`, `compile_seconds` and `run_seconds`.
+    The attributes of the result are `method`, `compile_seconds`, `run_seconds` and, of its work, `complete`.
     """
     solver, grid = scene.solver(), Grid(scene, plan)
     chunks, places = grid.chunks(solver)
@@ -143,11 +148,13 @@ def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[D
     results, reason = carry_through(chunks, solve, execution, identity=scene.resolved_yaml())
     arrays, jumps = grid.gathered(results, places)
     seconds = earlier + time.perf_counter() - clock - compiling
+    search = search_failure(results.values())
     attrs: dict[str, Any] = {"method": str(solver), "compile_seconds": compiling, "run_seconds": seconds}
+    attrs["complete"] = int(reason is None and search is None)
     if plan.chained:
         attrs["jumps_bisected"] = int(plan.refine is not None)
     data = grid.data(arrays, jumps, attrs)
-    return data, reason or failure_line(data) or search_failure(results.values())
+    return data, reason or failure_line(data) or search
 
 
 def search_failure(results: Iterable[Result]) -> str | None:
@@ -155,11 +162,10 @@ def search_failure(results: Iterable[Result]) -> str | None:
     return search_line([str(why) for result in results for why in result.get(FAILURES, ())])
 
 
-def steady_dataset(grid: "Grid", columns: Columns, own: Arrays, model: Model) -> Dataset:
+def steady_dataset(grid: "Grid", columns: Columns, own: Arrays) -> Dataset:
     """The result file of a sweep: its steady states, and further variables of its own."""
-    scene, plan = grid.scene, grid.plan
-    coords = {key: np.array(values) for key, values in plan.over.items()}
-    coords |= {"direction": np.array(plan.directions), "frequency": plan.frequency}
+    scene, plan, model = grid.scene, grid.plan, grid.any_model
+    coords = {**grid.axes, "direction": np.array(plan.directions), "frequency": grid.frequency}
     axes = {name: len(values) for name, values in coords.items()}
     variables = variables_of(columns, axes, scene.solver().rtol)
     variables["mode_shape"] = grid.of_models(("point", "axis", "mode"), lambda model: model.structure.shape)
@@ -265,7 +271,7 @@ class Grid:
         ends = self._jump_table(jumps).reshape(*map(len, self.axes.values()), self.shape[1], -1, 2)
         dims = (*self.axes, "direction", "jump")
         own = {name: (dims, ends[..., i]) for i, name in enumerate(("jump_low", "jump_high"))}
-        return steady_dataset(self, arrays, own, self.any_model).assign_attrs(attrs)
+        return steady_dataset(self, arrays, own).assign_attrs(attrs)
 
     def of_models(
         self, dims: tuple[str, ...], array_of: Callable[[Model], np.ndarray]

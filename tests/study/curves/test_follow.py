@@ -116,6 +116,16 @@ def test_an_interrupt_keeps_what_is_followed(here: Any, tmp_path: Path, at_once:
     same(here[0], again)
 
 
+def test_what_is_evaluated_is_forgotten_when_nothing_waits(two: Processes):
+    """Else a wait for the first of them to be done would return at once, over and over."""
+    done: Future[Any] = Future()
+    done.set_result(None)
+    evaluation = aside.Evaluation(two)
+    evaluation.running = {done}
+    evaluation.go_on(0)
+    assert not evaluation.running
+
+
 def test_an_interrupt_behind_the_last_curve_is_named_as_that(here: Any):
     def interrupted(done: float, number: float, _: str = "") -> None:
         if done == number:

@@ -115,7 +115,7 @@ class Evaluation:
         Raises:
             BrokenExecutor: a process was killed.
         """
-        while self._waiting and self.under_way < room:
+        while self.under_way < room and self._waiting:  # in this order: it forgets those that are done
             work, piece = self._waiting.popleft()
             if (key := _key(piece)) not in self._begun:
                 self._begun[key] = future = self.processes.submit(unseen, work, *piece)

@@ -9,7 +9,7 @@ from timesim.orbit.basin import ANOTHER, IRREGULAR, LOWER, NONE, UPPER, unique
 from timesim.orbit.two_motions import LARGER, NO_MOTION, SMALLER
 from timesim.result.coordinate import largest_motion, over_keys
 from timesim.result.label import counted, first_few, in_words, with_unit
-from timesim.study.summary.sweep import LINES
+from timesim.study.summary.sweep import LINES, jump_lines
 
 MOTIONS = ("smaller", "larger")
 
@@ -24,11 +24,14 @@ def bistable_lines(data: Dataset, sweep: Dataset, width: float) -> Iterator[str]
         lines += [label + line for line in _range_lines(one, width)]
     yield from first_few(lines, LINES, lambda left: f"and {counted(left, 'more line')}, all of it in the result file")
     if not lines and data.attrs["complete"]:
-        span = sweep["frequency"].values
-        yield (
-            f"no range with two motions was found from {span[0]:g} to {span[-1]:g} Hz: both sweeps are on one motion "
-            f"at all {span.size} frequencies, and no jump is left when a step is bisected"
-        )
+        span, jumps = sweep["frequency"].values, list(jump_lines(sweep))
+        none = f"no range with two motions was found from {span[0]:g} to {span[-1]:g} Hz"
+        if jumps:
+            yield f"{none}: one between jumps is at most {2 * width:g} Hz wide, or has a motion that does not repeat"
+            yield from first_few(jumps, LINES, lambda left: f"and {counted(left, 'more jump')}")
+        else:
+            one_motion = f"both sweeps are on one motion at all {span.size} frequencies"
+            yield f"{none}: {one_motion}, and no jump is left when a step is bisected"
 
 
 def _range_lines(one: Dataset, width: float) -> Iterator[str]:
@@ -59,7 +62,9 @@ def _range_lines(one: Dataset, width: float) -> Iterator[str]:
             "which may move that end by some of the width"
         )
     yield from _stuck_lines(one)
-    if "start_branch" in one:
+    if "start_branch" in one and (one["start_cycles"].values < 0).any():
+        yield "the starts at its middle were not run"
+    elif "start_branch" in one:
         yield from _start_lines(one)
         yield from _offset_lines(one, float(max(smaller.max(), larger.max())))
 

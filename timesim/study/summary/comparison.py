@@ -108,7 +108,7 @@ def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarra
         name=names[most[..., 0]],
         share=np.take_along_axis(size, most, axis=-1)[..., 0] / np.maximum(size.max(axis=-1), np.finfo(float).tiny),
         solved=np.isfinite(difference).any(axis=-1),
-        followed=np.full(shape, hbm.attrs["complete"] > 0),
+        followed=np.full(shape, hbm.attrs["complete"] > 0),  # of all curves
         settled=(settled > 0) & (period == 1) & ~drifts,
         doubled=(settled > 0) & (period > 1) & ~drifts,
         irregular=sweep["irregular"].values.reshape(shape) > 0,

@@ -119,8 +119,8 @@ def jump_lines(data: Dataset) -> Iterator[str]:
         if bisected and np.isin((low, high), data["frequency"].values).all():
             hint = ", a whole step: in shorter ones the motion is not lost within it, or could not be computed"
         yield f"{_chain(data, place[:-1])}{what} between {low:.8g} and {high:.8g} Hz{hint}"
-    known = np.isfinite(data["amplitude"].values)
-    if data.attrs.get("jumps_bisected") and known.any() and not np.isfinite(ends).any():
+    known, whole = np.isfinite(data["amplitude"].values), data.attrs.get("complete", 1)
+    if whole and data.attrs.get("jumps_bisected") and known.any() and not np.isfinite(ends).any():
         where = "no jump" if known.all() else "no jump between the points that were computed"
         yield f"{where}: the amplitude changes along slopes only, as shorter steps show"
 
