@@ -11,6 +11,8 @@ from timesim.scene.report import describe
 from timesim.study.outcome import Outcome
 from timesim.study.registry import carry_out, load_scene
 
+pytestmark = pytest.mark.long
+
 SPRING, MASSES, MIDDLE = 40.0, 4, 2
 TOGETHER = np.array([[1, 0, 0], [0, 1, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
 """Motion of the masses from that of three, the two in the middle being one."""

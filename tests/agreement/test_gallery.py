@@ -7,6 +7,8 @@ import pytest
 
 import timesim
 
+pytestmark = pytest.mark.long
+
 DIFFERENCE = np.array([[1.0, -1.0], [-1.0, 1.0]])
 CONFIGS = Path(__file__).parents[2] / "configs"
 

@@ -12,6 +12,8 @@ from systems import oscillator
 from timesim.model.model import Contact, Excitation, Model, Start, Structure
 from timesim.model.solver import PRESETS, Solver
 
+pytestmark = pytest.mark.long
+
 CYCLES = 8
 FINE = Solver("tsit5", 1e-10, 1e-12, reduce=False)
 POWERS = st.floats(-9, 9)

@@ -30,6 +30,8 @@ from timesim.model.start import static_start
 from timesim.scene.report import describe
 from timesim.study.registry import load_scene
 
+pytestmark = pytest.mark.long
+
 SCALES = (16.0, 0.25, 64.0, 0.0625, 4.0, 256.0)
 ROOTS = np.sqrt(SCALES)
 CLOSE = 1e-9

@@ -9,6 +9,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2]
 CASES = {"osc_n0=3_f=1.39": (3.0, 1.39), "osc_n0=-1_f=0.97": (-1.0, 0.97), "osc_n0=5_f=1.52": (5.0, 1.52)}
 

@@ -36,6 +36,8 @@ from systems import (
 
 from timesim.model.model import GROUND, SLIP, STICK, Model
 
+pytestmark = pytest.mark.long
+
 DATA = Path(__file__).parents[1] / "data"
 
 

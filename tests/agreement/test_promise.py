@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.long
+
 BENCHMARK = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "promise.py"))
 SEEDS = range(4000, 4020)
 

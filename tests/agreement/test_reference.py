@@ -29,6 +29,8 @@ from timesim.model.model import STATE_NAMES, Model
 from timesim.model.solver import PRESETS, Solver
 from timesim.study.registry import load_scene
 
+pytestmark = pytest.mark.long
+
 DATA = Path(__file__).parents[1] / "data"
 CONFIGS = Path(__file__).parents[2] / "configs"
 ALLOWED = {"reference": 1e-8, "standard": 1e-6, "draft": 1e-4}

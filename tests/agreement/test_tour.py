@@ -46,6 +46,7 @@ def test_the_rows_are_the_scenes_that_are_there(tour: ModuleType):
     assert rows[1].arguments[1:] == ("--set", "contacts.pad.preload=-4", "--set", "excitation.frequency=0.947")
 
 
+@pytest.mark.long
 def test_the_scene_to_paste_slips_and_peaks_as_it_says():
     text = BLOCKS[0]
     sentence = r"peak is (\S+) mm at (\S+) Hz.*?slips for (\S+) % of the\s+cycle and dissipates (\S+) W"

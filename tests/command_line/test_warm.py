@@ -13,6 +13,8 @@ from timesim import warm
 from timesim.cli import app
 from timesim.study.registry import STUDIES, load_scene
 
+pytestmark = pytest.mark.long
+
 
 def test_all_usual_studies_are_good_scenes():
     kinds = {load_scene(scene).kind for scene in warm.USUAL}

@@ -28,6 +28,8 @@ from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
 from timesim.orbit.settling import Chain, steady_states
 
+pytestmark = pytest.mark.long
+
 LOOSE, FINE, FINEST = (Solver("exponential", rtol, 1e-2 * rtol) for rtol in (1e-4, 1e-8, 1e-10))
 
 WHOLE = replace(FINE, reduce=False)

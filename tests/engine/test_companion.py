@@ -17,6 +17,8 @@ from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import Model
 from timesim.model.solver import PRESETS, Solver, coarser
 
+pytestmark = pytest.mark.long
+
 TRUTH = json.loads((Path(__file__).parents[1] / "data" / "oscillator.json").read_text())["cases"]
 
 

@@ -38,6 +38,8 @@ from timesim.study.execution.campaign import Execution
 from timesim.study.registry import load_scene
 from timesim.study.transient import final_variables, study
 
+pytestmark = pytest.mark.long
+
 CONFIGS = Path(__file__).parents[2] / "configs"
 SECONDS_TO_COMPILE = "/jax/core/compile/jaxpr_to_mlir_module_duration"
 

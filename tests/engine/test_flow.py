@@ -9,6 +9,8 @@ from scipy.linalg import expm
 
 from timesim.engine.exponential.flow import impulse_integrals, weights
 
+pytestmark = pytest.mark.long
+
 POWERS = 6
 
 MODES = {

@@ -15,6 +15,8 @@ from timesim.model.model import Model
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import Solver
 
+pytestmark = pytest.mark.long
+
 ROUNDING = 1e-9  # a step of collocation is solved to 1e-10 of the state
 
 

@@ -12,6 +12,8 @@ from timesim.engine.system import Point, system_of
 from timesim.engine.tolerance import LANDING
 from timesim.model.model import SEPARATION, Model
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize("place", [0.05, 0.4, 0.95])
 @pytest.mark.parametrize("touches", [True, False])

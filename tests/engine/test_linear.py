@@ -21,6 +21,8 @@ from timesim.model.solver import CLOSED_FORM, Solver
 from timesim.scene.report import describe
 from timesim.study.registry import load_scene
 
+pytestmark = pytest.mark.long
+
 CLOSED = Solver(CLOSED_FORM, 1e-11, 1e-13)
 ROOT = Path(__file__).parents[2]
 OSCILLATOR = ROOT / "configs" / "oscillator.yaml"

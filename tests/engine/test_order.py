@@ -19,6 +19,8 @@ from timesim.engine.trajectory import Frame, Phase, Run
 from timesim.model.model import SEPARATION, SLIP, STICK, Model
 from timesim.model.solver import Solver
 
+pytestmark = pytest.mark.long
+
 ANY_ERROR = Solver("tsit5", 1e300, 1.0)
 """Tolerances that no step exceeds: its length is the longest that is allowed."""
 

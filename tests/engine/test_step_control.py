@@ -15,6 +15,8 @@ from timesim.engine.trajectory import Frame, Phase, Run
 from timesim.model.model import SEPARATION, SLIP, STICK, Model
 from timesim.study.registry import load_scene
 
+pytestmark = pytest.mark.long
+
 RTOL = (1e-4, 1e-5, 1e-6, 1e-7)
 
 

@@ -19,6 +19,8 @@ from timesim.model.solver import Solver
 from timesim.orbit.batch import march_lanes
 from timesim.orbit.lane import Lane
 
+pytestmark = pytest.mark.long
+
 ONE = Scales(1.0, np.ones(1), 1.0, 1.0, 1.0)
 TINY = 1e-10 * (2.0 + 1.0)
 """Load that counts as none of a pad of these stiffnesses."""

@@ -23,6 +23,8 @@ from timesim.model.model import SEPARATION, SLIP, STICK, Contact, Model, Start, 
 from timesim.model.solver import NEVER, PRESETS, SHOOT, Criterion, Solver
 from timesim.orbit.settling import Chain, steady_states
 
+pytestmark = pytest.mark.long
+
 SECONDS = 600
 EXPLICIT, COLLOCATED = (Solver(name, 1e-10, 1e-12, reduce=False) for name in ("tsit5", "exponential"))
 METHODS = [pytest.param(EXPLICIT, id="tsit5"), pytest.param(COLLOCATED, id="exponential")]

@@ -18,6 +18,8 @@ from timesim.hbm.curve import by_schemes, evaluated, hbm_curve
 from timesim.hbm.scheme import NEGLECTED, Scheme, coarsest, finer_schemes
 from timesim.model.model import GROUND, Contact, Excitation, Model, Structure
 
+pytestmark = pytest.mark.long
+
 SCHEMES = [Scheme(harmonics, 256) for harmonics in (3, 7, 11, 15)]
 FINE = Scheme(25, 256)
 

@@ -24,6 +24,8 @@ from timesim.model.model import Model, Structure
 from timesim.orbit.fourier import to_coefficients
 from timesim.program import LOADED
 
+pytestmark = pytest.mark.long
+
 TURN = 2 * np.pi
 
 

@@ -1,10 +1,13 @@
 """How many harmonics and samples are enough, told from solutions that not every number of them has."""
 
 import numpy as np
+import pytest
 import systems
 
 from timesim.hbm import convergence
 from timesim.hbm.scheme import Scheme
+
+pytestmark = pytest.mark.long
 
 
 def test_what_has_no_solution_does_not_count_as_the_same(monkeypatch):

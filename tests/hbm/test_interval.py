@@ -13,6 +13,8 @@ from timesim.hbm.interval import Interval, advance, sliding, unchanging
 from timesim.hbm.scheme import Scheme
 from timesim.study.registry import load_scene
 
+pytestmark = pytest.mark.long
+
 STIFFNESS = {"isotropic": 20.0, "by axes": [20.0, 35.0], "full": [[20.0, 6.0], [6.0, 30.0]]}
 LANES = 4000
 

@@ -27,6 +27,8 @@ from timesim.hbm.stuck_offset import stuck_offset, without_slip
 from timesim.hbm.tangent import intervals_of, linearised
 from timesim.orbit.fourier import fourier_basis, to_coefficients, to_phasors
 
+pytestmark = pytest.mark.long
+
 # A, B, D and phase of the normal motion in degrees: u = (A cos, B cos(. + 90)), v = D cos(. + phase).
 MOTIONS = {
     "ellipse": (1.0, 0.5, 0.0, 0.0),

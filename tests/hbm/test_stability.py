@@ -18,6 +18,8 @@ from timesim.model.model import GROUND, Contact, Model
 from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.settling import Chain, first_lane, steady_states
 
+pytestmark = pytest.mark.long
+
 MULTIPLIERS = "timesim.hbm.curve.evaluation.checked_multipliers"
 
 

@@ -7,6 +7,8 @@ import zoo
 from timesim.hbm.curve import hbm_curve
 from timesim.hbm.scheme import Scheme
 
+pytestmark = pytest.mark.long
+
 
 def span_of(seed: int) -> tuple[float, float]:
     """A range around the first mode without contacts and, where it is near, the first one with all of them stuck."""

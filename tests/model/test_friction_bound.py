@@ -9,6 +9,8 @@ from timesim.model import reduction
 from timesim.model.model import Model, Start
 from timesim.model.reduction import reduction_of
 
+pytestmark = pytest.mark.long
+
 FREQUENCY = 0.2
 
 

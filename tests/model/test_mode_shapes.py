@@ -108,6 +108,7 @@ def ended(tmp_path_factory):
     return result, path
 
 
+@pytest.mark.long
 def test_a_run_goes_on_from_where_the_points_were(ended):
     end, path = ended
     for own, noted in ({}, False), (LIGHTER, True):
@@ -120,6 +121,7 @@ def test_a_run_goes_on_from_where_the_points_were(ended):
         assert int(begin["contact_state"][0, 0]) == int(end["contact_state"][-1, 0])
 
 
+@pytest.mark.long
 def test_a_result_without_shapes_is_taken_as_it_is_with_a_warning(ended, tmp_path):
     end, _ = ended
     end.drop_vars("mode_shape").to_netcdf(tmp_path / "result.nc", engine="h5netcdf")
@@ -128,6 +130,7 @@ def test_a_result_without_shapes_is_taken_as_it_is_with_a_warning(ended, tmp_pat
     assert [note for note in model.notes if "does not hold the shapes of its modes" in note]
 
 
+@pytest.mark.long
 def test_a_result_of_other_modes_is_refused_by_its_key(ended):
     keep = {"structure": {"matrices": MATRICES | {"points": {"a": {"z": 1}}}}}
     scene = SCENE | keep | {"excitation": {"frequency": 1.35, "forces": []}, "initial": {"from": str(ended[1])}}
@@ -135,6 +138,7 @@ def test_a_result_of_other_modes_is_refused_by_its_key(ended):
         timesim.load_scene(scene)
 
 
+@pytest.mark.long
 def test_a_curve_begins_from_the_motion_of_the_points(ended):
     motion, now = periodic_motion(ended[1]), timesim.load_scene(SCENE, LIGHTER).model().structure
     before = timesim.load_scene(SCENE).model().structure
@@ -145,6 +149,7 @@ def test_a_curve_begins_from_the_motion_of_the_points(ended):
     np.testing.assert_array_equal(unknown.guess(now), motion.modal)
 
 
+@pytest.mark.long
 def test_points_of_a_sweep_over_the_structure_have_modes_of_their_own(tmp_path):
     scale = {"kind": "sweep", "frequency": {"values": [1.3, 1.35]}, "over": {"structure.matrices.mass.0.0": [0.9, 1.2]}}
     scene = {**SCENE, "study": scale, "excitation": {"forces": SCENE["excitation"]["forces"]}}

@@ -12,6 +12,8 @@ from timesim.model.model import Structure
 from timesim.model.promise import FINEST, GROWTH, LONGEST, growth, preset, remembered, tightened
 from timesim.model.solver import NEVER, PRESETS, Criterion, Solver
 
+pytestmark = pytest.mark.long
+
 MANY_MODES = Path(__file__).parents[1] / "data" / "many_modes.yaml"
 
 

@@ -13,6 +13,8 @@ from timesim.model.model import SEPARATION, SLIP, STICK, Start
 from timesim.model.start import given_start, resumed_start
 from timesim.result.netcdf import save
 
+pytestmark = pytest.mark.long
+
 ON_CONE = 0.5 * 3.0 / 20.0
 """|w| with which the pad of preload 3 bears mu n0 at rest."""
 

@@ -10,6 +10,8 @@ from timesim.model.model import GROUND, Contact, Model, Structure
 from timesim.model.solver import NEVER, PRESETS, SHOOT, SLOW, Criterion
 from timesim.orbit.settling import Chain, steady_states
 
+pytestmark = pytest.mark.long
+
 STANDARD = PRESETS["standard"]
 ROOTS = np.array([1.87510407, 4.69409113, 7.85475744, 10.99554073, 14.13716839, 17.27875953])
 

@@ -14,6 +14,8 @@ from timesim.orbit import batch
 from timesim.orbit.monodromy import disturbed
 from timesim.orbit.settling import Chain, first_lane
 
+pytestmark = pytest.mark.long
+
 CYCLES = 3
 
 

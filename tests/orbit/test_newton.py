@@ -11,6 +11,8 @@ from timesim.orbit.lane import Recorded
 from timesim.orbit.shooting import Converged, Failure, Shot, iterated
 from timesim.orbit.threshold import FINEST, MOST_SHOTS, NOISY, REACH, SHORTER, SHORTEST_SHARE, UNSTABLE, VAGUE
 
+pytestmark = pytest.mark.long
+
 FIXED = np.array([1.0, -0.5])
 SWING = SimpleNamespace(end=SimpleNamespace(q=np.outer([-1, 1], FIXED), p=np.outer([-1, 1], FIXED)))
 """Steps between the fixed point and its opposite."""

@@ -20,6 +20,8 @@ from timesim.orbit.settling import Chain, first_lane, steady_states
 from timesim.orbit.threshold import CYCLES_A_ROUND
 from timesim.study.registry import load_scene
 
+pytestmark = pytest.mark.long
+
 FINE = Solver("tsit5", 1e-9, 1e-11, reduce=False)
 FINEST = replace(FINE, rtol=1e-12, atol=1e-14)
 TOLERANCE = 1e-10

@@ -1,8 +1,11 @@
 """Shares of the states of contacts, and what counts as a change of state."""
 
 import numpy as np
+import pytest
 
 from timesim.orbit.steady_state import share, switches
+
+pytestmark = pytest.mark.long
 
 
 def test_a_share_is_exact_where_the_state_never_changes():

@@ -19,6 +19,8 @@ from timesim.orbit.settling import Chain, first_lane, steady_states
 from timesim.orbit.steady_state import Orbit
 from timesim.orbit.threshold import CYCLES_A_ROUND, LONGEST
 
+pytestmark = pytest.mark.long
+
 DAMPING = (5e-4, 5e-3)
 STANDARD, REFERENCE = PRESETS["standard"], PRESETS["reference"]
 FINE = replace(STANDARD, rtol=1e-10, atol=1e-12)

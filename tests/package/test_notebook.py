@@ -11,6 +11,8 @@ import xarray
 
 import timesim
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2]
 
 

@@ -37,6 +37,7 @@ def test_a_structure_without_contacts_has_text_as_their_names():
     assert contact.shape == (0,)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "study",
     [

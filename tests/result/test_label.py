@@ -153,6 +153,7 @@ def assert_in_its_units(one: xarray.Dataset, other: xarray.Dataset, name: str) -
     np.testing.assert_allclose(values, variable * by, rtol=0, atol=1e-9 * float(largest), err_msg=name)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in STUDIES])
 def test_every_variable_has_the_units_that_it_names(name: str):
     seen = set()
@@ -164,6 +165,7 @@ def test_every_variable_has_the_units_that_it_names(name: str):
     assert len(seen - {None}) >= 2
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_no_label_is_left_over():
     """A name of the table that no study writes, or that the scenes above do not show."""

@@ -11,7 +11,7 @@ import h5netcdf
 import numpy as np
 import pytest
 from bad_scenes import BAD_SCENES, BASE, ELEMENT, HBM, MATRICES, OPTIMUM, BadScene
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from timesim.fault import RuleError, SceneError
@@ -1210,7 +1210,7 @@ VALUES = st.recursive(
 )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.dictionaries(st.text(max_size=12), VALUES, max_size=4))
 def test_written_yaml_reads_back(data: dict[str, Any]):
     data = json.loads(json.dumps(data).replace("\\ud", "\\u0d"))
@@ -1224,7 +1224,7 @@ def leaves(data: Any, key: tuple[str, ...] = ()) -> list[str]:
     return [".".join(key), *below] if key else below
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     st.sampled_from(leaves(parse(BASE)[0]) + leaves(parse(MATRICES)[0])),
     VALUES,
@@ -1239,7 +1239,7 @@ def test_any_value_at_any_key_is_accepted_or_refused_by_name(key: str, value: An
     assert all(problem.rule and "\n" not in str(problem) for problem in refused)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.text(alphabet="ab:-[]{}&*!|>'\"# \n\t%,?1.e", max_size=60))
 def test_any_text_is_read_or_refused(text: str):
     data = None

@@ -12,7 +12,7 @@ import pytest
 import scipy.io
 import scipy.linalg
 import scipy.sparse
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from timesim.fault import RuleError, SceneError
@@ -84,7 +84,7 @@ def test_blade_has_all_its_modes():
     assert np.allclose(loaded.frequency, json.loads((DATA / "fe_modes.json").read_text())["cb_frequency_hz"], rtol=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.integers(0, 2**32 - 1), st.integers(2, 7))
 def test_modes_solve_the_eigenproblem(seed: int, n: int):
     rng = np.random.default_rng(seed)

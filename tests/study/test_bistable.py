@@ -48,6 +48,8 @@ from timesim.study.outcome import Outcome
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.summary.bistable import bistable_lines, fold_lines
 
+pytestmark = pytest.mark.long
+
 QUICK = {
     "study.frequency": "{from: 1.24, to: 1.27}",
     "study.step": "0.01",  # twice as wide as the range

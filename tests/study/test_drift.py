@@ -10,6 +10,8 @@ from timesim.orbit.settling import Chain, steady_states
 from timesim.result.state import settled_points, states_in
 from timesim.study.registry import carry_out, load_scene
 
+pytestmark = pytest.mark.long
+
 RUNNER = {
     "name": "runner", "point": "sled", "friction": 0.3, "tangential_stiffness": 100, "normal_stiffness": 0, "preload": 1
 }  # fmt: skip

@@ -14,6 +14,8 @@ from timesim.model.solver import PRESETS, Solver
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.summary.effort import effort_lines, sweep_effort_lines
 
+pytestmark = pytest.mark.long
+
 OSCILLATOR = Path(__file__).parents[2] / "configs" / "oscillator.yaml"
 VIBRATES = "with its contacts stuck the structure vibrates up to"
 TURNS = "contact pad slips under so little load that the direction of slip turns fast"

@@ -29,6 +29,8 @@ from timesim.study.element import summary
 from timesim.study.element_map import MapMarch, elements_of
 from timesim.study.registry import carry_out, load_scene, run
 
+pytestmark = pytest.mark.long
+
 CONFIGS = Path(__file__).parents[2] / "configs"
 TABLE = json.loads((Path(__file__).parents[1] / "data/element_motions.json").read_text())["cases"]
 FULL = np.array([[1.5, 0.4], [0.4, 0.8]])

@@ -44,6 +44,8 @@ from timesim.study.registry import carry_out, load_scene
 from timesim.study.summary import curve
 from timesim.study.summary.curve import changes_of_stability, convergence_lines, crossed, curve_lines, peak
 
+pytestmark = pytest.mark.long
+
 CONFIGS = Path(__file__).parents[2] / "configs"
 BASE = oscillator_scene(preload=-4.0)
 

@@ -22,6 +22,8 @@ from timesim.study import transient
 from timesim.study.execution.campaign import Execution
 from timesim.study.registry import carry_out, load_scene
 
+pytestmark = pytest.mark.long
+
 FIGURE12 = Path(__file__).parents[2] / "configs" / "figure12.yaml"
 UPPER, LOWER = 0.4297, 0.2052  # amplitude of x on both branches at 0.9470 Hz, settled marches
 

@@ -26,6 +26,8 @@ from timesim.study.optimum import Peaks, Response, SearchError, _peak, data_of
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.summary.optimum import optimum_lines
 
+pytestmark = pytest.mark.long
+
 KEY = "contacts.pad.preload"
 QUICK = {
     "study.along": "{contacts.pad.preload: {from: 3.2, to: 4.4, num: 4}}",

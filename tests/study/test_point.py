@@ -16,6 +16,8 @@ from timesim.engine import event_loop
 from timesim.result import netcdf
 from timesim.result.folder import prepare_folder
 
+pytestmark = pytest.mark.long
+
 UNITS = {"length": "mm", "force": "N"}
 PRELOAD = "contacts.pad.preload"
 STUDY = {"kind": "sweep", "frequency": {"values": [0.97, 1.2]}, "direction": "both", "over": {PRELOAD: [-1, 3]}}

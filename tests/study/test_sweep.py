@@ -33,6 +33,8 @@ from timesim.study.outcome import attributes
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.summary.sweep import anew_lines, jump_lines, peak_lines, sweep_lines, unusual_lines
 
+pytestmark = pytest.mark.long
+
 DATA = Path(__file__).parents[1] / "data"
 CONFIGS = Path(__file__).parents[2] / "configs"
 PRELOAD = "contacts.pad.preload"

@@ -24,6 +24,8 @@ from timesim.study.tradeoff.bench import Bench, Trial, lowest_modes
 from timesim.study.tradeoff.report import block, lines
 from timesim.study.tradeoff.study import fewer, judge
 
+pytestmark = pytest.mark.long
+
 CONFIG = Path(__file__).parents[2] / "configs" / "tradeoff.yaml"
 SCENE = load_scene(CONFIG)
 TRUE = np.array([1.0, 0.5])

@@ -309,7 +309,8 @@ def _starts_figure(data: DataTree) -> Figure | None:
 
     if "start_branch" not in data:
         return None
-    every = [item for item in ranges(data) if (data["start_cycles"].isel(item.where).values >= 0).all()]
+    cycles = data.to_dataset()["start_cycles"]
+    every = [item for item in ranges(data) if int(cycles.isel(item.where).min()) >= 0]
     if not (shown := every[:MAX_RANGES]):
         return None
     fig, grid = figure(1, len(shown), width=2.6 + 3.6 * len(shown), height=3.6, right=2.0)

@@ -108,6 +108,7 @@ def test_a_contact_starts_in_the_state_that_its_law_says(preload: float, state: 
         assert begin_of(replace(model, start=resumed)).state.tolist() == [state]
 
 
+@pytest.mark.long
 def test_shooting_finds_what_marching_finds() -> None:
     """A gap that is closed for a part of the cycle."""
     chains = [Chain(with_friction(driven(0.3)), (0.9,))]

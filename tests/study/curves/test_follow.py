@@ -30,6 +30,8 @@ from timesim.study.execution.worker import count_by, halt_by
 from timesim.study.hbm import followed
 from timesim.study.registry import load_scene
 
+pytestmark = pytest.mark.long
+
 STUDY = {
     "kind": "hbm",
     "frequency": {"from": 1.0, "to": 0.985},

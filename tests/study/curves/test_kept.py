@@ -18,6 +18,8 @@ from timesim.study.curves import kept as kept_curves
 from timesim.study.execution.campaign import Execution
 from timesim.study.registry import carry_out, load_scene
 
+pytestmark = pytest.mark.long
+
 RANGE = {"from": 1.0, "to": 0.97}
 STUDY = {"kind": "hbm", "frequency": RANGE, "harmonics": 5, "time_samples": 128, "stability": False}
 OVER = {"contacts.pad.preload": [-4, -3]}

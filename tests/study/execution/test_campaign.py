@@ -61,7 +61,7 @@ def test_chains_give_the_same_whoever_does_the_work(workers: int):
 
 
 def test_threads_work_side_by_side():
-    meeting = threading.Barrier(3, timeout=20)
+    meeting = threading.Barrier(3, timeout=600)
     results, reason = carry_through(
         [Chunk(f"c{i}", i) for i in range(3)],
         lambda i, before: {"i": np.array([i, meeting.wait()])},
@@ -74,7 +74,7 @@ def test_threads_work_side_by_side():
 
 def test_threads_share_the_parts_of_a_work_that_has_them_to_itself():
     """In their order, each counted; a part that has parts again does them itself."""
-    meeting, counted = threading.Barrier(2, timeout=20), list[int]()
+    meeting, counted = threading.Barrier(2, timeout=600), list[int]()
 
     def part(i: int) -> int:
         meeting.wait()
@@ -426,7 +426,7 @@ def interrupted_with(fault: str, scheduler: str, tmp_path: Path) -> tuple[dict[s
     execution, _ = execution_of(tmp_path, cluster=scheduler)
 
     def interrupt(done: int, number: int) -> None:
-        begun, deadline = calls(log), time.monotonic() + 60
+        begun, deadline = calls(log), time.monotonic() + 600
         while not begun["c-1-0"] and time.monotonic() < deadline:
             time.sleep(0.01)
             begun = calls(log)

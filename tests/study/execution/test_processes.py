@@ -22,6 +22,8 @@ from timesim.study.execution.campaign import Chunk, Execution, carry_through
 from timesim.study.execution.processes import Processes, unseen
 from timesim.study.execution.worker import halted, point_done
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -222,7 +224,7 @@ def test_no_more_than_the_memory_has_room_for(pages: int, workers: int, monkeypa
 
 
 def test_one_alone_is_left_out_and_holds_up_no_thread():
-    meeting = threading.Barrier(3, timeout=20)
+    meeting = threading.Barrier(3, timeout=600)
     with Processes(1) as own:
         execution = Execution(workers=3, processes=own)
         chunks = [Chunk(f"c{i}", i) for i in range(3)]
