@@ -24,6 +24,8 @@ from timesim.study import registry as plot
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.summary import comparison
 
+pytestmark = pytest.mark.long
+
 SHORT: dict[str, Any] = {
     "study.frequency": {"values": [0.85, 0.9, 1.2, 1.42]},
     "study.over": {"contacts.pad.preload": [-4, 3]},
@@ -284,7 +286,6 @@ def test_points_next_to_a_fold_of_their_own_curve_are_judged_apart():
     assert lines[1] == "at 1 point within 0.001 of a fold's frequency they differ by up to 3.0e-01"
 
 
-@pytest.mark.long
 def test_a_motion_that_no_curve_passes_begins_one():
     """Both motions at a gap, in a range that the fold between them lies outside of: each sweep has its own curve."""
     study = {
@@ -307,7 +308,6 @@ def test_a_motion_that_no_curve_passes_begins_one():
     assert any("a curve of its own" in line for line in outcome.summary)
 
 
-@pytest.mark.long
 def test_jumps_of_the_sweeps_are_listed_beside_the_folds():
     study = {
         "kind": "compare",
@@ -427,7 +427,6 @@ def test_points_between_those_that_are_named_are_not_named_with_them():
     assert text.endswith("at 2 points the motion did not settle and is left out: contacts.pad.preload 3 at 1 Hz, 3 Hz")
 
 
-@pytest.mark.long
 def test_a_cycle_that_does_not_settle_is_left_out_with_the_reason(monkeypatch: pytest.MonkeyPatch):
     """The sweep settles from its own start in time; from the solution of the balance no cycles are left for it."""
     study = {"kind": "compare", "frequency": {"values": [1.39]}, "harmonics": 3, "time_samples": 64}
@@ -456,7 +455,6 @@ def test_a_cycle_that_does_not_settle_is_left_out_with_the_reason(monkeypatch: p
     assert "no cycle is shown by both methods: the budget is spent" in outcome.summary
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("at", [pytest.param("matched", marks=pytest.mark.slow), "cycle_by_both"])
 def test_a_comparison_that_is_interrupted_keeps_both_methods(at, monkeypatch, tmp_path):
     def interrupted(*_):
@@ -477,7 +475,6 @@ def test_a_comparison_that_is_interrupted_keeps_both_methods(at, monkeypatch, tm
     assert (tmp_path / "difference.png").exists() == (at == "cycle_by_both")
 
 
-@pytest.mark.long
 def test_a_balance_that_is_interrupted_while_it_compiles_keeps_the_sweep(monkeypatch, tmp_path):
     def interrupted(*_, **__):
         raise KeyboardInterrupt

@@ -320,11 +320,7 @@ class _Work:
     def _round(self, active: Sequence[Search]) -> list[Search]:
         """Each search a step further: shot once or marched, and measured where it is ready for it."""
         moved = {search.chain: search for search in active}
-        for task, advanced in (
-            (Task.SHOOT, self._shot),
-            (Task.MARCH, self._marched),
-            (Task.MEASURE, self._measured),
-        ):
+        for task, advanced in ((Task.SHOOT, self._shot), (Task.MARCH, self._marched), (Task.MEASURE, self._measured)):
             due = [search for search in moved.values() if search.task is task]
             moved |= {search.chain: search for search in advanced(due)}
         return list(moved.values())

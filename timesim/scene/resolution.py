@@ -109,13 +109,13 @@ class Scene:
         if structure is None and not build.errors:
             build.errors.append(RuleError(("structure",), "is required for a model"))
         if model is None or build.errors:
-            raise _scene_error(source, build.errors)
+            raise source.error(build.errors)
         return model
 
     @cached_property
     def tried(self) -> tuple[tuple[dict[str, float], int | Problem], ...]:
-        """All sets of values of the scalars that the study varies: how many modes each has, or why it is no scene."""
-        axes = {str(place[-1]): values for place, values in self.file.study.varied().items()}
+        """All sets of values with which it has to be valid: how many modes each has, or why it is no scene."""
+        axes = self.file.study.must_hold()
         return tuple((values, self._tried(values)) for values in (combinations(axes) if axes else ()))
 
     def _tried(self, values: Mapping[str, float]) -> int | Problem:
@@ -135,7 +135,7 @@ class Scene:
         structure, end = build.structure(), build.end()
         plan, model = build.plan(structure), build.model(structure, end)
         if build.errors:
-            raise _scene_error(self.source, build.errors)
+            raise self.source.error(build.errors)
         return _Built(plan, structure, end, model, self.file.study.lowest_frequency())
 
     def resolved_yaml(self) -> str:
@@ -159,7 +159,7 @@ def _scene(source: SceneSource, kinds: Kinds) -> Scene:
     file, refused = parsed(source.data, kinds)
     errors = [*empty_values(source.data), *refused]
     if file is None or errors:
-        raise _scene_error(source, errors)
+        raise source.error(errors)
     scene = Scene(source, file, kinds)
     scene._built  # noqa: B018  shows what the sections alone cannot see
     _check_axes(scene)
@@ -183,7 +183,7 @@ def _sections(source: SceneSource, parts: Iterable[str]) -> SceneParts:
     try:
         return SceneParts.model_validate({part: source.data[part] for part in parts})
     except ValidationError as error:
-        raise _scene_error(source, rule_errors(error, SceneParts)) from None
+        raise source.error(rule_errors(error, SceneParts)) from None
 
 
 def _restored(source: SceneSource, kinds: Kinds, built: "_Built") -> Scene:
@@ -203,28 +203,23 @@ def _check_axes(scene: Scene) -> None:
             other = known.setdefault(key, place)
             if other != place:
                 rule = f"is the same scalar as {'.'.join(map(str, other))}"
-                raise SceneError([scene.source.problem(RuleError(("study", *place), rule, "name it once"))])
+                raise scene.source.error([RuleError(("study", *place), rule, "name it once")])
 
 
 def _check_combinations(scene: Scene) -> None:
     """Refuse values of which a combination makes no scene; where the study keeps failed points, of which none does."""
     study, valid = scene.file.study, [(values, found) for values, found in scene.tried if isinstance(found, int)]
     good = {item for values, _ in valid for item in values.items()}
-    counts = {found for _, found in valid}
-    if (balance := balance_of(scene.plan)) is not None and balance.motion is not None and valid:
-        counts.add(balance.motion.modal.shape[1])
-    if len(counts) > 1 and (isinstance(study, SteadySection) or (balance is not None and balance.motion is not None)):
+    counts, motion = {found for _, found in valid}, getattr(balance_of(scene.plan), "motion", None)
+    if motion is not None and valid:
+        counts.add(motion.modal.shape[1])
+    if len(counts) > 1 and (motion is not None or isinstance(study, SteadySection)):
         key = next(place for place in study.varied() if str(place[-1]).startswith("structure."))
         rule, hint = "must not change the number of modes, as each point has their state", "run a study for each number"
-        raise SceneError([scene.source.problem(RuleError(("study", *key), rule, hint))])
+        raise scene.source.error([RuleError(("study", *key), rule, hint)])
     for values, found in scene.tried:
         if isinstance(found, Problem) and not (study.keeps_failures and good.issuperset(values.items())):
-            raise SceneError([scene.source.problem(_refused(scene, values, found))])
-    for place, ends in study.varied().items():
-        if place[0] == "along":  # a curve, or a search, goes between the values too
-            between = valid[0][0] | {str(place[-1]): ends[0] + (ends[-1] - ends[0]) / np.e}
-            if isinstance(found := scene._tried(between), Problem):
-                raise SceneError([scene.source.problem(_refused(scene, between, found))])
+            raise scene.source.error([_refused(scene, values, found)])
 
 
 def _refused(scene: Scene, values: Mapping[str, float], problem: Problem) -> RuleError:
@@ -242,13 +237,6 @@ def _refused(scene: Scene, values: Mapping[str, float], problem: Problem) -> Rul
     all_values = ", ".join(f"{key} = {value:g}" for key, value in values.items())
     rule = f"cannot hold {all_values} together: {problem.key} {problem.rule}"
     return RuleError(("study", "over"), rule, problem.hint)
-
-
-def _scene_error(source: SceneSource, errors: Sequence[RuleError]) -> SceneError:
-    """All problems in the order of the file, one a key."""
-    first = {error.key: error for error in reversed(errors)}
-    problems = [source.problem(error) for error in first.values()]
-    return SceneError(sorted(problems, key=lambda problem: (problem.line or 0, problem.key)))
 
 
 # What needs more than one section

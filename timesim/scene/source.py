@@ -45,6 +45,12 @@ class SceneSource:
         line = None if by_override else error.line or self.line(error.key)
         return Problem(name, line, dotted(error.key, self.data), value, error.rule, error.hint)
 
+    def error(self, errors: Iterable[RuleError]) -> SceneError:
+        """All problems in the order of the file, one a key."""
+        first = {error.key: error for error in reversed([*errors])}
+        problems = [self.problem(error) for error in first.values()]
+        return SceneError(sorted(problems, key=lambda problem: (problem.line or 0, problem.key)))
+
 
 def dotted(key: Key, data: Any) -> str:
     """Key path as text; an item of a list goes by its name where it has one of its own."""

@@ -141,6 +141,13 @@ class StudySection(Section):
         parts = [part for part in ("over", "along") if part in type(self).model_fields]
         return {(part, key): values for part in parts for key, values in axes_of(getattr(self, part)).items()}
 
+    def must_hold(self) -> Axes:
+        """Values with which the scene has to be valid, by their key: those varied, and one between those along it."""
+        return {
+            str(key): values if part == "over" else (*values, values[0] + (values[-1] - values[0]) / np.e)
+            for (part, key), values in self.varied().items()
+        }
+
     def lowest_frequency(self) -> float | None:
         """Lowest frequency of its time integration [Hz]; None if it names none."""
         return None
