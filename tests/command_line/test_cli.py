@@ -232,6 +232,7 @@ def test_signals_while_saving(in_cycle: int, in_saving: int, tmp_path: Path, mon
     assert timesim.open_result(tmp_path).attrs["complete"] == 1 - in_cycle
 
 
+@pytest.mark.long
 def test_an_interrupted_map_saves_what_it_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     cycle = element_map.MapMarch._cycle
 

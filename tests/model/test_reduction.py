@@ -617,6 +617,7 @@ def mixed() -> Model:
     return Model(body, contacts, load, start)
 
 
+@pytest.mark.long
 def test_the_oracle_finds_what_was_claimed_of_a_mixed_scene() -> None:
     """Only the live contact changes its state; the others move as the reduced linear system says."""
     from oracle import simulate

@@ -31,6 +31,7 @@ def orbits():
     return [settled(*case) for case in SETTLED]
 
 
+@pytest.mark.long
 def test_settled_amplitudes(orbits):
     for orbit, amplitude in zip(orbits, SETTLED.values(), strict=True):
         assert orbit.settled
@@ -39,6 +40,7 @@ def test_settled_amplitudes(orbits):
         assert orbit.amplitude[0, 0] == pytest.approx(amplitude, rel=1e-6)
 
 
+@pytest.mark.long
 def test_the_settled_motion_slips_and_separates(orbits):
     slip = np.array([orbit.slip_share[0] for orbit in orbits])
     apart = np.array([orbit.separation_share[0] for orbit in orbits])
@@ -46,6 +48,7 @@ def test_the_settled_motion_slips_and_separates(orbits):
     assert list(apart > 0.05) == [False, True, False]
 
 
+@pytest.mark.long
 def test_harmonics_and_power_of_a_settled_motion(orbits):
     """Against a cycle from the same state at the finest tolerance: its samples, and the energy that its loop counts."""
     for orbit, (preload, frequency) in zip(orbits, SETTLED, strict=True):
@@ -63,6 +66,7 @@ def power_over_a_period(orbit, model):
     return frequency * run.work[2:] / orbit.period
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", [Solver("dopri8", 1e-8, 1e-10), Solver("exponential", 1e-7, 1e-9)])
 def test_power_over_long_steps(solver):
@@ -75,6 +79,7 @@ def test_power_over_long_steps(solver):
     assert orbit.period == 2
 
 
+@pytest.mark.long
 def test_harmonics_do_not_depend_on_the_phase_of_the_start(orbits):
     model = oscillator(3.0, 1.39)
     chain = Chain(replace(model, start=replace(model.start, phase=0.7)), (1.39,))
@@ -82,6 +87,7 @@ def test_harmonics_do_not_depend_on_the_phase_of_the_start(orbits):
     np.testing.assert_allclose(orbit.phasor, orbits[0].phasor, rtol=0, atol=1e-6 * orbit.largest)
 
 
+@pytest.mark.long
 def test_slip_in_a_circle():
     """The motion lags behind the force, and the slider moves on a circle of radius (R^2 - delta^2)^(1/2)."""
     omega, radius, elastic, limit = 1.2, circular_radius(1.0, 1.2), 0.3, 0.3
@@ -95,6 +101,7 @@ def test_slip_in_a_circle():
     assert np.isnan(phase[2])
 
 
+@pytest.mark.long
 def test_a_motion_that_has_not_settled_is_recognised(orbits):
     orbit = settled(3.0, 1.39, max_cycles=CYCLES_A_ROUND)
     assert not orbit.settled
@@ -104,6 +111,7 @@ def test_a_motion_that_has_not_settled_is_recognised(orbits):
     assert orbit.dissipated_power == pytest.approx(orbits[0].dissipated_power, rel=0.2)  # the mean of ten cycles
 
 
+@pytest.mark.long
 def test_a_march_that_fails_says_why():
     orbit = settled(3.0, 1.39, Solver("tsit5", 1e-7, 1e-9, budget=30))
     assert orbit.reason is not None
@@ -275,6 +283,7 @@ def test_what_nearly_repeats_after_a_long_period_is_shot_once_the_budget_is_spen
     assert failed.task is Task.MEASURE
 
 
+@pytest.mark.long
 def test_what_a_chain_needs_is_compiled_though_at_its_first_frequency_no_contact_could_move(monkeypatch):
     """With one frequency more is proven than with several, so that of the first tells nothing of the chain."""
     compiled = []

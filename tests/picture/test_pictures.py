@@ -596,6 +596,7 @@ def test_directions_that_do_not_move_have_no_hysteresis(run: xarray.Dataset) -> 
     assert [ax.get_title(loc="right") for ax in figure.axes] == ["stop, t1", "stop, t2"]
 
 
+@pytest.mark.long
 def test_pictures_are_cut_to_what_is_drawn(run: xarray.Dataset, tmp_path: Path) -> None:
     for file in plot.draw(run, tmp_path):
         white = (imread(file)[..., :3] == 1).all(axis=2)

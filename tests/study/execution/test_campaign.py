@@ -369,6 +369,7 @@ def process(folder: Path, resume: str, last: float = math.inf) -> subprocess.Pop
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 
+@pytest.mark.long
 def test_killed_at_random_moments_it_goes_on(tmp_path: Path):
     """Half of the times while chunks are begun and saved, half when some have begun that do not come to an end."""
     random = np.random.default_rng(7)
@@ -402,6 +403,7 @@ def scheduler() -> Any:
         yield own.scheduler_address
 
 
+@pytest.mark.long
 def test_on_a_cluster_with_a_worker_killed_nothing_is_lost(scheduler: str, tmp_path: Path):
     log = tmp_path / "log"
     chunks = chains(3, 3, log=log, faults={"c-1-1": "kill", "c-2-0": "raise"})
@@ -466,6 +468,7 @@ def test_an_interrupt_leaves_a_cluster_that_does_not_answer(
     assert list(results) == ["c-0-0"]
 
 
+@pytest.mark.long
 def test_processes_of_this_machine():
     chunks = chains(2, 2)
     results, reason = carried(chunks, Execution(cluster="local", workers=1))
