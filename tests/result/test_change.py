@@ -21,6 +21,8 @@ from timesim.scene.section import Section
 from timesim.study.execution.campaign import Execution
 from timesim.study.registry import carry_out, load_scene
 
+pytestmark = pytest.mark.long
+
 Key = tuple[str | int, ...]
 
 MODES = [
