@@ -19,8 +19,10 @@ from timesim.engine.status import RunError
 from timesim.orbit.settling import steady_states
 from timesim.picture import compare as plot_compare
 from timesim.result.file import StoreError
-from timesim.study import compare
+from timesim.study import compare, hbm
 from timesim.study import registry as plot
+from timesim.study.curves import collection
+from timesim.study.execution.campaign import Execution
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.summary import comparison
 
@@ -193,28 +195,42 @@ def test_a_point_is_compared_with_the_nearest_stable_solution_at_its_frequency(m
 
 def test_each_set_of_values_has_a_curve_of_its_own():
     """Where one fails, points of another are not said to lie where it did not get."""
-    whole, cut = ({"contacts.pad.preload": value} for value in (-4.0, 3.0))
-    curves = [SimpleNamespace(values=own, curve=SimpleNamespace(complete=own is whole)) for own in (whole, cut)]
-    found = compare._followed(SimpleNamespace(curves=curves, values=[whole, cut]), SHAPE)
-    assert found.shape == SHAPE
-    assert found[0].all()
-    assert not found[1].any()
+    study = {"kind": "hbm", "frequency": {"from": 1.0, "to": 0.9}, "over": {"contacts.pad.preload": [-4, 3, 4]}}
+    loaded = load_scene(oscillator_scene(preload=3.0) | {"study": study})
+    curves = collection.Curves(loaded, loaded.plan)
+    done = [(0, True), (0, True), (1, True), (1, False)]
+    curves.curves = [SimpleNamespace(values=curves.values[v], curve=SimpleNamespace(complete=c)) for v, c in done]
+    assert curves.whole.tolist() == [True, False, False]
+    text = "\n".join(lines_on(1e-4, 6, whole=curves.whole[:2]))
+    assert "the balance has no stable solution: contacts.pad.preload -4 at 1 to 3 Hz" in text
+    assert "the balance has no solution, as it did not get there: contacts.pad.preload 3 at 1 to 3 Hz" in text
 
 
-def test_curves_that_cannot_be_kept_leave_the_sweep(monkeypatch: pytest.MonkeyPatch):
-    def full(*_: Any) -> Any:
-        raise StoreError("no space left")
+@pytest.mark.parametrize(
+    ("stop", "said"), [(StoreError("no space left"), "no space left"), (KeyboardInterrupt(), "interrupted, not begun")]
+)
+def test_curves_that_are_not_begun_leave_what_is_computed(
+    stop: BaseException, said: str, monkeypatch: pytest.MonkeyPatch
+):
+    """They cannot be kept, or an interrupt comes while they compile: the sweeps before them stay."""
 
-    monkeypatch.setattr(compare, "followed", full)
-    monkeypatch.setattr(compare, "states_in", lambda _: None)
-    monkeypatch.setattr(compare, "left_out", lambda *_: ("no solutions", "no curves", "not begun"))
-    scene = SimpleNamespace(plan=SimpleNamespace(balance=None))
-    found = compare._balanced(scene, None, None, given_up=False)
-    assert found == ("no solutions", "no curves", "no space left")
+    def stopped(*_: Any) -> Any:
+        raise stop
+
+    study = {"kind": "hbm", "frequency": {"from": 1.0, "to": 0.9}}
+    loaded = load_scene(oscillator_scene(preload=3.0) | {"study": study})
+    monkeypatch.setattr(hbm, "followed", stopped)
+    data, curves, reason = hbm.followed_behind(loaded, loaded.plan, Execution())
+    assert reason == data.attrs["reason"] == said
+    assert (data.sizes["solution"], data.attrs["complete"], curves.curves) == (0, 0, [])
 
 
 def points_on(
-    difference: float | np.ndarray, missing: int = 0, folds: Sequence[tuple[float, float]] = (), **changes: np.ndarray
+    difference: float | np.ndarray,
+    missing: int = 0,
+    folds: Sequence[tuple[float, float]] = (),
+    whole: Sequence[bool] = (True, True),
+    **changes: np.ndarray,
 ) -> comparison.Points:
     """Points of motions along x in which a contact slips and opens, the balance off by a share of each amplitude.
 
@@ -222,6 +238,7 @@ def points_on(
         difference: of the methods.
         missing: points without a solution of the balance.
         folds: preload and frequency of each.
+        whole: whether the curves of each preload came to their end.
         changes: variables of the sweep.
     """
     dims = ("contacts.pad.preload", "direction", "frequency")
@@ -244,9 +261,7 @@ def points_on(
     off = np.full((*SHAPE, 1, 3), np.nan)
     off[..., 0] = np.asarray(difference)[..., None]
     off.reshape(-1, 3)[:missing] = np.nan
-    return comparison.compared_points(
-        xarray.Dataset(variables, coords), xarray.Dataset(hbm, attrs={"complete": 1}), off
-    )
+    return comparison.compared_points(xarray.Dataset(variables, coords), xarray.Dataset(hbm), off, np.array(whole))
 
 
 def lines_on(*given: Any, **changes: Any) -> list[str]:
@@ -479,7 +494,7 @@ def test_a_balance_that_is_interrupted_while_it_compiles_keeps_the_sweep(monkeyp
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(compare, "followed", interrupted)
+    monkeypatch.setattr(hbm, "followed", interrupted)
     short = SHORT | {"study.frequency": {"values": [1.2, 1.42]}, "study.over": {"contacts.pad.preload": [3]}}
     call = ["run", str(CONFIGS / "figure10.yaml"), "-o", str(tmp_path), "--no-plots", *options(short)]
     said = CliRunner().invoke(app, call)

@@ -215,7 +215,8 @@ def _check_combinations(scene: Scene) -> None:
         counts.add(motion.modal.shape[1])
     if len(counts) > 1 and (motion is not None or isinstance(study, SteadySection)):
         key = next(place for place in study.varied() if str(place[-1]).startswith("structure."))
-        rule, hint = "must not change the number of modes, as each point has their state", "run a study for each number"
+        of = "each point has their state" if motion is None else f"study.start has {motion.modal.shape[1]}"
+        rule, hint = f"must not change the number of modes, as {of}", "run a study for each number"
         raise scene.source.error([RuleError(("study", *key), rule, hint)])
     for values, found in scene.tried:
         if isinstance(found, Problem) and not (study.keeps_failures and good.issuperset(values.items())):

@@ -22,7 +22,6 @@ from timesim.orbit.settling import Chain, warm_up
 from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of
 from timesim.orbit.two_motions import UP, RangeSearch, ranges_of
 from timesim.result.dataset import dataset
-from timesim.result.file import StoreError
 from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import BistablePlan
@@ -30,7 +29,7 @@ from timesim.study.columns import sizes_of
 from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import CURVE, Phases
 from timesim.study.execution.worker import each
-from timesim.study.hbm import compile_beside, followed, left_out
+from timesim.study.hbm import compile_beside, followed_behind
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.summary.bistable import bistable_lines, fold_lines, starts_line
 from timesim.study.summary.effort import sweep_effort_lines
@@ -129,10 +128,7 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     groups, reasons = {"sweep": sweep}, [reason or failure_line(sweep) or gathered.failure]
     if plan.balance is not None and not (reason or "").startswith(INTERRUPTED):
         after = replace(execution, progress=phases["balance"])
-        try:
-            hbm, own, hbm_reason = followed(scene, plan.balance, after, stage="balance")
-        except StoreError as error:  # it cannot be kept; the ranges can
-            hbm, own, hbm_reason = *left_out(scene, plan.balance)[:2], str(error)
+        hbm, own, hbm_reason = followed_behind(scene, plan.balance, after)
         groups["hbm"] = hbm
         lines += own.notes
         lines += fold_lines(hbm, gathered.ends, gathered.failed, float(np.diff(grid.frequency).max(initial=0.0)))

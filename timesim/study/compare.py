@@ -30,17 +30,16 @@ from timesim.orbit.cycle import one_cycle
 from timesim.orbit.fourier import fourier_basis, fourier_coefficients
 from timesim.orbit.settling import Chain, steady_states
 from timesim.result.dataset import dataset
-from timesim.result.file import StoreError
 from timesim.result.label import counted, in_words
 from timesim.result.state import states_in
-from timesim.scene.hbm import ComparePlan, HbmPlan
+from timesim.scene.hbm import ComparePlan
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan
 from timesim.study.curves.collection import Curves
 from timesim.study.execution.campaign import INTERRUPTED, Execution
 from timesim.study.execution.processes import Processes, unseen
 from timesim.study.execution.progress import CURVE, Phases
-from timesim.study.hbm import compile_beside, followed, left_out
+from timesim.study.hbm import compile_beside, followed_behind, left_out
 from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.summary.comparison import WORTH_ASKING, Points, compared_points, comparison_lines
 from timesim.study.summary.curve import curve_lines
@@ -133,8 +132,10 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     # Curves are kept on disk only if the sweep is complete, since they begin from its points too.
     folder = execution.folder if sweep_reason is None else None
     after = replace(execution, progress=phases["balance"], folder=folder)
-    given_up = (sweep_reason or "").startswith(INTERRUPTED)
-    hbm, curves, hbm_reason = _balanced(scene, after, sweep, given_up=given_up)
+    if (sweep_reason or "").startswith(INTERRUPTED):
+        hbm, curves, hbm_reason = left_out(scene, plan.balance)
+    else:
+        hbm, curves, hbm_reason = followed_behind(scene, plan.balance, after, states_in(sweep))
     faults = [f"{name}: {why}" for name, why in (("sweep", sweep_reason), ("hbm", hbm_reason)) if why]
     reason = "; ".join(faults) or None
     phases["comparison"](0, 1, "comparison of the methods")
@@ -160,23 +161,6 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     return Outcome({"": root, **groups}, reason, (*curve_lines(hbm, curves.notes), *lines))
 
 
-def _balanced(
-    scene: Scene, execution: Execution, sweep: Dataset, *, given_up: bool
-) -> tuple[Dataset, Curves, str | None]:
-    """The curves of the balance, and why they are not whole; none if it was interrupted before they were begun."""
-    plan: HbmPlan = scene.plan.balance
-    if given_up:
-        return left_out(scene, plan)
-    try:
-        return followed(scene, plan, execution, states_in(sweep), "balance")
-    except KeyboardInterrupt:  # while it compiled
-        hbm, curves, reason = left_out(scene, plan)
-        return hbm, curves, f"{INTERRUPTED}, {reason}"
-    except StoreError as error:  # its curves cannot be kept; the sweep can
-        hbm, curves, _ = left_out(scene, plan)
-        return hbm, curves, str(error)
-
-
 def _compared(
     scene: Scene, sweep: Dataset, hbm: Dataset, curves: Curves, processes: Processes | None, *, whole: bool
 ) -> tuple[dict[str, np.ndarray], list[str], dict[str, Dataset], str | None]:
@@ -191,8 +175,7 @@ def _compared(
         grid, frequency = amplitude.reshape(-1, *amplitude.shape[-4:]), sweep["frequency"].values
         match = matched(grid, frequency, curves, processes)
         arrays["relative_difference"][:] = match.difference.reshape(amplitude.shape)
-        points = compared_points(sweep, hbm, match.difference)
-        points = replace(points, followed=_followed(curves, points.followed.shape))
+        points = compared_points(sweep, hbm, match.difference, curves.whole)
         points = replace(points, other_offset=other_offsets(scene, curves, match, points))
         arrays["other_offset"][:] = points.other_offset.reshape(amplitude.shape[:-2])
         lines += comparison_lines(points)
@@ -203,13 +186,6 @@ def _compared(
     except KeyboardInterrupt:
         return arrays, lines, cycle, f"{INTERRUPTED} while the methods were compared"
     return arrays, lines, cycle, None
-
-
-def _followed(curves: Curves, shape: tuple[int, ...]) -> np.ndarray:
-    """Whether the curves with the values of each point are whole, of the shape of `Points`."""
-    own = [[one.curve for one in curves.curves if one.values == values] for values in curves.values]
-    whole = np.array([bool(each) and all(curve.complete for curve in each) for each in own])
-    return np.broadcast_to(whole[:, None, None], shape)
 
 
 class NotSettledError(Exception):

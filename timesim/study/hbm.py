@@ -9,6 +9,7 @@ from xarray import Dataset
 
 from timesim.hbm.branches import warm_up
 from timesim.hbm.convergence import convergence
+from timesim.result.file import StoreError
 from timesim.result.state import SavedStates
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
@@ -21,6 +22,8 @@ from timesim.study.execution.campaign import INTERRUPTED, Execution
 from timesim.study.execution.progress import Phases
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.summary.curve import curve_lines
+
+NOT_BEGUN = "not begun"
 
 
 def study(scene: Scene, execution: Execution) -> Outcome:
@@ -64,9 +67,21 @@ def _sets(curves: Curves) -> list[Any]:
     return [(curves.scene.variant(values), plan.motion, arrays) for values in curves.values]
 
 
-def left_out(scene: Scene, plan: HbmPlan) -> tuple[Dataset, Curves, str | None]:
-    """The same where nothing is to be followed any more."""
-    curves, reason = Curves(scene, plan), "not begun"
+def followed_behind(
+    scene: Scene, plan: HbmPlan, execution: Execution, passing: SavedStates | None = None
+) -> tuple[Dataset, Curves, str | None]:
+    """`followed` as the last stage of a study: where it is not to be begun, what the study has computed stays."""
+    try:
+        return followed(scene, plan, execution, passing, "balance")
+    except KeyboardInterrupt:  # while it compiled
+        return left_out(scene, plan, f"{INTERRUPTED}, {NOT_BEGUN}")
+    except StoreError as error:
+        return left_out(scene, plan, str(error))
+
+
+def left_out(scene: Scene, plan: HbmPlan, reason: str = NOT_BEGUN) -> tuple[Dataset, Curves, str | None]:
+    """The same where nothing is followed."""
+    curves = Curves(scene, plan)
     attrs = attributes(scene, str(curves.scheme), 0.0, 0.0, reason, integrated=False)
     return solutions(curves, attrs), curves, reason
 

@@ -71,6 +71,12 @@ class Curves:
         return empty
 
     @property
+    def whole(self) -> np.ndarray:
+        """Whether each set of values has curves, all of which are complete."""
+        own = ([one.curve.complete for one in self.curves if one.values == values] for values in self.values)
+        return np.array([bool(complete) and all(complete) for complete in own])
+
+    @property
     def found(self) -> Found:
         """The curves alone, the notes, and the schemes."""
         return [one.curve for one in self.curves], self.notes, self.schemes

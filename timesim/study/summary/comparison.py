@@ -84,8 +84,11 @@ class Points:
         return v, d, f
 
 
-def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarray) -> Points:
-    """The points, from both results and their difference on the axes of the sweep's amplitude."""
+def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarray, whole: np.ndarray) -> Points:
+    """The points, from both results and their difference on the axes of the sweep's amplitude.
+
+    ``whole``: whether the curves of each set of values came to their end.
+    """
     axes = {str(key): tuple(sweep[key].values) for key in sweep["settled"].dims[:-2]}
     values, frequency = list(combinations(axes)), sweep["frequency"].values
     shape = (len(values), sweep.sizes["direction"], frequency.size)
@@ -108,7 +111,7 @@ def compared_points(sweep: Dataset, hbm: Dataset, relative_difference: np.ndarra
         name=names[most[..., 0]],
         share=np.take_along_axis(size, most, axis=-1)[..., 0] / np.maximum(size.max(axis=-1), np.finfo(float).tiny),
         solved=np.isfinite(difference).any(axis=-1),
-        followed=np.full(shape, hbm.attrs["complete"] > 0),  # of all curves
+        followed=np.broadcast_to(whole[:, None, None], shape),
         settled=(settled > 0) & (period == 1) & ~drifts,
         doubled=(settled > 0) & (period > 1) & ~drifts,
         irregular=sweep["irregular"].values.reshape(shape) > 0,
