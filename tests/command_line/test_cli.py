@@ -68,6 +68,7 @@ def test_an_existing_result_is_kept_without_force(tmp_path: Path):
     assert call("run", OSCILLATOR, "-o", tmp_path, "--no-plots", "--force", *SHORT)[0] == 0
 
 
+@pytest.mark.long
 def test_pictures_are_drawn_by_run_and_again_by_plot(tmp_path: Path):
     status, out, _ = call("run", OSCILLATOR, "-o", tmp_path, *SHORT)
     assert status == 0

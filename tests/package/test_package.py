@@ -94,6 +94,7 @@ def first_of(name: str, wanted: tuple[str, ...], seen: set[str]) -> str | None:
     return None
 
 
+@pytest.mark.long
 def test_whoever_uses_jax_has_it_as_the_package_needs_it():
     """The runtime comes before JAX, which it would otherwise take for that of another user in the same process."""
     wanted = ("timesim.runtime", "jax", "equinox", "diffrax", "optimistix", "jaxtyping")

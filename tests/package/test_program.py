@@ -201,6 +201,7 @@ def in_a_process(code, **environment):
     ).stdout
 
 
+@pytest.mark.long
 def test_only_commands_keep_programs_unless_the_host_has_chosen(tmp_path, monkeypatch):
     monkeypatch.delenv("XLA_FLAGS", raising=False)
     code = "from timesim import runtime; print(runtime.READY)"
@@ -211,6 +212,7 @@ def test_only_commands_keep_programs_unless_the_host_has_chosen(tmp_path, monkey
     assert in_a_process(code, **kept, JAX_COMPILATION_CACHE_DIR=str(tmp_path / "own")).strip() == "None"
 
 
+@pytest.mark.long
 def test_a_second_run_imports_only_what_it_needs(tmp_path):
     scene = ROOT / "configs" / "oscillator.yaml"
     arguments = ["timesim", "run", str(scene), "--no-plots", "--force", "-o", str(tmp_path / "run")]

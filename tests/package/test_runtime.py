@@ -127,6 +127,7 @@ except AttributeError as error:
     assert not err
 
 
+@pytest.mark.long
 def test_jax_that_runs_already_is_warned_about_once(tmp_path):
     code = "; import timesim.runtime; from timesim.engine.law import cone; assert jax.config.jax_enable_x64"
     _, err = python(COMPUTE + code, TIMESIM_CACHE=str(tmp_path))
@@ -141,6 +142,7 @@ def test_jax_that_runs_already_is_warned_about_once(tmp_path):
     assert not err
 
 
+@pytest.mark.long
 def test_compiled_programs_are_met_again_by_the_next_process(tmp_path):
     count = (
         "; hits = []; jax.monitoring.register_event_listener(lambda e, **_: hits.append(e) if 'hits' in e else None)"
@@ -165,6 +167,7 @@ def test_programs_of_another_processor_lie_apart(monkeypatch):
     assert names[0] == names[1] != names[2]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("trouble", ["cannot be written", "keeps nothing", "meets nothing again"])
 def test_a_folder_that_is_of_no_use_is_reported_once(tmp_path, trouble):
     folder = tmp_path / runtime.processor()

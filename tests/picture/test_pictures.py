@@ -471,6 +471,7 @@ def test_a_title_is_one_line_of_plain_text(run: xarray.Dataset, tmp_path: Path) 
     figure.canvas.draw()
 
 
+@pytest.mark.long
 def test_dollars_in_names_make_no_formula(run: xarray.Dataset, tmp_path: Path) -> None:
     names = {dim: [f"$\\{name}$" for name in run[dim].values] for dim in ("point", "contact")}
     assert plot.draw(run.assign_coords(names), tmp_path)
@@ -617,6 +618,7 @@ def test_a_run_that_failed_early(run: xarray.Dataset, tmp_path: Path) -> None:
     assert plot.draw(begun.isel(time=slice(0, 0)), tmp_path) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("samples", [8 * STEPS // EVERY, 8 * STEPS // EVERY + 31, 20, 1])
 def test_a_part_of_a_run_ends_before_its_last_cycles(run: xarray.Dataset, samples: int) -> None:
     part = run.isel(time=slice(samples + 1))
@@ -646,6 +648,7 @@ def test_pictures_need_no_pyplot(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.long
 def test_figures_go_with_their_last_reference(run: xarray.Dataset, tmp_path: Path) -> None:
     drawn = []
 

@@ -14,6 +14,8 @@ from matplotlib.markers import MarkerStyle
 
 from timesim.picture import bistable, compare, draw, element, hbm, optimum
 
+pytestmark = pytest.mark.long
+
 PRELOAD = "contacts.pad.preload"
 FREQUENCY = np.linspace(0.9, 1.1, 21)
 SPOT, PLACES = ("point", "axis"), {"point": ["tip"], "axis": list("xyz"), "contact": ["pad"]}

@@ -20,6 +20,8 @@ from timesim.result.label import told_apart
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES
 from timesim.study import registry as plot
 
+pytestmark = pytest.mark.long
+
 PRELOAD, FRICTION = "contacts.pad.preload", "contacts.pad.friction"
 FREQUENCY = np.linspace(0.8, 1.4, 31)
 HARDENING, DAMPING = 0.1, 0.15

@@ -93,6 +93,7 @@ def test_what_knows_the_cone_alone_refuses_other_laws(text: str, changes: dict[s
         assert load_scene(text, changes | {"study.harmonics": 0}).plan.balance is None
 
 
+@pytest.mark.long
 def test_a_scene_of_another_law_runs():
     stop = {
         "name": "pad", "point": "m", "friction": 0, "tangential_stiffness": 0, "normal_stiffness": 400, "preload": -8,
