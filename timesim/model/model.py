@@ -65,9 +65,8 @@ class Structure:
         zeta, omega = self.damping_ratio[rings], self.omega[rings]
         if self.damping.ndim == 2 and omega.size:
             # Modes that the damping couples decay together: the dashpot between two equal masses leaves one undamped.
-            root = np.sqrt(self.mass[rings])
-            damping = self.damping[np.ix_(rings, rings)] / np.outer(root, root)
-            free = np.block([[np.zeros_like(damping), np.diag(omega)], [-np.diag(omega), -damping]])
+            rate = self.decays[np.ix_(rings, rings)]
+            free = np.block([[np.zeros_like(rate), np.diag(omega)], [-np.diag(omega), -rate]])
             return float(max(-np.linalg.eigvals(free).real.max(), 0.0))
         creeping = zeta + np.sqrt(np.maximum(zeta**2 - 1, 0.0))
         return float((np.minimum(zeta, 1 / np.maximum(creeping, 1.0)) * omega).min(initial=np.inf))
@@ -78,14 +77,19 @@ class Structure:
 
         What has no drag never changes its speed, and does not count.
         """
-        rings, root = self.frequency > 0, np.sqrt(self.mass)
-        damping = np.diag(self.damping) if self.damping.ndim == 1 else self.damping
-        if rings.all() or not damping.any():
+        rings, rate = self.frequency > 0, self.decays
+        if rings.all() or not rate.any():
             return self.decay
-        rate, omega = damping / np.outer(root, root), np.diag(self.omega)[rings]
+        omega = np.diag(self.omega)[rings]
         free = np.block([[np.zeros((len(omega), len(omega))), omega], [-omega.T, -rate]])
         falls = -np.linalg.eigvals(free).real
         return float(min(self.decay, falls.min(initial=np.inf, where=falls > NO_DRAG * np.abs(rate).max())))
+
+    @property
+    def decays(self) -> np.ndarray:
+        """Damping of the modes, normalised to unit mass, shape (M, M) [1/time]."""
+        root, damping = np.sqrt(self.mass), self.damping
+        return np.asarray((np.diag(damping) if damping.ndim == 1 else damping) / np.outer(root, root))
 
     @property
     def stiffness(self) -> np.ndarray:
@@ -138,6 +142,11 @@ class Excitation:
     cosine: np.ndarray
     sine: np.ndarray
     constant: np.ndarray
+
+    @property
+    def largest(self) -> np.ndarray:
+        """Bound of the force on each mode, shape (M,): its amplitudes and its constant part."""
+        return np.abs(self.constant) + np.hypot(self.cosine, self.sine).sum(axis=0)
 
 
 @dataclass(frozen=True)
@@ -248,18 +257,13 @@ class Model:
     @cached_property
     def stuck_rate(self) -> float:
         """Fastest rate with every contact stuck [rad/time]: the highest circular frequency, or decay."""
-        return float(max(self.stuck_omega[-1], np.linalg.eigvalsh(self.decays)[-1]))
+        return float(max(self.stuck_omega[-1], np.linalg.eigvalsh(self.structure.decays)[-1]))
 
     @property
     def coupling_rate(self) -> float:
         """Fastest rate at which damping acts between the modes [1/time]; 0 where it does not couple them."""
-        return float(np.abs(np.linalg.eigvalsh(self.decays - np.diag(np.diag(self.decays)))).max())
-
-    @property
-    def decays(self) -> np.ndarray:
-        """Damping of the modes, normalised to unit mass, shape (M, M) [1/time]."""
-        root, damping = np.sqrt(self.structure.mass), self.structure.damping
-        return np.asarray((np.diag(damping) if damping.ndim == 1 else damping) / np.outer(root, root))
+        decays = self.structure.decays
+        return float(np.abs(np.linalg.eigvalsh(decays - np.diag(np.diag(decays)))).max())
 
     def _relative_shape(self, contact: Contact) -> np.ndarray:
         points, shape = self.structure.points, self.structure.shape

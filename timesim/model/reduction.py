@@ -159,13 +159,11 @@ class _Scene:
 def _normalised(model: Model) -> _Scene:
     structure, load, start = model.structure, model.excitation, model.start
     root = np.sqrt(structure.mass)
-    damping = structure.damping
-    damping = np.diag(damping) if damping.ndim == 1 else damping
     shape = model.contact_shape / root
     shape[np.abs(shape) <= COUPLED * np.abs(shape).max(axis=(1, 2), keepdims=True, initial=0.0)] = 0.0
     return _Scene(
         model,
-        damping / np.outer(root, root),
+        structure.decays,
         shape,
         (load.cosine - 1j * load.sine) / root,
         load.constant / root,

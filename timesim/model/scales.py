@@ -46,7 +46,7 @@ def modal_size(model: Model, omega: float) -> float:
     Forces that hardly move the structure beside its start give no scale either: a share of the start is the least.
     """
     root, floor = np.sqrt(model.structure.mass), np.maximum(model.structure.omega, omega) ** 2
-    driven = np.max(_drive(model) / root / floor, initial=0.0)
+    driven = np.max(model.excitation.largest / root / floor, initial=0.0)
     start = np.max(np.hypot(model.start.displacement, model.start.velocity / omega) * root, initial=0.0)
     size = float(max(driven, LEAST * start) if driven > 0 else start)
     if size == 0:
@@ -60,11 +60,6 @@ def _pull_of_slip(model: Model) -> np.ndarray:
     for c in model.summation_order:
         pull += model.contact_shape[c, :2].T @ (model.contacts[c].tangential_stiffness @ model.start.slip[c])
     return pull
-
-
-def _drive(model: Model) -> np.ndarray:
-    """Largest force on each mode, shape (M,)."""
-    return np.abs(model.excitation.constant) + np.hypot(model.excitation.cosine, model.excitation.sine).sum(axis=0)
 
 
 def scales_of(model: Model, frequency: float) -> Scales:
@@ -93,7 +88,7 @@ def out_of_range(model: Model, frequency: float) -> Iterator[RuleError]:
     for what, unit in (("displacements", length), ("velocities", length * omega), ("forces", force)):
         if not 1 / LARGEST <= unit <= LARGEST:
             rule = f"must lead to {what} from {1 / LARGEST:g} to {LARGEST:g}, not of {unit:.3g}"
-            cause = "excitation" if np.any(_drive(model)) else "initial"
+            cause = "excitation" if np.any(model.excitation.largest) else "initial"
             yield RuleError((cause,), rule, "use other units, or forces of another size")
             return
     for i, contact in enumerate(model.contacts):
