@@ -106,7 +106,7 @@ def test_work_begins_with_no_point_counted(two: Processes, monkeypatch: pytest.M
     two.submit(unseen, point_done).result()
     two._counts[:] = [5] * len(two._counts)
     shown: list[int] = []
-    two.submit(shown.append, time.sleep, 0.7).result()
+    two.submit(shown.append, time.sleep, 2.0).result()
     assert set(shown) == {0}
 
 

@@ -5,6 +5,8 @@ import pty
 import re
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -113,31 +115,50 @@ def test_the_time_of_earlier_parts_is_kept_with_their_chunks(tmp_path: Path):
 def test_without_a_terminal_there_is_a_line_a_minute(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    import time
-
     assert cli.SECONDS_A_LINE == 60
     monkeypatch.setattr(cli, "SECONDS_A_LINE", 0.02)
-    standing = Standing("points")
+    third = threading.Event()
+
+    class Shown(Standing):
+        def line(self) -> str:
+            lines.append(super().line())
+            if len(lines) == 3:
+                third.set()
+            return lines[-1]
+
+    lines: list[str] = []
+    standing, start = Shown("points"), time.monotonic()
+    standing(3, 10, "sweep, 3 of 10 points")
     with cli._progress(standing):
-        standing(3, 10, "sweep, 3 of 10 points")
-        time.sleep(0.2)
+        assert third.wait(300)
     said = capsys.readouterr().err.splitlines()
-    assert 2 <= len(said) <= 10
+    assert said == lines
+    assert len(said) * cli.SECONDS_A_LINE <= time.monotonic() - start
     assert said[0].startswith("30 %, ")
     assert said[0].endswith(" left, sweep, 3 of 10 points")
-    time.sleep(0.05)
-    assert capsys.readouterr().err == ""
+    assert all(thread.name != "timesim-progress" for thread in threading.enumerate())
 
 
 SHOWN = """
-import time
+import threading
 from timesim import cli
 from timesim.study.execution.progress import Standing
-standing = Standing("points")
+
+drawn = threading.Event()
+
+class Shown(Standing):
+    def line(self):
+        words = super().line()
+        drawn.set()
+        return words
+
+standing = Shown("points")
 with cli._progress(standing):
-    for done in range(1, 11):
+    for done in (5, 10):
         standing(done, 10, f"sweep, {done} of 10 points")
-        time.sleep(0.12)
+        for _ in range(2):  # the first may be of before, and is written when the second is drawn
+            drawn.clear()
+            assert drawn.wait(300)
 print("over")
 """
 
