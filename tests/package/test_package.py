@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -78,10 +79,15 @@ def test_imports_go_round_in_no_circle():
         settled.update(ready)
 
 
+@cache
+def body(name: str) -> list[ast.stmt]:
+    return ast.parse(NAMES[name].read_text()).body
+
+
 def first_of(name: str, wanted: tuple[str, ...], seen: set[str]) -> str | None:
     """The first of some modules that a module of the package loads where it is imported before all others."""
     seen.add(name)
-    for node in ast.parse(NAMES[name].read_text()).body:
+    for node in body(name):
         if not isinstance(node, ast.Import | ast.ImportFrom):
             continue
         module = node.module or "" if isinstance(node, ast.ImportFrom) else ""
@@ -94,7 +100,6 @@ def first_of(name: str, wanted: tuple[str, ...], seen: set[str]) -> str | None:
     return None
 
 
-@pytest.mark.long
 def test_whoever_uses_jax_has_it_as_the_package_needs_it():
     """The runtime comes before JAX, which it would otherwise take for that of another user in the same process."""
     wanted = ("timesim.runtime", "jax", "equinox", "diffrax", "optimistix", "jaxtyping")
