@@ -134,6 +134,7 @@ def test_displacement_within_its_envelope(run: xarray.Dataset) -> None:
     assert [patch.get_edgecolor()[:3] for patch in ax.patches] == 2 * [(0, 0, 0)], (
         "seen around the curve without colours"
     )
+    assert [patch.get_snap() for patch in ax.patches] == 2 * [False], "a step is one of amplitudes, not of pixels"
     middle = (upper.values + lower.values) / 2
     amplitude = run.cycle_amplitude.sel(point="tip", axis="z").values
     assert (upper.values - middle) == pytest.approx(amplitude)

@@ -58,7 +58,8 @@ def _envelope(data: Dataset, ax: Axes, x: np.ndarray, amplitude: np.ndarray) -> 
     ):
         sides, ends = (middle[some] + amplitude[some], middle[some] - amplitude[some]), edges[some.start or 0 :]
         for side, label in zip(sides, (name, None), strict=True) if middle[some].size else ():
-            ax.stairs(side, ends[: side.size + 1], baseline=None, color="black", linestyle=line, label=label)
+            stairs = ax.stairs(side, ends[: side.size + 1], baseline=None, color="black", linestyle=line, label=label)
+            stairs.set_snap(False)  # on whole pixels amplitudes that hardly differ make a step
     for change in start[1:][np.abs(np.diff(period)) > 1e-6 * period[0]]:
         ax.axvline(change, color="black", linewidth=1.0, linestyle=":", label="change of frequency")
 
