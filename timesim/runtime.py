@@ -32,6 +32,12 @@ if _LOOP_LIMIT not in os.environ.get("XLA_FLAGS", ""):
 # XLA 0.10.1 takes LLVM's `prefer-no-gather` for an instruction that the processor lacks, and prints a page for each
 # program that it loads from the folder. Errors reach Python as exceptions. Read when JAX is imported.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+KEEP = "TIMESIM_KEEP_PROGRAMS"
+"""Set in the environment by a command, for itself and its worker processes."""
+# A trajectory is one chain of small steps: on a graphics card, which JAX prefers where it finds one, each operation of
+# each step waits for a launch. A process of a command is ours, so it computes on the processor unless told otherwise.
+if KEEP in os.environ:
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
 _STARTED_BY_OTHERS = "jax" in sys.modules
 
 import jax  # noqa: E402
@@ -87,8 +93,6 @@ _IDENTITY |= {
     "CPU part",
     "Features",
 }  # as Linux on ARM names them
-KEEP = "TIMESIM_KEEP_PROGRAMS"
-"""Set in the environment by a command, for itself and its worker processes."""
 _MOST_PROBES = 10
 """Entries of the same small program from which on it is plain that no process meets those of another."""
 
@@ -131,6 +135,15 @@ def _check_start() -> None:
         _warn(
             "JAX was used before timesim could set an option of XLA: a single trajectory takes up to 15 times longer. "
             f"Start Python with XLA_FLAGS={_LOOP_FLAG}, or import timesim.runtime before JAX is used."
+        )
+
+
+def _check_platform() -> None:
+    """Warn where JAX prefers a graphics card, and nobody said that it should."""
+    if jax.default_backend() != "cpu" and not _SETTINGS.jax_platforms:
+        _warn(
+            f"JAX computes on '{jax.default_backend()}': the steps of a trajectory follow each other, and each would "
+            "wait for the card. Start Python with JAX_PLATFORMS=cpu, or name the card there to be rid of this warning."
         )
 
 
@@ -193,5 +206,6 @@ def _lost(folder: Path) -> str | None:
 if _STARTED_BY_OTHERS:
     _check_start()
 jax.config.update("jax_enable_x64", True)
+_check_platform()
 READY = _keep_programs()
 """Folder of programs that are ready to run; None where `timesim.program` keeps none."""

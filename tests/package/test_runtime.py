@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -140,6 +141,23 @@ def test_jax_that_runs_already_is_warned_about_once(tmp_path):
     assert not err
     _, err = python("import jax" + code, TIMESIM_CACHE=str(tmp_path), JAX_ENABLE_X64="1", TF_CPP_MIN_LOG_LEVEL="3")
     assert not err
+
+
+def test_a_command_computes_on_the_processor(tmp_path):
+    told = "; import timesim.runtime, jax; print(jax.config.jax_platforms, os.environ.get('JAX_PLATFORMS'))"
+    unset = f"import os; os.environ.pop('JAX_PLATFORMS', None){told}"
+    assert python(unset, TIMESIM_CACHE=str(tmp_path), **{runtime.KEEP: "1"})[0] == "cpu cpu\n"
+    assert python(unset, TIMESIM_CACHE=str(tmp_path)) == ("None None\n", "")
+
+
+def test_a_graphics_card_that_nobody_named_is_warned_about(monkeypatch, recwarn):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(runtime, "_SETTINGS", SimpleNamespace(jax_platforms="cuda"))
+    runtime._check_platform()
+    assert not recwarn
+    monkeypatch.setattr(runtime, "_SETTINGS", SimpleNamespace(jax_platforms=None))
+    with pytest.warns(RuntimeWarning, match="computes on 'gpu'.*JAX_PLATFORMS=cpu"):
+        runtime._check_platform()
 
 
 @pytest.mark.long
