@@ -324,7 +324,10 @@ def test_a_transient_of_another_structure(tmp_path: Path):
     more = {"structure": {"modes": modes}, "excitation": force}
     with pytest.raises(SceneError, match=r"study\.start\.from: .* must have 3 modes, as the scene, not 2"):
         load_scene(scene(start={"from": str(place)}) | more)
-    fewer = {"structure": BASE["structure"] | {"keep_modes": 2}}
+    stiffness = [[2, -1, 0], [-1, 2, -1], [0, -1, 2]]
+    matrices = {"mass": np.eye(3).tolist(), "stiffness": stiffness, "damping_ratio": 0.02, "points": {"tip": {"x": 2}}}
+    load = [{"point": "tip", "direction": [1, 0, 0], "amplitude": 1.0}]
+    fewer = {"structure": {"matrices": matrices, "keep_modes": 2}, "excitation": {"forces": load}}
     for values in ([1, 2], [1]):
         with pytest.raises(SceneError, match=r"keep_modes: must not change .* as study\.start has 2"):
             load_scene(scene(start={"from": str(place)}, over={"structure.keep_modes": values}) | fewer)

@@ -96,7 +96,7 @@ def make_logarithmic(figure: Figure, quantities: Collection[str]) -> set[str]:
             ax.set_xscale("log")
             plain_ticks(ax.xaxis, *ax.get_xlim())
         least, top = ax.dataLim.minposy, ax.dataLim.y1
-        if up and 0 < least < top < np.inf:
+        if up and 0 < least <= top < np.inf:
             met |= up
             low = ax.get_ylim()[0]
             ax.set_yscale("log")

@@ -441,6 +441,7 @@ def interrupted_with(fault: str, scheduler: str, tmp_path: Path) -> tuple[dict[s
         assert {path.stem for path in (tmp_path / "checkpoint").glob("*.npz")} == {"c-0-0"}
 
 
+@pytest.mark.long
 def test_an_interrupt_keeps_what_a_cluster_has_of_its_chunks(scheduler: str, tmp_path: Path):
     results, reason = interrupted_with("part", scheduler, tmp_path)
     assert reason == "interrupted; 1 of 4 points missing"
@@ -450,6 +451,7 @@ def test_an_interrupt_keeps_what_a_cluster_has_of_its_chunks(scheduler: str, tmp
     assert digest(results) == digest(expected(chains(2, 2)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("again", [False, True])
 def test_an_interrupt_leaves_a_cluster_that_does_not_answer(
     again: bool, scheduler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
