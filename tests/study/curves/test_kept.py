@@ -123,6 +123,7 @@ def test_a_curve_without_its_multipliers_is_followed_again(
     execution = Execution(folder=tmp_path, notice=lambda _: None)
     with monkeypatch.context() as patched:
         if not along:
+            patched.setattr("timesim.study.hbm.warm_up", lambda *_, **__: None)  # it asks for multipliers too
             patched.setattr("timesim.hbm.curve.evaluation.checked_multipliers", lambda *_: interrupted())
         outcome = carry_out(scene, replace(execution, progress=interrupted) if along else execution)
     assert outcome.reason is not None
