@@ -451,6 +451,33 @@ def test_whatever_the_contact_does_first_all_is_compiled_before_a_curve_is_follo
     assert [len(programs) for programs in LOADED] == ready
 
 
+def test_a_load_that_grows_while_damping_leaves_leads_where_linear_responses_do_not():
+    """Under a load that grows alone the motion turns at folds; no step got beyond 99 % of it."""
+    frequency, scheme = 1.26, Scheme(5, 256)
+    model = systems.oscillator(2.0, frequency)
+    balance = Balance(model, frequency, scheme)
+    *linear, (way, guess), _ = first_guesses(balance, frequency, Controls())
+    assert all(given is not None and solve(balance, given, frequency, Controls()) is None for _, given in linear)
+    assert way == "a load that grows from zero while damping leaves, 100% of the way"
+    assert np.linalg.norm(balance.value(guess, frequency)) < 1e-8 * np.linalg.norm(guess)
+
+
+def test_the_derivative_along_a_load_that_grows_while_damping_leaves():
+    """By a difference quotient, of modal damping and of a matrix; at its ends there is no load, and all of it."""
+    model = systems.oscillator(2.0, 1.26)
+    whole = replace(model.structure, damping=np.array([[0.3, 0.1], [0.1, 0.4]]))
+    for own in (model, replace(model, structure=whole)):
+        balance = Balance(own, 1.26, Scheme(3, 256))
+        ramp, x = first_guess._Ramp(balance, 1.26), 0.3 * balance.working
+        np.testing.assert_allclose(ramp.value(x, 1.0), balance.value(x, 1.26), rtol=1e-12)
+        assert np.linalg.norm(ramp.value(0 * x, 0.0)) < 1e-12
+        r, _, by_p = ramp.linearised(x, 0.4)
+        np.testing.assert_array_equal(r, ramp.value(x, 0.4))
+        step = 1e-5
+        by_difference = (ramp.value(x, 0.4 + step) - ramp.value(x, 0.4 - step)) / (2 * step)
+        np.testing.assert_allclose(by_p, by_difference, atol=1e-5 * np.abs(by_difference).max())
+
+
 def test_time_integration_leads_to_the_first_solution():
     """Near enough for Newton's method where the contact slips and separates, also of a motion that has not settled."""
     model = systems.oscillator(-1.0, 0.97)
@@ -466,4 +493,4 @@ def test_time_integration_leads_to_the_first_solution():
     assert np.linalg.norm(solution[0] - guess) < 0.02 * np.linalg.norm(guess)
     motion = balance.coefficients(solution[0])[0] * balance.length
     np.testing.assert_allclose(motion, known.contact_motion[0, 0], atol=1e-6)
-    assert others[-1][0] == "a load that grows from zero, up to 100% of it"
+    assert others[-1][0] == "a load that grows from zero while damping leaves, 100% of the way"

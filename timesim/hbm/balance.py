@@ -17,6 +17,7 @@ frequency/time domain method for calculating the steady-state response of nonlin
 (1989) 149-154; M. Krack and J. Gross, Harmonic Balance for Nonlinear Vibration Problems (Springer 2019).
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -208,6 +209,12 @@ class Balance:
     def with_scheme(self, scheme: Scheme) -> "Balance":
         """The same by another scheme."""
         return Balance(self.model, 1.0, scheme, self.units)
+
+    def damped(self, more: Array) -> "Balance":
+        """The same with more damping of each mode, for unit mass [1/time], shape (M,)."""
+        other = copy(self)
+        other.damping = self.damping + (more if self.damping.ndim == 1 else np.diag(more))
+        return other
 
     def at(self, p: float) -> "Balance":
         """The balance at a value of the parameter."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from timesim.orbit.fourier import to_coefficients
 from timesim.orbit.settling import Chain, steady_states
 
 RAMP_POINTS = 200
+RAMP_STEPS = 4  # length of its longest step, by that of a curve: only its end matters
+DIFFERENCE = 1e-6  # for the derivative by the share of the ramp, which only directs its steps
 STAYS = 2  # solutions up to which a curve that fails has not come away from where it began
 SOLVER, SETTLED = PRESETS["standard"], Criterion(1e-6, 500)
 """How the motion of a time integration is sought; Newton's method needs it no closer."""
@@ -87,9 +90,10 @@ Guess = tuple[str, Array | None]
 def first_guesses(
     balance: Balance, frequency: float, controls: Controls, fine: Balance | None = None
 ) -> Iterator[Guess]:
-    """Linear responses, a load that grows from zero, and the motion to which a time integration settles.
+    """Linear responses, a load that grows from zero while damping leaves, and the motion of a time integration.
 
-    The last one has the unknowns of a finer balance, if one is given: it may be far from any solution with few of them.
+    The last one, to which it settles, has the unknowns of a finer balance, if one is given: it may be far from any
+    solution with few of them.
     """
     closed = np.array([contact.preload > 0 for contact in balance.model.contacts], dtype=float)
     states = {
@@ -108,12 +112,13 @@ def first_guesses(
 
 
 def _ramped(balance: Balance, frequency: float, controls: Controls) -> Guess:
-    few = replace(controls, max_points=min(controls.max_points, RAMP_POINTS), watch=None)
-    ramp = follow(_LoadRamp(balance, frequency), np.zeros(balance.num_unknowns), 0.0, 1.0, few)
+    most, longest = min(controls.max_points, RAMP_POINTS), RAMP_STEPS * controls.max_step
+    few = replace(controls, max_points=most, max_step=longest, watch=None)
+    ramp = follow(_Ramp(balance, frequency), np.zeros(balance.num_unknowns), 0.0, 1.0, few)
     if ramp.ending is Ending.INTERRUPTED:
         raise KeyboardInterrupt
-    reached = ramp.p[-1] if ramp.p.size else 0.0
-    return f"a load that grows from zero, up to {reached:.0%} of it", ramp.x[-1] if ramp.complete else None
+    way = f"a load that grows from zero while damping leaves, {ramp.p[-1] if ramp.p.size else 0:.0%} of the way"
+    return way, ramp.x[-1] if ramp.complete else None
 
 
 def _settled(balance: Balance, frequency: float) -> Guess:
@@ -145,16 +150,28 @@ def _linear_guess(balance: Balance, frequency: float, stuck: Array) -> Array:
     return np.nan_to_num(to_coefficients(motion.T).ravel() / balance.length, posinf=0.0, neginf=0.0)
 
 
-class _LoadRamp:
-    """A balance at one frequency as a residual in the share p of its excitation."""
+class _Ramp:
+    """A balance at one frequency as a residual in p: to 1 its load grows from zero, and damping beside its own leaves.
+
+    Critical damping at first: motions that are damped grow straight, where without it they turn at many folds.
+    """
 
     def __init__(self, balance: Balance, frequency: float):
         self.balance, self.frequency = balance, frequency
-        self.free = to_coefficients(balance.linear(frequency).free.T).ravel() / balance.length
+        self.critical = 2 * (balance.model.structure.omega + 2 * np.pi * frequency)
+        self.at = lru_cache(maxsize=2)(self._at)
+
+    def _at(self, p: float) -> tuple[Balance, Array]:
+        """The balance under the whole load, and what the rest of it does to the motion without contact forces."""
+        left = (1 - p) ** 2
+        balance = self.balance.damped(left * self.critical)
+        return balance, left * to_coefficients(balance.linear(self.frequency).free.T).ravel() / balance.length
 
     def value(self, x: Array, p: float) -> Array:
-        return self.balance.value(x, self.frequency) + (1 - p) * self.free
+        balance, missing = self.at(p)
+        return balance.value(x, self.frequency) + missing
 
     def linearised(self, x: Array, p: float) -> tuple[Array, Array | Condensed, Array]:
-        r, by_x, _ = self.balance.linearised(x, self.frequency)
-        return r + (1 - p) * self.free, by_x, -self.free
+        balance, missing = self.at(p)
+        r, by_x, _ = balance.linearised(x, self.frequency)
+        return r + missing, by_x, (self.value(x, p + DIFFERENCE) - r - missing) / DIFFERENCE

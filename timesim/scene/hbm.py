@@ -212,9 +212,9 @@ class BalanceSection(StudySection):
     stability: Switch = True
     """Compute the Floquet multipliers of every point; without them only folds tell stable from unstable."""
     start: StartSection = "linear"
-    """linear: the linear response with the contacts stuck or apart, else a load that grows from zero, else the motion
-    of a time integration; both_ends: the same from both ends; or {from: result.nc}, a transient's motion, or a
-    sweep's, which reach isolated branches."""
+    """linear: the linear response with the contacts stuck or apart, else a load that grows from zero while damping
+    leaves, else the motion of a time integration; both_ends: the same from both ends; or {from: result.nc}, a
+    transient's motion, or a sweep's, which reach isolated branches."""
     continuation: Continuation = Field(default_factory=default_steps)
     """Steps along the curve."""
     convergence: Switch = False

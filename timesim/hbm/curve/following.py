@@ -81,8 +81,8 @@ def hbm_curve(
         controls: steps of the continuation.
         guess: modal displacement at `begin` by its Fourier coefficients 1, cos, sin, ..., shape (2K + 1, M), of a
             time integration for instance: so isolated branches are reached. By default the linear response with the
-            contacts stuck, absent or half as stiff, then under a load that grows from zero, then the motion to which a
-            time integration settles.
+            contacts stuck, absent or half as stiff, then under a load that grows from zero while damping leaves, then
+            the motion to which a time integration settles.
         begin: frequency [Hz] in the range from which the curve is followed to both sides, or from one end to the other;
             by default it begins at `start`.
         stability: compute Floquet multipliers; without them stability follows from the sign of the determinant alone.
