@@ -12,6 +12,8 @@ from timesim.model.contact_state import contact_loads
 from timesim.model.model import SEPARATION, SLIP, STICK, Start
 from timesim.model.start import given_start, resumed_start
 from timesim.result.netcdf import save
+from timesim.scene.report import warnings_of
+from timesim.study.registry import load_scene
 
 pytestmark = pytest.mark.long
 
@@ -67,7 +69,7 @@ def test_contacts_of_another_run_go_by_their_names():
     model = oscillator(3.0, 1.39)
     pads = tuple(replace(model.contacts[0], name=name) for name in ("one", "two"))
     both = replace(model, contacts=pads, start=at_rest(2, 2))
-    end = Start(np.zeros(2), np.zeros(2), np.array([[0.01, 0.0], [0.0, 0.02]]), np.array([SLIP, STICK]))
+    end = Start(np.zeros(2), np.zeros(2), np.array([[ON_CONE, 0.0], [0.0, 0.02]]), np.array([SLIP, STICK]))
     start = resumed_start(both, end, ("two", "one"))
     np.testing.assert_array_equal(start.slip, end.slip[::-1])
     assert start.state.tolist() == [STICK, SLIP]
@@ -87,6 +89,57 @@ def test_the_slip_of_another_run_is_turned_into_the_axes_of_the_contact():
         resumed_start(model, end, ["pad"], None, tilted)
     apart = replace(end, displacement=np.array([-5.0, 0.0]), state=np.array([SEPARATION]))
     assert resumed_start(model, apart, ["pad"], None, tilted).state.tolist() == [SEPARATION]
+
+
+@pytest.mark.parametrize("change", ["friction", "preload", "tangential_stiffness"])
+def test_a_contact_that_slipped_sticks_where_its_force_is_inside_the_cone_now(change: str):
+    """As one that went on slipping its force would jump to mu n, and its slip with it."""
+    model, zero = oscillator(3.0, 1.39), np.zeros(2)
+    end = Start(zero, zero, np.array([[0.6, -0.8]]) * ON_CONE, np.array([SLIP]))
+    assert resumed_start(model, end, ["pad"]).state.tolist() == [SLIP]
+    pad = model.contacts[0]
+    more = {"friction": 0.6, "preload": 3.3, "tangential_stiffness": 0.9 * pad.tangential_stiffness}[change]
+    start = resumed_start(replace(model, contacts=(replace(pad, **{change: more}),)), end, ["pad"])
+    assert start.state.tolist() == [STICK]
+    np.testing.assert_array_equal(start.slip, end.slip)
+
+
+def test_a_run_with_more_preload_goes_on_without_a_jump(tmp_path):
+    """The friction force goes on from where it was, and the energies of each cycle balance."""
+    scene, file = oscillator_scene(3.0), tmp_path / "result.nc"
+    scene["excitation"]["frequency"] = 1.39
+    scene["study"] = {"kind": "transient", "cycles": 8, "record_last": 8}
+    first = timesim.run(scene)
+    assert first["final_contact_state"].item() == SLIP
+    save(first, file)
+    scene["contacts"][0]["preload"] = 4.5
+    second = timesim.run(scene | {"initial": {"from": str(file)}})
+    before, after = (
+        run["contact_force"].sel(component=["t1", "t2"]).values[place] for run, place in ((first, -1), (second, 0))
+    )
+    np.testing.assert_allclose(after, before, atol=1e-6 * np.abs(before).max())
+    assert np.abs(second["energy_residual"]).max() < 1e-6 * second.attrs["peak_stored_energy"]
+
+
+def test_a_slip_between_other_bodies_is_refused(tmp_path):
+    scene, file = oscillator_scene(3.0), tmp_path / "result.nc"
+    for mode in scene["structure"]["modes"]:
+        mode["shape"] |= {"end": [0.2, 0.1, 0.3]}
+    scene["excitation"]["frequency"] = 1.39
+    scene["units"] = {"length": "m"}
+    scene["study"] = {"kind": "transient", "cycles": 1}
+    pad, initial = scene["contacts"][0], {"from": str(file)}
+    result = timesim.run(scene)
+    assert (result["body_1"].values.tolist(), result["body_2"].values.tolist()) == (["tip"], ["ground"])
+    save(result, file)
+    for change, joined in (({"point": "end"}, "end and ground"), ({"against": "end"}, "tip and end")):
+        rule = f"has contact pad between tip and ground, the scene between {joined}: its slip is another"
+        with pytest.raises(timesim.SceneError, match=rule):
+            timesim.run(scene | {"contacts": [pad | change], "initial": initial})
+    timesim.run(scene | {"contacts": [pad | {"point": "end", "friction": 0}], "initial": initial})
+    scene["units"] = {"length": "mm"}
+    note = "initial.from: length is in m in the result and in mm in the scene: nothing is converted"
+    assert note in warnings_of(load_scene(scene | {"initial": initial}))
 
 
 @pytest.mark.parametrize("study", ["transient", "sweep"])

@@ -20,6 +20,10 @@ def test_they_are_those_of_the_dimensions_in_use():
     dims, friction = along.pop("friction")
     assert dims == ("contact",)
     np.testing.assert_array_equal(friction, [0.5])
+    bodies = {name: along.pop(name) for name in ("body_1", "body_2")}
+    for (dims, names), joined in zip(bodies.values(), ("tip", "ground"), strict=True):
+        assert dims == ("contact",)
+        assert names.tolist() == [joined]
     assert {name: values.tolist() for name, values in along.items()} == {
         "point": ["tip"],
         "axis": ["x", "y", "z"],

@@ -19,7 +19,7 @@ from timesim.model.contact_state import (
     slip_follows_motion,
 )
 from timesim.model.mode_shapes import SAME, ModeShapes
-from timesim.model.model import SEPARATION, Model, Start
+from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 
 ROUNDING = 1e-9
 """Share by which |f| may exceed mu n in a start. The event loop needs it inside: such a slip is set back by as much."""
@@ -136,6 +136,7 @@ def resumed_start(
     contacts: Sequence[str],
     shapes: ModeShapes | None = None,
     frames: np.ndarray | None = None,
+    bodies: Sequence[tuple[str, str]] = (),
 ) -> Start:
     """The state that another run has ended in, adapted to a model.
 
@@ -146,9 +147,11 @@ def resumed_start(
         shapes: of its modes, where they are known; else its modes are taken for those of the model.
         frames: of the contacts of `end`, where they are known, shape (C, 3, 3); else they are taken for those of the
             model.
+        bodies: what these contacts join, where that is known; else it is taken for what those of the model join.
 
     Raises:
-        RuleError: the state is one of another structure or of contacts with other normals, or lies outside a cone.
+        RuleError: the state is one of another structure or of contacts with other bodies or normals, or lies outside a
+            cone.
     """
     names, modes = [contact.name for contact in physics.contacts], physics.structure.num_modes
     if sorted(contacts) != sorted(names):
@@ -163,17 +166,29 @@ def resumed_start(
         end = replace(end, displacement=change @ end.displacement, velocity=change @ end.velocity)
     rows = [contacts.index(name) for name in names]
     slip, before = end.slip.reshape(-1, 2)[rows], end.state.astype(int).ravel()[rows]
+    _check_bodies(physics, [bodies[i] for i in rows] if bodies else (), before)
     if frames is not None:
         slip = _turned(physics, slip, frames[rows], before)
     loads = contact_loads(physics, end.displacement, slip)
     rounding = ROUNDING * (np.abs(physics.preload) + np.abs(loads.normal - physics.preload))
-    state = contact_state(loads.normal, physics.friction, before, rounding=rounding)
+    # One that slipped sticks where more friction, a larger load or less stiffness has left its force inside the cone.
+    held = (before == SLIP) & (loads.size < loads.limit * (1 - RESULT_ROUNDING))
+    state = contact_state(loads.normal, physics.friction, np.where(held, STICK, before), rounding=rounding)
     kept = np.where((state == SEPARATION) == (before == SEPARATION), before, UNKNOWN)
     state = np.where(obeys_cone(physics), state, kept)
     follows = slip_follows_motion(state, physics.friction) | (before == SEPARATION)
-    hint = "its friction or preload was higher"
+    hint = "its friction or preload was higher there, or its tangential stiffness lower"
     slip = _slip_in_cone(physics, loads, follows, hint, rounding=RESULT_ROUNDING, room=1.0)
     return replace(end, slip=slip, state=state)
+
+
+def _check_bodies(physics: Model, bodies: Sequence[tuple[str, str]], before: np.ndarray) -> None:
+    """Refuse the slip of a contact that joined others than in the model; where it was apart, its slip is its motion."""
+    for contact, joined, state in zip(physics.contacts, bodies, before, strict=bool(bodies)):
+        if state != SEPARATION and contact.friction > 0 and joined != (contact.point, contact.against):
+            there, here = " and ".join(joined), f"{contact.point} and {contact.against}"
+            rule = f"has contact {contact.name} between {there}, the scene between {here}: its slip is another"
+            raise RuleError((), rule, "take the bodies of that result, or start from rest")
 
 
 def _turned(physics: Model, slip: np.ndarray, frames: np.ndarray, before: np.ndarray) -> np.ndarray:

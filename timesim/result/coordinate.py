@@ -20,6 +20,8 @@ NAMES = {
     "motion": ("lower", "upper"),
 }
 
+BODIES = "body_1", "body_2"
+"""Along the contacts: the points that each joins, or one of them and the ground."""
 FIRST = {"mode": 1, "cycle": 1, "harmonic": 0}
 """First number along the dimensions that count something."""
 
@@ -27,7 +29,8 @@ FIRST = {"mode": 1, "cycle": 1, "harmonic": 0}
 def coordinates(variables: Mapping[str, tuple[Any, ...]], model: Model | None = None) -> dict[str, Any]:
     """Coordinates along those dimensions of variables that the model determines, or that are the same in all results.
 
-    Besides the names of the contacts they hold their coefficients of friction: a contact with 0 is a stop.
+    Besides the names of the contacts they hold what these join, and their coefficients of friction: one with 0 is a
+    stop.
 
     Args:
         variables: ``{name: (dimensions, array)}``.
@@ -42,7 +45,11 @@ def coordinates(variables: Mapping[str, tuple[Any, ...]], model: Model | None = 
         along["point"] = np.array(model.structure.points, dtype=str)
         along["contact"] = np.array([contact.name for contact in model.contacts], dtype=str)
     known: dict[str, Any] = {dim: values for dim, values in along.items() if dim in sizes}
-    return known | ({"friction": (("contact",), model.friction)} if model is not None and "contact" in known else {})
+    if model is not None and "contact" in known:
+        known["friction"] = ("contact",), model.friction
+        for name, of in zip(BODIES, ("point", "against"), strict=True):
+            known[name] = ("contact",), np.array([getattr(contact, of) for contact in model.contacts], dtype=str)
+    return known
 
 
 def most_friction(models: Iterable[Model]) -> Model:

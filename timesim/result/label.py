@@ -19,6 +19,8 @@ LABELS: dict[str, tuple[str, str | None]] = {
     # coordinates
     "point": ("point of the structure", None),
     "contact": ("contact", None),
+    "body_1": ("point of body 1 of the contact", None),
+    "body_2": ("point of body 2 of the contact, or the ground", None),
     "axis": ("axis of the scene", None),
     "mode": ("mode, natural frequency ascending", "1"),
     "component": ("axis of the contact: in-plane t1, t2 and normal n", None),

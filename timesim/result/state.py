@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from math import prod
 from pathlib import Path
@@ -15,6 +15,7 @@ from timesim.model.mode_shapes import ModeShapes
 from timesim.model.model import Model, Start
 from timesim.model.start import resumed_start
 from timesim.orbit.steady_state import switches
+from timesim.result.coordinate import BODIES
 from timesim.result.label import axis_value
 from timesim.result.netcdf import result_file
 
@@ -43,6 +44,8 @@ class SavedStates:
         axes: the values along these axes; empty for a single run.
         phase: of the excitation, the same in all these states [rad].
         points: of the structure, at which the shapes of the modes are known.
+        bodies: what each contact joins, empty where a result of an earlier version does not say.
+        units: names of the units of "length" and "force", where the result says them.
         reason: why the run ended early, empty if it did not.
     """
 
@@ -51,6 +54,8 @@ class SavedStates:
     axes: Mapping[str, np.ndarray]
     phase: float
     points: tuple[str, ...] = ()
+    bodies: tuple[tuple[str, str], ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
     reason: str = ""
 
     def at(self, place: tuple[int, ...]) -> dict[str, np.ndarray]:
@@ -140,7 +145,9 @@ def states_in(data: "Dataset") -> SavedStates:
             whole = data[name].expand_dims({dim: data.sizes[dim] for dim in dims if dim not in data[name].dims})
             arrays[name] = whole.transpose(*dims, *own).values
     points = tuple(map(str, data["point"].values)) if SHAPE in data else ()
-    return SavedStates(contacts, arrays, axes, phase, points)
+    bodies = tuple(zip(*(map(str, data[name].values) for name in BODIES if name in data.coords), strict=True))
+    units = {name: str(data.attrs[f"{name}_unit"]) for name in ("length", "force") if f"{name}_unit" in data.attrs}
+    return SavedStates(contacts, arrays, axes, phase, points, bodies, units)
 
 
 def _position(name: str, values: np.ndarray, value: float | str) -> int:
@@ -191,21 +198,26 @@ def start_of(physics: Model, states: SavedStates, chosen: Mapping[str, np.ndarra
     """One of the states of a result as the start of a model.
 
     Raises:
-        RuleError: the result is of another structure or of contacts with other normals, or the state lies outside a
-            friction cone.
+        RuleError: the result is of another structure or of contacts with other bodies or normals, or the state lies
+            outside a friction cone.
     """
     displacement, velocity, slip, state = (chosen[f"final_{name}"] for name in STATE)
     end = Start(displacement, velocity, slip, state, states.phase)
-    return resumed_start(physics, end, states.contacts, _shapes_of(states, chosen), chosen.get(FRAME))
+    return resumed_start(physics, end, states.contacts, _shapes_of(states, chosen), chosen.get(FRAME), states.bodies)
 
 
 def _shapes_of(states: SavedStates, chosen: Mapping[str, np.ndarray]) -> ModeShapes | None:
     return ModeShapes(states.points, chosen[SHAPE]) if SHAPE in chosen else None
 
 
-def start_notes(physics: Model, states: SavedStates, chosen: Mapping[str, np.ndarray]) -> tuple[str, ...]:
-    """What there is to say of a start that `start_of` gives."""
+def start_notes(
+    physics: Model, states: SavedStates, chosen: Mapping[str, np.ndarray], units: Mapping[str, str]
+) -> tuple[str, ...]:
+    """What there is to say of a start that `start_of` gives a model, where the scene names its units."""
     notes, shapes = [], _shapes_of(states, chosen)
+    for name, unit in states.units.items():
+        if unit != units.get(name, unit):
+            notes.append(f"{name} is in {unit} in the result and in {units[name]} in the scene: nothing is converted")
     if states.reason and not states.axes:
         notes.append(f"the run of the result is incomplete ({states.reason}): this one starts where it stopped")
     if shapes is None:

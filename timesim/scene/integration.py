@@ -92,9 +92,9 @@ class InitialResult(ResultSection):
         except RuleError as error:
             raise self.refused(error.rule, error.hint) from None
 
-    def notes(self, physics: Model, end: EndOfRun) -> tuple[str, ...]:
-        """Warnings of a start of a model from that state."""
-        return tuple(f"initial.from: {note}" for note in start_notes(physics, *end))
+    def notes(self, physics: Model, end: EndOfRun, units: Mapping[str, str]) -> tuple[str, ...]:
+        """Warnings of a start of a model in these units from that state."""
+        return tuple(f"initial.from: {note}" for note in start_notes(physics, *end, units))
 
 
 def _initial_form(value: Any) -> str | None:

@@ -339,7 +339,8 @@ class _Build:
         with self.under("initial"):
             model = replace(model, start=start(initial, model, order, end))
             if end is not None and isinstance(initial, InitialResult):
-                model = replace(model, notes=(*notes, *initial.notes(model, end)))
+                more = initial.notes(model, end, self.file.unit_names())
+                model = replace(model, notes=(*notes, *more))
         if not self.errors:
             study = self.file.study
             lowest = study.lowest_frequency() if self.known is None else self.known.lowest
