@@ -525,6 +525,29 @@ def test_a_curve_that_goes_to_infinity_ends():
     assert "without damping" in curve.message
 
 
+class Pushed:
+    """A motion about a mean of `far`."""
+
+    def __init__(self, far):
+        self.far = far
+
+    def centre(self, x):
+        return np.array([x[0], 0.0])
+
+    def value(self, x, p):
+        return np.array([x[0] / self.far - 1, x[1] - 1 - p])
+
+    def linearised(self, x, p):
+        return self.value(x, p), np.diag([1 / self.far, 1.0]), np.array([0.0, -1.0])
+
+
+@pytest.mark.parametrize(("far", "solved"), [(1e6, True), (1e10, False)])
+def test_a_motion_that_is_lost_in_the_rounding_of_its_mean_is_no_solution(far, solved):
+    curve = follow(Pushed(far), np.zeros(2), 0.0, 1.0, Controls())
+    assert curve.complete == solved
+    assert solved or (curve.p.size, curve.ending) == (0, Ending.START)
+
+
 def test_the_number_of_points_is_bounded():
     curve = follow(Cubic(), np.array([-3.0, -3.0]), -10.0, 10.0, Controls(size=0.1, max_points=7))
     assert curve.ending is Ending.POINTS

@@ -208,3 +208,20 @@ def test_harmonic_balance_says_that_the_body_drifts():
     assert outcome.reason.endswith("time integration, whose body drifts, as nothing holds it")
     (line,) = [line for line in outcome.summary if "which the balance cannot show" in line]
     assert line == "at 2 points the body drifts, as nothing holds it, which the balance cannot show: 3 to 4 Hz"
+
+
+@pytest.mark.parametrize("preload", [pytest.param(5, marks=pytest.mark.slow), 1000])
+@pytest.mark.parametrize("push", [pytest.param(-2.6, marks=pytest.mark.slow), -3.3])
+def test_harmonic_balance_finds_no_motion_of_a_body_that_is_pushed_away(preload: float, push: float):
+    """Where the clutch slips all along, and where it sticks: with a mean of 5e13 there seemed to be one."""
+    scene = clutch(study={"kind": "hbm", "frequency": {"from": 3.0, "to": 3.1}, "harmonics": 3, "stability": False})
+    scene["contacts"][0]["preload"] = preload
+    scene["excitation"]["constant_forces"][1]["amplitude"] = push
+    outcome = carry_out(load_scene(scene))
+    repeats = preload == 1000 and push == -2.6
+    assert (outcome.groups[""].sizes["solution"] > 0) == repeats
+    assert (outcome.reason is None) == repeats
+    if repeats:
+        assert np.abs(outcome.groups[""]["harmonic_cos"].sel(harmonic=0)).max() < 1
+    else:
+        assert outcome.reason.endswith("time integration, whose body drifts, as nothing holds it")

@@ -110,10 +110,10 @@ def _loose(free: NDArray[np.bool_], stiffness: Array) -> Array:
     return loose[:, values <= LOOSE * values.max(initial=0.0)]
 
 
-def _hold_of(loose: Array, stiffness: Array, constant: Array) -> Array:
+def _held(loose: Array, stiffness: Array, constant: Array) -> tuple[Array, Array]:
     """Stiffness of motions that nothing restrains, shape (M, M): their mean, which is free, is then zero.
 
-    Without it where a constant force acts on them: then there is no periodic motion.
+    And the constant forces, not finite where they act on these motions: then there is no periodic motion.
 
     Args:
         loose: these motions, shape (M, L).
@@ -121,7 +121,7 @@ def _hold_of(loose: Array, stiffness: Array, constant: Array) -> Array:
         constant: forces on the modes, shape (M,).
     """
     pushed = np.abs(constant @ loose).max(initial=0.0) > LOOSE * np.linalg.norm(constant)
-    return (loose @ loose.T) * ((stiffness.max() or 1.0) * (not pushed))
+    return (loose @ loose.T) * (stiffness.max() or 1.0), np.full_like(constant, np.nan) if pushed else constant
 
 
 class Balance:
@@ -160,7 +160,7 @@ class Balance:
         supported = self.damping.ndim == 2 or np.any((omega == 0) | (self.damping <= UNDAMPED * omega))
         self.support = contact_stiffness(model, np.full(model.num_contacts, float(supported)))
         self.stiffness = np.diag(omega**2) + self.shape.T @ self.support @ self.shape
-        self.hold = _hold_of(_loose(omega == 0, self.stiffness), self.stiffness, self.load[0].real)
+        self.hold, self.load[0] = _held(_loose(omega == 0, self.stiffness), self.stiffness, self.load[0].real)
         across = self.shape[2::3]
         pressed = np.diag(omega**2) + across.T @ (np.diag(self.support)[2::3, None] * across)
         self.slack = self._slack_of(_loose(omega == 0, pressed))

@@ -29,8 +29,9 @@ FLAT = 1e-6
 MAX_FOLD = 12  # evaluations; at a corner the bracket only shrinks to a share of itself each time
 # A Newton step this long, in units of the solution, leads nowhere.
 MAX_STEP = 10.0
-# Residual relative to the norm of x, its centre included, that is rounding.
-ROUNDING = 1e-14
+# Residual relative to the norm of x, its centre included, that is rounding, and the share of the size of x up to which
+# it may be. Beyond it x has run away, as where constant forces drive a body that nothing holds.
+ROUNDING, MOST_ROUNDING = 1e-14, 1e-6
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,7 @@ class Corrector:
         """For solutions about as large as x."""
         self.residual, self.controls, self.p_unit = residual, controls, p_unit
         self.adaptive = residual if isinstance(residual, Adaptive) else None
+        self.centred = residual if isinstance(residual, Centred) else None
         self.size, self.centre = x.size, np.zeros(x.size)
         self.recentre(x)
         self.x_unit = self.size_of(x)
@@ -78,8 +80,8 @@ class Corrector:
 
     def recentre(self, x: Array) -> None:
         """Measure solutions about the centre of one from now on."""
-        if isinstance(self.residual, Centred):
-            self.centre = self.residual.centre(x)
+        if self.centred is not None:
+            self.centre = self.centred.centre(x)
 
     def size_of(self, x: Array) -> float:
         """By which a solution is measured."""
@@ -284,7 +286,9 @@ class Corrector:
 
     def _vanishes(self, r: Array, y: Array) -> bool:
         x = self.unscaled(y)[0]
-        return bool(np.linalg.norm(r) <= self.controls.tolerance * self.size_of(x) + ROUNDING * np.linalg.norm(x))
+        waves = x if self.centred is None else x - self.centred.centre(x)  # about its own centre, wherever it has gone
+        size, rounding = max(self.controls.size, float(np.linalg.norm(waves))), ROUNDING * float(np.linalg.norm(x))
+        return bool(np.linalg.norm(r) <= self.controls.tolerance * size + rounding <= MOST_ROUNDING * size)
 
     def _in_use(self, y: Array) -> Array:
         """A vector whose other unknowns are zero."""
