@@ -212,6 +212,7 @@ CHANGES = (
         ("structure.modes.1.shape.a.b", "rim: [1, 0, 0]", "a.b: [1, 0, 0]", "without . and =", "a.b"),
         ("contacts", "contacts:\n  - name: pad", "contacts:\n  name: pad", "is no YAML", "    point: tip"),
         ("contacts.1.name", "name: stop", "name: pad2\n    name: pad", "stands twice", "    name: pad\n"),
+        ("contacts.*.name", "name: stop", 'name: "*"', "other than ground and *", '- name: "*"'),
         ("contacts.1.name", "name: stop", "name: pad", "must differ", "- name: pad\n    point: rim"),
         ("contacts.pad.point", "point: tip\n    against", "point: tp\n    against", "did you mean tip?"),
         ("contacts.pad.point", "    point: tip\n    against", "    against", "is required", "- name: pad"),

@@ -1,6 +1,8 @@
 """The event loop against the oracle, plain events and itself at other tolerances; and where it gives up."""
 
 import gc
+import os
+import signal
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
@@ -29,12 +31,13 @@ from timesim.engine.solver import step_control
 from timesim.engine.status import RunError, Status
 from timesim.engine.step import begin, judged
 from timesim.engine.system import system_of
-from timesim.engine.trajectory import Frame, Phase, Run
+from timesim.engine.trajectory import Frame, Phase, Run, Steps
 from timesim.model.contact_state import contact_loads
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.solver import PRESETS, Solver
 from timesim.result.netcdf import save
 from timesim.study.execution.campaign import Execution
+from timesim.study.recorder import Recorder
 from timesim.study.registry import load_scene
 from timesim.study.transient import final_variables, study
 
@@ -621,3 +624,23 @@ def test_device_memory_does_not_grow() -> None:
     few = largest(20)
     gc.collect()
     assert largest(200) <= 1.1 * few
+
+
+def test_an_interrupt_loses_no_steps_that_are_being_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cycle that the reason names is the first one that the result does not hold, and its end the run's."""
+    scene, add, done = load_scene(CONFIGS / "oscillator.yaml", {"study.record_last": 60}), Recorder.add, [0]
+
+    def interrupted(recorder: Recorder, steps: Steps) -> None:
+        done[0] += 1
+        if done[0] == 2:
+            os.kill(os.getpid(), signal.SIGINT)
+        add(recorder, steps)
+
+    monkeypatch.setattr(Recorder, "add", interrupted)
+    outcome = study(scene, Execution())
+    result = outcome.groups[""]
+    kept = result.sizes["cycle"]
+    assert 0 < kept < 60
+    assert outcome.reason == f"interrupted in cycle {kept + 1} of 60"
+    end = result["time"].values[-1] * result["cycle_frequency"].values[-1]
+    assert kept <= end < kept + 1

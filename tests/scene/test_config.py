@@ -210,6 +210,7 @@ def test_problems_of_the_parts_together():
         (b"a: 1\nb: 2\na: 3\n", 3, "stands twice"),
         (b"a: !!python/object/apply:os.system [x]\n", 1, "has the tag"),
         (b"%YAML 1.1\n---\na: on\n", 1, "is YAML 1.1"),
+        (b"a: &a {b: 1}\nc: {<<: *a, d: 2}\n", 2, "is a merge key, which YAML 1.2 has not"),
         (b"a: 1\n---\nb: 1\n", 2, "more than one document"),
         (b"a:\n  ? [1, 2]\n  : 3\n", 2, "not plain text"),
         (b"a: 1\nb: *c\n", 2, "no anchor"),
@@ -1246,3 +1247,16 @@ def test_any_text_is_read_or_refused(text: str):
     with contextlib.suppress(RuleError):
         data = {"document": parse(text)[0]}
     assert data is None or parse(yaml_text(data))[0] == data
+
+
+def test_the_width_of_a_search_for_ends_is_no_more_than_a_step_by_default():
+    """Of a narrow range the step, a fortieth of it, is smaller than the usual width; what is given must be, too."""
+    ends = {"kind": "bistable", "harmonics": 0, "frequency": {"from": 0.9470, "to": 0.9473}}
+    scene = one_mass() | {"study": ends}
+    study = load_scene(scene).file.study
+    assert study.width == study.step == pytest.approx(0.0003 / 40)
+    assert load_scene(one_mass() | {"study": ends | {"frequency": {"from": 0.9, "to": 1}}}).plan.sweep.refine == 1e-5
+    rule = r"study\.width: 1e-05: must be at most the step of the sweeps, 7\.5e-06 Hz"
+    with pytest.raises(SceneError, match=rule) as caught:
+        load_scene(scene | {"study": ends | {"width": 1e-5}})
+    assert "study.step is by default a fortieth of the range: give 1e-05 or more" in str(caught.value)

@@ -107,9 +107,10 @@ class Run:
         for loop, done, now in batches:
             if self.compile_seconds == 0.0 and not self.closed:
                 self.compile_seconds = time.perf_counter() - clock
+            # An interrupt among these finds the run where its last steps have ended.
+            work = frame.work(done, origin.work, loop.end.q - start) if loop.h.size else None
             self._go_on(frame, now, origin)
-            if loop.h.size:
-                work = frame.work(done, origin.work, loop.end.q - start)
+            if work is not None:
                 self.work = work[-1]
                 yield Steps(frame, system, loop, origin, work, self.solver.rtol)
             self.judge(int(now.status), int(now.culprit))

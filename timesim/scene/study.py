@@ -163,7 +163,8 @@ class Settle(Section):
     tolerance: Annotated[Positive, Field(le=1e-2)] = 1e-8
     """Change of the state, relative to its largest entry, extrapolated over all cycles still to come."""
     max_cycles: Count = 2000
-    """Excitation cycles after which a point is given up as not settled."""
+    """Excitation cycles from which on a point is given up as not settled: looked at every 8, and those that measure it
+    come on top."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -130,7 +130,8 @@ class SlowSettle(Settle):
     """When a motion counts as settled; near the end of a range it does so very slowly."""
 
     max_cycles: Count = 5000
-    """Excitation cycles after which a point is given up as not settled."""
+    """Excitation cycles from which on a point is given up as not settled: looked at every 8, and those that measure it
+    come on top."""
 
 
 class Bistable(SteadySection):
@@ -140,7 +141,7 @@ class Bistable(SteadySection):
     frequency: FrequencyRange
     """{from, to} [Hz]: where to look."""
     width: Positive = 1e-5
-    """Width [Hz] to which each end is bisected."""
+    """Width [Hz] to which each end is bisected; by default no more than the step."""
     step: Positive | None = None
     """Step [Hz] of the sweeps, by default a fortieth of the range; a range with two motions may be far narrower."""
     over: Over = Field(default_factory=dict)
@@ -163,13 +164,15 @@ class Bistable(SteadySection):
         if self.starts and (self.starts < 5 or self.starts % 4 != 1):
             hint = "so rest and both motions are among the starts"
             raise refuse("must be 0, or 5, 9, 13, ...", key=("starts",), value=self.starts, hint=hint)
-        if self.width > step * ROUNDED:
-            raise refuse("must be at most the step of the sweeps", key=("width",), value=self.width)
+        width = self.width if "width" in self.model_fields_set else min(self.width, step)
+        if width > step * ROUNDED:
+            hint = "" if self.step else f"study.step is by default a fortieth of the range: give {width:g} or more"
+            raise refuse(f"must be at most the step of the sweeps, {step:g} Hz", key=("width",), value=width, hint=hint)
         if span / step > MAX_POINTS:
             raise refuse(f"must leave at most {MAX_POINTS} points", key=("step",), value=step)
         if self.harmonics:
             balanced(self.harmonics, self.time_samples)
-        return self.completed(step=step)
+        return self.completed(step=step).model_copy(update={"width": width})
 
     def sweep(self) -> SweepPlan:
         """Up and down; the step is adjusted so that the last point is the upper end."""

@@ -154,6 +154,9 @@ class _Reader:
             if not isinstance(event, events.ScalarEvent) or event.tag not in (None, "!"):
                 raise RuleError(key, "has a key that is not plain text", line=_line(event))
             below = (*key, event.value)
+            if event.value == "<<" and event.implicit[0]:
+                hint = "write its keys out; an alias stands for a whole value"
+                raise RuleError(below, "is a merge key, which YAML 1.2 has not", hint, line=_line(event))
             if event.value in values:
                 rule = f"stands twice (first in line {self.lines[below]})"
                 raise RuleError(below, rule, "remove one", line=_line(event))

@@ -31,8 +31,8 @@ def _whole(value: Any) -> Any:
 
 
 def _name(text: str) -> str:
-    if not text or text != text.strip() or set(".=") & set(text) or text == GROUND:
-        rule = f"must be a name without . and = and outer spaces, other than {GROUND}"
+    if not text or text != text.strip() or set(".=") & set(text) or text in (GROUND, "*"):
+        rule = f"must be a name without . and = and outer spaces, other than {GROUND} and *"
         raise refuse(rule, hint="keys such as contacts.pad.preload consist of names")
     return text
 

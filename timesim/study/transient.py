@@ -4,6 +4,7 @@ Both record the same (sections 5.2 and 5.3 of the paper).
 """
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -132,9 +133,11 @@ def _advance(recorder: Recorder, execution: Execution, whole: float) -> str | No
     """Advance a run to its end, and return why it ended early, or None; all work counts as ``whole`` cycles."""
     run = recorder.run
     try:
-        for steps in run.batches():
-            recorder.add(steps)
-            execution.progress(run.completed, whole, recorder.plan.place(run.completed))
+        # An interrupt ends the wait for the record of some steps, and not that record.
+        with ThreadPoolExecutor(1) as beside:
+            for steps in run.batches():
+                beside.submit(recorder.add, steps).result()
+                execution.progress(run.completed, whole, recorder.plan.place(run.completed))
     except RunError as error:
         return str(error)
     except KeyboardInterrupt:
