@@ -640,7 +640,7 @@ def test_start_from_a_result_of_other_parameters(tmp_path: Path, contact: Any, v
                     "final_modal_velocity": ("mode", [0.0]),
                 },
             },
-            "has 1 modes",
+            "has 1 mode, the scene has 2",
         ),
     ],
 )

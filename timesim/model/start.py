@@ -158,7 +158,8 @@ def resumed_start(
         hint = f"the scene has {', '.join(names) or 'none'}"
         raise RuleError((), f"has other contacts: {', '.join(contacts) or 'none'}", hint)
     if end.displacement.shape != (modes,) or end.velocity.shape != (modes,):
-        raise RuleError((), f"has {end.displacement.size} modes, the scene has {modes}")
+        own = end.displacement.size
+        raise RuleError((), f"has {own} mode{'s' * (own != 1)}, the scene has {modes}")
     if not all(np.all(np.isfinite(value)) for value in (end.displacement, end.velocity, end.slip)):
         raise RuleError((), "holds a final state that is not finite")
     change = shapes.change(physics.structure) if shapes is not None else None

@@ -86,6 +86,7 @@ def test_a_run_cut_off_goes_on_with_its_curves(
         found = outcome.groups[""]
         assert outcome.reason is not None
         assert Ending.INTERRUPTED.value in outcome.reason
+        assert "missing" not in outcome.reason
         assert resuming_helps(tmp_path, outcome.reason)
     assert found.attrs["complete"] == 0
     assert "interrupted" in found.attrs["reason"]
@@ -128,11 +129,24 @@ def test_a_curve_without_its_multipliers_is_followed_again(
         outcome = carry_out(scene, replace(execution, progress=interrupted) if along else execution)
     assert outcome.reason is not None
     assert "interrupted before the multipliers" in outcome.reason
+    assert "complete" not in outcome.reason
+    assert any("unstable solutions by folds alone; " in line for line in outcome.summary)
     assert np.isnan(outcome.groups[""]["floquet_max"]).all()
     assert chunks_done(tmp_path) == 0
     again = carry_out(scene, replace(execution, resume=True))
     assert again.reason is None
     assert np.isfinite(again.groups[""]["floquet_max"]).all()
+
+
+def test_sets_of_values_whose_curves_were_not_begun_are_named():
+    def interrupted(done: float, *_: Any) -> None:
+        if done > 0.5:
+            raise KeyboardInterrupt
+
+    study = STUDY | {"frequency": {"from": 1.0, "to": 0.999}, "over": {"contacts.pad.preload": [-4, -3.5, -3]}}
+    outcome = carry_out(load_scene(SCENE | {"study": study}), Execution(progress=interrupted))
+    assert outcome.reason is not None
+    assert outcome.reason.endswith("; the curves of 2 of 3 sets of values are missing")
 
 
 def test_the_samples_that_the_first_curves_needed_are_kept_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -166,7 +166,8 @@ def finished(
         try:
             return by_schemes(balance, curve, partial(evaluate, stability=stability), each)
         except KeyboardInterrupt:
-            curve = replace(curve, ending=Ending.INTERRUPTED, message=f"{curve.message}; {Ending.INTERRUPTED.value}")
+            done = curve.message.replace(": complete: ", ": ")
+            curve = replace(curve, ending=Ending.INTERRUPTED, message=f"{done}; {Ending.INTERRUPTED.value}")
     if stability:
         curve = replace(curve, message=f"{curve.message} before the multipliers")
     return by_schemes(balance, curve, partial(evaluate, stability=False))

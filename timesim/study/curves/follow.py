@@ -45,10 +45,12 @@ def follow_all(
         work.carry_out()
     except KeyboardInterrupt:
         work.take_rest()
+        left = len(curves.values) - len(work.added)
         if Ending.INTERRUPTED not in [own.curve.ending for own in curves.curves]:
-            whole = len(work.added) == len(curves.values)
-            at = "behind the last curve" if whole else f"at curve {len(curves.curves) + 1}"
+            at = f"at curve {len(curves.curves) + 1}" if left else "behind the last curve"
             curves.faults.append(f"interrupted {at}")
+        elif left:
+            curves.faults.append(f"the curves of {left} of {len(curves.values)} sets of values are missing")
     except StoreError as error:
         work.take_rest()
         curves.faults.append(str(error))
