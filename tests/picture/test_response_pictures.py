@@ -460,6 +460,7 @@ def _map(values: np.ndarray) -> xarray.Dataset:
     a = np.linspace(0, 4, values.shape[0])
     coefficient = (("a", "b", "tangent"), np.stack([values, 0.5 * values], axis=-1))
     variables = dict.fromkeys(("f_b", "f_s", "f_c"), coefficient) | {"dissipation": (("a", "b"), values)}
+    variables["settled"] = ("a", "b"), np.isfinite(values).astype(np.int8)
     coords = {"a": a, "b": np.linspace(0, 4, values.shape[1]), "tangent": ["t1", "t2"]}
     return xarray.Dataset(variables, coords, ATTRS | {"study": "element_map"})
 
@@ -507,6 +508,20 @@ def test_what_is_not_computed_of_a_map_is_left_blank(tmp_path: Path) -> None:
         assert [text.get_text() for text in element.contour(_map(field)).texts] == [said]
         draw.write(_map(field), tmp_path, element.MAP_PICTURES)
     assert [text.get_text() for text in element.surface(_map(field)).texts] == [said]
+
+
+def test_what_has_not_settled_of_a_map_is_left_blank() -> None:
+    """As where a run was interrupted; and the colour bar spans what is shown, not the means of its faces."""
+    data = _map(np.add.outer(np.arange(5.0), np.arange(5.0)))
+    data["settled"][3:] = 0
+    shades = element.contour(data).collections[0]
+    assert shades.get_datalim(shades.axes.transData).x1 <= 2 + 1e-9
+    (faces,) = element.surface(data).collections
+    assert faces.get_clim() == (0, 6)
+    for name in ("surfaces", "contours"):
+        drawn = element.MAP_PICTURES[name](data)
+        assert drawn is not None
+        assert "blank: 10 points that had not settled" in [text.get_text() for text in drawn.texts]
 
 
 def test_a_surface_hides_no_point() -> None:

@@ -23,6 +23,7 @@ from timesim.picture.style import (
     state_curves,
     unit,
 )
+from timesim.result.label import counted
 
 MAX_CIRCLES = 8
 ANGLE = "angle θ [degree]"
@@ -210,7 +211,9 @@ def surface(data: Dataset, ax: Any = None, *, name: str = "f_s", tangent: str = 
     step = [max(1, size // 27) for size in z.shape]
     faces = {"rstride": step[0], "cstride": step[1], "edgecolor": "0.25", "linewidth": 0.25}
     if np.isfinite(z).any():
-        _colour_bar(ax, ax.plot_surface(x, y, z, cmap="viridis", **faces), shrink=0.6, pad=0.1)
+        # Faces take the colour of their mean, and the bar would span no more than these.
+        shades = ax.plot_surface(x, y, z, cmap="viridis", vmin=np.nanmin(z), vmax=np.nanmax(z), **faces)
+        _colour_bar(ax, shades, shrink=0.6, pad=0.1)
     else:
         ax.text2D(0.5, 0.5, NOTHING, transform=ax.transAxes, ha="center", fontsize=9)
     ax.set_xlabel(_axis_label(data, first), fontsize=8, labelpad=0)
@@ -238,9 +241,9 @@ def parameters(data: Dataset) -> tuple[str, str]:
 def _coefficient(data: Dataset, name: str, tangent: str) -> np.ndarray:
     """A coefficient over both parameters without the noise of the steps: zero, or the same everywhere, but for it.
 
-    NaN where it was not computed.
+    NaN where it was not computed, or the cycle is not the steady one.
     """
-    z = data[name].sel(tangent=tangent).values
+    z = data[name].where(data["settled"] == 1).sel(tangent=tangent).transpose(*data.dissipation.dims).values
     noise = NOISE * max(float(np.abs(data[part]).max()) for part in COEFFICIENTS)
     z = np.where(np.abs(z) <= noise, 0.0, z)
     known = z[np.isfinite(z)]
@@ -265,7 +268,9 @@ def _all_coefficients(data: Dataset, draw: Callable[..., Any], **options: Any) -
     fig, grid = figure(3, 2, **options)
     for ax, (name, tangent) in zip(grid.flat, product(COEFFICIENTS, ("t1", "t2")), strict=True):
         draw(data, ax, name=name, tangent=tangent)
-    return finish(fig, data, "Fourier coefficients of the friction force")
+    loose = int(np.sum((data["settled"].values == 0) & np.isfinite(data["dissipation"].values)))
+    notes = [f"blank: {counted(loose, 'point')} that had not settled"] if loose else []
+    return finish(fig, data, "Fourier coefficients of the friction force", *notes)
 
 
 _SPACE: dict[str, Any] = {"width": 10.0, "height": 3.4, "gap": 0.2, "left": 0.3, "subplot_kw": {"projection": "3d"}}
