@@ -33,7 +33,7 @@ from timesim.result.netcdf import joined
 from timesim.study import compare
 from timesim.study.execution.campaign import Execution
 from timesim.study.execution.processes import Processes
-from timesim.study.hbm import followed
+from timesim.study.hbm import followed_behind
 from timesim.study.registry import carry_out, load_scene
 
 POINTS = 16
@@ -135,12 +135,12 @@ def row(seed: int, limit: float, processes: Processes | None) -> str:
         clock, begun = time.process_time(), time.perf_counter()
         signal.signal(signal.SIGPROF, lambda *_: signal.raise_signal(signal.SIGINT))
         signal.setitimer(signal.ITIMER_PROF, limit)
-        done = followed(*args, **options)
+        done = followed_behind(*args, **options)
         signal.setitimer(signal.ITIMER_PROF, 0)
         seconds.extend([time.process_time() - clock, time.perf_counter() - begun])
         return done
 
-    compare.followed = timed
+    compare.followed_behind = timed
     try:
         result = result_of(scene_of(model, low, high), processes)
     except Exception as error:  # a row of the table
