@@ -419,6 +419,23 @@ def test_the_scale_shows_the_optimum() -> None:
         assert near.get_xlim()[0] > 0
 
 
+def test_a_least_peak_without_neighbours_is_not_magnified() -> None:
+    """As where a search has hardly begun: the panel would hold one star."""
+    for values, panels in (([1.0, 20.0, 40.0], 1), ([1.0, 20.0, 21.0, 22.0, 40.0], 2)):
+        figure = optimum.PICTURES["peak"](_optimum(values, [4.0, *(0.4 + 0.1 * np.arange(len(values) - 2)), 2.0]))
+        assert figure is not None
+        assert len(figure.axes) == panels
+
+
+def test_where_no_phase_is_known_there_are_no_axes_for_it() -> None:
+    """A force of higher harmonics alone has no first one to compare with."""
+    data = _optimum([1.0, 2.0, 3.0], [4.0, 0.4, 2.0])
+    for known, panels in ((data, 2), (data.assign(phase_deg=np.nan * data["phase_deg"]), 1)):
+        figure = optimum.PICTURES["response"](known)
+        assert figure is not None
+        assert len(figure.axes) == panels
+
+
 def test_an_optimum_of_which_every_point_failed() -> None:
     data = _optimum([1.0, 2.0, 3.0], [4.0, 0.4, 2.0])
     for name in ("peak", "optimum_peak", "optimum_frequency", "amplitude"):

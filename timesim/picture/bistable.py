@@ -283,7 +283,7 @@ def existence(data: DataTree, ax: Axes | None = None, *, key: str | None = None)
 def _response_figure(data: DataTree) -> Figure:
     sets, two = _sets(data), [item.at for item in ranges(data)]
     first = sorted(range(len(sets)), key=lambda i: sets[i] not in two)[:MAX_RANGES]
-    shown = [response, phase] if "phase_deg" in data.children["sweep"] else [response]
+    shown = [response, phase] if shared.has_phase(data.children["sweep"].dataset) else [response]
     fig, axs = shared.with_phase(len(first), 4.0 if len(first) == 1 else 2.4, len(shown) > 1)
     for ax, (i, draw) in zip(axs, product(sorted(first), shown), strict=True):
         label_axes(draw(data, ax, at=sets[i]), _label(data, sets[i]))

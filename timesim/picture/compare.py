@@ -14,7 +14,7 @@ from timesim.orbit.steady_state import switches
 from timesim.picture import hbm as balance
 from timesim.picture.choice import MAX_ROWS, busiest, left_out, motion, motions
 from timesim.picture.figure import axes, figure, finish, from_zero, label_axes, over_cycle, over_decades, stacked
-from timesim.picture.response import PAIRED, several_cycles, with_phase
+from timesim.picture.response import PAIRED, has_phase, several_cycles, with_phase
 from timesim.picture.style import (
     SERIES,
     Axes,
@@ -202,7 +202,7 @@ def _legend(axs: Sequence[Axes], hbm: Dataset, sweep: Dataset) -> None:
 
 def _overlay_figure(data: DataTree) -> Figure:
     hbm, sweep = _groups(data)
-    fig, axs = with_phase(1, 4.6, "phase_deg" in hbm and "phase_deg" in sweep)
+    fig, axs = with_phase(1, 4.6, has_phase(hbm) and has_phase(sweep))
     for ax, name in zip(axs, ("amplitude", "phase_deg"), strict=False):
         overlay(data, ax, name=name).label_outer()
     _legend(axs, hbm, sweep)

@@ -11,6 +11,7 @@ from timesim.picture.response import (
     axis_label,
     broken,
     handles,
+    has_phase,
     one_way,
     over_phase,
     styles,
@@ -75,15 +76,25 @@ def _scaled(ax: Axes, data: Dataset, low: float) -> Axes:
 def magnified(data: Dataset, ax: Axes | None = None) -> Axes:
     """The same about the least peak."""
     ax = _points(data, axes(ax))
-    values, heights = data[scalar(data)].values, data["peak"].values
-    best, reach = float(data["optimum"]), NEAR * float(np.ptp(values))
+    values, best, reach = data[scalar(data)].values, float(data["optimum"]), _reach(data)
     ax.set_xlim(max(best - reach, values[0] - 0.05 * reach), min(best + reach, values[-1] + 0.05 * reach))
-    inside = heights[(values >= best - reach) & (values <= best + reach)]
-    low = np.nanmin(inside)
-    high = min(np.nanmax(inside), STEEP * low)
+    inside = _inside(data)
+    low = inside.min()
+    high = min(inside.max(), STEEP * low)
     margin = max(0.1 * (high - low), FLAT * high) or 1.0
     ax.set_ylim(low - margin, high + margin)
     return ax
+
+
+def _reach(data: Dataset) -> float:
+    """Of the magnified part, to both sides of the least peak."""
+    return NEAR * float(np.ptp(data[scalar(data)].values))
+
+
+def _inside(data: Dataset) -> np.ndarray:
+    """The peaks that the magnified part shows."""
+    heights = data["peak"].values
+    return heights[(np.abs(data[scalar(data)].values - float(data["optimum"])) <= _reach(data)) & np.isfinite(heights)]
 
 
 def responses(data: Dataset, ax: Axes | None = None) -> Axes:
@@ -144,17 +155,19 @@ def _both_ways(ax: Axes, data: Dataset, quantity: Any, *, phase: bool = False) -
 def _peak_figure(data: Dataset) -> Figure | None:
     if not np.isfinite(data["peak"].values).any():
         return None
-    fig, axs = stacked(2, 2.8, share_x=False)
+    near = _inside(data).size > 2  # else there is nothing to magnify, as where a search has hardly begun
+    fig, axs = stacked(1 + near, 2.8, share_x=False)
     peak(data, axs[0])
-    magnified(data, axs[1])
+    if near:
+        magnified(data, axs[1])
     legend_beside(axs[0], labelled(axs[0]).values())
-    return finish(fig, data, "peak over the frequencies, below magnified")
+    return finish(fig, data, "peak over the frequencies" + ", below magnified" * near)
 
 
 def _responses_figure(data: Dataset) -> Figure | None:
     if not np.isfinite(data["peak"].values).any():
         return None
-    fig, axs = with_phase(1, 4.0, "phase_deg" in data)
+    fig, axs = with_phase(1, 4.0, has_phase(data))
     for ax, draw in zip(axs, (responses, phases), strict=False):
         draw(data, ax).label_outer()
     ways = {way: one_way(way, NEUTRAL, "", beside=True) for way in ("up", "down")}

@@ -91,6 +91,11 @@ def one_way(direction: str, colour: str, marker: Any, *, beside: bool) -> Series
     return Series(colour, LINES[direction], marker, beside and direction == "up")
 
 
+def has_phase(data: Dataset) -> bool:
+    """Whether any phase is known: of a motion that repeats, and has a first harmonic where that is excited."""
+    return "phase_deg" in data and bool(np.isfinite(data["phase_deg"].values).any())
+
+
 def with_phase(rows: int, height: float, phase: bool) -> tuple[Figure, list[Axes]]:
     """Axes of a height [inch] one above the other, each with axes for the phase below it if ``phase``."""
     if not phase:
@@ -221,7 +226,7 @@ def response_figure(
     """The response of each point along its axis of largest amplitude, one above the other, its phase below it."""
     points = list(main_axes(data))
     rows = min(len(points), MAX_ROWS)
-    drawn = (response, phase) if "phase_deg" in data else (response,)
+    drawn = (response, phase) if has_phase(data) else (response,)
     fig, axs = with_phase(rows, 4.0 if rows == 1 else 2.4, len(drawn) > 1)
     for ax, (point, draw) in zip(axs, product(points, drawn), strict=False):
         draw(data, ax, point=point).label_outer()
