@@ -201,7 +201,7 @@ def show(
     from timesim.study.registry import draw
 
     try:
-        point = point_again(folder, dict(map(_asked, at or ())))
+        point = point_again(folder, _asked(at or ()))
     except RuleError as error:
         asked = f"--at {error.key[0]}={error.value}" if error.key else str(folder)
         _stop(2, f"{asked}: {error.rule} ({error.hint})")
@@ -220,14 +220,19 @@ def show(
         _stop(1, f"incomplete: {point.reason}")
 
 
-def _asked(text: str) -> tuple[str, float | str]:
-    """An axis and a value along it."""
-    name, equals, value = text.partition("=")
-    if not equals:
-        _stop(2, f"--at {text}: write it as AXIS=VALUE, such as frequency=0.945")
-    with suppress(ValueError):
-        return name, float(value)
-    return name, value
+def _asked(texts: Sequence[str]) -> dict[str, float | str]:
+    """A value along each of some axes."""
+    asked: dict[str, float | str] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals:
+            _stop(2, f"--at {text}: write it as AXIS=VALUE, such as frequency=0.945")
+        if name in asked:
+            _stop(2, f"--at {text}: {name} is given already, as {asked[name]}; show one point after the other")
+        asked[name] = value
+        with suppress(ValueError):
+            asked[name] = float(value)
+    return asked
 
 
 def _loaded(scene: Path, overrides: list[str] | None) -> Any:

@@ -112,7 +112,7 @@ def test_steady_states_and_curves(tmp_path):
     [
         (
             lambda: timesim.modes([[1.0]], 0.1, {"tip": [[1, 0, 0]]}),
-            r"frequency has shape \(1, 1\), it must have \(M\)",
+            r"frequency has shape \(1, 1\), it must have \(M,\): reshape or transpose it",
         ),
         (lambda: timesim.modes([1.0, 2.0], 0.1, {"tip": [[1, 0, 0]]}), r"shapes\['tip'\] .*\(2, 3\)"),
         (lambda: timesim.modes([1.0], [0.1, 0.2], {"tip": [[1, 0, 0]]}), "damping_ratio .* a number or one a mode"),
@@ -146,7 +146,10 @@ def test_steady_states_and_curves(tmp_path):
             "must have 1 entry, one a mode, not",
         ),
         (lambda: timesim.system(one_mass(), [pad()], FORCE, solver={"accuracy": "fine"}), "solver.accuracy: fine"),
-        (lambda: timesim.sweep(oscillator(), 1.39), "frequency has shape"),
+        (
+            lambda: timesim.sweep(oscillator(), 1.39),
+            r"frequency has shape \(\), .* \(F,\): give a list, such as \[1.39\]",
+        ),
         (lambda: timesim.settle(oscillator(), [1.39]), "frequency has shape .* must be a single number"),
         (
             lambda: timesim.sweep(oscillator(), [1.39], over=["contacts.pad.preload"]),
@@ -179,6 +182,10 @@ def test_steady_states_and_curves(tmp_path):
         (lambda: timesim.modal_forces(np.ma.masked_less([0, 1], 1)), r"amplitude is masked in part: .*filled\(0\)"),
         (lambda: timesim.point_force("tip", [1, 0, 0], 1.0, harmonic=False), "harmonic must be a number .*not False"),
         (lambda: timesim.integrate(oscillator(), 1.0, 2, initial=PART), 'initial is a result: save it, .*"from": "end'),
+        (
+            lambda: timesim.integrate(oscillator(), 1.0, 2, initial={"from": PART}),
+            'initial is a result: save it, .*"from": "end',
+        ),
         (lambda: timesim.integrate(oscillator(), 1.0, 2, initial="a/end.nc"), "initial: a/end.nc: .*{from: a/end.nc}"),
         (lambda: timesim.open(None), "path must be the path of a result file or of the folder of a run, not None"),
         (lambda: timesim.show(3, {"frequency": 1}), "path must be the path of a result file .* not 3"),

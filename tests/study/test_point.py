@@ -116,6 +116,10 @@ def test_a_point_goes_with_the_run_that_it_was_of(tmp_path: Path):
         (["frequency=0.98"], r"--at frequency=0.98: must be a frequency of the result \(it has 0.97, 1.2\)"),
         (["direction=left"], r"--at direction=left: must be a direction .*up, down"),
         (["frequency"], "write it as AXIS=VALUE"),
+        (
+            ["frequency=0.97", "frequency=1.2"],
+            "--at frequency=1.2: frequency is given already, as 0.97; show one",
+        ),
         (["frequency=0.97", "direction=up"], rf"must name the {PRELOAD} .*{PRELOAD} has -1, 3"),
         (["frequency=0.97"], rf"4 match: {PRELOAD} -1, direction up; {PRELOAD} -1, direction down; {PRELOAD} 3"),
     ],

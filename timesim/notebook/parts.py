@@ -46,7 +46,9 @@ def array_of(name: str, value: ArrayLike, shape: tuple[int | str, ...]) -> np.nd
     array = _numbers(name, value)
     known = [(have, want) for have, want in zip(array.shape, shape, strict=False) if isinstance(want, int)]
     if array.ndim != len(shape) or any(have != want for have, want in known):
-        wanted = f"have ({', '.join(map(str, shape))}): reshape or transpose it" if shape else "be a single number"
+        sizes = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
+        hint = "reshape or transpose it" if array.ndim else f"give a list, such as [{array:g}]"
+        wanted = f"have {sizes}: {hint}" if shape else "be a single number"
         raise ValueError(f"{name} has shape {array.shape}, it must {wanted}")
     return array
 
