@@ -542,8 +542,9 @@ class Pushed:
 
 
 @pytest.mark.parametrize(("far", "solved"), [(1e6, True), (1e10, False)])
-def test_a_motion_that_is_lost_in_the_rounding_of_its_mean_is_no_solution(far, solved):
-    curve = follow(Pushed(far), np.zeros(2), 0.0, 1.0, Controls())
+@pytest.mark.parametrize("tolerance", [1e-9, 1e-3])
+def test_a_motion_that_is_lost_in_the_rounding_of_its_mean_is_no_solution(far, solved, tolerance):
+    curve = follow(Pushed(far), np.zeros(2), 0.0, 1.0, Controls(tolerance=tolerance))
     assert curve.complete == solved
     assert solved or (curve.p.size, curve.ending) == (0, Ending.START)
 

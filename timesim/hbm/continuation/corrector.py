@@ -9,7 +9,6 @@ The Jacobian of both together, dr/dy bordered by the row b, is regular at a fold
 sign of det dr/dx, which changes at a fold.
 """
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
@@ -288,7 +287,8 @@ class Corrector:
         x = self.unscaled(y)[0]
         waves = x if self.centred is None else x - self.centred.centre(x)  # about its own centre, wherever it has gone
         size, rounding = max(self.controls.size, float(np.linalg.norm(waves))), ROUNDING * float(np.linalg.norm(x))
-        return bool(np.linalg.norm(r) <= self.controls.tolerance * size + rounding <= MOST_ROUNDING * size)
+        near = bool(np.linalg.norm(r) <= self.controls.tolerance * size + rounding)
+        return near and rounding <= MOST_ROUNDING * size
 
     def _in_use(self, y: Array) -> Array:
         """A vector whose other unknowns are zero."""
@@ -323,28 +323,3 @@ class Corrector:
 
     def _step(self, factors: Bordered, r: Array, off_plane: float) -> Array:
         return self._spread(factors.solve(-r / self.x_unit, off_plane))
-
-
-def solve(residual: Residual, guess: Array, p: float, controls: Controls) -> tuple[Array, int] | None:
-    """Solution near a guess at one value of the parameter, and the sign of det dr/dx; None if Newton's method fails."""
-    return _solved(Corrector.damped_newton, residual, guess, p, controls)
-
-
-def solve_near(residual: Residual, guess: Array, p: float, controls: Controls) -> tuple[Array, int] | None:
-    """The same from a good guess, beside which derivatives are kept as long as that converges."""
-    return _solved(Corrector.newton_near, residual, guess, p, controls)
-
-
-def _solved(
-    newton: Callable[[Corrector, Array, Array], CurvePoint],
-    residual: Residual,
-    guess: Array,
-    p: float,
-    controls: Controls,
-) -> tuple[Array, int] | None:
-    corrector = Corrector(residual, controls, abs(p) or 1.0, guess)
-    try:
-        point = newton(corrector, corrector.in_units(guess, p), np.append(np.zeros(guess.size), 1.0))
-    except NoSolutionError:
-        return None
-    return corrector.unscaled(point.y)[0], point.determinant
