@@ -434,7 +434,7 @@ def test_no_start_gives_an_empty_curve_with_the_reason():
 
 
 def test_whatever_the_contact_does_first_all_is_compiled_before_a_curve_is_followed():
-    """At 0.8 Hz it sticks all along, at 1.3 Hz it slips, and a linear response leads to a solution."""
+    """At 0.8 Hz it sticks all along, at 1.26 Hz it slips."""
     model, scheme = systems.oscillator(2.0, 1.0), Scheme(5, 256)
     assert hbm_curve(model, 0.8, 0.801, scheme=scheme).slip_share[0, 0] == 0
     for programs in LOADED:
@@ -445,7 +445,7 @@ def test_whatever_the_contact_does_first_all_is_compiled_before_a_curve_is_follo
     warm_up(model, 0.8, scheme)
     assert [len(programs) for programs in slopes] == [1, 1]  # those that a curve takes
     ready = [len(programs) for programs in LOADED]
-    curve = hbm_curve(model, 1.3, 1.31, scheme=scheme)
+    curve = hbm_curve(model, 1.26, 1.27, scheme=scheme)
     assert curve.complete
     assert curve.slip_share.min() > 0.05
     assert [len(programs) for programs in LOADED] == ready

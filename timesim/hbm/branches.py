@@ -13,7 +13,7 @@ from timesim.hbm.curve import HbmCurve, evaluated, hbm_curve, schemes_of
 from timesim.hbm.first_guess import unknowns_of_modes
 from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import sign_with_offsets_kept
-from timesim.hbm.tangent import compile_slopes, linearised
+from timesim.hbm.tangent import compile_offsets, compile_slopes, linearised
 from timesim.model.model import Model
 
 # Difference of amplitudes, relative to the largest, up to which a curve passes through a motion.
@@ -46,6 +46,7 @@ def warm_up(model: Model, frequency: float, scheme: Scheme, *, stability: bool =
     balance, end, controls = Balance(model, frequency, scheme), 1.001 * frequency, Controls(max_points=2)
     with ThreadPoolExecutor(1) as pool:
         pool.submit(compile_slopes, balance.law)
+        pool.submit(compile_offsets, balance.law, balance.basis)
         curve = hbm_curve(model, frequency, end, scheme=scheme, controls=controls, stability=stability)
         if curve.ending is Ending.INTERRUPTED:
             raise KeyboardInterrupt

@@ -36,7 +36,7 @@ from timesim.hbm.period import (
     starts_of,
     touching_stiffness,
 )
-from timesim.hbm.stuck_offset import offset_slope
+from timesim.hbm.stuck_offset import offset_slope, stuck_offset
 from timesim.orbit.fourier import weighted
 from timesim.program import program
 
@@ -170,6 +170,12 @@ def compile_slopes(law: ConeLaw) -> None:
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(compiled, ((_slopes, LANES), (_slip_slopes, SLIPPING))))
+
+
+def compile_offsets(law: ConeLaw, basis: Basis) -> None:
+    """Compile the offset with which a contact sticks all along, and its derivative."""
+    part, dense = part_of(law, np.zeros(1, dtype=int)), dense_motion_of(basis, np.zeros((1, 3, basis.value.shape[1])))
+    offset_slope(part, stuck_offset(part, dense).force, dense)
 
 
 @dataclass(frozen=True)
