@@ -117,7 +117,8 @@ def _ramped(balance: Balance, frequency: float, controls: Controls) -> Guess:
     ramp = follow(_Ramp(balance, frequency), np.zeros(balance.num_unknowns), 0.0, 1.0, few)
     if ramp.ending is Ending.INTERRUPTED:
         raise KeyboardInterrupt
-    way = f"a load that grows from zero while damping leaves, {ramp.p[-1] if ramp.p.size else 0:.0%} of the way"
+    reached = int(100 * ramp.p[-1]) if ramp.p.size else 0
+    way = f"a load that grows from zero while damping leaves, {reached}% of the way"
     return way, ramp.x[-1] if ramp.complete else None
 
 

@@ -167,7 +167,8 @@ def resumed_start(
         end = replace(end, displacement=change @ end.displacement, velocity=change @ end.velocity)
     rows = [contacts.index(name) for name in names]
     slip, before = end.slip.reshape(-1, 2)[rows], end.state.astype(int).ravel()[rows]
-    _check_bodies(physics, [bodies[i] for i in rows] if bodies else (), before)
+    if bodies:
+        _check_bodies(physics, [bodies[i] for i in rows], before)
     if frames is not None:
         slip = _turned(physics, slip, frames[rows], before)
     loads = contact_loads(physics, end.displacement, slip)
@@ -185,7 +186,7 @@ def resumed_start(
 
 def _check_bodies(physics: Model, bodies: Sequence[tuple[str, str]], before: np.ndarray) -> None:
     """Refuse the slip of a contact that joined others than in the model; where it was apart, its slip is its motion."""
-    for contact, joined, state in zip(physics.contacts, bodies, before, strict=bool(bodies)):
+    for contact, joined, state in zip(physics.contacts, bodies, before, strict=True):
         if state != SEPARATION and contact.friction > 0 and joined != (contact.point, contact.against):
             there, here = " and ".join(joined), f"{contact.point} and {contact.against}"
             rule = f"has contact {contact.name} between {there}, the scene between {here}: its slip is another"

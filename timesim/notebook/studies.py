@@ -58,7 +58,8 @@ def integrate(
     Returns:
         The variables of a transient's result file, `displacement` of shape (time, point, axis) among them.
     """
-    if hasattr(initial["from"] if isinstance(initial, Mapping) and "from" in initial else initial, "to_netcdf"):
+    source = initial.get("from") if isinstance(initial, Mapping) and not hasattr(initial, "to_netcdf") else initial
+    if hasattr(source, "to_netcdf"):
         raise ValueError('initial is a result: save it, initial.to_netcdf("end.nc"), and give {"from": "end.nc"}')
     study = {"kind": "transient", "cycles": cycles, "samples_per_cycle": samples_per_cycle}
     study |= given(record_last=record_last)
