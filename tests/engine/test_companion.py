@@ -11,7 +11,7 @@ import pytest
 from simulation import FINE
 from systems import oscillator
 
-from timesim.engine.companion import ROUNDING, Estimate, companion_of, compared, estimate, state_error, totals_of
+from timesim.engine.companion import ROUNDING, Companion, Estimate, compared, estimate, state_error, totals_of
 from timesim.engine.history import CycleTotals
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import Model
@@ -31,8 +31,11 @@ def finished(model: Model, cycles: int, solver: Solver) -> tuple[Run, CycleTotal
     return run, totals
 
 
-def error_of(run: Run, totals: CycleTotals, companion: Run | None = None) -> Estimate:
-    return estimate(run, totals, companion or companion_of(run), lambda _: None)
+def error_of(run: Run, totals: CycleTotals, companion: Companion | None = None) -> Estimate:
+    companion = companion or Companion(run)
+    while companion.advance():
+        pass
+    return estimate(run, totals, companion)
 
 
 @pytest.mark.parametrize(
@@ -42,7 +45,7 @@ def error_of(run: Run, totals: CycleTotals, companion: Run | None = None) -> Est
 def test_estimate_is_within_a_factor_of_ten(preload: float, frequency: float, solver: Solver) -> None:
     run, totals = finished(oscillator(preload, frequency), 60, solver)
     displacement, velocity = np.split(np.array(TRUTH[f"osc_n0={preload}_f={frequency:g}"]["state_end"]), 2)
-    truth = companion_of(run)
+    truth = Companion(run).run
     truth.displacement, truth.velocity = displacement, velocity
     true, own = state_error(run.model, frequency, run, truth, totals.size), error_of(run, totals)
     print(f"{solver}: true {true:.1e}, estimated {own.state:.1e}")
@@ -98,8 +101,8 @@ def test_estimate_says_where_it_cannot_be_trusted() -> None:
     doubtful = error_of(run, totals)
     assert "235 transitions against 237" in doubtful.remark
     assert doubtful.state == pytest.approx(3 * trusted.state)
-    tired = companion_of(run)
-    tired.solver = replace(tired.solver, budget=3)
+    tired = Companion(run)
+    tired.run.solver = replace(tired.run.solver, budget=3)
     failed = error_of(run, totals, tired)
     assert np.isnan(failed.state)
     assert "companion failed: at time 0" in failed.remark
@@ -109,14 +112,14 @@ def test_estimate_says_where_it_cannot_be_trusted() -> None:
 def test_a_companion_of_fixed_steps_is_named_by_their_length() -> None:
     run, totals = finished(oscillator(3, 1.39), 1, PRESETS["standard"])
     run.solver, other = Solver("rk4", 1e-8, 1e-10, 0.05), replace(totals, transitions=totals.transitions + 1)
-    assert compared(run, totals, companion_of(run), other).remark.startswith("a run of steps twice as long takes ")
+    assert compared(run, totals, Companion(run).run, other).remark.startswith("a run of steps twice as long takes ")
 
 
 @pytest.mark.parametrize("ratio", [1.5, 3.0, 10.0])
 def test_an_estimate_in_doubt_is_the_geometric_mean(ratio: float) -> None:
     """Of the whole difference of both runs and the share of it that a proportional error has, for any companion."""
     run, totals = finished(oscillator(3, 1.39), 1, PRESETS["standard"])
-    other = companion_of(run)
+    other = Companion(run).run
     other.solver = replace(run.solver, rtol=ratio * run.solver.rtol)
     other.displacement, other.velocity = run.displacement + 0.05 * totals.size[0], run.velocity
     found = compared(run, totals, other, totals).state
@@ -126,7 +129,7 @@ def test_an_estimate_in_doubt_is_the_geometric_mean(ratio: float) -> None:
 @pytest.mark.parametrize(("apart", "share"), [(0.005, 1 / 9), (0.05, 1 / 3)])
 def test_errors_that_are_large_are_not_proportional_to_the_tolerance(apart: float, share: float) -> None:
     run, totals = finished(oscillator(3, 1.39), 1, PRESETS["standard"])
-    other = companion_of(run)
+    other = Companion(run).run
     other.displacement, other.velocity = run.displacement + apart * totals.size[0], run.velocity
     found = compared(run, totals, other, totals)
     assert found.state == pytest.approx(share * apart)
@@ -144,6 +147,6 @@ def test_the_companion_is_coarser_also_where_the_longest_step_rules() -> None:
 def test_error_of_a_motion_that_comes_to_rest_off_the_origin() -> None:
     """Velocity vanishes there: by its own size it would have no correct digit."""
     run, _ = finished(oscillator(3, 1.39), 1, PRESETS["standard"])
-    other = companion_of(run)
+    other = Companion(run).run
     run.velocity, other.displacement = np.array([1e-12, 0]), run.displacement
     assert state_error(run.model, 1.39, run, other, np.array([1.0, 1e-12])) < 1e-11

@@ -507,8 +507,24 @@ def test_a_force_that_does_nothing_beside_the_start(force: float) -> None:
     assert relative_error(one.motion, other.motion) < 1e-6
 
 
+LONG = {"study.cycles": 400, "study.record_last": 400}
+
+
+def test_an_interrupt_after_the_last_cycle_leaves_the_run_whole() -> None:
+    def impatient(done: float, total: float, phase: str) -> None:
+        raise KeyboardInterrupt
+
+    outcome = study(
+        load_scene(CONFIGS / "oscillator.yaml", {"study.cycles": 3, "study.record_last": 1}),
+        Execution(progress=impatient),
+    )
+    assert outcome.reason is None
+    assert outcome.groups[""].sizes["cycle"] == 3
+    assert outcome.groups[""].attrs["estimate_remark"] == "interrupted"
+
+
 def test_interrupt_keeps_what_there_is() -> None:
-    scene = load_scene(CONFIGS / "oscillator.yaml", {"study.record_last": 60})
+    scene = load_scene(CONFIGS / "oscillator.yaml", LONG)
 
     def impatient(done: float, total: float, phase: str) -> None:
         if done >= 20:
@@ -520,7 +536,7 @@ def test_interrupt_keeps_what_there_is() -> None:
     result = outcome.groups[""]
     whole = timesim.run(scene)
     kept = result.sizes["cycle"]
-    assert 20 <= kept < 60
+    assert 20 <= kept < 400
     assert result.attrs["complete"] == 0
     np.testing.assert_array_equal(result["cycle_amplitude"], whole["cycle_amplitude"][:kept])
     count = result.sizes["event"]
@@ -529,7 +545,7 @@ def test_interrupt_keeps_what_there_is() -> None:
 
 
 def test_a_run_that_was_interrupted_goes_on_from_where_it_stopped(tmp_path: Path) -> None:
-    scene = load_scene(CONFIGS / "oscillator.yaml", {"solver.accuracy": "reference"})
+    scene = load_scene(CONFIGS / "oscillator.yaml", LONG | {"solver.accuracy": "reference"})
 
     def impatient(done: float, total: float, phase: str) -> None:
         raise KeyboardInterrupt
@@ -580,7 +596,7 @@ def test_a_long_run_is_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
         return compiled(method, control, system, now, *more)
 
     monkeypatch.setattr(event_loop, "advance", advance)
-    simulate(oscillator(3.0, 1.39), 12)
+    simulate(oscillator(3.0, 1.39), 60)
     assert len(seen) > 1
     assert all(leaves == seen[0] for leaves in seen)
 
@@ -628,19 +644,19 @@ def test_device_memory_does_not_grow() -> None:
 
 def test_an_interrupt_loses_no_steps_that_are_being_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
     """The cycle that the reason names is the first one that the result does not hold, and its end the run's."""
-    scene, add, done = load_scene(CONFIGS / "oscillator.yaml", {"study.record_last": 60}), Recorder.add, [0]
+    scene, add, done = load_scene(CONFIGS / "oscillator.yaml", LONG), Recorder.add, [0]
 
-    def interrupted(recorder: Recorder, steps: Steps) -> None:
+    def interrupted(recorder: Recorder, steps: Steps, completed: int) -> None:
         done[0] += 1
         if done[0] == 2:
             os.kill(os.getpid(), signal.SIGINT)
-        add(recorder, steps)
+        add(recorder, steps, completed)
 
     monkeypatch.setattr(Recorder, "add", interrupted)
     outcome = study(scene, Execution())
     result = outcome.groups[""]
     kept = result.sizes["cycle"]
-    assert 0 < kept < 60
-    assert outcome.reason == f"interrupted in cycle {kept + 1} of 60"
+    assert 0 < kept < 400
+    assert outcome.reason == f"interrupted in cycle {kept + 1} of 400"
     end = result["time"].values[-1] * result["cycle_frequency"].values[-1]
     assert kept <= end < kept + 1

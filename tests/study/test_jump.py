@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 import xarray
 from scipy.integrate import solve_ivp
+from simulation import simulate
 from systems import oscillator_scene
 
 import timesim
+from timesim.engine.companion import Companion, estimate
 from timesim.model import promise
 from timesim.picture import jump as plot_jump
 from timesim.picture import transient as plot_transient
@@ -177,6 +179,21 @@ def test_a_run_is_whole_where_its_estimate_is_interrupted() -> None:
     assert outcome.reason is None
     assert np.isnan(outcome.groups[""].attrs["estimated_error"])
     assert any("not known, interrupted" in line for line in outcome.summary)
+
+
+def test_the_companion_of_a_long_run_advances_beside_it() -> None:
+    """A batch of steps for each batch of the run; what may be left of it comes after the run."""
+    shown: list[str] = []
+    long = oscillator_scene(preload=3.0) | {"study": {"kind": "transient", "cycles": 150, "record_last": 1}}
+    long["excitation"]["frequency"] = 1.39
+    outcome = carry_out(load_scene(long), Execution(progress=lambda *part: shown.append(part[-1])))
+    first = next(words for words in shown if words.startswith("estimating"))
+    assert int(first.split()[3]) > 100
+    alone = simulate(load_scene(long).model(), 150, load_scene(long).solver())
+    companion = Companion(alone.run)
+    while companion.advance():
+        pass
+    assert outcome.groups[""].attrs["estimated_error"] == estimate(alone.run, alone.totals, companion).state
 
 
 @pytest.mark.parametrize("estimated", [True, False])

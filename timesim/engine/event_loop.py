@@ -28,7 +28,7 @@ D = TypeVar("D", bound=Dynamics)
 Rows = TypeVar("Rows")
 begun = program(begin)
 ROOM = 2**18  # numbers in a batch of steps: what is done once a batch hardly counts, and XLA runs the loop as one
-LEAST, BATCH = 64, 2048  # steps handed over at a time, at least and at most
+LEAST, BATCH = 64, 8192  # steps handed over at a time, at least and at most
 
 
 class Reached(NamedTuple):

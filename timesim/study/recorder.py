@@ -29,13 +29,14 @@ class Recorder:
         self._events: list[Events] = []
         self._times, self._taken = plan.sample_times(), 0
 
-    def add(self, steps: Steps) -> None:
+    def add(self, steps: Steps, completed: int) -> None:
+        """Record a batch of steps; ``completed``: cycles that are complete at its end."""
         if steps.time.size == 0:
             return
-        self.totals.add(steps, self.run.completed)
+        self.totals.add(steps, completed)
         self._events.append(events(steps))
         end = steps.time[-1] + steps.h[-1]
-        finished = self.run.completed == self.run.num_cycles
+        finished = completed == self.run.num_cycles
         upto = self._times.size if finished else int(np.searchsorted(self._times, end * (1 - 1e-13), side="left"))
         if upto > self._taken:
             self._samples.append(sample(steps, self._times[self._taken : upto]))

@@ -4,13 +4,14 @@ Both record the same (sections 5.2 and 5.3 of the paper).
 """
 
 import time
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 from xarray import Dataset
 
-from timesim.engine.companion import Estimate, companion_of, compared, estimate, rounding, unknown
+from timesim.engine.companion import Companion, Estimate, compared, estimate, rounding, unknown
 from timesim.engine.status import RunError, Status
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.choice import TABLE
@@ -103,15 +104,19 @@ def _carried(scene: Scene, solver: Solver, execution: Execution, first: _Carried
     run = Run(scene.model(), [Phase(*phase) for phase in plan.phases], solver)
     run.time = float(plan.edges()[0])
     recorder = Recorder(run, plan)
-    estimated = scene.file.solver.estimate_error
-    reason = _advance(recorder, execution, (1 + COMPANION * (estimated and not run.closed)) * run.num_cycles)
+    estimated, before = scene.file.solver.estimate_error, None
+    if first is not None and first.error is not None and first.error.proportional:
+        before = first.recorder
+    companion = Companion(run) if estimated and before is None and not run.closed else None
+    reason = _advance(recorder, companion, execution)
     compiling = run.compile_seconds if first is None else first.compiling
     if not estimated:
-        return _Carried(recorder, reason, None, compiling)
-    if first is not None and first.error is not None and first.error.proportional and reason is None:
-        before = first.recorder
-        return _Carried(recorder, reason, compared(run, recorder.totals, before.run, before.totals), compiling)
-    return _Carried(recorder, reason, _estimate(recorder, execution, reason), compiling)
+        error = None
+    elif before is not None and reason is None:
+        error = compared(run, recorder.totals, before.run, before.totals)
+    else:
+        error = _estimate(recorder, companion, reason, execution)
+    return _Carried(recorder, reason, error, compiling)
 
 
 def _record(scene: Scene, done: _Carried, seconds: float) -> Dataset:
@@ -129,41 +134,65 @@ def _record(scene: Scene, done: _Carried, seconds: float) -> Dataset:
     return dataset(variables, {"time": times}, attrs, run.model)
 
 
-def _advance(recorder: Recorder, execution: Execution, whole: float) -> str | None:
-    """Advance a run to its end, and return why it ended early, or None; all work counts as ``whole`` cycles."""
+def _advance(recorder: Recorder, companion: Companion | None, execution: Execution) -> str | None:
+    """Advance a run to its end, its companion beside it, and return why it ended early, or None."""
     run = recorder.run
     try:
         # An interrupt ends the wait for the record of some steps, and not that record.
-        with ThreadPoolExecutor(1) as beside:
+        with ThreadPoolExecutor(2) as threads:
+            beside: list[Future] = []
             for steps in run.batches():
-                beside.submit(recorder.add, steps).result()
-                execution.progress(run.completed, whole, recorder.plan.place(run.completed))
+                compiled = bool(beside)
+                _wait(beside)
+                beside = [threads.submit(recorder.add, steps, run.completed)]
+                if companion is not None and compiled:
+                    beside.append(threads.submit(companion.advance))
+                _show(recorder, companion, execution, recorder.plan.place(run.completed))
+            _wait(beside)
     except RunError as error:
         return str(error)
     except KeyboardInterrupt:
-        return f"interrupted in cycle {run.completed + 1} of {run.num_cycles}"
+        if run.completed < run.num_cycles:
+            return f"interrupted in cycle {run.completed + 1} of {run.num_cycles}"
+        if companion is not None:
+            companion.fault = "interrupted"
     return None
 
 
-def _estimate(recorder: Recorder, execution: Execution, reason: str | None) -> Estimate:
-    """The estimated error of a run; ``reason``: why the run ended early."""
+def _wait(tasks: Sequence[Future]) -> None:
+    """Wait until all of them are done.
+
+    Raises:
+        Exception: what one of them has raised.
+    """
+    for task in tasks:
+        task.result()
+
+
+def _show(recorder: Recorder, companion: Companion | None, execution: Execution, words: str) -> None:
+    """Show how much of a run and its companion is done, in cycles of the run."""
+    share = 0.0 if companion is None else COMPANION
+    done = recorder.run.completed + (share * companion.run.completed if companion else 0.0)
+    execution.progress(done, (1 + share) * recorder.run.num_cycles, words)
+
+
+def _estimate(recorder: Recorder, companion: Companion | None, reason: str | None, execution: Execution) -> Estimate:
+    """The estimated error of a run, by what is left of its companion; ``reason``: why the run ended early."""
     run, totals = recorder.run, recorder.totals
     if reason is not None:
         return unknown(totals, "the run ended early")
-    if run.closed:
+    if companion is None:
         return rounding(run, totals)
-
-    def show(companion: Run) -> None:
-        done = run.num_cycles + COMPANION * companion.completed
-        words = f"estimating the error, {companion.completed} of {counted(run.num_cycles, 'cycle')}"
-        execution.progress(done, (1 + COMPANION) * run.num_cycles, words)
-
-    companion = companion_of(run)
-    companion.time = float(recorder.plan.edges()[0])
     try:
-        return estimate(run, totals, companion, show)
+        while not companion.fault:
+            cycles = counted(run.num_cycles, "cycle")
+            words = f"estimating the error, {companion.run.completed} of {cycles}"
+            _show(recorder, companion, execution, words)
+            if not companion.advance():
+                break
     except KeyboardInterrupt:
         return unknown(totals, "interrupted")
+    return estimate(run, totals, companion)
 
 
 def _sample_variables(recorder: Recorder) -> tuple[Arrays, np.ndarray]:
