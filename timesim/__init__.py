@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from timesim.fault import SceneError
+    from timesim.fault import SceneError, SceneWarning
     from timesim.notebook import (
         contact,
         follow,
@@ -30,6 +30,7 @@ __all__ = [
     "ExecutionError",
     "Scene",
     "SceneError",
+    "SceneWarning",
     "StoreError",
     "contact",
     "follow",
@@ -53,6 +54,7 @@ _MODULES = {
     "ExecutionError": "timesim.study.execution.worker",
     "Scene": "timesim.scene.resolution",
     "SceneError": "timesim.fault",
+    "SceneWarning": "timesim.fault",
     "StoreError": "timesim.result.file",
     "load_scene": "timesim.study.registry",
     "open_result": "timesim.result.netcdf",

@@ -71,6 +71,10 @@ class SceneError(Exception):
         super().__init__("\n".join(str(problem) for problem in self.problems))
 
 
+class SceneWarning(UserWarning):
+    """What is accepted in a scene but may not be intended."""
+
+
 def meant(word: str, known: Collection[str]) -> str:
     """A hint: the known word that is meant; empty where none is near, for rules that list them all."""
     hint = nearest(word, known)

@@ -120,6 +120,12 @@ def test_a_toy_study_is_refused_as_others_are(toy: Path):
     assert timesim.run(toy, {"study.samples": 3}).sizes["toy_angle"] == 3
 
 
+def test_python_is_told_what_the_command_warns_of(toy: Path):
+    overdamped = {"structure.modes.0.damping_ratio": 1.5}
+    with pytest.warns(timesim.SceneWarning, match=r"damping ratio 1\.5 of mode 1 .* 1 % is 0\.01"):
+        timesim.run(toy, overdamped)
+
+
 def test_a_kind_that_is_not_known_is_refused_with_all_that_are(toy: Path):
     with pytest.raises(timesim.SceneError, match=r"study\.kind: tooy: must be one of .*transient, .*, toy \(did"):
         timesim.load_scene(toy, {"study.kind": "tooy"})

@@ -19,8 +19,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from timesim.fault import SceneWarning
 from timesim.result.netcdf import joined
 from timesim.scene import file, resolution
+from timesim.scene.report import warnings_of
 from timesim.scene.resolution import Scene
 from timesim.scene.study import StudySection
 from timesim.study.execution.campaign import Execution, ExecutionError
@@ -165,7 +167,8 @@ def run(
 
     Returns:
         The result: an xarray Dataset, or a DataTree of a study with groups (`compare`, `bistable`). ``complete`` is 0
-        in its attributes if the run ended early, with the reason as a warning.
+        in its attributes if the run ended early, with the reason as a warning. What ``timesim check`` warns of is a
+        `SceneWarning`.
 
     Raises:
         SceneError: the scene is wrong.
@@ -175,6 +178,8 @@ def run(
         scene = load_scene(scene, () if overrides is None else overrides)
     elif overrides is not None:
         scene = scene.with_overrides(overrides)
+    for text in warnings_of(scene):
+        warnings.warn(text, SceneWarning, stacklevel=2)
     outcome = carry_out(scene, Execution(cluster=cluster, workers=workers))
     if outcome.reason is not None:
         warnings.warn(f"the run is incomplete: {outcome.reason}", RuntimeWarning, stacklevel=2)
