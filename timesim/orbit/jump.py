@@ -212,13 +212,24 @@ def steps_of(model: Model, frequencies: Sequence[float], orbits: Sequence[Orbit]
 def suspects(amplitude: np.ndarray) -> np.ndarray:
     """Steps of a sweep over which the amplitude changes by far more than over those beside them.
 
+    Beside the fall from the top of a resonance the amplitude changes much, too, but not by a large factor.
+
     They go by the positions of the points before them; ``amplitude``: of all points along all axes, shape (F, X).
     """
     if len(amplitude) < 3:
         return np.zeros(0, dtype=int)
-    largest = np.nanmax(np.abs(amplitude), initial=1e-300)
+    size = np.abs(amplitude).max(axis=1, initial=0.0)
+    largest = np.nanmax(size, initial=1e-300)
     change = np.max(np.abs(np.diff(amplitude, axis=0)), axis=1, initial=0.0) / largest
-    around = np.concatenate([[np.nan], change, [np.nan]])
-    beside = np.fmax(around[:-2], around[2:])
+    factor = np.abs(np.diff(np.log(np.maximum(size, AT_LEAST**2 * largest))))
     with np.errstate(invalid="ignore"):
-        return np.flatnonzero((change > AT_LEAST) & (change >= STANDS_OUT * beside))
+        stands_out = (change >= STANDS_OUT * _beside(change)) | (
+            (factor > np.log(STANDS_OUT)) & (factor >= STANDS_OUT * _beside(factor))
+        )
+        return np.flatnonzero((change > AT_LEAST) & stands_out)
+
+
+def _beside(change: np.ndarray) -> np.ndarray:
+    """The larger change of the steps beside each one; NaN where there is none."""
+    around = np.concatenate([[np.nan], change, [np.nan]])
+    return np.asarray(np.fmax(around[:-2], around[2:]))

@@ -14,6 +14,7 @@ from timesim.orbit.extrapolation import remaining
 from timesim.orbit.threshold import (
     CLEARLY,
     CYCLES_A_ROUND,
+    DECAYED,
     DOUBLED,
     LEADS_NOWHERE,
     NEARLY_LEAST,
@@ -138,7 +139,7 @@ def is_irregular(changes: Sequence[float], decay: float, noise: float) -> bool:
         noise: change that the steps may leave of a motion that repeats.
     """
     quarter = len(changes) // 4
-    if not quarter:
+    if not quarter or decay * CYCLES_A_ROUND * len(changes) < DECAYED:
         return False
     late = float(np.median(changes[-quarter:]))
     # What finds its way late falls until the middle; from there on the changes of a contact that creeps are slow too.

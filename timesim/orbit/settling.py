@@ -195,7 +195,9 @@ def after_measure(search: Search, recorded: Recorded, solver: Solver, criterion:
 def _done(search: Search, recorded: Recorded) -> Search:
     noise = threshold.NOISY * float(search.lane.control.rtol)
     repeats = search.period > 0 or _long_recurrence(search).left < threshold.VAGUE
-    irregular = not repeats and is_irregular(search.changes, slowest_decay(search.lane), noise)
+    # A motion in which no contact leaves its state decays, however slowly the budget has let it do so.
+    wanders = not (repeats or recorded.is_held)
+    irregular = wanders and is_irregular(search.changes, slowest_decay(search.lane), noise)
     try:
         orbit = recorded.orbit(search.cycles, search.period, search.settled_to, irregular=irregular)
     except RunError as error:  # its cycles cannot be recorded
