@@ -54,7 +54,7 @@ def in_fixed_steps(method: Method, count: int) -> tuple[np.ndarray, list[tuple[i
     run = Run(model, [Phase(frequency, 2)], ANY_ERROR)
     frame, h = Frame(model, run.reduction, frequency), np.asarray(2 * np.pi / count)
     system = system_of(model, frequency, 0.0, run.reduction)
-    control = replace(step_control(ANY_ERROR, model.stuck_rate / frame.scales.omega), longest=h, opening=h)
+    control = replace(step_control(ANY_ERROR, model.stuck_rate / frame.scales.omega), longest=h, opening=h, closing=h)
     start = frame.begin(system, run, float(h), work=False)
     now, steps, taken = advance(method, control, system, start, jnp.asarray(2), 4096)
     assert int(now.status) == Status.RUNNING

@@ -1,6 +1,7 @@
 """The length of a step: the error of every part of the state bounds it, PI control chooses the next one."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from simulation import Trace, simulate
 from systems import at_rest, excitation, oscillator, pad, structure
 
+from timesim.engine.companion import state_error
 from timesim.engine.solver import Solver, next_length, step_control
 from timesim.engine.step import advanced, controlled
 from timesim.engine.system import system_of
@@ -93,7 +95,7 @@ def test_the_control_forgets_at_the_end_of_a_cycle():
 @pytest.mark.parametrize(
     ("before", "after", "accepted", "length"),
     [
-        (SEPARATION, SLIP, True, CONTROL.opening),
+        (SEPARATION, SLIP, True, CONTROL.closing),
         (SEPARATION, SLIP, False, 0.05),
         (SEPARATION, STICK, True, 0.05),
         (STICK, SLIP, True, 0.05),
@@ -141,6 +143,14 @@ def test_the_error_of_slip_that_begins_where_a_contact_closes_follows_the_tolera
     assert found.sequence == true.sequence
     size = np.abs(true.motion[-200:]).max()
     assert np.abs(found.run.displacement - true.run.displacement).max() < 0.01 * rtol * size
+
+
+def test_a_fine_tolerance_is_kept_where_slip_begins_as_a_contact_closes() -> None:
+    """Two contacts with full K_u. A first step ten times as long erred by 1.5e-8 at any tolerance, and was not seen."""
+    scene = load_scene(Path(__file__).parents[1] / "data" / "closing.yaml")
+    fine, other = (simulate(scene.model(), 40, Solver(name, 1e-11, 1e-13)) for name in ("dopri8", "tsit5"))
+    assert fine.sequence == other.sequence
+    assert state_error(scene.model(), 110, fine.run, other.run, fine.totals.size) < 3e-10
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ class Control:
         longest: longest step, and the step of a method without error estimate [rad of the excitation].
         opening: first step of each cycle. The control forgets at a cycle's end: what a cycle makes of a state depends
             on that state alone, so a settled motion repeats to rounding, and a run taken up again is the same run.
-            Also the longest first step of a slip that starts where a contact closes.
+        closing: longest first step of a slip that starts where a contact closes.
         budget: most steps tried in a cycle.
         stiffest: fastest rate of the structure with all its contacts stuck, in units of the excitation's; at least 1.
     """
@@ -30,6 +30,7 @@ class Control:
     atol: Float[Leaf, ""]
     longest: Float[Leaf, ""]
     opening: Float[Leaf, ""]
+    closing: Float[Leaf, ""]
     budget: Int[Leaf, ""]
     stiffest: Float[Leaf, ""]
 
@@ -47,9 +48,9 @@ def step_control(solver: Solver, stiffest: float) -> Control:
         stiffest: fastest rate of the stuck structure, in units of the excitation's frequency.
     """
     stiffest = max(stiffest, 1.0)
-    rtol, atol, longest = (np.asarray(value, dtype=float) for value in (solver.rtol, solver.atol, solver.longest))
-    opening, fastest = (np.asarray(value, dtype=float) for value in (solver.first_step(stiffest), stiffest))
-    return Control(rtol, atol, longest, opening, np.asarray(solver.budget), fastest)
+    lengths = (solver.longest, solver.first_step(stiffest), solver.first_slip(stiffest))
+    rtol, atol, longest, opening, closing, fastest = map(np.asarray, (solver.rtol, solver.atol, *lengths, stiffest))
+    return Control(rtol, atol, longest, opening, closing, np.asarray(solver.budget), fastest)
 
 
 @apart

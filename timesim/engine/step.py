@@ -293,7 +293,7 @@ def controlled(
     ended = accepted & (new.cycle > now.cycle)
     tried = jnp.where(ended, 0, now.tried + 1)
     closed = accepted & ((now.state == SEPARATION) & (new.state == SLIP)).any()
-    length = jnp.where(closed, jnp.minimum(length, control.opening), length)
+    length = jnp.where(closed, jnp.minimum(length, control.closing), length)
     length = jnp.where(ended, control.opening, length)
     last_error = jnp.where(ended, 1.0, jnp.where(accepted, jnp.maximum(error, 1e-4), now.last_error))
     return replace(new, length=length, last_error=last_error, tried=tried)

@@ -39,6 +39,13 @@ class Solver:
             return self.longest
         return min(0.02, 0.2 / max(stiffest, 1.0))
 
+    def first_slip(self, stiffest: float) -> float:
+        """Longest first step of a slip that starts where a contact closes [rad]; ``stiffest`` as in `first_step`.
+
+        By `first_step` errors of up to 1.5e-8 were left there at any tolerance, by a tenth of it 2e-12 at 1e-11.
+        """
+        return self.first_step(stiffest) if self.name in ("rk4", "exponential") else 0.1 * self.first_step(stiffest)
+
     @property
     def has_tolerance(self) -> bool:
         """Whether its steps keep a tolerance."""
