@@ -221,22 +221,12 @@ class Model:
         Summed in this order, and computed side by side in it, they act the same to the last bit in whatever order a
         scene lists them.
         """
-        start, shapes = self.start, self.contact_shape
-        rows = [
-            np.concatenate(
-                [
-                    [
-                        c.friction,
-                        c.normal_stiffness,
-                        c.preload,
-                        *(value for _, value in sorted(c.law_parameters.items())),
-                        start.state[i],
-                    ],
-                    *(np.ravel(part) for part in (c.tangential_stiffness, shapes[i], start.slip[i], c.frame)),
-                ]
-            )
-            for i, c in enumerate(self.contacts)
-        ]
+        rows = []
+        for i, c in enumerate(self.contacts):
+            parameters = [value for _, value in sorted(c.law_parameters.items())]
+            numbers = [c.friction, c.normal_stiffness, c.preload, *parameters, self.start.state[i]]
+            parts = (numbers, c.tangential_stiffness, self.contact_shape[i], self.start.slip[i], c.frame)
+            rows.append(np.concatenate([np.ravel(part) for part in parts]))
         return np.lexsort(np.array(rows).T[::-1]) if rows else np.zeros(0, dtype=int)
 
     @cached_property
