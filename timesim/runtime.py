@@ -86,13 +86,7 @@ def with_parts(tree: T, **parts: Any) -> T:
 
 _SETTINGS: Any = jax.config
 _IDENTITY = {"vendor_id", "cpu family", "model", "model name", "flags"}
-_IDENTITY |= {
-    "CPU implementer",
-    "CPU architecture",
-    "CPU variant",
-    "CPU part",
-    "Features",
-}  # as Linux on ARM names them
+_IDENTITY |= {"CPU implementer", "CPU architecture", "CPU variant", "CPU part", "Features"}  # so Linux on ARM
 _MOST_PROBES = 10
 """Entries of the same small program from which on it is plain that no process meets those of another."""
 
