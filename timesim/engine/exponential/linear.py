@@ -18,7 +18,7 @@ Only the dense output limits a step: it is as long as the quintic through its en
 import timesim.runtime  # noqa: F401  isort: skip
 
 from collections.abc import Iterator
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import NamedTuple
 
 import jax
@@ -53,14 +53,6 @@ class Flow(NamedTuple):
 
     moves: list[np.ndarray]
     forms: np.ndarray | None
-
-
-def added(terms: list[np.ndarray]) -> np.ndarray:
-    """The sum of the terms of a series, the smallest first."""
-    total = terms[-1]
-    for term in terms[-2::-1]:
-        total = total + term
-    return total
 
 
 def doubled(move: np.ndarray) -> np.ndarray:
@@ -121,7 +113,7 @@ class LinearMotion:
     def flow(self, h: float, *, energies: bool = True) -> Flow:
         """What a time h does."""
         powers, doublings, short = self._series(h)
-        move, one = added(powers), np.eye(self.matrix.shape[1])
+        move, one = reduce(np.add, powers[::-1]), np.eye(self.matrix.shape[1])  # the smallest first
         forms = self._energies(powers, short) if energies else None
         for _ in range(doublings):
             if forms is not None:
@@ -133,7 +125,7 @@ class LinearMotion:
         """Quadratic forms of the energies over a short time, by Gauss's rule on its series."""
         forms, one = np.zeros((2, *self.matrix.shape)), np.eye(self.matrix.shape[1])
         for x, weight in zip(*gauss(NUM_NODES), strict=True):
-            inside = one + added([x**k * term for k, term in enumerate(powers, 1)])
+            inside = one + reduce(np.add, [x**k * powers[k - 1] for k in range(len(powers), 0, -1)])
             velocity = weight * short * inside[:, self.p].swapaxes(1, 2)
             forms[0] += velocity @ (self.matrix[:, self.p, self.load] @ inside[:, self.load])
             forms[1] += velocity @ (self.drag @ inside[:, self.p])

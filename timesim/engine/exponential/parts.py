@@ -102,7 +102,9 @@ def in_parts(system: System, steps: Step, parts: Parts) -> Step:
     ends = _modes_at(system, steps, parts)
     held = (steps.state, steps.time, steps.start, steps.inside)
     end, end_rate = by_rows(_filled, (system,), (parts.end, ends), (held, parts.step))
-    start, start_rate = _begun(parts.first, (steps.start, steps.start_rate), (end, end_rate))
+    # The first part of a step begins with its start, the others with the end of the part before.
+    start, start_rate = jax.tree.map(lambda rows: np.roll(rows, 1, axis=0), (end, end_rate))
+    _set(parts.first, (start, start_rate), (steps.start, steps.start_rate))
     state = steps.state[parts.step]
     after = state.copy()
     own = with_parts(steps.end, work=None)
@@ -121,13 +123,6 @@ def in_parts(system: System, steps: Step, parts: Parts) -> Step:
         state_after=after,
         inside=None,
     )
-
-
-def _begun(first: np.ndarray, own: Any, ends: Any) -> Any:
-    """What parts begin with: the first of each step with its own, others with the end of the part before."""
-    begins = jax.tree.map(lambda rows: np.roll(rows, 1, axis=0), ends)
-    _set(first, begins, own)
-    return begins
 
 
 def _set(known: np.ndarray, rows: Any, own: Any) -> None:

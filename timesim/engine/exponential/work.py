@@ -61,16 +61,14 @@ def work_done(system: System, has_fast: bool, steps: Step, count: Int[Array, ""]
     """
     size = steps.h.shape[0]
     rows, steady = min(ROWS, size), Steady.of(system)
-    each = over_lanes(partial(_work, system, steady, has_fast))
-    none = jax.tree.map(
-        lambda leaf: jnp.zeros((size, *leaf.shape)),
-        jax.eval_shape(partial(_work, system, steady, has_fast), _row(steps)),
-    )
+    one = partial(_work, system, steady, has_fast)
+    blank = jax.eval_shape(one, jax.tree.map(lambda leaf: leaf[0], steps))
+    none = jax.tree.map(lambda leaf: jnp.zeros((size, *leaf.shape)), blank)
 
     def part(i: Array, done: Work) -> Work:
         first = jnp.minimum(i * rows, size - rows)
         own = jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, first, rows), steps)
-        found = batch_first(each(batch_last(own)))
+        found = batch_first(over_lanes(one)(batch_last(own)))
         return jax.tree.map(lambda all_, some: jax.lax.dynamic_update_slice_in_dim(all_, some, first, 0), done, found)
 
     return jax.lax.fori_loop(0, (count + rows - 1) // rows, part, none)
@@ -84,10 +82,6 @@ def energy_lost(steps: Step) -> np.ndarray:
 @program
 def _frictions(steps: Step) -> Array:
     return jax.vmap(_friction)(steps)
-
-
-def _row(steps: Step) -> Step:
-    return jax.tree.map(lambda leaf: leaf[0], steps)
 
 
 def _work(system: System, steady: Steady, has_fast: bool, step: Step) -> Work:
