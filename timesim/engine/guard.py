@@ -173,21 +173,6 @@ def first_crossing(
     return jnp.stack([_root(dynamics, state, part, node), *dips]).min()
 
 
-def first_exit(
-    dynamics: Dynamics, state: State, part: Segment, reach: Float[Array, ""]
-) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-    """Fraction of a step at which it is to be cut, and whether a contact leaves its state there.
-
-    Args:
-        dynamics: the system.
-        state: states of the contacts during the step.
-        part: the step.
-        reach: fraction up to which the step is needed.
-    """
-    crossing = first_crossing(dynamics, state, part, doubt=DOUBT)
-    return jnp.clip(crossing, SHORTEST / part.h, reach), crossing <= reach
-
-
 class End(NamedTuple):
     """The end of a step.
 

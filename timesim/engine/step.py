@@ -182,8 +182,9 @@ def cut(control: Control, dynamics: Any, now: Trajectory, trial: Trial, reach: F
         point = state_inside(dynamics, (now.state, now.time, now.point), inside, span / part.h)
         return point, dynamics.field(now.state, now.time + span, point)
 
-    x, early = guard.first_exit(dynamics, now.state, part, reach / part.h)
-    wanted = (x * part.h, early, reach)
+    crossing, needed = guard.first_crossing(dynamics, now.state, part, doubt=guard.DOUBT), reach / part.h
+    early = crossing <= needed
+    wanted = (jnp.clip(crossing, SHORTEST / part.h, needed) * part.h, early, reach)
     part_of_it = partial(guard.end_on_guard, dynamics, now.state, at, trial.end, wanted, 0.1 * control.landing)
     end = jax.lax.cond(trial.precise & (early | (reach < part.h)), part_of_it, lambda: trial.end)
     return trial._replace(end=end, early=early)
