@@ -7,7 +7,7 @@ import timesim.runtime  # noqa: F401  isort: skip
 
 from collections.abc import Iterator
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -62,7 +62,7 @@ def batches(method: Method, control: Control, system: System, now: Trajectory, c
     fast = has_fast_modes(system, float(control.longest))
     done = Work.none(now.state.size)
     ready = prepared(method, control, system) if method.prepares else system
-    while now.cycle < cycles and now.status == Status.RUNNING:
+    while unfinished(now, cycles):
         now, record, count = advance(method, control, ready, now, np.asarray(cycles), room)
         loop = first_rows(record, int(count))
         if method.integrates_work:
@@ -73,6 +73,11 @@ def batches(method: Method, control: Control, system: System, now: Trajectory, c
             done = jax.tree.map(lambda rows: rows[-1], work) if loop.h.size else done
         here = Reached(now.cycle, now.time, now.point, now.state, now.status, now.culprit)
         yield Batch(loop, work, jax.tree.map(np.asarray, here))
+
+
+def unfinished(now: Any, cycles: Any) -> Any:
+    """Which trajectories have neither completed so many cycles nor ended early."""
+    return (now.cycle < cycles) & (now.status == Status.RUNNING)
 
 
 def first_rows(record: Rows, count: int) -> Rows:
@@ -102,7 +107,7 @@ def advance(
 
     def goes_on(carry: tuple) -> Array:
         now, _, count = carry
-        return (now.cycle < cycles) & (now.status == Status.RUNNING) & (count < capacity)
+        return unfinished(now, cycles) & (count < capacity)
 
     def body(carry: tuple) -> tuple:
         now, record, count = carry
@@ -185,10 +190,8 @@ def _marched(
     """`march` with the batch last, or of one trajectory."""
     attempt = partial(over(partial(try_step, method)), control, dynamics)
 
-    def running(now: Trajectory) -> Array:
-        return (now.cycle < cycles) & (now.status == Status.RUNNING)
-
     def counted(count: Array, moves: Array, before: Trajectory, after: Trajectory, step: Step, done: Array) -> Array:
         return count + jnp.where(moves & done, (step.state != step.state_after).sum(axis=0), 0)
 
-    return advance_lanes(attempt, running, start, jnp.zeros(cycles.shape, dtype=jnp.int64), counted)
+    none = jnp.zeros(cycles.shape, dtype=jnp.int64)
+    return advance_lanes(attempt, partial(unfinished, cycles=cycles), start, none, counted)

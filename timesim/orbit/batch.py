@@ -17,12 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from timesim.engine.event_loop import advance, alone, begun, capacity, first_rows, one_by_one
+from timesim.engine.event_loop import advance, alone, begun, capacity, first_rows, one_by_one, unfinished
 from timesim.engine.exponential.work import energy_lost
 from timesim.engine.lanes import Over, advance_lanes, batch_first, batch_last, by_itself, over_lanes
 from timesim.engine.method import Explicit, Method, step_method
 from timesim.engine.solver import Control
-from timesim.engine.status import Status
 from timesim.engine.step import Step, Trajectory, begin, try_step
 from timesim.engine.system import System, Work
 from timesim.model.solver import Solver
@@ -43,10 +42,6 @@ T = TypeVar("T", Trajectory, Step)
 
 Problem = tuple[Control, System, Any]
 """Of one trajectory or of a batch: control, system, and where it goes on from."""
-
-
-def _unfinished(now: Trajectory, cycles: Any) -> Any:
-    return (now.cycle < cycles) & (now.status == Status.RUNNING)
 
 
 @program
@@ -84,7 +79,7 @@ def _marched(method: Method, problem: Problem, num_cycles: int, over: Over) -> t
         return jnp.where(ended[:, None], vectors(after), returns)
 
     returns = jnp.zeros((num_cycles, *vectors(now).shape))
-    return advance_lanes(attempt, partial(_unfinished, cycles=num_cycles), now, returns, keep)
+    return advance_lanes(attempt, partial(unfinished, cycles=num_cycles), now, returns, keep)
 
 
 def march_lanes(
@@ -133,7 +128,7 @@ def _recorded(own: tuple[Lane, int], solver: Solver, most: int | None) -> tuple[
         now, rows, taken = advance(method, lane.control, lane.system, now, np.asarray(num), room)
         parts.append(first_rows(rows, int(taken)))
         count += int(taken)
-        if not _unfinished(now, num):
+        if not unfinished(now, num):
             break
     now = _on_host(now)
     steps = parts[0] if len(parts) == 1 else jax.tree.map(lambda *rows: np.concatenate(rows), *parts)
