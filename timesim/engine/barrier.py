@@ -22,11 +22,9 @@ T = TypeVar("T")
 
 
 def apart(function: Callable[P, T], static: Sequence[int] = ()) -> Callable[P, T]:
-    """The function as a call of its own, whose operations are not fused with those around it.
+    """The function of arrays as a call of its own, whose operations are not fused with those around it.
 
-    Args:
-        function: of arrays.
-        static: places of arguments that are none.
+    ``static``: places of arguments that are no arrays.
     """
 
     def inside(*args: P.args, **kwargs: P.kwargs) -> T:

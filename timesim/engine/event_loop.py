@@ -142,12 +142,7 @@ def march(
 
     A large batch is marched a part after the other.
 
-    Args:
-        method: the method.
-        control: its tolerances, the same for all or with the batch as their first axis.
-        dynamics: the systems, batch first.
-        start: the trajectories, batch first.
-        cycles: cycles that each is to have completed.
+    Systems and trajectories are batch first, and so is the control unless it is the same for all.
 
     Returns:
         The trajectories, and the number of transitions of each.

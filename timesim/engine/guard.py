@@ -151,14 +151,8 @@ def first_crossing(
     them, and next to an end by the rate there: a step that stops just short of a dip is followed by one that begins
     with it. Ending a step there needlessly does no harm.
 
-    Args:
-        dynamics: the system.
-        state: states of the contacts during the step.
-        part: the step.
-        spared: margins that are allowed to be negative at the end, because their transition is taken there.
-
-    Keyword Args:
-        doubt: share of the second difference of a margin above zero from which a dip is proposed too.
+    ``spared``: margins that are allowed to be negative at the end, because their transition is taken there.
+    ``doubt``: share of the second difference of a margin above zero from which a dip is proposed too.
     """
     if state.shape[0] == 0:
         return jnp.asarray(NONE)
@@ -200,8 +194,7 @@ def end_on_guard(
     """The end of a step that is cut.
 
     Args:
-        dynamics: the system.
-        state: states of the contacts during the step.
+        dynamics, state: the system, and the states of its contacts during the step.
         at: the continuous state and its rate after a time since the start of the step, as good as at its end.
         whole: the end of the step that is not cut.
         cut: time at which it is to be cut, whether a contact leaves its state there, and how far it may be moved.

@@ -20,11 +20,7 @@ NODE, WEIGHT = gauss(6)  # as fractions of the step
 def phasors(system: System, steps: Step, cycles: int, harmonics: int) -> np.ndarray:
     """Phasors of the modal displacement, ``q = Re sum_h phasor_h exp(i h phase of the excitation)``, shape (H + 1, M).
 
-    Args:
-        system: in which the steps were taken.
-        steps: numpy arrays, the first axis that of the steps.
-        cycles: how many they make up.
-        harmonics: beside the mean.
+    The steps, numpy arrays whose first axis is that of the steps, make up ``cycles`` whole ones.
     """
     steps = jax.tree.map(lambda rows: rows[steps.h > 0], steps)
     h = steps.h[:, None]

@@ -41,12 +41,7 @@ class Control:
 
 
 def step_control(solver: Solver, stiffest: float) -> Control:
-    """Tolerances, lengths and budget of the steps.
-
-    Args:
-        solver: the numbers.
-        stiffest: fastest rate of the stuck structure, in units of the excitation's frequency.
-    """
+    """Tolerances, lengths and budget of the steps; ``stiffest`` as in `Control`."""
     stiffest = max(stiffest, 1.0)
     lengths = (solver.longest, solver.first_step(stiffest), solver.first_slip(stiffest))
     rtol, atol, longest, opening, closing, fastest = map(np.asarray, (solver.rtol, solver.atol, *lengths, stiffest))
@@ -72,8 +67,7 @@ def next_length(
         order: k of the method.
         before: length that was asked for, and the error of the last accepted step.
         error: error of this try over its tolerance.
-        h: its length.
-        precise: whether it is within its tolerance.
+        h, precise: its length, and whether it is within its tolerance.
     """
     asked, last_error = before
     floor = jnp.maximum(error, 1e-10)

@@ -195,13 +195,9 @@ def _power_lost(acts: Reaction) -> Scalar:
 
 
 def system_of(model: Model, frequency: float, phase: float = 0.0, reduction: Reduction | None = None) -> System:
-    """The dimensionless system of a model at a frequency [Hz], without what a reduction leaves out.
+    """The dimensionless system of a model at a base frequency of the excitation [Hz].
 
-    Args:
-        model: the model.
-        frequency: base frequency of the excitation [Hz].
-        phase: its phase at the start of a cycle [rad].
-        reduction: what need not be modelled; nothing is left out by default.
+    ``phase``: of the excitation at the start of a cycle [rad]. Nothing is left out without a ``reduction``.
     """
     reduction = reduction_of(model, [frequency], reduce=False) if reduction is None else reduction
     scales, excited, modes = scales_of(model, frequency), model.excitation, reduction.modes

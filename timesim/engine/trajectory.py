@@ -336,8 +336,7 @@ class Steps:
     def extremes(self, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest displacement of each point along each axis over rows of steps, each of shape (R, 3P).
 
-        Args:
-            first: the first step of each row, ascending, 0 the first of them, shape (R,).
+        ``first`` as of `timesim.engine.dense_output.extremes`.
         """
         return extremes(self.system, self.loop, self.frame.shape, first, self.rtol)
 

@@ -164,19 +164,10 @@ def solve(
     rule: Rule,
     tolerance: Float[Array, ""] | None,
 ) -> Solved:
-    """A step with every contact keeping its state.
+    """A step with every contact keeping its state, from a time within the cycle and the continuous state there.
 
-    Args:
-        system: the system.
-        flow: of its modes over the step.
-        state: states of the contacts.
-        time: start of the step within the cycle.
-        point: continuous state there.
-
-    Keyword Args:
-        rule: with the nodes.
-        tolerance: error that is allowed; None to sweep as often as is needed in any case, so that the derivative is
-            that of the solution.
+    ``tolerance``: error that is allowed; None to sweep as often as is needed in any case, so that the derivative is
+    that of the solution.
     """
     start = _start(tuple(rule.nodes.tolist()), system, flow, state, time, point)
     inner = system.law.inner(state, start.motion, point.w)

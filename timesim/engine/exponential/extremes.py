@@ -27,8 +27,7 @@ def extremes(
     """Least and largest value of some displacements over rows of steps.
 
     Args:
-        system: in which the steps were taken.
-        steps: numpy arrays, the first axis that of the steps.
+        system, steps: the steps, numpy arrays whose first axis is theirs, and the system in which they were taken.
         shape: the displacements for a unit of each mode, shape (X, M).
         first: the first step of each row, ascending, 0 the first of them, shape (R,).
         rtol: relative tolerance of the steps.

@@ -50,10 +50,7 @@ class Weights(NamedTuple):
 def weights(stiffness: Array, damping: Array, t: Array, h: Array, num: int) -> Weights:
     """The flow over a time t under forces with ``num`` coefficients of powers of a fraction of h.
 
-    Args:
-        stiffness, damping: k and d of each mode, not negative.
-        t, h: times, of shapes that broadcast with those.
-        num: number of coefficients.
+    Stiffness and damping of the modes are not negative; the times t and h are of shapes that broadcast with those.
     """
     k, d = stiffness, damping
     psi = impulse_integrals(k * t * t, d * t, num + 1)

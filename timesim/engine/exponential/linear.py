@@ -191,11 +191,8 @@ class LinearMotion:
 def linear_batches(system: System, start: Point, cycles: int, solver: Solver) -> Iterator[Batch]:
     """Steps through some cycles from the start of one, a batch at a time, or until one asks for too many.
 
-    Args:
-        system: without contacts; numpy arrays.
-        start: the continuous state.
-        cycles: how many.
-        solver: its tolerance is what the quintics may leave of the motion, its budget that of explicit steps a cycle.
+    The system, of numpy arrays, is without contacts. The tolerance of the solver is what the quintics may leave of the
+    motion, its budget that of explicit steps a cycle.
     """
     motion, room, num, done = LinearMotion(system), capacity(system, 0), 2 * LOOKS, 0
     state, work, like = motion.state(start.q, start.p, 0.0), np.zeros((2, 1)), _Like.of(start)

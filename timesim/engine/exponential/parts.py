@@ -86,10 +86,7 @@ def _length_of_part(system: System, steps: Step, followed: float) -> float:
 def short_steps(system: System, steps: Step, rtol: float) -> Step:
     """Steps in parts so short that values and rates at both ends of each are as good as the flow inside.
 
-    Args:
-        system: in which the steps were taken.
-        steps: numpy arrays, the first axis that of the steps.
-        rtol: relative tolerance of the steps.
+    Steps are as of `parts_of`, with their relative tolerance.
     """
     if steps.inside is None or not len(steps.h):
         return steps

@@ -52,12 +52,9 @@ def has_fast_modes(system: System, longest: float) -> bool:
 
 @program
 def work_done(system: System, has_fast: bool, steps: Step, count: Int[Array, ""]) -> Work:
-    """Energies in each step, the axis of the steps first.
+    """Energies in each of the first ``count`` steps, their axis the first; rows beyond are empty.
 
-    Args:
-        system: in which they were taken.
-        has_fast: whether modes may be fast in them.
-        steps: the first ``count`` of them; rows beyond are empty.
+    ``has_fast``: whether modes may be fast in them.
     """
     size = steps.h.shape[0]
     rows, steady = min(ROWS, size), Steady.of(system)

@@ -114,19 +114,15 @@ class ContactLaw(eqx.Module):
     @staticmethod
     @abc.abstractmethod
     def start_states(contacts: Sequence[Contact], normal: np.ndarray) -> np.ndarray:
-        """States in which contacts start where nothing else says so, in numpy, shape (C,).
+        """States in which contacts start under a load n0 + k_v v [force] where nothing else says so, shape (C,), numpy.
 
-        Args:
-            contacts: their parameters in the units of the scene.
-            normal: n0 + k_v v of each [force], shape (C,).
+        Contacts and loads are in the units of the scene.
         """
 
     def disturbed(self, h: Scalar, ends: Sequence[tuple[Motion, Plane]]) -> "ContactLaw":
         """The law as an explicit step follows it with a disturbance: by default this one.
 
-        Args:
-            h: length of the step.
-            ends: motion and slip at both of its ends.
+        ``ends``: motion and slip at both ends of the step of length h.
         """
         return self
 
@@ -171,8 +167,7 @@ class ContactLaw(eqx.Module):
             w: slip at its start.
             motion: at the nodes, their axis the first.
             inner: at the start and the nodes.
-            h: length of the step.
-            rule: the rule.
+            h, rule: length of the step, and the rule.
         """
         acts = self.reaction(state, motion, tuple(x[1:] for x in inner))
         moved = tuple(x + h * (jnp.asarray(rule.integrals) @ dw) for x, dw in zip(w, acts.dw, strict=True))
