@@ -76,11 +76,8 @@ def envelopes(
 ) -> list[list[Envelope]]:
     """Bounds on ``z = output . q + offset``, several for each z: all hold, either may be the closer one.
 
-    Args:
-        oscillation: the structure, its forces and its start.
-        output: shape (C, 3, N).
-        offset: shape (C, 3).
-        omega: circular frequency of the forces, None where it changes or is not known.
+    ``output`` is of shape (C, 3, N), ``offset`` (C, 3); ``omega`` is the circular frequency of the forces, None where
+    it changes or is not known.
 
     Returns:
         For each of the C outputs its bounds. Empty lists where K or D allow none, at the resonance of an

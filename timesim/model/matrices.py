@@ -36,8 +36,7 @@ class Matrices:
 def read_matrices(source: Path | Mapping[str, Path]) -> Matrices:
     """Read mass, stiffness and, if it is there, damping.
 
-    Args:
-        source: a .npz or .mat file that holds them all by name, or a file (.mtx, .npz) for each.
+    They come from a .npz or .mat file that holds them all by name, or from a file (.mtx, .npz) for each.
 
     Raises:
         RuleError: a file that cannot be read, lacks a matrix, or holds something else under its name.

@@ -84,7 +84,6 @@ def reduction_of(
     """Find what need not be modelled.
 
     Args:
-        model: all that the scene says.
         frequencies: base frequencies that the run visits [Hz], in any order. With exactly one the bounds of
             contact forces use the response at it; else they hold for every schedule, and are much wider.
         reduce: False keeps everything; so does a contact of another law than the cone, which the proofs do not know.

@@ -43,9 +43,7 @@ def to_coefficients(phasor: NDArray[Any]) -> Array:
 def periodic_samples(phasor: Complex, count: int) -> Array:
     """Re sum_h phasor_h exp(i h theta), h along the last axis, at N equal samples, the last at 2 pi: shape (..., N).
 
-    Args:
-        phasor: shape (..., H + 1).
-        count: N, more than 2H.
+    The phasors are of shape (..., H + 1); ``count`` is N, more than 2H.
     """
     spectrum = phasor * (0.5 * count)
     spectrum[..., 0] *= 2

@@ -277,13 +277,7 @@ class Recorded:
     def orbit(self, cycles: int, period: int, settled_to: float, *, irregular: bool = False) -> Orbit:
         """The steady state that these cycles show, amplitudes from the extremes of the dense output.
 
-        A body that slides on is seen by one who moves on with it.
-
-        Args:
-            cycles: integrated until their end.
-            period: of the motion; 0 where it has not settled.
-            settled_to: how far it is from repeating.
-            irregular: whether it has shown that it never will.
+        A body that slides on is seen by one who moves on with it. Arguments as the attributes of `Orbit`.
         """
         lane, multipliers = self.start, self.multipliers
         rtol, shape, rate = float(lane.control.rtol), lane.frame.shape, self._rate if period else 0 * self._rate

@@ -229,8 +229,7 @@ def steady_states(
 
     Args:
         chains: the first motion of each starts from the model's own `Start`.
-        solver: method and tolerances.
-        criterion: when a motion counts as settled.
+        solver, criterion: method and tolerances, and when a motion counts as settled.
         halted: asked before each round of cycles; True gives the work up.
         count: called after each steady state that takes cycles.
         each: does the work on batches of them.

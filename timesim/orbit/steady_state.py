@@ -133,9 +133,7 @@ def differ(one: Orbit, other: Orbit) -> bool:
 def share(duration: np.ndarray, within: np.ndarray) -> np.ndarray:
     """Share of the time spent within a state, shape (C,): exactly 0 or 1 where it never changes.
 
-    Args:
-        duration: of each step, shape (N,).
-        within: whether each contact is in the state during each step, shape (N, C).
+    ``within``: whether each contact is in it during each step, shape (N, C), of a duration, shape (N,).
     """
     part = duration @ within / duration.sum()
     return np.where(within.all(axis=0), 1.0, np.minimum(part, 1.0))

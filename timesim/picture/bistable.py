@@ -89,7 +89,6 @@ def response(
     """Both sweeps, what they jump to, and the curves of harmonic balance behind, dashed where they are unstable.
 
     Args:
-        data, ax: the result, and axes to draw on.
         at: position along the further axes; the first of each by default.
         near: show only this range and its surroundings.
         point, axis: whose amplitude is shown; by default those of the summary (`_motion`).

@@ -159,12 +159,10 @@ def draw_branch(
     """A curve of solutions: solid where they are stable, dashed where not, a diamond at each fold.
 
     Args:
-        ax: axes to draw on.
         x, y, stable, fold: the curve and its solutions, shape (N,).
-        colour: of the curve.
+        colour, zorder: of its lines; its folds lie above all lines.
         stable_label: what a legend says of its stable parts.
         widths: of its lines where it is stable and where not [point].
-        zorder: of its lines; its folds lie above all lines.
         phase: y is a phase [degree], with a gap where it wraps around.
     """
     if phase:

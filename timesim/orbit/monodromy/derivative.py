@@ -89,8 +89,7 @@ def derivative(
     """Products over the steps of the derivative of each, in the order of `vector_of`.
 
     Args:
-        method: that of the steps.
-        systems: batch first.
+        method, systems: that of the steps, and those in which they were taken, batch first.
         steps: accepted steps in a row of each, the first axis that of the steps, the last one that of the batch.
         count: how many of them there are; rows beyond are empty.
         opens: whether they begin with the state from which the cycles do, which may be moved off the friction cone: w
