@@ -246,8 +246,7 @@ class Frame:
         ``moved``: displacement of the modes since the start of the phase. What contacts that are left out do along it
         is stored in them, not put in.
         """
-        friction = np.zeros((*np.shape(done.input), self.model.num_contacts))
-        friction[..., self.reduction.live] = done.friction
+        friction = self.reduction.of_all(np.asarray(done.friction))
         modal = np.stack([np.asarray(done.input) - moved @ self.held, np.asarray(done.damping)], axis=-1)
         return before + np.concatenate([modal, friction], axis=-1) * self.scales.energy
 

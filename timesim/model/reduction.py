@@ -77,6 +77,12 @@ class Reduction:
         """Constant modal force of the contacts left out, in the modes kept, shape (K,)."""
         return held_force(self.model, self.modes, self.stuck, self.apart)
 
+    def of_all(self, values: np.ndarray) -> np.ndarray:
+        """Numbers of the live contacts, the last axis L, as those of all contacts: 0 of the others."""
+        whole = np.zeros((*values.shape[:-1], self.model.num_contacts))
+        whole[..., self.live] = values
+        return whole
+
 
 def reduction_of(
     model: Model, frequencies: Sequence[float], *, reduce: bool = True, units: Units | None = None

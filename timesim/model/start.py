@@ -81,7 +81,7 @@ def static_start(physics: Model) -> Start:
         RuleError: no set agrees, nothing restrains a mode of frequency 0, a displacement is too large for a number, or
             a contact leaves its cone.
     """
-    closed = np.array([contact.preload > 0 for contact in physics.contacts], dtype=bool)
+    closed = physics.preload > 0
     seen: set[bytes] = set()
     for _ in range(MAX_STATES):
         displacement, restrained = _equilibrium(physics, closed)

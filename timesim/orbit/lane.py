@@ -19,7 +19,8 @@ from timesim.engine.status import NOBODY, Status
 from timesim.engine.step import PERIOD, Step, Trajectory
 from timesim.engine.system import Point, System, system_of
 from timesim.engine.trajectory import Frame
-from timesim.model.model import CONE, SEPARATION, SLIP, Model, Start
+from timesim.model.contact_state import obeys_cone
+from timesim.model.model import SEPARATION, SLIP, Model, Start
 from timesim.model.reduction import Reduction
 from timesim.model.solver import Solver
 from timesim.orbit.fourier import HARMONICS
@@ -120,9 +121,9 @@ class Lane:
         if not free.size:
             return np.zeros((0, self.vector.size))
         (*along, across), size = self.system.shape, self.here.point.q.size
-        live = [self.model.contacts[i] for i in self.reduction.live]
-        other = np.array([contact.law != CONE for contact in live], dtype=bool)
-        presses = other | np.array([contact.normal_stiffness > 0 for contact in live], dtype=bool)
+        live = self.reduction.live
+        other = ~obeys_cone(self.model)[live]
+        presses = other | (self.model.normal_stiffness[live] > 0)
         held = np.concatenate([across[presses], *(axis[other] for axis in along)])
         q = np.eye(size)[:, free] @ null_space(held[:, free])
         vectors = np.concatenate([q, np.zeros_like(q), *(axis @ q for axis in along)])
@@ -131,12 +132,6 @@ class Lane:
     def start(self) -> Start:
         """The state in the units of the scene."""
         return self.frame.start(self.here.point, self.here.state, self.phase)
-
-    def power(self, power: np.ndarray) -> np.ndarray:
-        """Power of each contact in the units of the scene, from that of the contacts in the loop, shape (C,)."""
-        whole = np.zeros(self.model.num_contacts)
-        whole[self.reduction.live] = power * self.frame.scales.energy * self.frame.scales.omega
-        return whole
 
     def moved(self, vector: np.ndarray) -> "Lane | None":
         """The lane at another state vector; None where a contact would not be in its state there, see `placed`."""
@@ -280,6 +275,8 @@ class Recorded:
         A body that slides on is seen by one who moves on with it. Arguments as the attributes of `Orbit`.
         """
         lane, multipliers = self.start, self.multipliers
+        power = self.lost / (PERIOD * self.cycles) * lane.frame.scales.energy * lane.frame.scales.omega
+        switches = np.count_nonzero(self.steps.state_after != self.steps.state, axis=0)
         rtol, shape, rate = float(lane.control.rtol), lane.frame.shape, self._rate if period else 0 * self._rate
         steps = self._seen_along(short_steps(lane.system, self.steps, rtol), rate)
         whole = steps if rate.any() else self.steps
@@ -297,25 +294,17 @@ class Recorded:
             slip_share=self._share(steps, SLIP),
             separation_share=self._share(steps, SEPARATION),
             phasor=(phasor @ shape.T).reshape(-1, *place) if period else np.full((HARMONICS + 1, *place), np.nan + 0j),
-            dissipated_power=lane.power(self.lost / (PERIOD * self.cycles)),
+            dissipated_power=lane.reduction.of_all(power),
             floquet=multipliers if period else np.full_like(multipliers, np.nan),
             cycle_steps=self.steps.h.size / self.cycles,
-            cycle_transitions=self._transitions,
+            cycle_transitions=lane.reduction.of_all(switches) / self.cycles,
             settled_to=settled_to,
             irregular=irregular,
             drift=PERIOD * (shape @ rate).reshape(place),
         )
 
-    @property
-    def _transitions(self) -> np.ndarray:
-        """Of each contact in a cycle, shape (C,)."""
-        number = np.zeros(self.start.model.num_contacts)
-        number[self.start.reduction.live] = np.count_nonzero(self.steps.state_after != self.steps.state, axis=0)
-        return number / self.cycles
-
     def _share(self, steps: Step, state: int) -> np.ndarray:
-        lane = self.start
-        shares = np.zeros(lane.model.num_contacts)
-        shares[lane.reduction.live] = share(steps.h, steps.state == state)
-        shares[lane.reduction.apart] = float(state == SEPARATION)
+        reduction = self.start.reduction
+        shares = reduction.of_all(share(steps.h, steps.state == state))
+        shares[reduction.apart] = float(state == SEPARATION)
         return shares

@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from timesim.engine.system import Point, System
-from timesim.model.model import CONE, SEPARATION, SLIP
+from timesim.model.contact_state import obeys_cone
+from timesim.model.model import SEPARATION, SLIP
 from timesim.model.reduction import Reduction, keeps_states, reduction_of
 from timesim.model.solver import Solver
 from timesim.orbit.fourier import HARMONICS, half_range
@@ -100,7 +101,7 @@ def held_lane(lane: Lane, solver: Solver) -> Lane | None:
     """
     start, model = lane.start(), lane.model
     rubs = (start.state == SLIP) & (model.friction > 0)
-    if rubs.any() or any(contact.law != CONE for contact in model.contacts):
+    if rubs.any() or not obeys_cone(model).all():
         return None
     # Without friction a closed contact has no tangential stiffness: it adds to the structure as a stuck one does.
     apart, none = start.state == SEPARATION, np.zeros(0, dtype=int)
