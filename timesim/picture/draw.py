@@ -89,7 +89,8 @@ def make_logarithmic(figure: Figure, quantities: Collection[str]) -> set[str]:
     """Make those axes of a figure logarithmic whose labels name one of the quantities; returns those it did so for."""
     met: set[str] = set()
     for ax in figure.axes:
-        along, up = (_words(label) & set(quantities) for label in (ax.get_xlabel(), ax.get_ylabel()))
+        words = (set(label.partition("[")[0].split()) for label in (ax.get_xlabel(), ax.get_ylabel()))  # without units
+        along, up = (set(quantities) & named for named in words)
         if along:
             met |= along
             ax.set_xscale("log")
@@ -124,11 +125,6 @@ def put_factors_in_labels(figure: Figure) -> None:
             formatter.set_powerlimits((power, power))
             axis.get_offset_text().set_visible(False)
             axis.set_label_text(f"{before}[1e{power}{']' if unit == '1]' else f' {unit}'}")
-
-
-def _words(label: str) -> set[str]:
-    """The words of a label, without its unit."""
-    return set(label.partition("[")[0].split())
 
 
 def _vectors(figure: Figure, kind: str) -> bytes:
