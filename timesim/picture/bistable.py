@@ -176,14 +176,9 @@ def _branch(
         # One more solution beyond each edge of the window, so that the line reaches the edge.
         reached = shown | np.append(shown[1:], False) | np.append(False, shown[:-1])
         y = np.where(reached, part[name].values, np.nan)
-        look: dict[str, Any] = {
-            "colour": BEHIND,
-            "stable_label": "harmonic balance",
-            "widths": (1.6, 1.2),
-            "zorder": 1.5,
-            "phase": name == "phase_deg",
-        }
-        shared.draw_branch(ax, x, y, part.stable.values > 0, fold & shown, **look)
+        look: dict[str, Any] = {"stable_label": "harmonic balance", "widths": (1.6, 1.2), "zorder": 1.5}
+        marks = part.stable.values > 0, fold & shown
+        shared.draw_branch(ax, x, y, *marks, colour=BEHIND, phase=name == "phase_deg", **look)
 
 
 def phase(data: DataTree, ax: Axes | None = None, *, at: Mapping[str, int] | None = None) -> Axes:

@@ -131,15 +131,9 @@ def _vectors(figure: Figure, kind: str) -> bytes:
     """A figure as vectors, cut to what is drawn; the same figure gives the same file."""
     from matplotlib import rc_context
 
-    image = io.BytesIO()
+    image, undated = io.BytesIO(), {"Date" if kind == "svg" else "CreationDate": None}
     with rc_context({"svg.hashsalt": "timesim"}):
-        figure.savefig(
-            image,
-            format=kind,
-            bbox_inches="tight",
-            pad_inches=MARGIN / DPI,
-            metadata={"Date" if kind == "svg" else "CreationDate": None},
-        )
+        figure.savefig(image, format=kind, bbox_inches="tight", pad_inches=MARGIN / DPI, metadata=undated)
     return image.getvalue()
 
 

@@ -172,9 +172,8 @@ def contour(data: Dataset, ax: Axes | None = None, *, name: str = "f_s", tangent
         shades = ax.contourf(x, y, z.T, levels=12, cmap="viridis")
         _colour_bar(ax, shades)
         lines = ax.contour(x, y, z.T, levels=list(shades.levels), colors="black", linewidths=0.4)
-        ax.clabel(
-            lines, fontsize=6, fmt="%.3g", manual=_label_places(lines, np.stack([x[[0, -1]], y[[0, -1]]], axis=1))
-        )
+        places = _label_places(lines, np.stack([x[[0, -1]], y[[0, -1]]], axis=1))
+        ax.clabel(lines, fontsize=6, fmt="%.3g", manual=places)
     else:
         where = "everywhere" if z.count() == z.size else "wherever it is computed"
         said = f"{z.compressed()[0]:.4g} {where}" if z.count() else NOTHING

@@ -97,8 +97,7 @@ def finish(fig: Figure, data: Dataset | DataTree, what: str, *notes: str) -> Fig
     if all(ax.get_legend() is None for ax in fig.axes):
         _legend_below(fig)
     x, y = (0.99, 0.04) if fig.legends else (max(ax.get_position().x1 for ax in fig.axes), 0.3)
-    note: dict[str, Any] = {"fontsize": 7, "color": "0.35", "ha": "right", "va": "bottom"}
-    below = fig.text(x, y / tall, "; ".join(filter(None, notes)), **note)
+    below = fig.text(x, y / tall, "; ".join(filter(None, notes)), fontsize=7, color="0.35", ha="right", va="bottom")
     if (too_wide := below.get_window_extent().width / (_WIDEST * x * fig.bbox.width)) > 1:
         below.set_text(fill(below.get_text(), int(0.9 * len(below.get_text()) / too_wide)))
         below.set_y(0.04 / tall)

@@ -75,9 +75,8 @@ def harmonics(data: Dataset, ax: Axes | None = None, *, point: str | None = None
         if rows.size:
             height = content[rows[np.argmax(amplitude[rows])]]
             lowest = min(lowest, float(np.min(height[height > 0], initial=np.inf)))
-            look: dict[str, Any] = {"color": family.style.colour, "linewidth": 0.6, "ms": 4}
-            known = np.where(height > NOISE * height.max(), height, np.nan)
-            ax.plot(data.harmonic.values, known, marker=family.style.marker, **look)
+            known, style = np.where(height > NOISE * height.max(), height, np.nan), family.style
+            ax.plot(data.harmonic.values, known, marker=style.marker, color=style.colour, linewidth=0.6, ms=4)
     ax.set_yscale("log")
     ax.set_ylim(*harmonic_limits(lowest, float(content.max(initial=0.0))))
     ax.set(xlabel="harmonic", ylabel=f"harmonic of {short(point, 16)} {axis}{unit(data, 'harmonic_amplitude')}")

@@ -56,9 +56,8 @@ def _points(data: Dataset, ax: Axes) -> Axes:
 
 
 def _star(ax: Axes, x: float, y: float, label: str) -> None:
-    look: dict[str, Any] = {"color": VERMILION, "markeredgecolor": "black", "ms": 12, "linestyle": "", "zorder": 4}
     if np.isfinite(y):
-        ax.plot(x, y, "*", label=label, **look)
+        ax.plot(x, y, "*", label=label, color=VERMILION, markeredgecolor="black", ms=12, linestyle="", zorder=4)
 
 
 def _scaled(ax: Axes, data: Dataset, low: float) -> Axes:

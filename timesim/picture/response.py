@@ -174,8 +174,7 @@ def draw_branch(
     for part, firm in stable_parts(stable, fold):
         ax.plot(x[part], y[part], color=colour, zorder=zorder, **(solid if firm else dashed))
     if fold.any():
-        marks: dict[str, Any] = {"markeredgecolor": "black", "ms": 4.5, "zorder": 4, "linestyle": ""}
-        ax.plot(x[fold], y[fold], "D", color=colour, label="fold", **marks)
+        ax.plot(x[fold], y[fold], "D", color=colour, label="fold", markeredgecolor="black", ms=4.5, zorder=4, ls="")
 
 
 def several_cycles(ax: Axes, data: Dataset, where: Mapping[str, int], y: np.ndarray) -> None:
@@ -246,18 +245,14 @@ def states_figure(
         return None
     states = {contact: ("separation",) if is_stop(data, contact) else ("slip", "separation") for contact in contacts}
     pairs = [(contact, state) for contact in contacts for state in states[contact]]
-    occurs = [bool(data[f"{state}_share"].sel(contact=contact).values.any()) for contact, state in pairs]  # NaN too
-    shown = [pair for pair, some in zip(pairs, occurs, strict=True) if some] or pairs[:1]
+    occurring = [pair for pair in pairs if data[f"{pair[1]}_share"].sel(contact=pair[0]).values.any()]  # NaN too
+    shown = occurring or pairs[:1]
     fig, axs = stacked(len(shown), 1.9 if len(shown) < 3 else 1.5)
     for ax, (contact, state) in zip(axs, shown, strict=True):
         label_axes(share(data, ax, contact=contact, state=state), short(contact))
         ax.label_outer()
     legend(axs, data)
-    never = [
-        f"share in {state} of {short(contact)}"
-        for (contact, state), some in zip(pairs, occurs, strict=True)
-        if not some
-    ]
+    never = [f"share in {state} of {short(contact)}" for contact, state in pairs if (contact, state) not in occurring]
     zero = f"zero throughout: {', '.join(never)}" if never else ""
     note = left_out(data.sizes["contact"], len(contacts), "contacts")
     words = " and ".join(f"in {state}" for state in ("slip", "separation") if state in {state for _, state in pairs})

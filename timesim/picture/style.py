@@ -110,8 +110,8 @@ def state_curves(ax: Axes, x: np.ndarray, y: np.ndarray, state: np.ndarray, *, s
         name, style = look_of(number, stop=stop)
         pieces = _pieces(state == number)
         if pieces.size:
-            look: dict[str, Any] = {"color": style.colour, "linestyle": style.line, "linewidth": 1.6}
-            ax.plot(*(values[pieces] for values in gapped), label=name, **look)
+            curve = (values[pieces] for values in gapped)
+            ax.plot(*curve, label=name, color=style.colour, linestyle=style.line, linewidth=1.6)
 
 
 def _pieces(inside: np.ndarray) -> np.ndarray:

@@ -206,8 +206,7 @@ def _curve(
     ax.plot(*shared.broken(x, y, gaps), label=label, ms=3.5, markevery=np.flatnonzero(filled).tolist(), **look)
     hollow = hollow & np.isfinite(y)
     if hollow.any():
-        around: dict[str, Any] = {"color": style.colour, "fillstyle": "none", "marker": paired, "linestyle": ""}
-        ax.plot(x[hollow], y[hollow], label=meaning, ms=6, **around)
+        ax.plot(x[hollow], y[hollow], label=meaning, ms=6, color=style.colour, fillstyle="none", marker=paired, ls="")
 
 
 def legend(axs: Sequence[Axes], data: Dataset) -> None:
@@ -215,9 +214,8 @@ def legend(axs: Sequence[Axes], data: Dataset) -> None:
     entries: dict[str, Series] = {}
     several, keys, shown = data.sizes["direction"] > 1, over_keys(data), curves(data)
     for curve in shown:
-        entries.setdefault(
-            curve.label or curve.direction, Series(curve.style.colour, "-", "") if keys and several else curve.style
-        )
+        style = Series(curve.style.colour, "-", "") if keys and several else curve.style
+        entries.setdefault(curve.label or curve.direction, style)
     if not keys and not several and shown[0].direction == "independent":
         entries.clear()  # a single curve, whose axes say what it is
     if keys and several:

@@ -19,8 +19,7 @@ def error_against_time(data: Dataset, ax: Axes | None = None) -> Axes:
     for method, look in zip(dict.fromkeys(data["method"].values.tolist()), SERIES, strict=False):
         own = np.flatnonzero(whole & (data["method"].values == method))
         own = own[np.argsort(-error[own], kind="stable")]
-        line: dict[str, Any] = {"color": look.colour, "linewidth": 0.8, "marker": look.marker, "markersize": 4}
-        ax.plot(seconds[own], error[own], label=method, **line)
+        ax.plot(seconds[own], error[own], label=method, color=look.colour, linewidth=0.8, marker=look.marker, ms=4)
     _front(ax, seconds, error, data["pareto"].values > 0)
     _beside(ax, data, seconds, error)
     for i in np.flatnonzero(data["preset"].values != ""):
@@ -47,8 +46,7 @@ def error_against_time(data: Dataset, ax: Axes | None = None) -> Axes:
 def _front(ax: Axes, seconds: np.ndarray, error: np.ndarray, front: np.ndarray) -> None:
     """The front as a staircase: runs that no other run beats in both time and error."""
     order = np.flatnonzero(front)[np.argsort(seconds[front], kind="stable")]
-    look: dict[str, Any] = {"color": PALE, "linewidth": 5, "alpha": 0.5, "zorder": 0}
-    ax.step(seconds[order], error[order], where="post", label="front", **look)
+    ax.step(seconds[order], error[order], where="post", label="front", color=PALE, linewidth=5, alpha=0.5, zorder=0)
 
 
 def _beside(ax: Axes, data: Dataset, seconds: np.ndarray, error: np.ndarray) -> None:
