@@ -265,19 +265,16 @@ def advanced(
     since = now.since + h
     switched = crossed.any()
     repeats = jnp.where(switched & (since < NO_TIME), now.repeats + 1, jnp.where(since < NO_TIME, now.repeats, 0))
-    return Trajectory(
+    return replace(
+        now,
         cycle=now.cycle + ends,
         time=time,
         point=point,
         rate=dynamics.field(state, time, point),
         state=state,
-        length=now.length,
         limit=jnp.full((), jnp.inf),
-        last_error=now.last_error,
         since=jnp.where(switched, 0.0, since),
         repeats=repeats,
-        tried=now.tried,
-        status=now.status,
         culprit=jnp.where(switched, jnp.argmax(crossed) if crossed.size else 0, now.culprit),
     )
 
