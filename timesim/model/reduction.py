@@ -111,17 +111,11 @@ def reduction_of(
     stuck = np.array([c for c in every if c in margins and scene.state[c] == STICK], dtype=int)
     apart = np.array([c for c in every if c in margins and scene.state[c] == SEPARATION], dtype=int)
     line = _line(scene, modes, live)
-    findings = (
-        *still,
-        *(proven(model.contacts[c], margins[c], units, stuck=scene.state[c] == STICK) for c in sorted(margins)),
-        *(() if line is None else straight(model, live, line)),
-        *(
-            text
-            for c in sorted(live)
-            for text in simplified(model.contacts[c], scene.shape[c], units, is_straight=line is not None)
-        ),
-    )
-    return Reduction(model, modes, live, stuck, apart, line, findings)
+    kept = (proven(model.contacts[c], margins[c], units, stuck=scene.state[c] == STICK) for c in sorted(margins))
+    findings = [*still, *kept, *(() if line is None else straight(model, live, line))]
+    for c in sorted(live):
+        findings += simplified(model.contacts[c], scene.shape[c], units, is_straight=line is not None)
+    return Reduction(model, modes, live, stuck, apart, line, tuple(findings))
 
 
 def keeps_states(model: Model, frequency: float) -> bool:
