@@ -107,12 +107,9 @@ def derivative(
         image, start = partial(_image, looped(method), system, step), vector_of(step.start)
         return jax.vmap(lambda column: jax.jvp(image, (start,), (column,))[1], in_axes=1, out_axes=1)(columns)
 
-    def body(carry: tuple) -> tuple:
-        index, product = carry
+    def body(index: Array, product: Array) -> Array:
         step = jax.tree.map(lambda rows: rows[index], steps)
-        return index + 1, jnp.where(index < count, over_lanes(push)(systems, step, product), product)
+        return jnp.where(index < count, over_lanes(push)(systems, step, product), product)
 
     product = over_lanes(on_cone)(systems, jax.tree.map(lambda rows: rows[0], steps), opens)
-    begin = jnp.zeros((), dtype=jnp.int64), product
-    _, product = jax.lax.while_loop(lambda carry: carry[0] < count.max(), body, begin)
-    return jnp.moveaxis(product, -1, 0)
+    return jnp.moveaxis(jax.lax.fori_loop(0, count.max(), body, product), -1, 0)
