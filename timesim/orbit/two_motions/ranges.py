@@ -9,17 +9,15 @@ the range ends too: the place is bisected, and its end says so. Where a sweep co
 that does not repeat, the motion is followed back to where it is lost: there the range begins.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TypeVar
 
 import numpy as np
 
 from timesim.orbit.steady_state import Columns, Orbit, columns_of, differ, without_orbit
 from timesim.orbit.two_motions.loss import DOWN, UP, WALK, Loss, RangeSearch, Sweeps, losses, traced_back
 
-T = TypeVar("T")
 BOTH = 2  # ends of a range
 NO_MOTION, SMALLER, LARGER = 0, 1, 2
 
@@ -41,8 +39,8 @@ class BistableRange:
     low: float
     high: float
     cut: tuple[bool, bool]
-    settled: tuple[bool, bool]
-    irregular: tuple[int, int]
+    settled: tuple[bool, ...]
+    irregular: tuple[int, ...]
     jumped: np.ndarray
     lower: Orbit
     upper: Orbit
@@ -86,8 +84,8 @@ def _range(
         low=ends[0],
         high=ends[1],
         cut=(ends[0] == sweeps.frequency[0], ends[1] == sweeps.frequency[-1]),
-        settled=_pair(all(loss.jump.on.settled for loss in here) for here in at_ends),
-        irregular=_pair(next((number[one.direction] for one in here if one.of_period), NO_MOTION) for here in at_ends),
+        settled=tuple(all(loss.jump.on.settled for loss in here) for here in at_ends),
+        irregular=tuple(next((number[x.direction] for x in here if x.of_period), NO_MOTION) for here in at_ends),
         jumped=np.array([[x[0].jump.on.amplitude, x[0].jump.beyond.amplitude] if x else none for x in at_ends]),
         lower=lower,
         upper=upper,
@@ -96,11 +94,6 @@ def _range(
 
 def _losses_at(lost: Sequence[Loss], place: float) -> list[Loss]:
     return [loss for loss in lost if loss.jump.near == place and not loss.lives]
-
-
-def _pair(values: Iterable[T]) -> tuple[T, T]:
-    first, second = values
-    return first, second
 
 
 def _at_middle(
