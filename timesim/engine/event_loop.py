@@ -58,16 +58,15 @@ class Batch(NamedTuple):
 
 def batches(method: Method, control: Control, system: System, now: Trajectory, cycles: int) -> Iterator[Batch]:
     """Steps of one trajectory through some cycles from the start of one, or until it ends early."""
-    room = capacity(system, 0 if method.integrates_work else method.order)
+    room = capacity(system, method.order if method.collocates else 0)
     fast = has_fast_modes(system, float(control.longest))
     done = Work.none(now.state.size)
-    ready = prepared(method, control, system) if method.prepares else system
+    ready = prepared(method, control, system) if method.collocates else system
     while unfinished(now, cycles):
         now, record, count = advance(method, control, ready, now, np.asarray(cycles), room)
         loop = first_rows(record, int(count))
-        if method.integrates_work:
-            work = loop.end.work
-        else:
+        work = loop.end.work
+        if method.collocates:
             each = first_rows(work_done(system, fast, record, count), int(count))
             work = jax.tree.map(lambda before, rows: before + np.cumsum(rows, axis=0), done, each)
             done = jax.tree.map(lambda rows: rows[-1], work) if loop.h.size else done
@@ -123,7 +122,7 @@ SIDE_BY_SIDE = 32  # trajectories whose numbers stay in the nearest caches
 
 def one_by_one(method: Method, dynamics: Dynamics) -> bool:
     """Whether the trajectories of a batch are advanced one after the other."""
-    return method.one_by_one or dynamics.wide
+    return method.collocates or dynamics.wide
 
 
 def alone(method: Method, control: Control, dynamics: D) -> D:

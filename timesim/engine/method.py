@@ -62,16 +62,13 @@ class Method(eqx.Module):
 
     Attributes:
         order: order of the solution that is carried on.
-        integrates_work: whether the energies are part of the state that it advances.
-        one_by_one: whether trajectories are advanced one after the other: where a step has loops and branches of its
-            own, each of those side by side would take as long as the slowest.
-        prepares: whether its steps need something of the system that is computed beforehand, see `prepared`.
+        collocates: whether a step is solved for at all its nodes at once. Then its energies are integrated afterwards,
+            it needs something of the system that is `prepared`, and trajectories are advanced one after the other: its
+            steps have loops and branches of their own, so that each of those side by side would wait for the slowest.
     """
 
     order: eqx.AbstractVar[int]
-    integrates_work: ClassVar[bool] = True
-    one_by_one: ClassVar[bool] = False
-    prepares: ClassVar[bool] = False
+    collocates: ClassVar[bool] = False
 
     @abc.abstractmethod
     def advance(
@@ -211,11 +208,6 @@ class Looped(Method):
         return combined(jnp.asarray(rows[-1]), slopes), stages
 
 
-def looped(method: Method) -> Method:
-    """The method in the form that compiles fastest."""
-    return Looped(method.order, method) if isinstance(method, Explicit) else method
-
-
 class Implicit(Method):
     """A diffrax solver for stiff contacts, stepped one step at a time.
 
@@ -250,9 +242,7 @@ class Exponential(Method):
     """
 
     num_nodes: int = eqx.field(static=True)
-    integrates_work: ClassVar[bool] = False
-    one_by_one: ClassVar[bool] = True
-    prepares: ClassVar[bool] = True
+    collocates: ClassVar[bool] = True
 
     @property
     def order(self) -> int:

@@ -139,7 +139,7 @@ class Run:
             return linear_batches(system, frame.point(self.here)[0], cycles, self.solver)
         stiffest = self.model.stuck_rate / frame.scales.omega
         system, control = jax.device_put((system, step_control(self.solver, stiffest)))
-        now = frame.begin(system, self, self.solver.first_step(stiffest), work=self.method.integrates_work)
+        now = frame.begin(system, self, self.solver.first_step(stiffest), work=not self.method.collocates)
         return batches(self.method, control, system, now, cycles)
 
     def _go_on(self, frame: "Frame", now: Reached, origin: "Origin") -> None:

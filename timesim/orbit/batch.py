@@ -120,8 +120,8 @@ def _recorded(own: tuple[Lane, int], solver: Solver, most: int | None) -> tuple[
     several side by side is compiled for as long as the one that marches them.
     """
     (lane, num), method = own, step_method(solver)
-    room = min(CAPACITY, capacity(lane.system, 0 if method.integrates_work else method.order))
-    work = Work.none(lane.here.state.size) if method.integrates_work else None
+    room = min(CAPACITY, capacity(lane.system, method.order if method.collocates else 0))
+    work = None if method.collocates else Work.none(lane.here.state.size)
     here = replace(lane.here.point, work=work)
     now, parts, count = begun(lane.system, here, lane.here.state, lane.control.opening), [], 0
     while count < (most or np.inf):
