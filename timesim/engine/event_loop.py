@@ -43,13 +43,7 @@ class Reached(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Accepted steps in a row, as numpy arrays, their axis the first.
-
-    Attributes:
-        loop: the steps.
-        work: energies since the first step of all batches.
-        now: the trajectory after them.
-    """
+    """Accepted steps in a row, their axis the first; energies since the first of all; the trajectory after them."""
 
     loop: Step
     work: Work

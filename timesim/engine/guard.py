@@ -168,13 +168,7 @@ def first_crossing(
 
 
 class End(NamedTuple):
-    """The end of a step.
-
-    Attributes:
-        h: its length.
-        point, rate: continuous state there and its rate.
-        margin, slope: margins of the contacts there and their rates.
-    """
+    """Length of a step; the continuous state at its end, and margins of the contacts there, each with its rate."""
 
     h: Float[Array, ""]
     point: AnyState

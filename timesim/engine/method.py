@@ -38,13 +38,7 @@ Y: TypeAlias = PyTree
 
 
 class Advance(NamedTuple):
-    """A step.
-
-    Attributes:
-        point, rate: at its end.
-        error: estimated; None where the step is fixed.
-        solved: the step of a method with a dense output of its own, else None.
-    """
+    """The end of a step, its estimated error, None where the step is fixed, and the step where it was `solved` for."""
 
     point: Y
     rate: Y
@@ -235,11 +229,7 @@ class Implicit(Method):
 
 
 class Exponential(Method):
-    """Exponential collocation (`timesim.engine.exponential.collocation`).
-
-    Attributes:
-        num_nodes: of the rule.
-    """
+    """Exponential collocation by a rule of so many nodes (`timesim.engine.exponential.collocation`)."""
 
     num_nodes: int = eqx.field(static=True)
     collocates: ClassVar[bool] = True

@@ -67,7 +67,6 @@ class LinearMotion:
     or of all of them. Each has its own load.
 
     Attributes:
-        system: the system.
         highest: multiple of the base frequency in the excitation.
         matrix: A of each block, shape (B, n, n); displacements and loads are in units in which its norm is about the
             fastest rate of a mode.

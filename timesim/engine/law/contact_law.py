@@ -75,12 +75,7 @@ class Within(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """The contacts at the start and further nodes of a step, components of shape (node, contact).
-
-    Attributes:
-        x, dx: relative motion, normal last, and its rate.
-        w: slip.
-    """
+    """Relative motion, normal last, its rate, and slip at the start and the nodes of a step, each (node, contact)."""
 
     x: Plane
     dx: Plane
@@ -201,11 +196,7 @@ class ContactLaw(eqx.Module):
 
 
 class ContinuousState(abc.ABC):
-    """Where a trajectory is in its continuous state, or the rate of that, or its error over a step.
-
-    Attributes:
-        w: slip of the contacts.
-    """
+    """Where a trajectory is in its continuous state, slip w among it, or the rate of that, or its error over a step."""
 
     w: Plane
 
@@ -219,11 +210,7 @@ class ContinuousState(abc.ABC):
 
 
 class Dynamics(abc.ABC):
-    """A system with contacts.
-
-    Attributes:
-        law: the law of its contacts.
-    """
+    """A system with contacts and their law."""
 
     law: ContactLaw
 
