@@ -10,21 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from timesim.orbit import threshold
 from timesim.orbit.extrapolation import remaining
-from timesim.orbit.threshold import (
-    CLEARLY,
-    CYCLES_A_ROUND,
-    DECAYED,
-    DOUBLED,
-    LEADS_NOWHERE,
-    NEARLY_LEAST,
-    PERIODS,
-    REST,
-    STILL_THERE,
-    VAGUE,
-)
 
-HALF = CYCLES_A_ROUND // 2
+HALF = threshold.CYCLES_A_ROUND // 2
 
 
 @dataclass(frozen=True)
@@ -52,23 +41,23 @@ def recurrence_of(returns: np.ndarray, tolerance: float, noise: float = 0.0) -> 
     size = np.max(np.abs(returns), initial=0.0)
     if size == 0:
         return Recurrence(1, 0.0)
-    latest = [np.abs(returns[-1] - returns[-1 - period]).max() for period in PERIODS if period < len(returns)]
+    latest = [np.abs(returns[-1] - returns[-1 - period]).max() for period in threshold.PERIODS if period < len(returns)]
     least = min(latest, default=np.inf) / size
-    if np.isfinite(least) and least > max(tolerance, noise, REST):
+    if np.isfinite(least) and least > max(tolerance, noise, threshold.REST):
         return Recurrence(0, least)  # as in most rounds
-    for period in PERIODS:
+    for period in threshold.PERIODS:
         change = _changes(returns, period) / size
-        if change.size < CYCLES_A_ROUND:
+        if change.size < threshold.CYCLES_A_ROUND:
             continue
         before, last = _by_halves(change)
         ratio = (last / before) ** (1 / HALF) if before > 0 else 0.0
         left = float(remaining(last, ratio))
-        if last < noise and len(returns) == 2 * CYCLES_A_ROUND:
+        if last < noise and len(returns) == 2 * threshold.CYCLES_A_ROUND:
             led = np.max(np.abs(returns[-1] - returns[(len(returns) - 1) % period])) / size
-            if max(led, before) < LEADS_NOWHERE * last:
+            if max(led, before) < threshold.LEADS_NOWHERE * last:
                 left, tolerance = last, max(tolerance, noise)
-        left = min(left, last) if last < REST else left
-        if last < REST or (last < tolerance and left < tolerance):
+        left = min(left, last) if last < threshold.REST else left
+        if last < threshold.REST or (last < tolerance and left < tolerance):
             own = _own_period(returns / size, period, tolerance)
             if own:
                 return Recurrence(own, left)
@@ -86,9 +75,9 @@ def without_way(returns: np.ndarray, shifts: np.ndarray) -> np.ndarray:
         return returns
     way = returns @ shifts.T
     within = returns - way @ shifts
-    moved = min(np.abs(way[-1] - way[-1 - period]).max() for period in PERIODS)
+    moved = min(np.abs(way[-1] - way[-1 - period]).max() for period in threshold.PERIODS)
     # Of a body that comes to rest, or that a contact holds, its place has to settle as well.
-    return within if moved > VAGUE * np.abs(within).max() else returns
+    return within if moved > threshold.VAGUE * np.abs(within).max() else returns
 
 
 def _own_period(returns: np.ndarray, period: int, tolerance: float) -> int:
@@ -100,7 +89,7 @@ def _own_period(returns: np.ndarray, period: int, tolerance: float) -> int:
         earlier, now = _by_halves(_changes(returns, part))
         if now < tolerance:
             return part
-        if not (now > DOUBLED * tolerance and now > STILL_THERE * earlier):
+        if not (now > threshold.DOUBLED * tolerance and now > threshold.STILL_THERE * earlier):
             return 0
     return period
 
@@ -115,7 +104,7 @@ def _by_halves(change: np.ndarray) -> tuple[float, float]:
     return np.max(change[-2 * HALF : -HALF]), np.max(change[-HALF:])
 
 
-def nearest_period(returns: np.ndarray, longest: int = CYCLES_A_ROUND, tolerance: float = 0.0) -> Recurrence:
+def nearest_period(returns: np.ndarray, longest: int = threshold.CYCLES_A_ROUND, tolerance: float = 0.0) -> Recurrence:
     """The shortest period over which the state changes little more than over that of the least change.
 
     Args:
@@ -126,7 +115,7 @@ def nearest_period(returns: np.ndarray, longest: int = CYCLES_A_ROUND, tolerance
     longest = min(longest, len(returns) - HALF)
     size = max(np.max(np.abs(returns)), 1e-300)
     change = np.array([_changes(returns, period)[-HALF:].max() for period in range(1, longest + 1)]) / size
-    place = int(np.argmax(change <= max(NEARLY_LEAST * max(change.min(), REST), tolerance)))
+    place = int(np.argmax(change <= max(threshold.NEARLY_LEAST * max(change.min(), threshold.REST), tolerance)))
     return Recurrence(place + 1, float(change[place]))
 
 
@@ -139,13 +128,14 @@ def is_irregular(changes: Sequence[float], decay: float, noise: float) -> bool:
         noise: change that the steps may leave of a motion that repeats.
     """
     quarter = len(changes) // 4
-    if not quarter or decay * CYCLES_A_ROUND * len(changes) < DECAYED:
+    if not quarter or decay * threshold.CYCLES_A_ROUND * len(changes) < threshold.DECAYED:
         return False
     late = float(np.median(changes[-quarter:]))
     # What finds its way late falls until the middle; from there on the changes of a contact that creeps are slow too.
     for begin, share in ((quarter, 2), (2 * quarter, 8)):
         early = float(np.median(changes[begin : begin + quarter]))
-        due = decay * CYCLES_A_ROUND * (len(changes) - quarter - begin)
-        if due > CLEARLY and late > max(VAGUE, noise) and np.log(early / late) < min(due, 2 * CLEARLY) / share:
+        due = decay * threshold.CYCLES_A_ROUND * (len(changes) - quarter - begin)
+        least = min(due, 2 * threshold.CLEARLY) / share
+        if due > threshold.CLEARLY and late > max(threshold.VAGUE, noise) and np.log(early / late) < least:
             return True
     return False

@@ -19,19 +19,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from timesim.orbit import threshold
 from timesim.orbit.lane import Lane, Recorded
-from timesim.orbit.threshold import (
-    FINER,
-    FINEST,
-    MOST_SHOTS,
-    NOISY,
-    QUICK,
-    REACH,
-    SHORTER,
-    SHORTEST_SHARE,
-    UNSTABLE,
-    VAGUE,
-)
 
 
 class Failure(enum.Enum):
@@ -83,15 +72,15 @@ def iterated(shot: Shot, recorded: Recorded, tolerance: float) -> Shot | Converg
     if left < tolerance:
         return _ended(shot, recorded, left)
     closer, rtol = _led_closer(shot, recorded), float(shot.lane.control.rtol)
-    noisy = shot.before is not None and closer > QUICK and change < NOISY * rtol
-    if noisy and rtol > FINEST:
-        finer = max(FINEST, min(FINER * rtol, FINER * tolerance * change / left))
+    noisy = shot.before is not None and closer > threshold.QUICK and change < threshold.NOISY * rtol
+    if noisy and rtol > threshold.FINEST:
+        finer = max(threshold.FINEST, min(threshold.FINER * rtol, threshold.FINER * tolerance * change / left))
         return _counted(replace(shot, lane=shot.lane.within(finer), before=None))
     if noisy:
-        return _ended(shot, recorded, left) if left < VAGUE else Failure.ASTRAY
+        return _ended(shot, recorded, left) if left < threshold.VAGUE else Failure.ASTRAY
     if closer > 1 - shot.share / 4:
         return _shorter(shot)
-    return _moved(replace(shot, before=recorded, share=min(1.0, REACH / left)), step)
+    return _moved(replace(shot, before=recorded, share=min(1.0, threshold.REACH / left)), step)
 
 
 def _led_closer(shot: Shot, recorded: Recorded) -> float:
@@ -110,32 +99,33 @@ def _shorter(shot: Shot) -> Shot | Failure:
     """A shorter step from the iterate before."""
     if shot.before is None:
         return Failure.ASTRAY
-    return _moved(replace(shot, share=SHORTER * shot.share), shot.before.newton_step(shot.before.change))
+    return _moved(replace(shot, share=threshold.SHORTER * shot.share), shot.before.newton_step(shot.before.change))
 
 
 def _moved(shot: Shot, step: np.ndarray) -> Shot | Failure:
     """A share of the step from the iterate before, a smaller one where the contacts do not allow it."""
     assert shot.before is not None
     share, start = shot.share, shot.before.start
-    while share >= SHORTEST_SHARE:
+    while share >= threshold.SHORTEST_SHARE:
         lane = start.moved(start.vector + share * step)
         if lane is not None:
             return _counted(replace(shot, lane=lane, share=share))
-        share *= SHORTER
+        share *= threshold.SHORTER
     return Failure.ASTRAY
 
 
 def _counted(shot: Shot) -> Shot | Failure:
-    return replace(shot, count=shot.count + 1) if shot.count < MOST_SHOTS else Failure.ASTRAY
+    return replace(shot, count=shot.count + 1) if shot.count < threshold.MOST_SHOTS else Failure.ASTRAY
 
 
 def _ended(shot: Shot, recorded: Recorded, left: float) -> Shot | Converged | Failure:
     """The end of an iteration; a motion that repeats within the period is shot once more, over its own."""
-    repeats = [_largest(vector - recorded.returns[-1]) < VAGUE * shot.lane.size for vector in recorded.returns]
+    near, end = threshold.VAGUE * shot.lane.size, recorded.returns[-1]
+    repeats = [_largest(vector - end) < near for vector in recorded.returns]
     period = next(n for n, repeated in enumerate(repeats, 1) if repeated and shot.period % n == 0)
     if period < shot.period:
         return Shot(shot.lane, period)
-    if np.max(np.abs(recorded.multipliers), initial=0.0) > UNSTABLE:
+    if np.max(np.abs(recorded.multipliers), initial=0.0) > threshold.UNSTABLE:
         return Failure.UNSTABLE
     return Failure.ASTRAY if recorded.strays else Converged(left)
 
