@@ -111,8 +111,10 @@ def try_step(
     step = Step(now.cycle, now.time, span, now.point, now.rate, end, trial.end.rate, now.state, state, trial.inside)
 
     length = next_length(control, method.order, (now.length, now.last_error), trial.error, asked, trial.precise)
-    limit = limit_of_next(trial, landing, h)
-    moved = advanced(dynamics, now, after, state, span, last & ~landing.early, landing.crossed)
+    inside = trial.precise & (landing.crossing < guard.NONE)  # a contact has left its state: tried again up to there
+    limit = jnp.where(inside, jnp.maximum(landing.crossing * h, SHORTEST), jnp.inf)
+    early = landing.correction < 0
+    moved = advanced(dynamics, now, after, state, span, last & ~early, landing.crossed)
     kept = replace(now, limit=limit)
     result = jax.tree.map(lambda new, old: jnp.where(landing.accepted, new, old), moved, kept)
     result = controlled(control, now, result, trial.error, length, landing.accepted)
@@ -208,11 +210,6 @@ class Landing(NamedTuple):
     crossed: Bool[Array, " contact"]
     astray: Bool[Array, ""]
 
-    @property
-    def early(self) -> Bool[Array, ""]:
-        """Whether the step ends before the time that was asked for."""
-        return self.correction < 0
-
 
 def landed(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, last: Array) -> Landing:
     """Follow the margins over a step: the first crossing inside, else the transitions that are due at its end."""
@@ -231,12 +228,6 @@ def landed(control: Control, dynamics: Dynamics, now: Trajectory, trial: Trial, 
     correction = jnp.where(on_guard, soonest, 0.0)
     crossed = on_guard & (due & (margin + correction * slope <= TOGETHER)).any(axis=0)
     return Landing(crossing, accepted, correction, crossed, astray)
-
-
-def limit_of_next(trial: Trial, landing: Landing, h: Array) -> Float[Array, ""]:
-    """Length of the next try where a contact has left its state inside this one; infinite where none has."""
-    inside = trial.precise & (landing.crossing < guard.NONE)
-    return jnp.where(inside, jnp.maximum(landing.crossing * h, SHORTEST), jnp.inf)
 
 
 @apart

@@ -70,11 +70,9 @@ class Flow:
 
 @tree_class
 class Ladder:
-    """What steps of a system need, computed once: flows for lengths that halve every second rung.
+    """What steps of a system need, computed once: the motion that the excitation forces, and flows.
 
-    Attributes:
-        flows: of the lengths, longest first, their axis the first.
-        steady: motion that the excitation forces.
+    These are for lengths that halve every second rung, longest first; their axis is the first.
     """
 
     flows: Flow

@@ -17,11 +17,9 @@ NEAR_RESONANCE = 1e-3  # of |k - i^2 + i d| in k + i^2: below it the force is ta
 
 @tree_class
 class Steady:
-    """The motion that each harmonic of the excitation forces on each mode: cosine and sine parts, (harmonic, mode).
+    """The motion that each harmonic of the excitation forces on each mode: cosine part a and sine part b.
 
-    Attributes:
-        a, b: cosine and sine part.
-        left: 1 where a force has no such motion and is left to the polynomial, else 0.
+    ``left`` is 1 where a force has no such motion and is left to the polynomial, else 0.
     """
 
     a: Float[Array, "harmonic mode"]
