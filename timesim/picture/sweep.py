@@ -131,11 +131,8 @@ def peaks(amplitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     ``amplitude``: over the last axis, the frequencies, shape (N, F); NaN where a point is missing.
     """
-    known = np.isfinite(amplitude).all(axis=1)
-    place = np.argmax(np.where(known[:, None], amplitude, 0.0), axis=1)
-    largest = np.where(known, np.take_along_axis(amplitude, place[:, None], axis=1)[:, 0], np.nan)
-    last = amplitude.shape[1] - 1
-    return largest, known & (last > 0) & ((place == 0) | (place == last))
+    largest, place, last = amplitude.max(axis=1), np.argmax(amplitude, axis=1), amplitude.shape[1] - 1
+    return largest, np.isfinite(largest) & (last > 0) & ((place == 0) | (place == last))
 
 
 def curves(data: Dataset, without: str | None = None) -> list[DrawnCurve]:
