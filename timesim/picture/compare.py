@@ -181,12 +181,11 @@ def harmonics(data: DataTree, ax: Axes | None = None) -> Axes:
         look: dict[str, Any] = {"fillstyle": "none", "linestyle": "", "ms": 6 if method == "sweep" else 3.5}
         known = np.where(height > balance.NOISE * height.max(), height, np.nan)
         ax.plot(cycle.harmonic.values, known, style.marker, color=style.colour, **look)
-    ax.set_yscale("log")
     content = np.abs(cycle.harmonic_amplitude.sel(point=point, axis=axis).values)
-    ax.set_ylim(*balance.harmonic_limits(float(np.min(content[content > 0], initial=np.inf)), float(content.max())))
     what = "harmonic (circles: time integration, squares: harmonic balance)"
     ax.set(xlabel=what, ylabel=f"amplitude{unit(cycle, 'harmonic_amplitude')}")
-    return balance.over_harmonics(ax, cycle)
+    lowest = float(np.min(content[content > 0], initial=np.inf))
+    return balance.over_harmonics(ax, cycle, lowest, float(content.max()))
 
 
 def _cycle(data: DataTree) -> tuple[Dataset, str, str]:

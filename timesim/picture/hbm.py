@@ -77,23 +77,18 @@ def harmonics(data: Dataset, ax: Axes | None = None, *, point: str | None = None
             lowest = min(lowest, float(np.min(height[height > 0], initial=np.inf)))
             known, style = np.where(height > NOISE * height.max(), height, np.nan), family.style
             ax.plot(data.harmonic.values, known, marker=style.marker, color=style.colour, linewidth=0.6, ms=4)
-    ax.set_yscale("log")
-    ax.set_ylim(*harmonic_limits(lowest, float(content.max(initial=0.0))))
     ax.set(xlabel="harmonic", ylabel=f"harmonic of {short(point, 16)} {axis}{unit(data, 'harmonic_amplitude')}")
-    return over_harmonics(ax, data)
+    return over_harmonics(ax, data, lowest, float(content.max(initial=0.0)))
 
 
-def over_harmonics(ax: Axes, data: Dataset) -> Axes:
-    """Limit the abscissa to the harmonics of a result, those that are not drawn included."""
+def over_harmonics(ax: Axes, data: Dataset, lowest: float, largest: float) -> Axes:
+    """Limit the axes to all harmonics of a result, and to those between two sizes that are not rounding."""
     ax.set_xlim(-0.5, data.harmonic.values[-1] + 0.5)
     ax.locator_params(axis="x", integer=True)
-    return ax
-
-
-def harmonic_limits(lowest: float, largest: float) -> tuple[float, float]:
-    """Limits of a logarithmic axis for harmonics between these sizes: those of rounding lie below it."""
+    ax.set_yscale("log")
     top = largest or 1.0
-    return max(top * NOISE, min(lowest, top) / 2), 2 * top
+    ax.set_ylim(max(top * NOISE, min(lowest, top) / 2), 2 * top)
+    return ax
 
 
 def families(data: Dataset) -> list[DrawnFamily]:
