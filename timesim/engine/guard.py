@@ -35,6 +35,8 @@ NONE = 2.0  # a fraction beyond the step
 
 Margins: TypeAlias = Float[Array, "*node margin contact"]
 """The two margins of each contact, the force in units of its scale."""
+Ends: TypeAlias = tuple[AnyState, AnyState]
+"""At the start and at the end of a step."""
 
 
 class Segment(eqx.Module):
@@ -55,13 +57,7 @@ class Segment(eqx.Module):
 
 
 @apart
-def segment(
-    dynamics: Dynamics,
-    state: State,
-    points: tuple[AnyState, AnyState],
-    rates: tuple[AnyState, AnyState],
-    h: Float[Array, ""],
-) -> Segment:
+def segment(dynamics: Dynamics, state: State, points: Ends, rates: Ends, h: Float[Array, ""]) -> Segment:
     """The contacts' view of a step, from the states and rates at its ends."""
     paths, slips = _ends(dynamics, points, rates)
 
@@ -81,13 +77,7 @@ def segment(
 
 
 def segment_of_nodes(
-    dynamics: Dynamics,
-    state: State,
-    points: tuple[AnyState, AnyState],
-    rates: tuple[AnyState, AnyState],
-    h: Float[Array, ""],
-    nodes: Nodes,
-    rule: Rule,
+    dynamics: Dynamics, state: State, points: Ends, rates: Ends, h: Float[Array, ""], nodes: Nodes, rule: Rule
 ) -> Segment:
     """The contacts' view of a step that is known at more places than its ends."""
     hermite, monomials = jnp.asarray(rule.hermite), jnp.asarray(rule.monomials)
@@ -105,7 +95,7 @@ def segment_of_nodes(
     return Segment(*_at_ends(dynamics, state, *_ends(dynamics, points, rates)), path, slip, h)
 
 
-def _ends(dynamics: Dynamics, points: tuple, rates: tuple) -> tuple[tuple[Path, Path], tuple[tuple, tuple]]:
+def _ends(dynamics: Dynamics, points: Ends, rates: Ends) -> tuple[tuple[Path, Path], tuple[tuple, tuple]]:
     """Relative motion at both ends of a step with two derivatives, and slip with one."""
     start, end = (dynamics.path(*one) for one in zip(points, rates, strict=True))
     first, last = ((y.w, dy.w) for y, dy in zip(points, rates, strict=True))
