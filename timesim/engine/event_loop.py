@@ -135,27 +135,25 @@ def march(
 
     A large batch is marched a part after the other.
 
-    Systems and trajectories are batch first, and so is the control unless it is the same for all.
+    Systems and trajectories are batch first, the control is the same for all.
 
     Returns:
         The trajectories, and the number of transitions of each.
     """
     size = cycles.shape[0]
     if one_by_one(method, dynamics):
-        own = jax.tree.map(lambda leaf: leaf if leaf.ndim else jnp.broadcast_to(leaf, size), control)
 
         def march_one(lane: tuple) -> tuple[Trajectory, Array]:
-            control, dynamics, start, cycles = lane
+            dynamics, start, cycles = lane
             return _marched(method, control, alone(method, control, dynamics), start, cycles, by_itself)
 
-        return jax.lax.map(march_one, (own, dynamics, start, cycles))
+        return jax.lax.map(march_one, (dynamics, start, cycles))
     if size <= SIDE_BY_SIDE:
         return _march_together(method, control, dynamics, start, cycles)
     lanes = (jnp.arange(-(-size // SIDE_BY_SIDE) * SIDE_BY_SIDE) % size).reshape(-1, SIDE_BY_SIDE)
 
     def part(chosen: Int[Array, " part"]) -> tuple[Trajectory, Int[Array, " part"]]:
-        own = jax.tree.map(lambda leaf: leaf[chosen] if leaf.ndim else leaf, control)
-        return _march_together(method, own, *jax.tree.map(lambda leaf: leaf[chosen], (dynamics, start, cycles)))
+        return _march_together(method, control, *jax.tree.map(lambda leaf: leaf[chosen], (dynamics, start, cycles)))
 
     done = jax.lax.map(part, lanes)
     # Not -1: without contacts there are leaves of no elements, which do not tell.
@@ -165,10 +163,8 @@ def march(
 def _march_together(
     method: Method, control: Control, dynamics: Dynamics, start: Trajectory, cycles: Int[Array, " batch"]
 ) -> tuple[Trajectory, Int[Array, " batch"]]:
-    per_run = jax.tree.map(lambda leaf: -1 if leaf.ndim else None, control)
-    end, count = _marched(
-        method, control, *batch_last((dynamics, start)), cycles, partial(over_lanes, in_axes=(per_run, -1, -1))
-    )
+    over = partial(over_lanes, in_axes=(None, -1, -1))
+    end, count = _marched(method, control, *batch_last((dynamics, start)), cycles, over)
     return batch_first(end), count
 
 
