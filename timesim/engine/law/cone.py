@@ -150,10 +150,8 @@ class ConeLaw(ContactLaw):
 
     def slip_at_transition(self, before: State, after: State, motion: Motion, w: Plane) -> Plane:
         # On the cone during and after slip, w = u during and after separation.
-        sliding = self.friction * normal_load(self, motion.v)
-        on_cone = minus(motion.u, product(self.compliance, scaled(sliding, slip_direction(self, motion, w))))
-        w = where(before == SLIP, on_cone, w)
-        return where((before == SEPARATION) | (after == SEPARATION), motion.u, w)
+        w = self._slip(before, w, motion, slip_direction(self, motion, w))
+        return where(after == SEPARATION, motion.u, w)
 
     def placed(self, state: np.ndarray, motion: Motion, w: Plane) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
         # A contact that sticks slips where its force would lie outside the cone, one that slips sticks where the cone
