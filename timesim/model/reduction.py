@@ -315,13 +315,8 @@ def _margin(envelope: Envelope, contact: Contact, state: int) -> float:
 
 def _line(scene: _Scene, modes: np.ndarray, live: np.ndarray) -> np.ndarray | None:
     """Direction in which each live contact moves, shape (L, 2); None if one of them moves in its plane."""
-    line = np.zeros((live.size, 2))
-    for row, c in enumerate(live):
-        direction = _direction(scene, int(c), modes)
-        if direction is None:
-            return None
-        line[row] = direction
-    return line
+    lines = [_direction(scene, int(c), modes) for c in live]
+    return None if any(line is None for line in lines) else np.array(lines, dtype=float).reshape(-1, 2)
 
 
 def _direction(scene: _Scene, c: int, modes: np.ndarray) -> np.ndarray | None:
