@@ -91,8 +91,7 @@ def advance(
 ) -> tuple[Trajectory, Step, Int[Array, ""]]:
     """Advance one trajectory until it has completed ``cycles`` cycles, ended early, or filled its record.
 
-    Returns:
-        The trajectory, the accepted steps (leading axis ``capacity``), and how many there are.
+    Returns the trajectory, the accepted steps (leading axis ``capacity``), and how many there are.
     """
     dynamics = alone(method, control, dynamics)
     blank = jax.eval_shape(partial(try_step, method, control, dynamics), start)[1]
@@ -133,12 +132,8 @@ def march(
 ) -> tuple[Trajectory, Int[Array, " batch"]]:
     """Advance a batch until each has completed its number of cycles or ended early; nothing is recorded.
 
-    A large batch is marched a part after the other.
-
-    Systems and trajectories are batch first, the control is the same for all.
-
-    Returns:
-        The trajectories, and the number of transitions of each.
+    A large batch is marched a part after the other. Systems and trajectories are batch first, the control is the same
+    for all. Returns the trajectories, and the number of transitions of each.
     """
     size = cycles.shape[0]
     if one_by_one(method, dynamics):

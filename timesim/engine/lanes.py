@@ -48,7 +48,7 @@ def advance_lanes(
     kept: Kept,
     keep: Callable[..., Kept],
 ) -> tuple[Lanes, Kept]:
-    """Advance a batch, or one trajectory, until none of it is running.
+    """Advance a batch, or one trajectory, until none of it is running: the trajectories and what is kept at the end.
 
     Args:
         attempt: tries a step of every trajectory: the trajectories after it, and what else is known of the step.
@@ -57,9 +57,6 @@ def advance_lanes(
         kept: what is kept of the steps at the start.
         keep: ``keep(kept, running, before, after, *step)``: what is kept after a step. Trajectories that wait have not
             taken it: they are the same before and after.
-
-    Returns:
-        the trajectories and what is kept at the end.
     """
 
     def goes_on(carry: tuple[Lanes, Kept]) -> Bool[Array, ""]:

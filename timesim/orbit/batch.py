@@ -48,10 +48,9 @@ Problem = tuple[Control, System, Any]
 def march_cycles(
     method: Method, controls: Control, systems: System, starts: HybridState, num_cycles: int
 ) -> tuple[Trajectory, Float[Array, "batch cycle state"]]:
-    """March a batch, batch first, by a number of cycles.
+    """March a batch by a number of cycles, all batch first.
 
-    Returns:
-        the trajectories, and `state_vector` at the end of each cycle, 0 for cycles not reached; batch first.
+    Returns the trajectories, and `state_vector` at the end of each cycle, 0 for cycles not reached.
     """
     problem = (controls, systems, starts)
     if one_by_one(method, systems):

@@ -53,11 +53,8 @@ def periodic_samples(phasor: Complex, count: int) -> Array:
 def weighted(weight: NDArray[Any], size: int) -> Array:
     """Fourier coefficients of each harmonic function 1, cos, sin, ... times a weight, shape (size, size).
 
-    A product of two is half of those of the sum and of the difference of their orders.
-
-    Args:
-        weight: at N equal samples of a period, the last at 2 pi, shape (N,).
-        size: 2H + 1, of at most N / 4 harmonics; each column is one of the functions.
+    A product of two is half of those of the sum and of the difference of their orders. The weight is given at N equal
+    samples of a period, the last at 2 pi; each column is of one of the functions, of at most N / 4 harmonics.
     """
     spectrum, (total, difference, sign) = np.fft.rfft(np.roll(weight, 1)) / len(weight), _orders(size // 2)
     more, less = spectrum[total], spectrum[difference]

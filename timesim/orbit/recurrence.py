@@ -65,11 +65,9 @@ def recurrence_of(returns: np.ndarray, tolerance: float, noise: float = 0.0) -> 
 
 
 def without_way(returns: np.ndarray, shifts: np.ndarray) -> np.ndarray:
-    """State vectors without the way by which a body slides on; as they are where it does not.
+    """State vectors after consecutive cycles, (N, state), without the way by which a body slides on, if it does.
 
-    Args:
-        returns: at the end of consecutive cycles, shape (N, state).
-        shifts: changes of the state that alter no force, orthonormal rows, shape (K, state).
+    ``shifts``: changes of the state that alter no force, orthonormal rows, shape (K, state).
     """
     if not len(shifts):
         return returns

@@ -30,11 +30,7 @@ def coordinates(variables: Mapping[str, tuple[Any, ...]], model: Model | None = 
     """Coordinates along those dimensions of variables that the model determines, or that are the same in all results.
 
     Besides the names of the contacts they hold what these join, and their coefficients of friction: one with 0 is a
-    stop.
-
-    Args:
-        variables: ``{name: (dimensions, array)}``.
-        model: gives the names of points and contacts.
+    stop. Variables are ``{name: (dimensions, array)}``; the model gives the names of points and contacts.
     """
     sizes = {
         dim: size for dims, array, *_ in variables.values() for dim, size in zip(dims, np.shape(array), strict=False)

@@ -264,9 +264,8 @@ def is_scalar_key(name: str) -> bool:
 def attributes(name: str, named: Mapping[str, str] | None = None) -> dict[str, Any]:
     """`long_name` and `units` of a variable or coordinate, and the meaning of flags; empty for a name not listed.
 
-    Args:
-        name: of a variable, or the key of a scalar in the scene, such as ``contacts.pad.preload``.
-        named: units of the quantities of `BASE`, ``{"length": "mm"}``.
+    The name may be the key of a scalar in the scene, such as ``contacts.pad.preload``. ``named``: units of the
+    quantities of `BASE`, ``{"length": "mm"}``.
     """
     if is_scalar_key(name):
         part, _, key = re.sub(r"\.(?:\d+|\*)", "", name).rpartition(".")

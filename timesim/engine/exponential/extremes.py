@@ -24,16 +24,13 @@ MISSED = 1e-2  # of the tolerance of a step: what a polynomial may leave out of 
 def extremes(
     system: System, steps: Step, shape: np.ndarray, first: np.ndarray, rtol: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest value of some displacements over rows of steps.
+    """Least and largest value of some displacements over rows of steps, each of shape (R, X).
 
     Args:
         system, steps: the steps, numpy arrays whose first axis is theirs, and the system in which they were taken.
         shape: the displacements for a unit of each mode, shape (X, M).
         first: the first step of each row, ascending, 0 the first of them, shape (R,).
         rtol: relative tolerance of the steps.
-
-    Returns:
-        Two arrays of shape (R, X).
     """
     start, end = steps.start.q @ shape.T, steps.end.q @ shape.T
     if steps.inside is None:
