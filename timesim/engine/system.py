@@ -184,14 +184,10 @@ def _response(system: System, time: Float[Array, ""], point: Point, acts: Reacti
         acceleration = acceleration + times(axis.T, force, system.by_itself)
     power = None
     if point.work is not None:
-        power = Work(jnp.sum(drive * point.p), jnp.sum(drag * point.p), _power_lost(acts))
+        rubbing = dot(acts.f, acts.dw)
+        lost = rubbing if acts.lost is None else rubbing + acts.lost
+        power = Work(jnp.sum(drive * point.p), jnp.sum(drag * point.p), lost)
     return Point(point.p, acceleration, acts.dw, power)
-
-
-def _power_lost(acts: Reaction) -> Scalar:
-    """Power lost in each contact."""
-    rubbing = dot(acts.f, acts.dw)
-    return rubbing if acts.lost is None else rubbing + acts.lost
 
 
 def system_of(model: Model, frequency: float, phase: float = 0.0, reduction: Reduction | None = None) -> System:

@@ -54,15 +54,14 @@ def march_cycles(
     """
     problem = (controls, systems, starts)
     if one_by_one(method, systems):
-        return jax.lax.map(lambda lane: _marched(method, _alone(method, lane), num_cycles, by_itself), problem)
+
+        def march_one(lane: Problem) -> tuple[Trajectory, Array]:
+            control, system, start = lane
+            return _marched(method, (control, alone(method, control, system), start), num_cycles, by_itself)
+
+        return jax.lax.map(march_one, problem)
     end, returns = _marched(method, batch_last(problem), num_cycles, over_lanes)
     return batch_first(end), jnp.moveaxis(returns, -1, 0)
-
-
-def _alone(method: Method, problem: Problem) -> Problem:
-    """The problem of one of a batch that is advanced by itself."""
-    control, system, start = problem
-    return control, alone(method, control, system), start
 
 
 def _marched(method: Method, problem: Problem, num_cycles: int, over: Over) -> tuple[Trajectory, Array]:

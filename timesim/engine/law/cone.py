@@ -292,18 +292,12 @@ def incipient_direction(law: ConeLaw, motion: Motion, iterations: int = 7) -> Pl
         return scaled(1 / length(motion.du), motion.du)
     if len(law.stiffness) == 2:
         return _along_principal_axes(law, law.stiffness, motion.du, motion.dv, iterations)
-    c, s = _turn(law)
     (k11, k12, k22), (x, y) = law.stiffness, motion.du
+    angle = 0.5 * jnp.arctan2(2 * k12, k11 - k22)  # of the first principal axis of K_u
+    c, s = jnp.cos(angle), jnp.sin(angle)
     stiff = (k11 * c * c + 2 * k12 * c * s + k22 * s * s, k11 * s * s - 2 * k12 * c * s + k22 * c * c)
     e = _along_principal_axes(law, stiff, (c * x + s * y, c * y - s * x), motion.dv, iterations)
     return (c * e[0] - s * e[1], s * e[0] + c * e[1])
-
-
-def _turn(law: ConeLaw) -> tuple[Scalar, Scalar]:
-    """Cosine and sine of the angle of the first principal axis of K_u."""
-    k11, k12, k22 = law.stiffness
-    angle = 0.5 * jnp.arctan2(2 * k12, k11 - k22)
-    return jnp.cos(angle), jnp.sin(angle)
 
 
 def _along_principal_axes(law: ConeLaw, stiff: tuple[Scalar, ...], du: Plane, dv: Scalar, iterations: int) -> Plane:

@@ -61,11 +61,6 @@ class Loss:
         """Whether only the length of a step has lost it, and it lives to the end of the sweep."""
         return self.jump.near == self.jump.far
 
-    @property
-    def comes_from_irregular(self) -> bool:
-        """Whether the motion that is lost there did not repeat before."""
-        return self.jump.on.irregular and not self.of_period
-
 
 @dataclass(frozen=True)
 class Sweeps:

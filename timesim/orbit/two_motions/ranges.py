@@ -69,7 +69,7 @@ def _range(
     ends, at_ends = list(between), list[list[Loss]]()
     for side, direction in enumerate((UP, DOWN)):
         here = _losses_at(lost, between[side])
-        if here and all(loss.direction == direction and loss.comes_from_irregular for loss in here):
+        if here and all(loss.direction == direction and loss.jump.on.irregular and not loss.of_period for loss in here):
             begun = traced_back(search, sweeps, lost, here[0])
             ends[side] = begun.jump.near
             here = _losses_at([begun, *lost], ends[side])
