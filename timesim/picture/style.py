@@ -36,16 +36,11 @@ class Series(NamedTuple):
         plain = {"color": self.colour, "linestyle": self.line, "marker": self.marker, "linewidth": 1.2}
         if not self.beneath:
             return plain
+        from matplotlib.colors import to_hex, to_rgb
+
+        red, green, blue = (0.5 + 0.5 * part for part in to_rgb(self.colour))  # mixed with white
         full = {"markerfacecolor": self.colour, "markeredgecolor": self.colour}
-        return plain | full | {"color": _paled(self.colour), "linewidth": 3.2, "zorder": 1.4}
-
-
-def _paled(colour: str) -> str:
-    """A colour mixed with white."""
-    from matplotlib.colors import to_hex, to_rgb
-
-    red, green, blue = (0.5 + 0.5 * part for part in to_rgb(colour))
-    return to_hex((red, green, blue))
+        return plain | full | {"color": to_hex((red, green, blue)), "linewidth": 3.2, "zorder": 1.4}
 
 
 class StateStyle(NamedTuple):
