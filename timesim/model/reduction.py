@@ -110,7 +110,8 @@ def reduction_of(
     live = np.array([c for c in every if c not in margins], dtype=int)
     stuck = np.array([c for c in every if c in margins and scene.state[c] == STICK], dtype=int)
     apart = np.array([c for c in every if c in margins and scene.state[c] == SEPARATION], dtype=int)
-    line = _line(scene, modes, live)
+    lines = [_direction(scene, int(c), modes) for c in live]
+    line = None if any(own is None for own in lines) else np.array(lines, dtype=float).reshape(-1, 2)
     kept = (proven(model.contacts[c], margins[c], units, stuck=scene.state[c] == STICK) for c in sorted(margins))
     findings = [*still, *kept, *(() if line is None else straight(model, live, line))]
     for c in sorted(live):
@@ -313,13 +314,8 @@ def _margin(envelope: Envelope, contact: Contact, state: int) -> float:
     return -float(envelope.highest(cone).max()) - between - rounding
 
 
-def _line(scene: _Scene, modes: np.ndarray, live: np.ndarray) -> np.ndarray | None:
-    """Direction in which each live contact moves, shape (L, 2); None if one of them moves in its plane."""
-    lines = [_direction(scene, int(c), modes) for c in live]
-    return None if any(line is None for line in lines) else np.array(lines, dtype=float).reshape(-1, 2)
-
-
 def _direction(scene: _Scene, c: int, modes: np.ndarray) -> np.ndarray | None:
+    """Direction in which a live contact moves, shape (2,); None if it moves in its plane."""
     contact, slip = scene.model.contacts[c], scene.model.start.slip[c]
     if contact.friction == 0:
         return np.array([1.0, 0.0])

@@ -6,6 +6,7 @@ That is quicker where there are many modes; and modes that are fast over a step 
 import timesim.runtime  # noqa: F401  isort: skip
 
 from functools import cache
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import jax
@@ -107,7 +108,8 @@ class Disturbed:
         allowed = FAST * LOST / max(h.size, 1)
         for first in range(0, h.size, num):
             own = slice(first, first + num)
-            whole = product(self._moves(_rows(steps, own), h[own], state[own], allowed)) @ whole
+            part = jax.tree.map(itemgetter(own), steps)
+            whole = product(self._moves(part, h[own], state[own], allowed)) @ whole
         return whole
 
     def _moves(self, steps: Linear, h: np.ndarray, state: np.ndarray, allowed: float) -> np.ndarray:
@@ -188,10 +190,6 @@ def product(moves: np.ndarray) -> np.ndarray:
         pairs = moves[1::2] @ moves[: num & ~1 : 2]
         moves = np.concatenate([pairs, moves[-1:]]) if num % 2 else pairs
     return moves[0]
-
-
-def _rows(tree: Any, own: slice) -> Any:
-    return jax.tree.map(lambda leaf: leaf[own], tree)
 
 
 def _on_diagonals(blocks: np.ndarray) -> np.ndarray:
