@@ -20,7 +20,9 @@ def error_against_time(data: Dataset, ax: Axes | None = None) -> Axes:
         own = np.flatnonzero(whole & (data["method"].values == method))
         own = own[np.argsort(-error[own], kind="stable")]
         ax.plot(seconds[own], error[own], label=method, color=look.colour, linewidth=0.8, marker=look.marker, ms=4)
-    _front(ax, seconds, error, data["pareto"].values > 0)
+    front = np.flatnonzero(data["pareto"].values > 0)  # runs that no other run beats in both time and error
+    front = front[np.argsort(seconds[front], kind="stable")]
+    ax.step(seconds[front], error[front], where="post", label="front", color=PALE, linewidth=5, alpha=0.5, zorder=0)
     _beside(ax, data, seconds, error)
     for i in np.flatnonzero(data["preset"].values != ""):
         name = data["preset"].values[i]
@@ -41,12 +43,6 @@ def error_against_time(data: Dataset, ax: Axes | None = None) -> Axes:
     ax.xaxis.set_minor_locator(NullLocator())
     ax.set_ylim(0.3 * np.nanmin(error), 3 * np.nanmax(error))
     return ax
-
-
-def _front(ax: Axes, seconds: np.ndarray, error: np.ndarray, front: np.ndarray) -> None:
-    """The front as a staircase: runs that no other run beats in both time and error."""
-    order = np.flatnonzero(front)[np.argsort(seconds[front], kind="stable")]
-    ax.step(seconds[order], error[order], where="post", label="front", color=PALE, linewidth=5, alpha=0.5, zorder=0)
 
 
 def _beside(ax: Axes, data: Dataset, seconds: np.ndarray, error: np.ndarray) -> None:
