@@ -133,15 +133,10 @@ def length_of_try(
 
 
 class Trial(NamedTuple):
-    """A step with every contact keeping its state.
+    """A step with every contact keeping its state: its end, its error over its tolerance, whether it is within that.
 
-    Attributes:
-        end: its end.
-        error: over its tolerance.
-        precise: whether it is within it.
-        early: whether it has been cut because a contact leaves its state.
-        part: the step as the contacts see it.
-        inside: its dense output, of a method that has its own.
+    ``early``: whether it has been cut because a contact leaves its state. ``part`` is the step as the contacts see it,
+    ``inside`` its dense output, of a method that has its own.
     """
 
     end: guard.End
