@@ -109,11 +109,9 @@ def narrowed(stretches: Sequence[Stretch], steady: SteadyStates, width: float) -
         open_ = [(index, stretch) for index, stretch, jump in judged if jump is None]
         chains = [Chain(replace(part.model, start=part.on.end), (part.middle,)) for _, part in open_]
         middles = steady(chains) if chains else []
-        left = [
-            (index, half)
-            for (index, stretch), (orbit,) in zip(open_, middles, strict=True)
-            for half in stretch.halves(orbit)
-        ]
+        left = []
+        for (index, stretch), (orbit,) in zip(open_, middles, strict=True):
+            left += [(index, half) for half in stretch.halves(orbit)]
     return _joined(sorted(jumps, key=lambda item: (item[0], abs(item[1].near - stretches[item[0]].near))))
 
 

@@ -72,10 +72,8 @@ class Sweeps:
     @classmethod
     def of(cls, columns: Columns, phase: float) -> "Sweeps":
         """From their columns, in the order in which each visits its frequencies."""
-        up, down = (
-            [orbit_of(columns, (direction, k), phase) for k in range(columns["settled"].shape[1])]
-            for direction in (UP, DOWN)
-        )
+        num = columns["settled"].shape[1]
+        up, down = ([orbit_of(columns, (direction, k), phase) for k in range(num)] for direction in (UP, DOWN))
         return cls(columns["frequency"][UP], (up, down[::-1]))
 
     def amplitude(self, direction: int) -> np.ndarray:

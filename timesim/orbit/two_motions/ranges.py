@@ -105,11 +105,8 @@ def _at_middle(
     known = dict(zip(map(float, sweeps.frequency), sweeps.orbits[direction], strict=True))
     for loss in own:
         # Lost by a step that was too long: from there on to the true end the sweep was on another motion.
-        known = {
-            f: orbit
-            for f, orbit in known.items()
-            if not 0 < sign * (f - loss.begin) < sign * (loss.jump.near - loss.begin)
-        }
+        way = sign * (loss.jump.near - loss.begin)
+        known = {f: orbit for f, orbit in known.items() if not 0 < sign * (f - loss.begin) < way}
         known |= {loss.jump.near: loss.jump.on, loss.jump.far: loss.jump.beyond}
     left = {loss.jump.near for loss in own if not loss.of_period} & {ends[0 if direction == UP else 1]}
     behind = [f for f, orbit in known.items() if sign * (middle - f) >= 0 and f not in left and orbit.reason is None]
