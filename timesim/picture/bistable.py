@@ -311,11 +311,9 @@ def _starts_figure(data: DataTree) -> Figure | None:
     for ax, item in zip(grid[0], shown, strict=True):
         starts(data, ax, at=item)
     led = np.unique([data["start_branch"].isel(item.where).values for item in shown])
-    looks = [LED_TO[kind] for kind in led.tolist()]
-    patches = [
-        Patch(facecolor=colour, edgecolor=BEHIND, alpha=0.55, hatch=hatch, label=label)
-        for label, colour, hatch in looks
-    ]
+    patches = []
+    for label, colour, hatch in (LED_TO[kind] for kind in led.tolist()):
+        patches.append(Patch(facecolor=colour, edgecolor=BEHIND, alpha=0.55, hatch=hatch, label=label))
     legend_beside(grid[0, -1], [*patches, *labelled(grid[0, 0]).values()])
     return finish(fig, data, "which start leads to which motion", left_out(len(every), len(shown), "ranges"))
 

@@ -63,10 +63,8 @@ def _transition_circles(data: Dataset, ax: Axes) -> None:
         ax.plot(*(radius * circle), color="0.55", linewidth=0.7, linestyle=":", label="limit circle there")
         ax.plot(*f, "o", color="black", ms=4, label="transition")
         x, y = (f / radius if radius > 0 else np.array([0.3, -0.95])).tolist()
-        beside: dict[str, Any] = {
-            "ha": "left" if x > 0.3 else "right" if x < -0.3 else "center",
-            "va": "bottom" if y > 0 else "top",
-        }
+        across = "left" if x > 0.3 else "right" if x < -0.3 else "center"
+        beside: dict[str, Any] = {"ha": across, "va": "bottom" if y > 0 else "top"}
         text = ", ".join(f"{degrees:.1f}°" for degrees in angles)
         above: dict[str, Any] = {"zorder": 5, "bbox": {"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 0.5}}
         ax.annotate(text, (f[0], f[1]), (6 * x, 6 * y), textcoords="offset points", fontsize=7, **beside, **above)

@@ -117,11 +117,8 @@ def sets(data: Dataset) -> list[tuple[float, ...]]:
 
 def legend(axs: Sequence[Axes], data: Dataset, *, markers: bool = False) -> None:
     """A legend to the right of the first axes: the colours of the values, and what lines and marks mean."""
-    entries = {
-        family.label: family.style._replace(line="-", marker=family.style.marker if markers else "")
-        for family in families(data)
-        if family.label
-    }
+    drawn = [(family.label, family.style) for family in families(data) if family.label]
+    entries = {label: style._replace(line="-", marker=style.marker if markers else "") for label, style in drawn}
     shared.legend(axs, entries, shared.legend_title(data, over_keys(data)))
 
 
