@@ -193,14 +193,14 @@ def test_an_interrupted_run_saves_what_it_has(
         return advance(*args)
 
     monkeypatch.setattr(event_loop, "advance", interrupted)
-    arguments = ("--set", "study.cycles=200", "--set", "study.record_last=200", "--set", "solver.accuracy=draft")
+    arguments = ("--set", "study.cycles=1000", "--set", "study.record_last=1000", "--set", "solver.accuracy=draft")
     status, _, error = call("run", OSCILLATOR, "-o", tmp_path, "--no-plots", *arguments)
     assert status == 1
     assert "interrupted in cycle" in error
     result = timesim.open_result(tmp_path)
     assert result.attrs["complete"] == 0
-    assert 0 < result.sizes["cycle"] < 200
-    assert result["time"][-1] < 200 / 1.39
+    assert 0 < result.sizes["cycle"] < 1000
+    assert result["time"][-1] < 1000 / 1.39
     assert signal.getsignal(signal.SIGTERM) is own
 
 
@@ -223,7 +223,7 @@ def test_signals_while_saving(in_cycle: int, in_saving: int, tmp_path: Path, mon
 
     monkeypatch.setattr(event_loop, "advance", interrupted)
     monkeypatch.setattr(os, "fsync", slow)
-    cycles = ("--set", f"study.cycles={200 if in_cycle else 3}", "--set", "study.record_last=3")
+    cycles = ("--set", f"study.cycles={1000 if in_cycle else 3}", "--set", "study.record_last=3")
     status, *_ = call("run", OSCILLATOR, "-o", tmp_path, "--no-plots", *cycles, "--set", "solver.accuracy=draft")
     if in_cycle + in_saving > 2:
         assert status not in (0, None)
