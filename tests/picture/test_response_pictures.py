@@ -427,6 +427,23 @@ def test_a_least_peak_without_neighbours_is_not_magnified() -> None:
         assert len(figure.axes) == panels
 
 
+def test_peaks_of_several_axes_lie_on_curves_of_them_all() -> None:
+    """Of one axis alone the dots of the others would float above the curves, and no phase is that of all."""
+    data = _optimum([1.0, 2.0, 3.0], [4.0, 0.4, 2.0]).assign(peak_of=(PRELOAD, ["tip y", "tip x", "tip x"]))
+    data["amplitude"].loc[{PRELOAD: 1.0, "axis": "y"}] = data["amplitude"].loc[{PRELOAD: 1.0, "axis": "x"}].values
+    data["amplitude"].loc[{PRELOAD: 1.0, "axis": "x"}] *= 0.1
+    for picture, said in (
+        (optimum.responses, "amplitude of tip, any axis"),
+        (optimum.peak, "peak amplitude of tip, any"),
+    ):
+        assert picture(data).get_ylabel().startswith(said)
+    assert max(line.get_ydata().max() for line in optimum.responses(data).get_lines() if len(line.get_xdata()) > 1) == 4
+    figure = optimum.PICTURES["response"](data)
+    assert figure is not None
+    assert len(figure.axes) == 1
+    assert optimum.peak(data.isel({PRELOAD: [1, 2]})).get_ylabel().startswith("peak amplitude of tip x")
+
+
 def test_where_no_phase_is_known_there_are_no_axes_for_it() -> None:
     """A force of higher harmonics alone has no first one to compare with."""
     data = _optimum([1.0, 2.0, 3.0], [4.0, 0.4, 2.0])

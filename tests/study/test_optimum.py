@@ -139,6 +139,7 @@ class Known(Peaks):
             self.results[value] = blank_columns(self.scene.model(), *shape) | {
                 "peak": np.array(self.formula(value)), "peak_at_end": np.array(0), "peak_settled": np.array(1),
                 "peak_irregular": np.array(0),
+                "peak_of": np.array(0),
                 "peak_frequency": np.array(1.0), "cycles": np.zeros(shape, int), "settled": np.ones(shape, bool),
                 "amplitude": np.full((*shape, 1, 3), self.formula(value)),
                 "reason": np.full(shape, "it broke" if np.isnan(self.formula(value)) else ""),
@@ -175,6 +176,15 @@ def test_both_motions_at_a_frequency_are_refined_in_any_unit(unit: float, monkey
     assert refined == [2]
 
 
+def test_the_point_and_axis_of_a_peak_are_among_those_that_count():
+    scene = load_scene(CONFIGS / "preload.yaml")
+    model = scene.model()
+    orbit = replace(without_orbit(model, ""), amplitude=np.array([[0.3, 0.7, 0.5]]))
+    for point, axis, size, place in ((None, None, 0.7, 1), ("tip", "z", 0.5, 2), (None, "x", 0.3, 0)):
+        response = Response(model, replace(scene.plan, point=point, axis=axis), scene.solver())
+        assert (response.size(orbit), response.place(orbit)) == (size, place)
+
+
 @pytest.mark.parametrize("best", [3.64836, 0.5, 9.9996, 7.0])
 @pytest.mark.parametrize("power", [1, 2, 4])
 def test_the_least_peak_to_the_accuracy(best: float, power: int):
@@ -205,7 +215,7 @@ def test_a_peak_that_is_the_same_over_a_span_is_told_and_drawn_so():
     units = {"peak": data["peak"].assign_attrs(units="mm"), KEY: data[KEY].assign_attrs(units="N")}
     said = list(optimum_lines(data.assign(peak=units["peak"]).assign_coords({KEY: units[KEY]}), 1e-3))
     assert any("to 10 N: any value between" in line for line in said)
-    assert any(line.startswith("least peak 2.8 mm at ") for line in said)
+    assert any(line.startswith("least peak 2.8 mm of tip x at ") for line in said)
     assert all(ax.get_xlabel().startswith("pad preload") for ax in plot_optimum.PICTURES["peak"](data).axes)
     low, high = plot_optimum.magnified(data).get_ylim()
     assert high - low > 1e-4 * 2.8
@@ -273,7 +283,7 @@ def test_a_value_without_a_motion_is_named():
     with pytest.raises(SearchError, match=r"no steady state was found at contacts.pad.preload = 3\.\d+: it broke"):
         peaks.search()
     lines = list(optimum_lines(data_of(peaks).assign_attrs(complete=0), 1e-3))
-    assert any("least peak 0.25 so far, at " in line for line in lines)
+    assert any("least peak 0.25 of tip x so far, at " in line for line in lines)
     assert not any("not smaller" in line for line in lines)
 
 

@@ -7,7 +7,6 @@ import numpy as np
 from timesim.picture.choice import motion
 from timesim.picture.figure import axes, finish, from_zero, labelled, legend_beside, plain_ticks, stacked
 from timesim.picture.response import (
-    amplitude_label,
     axis_label,
     broken,
     handles,
@@ -18,7 +17,7 @@ from timesim.picture.response import (
     turns,
     with_phase,
 )
-from timesim.picture.style import BLUE, NEUTRAL, VERMILION, Axes, Dataset, Figure, Picture, Series, unit
+from timesim.picture.style import BLUE, NEUTRAL, VERMILION, Axes, Dataset, Figure, Picture, Series, short, unit
 from timesim.result.label import told_apart
 
 MAX_CURVES = 7
@@ -51,8 +50,26 @@ def _points(data: Dataset, ax: Axes) -> Axes:
         ax.plot(x[at_end], y[at_end], "o", color=BLUE, ms=6, fillstyle="none", label="peak at an end of frequency")
     best = float(data["optimum"]), float(data["optimum_peak"])
     _star(ax, *best, f"least: {best[1]:.5g} at {best[0]:.5g}")
-    ax.set(xlabel=axis_label(data, key), ylabel=f"peak amplitude{unit(data, 'peak')}")
+    ax.set(xlabel=axis_label(data, key), ylabel=f"peak amplitude of {_whose(data)}{unit(data, 'peak')}")
     return ax
+
+
+def _one_motion(data: Dataset) -> tuple[str, str] | None:
+    """Point and axis of all peaks, in earlier results those of the largest amplitude; None where they differ."""
+    moving = {str(name) for name in data["peak_of"].values if name} if "peak_of" in data else set()
+    if len(moving) > 1:
+        return None
+    asked = data.attrs.get("point"), data.attrs.get("axis")
+    point, axis = moving.pop().rsplit(" ", 1) if moving else motion(data, *asked)
+    return point, axis
+
+
+def _whose(data: Dataset) -> str:
+    """Whose amplitudes the peaks are, in words."""
+    if one := _one_motion(data):
+        return f"{short(one[0], 16)} {one[1]}"
+    only = str(data["point"].values[0]) if data.sizes["point"] == 1 else "any point"
+    return f"{short(data.attrs.get('point', only), 16)}, {data.attrs.get('axis', 'any axis')}"
 
 
 def _star(ax: Axes, x: float, y: float, label: str) -> None:
@@ -101,20 +118,23 @@ def responses(data: Dataset, ax: Axes | None = None) -> Axes:
 
     Where the peaks are over more than a factor of `WIDE`, the ordinate is logarithmic.
     """
-    ax, (point, axis) = axes(ax), motion(data, data.attrs.get("point"), data.attrs.get("axis"))
-    _both_ways(ax, data, data["amplitude"].sel(point=point, axis=axis))
+    ax, chosen = axes(ax), {name: data.attrs[name] for name in ("point", "axis") if name in data.attrs}
+    if one := _one_motion(data):
+        chosen = dict(zip(("point", "axis"), one, strict=True))
+    amplitude = data["amplitude"].sel(chosen)
+    _both_ways(ax, data, amplitude.max([name for name in ("point", "axis") if name not in chosen], skipna=False))
     for value in _shown(data):
         top = float(data["peak_frequency"][value.row]), float(data["peak"][value.row])
         ax.plot(*top, ".", color=value.colour, ms=7, label="_peak", zorder=3)
     best = float(data["optimum_frequency"]), float(data["optimum_peak"])
     _star(ax, *best, f"least peak: {best[1]:.5g}\nat {best[0]:.5g} Hz")
-    ax.set(xlabel="frequency [Hz]", ylabel=amplitude_label(data, point, axis))
+    ax.set(xlabel="frequency [Hz]", ylabel=f"amplitude of {_whose(data)}{unit(data, 'amplitude')}")
     return _scaled(ax, data, BELOW * best[1])
 
 
 def phases(data: Dataset, ax: Axes | None = None) -> Axes:
     """Phase of the first harmonic against frequency for the same values."""
-    ax, (point, axis) = axes(ax), motion(data, data.attrs.get("point"), data.attrs.get("axis"))
+    ax, (point, axis) = axes(ax), _one_motion(data) or motion(data, data.attrs.get("point"), data.attrs.get("axis"))
     _both_ways(ax, data, data["phase_deg"].sel(point=point, axis=axis), phase=True)
     ax.set_xlabel("frequency [Hz]")
     return over_phase(ax)
@@ -166,7 +186,7 @@ def _peak_figure(data: Dataset) -> Figure | None:
 def _responses_figure(data: Dataset) -> Figure | None:
     if not np.isfinite(data["peak"].values).any():
         return None
-    fig, axs = with_phase(1, 4.0, has_phase(data))
+    fig, axs = with_phase(1, 4.0, has_phase(data) and _one_motion(data) is not None)
     for ax, draw in zip(axs, (responses, phases), strict=False):
         draw(data, ax).label_outer()
     ways = {way: one_way(way, NEUTRAL, "", beside=True) for way in ("up", "down")}

@@ -55,6 +55,8 @@ class Peak(NamedTuple):
     peak_at_end: bool = False
     peak_settled: bool = False
     peak_irregular: bool = False
+    peak_of: int = 0
+    """Position of its point and axis among those of the scene; their names in the result."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +69,18 @@ class Response:
 
     def size(self, orbit: Orbit) -> float:
         """The amplitude that counts; NaN where the point failed."""
-        point, axis, amplitude = self.plan.point, self.plan.axis, orbit.amplitude
-        amplitude = amplitude if point is None else amplitude[[self.model.structure.points.index(point)]]
-        return float(np.max(amplitude if axis is None else amplitude[:, "xyz".index(axis)]))
+        return float(np.max(orbit.amplitude[self._counts]))
+
+    def place(self, orbit: Orbit) -> int:
+        """Position of the point and axis that have it."""
+        return int(np.argmax(np.where(self._counts, orbit.amplitude, -1.0)))
+
+    @property
+    def _counts(self) -> np.ndarray:
+        """Which points and axes count, shape (P, 3)."""
+        points, (point, axis) = self.model.structure.points, (self.plan.point, self.plan.axis)
+        own = np.array([point in (None, name) for name in points])
+        return own[:, None] & np.array([axis in (None, name) for name in "xyz"])
 
     def steady(self, *chains: Chain) -> list[list[Orbit]]:
         return steady_of(chains, self.solver, self.plan.sweep.criterion)
@@ -104,7 +115,7 @@ def _peak(response: Response, orbits: list[list[Orbit]]) -> Peak:
         if known[d, i] < known[d, max(i - 1, 0) : i + 2].max():
             continue
         frequency, at_end = float(response.plan.sweep.frequency[i]), last > 0 and i in (0, last)
-        best = max(best, Peak(size[d, i], frequency, at_end, orbits[d][i].settled, orbits[d][i].irregular))
+        best = max(best, _peak_at(response, orbits[d][i], frequency, at_end=at_end))
         if d == 1 and np.isclose(size[0, i], size[1, i], rtol=1e-6, atol=0.0):
             continue
         if last > 0:
@@ -124,15 +135,20 @@ def _refined(response: Response, orbit: Orbit, i: int) -> Peak:
 
     def fall(frequency: float) -> float:
         ((there,),) = response.steady(Chain(model, (float(frequency),)))
-        size = response.size(there)
-        known = size if np.isfinite(size) else -np.inf
-        seen.append(Peak(known, float(frequency), False, there.settled, there.irregular))
-        return -known
+        seen.append(_peak_at(response, there, float(frequency)))
+        return -seen[-1].peak
 
     if here in (low, high) and -fall(here + FINE * (low + high - 2 * here)) <= response.size(orbit):
         return max(seen)
     minimize_scalar(fall, bounds=(low, high), method="bounded", options={"xatol": FINE * (high - low) / 2})
     return max(seen)
+
+
+def _peak_at(response: Response, orbit: Orbit, frequency: float, *, at_end: bool = False) -> Peak:
+    """The amplitude of a motion as a peak; one that failed is below all others."""
+    size = response.size(orbit)
+    height = size if np.isfinite(size) else -np.inf
+    return Peak(height, frequency, at_end, orbit.settled, orbit.irregular, response.place(orbit))
 
 
 class Peaks:
@@ -296,8 +312,11 @@ def data_of(peaks: Peaks) -> Dataset:
             columns[name][row] = peaks.results[value][name]
     least = peaks.least()
     best = peaks.results.get(least, {})
+    found = {name: np.array([peaks.results[value][name] for value in values]) for name in Peak._fields}
+    motions = np.array([f"{point} {axis}" for point in model.structure.points for axis in "xyz"])
+    found["peak_of"] = np.where(np.isfinite(found["peak"]), motions[found["peak_of"].astype(int)], "")
     own: Arrays = {
-        **{name: ((key,), np.array([peaks.results[value][name] for value in values])) for name in Peak._fields},
+        **{name: ((key,), column) for name, column in found.items()},
         "optimum": ((), np.array(least)),
         "optimum_peak": ((), np.array(best.get("peak", np.nan))),
         "optimum_frequency": ((), np.array(best.get("peak_frequency", np.nan))),

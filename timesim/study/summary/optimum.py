@@ -43,7 +43,8 @@ def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
         return with_unit(f"{peak[i]:.7g}", data["peak"].attrs)
 
     so_far, vanishes = "" if data.attrs["complete"] else " so far,", bool(is_nothing(peak)[at])
-    yield f"least peak {height(at)}{so_far} at {key} = {at_value(at)}, at {float(data['optimum_frequency']):.6g} Hz"
+    least = f"{height(at)} of {data['peak_of'].values[at]}{so_far}"
+    yield f"least peak {least} at {key} = {at_value(at)}, at {float(data['optimum_frequency']):.6g} Hz"
     beside = [i for value in (best - accuracy, best + accuracy) for i in np.flatnonzero(values == value).tolist()]
     first, last = as_low(peak, at)
     if data.attrs["complete"] and values[last] - values[first] > 3 * accuracy:
