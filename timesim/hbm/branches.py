@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from timesim.hbm.balance import Array, Balance
-from timesim.hbm.continuation import SAME, Controls, Curve, Ending, Solution, crossings, solve, solve_near
+from timesim.hbm.continuation import SAME, Controls, Curve, Ending, Solution, crossings, solve
 from timesim.hbm.curve import HbmCurve, evaluated, hbm_curve, schemes_of
 from timesim.hbm.first_guess import unknowns_of_modes
 from timesim.hbm.scheme import Scheme
@@ -173,7 +173,8 @@ def solutions_at(
     places = [(f, *crossing) for f in wanted for crossing in crossings(curve.frequency, f)]
     rows, branch = list[Solution](), []
     for f, i, share in places:
-        solution = solve_near(balance, _between(unknowns, curve.frequency, (i, share), f), float(f), Controls())
+        guess = _between(unknowns, curve.frequency, (i, share), f)
+        solution = solve(balance, guess, float(f), Controls(), near=True)
         if solution is not None:
             rows.append((solution[0], f, False, sign_with_offsets_kept(balance, solution[0], f, solution[1])))
             branch.append(curve.branch[i + 1])

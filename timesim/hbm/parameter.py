@@ -6,14 +6,14 @@ steps of the continuation, and the solutions do not depend on it.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 
 from timesim.hbm.adaptive import AdaptiveBalance
 from timesim.hbm.balance import Array, Balance, units_of
 from timesim.hbm.continuation import Condensed, Controls, Curve, follow, joined, part_of
-from timesim.hbm.curve import HbmCurve, Watch, by_schemes, evaluated, finished, schemes_of, watched
+from timesim.hbm.curve import HbmCurve, Watch, evaluated, finished, schemes_of, watched
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
@@ -96,7 +96,7 @@ def parameter_curve(
     )
     steps = controls or Controls()
     if watch is not None:
-        steps = watched(steps, watch, lambda curve: by_schemes(balance, curve, partial(_evaluated, stability=False)))
+        steps = watched(balance, steps, watch, _evaluated)
     curve = curve_near(
         balance, start, frequency, steps, guess, lambda first: follow(balance, first, start, stop, steps)
     )

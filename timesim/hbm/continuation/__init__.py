@@ -2,7 +2,7 @@
 
 from timesim.hbm.continuation.bordered import Bordered, Condensed, Nearby
 from timesim.hbm.continuation.other_end import WORK, Elsewhere
-from timesim.hbm.continuation.place import solve, solve_near
+from timesim.hbm.continuation.place import solve
 from timesim.hbm.continuation.residual import NoSolutionError, Residual
 from timesim.hbm.continuation.solutions import Curve, Ending, Solution, crossings, joined, part_of
 from timesim.hbm.continuation.tracker import SAME, follow, follow_both_ways

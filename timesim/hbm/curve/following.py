@@ -47,11 +47,11 @@ class Aside(Protocol):
         """The pieces of the whole curve, some of which may have been evaluated meanwhile."""
 
 
-def watched(controls: Controls, watch: Watch, evaluate: Callable[[Curve], HbmCurve]) -> Controls:
-    """Steps of a continuation whose curve is watched while it grows."""
+def watched(balance: AdaptiveBalance, controls: Controls, watch: Watch, evaluate: Callable[..., HbmCurve]) -> Controls:
+    """Steps of a continuation whose curve is watched while it grows; its solutions are evaluated as by `finished`."""
 
     def given(so_far: Callable[[], Curve], last: int = 0) -> HbmCurve:
-        return evaluate(part_of(so_far(), slice(-last, None)))
+        return by_schemes(balance, part_of(so_far(), slice(-last, None)), partial(evaluate, stability=False))
 
     return replace(controls, watch=lambda share, so_far: watch(share, partial(given, so_far)))
 
@@ -99,7 +99,7 @@ def hbm_curve(
     balance = AdaptiveBalance(lambda own: Balance(model, start, own), schemes_of(scheme), model.num_contacts)
     steps, place = controls or Controls(), start if begin is None else begin
     if watch is not None:
-        steps = _watched_by_schemes(balance, steps, watch)
+        steps = watched(balance, steps, watch, evaluated)
     from_end, to_end = None, steps
     if aside is not None:
         from_end = partial(aside.part, model, start, stop)
@@ -121,13 +121,8 @@ def part_of_curve(
 ) -> Curve:
     """The curve from one frequency to another, in the unknowns of the `hbm_curve` that begins at `start`."""
     balance = AdaptiveBalance(lambda own: Balance(model, start, own), schemes, model.num_contacts)
-    steps = _watched_by_schemes(balance, controls, watch)
+    steps = watched(balance, controls, watch, evaluated)
     return curve_near(balance, first, first, steps, None, lambda x: follow(balance, x, first, last, steps))
-
-
-def _watched_by_schemes(balance: AdaptiveBalance, controls: Controls, watch: Watch) -> Controls:
-    """`watched` where each solution is evaluated by its own scheme."""
-    return watched(controls, watch, lambda curve: by_schemes(balance, curve, partial(evaluated, stability=False)))
 
 
 def _evaluated_meanwhile(
