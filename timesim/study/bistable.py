@@ -162,28 +162,18 @@ def chunks(grid: Grid, plan: BistablePlan, solver: Solver) -> list[Chunk]:
 # Dimensions of the quantities of a range, and of its starts, after those of the further axes and `jump`.
 SPOT = ("point", "axis")
 DIMS: dict[str, tuple[str, ...]] = {
-    "range": ("end",),
-    "range_cut": ("end",),
-    "range_settled": ("end",),
-    "range_irregular": ("end",),
-    "jump_from": ("end", *SPOT),
-    "jump_to": ("end", *SPOT),
-    "amplitude_lower": SPOT,
-    "amplitude_upper": SPOT,
-    "period": ("motion",),
-    "floquet_max": ("motion",),
-    "slip_share": ("motion", "contact"),
-    "separation_share": ("motion", "contact"),
+    **dict.fromkeys(("range", "range_cut", "range_settled", "range_irregular"), ("end",)),
+    **dict.fromkeys(("jump_from", "jump_to"), ("end", *SPOT)),
+    **dict.fromkeys(("amplitude_lower", "amplitude_upper"), SPOT),
+    **dict.fromkeys(("period", "floquet_max"), ("motion",)),
+    **dict.fromkeys(("slip_share", "separation_share"), ("motion", "contact")),
     "phase_deg": ("motion", *SPOT),
     "dissipated_power": ("motion", "contact"),
 }
 OF_STARTS: dict[str, tuple[str, ...]] = {
-    "start_branch": ("share_lower", "share_upper"),
-    "start_failure": ("share_lower", "share_upper"),
-    "start_cycles": ("share_lower", "share_upper"),
+    **dict.fromkeys(("start_branch", "start_failure", "start_cycles"), ("share_lower", "share_upper")),
     "start_amplitude": ("share_lower", "share_upper", *SPOT),
-    "offset_low": ("motion", "contact", "tangent"),
-    "offset_high": ("motion", "contact", "tangent"),
+    **dict.fromkeys(("offset_low", "offset_high"), ("motion", "contact", "tangent")),
 }
 # Values where there is no range, where these are not NaN.
 BLANK: dict[str, tuple[Any, type]] = {

@@ -14,15 +14,10 @@ from timesim.result.dataset import Arrays
 # these are not NaN; names of some columns in the result file.
 TAILS = {
     **dict.fromkeys(("amplitude", "phase_deg", "drift"), ("point", "axis")),
-    **dict.fromkeys(("harmonic_amplitude", "harmonic_cos", "harmonic_sin"), ("harmonic", "point", "axis")),
-    "phasor": ("harmonic", "point", "axis"),
+    **dict.fromkeys(("phasor", "harmonic_amplitude", "harmonic_cos", "harmonic_sin"), ("harmonic", "point", "axis")),
     "band": ("band", "point", "axis"),
-    "slip_share": ("contact",),
-    "separation_share": ("contact",),
-    "dissipated_power": ("contact",),
-    "cycle_transitions": ("contact",),
-    "end_displacement": ("mode",),
-    "end_velocity": ("mode",),
+    **dict.fromkeys(("slip_share", "separation_share", "dissipated_power", "cycle_transitions"), ("contact",)),
+    **dict.fromkeys(("end_displacement", "end_velocity"), ("mode",)),
     "end_slip": ("contact", "tangent"),
     "end_state": ("contact",),
 }

@@ -201,12 +201,9 @@ def coefficient_variables(cycle: ElementCycle, plan: ElementPlan) -> Arrays:
     if not plan.principal_axes:
         return variables
     principal = cycle.principal_coefficients
-    return (
-        variables
-        | along(principal, "principal", "principal_")
-        | {
-            "principal_amplitude": (("principal",), principal.amplitude),
-            "principal_phase_deg": (("principal",), np.degrees(principal.phase)),
-            "principal_direction": (("principal", "tangent"), principal.axes),
-        }
-    )
+    return variables | {
+        **along(principal, "principal", "principal_"),
+        "principal_amplitude": (("principal",), principal.amplitude),
+        "principal_phase_deg": (("principal",), np.degrees(principal.phase)),
+        "principal_direction": (("principal", "tangent"), principal.axes),
+    }

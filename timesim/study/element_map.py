@@ -226,18 +226,12 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     }
     about = attributes(scene, str(solver), compiled - clock, seconds, reason)
     record = dataset(variables, coords, about | {"contact": plan.contact.name})
-    lines = (
-        f"{counted(elements.size, 'point')} by {solver} {took(about)}",
-        *(
-            [f"cycles to the steady one: {np.median(taken):.0f} in the median, {taken.max()} at most"]
-            if taken.size
-            else []
-        ),
-        *([f"{counted(creeping, 'point')} still creeping after {MAX_CYCLES} cycles (settled = 0)"] if creeping else []),
-        *(
-            [f"{counted(stuck, 'point')} in full stick, or all but: f_b there depends on the start, here f = 0"]
-            if stuck
-            else []
-        ),
-    )
-    return Outcome({"": record}, reason, lines)
+    lines = [f"{counted(elements.size, 'point')} by {solver} {took(about)}"]
+    if taken.size:
+        lines.append(f"cycles to the steady one: {np.median(taken):.0f} in the median, {taken.max()} at most")
+    if creeping:
+        lines.append(f"{counted(creeping, 'point')} still creeping after {MAX_CYCLES} cycles (settled = 0)")
+    if stuck:
+        free = "f_b there depends on the start, here f = 0"
+        lines.append(f"{counted(stuck, 'point')} in full stick, or all but: {free}")
+    return Outcome({"": record}, reason, tuple(lines))

@@ -22,6 +22,7 @@ from timesim.orbit.settling import Chain, GivenUpError, SteadyStates, steady_sta
 from timesim.orbit.steady_state import COLUMNS, Columns, Orbit, columns_of, end_of, orbit_of
 from timesim.result.coordinate import most_friction
 from timesim.result.dataset import Arrays, dataset
+from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan, combinations
 from timesim.study.columns import blank_columns, variables_of
@@ -30,7 +31,7 @@ from timesim.study.execution.progress import Phases
 from timesim.study.execution.worker import UnfinishedError, each, halted, point_done
 from timesim.study.outcome import Outcome, attributes, unit_names
 from timesim.study.summary.effort import sweep_effort_lines
-from timesim.study.summary.sweep import failure_line, search_line, sweep_lines
+from timesim.study.summary.sweep import failure_line, sweep_lines
 
 POINTS_A_CHUNK = 32  # independent points: 16 to 128 take as long; those of a chunk under way are lost at an interrupt
 CHAINS_A_CHUNK = (4, 32)  # few chains are spread over the processors, many are kept in few files
@@ -158,8 +159,12 @@ def sweep_record(scene: Scene, plan: SweepPlan, execution: Execution) -> tuple[D
 
 
 def search_failure(results: Iterable[Result]) -> str | None:
-    """Why the search for jumps of some chunks is not whole; None if it is."""
-    return search_line([str(why) for result in results for why in result.get(FAILURES, ())])
+    """Why the search for jumps of some chunks is not whole, with the first failure; None if it is."""
+    failures = [str(why) for result in results for why in result.get(FAILURES, ())]
+    if not failures:
+        return None
+    motions = counted(len(failures), "motion")
+    return f"the search for jumps is not exact, as {motions} of it could not be computed: {failures[0]}"
 
 
 def steady_dataset(grid: "Grid", columns: Columns, own: Arrays) -> Dataset:

@@ -149,14 +149,6 @@ def failure_line(data: Dataset) -> str | None:
     return f"{len(failed)} of {counted(reason.size, 'point')} failed: {'; '.join(listed)}"
 
 
-def search_line(failures: Sequence[str]) -> str | None:
-    """What the failures of a search for jumps mean, with the first of them; None if there are none."""
-    if not failures:
-        return None
-    motions = counted(len(failures), "motion")
-    return f"the search for jumps is not exact, as {motions} of it could not be computed: {failures[0]}"
-
-
 def _spans(data: Dataset, chosen: np.ndarray) -> str:
     """The ranges of frequency of chosen points, for each chain that has some."""
     spans = []
