@@ -616,7 +616,7 @@ def test_what_the_most_samples_leave_out_is_said(monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_scene_has_the_steps_of_the_continuation():
-    steps = scene_hbm.default_steps().model_dump()
+    steps = scene_hbm.Continuation.model_validate({}).model_dump()
     assert Controls(**steps) == Controls()
     assert set(steps) == {"first_step", "min_step", "max_step", "max_points", "tolerance"}
 

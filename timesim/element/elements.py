@@ -76,10 +76,10 @@ def harmonic_elements(
         stiffness: K_u, shape (2, 2) or (N, 2, 2).
         phasor: (u1, u2, v) = Im(phasor exp(i θ)), shape (N, 3) [length].
     """
-    size = np.abs(phasor)
+    size, one = np.abs(phasor), np.ones(len(phasor))
     mu, kv, n0 = (np.broadcast_to(np.asarray(x, float), len(phasor)) for x in (friction, normal_stiffness, preload))
     K = np.broadcast_to(np.asarray(stiffness, float), (len(phasor), 2, 2))
-    return _in_own_units(mu, kv, n0, K, phasor.imag, phasor.real, size, size[:, 2])
+    return _in_own_units(Elements(mu, kv, n0, K, phasor.imag, phasor.real, one, one), size, size[:, 2])
 
 
 def single_element(contact: Contact, motion: PrescribedMotion) -> Elements:
@@ -89,33 +89,25 @@ def single_element(contact: Contact, motion: PrescribedMotion) -> Elements:
     size = np.abs(motion.evaluate(np.linspace(0.0, CYCLE, 721))[0]).max(axis=1)[None]
     start, rate = (x[None] for x in motion.evaluate(0.0))
     mu, kv, n0 = np.array([[contact.friction], [contact.normal_stiffness], [contact.preload]], float)
-    return _in_own_units(mu, kv, n0, contact.tangential_stiffness[None], start, rate, size, closest)
+    one = np.ones(1)
+    return _in_own_units(Elements(mu, kv, n0, contact.tangential_stiffness[None], start, rate, one, one), size, closest)
 
 
-def _in_own_units(
-    friction: np.ndarray,
-    normal_stiffness: np.ndarray,
-    preload: np.ndarray,
-    stiffness: np.ndarray,
-    start: np.ndarray,
-    rate: np.ndarray,
-    size: np.ndarray,
-    closest: np.ndarray,
-) -> Elements:
-    """Elements from the units of the scene; ``size``: of u1, u2 and v, shape (N, 3); ``closest``: largest v."""
+def _in_own_units(given: Elements, size: np.ndarray, closest: np.ndarray) -> Elements:
+    """Elements from those of the scene; ``size``: of u1, u2 and v, shape (N, 3); ``closest``: largest v."""
     tangential = size[:, :2].max(axis=1)
     length = np.where(tangential > 0, tangential, np.where(size[:, 2] > 0, size[:, 2], 1.0))
-    limit = friction * np.maximum(preload + normal_stiffness * closest, 0.0)
-    other = np.abs(preload) + normal_stiffness * length
+    limit = given.friction * np.maximum(given.preload + given.normal_stiffness * closest, 0.0)
+    other = np.abs(given.preload) + given.normal_stiffness * length
     force = np.where(limit > 0, limit, np.where(other > 0, other, 1.0))
     ratio = length / force
-    return Elements(
-        friction,
-        normal_stiffness * ratio,
-        preload / force,
-        stiffness * ratio[:, None, None],
-        start / length[:, None],
-        rate / length[:, None],
-        length,
-        force,
+    return replace(
+        given,
+        normal_stiffness=given.normal_stiffness * ratio,
+        preload=given.preload / force,
+        stiffness=given.stiffness * ratio[:, None, None],
+        start=given.start / length[:, None],
+        rate=given.rate / length[:, None],
+        length=length,
+        force=force,
     )

@@ -134,7 +134,7 @@ def difference(cycle: ElementCycle, other: LoopCycle) -> Difference:
         second = [item for item in second if SEPARATION in (item.before, item.after)]
     # One right at the seam may stand at either end of the list.
     turns = range(-1, 2) if len(first) == len(second) else ()
-    pairings = [list(zip(first, _rolled(second, turn), strict=True)) for turn in turns]
+    pairings = [list(zip(first, second[turn:] + second[:turn], strict=True)) for turn in turns]
     alike = [pairs for pairs in pairings if all((a.before, a.after) == (b.before, b.after) for a, b in pairs)]
     options = [max((abs(_apart(a.angle, b.angle)) for a, b in pairs), default=0.0) for pairs in alike]
     best = alike[int(np.argmin(options))] if alike else []
@@ -179,7 +179,3 @@ def _brief(begin: Transition, end: Transition) -> bool:
 
 def _apart(a: float, b: float) -> float:
     return (a - b + np.pi) % CYCLE - np.pi
-
-
-def _rolled(items: list[Transition], turn: int) -> list[Transition]:
-    return items[turn:] + items[:turn]

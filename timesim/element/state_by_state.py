@@ -70,10 +70,6 @@ class Leap:
         """Of the way [force]."""
         return float(np.hypot(*self.way))
 
-    def shortened(self) -> "Leap":
-        """The same by `WITHDRAWN` of its way."""
-        return replace(self, way=WITHDRAWN * self.way)
-
     def taken(self, march: "March") -> tuple[Spell, list[Array]]:
         """The spell at its end, and the friction force there, alone."""
         spell = march.moved(self.origin, self.force + self.way)
@@ -105,7 +101,7 @@ def steady_cycle(contact: Contact, motion: PrescribedMotion, *, max_cycles: int 
         reached = ElementCycle(law, motion, tuple(stays), tuple(transitions), cycle, residual, tuple(history))
         if leap is not None and len(forces) == JUDGED + 1:
             if leap.length > SHORT * march.largest and beyond(leap.way, forces[-1] - forces[-2]):
-                leap = leap.shortened()
+                leap = replace(leap, way=WITHDRAWN * leap.way)
                 spell, forces = leap.taken(march)
                 continue
             leap = None

@@ -40,6 +40,7 @@ class AdaptiveBalance:
     The unknowns are those of the finest scheme; those that the scheme in use does not have are zero.
 
     Attributes:
+        positions: of the unknowns of each scheme.
         demanding: whether it refuses solutions that lack much; `refused`: whether it did since the curve began.
     """
 
@@ -48,7 +49,7 @@ class AdaptiveBalance:
         self.schemes, self.residual_of = tuple(schemes), lru_cache(maxsize=None)(residual_of)
         self.shape = 3 * num_contacts, 2 * self.schemes[-1].harmonics + 1
         whole = np.arange(np.prod(self.shape)).reshape(self.shape)
-        self._positions = [whole[:, : 2 * scheme.harmonics + 1].ravel() for scheme in self.schemes]
+        self.positions = [whole[:, : 2 * scheme.harmonics + 1].ravel() for scheme in self.schemes]
         self.place = self._least = self._held = 0
         self.demanding = self.refused = False
         self._before: list[tuple[int, int]] = []
@@ -61,11 +62,7 @@ class AdaptiveBalance:
     @property
     def active(self) -> NDArray[np.int64]:
         """Positions of the unknowns in use."""
-        return self.positions(self.place)
-
-    def positions(self, place: int) -> NDArray[np.int64]:
-        """Positions of the unknowns of a scheme."""
-        return self._positions[place]
+        return self.positions[self.place]
 
     def centre(self, x: Array) -> Array:
         """The mean of a motion."""
@@ -124,7 +121,7 @@ class AdaptiveBalance:
     def whole(self, x: Array, place: int = 0) -> Array:
         """All unknowns from those of a scheme."""
         whole = np.zeros(np.prod(self.shape))
-        whole[self.positions(place)] = x
+        whole[self.positions[place]] = x
         return whole
 
 

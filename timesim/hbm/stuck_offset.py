@@ -83,11 +83,6 @@ def _change_of(hessian: Plane, gradient: Plane, unit: Scalar) -> Plane:
     return scale * (c * x - b * y), scale * (a * y - b * x)
 
 
-def _newton_step(g: Plane, force: Plane, limit: Scalar, unit: Scalar, weight: Scalar) -> Plane:
-    gradient, hessian = _slopes(g, force, limit, unit, weight)
-    return _change_of(hessian, tuple(-x for x in gradient), unit)
-
-
 def _size(force: Plane) -> Scalar:
     return jnp.sqrt(sum(f**2 for f in force))
 
@@ -148,7 +143,8 @@ def stuck_offset(law: ConeLaw, motion: Motion) -> Offset:
     def improved(now: _Iterate) -> tuple[_Iterate]:
         wide = limit + now.widening
         weight = jnp.where(now.widening == 0, 1.0, SLIGHT)
-        step = _newton_step(now.g, force, wide, unit, weight)
+        gradient, hessian = _slopes(now.g, force, wide, unit, weight)
+        step = _change_of(hessian, tuple(-x for x in gradient), unit)
         share = jnp.minimum(1.0, 0.9 * _share_to_cone(now.g, step, force, wide))
         g = tuple(x + share * s for x, s in zip(now.g, step, strict=True))
         least, change, inside = least_widening(g), share * _size(step), now.widening == 0

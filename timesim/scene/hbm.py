@@ -48,7 +48,7 @@ class HbmPlan:
         span: first and last frequency of the curves [Hz].
         over: the further axes, a curve or several for each combination of values.
         along: the scalar that the curves run along at the frequency `span[0]`; None: they run along the frequency.
-        steps: of the continuation, the numbers of `Continuation` by their keys.
+        steps: of the continuation.
         stability, convergence: as in `BalanceSection`.
         both_ends: whether a curve is begun from either end.
         motion: a motion to begin from; None: the linear response.
@@ -58,7 +58,7 @@ class HbmPlan:
     scheme: Scheme
     span: tuple[float, float]
     over: Axes
-    steps: Mapping[str, Any]
+    steps: Controls
     along: Along | None = None
     stability: bool = True
     convergence: bool = False
@@ -108,11 +108,6 @@ class Continuation(Section):
             hint = f"first_step {first:g}, max_step {self.max_step:g}"
             raise refuse("must be at most first_step, and that at most max_step", key=("min_step",), hint=hint)
         return self.completed(first_step=first)
-
-
-def default_steps() -> Continuation:
-    """The steps where a scene names none."""
-    return Continuation.model_validate({})
 
 
 class ResultStart(ResultSection):
@@ -215,7 +210,7 @@ class BalanceSection(StudySection):
     """linear: the linear response with the contacts stuck or apart, else a load that grows from zero while damping
     leaves, else the motion of a time integration; both_ends: the same from both ends; or {from: result.nc}, a
     transient's motion, or a sweep's, which reach isolated branches."""
-    continuation: Continuation = Field(default_factory=default_steps)
+    continuation: Continuation = Field(default_factory=lambda: Continuation.model_validate({}))
     """Steps along the curve."""
     convergence: Switch = False
     """Compute how the answer depends on harmonics and time samples."""
@@ -242,7 +237,7 @@ class BalanceSection(StudySection):
             span=span,
             over=over,
             along=along,
-            steps=self.continuation.model_dump(),
+            steps=Controls(**self.continuation.model_dump()),
             stability=self.stability,
             convergence=self.convergence,
             both_ends=self.start == "both_ends",

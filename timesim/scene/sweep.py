@@ -7,8 +7,9 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from timesim.fault import RuleError
+from timesim.hbm.scheme import Controls
 from timesim.model.model import CONE, Model
-from timesim.scene.hbm import HarmonicsOrNone, HbmPlan, TimeSamples, balance_problems, balanced, default_steps
+from timesim.scene.hbm import HarmonicsOrNone, HbmPlan, TimeSamples, balance_problems, balanced
 from timesim.scene.section import refuse
 from timesim.scene.study import (
     ROUNDED,
@@ -189,8 +190,8 @@ class Bistable(SteadySection):
         sweep, balance = self.sweep(), None
         if self.harmonics:
             span = (self.frequency.first, self.frequency.to)
-            (scheme, chosen), steps = balanced(self.harmonics, self.time_samples), default_steps().model_dump()
-            balance = HbmPlan(scheme, span, sweep.over, steps, both_ends=True, chosen=chosen)
+            scheme, chosen = balanced(self.harmonics, self.time_samples)
+            balance = HbmPlan(scheme, span, sweep.over, Controls(), both_ends=True, chosen=chosen)
         return BistablePlan(sweep, self.width, self.starts, balance)
 
     def problems(self, model: Model) -> Iterator[RuleError]:

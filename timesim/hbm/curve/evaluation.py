@@ -102,7 +102,7 @@ def _place(balance: AdaptiveBalance, x: NDArray[np.float64]) -> int:
 
 def _piece(balance: AdaptiveBalance, curve: Curve, place: int, rows: NDArray[np.intp]) -> Piece:
     own = part_of(curve, rows)
-    return balance.residual_of(balance.schemes[place]), replace(own, x=own.x[:, balance.positions(place)])
+    return balance.residual_of(balance.schemes[place]), replace(own, x=own.x[:, balance.positions[place]])
 
 
 def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmCurve:

@@ -11,7 +11,7 @@ import numpy as np
 from timesim.engine.status import RunError
 from timesim.fault import RuleError
 from timesim.hbm.branches import SettledMotion, curves_from_ends, isolated_curves
-from timesim.hbm.continuation import Controls, Ending
+from timesim.hbm.continuation import Ending
 from timesim.hbm.convergence import FINER, SAMPLED, Known, left_to_samples, neglected, with_more_samples
 from timesim.hbm.curve import HbmCurve, Watch, hbm_curve
 from timesim.hbm.parameter import parameter_curve
@@ -256,7 +256,7 @@ class Curves:
         along, stable = self.plan.along, self.plan.stability
         # The name of a contact may hold braces.
         key = "" if along is None else along.key.replace("{", "{{").replace("}", "}}")
-        steps = Controls(**self.plan.steps, place=f"{key} = {{:.10g}}" if key else "{:.10g} Hz")
+        steps = replace(self.plan.steps, place=f"{key} = {{:.10g}}" if key else "{:.10g} Hz")
         return {"scheme": self.schemes, "controls": steps, "stability": stable, "watch": watch}
 
     def to_refine(self) -> list[Known]:
