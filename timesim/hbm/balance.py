@@ -100,9 +100,7 @@ def mean_of(rows: Array) -> Array:
 def _loose(free: NDArray[np.bool_], stiffness: Array) -> Array:
     """Motions of modes of frequency zero that a stiffness does not restrain, shape (M, L).
 
-    Args:
-        free: which modes these are, shape (M,).
-        stiffness: of the structure and of contacts, shape (M, M).
+    ``free``: which modes these are, shape (M,); ``stiffness``: of the structure and of contacts, shape (M, M).
     """
     values, vectors = np.linalg.eigh(stiffness[np.ix_(free, free)])
     loose = np.zeros((free.size, values.size))
@@ -113,12 +111,8 @@ def _loose(free: NDArray[np.bool_], stiffness: Array) -> Array:
 def _held(loose: Array, stiffness: Array, constant: Array) -> tuple[Array, Array]:
     """Stiffness of motions that nothing restrains, shape (M, M): their mean, which is free, is then zero.
 
-    And the constant forces, not finite where they act on these motions: then there is no periodic motion.
-
-    Args:
-        loose: these motions, shape (M, L).
-        stiffness: of the structure and whatever restrains it, shape (M, M).
-        constant: forces on the modes, shape (M,).
+    And the constant forces on the modes, shape (M,), not finite where they act on these motions: then there is no
+    periodic motion. ``loose``: these motions, shape (M, L); ``stiffness``: of the structure and whatever restrains it.
     """
     pushed = np.abs(constant @ loose).max(initial=0.0) > LOOSE * np.linalg.norm(constant)
     return (loose @ loose.T) * (stiffness.max() or 1.0), np.full_like(constant, np.nan) if pushed else constant

@@ -57,13 +57,8 @@ def warm_up(model: Model, frequency: float, scheme: Scheme, *, stability: bool =
 def curves_from_ends(model: Model, start: float, stop: float, *, both: bool, **options: Any) -> list[HbmCurve]:
     """The curve from one end of a range, and that from the other end if it is another.
 
-    Args:
-        model, start, stop: as for `timesim.hbm.curve.hbm_curve`.
-
-    Keyword Args:
-        both: begin at the other end too in any case, not only where the first curve turns back to where it began, or
-            fails.
-        options: as for `hbm_curve`.
+    Arguments as of `timesim.hbm.curve.hbm_curve`. ``both``: begin at the other end too in any case, not only where the
+    first curve turns back to where it began, or fails.
     """
     there = _followed(model, start, stop, **options)
     if there.ending is Ending.INTERRUPTED or not (both or there.ending in (Ending.LEFT, *FAILED)):
@@ -122,13 +117,12 @@ def isolated_curves(
     """Curves through settled motions that no other curve passes.
 
     Args:
-        model: the scene.
-        curves: curves followed before.
+        curves: those followed before.
         motions: by time integration; any outside the span are ignored, those at its ends are not.
         span: range of the curves [Hz].
 
     Keyword Args:
-        scheme, options: as for `timesim.hbm.curve.hbm_curve`.
+        scheme, options: as of `timesim.hbm.curve.hbm_curve`.
     """
     known = list(curves)
     low, high = min(span) * (1 - ROUNDED), max(span) * (1 + ROUNDED)
@@ -160,12 +154,8 @@ def solutions_at(
 ) -> HbmCurve:
     """The solutions of a curve at given frequencies, each solved for anew, in the order of these and of the curve.
 
-    Args:
-        model, curve: as given to and got from `hbm_curve`.
-        frequency: where [Hz], one or several; outside the curve there are none.
-
-    Keyword Args:
-        scheme, stability: as given to `hbm_curve`.
+    ``frequency``: where [Hz], one or several; outside the curve there are none. The others as given to and got from
+    `hbm_curve`.
     """
     wanted = np.atleast_1d(np.asarray(frequency, dtype=float))
     balance = Balance(model, float(wanted[0]), scheme or Scheme())

@@ -160,12 +160,7 @@ def order_of(numbers: Array, changes: Array) -> float:
 
 
 def convergence(known: Sequence[Known], scheme: Scheme) -> Convergence:
-    """Refine harmonics and samples at given solutions.
-
-    Args:
-        known: the solutions, computed with `scheme`.
-        scheme: of the study.
-    """
+    """Refine harmonics and samples at given solutions, computed with a scheme."""
     least = max(4 * scheme.harmonics, MIN_SAMPLES)
     samples = [2**k for k in range(4, MAX_DOUBLINGS + 1) if 2**k >= least]
     enough = max(scheme.time_samples, 4 * max(HARMONICS))

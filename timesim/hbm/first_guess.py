@@ -51,9 +51,7 @@ def curve_near(
     if any of them does: beside few harmonics there may be a solution where the curve has none.
 
     Args:
-        adaptive: the balance.
         p, frequency: where the curve begins: the parameter, and the frequency of the excitation [Hz].
-        controls: steps of the continuation.
         guess: modal Fourier coefficients 1, cos, sin, ....
         followed: the curve from a guess of the unknowns.
     """

@@ -156,10 +156,7 @@ def _closed(law: ConeLaw, motion: Float[Array, "room+1 6 lane"], count: Int[Arra
     They are accelerated from the third pass on (D. G. Anderson, J. ACM 12 (1965) 547, with one pass remembered): slip
     maps the plane on a curve, so the change over a pass has one direction.
 
-    Args:
-        law: of the contacts.
-        motion: (u1, u2, v) and their rates at the samples, the last one first too.
-        count: of the samples.
+    ``motion``: (u1, u2, v) and their rates at the samples, of which there are ``count``, the last one first too.
     """
     elastic, last_v = (motion[0, 0], motion[0, 1]), motion[0, 2]
     reach = jnp.max(length((motion[:, 0], motion[:, 1])), axis=0)

@@ -108,12 +108,9 @@ def most_harmonics(num_contacts: int) -> int:
 
 
 def finer_schemes(first: Scheme, most: int, *, choose_samples: bool) -> tuple[Scheme, ...]:
-    """A scheme, and those with more harmonics, up to a number, that the program may take after it.
+    """A scheme, and those with more harmonics, up to the most, that the program may take after it.
 
-    Args:
-        first: the coarsest.
-        most: harmonics.
-        choose_samples: take as many samples as suit each number of harmonics, else as few as it allows.
+    ``choose_samples``: take as many samples as suit each number of harmonics, else as few as it allows.
     """
     more = [count for count in MORE_HARMONICS if first.harmonics < count < most]
     more += [most] if most > first.harmonics else []
@@ -122,11 +119,9 @@ def finer_schemes(first: Scheme, most: int, *, choose_samples: bool) -> tuple[Sc
 
 
 def coarsest(schemes: Sequence[Scheme], motion: np.ndarray) -> int:
-    """Which of several schemes, coarsest first, is the first that has all harmonics of a motion.
+    """Which of several schemes, coarsest first, is the first that has all harmonics of a motion; the last one has.
 
-    Args:
-        schemes: with more and more harmonics, the last one with all of them.
-        motion: coefficients 1, cos, sin, ... of any components, shape (..., 2H + 1).
+    ``motion``: coefficients 1, cos, sin, ... of any components, shape (..., 2H + 1).
     """
     used = np.flatnonzero(motion.reshape(-1, motion.shape[-1]).any(axis=0))
     highest = int(used[-1]) if used.size else 0
@@ -143,9 +138,7 @@ def highest_excited(model: Model) -> int:
 def check_model(model: Model, harmonics: int | None) -> None:
     """Refuse a model without contacts or periodic excitation, or with excited harmonics that are not balanced.
 
-    Args:
-        model: the scene.
-        harmonics: those balanced; None: as many as are needed.
+    ``harmonics``: those balanced; None: as many as are needed.
 
     Raises:
         BalanceError: the model allows no balance.

@@ -322,9 +322,7 @@ def _stuck(law: ConeLaw, basis: Basis, coefficient: Array64, offset: Plane | Non
 def _add_kinks(spectrum: Array64, slopes: Slope, contact: int, basis: Basis, chain: _Chain) -> None:
     """Add what the few intervals with kinks put on the samples before and after them.
 
-    Args:
-        spectrum: derivatives of the coefficients of a contact's forces.
-        slopes, contact, basis, chain: as in `_Chain.of`, and what that gives.
+    ``spectrum``: derivatives of the coefficients of a contact's forces; ``chain``: what `_Chain.of` gives.
     """
     places = chain.places[1:]
     start, tangential, normal = slopes.of(places, contact, slice(2, None))

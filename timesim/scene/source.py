@@ -74,10 +74,7 @@ def _item(data: Any, part: str | int) -> Any:
 
 
 def read(source: str | Path | Mapping[str, Any]) -> SceneSource:
-    """Read a scene.
-
-    Args:
-        source: path of a scene file, the text of one (of several lines), or the same as a mapping.
+    """Read a scene from what `timesim.load_scene` takes.
 
     Raises:
         SceneError: a file that cannot be read, text that is no YAML that a scene may be, or values of other types.

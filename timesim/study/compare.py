@@ -72,11 +72,8 @@ class Match:
 def matched(amplitude: np.ndarray, frequency: np.ndarray, curves: Curves, processes: Processes | None = None) -> Match:
     """Find the solution nearest to each point of a sweep, on curves of the same sets of values.
 
-    Args:
-        amplitude: of the sweep, shape (V, D, F, P, 3).
-        frequency: of the sweep [Hz], shape (F,).
-        curves: of the balance.
-        processes: solve for the solutions at these frequencies, if they have been started.
+    From the sweep's amplitudes, shape (V, D, F, P, 3), and frequencies [Hz], shape (F,). ``processes``: solve for the
+    solutions at these, if they have been started.
     """
     nearest = np.full_like(amplitude, np.nan)
     solution = np.full(amplitude.shape[:3], -1)

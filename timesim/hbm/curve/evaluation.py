@@ -47,10 +47,7 @@ def by_schemes(balance: AdaptiveBalance, curve: Curve, evaluate: Evaluate, each:
 
     Contacts keep their offsets for the sign of the determinant (see `timesim.hbm.stability`).
 
-    Args:
-        balance, curve: what was followed, and the solutions.
-        evaluate: the solutions of the balance by one scheme.
-        each: does so with the pieces of the curve.
+    ``evaluate``: the solutions of the balance by one scheme; ``each``: does so with the pieces of the curve.
     """
     rows = list(_rows(balance, curve))
     order = np.argsort(np.concatenate([own for _, own in rows]))

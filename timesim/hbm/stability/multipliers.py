@@ -59,9 +59,7 @@ def checked_multipliers(balance: Balance, x: Array, frequency: Array, sign: NDAr
 
     On structures with stiff contacts real ones of 0.95 and 1.20 were 1.29 and 0.34 with 128 and 156 samples.
 
-    Args:
-        balance, x, frequency: as of `floquet_multipliers`.
-        sign: of det dr/dx, shape (S,), 0 where it does not tell.
+    ``sign``: of det dr/dx, shape (S,), 0 where it does not tell; the others as of `floquet_multipliers`.
     """
     multipliers, doubt = _with_doubt(balance, x, frequency)
     passed = np.count_nonzero((multipliers.imag == 0) & (multipliers.real > BORDER), axis=1)

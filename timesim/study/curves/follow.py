@@ -30,13 +30,8 @@ def follow_all(
     """Add the curves of all sets of values, and return why some are incomplete, or None.
 
     The curves of a set depend on those of the others only by the number of samples with which they begin, which is what
-    the first set needed.
-
-    Args:
-        curves: of a study, without any curve yet.
-        execution: its progress counts sets of values.
-        kept: the curves that are taken up, and where the others are kept.
-        passing: a sweep whose settled points the curves are to pass, besides that of the plan's start.
+    the first set needed. The progress counts sets of values. ``passing``: a sweep whose settled points the curves are
+    to pass, besides that of the plan's start.
     """
     work = _Work(
         curves, execution, kept, [sweep for sweep in (curves.plan.passing, passing and (passing, {})) if sweep]

@@ -126,13 +126,8 @@ Frequencies = Mapping[tuple[float, ...], np.ndarray]
 def fold_lines(hbm: Dataset, ends: Frequencies, failed: Frequencies, reach: float) -> Iterator[str]:
     """Folds of the balance, to compare with the ends of the ranges, and folds without an end within a reach [Hz].
 
-    Where points of the sweeps failed, such a fold does not ask for a wider search: beyond each a sweep starts anew.
-
-    Args:
-        hbm: the balance.
-        ends: those of the ranges.
-        failed: points of the sweeps that failed.
-        reach: a step of the sweeps.
+    That is a step of the sweeps. Where points of these failed, such a fold does not ask for a wider search: beyond each
+    a sweep starts anew.
     """
     frequency, keys, sets = hbm["frequency"].values, over_keys(hbm), dict[tuple[float, ...], list[float]]()
     for place in np.flatnonzero(hbm["fold"].values):

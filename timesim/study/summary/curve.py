@@ -106,10 +106,8 @@ def changes_of_stability(stable: np.ndarray, fold: np.ndarray) -> np.ndarray:
 def crossed(parameter: np.ndarray, multiplier: np.ndarray, changes: np.ndarray) -> np.ndarray:
     """Values of the parameter at which the largest multiplier passes 1, straight between two solutions.
 
-    Args:
-        parameter: of the solutions, shape (S,).
-        multiplier: the largest modulus of each, shape (S,).
-        changes: solutions after which it passes, shape (S,); halfway to the next one where the moduli do not tell.
+    ``multiplier``: the largest modulus of each solution, shape (S,); ``changes``: solutions after which it passes 1,
+    shape (S,), halfway to the next one where the moduli do not tell.
     """
     before = np.flatnonzero(changes)
     excess = multiplier[[before, before + 1]] - 1
@@ -119,12 +117,9 @@ def crossed(parameter: np.ndarray, multiplier: np.ndarray, changes: np.ndarray) 
 
 
 def peak(parameter: np.ndarray, height: np.ndarray, motion: np.ndarray) -> tuple[float, float]:
-    """Parameter and value of the largest height, by a parabola along the curve.
+    """Parameter and value of the largest height of solutions, shape (S,), by a parabola along the curve.
 
-    Args:
-        parameter: of the solutions, shape (S,).
-        height: the quantity that peaks, shape (S,).
-        motion: of the solutions, for the arc length between them, shape (S, ...).
+    ``motion``: of the solutions, for the arc length between them, shape (S, ...).
     """
     i = int(np.argmax(height))
     if not 0 < i < height.size - 1:

@@ -223,10 +223,8 @@ def repeats(amplitude: np.ndarray) -> tuple[int, float]:
 def forgets(amplitude: np.ndarray, period: int, unknown: int) -> int:
     """Cycles in which a small difference of a settled motion has decayed to `FORGOTTEN`.
 
-    Args:
-        amplitude: while it settles, shape (cycle, point, axis).
-        period: cycles after which the settled motion repeats.
-        unknown: what is returned where the motion was never `FAR` from it.
+    By the amplitude while it settles, shape (cycle, point, axis), and the cycles after which the settled motion
+    repeats; ``unknown`` where it was never `FAR` from that.
     """
     same = (np.arange(len(amplitude)) - len(amplitude)) % period - period
     away = amplitude_error(amplitude[same], amplitude)
