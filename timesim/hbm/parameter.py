@@ -73,21 +73,10 @@ def parameter_curve(
     stability: bool = True,
     watch: Watch | None = None,
 ) -> HbmCurve:
-    """Follow the periodic response at one frequency through a range of a scalar, around folds.
+    """Follow the periodic response at one frequency [Hz] through a range of a scalar, around folds.
 
-    Args:
-        model_at: the model for a value of the scalar.
-        frequency: of the excitation [Hz].
-        start, stop: range of the scalar; the curve begins at `start`.
-
-    Keyword Args:
-        scheme, controls, guess, stability, watch: as in `timesim.hbm.curve.hbm_curve`.
-
-    Returns:
-        The curve; its `parameter` is the scalar.
-
-    Raises:
-        ValueError: the range, the scheme or the excitation does not allow a balance.
+    ``model_at``: the model for a value of the scalar, which is the `parameter` of the curve. The curve begins at
+    `start`; other arguments and errors are those of `timesim.hbm.curve.hbm_curve`.
     """
     balance = AdaptiveBalance(
         lambda own: ParameterBalance(model_at, frequency, own, (start, stop)),

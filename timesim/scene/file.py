@@ -65,13 +65,9 @@ class SceneFile(SceneParts):
     study: StudySection
 
 
-def file_type(kinds: Kinds) -> type[SceneFile]:
-    """The scene file where these kinds of study are known."""
-    return _file_type(tuple(kinds.items()))
-
-
 @cache
-def _file_type(kinds: tuple[tuple[str, type[StudySection]], ...]) -> type[SceneFile]:
+def file_type(kinds: tuple[tuple[str, type[StudySection]], ...]) -> type[SceneFile]:
+    """The scene file where these kinds of study are known, the items of `Kinds`."""
     names = [name for name, _ in kinds]
 
     def known(value: Any) -> Any:
@@ -95,7 +91,7 @@ def _kind(value: Any) -> str | None:
 
 def parsed(data: Mapping[str, Any], kinds: Kinds) -> tuple[SceneFile | None, list[RuleError]]:
     """The sections of a scene from its plain data, or None, and all that is wrong with them."""
-    tree = file_type(kinds)
+    tree = file_type(tuple(kinds.items()))
     structure, contacts = data.get("structure"), data.get("contacts")
     listed = contacts if isinstance(contacts, list) else ()
     names = {
@@ -123,7 +119,7 @@ def _missing(data: Mapping[str, Any], kinds: Kinds) -> Iterator[RuleError]:
 
 def json_schema(kinds: Kinds) -> dict[str, Any]:
     """JSON Schema of the scene file, for editors."""
-    schema = file_type(kinds).model_json_schema()
+    schema = file_type(tuple(kinds.items())).model_json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_for_editors(schema)}
 
 
@@ -175,7 +171,6 @@ ELSEWHERE = {
     ("excitation", "phase_deg"): "each of forces and modal_force has its own",
 }
 """What is said of keys that stand in another section, by the section, or the tag of its kind, and the key."""
-MAPPINGS = ("dict_type", "model_type")
 NO_NUMBER = {RULES[kind] for kind in ("string_type", "bool_type", "tuple_type", "dict_type", "model_type")}
 """Rules that any number breaks, whatever its value."""
 
@@ -241,7 +236,7 @@ def _hint(
         if str(value).endswith(".nc"):
             return f"a result is given as {{from: {value}}}"
         return meant(value, str(context["expected"]).replace(" or ", ", ").replace("'", "").split(", "))
-    if kind in MAPPINGS and (fields := _fields_at(location, tree)):
+    if kind in ("dict_type", "model_type") and (fields := _fields_at(location, tree)):
         return f"its keys: {', '.join(fields)}"
     if kind == "tuple_type" and isinstance(value, dict) and value and all(part.isdecimal() for part in value):
         return "not in the scene: give all of it there before one of its entries is set or varied"
