@@ -168,13 +168,9 @@ class _Above:
         moved = np.linalg.solve(matrix, -(flexibility @ phasors[own, :, None]))
         forces = -phasors[own, :, None] - spring @ moved
         root = np.sqrt(balance.model.structure.mass)
-        modes = np.concatenate(
-            [
-                balance.modes(x, done.coefficient[..., : balance.size], frequency),
-                (linear.modal[own, :, :-1] @ forces)[..., 0] / root,
-            ]
-        )
-        points = np.einsum("pam,hm->hpa", balance.model.structure.shape, modes)
+        low = balance.modes(x, done.coefficient[..., : balance.size], frequency)
+        above = (linear.modal[own, :, :-1] @ forces)[..., 0] / root
+        points = np.einsum("pam,hm->hpa", balance.model.structure.shape, np.concatenate([low, above]))
         return cls(linear, done.coefficient, np.asarray(moved[..., 0], dtype=complex), points)
 
     @property

@@ -192,10 +192,8 @@ def _slip(law: ConeLaw, d: Plane, path: Path, window: Window) -> _Slip:
     excess, growth, _ = _excess(trial, a)
     # Where contact begins F is rounding, without a direction.
     taking_up = length(product(law.stiffness, rates.du)) - path.limit.rate(a)
-    excess, growth = (
-        jnp.where(window.closes, 0.0, jnp.minimum(excess, 0.0)),
-        jnp.where(window.closes, taking_up, growth),
-    )
+    excess = jnp.where(window.closes, 0.0, jnp.minimum(excess, 0.0))
+    growth = jnp.where(window.closes, taking_up, growth)
     on_cone = window.closes | (excess > -ON_CONE * path.limit.value(a))
     at_once = rubs & on_cone & (growth > 0)
     slides, start = _onset(trial, path, window, excess, growth, at_once)

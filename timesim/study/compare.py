@@ -143,13 +143,9 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         f"time integration: {counted(sweep['settled'].size, 'point')} in {seconds:.2f} s; harmonic balance: "
         f"{counted(hbm.sizes['solution'], 'solution')} in {hbm.attrs['run_seconds']:.2f} s"
     )
-    attrs = attributes(
-        scene,
-        f"{scene.solver()}; {curves.scheme}",
-        hbm.attrs["compile_seconds"] + sweep.attrs["compile_seconds"],
-        seconds + hbm.attrs["run_seconds"],
-        reason,
-    )
+    compiling = hbm.attrs["compile_seconds"] + sweep.attrs["compile_seconds"]
+    running = seconds + hbm.attrs["run_seconds"]
+    attrs = attributes(scene, f"{scene.solver()}; {curves.scheme}", compiling, running, reason)
     dims = tuple(map(str, sweep["amplitude"].dims))
     variables = {name: (dims[: array.ndim], array) for name, array in arrays.items()}
     # Not those of the frequency and of further axes: groups inherit them, and the balance has its own.

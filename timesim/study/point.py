@@ -77,18 +77,13 @@ def point_again(path: Path | str, at: Mapping[str, float | str]) -> Point:
         f"{name} {axis_value(value)}{' Hz' if name == 'frequency' else ''}" for name, value in where.items()
     )
     cycles = int(here["period"]) or UNSETTLED_CYCLES
-    outcome = carry_out(
-        load_scene(
-            groups[""].attrs["scene"],
-            overrides
-            | {
-                "title": ": ".join(filter(None, (words, groups[""].attrs["title"]))),
-                "study": {"kind": "transient", "cycles": cycles, "samples_per_cycle": SAMPLES},
-                "excitation.frequency": where["frequency"],
-                "initial": {"from": str(Path(path).absolute()), "at": where},
-            },
-        )
-    )
+    overrides |= {
+        "title": ": ".join(filter(None, (words, groups[""].attrs["title"]))),
+        "study": {"kind": "transient", "cycles": cycles, "samples_per_cycle": SAMPLES},
+        "excitation.frequency": where["frequency"],
+        "initial": {"from": str(Path(path).absolute()), "at": where},
+    }
+    outcome = carry_out(load_scene(groups[""].attrs["scene"], overrides))
     motion = outcome.groups[""]
     name = ",".join(f"{name}={axis_value(value)}" for name, value in where.items())
     return Point(name, motion, (f"{words}: {_kind(here)}", *_table(here, motion)), outcome.reason)

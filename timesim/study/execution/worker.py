@@ -245,15 +245,14 @@ def processes(cluster: str, workers: int | None) -> Iterator[Executor]:
             logger.setLevel(logging.CRITICAL)
         target: Any = cluster
         if cluster == LOCAL:
-            target = stack.enter_context(
-                distributed.LocalCluster(
-                    n_workers=default_workers() if workers is None else workers,
-                    threads_per_worker=1,
-                    dashboard_address=":0",
-                    silence_logs=logging.CRITICAL,
-                    preload=[_IGNORE_INTERRUPT],
-                )
+            local = distributed.LocalCluster(
+                n_workers=default_workers() if workers is None else workers,
+                threads_per_worker=1,
+                dashboard_address=":0",
+                silence_logs=logging.CRITICAL,
+                preload=[_IGNORE_INTERRUPT],
             )
+            target = stack.enter_context(local)
         try:
             client = stack.enter_context(distributed.Client(target, timeout=PATIENCE, set_as_default=False))
         except (OSError, ValueError) as error:
