@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from timesim.hbm.balance import Array, Balance, Complex, LinearResponse, contact_stiffness, mean_of
 from timesim.hbm.condensation import Condensation
-from timesim.hbm.continuation import Condensed, Nearby, Residual
+from timesim.hbm.continuation import Nearby, Residual
 from timesim.hbm.period import contact_forces, forces_of, period_of
 from timesim.hbm.scheme import NEGLECTED, Scheme
 from timesim.orbit.fourier import to_coefficients, to_phasors
@@ -71,7 +71,7 @@ class AdaptiveBalance:
     def value(self, x: Array, p: float) -> Array:
         return self.residual.value(x, p)
 
-    def linearised(self, x: Array, p: float) -> tuple[Array, Array | Condensed, Array]:
+    def linearised(self, x: Array, p: float) -> tuple[Array, Array | Condensation, Array]:
         return self.residual.linearised(x, p)
 
     def begin(self, x: Array) -> None:

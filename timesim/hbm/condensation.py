@@ -22,6 +22,11 @@ class Condensation:
     """The derivatives of a balance, for `timesim.hbm.continuation`.
 
     Its unknowns are the coefficients of all components of all contacts, shape (3C, 2H + 1) made flat.
+
+    Attributes:
+        inner, outer: positions of the k unknowns of W, and of the n - k of L.
+        matrix: 1 - F' K_W in the rows and columns of W, shape (k, k).
+        sign: of the determinant of 1 - F K_L.
     """
 
     def __init__(self, flexibility: Complex, stiffness: Array):
@@ -49,25 +54,25 @@ class Condensation:
         self.matrix = self._matrix()
 
     def solve(self, r: Array) -> Array:
-        """(1 - F K_L)^-1 r."""
+        """(1 - F K_L)^-1 r, shape (n,)."""
         return self._by_harmonics(self.inverse, self._rows(r)).ravel()
 
     def others(self, x: Array) -> Array:
-        """Motion of the components of L under the contact forces that motions of W give."""
+        """Motion of L, shape (n - k,), under the contact forces that motions of W, shape (k,), give."""
         rows = np.zeros((self.works.size, self.size))
         rows[self.works] = self._rows(x)
         forces = np.einsum("cjhkl,ckl->cjh", self.stiffness, rows.reshape(-1, 3, self.size))
         return self._by_harmonics(self.flexibility, self._rows(forces))[~self.works].ravel()
 
     def on_others(self, row: Array) -> Array:
-        """The transpose of that."""
+        """The transpose of that: from a row of L to one of W."""
         rows = np.zeros((self.works.size, self.size))
         rows[~self.works] = self._rows(row)
         forces = self._by_harmonics(self.flexibility.conj().swapaxes(1, 2), rows).reshape(-1, 3, self.size)
         return np.einsum("cjhkl,cjh->ckl", self.stiffness, forces).reshape(rows.shape)[self.works].ravel()
 
     def _matrix(self) -> Array:
-        """1 - F' K_W in the rows and columns of W."""
+        """`matrix`."""
         own, size = self.works.reshape(-1, 3), self.size
         count = np.count_nonzero(own)
         motion, first = np.empty((count, size, count * size)), 0

@@ -9,7 +9,8 @@ import numpy as np
 from timesim.engine.status import RunError
 from timesim.hbm.adaptive import AdaptiveBalance
 from timesim.hbm.balance import Array, Balance, contact_stiffness
-from timesim.hbm.continuation import Condensed, Controls, Curve, Ending, follow
+from timesim.hbm.condensation import Condensation
+from timesim.hbm.continuation import Controls, Curve, Ending, follow
 from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.fourier import to_coefficients
@@ -170,7 +171,7 @@ class _Ramp:
         balance, missing = self.at(p)
         return balance.value(x, self.frequency) + missing
 
-    def linearised(self, x: Array, p: float) -> tuple[Array, Array | Condensed, Array]:
+    def linearised(self, x: Array, p: float) -> tuple[Array, Condensation, Array]:
         balance, missing = self.at(p)
         r, by_x, _ = balance.linearised(x, self.frequency)
         return r + missing, by_x, (self.value(x, p + DIFFERENCE) - r - missing) / DIFFERENCE

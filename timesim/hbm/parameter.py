@@ -12,7 +12,8 @@ import numpy as np
 
 from timesim.hbm.adaptive import AdaptiveBalance
 from timesim.hbm.balance import Array, Balance, units_of
-from timesim.hbm.continuation import Condensed, Controls, Curve, follow, joined, part_of
+from timesim.hbm.condensation import Condensation
+from timesim.hbm.continuation import Controls, Curve, follow, joined, part_of
 from timesim.hbm.curve import HbmCurve, Watch, evaluated, finished, schemes_of, watched
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.scheme import Scheme
@@ -47,7 +48,7 @@ class ParameterBalance:
         r = self.at(inside).value(x, self.frequency)
         return r if inside == p else r + (p - inside) * self._slope(x, inside)
 
-    def linearised(self, x: Array, p: float) -> tuple[Array, Array | Condensed, Array]:
+    def linearised(self, x: Array, p: float) -> tuple[Array, Condensation, Array]:
         """r, and its derivatives by the unknowns and by the scalar."""
         inside = min(max(p, self.low), self.high)
         r, by_x, _ = self.at(inside).linearised(x, self.frequency)

@@ -1,6 +1,6 @@
 """Continuation of the solutions of any residual in a parameter: points, steps, folds."""
 
-from timesim.hbm.continuation.bordered import Bordered, Condensed, Nearby
+from timesim.hbm.continuation.bordered import Bordered, Nearby
 from timesim.hbm.continuation.other_end import WORK, Elsewhere
 from timesim.hbm.continuation.place import solve
 from timesim.hbm.continuation.residual import NoSolutionError, Residual

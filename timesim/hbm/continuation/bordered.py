@@ -1,14 +1,15 @@
 """Derivatives of a residual by its unknowns, bordered by a column and a row, with which Newton's method steps.
 
-Where most unknowns follow from a few, the equations are those of the few: `Condensed`.
+Where most unknowns follow from a few, the equations are those of the few: `Condensation`.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack, lu_solve
+
+from timesim.hbm.condensation import Condensation
 
 Array = NDArray[np.float64]
 # Share of the parameter in the tangent, each relative to its own size, below which neighbours are not those at the same
@@ -16,32 +17,8 @@ Array = NDArray[np.float64]
 STEEPEST = 0.01
 
 
-class Condensed(Protocol):
-    """Derivatives ``J (1 - E P)`` by n unknowns, where P takes k of them, on which all others depend by E.
-
-    Attributes:
-        inner, outer: positions of the k unknowns, and of the others.
-        matrix: the part of 1 - E in the rows of the k unknowns, shape (k, k).
-        sign: of det J.
-    """
-
-    inner: NDArray[np.intp]
-    outer: NDArray[np.intp]
-    matrix: Array
-    sign: int
-
-    def solve(self, r: Array) -> Array:
-        """J^-1 r, shape (n,)."""
-
-    def others(self, x: Array) -> Array:
-        """What the k unknowns, shape (k,), add to the others, shape (n - k,)."""
-
-    def on_others(self, row: Array) -> Array:
-        """The transpose of that: from a row of the others, shape (n - k,), to one of the k unknowns."""
-
-
 class Whole:
-    """The same for a matrix: no unknown follows from others."""
+    """As `Condensation`, of a matrix: no unknown follows from others."""
 
     sign = 1
 
@@ -62,13 +39,13 @@ class Whole:
 class Bordered:
     """LU factors of the derivatives by the unknowns and a parameter, with one more row."""
 
-    def __init__(self, by_x: Array | Condensed, by_p: Array, row: Array):
+    def __init__(self, by_x: Array | Condensation, by_p: Array, row: Array):
         """From the derivatives by the unknowns and by the parameter, shape (n,), and the row, shape (n + 1,).
 
         Raises:
             numpy.linalg.LinAlgError: they are singular, or not finite.
         """
-        self.by_x: Condensed = Whole(by_x) if isinstance(by_x, np.ndarray) else by_x
+        self.by_x: Condensation | Whole = Whole(by_x) if isinstance(by_x, np.ndarray) else by_x
         inner, outer = self.by_x.inner, self.by_x.outer
         self.column, self.row = self.by_x.solve(by_p), row
         matrix = np.empty((inner.size + 1,) * 2)

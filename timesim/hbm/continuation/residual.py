@@ -5,7 +5,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from timesim.hbm.continuation.bordered import Array, Condensed
+from timesim.hbm.condensation import Condensation
+from timesim.hbm.continuation.bordered import Array
 
 
 class Residual(Protocol):
@@ -17,8 +18,8 @@ class Residual(Protocol):
     def value(self, x: Array, p: float) -> Array:
         """r, shape (n,)."""
 
-    def linearised(self, x: Array, p: float) -> tuple[Array, Array | Condensed, Array]:
-        """r, shape (n,), its derivatives by x, shape (n, n) or `Condensed`, and by p, shape (n,)."""
+    def linearised(self, x: Array, p: float) -> tuple[Array, Array | Condensation, Array]:
+        """r, shape (n,), its derivatives by x, shape (n, n) or a `Condensation`, and by p, shape (n,)."""
 
 
 @runtime_checkable
