@@ -119,10 +119,7 @@ def isolated_curves(
     Args:
         curves: those followed before.
         motions: by time integration; any outside the span are ignored, those at its ends are not.
-        span: range of the curves [Hz].
-
-    Keyword Args:
-        scheme, options: as of `timesim.hbm.curve.hbm_curve`.
+        span: range of the curves [Hz]; what follows is as of `timesim.hbm.curve.hbm_curve`.
     """
     known = list(curves)
     low, high = min(span) * (1 - ROUNDED), max(span) * (1 + ROUNDED)

@@ -188,13 +188,14 @@ class Gathered:
 
     def __init__(self, grid: Grid, plan: BistablePlan, results: Mapping[str, Result]):
         self.grid, self.plan, self.results = grid, plan, results
-        self.whole = [self._last(v) for v in range(grid.shape[0])]
+        self.sets = list(product(*plan.sweep.over.values()))
+        self.whole = [self._last(v) for v in range(len(self.sets))]
         self.count = max((len(result["range"]) for result in self.whole if result), default=0)
 
     @property
     def ends(self) -> dict[tuple[float, ...], np.ndarray]:
         """Ends of the ranges [Hz] of each set of values that knows its ranges."""
-        sets = zip(product(*self.plan.sweep.over.values()), self.whole, strict=True)
+        sets = zip(self.sets, self.whole, strict=True)
         return {values: np.ravel(result["range"]) for values, result in sets if result is not None}
 
     @property
@@ -207,8 +208,7 @@ class Gathered:
     @property
     def failed(self) -> dict[tuple[float, ...], np.ndarray]:
         """Frequencies [Hz] of the points of both sweeps that failed, of each set of values that is swept."""
-        sets = list(product(*self.plan.sweep.over.values()))
-        return {sets[v]: result["frequency"][result["reason"] != ""] for v, result in self.swept.items()}
+        return {self.sets[v]: result["frequency"][result["reason"] != ""] for v, result in self.swept.items()}
 
     @property
     def swept(self) -> dict[int, Result]:

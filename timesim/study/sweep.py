@@ -188,8 +188,7 @@ Jump = tuple[int, int, float, float]
 class Grid:
     """The points of a sweep: sets of values of the further axes, directions, frequencies.
 
-    Attributes:
-        models, failed: by the number of each set of values, its model, or why it has none.
+    `models` and `failed` hold by the number of each set of values its model, or why it has none.
     """
 
     def __init__(self, scene: Scene, plan: SweepPlan):

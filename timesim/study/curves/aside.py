@@ -89,8 +89,7 @@ class Aside:
 class Evaluation:
     """The pieces of a curve that processes evaluate, some of them before all are known.
 
-    Attributes:
-        running: what is being evaluated, as far as is known.
+    `running` is what is being evaluated, as far as is known.
     """
 
     def __init__(self, processes: Processes):

@@ -41,8 +41,7 @@ def unseen(points: int, /) -> None:
 class Processes:
     """Processes that are started when there is work for them, and used again until the context is left.
 
-    Attributes:
-        workers: how many works may be under way at a time.
+    `workers` is how many works may be under way at a time.
     """
 
     def __init__(self, workers: int | None = None):

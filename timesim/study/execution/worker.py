@@ -11,7 +11,6 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
-from difflib import get_close_matches
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from uuid import uuid4
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from timesim.fault import meant
 from timesim.result.argument import shown
 from timesim.result.checkpoint import Result
 
@@ -216,8 +216,7 @@ def check_address(cluster: str, workers: int | None) -> None:
     if not isinstance(cluster, str):
         raise ExecutionError(f"cluster must be the address of a scheduler or '{LOCAL}', not {shown(cluster)}")
     if cluster != LOCAL and not _ADDRESS.fullmatch(cluster):
-        close = get_close_matches(cluster.lower(), [LOCAL], cutoff=0.6)
-        hint = f"did you mean {LOCAL}?" if close else f"give one as tcp://host:8786, or '{LOCAL}'"
+        hint = meant(cluster.lower(), [LOCAL]) or f"give one as tcp://host:8786, or '{LOCAL}'"
         raise ExecutionError(f"cluster {cluster}: is no address of a scheduler; {hint}")
     if cluster != LOCAL and workers is not None:
         raise ExecutionError(f"workers: the cluster {cluster} has its own; leave it out, or give cluster '{LOCAL}'")
