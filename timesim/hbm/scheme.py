@@ -107,15 +107,16 @@ def most_harmonics(num_contacts: int) -> int:
     return max(FIRST_HARMONICS, min(MORE_HARMONICS[-1], (MOST_UNKNOWNS // (3 * num_contacts) - 1) // 2))
 
 
-def finer_schemes(first: Scheme, most: int, *, choose_samples: bool) -> tuple[Scheme, ...]:
-    """A scheme, and those with more harmonics, up to the most, that the program may take after it.
+def finer_schemes(first: Scheme, most: int, *, excited: int = 0, choose_samples: bool) -> tuple[Scheme, ...]:
+    """A scheme with all excited harmonics, and those with more, up to the most, that the program may take after it.
 
     ``choose_samples``: take as many samples as suit each number of harmonics, else as few as it allows.
     """
-    more = [count for count in MORE_HARMONICS if first.harmonics < count < most]
-    more += [most] if most > first.harmonics else []
-    least = enough_samples if choose_samples else lambda count: 4 * count
-    return first, *(Scheme(count, max(first.time_samples, least(count))) for count in more)
+    least = max(first.harmonics, excited)
+    counts = [least, *(count for count in MORE_HARMONICS if least < count < most)]
+    counts += [most] if most > least else []
+    samples = enough_samples if choose_samples else lambda count: 4 * count
+    return tuple(Scheme(count, max(first.time_samples, samples(count))) for count in counts)
 
 
 def coarsest(schemes: Sequence[Scheme], motion: np.ndarray) -> int:

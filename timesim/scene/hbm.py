@@ -71,10 +71,8 @@ class HbmPlan:
         """The scheme to begin with, which has all excited harmonics, and those that may be taken after it."""
         if "harmonics" not in self.chosen:
             return (self.scheme,)
-        harmonics, choose = max(self.scheme.harmonics, highest_excited(model)), "time_samples" in self.chosen
-        least = enough_samples(harmonics) if choose else 4 * harmonics
-        first = Scheme(harmonics, max(self.scheme.time_samples, least))
-        return finer_schemes(first, most_harmonics(model.num_contacts), choose_samples=choose)
+        most, choose = most_harmonics(model.num_contacts), "time_samples" in self.chosen
+        return finer_schemes(self.scheme, most, excited=highest_excited(model), choose_samples=choose)
 
 
 class FrequencySpan(Span):
