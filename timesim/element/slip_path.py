@@ -158,7 +158,6 @@ def integrate_slip(
     """Integrate alpha from `start` until the contact sticks, at most to `end`.
 
     Args:
-        law, motion: the contact and its prescribed motion.
         alpha: direction of the friction force at `start` [rad].
         start, end: angles; n > 0 between them, it may vanish at either [rad].
         largest: largest limit force mu n of the cycle, the scale of the tolerance [force].

@@ -135,10 +135,9 @@ class MatrixSection(Section):
         given = self.matrices
         matrices = Matrices(np.array(given.mass), np.array(given.stiffness), given.damping and np.array(given.damping))
         try:
-            structure = _modal_structure(given, matrices, self.keep_modes)
+            return _built(given, matrices, self.keep_modes)
         except RuleError as error:
             raise (error if error.key == ("keep_modes",) else error.below("matrices")) from None
-        return structure, np.arange(structure.num_modes), tuple(_cuts(matrices, structure.num_modes))
 
 
 def _cuts(matrices: Matrices, kept: int) -> Iterator[str]:
@@ -154,9 +153,10 @@ def _cuts(matrices: Matrices, kept: int) -> Iterator[str]:
     yield f"structure.keep_modes: {parts}: which of them is kept is chance; {fewer}{last}{more} keeps them together"
 
 
-def _modal_structure(source: Any, matrices: Matrices, keep_modes: int | None) -> model.Structure:
-    points = {name: point.rows() for name, point in source.points.items()}
-    return modal_structure(matrices, points=points, damping_ratio=source.damping_ratio, keep_modes=keep_modes)
+def _built(given: "InlineMatrices | FileSection", matrices: Matrices, keep_modes: int | None) -> BuiltStructure:
+    points = {name: point.rows() for name, point in given.points.items()}
+    own = modal_structure(matrices, points=points, damping_ratio=given.damping_ratio, keep_modes=keep_modes)
+    return own, np.arange(own.num_modes), (*matrices.notes, *_cuts(matrices, own.num_modes))
 
 
 class MatrixFiles(Section):
@@ -191,13 +191,12 @@ class FileSection(Section):
         except OSError as error:  # a name that is too long, a folder that may not be searched
             raise RuleError(("file",), "cannot be read", error.strerror or "", self.file) from None
         try:
-            structure = _modal_structure(self, matrices, self.keep_modes)
+            structure, order, notes = _built(self, matrices, self.keep_modes)
         except RuleError as error:
             raise self._placed(error) from None
-        notes = (*matrices.notes, *_cuts(matrices, structure.num_modes))
         if self.damping_ratio is not None and matrices.damping is not None:
             notes = (*notes, "structure.damping_ratio is used; the damping matrix in the file is not")
-        return structure, np.arange(structure.num_modes), notes
+        return structure, order, notes
 
     def _placed(self, error: RuleError) -> RuleError:
         if error.key[0] not in ("mass", "stiffness", "damping"):

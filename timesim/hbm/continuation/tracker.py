@@ -60,10 +60,8 @@ def follow(
     """Follow the solution near a guess from one value of the parameter to another, around folds.
 
     Args:
-        residual: the equations.
         guess: near a solution at `start`, shape (n,).
         start, stop: range of the parameter; the curve begins at `start`, which may be the larger.
-        controls: step lengths and tolerances.
 
     Keyword Args:
         behind: the other end of the range where the curve begins inside it; `start` by default. Such a curve may also

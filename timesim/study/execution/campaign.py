@@ -129,8 +129,7 @@ def carry_through(
 
     Args:
         chunks: each one listed below the chunk that it comes after.
-        work: computes the result of a chunk: `timesim.study.execution.worker.Work`.
-        execution: how it is carried out.
+        work: computes the result of a chunk.
         identity, stage: as of `Execution.checkpoint`, whose errors it raises.
 
     Returns:
