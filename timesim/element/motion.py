@@ -180,10 +180,8 @@ class SplineMotion(PrescribedMotion):
 
     def __post_init__(self) -> None:
         if self.samples.ndim != 2 or self.samples.shape[1] != 3 or len(self.samples) < MIN_SAMPLES:
-            raise ValueError(
-                f"motion: samples must be at least {MIN_SAMPLES} rows of (u1, u2, v), "
-                f"not an array of shape {self.samples.shape}"
-            )
+            rule = f"samples must be at least {MIN_SAMPLES} rows of (u1, u2, v)"
+            raise ValueError(f"motion: {rule}, not an array of shape {self.samples.shape}")
         if not np.isfinite(self.samples).all():
             raise ValueError(f"motion: sample {np.argwhere(~np.isfinite(self.samples))[0, 0]} is not a finite number")
 

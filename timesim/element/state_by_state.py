@@ -148,20 +148,14 @@ def _law(contact: Contact) -> Law:
     K = np.asarray(contact.tangential_stiffness, float)
     where = f"contact {contact.name}"
     if contact.normal_stiffness < 0 or contact.friction < 0:
-        raise ValueError(
-            f"{where}: friction and normal stiffness must not be negative, "
-            f"not {contact.friction} and {contact.normal_stiffness}"
-        )
+        given = f"{contact.friction} and {contact.normal_stiffness}"
+        raise ValueError(f"{where}: friction and normal stiffness must not be negative, not {given}")
     if contact.normal_stiffness == 0 and contact.preload <= 0:
-        raise ValueError(
-            f"{where}: without normal stiffness the preload must be positive, not {contact.preload}: "
-            "there would never be contact"
-        )
+        rule = f"without normal stiffness the preload must be positive, not {contact.preload}"
+        raise ValueError(f"{where}: {rule}: there would never be contact")
     if not np.array_equal(K, K.T) or (contact.friction > 0 and np.linalg.eigvalsh(K)[0] <= 0):
-        raise ValueError(
-            f"{where}: the tangential stiffness must be symmetric and positive definite, or zero together "
-            f"with friction 0, not {K.tolist()}"
-        )
+        rule = "must be symmetric and positive definite, or zero together with friction 0"
+        raise ValueError(f"{where}: the tangential stiffness {rule}, not {K.tolist()}")
     return Law(K, contact.friction, contact.normal_stiffness, contact.preload)
 
 
@@ -298,9 +292,8 @@ class March:
             following = self._stopped(stop, spell) if stuck else self._follow(stop, spell)
             transitions.append(Transition(float(stop), spell.state, following.state))
             spell, theta = following, stop
-        raise RuntimeError(
-            f"element: more than {MAX_TRANSITIONS} transitions in a cycle, the last at {np.degrees(theta):.9g} degrees"
-        )
+        last = f"the last at {np.degrees(theta):.9g} degrees"
+        raise RuntimeError(f"element: more than {MAX_TRANSITIONS} transitions in a cycle, {last}")
 
     def _follow(self, theta: float, spell: Spell) -> Spell:
         if spell.state == SEPARATION:

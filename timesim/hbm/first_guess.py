@@ -28,10 +28,8 @@ def unknowns_of_modes(balance: Balance, modal: Array) -> Array:
     """Unknowns of a balance from modal Fourier coefficients 1, cos, sin, ..., shape (2K + 1, M)."""
     num_modes = balance.model.structure.num_modes
     if modal.ndim != 2 or modal.shape[0] % 2 == 0 or modal.shape[1] != num_modes:
-        raise ValueError(
-            "hbm: the guess must hold 1, cos, sin, ... of each mode, an odd number of rows and "
-            f"{num_modes} columns, not shape {modal.shape}"
-        )
+        rule = f"1, cos, sin, ... of each mode, an odd number of rows and {num_modes} columns"
+        raise ValueError(f"hbm: the guess must hold {rule}, not shape {modal.shape}")
     kept = np.zeros((balance.size, num_modes))
     kept[: len(modal)] = modal[: balance.size]
     shape = balance.model.contact_shape.reshape(3 * balance.num_contacts, -1)

@@ -139,10 +139,9 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     arrays, compared, cycle, interrupted = _compared(scene, sweep, hbm, curves, after.several, whole=reason is None)
     groups, reason = {"sweep": sweep, "hbm": hbm} | cycle, reason or interrupted
     lines = [*jump_lines(sweep), *compared, *sweep_effort_lines(sweep, scene)]
-    lines.append(
-        f"time integration: {counted(sweep['settled'].size, 'point')} in {seconds:.2f} s; harmonic balance: "
-        f"{counted(hbm.sizes['solution'], 'solution')} in {hbm.attrs['run_seconds']:.2f} s"
-    )
+    by_time = f"{counted(sweep['settled'].size, 'point')} in {seconds:.2f} s"
+    by_balance = f"{counted(hbm.sizes['solution'], 'solution')} in {hbm.attrs['run_seconds']:.2f} s"
+    lines.append(f"time integration: {by_time}; harmonic balance: {by_balance}")
     compiling = hbm.attrs["compile_seconds"] + sweep.attrs["compile_seconds"]
     running = seconds + hbm.attrs["run_seconds"]
     attrs = attributes(scene, f"{scene.solver()}; {curves.scheme}", compiling, running, reason)

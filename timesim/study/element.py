@@ -62,10 +62,8 @@ def study(scene: Scene, execution: Execution) -> Outcome:
 
 
 def _unsettled(cycle: ElementCycle) -> str:
-    return (
-        f"after {counted(cycle.num_cycles, 'cycle')} the friction force still changes by {cycle.residual:.1e} of the "
-        "largest mu n from cycle to cycle; change a parameter a little"
-    )
+    change = f"{cycle.residual:.1e} of the largest mu n from cycle to cycle; change a parameter a little"
+    return f"after {counted(cycle.num_cycles, 'cycle')} the friction force still changes by {change}"
 
 
 def _cross_check(
@@ -104,11 +102,10 @@ def _compared(cycle: ElementCycle, other: "LoopCycle", apart: "Difference") -> t
     if not apart.same_sequence:
         paths = [" ".join(_arrow(item) for item in c.transitions) or "none" for c in (cycle, other)]
         return compared, f"state by state finds the transitions {paths[0]}, the event loop {paths[1]}"
-    if apart.telling > ANGLE or max(apart.coefficient, apart.dissipation) > FORCE:
-        return compared, (
-            f"state by state and the event loop differ by {np.degrees(apart.angle):.1e} degree and by "
-            f"{max(apart.coefficient, apart.dissipation):.1e} of the largest mu n"
-        )
+    force = max(apart.coefficient, apart.dissipation)
+    if apart.telling > ANGLE or force > FORCE:
+        far = f"{np.degrees(apart.angle):.1e} degree and by {force:.1e} of the largest mu n"
+        return compared, f"state by state and the event loop differ by {far}"
     return compared, None
 
 

@@ -173,6 +173,5 @@ def _check_range(start: float, stop: float) -> None:
         if not np.isfinite(value) or value <= 0:
             raise ValueError(f"hbm: frequency.{name} must be a positive number of Hz, not {value}")
     if start == stop:
-        raise ValueError(
-            f"hbm: frequency.from and frequency.to must differ, not both {start}; use a sweep for one point"
-        )
+        hint = "use a sweep for one point"
+        raise ValueError(f"hbm: frequency.from and frequency.to must differ, not both {start}; {hint}")

@@ -146,10 +146,9 @@ def _unheld(model: Model) -> Iterator[str]:
     supported = np.any(shape[model.normal_stiffness > 0, 2] != 0, axis=0)
     pushed = np.abs(excited.constant) > ROUNDING * np.abs(excited.constant).max(initial=0.0)
     if ((model.structure.frequency == 0) & pushed & ~supported & (excited.largest > held)).any():
-        yield (
-            "excitation.constant_forces: with the others they push the structure by more than the friction that alone "
-            "holds it: it may drift, and harmonic balance knows only motions that repeat; a sweep tells"
-        )
+        pushed = "with the others they push the structure by more than the friction that alone holds it"
+        so = "it may drift, and harmonic balance knows only motions that repeat; a sweep tells"
+        yield f"excitation.constant_forces: {pushed}: {so}"
 
 
 def _narrow(study: StudySection, model: Model) -> Iterator[str]:

@@ -126,18 +126,15 @@ class Curves:
             left = max(neglected(own.model_at, own.curve, self.schemes) for own in curves)
             count = max(own.curve.harmonic_cos.shape[1] - 1 for own in curves)
             if left > NOTED:
-                yield (
-                    f"{label}auto took up to {count} harmonics: those above would add to the amplitude, or change "
-                    f"it by, up to {left:.1e} of it, where {NEGLECTED:g} is wanted; set harmonics to more"
-                )
+                above = f"those above would add to the amplitude, or change it by, up to {left:.1e} of it"
+                wanted = f"where {NEGLECTED:g} is wanted; set harmonics to more"
+                yield f"{label}auto took up to {count} harmonics: {above}, {wanted}"
         if "time_samples" in self.plan.chosen and Ending.INTERRUPTED not in [own.curve.ending for own in curves]:
             left = max(left_to_samples(own.model_at, own.curve, self.schemes) for own in curves)
             if left > SAMPLED:
-                yield (
-                    f"{label}auto took {self.schemes[0].time_samples:,} time samples: {FINER} times as many would "
-                    f"change the contacts' motion by up to {left:.1e}, where {SAMPLED:g} is wanted; set time_samples "
-                    "to more"
-                )
+                more = f"{FINER} times as many would change the contacts' motion by up to {left:.1e}"
+                wanted = f"where {SAMPLED:g} is wanted; set time_samples to more"
+                yield f"{label}auto took {self.schemes[0].time_samples:,} time samples: {more}, {wanted}"
 
     def _with_more_samples(self, curves: Sequence[StudyCurve]) -> tuple[Scheme, ...] | None:
         """Schemes with more samples, if the curves need them and should be followed again."""

@@ -270,9 +270,8 @@ def _check_workers(client: Any, name: str) -> None:
     for worker, theirs in versions.items():
         if theirs != own:
             installed = f"has timesim {theirs}" if isinstance(theirs, str) else "has no timesim"
-            raise ExecutionError(
-                f"cluster {name}: worker {worker} {installed}, this is {own}; install the same on all workers"
-            )
+            hint = "install the same on all workers"
+            raise ExecutionError(f"cluster {name}: worker {worker} {installed}, this is {own}; {hint}")
 
 
 class _Cluster(Executor):

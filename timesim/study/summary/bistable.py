@@ -40,10 +40,8 @@ def _range_lines(one: Dataset, width: float) -> Iterator[str]:
     shown = largest_motion(one["amplitude_upper"])
     two = (float(one[f"amplitude_{name}"].sel(shown)) for name in ("lower", "upper"))
     either = with_unit(" or ".join(f"{value:.6g}" for value in two), one["amplitude_upper"].attrs)
-    yield (
-        f"two motions from {low:.8g} to {high:.8g} Hz (each end to {width:g} Hz): amplitude of "
-        f"{' '.join(shown.values())} {either} at {0.5 * (low + high):.6g} Hz"
-    )
+    middle = f"amplitude of {' '.join(shown.values())} {either} at {0.5 * (low + high):.6g} Hz"
+    yield f"two motions from {low:.8g} to {high:.8g} Hz (each end to {width:g} Hz): {middle}"
     for end in one["end"].values[one["range_cut"].values > 0]:
         yield f"the {end} end of it is that of the search, not of the range: widen frequency"
     for motion, period in zip(MOTIONS, one["period"].values, strict=True):
@@ -52,15 +50,11 @@ def _range_lines(one: Dataset, width: float) -> Iterator[str]:
     for end, place, loser in zip(one["end"].values, (low, high), one["range_irregular"].values, strict=True):
         if loser > NO_MOTION:
             motion = {SMALLER: "smaller", LARGER: "larger"}[int(loser)]
-            yield (
-                f"the {end} end of it is where the {motion} motion loses its period: beyond {place:.8g} Hz it is "
-                "quasi-periodic or irregular, and not counted"
-            )
+            beyond = f"beyond {place:.8g} Hz it is quasi-periodic or irregular, and not counted"
+            yield f"the {end} end of it is where the {motion} motion loses its period: {beyond}"
     if not one["range_settled"].values.all():
-        yield (
-            "next to an end of it the motion had not settled after settle.max_cycles, "
-            "which may move that end by some of the width"
-        )
+        slow = "the motion had not settled after settle.max_cycles"
+        yield f"next to an end of it {slow}, which may move that end by some of the width"
     yield from _stuck_lines(one)
     if "start_branch" in one and (one["start_cycles"].values < 0).any():
         yield "the starts at its middle were not run"
@@ -73,10 +67,9 @@ def _stuck_lines(one: Dataset) -> Iterator[str]:
     """Contacts that stick all the time on both motions, which their offsets alone may tell apart."""
     works = (one["slip_share"] + one["separation_share"]).max("motion").values
     for name in one["contact"].values[works == 0]:
-        yield (
-            f"contact {name} sticks all the time on both motions: they may differ by its offset alone, with others "
-            "between them, and the ends then hold for the offset that the sweeps left it with"
-        )
+        alone = "they may differ by its offset alone, with others between them"
+        then = "the ends then hold for the offset that the sweeps left it with"
+        yield f"contact {name} sticks all the time on both motions: {alone}, and {then}"
 
 
 def _start_lines(one: Dataset) -> Iterator[str]:
@@ -112,11 +105,9 @@ def _offset_lines(one: Dataset, size: float) -> Iterator[str]:
     low, high = one["offset_low"].values, one["offset_high"].values
     for side, i in np.argwhere(~unique(low, high, size).all(axis=-1)):
         spans = " and ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(low[side, i], high[side, i], strict=True))
-        yield (
-            f"contact {one['contact'].values[i]} sticks all the time on the {MOTIONS[side]} motion, and its offset is "
-            f"not unique: over the starts w is {spans}. The end at which this motion is lost holds for the offset that "
-            "the sweep left it with"
-        )
+        sticks = f"contact {one['contact'].values[i]} sticks all the time on the {MOTIONS[side]} motion"
+        lost = "The end at which this motion is lost holds for the offset that the sweep left it with"
+        yield f"{sticks}, and its offset is not unique: over the starts w is {spans}. {lost}"
 
 
 Frequencies = Mapping[tuple[float, ...], np.ndarray]
@@ -142,15 +133,12 @@ def fold_lines(hbm: Dataset, ends: Frequencies, failed: Frequencies, reach: floa
         for fold in sorted(alone):
             if lost.size:
                 nearest = lost[np.argmin(np.abs(lost - fold))]
-                yield (
-                    f"{label}near the fold at {fold:.7g} Hz no range ends, perhaps because "
-                    f"{counted(lost.size, 'point')} of the sweeps failed, the nearest at {nearest:.7g} Hz"
-                )
+                why = f"{counted(lost.size, 'point')} of the sweeps failed, the nearest at {nearest:.7g} Hz"
+                yield f"{label}near the fold at {fold:.7g} Hz no range ends, perhaps because {why}"
                 continue
-            yield (
-                f"{label}beside the fold at {fold:.7g} Hz, near which no range ends, the balance has motions that no "
-                "sweep came to, one of which may be stable: search wider, or from another start"
-            )
+            beside = "the balance has motions that no sweep came to, one of which may be stable"
+            hint = "search wider, or from another start"
+            yield f"{label}beside the fold at {fold:.7g} Hz, near which no range ends, {beside}: {hint}"
     if not sets and frequency.size:
         so_far = "" if hbm.attrs["complete"] else " as far as it was followed"
         apart = any(np.isfinite(known).any() for known in ends.values())

@@ -135,20 +135,18 @@ def comparison_lines(points: Points) -> Iterator[str]:
         yield "no point is left where a contact slips or opens within the cycle: nothing is proven of the contacts"
     linear, close = seen & points.linear, seen & ~points.linear & points.near_fold
     if linear.any():
-        yield (
-            f"at {counted(linear.sum(), 'point')} every contact sticks, or stays apart, all the time: they differ by "
-            f"at most {size[linear].max():.1e}, but the motion is linear there, which proves nothing of the contacts"
-        )
+        where = f"at {counted(linear.sum(), 'point')} every contact sticks, or stays apart, all the time"
+        but = "but the motion is linear there, which proves nothing of the contacts"
+        yield f"{where}: they differ by at most {size[linear].max():.1e}, {but}"
     if close.any():
         near = counted(close.sum(), "point")
         yield f"at {near} within {NEAR_FOLD:g} of a fold's frequency they differ by up to {size[close].max():.1e}"
     if points.other_offset.any():
         number, most = counted(points.other_offset.sum(), "point"), size[points.other_offset].max()
-        yield (
-            f"at {number} they differ by up to {most:.1e} because a contact that sticks all the time keeps another "
-            "offset, which is free: time integration that begins from the balance's motion stays there: "
-            f"{_places(points, points.other_offset)}"
-        )
+        why = "a contact that sticks all the time keeps another offset, which is free"
+        stays = "time integration that begins from the balance's motion stays there"
+        places = _places(points, points.other_offset)
+        yield f"at {number} they differ by up to {most:.1e} because {why}: {stays}: {places}"
     unsettled = ~(points.settled | points.doubled | points.irregular | points.drifts | points.missing)
     for left_out, why in (
         (points.settled & ~points.solved & points.followed, "the balance has no stable solution"),

@@ -36,10 +36,8 @@ def effort_lines(data: Dataset, model: Model, solver: Solver) -> Iterator[str]:
         *_transitions(steps[most], _in_cycle(cycle, data), data["contact"].values),
         *_turning_lines(steps[-1], _turning(data, model), data["contact"].values),
     ]
-    yield (
-        f"{steps.mean():.3g} steps a cycle, {steps[most]} in cycle {int(cycle['cycle'])}, where its tolerance asks for "
-        f"about {round(usual, -1):.0f}: {'; '.join(causes or [UNKNOWN])}"
-    )
+    asked = f"where its tolerance asks for about {round(usual, -1):.0f}: {'; '.join(causes or [UNKNOWN])}"
+    yield f"{steps.mean():.3g} steps a cycle, {steps[most]} in cycle {int(cycle['cycle'])}, {asked}"
 
 
 def sweep_effort_lines(data: Dataset, scene: Scene) -> Iterator[str]:
@@ -59,11 +57,9 @@ def sweep_effort_lines(data: Dataset, scene: Scene) -> Iterator[str]:
         *_turning_lines(most, slip_rates(model, frequency) / (REACH * frequency), data["contact"].values),
     ]
     points = counted(number, "point takes", "points take")
-    yield (
-        f"{points} ten times the steps that the tolerance asks for; the most, {most:.0f} a cycle where it asks for "
-        f"about {round(usual, -1):.0f}, at {in_words(values, ', ')}{axis_value(frequency)} Hz: "
-        f"{'; '.join(causes or [UNKNOWN, FINER])}"
-    )
+    there = f"the most, {most:.0f} a cycle where it asks for about {round(usual, -1):.0f}"
+    where = f"{in_words(values, ', ')}{axis_value(frequency)} Hz: {'; '.join(causes or [UNKNOWN, FINER])}"
+    yield f"{points} ten times the steps that the tolerance asks for; {there}, at {where}"
 
 
 def _vibrations(steps: float, model: Model, frequency: float, usual: float) -> Iterator[str]:

@@ -82,19 +82,16 @@ def unusual_lines(data: Dataset) -> Iterator[str]:
         yield f"{points} after more than one cycle (variable period): {_spans(data, several)}"
     vague = settled & (left.values > data.attrs["settle_tolerance"])
     if vague.any():
-        yield (
-            f"{counted(vague.sum(), 'of them is', 'of them are')} settled to {left.values[vague].max():.1e}, not to "
-            "settle.tolerance, which is below what the noise of the steps allows (variable settled_to)"
-        )
+        points = f"{counted(vague.sum(), 'of them is', 'of them are')} settled to {left.values[vague].max():.1e}"
+        why = "which is below what the noise of the steps allows (variable settled_to)"
+        yield f"{points}, not to settle.tolerance, {why}"
     unknown = settled & np.isnan(data["floquet_max"].values)
     if unknown.any():
         yield f"the multipliers overflow, so stability is not known (floquet_max = NaN): {_spans(data, unknown)}"
     if irregular.any():
         points = counted(irregular.sum(), "point does", "points do")
-        yield (
-            f"{points} not repeat after up to {LONGEST} cycles: the motion is quasi-periodic or irregular "
-            f"(irregular = 1, with the band of its amplitude): {_spans(data, irregular)}"
-        )
+        kind = "the motion is quasi-periodic or irregular (irregular = 1, with the band of its amplitude)"
+        yield f"{points} not repeat after up to {LONGEST} cycles: {kind}: {_spans(data, irregular)}"
     way = np.abs(np.nan_to_num(data["drift"].values))
     drifts = way.any(axis=(-2, -1))
     if drifts.any():
@@ -102,10 +99,8 @@ def unusual_lines(data: Dataset) -> Iterator[str]:
         yield f"{points}, {moved} a cycle, as nothing holds the body (variable drift): {_spans(data, drifts)}"
     lost = done & ~settled & ~irregular
     if lost.any():
-        yield (
-            f"{counted(lost.sum(), 'point')} did not settle in settle.max_cycles (settled = 0, with the band of the "
-            f"amplitude): {_spans(data, lost)}"
-        )
+        shown = "(settled = 0, with the band of the amplitude)"
+        yield f"{counted(lost.sum(), 'point')} did not settle in settle.max_cycles {shown}: {_spans(data, lost)}"
 
 
 def jump_lines(data: Dataset) -> Iterator[str]:

@@ -49,10 +49,8 @@ def _verdict(data: Dataset) -> Iterator[str]:
     if attrs["settled_to"] > attrs["error_wanted"]:
         yield f"before the runs the amplitude still changed by {attrs['settled_to']:.1e}: it had not settled"
     if attrs["cycles"] > attrs["cycles_asked"]:
-        yield (
-            f"each run has {attrs['cycles']} cycles: in {attrs['cycles_asked']} it would not have come "
-            "from the accurate motion that it begins with to its own"
-        )
+        fewer = f"in {attrs['cycles_asked']} it would not have come from the accurate motion that it begins with"
+        yield f"each run has {attrs['cycles']} cycles: {fewer} to its own"
     yield from _advice(data)
     yield from _modes(data)
     yield from _reductions(data)
