@@ -219,9 +219,8 @@ class ElementCycle:
         edges = np.unique(np.concatenate([self._pieces[0], self.motion.breaks, [CYCLE]]))
         parts = np.ceil(np.diff(edges) / width).astype(int)
         size = np.repeat(np.diff(edges) / parts, parts)
-        first = np.repeat(edges[:-1], parts) + size * (
-            np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
-        )
+        place = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+        first = np.repeat(edges[:-1], parts) + size * place
         theta = first[:, None] + size[:, None] * (GAUSS_NODES + 1) / 2
         return theta.ravel(), (size[:, None] * GAUSS_WEIGHTS / 2).ravel()
 

@@ -120,9 +120,8 @@ def transitions(steps: Step, count: int) -> tuple[Transition, ...]:
     """Transitions of recorded steps."""
     before, after = (np.asarray(part)[:count, 0] for part in (steps.state, steps.state_after))
     angle = (np.asarray(steps.time) + np.asarray(steps.h))[:count]
-    return tuple(
-        Transition(float(angle[i] % CYCLE), int(before[i]), int(after[i])) for i in np.flatnonzero(before != after)
-    )
+    changes = np.flatnonzero(before != after)
+    return tuple(Transition(float(angle[i] % CYCLE), int(before[i]), int(after[i])) for i in changes)
 
 
 def difference(cycle: ElementCycle, other: LoopCycle) -> Difference:

@@ -14,7 +14,7 @@ from timesim.hbm.adaptive import AdaptiveBalance
 from timesim.hbm.balance import Array, Balance, units_of
 from timesim.hbm.condensation import Condensation
 from timesim.hbm.continuation import Controls, Curve, follow, joined, part_of
-from timesim.hbm.curve import HbmCurve, Watch, evaluated, finished, schemes_of, watched
+from timesim.hbm.curve import HbmCurve, Watch, evaluated, finished, watched
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
@@ -68,25 +68,23 @@ def parameter_curve(
     start: float,
     stop: float,
     *,
-    scheme: Scheme | Sequence[Scheme] | None = None,
-    controls: Controls | None = None,
-    guess: Array | None = None,
-    stability: bool = True,
-    watch: Watch | None = None,
+    scheme: Sequence[Scheme],
+    controls: Controls,
+    guess: Array | None,
+    stability: bool,
+    watch: Watch,
 ) -> HbmCurve:
     """Follow the periodic response at one frequency [Hz] through a range of a scalar, around folds.
 
     ``model_at``: the model for a value of the scalar, which is the `parameter` of the curve. The curve begins at
-    `start`; other arguments and errors are those of `timesim.hbm.curve.hbm_curve`.
+    `start`; other arguments, of which none has a default, and errors are those of `timesim.hbm.curve.hbm_curve`.
     """
     balance = AdaptiveBalance(
         lambda own: ParameterBalance(model_at, frequency, own, (start, stop)),
-        schemes_of(scheme),
+        scheme,
         model_at(start).num_contacts,
     )
-    steps = controls or Controls()
-    if watch is not None:
-        steps = watched(balance, steps, watch, _evaluated)
+    steps = watched(balance, controls, watch, _evaluated)
     curve = curve_near(
         balance, start, frequency, steps, guess, lambda first: follow(balance, first, start, stop, steps)
     )

@@ -156,11 +156,9 @@ class SolverSection(Section):
             raise refuse("excludes accuracy", key=("method",), hint=hint, value=self.method)
         owners = {"rtol": ADAPTIVE, "atol": ADAPTIVE, "steps_per_cycle": ("rk4",)}
         for key, methods in owners.items():
-            if getattr(self, key) is not None and self.method not in methods:
+            if (value := getattr(self, key)) is not None and self.method not in methods:
                 hint = "here an accuracy rules" if chosen else f"here method is {self.method}"
-                raise refuse(
-                    f"goes with method {', '.join(methods)} only", key=(key,), hint=hint, value=getattr(self, key)
-                )
+                raise refuse(f"goes with method {', '.join(methods)} only", key=(key,), hint=hint, value=value)
         if chosen:
             return self.completed(accuracy="standard", method="auto")
         if self.method == "rk4":

@@ -63,9 +63,8 @@ class Bordered:
         """Solution y, shape (n + 1,), for the right sides of the equations, shape (n,), and of the row."""
         inner, outer = self.by_x.inner, self.by_x.outer
         right = self.by_x.solve(r)
-        few = lu_solve(
-            (self.lu, self.pivots), np.append(right[inner], last - self.row[outer] @ right[outer]), check_finite=False
-        )
+        of_few = np.append(right[inner], last - self.row[outer] @ right[outer])
+        few = lu_solve((self.lu, self.pivots), of_few, check_finite=False)
         y = np.empty(self.row.size)
         y[inner], y[-1] = few[:-1], few[-1]
         y[outer] = right[outer] - few[-1] * self.column[outer] + self.by_x.others(few[:-1])

@@ -33,9 +33,8 @@ def follow_all(
     the first set needed. The progress counts sets of values. ``passing``: a sweep whose settled points the curves are
     to pass, besides that of the plan's start.
     """
-    work = _Work(
-        curves, execution, kept, [sweep for sweep in (curves.plan.passing, passing and (passing, {})) if sweep]
-    )
+    sweeps = [sweep for sweep in (curves.plan.passing, passing and (passing, {})) if sweep]
+    work = _Work(curves, execution, kept, sweeps)
     try:
         work.carry_out()
     except KeyboardInterrupt:

@@ -167,9 +167,8 @@ def _judgement(points: Points) -> str:
     worst, values = float(size[place]), in_words(points.values[place[0]])
     word = "agree" if worst <= AGREE else "nearly agree" if worst <= NEARLY else "differ"
     advice = "" if worst <= AGREE else "; study.convergence: true tells whether more harmonics would help"
-    shares = (
-        f"a contact {points.slip[place]:.2f} of the cycle in slip, one {points.separation[place]:.2f} in separation"
-    )
+    slip, apart = points.slip[place], points.separation[place]
+    shares = f"a contact {slip:.2f} of the cycle in slip, one {apart:.2f} in separation"
     if points.share[place] < HARDLY:
         shares = f"along {points.name[place]}, which moves {points.share[place]:.1e} of the largest amplitude, {shares}"
     means = f"{points.slip[judged].mean():.2f} and {points.separation[judged].mean():.2f}"

@@ -126,9 +126,8 @@ def peak(parameter: np.ndarray, height: np.ndarray, motion: np.ndarray) -> tuple
         return float(parameter[i]), float(height[i])
     rows = slice(i - 1, i + 2)
     near, p = motion[rows].reshape(3, -1), parameter[rows]
-    steps = np.hypot(
-        np.diff(p) / np.ptp(parameter), np.linalg.norm(np.diff(near, axis=0), axis=1) / (np.linalg.norm(near[1]) or 1.0)
-    )
+    ways = np.linalg.norm(np.diff(near, axis=0), axis=1) / (np.linalg.norm(near[1]) or 1.0)
+    steps = np.hypot(np.diff(p) / np.ptp(parameter), ways)
     s = np.array([-steps[0], 0.0, steps[1]])
     bend, slope, middle = np.polyfit(s, height[rows], 2)
     top = float(np.clip(-slope / (2 * bend), s[0], s[2])) if bend < 0 else 0.0

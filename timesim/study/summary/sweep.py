@@ -150,9 +150,8 @@ def _spans(data: Dataset, chosen: np.ndarray) -> str:
     for place in map(tuple, np.argwhere(chosen.any(axis=-1))):
         rows = runs(data["frequency"].values, chosen[place])
         named = [f"at {row[0]:g} Hz" if row.size == 1 else f"between {row[0]:g} and {row[-1]:g} Hz" for row in rows]
-        spans.append(
-            _chain(data, place) + ", ".join(first_few(named, POINTS, lambda left: f"and in {left} more ranges"))
-        )
+        few = first_few(named, POINTS, lambda left: f"and in {left} more ranges")
+        spans.append(_chain(data, place) + ", ".join(few))
     return "; ".join(first_few(spans, POINTS, lambda left: f"and in {counted(left, 'more row')} of the result"))
 
 
