@@ -79,13 +79,15 @@ def with_more_samples(
     model_at: Callable[[float], Model], curve: HbmCurve, schemes: Sequence[Scheme]
 ) -> tuple[Scheme, ...] | None:
     """The schemes with more samples where those of a curve are too few; None where they are enough."""
-    samples = [FINER * scheme.time_samples for scheme in schemes]
-    if samples[0] > MOST_SAMPLES or sampling_error(model_at, curve, schemes, looked_at(curve)) <= SAMPLED:
+    most = FINER * schemes[0].time_samples > MOST_SAMPLES
+    if most or sampling_error(model_at, curve, schemes, looked_at(curve)) <= SAMPLED:
         return None
-    return tuple(
-        replace(scheme, time_samples=max(min(count, MOST_SAMPLES), scheme.time_samples))
-        for scheme, count in zip(schemes, samples, strict=True)
-    )
+    return tuple(_finer(scheme, MOST_SAMPLES) for scheme in schemes)
+
+
+def _finer(scheme: Scheme, most: int) -> Scheme:
+    """`FINER` times as many samples, but no more than the most, nor fewer than there are."""
+    return replace(scheme, time_samples=max(min(FINER * scheme.time_samples, most), scheme.time_samples))
 
 
 def left_to_samples(model_at: Callable[[float], Model], curve: HbmCurve, schemes: Sequence[Scheme]) -> float:
@@ -110,12 +112,11 @@ def sampling_error(
     """
     worst = 0.0
     for balance, x, frequency in _solutions(model_at, curve, schemes, rows):
-        samples = balance.scheme.time_samples
-        finer = replace(balance.scheme, time_samples=max(min(FINER * samples, most), samples))
         if (beside := _nearby(balance, x, frequency)) is None:
             continue
         tangent, _ = beside.factors.tangent()
-        change = beside.factors.solve(-balance.with_scheme(finer).value(x, frequency) / beside.x_unit, 0.0)
+        finer = balance.with_scheme(_finer(balance.scheme, most))
+        change = beside.factors.solve(-finer.value(x, frequency) / beside.x_unit, 0.0)
         across = float(np.linalg.norm(change - (tangent @ change) * tangent))
         worst = max(worst, across / max(abs(tangent[-1]), STEEPEST))
     return worst

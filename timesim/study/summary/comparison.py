@@ -172,11 +172,10 @@ def _judgement(points: Points) -> str:
     if points.share[place] < HARDLY:
         shares = f"along {points.name[place]}, which moves {points.share[place]:.1e} of the largest amplitude, {shares}"
     means = f"{points.slip[judged].mean():.2f} and {points.separation[judged].mean():.2f}"
-    return (
-        f"the methods {word}: at {counted(judged.sum(), 'point')} with slip, or contact for a part of the cycle, they "
-        f"differ by at most {worst:.1e} of the amplitude (median {np.median(size[judged]):.1e}, mean shares {means}); "
-        f"most at {points.frequency[place[2]]:g} Hz{f' with {values}' if values else ''}, {shares}{advice}"
-    )
+    where = f"at {counted(judged.sum(), 'point')} with slip, or contact for a part of the cycle"
+    spread = f"(median {np.median(size[judged]):.1e}, mean shares {means})"
+    most = f"most at {points.frequency[place[2]]:g} Hz{f' with {values}' if values else ''}, {shares}{advice}"
+    return f"the methods {word}: {where}, they differ by at most {worst:.1e} of the amplitude {spread}; {most}"
 
 
 def _places(points: Points, chosen: np.ndarray) -> str:
