@@ -110,11 +110,8 @@ def _solutions(
     curves: Sequence[tuple[Model, HbmCurve]], frequency: np.ndarray, scheme: Scheme, stability: bool
 ) -> HbmCurve | None:
     """Solutions of all curves of a set of values at some frequencies."""
-    parts = [
-        solutions_at(model, curve, frequency, scheme=scheme, stability=stability)
-        for model, curve in curves
-        if curve.frequency.size
-    ]
+    own = [(model, curve) for model, curve in curves if curve.frequency.size]
+    parts = [solutions_at(model, curve, frequency, scheme=scheme, stability=stability) for model, curve in own]
     return joined(parts) if parts else None
 
 

@@ -210,11 +210,9 @@ class _Campaign:
             self.execution.notice(f"{done} taken up from {self.kept.folder}")
 
     def _work_off(self) -> None:
-        self.waiting += [
-            chunk
-            for chunk in self.chunks
-            if chunk.name not in self.results and (chunk.after is None or chunk.after in self.results)
-        ]
+        ready = {None, *self.results}
+        left = (chunk for chunk in self.chunks if chunk.name not in self.results)
+        self.waiting += [chunk for chunk in left if chunk.after in ready]
         own, several = self.execution, self.execution.several
         room = np.inf if several is None else several.workers
         try:

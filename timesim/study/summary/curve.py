@@ -53,10 +53,9 @@ def _curve_line(curve: Dataset) -> str:
     where = with_unit(f"{place:.6g}" if key == "frequency" else f"{key} = {place:.6g}", curve[key].attrs)
     where += ", an end of the curve" if place in along[[0, -1]] else ""
     only = "" if np.isfinite(curve["floquet_max"].values).any() else " by folds alone"
-    return (
-        f"peak {with_unit(f'{height:.5g}', curve['amplitude'].attrs)} of {name} at {where}; {turning}{also}; "
-        f"{counted(int(np.sum(~stable & ~fold)), 'unstable solution')}{only}; {states}"
-    )
+    top = with_unit(f"{height:.5g}", curve["amplitude"].attrs)
+    unstable = counted(int(np.sum(~stable & ~fold)), "unstable solution")
+    return f"peak {top} of {name} at {where}; {turning}{also}; {unstable}{only}; {states}"
 
 
 def _first_of(places: np.ndarray) -> str:
