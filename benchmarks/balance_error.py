@@ -22,7 +22,7 @@ from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls
 from timesim.hbm.convergence import Known, amplitude, neglected
 from timesim.hbm.curve import HbmCurve, hbm_curve
-from timesim.hbm.scheme import Scheme, coarsest, enough_samples, finer_schemes, most_harmonics
+from timesim.hbm.scheme import Scheme, coarsest, enough_samples, finer_schemes
 from timesim.hbm.stability import checked_multipliers, floquet_multipliers, grows
 from timesim.model.model import Model
 from timesim.orbit.steady_state import switches
@@ -91,7 +91,7 @@ def main() -> None:
     given = parser.parse_args()
     for seed in given.seeds:
         model, low, high = lightly_damped(seed, given.damping)
-        schemes = finer_schemes(Scheme(9, enough_samples(9)), most_harmonics(model.num_contacts), choose_samples=True)
+        schemes = finer_schemes(Scheme(9, enough_samples(9)), model, choose_samples=True)
         options = {"scheme": schemes, "stability": False}
         hbm_curve(model, low, high, controls=Controls(max_points=2), **options)
         begin = time.process_time()

@@ -19,7 +19,7 @@ from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls
 from timesim.hbm.curve import hbm_curve
 from timesim.hbm.period import basis_of, contact_forces
-from timesim.hbm.scheme import Scheme, finer_schemes, most_harmonics
+from timesim.hbm.scheme import Scheme, finer_schemes
 from timesim.orbit.fourier import to_coefficients, to_phasors
 from timesim.orbit.steady_state import switches
 
@@ -51,7 +51,7 @@ def wave_errors(seed: int) -> np.ndarray:
     model, free = generated["STRUCTURE"](seed)
     low, high = generated["span_of"](model, free)
     model = generated["loaded"](model, np.linspace(low, high, generated["POINTS"] + 1))
-    schemes = finer_schemes(Scheme(), most_harmonics(model.num_contacts), choose_samples=True)
+    schemes = finer_schemes(Scheme(), model, choose_samples=True)
     curve = hbm_curve(model, low, high, scheme=schemes, controls=Controls(max_points=200), stability=False)
     works = switches(curve.slip_share, curve.separation_share)
     rows = np.flatnonzero(works.any(axis=1))

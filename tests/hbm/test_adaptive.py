@@ -286,7 +286,8 @@ def rattling():
 @pytest.mark.slow
 def test_no_curve_begins_at_a_solution_that_more_harmonics_do_not_have():
     """13 harmonics have one of more than twice the amplitude; the other is that of a time integration."""
-    schemes = finer_schemes(Scheme(9, 256), 81, choose_samples=True)
+    schemes = finer_schemes(Scheme(9, 256), rattling(), choose_samples=True)
+    assert schemes[-1].harmonics == 81
     curve = hbm_curve(rattling(), 100.0, 100.4, scheme=schemes, controls=Controls(max_points=2))
     assert curve.stable.all()
     assert curve.amplitude[0].max() == pytest.approx(7.2466e-6, rel=1e-3)

@@ -566,7 +566,7 @@ def test_a_curve_whose_samples_prove_too_few_is_given_up_on_its_way(monkeypatch:
 
 def test_harmonics_are_as_many_as_the_answer_needs(monkeypatch: pytest.MonkeyPatch):
     """By the tail of the residual three are too few; the first set of values, which needs no more, has zeros there."""
-    monkeypatch.setattr(scene_hbm, "FIRST_HARMONICS", 3)
+    monkeypatch.setattr(hbm_scheme, "FIRST_HARMONICS", 3)
     narrow: dict[str, Any] = {"frequency": {"from": 0.93, "to": 0.935}, "stability": False, "time_samples": "auto"}
     chosen = timesim.run(scene(harmonics="auto", over={"contacts.pad.preload": [-100, -4]}, **narrow))
     count = chosen.sizes["harmonic"] - 1
@@ -587,8 +587,8 @@ def test_harmonics_are_as_many_as_the_answer_needs(monkeypatch: pytest.MonkeyPat
 
 def test_what_the_most_harmonics_leave_out_is_said(monkeypatch: pytest.MonkeyPatch):
     """In the result and on the console, with what is reached and what is wanted."""
-    monkeypatch.setattr(scene_hbm, "FIRST_HARMONICS", 3)
-    monkeypatch.setattr(scene_hbm, "most_harmonics", lambda num_contacts: 4)
+    monkeypatch.setattr(hbm_scheme, "FIRST_HARMONICS", 3)
+    monkeypatch.setattr(hbm_scheme, "most_harmonics", lambda num_contacts: 4)
     narrow: dict[str, Any] = {"frequency": {"from": 0.93, "to": 0.935}, "stability": False}
     loaded = load_scene(scene(harmonics="auto", time_samples=256, **narrow))
     outcome = followed_study(loaded, Execution())

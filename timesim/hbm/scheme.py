@@ -5,7 +5,7 @@ Checks of a scene import it: no JAX here.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -107,12 +107,18 @@ def most_harmonics(num_contacts: int) -> int:
     return max(FIRST_HARMONICS, min(MORE_HARMONICS[-1], (MOST_UNKNOWNS // (3 * num_contacts) - 1) // 2))
 
 
-def finer_schemes(first: Scheme, most: int, *, excited: int = 0, choose_samples: bool) -> tuple[Scheme, ...]:
-    """A scheme with all excited harmonics, and those with more, up to the most, that the program may take after it.
+def first_scheme(harmonics: int | Literal["auto"], time_samples: int | Literal["auto"]) -> Scheme:
+    """The one to begin with."""
+    count = FIRST_HARMONICS if harmonics == "auto" else harmonics
+    return Scheme(count, enough_samples(count) if time_samples == "auto" else time_samples)
+
+
+def finer_schemes(first: Scheme, model: Model, *, choose_samples: bool) -> tuple[Scheme, ...]:
+    """A scheme with all excited harmonics of a model, and those with more that the program may take after it.
 
     ``choose_samples``: take as many samples as suit each number of harmonics, else as few as it allows.
     """
-    least = max(first.harmonics, excited)
+    least, most = max(first.harmonics, highest_excited(model)), most_harmonics(model.num_contacts)
     counts = [least, *(count for count in MORE_HARMONICS if least < count < most)]
     counts += [most] if most > least else []
     samples = enough_samples if choose_samples else lambda count: 4 * count

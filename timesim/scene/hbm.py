@@ -7,17 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from timesim.fault import RuleError
-from timesim.hbm.scheme import (
-    FIRST_HARMONICS,
-    BalanceError,
-    Controls,
-    Scheme,
-    check_model,
-    enough_samples,
-    finer_schemes,
-    highest_excited,
-    most_harmonics,
-)
+from timesim.hbm.scheme import BalanceError, Controls, Scheme, check_model, finer_schemes, first_scheme
 from timesim.model.model import Model
 from timesim.result.file import StoreError
 from timesim.result.label import counted
@@ -25,7 +15,7 @@ from timesim.result.last_cycle import PeriodicMotion, periodic_motion
 from timesim.result.state import SavedStates, saved_states
 from timesim.scene.integration import ResultSection
 from timesim.scene.section import AsMapping, AsNumber, AsText, AutoOr, Section, by_form, refuse
-from timesim.scene.study import AlongOne, Axes, Context, Over, Scalar, StudySection, SweepPlan, SweepSection, axes_of
+from timesim.scene.study import Axes, Context, OneKey, Over, StudySection, SweepPlan, SweepSection, axes_of
 from timesim.scene.value import Count, Positive, Span, Switch, Whole
 
 
@@ -71,8 +61,7 @@ class HbmPlan:
         """The scheme to begin with, which has all excited harmonics, and those that may be taken after it."""
         if "harmonics" not in self.chosen:
             return (self.scheme,)
-        most, choose = most_harmonics(model.num_contacts), "time_samples" in self.chosen
-        return finer_schemes(self.scheme, most, excited=highest_excited(model), choose_samples=choose)
+        return finer_schemes(self.scheme, model, choose_samples="time_samples" in self.chosen)
 
 
 class FrequencySpan(Span):
@@ -174,9 +163,8 @@ def balanced(harmonics: int | Literal["auto"], time_samples: int | Literal["auto
         PydanticCustomError: the scheme is too coarse.
     """
     keys = {"harmonics": harmonics, "time_samples": time_samples}
-    count = FIRST_HARMONICS if harmonics == "auto" else harmonics
     try:
-        scheme = Scheme(count, enough_samples(count) if time_samples == "auto" else time_samples)
+        scheme = first_scheme(harmonics, time_samples)
     except BalanceError as error:
         raise refuse(error.rule, key=(error.key,), value=error.value, hint=error.hint) from None
     return scheme, tuple(key for key, value in keys.items() if value == "auto")
@@ -258,7 +246,7 @@ class Hbm(BalanceSection):
         AsNumber[Positive] | AsMapping[FrequencySpan], by_form("a mapping with from and to, or with `along` a number")
     ]
     """{from, to} [Hz]; a number where the curve runs `along` another scalar."""
-    along: Annotated[dict[Scalar, Span], AlongOne] = Field(default_factory=dict)
+    along: OneKey[Span] = Field(default_factory=dict)
     """A scalar of the scene by its key, with from and to, instead of the frequency."""
     over: Over = Field(default_factory=dict)
     """A curve for each value: scalars of the scene by their key."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import product
 from math import prod
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
@@ -20,6 +20,7 @@ from timesim.scene.contact import ContactSection
 from timesim.scene.section import Section, refuse
 from timesim.scene.value import Count, Frequencies, Positive, Text, Values, axis_values, repeated
 
+T = TypeVar("T")
 Axes = Mapping[str, tuple[float, ...]]
 """Scalars of the scene by their key path, each with its values."""
 
@@ -72,8 +73,8 @@ def _at_most_one(along: Mapping[str, Any]) -> Mapping[str, Any]:
 Scalar = Annotated[Text, AfterValidator(_scalar)]
 """Key path of a number of the scene, such as contacts.pad.preload; that it is a number is checked by setting it."""
 Over = Annotated[dict[Scalar, Annotated[Values, AfterValidator(_distinct)]], AfterValidator(_countable)]
-AlongOne = AfterValidator(_at_most_one)
-"""Refuses a mapping by `Scalar` with more than one entry."""
+OneKey = Annotated[dict[Scalar, T], AfterValidator(_at_most_one)]
+"""A mapping by one scalar of the scene, or empty."""
 
 
 def axes_of(over: Mapping[str, Any]) -> Axes:

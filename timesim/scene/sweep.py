@@ -11,18 +11,7 @@ from timesim.hbm.scheme import Controls
 from timesim.model.model import CONE, Model
 from timesim.scene.hbm import HarmonicsOrNone, HbmPlan, TimeSamples, balance_problems, balanced
 from timesim.scene.section import refuse
-from timesim.scene.study import (
-    ROUNDED,
-    AlongOne,
-    Context,
-    Over,
-    Scalar,
-    Settle,
-    SteadySection,
-    SweepPlan,
-    SweepSection,
-    axes_of,
-)
+from timesim.scene.study import ROUNDED, Context, OneKey, Over, Settle, SteadySection, SweepPlan, SweepSection, axes_of
 from timesim.scene.value import MAX_POINTS, Ascending, Count, Frequencies, PointName, Positive, Range, Whole, spaced
 
 
@@ -66,7 +55,7 @@ class Optimum(SteadySection):
     """The peak of the response over frequency against a scalar of the scene, and where it is least."""
 
     kind: Literal["optimum"]
-    along: Annotated[dict[Scalar, Range], AlongOne]
+    along: OneKey[Range]
     """A scalar of the scene by its key, with from, to and num: the values computed before the least is sought."""
     frequency: Frequencies
     """{from, to, step} or {values: [...]} [Hz]; swept up and down, and the peak is sought between its points."""
