@@ -28,6 +28,8 @@ OPEN = 16
 
 Piece = tuple[Any, Curve]
 """A residual, and solutions of it that are evaluated together."""
+Pieces = Callable[..., list[Piece]]
+"""``pieces(curve, grows=...)``: those of a curve that can be evaluated before all of it is known."""
 Evaluate = Callable[[Any, Curve], HbmCurve]
 Signed = tuple[HbmCurve, NDArray[np.int64]]
 """Evaluated solutions, and the sign of det dr/dx of each with the offsets of contacts kept."""

@@ -13,38 +13,25 @@ import numpy as np
 from timesim.hbm.adaptive import AdaptiveBalance
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, Curve, Elsewhere, Ending, follow, follow_both_ways, part_of
-from timesim.hbm.curve.evaluation import (
-    Each,
-    Piece,
-    Signed,
-    Work,
-    by_schemes,
-    each_here,
-    evaluated,
-    signed,
-    whole_pieces,
-)
+from timesim.hbm.curve.evaluation import Each, Pieces, Work, by_schemes, each_here, evaluated, signed, whole_pieces
 from timesim.hbm.curve.record import HbmCurve, Watch
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
 from timesim.orbit.fourier import Array
 
-Pieces = Callable[..., list[Piece]]
-"""``pieces(curve, grows=...)``: those of a curve that can be evaluated before all of it is known."""
-
 
 class Aside(Protocol):
     """Other processes that take a part of the work on a curve that takes long."""
+
+    each: Each
+    """The pieces of the whole curve, some of which may have been evaluated meanwhile."""
 
     def part(self, model: Model, start: float, first: float, last: float) -> Elsewhere:
         """Begin `part_of_curve`."""
 
     def meanwhile(self, start: float, work: Work, pieces: Pieces, so_far: Callable[[], Curve], /) -> None:
         """What of the curve that begins there may be evaluated while it grows; called at each of its solutions."""
-
-    def each(self, work: Work, pieces: Sequence[Piece], /) -> list[Signed]:
-        """The pieces of the whole curve, some of which may have been evaluated meanwhile."""
 
 
 def watched(balance: AdaptiveBalance, controls: Controls, watch: Watch, evaluate: Callable[..., HbmCurve]) -> Controls:
