@@ -32,17 +32,8 @@ from timesim.element.elements import Elements
 from timesim.element.motion import CYCLE, HarmonicMotion, PrescribedMotion, SplineMotion
 from timesim.engine import dense_output
 from timesim.engine.event_loop import advance, march
-from timesim.engine.law.contact_law import (
-    ContactLaw,
-    ContinuousState,
-    Dynamics,
-    Motion,
-    Path,
-    Plane,
-    Scalar,
-    State,
-    dot,
-)
+from timesim.engine.law.cone import ConeLaw
+from timesim.engine.law.contact_law import ContinuousState, Dynamics, Motion, Path, Plane, Scalar, State, dot
 from timesim.engine.method import Method
 from timesim.engine.solver import Control
 from timesim.engine.status import Status
@@ -120,7 +111,7 @@ class CycleState(ContinuousState):
 class PrescribedContacts(Dynamics):
     """Contacts whose relative motion is given: their law, and what drives them."""
 
-    law: ContactLaw
+    law: ConeLaw
     drive: Drive
 
     def field(self, state: State, time: Float[Array, ""], point: CycleState) -> CycleState:
