@@ -24,8 +24,13 @@ def wrap(theta: ArrayLike) -> Array:
     return np.where(angle > CYCLE - 1e-13, 0.0, angle)
 
 
-def exit_from_cone(mean: Array, cosine: Array, sine: Array) -> float:
-    """Exit of r = mean + cosine cos t + sine sin t from the cone that it touches at t = 0.
+def harmonic_exit(mean: Array, cosine: Array, sine: Array, *, on_cone: bool) -> float:
+    """Exit of r = mean + cosine cos t + sine sin t from the cone that it touches, or in which it lies, at t = 0."""
+    return (_exit_from_cone if on_cone else _exit_from_inside)(mean, cosine, sine)
+
+
+def _exit_from_cone(mean: Array, cosine: Array, sine: Array) -> float:
+    """`harmonic_exit` on the cone.
 
     There r1^2 + r2^2 - r3^2 is (1 - cos t)(a + b cos t + c sin t), so the quartic's other roots are those of
     the second factor, and one of them at most is rising.
@@ -41,8 +46,8 @@ def exit_from_cone(mean: Array, cosine: Array, sine: Array) -> float:
     return float((np.arctan2(c, b) - np.arccos(np.clip(-a / reach, -1.0, 1.0))) % CYCLE)
 
 
-def exit_from_inside(mean: Array, cosine: Array, sine: Array) -> float:
-    """Exit of r = mean + cosine cos t + sine sin t from the cone in which it lies at t = 0."""
+def _exit_from_inside(mean: Array, cosine: Array, sine: Array) -> float:
+    """`harmonic_exit` from inside."""
 
     def margin(t: Array) -> Array:
         # By r, not by the coefficients of its square: these lose (mu n)^2 where |K_u u| is much larger.

@@ -16,17 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PPoly, make_interp_spline
 
-from timesim.element.cone_exit import (
-    CYCLE,
-    TOUCH,
-    Array,
-    cone_margin,
-    exit_from_cone,
-    exit_from_inside,
-    piece_exit,
-    shifted,
-    wrap,
-)
+from timesim.element.cone_exit import CYCLE, TOUCH, Array, cone_margin, harmonic_exit, piece_exit, shifted, wrap
 from timesim.engine.dense_output import control_points
 
 MIN_SAMPLES = 16
@@ -139,8 +129,7 @@ class HarmonicMotion(PrescribedMotion):
     def cone_exit(self, transform: Array, offset: Array, start: float, *, on_cone: bool) -> float:
         # A quartic in exp(i theta), or what a double root leaves of it.
         phasor = (transform @ self.phasor) * np.exp(1j * start)
-        find = exit_from_cone if on_cone else exit_from_inside
-        return start + find(offset, phasor.imag, phasor.real)
+        return start + harmonic_exit(offset, phasor.imag, phasor.real, on_cone=on_cone)
 
     @property
     def fundamental(self) -> NDArray[np.complex128]:
