@@ -296,9 +296,8 @@ def _kinks(law: ConeLaw, d: Plane, path: Path, load: Cubic, window: Window, slip
     bend = product(law.stiffness, path.curvature(place))
     on_cone = (scaled(f, slip.first) for f in (path.limit.rate(place), path.limit.curvature(place)))
     grips = ~slip.fresh
-    first, second = (
-        scaled(jnp.where(rubs, 1.0, 0.0), where(grips, s, c)) for s, c in zip((pull, bend), on_cone, strict=True)
-    )
+    acts = jnp.where(rubs, 1.0, 0.0)
+    first, second = (scaled(acts, where(grips, s, c)) for s, c in zip((pull, bend), on_cone, strict=True))
     closing = ((*first, load.rate(place)), (*second, load.curvature(place)))
     gone = where(gap < place, direction_of(d, slip.first), slip.last)
     against = jnp.where(rubs, -law.friction, 0.0)

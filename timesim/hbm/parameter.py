@@ -85,9 +85,7 @@ def parameter_curve(
         model_at(start).num_contacts,
     )
     steps = watched(balance, controls, watch, _evaluated)
-    curve = curve_near(
-        balance, start, frequency, steps, guess, lambda first: follow(balance, first, start, stop, steps)
-    )
+    curve = curve_near(balance, start, frequency, steps, guess, lambda x: follow(balance, x, start, stop, steps))
     return finished(balance, curve, _evaluated, stability)
 
 

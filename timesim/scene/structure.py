@@ -304,9 +304,8 @@ class ExcitationSection(Section):
             row = np.searchsorted(harmonic, multiple)
             cosine[row] += c * pull
             sine[row] -= s * pull
-        constant = sum(
-            (force.amplitude * force.work(structure) for force in self.constant_forces), np.zeros(order.size)
-        )
+        pushes = (force.amplitude * force.work(structure) for force in self.constant_forces)
+        constant = sum(pushes, np.zeros(order.size))
         return model.Excitation(self.frequency, harmonic, cosine, sine, constant)
 
     def without_effect(self, structure: model.Structure) -> Iterator[str]:

@@ -73,9 +73,8 @@ def point_again(path: Path | str, at: Mapping[str, float | str]) -> Point:
     where = {name: values[places[name]].item() for name, values in states.axes.items()}
     here = sweep.isel(places)
     overrides = {key: value for key, value in where.items() if is_scalar_key(key) and not key.startswith("initial.")}
-    words = ", ".join(
-        f"{name} {axis_value(value)}{' Hz' if name == 'frequency' else ''}" for name, value in where.items()
-    )
+    texts = {name: f"{axis_value(value)}{' Hz' if name == 'frequency' else ''}" for name, value in where.items()}
+    words = ", ".join(f"{name} {text}" for name, text in texts.items())
     cycles = int(here["period"]) or UNSETTLED_CYCLES
     overrides |= {
         "title": ": ".join(filter(None, (words, groups[""].attrs["title"]))),

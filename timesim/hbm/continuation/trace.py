@@ -122,10 +122,8 @@ class Trace:
     def _is_passed_again(self) -> bool:
         """Whether the last fold is one of those before."""
         *before, (last, place) = [(x, p) for x, p, fold, _ in self.solutions if fold]
-        size = SAME_FOLD * self.corrector.size_of(last)
-        return any(
-            abs(p - place) <= SAME_PARAMETER * abs(place) and np.linalg.norm(x - last) <= size for x, p in before
-        )
+        size, way = SAME_FOLD * self.corrector.size_of(last), SAME_PARAMETER * abs(place)
+        return any(abs(p - place) <= way and np.linalg.norm(x - last) <= size for x, p in before)
 
     def _extreme(self, one: CurvePoint, other: CurvePoint) -> CurvePoint | None:
         """Where the parameter turns between two points, if it does."""

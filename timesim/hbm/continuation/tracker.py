@@ -254,10 +254,8 @@ class _PathTracker:
         if self._meets_other(before, point):
             return Ending.COMPLETE
         p = self.corrector.unscaled(point.y)[1]
-        for end, side, ending in (
-            (self.stop, 1, Ending.COMPLETE),
-            (self.behind, -1, Ending.COMPLETE if inside else Ending.LEFT),
-        ):
+        behind = Ending.COMPLETE if inside else Ending.LEFT
+        for end, side, ending in ((self.stop, 1, Ending.COMPLETE), (self.behind, -1, behind)):
             if side * self.sign * (p - end) >= 0:
                 last = self._between(before, point, end)
                 if last is None:

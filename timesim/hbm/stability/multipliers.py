@@ -61,7 +61,7 @@ def checked_multipliers(balance: Balance, x: Array, frequency: Array, sign: NDAr
 
     ``sign``: of det dr/dx, shape (S,), 0 where it does not tell; the others as of `floquet_multipliers`.
     """
-    multipliers, doubt = _with_doubt(balance, x, frequency)
+    multipliers, doubt = _with_doubt(balance, x, frequency, None)
     passed = np.count_nonzero((multipliers.imag == 0) & (multipliers.real > BORDER), axis=1)
     again = np.flatnonzero(doubt.any(axis=1) | (sign * (-1) ** passed < 0))
     if balance.scheme.time_samples < MANY:
@@ -69,9 +69,7 @@ def checked_multipliers(balance: Balance, x: Array, frequency: Array, sign: NDAr
     return multipliers
 
 
-def _with_doubt(
-    balance: Balance, x: Array, frequency: Array, samples: int | None = None
-) -> tuple[Array, NDArray[np.bool_]]:
+def _with_doubt(balance: Balance, x: Array, frequency: Array, samples: int | None) -> tuple[Array, NDArray[np.bool_]]:
     """`floquet_multipliers`, and which of them are in doubt: `extrapolated`."""
     samples = samples or max(SAMPLES, balance.scheme.time_samples)
     fine, coarse = (_by_samples(balance, x, frequency, number) for number in (samples, samples // 2))

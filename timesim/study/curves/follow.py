@@ -24,9 +24,7 @@ from timesim.study.outcome import attributes
 FOLLOWED = 0.6  # share of the time of a curve; its multipliers take the rest
 
 
-def follow_all(
-    curves: Curves, execution: Execution, kept: KeptCurves, passing: SavedStates | None = None
-) -> str | None:
+def follow_all(curves: Curves, execution: Execution, kept: KeptCurves, passing: SavedStates | None) -> str | None:
     """Add the curves of all sets of values, and return why some are incomplete, or None.
 
     The curves of a set depend on those of the others only by the number of samples with which they begin, which is what

@@ -138,9 +138,8 @@ def _modes(data: Dataset) -> Iterator[str]:
         yield f"no time left to try the lowest {data.attrs['modes_not_tried']} of {count} modes"
     if not few.sizes["trial"]:
         return
-    each = ", ".join(
-        f"{kept}: {error:.1e}" for kept, error in zip(few.modes_kept.values, few.error.values, strict=True)
-    )
+    pairs = zip(few.modes_kept.values, few.error.values, strict=True)
+    each = ", ".join(f"{kept}: {error:.1e}" for kept, error in pairs)
     enough = few.modes_kept.values[few.error.values <= wanted]
     verdict = f"the lowest {enough.min()} do" if enough.size else f"all {count} are needed"
     yield f"error by the number of lowest modes kept: {each}; for {wanted:.0e} {verdict}"
