@@ -445,6 +445,6 @@ BAD_SCENES = (
         + "excitation:\n  constant_forces: [{point: tip, direction: [1, 0, 0], amplitude: 1}]\n"
         + HBM[HBM.index("initial:") :],
         "excitation:",
-        "no periodic part",
+        "moves no mode periodically",
     ),
 )

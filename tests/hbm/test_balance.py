@@ -384,7 +384,7 @@ def test_start_from_a_given_motion():
         (lambda: Scheme(harmonics=9, time_samples=20), "time_samples must be at least 36 for 9 harmonics, not 20"),
         (lambda: hbm_curve(systems.oscillator(3.0, 1.0), 0.0, 1.0), "frequency.from must be a positive number"),
         (lambda: hbm_curve(systems.oscillator(3.0, 1.0), 1.0, 1.0), "must differ, not both 1.0"),
-        (lambda: Balance(silent(), 1.0, Scheme()), "no periodic part"),
+        (lambda: Balance(silent(), 1.0, Scheme()), "moves no mode periodically"),
         (lambda: Balance(replace(silent(), contacts=()), 1.0, Scheme()), "contacts must hold at least one contact"),
         (
             lambda: Balance(third_harmonic(), 1.0, Scheme(2, 64)),

@@ -758,6 +758,38 @@ def test_describe_contacts():
     assert report["left out or simplified"][-1].endswith(" mm (gap 100 mm)")
 
 
+def test_a_contact_with_a_wrong_normal_is_worth_a_warning():
+    """Of a mass that moves along x alone; by default the normal is z."""
+    mode = {"frequency": 1.0, "damping_ratio": 0.01, "mass": 1.0, "shape": {"tip": [1, 0, 0]}}
+    pad = {
+        "name": "pad",
+        "point": "tip",
+        "friction": 0.3,
+        "tangential_stiffness": 5,
+        "normal_stiffness": 0,
+        "preload": 1,
+    }
+    force = {"point": "tip", "direction": [1, 0, 0], "amplitude": 1}
+    scene = {
+        "structure": {"modes": [mode]},
+        "contacts": [pad],
+        "excitation": {"frequency": 1.1, "forces": [force]},
+        "study": {"kind": "transient", "cycles": 5},
+    }
+    wrong = {"contacts.pad.normal": [1, 0, 0], "contacts.pad.tangent": [0, 1, 0]}
+    for changes, said in (
+        (wrong, "in its plane, which is normal to (1, 0, 0): its normal load is constant, so it has no effect"),
+        (wrong | {"contacts.pad.normal_stiffness": 3}, "(1, 0, 0): it never rubs, and acts as a stop"),
+        ({}, ""),
+    ):
+        loaded = load_scene(scene, changes)
+        warned = [line for line in warnings_of(loaded) if "no mode moves it" in line]
+        assert [line.endswith(said) for line in warned] == ([True] if said else [])
+    report = describe(load_scene(scene, wrong | {"contacts.pad.normal_stiffness": 3}))
+    assert any("pad: tip against the ground, normal (1, 0, 0), friction 0.3" in line for line in report["contacts"])
+    assert not any("moves straight" in line for lines in report.values() for line in lines)
+
+
 def test_modes_far_above_the_excitation_are_worth_a_warning():
     assert list(warnings_of(load_scene(CONFIGS / "blade.yaml"))) == []
     (warning,) = warnings_of(load_scene(CONFIGS / "blade.yaml", ["structure.keep_modes=24"]))

@@ -484,7 +484,7 @@ def test_what_cannot_be_balanced_is_refused(study, said):
 
 def test_a_scene_with_nothing_periodic_is_refused():
     still = scene() | {"excitation": {"constant_forces": [{"point": "tip", "direction": [1, 0, 0], "amplitude": 1}]}}
-    with pytest.raises(SceneError, match=r"excitation.*no periodic part"):
+    with pytest.raises(SceneError, match=r"excitation.*moves no mode periodically"):
         load_scene(still)
 
 

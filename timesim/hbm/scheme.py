@@ -155,8 +155,10 @@ def check_model(model: Model, harmonics: int | None) -> None:
         raise BalanceError("contacts", rule, None, "a sweep gives the linear response")
     highest = highest_excited(model)
     if not highest:
-        rule = "has no periodic part, so there is no periodic response to balance"
-        hint = "give excitation.modal_force or excitation.forces an amplitude"
+        rule = "moves no mode periodically, so there is no periodic response to balance"
+        hint = (
+            "give excitation.modal_force an amplitude, or one of excitation.forces, along which a mode moves its point"
+        )
         raise BalanceError("excitation", rule, None, hint)
     if harmonics is not None and highest > harmonics:
         rule = f"must be at least {highest}, since harmonic {highest} is excited"

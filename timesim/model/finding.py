@@ -42,9 +42,9 @@ def straight(model: Model, live: np.ndarray, line: np.ndarray) -> Iterator[str]:
         c, (first, second) = live[row], line[row]
         if model.contacts[c].friction > 0:
             # A unit vector: beyond its sixth decimal is rounding.
-            where = f"along ({round(first, 6) + 0.0:g}, {round(second, 6) + 0.0:g}) of its plane"
-            name = model.contacts[c].name
-            yield f"contact {name} moves straight {where}: one tangential component is modelled"
+            where = f"moves straight along ({round(first, 6) + 0.0:g}, {round(second, 6) + 0.0:g}) of its plane"
+            where = where if np.any(model.contact_shape[c, :2]) else "is moved by no mode in its plane"
+            yield f"contact {model.contacts[c].name} {where}: one tangential component is modelled"
 
 
 def simplified(contact: Contact, shape: np.ndarray, units: Units, *, is_straight: bool) -> Iterator[str]:

@@ -106,6 +106,7 @@ def _contact_parts(contact: Contact, units: Mapping[str, str]) -> Iterator[str]:
 
     if contact.point:
         yield f"{contact.point} against {'the ground' if contact.against == GROUND else contact.against}"
+        yield f"normal ({', '.join(f'{x + 0.0:.3g}' for x in contact.frame[2])})"
     if contact.law != CONE:
         own = ", ".join(f"{key} {value:g}" for key, value in contact.law_parameters.items())
         yield f"law {contact.law}" + (f" ({own})" if own else "")

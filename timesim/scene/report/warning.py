@@ -28,6 +28,7 @@ KEPT = 20.0  # times that frequency above which a mode may be left out
 TAKES_PART = 1e-2  # share of a mode's stiffness that contacts add if it takes part in their motion
 HEAVY = 0.15  # damping ratio above which a percentage is suspected
 ROUGH = 3.0  # friction coefficient above which the same is
+STILL = 1e-9  # share of a contact's largest motion below which it does not move in its plane
 ROUNDING = 1e-9  # share of the largest constant modal force that leaves a mode alone
 FEW_RUNS = 4  # at reference for which a tradeoff should have time
 
@@ -213,6 +214,11 @@ def _still_parts(file: SceneFile, model: Model) -> Iterator[str]:
     for contact, shape in zip(model.contacts, model.contact_shape, strict=True):
         if not np.any(shape):
             yield f"contacts.{contact.name} does not move in any mode"
+        elif contact.friction > 0 and not np.any(np.abs(shape[:2]) > STILL * np.abs(shape).max()):
+            loaded = contact.normal_stiffness > 0
+            so = "it never rubs, and acts as a stop" if loaded else "its normal load is constant, so it has no effect"
+            normal = ", ".join(f"{x + 0.0:.3g}" for x in contact.frame[2])
+            yield f"contacts.{contact.name}: no mode moves it in its plane, which is normal to ({normal}): {so}"
     given = getattr(file.initial, "slip", {})
     for contact, slip in zip(model.contacts, start.slip, strict=True):
         if contact.name in given and not np.allclose(slip, given[contact.name], rtol=1e-8, atol=0.0):
