@@ -20,7 +20,7 @@ from timesim.model.model import Model
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.steady_state import switches
 from timesim.result.coordinate import most_friction
-from timesim.result.label import in_words
+from timesim.result.label import counted, in_words
 from timesim.result.state import SavedStates, SweepPoint, settled_points, start_of
 from timesim.scene.hbm import HbmPlan
 from timesim.scene.resolution import Scene
@@ -120,15 +120,17 @@ class Curves:
                 self.notes.extend(_not_begun(sweep[0], values, useless))
 
     def _left_out(self, values: Mapping[str, float], curves: Sequence[StudyCurve]) -> Iterator[str]:
-        """What the harmonics and the samples that the program chose at most still leave out."""
+        """What the harmonics, and the samples that the program chose, still leave out."""
         label = in_words(values, ": ")
-        if "harmonics" in self.plan.chosen:
-            left = max(neglected(own.model_at, own.curve, self.schemes) for own in curves)
+        left = max(neglected(own.model_at, own.curve, self.schemes) for own in curves)
+        if left > NOTED:
             count = max(own.curve.harmonic_cos.shape[1] - 1 for own in curves)
-            if left > NOTED:
-                above = f"those above would add to the amplitude, or change it by, up to {left:.1e} of it"
-                wanted = f"where {NEGLECTED:g} is wanted; set harmonics to more"
-                yield f"{label}auto took up to {count} harmonics: {above}, {wanted}"
+            more = next((own.harmonics for own in self.schemes if own.harmonics > count), 2 * count + 1)
+            taken, hint = f"auto took up to {counted(count, 'harmonic')}", f"set harmonics to {more} or more"
+            if "harmonics" not in self.plan.chosen:
+                taken, hint = f"{counted(count, 'harmonic')} may be too few", f"{hint}, or to auto"
+            above = f"those above would add to the amplitude, or change it by, up to {left:.1e} of it"
+            yield f"{label}{taken}: {above}, where {NEGLECTED:g} is wanted; {hint}"
         if "time_samples" in self.plan.chosen and Ending.INTERRUPTED not in [own.curve.ending for own in curves]:
             left = max(left_to_samples(own.model_at, own.curve, self.schemes) for own in curves)
             if left > SAMPLED:
