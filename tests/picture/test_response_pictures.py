@@ -385,6 +385,7 @@ def test_points_without_a_curve_are_shown_and_named(followed: list[float]) -> No
     alone = 2 - len(followed)
     lines = [line for line in compare.overlay(tree).get_lines() if line.get_label() == "time integration, up, no curve"]
     assert [line.get_xdata().size for line in lines] == [FREQUENCY.size] * alone
+    assert all(line.get_fillstyle() == "none" for line in lines)  # in the legend, too, unlike those of a curve
     fig = compare.PICTURES["overlay"](tree)
     named = {text.get_text() for text in fig.axes[0].get_legend().get_texts()}
     assert {f"time integration, {way}, no curve" for way in ("up", "down")} <= named

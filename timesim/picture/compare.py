@@ -35,7 +35,7 @@ SHORT = {"sweep": "in time", "hbm": "balance"}  # beside a bar
 PHASE = "phase of the excitation [degree]"
 # Amplitudes below this share of the largest are left out of the difference that is drawn.
 MINOR = 1e-3
-NO_CURVE = Series("0.5", "", "o")
+NO_CURVE = Series("0.5", "", "s")  # hollow, so that the legend, which is in one grey, tells it from the others
 DOT = {"ms": 3.8}
 TRIANGLE = {"ms": 7.0, "markeredgecolor": "white", "markeredgewidth": 0.6}  # beside the point
 
@@ -106,9 +106,7 @@ def _settled_or_hollow(ax: Axes, x: np.ndarray, y: np.ndarray, settled: np.ndarr
 def share(data: DataTree, ax: Axes | None = None, *, state: str = "slip") -> Axes:
     """Share of a period in a state by both methods, for the contact in which it is largest; of slip, if it can slip."""
     hbm, sweep = _groups(data)
-    name = f"{state}_share"
-    size = hbm[name].sum("solution").values * (rubs(sweep).values if state == "slip" else 1)
-    contact = str(sweep.contact.values[int(np.argmax(size))])
+    name, contact = f"{state}_share", _most(data, state)
     ax = balance.share(hbm, axes(ax), contact=contact, state=state)
     for where, look in _points(hbm, sweep):
         part = sweep.isel(where)
@@ -117,6 +115,13 @@ def share(data: DataTree, ax: Axes | None = None, *, state: str = "slip") -> Axe
         several_cycles(ax, sweep, where, y)
     label_axes(ax, short(contact))
     return ax
+
+
+def _most(data: DataTree, state: str) -> str:
+    """The contact that by the balance is in a state for most of the time."""
+    hbm, sweep = _groups(data)
+    size = hbm[f"{state}_share"].sum("solution").values * (rubs(sweep).values if state == "slip" else 1)
+    return str(sweep.contact.values[int(np.argmax(size))])
 
 
 def _groups(data: DataTree) -> tuple[Dataset, Dataset]:
@@ -140,6 +145,8 @@ def _points(hbm: Dataset, sweep: Dataset) -> Iterator[Points]:
             words = (METHODS["sweep"], "" if alone else direction, "" if values in styles else "no curve")
             look = {"color": style.colour, "marker": style.marker if alone else PAIRED[direction], "linestyle": ""}
             look |= {"label": ", ".join(filter(None, words)), **(DOT if alone else TRIANGLE)}
+            if values not in styles:
+                look |= {"fillstyle": "none", "markeredgecolor": style.colour}
             if alone and values in styles and len(styles) > 1:
                 look["label"] = f"_{METHODS['sweep']}"  # the legend has the markers of the values
             yield dict(zip(keys, where, strict=True)) | {"direction": i}, look
@@ -221,8 +228,10 @@ def _difference_figure(data: DataTree) -> Figure | None:
     for ax in axs:
         ax.label_outer()
     _legend(axs, hbm, sweep)
-    what = "difference of the amplitudes (pale: the contacts only stick or stay apart), and the shares of the states"
-    return finish(fig, data, what, balance.hidden(hbm))
+    what = "difference of the amplitudes (pale: the contacts only stick or stay apart), shares of the states"
+    shown = {_most(data, state) for state in shares}
+    note = left_out(sweep.sizes["contact"], len(shown), "contacts", "for less of the time in that state")
+    return finish(fig, data, what, note, balance.hidden(hbm))
 
 
 def _cycle_figure(data: DataTree) -> Figure | None:
