@@ -988,6 +988,11 @@ def test_steps_that_pass_over_a_resonance_are_worth_a_warning():
     assert "at 434.5 Hz is 0.87 Hz wide" in passed
     assert "steps of 10 Hz" in passed
     assert warnings(0.8) == warnings(10.0, 0.02) == []
+    ends, passed = warnings(30.0)
+    assert ends == "study.frequency: in steps of 30 Hz from 400 Hz the last is 490, not 500 Hz"
+    (alone,) = warnings(300.0)
+    assert alone.endswith("from 400 Hz the last is 400, not 500 Hz")
+    assert "has no structural damping" in warnings(10.0, 0.0)[0]
 
 
 def test_steps_that_pass_over_a_resonance_of_a_harmonic_are_worth_a_warning():

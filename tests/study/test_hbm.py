@@ -110,20 +110,20 @@ def test_each_curve_is_said_in_a_line(curves):
         unstable = np.sum((part.stable.values == 0) & (part.fold.values == 0))
         folds = ", ".join(f"{place:.6g}" for place in part.frequency.values[part.fold.values == 1])
         assert line.startswith(f"contacts.pad.preload {preload}: peak ")
-        assert f" Hz; folds at {folds}; {unstable} unstable solutions; at most" in line
+        assert f" Hz; folds at {folds} Hz; {unstable} unstable solutions; at most" in line
         assert f"{part.slip_share.values.max():.2f} of a period in slip" in line
 
 
 def test_of_many_folds_the_first_are_listed(curves, monkeypatch):
     monkeypatch.setattr(curve, "MOST", 1)
     line = next(line for line in curve_lines(curves, ()) if "folds at" in line)
-    assert re.search(r"; folds at 0\.\d+, and 1 more; ", line)
+    assert re.search(r"; folds at 0\.\d+ Hz, and 1 more; ", line)
 
 
 def test_one_fold_is_a_fold(curves):
     first = int(np.flatnonzero(curves.fold.values)[0])
     _, line = curve_lines(curves.isel(solution=slice(0, first + 2)), ())
-    assert f"; a fold at {curves.frequency.values[first]:.6g}; " in line
+    assert f"; a fold at {curves.frequency.values[first]:.6g} Hz; " in line
 
 
 def test_a_contact_that_sticks_beside_one_that_works_is_named(curves):

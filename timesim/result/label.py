@@ -77,7 +77,11 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "energy_residual": ("energy that the other terms of the cycle leave unexplained", "force*length"),
     "energy_friction": ("energy lost to friction in the cycle", "force*length"),
     # sweep
-    "amplitude": ("displacement amplitude, (max - min)/2 over a period", "length"),
+    "amplitude": (
+        "displacement amplitude, (max - min)/2 over a period; of a motion that has not settled, over the ten cycles "
+        "that were measured, which may be more than that of any one of them",
+        "length",
+    ),
     "phase_deg": (
         "phase of the first harmonic of the excitation's frequency against the excitation, "
         "x ~ A cos(2 pi f t + phase); NaN where the motion has no period or no first harmonic",

@@ -91,10 +91,11 @@ def point_again(path: Path | str, at: Mapping[str, float | str]) -> Point:
 def _kind(here: Dataset) -> str:
     """The kind of motion, in words."""
     period, cycles = int(here["period"]), counted(int(here["cycles"]), "cycle")
+    more = f"of its last {UNSETTLED_CYCLES} are the numbers, {UNSETTLED_CYCLES} more are drawn"
     if int(here["irregular"]):
-        return f"does not repeat in {cycles}: quasi-periodic or irregular; {UNSETTLED_CYCLES} more are shown"
+        return f"does not repeat in {cycles}: quasi-periodic or irregular; {more}"
     if not period:
-        return f"not settled after {cycles}; {UNSETTLED_CYCLES} more are shown"
+        return f"not settled after {cycles}; {more}"
     apart = " but for its drift" if "drift" in here and here["drift"].values.any() else ""
     return f"repeats {'every cycle' if period == 1 else f'after {period} cycles'}{apart}, settled after {cycles}"
 

@@ -17,6 +17,7 @@ from timesim.scene.hbm import balance_of
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SteadySection, StudySection, SweepSection
 from timesim.scene.transient import Schedule, TradeoffPlan
+from timesim.scene.value import Frequencies
 
 FAILING = 3  # sets of values without a scene that are named
 LARGE_RESULT = 1.0  # gigabytes of samples
@@ -156,7 +157,10 @@ def _narrow(study: StudySection, model: Model) -> Iterator[str]:
     """Resonances, free or stuck, of a harmonic of the excitation that the steps of a sweep may pass over."""
     if not isinstance(study, SweepSection):
         return
-    swept = study.sweep().frequency
+    swept, given = study.sweep().frequency, getattr(study, "frequency", None)
+    if isinstance(given, Frequencies) and given.listed is None and (last := swept[-1]) < given.spacing[1] * (1 - 1e-9):
+        first, to, step = given.spacing
+        yield f"study.frequency: in steps of {step:g} Hz from {first:g} Hz the last is {last:.6g}, not {to:g} Hz"
     zeta = np.nanmin(model.structure.damping_ratio, initial=np.inf)
     stuck = model.stuck_omega / (2 * np.pi) if obeys_cone(model).all() else np.zeros(0)
     natural = np.concatenate([model.structure.frequency, stuck])
@@ -168,7 +172,10 @@ def _narrow(study: StudySection, model: Model) -> Iterator[str]:
     step, width = swept[after] - swept[after - 1], 2 * zeta * natural
     for place in np.flatnonzero(step > STEPS_OF_WIDTH * width)[:1]:
         of = f" of harmonic {harmonic[place]}" if harmonic[place] > 1 else ""
-        peak = f"a resonance{of} as at {natural[place]:.6g} Hz is {width[place]:.2g} Hz wide by its structural damping"
+        wide = (
+            f"is {width[place]:.2g} Hz wide by its structural damping" if width[place] else "has no structural damping"
+        )
+        peak = f"a resonance{of} as at {natural[place]:.6g} Hz {wide}"
         yield f"study.frequency: {peak}; steps of {step[place]:.3g} Hz may miss its peak where no contact slips"
 
 

@@ -31,7 +31,8 @@ def bistable_lines(data: Dataset, sweep: Dataset, width: float) -> Iterator[str]
             yield from first_few(jumps, LINES, lambda left: f"and {counted(left, 'more jump')}")
         else:
             one_motion = f"both sweeps are on one motion at all {span.size} frequencies"
-            yield f"{none}: {one_motion}, and no jump is left when a step is bisected"
+            wider = "one that begins below it or ends above is not seen: widen frequency to be sure"
+            yield f"{none}: {one_motion}, and no jump is left when a step is bisected; {wider}"
 
 
 def _range_lines(one: Dataset, width: float) -> Iterator[str]:

@@ -1,6 +1,7 @@
 """The summary of curves of harmonic balance, in words, from their finished result."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from xarray import Dataset
@@ -8,7 +9,7 @@ from xarray import Dataset
 from timesim.hbm.convergence import Convergence, order_of
 from timesim.orbit.steady_state import switches
 from timesim.result.coordinate import over_keys, rubs
-from timesim.result.label import counted, first_few, in_words, with_unit
+from timesim.result.label import counted, in_words, with_unit
 from timesim.study.outcome import took
 
 MOST = 8  # folds and changes of stability that are listed
@@ -37,10 +38,10 @@ def _curve_line(curve: Dataset) -> str:
     point, axis = np.unravel_index(np.argmax(amplitude.max(axis=0)), amplitude.shape[1:])
     motion = np.stack([curve["harmonic_cos"].values, curve["harmonic_sin"].values], axis=1)
     place, height = peak(along, amplitude[:, point, axis], motion)
-    folds = "folds" if np.sum(fold) > 1 else "a fold"
-    turning = f"{folds} at {_first_of(along[fold])}" if fold.any() else "no fold"
+    folds, units = "folds" if np.sum(fold) > 1 else "a fold", curve[curve.attrs.get("along", "frequency")].attrs
+    turning = f"{folds} at {_first_of(along[fold], units)}" if fold.any() else "no fold"
     changes = crossed(along, curve["floquet_max"].values, changes_of_stability(stable, fold))
-    also = f"; stability changes at {_first_of(changes)} without a fold" if changes.size else ""
+    also = f"; stability changes at {_first_of(changes, units)} without a fold" if changes.size else ""
     touching, apart = curve["slip_share"].values, curve["separation_share"].values.max(initial=0.0)
     rub = rubs(curve).values
     slip, closed = (touching[:, own].max(initial=0.0) for own in (rub, ~rub))
@@ -50,7 +51,7 @@ def _curve_line(curve: Dataset) -> str:
         states = "full stick throughout, which says nothing of friction"
     name = f"{curve['point'].values[point]} {curve['axis'].values[axis]}"
     key = curve.attrs.get("along", "frequency")
-    where = with_unit(f"{place:.6g}" if key == "frequency" else f"{key} = {place:.6g}", curve[key].attrs)
+    where = with_unit(f"{place:.6g}" if key == "frequency" else f"{key} = {place:.6g}", units)
     where += ", an end of the curve" if place in along[[0, -1]] else ""
     only = "" if np.isfinite(curve["floquet_max"].values).any() else " by folds alone"
     top = with_unit(f"{height:.5g}", curve["amplitude"].attrs)
@@ -58,9 +59,11 @@ def _curve_line(curve: Dataset) -> str:
     return f"peak {top} of {name} at {where}; {turning}{also}; {unstable}{only}; {states}"
 
 
-def _first_of(places: np.ndarray) -> str:
-    """The first of them, and how many there are beside."""
-    return ", ".join(first_few([f"{place:.6g}" for place in places], MOST, lambda left: f"and {left} more"))
+def _first_of(places: np.ndarray, units: Mapping[str, Any]) -> str:
+    """The first of them, along the curve, and how many there are beside."""
+    *others, last = [f"{place:.6g}" for place in places[:MOST]]
+    more = f", and {len(places) - MOST} more" if len(places) > MOST else ""
+    return ", ".join([*others, with_unit(last, units)]) + more
 
 
 def _free_lines(curve: Dataset) -> Iterator[str]:
