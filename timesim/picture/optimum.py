@@ -18,7 +18,7 @@ from timesim.picture.response import (
     with_phase,
 )
 from timesim.picture.style import BLUE, NEUTRAL, VERMILION, Axes, Dataset, Figure, Picture, Series, short, unit
-from timesim.result.label import told_apart
+from timesim.result.label import told_apart, with_unit
 
 MAX_CURVES = 7
 FLAT = 1e-4  # share of a peak: the least height magnified, since longer numbers would not fit beside the axis
@@ -49,7 +49,9 @@ def _points(data: Dataset, ax: Axes) -> Axes:
     if at_end.any():
         ax.plot(x[at_end], y[at_end], "o", color=BLUE, ms=6, fillstyle="none", label="peak at an end of frequency")
     best = float(data["optimum"]), float(data["optimum_peak"])
-    _star(ax, *best, f"least: {best[1]:.5g} at {best[0]:.5g}")
+    place, height = (with_unit(f"{one:.5g}", data[name].attrs) for name, one in zip((key, "peak"), best, strict=True))
+    end = ", an end" if best[0] in (x[0], x[-1]) else ""
+    _star(ax, *best, f"least: {height} at {place}{end}")
     ax.set(xlabel=axis_label(data, key), ylabel=f"peak amplitude of {_whose(data)}{unit(data, 'peak')}")
     return ax
 
@@ -127,7 +129,8 @@ def responses(data: Dataset, ax: Axes | None = None) -> Axes:
         top = float(data["peak_frequency"][value.row]), float(data["peak"][value.row])
         ax.plot(*top, ".", color=value.colour, ms=7, label="_peak", zorder=3)
     best = float(data["optimum_frequency"]), float(data["optimum_peak"])
-    _star(ax, *best, f"least peak: {best[1]:.5g}\nat {best[0]:.5g} Hz")
+    least = with_unit(f"{best[1]:.5g}", data["peak"].attrs)
+    _star(ax, *best, f"least peak: {least}\nat {best[0]:.5g} Hz")
     ax.set(xlabel="frequency [Hz]", ylabel=f"amplitude of {_whose(data)}{unit(data, 'amplitude')}")
     return _scaled(ax, data, BELOW * best[1])
 
