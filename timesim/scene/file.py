@@ -247,6 +247,8 @@ def _hint(
         return "put it in quotes"
     if kind == "float_type" and isinstance(value, str):
         return "without quotes and unit, with a point for the decimals"
+    if kind == "int_type" and isinstance(value, str):
+        return "without quotes and unit"
     return ""
 
 
