@@ -333,7 +333,7 @@ CHANGES = (
         ("study.phases.1.cycles", "0.95, cycles: 7", "0.95", "is required", "frequency: 0.95"),
         ("study.phases.1.cycle", "cycles: 7", "cycle: 7", "did you mean cycles?", "cycle: 7"),
         ("study.run_up.0.cycles", "cycles: 9", "cycles: 9.5", "whole number", "cycles: 9.5"),
-        ("study.run_up.0.cycles", "cycles: 9", 'cycles: "9"', "whole number (without quotes and unit)", "cycles: "),
+        ("study.run_up.0.cycles", "cycles: 9", 'cycles: "9"', "whole number (without quotes and unit)", 'cycles: "9"'),
         ("study.runup", "run_up:", "runup:", "did you mean run_up?"),
     )),
     (HBM, (

@@ -5,6 +5,7 @@ wrong, nothing was run.
 """
 
 import gc
+import io
 import json
 import os
 import signal
@@ -104,12 +105,15 @@ def _carry_out(loaded: Any, execution: Any, signals: "_Signals", *, plots: bool)
     except KeyboardInterrupt:
         _stop(1, f"interrupted before there was a result to save{_safe_chunks(output)}")
     signals.saving = True
-    for line in outcome.summary:
-        print(line)
+    lost = None
     try:
         path = netcdf.save(outcome.groups, output / netcdf.RESULT_NAME)
     except StoreError as error:
-        _stop(1, f"{error}{_safe_chunks(output)}")
+        lost = f"{error}{_safe_chunks(output)}"
+    for line in outcome.summary:  # only now: a pipe may be closed
+        print(line)
+    if lost is not None:
+        _stop(1, lost)
     faults, pictures = [], []
     try:
         if outcome.reason is None:
@@ -265,7 +269,7 @@ def _notice(text: str) -> None:
 
 
 class _Signals:
-    """Ctrl-C during a run, or the SIGTERM that a cluster sends at its time limit.
+    """Ctrl-C during a run, the SIGTERM that a cluster sends at its time limit, or the end of a session.
 
     The first one ends the study, which keeps what it has computed. After that, and while a result is being assembled or
     saved, only the third is obeyed.
@@ -275,9 +279,10 @@ class _Signals:
         self.saving, self._count = False, 0
 
     def __enter__(self) -> Self:
+        from timesim.study.execution.interrupts import ENDING
+
         # Signals that a shell has its background jobs ignore stay ignored.
-        numbers = (signal.SIGINT, signal.SIGTERM)
-        caught = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
+        caught = [number for number in ENDING if signal.getsignal(number) is not signal.SIG_IGN]
         self._before = {number: signal.signal(number, self._take) for number in caught}
         return self
 
@@ -297,7 +302,7 @@ class _Signals:
 @contextmanager
 def _progress(standing: "Standing") -> Iterator[None]:
     """A bar on a terminal, otherwise a line a minute."""
-    if sys.stderr.isatty():
+    if sys.stderr is not None and sys.stderr.isatty():
         with _bar(standing):
             yield
         return
@@ -337,6 +342,9 @@ def main() -> None:
     # Imports and traces leave half a million objects that stay alive. At Python's own threshold the garbage collector
     # visits them so often that a second run of configs/oscillator.yaml takes 4.4 s of processor time instead of 3.8.
     gc.set_threshold(50_000)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a letter that a terminal lacks ends no run
     # Compiled programs kept on disk save the next run 1 s (see `timesim.program`).
     os.environ.setdefault("TIMESIM_KEEP_PROGRAMS", "1")
     # xarray imports dask, if installed, with its first Dataset: 0.3 s. A module that is None is not imported.

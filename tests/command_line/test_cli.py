@@ -176,7 +176,23 @@ def test_a_run_taken_up_is_the_same_run(tmp_path: Path):
         np.testing.assert_allclose(whole[name], rest[name], rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, "in the background"])
+def test_a_result_is_saved_before_anything_is_said_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """What reads the summary may be gone, as `head` is after a line."""
+
+    def closed(*_: Any, **__: Any) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr("builtins.print", closed)
+    assert (
+        call(
+            "run", OSCILLATOR, "-o", tmp_path, "--no-plots", "--set", "study.cycles=3", "--set", "study.record_last=1"
+        )[0]
+        == 1
+    )
+    assert timesim.open_result(tmp_path).attrs["complete"] == 1
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, "in the background"])
 def test_an_interrupted_run_saves_what_it_has(
     sent: signal.Signals | str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

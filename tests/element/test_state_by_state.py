@@ -34,6 +34,18 @@ def angles_deg(cycle):
     return np.degrees([item.angle for item in cycle.transitions])
 
 
+@pytest.mark.parametrize("sampled", [False, True])
+def test_a_load_that_touches_zero_as_the_cycle_begins_is_no_separation(sampled):
+    """n = 1 - cos theta: as little more or less load does, and as a touch elsewhere in the cycle."""
+    touching = HarmonicMotion(1.0, 0.5, 1.0, np.radians(60), -np.pi / 2)
+    if sampled:
+        touching = SplineMotion(touching.evaluate(np.arange(400) * CYCLE / 400)[0].T)
+    loaded = [contact([[1, 0.5], [0.5, 1.4]], preload=n0) for n0 in (1.0, 1 + 1e-9)]
+    work = [steady_cycle(one, touching).dissipation for one in loaded]
+    elsewhere = steady_cycle(loaded[0], HarmonicMotion(1.0, 0.5, 1.0, np.radians(60), np.pi / 2))
+    np.testing.assert_allclose([*work, elsewhere.dissipation], 1.19409350733, rtol=2e-8)
+
+
 # The table -------------------------------------------------------------------------------------------
 
 

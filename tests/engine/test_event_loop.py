@@ -36,6 +36,7 @@ from timesim.model.contact_state import contact_loads
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.solver import PRESETS, Solver
 from timesim.result.netcdf import save
+from timesim.study import transient
 from timesim.study.execution.campaign import Execution
 from timesim.study.recorder import Recorder
 from timesim.study.registry import load_scene
@@ -660,3 +661,53 @@ def test_an_interrupt_loses_no_steps_that_are_being_recorded(monkeypatch: pytest
     assert outcome.reason == f"interrupted in cycle {kept + 1} of 400"
     end = result["time"].values[-1] * result["cycle_frequency"].values[-1]
     assert kept <= end < kept + 1
+
+
+@pytest.mark.parametrize("batch", [1, 2, 3])
+@pytest.mark.parametrize("cycles", [290, 400])
+def test_a_signal_while_a_batch_is_computed_loses_none(
+    batch: int, cycles: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 290 cycles the second batch is the last: a run that counts as whole once held the first one alone."""
+    scene, advance, done = load_scene(CONFIGS / "oscillator.yaml", {"study.cycles": cycles}), event_loop.advance, [0]
+
+    def interrupted(*args: Any) -> Any:
+        done[0] += 1
+        if done[0] == batch:
+            os.kill(os.getpid(), signal.SIGINT)
+        return advance(*args)
+
+    monkeypatch.setattr(event_loop, "advance", interrupted)
+    outcome = study(scene, Execution())
+    kept = outcome.groups[""].sizes["cycle"]
+    reasons = {cycles: None}
+    assert outcome.reason == reasons.get(kept, f"interrupted in cycle {kept + 1} of {cycles}")
+    assert kept > 0
+    assert np.isnan(outcome.groups[""].attrs["estimated_error"])
+
+
+def test_a_signal_while_the_result_is_put_together_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    forces, calls = transient.contact_forces, []
+
+    def interrupted(*args: Any) -> Any:
+        calls.append(signal.SIGINT)
+        os.kill(os.getpid(), calls[-1])
+        return forces(*args)
+
+    monkeypatch.setattr(transient, "contact_forces", interrupted)
+    before = signal.getsignal(signal.SIGINT)
+    outcome = study(load_scene(CONFIGS / "oscillator.yaml", {"study.cycles": 3, "study.record_last": 1}), Execution())
+    assert calls
+    assert outcome.reason is None
+    assert outcome.groups[""].sizes["cycle"] == 3
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_second_signal_is_obeyed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def twice(*_: Any) -> Any:
+        for _ in range(2):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(transient, "contact_forces", twice)
+    with pytest.raises(KeyboardInterrupt):
+        study(load_scene(CONFIGS / "oscillator.yaml", {"study.cycles": 3, "study.record_last": 1}), Execution())

@@ -34,6 +34,7 @@ NO_WORK = 1e-11
 SEAM = 1e-11
 # Angle [rad] after an extreme of the motion at which its rate has the direction of its second derivative.
 AHEAD = 1e-4
+TOUCH = 100.0  # of the load that counts as none: what a load is taken for that touches zero as the cycle begins
 
 
 @dataclass(frozen=True)
@@ -169,6 +170,9 @@ class March:
         self.load_floor = 1e-14 * (abs(law.preload) + law.normal_stiffness * np.abs(y[2]).max())
         angles, rising = motion.crossings(np.array([0.0, 0.0, law.normal_stiffness]), law.preload)
         self.closings, self.openings = angles[rising], angles[~rising]
+        if not angles.size and self.largest > 0 and law.load(motion.evaluate(0.0)[0]) <= self.load_floor:
+            # A touch is no opening, whose closing would be waited for: at the seam, too, n stays above 0.
+            self.law = replace(law, preload=law.preload + TOUCH * self.load_floor)
         self.trial = np.zeros((3, 3))
         self.trial[:2, :2] = law.stiffness
         self.trial[2, 2] = law.friction * law.normal_stiffness

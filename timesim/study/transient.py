@@ -24,6 +24,7 @@ from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.transient import Schedule
 from timesim.study.execution.campaign import Execution
+from timesim.study.execution.interrupts import Interrupts
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.recorder import Recorder, contact_forces
 from timesim.study.summary.drift import run_lines
@@ -44,8 +45,13 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     Where a method that was chosen, not given, spends its budget of explicit steps, the run begins anew by collocation.
     Where the estimated error is above what the accuracy promises, it is repeated with tighter tolerances.
     """
+    with Interrupts() as interrupts:
+        return _study(scene, replace(execution, progress=interrupts.raised_by(execution.progress)))
+
+
+def _study(scene: Scene, execution: Execution) -> Outcome:
     clock = time.perf_counter()
-    promise, lines, more = scene.promise or np.inf, [], {}
+    promise, lines, more = scene.promise or np.inf, list[str](), dict[str, str]()
     done = _carried(scene, scene.solver(), execution)
     spent = done.recorder.run.status == Status.BUDGET and done.solver.budget == BUDGET
     if scene.choice is not None and done.solver.name in EXPLICIT and spent:
@@ -136,26 +142,24 @@ def _record(scene: Scene, done: _Carried, seconds: float) -> Dataset:
 
 def _advance(recorder: Recorder, companion: Companion | None, execution: Execution) -> str | None:
     """Advance a run to its end, its companion beside it, and return why it ended early, or None."""
-    run = recorder.run
+    run, beside = recorder.run, list[Future]()
     try:
-        # An interrupt ends the wait for the record of some steps, and not that record.
         with ThreadPoolExecutor(2) as threads:
-            beside: list[Future] = []
             for steps in run.batches():
                 compiled = bool(beside)
                 _wait(beside)
                 beside = [threads.submit(recorder.add, steps, run.completed)]
                 if companion is not None and compiled:
                     beside.append(threads.submit(companion.advance))
+                # Here an interrupt is raised: all steps that were taken are recorded, or being so.
                 _show(recorder, companion, execution, recorder.plan.place(run.completed))
-            _wait(beside)
+        _wait(beside)
     except RunError as error:
+        _wait(beside)
         return str(error)
     except KeyboardInterrupt:
         if run.completed < run.num_cycles:
             return f"interrupted in cycle {run.completed + 1} of {run.num_cycles}"
-        if companion is not None:
-            companion.fault = "interrupted"
     return None
 
 
@@ -184,12 +188,12 @@ def _estimate(recorder: Recorder, companion: Companion | None, reason: str | Non
     if companion is None:
         return rounding(run, totals)
     try:
-        while not companion.fault:
+        more = True
+        while more:
             cycles = counted(run.num_cycles, "cycle")
             words = f"estimating the error, {companion.run.completed} of {cycles}"
             _show(recorder, companion, execution, words)
-            if not companion.advance():
-                break
+            more = companion.advance()
     except KeyboardInterrupt:
         return unknown(totals, "interrupted")
     return estimate(run, totals, companion)

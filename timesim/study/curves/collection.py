@@ -125,10 +125,10 @@ class Curves:
         left = max(neglected(own.model_at, own.curve, self.schemes) for own in curves)
         if left > NOTED:
             count = max(own.curve.harmonic_cos.shape[1] - 1 for own in curves)
-            more = next((own.harmonics for own in self.schemes if own.harmonics > count), 2 * count + 1)
-            taken, hint = f"auto took up to {counted(count, 'harmonic')}", f"set harmonics to {more} or more"
+            more = next((own.harmonics for own in self.schemes if own.harmonics > count), 2 * count)
+            taken, hint = f"auto took up to {counted(count, 'harmonic')}", f"set harmonics to more, such as {more}"
             if "harmonics" not in self.plan.chosen:
-                taken, hint = f"{counted(count, 'harmonic')} may be too few", f"{hint}, or to auto"
+                taken, hint = f"{counted(count, 'harmonic')} may be too few", "set harmonics to auto, or to more"
             above = f"those above would add to the amplitude, or change it by, up to {left:.1e} of it"
             yield f"{label}{taken}: {above}, where {NEGLECTED:g} is wanted; {hint}"
         if "time_samples" in self.plan.chosen and Ending.INTERRUPTED not in [own.curve.ending for own in curves]:

@@ -39,9 +39,10 @@ def _curve_line(curve: Dataset) -> str:
     motion = np.stack([curve["harmonic_cos"].values, curve["harmonic_sin"].values], axis=1)
     place, height = peak(along, amplitude[:, point, axis], motion)
     folds, units = "folds" if np.sum(fold) > 1 else "a fold", curve[curve.attrs.get("along", "frequency")].attrs
-    turning = f"{folds} at {_first_of(along[fold], units)}" if fold.any() else "no fold"
-    changes = crossed(along, curve["floquet_max"].values, changes_of_stability(stable, fold))
-    also = f"; stability changes at {_first_of(changes, units)} without a fold" if changes.size else ""
+    turning = f"{folds} at {_first_of([f'{place:.6g}' for place in along[fold]], units)}" if fold.any() else "no fold"
+    before = np.flatnonzero(changes_of_stability(stable, fold))
+    changes = [f"{along[i]:.6g} and {along[i + 1]:.6g}" for i in before]
+    also = f"; stability changes between {_first_of(changes, units)} without a fold" if changes else ""
     touching, apart = curve["slip_share"].values, curve["separation_share"].values.max(initial=0.0)
     rub = rubs(curve).values
     slip, closed = (touching[:, own].max(initial=0.0) for own in (rub, ~rub))
@@ -59,9 +60,9 @@ def _curve_line(curve: Dataset) -> str:
     return f"peak {top} of {name} at {where}; {turning}{also}; {unstable}{only}; {states}"
 
 
-def _first_of(places: np.ndarray, units: Mapping[str, Any]) -> str:
-    """The first of them, along the curve, and how many there are beside."""
-    *others, last = [f"{place:.6g}" for place in places[:MOST]]
+def _first_of(places: Sequence[str], units: Mapping[str, Any]) -> str:
+    """The first of some places along the curve, and how many there are beside."""
+    *others, last = places[:MOST]
     more = f", and {len(places) - MOST} more" if len(places) > MOST else ""
     return ", ".join([*others, with_unit(last, units)]) + more
 
@@ -103,19 +104,6 @@ def changes_of_stability(stable: np.ndarray, fold: np.ndarray) -> np.ndarray:
     changes = np.zeros(stable.size, dtype=bool)
     changes[:-1] = (stable[1:] != stable[:-1]) & ~fold[1:] & ~fold[:-1]
     return changes
-
-
-def crossed(parameter: np.ndarray, multiplier: np.ndarray, changes: np.ndarray) -> np.ndarray:
-    """Values of the parameter at which the largest multiplier passes 1, straight between two solutions.
-
-    ``multiplier``: the largest modulus of each solution, shape (S,); ``changes``: solutions after which it passes 1,
-    shape (S,), halfway to the next one where the moduli do not tell.
-    """
-    before = np.flatnonzero(changes)
-    excess = multiplier[[before, before + 1]] - 1
-    tells = excess[0] * excess[1] < 0
-    share = np.divide(excess[0], excess[0] - excess[1], out=np.full(before.size, 0.5), where=tells)
-    return parameter[before] + share * (parameter[before + 1] - parameter[before])
 
 
 def peak(parameter: np.ndarray, height: np.ndarray, motion: np.ndarray) -> tuple[float, float]:

@@ -1,0 +1,53 @@
+"""Interrupts at places that lose nothing: a signal is noted, and raised where the work reports its progress."""
+
+import signal
+import threading
+from contextlib import suppress
+from types import FrameType
+from typing import Any, Self
+
+from timesim.study.execution.progress import Progress
+
+ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals that end a run: Ctrl-C, the time limit of a cluster, the end of a session."""
+
+
+class Interrupts:
+    """Takes the first signal that would interrupt the main thread; further ones act at once, as without it.
+
+    Attributes:
+        seen: whether there was one.
+    """
+
+    def __init__(self) -> None:
+        self.seen = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            handlers = {number: signal.getsignal(number) for number in ENDING}
+            self._before = {number: handler for number, handler in handlers.items() if callable(handler)}
+            for number in self._before:
+                signal.signal(number, self._take)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _take(self, number: int, frame: FrameType | None) -> None:
+        if self.seen:
+            self._before[number](number, frame)
+        self.seen = True
+        with suppress(KeyboardInterrupt):
+            self._before[number](number, frame)
+
+    def raised_by(self, progress: Progress) -> Progress:
+        """The progress, which raises the interrupt after it has taken in what is done."""
+
+        def show(done: float, number: float, phase: str = "", /) -> None:
+            progress(done, number, phase)
+            if self.seen:
+                raise KeyboardInterrupt
+
+        return show
