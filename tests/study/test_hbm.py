@@ -697,6 +697,31 @@ def test_stability_that_changes_at_a_fold_is_no_change_without_one():
     assert np.flatnonzero(changes_of_stability(stable, fold)).tolist() == [6, 7]
 
 
+def test_a_curve_ends_where_a_constant_force_drives_on_what_friction_holds():
+    """80 |q_b| + 0.3 = 2 at 1.688188 Hz, in closed form; towards that no fold, and no mean that runs away."""
+    matrices = {"mass": [[1, 0], [0, 2]], "stiffness": [[50, -50], [-50, 50]], "damping": [[0.3, -0.3], [-0.3, 0.3]]}
+    pad = {"name": "c", "point": "b", "friction": 0.5, "tangential_stiffness": 80, "normal_stiffness": 0, "preload": 4}
+    force = {"point": "a", "direction": [1, 0, 0]}
+    scene = {
+        "structure": {"matrices": matrices | {"points": {"a": {"x": 0}, "b": {"x": 1}}}},
+        "contacts": [pad],
+        "excitation": {
+            "forces": [force | {"amplitude": 1.5}],
+            "constant_forces": [force | {"amplitude": 0.3}],
+        },
+        "study": {"kind": "hbm", "frequency": {"from": 2.5, "to": 1.6}, "harmonics": 5, "time_samples": 128},
+    }
+    outcome = followed_study(load_scene(scene), Execution())
+    data = outcome.groups[""]
+    first = data.isel(solution=data["curve"] == 0)
+    assert first["frequency"].values[-1] == pytest.approx(1.688188, rel=5e-3)
+    assert np.all(np.diff(first["frequency"]) < 0)
+    assert not first["fold"].any()
+    assert first["stable"].all()
+    assert np.abs(first["harmonic_cos"].sel(harmonic=0)).max() < 10
+    assert "unless a constant force drives on what friction alone holds" in str(outcome.reason)
+
+
 def test_a_change_of_stability_is_between_two_solutions(curves):
     """Between them a pair of multipliers may become real, so that no straight line tells where one passes 1."""
     frequency, stable = curves["frequency"].values, np.arange(curves.sizes["solution"]) < 3

@@ -23,7 +23,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, orth
 
 from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.condensation import Condensation
@@ -42,6 +42,9 @@ LOOSE = 1e-12
 SLIGHT = 1e-4
 """Share of the stiffness of contacts that is more in the matrix of Newton's method: an error of that size beside those
 that stick, a step of 10,000 times the rounding of their mean force where all slip."""
+AWAY = 100.0
+"""Mean of what friction alone holds, by what its contacts can be deflected and its motion: it has run away. Towards the
+border of stick, beyond which a constant force drives it on, the offset that such a contact is taken to have does so."""
 UNDAMPED = 1e-6
 """Loss of a mode at resonance, over its stiffness, up to which its response there is too large for a balance."""
 
@@ -158,6 +161,7 @@ class Balance:
         across = self.shape[2::3]
         pressed = np.diag(omega**2) + across.T @ (np.diag(self.support)[2::3, None] * across)
         self.slack = self._slack_of(_loose(omega == 0, pressed))
+        self.held_by_friction = orth(self.slack)
 
     def _slack_of(self, loose: Array) -> Array:
         """What a little more stiffness of motions that friction alone holds, shape (M, L), takes from F_0, (3C, 3C).
@@ -262,9 +266,18 @@ class Balance:
         return acting, under(linear.motion, acting)
 
     def value(self, x: Array, p: float) -> Array:
-        """r in units of `length`."""
+        """r in units of `length`; not finite where the mean has run away, see `AWAY`."""
         _, motion = self._response(x, self.contact_forces(x), self.linear(p))
-        return x - to_coefficients(motion.T).ravel() / self.length
+        return x - to_coefficients(motion.T).ravel() / self.length + self._away(x)
+
+    def _away(self, x: Array) -> float:
+        """NaN where the mean of what friction alone holds is `AWAY`, else 0."""
+        if not self.held_by_friction.size:
+            return 0.0
+        rows, held = x.reshape(-1, self.size), self.model.friction * np.maximum(self.model.preload, 0.0)
+        stiffness = np.array([np.linalg.norm(contact.tangential_stiffness, 2) for contact in self.model.contacts])
+        reach = np.abs(rows[:, 1:]).max() + (held / np.maximum(stiffness, 1e-300)).max() / self.length
+        return np.nan if np.abs(rows[:, 0] @ self.held_by_friction).max() > AWAY * reach else 0.0
 
     def linearised(self, x: Array, p: float, *, keep_offsets: bool = False) -> tuple[Array, Condensation, Array]:
         """r, and its derivatives by the unknowns and by the frequency; offsets as in `hbm.tangent.linearised`."""
@@ -275,7 +288,7 @@ class Balance:
         flexibility = linear.flexibility.copy()
         flexibility[0] -= self.slack
         by_x = Condensation(flexibility, self._stiffness(slope))
-        r = x - to_coefficients(motion.T).ravel() / self.length
+        r = x - to_coefficients(motion.T).ravel() / self.length + self._away(x)
         return r, by_x, to_coefficients(by_p.T).ravel() * (-2 * np.pi / self.length)
 
     def _stiffness(self, slope: Array) -> Array:

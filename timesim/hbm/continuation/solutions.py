@@ -17,7 +17,10 @@ class Ending(Enum):
     COMPLETE = "complete: the whole range was followed"
     CLOSED = "complete: the curve is closed, it comes back to where it began"
     START = "no solution at the start"
-    STEP = "Newton's method fails even at the smallest step; smaller min_step, or a smoother residual, may help"
+    STEP = (
+        "Newton's method fails even at the smallest step; smaller min_step, or a smoother residual, may help, unless a "
+        "constant force drives on what friction alone holds"
+    )
     POINTS = "the largest number of points is reached; raise max_points or max_step"
     RETURNED = "complete: the curve turned back to where it began; the one from the other end of the range is another"
     BACKWARDS = "complete: the whole range was followed, from its other end"
