@@ -105,15 +105,13 @@ def _carry_out(loaded: Any, execution: Any, signals: "_Signals", *, plots: bool)
     except KeyboardInterrupt:
         _stop(1, f"interrupted before there was a result to save{_safe_chunks(output)}")
     signals.saving = True
-    lost = None
     try:
         path = netcdf.save(outcome.groups, output / netcdf.RESULT_NAME)
     except StoreError as error:
-        lost = f"{error}{_safe_chunks(output)}"
-    for line in outcome.summary:  # only now: a pipe may be closed
-        print(line)
-    if lost is not None:
-        _stop(1, lost)
+        _stop(1, f"{error}{_safe_chunks(output)}")
+    finally:  # only now: a pipe may be closed
+        for line in outcome.summary:
+            print(line)
     faults, pictures = [], []
     try:
         if outcome.reason is None:
@@ -127,9 +125,8 @@ def _carry_out(loaded: Any, execution: Any, signals: "_Signals", *, plots: bool)
     try:
         pictures = draw(netcdf.joined(outcome.groups), output) if plots else []
     except (StoreError, KeyboardInterrupt) as error:
-        faults.append(
-            f"{str(error) or 'interrupted'}\nthe result is saved; timesim plot {output} draws the pictures again"
-        )
+        saved = f"the result is saved; timesim plot {output} draws the pictures again"
+        faults.append(f"{str(error) or 'interrupted'}\n{saved}")
     print(_written(path, pictures))
     if faults:
         _stop(1, "\n".join(faults))
@@ -343,8 +340,8 @@ def main() -> None:
     # visits them so often that a second run of configs/oscillator.yaml takes 4.4 s of processor time instead of 3.8.
     gc.set_threshold(50_000)
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a letter that a terminal lacks ends no run
+        if isinstance(stream, io.TextIOWrapper):  # a letter that a terminal lacks ends no run
+            stream.reconfigure(errors="replace")
     # Compiled programs kept on disk save the next run 1 s (see `timesim.program`).
     os.environ.setdefault("TIMESIM_KEEP_PROGRAMS", "1")
     # xarray imports dask, if installed, with its first Dataset: 0.3 s. A module that is None is not imported.

@@ -199,6 +199,7 @@ def test_an_interrupted_run_saves_what_it_has(
     if isinstance(sent, str):
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         sent = signal.SIGTERM
+    ignored = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # as under nohup
     own = signal.getsignal(signal.SIGTERM)
     calls, advance = [], event_loop.advance
 
@@ -211,6 +212,7 @@ def test_an_interrupted_run_saves_what_it_has(
     monkeypatch.setattr(event_loop, "advance", interrupted)
     arguments = ("--set", "study.cycles=1000", "--set", "study.record_last=1000", "--set", "solver.accuracy=draft")
     status, _, error = call("run", OSCILLATOR, "-o", tmp_path, "--no-plots", *arguments)
+    signal.signal(signal.SIGHUP, ignored)
     assert status == 1
     assert "interrupted in cycle" in error
     result = timesim.open_result(tmp_path)
