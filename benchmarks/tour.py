@@ -156,17 +156,16 @@ def written(result: Result, key: str) -> float:
 
 
 def unsettled(result: Result) -> tuple[float, ...]:
-    """Span of a sweep in one direction, where no point settles any more, the budget, and where the motion is irregular.
+    """Span of a sweep in one direction, where no point settles any more, and the budget.
 
     Nothing where a point before does not settle.
     """
     data = of_run(result)
-    frequency, settled, irregular = (data[name].values.ravel() for name in ("frequency", "settled", "irregular"))
+    frequency, settled = (data[name].values.ravel() for name in ("frequency", "settled"))
     from_here = int(np.flatnonzero(settled)[-1]) + 1
     if not settled[:from_here].all():
         return ()
-    ends = (frequency[0], frequency[-1], frequency[from_here], written(result, "max_cycles"))
-    return (*ends, *frequency[irregular == 1])
+    return frequency[0], frequency[-1], frequency[from_here], written(result, "max_cycles")
 
 
 def states(result: Result) -> set[int]:
@@ -207,7 +206,7 @@ CLAIMS = (
     Claim(
         "response",
         "the blade from # to # Hz: a broad top between the free and the stuck resonance; from # Hz on the motion does "
-        "not settle in # cycles and is marked so, with the band of its amplitude; at # and # Hz it is",
+        "not settle in # cycles and is marked so, with the band of its amplitude",
         unsettled,
     ),
     Claim("clutch", "at # Hz the gearbox swings by # rad under a clutch that sticks nearly always, by # under", swings),

@@ -39,7 +39,7 @@ CLEARLY = 0.7
 """Least fall of the logarithm of the change, to a half, that tells a motion that settles from one that does not. A
 change that has fallen by less than half of what is due has not fallen; nor, where much more is due, has one that has
 fallen by less than this, for even that of a creeping contact falls by more."""
-DECAYED = 5.0
+DECAYED = 4.0
 """Decay of the slowest free vibration, of its logarithm, before a motion can be said not to repeat. After less, motions
 that were irregular at first settled all the same, on a branch that hardly touches a stop."""
 
