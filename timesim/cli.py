@@ -8,18 +8,18 @@ import gc
 import io
 import json
 import os
-import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, Self
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 if TYPE_CHECKING:
+    from timesim.study.execution.interrupts import Signals
     from timesim.study.execution.progress import Standing
 
 app = typer.Typer(
@@ -28,9 +28,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Event-driven time integration of structures with frictional contacts.",
 )
-
-LAST_SIGNAL = 3
-"""The Ctrl-C, counted from 1, that ends the program whatever it is doing."""
 
 SECONDS_A_LINE = 60.0
 """Between two lines of progress where standard error is no terminal."""
@@ -67,6 +64,7 @@ def run(
     from timesim.result.folder import check_folder, locked_folder, prepare_folder
     from timesim.scene.report import warnings_of
     from timesim.study.execution.campaign import Execution, ExecutionError
+    from timesim.study.execution.interrupts import Signals
     from timesim.study.registry import check_execution, picture_names
 
     loaded = _loaded(scene, overrides)
@@ -77,7 +75,7 @@ def run(
             print(f"the result in {output} is complete: there is nothing to resume; timesim plot {output} draws it")
             return
         check_folder(output, overwrite=force or resume)
-        with _Signals() as signals, locked_folder(output):
+        with Signals() as signals, locked_folder(output):
             stale = picture_names(loaded.kind, KINDS)
             prepare_folder(output, loaded.resolved_yaml(), overwrite=force, source=scene, stale=stale)
             for warning in warnings_of(loaded):
@@ -89,7 +87,7 @@ def run(
         _stop(1, "interrupted before anything was run")
 
 
-def _carry_out(loaded: Any, execution: Any, signals: "_Signals", *, plots: bool) -> None:
+def _carry_out(loaded: Any, execution: Any, signals: "Signals", *, plots: bool) -> None:
     """Run the study, save its result and draw it."""
     from timesim.result import checkpoint, netcdf
     from timesim.result.file import StoreError
@@ -263,37 +261,6 @@ def _written(result: Path, pictures: Sequence[Path]) -> str:
 
 def _notice(text: str) -> None:
     print(f"note: {text}", file=sys.stderr)
-
-
-class _Signals:
-    """Ctrl-C during a run, the SIGTERM that a cluster sends at its time limit, or the end of a session.
-
-    The first one ends the study, which keeps what it has computed. After that, and while a result is being assembled or
-    saved, only the third is obeyed.
-    """
-
-    def __init__(self) -> None:
-        self.saving, self._count = False, 0
-
-    def __enter__(self) -> Self:
-        from timesim.study.execution.interrupts import ENDING
-
-        # Signals that a shell has its background jobs ignore stay ignored.
-        caught = [number for number in ENDING if signal.getsignal(number) is not signal.SIG_IGN]
-        self._before = {number: signal.signal(number, self._take) for number in caught}
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _take(self, *_: object) -> None:
-        self._count += 1
-        if self.saving and self._count < LAST_SIGNAL:
-            os.write(2, b"note: what is computed is being saved\n")  # print is not reentrant
-            return
-        self.saving = True
-        raise KeyboardInterrupt
 
 
 @contextmanager

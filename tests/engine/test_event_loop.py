@@ -38,6 +38,7 @@ from timesim.model.solver import PRESETS, Solver
 from timesim.result.netcdf import save
 from timesim.study import transient
 from timesim.study.execution.campaign import Execution
+from timesim.study.execution.interrupts import Interrupts
 from timesim.study.recorder import Recorder
 from timesim.study.registry import load_scene
 from timesim.study.transient import final_variables, study
@@ -701,6 +702,20 @@ def test_a_signal_while_the_result_is_put_together_loses_nothing(monkeypatch: py
     assert outcome.reason is None
     assert outcome.groups[""].sizes["cycle"] == 3
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_each_signal_reaches_the_handler_before_once() -> None:
+    """That of the command counts them: the third ends it."""
+    taken: list[int] = []
+    before = signal.signal(signal.SIGTERM, lambda number, _: taken.append(number))
+    try:
+        with Interrupts() as interrupts:
+            for count in (1, 2, 3):
+                os.kill(os.getpid(), signal.SIGTERM)
+                assert interrupts.seen
+                assert len(taken) == count
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def test_a_second_signal_is_obeyed(monkeypatch: pytest.MonkeyPatch) -> None:

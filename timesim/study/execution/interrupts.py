@@ -1,5 +1,6 @@
 """Interrupts at places that lose nothing: a signal is noted, and raised where the work reports its progress."""
 
+import os
 import signal
 import threading
 from contextlib import suppress
@@ -10,6 +11,9 @@ from timesim.study.execution.progress import Progress
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """Signals that end a run: Ctrl-C, the time limit of a cluster, the end of a session."""
+
+LAST_SIGNAL = 3
+"""The Ctrl-C, counted from 1, that ends the program whatever it is doing."""
 
 
 class Interrupts:
@@ -38,6 +42,7 @@ class Interrupts:
     def _take(self, number: int, frame: FrameType | None) -> None:
         if self.seen:
             self._before[number](number, frame)
+            return
         self.seen = True
         with suppress(KeyboardInterrupt):
             self._before[number](number, frame)
@@ -51,3 +56,32 @@ class Interrupts:
                 raise KeyboardInterrupt
 
         return show
+
+
+class Signals:
+    """Ctrl-C during a run, the SIGTERM that a cluster sends at its time limit, or the end of a session.
+
+    The first one ends the study, which keeps what it has computed. After that, and while a result is being assembled or
+    saved, only the third is obeyed.
+    """
+
+    def __init__(self) -> None:
+        self.saving, self._count = False, 0
+
+    def __enter__(self) -> Self:
+        # Signals that a shell has its background jobs ignore stay ignored.
+        caught = [number for number in ENDING if signal.getsignal(number) is not signal.SIG_IGN]
+        self._before = {number: signal.signal(number, self._take) for number in caught}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _take(self, *_: object) -> None:
+        self._count += 1
+        if self.saving and self._count < LAST_SIGNAL:
+            os.write(2, b"note: what is computed is being saved\n")  # print is not reentrant
+            return
+        self.saving = True
+        raise KeyboardInterrupt
