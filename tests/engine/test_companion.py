@@ -13,6 +13,7 @@ from systems import oscillator
 
 from timesim.engine.companion import ROUNDING, Companion, Estimate, compared, estimate, state_error, totals_of
 from timesim.engine.history import CycleTotals
+from timesim.engine.method import step_method
 from timesim.engine.trajectory import Phase, Run
 from timesim.model.model import Model
 from timesim.model.solver import PRESETS, Solver, coarser
@@ -113,6 +114,20 @@ def test_a_companion_of_fixed_steps_is_named_by_their_length() -> None:
     run, totals = finished(oscillator(3, 1.39), 1, PRESETS["standard"])
     run.solver, other = Solver("rk4", 1e-8, 1e-10, 0.05), replace(totals, transitions=totals.transitions + 1)
     assert compared(run, totals, Companion(run).run, other).remark.startswith("a run of steps twice as long takes ")
+
+
+@pytest.mark.parametrize(("shares_program", "share"), [(True, 1 / 3), (False, 1 / 0.5)])
+def test_the_companion_of_implicit_steps_solves_as_exactly(shares_program: bool, share: float) -> None:
+    """Not a coarser run that a finer one repeats, whose equations have its own tolerance."""
+    run, totals = finished(oscillator(3, 1.39), 1, PRESETS["standard"])
+    run.solver = Solver("kvaerno5", 1e-6, 1e-8)
+    run.method = step_method(run.solver)
+    other = Companion(run).run
+    if not shares_program:
+        other.solver = Solver("kvaerno5", 1.5e-6, 1.5e-8)
+        other.method = step_method(other.solver)
+    other.displacement, other.velocity = run.displacement + 0.005 * totals.size[0], run.velocity
+    assert compared(run, totals, other, totals).state == pytest.approx(share * 0.005)
 
 
 @pytest.mark.parametrize("ratio", [1.5, 3.0, 10.0])

@@ -144,7 +144,7 @@ def compared(run: Run, totals: CycleTotals, companion: Run, other: CycleTotals) 
     coarser_run = f"at {ratio:.2g} times the tolerance"
     if run.solver.name == "rk4":
         ratio, coarser_run = FIXED[totals.opens], "of steps twice as long"
-    if run.solver.name == "kvaerno5":
+    if run.solver.name == "kvaerno5" and companion.method is run.method:
         ratio = IMPLICIT
     apart = state_error(run.model, run.phases[-1].frequency, run, companion, totals.size)
     share, remark = 1 / (ratio - 1), ""
