@@ -161,7 +161,7 @@ class Balance:
         across = self.shape[2::3]
         pressed = np.diag(omega**2) + across.T @ (np.diag(self.support)[2::3, None] * across)
         self.slack = self._slack_of(_loose(omega == 0, pressed))
-        self.held_by_friction = orth(self.slack)
+        self.held_by_friction, self.reach = orth(self.slack), self._reach()
 
     def _slack_of(self, loose: Array) -> Array:
         """What a little more stiffness of motions that friction alone holds, shape (M, L), takes from F_0, (3C, 3C).
@@ -178,6 +178,12 @@ class Balance:
             return np.asarray(self.shape @ (np.linalg.solve(held, self.shape.T) - np.linalg.solve(more, self.shape.T)))
         except np.linalg.LinAlgError:
             return np.zeros_like(self.support)
+
+    def _reach(self) -> float:
+        """How far a contact can be deflected at rest before it slips, the most of all, in units of `length`."""
+        stiffness = np.array([np.linalg.norm(contact.tangential_stiffness, 2) for contact in self.model.contacts])
+        most = self.model.friction * np.maximum(self.model.preload, 0.0) / np.maximum(stiffness, 1e-300)
+        return float(most.max() / self.length)
 
     def linear(self, frequency: float) -> LinearResponse:
         """Response of the structure at a frequency [Hz]; not finite where it is singular."""
@@ -274,10 +280,9 @@ class Balance:
         """NaN where the mean of what friction alone holds is `AWAY`, else 0."""
         if not self.held_by_friction.size:
             return 0.0
-        rows, held = x.reshape(-1, self.size), self.model.friction * np.maximum(self.model.preload, 0.0)
-        stiffness = np.array([np.linalg.norm(contact.tangential_stiffness, 2) for contact in self.model.contacts])
-        reach = np.abs(rows[:, 1:]).max() + (held / np.maximum(stiffness, 1e-300)).max() / self.length
-        return np.nan if np.abs(rows[:, 0] @ self.held_by_friction).max() > AWAY * reach else 0.0
+        rows = x.reshape(-1, self.size)
+        far = np.abs(rows[:, 0] @ self.held_by_friction).max() > AWAY * (self.reach + np.abs(rows[:, 1:]).max())
+        return np.nan if far else 0.0
 
     def linearised(self, x: Array, p: float, *, keep_offsets: bool = False) -> tuple[Array, Condensation, Array]:
         """r, and its derivatives by the unknowns and by the frequency; offsets as in `hbm.tangent.linearised`."""
