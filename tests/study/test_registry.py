@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 import timesim
 from timesim.cli import app
+from timesim.scene.report import warnings_of
 from timesim.study import registry
 
 TOY = '''
@@ -122,8 +123,9 @@ def test_a_toy_study_is_refused_as_others_are(toy: Path):
 
 def test_python_is_told_what_the_command_warns_of(toy: Path):
     overdamped = {"structure.modes.0.damping_ratio": 1.5}
-    with pytest.warns(timesim.SceneWarning, match=r"damping ratio 1\.5 of mode 1 .* 1 % is 0\.01"):
+    with pytest.warns(timesim.SceneWarning, match=r"damping ratio 1\.5 of mode 1 .* 1 % is 0\.01") as said:
         timesim.run(toy, overdamped)
+    assert [str(one.message) for one in said] == list(warnings_of(timesim.load_scene(toy, overdamped)))
 
 
 def test_a_kind_that_is_not_known_is_refused_with_all_that_are(toy: Path):

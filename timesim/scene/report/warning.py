@@ -8,7 +8,7 @@ import numpy as np
 from timesim.fault import Problem
 from timesim.model.contact_state import obeys_cone
 from timesim.model.cost import EXPLICIT, SLIPPING, seconds_a_cycle, slip_steps, stable_steps
-from timesim.model.model import Model
+from timesim.model.model import Contact, Model
 from timesim.model.promise import rounded
 from timesim.model.reduction import distant_stops, reduction_of
 from timesim.result.label import attributes, first_few, in_words, with_unit
@@ -68,6 +68,11 @@ def warnings_of(scene: Scene) -> Iterator[str]:
         yield f"{far}: frequencies are in Hz, and modes left out would answer there"
     if ratio > FAR_ABOVE and not hasattr(file.structure, "modes"):
         yield from _modes_to_spare(model, highest)
+
+
+def normal_of(contact: Contact) -> str:
+    """Components of its normal along x, y, z."""
+    return f"({', '.join(f'{x + 0.0:.3g}' for x in contact.frame[2])})"
 
 
 def asked_frequency(scene: Scene, model: Model) -> float | None:
@@ -224,8 +229,8 @@ def _still_parts(file: SceneFile, model: Model) -> Iterator[str]:
         elif contact.friction > 0 and not np.any(np.abs(shape[:2]) > STILL * np.abs(shape).max()):
             loaded = contact.normal_stiffness > 0
             so = "it never rubs, and acts as a stop" if loaded else "its normal load is constant, so it has no effect"
-            normal = ", ".join(f"{x + 0.0:.3g}" for x in contact.frame[2])
-            yield f"contacts.{contact.name}: no mode moves it in its plane, which is normal to ({normal}): {so}"
+            plane = f"its plane, which is normal to {normal_of(contact)}"
+            yield f"contacts.{contact.name}: no mode moves it in {plane}: {so}"
     given = getattr(file.initial, "slip", {})
     for contact, slip in zip(model.contacts, start.slip, strict=True):
         if contact.name in given and not np.allclose(slip, given[contact.name], rtol=1e-8, atol=0.0):
