@@ -92,11 +92,10 @@ def shifted(coefficient):
 @pytest.mark.parametrize("name", MOTIONS)
 @pytest.mark.parametrize("finest", [256, pytest.param(1024, marks=pytest.mark.slow)])
 def test_order_of_the_law_through_a_period(name, kind, finest):
-    """Third, or second where the pull on slip depends on its direction."""
+    """Third, hardly less where the pull on slip depends on its direction, which turns fast next to n = 0."""
     contact, motion = element(STIFFNESS[kind]), prescribed(MOTIONS[name], 3)
     exact = located_forces(contact, motion)
     assert exact is not None
-    order = 3 if kind == "isotropic" else 2
     numbers = np.array([*SAMPLES, 512, 1024])
     numbers = numbers[numbers <= finest]
     motions, exacts = shifted(motion), shifted(exact)
@@ -106,8 +105,8 @@ def test_order_of_the_law_through_a_period(name, kind, finest):
         assert np.max(done.closure) <= 1
         assert 1 <= done.passes < MAX_PASSES
         errors.append(np.sqrt(np.mean((np.asarray(done.coefficient) - exacts) ** 2)))
-    assert -np.polyfit(np.log(numbers), np.log(errors), 1)[0] > order - 0.15, errors
-    assert errors[-1] < (1e-8 if kind == "isotropic" else 1e-6) * (1024 / finest) ** order
+    assert -np.polyfit(np.log(numbers), np.log(errors), 1)[0] > (2.85 if kind == "isotropic" else 2.6), errors
+    assert errors[-1] < 1e-8 * (1024 / finest) ** 3
 
 
 def test_slip_under_constant_load_is_of_third_order():

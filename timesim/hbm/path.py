@@ -8,6 +8,7 @@ W. Magnus, On the exponential solution of differential equations for a linear op
 import timesim.runtime  # noqa: F401  isort: skip
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool
@@ -161,10 +162,8 @@ def direction_of(force: Plane, instead: Plane) -> Plane:
 def turned(law: ConeLaw, path: Path, e: Plane, start: Scalar, end: Scalar) -> Plane:
     """Direction of slip at the end of a part of the interval, from that at its start.
 
-    With the pull p, the direction of z, and ``z`` its integral over time, where the pull is weak ``far``: the direction
-    turns towards that of z, and by ``z x dz / 12`` as the pull turns (Magnus' series). Where it is strong, as next to
-    n = 0, ``near``: the angle psi between both obeys ``psi' = -(|z| / n) psi - p'`` and decays; what the turn of the
-    pull leaves behind is exact for a load that is linear, also where slip begins with contact.
+    Where K_u is not isotropic that errs by the third power of its length, and by a quarter of it through both halves:
+    from these follows what errs by the fourth (L. F. Richardson, Phil. Trans. R. Soc. A 210 (1911) 307-357).
 
     Right before the contact opens the direction stays as it is. Slip against the pull, kept up by a falling load, lasts
     to the opening along a straight path, but is unstable: next to n = 0 rounding alone would decide where it turns.
@@ -172,6 +171,30 @@ def turned(law: ConeLaw, path: Path, e: Plane, start: Scalar, end: Scalar) -> Pl
     falls = -path.limit.rate(end)
     left = quotient(path.limit.value(end), falls)
     end = jnp.where((falls > 0) & (left < LATE), jnp.maximum(end + left - LATE, start), end)
+    if len(law.stiffness) == 1:
+        return _turned_at_once(law, path, e, start, end)
+    middle = (start + end) / 2
+
+    def onwards(k: Array, found: tuple[Plane, Plane]) -> tuple[Plane, Plane]:
+        whole, half = found
+        second, begin = k == 2, jnp.where(k == 2, middle, start)
+        new = _turned_at_once(law, path, where(second, half, e), begin, jnp.where(k == 1, middle, end))
+        return where(k == 0, new, whole), new
+
+    # The whole, the first half and the second, in a loop: each call would be compiled anew.
+    whole, halves = jax.lax.fori_loop(0, 3, onwards, (e, e))
+    return direction_of(tuple(y + (y - x) / 3 for x, y in zip(whole, halves, strict=True)), halves)
+
+
+@apart
+def _turned_at_once(law: ConeLaw, path: Path, e: Plane, start: Scalar, end: Scalar) -> Plane:
+    """The same with the part of K_u that is not isotropic as it is midway.
+
+    With the pull p, the direction of z, and ``z`` its integral over time, where the pull is weak ``far``: the direction
+    turns towards that of z, and by ``z x dz / 12`` as the pull turns (Magnus' series). Where it is strong, as next to
+    n = 0, ``near``: the angle psi between both obeys ``psi' = -(|z| / n) psi - p'`` and decays; what the turn of the
+    pull leaves behind is exact for a load that is linear, also where slip begins with contact.
+    """
     none = (jnp.zeros_like(start),) * 2
     change, rest = minus(path.at(end), path.at(start)), end - start
     limit0, limit1 = path.limit.value(start), path.limit.value(end)

@@ -14,7 +14,7 @@ from timesim.model.model import Model
 MIN_SAMPLES = 16
 # With so many samples of the shortest wave, and of the period, the contact forces of most generated structures err by
 # less than 1e-5 (benchmarks/samples.py), a tenth of what harmonics may leave out, and those under the motions of
-# tests/hbm/test_period.py by less than 1e-6 of the largest, 1e-5 where K_u is not isotropic.
+# tests/hbm/test_period.py by less than 1e-6 of the largest.
 SAMPLES_PER_WAVE, ENOUGH_SAMPLES = 16, 256
 # Where the program chooses them: harmonics at first, and those that are tried after them; unknowns at most, beyond
 # which a solution takes a second.
@@ -39,7 +39,7 @@ class Scheme:
     Attributes:
         harmonics: H >= 1, the highest one balanced.
         time_samples: N, samples of a period at which contact forces are evaluated, at least 4 H and 16. The error is
-            of third order in 1/N, of second where a K_u is not isotropic.
+            of third order in 1/N.
     """
 
     harmonics: int = 9
