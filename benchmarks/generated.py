@@ -125,8 +125,9 @@ def result_of(scene: dict[str, Any], processes: Processes | None) -> DataTree:
     return result
 
 
-def row(seed: int, limit: float, processes: Processes | None) -> str:
+def row(seed: int, limit: float, processes: Processes | None, *, full: bool = False) -> str:
     model, free = STRUCTURE(seed)
+    model = ZOO["with_full_stiffness"](model, seed) if full else model
     low, high = span_of(model, free)
     model = loaded(model, np.linspace(low, high, POINTS + 1))
     begin, seconds = time.process_time(), []
@@ -181,6 +182,7 @@ def main() -> None:
     parser.add_argument("--seeds", default="100:140", help="first and one behind the last, or some with commas")
     parser.add_argument("--processes", type=int, default=1, help="that work on a curve which takes long")
     parser.add_argument("--limit", type=float, default=0, help="CPU seconds after which a balance is interrupted")
+    parser.add_argument("--full", action="store_true", help="contacts with a full K_u")
     options = parser.parse_args()
     ends = options.seeds.split(":")
     seeds = range(*map(int, ends)) if len(ends) > 1 else map(int, options.seeds.split(","))
@@ -195,7 +197,7 @@ def main() -> None:
     print("| " + heads.replace(", ", " | ") + " |\n" + "|---" * (heads.count(",") + 1) + "|")
     with Processes(options.processes) as processes:
         for seed in seeds:
-            print(row(seed, options.limit, processes), flush=True)
+            print(row(seed, options.limit, processes, full=options.full), flush=True)
 
 
 if __name__ == "__main__":

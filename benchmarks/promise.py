@@ -76,9 +76,10 @@ class Structure:
         return error_of(run, self.true, *self.measure)
 
 
-def structure(seed: int, size: tuple[int, int]) -> Structure | None:
-    """None where no contact slips for a part of the cycle."""
+def structure(seed: int, size: tuple[int, int], *, full: bool) -> Structure | None:
+    """None where no contact slips for a part of the cycle; ``full``: contacts with a full K_u."""
     model, cycles = ZOO["driven"](seed, size)
+    model = ZOO["with_full_stiffness"](model, seed) if full else model
     scene = ZOO["scene_of"](model) | {"study": {"kind": "transient", "cycles": cycles, "record_last": 1}}
     exact = {"method": "dopri8", "rtol": 1e-12, "estimate_error": False}
     true = timesim.run(scene, {"solver": exact})
@@ -107,9 +108,9 @@ def by_hand(methods: Sequence[str], structures: Iterator[Structure]) -> None:
         print(f"| {method} | {rtol:g} | {ratio.size} | {np.median(ratio):.2g} | {ratio.max():.2g} | {outside} |")
 
 
-def rows(seed: int, size: tuple[int, int]) -> list[dict[str, Any]]:
+def rows(seed: int, size: tuple[int, int], *, full: bool) -> list[dict[str, Any]]:
     """The runs of a structure; none where no contact slips for a part of the cycle, or the truth is not certain."""
-    own = structure(seed, size)
+    own = structure(seed, size, full=full)
     if own is None:
         return []
     scene, true, other, cycles = own.scene, own.true, own.other, own.scene["study"]["cycles"]
@@ -146,18 +147,19 @@ def main() -> None:
     parser.add_argument("--seeds", default="1000:1010", help="first and one behind the last")
     parser.add_argument("--modes", type=int, nargs="*", default=[size[0] for size in SIZES], help="which sizes")
     parser.add_argument("--by-hand", nargs="*", default=(), metavar="METHOD", help="methods in place of the presets")
+    parser.add_argument("--full", action="store_true", help="contacts with a full K_u")
     options = parser.parse_args()
     first, last = map(int, options.seeds.split(":"))
     if options.by_hand:
         sizes = [size for size in SIZES if size[0] in options.modes]
-        found = (structure(seed, size) for size in sizes for seed in range(first, last))
+        found = (structure(seed, size, full=options.full) for size in sizes for seed in range(first, last))
         by_hand(options.by_hand, (own for own in found if own is not None))
         return
     every = []
     for size in (size for size in SIZES if size[0] in options.modes):
         jax.clear_caches()
         for seed in range(first, last):
-            for row in rows(seed, size):
+            for row in rows(seed, size, full=options.full):
                 every.append(row)
                 print(
                     "| " + " | ".join(f"{v:.2g}" if isinstance(v, float) else str(v) for v in row.values()) + " |",

@@ -55,6 +55,19 @@ def driven(seed: int, size: tuple[int, int]) -> tuple[Model, int]:
     return replace(model, excitation=load), int(np.exp(rng.uniform(np.log(8), np.log(80))))
 
 
+def with_full_stiffness(model: Model, seed: int) -> Model:
+    """The model with K_u of each contact of two principal values, up to ten times apart, along axes of its own."""
+    rng = np.random.default_rng([seed, 5])
+
+    def full(contact: Contact) -> Contact:
+        angle, share = rng.uniform(0, np.pi), 10 ** rng.uniform(0, 0.5)
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        stiffness = contact.tangential_stiffness[0, 0] * turn @ np.diag([share, 1 / share]) @ turn.T
+        return replace(contact, tangential_stiffness=(stiffness + stiffness.T) / 2)
+
+    return replace(model, contacts=tuple(map(full, model.contacts)))
+
+
 def scene_of(model: Model) -> dict[str, Any]:
     """What a scene file says of a generated model, without a study."""
     body, force = model.structure, model.excitation.cosine[0]
@@ -78,6 +91,8 @@ def scene_of(model: Model) -> dict[str, Any]:
 
 def _contact_section(contact: Contact) -> dict[str, Any]:
     tangent, _, normal = contact.frame.tolist()
+    stiffness = contact.tangential_stiffness
+    isotropic = np.array_equal(stiffness, stiffness[0, 0] * np.eye(2))
     return {
         "name": contact.name,
         "point": contact.point,
@@ -85,7 +100,7 @@ def _contact_section(contact: Contact) -> dict[str, Any]:
         "normal": normal,
         "tangent": tangent,
         "friction": float(contact.friction),
-        "tangential_stiffness": float(contact.tangential_stiffness[0, 0]),
+        "tangential_stiffness": float(stiffness[0, 0]) if isotropic else stiffness.tolist(),
         "normal_stiffness": float(contact.normal_stiffness),
         "preload": float(contact.preload),
     }
