@@ -191,6 +191,20 @@ def test_what_is_given_up_is_yielded_before_the_interrupt_goes_on(two: Processes
     assert not two.submit(unseen, ignores_interrupts).result()[1]
 
 
+def killed_once_halted() -> None:
+    until_halted(0)
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_an_interrupt_goes_on_though_a_process_is_killed_meanwhile():
+    """At the time limit of a batch job a process may not have the time to give what it has."""
+    timer = threading.Timer(2.0, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    with Processes(1) as own, pytest.raises(KeyboardInterrupt):
+        list(own.each([(unseen, killed_once_halted, ())]))
+    timer.join()
+
+
 def told_to_end(number: int) -> int:
     os.kill(os.getpid(), signal.SIGTERM)
     return until_halted(number)

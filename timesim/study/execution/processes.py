@@ -106,6 +106,9 @@ class Processes:
                     continue
                 for future in done:
                     yield running.pop(future), future.result()
+        except BrokenExecutor:
+            if interrupt is None:
+                raise  # otherwise the process was stopped too, before it could give what it had
         finally:
             self.give_up(running)
         if interrupt is not None:
