@@ -368,6 +368,17 @@ def test_a_least_peak_in_the_middle_and_one_star_for_both_directions() -> None:
     assert "of tip y, which moves most" in figure.get_suptitle()
 
 
+def test_least_peaks_that_differ_by_rounding_have_one_star() -> None:
+    data = sweep({PRELOAD: [0.0, 0.1, 0.2]}, ("up", "down"))
+    # Each direction has its own least, and four digits of one are rounded up, of the other down.
+    factor = np.array([[2, 2], [1 - 1e-9, 1 + 1e-9], [1 + 1e-9, 1 - 1e-9]])[..., None, None, None]
+    one = data.amplitude.values[0, 0]
+    data.amplitude[:] = factor * 0.15005 * one / one.max()
+    (label,) = _stars(plot_sweep.peak(data))
+    assert label.startswith("least of up and down:\n")
+    assert label.endswith(" at 0.1")
+
+
 def test_points_that_a_run_did_not_come_to_are_neither_failed_nor_judged() -> None:
     data = sweep({PRELOAD: [0.0, 0.1, 0.2]})
     data.amplitude[2, :, 25:] = np.nan

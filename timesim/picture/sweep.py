@@ -22,6 +22,7 @@ from timesim.result.label import counted, told_apart
 
 MARKED = 45  # settled points of a curve with a marker; of more points only some are marked
 FEW = 3  # least number of values of a scalar for a picture of the peaks
+ALIKE = 1e-4  # relative difference of least peaks that one star marks
 NO_GAPS = np.empty(0, int)
 
 
@@ -101,15 +102,16 @@ def peak(
     ax, (point, axis), key = axes(ax), motion(data, point, axis), key or most_valued(data)
     amplitude, order = data.amplitude.sel(point=point, axis=axis), np.argsort(data[key].values)
     value = data[key].values[order]
-    least: dict[tuple[float, str], list[tuple[str, str]]] = {}
+    least: dict[tuple[float, float], list[tuple[str, str]]] = {}
     for curve in curves(data, without=key):
         largest, at_end = peaks(amplitude.isel(curve.where).transpose(key, "frequency").values[order])
         direction = curve.direction if data.sizes["direction"] > 1 else ""
         name = ", ".join(filter(None, (curve.label, direction)))
         _curve(ax, value, largest, curve, at_end, "peak at an end of the frequencies", name or "peak")
         if np.isfinite(largest).all():
-            place = int(np.argmin(largest))
-            least.setdefault((value[place], f"{largest[place]:.4g}"), []).append((name, curve.style.colour))
+            low, x = largest.min(), value[np.argmax(largest <= (1 + ALIKE) * largest.min())]
+            low = next((y for at, y in least if at == x and np.isclose(y, low, rtol=ALIKE, atol=0.0)), low)
+            least.setdefault((x, low), []).append((name, curve.style.colour))
     texts = dict(zip(value, told_apart(value, 4), strict=True))
     for (x, y), of in least.items():
         _star(ax, x, texts[x], y, of, x in (value[0], value[-1]) and value.size > 1)
@@ -118,12 +120,12 @@ def peak(
     return ax
 
 
-def _star(ax: Axes, x: float, place: str, y: str, curves: Sequence[tuple[str, str]], at_end: bool) -> None:
+def _star(ax: Axes, x: float, place: str, y: float, curves: Sequence[tuple[str, str]], at_end: bool) -> None:
     """The least peak: one star for all curves, given by name and colour, that have it at the same place."""
     names, colours = zip(*curves, strict=True)
     of = {1: ": ", 2: f" of {' and '.join(names)}:\n"}.get(len(names), f" of {len(names)} curves:\n")
     look: dict[str, Any] = {"color": colours[0], "markeredgecolor": "black", "ms": 10, "linestyle": "", "zorder": 4}
-    ax.plot(x, float(y), "*", label=f"least{of}{y} at {place}" + (", an end" if at_end else ""), **look)
+    ax.plot(x, y, "*", label=f"least{of}{y:.4g} at {place}" + (", an end" if at_end else ""), **look)
 
 
 def peaks(amplitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
