@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -736,6 +737,9 @@ def test_describe_counts_points_and_names_the_method_at_the_lowest_frequency():
         in ranges["scene"]
     )
     assert "at 1 Hz" in ranges["method"][0]
+    assert re.fullmatch(r"about 81 starts of \d+ cycles of .*s within each range that is found: .*s", ranges["cost"][1])
+    ends_alone = report("study={kind: bistable, frequency: {from: 1, to: 2}, harmonics: 0, starts: 0}")
+    assert not [line for line in ends_alone["cost"] if "starts" in line]
     jump = report("study={kind: jump, phases: [{frequency: 2, cycles: 3}, {frequency: 1.5, cycles: 3}]}")
     assert "at 1.5 Hz" in jump["method"][0]
     assert "method" not in report("study={kind: hbm, frequency: {from: 1, to: 2}, harmonics: 7}")

@@ -7,11 +7,12 @@ from math import prod
 from timesim.hbm.scheme import NOTED
 from timesim.model import cost
 from timesim.model.model import Model
-from timesim.model.solver import SHOOT, Solver
+from timesim.model.solver import NEVER, SHOOT, Solver
 from timesim.result.label import counted
 from timesim.scene.hbm import balance_of
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SteadySection, SweepPlan
+from timesim.scene.sweep import BistablePlan
 from timesim.scene.transient import Schedule, TradeoffPlan
 
 # Times, and seconds, from which on another way to settle is named, and times from which on a budget that is spent is.
@@ -39,6 +40,8 @@ def cost_lines(scene: Scene, model: Model) -> Iterator[str]:
         if most > max(FAR * total, NOTICED):
             each += f" ({_duration(most)} in all if none settles in settle.max_cycles = {sweep.criterion.max_cycles})"
         lines.append(f"{counted(sweep.size, 'point')} of {each}: {_duration(total)}{study.search()}")
+        if isinstance(plan, BistablePlan) and plan.starts:
+            lines.append(_of_starts(model, solver, plan))
         shot = replace(sweep, criterion=replace(sweep.criterion, first_shot=SHOOT))
         fewer, _, _, less = _sweep_cost(model, solver, shot)
         if total > max(FASTER * less, NOTICED):
@@ -59,6 +62,15 @@ def cost_lines(scene: Scene, model: Model) -> Iterator[str]:
     yield from (f"about {line}" for line in lines)
     if lines:
         yield "as measured on one core of a server (timesim/model/cost.py); a first run compiles before that"
+
+
+def _of_starts(model: Model, solver: Solver, plan: BistablePlan) -> str:
+    """The cost of the starts within a range: all march side by side until they settle."""
+    sweep, number = plan.sweep, plan.starts**2
+    marched = replace(sweep, directions=("independent",), criterion=replace(sweep.criterion, first_shot=NEVER))
+    cycles, own, *_ = _sweep_cost(model, solver, marched)
+    each = f"{counted(cycles, 'cycle')} of {_duration(own)}"
+    return f"{counted(number, 'start')} of {each} within each range that is found: {_duration(number * cycles * own)}"
 
 
 def _sweep_cost(model: Model, solver: Solver, sweep: SweepPlan) -> tuple[int, float, float, float]:
