@@ -1,5 +1,6 @@
 """Studies as functions of arrays: the same bits as scene files give, and arguments that are refused."""
 
+import inspect
 import re
 import subprocess
 import sys
@@ -249,3 +250,9 @@ def test_the_examples_of_the_readme_run(tmp_path, monkeypatch, capsys):
     assert re.fullmatch(r"0\.\d+ \d+ transitions\n", capsys.readouterr().out)
     assert names["run"].sizes["cycle"] == 5
     assert len(list((tmp_path / "pictures").glob("*.png"))) == 7
+
+
+def test_help_names_types_as_they_are_written():
+    signature = str(inspect.signature(timesim.contact))
+    assert "tangential_stiffness: 'ArrayLike'" in signature
+    assert "_typing" not in signature + str(inspect.signature(timesim.sweep))

@@ -5,6 +5,8 @@ the type or the shape of an argument is wrong, and `timesim.SceneError` where a 
 what is allowed and what to do.
 """
 
+from __future__ import annotations  # so that help() names the types as they are written here
+
 from collections.abc import Mapping, Sequence
 from typing import Any
 

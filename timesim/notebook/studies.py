@@ -4,6 +4,8 @@ Each runs the scene that a file would describe. A scene file, `timesim.run` and 
 checks and their numerics, and give the same bits.
 """
 
+from __future__ import annotations  # so that help() names the types as they are written here
+
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +27,7 @@ SETTLED = ["direction", "frequency"]
 """Axes of a sweep that the one point of `settle` has none of."""
 
 
-def _run(system: Section, study: Section, **more: Any) -> "xarray.Dataset":
+def _run(system: Section, study: Section, **more: Any) -> xarray.Dataset:
     """Run a study of a system."""
     rule = "what timesim.system returns (timesim.run runs a scene file)"
     whole = mapping_of("system", system, rule)
@@ -43,7 +45,7 @@ def integrate(
     samples_per_cycle: int = 200,
     record_last: int | None = None,
     initial: str | Section = "rest",
-) -> "xarray.Dataset":
+) -> xarray.Dataset:
     """Integrate from a starting state through every transition, as a transient study does.
 
     Args:
@@ -76,7 +78,7 @@ def sweep(
     refine: float | None = None,
     tolerance: float = 1e-8,
     max_cycles: int = 2000,
-) -> "xarray.Dataset":
+) -> xarray.Dataset:
     """Steady states over frequency, by time integration until the motion settles.
 
     Args:
@@ -105,7 +107,7 @@ def sweep(
     return _run(system, study | given(over=over, refine=refine))
 
 
-def settle(system: Section, frequency: float, *, tolerance: float = 1e-8, max_cycles: int = 2000) -> "xarray.Dataset":
+def settle(system: Section, frequency: float, *, tolerance: float = 1e-8, max_cycles: int = 2000) -> xarray.Dataset:
     """The steady state at one frequency [Hz], from the start of the system; arguments and variables as of `sweep`."""
     single = float(array_of("frequency", frequency, ()))
     result = sweep(system, [single], tolerance=tolerance, max_cycles=max_cycles)
@@ -114,7 +116,7 @@ def settle(system: Section, frequency: float, *, tolerance: float = 1e-8, max_cy
 
 def follow(
     system: Section, start: float, stop: float, *, harmonics: int | str = "auto", time_samples: int | str = "auto"
-) -> "xarray.Dataset":
+) -> xarray.Dataset:
     """Follow periodic responses by harmonic balance from one frequency to another, through folds.
 
     Args:
@@ -133,7 +135,7 @@ def follow(
     return _run(system, study)
 
 
-def show(path: str | Path, at: Mapping[str, float | str]) -> "xarray.Dataset":
+def show(path: str | Path, at: Mapping[str, float | str]) -> xarray.Dataset:
     """Compute the motion at a point of a sweep again, from the state saved in the result; see `timesim show`.
 
     Args:
@@ -155,7 +157,7 @@ def show(path: str | Path, at: Mapping[str, float | str]) -> "xarray.Dataset":
 
 
 def plot(
-    result: "xarray.Dataset | xarray.DataTree",
+    result: xarray.Dataset | xarray.DataTree,
     folder: str | Path,
     *,
     kind: str = "png",
