@@ -1141,6 +1141,20 @@ def test_a_free_body_and_contacts_that_are_open_at_rest_are_told_apart():
     assert lines[2].startswith("natural frequencies with every contact closed and stuck: 0 (rigid body), ")
 
 
+def test_check_says_how_little_of_the_damping_ratio_a_body_has_that_contacts_hold():
+    """Two masses joined by a spring and, as the ratio is of the modes, by a dashpot: a contact holds one of them."""
+    matrices = {"mass": [[1, 0], [0, 1]], "stiffness": [[8, -8], [-8, 8]], "damping_ratio": 0.01}
+    matrices["points"] = {"tip": {"x": 0}, "end": {"x": 1}}
+    body = one_mass(contact={"point": "tip", "tangential_stiffness": 10}) | {"structure": {"matrices": matrices}}
+    square, shape = np.linalg.eigh(np.array([[18.0, -8], [-8, 8]]))
+    ratio = 0.01 * 4 * (shape[0, 0] - shape[1, 0]) ** 2 / (2 * np.sqrt(square[0]))
+    own = f"{np.sqrt(square[0]) / (2 * np.pi):.6g} Hz"
+    less = f"of rigid-body motions none: of the mode at {own} with every contact stuck it is {ratio:.2g}"
+    assert f"damping ratio 0.01, {less}" in describe(load_scene(body))["structure"]
+    held = matrices | {"stiffness": [[9, -8], [-8, 9]]}
+    assert "damping ratio 0.01" in describe(load_scene(body | {"structure": {"matrices": held}}))["structure"]
+
+
 def test_check_estimates_the_cost_of_each_phase():
     def said(name: str, *overrides: str) -> tuple[str, ...]:
         return describe(load_scene(CONFIGS / f"{name}.yaml", overrides)).get("cost", ())

@@ -141,8 +141,23 @@ def _structure_lines(model: Model) -> Iterator[str]:
     else:
         ratio = structure.damping_ratio[frequency > 0]
         low, high = ratio.min(), ratio.max()
-        yield f"damping ratio {low:.4g}" + ("" if np.isclose(low, high, rtol=1e-9) else f" to {high:.4g}")
+        to = "" if np.isclose(low, high, rtol=1e-9) else f" to {high:.4g}"
+        yield f"damping ratio {low:.4g}{to}{_of_held_body(model)}"
     yield f"points: {', '.join(structure.points)}"
+
+
+def _of_held_body(model: Model) -> str:
+    """What is left of the damping ratio of the modes in the lowest one of a body that contacts alone hold."""
+    free, every = model.structure.omega, np.arange(model.num_contacts)
+    least = np.sqrt(EPSILON) * free.max()
+    if free.min() > least or not every.size or not obeys_cone(model).all():
+        return ""
+    omega, shape = natural_modes(model, np.arange(free.size), every)
+    lowest = int(np.argmax(omega > least))
+    assert shape is not None
+    ratio = shape[:, lowest] @ model.structure.decays @ shape[:, lowest] / (2 * omega[lowest])
+    own = f"{omega[lowest] / (2 * np.pi):.6g} Hz"
+    return f", of rigid-body motions none: of the mode at {own} with every contact stuck it is {ratio:.2g}"
 
 
 def _natural_frequencies(model: Model) -> Iterator[str]:
