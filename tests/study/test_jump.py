@@ -370,6 +370,16 @@ def test_the_path_joins_the_ends_of_the_phases(figure12: xarray.Dataset) -> None
     assert len(ax.texts) == 5  # two arrows: the end of the run-up is where phase 1 ends
 
 
+def test_ends_of_phases_at_one_place_are_numbered_together(short: xarray.Dataset) -> None:
+    amplitude = xarray.DataArray([3.0, 3, 3, 3, 3, 2, 3, 1, 1], dims="cycle") * (short.cycle_amplitude * 0 + 1)
+    frequency = [0.7, 0.7, 1.1, 1.1, 1.1, 1.1, 1.6, 1.6, 1.1]
+    ax = plot_jump.path(short.assign(cycle_amplitude=amplitude, cycle_frequency=("cycle", frequency)))
+    assert [text.get_text() for text in ax.texts if text.get_text()] == ["1", "2", "3"]
+    amplitude[-1] = 2.01
+    ax = plot_jump.path(short.assign(cycle_amplitude=amplitude, cycle_frequency=("cycle", frequency)))
+    assert [text.get_text() for text in ax.texts if text.get_text()] == ["1, 3", "2"]
+
+
 def test_displacement_leaves_the_run_up_out(short: xarray.Dataset) -> None:
     ax = plot_transient.displacement(short, point="tip", axis="x")
     edges = ax.patches[0].get_data().edges

@@ -1,5 +1,6 @@
 """Pictures of a jump: the amplitude of each cycle over the schedule of frequencies, and against the frequency."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -13,9 +14,10 @@ from timesim.picture.style import BLUE, SERIES, VERMILION, Axes, Dataset, Figure
 
 MAX_NUMBERS = 12
 ROOM = 0.055  # share of an axis that a frequency takes as text
-NEAR = 0.02  # share of the range: ends of phases that are nearer are not joined by an arrow
+NEAR = 0.02  # share of the range: ends of phases that are nearer are at one place, and no arrow joins them
 LEAST = 1e-3  # share of the amplitude that its axis spans at least: labels of finer ticks reach over the margin
 RUN_UP = "0.93"
+Place = tuple[float, float]  # frequency and amplitude
 
 
 class DrawnPhase(NamedTuple):
@@ -94,8 +96,8 @@ def path(data: Dataset, ax: Axes | None = None, *, point: str | None = None, axi
     if len(last) > len(recorded):
         ax.plot(*ends.pop(0), "D", color="black", fillstyle="none", ms=8, linestyle="", label="end of the run-up")
     ax.plot(*np.array(ends).reshape(-1, 2).T, "o", color=VERMILION, ms=5, label="end of a phase")
-    for number, end in enumerate(ends if len(ends) <= MAX_NUMBERS else (), 1):
-        ax.annotate(f"{number}", end, (7, 5), textcoords="offset points", fontsize=9)
+    for end, numbers in _numbered(ends if len(ends) <= MAX_NUMBERS else ()).items():
+        ax.annotate(", ".join(numbers), end, (7, 5), textcoords="offset points", fontsize=9)
     ax.margins(x=0.15, y=0.12)
     low, high = ax.get_ylim()
     lacks = max(0.0, LEAST * np.abs(amplitude[first:]).max(initial=0.0) - (high - low))
@@ -104,8 +106,22 @@ def path(data: Dataset, ax: Axes | None = None, *, point: str | None = None, axi
     return ax
 
 
-def _arrows(ax: Axes, ends: list[tuple[float, float]]) -> None:
-    least = NEAR * np.ptp(np.array(ends), axis=0)
+def _numbered(ends: Sequence[Place]) -> dict[Place, list[str]]:
+    """Numbers of the ends of phases by their places; those that fall on one another share a place."""
+    least, numbers = _least(ends), dict[Place, list[str]]()
+    for number, end in enumerate(ends, 1):
+        place = next((known for known in numbers if np.all(np.abs(np.subtract(known, end)) <= least)), end)
+        numbers.setdefault(place, []).append(str(number))
+    return numbers
+
+
+def _least(ends: Sequence[Place]) -> np.ndarray:
+    """The distance along each axis up to which ends are at one place."""
+    return NEAR * (np.ptp(np.array(ends), axis=0) if ends else np.zeros(2))
+
+
+def _arrows(ax: Axes, ends: Sequence[Place]) -> None:
+    least = _least(ends)
     for start, end in pairwise(ends):
         if np.any(np.abs(np.subtract(end, start)) > least):
             ax.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": "0.35", "shrinkA": 4, "shrinkB": 4})
