@@ -1,5 +1,6 @@
 """Arc-length continuation on curves with closed forms, and how it fails."""
 
+import re
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -877,3 +878,8 @@ def test_other_unknowns_that_have_no_solution_yet_are_asked_for_again():
     later = curve.x[:, 0] > 0.1 + (0.1 + 0.3)
     np.testing.assert_allclose(curve.x[later, 1], 0.05)
     assert np.all(curve.x[curve.x[:, 0] < 0.1, 1] == 0)
+
+
+def test_what_ends_a_curve_names_keys_with_their_section():
+    keys = [word for ending in Ending for word in re.findall(r"[\w.]*(?:min_|max_)\w+", ending.value)]
+    assert {"continuation.min_step", "continuation.max_step", "continuation.max_points"} <= set(keys)

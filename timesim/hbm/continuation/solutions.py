@@ -18,14 +18,15 @@ class Ending(Enum):
     CLOSED = "complete: the curve is closed, it comes back to where it began"
     START = "no solution at the start"
     STEP = (
-        "Newton's method fails even at the smallest step; smaller min_step, or a smoother residual, may help, unless a "
-        "constant force drives on what friction alone holds"
+        "Newton's method fails even at the smallest step; a smaller continuation.min_step may help, unless what "
+        "friction alone holds moves on from cycle to cycle, which a sweep tells"
     )
-    POINTS = "the largest number of points is reached; raise max_points or max_step"
+    POINTS = "the largest number of points is reached; raise continuation.max_points or max_step"
     RETURNED = "complete: the curve turned back to where it began; the one from the other end of the range is another"
     BACKWARDS = "complete: the whole range was followed, from its other end"
     AGAIN = (
-        "the curve goes round a closed branch, onto which a step has led it; a smaller max_step may keep it on its own"
+        "the curve goes round a closed branch, onto which a step has led it; a smaller continuation.max_step may keep "
+        "it on its own"
     )
     LEFT = "the curve turned back and left the range where it began; begin at the other end of the range"
     UNBOUNDED = (
