@@ -466,7 +466,7 @@ def test_an_optimum_of_which_every_point_failed() -> None:
 def test_the_best_point_has_a_star_whose_value_the_legend_names() -> None:
     data = _optimum([1.0, 2.0, 3.0], [4.0, 0.4, 2.0])
     for name, place, words in (
-        ("peak", (2.0, 0.4), "least: 0.4 at 2"),
+        ("peak", (2.0, 0.4), "least: 0.4\nat 2"),
         ("response", (1.0, 0.4), "least peak: 0.4\nat 1 Hz"),
     ):
         figure = optimum.PICTURES[name](data)
@@ -476,6 +476,18 @@ def test_the_best_point_has_a_star_whose_value_the_legend_names() -> None:
         legend = figure.axes[0].get_legend()
         assert legend is not None
         assert words in [text.get_text() for text in legend.get_texts()]
+
+
+def test_the_value_of_the_best_point_fits_beside_the_axes() -> None:
+    data = _optimum([1.2345e-5, 2.0, 3.0], [4.3922e-4, 0.4, 2.0])
+    data["peak"].attrs["units"] = "mm"
+    figure = optimum.PICTURES["peak"](data)
+    assert figure is not None
+    figure.canvas.draw()
+    legend = figure.axes[0].get_legend()
+    assert legend is not None
+    assert "an end" in legend.get_texts()[-1].get_text()
+    assert legend.get_window_extent().x1 < figure.bbox.x1
 
 
 def test_responses_of_both_sweeps_are_told_apart() -> None:

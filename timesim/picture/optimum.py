@@ -51,7 +51,7 @@ def _points(data: Dataset, ax: Axes) -> Axes:
     best = float(data["optimum"]), float(data["optimum_peak"])
     place, height = (with_unit(f"{one:.5g}", data[name].attrs) for name, one in zip((key, "peak"), best, strict=True))
     end = ", an end" if best[0] in (x[0], x[-1]) else ""
-    _star(ax, *best, f"least: {height} at {place}{end}")
+    _star(ax, *best, f"least: {height}\nat {place}{end}")
     ax.set(xlabel=axis_label(data, key), ylabel=f"peak amplitude of {_whose(data)}{unit(data, 'peak')}")
     return ax
 
