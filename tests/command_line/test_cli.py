@@ -113,6 +113,28 @@ def test_a_disk_that_is_full_when_pictures_are_drawn(tmp_path: Path, monkeypatch
     assert ".png cannot be written" in error
 
 
+@pytest.mark.parametrize("where", ["recorder.sample", "transient.contact_forces"])
+def test_a_run_whose_samples_do_not_fit_into_memory_keeps_all_else(
+    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def short_of_memory(*_: Any, **__: Any) -> Any:
+        monkeypatch.undo()
+        raise MemoryError
+
+    monkeypatch.setattr(f"timesim.study.{where}", short_of_memory)
+    status, out, error = call("run", OSCILLATOR, "-o", tmp_path / "run", *SHORT)
+    assert status == 1
+    assert "transitions" in out
+    assert "incomplete: the memory does not suffice for 401 samples, which are left out; a smaller" in error
+    result = timesim.open_result(tmp_path / "run")
+    assert call("run", OSCILLATOR, "-o", tmp_path / "whole", "--no-plots", *SHORT)[0] == 0
+    whole = timesim.open_result(tmp_path / "whole")
+    assert (result.attrs["complete"], result.sizes["time"]) == (0, 0)
+    for name in ("cycle_amplitude", "event_time", "final_modal_displacement", "energy_residual"):
+        np.testing.assert_array_equal(result[name], whole[name])
+    assert result.attrs["estimated_error"] == whole.attrs["estimated_error"]
+
+
 def test_plot_of_a_result_without_a_point_says_so(tmp_path: Path):
     """As of a run that was interrupted before the first; here, in full stick, nothing is marched."""
     study, stuck = "study={kind: sweep, frequency: {values: [1.2, 1.3]}}", "contacts.pad.preload=60"

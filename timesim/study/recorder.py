@@ -20,11 +20,16 @@ from timesim.scene.transient import Schedule
 
 
 class Recorder:
-    """Records a run from its steps."""
+    """Records a run from its steps.
+
+    Attributes:
+        lost: why there are no samples, where there should be; else None.
+    """
 
     def __init__(self, run: Run, plan: Schedule):
         self.run, self.plan = run, plan
         self.totals = totals_of(run)
+        self.lost: str | None = None
         self._samples: list[Samples] = []
         self._events: list[Events] = []
         self._times, self._taken = plan.sample_times(), 0
@@ -38,9 +43,18 @@ class Recorder:
         end = steps.time[-1] + steps.h[-1]
         finished = completed == self.run.num_cycles
         upto = self._times.size if finished else int(np.searchsorted(self._times, end * (1 - 1e-13), side="left"))
-        if upto > self._taken:
-            self._samples.append(sample(steps, self._times[self._taken : upto]))
-            self._taken = upto
+        if upto > self._taken and self.lost is None:
+            try:
+                self._samples.append(sample(steps, self._times[self._taken : upto]))
+            except MemoryError:
+                self.forget_samples()
+        self._taken = upto
+
+    def forget_samples(self) -> None:
+        """Give up the samples, for which the memory does not suffice; all else is recorded on."""
+        self._samples.clear()
+        less = "a smaller samples_per_cycle, or fewer recorded cycles, would do with less"
+        self.lost = f"the memory does not suffice for {self._times.size} samples, which are left out; {less}"
 
     @property
     def samples(self) -> Samples:

@@ -80,15 +80,20 @@ def _study(scene: Scene, execution: Execution) -> Outcome:
 
 @dataclass(frozen=True)
 class _Carried:
-    """A run that has ended: its record, why it ended early or None, its estimated error if that is wanted.
+    """A run that has ended: its record, why it `ended` early or None, its estimated error if that is wanted.
 
     `compiling` is the time of compilation [s].
     """
 
     recorder: Recorder
-    reason: str | None
+    ended: str | None
     error: Estimate | None
     compiling: float
+
+    @property
+    def reason(self) -> str | None:
+        """Why the result is incomplete; None if it is not."""
+        return "; ".join(filter(None, (self.ended, self.recorder.lost))) or None
 
     @property
     def solver(self) -> Solver:
@@ -128,11 +133,15 @@ def _carried(scene: Scene, solver: Solver, execution: Execution, first: _Carried
 def _record(scene: Scene, done: _Carried, seconds: float) -> Dataset:
     """The result of a run."""
     recorder, run = done.recorder, done.recorder.run
+    try:
+        variables, times = _sample_variables(recorder)
+    except MemoryError:
+        recorder.forget_samples()
+        variables, times = _sample_variables(recorder)
     attrs = attributes(scene, str(run.solver), done.compiling, seconds, done.reason)
     if run.solver.has_tolerance:
         attrs |= {"rtol": run.solver.rtol, "atol": run.solver.atol}
     attrs["peak_stored_energy"] = recorder.totals.peak
-    variables, times = _sample_variables(recorder)
     variables |= final_variables(run) | _cycle_variables(recorder)
     if done.error is not None:
         variables["cycle_amplitude_error"] = (("cycle",), done.error.amplitude)
