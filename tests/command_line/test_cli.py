@@ -1,5 +1,6 @@
 """The commands: exit status, messages, and the files that they leave."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -111,6 +112,34 @@ def test_a_disk_that_is_full_when_pictures_are_drawn(tmp_path: Path, monkeypatch
     status, _, error = call("plot", tmp_path)
     assert status == 1
     assert ".png cannot be written" in error
+
+
+def test_a_result_that_the_disk_has_no_room_for_is_saved_elsewhere_and_without_its_samples(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """What is left of the disk is enough for a result without samples."""
+    folder, spare, limit = tmp_path / "run", tmp_path / "spare", 100_000
+    spare.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(spare))
+    fsync = os.fsync
+
+    def full(handle: int) -> None:
+        if os.readlink(f"/proc/self/fd/{handle}").startswith(str(folder)) and os.fstat(handle).st_size > limit:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", full)
+    call_of_run = ("run", OSCILLATOR, "-o", folder, "--no-plots", *SHORT, "--set", "study.samples_per_cycle=2000")
+    status, _, error = call(*call_of_run)
+    (whole,) = spare.iterdir()
+    assert status == 1
+    assert f"result.nc cannot be written: No space left on device; the whole of it is in {whole}: move it" in error
+    assert f"all but its samples is in {folder / 'result.nc'}, marked complete = 0" in error
+    there, here = timesim.open_result(whole), timesim.open_result(folder)
+    assert (there.attrs["complete"], there.sizes["time"]) == (1, 4001)
+    assert (here.attrs["complete"], here.sizes["time"]) == (0, 0)
+    assert "samples are left out" in here.attrs["reason"]
+    np.testing.assert_array_equal(here["final_modal_displacement"], there["final_modal_displacement"])
 
 
 @pytest.mark.parametrize("where", ["recorder.sample", "transient.contact_forces"])

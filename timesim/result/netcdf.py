@@ -2,9 +2,12 @@
 
 import io
 import os
+import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
+from uuid import uuid4
 
 from timesim.result.argument import path_of
 from timesim.result.file import StoreError, write_whole
@@ -37,8 +40,31 @@ def save(result: "xarray.Dataset | Mapping[str, xarray.Dataset]", path: Path | s
     missing = [name for name in REQUIRED_ATTRIBUTES if "" not in groups or name not in groups[""].attrs]
     if missing:
         raise StoreError(f"result file {path}: attribute missing: {', '.join(missing)}")
-    write_whole(Path(path), _content(groups))
+    try:
+        content = _content(groups)
+    except MemoryError as error:
+        raise StoreError(f"{path} cannot be written: the memory does not suffice to pack it") from error
+    write_whole(Path(path), content)
     return Path(path)
+
+
+def save_elsewhere(groups: "Mapping[str, xarray.Dataset]", folder: Path) -> list[str]:
+    """Save a result that `save` could not write into its folder: among the temporary files, and without its samples.
+
+    Returns:
+        What of it is in which file, in words; nothing where there is no room for any of it.
+    """
+    saved = []
+    with suppress(OSError, StoreError):
+        whole = save(groups, Path(tempfile.gettempdir()) / f"timesim-{uuid4().hex}.nc")
+        saved.append(f"the whole of it is in {whole}: move it before temporary files are removed")
+    if "time" in groups[""].dims:
+        root = groups[""].isel(time=slice(0, 0))
+        reason = "; ".join(filter(None, (root.attrs.get("reason"), "its samples are left out, for which was no room")))
+        with suppress(StoreError):
+            part = save({**groups, "": root.assign_attrs(complete=0, reason=reason)}, folder / RESULT_NAME)
+            saved.append(f"all but its samples is in {part}, marked complete = 0")
+    return saved
 
 
 def open_result(path: Path | str) -> "xarray.Dataset | xarray.DataTree":
