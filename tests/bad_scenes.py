@@ -288,6 +288,7 @@ CHANGES = (
         ("structure.matrices.mass", "mass: [[1, 0], [0, 1]]", "mass: [[1, 2], [2, 1]]", "positive definite"),
         ("structure.matrices.mass", "mass: [[1, 0], [0, 1]]", "mass: [[1, 0], [1]]", "rows of one length"),
         ("structure.matrices.mass", "mass: [[1, 0], [0, 1]]", "mass: [[1, 0]]", "must be square"),
+        ("structure.matrices.mass", "mass: [[1, 0], [0, 1]]", "mass: [[1, 0], [0, 1e-300]]", "of row 1 is 1e-300"),
         ("structure.matrices.stiffness", "[-1, 2]]", "[-1.1, 2]]", "must be symmetric", "stiffness:"),
         ("structure.matrices.stiffness", "[[2, -1], [-1, 2]]", "[[1, 2], [2, 1]]", "no negative eigenvalue",
          "stiffness:"),

@@ -15,6 +15,7 @@ import numpy as np
 from timesim.fault import RuleError
 from timesim.model.matrices import Matrices, largest_entry, numeric
 from timesim.model.model import Structure
+from timesim.model.scales import LARGEST
 
 AXES = "xyz"
 MAX_DENSE = 2000
@@ -136,6 +137,8 @@ def _rounding(matrix: Any, modes: np.ndarray) -> np.ndarray:
 def _dense_eigenmodes(mass: np.ndarray, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     import scipy.linalg
 
+    if np.any(mass.diagonal() < 1 / LARGEST):
+        raise _indefinite_mass(mass)
     try:
         squared, modes = scipy.linalg.eigh(stiffness, mass)
     except np.linalg.LinAlgError:
@@ -167,7 +170,7 @@ def _outer_root(diagonal: np.ndarray) -> np.ndarray:
 
 def _indefinite_mass(mass: Any) -> RuleError:
     hint, diagonal = "a row without mass must be condensed out first", mass.diagonal()
-    if diagonal[least := int(np.argmin(diagonal))] <= 0:
+    if diagonal[least := int(np.argmin(diagonal))] < 1 / LARGEST:
         hint += f"; the diagonal of row {least} is {diagonal[least]:.6g}"
     return RuleError(("mass",), "the mass matrix must be positive definite", hint)
 
@@ -183,7 +186,7 @@ def _sparse_eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.nd
     from scipy.sparse.linalg import eigsh
 
     mass, stiffness = sparse.csc_matrix(mass), sparse.csc_matrix(stiffness)
-    if np.any(mass.diagonal() <= 0) or _num_negative(mass):
+    if np.any(mass.diagonal() < 1 / LARGEST) or _num_negative(mass):
         raise _indefinite_mass(mass)
     scale = float(np.max(np.abs(stiffness.diagonal()) / mass.diagonal()))
     shift = -NEGATIVE * scale
