@@ -282,6 +282,7 @@ CHANGES = (
         ("study.cycle", "cycles: 60", "cycle: 60", "did you mean cycles?", "cycle: 60"),
         ("study.samples_per_cycle", "cycle: 100", "cycle: 1\n", "must be >= 2", "samples_per_cycle: 1"),
         ("study.record_last", "record_last: 10", "record_last: 61", "at most the 60 cycles"),
+        ("study.samples_per_cycle", "cycle: 100", "cycle: 100000001", "at most 1000000000 samples of the 10 cycles"),
         ("study.record_last", "record_last: 10", "record_last: !!int 10", "has the tag"),
     )),
     (MATRICES, (
@@ -329,6 +330,7 @@ CHANGES = (
     )),
     (JUMP, (
         ("study.phases.0.frequency", "{frequency: 0.9, cycles: 5}", "{frequency: -0.9, cycles: 5}", "must be > 0"),
+        ("study.samples_per_cycle", "cycle: 100", "cycle: 100000000", "at most 1000000000 samples of the 12 cycles"),
         ("structure.modes.0.02", "ratio: 0.02", "ratio: 0,02", "has no value (a number takes a point", "0,02"),
         ("study.phases.1.cycles", "cycles: 7", "cycles: 0", "must be >= 1", "cycles: 0"),
         ("study.phases.1.cycles", "0.95, cycles: 7", "0.95", "is required", "frequency: 0.95"),

@@ -17,6 +17,8 @@ from timesim.scene.study import Context, StudySection
 from timesim.scene.value import Count, Positive, Switch, Whole
 
 Samples = Annotated[Whole, Field(ge=2)]
+MAX_SAMPLES = 10**9
+"""Most samples of a run: the times of more would not fit into memory."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,7 @@ class Transient(StudySection):
         if self.record_last is not None and self.record_last > self.cycles:
             rule = f"must be at most the {counted(self.cycles, 'cycle')} of the run"
             raise refuse(rule, key=("record_last",), value=self.record_last)
+        _check_samples(self.samples_per_cycle, self.record_last or self.cycles, "record_last")
         return self.completed(record_last=self.cycles)
 
     def plan(self, context: Context) -> Schedule:
@@ -95,6 +98,12 @@ class Transient(StudySection):
         assert context.frequency is not None
         first = self.cycles - (self.record_last or self.cycles)
         return Schedule(((context.frequency, self.cycles),), 0, first, self.samples_per_cycle)
+
+
+def _check_samples(samples_per_cycle: int, cycles: int, less: str) -> None:
+    if samples_per_cycle * cycles > MAX_SAMPLES:
+        rule = f"must leave at most {MAX_SAMPLES} samples of the {counted(cycles, 'cycle')} recorded"
+        raise refuse(rule, key=("samples_per_cycle",), hint=f"{less} has fewer recorded", value=samples_per_cycle)
 
 
 @dataclass(frozen=True)
@@ -156,6 +165,11 @@ class Jump(StudySection):
     """Phases before these, at negative times: their transitions and amplitudes are kept, but no samples."""
     samples_per_cycle: Samples = 200
     """Recorded samples of one cycle."""
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        _check_samples(self.samples_per_cycle, sum(phase.cycles for phase in self.phases), "run_up")
+        return self
 
     def plan(self, context: Context) -> Schedule:
         """All phases; those after the run-up are sampled."""
