@@ -331,6 +331,7 @@ CHANGES = (
     (JUMP, (
         ("study.phases.0.frequency", "{frequency: 0.9, cycles: 5}", "{frequency: -0.9, cycles: 5}", "must be > 0"),
         ("study.samples_per_cycle", "cycle: 100", "cycle: 100000000", "at most 1000000000 samples of the 12 cycles"),
+        ("study.phases.1.cycles:7", "cycles: 7", "cycles:7", "has no value (a space is missing: cycles: 7)"),
         ("structure.modes.0.02", "ratio: 0.02", "ratio: 0,02", "has no value (a number takes a point", "0,02"),
         ("study.phases.1.cycles", "cycles: 7", "cycles: 0", "must be >= 1", "cycles: 0"),
         ("study.phases.1.cycles", "0.95, cycles: 7", "0.95", "is required", "frequency: 0.95"),

@@ -109,8 +109,11 @@ def _content(path: Path) -> bytes:
 def empty_values(data: Any, key: Key = ()) -> Iterator[RuleError]:
     """Keys without a value."""
     if data is None:
-        digits = key and isinstance(key[-1], str) and key[-1][:1].isdecimal()
-        hint = "a number takes a point for its decimals, and no comma" if digits else "give one, or leave the key out"
+        name, hint = str(key[-1]) if key else "", "give one, or leave the key out"
+        if ":" in name:
+            hint = f"a space is missing: {name.partition(':')[0]}: {name.partition(':')[2]}"
+        elif name[:1].isdecimal():
+            hint = "a number takes a point for its decimals, and no comma"
         yield RuleError(key, "has no value", hint)
     items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
     for part, value in items:
