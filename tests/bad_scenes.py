@@ -268,6 +268,7 @@ CHANGES = (
         ("solver.method", "accuracy: standard", "method: euler", "'tsit5', 'dopri5'"),
         ("solver.rtol", "accuracy: standard", "rtol: 1e-8", "goes with method"),
         ("solver.rtol", "accuracy: standard", "{method: tsit5, rtol: 2}", "must be < 1"),
+        ("solver.method", "accuracy: standard", "method: RK45", "(dopri5 is this pair of Dormand and Prince)", "RK45"),
         ("solver.steps_per_cycle", "accuracy: standard", "method: rk4\n  steps_per_cycle: 100", "must be >= 200",
          "steps_per_cycle: 100"),
         ("solver.steps_per_cycle", "accuracy: standard", "method: dopri8\n  steps_per_cycle: 300",

@@ -171,6 +171,12 @@ ELSEWHERE = {
     ("excitation", "phase_deg"): "each of forces and modal_force has its own",
 }
 """What is said of keys that stand in another section, by the section, or the tag of its kind, and the key."""
+OTHER_NAMES = {
+    "rk45": "dopri5 is this pair of Dormand and Prince",
+    "ode45": "dopri5 is this pair of Dormand and Prince",
+    "dop853": "dopri8 is of this order",
+}
+"""What is said of methods that other programs name otherwise."""
 NO_NUMBER = {RULES[kind] for kind in ("string_type", "bool_type", "tuple_type", "dict_type", "model_type")}
 """Rules that any number breaks, whatever its value."""
 
@@ -235,6 +241,8 @@ def _hint(
     if kind == "literal_error":
         if str(value).endswith(".nc"):
             return f"a result is given as {{from: {value}}}"
+        if (name := str(value).lower()) in OTHER_NAMES:
+            return OTHER_NAMES[name]
         return meant(value, str(context["expected"]).replace(" or ", ", ").replace("'", "").split(", "))
     if kind in ("dict_type", "model_type") and (fields := _fields_at(location, tree)):
         return f"its keys: {', '.join(fields)}"
