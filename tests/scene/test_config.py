@@ -1030,6 +1030,15 @@ def test_damping_given_in_percent_and_a_result_of_gigabytes_are_worth_a_warning(
     assert "record_last" not in warning
 
 
+def test_a_first_axis_out_of_the_plane_of_contact_is_worth_a_warning():
+    slanted = "contacts.pad.tangent=[1, 0, 1]"
+    (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", [slanted]))
+    so = "the first axis is its part in the plane of contact, (1, 0, 0)"
+    assert warning == f"contacts.pad.tangent is not perpendicular to the normal: {so}"
+    rounded = ["contacts.pad.normal=[0.7, 0, 0.714]", "contacts.pad.tangent=[-0.714, 0, 0.7]"]
+    assert list(warnings_of(load_scene(CONFIGS / "oscillator.yaml", rounded))) == []
+
+
 def test_numbers_of_samples_that_make_no_sense_are_worth_a_warning():
     (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["study.samples_per_cycle=7"]))
     assert warning.startswith("study: 7 samples of a cycle show little of its motion")

@@ -12,12 +12,13 @@ from timesim.model.model import Contact, Model
 from timesim.model.promise import rounded
 from timesim.model.reduction import distant_stops, reduction_of
 from timesim.result.label import attributes, first_few, in_words, with_unit
+from timesim.scene.contact import ContactSection
 from timesim.scene.file import SceneFile
 from timesim.scene.hbm import balance_of
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SteadySection, StudySection, SweepSection
 from timesim.scene.transient import Schedule, TradeoffPlan
-from timesim.scene.value import Frequencies
+from timesim.scene.value import Frequencies, unit
 
 FAILING = 3  # sets of values without a scene that are named
 LARGE_RESULT = 1.0  # gigabytes of samples
@@ -28,6 +29,7 @@ FAR_BELOW, FAR_ABOVE = 0.2, 100.0  # times the highest excitation frequency: a h
 KEPT = 20.0  # times that frequency above which a mode may be left out
 TAKES_PART = 1e-2  # share of a mode's stiffness that contacts add if it takes part in their motion
 HEAVY = 0.15  # damping ratio above which a percentage is suspected
+OBLIQUE = 0.01  # cosine of the angle to the normal that rounding of a direction does not make
 ROUGH = 3.0  # friction coefficient above which the same is
 STILL = 1e-9  # share of a contact's largest motion below which it does not move in its plane
 ROUNDING = 1e-9  # share of the largest constant modal force that leaves a mode alone
@@ -47,6 +49,7 @@ def warnings_of(scene: Scene) -> Iterator[str]:
     for contact in file.contacts:
         if contact.idle_stiffness and np.any(contact.stiffness_matrix()):
             yield f"contacts.{contact.name}.tangential_stiffness has no effect without friction"
+        yield from _oblique(contact)
         if contact.friction > ROUGH:
             yield f"contacts.{contact.name}.friction: {contact.friction:g} times the normal load; 30 % is 0.3"
     if not file.study.requires:
@@ -68,6 +71,16 @@ def warnings_of(scene: Scene) -> Iterator[str]:
         yield f"{far}: frequencies are in Hz, and modes left out would answer there"
     if ratio > FAR_ABOVE and not hasattr(file.structure, "modes"):
         yield from _modes_to_spare(model, highest)
+
+
+def _oblique(contact: ContactSection) -> Iterator[str]:
+    """A first axis that is given out of the plane of contact, and the one that it stands for."""
+    if contact.tangent is not None:
+        frame = contact.frame()
+        if abs(frame[2] @ unit(contact.tangent)) > OBLIQUE:
+            first = ", ".join(f"{x + 0.0:.3g}" for x in frame[0])
+            what = f"is not perpendicular to the normal: the first axis is its part in the plane of contact, ({first})"
+            yield f"contacts.{contact.name}.tangent {what}"
 
 
 def normal_of(contact: Contact) -> str:
