@@ -1,0 +1,47 @@
+"""Interrupts of a run: none is lost, wherever the main thread is when the signal comes."""
+
+import gc
+import signal
+import time
+from contextlib import suppress
+from typing import Any
+
+import pytest
+
+from timesim.study.execution.interrupts import ENDING, Signals
+
+AT_MOST = 20.0  # seconds, far more than it takes
+
+
+@pytest.mark.parametrize("sent", ENDING)
+def test_one_that_comes_while_the_garbage_collector_calls_back_is_raised_once_more(
+    sent: signal.Signals, capfd: pytest.CaptureFixture[str]
+):
+    def called_back(*_: Any) -> None:
+        gc.callbacks.remove(called_back)
+        signal.raise_signal(sent)
+
+    def collect() -> None:
+        gc.callbacks.append(called_back)
+        gc.collect()
+        time.sleep(AT_MOST)
+
+    with Signals() as signals:
+        with pytest.raises(KeyboardInterrupt):
+            collect()
+        assert signals.saving
+        signal.raise_signal(sent)  # the second is only noted
+    assert capfd.readouterr().err == "note: what is computed is being saved\n"
+
+
+def test_other_exceptions_that_cannot_be_raised_are_said_as_before(monkeypatch: pytest.MonkeyPatch):
+    said: list[Any] = []
+    monkeypatch.setattr("sys.unraisablehook", lambda unraisable: said.append(unraisable.exc_type))
+
+    class Finalised:
+        def __del__(self) -> None:
+            raise ValueError
+
+    with Signals(), suppress(KeyboardInterrupt):
+        Finalised()
+    assert said == [ValueError]
