@@ -26,6 +26,7 @@ from timesim.scene.report import warnings_of
 from timesim.scene.resolution import Scene
 from timesim.scene.study import StudySection
 from timesim.study.execution.campaign import Execution, ExecutionError
+from timesim.study.execution.interrupts import Interrupts
 from timesim.study.execution.worker import one_thread
 from timesim.study.outcome import Outcome
 
@@ -128,7 +129,10 @@ def carry_out(scene: Scene, execution: Execution | None = None) -> Outcome:
     """
     execution = execution or Execution()
     check_execution(scene.kind, execution)
-    study = _loaded(STUDIES[scene.kind].run)
+    with Interrupts() as interrupts:  # raised while jaxlib is imported, an interrupt is a segmentation fault
+        study = _loaded(STUDIES[scene.kind].run)
+    if interrupts.seen:
+        raise KeyboardInterrupt
     with one_thread():
         return study(scene, execution)
 

@@ -2,14 +2,19 @@
 
 import gc
 import signal
+import sys
 import time
 from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from timesim.study.execution.interrupts import ENDING, Signals
+from timesim.study.registry import STUDIES, carry_out, load_scene
 
+OSCILLATOR = Path(__file__).parents[3] / "configs" / "oscillator.yaml"
 AT_MOST = 20.0  # seconds, far more than it takes
 
 
@@ -45,3 +50,18 @@ def test_other_exceptions_that_cannot_be_raised_are_said_as_before(monkeypatch: 
     with Signals(), suppress(KeyboardInterrupt):
         Finalised()
     assert said == [ValueError]
+
+
+def test_one_that_comes_while_the_modules_of_a_study_are_imported_is_raised_after_that(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Raised while those of JAX are imported, it would end the process by a segmentation fault."""
+    lines = ["import signal", "signal.raise_signal(signal.SIGINT)", "def study(scene, execution): ..."]
+    (tmp_path / "slowly_imported.py").write_text("\n".join(lines))
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(STUDIES, "sweep", replace(STUDIES["sweep"], run="slowly_imported:study"))
+    scene = load_scene(OSCILLATOR, {"study": {"kind": "sweep", "frequency": {"values": [1.0]}}})
+    assert "slowly_imported" not in sys.modules
+    with pytest.raises(KeyboardInterrupt):
+        carry_out(scene)
+    assert callable(sys.modules.pop("slowly_imported").study)
