@@ -43,7 +43,7 @@ def scene_difference(before: str, now: str) -> str:
     """The first keys in which two scenes differ, with both values; for text that is no scene, the first lines."""
     try:
         old, new = (dict(_leaves(YAML(typ="safe", pure=True).load(text))) for text in (before, now))
-    except YAMLError:
+    except (YAMLError, ValueError, RecursionError):
         old, new = {}, {}
     keys = [key for key in {**old, **new} if old.get(key) != new.get(key)]
     if not keys:

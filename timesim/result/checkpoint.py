@@ -27,7 +27,7 @@ from typing import Self
 import filelock
 import numpy as np
 
-from timesim.result.change import first_difference, scene_difference
+from timesim.result.change import fingerprint, first_difference, scene_difference
 from timesim.result.file import StoreError, write_whole
 from timesim.result.label import counted
 from timesim.result.netcdf import KEPT_NAME, RESULT_NAME, read
@@ -63,10 +63,14 @@ class Manifest:
         """
         path = folder / MANIFEST_NAME
         try:
-            return cls(**json.loads(path.read_text()))
+            found = cls(**json.loads(path.read_text()))
+            texts = [found.identity, found.timesim, *found.chunks.keys(), *found.chunks.values()]
+            if not all(isinstance(text, str) for text in texts):
+                raise TypeError("a value is no text")
+            return found
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, TypeError) as error:
+        except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
             beside = counted(_count(folder), "chunk beside it belongs", "chunks beside it belong")
             lost = f"so it is not known what {beside} to, and nothing can be resumed"
             raise StoreError(f"{path} cannot be read ({error}), {lost}; {_AGAIN}") from error
@@ -92,6 +96,7 @@ class Checkpoint:
     Attributes:
         folder: where they are.
         lock: keeps other runs out of it.
+        manifest: what they belong to.
         earlier: seconds spent on the chunks that were taken up.
         begun: when the work on the others began, by `time.monotonic`.
         writer: the thread that writes them.
@@ -99,6 +104,7 @@ class Checkpoint:
 
     folder: Path
     lock: filelock.BaseFileLock
+    manifest: Manifest
     earlier: float = 0.0
     begun: float = field(default_factory=time.monotonic)
     # Only the main thread is interrupted, so a file that another thread writes is never cut off.
@@ -119,6 +125,7 @@ class Checkpoint:
                 for key, array in result.items():
                     with archive.open(f"{key}.npy", "w", force_zip64=True) as stream:
                         np.lib.format.write_array(stream, array, allow_pickle=False)
+                archive.comment = self._seal(name, archive)
         except ValueError as error:
             raise StoreError(f"chunk {name}, '{key}': not an array of numbers or text: {error}") from error
         write_whole(self.folder / f"{name}.npz", image.getvalue())
@@ -130,13 +137,22 @@ class Checkpoint:
         path = self.folder / f"{name}.npz"
         try:
             # Read into memory first: numpy leaves open a file that it cannot read.
-            with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as arrays:
+            image = io.BytesIO(path.read_bytes())
+            with zipfile.ZipFile(image) as archive:
+                if archive.comment != self._seal(name, archive):
+                    raise StoreError("not as this run has written it")
+            with np.load(image, allow_pickle=False) as arrays:
                 return {key: arrays[key] for key in arrays.files}
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, AttributeError) as error:
+        except Exception as error:  # a damaged file raises whatever zipfile and numpy make of it
             notice(f"{path} is damaged or cut off ({error}): it is computed again")
             return None
+
+    def _seal(self, name: str, archive: zipfile.ZipFile) -> bytes:
+        """Digest of the arrays of a chunk, by their checksums, and of what they belong to."""
+        arrays = [(part.filename, part.file_size, part.CRC) for part in archive.infolist()]
+        return fingerprint(self.manifest.identity, name, arrays).encode()
 
     def close(self) -> None:
         """Release the lock, so that another run may take it up."""
@@ -160,7 +176,7 @@ def begin(run_folder: Path, manifest: Manifest, *, resume: bool, stage: str = ""
         raise StoreError(f"checkpoint folder {folder} cannot be made: {error.strerror or error}") from error
     try:
         begun = _taken_up(folder, manifest, resume)
-        return Checkpoint(folder, lock, _seconds(folder) if begun else 0.0), begun
+        return Checkpoint(folder, lock, manifest, _seconds(folder) if begun else 0.0), begun
     except BaseException:
         lock.release()
         raise
@@ -284,7 +300,7 @@ def resuming_helps(run_folder: Path | str, reason: str) -> bool:
     """
     folders = [path.parent for path in (Path(run_folder) / FOLDER_NAME).rglob(MANIFEST_NAME)]
     missing = any(
-        not (folder / f"{name}.npz").exists()
+        not os.path.exists(folder / f"{name}.npz")
         for folder in folders
         if (manifest := Manifest.read(folder))
         for name in manifest.chunks

@@ -1,8 +1,11 @@
 """Campaigns: chains of chunks on threads and on processes, and that nothing is lost whatever happens to them."""
 
 import errno
+import io
+import json
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -231,6 +234,27 @@ def test_a_damaged_chunk_is_named_and_computed_again(damage: Any, tmp_path: Path
     assert file.read_bytes() == content
 
 
+def test_a_chunk_that_another_has_written_is_computed_again(tmp_path: Path):
+    """A copy of another chunk, one of another scene, and one that was read and written anew with another value."""
+    execution, notices = execution_of(tmp_path)
+    carried(chains(2, 1), replace(execution, folder=tmp_path / "other"), "another: scene")
+    whole, _ = carried(chains(2, 1), execution)
+    file = tmp_path / "checkpoint" / "c-0-0.npz"
+    content = file.read_bytes()
+    edited = io.BytesIO()
+    np.savez(edited, **dict(whole["c-0-0"]) | {"x": whole["c-0-0"]["x"] + 1})
+    other = tmp_path / "other" / "checkpoint" / "c-0-0.npz"
+    for wrong in ((file.parent / "c-1-0.npz").read_bytes(), other.read_bytes(), edited.getvalue()):
+        file.write_bytes(wrong)
+        notices.clear()
+        again, reason = carried(chains(2, 1), replace(execution, resume=True))
+        assert (digest(again), reason) == (digest(whole), None)
+        assert notices[0].endswith(
+            "c-0-0.npz is damaged or cut off (not as this run has written it): it is computed again"
+        )
+        assert file.read_bytes() == content
+
+
 def test_a_flipped_bit_is_found(tmp_path: Path):
     execution, notices = execution_of(tmp_path)
     chunks = chains(1, 1)
@@ -252,6 +276,37 @@ def test_a_damaged_manifest_is_a_message(tmp_path: Path):
     manifest.write_bytes(manifest.read_bytes()[:-9])
     with pytest.raises(StoreError, match=r"manifest.json cannot be read .* 1 chunk beside it belongs to, .* --force"):
         carried(chains(1, 1), replace(execution, resume=True))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        '{"identity": 1, "chunks": {}}',
+        '{"identity": "a: 1", "chunks": null}',
+        '{"identity": "a: 1", "chunks": ["c-0-0"]}',
+        '{"identity": "a: 1", "chunks": {"c-0-0": 5}}',
+        '{"identity": "a: 1", "chunks": {}, "timesim": []}',
+        "[" * 100_000,
+        "null",
+    ],
+    ids=lambda content: content[:40],
+)
+def test_a_manifest_of_another_form_is_a_message(content: str, tmp_path: Path):
+    execution, _ = execution_of(tmp_path)
+    carried(chains(1, 1), execution)
+    (tmp_path / "checkpoint" / "manifest.json").write_text(content)
+    with pytest.raises(StoreError, match=r"manifest.json cannot be read .* 1 chunk beside it belongs to, .* --force"):
+        carried(chains(1, 1), replace(execution, resume=True))
+
+
+def test_a_manifest_with_a_scene_that_is_none_is_a_message(tmp_path: Path):
+    execution, _ = execution_of(tmp_path)
+    carried(chains(1, 1), execution)
+    manifest = tmp_path / "checkpoint" / "manifest.json"
+    for scene in ("a: &a [*a]", "[" * 5000):
+        manifest.write_text(json.dumps({"identity": scene, "chunks": {}}))
+        with pytest.raises(StoreError, match=f"is of another scene: '{re.escape(scene[:5])}"):
+            carried(chains(1, 1), replace(execution, resume=True))
 
 
 def test_chunks_without_a_manifest_are_not_thrown_away(tmp_path: Path):
