@@ -23,6 +23,7 @@ from timesim.picture.draw import MARGIN, write
 from timesim.picture.figure import axes
 from timesim.picture.style import STATE_STYLE
 from timesim.result.dataset import dataset
+from timesim.result.file import StoreError
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES
 from timesim.study import registry as plot
 
@@ -665,3 +666,10 @@ def test_figures_go_with_their_last_reference(run: xarray.Dataset, tmp_path: Pat
     gc.collect()
     assert len(drawn) == 7
     assert not any(figure() for figure in drawn)
+
+
+def test_a_picture_that_cannot_be_drawn_of_a_result_is_named(run: xarray.Dataset, tmp_path: Path) -> None:
+    text = run.assign(slip=run["slip"].astype(str))
+    with pytest.raises(StoreError, match=r"lacks what picture \w+ shows \(.*\): draw a whole result, of this version"):
+        plot.draw(text, tmp_path)
+    assert not list(tmp_path.iterdir())

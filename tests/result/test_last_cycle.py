@@ -6,7 +6,7 @@ import numpy as np
 
 from timesim.result.dataset import dataset
 from timesim.result.last_cycle import periodic_motion
-from timesim.result.netcdf import REQUIRED_ATTRIBUTES, save
+from timesim.result.netcdf import REQUIRED_ATTRIBUTES, TEXTS, save
 
 FREQUENCY, PHASE, SAMPLES = 1.25, 0.4, 40
 
@@ -21,7 +21,10 @@ def test_coefficients_belong_to_the_phase_of_the_excitation(tmp_path: Path):
         "cycle_start": (("cycle",), np.arange(2) / FREQUENCY),
         "cycle_period": (("cycle",), np.full(2, 1 / FREQUENCY)),
     }
-    path = save(dataset(variables, {"time": time}, dict.fromkeys(REQUIRED_ATTRIBUTES, 1)), tmp_path / "result.nc")
+    path = save(
+        dataset(variables, {"time": time}, dict.fromkeys(REQUIRED_ATTRIBUTES, 1) | dict.fromkeys(TEXTS, "")),
+        tmp_path / "result.nc",
+    )
     found = periodic_motion(path)
     expected = [[0.3, 0.0], [2.0, 0.0], [0.0, 1.0], [0.0, 0.0], [0.0, -0.5]]
     assert abs(found.frequency / FREQUENCY - 1) < 1e-12

@@ -230,3 +230,19 @@ def test_an_interrupt_while_writing_leaves_nothing(tmp_path: Path, monkeypatch: 
 def test_saving_into_no_folder(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="No such file"):
         save(_result(), tmp_path / "missing" / "result.nc")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("scene", 3), ("study", ["sweep", "hbm"]), ("complete", np.nan), ("complete", "yes"), ("method", 1)],
+)
+def test_attributes_of_another_kind_are_refused(name: str, value: object, tmp_path: Path) -> None:
+    save(_result().assign_attrs({name: value}), tmp_path / "result.nc")
+    with pytest.raises(StoreError, match=f"is not a result of timesim: its attribute {name} is "):
+        open_result(tmp_path)
+
+
+def test_groups_that_do_not_fit_together_are_refused(tmp_path: Path) -> None:
+    save({"": _result(), "sweep": _result().isel(point=[1])}, tmp_path / "result.nc")
+    with pytest.raises(StoreError, match="is no whole result: group '/sweep' is not aligned"):
+        open_result(tmp_path)

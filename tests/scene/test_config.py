@@ -643,6 +643,19 @@ def test_start_from_a_result_of_other_parameters(tmp_path: Path, contact: Any, v
             },
             "has 1 mode, the scene has 2",
         ),
+        (
+            {"values": {"final_slip": (("contact", "tangent"), [[0.0]])}, "dimensions": {"tangent": 1}},
+            "holds no final_slip of numbers along contact, tangent",
+        ),
+        (
+            {"values": {"final_contact_state": ("mode", [0, 0])}},
+            "holds no final_contact_state of numbers along contact",
+        ),
+        ({"values": {"final_modal_velocity": ("mode", [b"a", b"b"])}}, "holds no final_modal_velocity of numbers"),
+        (
+            {"values": {"mode_shape": (("contact", "mode"), [[0, 0]])}},
+            "holds no mode_shape of numbers along point, axis",
+        ),
     ],
 )
 def test_result_that_no_start_is(tmp_path: Path, changes: Any, rule: str):
@@ -650,6 +663,15 @@ def test_result_that_no_start_is(tmp_path: Path, changes: Any, rule: str):
     ((key, refusal),) = problems(one_mass(contact={"preload": 2}, initial={"from": str(path)}))
     assert key == "initial.from"
     assert rule in refusal
+
+
+def test_a_result_that_lacks_a_part_of_its_state_is_no_start(tmp_path: Path):
+    path = write_result(tmp_path / "result.nc")
+    with h5netcdf.File(path, "a") as file:
+        del file._h5group["final_slip"], file._h5group["final_phase_deg"]
+    ((key, refusal),) = problems(one_mass(contact={"preload": 2}, initial={"from": str(path)}))
+    assert key == "initial.from"
+    assert refusal == "lacks final_slip, final_phase_deg"
 
 
 def test_files_that_no_result_are(tmp_path: Path):

@@ -69,8 +69,10 @@ def _figures(data: Dataset | DataTree, pictures: Mapping[str, Picture]) -> dict[
     for name, picture in pictures.items():
         try:
             figure = picture(data)
-        except (KeyError, AttributeError) as error:  # as xarray names a variable that a Dataset lacks
-            lacks = f"the result lacks what picture {name} shows ({error.args[0]})"
+        except Exception as error:  # xarray has several for a variable that a Dataset lacks, numpy for a wrong one
+            lacks = (
+                f"the result lacks what picture {name} shows ({' '.join(f'{error}'.split()) or type(error).__name__})"
+            )
             raise StoreError(f"{lacks}: draw a whole result, of this version") from error
         if figure is not None:
             figures[name] = figure

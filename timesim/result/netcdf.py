@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from uuid import uuid4
 
-from timesim.result.argument import path_of
+import numpy as np
+
+from timesim.result.argument import path_of, shown
 from timesim.result.file import StoreError, write_whole
 
 if TYPE_CHECKING:
@@ -17,8 +19,10 @@ if TYPE_CHECKING:
 
 RESULT_NAME = "result.nc"
 KEPT_NAME = "checkpoint"  # folder beside it while its run goes on
-REQUIRED_ATTRIBUTES = ("timesim_version", "scene", "study", "complete", "method", "compile_seconds", "run_seconds")
+TEXTS = ("timesim_version", "scene", "study", "method")
+REQUIRED_ATTRIBUTES = (*TEXTS, "complete", "compile_seconds", "run_seconds")
 
+LONGEST = 120  # letters of a message of xarray that are passed on
 _COMPRESS_ABOVE = 64 * 1024  # bytes of an array
 _COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
@@ -77,7 +81,11 @@ def open_result(path: Path | str) -> "xarray.Dataset | xarray.DataTree":
     Raises:
         StoreError: no such file, not a result of timesim, or cut off.
     """
-    return joined(read(path))
+    groups = read(path)
+    try:
+        return joined(groups)
+    except ValueError as error:
+        raise StoreError(f"{result_file(path)} is no whole result: {' '.join(str(error).split())[:LONGEST]}") from error
 
 
 def joined(groups: "Mapping[str, xarray.Dataset]") -> "xarray.Dataset | xarray.DataTree":
@@ -113,9 +121,15 @@ def read(path: Path | str) -> "dict[str, xarray.Dataset]":
                 groups[name.strip("/")] = data.load()
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         raise StoreError(f"{file} cannot be read as a result file (cut off or not NetCDF-4): {error}") from error
-    missing = [name for name in REQUIRED_ATTRIBUTES if name not in groups[""].attrs]
+    attrs = groups[""].attrs
+    missing = [name for name in REQUIRED_ATTRIBUTES if name not in attrs]
     if missing:
         raise StoreError(f"{file} is not a result of timesim: it has no attribute {', '.join(missing)}")
+    wrong = [name for name in TEXTS if not isinstance(attrs[name], str)]
+    if np.ndim(attrs["complete"]) or attrs["complete"] not in (0, 1):
+        wrong.append("complete")
+    if wrong:
+        raise StoreError(f"{file} is not a result of timesim: its attribute {wrong[0]} is {shown(attrs[wrong[0]])}")
     return groups
 
 

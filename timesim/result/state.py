@@ -15,14 +15,21 @@ from timesim.model.mode_shapes import ModeShapes
 from timesim.model.model import Model, Start
 from timesim.model.start import resumed_start
 from timesim.orbit.steady_state import switches
-from timesim.result.coordinate import BODIES
+from timesim.result.coordinate import BODIES, NAMES
 from timesim.result.label import axis_value
 from timesim.result.netcdf import result_file
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
-STATE = ("modal_displacement", "modal_velocity", "slip", "contact_state")
+FINAL = {
+    "modal_displacement": ("mode",),
+    "modal_velocity": ("mode",),
+    "slip": ("contact", "tangent"),
+    "contact_state": ("contact",),
+}
+STATE = tuple(FINAL)
+"""Parts of a state, with their dimensions."""
 SHAPE, FRAME = "mode_shape", "contact_frame"
 DRIFT = "drift"
 GEOMETRY = {SHAPE: ("point", "axis", "mode"), FRAME: ("contact", "component", "axis"), DRIFT: ("point", "axis")}
@@ -137,6 +144,7 @@ def states_in(data: "Dataset") -> SavedStates:
         raise RuleError((), f"holds no final state ({first} is missing)", "a transient, a jump or a sweep leaves one")
     dims = tuple(map(str, data[first].dims[:-1]))
     names = [f"final_{name}" for name in STATE] + (list(POINT) if dims else [])
+    _check_whole(data, dims, [*names, "final_phase_deg"])
     contacts = tuple(map(str, data["contact"].values)) if "contact" in data else ()
     phase = float(np.deg2rad(data["final_phase_deg"].values))
     arrays, axes = ({name: data[name].values for name in own} for own in (names, dims))
@@ -148,6 +156,21 @@ def states_in(data: "Dataset") -> SavedStates:
     bodies = tuple(zip(*(map(str, data[name].values) for name in BODIES if name in data.coords), strict=True))
     units = {name: str(data.attrs[f"{name}_unit"]) for name in ("length", "force") if f"{name}_unit" in data.attrs}
     return SavedStates(contacts, arrays, axes, phase, points, bodies, units)
+
+
+def _check_whole(data: "Dataset", dims: tuple[str, ...], names: Sequence[str]) -> None:
+    """Refuse a result that lacks one of these variables, or has states other than timesim writes them."""
+    hint = "it is of an earlier version of timesim, or was changed: run it again"
+    if missing := [name for name in names if name not in data]:
+        raise RuleError((), f"lacks {', '.join(missing)}", hint)
+    sizes = {dim: len(NAMES[dim]) for dim in ("axis", "component", "tangent")}
+    for name, own in ({f"final_{name}": (*dims, *own) for name, own in FINAL.items()} | GEOMETRY).items():
+        if name in data and not (
+            data[name].dtype.kind in "iuf"
+            and set(own) <= set(data[name].dims) <= {*dims, *own}
+            and all(data.sizes[dim] == sizes.get(dim, data.sizes[dim]) for dim in own)
+        ):
+            raise RuleError((), f"holds no {name} of numbers along {', '.join(own)}", hint)
 
 
 def _position(name: str, values: np.ndarray, value: float | str) -> int:

@@ -19,8 +19,8 @@ from timesim.result.state import states_in
 from timesim.study.registry import carry_out, load_scene
 
 SAMPLES = 400  # of a cycle
-SHOWN = ("phase_deg", "dissipated_power", "irregular")
-"""Variables of a point that results of earlier versions lack."""
+SHOWN = ("cycles", "harmonic_amplitude", "phase_deg", "dissipated_power", "irregular")
+"""Variables of a point beside those of its state; results of earlier versions lack some."""
 POINTLESS = {
     "hbm": "harmonic balance, whose solutions are not integrated",
     "tradeoff": "one run by several methods",
@@ -77,7 +77,7 @@ def point_again(path: Path | str, at: Mapping[str, float | str]) -> Point:
     words = ", ".join(f"{name} {text}" for name, text in texts.items())
     cycles = int(here["period"]) or UNSETTLED_CYCLES
     overrides |= {
-        "title": ": ".join(filter(None, (words, groups[""].attrs["title"]))),
+        "title": ": ".join(filter(None, (words, groups[""].attrs.get("title")))),
         "study": {"kind": "transient", "cycles": cycles, "samples_per_cycle": SAMPLES},
         "excitation.frequency": where["frequency"],
         "initial": {"from": str(Path(path).absolute()), "at": where},
