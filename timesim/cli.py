@@ -10,6 +10,7 @@ import json
 import os
 import sys
 import threading
+import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
@@ -302,6 +303,16 @@ def _bar(standing: "Standing") -> AbstractContextManager[Any]:
     return Live(get_renderable=drawn, console=Console(stderr=True), transient=True)
 
 
+def _unforeseen(error: Exception) -> str:
+    """What a user reads of an error that no command expects."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if Path(frame.filename).is_relative_to(Path(__file__).parent)]
+    place = f"{own[-1].filename}:{own[-1].lineno}"  # at least this module's
+    what = f"timesim has failed: {type(error).__name__}: {' '.join(str(error).split())} ({place})"
+    reason = "unless a file was changed or memory is short, this is an error of timesim"
+    return f"{what}\n{reason}; `python -X dev -m timesim` in place of `timesim` shows the calls that led to it"
+
+
 def main() -> None:
     """Entry point of the ``timesim`` command."""
     # Imports and traces leave half a million objects that stay alive. At Python's own threshold the garbage collector
@@ -315,4 +326,9 @@ def main() -> None:
     # xarray imports dask, if installed, with its first Dataset: 0.3 s. A module that is None is not imported.
     if not any(word.startswith("--cluster") for word in sys.argv):
         sys.modules.setdefault("dask", None)  # type: ignore[arg-type]
-    app()
+    try:
+        app()
+    except Exception as error:
+        if sys.flags.dev_mode:
+            raise
+        sys.exit(_unforeseen(error))

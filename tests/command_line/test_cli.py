@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from commands import fill_disk
 from typer.testing import CliRunner
 
 import timesim
-from timesim.cli import app
+from timesim.cli import app, main
 from timesim.engine import event_loop
 from timesim.result import netcdf
 from timesim.result.folder import locked_folder
@@ -431,3 +432,18 @@ def test_light_commands_load_no_jax(arguments: tuple[str, ...]):
 def test_the_package_is_the_command_too():
     found = subprocess.run([sys.executable, "-m", "timesim", "--help"], capture_output=True, text=True, check=True)
     assert "python -m timesim [OPTIONS] COMMAND" in found.stdout
+
+
+def test_an_error_that_no_command_expects_is_said_in_words(monkeypatch: pytest.MonkeyPatch):
+    def fails(*_: Any) -> Any:
+        raise KeyError("x\ny")
+
+    monkeypatch.setattr("timesim.scene.report.describe", fails)
+    monkeypatch.setattr("sys.argv", ["timesim", "check", OSCILLATOR])
+    monkeypatch.setattr("sys.stdout", sys.stdout)
+    with pytest.raises(SystemExit) as caught:
+        main()
+    what, advice = str(caught.value).splitlines()
+    assert what.startswith("timesim has failed: KeyError: 'x\\ny' (")
+    assert re.search(r"cli\.py:\d+\)$", what)
+    assert "`python -X dev -m timesim` in place of `timesim` shows the calls" in advice
