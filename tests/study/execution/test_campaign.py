@@ -7,12 +7,14 @@ import math
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -550,8 +552,30 @@ def test_a_cluster_that_is_lost(monkeypatch: pytest.MonkeyPatch):
     assert reason == "the connection to the cluster tcp://there:1 is lost; 4 of 4 points missing"
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("answer", [b"", b"HTTP/1.1 400 Bad Request\r\n"])
+def test_an_address_where_something_else_than_a_scheduler_answers(answer: bytes, monkeypatch: pytest.MonkeyPatch):
+    """As the dashboard of a scheduler, which listens at the next port: silent, or in words of its own."""
+    monkeypatch.setattr(worker, "PATIENCE", 0.2)
+
+    def serve() -> None:
+        with suppress(OSError):
+            while True:
+                open_ones.append(listening.accept()[0])
+                open_ones[-1].sendall(answer)
+
+    open_ones: list[socket.socket] = []
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        threading.Thread(target=serve, daemon=True).start()
+        address = f"tcp://127.0.0.1:{listening.getsockname()[1]}"
+        with pytest.raises(ExecutionError, match=f"cluster {address} cannot be reached: .*; give the address"):
+            carried(chains(1, 1), Execution(cluster=address))
+    for one in open_ones:
+        one.close()
+
+
 def test_clusters_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(worker, "PATIENCE", "0.2s")
+    monkeypatch.setattr(worker, "PATIENCE", 0.2)
     with pytest.raises(ExecutionError, match=r"tcp://127\.0\.0\.1:9 cannot be reached.*give the address"):
         carried(chains(1, 1), Execution(cluster="tcp://127.0.0.1:9"))
     for wrong, message in (
@@ -733,7 +757,7 @@ def test_a_study_in_one_go_refuses_them(option: tuple[str, ...], name: str, tmp_
 
 
 def test_a_cluster_that_does_not_answer_is_status_2(faulty: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(worker, "PATIENCE", "0.2s")
+    monkeypatch.setattr(worker, "PATIENCE", 0.2)
     status, _, error = call(tmp_path, "--cluster", "tcp://127.0.0.1:9")
     assert status == 2
     assert "cannot be reached" in error

@@ -1,5 +1,6 @@
 """Work in chunks, and its workers: threads of this process, processes of this machine, or those of a dask cluster."""
 
+import asyncio
 import logging
 import os
 import re
@@ -195,7 +196,7 @@ LOCAL = "local"
 RETRIES = 2
 """Times that a failed chunk is tried again; the death of its worker does not count."""
 
-PATIENCE = "15s"  # for a scheduler that does not answer
+PATIENCE = 15.0  # seconds for a scheduler that does not answer
 
 ANSWER = 10.0
 """Seconds in which the workers of a cluster that are told to give up their works may say what there is."""
@@ -253,12 +254,28 @@ def processes(cluster: str, workers: int | None) -> Iterator[Executor]:
             )
             target = stack.enter_context(local)
         try:
+            if target is cluster:
+                with ThreadPoolExecutor(1) as aside:  # a notebook has an event loop in this thread
+                    aside.submit(asyncio.run, _answer(cluster)).result()
             client = stack.enter_context(distributed.Client(target, timeout=PATIENCE, set_as_default=False))
-        except (OSError, ValueError) as error:
+        except Exception as error:  # what is no scheduler may answer anything
             hint = "give the address of a running scheduler, as tcp://host:8786, or 'local'"
-            raise ExecutionError(f"cluster {target} cannot be reached: {error}; {hint}") from error
+            raise ExecutionError(
+                f"cluster {target} cannot be reached: {str(error) or 'it does not answer'}; {hint}"
+            ) from error
         _check_workers(client, str(target))
         yield stack.enter_context(_Cluster(client))
+
+
+async def _answer(cluster: str) -> None:
+    """Have a scheduler answer. For one that does not, such as its own dashboard, a client would wait without end."""
+    import distributed
+
+    secured = distributed.Security().get_connection_args("client")
+    async with distributed.rpc(cluster, timeout=PATIENCE, connection_args=secured) as scheduler:
+        found = await asyncio.wait_for(scheduler.identity(), PATIENCE)
+    if found["type"] != "Scheduler":
+        raise ValueError(f"it is a {found['type'].lower()}")
 
 
 def _check_workers(client: Any, name: str) -> None:
