@@ -107,8 +107,8 @@ def _carry_out(loaded: Any, execution: Any, signals: "Signals", *, plots: bool) 
     try:
         path = netcdf.save(outcome.groups, output / netcdf.RESULT_NAME)
     except StoreError as error:
-        kept = _safe_chunks(output) or "".join(f"; {part}" for part in netcdf.save_elsewhere(outcome.groups, output))
-        _stop(1, f"{error}{kept}")
+        elsewhere = "".join(f"; {part}" for part in netcdf.save_elsewhere(outcome.groups, output))
+        _stop(1, f"{error}{_safe_chunks(output)}{elsewhere}")
     finally:  # only now: a pipe may be closed
         for line in outcome.summary:
             print(line)

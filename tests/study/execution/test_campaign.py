@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import pytest
 import toys
+import xarray
 from commands import fill_disk
 from toys import SCENE, chains, digest, expected
 from typer.testing import CliRunner
@@ -708,14 +709,18 @@ def test_a_result_that_cannot_be_saved_names_the_chunks_that_are_safe(
     faulty: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     fill_disk(monkeypatch, "result.nc")
-    status, _, error = call(tmp_path)
+    (tmp_path / "spare").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "spare"))
+    status, _, error = call(tmp_path / "run")
     assert status == 1
     assert "result.nc cannot be written: No space left on device; 6 finished chunks are safe in" in error
-    assert "--resume goes on from there" in error
+    (whole,) = (tmp_path / "spare").iterdir()
+    assert f"--resume goes on from there; the whole of it is in {whole}: move it" in error
     assert "unchanged" not in error
     monkeypatch.undo()
     monkeypatch.setitem(study.STUDIES, "sweep", replace(study.STUDIES["sweep"], run="toys:study"))
-    assert call(tmp_path, "--resume")[0] == 0
+    assert call(tmp_path / "run", "--resume")[0] == 0
+    xarray.testing.assert_equal(open_result(whole), open_result(tmp_path / "run"))
 
 
 def test_resuming_is_advised_where_it_gets_further(tmp_path: Path):
