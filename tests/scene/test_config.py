@@ -831,6 +831,22 @@ def test_modes_far_above_the_excitation_are_worth_a_warning():
     assert "367 times the excitation" in far
 
 
+@pytest.mark.parametrize(("highest", "warned"), [(2000.0, True), (1050.0, False)])
+def test_modes_that_cost_few_steps_are_kept_without_a_word(highest, warned):
+    """A stop moves the mode at 1,000 Hz, so only the highest one may be left out."""
+    stiffness = np.diag((2 * np.pi * np.array([9.0, 1000.0, highest])) ** 2).tolist()
+    matrices = {"mass": np.eye(3).tolist(), "stiffness": stiffness, "damping_ratio": 0.01}
+    stop = {"name": "stop", "point": "tip", "normal": [0, 1, 0], "friction": 0, "tangential_stiffness": 0}
+    scene = {
+        "structure": {"matrices": matrices | {"points": {"tip": {"x": 0, "y": 1, "z": 2}}}},
+        "contacts": [stop | {"normal_stiffness": 1e7, "preload": 1}],
+        "excitation": {"frequency": 10, "forces": [{"point": "tip", "direction": [1, 1, 1], "amplitude": 1}]},
+        "study": {"kind": "transient", "cycles": 1},
+    }
+    found = [warning for warning in warnings_of(load_scene(scene)) if "costs steps" in warning]
+    assert len(found) == warned
+
+
 def test_an_excitation_far_above_all_modes_is_worth_a_warning():
     (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", ["excitation.frequency=8.73"]))
     assert warning.startswith("the excitation reaches 8.73 Hz, 7.94 times the highest mode: frequencies are in Hz")

@@ -27,6 +27,7 @@ MOST_SAMPLES = 2**16  # of a period of a balance
 STEPS_OF_WIDTH = 1.0  # widths of a resonance at half its power that a step may have
 FAR_BELOW, FAR_ABOVE = 0.2, 100.0  # times the highest excitation frequency: a highest mode beyond is worth a warning
 KEPT = 20.0  # times that frequency above which a mode may be left out
+FEWER_STEPS = 0.9  # of the highest frequency kept, from which on modes that may be left out cost few steps
 TAKES_PART = 1e-2  # share of a mode's stiffness that contacts add if it takes part in their motion
 HEAVY = 0.15  # damping ratio above which a percentage is suspected
 OBLIQUE = 0.01  # cosine of the angle to the normal that rounding of a direction does not make
@@ -99,7 +100,7 @@ def _modes_to_spare(model: Model, highest: float) -> Iterator[str]:
     own, structure = np.diag(model.with_contacts(np.zeros((model.structure.num_modes,) * 2))), model.structure
     needed = (structure.frequency <= KEPT * highest) | (own > TAKES_PART * structure.omega**2)
     keep = 1 + int(np.max(np.flatnonzero(needed), initial=0))
-    if keep < structure.num_modes:
+    if structure.frequency[keep - 1] < FEWER_STEPS * structure.frequency[-1]:
         top = f"{structure.frequency[-1]:.6g} Hz, {structure.frequency[-1] / highest:.3g} times the excitation"
         advice = f"structure.keep_modes: {keep} would reach {structure.frequency[keep - 1]:.6g} Hz"
         tells = "a study of kind tradeoff tells how many modes the answer needs"
