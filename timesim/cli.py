@@ -9,7 +9,6 @@ import io
 import json
 import os
 import sys
-import threading
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -272,19 +271,8 @@ def _progress(standing: "Standing") -> Iterator[None]:
         with _bar(standing):
             yield
         return
-    over = threading.Event()
-
-    def lines() -> None:
-        while not over.wait(SECONDS_A_LINE):
-            print(standing.line(), file=sys.stderr, flush=True)
-
-    thread = threading.Thread(target=lines, name="timesim-progress", daemon=True)
-    thread.start()
-    try:
+    with standing.told(SECONDS_A_LINE, lambda line: print(line, file=sys.stderr, flush=True)):
         yield
-    finally:
-        over.set()
-        thread.join()
 
 
 def _bar(standing: "Standing") -> AbstractContextManager[Any]:

@@ -1,6 +1,7 @@
 """Studies as functions of arrays: the same bits as scene files give, and arguments that are refused."""
 
 import inspect
+import logging
 import re
 import subprocess
 import sys
@@ -59,6 +60,13 @@ def test_a_run_from_arrays_gives_the_bits_of_the_scene_file(tmp_path):
     found = timesim.integrate(oscillator(preload), file["excitation"]["frequency"], 5, record_last=2)
     assert_same(found, expected)
     assert timesim.plot(found, tmp_path / "new")
+
+
+def test_what_the_command_prints_of_a_run_is_logged(caplog):
+    assert not logging.getLogger("timesim").isEnabledFor(logging.INFO)  # nothing unless it is asked for
+    with caplog.at_level(logging.INFO, "timesim"):
+        timesim.integrate(oscillator(), frequency=1.39, cycles=1)
+    assert any(line.startswith("1 cycle by ") for line in caplog.messages)
 
 
 def test_matrices_are_those_of_a_scene():

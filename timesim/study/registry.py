@@ -11,6 +11,7 @@ and name them in a line of `STUDIES`. Reading and checking a scene loads all sec
 module, JAX and Matplotlib are imported inside functions.
 """
 
+import logging
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -27,11 +28,15 @@ from timesim.scene.resolution import Scene
 from timesim.scene.study import StudySection
 from timesim.study.execution.campaign import Execution, ExecutionError
 from timesim.study.execution.interrupts import Interrupts
+from timesim.study.execution.progress import Standing
 from timesim.study.execution.worker import one_thread
 from timesim.study.outcome import Outcome
 
 if TYPE_CHECKING:
     import xarray
+
+LOGGER = logging.getLogger("timesim")
+SECONDS_A_LINE = 10.0  # of how far a run from Python is
 
 
 @dataclass(frozen=True)
@@ -177,6 +182,9 @@ def run(
     Raises:
         SceneError: the scene is wrong.
         ExecutionError: the study cannot be carried out in this way.
+
+    How far it is, and at its end what ``timesim run`` prints, go to the logger "timesim" as information:
+    ``logging.basicConfig(level="INFO")`` shows them.
     """
     if not isinstance(scene, Scene):
         scene = load_scene(scene, () if overrides is None else overrides)
@@ -184,7 +192,11 @@ def run(
         scene = scene.with_overrides(overrides)
     for text in warnings_of(scene):
         warnings.warn(text, SceneWarning, stacklevel=2)
-    outcome = carry_out(scene, Execution(cluster=cluster, workers=workers))
+    standing = Standing(scene.file.study.counts)
+    with standing.told(SECONDS_A_LINE, LOGGER.info):
+        outcome = carry_out(scene, Execution(cluster=cluster, workers=workers, progress=standing))
+    for line in outcome.summary:
+        LOGGER.info(line)
     if outcome.reason is not None:
         warnings.warn(f"the run is incomplete: {outcome.reason}", RuntimeWarning, stacklevel=2)
     return joined(outcome.groups)

@@ -3,8 +3,10 @@
 Every kind of work counts as a number of points, so that one bar runs through all phases.
 """
 
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
 from typing import Protocol
@@ -105,6 +107,23 @@ class Standing:
             parts[1:1] = [f"{rate:.0f} {self.unit}/s" if rate >= 100 else f"{rate:.3g} {self.unit}/s"]
             parts[-1:-1] = [f"{_clock_time(left)} left"]
         return ", ".join(parts)
+
+    @contextmanager
+    def told(self, seconds: float, say: Callable[[str], None]) -> Iterator[None]:
+        """Say `line` every so many seconds."""
+        over = threading.Event()
+
+        def lines() -> None:
+            while not over.wait(seconds):
+                say(self.line())
+
+        thread = threading.Thread(target=lines, name="timesim-progress", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
 
 
 def _clock_time(seconds: float) -> str:
