@@ -18,8 +18,11 @@ def span_of(seed: int) -> tuple[float, float]:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("full", [False, True], ids=["isotropic", "full"])
 @pytest.mark.parametrize("seed", range(24))
-def test_a_curve_begins_and_reaches_the_end(seed):
+def test_a_curve_begins_and_reaches_the_end(seed, full):
+    """Where K_u of the contacts is isotropic, and where it is full."""
     model, _ = zoo.structure(seed)
+    model = zoo.with_full_stiffness(model, seed) if full else model
     curve = hbm_curve(model, *span_of(seed), scheme=Scheme(9, 256))
     assert curve.complete, curve.message
