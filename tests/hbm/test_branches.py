@@ -36,6 +36,7 @@ def curve(ending, *solutions):
         contact_motion=waves,
         contact_force=waves,
         floquet_max=np.ones(count),
+        floquet_phase_deg=np.zeros(count),
         closure=np.zeros(count),
         ending=ending,
         message=f"continuation at {frequency[-1]:g}, after {count} points: {ending.value}",

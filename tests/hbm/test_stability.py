@@ -188,6 +188,8 @@ def test_modes_coupled_by_damping(preload, frequency):
     np.testing.assert_allclose(paired(marched.floquet, exact), exact, atol=1e-5)
     np.testing.assert_allclose(paired(found, exact), exact, atol=2e-4)
     assert curve.floquet_max[0] == pytest.approx(np.abs(exact).max(), abs=3e-3)
+    turn = np.degrees(np.abs(np.angle(exact[np.argmax(np.abs(exact))])))
+    assert curve.floquet_phase_deg[0] == pytest.approx(turn, abs=0.3)
 
     plain = coupled(preload, frequency, 0.0)
     other = hbm_curve(plain, frequency, 1.001 * frequency, scheme=scheme)
@@ -252,6 +254,7 @@ def test_a_multiplier_beyond_the_unit_circle_is_unstable(largest, turn, stable, 
     curve = hbm_curve(systems.oscillator(32.0, 1.0), 1.2, 1.3, scheme=Scheme(1, 64), controls=controls)
     assert curve.stable.tolist() == [stable] * 2
     np.testing.assert_allclose(curve.floquet_max, largest)
+    np.testing.assert_allclose(curve.floquet_phase_deg, np.degrees(turn))
 
 
 def test_what_is_in_doubt_is_looked_at_with_more_samples(monkeypatch):

@@ -719,15 +719,26 @@ def test_a_curve_ends_where_a_constant_force_drives_on_what_friction_holds():
     assert not first["fold"].any()
     assert first["stable"].all()
     assert np.abs(first["harmonic_cos"].sel(harmonic=0)).max() < 10
-    assert "unless a constant force drives on what friction alone holds" in str(outcome.reason)
+    assert "unless what friction alone holds moves on from cycle to cycle" in str(outcome.reason)
 
 
-def test_a_change_of_stability_is_between_two_solutions(curves):
+@pytest.mark.parametrize(
+    ("size", "phase", "what"),
+    [
+        (1.2, 180.0, " (the period doubles)"),
+        (1.2, 40.0, " (a second frequency joins)"),
+        (1.2, 0.0, " (a real multiplier passes 1)"),
+        (0.9, 180.0, ""),
+    ],
+)
+def test_a_change_of_stability_is_between_two_solutions(curves, size, phase, what):
     """Between them a pair of multipliers may become real, so that no straight line tells where one passes 1."""
     frequency, stable = curves["frequency"].values, np.arange(curves.sizes["solution"]) < 3
-    changed = curves.assign(stable=("solution", stable.astype(int)), fold=("solution", 0 * stable))
+    size, phase = np.where(stable, 0.5, size), np.where(stable, 90.0, phase)
+    new = {"stable": stable.astype(int), "fold": 0 * stable, "floquet_max": size, "floquet_phase_deg": phase}
+    changed = curves.assign({name: ("solution", values) for name, values in new.items()})
     line = next(line for line in curve_lines(changed, ()) if "stability changes" in line)
-    assert f"; stability changes between {frequency[2]:.6g} and {frequency[3]:.6g} Hz without a fold; " in line
+    assert f"; stability changes without a fold between {frequency[2]:.6g} and {frequency[3]:.6g} Hz{what}; " in line
 
 
 def test_order_of_changes_with_a_known_order():

@@ -109,6 +109,10 @@ LABELS: dict[str, tuple[str, str | None]] = {
         "counts the multipliers 1, the time integration does not",
         "1",
     ),
+    "floquet_phase_deg": (
+        "phase of that multiplier: disturbances change their sign in each period at 180, and turn in between",
+        "degree",
+    ),
     "slip_share": ("share of a period in slip; in which it is closed, of a frictionless stop", "1"),
     "separation_share": ("share of a period in separation", "1"),
     "amplitude_band": ("smallest and largest amplitude of one of the cycles that were measured", "length"),

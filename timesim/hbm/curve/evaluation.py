@@ -113,10 +113,10 @@ def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmC
     phasor = np.zeros((size, order, *shape.shape[:2]), complex)
     for i, (x, p) in enumerate(zip(curve.x, curve.p, strict=True)):
         phasor[i] = np.einsum("pam,hm->hpa", shape, balance.modes(x, forces[i], p))
-    largest, unstable = np.full(size, np.nan), np.zeros(size, dtype=bool)
+    largest, unstable = np.full(size, np.nan + 0j), np.zeros(size, dtype=bool)
     if stability:
         multipliers = checked_multipliers(balance, curve.x, curve.p, curve.determinant)
-        largest, unstable = np.abs(multipliers[:, 0]), grows(multipliers)
+        largest, unstable = multipliers[:, 0], grows(multipliers)
     return HbmCurve(
         parameter=curve.p,
         frequency=curve.p,
@@ -130,7 +130,8 @@ def evaluated(balance: Balance, curve: Curve, *, stability: bool = True) -> HbmC
         separation_share=np.array([own.separation for own in done]).reshape(size, balance.num_contacts),
         contact_motion=motion * balance.length,
         contact_force=forces.reshape(motion.shape) * balance.force,
-        floquet_max=largest,
+        floquet_max=np.abs(largest),
+        floquet_phase_deg=np.degrees(np.abs(np.angle(largest))),
         closure=np.array([own.closure.max() for own in done]),
         ending=curve.ending,
         message=curve.message,

@@ -26,6 +26,7 @@ class HbmCurve:
         contact_motion: Fourier coefficients 1, cos, sin, ... of (u1, u2, v), shape (S, C, 3, 2H + 1) [length].
         contact_force: of (f1, f2, n), shape (S, C, 3, 2H + 1) [force].
         floquet_max: largest modulus of a Floquet multiplier, shape (S,); NaN where none was computed.
+        floquet_phase_deg: phase of that multiplier, or of its complex conjugate, shape (S,), from 0 to 180 [degree].
         closure: distance of the elastic displacement from one that repeats, relative to its tolerance, shape (S,); at
             most 1 where the hysteresis loop of every contact is closed.
         ending: why it ended.
@@ -45,6 +46,7 @@ class HbmCurve:
     contact_motion: Array
     contact_force: Array
     floquet_max: Array
+    floquet_phase_deg: Array
     closure: Array
     ending: Ending
     message: str

@@ -13,7 +13,7 @@ from timesim.study.curves.collection import Curves
 from timesim.study.summary.curve import convergence_lines
 
 # Quantities by their names in `HbmCurve` and in the result.
-OF_SOLUTION = ("frequency", "stable", "fold", "branch", "floquet_max", "closure")
+OF_SOLUTION = ("frequency", "stable", "fold", "branch", "floquet_max", "floquet_phase_deg", "closure")
 OF_MOTION = ("amplitude", "phase_deg", "harmonic_amplitude", "harmonic_cos", "harmonic_sin")
 OF_CONTACTS = ("slip_share", "separation_share", "dissipated_power")
 

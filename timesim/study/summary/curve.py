@@ -7,12 +7,14 @@ import numpy as np
 from xarray import Dataset
 
 from timesim.hbm.convergence import Convergence, order_of
+from timesim.hbm.stability.multipliers import BORDER
 from timesim.orbit.steady_state import switches
 from timesim.result.coordinate import over_keys, rubs
 from timesim.result.label import counted, in_words, with_unit
 from timesim.study.outcome import took
 
 MOST = 8  # folds and changes of stability that are listed
+REAL = 1.0  # degrees from the real axis up to which a multiplier is real
 
 
 def curve_lines(data: Dataset, notes: Sequence[str]) -> Iterator[str]:
@@ -41,8 +43,9 @@ def _curve_line(curve: Dataset) -> str:
     folds, units = "folds" if np.sum(fold) > 1 else "a fold", curve[curve.attrs.get("along", "frequency")].attrs
     turning = f"{folds} at {_first_of([f'{place:.6g}' for place in along[fold]], units)}" if fold.any() else "no fold"
     before = np.flatnonzero(changes_of_stability(stable, fold))
-    changes = [f"{along[i]:.6g} and {along[i + 1]:.6g}" for i in before]
-    also = f"; stability changes between {_first_of(changes, units)} without a fold" if changes else ""
+    between = (with_unit(f"{along[i]:.6g} and {along[i + 1]:.6g}", units) for i in before)
+    changes = [f"{place}{_beyond(curve, i + stable[i])}" for place, i in zip(between, before, strict=True)]
+    also = f"; stability changes without a fold between {_first_of(changes, {})}" if changes else ""
     touching, apart = curve["slip_share"].values, curve["separation_share"].values.max(initial=0.0)
     rub = rubs(curve).values
     slip, closed = (touching[:, own].max(initial=0.0) for own in (rub, ~rub))
@@ -97,6 +100,16 @@ def _listed(numbers: np.ndarray, changes: np.ndarray, name: str) -> str:
     order = order_of(numbers, changes)
     seen = f"order {order:.1f}" if np.isfinite(order) else "no order yet"
     return f"{name} {parts} ({seen}, and the finest, {int(numbers[-1])}, moved it by {changes[-1]:.1e})"
+
+
+def _beyond(curve: Dataset, unstable: int) -> str:
+    """What becomes of disturbances of a solution, which is that of a curve next to a change of stability."""
+    if not curve["floquet_max"].values[unstable] > BORDER:
+        return ""
+    phase = curve["floquet_phase_deg"].values[unstable]
+    if REAL < phase < 180 - REAL:
+        return " (a second frequency joins)"
+    return " (the period doubles)" if phase > REAL else " (a real multiplier passes 1)"
 
 
 def changes_of_stability(stable: np.ndarray, fold: np.ndarray) -> np.ndarray:
