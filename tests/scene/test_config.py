@@ -1218,6 +1218,8 @@ def test_check_estimates_the_cost_of_each_phase():
     # 7 + 3 + 0.18 x 2 modes, of 256 samples; 0.8 of it goes with them.
     assert balance == "about 9 curves of harmonic balance of 200 solutions of 10 ms: 19 s"
     assert "of 35 ms: 63 s" in said("figure10", "study.time_samples=1024")[1]
+    auto = next(line for line in said("figure10", "study.harmonics=auto") if "9 curves" in line)
+    assert auto.endswith(": 19 s, or up to 2500 if it takes many harmonics")
     assert said("figure10", "study.start=both_ends")[1].startswith("about 18 curves of")
     assert said("preload")[0].endswith(", and the search for the least")
     assert said("two_contacts")[0].endswith(", and the search for jumps")

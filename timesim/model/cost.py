@@ -56,8 +56,8 @@ DERIVATIVE = (0.002, 0.8)
 """Seconds of a cycle with the derivative of its end by its start, and for each state, as a share of a cycle without."""
 SHOTS = 8
 """Cycles of Newton's method, beside those that are marched before it is tried."""
-SOLUTIONS = 200
-"""Solutions on a curve of harmonic balance."""
+SOLUTIONS, MANY_SOLUTIONS = 200, 2500
+"""Solutions on a curve of harmonic balance: of one that takes few harmonics, and the most of generated structures."""
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,8 @@ def cost_lines(scene: Scene, model: Model) -> Iterator[str]:
         own = cost.seconds_a_solution(model, scheme.time_samples, stability=balance.stability)
         work = f"{cost.SOLUTIONS} solutions of {_duration(own)}"
         which = counted(curves, "curve")
-        lines.append(f"{which} of harmonic balance of {work}: {_duration(curves * cost.SOLUTIONS * own)}")
+        more = f", or up to {cost.MANY_SOLUTIONS} if it takes many harmonics" if "harmonics" in balance.chosen else ""
+        lines.append(f"{which} of harmonic balance of {work}: {_duration(curves * cost.SOLUTIONS * own)}{more}")
     yield from (f"about {line}" for line in lines)
     if lines:
         yield "as measured on one core of a server (timesim/model/cost.py); a first run compiles before that"
