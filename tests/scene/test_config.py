@@ -1221,7 +1221,7 @@ def test_check_estimates_the_cost_of_each_phase():
     auto = next(line for line in said("figure10", "study.harmonics=auto") if "9 curves" in line)
     assert auto.endswith(": 19 s, or up to 2500 if it takes many harmonics")
     assert said("figure10", "study.start=both_ends")[1].startswith("about 18 curves of")
-    assert said("preload")[0].endswith(", and the search for the least")
+    assert said("preload")[0].endswith(", and some 19 values more in the search for the least")
     assert said("two_contacts")[0].endswith(", and the search for jumps")
     assert said("two_contacts", "study.refine=null")[0].endswith(" s")
     assert said("figure7") == ()

@@ -27,7 +27,9 @@ Kinds = Mapping[str, type[StudySection]]
 
 def _letters(name: str) -> str:
     if not name.isalpha():
-        raise refuse("must be the name of a unit, letters only", hint="such as m, mm, in, N, kN, lbf; rad and Nm where it turns")
+        raise refuse(
+            "must be the name of a unit, letters only", hint="such as m, mm, N, kN, lbf; rad, Nm where it turns"
+        )
     return name
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import log, sqrt
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
@@ -45,6 +46,13 @@ class OptimumPlan:
     point: str | None
     axis: str | None
 
+    @property
+    def searched(self) -> int:
+        """Values that the search may need: golden sections down to the accuracy, and those beside the least."""
+        ((_, values),) = self.sweep.over.items()
+        between = 2 * (values[-1] - values[0]) / (len(values) - 1)
+        return 3 + round(log(max(between / self.accuracy, 1.0)) / log((1 + sqrt(5)) / 2))
+
 
 ACCURACY = 1e-3
 """Accuracy of the scalar where none is given, as a share of its range."""
@@ -80,6 +88,9 @@ class Optimum(SteadySection):
         return self.completed(accuracy=ACCURACY * span)
 
     def plan(self, context: Context) -> OptimumPlan:
+        return self._plan()
+
+    def _plan(self) -> OptimumPlan:
         assert self.accuracy is not None
         return OptimumPlan(self.sweep(), self.accuracy, self.point, self.axis)
 
@@ -88,7 +99,7 @@ class Optimum(SteadySection):
         return SweepPlan(self.frequency.values(), ("up", "down"), axes_of(self.along), self.criterion(), None)
 
     def search(self) -> str:
-        return ", and the search for the least"
+        return f", and some {self._plan().searched} values more in the search for the least"
 
 
 # Ranges with two motions

@@ -8,7 +8,6 @@ by bounded minimisation [1]_, until no value at the distance of the accuracy has
 """
 
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -159,7 +158,7 @@ class Peaks:
         self.scene, self.plan, self.execution = scene, plan, execution
         ((self.key, self.values),) = plan.sweep.over.items()
         self.solver, self.frequency = scene.solver(), plan.sweep.frequency
-        self.expected = _expected_stages(self.values, plan.accuracy)
+        self.expected = plan.searched
         points = 2 * self.frequency.size
         self.phases = Phases(execution.progress, {FIRST: plan.sweep.size, SEARCH: self.expected * points})
         self.results: dict[float, Result] = {}
@@ -271,12 +270,6 @@ class Peaks:
             if here in self._as_low():
                 return
         raise SearchError(f"the peak still falls beside {self.key} = {self.least():g}; give a larger accuracy")
-
-
-def _expected_stages(values: Sequence[float], accuracy: float) -> int:
-    """Values that the search may need: golden sections down to the accuracy, and those beside the least."""
-    between = 2 * (values[-1] - values[0]) / (len(values) - 1)
-    return 3 + round(np.log(max(between / accuracy, 1.0)) / np.log((1 + np.sqrt(5)) / 2))
 
 
 def study(scene: Scene, execution: Execution) -> Outcome:
