@@ -76,7 +76,7 @@ class Structure:
         return error_of(run, self.true, *self.measure)
 
 
-def structure(seed: int, size: tuple[int, int], *, full: bool) -> Structure | None:
+def structure(seed: int, size: tuple[int, int], *, full: bool = False) -> Structure | None:
     """None where no contact slips for a part of the cycle; ``full``: contacts with a full K_u."""
     model, cycles = ZOO["driven"](seed, size)
     model = ZOO["with_full_stiffness"](model, seed) if full else model
@@ -108,7 +108,7 @@ def by_hand(methods: Sequence[str], structures: Iterator[Structure]) -> None:
         print(f"| {method} | {rtol:g} | {ratio.size} | {np.median(ratio):.2g} | {ratio.max():.2g} | {outside} |")
 
 
-def rows(seed: int, size: tuple[int, int], *, full: bool) -> list[dict[str, Any]]:
+def rows(seed: int, size: tuple[int, int], *, full: bool = False) -> list[dict[str, Any]]:
     """The runs of a structure; none where no contact slips for a part of the cycle, or the truth is not certain."""
     own = structure(seed, size, full=full)
     if own is None:
