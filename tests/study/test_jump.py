@@ -159,7 +159,7 @@ def test_a_broken_promise_is_mended_or_else_said(monkeypatch: pytest.MonkeyPatch
 
     def cut_off(*given: Any, first: Any = None) -> Any:
         done = carried(*given, first=first)
-        return done if first is None else replace(done, reason="ended in cycle 3")
+        return done if first is None else replace(done, ended="ended in cycle 3")
 
     monkeypatch.setattr(transient, "_carried", cut_off)
     failed = carry_out(load_scene(standard))
