@@ -162,8 +162,9 @@ def direction_of(force: Plane, instead: Plane) -> Plane:
 def turned(law: ConeLaw, path: Path, e: Plane, start: Scalar, end: Scalar) -> Plane:
     """Direction of slip at the end of a part of the interval, from that at its start.
 
-    Where K_u is not isotropic that errs by the third power of its length, and by a quarter of it through both halves:
-    from these follows what errs by the fourth (L. F. Richardson, Phil. Trans. R. Soc. A 210 (1911) 307-357).
+    Where K_u is not isotropic the turn over the whole part errs by the third power of its length, that over both halves
+    by a quarter of this, and what follows from the two by the fourth (L. F. Richardson, Phil. Trans. R. Soc. A 210
+    (1911) 307-357).
 
     Right before the contact opens the direction stays as it is. Slip against the pull, kept up by a falling load, lasts
     to the opening along a straight path, but is unstable: next to n = 0 rounding alone would decide where it turns.

@@ -16,7 +16,7 @@ from timesim.model.reduction import reduction_of
 from timesim.model.solver import CLOSED_FORM, COMPANION, coarser
 from timesim.result.label import BASE, attributes, counted, with_unit
 from timesim.scene.report.cost import cost_lines
-from timesim.scene.report.warning import asked_frequency, normal_of, warnings_of
+from timesim.scene.report.warning import asked_frequency, components, warnings_of
 from timesim.scene.resolution import Scene
 from timesim.scene.text import value_text
 from timesim.scene.transient import Schedule, TradeoffPlan
@@ -106,7 +106,7 @@ def _contact_parts(contact: Contact, units: Mapping[str, str]) -> Iterator[str]:
 
     if contact.point:
         yield f"{contact.point} against {'the ground' if contact.against == GROUND else contact.against}"
-        yield f"normal {normal_of(contact)}"
+        yield f"normal {components(contact.frame[2])}"
     if contact.law != CONE:
         own = ", ".join(f"{key} {value:g}" for key, value in contact.law_parameters.items())
         yield f"law {contact.law}" + (f" ({own})" if own else "")

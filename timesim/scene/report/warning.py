@@ -8,7 +8,7 @@ import numpy as np
 from timesim.fault import Problem
 from timesim.model.contact_state import obeys_cone
 from timesim.model.cost import EXPLICIT, SLIPPING, seconds_a_cycle, slip_steps, stable_steps
-from timesim.model.model import Contact, Model
+from timesim.model.model import Model
 from timesim.model.promise import rounded
 from timesim.model.reduction import distant_stops, reduction_of
 from timesim.result.label import attributes, first_few, in_words, with_unit
@@ -79,14 +79,14 @@ def _oblique(contact: ContactSection) -> Iterator[str]:
     if contact.tangent is not None:
         frame = contact.frame()
         if abs(frame[2] @ unit(contact.tangent)) > OBLIQUE:
-            first = ", ".join(f"{x + 0.0:.3g}" for x in frame[0])
-            what = f"is not perpendicular to the normal: the first axis is its part in the plane of contact, ({first})"
+            first = f"the first axis is its part in the plane of contact, {components(frame[0])}"
+            what = f"is not perpendicular to the normal: {first}"
             yield f"contacts.{contact.name}.tangent {what}"
 
 
-def normal_of(contact: Contact) -> str:
-    """Components of its normal along x, y, z."""
-    return f"({', '.join(f'{x + 0.0:.3g}' for x in contact.frame[2])})"
+def components(direction: np.ndarray) -> str:
+    """Those of a direction along x, y, z."""
+    return f"({', '.join(f'{x + 0.0:.3g}' for x in direction)})"
 
 
 def asked_frequency(scene: Scene, model: Model) -> float | None:
@@ -243,7 +243,7 @@ def _still_parts(file: SceneFile, model: Model) -> Iterator[str]:
         elif contact.friction > 0 and not np.any(np.abs(shape[:2]) > STILL * np.abs(shape).max()):
             loaded = contact.normal_stiffness > 0
             so = "it never rubs, and acts as a stop" if loaded else "its normal load is constant, so it has no effect"
-            plane = f"its plane, which is normal to {normal_of(contact)}"
+            plane = f"its plane, which is normal to {components(contact.frame[2])}"
             yield f"contacts.{contact.name}: no mode moves it in {plane}: {so}"
     given = getattr(file.initial, "slip", {})
     for contact, slip in zip(model.contacts, start.slip, strict=True):
