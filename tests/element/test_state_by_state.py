@@ -14,7 +14,7 @@ from systems import CREEPING, contact, creeping, slipping_pair
 from timesim.element.cycle import ElementCycle, principal_axes
 from timesim.element.motion import CYCLE, HarmonicMotion, SplineMotion
 from timesim.element.slip_path import FINE, Law, _sticking_dip, contact_direction
-from timesim.element.state_by_state import steady_cycle
+from timesim.element.state_by_state import MAX_CYCLES, SHORT, steady_cycle
 from timesim.model.model import SEPARATION, SLIP, STICK
 
 TABLE = json.loads((Path(__file__).parents[1] / "data/element_motions.json").read_text())["cases"]
@@ -131,8 +131,8 @@ def test_creep_towards_full_stick_is_carried_to_its_limit():
     K = np.array([[0.9371653548440843, -0.09105592650894909], [-0.09105592650894909, 0.8680476076242706]])
     motion, limit = HarmonicMotion(0.30389886562249385, 0.22467523895139538, 0.0, 3.7048779521892135), 0.36445049486365
     cycle = steady_cycle(contact(K, limit, 0.0, 1.0), motion)
-    assert cycle.offset_free
-    assert cycle.num_cycles < 200
+    assert cycle.num_cycles < MAX_CYCLES  # 100 to 800, by the rounding of the forces that it is carried on from
+    assert cycle.work <= SHORT * limit * np.hypot(*motion.amplitude)
 
     def excess(w):
         """Of |f| over mu n, the largest of each half of the cycle."""
@@ -349,7 +349,8 @@ def test_laws_hold_everywhere(full):
         step = 1e-5
         rate = (cycle.slip(theta + step) - cycle.slip(theta - step)) / (2 * step)
         inner = (cycle.state(theta + step) == state) & (cycle.state(theta - step) == state)
-        assert np.abs(rate[:, inner & (state == STICK)]).max(initial=0.0) < 1e-9
+        inner[[0, -1]] = False  # over the seam w jumps by what a cycle changes, rounding over `2 step`
+        assert np.abs(rate[:, inner & (state == STICK)]).max(initial=0.0) < 1e-10
         sliding = inner & (state == SLIP) & (limit > 1e-2)
         power = np.sum(rate * force, axis=0)[sliding]
         np.testing.assert_allclose(power, (np.hypot(*rate) * limit)[sliding], atol=1e-7)
