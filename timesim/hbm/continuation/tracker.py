@@ -186,7 +186,7 @@ class _PathTracker:
 
     def _step(self, point: CurvePoint, before: tuple[CurvePoint, float] | None, length: float) -> Step | None:
         """To the next point; None if there is none."""
-        length = max(length, self.controls.min_step)
+        length = max(min(length, self._longest(point)), self.controls.min_step)
         while length >= self.controls.min_step:
             try:
                 guess = predicted(point, before, length)
@@ -209,6 +209,13 @@ class _PathTracker:
                 growth = min(growth, 0.7)
             return Step(new, length, min(float(growth) * length, self.controls.max_step))
         return self._jump(point)
+
+    def _longest(self, point: CurvePoint) -> float:
+        """Length of arc that leads as far along the parameter as a step may from there."""
+        if self.controls.longest is None:
+            return np.inf
+        way = self.controls.longest(self.corrector.unscaled(point.y)[1]) / self.corrector.p_unit
+        return float(way / max(abs(point.tangent[-1]), 1e-300))
 
     def _jump(self, point: CurvePoint) -> Step | None:
         """Over a place where no short step succeeds; a point to which the way is not along its tangent is elsewhere.

@@ -16,6 +16,7 @@ from timesim.hbm.continuation import Controls, Curve, Elsewhere, Ending, follow,
 from timesim.hbm.curve.evaluation import Each, Pieces, Work, by_schemes, each_here, evaluated, signed, whole_pieces
 from timesim.hbm.curve.record import HbmCurve, Watch
 from timesim.hbm.first_guess import curve_near
+from timesim.hbm.hidden import steps_to_resolve
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
 from timesim.orbit.fourier import Array
@@ -84,7 +85,8 @@ def hbm_curve(
     """
     _check_range(start, stop)
     balance = AdaptiveBalance(lambda own: Balance(model, start, own), schemes_of(scheme), model.num_contacts)
-    steps, place = controls or Controls(), start if begin is None else begin
+    steps = replace(controls or Controls(), longest=steps_to_resolve(model))
+    place = start if begin is None else begin
     if watch is not None:
         steps = watched(balance, steps, watch, evaluated)
     from_end, to_end = None, steps

@@ -1,0 +1,60 @@
+"""Resonances that contacts hardly feel: two equal blades that move together beside a contact between them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import systems
+
+from timesim.hbm.curve import hbm_curve
+from timesim.hbm.hidden import SHARE, steps_to_resolve
+from timesim.hbm.scheme import Scheme
+from timesim.model.model import Contact, Model, Structure
+
+RATIO = 1e-3
+EQUAL = 10.0, 10.0
+"""Two blades by themselves: modes of one frequency [Hz], of which that of both together is not among them."""
+
+
+def blades(frequency=EQUAL, stiffness=4000.0, force=(1.0, 0.5)):
+    """Masses of 1 on springs, joined by a contact that sticks all the time."""
+    omega = systems.TURN * np.array(frequency)
+    shape = np.zeros((2, 3, 2))
+    shape[0, 0, 0] = shape[1, 0, 1] = 1.0
+    structure = Structure(np.array(frequency), np.ones(2), 2 * RATIO * omega, ("one", "other"), shape)
+    contact = Contact("shroud", "one", "other", np.eye(3), 0.3, stiffness * np.eye(2), 0.0, 1000.0)
+    return Model(structure, (contact,), systems.excitation(10.0, force, [0.0, 0.0]), systems.at_rest(2, 1))
+
+
+def places(model, low, high):
+    """Where steps of the longest allowed lead from one frequency to another [Hz]."""
+    longest, way = steps_to_resolve(model), [low]
+    while way[-1] < high:
+        way.append(way[-1] + longest(way[-1]))
+    return np.array(way)
+
+
+def test_steps_show_the_top_of_a_resonance_that_the_contact_does_not_move():
+    way = places(blades(), 5.0, 15.0)
+    assert np.sum(np.abs(way - 10.0) < RATIO * 10.0) >= 2 / SHARE - 1
+    assert way.size < 120
+
+
+def test_one_harmonic_of_the_excitation_meets_it_at_its_share_of_the_frequency():
+    model = blades()
+    model = replace(model, excitation=replace(model.excitation, harmonic=np.array([4])))
+    assert steps_to_resolve(model)(2.5) == pytest.approx(SHARE * RATIO * 2.5)
+
+
+@pytest.mark.parametrize("change", [{"frequency": (10.0, 13.0)}, {"force": (1.0, -1.0)}])
+def test_steps_are_free_where_the_contact_moves_every_resonance_or_nothing_excites_the_others(change):
+    assert steps_to_resolve(blades(**change))(10.0) > 1.0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("stiffness", [100.0, 1e6])
+def test_a_curve_finds_the_peak_of_blades_that_move_together(stiffness):
+    curve = hbm_curve(blades(stiffness=stiffness), 5.0, 18.0, scheme=Scheme(1, 16), stability=False)
+    assert curve.complete
+    together = 0.75 / (2 * RATIO * (systems.TURN * 10.0) ** 2)
+    assert curve.harmonic_amplitude[:, 1].max() == pytest.approx(together, rel=0.02)
