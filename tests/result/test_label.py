@@ -188,3 +188,11 @@ def test_energy_and_power_in_newtons_and_metres_are_in_joules_and_watts():
 def test_one_of_a_thing_is_not_several():
     assert counted(1, "point") == "1 point"
     assert counted(0, "frequency", "frequencies") == "0 frequencies"
+
+
+def test_names_are_short_enough_for_an_axis_and_what_explains_them_stands_apart():
+    assert max(len(attributes(name)["long_name"]) for name in LABELS) <= 70
+    amplitude = attributes("amplitude", {"length": "mm"})
+    assert (amplitude["long_name"], amplitude["units"]) == ("displacement amplitude", "mm")
+    assert amplitude["comment"].startswith("(max - min)/2 over a period")
+    assert "comment" not in attributes("displacement")

@@ -14,7 +14,7 @@ import numpy as np
 
 from timesim.model.model import STATE_NAMES
 
-# Name: (long name, units or None).
+# Name: (long name, units or None). What follows a semicolon explains it.
 LABELS: dict[str, tuple[str, str | None]] = {
     # coordinates
     "point": ("point of the structure", None),
@@ -46,22 +46,22 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "modal_displacement": ("modal displacement", "modal length"),
     "modal_velocity": ("modal velocity", "modal length/s"),
     "contact_force": ("friction force on body 2 (t1, t2) and normal load (n)", "force"),
-    "contact_state": ("contact state: 0 stick, 1 slip (of a frictionless stop: closed), 2 separation", None),
+    "contact_state": ("contact state; 0 stick, 1 slip (of a frictionless stop: closed), 2 separation", None),
     "contact_displacement": ("relative motion (u1, u2, v) in the contact's axes", "length"),
     "slip": ("slip displacement w", "length"),
     "event_time": ("time of the transition", "s"),
-    "event_contact": ("contact of the transition, position along the contacts from 0", None),
+    "event_contact": ("contact of the transition; position along the contacts from 0", None),
     "event_from": ("contact state before the transition", None),
     "event_to": ("contact state after the transition", None),
-    "cycle_amplitude": ("displacement amplitude of the cycle, (max - min)/2", "length"),
+    "cycle_amplitude": ("displacement amplitude of the cycle; (max - min)/2", "length"),
     "cycle_amplitude_error": (
-        "estimated error of the amplitudes of the cycle, relative to the largest of them; NaN where it is not known",
+        "estimated error of the amplitudes of the cycle; relative to the largest of them, NaN where it is not known",
         "1",
     ),
     "cycle_start": ("time at the start of the cycle", "s"),
     "cycle_period": ("length of the cycle", "s"),
     "cycle_steps": ("steps of the time integration in the cycle; of a steady state, the mean over a period", "1"),
-    "cycle_transitions": ("transitions of the contact in a cycle, the mean over a period", "1"),
+    "cycle_transitions": ("transitions of the contact in a cycle; the mean over a period", "1"),
     "drift": ("way by which the point moves on in a cycle; the rest is what one who moves on with it sees", "length"),
     "cycle_frequency": ("excitation frequency of the cycle", "Hz"),
     "final_modal_displacement": ("modal displacement at the end", "modal length"),
@@ -78,28 +78,28 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "energy_friction": ("energy lost to friction in the cycle", "force*length"),
     # sweep
     "amplitude": (
-        "displacement amplitude, (max - min)/2 over a period; of a motion that has not settled, over the ten cycles "
+        "displacement amplitude; (max - min)/2 over a period; of a motion that has not settled, over the ten cycles "
         "that were measured, which may be more than that of any one of them",
         "length",
     ),
     "phase_deg": (
-        "phase of the first harmonic of the excitation's frequency against the excitation, "
+        "phase of the first harmonic; of the excitation's frequency, against the excitation, "
         "x ~ A cos(2 pi f t + phase); NaN where the motion has no period or no first harmonic",
         "degree",
     ),
     "dissipated_power": (
-        "power lost in the contact, the mean over a period; where the motion has none, over the cycles measured",
+        "power lost in the contact; the mean over a period; where the motion has none, over the cycles measured",
         "force*length/s",
     ),
     "settled": ("1 where the motion settled", None),
     "settled_to": (
-        "estimated distance of the state from one that repeats, relative to its largest entry; of a motion that has "
+        "estimated distance of the state from one that repeats; relative to its largest entry; of a motion that has "
         "not settled, the least change over a period",
         "1",
     ),
     "irregular": (
-        "1 where the motion repeats after no number of cycles up to 64, while free vibrations would have decayed: "
-        "quasi-periodic, irregular, or of a longer period",
+        "1 where the motion is irregular; it repeats after no number of cycles up to 64, while free vibrations would "
+        "have decayed: quasi-periodic, irregular, or of a longer period",
         None,
     ),
     "cycles": ("excitation cycles run", "1"),
@@ -110,7 +110,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
         "1",
     ),
     "floquet_phase_deg": (
-        "phase of that multiplier: disturbances change their sign in each period at 180, and turn in between",
+        "phase of that multiplier; disturbances change their sign in each period at 180, and turn in between",
         "degree",
     ),
     "slip_share": ("share of a period in slip; in which it is closed, of a frictionless stop", "1"),
@@ -130,14 +130,14 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "range_cut": ("1 where the search ends before the range does; -1: no range", None),
     "range_settled": ("1 where the motion next to the end had settled; -1: no range", None),
     "range_irregular": (
-        "motion that loses its period at the end and no longer counts beyond: 0 none, 1 the smaller, 2 the larger; -1: "
+        "motion that loses its period at the end; it no longer counts beyond: 0 none, 1 the smaller, 2 the larger; -1: "
         "no range",
         None,
     ),
     "share_lower": ("share of the smaller motion's state in the start", "1"),
     "share_upper": ("share of the larger motion's state in the start", "1"),
     "start_branch": (
-        "motion that the start leads to: 0 the smaller, 1 the larger, 2 another, 3 one that does not repeat, -1 none",
+        "motion that the start leads to; 0 the smaller, 1 the larger, 2 another, 3 one that does not repeat, -1 none",
         None,
     ),
     "start_failure": ("why the motion from the start could not be computed; empty where it was", None),
@@ -150,7 +150,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "peak_frequency": ("frequency of the largest displacement amplitude", "Hz"),
     "peak_at_end": ("1 where the largest amplitude is at the first or last frequency", None),
     "peak_settled": ("1 where the motion of the largest amplitude has settled", None),
-    "peak_irregular": ("1 where that motion is quasi-periodic or irregular, as in the variable irregular", None),
+    "peak_irregular": ("1 where that motion is irregular; as in the variable irregular", None),
     "peak_of": ("point and axis of the largest displacement amplitude", None),
     "optimum": ("value of the scalar with the least peak", None),
     "optimum_peak": ("least peak", "length"),
@@ -174,7 +174,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "first_force": ("friction force over the first cycle, from f = 0", "force"),
     "force": ("friction force", "force"),
     "normal_load": ("normal load", "force"),
-    "state": ("contact state: 0 stick, 1 slip, 2 separation", None),
+    "state": ("contact state; 0 stick, 1 slip, 2 separation", None),
     "transition_angle_deg": ("phase angle of the transition", "degree"),
     "transition_from": ("contact state before the transition", None),
     "transition_to": ("contact state after the transition", None),
@@ -187,7 +187,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "friction_work": ("work of the friction force on the slip in a cycle", "force*length"),
     "transitions": ("transitions in the cycle", "1"),
     "offset_free": (
-        "1 where the contact sticks throughout, or all but: w, and with it f_b, may keep another offset",
+        "1 where the contact sticks throughout, or all but; w, and with it f_b, may keep another offset",
         None,
     ),
     "principal_f_b": ("mean friction force along the principal axes, the major one first", "force"),
@@ -210,7 +210,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "branch": ("number of the branch: folds passed before", None),
     "curve": ("number of the curve", None),
     "closure": (
-        "how far u - w of contacts is from repeating after a period, as a multiple of what is tolerated, at most 1",
+        "how far contacts are from repeating; u - w after a period, as a multiple of what is tolerated, at most 1",
         "1",
     ),
     "harmonics": ("harmonics balanced", "1"),
@@ -227,7 +227,10 @@ LABELS: dict[str, tuple[str, str | None]] = {
         "(harmonic balance - sweep)/sweep of the amplitude; the values along its axes are those of the group sweep",
         "1",
     ),
-    "other_offset": ("1: the methods differ since a contact that sticks all the time keeps another offset", "1"),
+    "other_offset": (
+        "1 where contacts keep another offset; the methods differ since a contact that sticks all the time does",
+        "1",
+    ),
 }
 
 # Units of the scalars of a scene, which may be axes of a parameter study, by the last part of their key.
@@ -271,7 +274,7 @@ def is_scalar_key(name: str) -> bool:
 
 
 def attributes(name: str, named: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """`long_name` and `units` of a variable or coordinate, and the meaning of flags; empty for a name not listed.
+    """`long_name`, `comment` and `units` of a variable or coordinate, and what flags mean; empty for a name not listed.
 
     The name may be the key of a scalar in the scene, such as ``contacts.pad.preload``. ``named``: units of the
     quantities of `BASE`, ``{"length": "mm"}``.
@@ -284,7 +287,8 @@ def attributes(name: str, named: Mapping[str, str] | None = None) -> dict[str, A
         long_name, units = LABELS[name]
     else:
         return {}
-    attrs: dict[str, Any] = {"long_name": long_name}
+    long_name, *comment = long_name.split("; ", 1)
+    attrs: dict[str, Any] = {"long_name": long_name, **({"comment": comment[0]} if comment else {})}
     if units is not None:
         units = re.sub("length|force", lambda quantity: (named or {}).get(quantity[0], quantity[0]), units)
         attrs["units"] = SI.get(units, units)
