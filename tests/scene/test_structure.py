@@ -303,13 +303,13 @@ def single(path: Path) -> Path:
         (damaged, "cannot be read"),
         (truncated_member, "cannot be read"),
         (single, "no whole .npz"),
-        (lambda path: good(path, mass=np.array([[1, None], [None, 1]], dtype=object)), "pickled"),
+        (lambda path: good(path, mass=np.array([[1, None], [None, 1]], dtype=object)), "each by scipy.sparse.save_npz"),
         (lambda path: good(path, mass=np.eye(3)[:2]), "must be square, not 2 x 3"),
-        (lambda path: good(path, mass=np.ones(3)), "must be square, not 3"),
+        (lambda path: good(path, mass=np.ones(3)), "must be square, not 3 (numpy.diag"),
         (lambda path: good(path, mass=np.zeros((0, 0))), "must be square, not 0 x 0"),
         (lambda path: good(path, mass=np.eye(4)), "must be 4 x 4 like the mass matrix, not 3 x 3"),
         (lambda path: good(path, mass=np.diag([1.0, np.nan, 1])), "must be finite, without NaN (row 1, column 1)"),
-        (lambda path: good(path, mass=np.eye(3) * 1j), "real numbers"),
+        (lambda path: good(path, mass=np.eye(3) * 1j), "not complex128 (of hysteretic damping take the real part"),
         (lambda path: good(path, mass=np.array([["a"]])), "real numbers"),
         (lambda path: good(path, mass=np.diag([1.0, 0, 1])), "; the diagonal of row 1 is 0)"),
         (lambda path: good(path, mass=np.array([[1.0, 2, 0], [2, 1, 0], [0, 0, 1]])), "condensed out first)"),
@@ -330,6 +330,12 @@ def test_npz_without_the_keys(tmp_path: Path):
         "structure.file",
         "holds neither mass nor M (it holds K, mas)",
     )
+
+
+def test_npz_of_one_sparse_matrix_in_place_of_all(tmp_path: Path):
+    scipy.sparse.save_npz(tmp_path / "k.npz", scipy.sparse.eye_array(3).tocsc())
+    rule = "holds neither mass nor M (for a file of each matrix write file: {mass: m.npz, stiffness: k.npz})"
+    assert refusal(files(tmp_path / "k.npz")) == ("structure.file", rule)
 
 
 @pytest.mark.parametrize(

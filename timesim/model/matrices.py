@@ -17,6 +17,7 @@ import numpy as np
 from timesim.fault import FROM_SCENE, RuleError
 
 ARRAYS = {"mass": "M", "stiffness": "K", "damping": "C"}
+ONE_EACH = "for a file of each matrix write file: {{mass: m{0}, stiffness: k{0}}}"
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ def read_matrices(source: Path | Mapping[str, Path]) -> Matrices:
         return Matrices(**{name: _read_single(path, name) for name, path in source.items()})
     readers = {".npz": _read_npz, ".mat": _read_mat}
     if source.suffix.lower() not in readers:
-        hint = "for Matrix Market write file: {mass: m.mtx, stiffness: k.mtx}"
+        hint = f"numpy.savez writes one; {ONE_EACH.format('.mtx')}"
         raise RuleError((), "must be a .npz or .mat file", hint, str(source))
     _check_present(source)
     arrays = readers[source.suffix.lower()](source)
@@ -53,7 +54,8 @@ def read_matrices(source: Path | Mapping[str, Path]) -> Matrices:
     for name in ("mass", "stiffness"):
         if names[name] is None:
             rule = f"holds neither {name} nor {ARRAYS[name]}"
-            raise RuleError((), rule, f"it holds {', '.join(sorted(arrays)) or 'nothing'}", str(source))
+            hint = f"it holds {', '.join(sorted(arrays)) or 'nothing'}"
+            raise RuleError((), rule, ONE_EACH.format(".npz") if "indptr" in arrays else hint, str(source))
     matrices = {name: numeric(arrays[key], f"{key} in {source.name}") for name, key in names.items() if key}
     spare = [short for name, short in ARRAYS.items() if name in arrays and short in arrays]
     unused = "{0} holds {1} besides the array of the full name; {1} is left alone"
@@ -77,7 +79,8 @@ def _reading(path: Path) -> Iterator[None]:
         if isinstance(error, NotImplementedError) and path.suffix.lower() == ".mat":
             rule, hint = "is a MATLAB 7.3 file", "save it with save(..., '-v7')"
         elif "pickle" in str(error):
-            rule, hint = "holds pickled objects", "save plain numeric arrays, sparse ones as .mat or .mtx"
+            rule = "holds pickled objects"
+            hint = "save plain numeric arrays; sparse ones as .mat, or each by scipy.sparse.save_npz"
         raise RuleError((), rule, hint, str(path)) from None
 
 
@@ -103,7 +106,8 @@ def _read_mat(path: Path) -> dict[str, Any]:
 def _read_single(path: Path, name: str) -> Any:
     _check_present(path)
     if path.suffix.lower() not in (".mtx", ".npz"):
-        raise RuleError((name,), "must be a .mtx file, or a .npz file of scipy.sparse.save_npz", value=str(path))
+        rule, hint = "must be a .mtx file, or a .npz file of scipy.sparse.save_npz", "scipy.io.mmwrite writes a .mtx"
+        raise RuleError((name,), rule, hint, str(path))
     import scipy.io
     import scipy.sparse
 
@@ -125,9 +129,11 @@ def numeric(matrix: Any, name: str) -> Any:
     sparse = hasattr(matrix, "tocsc")
     matrix = matrix.tocsc() if sparse else np.asarray(matrix)
     if matrix.dtype.kind not in "fiu":
-        raise RuleError((), f"{name} must hold real numbers, not {matrix.dtype}")
+        hint = "of hysteretic damping take the real part, and half the loss factor as damping_ratio"
+        raise RuleError((), f"{name} must hold real numbers, not {matrix.dtype}", hint * (matrix.dtype.kind == "c"))
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] == 0:
-        raise RuleError((), f"{name} must be square, not {' x '.join(map(str, matrix.shape))}")
+        shape, hint = " x ".join(map(str, matrix.shape)), "numpy.diag makes a matrix of its diagonal"
+        raise RuleError((), f"{name} must be square, not {shape}", hint * (matrix.ndim == 1))
     matrix = matrix.astype(np.float64)
     if not np.all(np.isfinite(matrix.data if sparse else matrix)):
         with np.errstate(invalid="ignore"):

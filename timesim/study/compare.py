@@ -40,7 +40,7 @@ from timesim.study.execution.campaign import INTERRUPTED, Execution
 from timesim.study.execution.processes import Processes, unseen
 from timesim.study.execution.progress import CURVE, Phases
 from timesim.study.hbm import compile_beside, followed_behind, left_out
-from timesim.study.outcome import Outcome, attributes, unit_names
+from timesim.study.outcome import Outcome, attributes, took, unit_names
 from timesim.study.summary.comparison import WORTH_ASKING, Points, compared_points, comparison_lines
 from timesim.study.summary.curve import curve_lines
 from timesim.study.summary.effort import sweep_effort_lines
@@ -122,7 +122,6 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     phases = Phases(execution.progress, {"sweep": size, "balance": CURVE * sets, "comparison": size / 2})
     compile_beside(scene, plan.balance)
     sweep, sweep_reason = sweep_record(scene, plan.sweep, replace(execution, progress=phases["sweep"]))
-    seconds = sweep.attrs["run_seconds"]
     # Curves are kept on disk only if the sweep is complete, since they begin from its points too.
     folder = execution.folder if sweep_reason is None else None
     after = replace(execution, progress=phases["balance"], folder=folder)
@@ -136,11 +135,11 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     arrays, compared, cycle, interrupted = _compared(scene, sweep, hbm, curves, after.several, whole=reason is None)
     groups, reason = {"sweep": sweep, "hbm": hbm} | cycle, reason or interrupted
     lines = [*jump_lines(sweep), *compared, *sweep_effort_lines(sweep, scene)]
-    by_time = f"{counted(sweep['settled'].size, 'point')} in {seconds:.2f} s"
-    by_balance = f"{counted(hbm.sizes['solution'], 'solution')} in {hbm.attrs['run_seconds']:.2f} s"
+    by_time = f"{counted(sweep['settled'].size, 'point')} {took(sweep.attrs)}"
+    by_balance = f"{counted(hbm.sizes['solution'], 'solution')} {took(hbm.attrs)}"
     lines.append(f"time integration: {by_time}; harmonic balance: {by_balance}")
     compiling = hbm.attrs["compile_seconds"] + sweep.attrs["compile_seconds"]
-    running = seconds + hbm.attrs["run_seconds"]
+    running = sweep.attrs["run_seconds"] + hbm.attrs["run_seconds"]
     attrs = attributes(scene, f"{scene.solver()}; {curves.scheme}", compiling, running, reason)
     dims = tuple(map(str, sweep["amplitude"].dims))
     variables = {name: (dims[: array.ndim], array) for name, array in arrays.items()}
