@@ -316,6 +316,9 @@ def test_bars_stand_at_the_times_of_the_events(run: xarray.Dataset) -> None:
     assert len(inside) > 10
     assert edges == {start, *inside}
     assert [text.get_text() for text in ax.get_yticklabels()] == ["pad", "stop"]
+    assert ax.get_xlabel() == "time [s], dotted: start of a cycle"
+    one = run.assign(cycle_start=run.cycle_start.where(run.cycle == run.cycle[0]))
+    assert plot_contact.contact_states(one).get_xlabel() == "time [s]"
     styles = {bar.get_label(): (bar.get_facecolor()[0], bar.get_hatch()) for bar in ax.collections}
     assert set(styles) == {"stick", "slip", "separation"}
     for number, name in enumerate(("stick", "slip", "separation")):

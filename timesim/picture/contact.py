@@ -117,10 +117,12 @@ def contact_states(data: Dataset, ax: Axes | None = None, *, contacts: Sequence[
     for row, contact in enumerate(contacts):
         state_bar(ax, row, intervals(data, contact, time[0], time[-1]), stop=is_stop(data, contact))
     starts = data.cycle_start.values
-    for start in starts[(starts > time[0]) & (starts < time[-1])]:
+    inside = starts[(starts > time[0]) & (starts < time[-1])]
+    for start in inside:
         ax.axvline(start, color="black", linewidth=0.8, linestyle=":")
     rows = len(contacts)
-    ax.set(xlabel="time [s], dotted: start of a cycle", xlim=(time[0], time[-1]), ylim=(rows - 0.4, -0.6))
+    dotted = ", dotted: start of a cycle" if inside.size else ""
+    ax.set(xlabel=f"time [s]{dotted}", xlim=(time[0], time[-1]), ylim=(rows - 0.4, -0.6))
     ax.set_yticks(range(rows), [short(name) for name in contacts])
     ax.grid(False)
     return ax
