@@ -201,6 +201,9 @@ def system(
 ) -> Section:
     """A structure with its contacts under its forces: a scene without a study, checked as one of a transient.
 
+    It is a mapping with the sections of a scene: ``system["units"] = {"length": "mm", "force": "N"}`` names the units
+    in results and pictures.
+
     Args:
         structure: from `modes` or `matrices`.
         contacts: from `contact`.
