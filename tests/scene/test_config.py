@@ -1068,6 +1068,12 @@ def test_damping_given_in_percent_and_a_result_of_gigabytes_are_worth_a_warning(
     assert "record_last" not in warning
 
 
+def test_a_sweep_that_takes_hours_is_worth_a_warning():
+    assert list(warnings_of(load_scene(CONFIGS / "figure10.yaml"))) == []
+    (warning,) = warnings_of(load_scene(CONFIGS / "figure10.yaml", ["study.frequency.step=2e-6"]))
+    assert re.match(r"study: 3825009 points take about [\d.]+ (h|days) on one core: timesim check tells", warning)
+
+
 def test_a_first_axis_out_of_the_plane_of_contact_is_worth_a_warning():
     slanted = "contacts.pad.tangent=[1, 0, 1]"
     (warning,) = warnings_of(load_scene(CONFIGS / "oscillator.yaml", [slanted]))

@@ -26,27 +26,27 @@ def cost_lines(scene: Scene, model: Model) -> Iterator[str]:
     if isinstance(plan, Schedule):
         cycles = sum(cycles for _, cycles in plan.phases)
         total = cost.seconds(model, solver, cost.Work.of_run(plan.phases, estimated=False))
-        lines.append(f"{counted(cycles, 'cycle')} of {_duration(total / cycles)}: {_duration(total)}")
+        lines.append(f"{counted(cycles, 'cycle')} of {duration(total / cycles)}: {duration(total)}")
     elif isinstance(plan, TradeoffPlan):
         finest = plan.preset("reference", model, solver.budget)
         own = cost.seconds_a_cycle(model, finest, plan.frequency)
-        each = f"{counted(plan.cycles, 'cycle')} of {_duration(own)}: {_duration(plan.cycles * own)} a run at reference"
-        lines.append(f"{each}, of {_duration(plan.budget)} for all runs and their compilation")
+        each = f"{counted(plan.cycles, 'cycle')} of {duration(own)}: {duration(plan.cycles * own)} a run at reference"
+        lines.append(f"{each}, of {duration(plan.budget)} for all runs and their compilation")
     elif isinstance(study, SteadySection):
         sweep = study.sweep()
-        cycles, own, beside, total = _sweep_cost(model, solver, sweep)
-        each = f"{counted(cycles, 'cycle')} of {_duration(own)} and {_duration(beside)} beside them"
+        cycles, own, beside, total = sweep_cost(model, solver, sweep)
+        each = f"{counted(cycles, 'cycle')} of {duration(own)} and {duration(beside)} beside them"
         most = sweep.size * sweep.criterion.max_cycles * own
         if most > max(FAR * total, NOTICED):
-            each += f" ({_duration(most)} in all if none settles in settle.max_cycles = {sweep.criterion.max_cycles})"
-        lines.append(f"{counted(sweep.size, 'point')} of {each}: {_duration(total)}{study.search()}")
+            each += f" ({duration(most)} in all if none settles in settle.max_cycles = {sweep.criterion.max_cycles})"
+        lines.append(f"{counted(sweep.size, 'point')} of {each}: {duration(total)}{study.search()}")
         if isinstance(plan, BistablePlan) and plan.starts:
             lines.append(_of_starts(model, solver, plan))
         shot = replace(sweep, criterion=replace(sweep.criterion, first_shot=SHOOT))
-        fewer, _, _, less = _sweep_cost(model, solver, shot)
+        fewer, _, _, less = sweep_cost(model, solver, shot)
         if total > max(FASTER * less, NOTICED):
             why = "vibrations decay slowly; of several motions it may find another"
-            few = f"{counted(fewer, 'cycle')} a point, Newton's method and {_duration(less)}"
+            few = f"{counted(fewer, 'cycle')} a point, Newton's method and {duration(less)}"
             lines.append(f"{few} with study.periodic: shoot, as {why}")
     balance = balance_of(plan)
     if balance is not None:
@@ -56,10 +56,10 @@ def cost_lines(scene: Scene, model: Model) -> Iterator[str]:
             more = f", and up to {finer[-1].harmonics} harmonics where they are needed" if finer else ""
             yield f"{scheme}{more}; if those above make more than {NOTED:g} of the amplitude, the run says so"
         own = cost.seconds_a_solution(model, scheme.time_samples, stability=balance.stability)
-        work = f"{cost.SOLUTIONS} solutions of {_duration(own)}"
+        work = f"{cost.SOLUTIONS} solutions of {duration(own)}"
         which = counted(curves, "curve")
         more = f", or up to {cost.MANY_SOLUTIONS} if it takes many harmonics" if "harmonics" in balance.chosen else ""
-        lines.append(f"{which} of harmonic balance of {work}: {_duration(curves * cost.SOLUTIONS * own)}{more}")
+        lines.append(f"{which} of harmonic balance of {work}: {duration(curves * cost.SOLUTIONS * own)}{more}")
     yield from (f"about {line}" for line in lines)
     if lines:
         yield "as measured on one core of a server (timesim/model/cost.py); a first run compiles before that"
@@ -69,12 +69,12 @@ def _of_starts(model: Model, solver: Solver, plan: BistablePlan) -> str:
     """The cost of the starts within a range: all march side by side until they settle."""
     sweep, number = plan.sweep, plan.starts**2
     marched = replace(sweep, directions=("independent",), criterion=replace(sweep.criterion, first_shot=NEVER))
-    cycles, own, *_ = _sweep_cost(model, solver, marched)
-    each = f"{counted(cycles, 'cycle')} of {_duration(own)}"
-    return f"{counted(number, 'start')} of {each} within each range that is found: {_duration(number * cycles * own)}"
+    cycles, own, *_ = sweep_cost(model, solver, marched)
+    each = f"{counted(cycles, 'cycle')} of {duration(own)}"
+    return f"{counted(number, 'start')} of {each} within each range that is found: {duration(number * cycles * own)}"
 
 
-def _sweep_cost(model: Model, solver: Solver, sweep: SweepPlan) -> tuple[int, float, float, float]:
+def sweep_cost(model: Model, solver: Solver, sweep: SweepPlan) -> tuple[int, float, float, float]:
     """The cycles that a point of a sweep marches, the seconds of one, those beside them, and those of all points.
 
     Cycles of Newton's method, and the one that is measured, take longer, by their derivatives.
@@ -99,7 +99,7 @@ DURATIONS = (
 """Units of time: the seconds in one, and from how many seconds on it is used."""
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
     """A time with about two digits, in the unit that suits it."""
     unit, size = next((unit, size) for unit, size, least in DURATIONS if seconds >= least)
     number = seconds / size

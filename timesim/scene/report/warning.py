@@ -11,10 +11,11 @@ from timesim.model.cost import EXPLICIT, SLIPPING, seconds_a_cycle, slip_steps, 
 from timesim.model.model import Model
 from timesim.model.promise import rounded
 from timesim.model.reduction import distant_stops, reduction_of
-from timesim.result.label import attributes, first_few, in_words, with_unit
+from timesim.result.label import attributes, counted, first_few, in_words, with_unit
 from timesim.scene.contact import ContactSection
 from timesim.scene.file import SceneFile
 from timesim.scene.hbm import balance_of
+from timesim.scene.report.cost import duration, sweep_cost
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SteadySection, StudySection, SweepSection
 from timesim.scene.transient import Schedule, TradeoffPlan
@@ -23,6 +24,7 @@ from timesim.scene.value import Frequencies, unit
 FAILING = 3  # sets of values without a scene that are named
 LARGE_RESULT = 1.0  # gigabytes of samples
 FEWEST_SAMPLES = 8  # of a cycle, between which its motion can be guessed
+LONG = 4 * 3600.0  # seconds that a study may take on one core
 MOST_SAMPLES = 2**16  # of a period of a balance
 STEPS_OF_WIDTH = 1.0  # widths of a resonance at half its power that a step may have
 FAR_BELOW, FAR_ABOVE = 0.2, 100.0  # times the highest excitation frequency: a highest mode beyond is worth a warning
@@ -62,6 +64,7 @@ def warnings_of(scene: Scene) -> Iterator[str]:
     yield from _still_parts(file, model)
     yield from _large_numbers(file.study, scene.plan, model)
     yield from _steps(scene, model)
+    yield from _long(scene, model)
     yield from _far_contacts(scene, model)
     if balance_of(scene.plan) is not None:
         yield from _unheld(model)
@@ -206,6 +209,15 @@ def _highest_frequency(scene: Scene) -> float:
     if isinstance(study, SteadySection):
         return float(study.sweep().frequency[-1])
     return plan.frequency if isinstance(plan, TradeoffPlan) else 0.0
+
+
+def _long(scene: Scene, model: Model) -> Iterator[str]:
+    study = scene.file.study
+    if isinstance(study, SteadySection):
+        *_, seconds = sweep_cost(model, scene.solver(), study.sweep())
+        if seconds > LONG:
+            so = "timesim check tells how that adds up; --resume goes on with a run that is cut off"
+            yield f"study: {counted(study.sweep().size, 'point')} take about {duration(seconds)} on one core: {so}"
 
 
 def _large_numbers(study: StudySection, plan: Any, model: Model) -> Iterator[str]:
