@@ -165,10 +165,12 @@ def intervals(data: Dataset, contact: str, start: float, end: float) -> list[tup
     return [item for item in zip(times[:-1], times[1:], states, strict=True) if item[1] > item[0]]
 
 
-def _orbit_figure(data: Dataset, contacts: Sequence[str]) -> Figure:
+def _orbit_figure(data: Dataset, contacts: Sequence[str]) -> Figure | None:
+    """Contacts that move along both axes of their plane; the others move to and fro on one of them, or not at all."""
     u = data.contact_displacement.isel(time=last_cycles(data))
-    moved = [contact for contact in contacts if np.ptp(u.sel(contact=contact).values[:, :2], axis=0).any()]
-    moved = moved or [contacts[0]]
+    moved = [contact for contact in contacts if np.ptp(u.sel(contact=contact).values[:, :2], axis=0).all()]
+    if not moved:
+        return None
     fig, grid = figure(1, len(moved), width=1.1 + 3.8 * len(moved), height=3.2)
     for ax, contact in zip(grid[0], moved, strict=True):
         orbit(data, ax, contact=contact)
@@ -209,20 +211,20 @@ def _states_figure(data: Dataset, contacts: Sequence[str]) -> Figure:
 
 
 def _of_contacts(
-    what: str, drawn: Callable[[Dataset, Sequence[str]], Figure], limit: int = MAX_ROWS, *, rubbing: bool = False
+    what: str, drawn: Callable[[Dataset, Sequence[str]], Figure | None], limit: int = MAX_ROWS, *, rubbing: bool = False
 ) -> Picture:
     """A picture of the last cycles of the busiest contacts, or of those with friction; none if there is no such one."""
 
     def picture(data: Dataset) -> Figure | None:
         contacts = busiest(data, limit, rubbing=rubbing)
-        if not contacts:
+        if not contacts or (fig := drawn(data, contacts)) is None:
             return None
         every = data.sizes["contact"]
         number = int(rubs(data).sum()) if rubbing else every
         kind = "contacts with friction" if number < every else "contacts"
         hidden = left_out(number, len(contacts), kind, "the least active")
         which = "one cycle" if data.sizes["cycle"] == 1 else "last cycles"
-        return finish(drawn(data, contacts), data, f"{what}, {which}", hidden)
+        return finish(fig, data, f"{what}, {which}", hidden)
 
     return picture
 
