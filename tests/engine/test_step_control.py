@@ -164,6 +164,7 @@ def test_only_transitions_in_a_row_are_counted_as_repeated(h: float, crossed: bo
     now = replace(
         Frame(model, run.reduction, 1.39).begin(system, run, 0.01), repeats=jnp.asarray(5), since=jnp.zeros(())
     )
-    after = advanced(system, now, now.point, now.state, jnp.asarray(h), jnp.asarray(False), jnp.asarray([crossed]))
+    end = (now.point, now.rate)
+    after = advanced(system, now, end, now.state, jnp.asarray(h), jnp.asarray(False), jnp.asarray([crossed]))
     assert int(after.repeats) == repeats
     assert float(after.since) == (0.0 if crossed else h)

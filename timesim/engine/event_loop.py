@@ -113,9 +113,9 @@ def advance(
 SIDE_BY_SIDE = 32  # trajectories whose numbers stay in the nearest caches
 
 
-def one_by_one(method: Method, dynamics: Dynamics) -> bool:
-    """Whether the trajectories of a batch are advanced one after the other."""
-    return method.collocates or dynamics.wide
+def one_by_one(method: Method, dynamics: Dynamics, size: int) -> bool:
+    """Whether so many trajectories are advanced one after the other."""
+    return size == 1 or method.collocates or dynamics.wide
 
 
 def alone(method: Method, control: Control, dynamics: D) -> D:
@@ -136,7 +136,7 @@ def march(
     for all. Returns the trajectories, and the number of transitions of each.
     """
     size = cycles.shape[0]
-    if one_by_one(method, dynamics):
+    if one_by_one(method, dynamics, size):
 
         def march_one(lane: tuple) -> tuple[Trajectory, Array]:
             dynamics, start, cycles = lane

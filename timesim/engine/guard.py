@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float
 
 from timesim.engine import dense_output as hermite
 from timesim.engine.barrier import apart, matmul
+from timesim.engine.lanes import where_needed
 from timesim.engine.law.contact_law import AnyState, Dynamics, Motion, Nodes, Path, Plane, State
 from timesim.engine.law.rule import Rule
 from timesim.engine.tolerance import AGREEMENT, SHORT, SHORTEST, TOGETHER, VIOLATED
@@ -154,7 +155,9 @@ def first_crossing(
     falls, rises = part.h / NUM_NODES * part.slope
     after, before = _edge_dip(first, falls, node[1], doubt), _edge_dip(last, -rises, node[-2], doubt)
     dips = (_dip(node, doubt), after.min(), jnp.where(before < NONE, 1 - before, NONE).min())
-    return jnp.stack([_root(dynamics, state, part, node), *dips]).min()
+    through = partial(_root, dynamics, state, part, node)
+    root = where_needed(dynamics.by_itself, (node[1:] < -VIOLATED).any(), through, jnp.full((), NONE))
+    return jnp.stack([root, *dips]).min()
 
 
 class End(NamedTuple):

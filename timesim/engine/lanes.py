@@ -41,6 +41,14 @@ def by_itself(function: Callable[..., Any]) -> Callable[..., Any]:
     return function
 
 
+def where_needed(alone: bool, needed: Bool[Array, ""], exact: Callable[[], Tree], else_: Tree) -> Tree:
+    """What a function gives, where it is needed and of trajectories side by side, of which each takes both branches.
+
+    ``alone``: whether there is one trajectory; ``else_``: what the function gives where it is not needed.
+    """
+    return jax.lax.cond(needed, exact, lambda: else_) if alone else exact()
+
+
 def advance_lanes(
     attempt: Callable[[Lanes], tuple[Any, ...]],
     running: Callable[[Lanes], Bool[Array, " batch"]],

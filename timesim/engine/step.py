@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 from timesim.engine import guard
 from timesim.engine.barrier import apart
 from timesim.engine.exponential.collocation import Inside, state_inside
+from timesim.engine.lanes import where_needed
 from timesim.engine.law.contact_law import AnyState, Dynamics, State
 from timesim.engine.law.rule import rule_of
 from timesim.engine.method import Method
@@ -114,7 +115,7 @@ def try_step(
     inside = trial.precise & (landing.crossing < guard.NONE)  # a contact has left its state: tried again up to there
     limit = jnp.where(inside, jnp.maximum(landing.crossing * h, SHORTEST), jnp.inf)
     early = landing.correction < 0
-    moved = advanced(dynamics, now, after, state, span, last & ~early, landing.crossed)
+    moved = advanced(dynamics, now, (after, trial.end.rate), state, span, last & ~early, landing.crossed)
     kept = replace(now, limit=limit)
     result = jax.tree.map(lambda new, old: jnp.where(landing.accepted, new, old), moved, kept)
     result = controlled(control, now, result, trial.error, length, landing.accepted)
@@ -242,9 +243,16 @@ def transition(
 
 @apart
 def advanced(
-    dynamics: Dynamics, now: Trajectory, point: AnyState, state: State, h: Array, ends: Array, crossed: Array
+    dynamics: Dynamics,
+    now: Trajectory,
+    end: tuple[AnyState, AnyState],
+    state: State,
+    h: Array,
+    ends: Array,
+    crossed: Array,
 ) -> Trajectory:
-    """The trajectory after an accepted step."""
+    """The trajectory after an accepted step, from the point at its end and the rate before any transition there."""
+    point, rate = end
     time = now.time + h
     ends = ends | (time >= PERIOD * (1 - 1e-15))
     time = jnp.where(ends, 0.0, time)
@@ -256,7 +264,8 @@ def advanced(
         cycle=now.cycle + ends,
         time=time,
         point=point,
-        rate=dynamics.field(state, time, point),
+        # To put w back on the cone changes no rate: the force follows its direction alone.
+        rate=where_needed(dynamics.by_itself, switched | ends, partial(dynamics.field, state, time, point), rate),
         state=state,
         limit=jnp.full((), jnp.inf),
         since=jnp.where(switched, 0.0, since),

@@ -53,7 +53,7 @@ def march_cycles(
     Returns the trajectories, and `state_vector` at the end of each cycle, 0 for cycles not reached.
     """
     problem = (controls, systems, starts)
-    if one_by_one(method, systems):
+    if one_by_one(method, systems, systems.phase.size):
 
         def march_one(lane: Problem) -> tuple[Trajectory, Array]:
             control, system, start = lane

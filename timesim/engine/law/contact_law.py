@@ -138,7 +138,7 @@ class ContactLaw(eqx.Module):
 
     @abc.abstractmethod
     def slip_at_transition(self, before: State, after: State, motion: Motion, w: Plane) -> Plane:
-        """Slip with which a contact goes on after a step, its state changed or not."""
+        """Slip with which a contact goes on after a step; if its state has not changed, at the rates that it had."""
 
     def placed(self, state: np.ndarray, motion: Motion, w: Plane) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
         """States and slip of contacts that are put elsewhere, as by Newton's method between two periods; in numpy.
@@ -229,6 +229,11 @@ class Dynamics(abc.ABC):
     @abc.abstractmethod
     def size(self, point: AnyState) -> Float[Array, ""]:
         """Largest coordinate of the motion: what a relative tolerance is relative to."""
+
+    @property
+    def by_itself(self) -> bool:
+        """Whether its trajectory is advanced `single`."""
+        return False
 
     def single(self) -> "Dynamics":
         """The same, where its trajectory is advanced by itself and not in one operation with others."""
