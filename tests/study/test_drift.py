@@ -97,6 +97,21 @@ def test_points_of_a_sweep_that_drift():
     np.testing.assert_allclose(data["phase_deg"], np.rad2deg(np.angle(np.fft.rfft(seen[:-1])[1])), atol=1e-3)
 
 
+def test_a_bumper_between_two_points_of_a_body_does_not_hold_it():
+    """Not even where rounding leaves a little of their relative motion as the body moves on as a whole."""
+    modes = [
+        {"frequency": 0.0, "damping_ratio": 0.0, "mass": 1, "shape": {"sled": [0.1 + 0.2, 0, 0], "other": [0.3, 0, 0]}},
+        {"frequency": 0.9, "damping_ratio": 0.05, "mass": 1, "shape": {"sled": [0.4, 0, 0], "other": [-0.2, 0, 0]}},
+    ]
+    bumper = {
+        "name": "bumper", "point": "sled", "against": "other", "normal": [1, 0, 0], "friction": 0,
+        "tangential_stiffness": 0, "normal_stiffness": 40, "preload": 0,
+    }  # fmt: skip
+    lines = carry_out(load_scene(sled(SWEEP, 0.25, structure={"modes": modes}, contacts=[RUNNER, bumper]))).summary
+    assert any(line.startswith("2 points drift") for line in lines)
+    assert not any("did not settle" in line for line in lines)
+
+
 def test_points_of_a_sweep_that_settle_late_do_not_drift():
     late = SWEEP | {"settle": {"max_cycles": 20}}
     lines = carry_out(load_scene(sled(late, 0.25, frequency=0.1))).summary
