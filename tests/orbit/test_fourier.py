@@ -25,6 +25,17 @@ def test_half_range_is_that_of_the_continuous_motion():
     np.testing.assert_allclose(half_range(phasor), (values.max(0) - values.min(0)) / 2, rtol=1e-6)
 
 
+@pytest.mark.parametrize("harmonics", [2, 3, 9, 60])
+def test_half_range_finds_the_higher_of_crests_that_are_nearly_equal(harmonics: int):
+    """Of two crests the lower one may have the higher sample; what does not move has none."""
+    rng, theta = np.random.default_rng(5), np.linspace(0, TURN, 200 * harmonics + 1)
+    phasor = rng.normal(size=(400, harmonics + 1)) + 1j * rng.normal(size=(400, harmonics + 1))
+    phasor[:, 2:harmonics] *= 0.01
+    values = np.exp(1j * np.outer(theta, np.arange(harmonics + 1))) @ phasor.T
+    np.testing.assert_allclose(half_range(phasor), np.ptp(values.real, axis=0) / 2, rtol=2e-4)
+    assert half_range(np.array([[0.3] + [0.0] * harmonics], dtype=complex)) == 0
+
+
 def test_phasors_and_coefficients():
     coefficient = np.random.default_rng(1).normal(size=(2, 3, 9))
     np.testing.assert_array_equal(to_coefficients(to_phasors(coefficient)), coefficient)

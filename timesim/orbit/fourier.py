@@ -117,19 +117,32 @@ def half_range(phasor: Complex) -> Array:
 
 
 def _half_range(phasor: Complex, count: int) -> Array:
-    values = periodic_samples(np.moveaxis(phasor, 1, -1), count)
-    angle, order = 2 * np.pi / count * np.arange(1, count + 1), np.arange(phasor.shape[1])
-    highest, lowest = (
-        _extreme(phasor, angle[pick(values, axis=-1)], order, np.pi / count) for pick in (np.argmax, np.argmin)
-    )
-    return (highest - lowest) / 2
+    rows = np.moveaxis(phasor, 1, -1)
+    values, order = periodic_samples(rows, count), np.arange(phasor.shape[1])
+    # A sample misses the crest beside it by no more than this, so that a lower sample may have the higher crest.
+    missed = np.abs(rows) @ order**2 * (np.pi / count) ** 2 / 2
+    highest, lowest = (sign * _highest(sign * rows, sign * values, missed) for sign in (1, -1))
+    return np.asarray((highest - lowest) / 2)
 
 
-def _extreme(phasor: Complex, theta: Array, order: NDArray[np.int64], reach: float) -> Array:
-    """Value where the derivative vanishes near theta, by Newton's method within reach."""
-    weights = np.moveaxis(phasor, 1, 0)
-    order = order.reshape(-1, *[1] * theta.ndim)
-    middle = theta
+def _highest(phasor: Complex, values: Array, missed: Array) -> Array:
+    """Largest value of motions, shape (...), by phasors (..., H + 1), samples (..., N) and what these may miss."""
+    count, largest = values.shape[-1], values.max(axis=-1)
+    crest = (values >= np.roll(values, 1, axis=-1)) & (values > np.roll(values, -1, axis=-1))
+    crest &= values >= (largest - missed)[..., None]
+    np.put_along_axis(crest, values.argmax(axis=-1)[..., None], True, axis=-1)
+    *motion, place = np.nonzero(crest)
+    theta, highest = 2 * np.pi / count * (place + 1), np.full_like(largest, -np.inf)
+    np.maximum.at(highest, tuple(motion), _extreme(phasor[tuple(motion)].T, theta, np.pi / count))
+    return highest
+
+
+def _extreme(weights: Complex, theta: Array, reach: float) -> Array:
+    """Values where the derivatives vanish near angles, shape (N,), by Newton's method within reach.
+
+    ``weights``: phasors of the motion at each of them, shape (H + 1, N).
+    """
+    order, middle = np.arange(len(weights))[:, None], theta
     for _ in range(5):
         wave = weights * np.exp(1j * order * theta)
         slope, curvature = (1j * order * wave).real.sum(0), -(order**2 * wave).real.sum(0)
