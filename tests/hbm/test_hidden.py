@@ -7,8 +7,9 @@ import pytest
 import systems
 
 from timesim.hbm.curve import hbm_curve
+from timesim.hbm.curve.following import part_of_curve
 from timesim.hbm.hidden import SHARE, steps_to_resolve
-from timesim.hbm.scheme import Scheme
+from timesim.hbm.scheme import Controls, Scheme
 from timesim.model.model import Contact, Model, Structure
 
 RATIO = 1e-3
@@ -58,3 +59,30 @@ def test_a_curve_finds_the_peak_of_blades_that_move_together(stiffness):
     assert curve.complete
     together = 0.75 / (2 * RATIO * (systems.TURN * 10.0) ** 2)
     assert curve.harmonic_amplitude[:, 1].max() == pytest.approx(together, rel=0.02)
+
+
+@pytest.mark.long
+def test_so_does_a_part_of_it_that_another_process_follows_from_the_other_end():
+    part = part_of_curve(blades(), 5.0, 18.0, 5.0, [Scheme(1, 16)], Controls(), lambda *_: None)
+    assert part.complete
+    assert np.sum(np.abs(part.p - 10.0) < RATIO * 10.0) >= 2 / SHARE - 1
+
+
+def light_mode():
+    """A slider on a mode of 1 Hz; another of 3.3 Hz, which it hardly moves, moves another point much."""
+    omega, shape = systems.TURN * np.array([1.0, 3.3]), np.zeros((2, 3, 2))
+    shape[:, 0] = [[1.0, 0.05], [0.2, 5.0]]
+    structure = Structure(omega / systems.TURN, np.ones(2), 2 * np.array([0.02, 2e-4]) * omega, ("pad", "tip"), shape)
+    contact = Contact("pad", "pad", "ground", np.eye(3), 0.5, 40.0 * np.eye(2), 0.0, 1.0)
+    return Model(structure, (contact,), systems.excitation(1.0, [2.0, 0.1], [0.0, 0.0]), systems.at_rest(2, 1))
+
+
+@pytest.mark.long
+def test_a_curve_shows_what_the_third_harmonic_of_friction_does_at_a_third_of_a_natural_frequency():
+    curve = hbm_curve(light_mode(), 0.9, 1.3, scheme=Scheme(3, 64), stability=False)
+    third = np.hypot(curve.harmonic_cos, curve.harmonic_sin)[:, 3, 1, 0]
+    top = np.argmax(np.where(np.abs(curve.frequency - 1.1) < 0.05, third, 0.0))
+    force = np.hypot(*curve.contact_force[top, 0, 0, [5, 6]])
+    expected = force * 0.05 * 5.0 / (2 * 2e-4 * (systems.TURN * 3.3) ** 2)
+    assert third[top] == pytest.approx(expected, rel=0.02)
+    assert curve.amplitude[top, 1, 0] > 1.5 * curve.amplitude[np.abs(curve.frequency - 1.1) > 0.05, 1, 0].max()

@@ -118,6 +118,14 @@ class AdaptiveBalance:
             self.refused = bool(above[self.schemes[self.place].harmonics] > MISSED)
         return self.refused
 
+    def driven(self, x: Array, p: float) -> tuple[Complex, float]:
+        """Forces of the contacts on modes of mass 1, by harmonics 1 ... H, shape (H, M); the largest displacement."""
+        own = self.residual.at(p)
+        forces = own.contact_forces(x[self.active])
+        modes = own.modes(x[self.active], forces, self.residual.frequency_at(p))[1:]
+        points = np.einsum("pam,hm->hpa", own.model.structure.shape, modes)
+        return own.on_modes(forces)[1:], float(np.abs(points).max())
+
     def whole(self, x: Array, place: int = 0) -> Array:
         """All unknowns from those of a scheme."""
         whole = np.zeros(np.prod(self.shape))

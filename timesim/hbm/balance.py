@@ -265,6 +265,10 @@ class Balance:
         g[:, 2, 0] += np.maximum(np.asarray(self.law.preload), 0.0)
         return g
 
+    def on_modes(self, forces: Array) -> Complex:
+        """Forces of the contacts on modes of mass 1 by phasors, shape (H + 1, M), from (f1, f2, n)."""
+        return to_phasors(self._on_body_1(forces).reshape(-1, self.size)).T @ self.shape * self.force
+
     def _response(self, x: Array, forces: Array, linear: LinearResponse) -> tuple[Complex, Complex]:
         """Forces on the supported structure and the motion of the contacts that they give, by phasor, (H + 1, 3C)."""
         motion = to_phasors(x.reshape(-1, self.size)).T * self.length

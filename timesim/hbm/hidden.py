@@ -1,13 +1,15 @@
 """Resonances that contacts hardly feel, as of two equal blades that move together beside a contact between them.
 
 The unknowns of a balance are the motions of its contacts. Where these show nothing of a resonance, a curve takes steps
-that lead past its peak.
+that lead past its peak. The excitation meets such a resonance with each of its harmonics, and so do the forces of
+contacts that slip or separate: at a third of a natural frequency too.
 """
 
 from collections.abc import Callable
 
 import numpy as np
 
+from timesim.hbm.adaptive import AdaptiveBalance
 from timesim.model.held import natural_modes
 from timesim.model.model import Model
 
@@ -20,10 +22,15 @@ SHARE = 0.25
 ROUNDING = 1e-12
 # Half the width of a resonance without damping, as a share of its frequency.
 SHARPEST = 1e-6
+# Displacement in a resonance under the forces of contacts, as a share of the largest one, from which on it counts.
+SEEN = 1e-2
 
 
-def steps_to_resolve(model: Model) -> Callable[[float], float]:
-    """How far at most a step leads from a frequency [Hz] that is to show all resonances that contacts hardly feel."""
+def steps_to_resolve(model: Model, balance: AdaptiveBalance | None = None) -> Callable[..., float]:
+    """How far at most a step leads from a frequency [Hz] that is to show all resonances that contacts hardly feel.
+
+    With a balance it takes the unknowns there after the frequency; without one the excitation alone counts.
+    """
     structure, excited = model.structure, model.excitation
     root = np.sqrt(structure.mass)
     omega, vectors = natural_modes(model, np.arange(root.size), np.arange(model.num_contacts))
@@ -34,12 +41,18 @@ def steps_to_resolve(model: Model) -> Callable[[float], float]:
     half = np.maximum(np.einsum("im,ij,jm->m", shapes, damping, shapes) / 2, SHARPEST * omega)
     hidden = (omega > 0) & (omega - alone <= FELT * half)
     force = np.abs((excited.cosine + 1j * excited.sine) @ shapes)
-    force[excited.harmonic == 0] = 0.0
-    order, place = np.nonzero(force[:, hidden] > ROUNDING * force.max(initial=0.0))
-    low, high, width = (part[hidden][place] / (2 * np.pi * excited.harmonic[order]) for part in (alone, omega, half))
+    order = np.arange(1, max(excited.harmonic.max(), balance.schemes[-1].harmonics if balance else 0) + 1)[:, None]
+    by_excitation = np.zeros((order.size, omega.size), dtype=bool)
+    by_excitation[excited.harmonic - 1] = hidden & (force > ROUNDING * force.max(initial=0.0))
+    rise = hidden * np.abs(structure.shape @ shapes).max(axis=(0, 1)) / (2 * np.maximum(half * omega, 1e-300))
+    low, high, width = (part / (2 * np.pi * order) for part in (alone, omega, half))
 
-    def longest(frequency: float) -> float:
+    def longest(frequency: float, x: np.ndarray | None = None) -> float:
+        wanted = by_excitation.copy()
+        if balance is not None and x is not None and hidden.any():
+            force, largest = balance.driven(x, frequency)
+            wanted[: len(force)] |= np.abs(force @ vectors) * rise > SEEN * largest
         away = np.maximum(np.maximum(low - frequency, frequency - high), width)
-        return SHARE * float(away.min(initial=np.inf))
+        return SHARE * float(away.min(initial=np.inf, where=wanted))
 
     return longest

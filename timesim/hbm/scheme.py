@@ -71,7 +71,7 @@ class Controls:
         max_newton: iterations for one point.
         turn: turn of the tangent over a step at which the step is neither lengthened nor shortened [rad].
         place: a value of p in messages.
-        longest: how far along p a step leads at most from a value of it.
+        longest: how far along p a step leads at most from a value of it and the unknowns there.
         watch: called after each point with the share of the range that the curve has reached, and what gives it so far.
     """
 
@@ -84,7 +84,7 @@ class Controls:
     max_newton: int = 8
     turn: float = 0.3
     place: str = "{:.10g}"
-    longest: Callable[[float], float] | None = None
+    longest: Callable[[float, np.ndarray], float] | None = None
     watch: Callable[[float, Callable[[], Any]], None] | None = None
 
     def __post_init__(self) -> None:

@@ -214,7 +214,8 @@ class _PathTracker:
         """Length of arc that leads as far along the parameter as a step may from there."""
         if self.controls.longest is None:
             return np.inf
-        way = self.controls.longest(self.corrector.unscaled(point.y)[1]) / self.corrector.p_unit
+        x, p = self.corrector.unscaled(point.y)
+        way = self.controls.longest(p, x) / self.corrector.p_unit
         return float(way / max(abs(point.tangent[-1]), 1e-300))
 
     def _jump(self, point: CurvePoint) -> Step | None:

@@ -85,7 +85,7 @@ def hbm_curve(
     """
     _check_range(start, stop)
     balance = AdaptiveBalance(lambda own: Balance(model, start, own), schemes_of(scheme), model.num_contacts)
-    steps = replace(controls or Controls(), longest=steps_to_resolve(model))
+    steps = replace(controls or Controls(), longest=steps_to_resolve(model, balance))
     place = start if begin is None else begin
     if watch is not None:
         steps = watched(balance, steps, watch, evaluated)
@@ -110,7 +110,7 @@ def part_of_curve(
 ) -> Curve:
     """The curve from one frequency to another, in the unknowns of the `hbm_curve` that begins at `start`."""
     balance = AdaptiveBalance(lambda own: Balance(model, start, own), schemes, model.num_contacts)
-    steps = watched(balance, controls, watch, evaluated)
+    steps = watched(balance, replace(controls, longest=steps_to_resolve(model, balance)), watch, evaluated)
     return curve_near(balance, first, first, steps, None, lambda x: follow(balance, x, first, last, steps))
 
 
