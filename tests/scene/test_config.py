@@ -1037,6 +1037,20 @@ def test_steps_that_pass_over_a_resonance_are_worth_a_warning():
     assert "has no structural damping" in warnings(10.0, 0.0)[0]
 
 
+@pytest.mark.parametrize(
+    ("kind", "more"),
+    [("sweep", {}), ("compare", {}), ("optimum", {"along": {"contacts.pad.preload": {"from": 1, "to": 3, "num": 3}}})],
+)
+def test_a_light_mode_beside_a_heavily_damped_one_is_told_by_its_own_width(kind, more):
+    """The search for the least peak, too, looks only about the largest points of its sweeps."""
+    light = {"frequency": 1.513, "damping_ratio": 3e-4, "mass": 1.0, "shape": {"tip": [0.01, 0, 0]}}
+    heavy = {"frequency": 1.0, "damping_ratio": 0.05, "mass": 1.0, "shape": {"tip": [1, 0, 0]}}
+    study = {"kind": kind, "frequency": {"from": 0.8, "to": 1.8, "step": 0.05}, **more}
+    changes = {"structure": {"modes": [heavy, light]}, "study": study}
+    (passed,) = (line for line in warnings_of(load_scene(CONFIGS / "oscillator.yaml", changes)) if "steps of" in line)
+    assert "at 1.513 Hz is 0.00091 Hz wide" in passed
+
+
 def test_steps_that_pass_over_a_resonance_of_a_harmonic_are_worth_a_warning():
     """Twice the excitation's frequency passes the resonance at 0.9 Hz, which the excitation itself stays below."""
 

@@ -37,8 +37,8 @@ def steps_to_resolve(model: Model, balance: AdaptiveBalance | None = None) -> Ca
     vectors = np.eye(root.size) if vectors is None else vectors
     alone = np.hypot.reduce(structure.omega[:, None] * vectors, axis=0)
     shapes = vectors / root[:, None]
-    damping = np.diag(structure.damping) if structure.damping.ndim == 1 else structure.damping
-    half = np.maximum(np.einsum("im,ij,jm->m", shapes, damping, shapes) / 2, SHARPEST * omega)
+    rate = np.einsum("im,ij,jm->m", vectors, structure.decays, vectors)
+    half = np.maximum(rate / 2, SHARPEST * omega)
     hidden = (omega > 0) & (omega - alone <= FELT * half)
     force = np.abs((excited.cosine + 1j * excited.sine) @ shapes)
     order = np.arange(1, max(excited.harmonic.max(), balance.schemes[-1].harmonics if balance else 0) + 1)[:, None]

@@ -8,6 +8,7 @@ import numpy as np
 from timesim.fault import Problem
 from timesim.model.contact_state import obeys_cone
 from timesim.model.cost import EXPLICIT, SLIPPING, seconds_a_cycle, slip_steps, stable_steps
+from timesim.model.held import natural_modes
 from timesim.model.model import Model
 from timesim.model.promise import rounded
 from timesim.model.reduction import distant_stops, reduction_of
@@ -18,8 +19,9 @@ from timesim.scene.hbm import balance_of
 from timesim.scene.report.cost import duration, sweep_cost
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SteadySection, StudySection, SweepSection
+from timesim.scene.sweep import Optimum
 from timesim.scene.transient import Schedule, TradeoffPlan
-from timesim.scene.value import Frequencies, unit
+from timesim.scene.value import unit
 
 FAILING = 3  # sets of values without a scene that are named
 LARGE_RESULT = 1.0  # gigabytes of samples
@@ -177,28 +179,37 @@ def _unheld(model: Model) -> Iterator[str]:
 
 def _narrow(study: StudySection, model: Model) -> Iterator[str]:
     """Resonances, free or stuck, of a harmonic of the excitation that the steps of a sweep may pass over."""
-    if not isinstance(study, SweepSection):
+    if not isinstance(study, SweepSection | Optimum):
         return
-    swept, given = study.sweep().frequency, getattr(study, "frequency", None)
-    if isinstance(given, Frequencies) and given.listed is None and (last := swept[-1]) < given.spacing[1] * (1 - 1e-9):
+    swept, given = study.sweep().frequency, study.frequency
+    if given.listed is None and (last := swept[-1]) < given.spacing[1] * (1 - 1e-9):
         first, to, step = given.spacing
         yield f"study.frequency: in steps of {step:g} Hz from {first:g} Hz the last is {last:.6g}, not {to:g} Hz"
-    zeta = np.nanmin(model.structure.damping_ratio, initial=np.inf)
-    stuck = model.stuck_omega / (2 * np.pi) if obeys_cone(model).all() else np.zeros(0)
-    natural = np.concatenate([model.structure.frequency, stuck])
-    harmonic = np.repeat(model.excitation.harmonic, natural.size)
-    natural = np.tile(natural, model.excitation.harmonic.size) / harmonic
-    inside = (natural > swept[0]) & (natural < swept[-1])
-    natural, harmonic = natural[inside], harmonic[inside]
+    own, wide = _resonances(model)
+    harmonic = model.excitation.harmonic[:, None]
+    natural, width = own / harmonic, wide / harmonic
     after = np.searchsorted(swept, natural)
-    step, width = swept[after] - swept[after - 1], 2 * zeta * natural
-    for place in np.flatnonzero(step > STEPS_OF_WIDTH * width)[:1]:
-        of = f" of harmonic {harmonic[place]}" if harmonic[place] > 1 else ""
-        wide = (
-            f"is {width[place]:.2g} Hz wide by its structural damping" if width[place] else "has no structural damping"
-        )
-        peak = f"a resonance{of} as at {natural[place]:.6g} Hz {wide}"
-        yield f"study.frequency: {peak}; steps of {step[place]:.3g} Hz may miss its peak where no contact slips"
+    inside = (natural > swept[0]) & (natural < swept[-1])
+    passed = np.where(inside, np.diff(swept, prepend=0.0, append=0.0)[after], 0.0)
+    if not np.any(passed > STEPS_OF_WIDTH * width):
+        return
+    place = np.unravel_index(np.argmax(passed / np.maximum(width, 1e-300)), passed.shape)
+    of = f" of harmonic {harmonic[place[0], 0]}" if harmonic[place[0], 0] > 1 else ""
+    damped = f"is {width[place]:.2g} Hz wide by its structural damping" if width[place] else "has no structural damping"
+    peak = f"a resonance{of} as at {natural[place]:.6g} Hz {damped}"
+    yield f"study.frequency: {peak}; steps of {passed[place]:.3g} Hz may miss its peak where no contact slips"
+
+
+def _resonances(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Natural frequencies without contacts and with all of them stuck, and their widths at half the power [Hz]."""
+    contacts, modes = np.arange(model.num_contacts), np.arange(model.structure.num_modes)
+    found = []
+    for stuck in (contacts[:0], contacts) if obeys_cone(model).all() else (contacts[:0],):
+        omega, shape = natural_modes(model, modes, stuck)
+        shape = np.eye(modes.size) if shape is None else shape
+        found.append([omega, np.einsum("im,ij,jm->m", shape, model.structure.decays, shape)])
+    natural, width = np.concatenate(found, axis=1) / (2 * np.pi)
+    return natural, np.maximum(width, 0.0)
 
 
 def _highest_frequency(scene: Scene) -> float:
