@@ -75,7 +75,7 @@ def _orders(harmonics: int) -> tuple[NDArray[np.int64], ...]:
 
 
 def phase_deg(phasor: Complex, error: Array | float = 0.0) -> Array:
-    """Phase [degree] of the first harmonic against the excitation, in (-180, 180]: x ~ A cos(2 pi f t + phase).
+    """Phase [degree] of the first harmonic in (-180, 180]: x ~ A cos(2 pi f t + phase).
 
     Args:
         phasor: harmonics, then points and axes along the last three dimensions, shape (..., H + 1, P, 3).

@@ -83,8 +83,8 @@ LABELS: dict[str, tuple[str, str | None]] = {
         "length",
     ),
     "phase_deg": (
-        "phase of the first harmonic; of the excitation's frequency, against the excitation, "
-        "x ~ A cos(2 pi f t + phase); NaN where the motion has no period or no first harmonic",
+        "phase of the first harmonic; of the excitation's frequency, x ~ A cos(2 pi f t + phase), on the clock of the "
+        "forces' phase_deg, which it does not subtract; NaN where the motion has no period or no first harmonic",
         "degree",
     ),
     "dissipated_power": (
