@@ -1037,6 +1037,37 @@ def test_steps_that_pass_over_a_resonance_are_worth_a_warning():
     assert "has no structural damping" in warnings(10.0, 0.0)[0]
 
 
+def rod(keep_modes: int, clamped: bool) -> dict[str, Any]:
+    """Twenty equal masses in a row, the first held by a spring or not; a contact sticks at the middle."""
+    stiffness = 400 * (2 * np.eye(20) - np.eye(20, k=1) - np.eye(20, k=-1))
+    stiffness[19, 19], stiffness[0, 0] = 400, 800 if clamped else 400
+    inline = {"mass": np.eye(20) / 20, "stiffness": stiffness, "damping_ratio": 0.05, "points": {"tip": {"x": 9}}}
+    return {"matrices": inline, "keep_modes": keep_modes}
+
+
+@pytest.mark.parametrize("clamped", [True, False])
+@pytest.mark.parametrize("kind", ["sweep", "hbm"])
+def test_modes_left_out_that_make_a_contact_too_stiff_are_worth_a_warning(clamped, kind):
+    def warnings(keep_modes: int) -> list[str]:
+        span = {"from": 1.0, "to": 3.5} | ({"step": 0.1} if kind == "sweep" else {})
+        pad = {"name": "pad", "point": "tip", "friction": 0.5, "tangential_stiffness": 1e4, "normal_stiffness": 0.0}
+        force = {"point": "tip", "direction": [1, 0, 0], "amplitude": 1.0}
+        changes = {
+            "structure": rod(keep_modes, clamped),
+            "contacts": [pad | {"preload": 1.0}],
+            "excitation": {"forces": [force]},
+            "study": {"kind": kind, "frequency": span},
+        }
+        return [line for line in warnings_of(load_scene(CONFIGS / "oscillator.yaml", changes)) if "put a" in line]
+
+    own = rod(20, clamped)["matrices"]
+    squared = np.linalg.eigvalsh(20 * (own["stiffness"] + np.diag(1e4 * (np.arange(20) == 9))))
+    (line,) = warnings(3)
+    told = float(re.search(r"all modes near ([\d.]+) Hz", line)[1])
+    assert np.abs(np.sqrt(squared) / (2 * np.pi) / told - 1).min() < 0.005
+    assert warnings(18) == warnings(20) == []
+
+
 @pytest.mark.parametrize(
     ("kind", "more"),
     [("sweep", {}), ("compare", {}), ("optimum", {"along": {"contacts.pad.preload": {"from": 1, "to": 3, "num": 3}}})],

@@ -54,6 +54,17 @@ def refusal(source: dict[str, Any]) -> tuple[str, str]:
     return problem.key, f"{problem.rule} ({problem.hint})"
 
 
+@pytest.mark.parametrize("form", [np.asarray, scipy.sparse.csc_matrix])
+def test_the_flexibility_of_modes_left_out_is_the_whole_one_less_that_of_the_modes_kept(form):
+    whole = chain(6)
+    given = Matrices(form(whole.mass), form(whole.stiffness))
+    left = modal_structure(given, points=POINTS, damping_ratio=0.0, keep_modes=2).left_out
+    every = modal_structure(whole, points=POINTS, damping_ratio=0.0)
+    shape = every.shape.reshape(6, 6)[:, 2:]
+    assert left == pytest.approx((shape / every.omega[2:] ** 2) @ shape.T, rel=2e-3, abs=1e-12)
+    assert every.left_out is None
+
+
 def test_chain_has_its_closed_form():
     structure = modal_structure(chain(6), points=POINTS, damping_ratio=0.03)
     number = np.arange(1, 7)

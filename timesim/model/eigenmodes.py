@@ -24,6 +24,8 @@ SYMMETRY = 1e-9
 SOFT, SHIFT = 1e-8, 1e-12
 """Eigenvalues below the former share of the largest lose digits to rounding, beside penalties as of clamps all of them;
 inverse iteration finds them, the stiffness of free bodies being shifted by the latter."""
+SLOW = 1e-3
+"""Share of the lowest eigenvalue that is left out that counts as static: a free body has a flexibility then."""
 NEGATIVE = 1e-10
 """Eigenvalues down to minus this share of the largest are rounding of a free body's zero."""
 
@@ -61,11 +63,34 @@ def modal_structure(
     else:
         rule = "is required where there is no damping matrix"
         raise RuleError(("damping_ratio",), rule, "0 for an undamped structure")
-    shape = np.zeros((len(points), 3, num_modes))
-    for point, rows in zip(shape, points.values(), strict=True):
-        for axis, row in rows.items():
-            point[AXES.index(axis)] = modes[row]
-    return Structure(omega / (2 * np.pi), np.ones(num_modes), damping, tuple(points), shape)
+    axes = {3 * i + AXES.index(axis): row for i, own in enumerate(points.values()) for axis, row in own.items()}
+    place, rows = list(axes), list(axes.values())
+    shape = np.zeros((3 * len(points), num_modes))
+    shape[place] = modes[rows]
+    left = None
+    if num_modes < mass.shape[0]:
+        if (key := (num_modes, *rows)) not in matrices.left_out:
+            matrices.left_out[key] = _left_out(mass, stiffness, squared, modes, rows)
+        left = np.zeros((3 * len(points),) * 2)
+        left[np.ix_(place, place)] = matrices.left_out[key]
+    shape = shape.reshape(-1, 3, num_modes)
+    return Structure(omega / (2 * np.pi), np.ones(num_modes), damping, tuple(points), shape, left)
+
+
+def _left_out(mass: Any, stiffness: Any, squared: np.ndarray, modes: np.ndarray, rows: list[int]) -> np.ndarray:
+    """Static flexibility between rows of the modes that are not kept, shape (R, R)."""
+    shift, unit = SLOW * squared[min(modes.shape[1], squared.size - 1)], np.zeros((mass.shape[0], len(rows)))
+    unit[rows, np.arange(len(rows))] = 1.0
+    if shift == 0:  # rigid-body motions are left out
+        return np.zeros((len(rows),) * 2)
+    whole = stiffness + shift * mass
+    if hasattr(whole, "tocsc"):
+        from scipy.sparse.linalg import splu
+
+        moved = splu(whole.tocsc()).solve(unit)
+    else:
+        moved = np.linalg.solve(whole, unit)
+    return np.asarray(moved[rows] - modes[rows] / (squared[: modes.shape[1]] + shift) @ modes[rows].T)
 
 
 def _symmetric(matrix: Any, name: str) -> Any:

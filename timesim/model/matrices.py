@@ -24,7 +24,8 @@ ONE_EACH = "for a file of each matrix write file: {{mass: m{0}, stiffness: k{0}}
 class Matrices:
     """Matrices of one structure, dense or sparse, shape (N, N); damping None where there is none.
 
-    `solved` keeps modes, by the number of them, with their eigenvalues and those above that are known.
+    `solved` keeps modes, by the number of them, with their eigenvalues and those above that are known; `left_out` the
+    static flexibility without them, by their number and the rows.
     """
 
     mass: Any
@@ -32,6 +33,7 @@ class Matrices:
     damping: Any = None
     notes: tuple[str, ...] = ()
     solved: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False, compare=False)
+    left_out: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict, repr=False, compare=False)
 
 
 def read_matrices(source: Path | Mapping[str, Path]) -> Matrices:

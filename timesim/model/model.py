@@ -34,6 +34,8 @@ class Structure:
             [force / modal velocity], shape (M, M), where the modes do not diagonalise it.
         points: names of the points.
         shape: displacement of each point along x, y, z for a unit of each mode, shape (P, 3, M).
+        left_out: static flexibility of the modes that are not kept, between the points along x, y, z, shape (3P, 3P);
+            None where none is known of.
     """
 
     frequency: np.ndarray
@@ -41,6 +43,7 @@ class Structure:
     damping: np.ndarray
     points: tuple[str, ...]
     shape: np.ndarray
+    left_out: np.ndarray | None = None
 
     @property
     def num_modes(self) -> int:

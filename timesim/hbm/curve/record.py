@@ -79,7 +79,7 @@ class HbmCurve:
 
     @property
     def phase_deg(self) -> Array:
-        """Phase of the first harmonic, x ~ A cos(2 pi f t + phase), shape (S, P, 3) [degree]; NaN along axes that rest."""
+        """Phase of the first harmonic as in a sweep, shape (S, P, 3) [degree]; NaN along axes that rest."""
         return phase_deg(self.harmonic_cos - 1j * self.harmonic_sin)
 
     @property

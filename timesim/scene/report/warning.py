@@ -1,14 +1,16 @@
 """What is accepted in a scene but may not be intended."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from timesim.fault import Problem
 from timesim.model.contact_state import obeys_cone
 from timesim.model.cost import EXPLICIT, SLIPPING, seconds_a_cycle, slip_steps, stable_steps
-from timesim.model.held import natural_modes
+from timesim.model.held import natural_modes, springs
 from timesim.model.model import Model
 from timesim.model.promise import rounded
 from timesim.model.reduction import distant_stops, reduction_of
@@ -32,6 +34,7 @@ STEPS_OF_WIDTH = 1.0  # widths of a resonance at half its power that a step may 
 FAR_BELOW, FAR_ABOVE = 0.2, 100.0  # times the highest excitation frequency: a highest mode beyond is worth a warning
 KEPT = 20.0  # times that frequency above which a mode may be left out
 FEWER_STEPS = 0.9  # of the highest frequency kept, from which on modes that may be left out cost few steps
+TRUNCATED = 0.01  # share by which the modes left out lower a resonance, from which on that is worth a warning
 TAKES_PART = 1e-2  # share of a mode's stiffness that contacts add if it takes part in their motion
 HEAVY = 0.15  # damping ratio above which a percentage is suspected
 OBLIQUE = 0.01  # cosine of the angle to the normal that rounding of a direction does not make
@@ -65,6 +68,7 @@ def warnings_of(scene: Scene) -> Iterator[str]:
     yield from _narrow(file.study, model)
     yield from _still_parts(file, model)
     yield from _large_numbers(file.study, scene.plan, model)
+    yield from _truncated(scene, model)
     yield from _steps(scene, model)
     yield from _long(scene, model)
     yield from _far_contacts(scene, model)
@@ -110,6 +114,33 @@ def _modes_to_spare(model: Model, highest: float) -> Iterator[str]:
         advice = f"structure.keep_modes: {keep} would reach {structure.frequency[keep - 1]:.6g} Hz"
         tells = "a study of kind tradeoff tells how many modes the answer needs"
         yield f"the modes kept reach {top}, which costs steps; {advice}; {tells}"
+
+
+def _truncated(scene: Scene, model: Model) -> Iterator[str]:
+    """A resonance with every contact stuck that the modes left out, which make the structure softer there, lower."""
+    structure, left = model.structure, model.structure.left_out
+    if left is None or not model.contacts or not obeys_cone(model).all():
+        return
+    points = replace(structure, shape=np.eye(len(left)).reshape(-1, 3, len(left)))
+    relative, shape = (
+        own.contact_shape.reshape(3 * model.num_contacts, -1) for own in (replace(model, structure=points), model)
+    )
+    shape = shape / np.sqrt(structure.mass)
+    stiff = block_diag(*map(springs, model.contacts))
+    soft = stiff @ np.linalg.inv(np.eye(len(stiff)) + relative @ left @ relative.T @ stiff)
+    kept, true = (
+        np.sqrt(np.maximum(np.linalg.eigvalsh(np.diag(structure.omega**2) + shape.T @ own @ shape), 0.0)) / (2 * np.pi)
+        for own in (stiff, (soft + soft.T) / 2)
+    )
+    kept, true = (own[true > STILL * true.max()] for own in (kept, true))  # no free motions
+    balance = balance_of(scene.plan)
+    highest = max(_highest_frequency(scene), *(balance.span if balance else (0.0,)))
+    reach = max(highest * float(model.excitation.harmonic.max()), true.min(initial=np.inf))
+    above = (kept / true - 1)[true <= reach]
+    if above.max(initial=0.0) > TRUNCATED:
+        place = int(np.argmax(above))
+        put = f"with every contact stuck the modes kept put a resonance at {kept[place]:.4g} Hz"
+        yield f"structure.keep_modes: {put}, all modes near {true[place]:.4g} Hz: more make it softer there"
 
 
 def _steps(scene: Scene, model: Model) -> Iterator[str]:
