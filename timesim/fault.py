@@ -72,7 +72,7 @@ class SceneError(Exception):
 
 
 class SceneWarning(UserWarning):
-    """What is accepted in a scene but may not be intended."""
+    """What is accepted in a scene but may not be intended, or what its result is to be doubted for."""
 
 
 def meant(word: str, known: Collection[str]) -> str:

@@ -604,7 +604,11 @@ def test_what_the_most_harmonics_leave_out_is_said(monkeypatch: pytest.MonkeyPat
 def test_harmonics_that_are_given_and_leave_out_much_are_said(harmonics: int, says: bool):
     narrow: dict[str, Any] = {"frequency": {"from": 0.93, "to": 0.935}, "stability": False}
     outcome = followed_study(load_scene(scene(harmonics=harmonics, time_samples=512, **narrow)), Execution())
-    said = [line for line in outcome.summary if line.startswith("3 harmonics may be too few: those above would add ")]
+    said = [
+        line
+        for line in outcome.summary
+        if line.startswith("warning: 3 harmonics may be too few: those above would add ")
+    ]
     assert [line.endswith("; set harmonics to auto, or to more") for line in said] == ([True] if says else [])
 
 

@@ -1,6 +1,7 @@
 """The table of studies: a toy of one module and one line of the table does all that the others do."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -126,6 +127,14 @@ def test_python_is_told_what_the_command_warns_of(toy: Path):
     with pytest.warns(timesim.SceneWarning, match=r"damping ratio 1\.5 of mode 1 .* 1 % is 0\.01") as said:
         timesim.run(toy, overdamped)
     assert [str(one.message) for one in said] == list(warnings_of(timesim.load_scene(toy, overdamped)))
+
+
+def test_python_is_told_what_the_summary_warns_of(toy: Path, monkeypatch: pytest.MonkeyPatch):
+    plain, lines = registry.carry_out, ("peak 1 of tip x", "warning: 2 points did not settle")
+    monkeypatch.setattr(registry, "carry_out", lambda *given: replace(plain(*given), summary=lines))
+    with pytest.warns(timesim.SceneWarning) as said:
+        timesim.run(toy)
+    assert [str(one.message) for one in said][1:] == ["2 points did not settle"]
 
 
 def test_a_kind_that_is_not_known_is_refused_with_all_that_are(toy: Path):

@@ -489,7 +489,9 @@ def test_a_motion_that_does_not_settle_is_reported_with_its_band(tmp_path: Path)
     status, out, _ = call(tmp_path / "run", json.dumps(scene(study)))
     result = timesim.open_result(tmp_path / "run")
     assert status == 0
-    assert "4 points did not settle in settle.max_cycles (settled = 0, with the band of the amplitude): " in out
+    assert (
+        "warning: 4 points did not settle in settle.max_cycles (settled = 0, with the band of the amplitude): " in out
+    )
     assert f"{PRELOAD} -1: between 0.97 and 1.39 Hz; {PRELOAD} 3: between 0.97 and 1.39 Hz" in out
     assert out.startswith("0 steady states by ")
     assert out.count(" Hz, not settled, an end of the frequencies") == 2  # the peaks

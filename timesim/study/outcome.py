@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 FELT = 0.5  # seconds
+DOUBT = "warning: "
+"""Begins a line of a summary that says that numbers of the result may be wrong; from Python it is a warning."""
 
 
 @dataclass(frozen=True)

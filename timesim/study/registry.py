@@ -30,7 +30,7 @@ from timesim.study.execution.campaign import Execution, ExecutionError
 from timesim.study.execution.interrupts import Interrupts
 from timesim.study.execution.progress import Standing
 from timesim.study.execution.worker import one_thread
-from timesim.study.outcome import Outcome
+from timesim.study.outcome import DOUBT, Outcome
 
 if TYPE_CHECKING:
     import xarray
@@ -177,7 +177,7 @@ def run(
     Returns:
         The result: an xarray Dataset, or a DataTree of a study with groups (`compare`, `bistable`). ``complete`` is 0
         in its attributes if the run ended early, with the reason as a warning. What ``timesim check`` warns of is a
-        `SceneWarning`.
+        `SceneWarning`, and so is what ``timesim run`` warns of at its end, such as points that did not settle.
 
     Raises:
         SceneError: the scene is wrong.
@@ -197,6 +197,8 @@ def run(
         outcome = carry_out(scene, Execution(cluster=cluster, workers=workers, progress=standing))
     for line in outcome.summary:
         LOGGER.info(line)
+        if line.startswith(DOUBT):
+            warnings.warn(line.removeprefix(DOUBT), SceneWarning, stacklevel=2)
     if outcome.reason is not None:
         warnings.warn(f"the run is incomplete: {outcome.reason}", RuntimeWarning, stacklevel=2)
     return joined(outcome.groups)

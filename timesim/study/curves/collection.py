@@ -29,6 +29,7 @@ from timesim.study.curves.aside import Aside
 from timesim.study.curves.kept import Found
 from timesim.study.curves.samples import TooFewSamplesError, checking_samples
 from timesim.study.execution.processes import Processes
+from timesim.study.outcome import DOUBT
 
 Sweep = tuple[SavedStates, Mapping[str, float | str]]
 """The states of a sweep, and the values along its axes that select points."""
@@ -121,7 +122,7 @@ class Curves:
 
     def _left_out(self, values: Mapping[str, float], curves: Sequence[StudyCurve]) -> Iterator[str]:
         """What the harmonics, and the samples that the program chose, still leave out."""
-        label = in_words(values, ": ")
+        label = f"{DOUBT}{in_words(values, ': ')}"
         left = max(neglected(own.model_at, own.curve, self.schemes) for own in curves)
         if left > NOTED:
             count = max(own.curve.harmonic_cos.shape[1] - 1 for own in curves)

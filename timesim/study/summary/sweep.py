@@ -11,7 +11,7 @@ from timesim.orbit.steady_state import SAME
 from timesim.orbit.threshold import LONGEST
 from timesim.result.coordinate import over_keys, runs
 from timesim.result.label import axis_value, counted, first_few, in_words, with_unit
-from timesim.study.outcome import took
+from timesim.study.outcome import DOUBT, took
 from timesim.study.summary.drift import largest_step
 
 LINES = 12  # lines on peaks, on ranges with two motions, or on folds
@@ -100,7 +100,7 @@ def unusual_lines(data: Dataset) -> Iterator[str]:
     lost = done & ~settled & ~irregular
     if lost.any():
         shown = "(settled = 0, with the band of the amplitude)"
-        yield f"{counted(lost.sum(), 'point')} did not settle in settle.max_cycles {shown}: {_spans(data, lost)}"
+        yield f"{DOUBT}{counted(lost.sum(), 'point')} did not settle in settle.max_cycles {shown}: {_spans(data, lost)}"
 
 
 def jump_lines(data: Dataset) -> Iterator[str]:

@@ -10,7 +10,7 @@ from timesim.model.promise import MARGIN, tightened
 from timesim.model.solver import Solver
 from timesim.result.label import counted, with_unit
 from timesim.scene.transient import Schedule
-from timesim.study.outcome import took
+from timesim.study.outcome import DOUBT, took
 
 PHASES = 12  # of a schedule at most that are listed
 OPEN = 1e-2
@@ -31,7 +31,7 @@ def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
     residual = np.max(np.abs(data["energy_residual"].values)) / largest if largest > 0 else 0.0
     closes = f"energy balance of a cycle closes to {residual:.1e} of the larger of input and stored energy"
     wrong = ": this is no motion of the scene; take finer tolerances or more steps"
-    yield f"warning: {closes}{wrong}" if residual > OPEN else closes
+    yield f"{DOUBT}{closes}{wrong}" if residual > OPEN else closes
     if "estimated_error" in attrs:
         yield from error_lines(data)
     ends = np.cumsum([cycles for _, cycles in plan.phases])
@@ -72,7 +72,7 @@ def error_lines(data: Dataset) -> Iterator[str]:
         return
     now = Solver(attrs["method"].partition(",")[0], attrs.get("rtol", 0.0), attrs.get("atol", 0.0))
     better = tightened(now, promise / (MARGIN * error))
-    over = f"warning: that is more than the {promise:.0e} that the accuracy promises"
+    over = f"{DOUBT}that is more than the {promise:.0e} that the accuracy promises"
     if "repetition" in attrs:
         yield f"{over}; a repetition with finer tolerances did not reach the end"
     elif better.rtol == now.rtol:
