@@ -197,6 +197,19 @@ def test_offset_where_little_room_is_left():
         assert found.force[1][0] == pytest.approx(0, abs=1e-12)
 
 
+def test_a_contact_sticks_however_far_a_constant_force_deflects_it():
+    """Its offset is then far larger than the cone, and so is its rounding."""
+    law, basis = law_of([element(STIFFNESS["general"], 1.0)] * SIDE_BY_SIDE), basis_of(1, 256)
+    for mean in 10.0 ** np.arange(7):
+        motion = np.tile([[0.0, 0.06, 0.02], [0.0, 0.01, 0.04], [0.0, 0.05, 0.0]], (SIDE_BY_SIDE, 1, 1))
+        angle = np.arange(SIDE_BY_SIDE)
+        motion[:, 0, 0], motion[:, 1, 0] = mean * np.cos(angle), mean * np.sin(angle)
+        moving = motion_of(basis, motion)
+        found, (force, limit, _) = stuck_offset(law, moving), without_slip(law, moving)
+        assert np.all(found.sticks), mean
+        assert np.all(np.hypot(*(f + g for f, g in zip(force, found.force, strict=True))) < limit)
+
+
 def test_the_search_for_an_offset_ends_where_it_does_not_converge():
     """A motion that is not a number, as an iterate of a solver may be, never comes to rest; its neighbours do."""
     law, basis = law_of([element(np.eye(2), 1.0)] * SIDE_BY_SIDE), basis_of(1, 256)

@@ -48,19 +48,25 @@ class Offset(NamedTuple):
 
 
 class _Iterate(eqx.Module):
-    """Offset and widening of the cones so far, whether the iteration goes on, and whether it has converged."""
+    """Offset and widening of the cones so far, whether the iteration goes on, and whether it has converged.
 
-    g: Plane
+    `beside`: offset less that which puts the force in the middle: it may be so large that g never comes to rest.
+    """
+
+    beside: Plane
     widening: Scalar
     moves: Bool[Array, " contact"]
     converged: Bool[Array, " contact"]
     count: Scalar
 
 
-def _slopes(g: Plane, force: Plane, limit: Scalar, unit: Scalar, weight: Scalar) -> tuple[Plane, Plane]:
+def _slopes(
+    g: Plane, force: Plane, limit: Scalar, unit: Scalar, weight: Scalar, more: Plane | tuple[float, float] = (0.0, 0.0)
+) -> tuple[Plane, Plane]:
     """Gradient of the function by g, in units of 1 / unit, and its second derivatives 11, 12, 22, of 1 / unit^2.
 
-    `weight` is that of |g|^2. With ``z = max(2 |K_u u + g|^2 / (mu n)^2 - 1, 0)`` the barrier is ``z^3 / (1 - z)^2``.
+    `weight` is that of |g|^2; `more` the part of g that is in the force already. With
+    ``z = max(2 |K_u u + g|^2 / (mu n)^2 - 1, 0)`` the barrier is ``z^3 / (1 - z)^2``.
     """
     # So steep because the mean over time is taken: at a touch of the cone 1 - z falls to 0 as t^2, where the mean of a
     # log barrier stays finite, and the offset did not tend to the one that the motion leaves; that of a pole grows.
@@ -71,7 +77,8 @@ def _slopes(g: Plane, force: Plane, limit: Scalar, unit: Scalar, weight: Scalar)
     once, twice = steep * z**2 * (3 - z) * left**3, steep**2 * 6 * z * left**4
     a, b = 2 * size * x / limit, 2 * size * y / limit
     even = weight + jnp.mean(2 * once * size**2, axis=0)
-    gradient = tuple(weight * part / unit + jnp.mean(once * e, axis=0) for part, e in zip(g, (a, b), strict=True))
+    whole = tuple(part + m for part, m in zip(g, more, strict=True))
+    gradient = tuple(weight * part / unit + jnp.mean(once * e, axis=0) for part, e in zip(whole, (a, b), strict=True))
     bend = tuple(jnp.mean(twice * e, axis=0) for e in (a * a, a * b, b * b))
     return gradient, (even + bend[0], bend[1], even + bend[2])
 
@@ -134,29 +141,30 @@ def plainly_sticks(law: ConeLaw, motion: Motion) -> NDArray[np.bool_]:
 def stuck_offset(law: ConeLaw, motion: Motion) -> Offset:
     """The offset with which each contact only sticks under a periodic motion, shape (N, C); 0 where there is none."""
     force, limit, unit = without_slip(law, motion)
-    none = (jnp.zeros_like(unit),) * 2
+    middle = tuple(-(jnp.max(f, axis=0) + jnp.min(f, axis=0)) / 2 for f in force)
+    waves = tuple(f + x for f, x in zip(force, middle, strict=True))
 
-    def least_widening(g: Plane) -> Scalar:
+    def least_widening(beside: Plane) -> Scalar:
         """By how much the cones must at least be wider."""
-        return jnp.max(_size(tuple(f + x for f, x in zip(force, g, strict=True))) - limit, axis=0)
+        return jnp.max(_size(tuple(f + x for f, x in zip(waves, beside, strict=True))) - limit, axis=0)
 
     def improved(now: _Iterate) -> tuple[_Iterate]:
         wide = limit + now.widening
         weight = jnp.where(now.widening == 0, 1.0, SLIGHT)
-        gradient, hessian = _slopes(now.g, force, wide, unit, weight)
+        gradient, hessian = _slopes(now.beside, waves, wide, unit, weight, middle)
         step = _change_of(hessian, tuple(-x for x in gradient), unit)
-        share = jnp.minimum(1.0, 0.9 * _share_to_cone(now.g, step, force, wide))
-        g = tuple(x + share * s for x, s in zip(now.g, step, strict=True))
-        least, change, inside = least_widening(g), share * _size(step), now.widening == 0
+        share = jnp.minimum(1.0, 0.9 * _share_to_cone(now.beside, step, waves, wide))
+        beside = tuple(x + share * s for x, s in zip(now.beside, step, strict=True))
+        least, change, inside = least_widening(beside), share * _size(step), now.widening == 0
         converged = inside & (change < CONVERGED * unit)
         stopped = (now.widening - least < NO_ROOM * now.widening) & (change < AT_REST * now.widening)
         centred = change < AT_REST * (now.widening - least)
         narrower = jnp.where(centred, (now.widening + least) / 2, now.widening)
         widening = jnp.where((least < 0) | inside, 0.0, narrower)
-        return (_Iterate(g, widening, ~converged & ~(stopped & ~inside), converged, now.count + 1),)
+        return (_Iterate(beside, widening, ~converged & ~(stopped & ~inside), converged, now.count + 1),)
 
-    middle = tuple(-(jnp.max(f, axis=0) + jnp.min(f, axis=0)) / 2 for f in force)
-    begin = tuple(jnp.where(least_widening(none) < 0, 0.0, x) for x in middle)
+    free = least_widening(tuple(-x for x in middle)) < 0
+    begin = tuple(jnp.where(free, -x, 0.0) for x in middle)
     least = least_widening(begin)
     start = jnp.where(least < 0, 0.0, least + 0.1 * unit)
     moves = (jnp.min(limit, axis=0) > 0) & ~_must_slip(force, limit, DIRECTIONS[::4])
@@ -164,7 +172,8 @@ def stuck_offset(law: ConeLaw, motion: Motion) -> Offset:
     last, _ = advance_lanes(
         improved, lambda now: now.moves & (now.count < MAX_ITERATIONS), first, None, lambda *step: None
     )
-    return Offset(tuple(jnp.where(last.converged, x, 0.0) for x in last.g), last.converged)
+    g = (x + b for x, b in zip(middle, last.beside, strict=True))
+    return Offset(tuple(jnp.where(last.converged, x, 0.0) for x in g), last.converged)
 
 
 @program
