@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from timesim.fault import SceneError
 from timesim.model.solver import NEVER, SHOOT, Criterion
 from timesim.orbit.settling import Chain, steady_states
 from timesim.result.state import settled_points, states_in
@@ -240,3 +241,46 @@ def test_harmonic_balance_finds_no_motion_of_a_body_that_is_pushed_away(preload:
         assert np.abs(outcome.groups[""]["harmonic_cos"].sel(harmonic=0)).max() < 1
     else:
         assert outcome.reason.endswith("time integration, whose body drifts, as nothing holds it")
+
+
+def pair(study: dict[str, Any], constant: float, **changes: Any) -> dict[str, Any]:
+    """Two bodies in the plane that a spring and a contact join, and nothing else: a slow dashpot drags them."""
+    spring = np.kron([[3.1, 0.37], [0.37, 2.3]], [[1, -1], [-1, 1]])
+    mass = np.diag([1.3, 0.7, 1.3, 0.7])
+    matrices = {"mass": mass.tolist(), "stiffness": spring.tolist(), "damping": (0.02 * spring + 0.05 * mass).tolist()}
+    contact = {
+        "name": "joint", "point": "a", "against": "b", "normal": [1, 0.3, 0], "tangent": [0, 1, 0], "friction": 0.4,
+        "tangential_stiffness": 1.7, "normal_stiffness": 2.3, "preload": 1,
+    }  # fmt: skip
+    shaken = {"point": "a", "direction": [1, 0.2, 0], "amplitude": 1}
+    return {
+        "structure": {"matrices": matrices | {"points": {"a": {"x": 0, "y": 2}, "b": {"x": 1, "y": 3}}}},
+        "contacts": [contact],
+        "excitation": {
+            "forces": [shaken],
+            "constant_forces": [{"point": "b", "direction": [1, 0, 0], "amplitude": constant}],
+        },
+        "study": study,
+    } | changes
+
+
+def test_a_contact_within_a_free_body_does_not_hold_it_by_rounding():
+    """The body moves on by the speed at which its drag balances the push, and has no equilibrium."""
+    outcome = carry_out(load_scene(pair({"kind": "sweep", "frequency": {"values": [0.2, 0.3]}}, 0.3)))
+    assert any(line.startswith("2 points drift") for line in outcome.summary)
+    drift = outcome.groups[""].isel(direction=0)["drift"].transpose("frequency", "point", "axis").values
+    np.testing.assert_allclose(drift[..., 0], np.outer(0.3 / (0.05 * 2) / np.array([0.2, 0.3]), [1, 1]), rtol=1e-7)
+    still = pair(RUN, 0.3, initial="static")
+    still["excitation"]["frequency"] = 0.3
+    with pytest.raises(SceneError, match="nothing holds"):
+        load_scene(still)
+
+
+def test_a_balance_of_a_free_body_follows_its_curve_to_the_end():
+    """Its mean is free and stays where it is: held by the rounding of a contact within the body it came to 2e18."""
+    study = {"kind": "hbm", "frequency": {"from": 0.2, "to": 0.5}, "harmonics": 5, "stability": False}
+    scene = pair(study, 0.3)
+    del scene["excitation"]["constant_forces"]
+    outcome = carry_out(load_scene(scene))
+    assert outcome.reason is None
+    assert np.abs(outcome.groups[""]["harmonic_cos"].sel(harmonic=0)).max() < 1

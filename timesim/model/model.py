@@ -21,6 +21,8 @@ CONE = "cone"
 """The contact law of the paper, by its name in `timesim.engine.law.table`."""
 NO_DRAG = 1e-10
 """Share of the largest rate of damping up to which a body's drag is none."""
+AS_ONE = 1e-10
+"""Share of the motion of two points, as a body that nothing holds moves on, up to which they move as one."""
 
 
 @dataclass(frozen=True)
@@ -260,7 +262,11 @@ class Model:
 
     def _relative_shape(self, contact: Contact) -> np.ndarray:
         points, shape = self.structure.points, self.structure.shape
-        relative = shape[points.index(contact.point)]
+        relative = most = shape[points.index(contact.point)]
         if contact.against != GROUND:
-            relative = relative - shape[points.index(contact.against)]
-        return contact.frame @ relative
+            other = shape[points.index(contact.against)]
+            relative, most = relative - other, np.maximum(np.abs(relative), np.abs(other))
+        own = contact.frame @ relative
+        # What rounding leaves of a difference, or across a plane, would hold a body that nothing holds.
+        rounded = np.abs(own) <= AS_ONE * np.abs(most).max(axis=0)
+        return np.where(rounded & (self.structure.omega == 0), 0.0, own)
