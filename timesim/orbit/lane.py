@@ -120,9 +120,7 @@ class Lane:
         free = np.flatnonzero(self.system.stiffness == 0)
         if not free.size:
             return np.zeros((0, self.vector.size))
-        size, shape = self.here.point.q.size, np.stack(self.system.shape)
-        # Points of one body move alike with it but for rounding, by which a contact between them must not hold it.
-        *along, across = np.where(np.abs(shape) > ROUNDING * np.abs(shape).max(initial=0.0), shape, 0.0)
+        (*along, across), size = self.system.shape, self.here.point.q.size
         live = self.reduction.live
         other = ~obeys_cone(self.model)[live]
         presses = other | (self.model.normal_stiffness[live] > 0)
