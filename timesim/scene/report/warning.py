@@ -121,7 +121,7 @@ def _truncated(scene: Scene, model: Model) -> Iterator[str]:
     structure, left = model.structure, model.structure.left_out
     if left is None or not model.contacts or not obeys_cone(model).all():
         return
-    points = replace(structure, shape=np.eye(len(left)).reshape(-1, 3, len(left)))
+    points = replace(structure, frequency=np.ones(len(left)), shape=np.eye(len(left)).reshape(-1, 3, len(left)))
     relative, shape = (
         own.contact_shape.reshape(3 * model.num_contacts, -1) for own in (replace(model, structure=points), model)
     )
