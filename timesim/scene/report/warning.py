@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from timesim.fault import Problem
 from timesim.model.contact_state import obeys_cone
@@ -121,6 +120,8 @@ def _truncated(scene: Scene, model: Model) -> Iterator[str]:
     structure, left = model.structure, model.structure.left_out
     if left is None or not model.contacts or not obeys_cone(model).all():
         return
+    from scipy.linalg import block_diag
+
     points = replace(structure, frequency=np.ones(len(left)), shape=np.eye(len(left)).reshape(-1, 3, len(left)))
     relative, shape = (
         own.contact_shape.reshape(3 * model.num_contacts, -1) for own in (replace(model, structure=points), model)
