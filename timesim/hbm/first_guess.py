@@ -110,7 +110,8 @@ def first_guesses(
 
 def _ramped(balance: Balance, frequency: float, controls: Controls) -> Guess:
     most, longest = min(controls.max_points, RAMP_POINTS), RAMP_STEPS * controls.max_step
-    few = replace(controls, max_points=most, max_step=longest, watch=None)
+    # What limits steps along the frequency is none of the load's.
+    few = replace(controls, max_points=most, max_step=longest, longest=None, watch=None)
     ramp = follow(_Ramp(balance, frequency), np.zeros(balance.num_unknowns), 0.0, 1.0, few)
     if ramp.ending is Ending.INTERRUPTED:
         raise KeyboardInterrupt
