@@ -259,20 +259,20 @@ class Balance:
         own = self.coefficients(x)
         return bool(np.any(offsets_of(self.law, self.basis, own, motion_of(self.basis, own))[0].force))
 
-    def _on_body_1(self, forces: Array) -> Array:
-        """g from (f1, f2, n), in units of force."""
+    def _phasors_on_body_1(self, forces: Array) -> Complex:
+        """g by phasors, shape (H + 1, 3C), from (f1, f2, n) in units of force."""
         g = -forces
         g[:, 2, 0] += np.maximum(np.asarray(self.law.preload), 0.0)
-        return g
+        return to_phasors(g.reshape(-1, self.size)).T * self.force
 
     def on_modes(self, forces: Array) -> Complex:
         """Forces of the contacts on modes of mass 1 by phasors, shape (H + 1, M), from (f1, f2, n)."""
-        return to_phasors(self._on_body_1(forces).reshape(-1, self.size)).T @ self.shape * self.force
+        return self._phasors_on_body_1(forces) @ self.shape
 
     def _response(self, x: Array, forces: Array, linear: LinearResponse) -> tuple[Complex, Complex]:
         """Forces on the supported structure and the motion of the contacts that they give, by phasor, (H + 1, 3C)."""
         motion = to_phasors(x.reshape(-1, self.size)).T * self.length
-        acting = to_phasors(self._on_body_1(forces).reshape(-1, self.size)).T * self.force + motion @ self.support
+        acting = self._phasors_on_body_1(forces) + motion @ self.support
         return acting, under(linear.motion, acting)
 
     def value(self, x: Array, p: float) -> Array:

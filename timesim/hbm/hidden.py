@@ -10,8 +10,9 @@ from collections.abc import Callable
 import numpy as np
 
 from timesim.hbm.adaptive import AdaptiveBalance
-from timesim.model.held import natural_modes
+from timesim.model.held import damped_modes
 from timesim.model.model import Model
+from timesim.orbit.fourier import Array
 
 # By how many halves of its width stuck contacts move a resonance at most that they hardly feel. Those that they move
 # more move them as well.
@@ -26,30 +27,27 @@ SHARPEST = 1e-6
 SEEN = 1e-2
 
 
-def steps_to_resolve(model: Model, balance: AdaptiveBalance | None = None) -> Callable[..., float]:
-    """How far at most a step leads from a frequency [Hz] that is to show all resonances that contacts hardly feel.
+def steps_to_resolve(model: Model, balance: AdaptiveBalance) -> Callable[[float, Array], float]:
+    """How far at most a step leads from a frequency [Hz] and the unknowns there.
 
-    With a balance it takes the unknowns there after the frequency; without one the excitation alone counts.
+    It is to show all resonances that contacts hardly feel, under any harmonic of the excitation and of their forces.
     """
     structure, excited = model.structure, model.excitation
-    root = np.sqrt(structure.mass)
-    omega, vectors = natural_modes(model, np.arange(root.size), np.arange(model.num_contacts))
-    vectors = np.eye(root.size) if vectors is None else vectors
+    omega, vectors, wide = damped_modes(model, np.arange(model.num_contacts))
     alone = np.hypot.reduce(structure.omega[:, None] * vectors, axis=0)
-    shapes = vectors / root[:, None]
-    rate = np.einsum("im,ij,jm->m", vectors, structure.decays, vectors)
-    half = np.maximum(rate / 2, SHARPEST * omega)
+    half = np.maximum(wide / 2, SHARPEST * omega)
     hidden = (omega > 0) & (omega - alone <= FELT * half)
+    shapes = vectors / np.sqrt(structure.mass)[:, None]
     force = np.abs((excited.cosine + 1j * excited.sine) @ shapes)
-    order = np.arange(1, max(excited.harmonic.max(), balance.schemes[-1].harmonics if balance else 0) + 1)[:, None]
+    order = np.arange(1, max(excited.harmonic.max(), balance.schemes[-1].harmonics) + 1)[:, None]
     by_excitation = np.zeros((order.size, omega.size), dtype=bool)
     by_excitation[excited.harmonic - 1] = hidden & (force > ROUNDING * force.max(initial=0.0))
     rise = hidden * np.abs(structure.shape @ shapes).max(axis=(0, 1)) / (2 * np.maximum(half * omega, 1e-300))
     low, high, width = (part / (2 * np.pi * order) for part in (alone, omega, half))
 
-    def longest(frequency: float, x: np.ndarray | None = None) -> float:
+    def longest(frequency: float, x: Array) -> float:
         wanted = by_excitation.copy()
-        if balance is not None and x is not None and hidden.any():
+        if hidden.any():
             force, largest = balance.driven(x, frequency)
             wanted[: len(force)] |= np.abs(force @ vectors) * rise > SEEN * largest
         away = np.maximum(np.maximum(low - frequency, frequency - high), width)

@@ -54,3 +54,11 @@ def natural_modes(model: Model, modes: np.ndarray, stuck: np.ndarray) -> tuple[n
         roots.append((np.sqrt(np.maximum(stiffness, 0.0)) * axes).T @ shape[c])
     _, omega, rows = np.linalg.svd(np.concatenate(roots), full_matrices=False)
     return omega[::-1], rows[::-1].T
+
+
+def damped_modes(model: Model, stuck: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`natural_modes` in all modes with shapes, and the width of each resonance at half its power, (M,) [rad/time]."""
+    modes = np.arange(model.structure.num_modes)
+    omega, shape = natural_modes(model, modes, stuck)
+    shape = np.eye(modes.size) if shape is None else shape
+    return omega, shape, np.maximum(np.einsum("im,ij,jm->m", shape, model.structure.decays, shape), 0.0)

@@ -84,8 +84,7 @@ def hbm_curve(
         ValueError: the range, the scheme or the excitation does not allow a balance.
     """
     _check_range(start, stop)
-    balance = AdaptiveBalance(lambda own: Balance(model, start, own), schemes_of(scheme), model.num_contacts)
-    steps = replace(controls or Controls(), longest=steps_to_resolve(model, balance))
+    balance, steps = _resolving(model, start, schemes_of(scheme), controls or Controls())
     place = start if begin is None else begin
     if watch is not None:
         steps = watched(balance, steps, watch, evaluated)
@@ -109,9 +108,21 @@ def part_of_curve(
     model: Model, start: float, first: float, last: float, schemes: Sequence[Scheme], controls: Controls, watch: Watch
 ) -> Curve:
     """The curve from one frequency to another, in the unknowns of the `hbm_curve` that begins at `start`."""
-    balance = AdaptiveBalance(lambda own: Balance(model, start, own), schemes, model.num_contacts)
-    steps = watched(balance, replace(controls, longest=steps_to_resolve(model, balance)), watch, evaluated)
+    balance, steps = _resolving(model, start, schemes, controls)
+    steps = watched(balance, steps, watch, evaluated)
     return curve_near(balance, first, first, steps, None, lambda x: follow(balance, x, first, last, steps))
+
+
+def _balance_of(model: Model, start: float, schemes: Sequence[Scheme]) -> AdaptiveBalance:
+    return AdaptiveBalance(lambda own: Balance(model, start, own), schemes, model.num_contacts)
+
+
+def _resolving(
+    model: Model, start: float, schemes: Sequence[Scheme], controls: Controls
+) -> tuple[AdaptiveBalance, Controls]:
+    """The balance along the frequency, and steps that show resonances which its unknowns do not."""
+    balance = _balance_of(model, start, schemes)
+    return balance, replace(controls, longest=steps_to_resolve(model, balance))
 
 
 def _evaluated_meanwhile(
@@ -130,7 +141,7 @@ def _evaluated_meanwhile(
 
 def left_part(model: Model, start: float, part: Curve, schemes: Sequence[Scheme], *, stability: bool) -> HbmCurve:
     """A `part_of_curve` that a curve was interrupted before it met, as another curve that was interrupted."""
-    balance = AdaptiveBalance(lambda own: Balance(model, start, own), schemes, model.num_contacts)
+    balance = _balance_of(model, start, schemes)
     place = part.message.split(": ")[0]
     message = f"{place} from the other end of the range: {Ending.INTERRUPTED.value}"
     cut = replace(part, ending=Ending.INTERRUPTED, message=message)

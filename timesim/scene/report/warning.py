@@ -9,7 +9,7 @@ import numpy as np
 from timesim.fault import Problem
 from timesim.model.contact_state import obeys_cone
 from timesim.model.cost import EXPLICIT, SLIPPING, seconds_a_cycle, slip_steps, stable_steps
-from timesim.model.held import natural_modes, springs
+from timesim.model.held import damped_modes, springs
 from timesim.model.model import Model
 from timesim.model.promise import rounded
 from timesim.model.reduction import distant_stops, reduction_of
@@ -234,14 +234,11 @@ def _narrow(study: StudySection, model: Model) -> Iterator[str]:
 
 def _resonances(model: Model) -> tuple[np.ndarray, np.ndarray]:
     """Natural frequencies without contacts and with all of them stuck, and their widths at half the power [Hz]."""
-    contacts, modes = np.arange(model.num_contacts), np.arange(model.structure.num_modes)
-    found = []
-    for stuck in (contacts[:0], contacts) if obeys_cone(model).all() else (contacts[:0],):
-        omega, shape = natural_modes(model, modes, stuck)
-        shape = np.eye(modes.size) if shape is None else shape
-        found.append([omega, np.einsum("im,ij,jm->m", shape, model.structure.decays, shape)])
-    natural, width = np.concatenate(found, axis=1) / (2 * np.pi)
-    return natural, np.maximum(width, 0.0)
+    contacts = np.arange(model.num_contacts)
+    stuck = (contacts[:0], contacts) if obeys_cone(model).all() else (contacts[:0],)
+    found = [damped_modes(model, own) for own in stuck]
+    natural, width = (np.concatenate([own[part] for own in found]) / (2 * np.pi) for part in (0, 2))
+    return natural, width
 
 
 def _highest_frequency(scene: Scene) -> float:
