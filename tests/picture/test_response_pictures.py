@@ -254,6 +254,9 @@ def test_values_are_told_apart_without_colours() -> None:
     assert legend is not None
     assert [text.get_text() for text in legend.get_texts()] == ["1.8", "2", "2.2", "stable", "unstable", "fold"]
     assert drawn == [line.get_marker() for line in legend.get_lines()[:3]]
+    tree["hbm"] = tree["hbm"].to_dataset().isel(solution=slice(3))
+    legend = compare.PICTURES["overlay"](tree).axes[0].get_legend()  # type: ignore[union-attr]
+    assert "harmonic balance" in [text.get_text() for text in legend.get_texts()]
     assert len({*drawn, "D"}) == 4
 
 

@@ -746,7 +746,9 @@ def test_describe_counts_points_and_names_the_method_at_the_lowest_frequency():
     (advice,) = headings["method"]
     assert advice.startswith("tsit5: ")
     assert advice.endswith("(at 1 Hz, the lowest, where it asks most)")
-    assert "points: 3 frequencies" in report("study={kind: sweep, frequency: {values: [1, 2, 3]}}")["scene"]
+    plain = report("study={kind: sweep, frequency: {values: [1, 2, 3]}}")["scene"]
+    assert "points: 3 frequencies" in plain
+    assert "over" not in " ".join(plain)
     one = report(
         "study={kind: sweep, frequency: {values: [1]}, over: {contacts.pad.preload: 2}, settle: {max_cycles: 1}}"
     )

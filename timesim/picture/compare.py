@@ -203,7 +203,7 @@ def _cycle(data: DataTree) -> tuple[Dataset, str, str]:
 
 
 def _legend(axs: Sequence[Axes], hbm: Dataset, sweep: Dataset) -> None:
-    balance.legend(axs, hbm, markers="independent" in sweep.direction.values)
+    balance.legend(axs, hbm, markers="independent" in sweep.direction.values, lines=METHODS["hbm"])
 
 
 def _overlay_figure(data: DataTree) -> Figure:

@@ -115,11 +115,11 @@ def sets(data: Dataset) -> list[tuple[float, ...]]:
     return list(dict.fromkeys(map(tuple, _values(data).tolist())))
 
 
-def legend(axs: Sequence[Axes], data: Dataset, *, markers: bool = False) -> None:
+def legend(axs: Sequence[Axes], data: Dataset, *, markers: bool = False, lines: str = "") -> None:
     """A legend to the right of the first axes: the colours of the values, and what lines and marks mean."""
     drawn = [(family.label, family.style) for family in families(data) if family.label]
     entries = {label: style._replace(line="-", marker=style.marker if markers else "") for label, style in drawn}
-    shared.legend(axs, entries, shared.legend_title(data, over_keys(data)))
+    shared.legend(axs, entries, shared.legend_title(data, over_keys(data)), lines=lines)
 
 
 def hidden(data: Dataset) -> str:

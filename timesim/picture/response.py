@@ -185,15 +185,15 @@ def several_cycles(ax: Axes, data: Dataset, where: Mapping[str, int], y: np.ndar
         ax.plot(data.frequency.values[longer], y[longer], "s", label="period of several cycles", **ring)
 
 
-def legend(axs: Iterable[Axes], entries: Mapping[str, Series], title: str | None = None) -> None:
+def legend(axs: Iterable[Axes], entries: Mapping[str, Series], title: str | None = None, *, lines: str = "") -> None:
     """A legend to the right of the first axes: the styles of the curves, and in grey whatever else has a label.
 
-    Curves that are stable throughout do not say so.
+    Curves that are stable throughout do not say so, but what ``lines`` are.
     """
     first, *others = axs
     if "unstable" not in labelled(first, *others):
         for line in (line for ax in (first, *others) for line in ax.get_lines() if line.get_label() == "stable"):
-            line.set_label("_stable")
+            line.set_label(lines or "_stable")
     meanings = handles({name: Series(NEUTRAL, "-", "") for name in labelled(first, *others)})
     for handle, (name, drawn) in zip(meanings, labelled(first, *others).items(), strict=True):
         handle.update_from(drawn)

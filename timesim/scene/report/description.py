@@ -226,8 +226,9 @@ def _mass(length: str, force: str) -> str:
 
 
 def _keys(section: BaseModel, order: Iterable[str]) -> str:
-    """The contents of a section, first the keys that the scene names, in their order."""
-    values = section.model_dump(by_alias=True, exclude_none=True)
+    """The contents of a section that are not empty, first the keys that the scene names, in their order."""
+    dumped = section.model_dump(by_alias=True, exclude_none=True)
+    values = {key: value for key, value in dumped.items() if value not in ({}, [], ())}
     keys = dict.fromkeys([key for key in order if key in values] + list(values))
     return ", ".join(f"{key} {_brief(values[key])}" for key in keys)
 
