@@ -14,7 +14,8 @@ from timesim.model.solver import NEVER, PRESETS, SHOOT, SLOW, Criterion, Solver
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.fourier import phase_deg, to_phasors
 from timesim.orbit.recurrence import is_irregular, recurrence_of, without_way
-from timesim.orbit.settling import Chain, Search, Task, after_march, after_measure, after_shot, steady_states, warm_up
+from timesim.orbit.search import Search, Task, after_march, after_measure, after_shot
+from timesim.orbit.settling import Chain, steady_states, warm_up
 from timesim.orbit.threshold import CYCLES_A_ROUND, LONGEST
 
 HELD = np.zeros((0, 2))  # no body moves without an effect
@@ -215,6 +216,7 @@ def test_what_does_not_repeat_is_told_from_what_is_slow():
     assert is_irregular(0.03 * scatter * np.where(rounds < rounds.size // 2, 10, 1), 0.003, 1e-5)  # found its way late
     assert not is_irregular(0.1 * scatter, 1e-4, 1e-5)  # hardly damped at all
     assert not is_irregular([0.1] * 3, 0.003, 1e-5)
+    assert not is_irregular(1e-3 * scatter * np.exp(0.015 * rounds), 0.003, 1e-5)  # leaves an unstable motion
 
 
 @pytest.mark.parametrize("entry", range(4))
@@ -262,11 +264,51 @@ def test_a_motion_whose_cycles_cannot_be_recorded_is_a_point_without_one_and_say
         raise RunError("a step holds so many vibrations")
 
     lane = SimpleNamespace(model=oscillator(3.0, 1.39), frequency=1.39, control=SimpleNamespace(rtol=1e-7))
-    recorded = SimpleNamespace(complete=True, cycles=2, left=0.0, end=lane, orbit=orbit)
+    recorded = SimpleNamespace(complete=True, cycles=2, left=0.0, end=lane, orbit=orbit, is_unstable=False)
     search = Search(0, 0, lane, task=Task.MEASURE, cycles=30, period=1)
     after = after_measure(search, recorded, PRESETS["standard"], Criterion())
     assert (after.task, after.orbit.cycles) == (Task.DONE, 32)
     assert after.orbit.reason == "at 1.39 Hz: a step holds so many vibrations"
+
+
+def test_an_unstable_motion_is_disturbed_once_and_marched_on():
+    off = SimpleNamespace()
+    recorded = SimpleNamespace(complete=True, cycles=1, left=0.0, is_unstable=True, disturbed=lambda _: off)
+    search = Search(0, 0, SimpleNamespace(), task=Task.MEASURE, cycles=30, period=1, returns=tuple(STILL))
+    after = after_measure(search, recorded, PRESETS["standard"], Criterion())
+    assert (after.task, after.cycles, after.period, after.returns, after.disturbed) == (Task.MARCH, 31, 0, (), True)
+    assert after.lane is off
+
+
+@pytest.mark.long
+def test_bodies_that_begin_alike_do_not_end_on_an_unstable_motion():
+    """Two that open from their stops in step: the motion out of step is in resonance at one and a half times 1.4 Hz.
+
+    From rest they move alike, as on the unstable motion; from elsewhere they part. A harmonic balance knows of it, too.
+    """
+    scene = {
+        "structure": {
+            "matrices": {
+                "mass": [[1, 0], [0, 1]],
+                "stiffness": [[100, -60], [-60, 100]],
+                "damping_ratio": 0.005,
+                "points": {"a": {"x": 0}, "b": {"x": 1}},
+            }
+        },
+        "contacts": [
+            {"name": name, "point": name, "normal": [1, 0, 0], "friction": 0, "preload": 0.2}
+            | {"tangential_stiffness": 0, "normal_stiffness": 40}
+            for name in "ab"
+        ],
+        "excitation": {"forces": [{"point": name, "direction": [1, 0, 0], "amplitude": 3} for name in "ab"]},
+        "study": {"kind": "sweep", "frequency": {"values": [1.4]}},
+    }
+    for begin in ({}, {"initial": {"modal_displacement": [0.0, 0.1]}}):
+        result = timesim.run(scene | begin)
+        assert (result["settled"].item(), result["period"].item()) == (1, 2)
+        np.testing.assert_allclose(result["amplitude"].sel(axis="x").values.ravel(), 0.183295, rtol=3e-6)
+    curve = timesim.run(scene | {"study": {"kind": "hbm", "frequency": {"from": 1.399, "to": 1.401}}})
+    assert not curve["stable"].values.any()
 
 
 def test_it_is_shot_where_that_is_asked_for_and_not_too_early():

@@ -26,7 +26,7 @@ from timesim.model.solver import Solver
 from timesim.orbit.fourier import HARMONICS
 from timesim.orbit.monodromy import HybridState, point_of, vector_of
 from timesim.orbit.steady_state import Orbit, share
-from timesim.orbit.threshold import VAGUE
+from timesim.orbit.threshold import UNSTABLE, VAGUE
 
 ROUNDING = 1e-10  # of an entry of a unit vector
 
@@ -173,13 +173,31 @@ class Recorded:
 
         NaN where the derivative is not finite.
         """
-        moves, along = self._moves, self._along
-        slope = self.slope[np.ix_(moves, moves)]
-        if len(along):
-            others = null_space(along)
-            slope = others.T @ slope @ others
-        values = np.linalg.eigvals(slope) if np.isfinite(slope).all() else np.full(len(slope), np.nan)
+        if not np.isfinite(self.slope).all():
+            return np.full(self._within.shape[1], np.nan)
+        values = np.linalg.eigvals(self._slope_within)
         return np.asarray(values[np.argsort(-np.abs(values))])
+
+    @property
+    def is_unstable(self) -> bool:
+        """Whether a disturbance grows over the cycles."""
+        return bool(np.max(np.abs(self.multipliers), initial=0.0) > UNSTABLE)
+
+    def disturbed(self, share: float) -> "Lane | None":
+        """The end, moved along the disturbance that grows most by a share of the state; None as of `Lane.moved`."""
+        values, vectors = np.linalg.eig(self._slope_within)
+        grows = self._within @ vectors[:, np.argmax(np.abs(values))].real
+        return self.end.moved(self.end.vector + share * self.end.size / np.abs(grows).max() * grows)
+
+    @cached_property
+    def _within(self) -> np.ndarray:
+        """Disturbances but those of free offsets and of the place of a body that slides, as columns."""
+        disturbances = np.eye(len(self.slope))[:, self._moves]
+        return disturbances @ null_space(self._along) if len(self._along) else disturbances
+
+    @property
+    def _slope_within(self) -> np.ndarray:
+        return np.asarray(self._within.T @ self.slope @ self._within)
 
     @cached_property
     def _moves(self) -> np.ndarray:

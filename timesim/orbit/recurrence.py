@@ -134,6 +134,8 @@ def is_irregular(changes: Sequence[float], decay: float, noise: float) -> bool:
         early = float(np.median(changes[begin : begin + quarter]))
         due = decay * threshold.CYCLES_A_ROUND * (len(changes) - quarter - begin)
         least = min(due, 2 * threshold.CLEARLY) / share
-        if due > threshold.CLEARLY and late > max(threshold.VAGUE, noise) and np.log(early / late) < least:
+        # What grows leaves an unstable motion, and may come to one that repeats.
+        stays = late > max(threshold.VAGUE, noise) and -threshold.CLEARLY < np.log(early / late) < least
+        if due > threshold.CLEARLY and stays:
             return True
     return False

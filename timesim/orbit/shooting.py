@@ -125,7 +125,7 @@ def _ended(shot: Shot, recorded: Recorded, left: float) -> Shot | Converged | Fa
     period = next(n for n, repeated in enumerate(repeats, 1) if repeated and shot.period % n == 0)
     if period < shot.period:
         return Shot(shot.lane, period)
-    if np.max(np.abs(recorded.multipliers), initial=0.0) > threshold.UNSTABLE:
+    if recorded.is_unstable:
         return Failure.UNSTABLE
     return Failure.ASTRAY if recorded.strays else Converged(left)
 

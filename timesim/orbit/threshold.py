@@ -61,6 +61,9 @@ TRIES = 2**14
 """Most steps tried in a cycle that is shot: some hundred times as many as at usual tolerances, for a fine one."""
 UNSTABLE = 1 + 1e-6
 """Modulus of a Floquet multiplier above which a motion is unstable; multipliers are exact to 1e-6, as tested."""
+DISTURBANCE = 1e-3
+"""Of the state, by which an unstable motion is moved: small enough to keep to a stable one beside it, and large enough
+that a multiplier of 1.01 takes hundreds of cycles to lead away, not thousands."""
 NOISY = 100.0
 """Change over a period, in units of the tolerance of a step, that may be the noise of its steps: of some hundred, most
 are far more precise than they must be."""
