@@ -180,6 +180,15 @@ def jumps(result: Result) -> tuple[float, float]:
     return float(down["jump_high"].squeeze()), float(up["jump_low"].squeeze())
 
 
+def doubled(result: Result) -> tuple[float, ...]:
+    """The point of a sweep that is of several cycles: frequency, cycles, amplitude, and that of the balance there."""
+    sweep, hbm = result.groups["sweep"].isel(direction=0), result.groups["hbm"]
+    (at,) = np.flatnonzero(sweep["period"].values > 1)
+    frequency, largest = sweep["frequency"].values[at], hbm["amplitude"].max(("point", "axis")).values
+    stable, height = (np.interp(frequency, hbm["frequency"].values, y) for y in (hbm["stable"].values, largest))
+    return frequency, sweep["period"].values[at], sweep["amplitude"].values[at].max(), 0 if stable else height
+
+
 def folds(result: Result) -> np.ndarray:
     """Folds of the balance, ascending [Hz]."""
     hbm = result.groups["hbm"]
@@ -208,6 +217,11 @@ CLAIMS = (
         "the blade from # to # Hz: a broad top between the free and the stuck resonance; from # Hz on the motion does "
         "not settle in # cycles and is marked so, with the band of its amplitude",
         unsettled,
+    ),
+    Claim(
+        "disk",
+        "but at # Hz, where the motion is unstable and repeats after # cycles instead, by # in place of # mm",
+        doubled,
     ),
     Claim("clutch", "at # Hz the gearbox swings by # rad under a clutch that sticks nearly always, by # under", swings),
     Claim("two", "up and down differ between # and # Hz", jumps),

@@ -192,3 +192,48 @@ def test_two_masses_that_meet_move_as_one_at_a_wall():
     np.testing.assert_allclose(alone["displacement"].sel(axis="x").values[:, 0], x[:, 0], atol=1e-7 * np.abs(x).max())
     assert alone.sizes["event"] == both.sizes["event"] > 40
     assert np.abs(x).max() > 5 * x[:, 0].max()
+
+
+def test_a_blade_between_neighbours_that_move_against_it_moves_as_between_walls():
+    """Engine order three of six: what a shroud sees, its slip and its loss are twice those at a wall."""
+    frequencies = {"kind": "sweep", "frequency": {"values": [420.0, 450.0, 480.0]}, "periodic": "shoot"}
+    phases = {f"excitation.forces.{blade}.phase_deg": 180 * (blade % 2) for blade in range(6)}
+    wheel = run("bladed_disk", study=frequencies, **phases).isel(direction=0)
+    wall = {"point": "b", "tangent": [0, 0, 1], "friction": 0.3, "tangential_stiffness": 300, "normal_stiffness": 600}
+    blade = {
+        "structure": {
+            "matrices": {
+                "mass": [[2e-4, 0], [0, 2e-4]],
+                "stiffness": [[1020, -200], [-200, 920]],
+                "damping_ratio": 0.002,
+                "points": {"b": {"x": 0, "z": 1}},
+            }
+        },
+        "contacts": [wall | {"name": side, "normal": [n, 0, 0], "preload": 20} for side, n in (("a", 1), ("b", -1))],
+        "excitation": {"forces": [{"point": "b", "direction": [0, 0, 1], "amplitude": 8}]},
+        "study": frequencies,
+    }
+    alone = timesim.run(blade).isel(direction=0)
+    for name in ("amplitude", "slip_share", "dissipated_power"):
+        first, own = wheel[name].values[:, 0], alone[name].values[:, 0] * (2 if name == "dissipated_power" else 1)
+        np.testing.assert_allclose(first, own, rtol=1e-6, atol=1e-9 * np.abs(own).max())
+        same = np.ptp(wheel[name].values, axis=1)
+        assert same.max() < 1e-6 * np.abs(own).max()
+    assert np.all((wheel["slip_share"] > 0.02) & (wheel["slip_share"] < 0.5))
+
+
+def test_a_wave_round_a_bladed_disk():
+    """All blades by the same amplitude, each behind the one before; about 356 Hz after two cycles only."""
+    fewer = {"study.frequency": {"values": [354.0, 356.0, 360.0]}}
+    both = run("bladed_disk", **fewer)
+    sweep = both["sweep"].to_dataset().sel(axis="z").isel(direction=0)
+    amplitude, step = sweep["amplitude"].values, np.diff(sweep["phase_deg"].values, axis=1)
+    np.testing.assert_allclose(amplitude, np.tile(amplitude[:, :1], 6), rtol=1e-6)
+    assert np.abs((step + 120 + 180) % 360 - 180).max() < 1e-3
+    assert list(sweep["period"].values) == [1, 2, 1]
+    assert amplitude[1, 0] < 0.9 * amplitude[0, 0]
+    balance = both["hbm"]
+    unstable = balance["frequency"].values[balance["stable"].values == 0]
+    assert unstable.size > 0
+    assert np.all((unstable > 354.5) & (unstable < 357.5))
+    assert np.abs(both["relative_difference"].sel(axis="z").values[0, [0, 2]]).max() < 1e-4
