@@ -7,7 +7,7 @@ import pytest
 from systems import oscillator, oscillator_scene
 
 import timesim
-from timesim.result.coordinate import coordinates, rubs, runs
+from timesim.result.coordinate import coordinates, place_of_largest, rubs, runs
 
 
 def test_they_are_those_of_the_dimensions_in_use():
@@ -62,3 +62,15 @@ def test_values_with_others_between_them_are_in_runs_of_their_own():
     found = runs(values, np.array([True, True, False, False, True]))
     assert [run.tolist() for run in found] == [[1.0, 2.0], [16.0]]
     assert runs(values, np.zeros(5, dtype=bool)) == []
+
+
+def test_of_bodies_that_move_alike_the_first_is_named():
+    """Not the one that rounding makes largest; what has no amplitude does not count."""
+    amplitude = np.full((2, 3, 3), 0.5)
+    amplitude[:, :, 1] = 1 + 1e-9 * np.arange(3)
+    amplitude[1, 0] = np.nan
+    assert place_of_largest(amplitude) == (0, 1)
+    amplitude[0, 2, 1] += 1e-5
+    assert place_of_largest(amplitude) == (2, 1)
+    assert place_of_largest(np.full((1, 2, 3), np.nan)) == (0, 0)
+    assert place_of_largest(np.zeros((2, 2, 3))) == (0, 0)

@@ -24,6 +24,8 @@ BODIES = "body_1", "body_2"
 """Along the contacts: the points that each joins, or one of them and the ground."""
 FIRST = {"mode": 1, "cycle": 1, "harmonic": 0}
 """First number along the dimensions that count something."""
+ALIKE = 1e-6
+"""Relative difference up to which amplitudes of different points are one, as of equal bodies that move alike."""
 
 
 def coordinates(variables: Mapping[str, tuple[Any, ...]], model: Model | None = None) -> dict[str, Any]:
@@ -59,10 +61,16 @@ def rubs(data: "Dataset") -> "DataArray":
     return data["contact"].notnull() if known is None else known > 0
 
 
+def place_of_largest(amplitude: np.ndarray) -> tuple[int, int]:
+    """Point and axis of the largest of some amplitudes, shape (..., P, 3), the first of those that are alike."""
+    size = np.nan_to_num(amplitude, nan=-1.0).reshape(-1, *amplitude.shape[-2:]).max(axis=0)
+    point, axis = np.unravel_index(np.argmax(size >= size.max() - ALIKE * abs(size.max())), size.shape)
+    return int(point), int(axis)
+
+
 def largest_motion(amplitude: "DataArray") -> dict[str, str]:
     """Point and axis of the largest of some amplitudes, along any further dimensions."""
-    values = amplitude.transpose(..., "point", "axis").values
-    place = np.unravel_index(np.argmax(np.nan_to_num(values, nan=-1.0)), values.shape)[-2:]
+    place = place_of_largest(amplitude.transpose(..., "point", "axis").values)
     return {name: str(amplitude[name].values[i]) for name, i in zip(("point", "axis"), place, strict=True)}
 
 

@@ -9,7 +9,7 @@ from xarray import Dataset
 from timesim.hbm.convergence import Convergence, order_of
 from timesim.hbm.stability.multipliers import BORDER
 from timesim.orbit.steady_state import switches
-from timesim.result.coordinate import over_keys, rubs
+from timesim.result.coordinate import over_keys, place_of_largest, rubs
 from timesim.result.label import counted, in_words, with_unit
 from timesim.study.outcome import took
 
@@ -37,7 +37,7 @@ def _curve_line(curve: Dataset) -> str:
     """The peak of a curve, its folds, and how much its contacts slip and separate."""
     amplitude, along = curve["amplitude"].values, curve[curve.attrs.get("along", "frequency")].values
     stable, fold = curve["stable"].values > 0, curve["fold"].values > 0
-    point, axis = np.unravel_index(np.argmax(amplitude.max(axis=0)), amplitude.shape[1:])
+    point, axis = place_of_largest(amplitude)
     motion = np.stack([curve["harmonic_cos"].values, curve["harmonic_sin"].values], axis=1)
     place, height = peak(along, amplitude[:, point, axis], motion)
     folds, units = "folds" if np.sum(fold) > 1 else "a fold", curve[curve.attrs.get("along", "frequency")].attrs

@@ -9,7 +9,7 @@ from xarray import Dataset
 from timesim.orbit.jump import suspects
 from timesim.orbit.steady_state import SAME
 from timesim.orbit.threshold import LONGEST
-from timesim.result.coordinate import over_keys, runs
+from timesim.result.coordinate import over_keys, place_of_largest, runs
 from timesim.result.label import axis_value, counted, first_few, in_words, with_unit
 from timesim.study.outcome import DOUBT, took
 from timesim.study.summary.drift import largest_step
@@ -43,7 +43,8 @@ def peak_lines(data: Dataset) -> Iterator[str]:
     lines = []
     for place in np.ndindex(amplitude.shape[:-4]):
         own = amplitude[place]
-        direction, at, point, axis = map(int, np.unravel_index(np.argmax(own), own.shape))
+        direction, at, *_ = map(int, np.unravel_index(np.argmax(own), own.shape))
+        point, axis = place_of_largest(own[direction, at])
         top = own[direction, at, point, axis]
         if top < 0:
             continue

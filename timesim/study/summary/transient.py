@@ -8,6 +8,7 @@ from xarray import Dataset
 from timesim.engine.companion import amplitude_error
 from timesim.model.promise import MARGIN, tightened
 from timesim.model.solver import Solver
+from timesim.result.coordinate import place_of_largest
 from timesim.result.label import counted, with_unit
 from timesim.scene.transient import Schedule
 from timesim.study.outcome import DOUBT, took
@@ -48,7 +49,7 @@ def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
 def _reached(data: Dataset, end: int, when: str, compared: bool) -> str:
     """The amplitude of a cycle, and perhaps how much the amplitudes of the one before differ."""
     amplitude = data["cycle_amplitude"].values
-    _, point, axis = np.unravel_index(np.argmax(amplitude), amplitude.shape)
+    point, axis = place_of_largest(amplitude)
     name = f"{data['point'].values[point]} {data['axis'].values[axis]}"
     size = with_unit(f"{amplitude[end - 1, point, axis]:.6g}", data["cycle_amplitude"].attrs)
     words = f"amplitude {size} of {name} {when}"
