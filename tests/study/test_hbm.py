@@ -134,10 +134,13 @@ def test_a_contact_that_sticks_beside_one_that_works_is_named(curves):
     data["separation_share"].values[:] = [[0.0, 0.0], [0.0, 0.0], [0.0, 0.4]]
 
     def said(data):
-        return [line for line in curve_lines(data, ()) if "sticks all the time" in line]
+        return [line for line in curve_lines(data, ()) if "all the time" in line]
 
     (line,) = said(data)
     assert line.startswith("contacts.pad.preload -4: contact pad sticks all the time at 2 solutions at which others")
+    three = xarray.concat([data, data.isel(contact=[0]).assign_coords(contact=["more"])], "contact", data_vars="minimal")
+    (line,) = said(three)
+    assert ": contacts pad, more stick all the time at up to 2 solutions at which others work: their mean" in line
     assert not said(data.isel(solution=[0]))
     assert not said(data.assign_coords(friction=("contact", [0.0, 0.5])))
     data["slip_share"].values[:] = 0.1

@@ -75,11 +75,14 @@ def _free_lines(curve: Dataset) -> Iterator[str]:
     slip, apart, rub = curve["slip_share"].values, curve["separation_share"].values, rubs(curve).values
     works = np.any(switches(slip, apart) & (rub | (apart > 0)), axis=1, keepdims=True)
     sticks = rub & (slip == 0) & (apart == 0) & works
-    for name, number in zip(curve["contact"].values, sticks.sum(axis=0), strict=True):
-        if number:
-            where = f"at {counted(int(number), 'solution')} at which others work"
-            freedom = "its mean force is not unique, and the motion may depend on it"
-            yield f"contact {name} sticks all the time {where}: {freedom}"
+    number = sticks.sum(axis=0)
+    names = curve["contact"].values[number > 0].tolist()
+    one = len(names) == 1
+    if names:
+        who = f"contact {names[0]} sticks" if one else f"contacts {_first_of(names, {})} stick"
+        where = f"at {'' if one else 'up to '}{counted(int(number.max()), 'solution')} at which others work"
+        force = "its mean force is" if one else "their mean forces are"
+        yield f"{who} all the time {where}: {force} not unique, and the motion may depend on {'it' if one else 'them'}"
 
 
 def convergence_lines(refined: Convergence) -> list[str]:
