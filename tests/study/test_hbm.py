@@ -138,7 +138,8 @@ def test_a_contact_that_sticks_beside_one_that_works_is_named(curves):
 
     (line,) = said(data)
     assert line.startswith("contacts.pad.preload -4: contact pad sticks all the time at 2 solutions at which others")
-    three = xarray.concat([data, data.isel(contact=[0]).assign_coords(contact=["more"])], "contact", data_vars="minimal")
+    more = data.isel(contact=[0]).assign_coords(contact=["more"])
+    three = xarray.concat([data, more], "contact", data_vars="minimal")
     (line,) = said(three)
     assert ": contacts pad, more stick all the time at up to 2 solutions at which others work: their mean" in line
     assert not said(data.isel(solution=[0]))
