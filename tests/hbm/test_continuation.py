@@ -253,6 +253,25 @@ def test_units_do_not_matter(scale):
     np.testing.assert_allclose(scaled.p * scale, plain.p, rtol=1e-6, atol=1e-7)
 
 
+class Ledge:
+    """x = tanh(p / width): flat but for a small part of the range."""
+
+    width = 1e-3
+
+    def value(self, x, p):
+        return x - np.tanh(p / self.width)
+
+    def linearised(self, x, p):
+        return self.value(x, p), np.eye(1), np.array([(np.tanh(p / self.width) ** 2 - 1) / self.width])
+
+
+@pytest.mark.parametrize("start", [-1.0, 1.0])
+def test_no_step_leads_from_one_flat_part_to_another(start):
+    curve = follow(Ledge(), np.array([start]), start, -start, CONTROLS)
+    assert curve.complete
+    assert np.sum(np.abs(curve.x[:, 0]) < 0.9) > 10
+
+
 def test_either_direction():
     back = follow(Cubic(), np.array([3.0, 3.0]), 10.0, -10.0, CONTROLS)
     assert back.complete

@@ -197,7 +197,9 @@ class _PathTracker:
                 length /= 4
                 continue
             turn = float(np.arccos(np.clip(point.tangent @ new.tangent, -1.0, 1.0)))
-            elsewhere = new.orientation * point.orientation < 0
+            # Of a step over which contacts that stuck come apart both ends may be flat: their tangents tell nothing.
+            beside = bool(np.linalg.norm(new.y - guess) > length)
+            elsewhere = beside or new.orientation * point.orientation < 0
             if turn > self.controls.turn * (0.5 if elsewhere else 2) or (elsewhere and length > BRANCHING):
                 if not elsewhere and (step := self._around_corner(point, length, new)) is not None:
                     return step
