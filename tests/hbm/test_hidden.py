@@ -12,6 +12,7 @@ from timesim.hbm.balance import Balance
 from timesim.hbm.curve import hbm_curve
 from timesim.hbm.curve.following import part_of_curve
 from timesim.hbm.hidden import SHARE, steps_to_resolve
+from timesim.hbm.parameter import parameter_curve
 from timesim.hbm.scheme import Controls, Scheme
 from timesim.model.model import Contact, Model, Structure
 
@@ -76,6 +77,23 @@ def test_so_does_a_part_of_it_that_another_process_follows_from_the_other_end():
     part = part_of_curve(blades(), 5.0, 18.0, 5.0, [Scheme(1, 16)], Controls(), lambda *_: None)
     assert part.complete
     assert np.sum(np.abs(part.p - 10.0) < RATIO * 10.0) >= 2 / SHARE - 1
+
+
+def along_both_frequencies(first, last):
+    """A curve at 10 Hz along the frequency of both blades [Hz]."""
+    options = {"scheme": [Scheme(1, 16)], "controls": Controls(), "guess": None, "stability": False}
+    return parameter_curve(lambda f: blades((f, f)), 10.0, first, last, watch=lambda *_: None, **options)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("ends", [(8.3, 13.0), (13.0, 8.3)])
+def test_so_does_a_curve_along_a_scalar_that_moves_the_resonance(ends):
+    curve = along_both_frequencies(*ends)
+    assert curve.complete
+    assert np.sum(np.abs(curve.parameter - 10.0) < RATIO * 10.0) >= 2 / SHARE - 1
+    assert curve.parameter.size < 120
+    together = 0.75 / (2 * RATIO * (systems.TURN * 10.0) ** 2)
+    assert curve.harmonic_amplitude[:, 1].max() == pytest.approx(together, rel=0.02)
 
 
 def light_mode():

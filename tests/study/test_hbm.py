@@ -372,6 +372,20 @@ def test_along_a_scalar():
     )
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(("first", "last"), [(-200, 200), (1000, -1000)])
+def test_a_curve_along_a_scalar_shows_what_happens_in_a_small_part_of_its_range(first, last):
+    given = scene(frequency=0.95, along={"contacts.pad.preload": {"from": first, "to": last}}, stability=False)
+    found = timesim.run(given)
+    assert found.attrs["complete"] == 1
+    preload, places = found["contacts.pad.preload"].values, found.fold.values == 1
+    known = timesim.run(given | {"study": given["study"] | {"along": {"contacts.pad.preload": {"from": -6, "to": 4}}}})
+    folds = known["contacts.pad.preload"].values[known.fold.values == 1]
+    assert sorted(preload[places]) == pytest.approx(sorted(folds), abs=1e-4)
+    assert found.amplitude.max() == pytest.approx(known.amplitude.max().item(), rel=1e-3)
+    assert preload.size < 400
+
+
 def test_a_curve_along_a_scalar_that_turns_back_says_so():
     given = scene(frequency=0.947, along={"contacts.pad.preload": {"from": -4, "to": 3}})
     said = r"continuation at contacts\.pad\.preload = -4, after \d+ points: the curve turned back and left the range"

@@ -27,30 +27,50 @@ SHARPEST = 1e-6
 SEEN = 1e-2
 
 
+class Hidden:
+    """The resonances of a model that its contacts hardly feel.
+
+    Attributes:
+        low, high: frequencies of the excitation [Hz] between which contacts move each, by the harmonic that
+            meets it, shape (H, M).
+    """
+
+    def __init__(self, model: Model, harmonics: int):
+        structure, excited = model.structure, model.excitation
+        omega, self._vectors, wide = damped_modes(model, np.arange(model.num_contacts))
+        alone = np.hypot.reduce(structure.omega[:, None] * self._vectors, axis=0)
+        half = np.maximum(wide / 2, SHARPEST * omega)
+        self._hidden = (omega > 0) & (omega - alone <= FELT * half)
+        shapes = self._vectors / np.sqrt(structure.mass)[:, None]
+        force = np.abs((excited.cosine + 1j * excited.sine) @ shapes)
+        order = np.arange(1, max(excited.harmonic.max(), harmonics) + 1)[:, None]
+        self._excited = np.zeros((order.size, omega.size), dtype=bool)
+        self._excited[excited.harmonic - 1] = self._hidden & (force > ROUNDING * force.max(initial=0.0))
+        largest = np.abs(structure.shape @ shapes).max(axis=(0, 1))
+        self._rise = self._hidden * largest / (2 * np.maximum(half * omega, 1e-300))
+        self.low, self.high, self._width = (part / (2 * np.pi * order) for part in (alone, omega, half))
+
+    def away(self, frequency: float, driven: Callable[[], tuple[np.ndarray, float]]) -> Array:
+        """How far a frequency [Hz] is from each, at least half its width, shape (H, M); infinite where nothing acts.
+
+        ``driven``: as of `AdaptiveBalance`.
+        """
+        wanted = self._excited.copy()
+        if self._hidden.any():
+            force, largest = driven()
+            wanted[: len(force)] |= np.abs(force @ self._vectors) * self._rise > SEEN * largest
+        away = np.maximum(np.maximum(self.low - frequency, frequency - self.high), self._width)
+        return np.where(wanted, away, np.inf)
+
+
 def steps_to_resolve(model: Model, balance: AdaptiveBalance) -> Callable[[float, Array], float]:
     """How far at most a step leads from a frequency [Hz] and the unknowns there.
 
     It is to show all resonances that contacts hardly feel, under any harmonic of the excitation and of their forces.
     """
-    structure, excited = model.structure, model.excitation
-    omega, vectors, wide = damped_modes(model, np.arange(model.num_contacts))
-    alone = np.hypot.reduce(structure.omega[:, None] * vectors, axis=0)
-    half = np.maximum(wide / 2, SHARPEST * omega)
-    hidden = (omega > 0) & (omega - alone <= FELT * half)
-    shapes = vectors / np.sqrt(structure.mass)[:, None]
-    force = np.abs((excited.cosine + 1j * excited.sine) @ shapes)
-    order = np.arange(1, max(excited.harmonic.max(), balance.schemes[-1].harmonics) + 1)[:, None]
-    by_excitation = np.zeros((order.size, omega.size), dtype=bool)
-    by_excitation[excited.harmonic - 1] = hidden & (force > ROUNDING * force.max(initial=0.0))
-    rise = hidden * np.abs(structure.shape @ shapes).max(axis=(0, 1)) / (2 * np.maximum(half * omega, 1e-300))
-    low, high, width = (part / (2 * np.pi * order) for part in (alone, omega, half))
+    hidden = Hidden(model, balance.schemes[-1].harmonics)
 
     def longest(frequency: float, x: Array) -> float:
-        wanted = by_excitation.copy()
-        if hidden.any():
-            force, largest = balance.driven(x, frequency)
-            wanted[: len(force)] |= np.abs(force @ vectors) * rise > SEEN * largest
-        away = np.maximum(np.maximum(low - frequency, frequency - high), width)
-        return SHARE * float(away.min(initial=np.inf, where=wanted))
+        return SHARE * float(hidden.away(frequency, lambda: balance.driven(x, frequency)).min(initial=np.inf))
 
     return longest
