@@ -145,6 +145,27 @@ def test_a_mode_whose_motion_is_known(name: str, cycles: int) -> None:
     np.testing.assert_allclose(leap.displacement, trace.run.displacement, rtol=0, atol=1e-14 * (10 + cycles) * size)
 
 
+def test_samples_while_an_overdamped_mode_is_set_in_motion() -> None:
+    """It takes the speed that its damper allows within the first of 50 samples a cycle; others move on beside it."""
+    mode = {"frequency": 1.0, "mass": 2.0, "shape": {"tip": [1, 0, 0]}}
+    modes = [mode | {"damping_ratio": ratio} for ratio in (0.02, 3.0, 40.0, 1000.0)]
+    push = {"point": "tip", "direction": [1, 0, 0], "amplitude": 5.0}
+    study = {"kind": "transient", "cycles": 2, "samples_per_cycle": 50}
+    load = {"frequency": 1.0, "constant_forces": [push]}
+    found = timesim.run({"structure": {"modes": modes}, "excitation": load, "study": study})
+    assert found.attrs["method"] == "closed form"
+    fine = timesim.run({"structure": {"modes": modes[3:]}, "excitation": load, "study": study})
+    omega, t = 2 * np.pi, found["time"].values
+    for ratio, result, mode in ((3.0, found, 1), (40.0, found, 2), (1000.0, found, 3), (1000.0, fine, 0)):
+        fast = omega * (ratio + np.sqrt(ratio**2 - 1))
+        slow = omega**2 / fast
+        speed = 5.0 / 2.0 * (np.exp(-slow * t) - np.exp(-fast * t)) / (fast - slow)
+        creep = 5.0 / 2.0 * (-np.expm1(-slow * t) / slow + np.expm1(-fast * t) / fast) / (fast - slow)
+        for name, true in (("displacement", creep), ("velocity", speed)):
+            error = np.abs(result[f"modal_{name}"].values[:, mode] - true).max()
+            assert error < 1e-7 * float(abs(result[f"modal_{name}"]).max()), (ratio, name)
+
+
 def test_extremes_between_the_ends_of_steps() -> None:
     """A vibration a hundred times as fast as the excitation, on a slow one."""
     body = structure([1.0, 1e4], [0.0, 0.0], [[1, 0, 0], [1, 0, 0]])

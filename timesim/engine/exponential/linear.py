@@ -7,7 +7,8 @@ Taylor series over a short time, doubled by ``E(2h) = 2 E + E^2``: beside a mode
 one keeps the digits that it would lose to the squares of the exponential itself [2]_. The energies are quadratic forms
 of the state at the start of a step, doubled with it [1]_.
 
-Only the dense output limits a step: it is as long as the quintic through its ends follows the motion.
+Only the dense output limits a step: it is as long as the quintic through its ends follows the motion. What decays fast
+does so at the start alone: the first cycle goes by spans each as long as all before it, with steps of their own.
 
 .. [1] C. F. Van Loan, Computing integrals involving the matrix exponential, IEEE Transactions on Automatic Control 23
    (1978) 395-404.
@@ -158,21 +159,28 @@ class LinearMotion:
         return states
 
     @cached_property
+    def first_span(self) -> float:
+        """Share 2^-k of a cycle within which the looks see what decays fastest."""
+        decay = float(np.linalg.norm(self.drag, axis=(1, 2)).max())
+        return float(2.0 ** -max(np.ceil(np.log2(max(decay, 1.0) / (LOOKS * self.highest))), 0.0))
+
+    @cached_property
     def _sixth(self) -> tuple[float, np.ndarray]:
         """Fastest rate, and the matrix of the sixth derivatives in its units."""
         fastest = float(max(self.rate.max(), np.abs(self.drag).max(), self.highest))
         return fastest, np.linalg.matrix_power(self.matrix / fastest, 6)
 
-    def steps_a_cycle(self, state: np.ndarray, cycles: int, rtol: float) -> float:
-        """Steps of a cycle of which the quintics through both ends follow the motion over some cycles.
+    def steps_a_cycle(self, state: np.ndarray, cycles: float, rtol: float) -> float:
+        """Steps of a cycle of which the quintics through both ends follow the motion over some cycles, or 2^-k of one.
 
         They may miss a share ``rtol`` of the largest mode in each cycle, of fast vibrations at least `FINEST`. A
         quintic misses ``h^6 |q^(6)| / 46,080`` (Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I,
         section II.6), and of a vibration that is shorter than the step about ``h^2 |q''| / 16``.
         """
         (fastest, sixth), looks, unit = self._sixth, LOOKS * self.highest, self.rate[..., None]
-        states = self.path(self.steps(looks, energies=False), state, looks * cycles)[..., 1:]
-        jet, by_cycle = sixth @ states, (self.rate.size, cycles, looks)
+        spans = max(int(cycles), 1)
+        states = self.path(self.steps(int(looks * spans / cycles), energies=False), state, looks * spans)[..., :-1]
+        jet, by_cycle = sixth @ states, (self.rate.size, spans, looks)
         rate = np.maximum(unit, self.drag.diagonal(axis1=1, axis2=2)[..., None])
         bends = np.hypot(jet[:, self.q] / unit, jet[:, self.p] / rate).reshape(by_cycle).max(axis=2)
         size, rate = np.abs(states[:, self.q] / unit).reshape(by_cycle).max(axis=2), rate.reshape(-1, 1)
@@ -193,18 +201,19 @@ def linear_batches(system: System, start: Point, cycles: int, solver: Solver) ->
     The system, of numpy arrays, is without contacts. The tolerance of the solver is what the quintics may leave of the
     motion, its budget that of explicit steps a cycle.
     """
-    motion, room, num, done = LinearMotion(system), capacity(system, 0), 2 * LOOKS, 0
+    motion, room, num, done = LinearMotion(system), capacity(system, 0), 2 * LOOKS, 0.0
     state, work, like = motion.state(start.q, start.p, 0.0), np.zeros((2, 1)), _Like.of(start)
     while done < cycles:
-        ahead = min(max(room // num, 1), cycles - done)
-        wanted = motion.steps_a_cycle(state, ahead, solver.rtol)
-        if not wanted <= QUINTICS * solver.budget:
+        ahead = min(max(room // num, 1), cycles - done) if done >= 1 else done or motion.first_span
+        wanted, part = motion.steps_a_cycle(state, ahead, solver.rtol), min(ahead, 1)
+        if not wanted * part <= QUINTICS * solver.budget:
             status = Status.BUDGET if np.isfinite(state).all() else Status.NOT_FINITE
-            yield like.batch(motion, state[..., None], (done * num, num), work[:, :0], status)
+            yield like.batch(motion, state[..., None], (int(done * num), num), work[:, :0], status)
             return
-        if not ENOUGH * num <= max(wanted, LOOKS) <= num:
-            num = int(np.ceil(2 ** (np.ceil(RUNGS * np.log2(max(wanted, LOOKS))) / RUNGS)))
-        flow, first, end = motion.steps(num), done * num, num * (done + min(max(room // num, 1), ahead))
+        least = max(wanted * part, LOOKS)
+        if not ENOUGH * num * part <= least <= num * part:
+            num = int(np.ceil(2 ** (np.ceil(RUNGS * np.log2(least)) / RUNGS)) / part)
+        flow, first, end = motion.steps(num), int(num * done), int(num * (done + min(max(room // num, 1), ahead)))
         while first < end:
             states = motion.path(flow, state, min(room, end - first))
             assert flow.forms is not None
@@ -214,7 +223,7 @@ def linear_batches(system: System, start: Point, cycles: int, solver: Solver) ->
             yield batch
             first += states.shape[2] - 1
             state = motion.state(batch.now.point.q, batch.now.point.p, float(batch.now.time))
-        done = end // num
+        done = end / num
 
 
 def linear_leap(system: System, start: Point, cycles: int) -> Reached:
