@@ -168,6 +168,8 @@ def test_steady_states_and_curves(tmp_path):
         (lambda: timesim.integrate("scene.yaml", 1.0, 2), "system must be what timesim.system returns .*not 'scene"),
         (lambda: timesim.follow(None, 1.0, 2.0), "system must be what timesim.system returns .*not None"),
         (lambda: timesim.system(one_mass(), None, FORCE), "contacts must be a list, .* not None"),
+        (lambda: timesim.system(one_mass(), np.array(pad()), FORCE), "contacts must be a list, .* not array"),
+        (lambda: timesim.modes([1.0], np.datetime64("2020"), {"tip": [[1, 0, 0]]}), "damping_ratio must be a number"),
         (lambda: timesim.system(one_mass(), [], None), r"excitation must be from timesim.modal_forces .* not None"),
         (
             lambda: timesim.system(one_mass(), [], [None]),

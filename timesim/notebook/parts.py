@@ -34,7 +34,7 @@ def _numbers(name: str, value: ArrayLike) -> np.ndarray:
     try:
         array = np.asarray(value.toarray() if hasattr(value, "toarray") else value)
         if not np.iscomplexobj(array):
-            if array.dtype.kind in "bSU":
+            if array.dtype.kind in "bSUmM":
                 raise TypeError
             return np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):

@@ -1,7 +1,7 @@
 """Arguments of the functions that a user calls, as what they must be."""
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,12 @@ def path_of(name: str, value: Any, rule: str) -> Path:
 
 def list_of(name: str, value: Any, rule: str) -> list[Any]:
     """The argument as a list, of the items of any iterable that is neither text nor a mapping."""
-    if isinstance(value, Mapping | str | bytes) or not isinstance(value, Iterable):
-        raise ValueError(f"{name} must be {rule}, not {shown(value)}")
-    return list(value)
+    try:  # an array of no dimensions, or a sparse matrix, counts as iterable and is not
+        if not isinstance(value, Mapping | str | bytes):
+            return list(value)
+    except TypeError:
+        pass
+    raise ValueError(f"{name} must be {rule}, not {shown(value)}")
 
 
 def mapping_of(name: str, value: Any, rule: str) -> dict[str, Any]:
