@@ -733,6 +733,16 @@ def test_describe_says_what_is_promised_and_by_which_tolerances():
     assert said("bistable", "solver.accuracy=draft").startswith("promises a relative error of 1e-04 of a steady state")
 
 
+def test_contacts_of_which_the_same_is_found_are_counted():
+    disk = describe(load_scene(CONFIGS / "bladed_disk.yaml"))["left out or simplified"]
+    straight = " moves straight along (1, 0) of its plane: one tangential component is modelled"
+    assert disk == (f"contact s01, and 5 others alike,{straight}",)
+    few = load_scene(CONFIGS / "bladed_disk.yaml", {"contacts.s01.friction": 0.0, "contacts.s23.friction": 0.1})
+    lines = describe(few)["left out or simplified"]
+    assert lines[0] == f"contact s12, and 4 others alike,{straight}"
+    assert lines[1].startswith("contact s01 is a frictionless stop: ")
+
+
 def test_describe_counts_points_and_names_the_method_at_the_lowest_frequency():
     def report(*overrides: str) -> dict[str, tuple[str, ...]]:
         return describe(load_scene(BASE, overrides))

@@ -22,6 +22,7 @@ from timesim.scene.text import value_text
 from timesim.scene.transient import Schedule, TradeoffPlan
 
 LISTED = 6  # entries of a list that are all shown
+ALIKE = 3  # contacts beside the first that are counted, not named, where the same is found of them
 EPSILON = np.finfo(float).eps
 
 
@@ -54,7 +55,19 @@ def _left_out(scene: Scene, model: Model) -> tuple[str, ...]:
     frequency = _own_frequency(scene, model)
     visited, units = [] if frequency is None else [frequency], scene.file.unit_names()
     findings = reduction_of(model, visited, units=units).findings
-    return findings or ("nothing: every mode, contact and direction is needed",)
+    return _together(findings, model) or ("nothing: every mode, contact and direction is needed",)
+
+
+def _together(findings: Iterable[str], model: Model) -> tuple[str, ...]:
+    """Findings, of many contacts of which the same is found one that counts the others."""
+    alike, begins = dict[str, list[str]](), [f"contact {contact.name} " for contact in model.contacts]
+    for line in findings:
+        whose = max((words for words in begins if line.startswith(words)), key=len, default="")
+        alike.setdefault(line.removeprefix(whose), []).append(whose)
+    for rest, (first, *others) in list(alike.items()):
+        if len(others) >= ALIKE:
+            alike[rest] = [f"{first[:-1]}, and {len(others)} others alike, "]
+    return tuple(whose + rest for rest, named in alike.items() for whose in named)
 
 
 def _method_lines(scene: Scene, model: Model) -> Iterator[str]:
