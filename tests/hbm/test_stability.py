@@ -236,19 +236,23 @@ def test_a_free_offset_turns_the_curve_and_is_not_what_makes_it_unstable(
 
 
 @pytest.mark.parametrize(
-    ("largest", "turn", "stable"),
+    ("largest", "turn", "other", "stable"),
     [
-        (1 + 5e-4, 2.0, True),
-        (1 + 2e-3, 2.0, False),
-        (1 + 2e-3, 0.01, False),
-        (1 + 2e-2, 0.0, True),
-        (1 + 4e-2, 0.0, False),
-        (1 + 2e-3, np.pi, False),
+        (1 + 5e-4, 2.0, 1.0, True),
+        (1 + 2e-3, 2.0, 1.0, False),
+        (1 + 2e-3, 0.01, 1.0, False),
+        (1 + 2e-2, 0.0, 0.9, True),
+        (1 + 2e-2, 0.0, 1.0, False),
+        (1 + 4e-2, 0.0, 0.9, False),
+        (1 + 2e-3, np.pi, 1.0, False),
     ],
 )
-def test_a_multiplier_beyond_the_unit_circle_is_unstable(largest, turn, stable, monkeypatch):
-    """Also where the determinant says nothing of it: a complex pair, near 1 too, or one that passes -1."""
-    pair = largest * np.exp([1j * turn, -1j * turn])
+def test_a_multiplier_beyond_the_unit_circle_is_unstable(largest, turn, other, stable, monkeypatch):
+    """Also where the determinant says nothing of it: a complex pair, near 1 too, two real ones, or one that passes -1.
+
+    ``other``: modulus of the second one, as a share.
+    """
+    pair = largest * np.exp([1j * turn, -1j * turn]) * [1.0, other]
     monkeypatch.setattr(MULTIPLIERS, lambda _, x, *given: np.tile(pair, (len(x), 1)))
     controls = Controls(max_points=2)
     curve = hbm_curve(systems.oscillator(32.0, 1.0), 1.2, 1.3, scheme=Scheme(1, 64), controls=controls)

@@ -20,8 +20,8 @@ from timesim.hbm.stability.monodromy import monodromy
 # Modulus of a multiplier above which a solution is unstable: those of an undamped structure lie on the unit circle but
 # for the error of the samples.
 BORDER = 1 + 1e-3
-# Distance of a real multiplier from 1 within which the determinant of the balance decides: the samples leave an error
-# of this size.
+# Distance of a real multiplier from 1 within which the determinant of the balance decides, if no other one is beyond 1:
+# the samples leave an error of this size.
 NEAR_ONE = 0.03
 # Estimated errors by which a modulus must be off the border, change from fewer samples up to which the largest one
 # stands, and samples with which a solution is looked at again where one is in doubt.
@@ -113,7 +113,10 @@ def _by_samples(balance: Balance, x: Array, frequency: Array, samples: int) -> A
 def grows(multipliers: Array) -> NDArray[np.bool_]:
     """Whether disturbances of solutions grow, shape (S,), by their multipliers, largest first.
 
-    Whether a real one has passed 1, as at a fold, the determinant tells exactly; a complex pair it does not see.
+    Whether a real one alone has passed 1, as at a fold, the determinant tells exactly; of a complex pair, or of two
+    real ones, as equal bodies have them, it sees nothing.
     """
-    at_one = (multipliers.imag == 0) & (np.abs(multipliers - 1) <= NEAR_ONE)
-    return ((np.abs(multipliers) > BORDER) & ~at_one).any(axis=1)
+    beyond = np.abs(multipliers) > BORDER
+    passed = beyond & (multipliers.imag == 0) & (multipliers.real > 0)
+    alone = passed & (np.count_nonzero(passed, axis=1, keepdims=True) == 1)
+    return (beyond & ~(alone & (np.abs(multipliers - 1) <= NEAR_ONE))).any(axis=1)
