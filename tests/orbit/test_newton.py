@@ -195,13 +195,12 @@ def test_a_motion_that_repeats_within_the_period_is_shot_over_its_own(within, pe
     assert led_to == (Converged(0.0) if period == 4 else Shot(start, period))
 
 
-def test_a_disturbance_grows_as_fast_as_any_and_leaves_free_offsets_alone():
-    slope = np.eye(3)
-    slope[1:, 1:] = [[0.2, 0.0], [1.3, -1.1]]
-    recorded = Recorded(at(np.zeros(3)), at(np.array([0.5, 2.0, 0.2])), 1, True, None, slope, NOTHING)
+def test_a_disturbance_is_along_all_that_grow_and_leaves_free_offsets_alone():
+    slope = np.diag([1.0, 1.2, -1.5, 0.0])
+    recorded = Recorded(at(np.zeros(4)), at(np.array([0.5, 2.0, 0.2, 1.0])), 1, True, None, slope, NOTHING)
     assert recorded.is_unstable
     lane = recorded.disturbed(0.01)
-    np.testing.assert_allclose(np.abs(lane.vector - recorded.end.vector), [0, 0, 0.02])
+    np.testing.assert_allclose(np.abs(lane.vector - recorded.end.vector), [0, 0.016, 0.02, 0], atol=1e-15)
 
 
 def test_multipliers_come_largest_first_and_free_offsets_are_left_out():

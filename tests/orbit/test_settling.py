@@ -280,35 +280,52 @@ def test_an_unstable_motion_is_disturbed_once_and_marched_on():
     assert after.lane is off
 
 
+def pairs_on_stops(couplings, study):
+    """Pairs of equal bodies on stops that open, driven in step, each pair coupled by a spring, else apart."""
+    size = 2 * len(couplings)
+    stiffness = np.kron(np.diag(couplings), [[1, -1], [-1, 1]]) + 40 * np.eye(size)
+    names = [f"b{i}" for i in range(size)]
+    return {
+        "structure": {
+            "matrices": {
+                "mass": np.eye(size).tolist(),
+                "stiffness": stiffness.tolist(),
+                "damping_ratio": 0.005,
+                "points": {name: {"x": i} for i, name in enumerate(names)},
+            }
+        },
+        "contacts": [
+            {"name": name, "point": name, "normal": [1, 0, 0], "friction": 0, "preload": 0.2}
+            | {"tangential_stiffness": 0, "normal_stiffness": 40}
+            for name in names
+        ],
+        "excitation": {"forces": [{"point": name, "direction": [1, 0, 0], "amplitude": 3} for name in names]},
+        "study": study,
+    }
+
+
 @pytest.mark.long
 def test_bodies_that_begin_alike_do_not_end_on_an_unstable_motion():
     """Two that open from their stops in step: the motion out of step is in resonance at one and a half times 1.4 Hz.
 
     From rest they move alike, as on the unstable motion; from elsewhere they part. A harmonic balance knows of it, too.
     """
-    scene = {
-        "structure": {
-            "matrices": {
-                "mass": [[1, 0], [0, 1]],
-                "stiffness": [[100, -60], [-60, 100]],
-                "damping_ratio": 0.005,
-                "points": {"a": {"x": 0}, "b": {"x": 1}},
-            }
-        },
-        "contacts": [
-            {"name": name, "point": name, "normal": [1, 0, 0], "friction": 0, "preload": 0.2}
-            | {"tangential_stiffness": 0, "normal_stiffness": 40}
-            for name in "ab"
-        ],
-        "excitation": {"forces": [{"point": name, "direction": [1, 0, 0], "amplitude": 3} for name in "ab"]},
-        "study": {"kind": "sweep", "frequency": {"values": [1.4]}},
-    }
+    scene = pairs_on_stops([60], {"kind": "sweep", "frequency": {"values": [1.4]}})
     for begin in ({}, {"initial": {"modal_displacement": [0.0, 0.1]}}):
         result = timesim.run(scene | begin)
         assert (result["settled"].item(), result["period"].item()) == (1, 2)
         np.testing.assert_allclose(result["amplitude"].sel(axis="x").values.ravel(), 0.183295, rtol=3e-6)
-    curve = timesim.run(scene | {"study": {"kind": "hbm", "frequency": {"from": 1.399, "to": 1.401}}})
+    curve = timesim.run(pairs_on_stops([60], {"kind": "hbm", "frequency": {"from": 1.399, "to": 1.401}}))
     assert not curve["stable"].values.any()
+
+
+@pytest.mark.long
+def test_all_bodies_leave_unstable_motions_though_those_of_one_pair_grow_faster():
+    result = timesim.run(pairs_on_stops([60, 59], {"kind": "sweep", "frequency": {"values": [1.4]}}))
+    assert result["settled"].item() == 1
+    assert result["floquet_max"].item() < 1
+    amplitude = result["amplitude"].sel(axis="x").values.ravel()
+    np.testing.assert_allclose(amplitude, np.repeat([0.183295, 0.224782], 2), rtol=5e-6)
 
 
 def test_it_is_shot_where_that_is_asked_for_and_not_too_early():

@@ -184,10 +184,13 @@ class Recorded:
         return bool(np.max(np.abs(self.multipliers), initial=0.0) > UNSTABLE)
 
     def disturbed(self, share: float) -> "Lane | None":
-        """The end, moved along the disturbance that grows most by a share of the state; None as of `Lane.moved`."""
+        """The end, moved by a share of the state along all disturbances, by their growth; None as of `Lane.moved`.
+
+        That which grows most alone would leave unstable motions of other bodies, and symmetries, as they are.
+        """
         values, vectors = np.linalg.eig(self._slope_within)
-        grows = self._within @ vectors[:, np.argmax(np.abs(values))].real
-        return self.end.moved(self.end.vector + share * self.end.size / np.abs(grows).max() * grows)
+        way = self._within @ (vectors @ np.abs(values)).real
+        return self.end.moved(self.end.vector + share * self.end.size / np.abs(way).max() * way)
 
     @cached_property
     def _within(self) -> np.ndarray:
