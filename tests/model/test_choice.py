@@ -6,10 +6,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from systems import oscillator, scene
+from systems import generated_model, oscillator, scene
 
 from timesim.model.choice import TABLE, choice, contact_rate
-from timesim.model.cost import REACH, Work, seconds, seconds_a_cycle, slip_rates, slip_steps, stable_steps
+from timesim.model.cost import (
+    REACH,
+    Work,
+    seconds,
+    seconds_a_cycle,
+    seconds_a_solution,
+    slip_rates,
+    slip_steps,
+    stable_steps,
+)
 from timesim.model.model import Model
 from timesim.model.promise import preset
 from timesim.model.solver import CLOSED_FORM, Solver
@@ -237,3 +246,25 @@ def test_a_run_of_which_no_contact_is_left_needs_no_method(accuracy: str, share:
 def test_vibrations_too_many_to_be_recorded_are_left_to_collocation() -> None:
     assert taken(stuck(2e9), 5).name == CLOSED_FORM
     assert taken(stuck(2e9), 5, budget=int(stable_steps(stuck(2e9), 1.39)) - 1).name == "exponential"
+
+
+@pytest.mark.parametrize(
+    ("modes", "contacts", "harmonics", "samples", "curve", "multipliers"),
+    [
+        (3, 8, 9, 256, 4.4, 4.4),
+        (50, 1, 9, 256, 1.2, 2.8),
+        (50, 8, 9, 256, 4.9, 8.2),
+        (12, 6, 39, 624, 15.6, 4.5),
+        (18, 7, 9, 256, 4.1, 3.9),
+        (24, 12, 9, 256, 8.5, 9.1),
+    ],
+)
+def test_the_cost_of_a_balance_grows_as_measured(
+    modes: int, contacts: int, harmonics: int, samples: int, curve: float, multipliers: float
+) -> None:
+    """Times of a solution, and of its multipliers, over that of a solution with 3 modes, 1 contact and 9 harmonics."""
+    unit = seconds_a_solution(generated_model(0, 3, 1), 9, 256, stability=False)
+    model = generated_model(0, modes, contacts)
+    alone, whole = (seconds_a_solution(model, harmonics, samples, stability=stability) for stability in (False, True))
+    assert alone / unit == pytest.approx(curve, rel=0.4)
+    assert (whole - alone) / unit == pytest.approx(multipliers, rel=0.4)

@@ -1278,11 +1278,11 @@ def test_check_estimates_the_cost_of_each_phase():
     sweep, balance, _ = said("figure10")
     assert sweep.startswith("about 774 points of ")
     assert sweep.endswith(" beside them (48 s in all if none settles in settle.max_cycles = 800): 14 s")
-    # 7 + 3 + 0.18 x 2 modes, of 256 samples; 0.8 of it goes with them.
-    assert balance == "about 9 curves of harmonic balance of 200 solutions of 10 ms: 19 s"
-    assert "of 35 ms: 63 s" in said("figure10", "study.time_samples=1024")[1]
+    # 7 ms, 2.5 for multipliers in 5 states, and 0.2 for 93 unknowns, of 256 samples; 0.8 of the first two go with them.
+    assert balance == "about 9 curves of harmonic balance of 200 solutions of 9.7 ms: 18 s"
+    assert "of 33 ms: 59 s" in said("figure10", "study.time_samples=1024")[1]
     auto = next(line for line in said("figure10", "study.harmonics=auto") if "9 curves" in line)
-    assert auto.endswith(": 19 s, or up to 2500 if it takes many harmonics")
+    assert auto.endswith(": 17 s, or up to 2500 if it takes many harmonics")
     assert said("figure10", "study.start=both_ends")[1].startswith("about 18 curves of")
     assert said("preload")[0].endswith(", and some 19 values more in the search for the least")
     assert said("two_contacts")[0].endswith(", and the search for jumps")

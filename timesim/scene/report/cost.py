@@ -55,7 +55,7 @@ def cost_lines(scene: Scene, model: Model) -> Iterator[str]:
         if "harmonics" in balance.chosen:
             more = f", and up to {finer[-1].harmonics} harmonics where they are needed" if finer else ""
             yield f"{scheme}{more}; if those above make more than {NOTED:g} of the amplitude, the run says so"
-        own = cost.seconds_a_solution(model, scheme.time_samples, stability=balance.stability)
+        own = cost.seconds_a_solution(model, scheme.harmonics, scheme.time_samples, stability=balance.stability)
         work = f"{cost.SOLUTIONS} solutions of {duration(own)}"
         which = counted(curves, "curve")
         more = f", or up to {cost.MANY_SOLUTIONS} if it takes many harmonics" if "harmonics" in balance.chosen else ""
