@@ -330,7 +330,9 @@ def test_points_that_stand_apart_are_named_as_such(both: xarray.Dataset) -> None
     kinds = ("irregular", 1, "irregular"), ("period", 2, "repeat after more"), ("floquet_max", np.nan, "overflow")
     for name, value, _ in kinds:
         data[name][0, 0, [0, 1, 5]] = value
+    data["floquet_max"][0, 1, 3] = 1.01
     f, lines = data.frequency.values, list(unusual_lines(data))
+    assert next(line for line in lines if "unstable" in line).endswith(f"direction down: at {f[3]:g} Hz")
     for _, _, words in kinds:
         (line,) = (line for line in lines if words in line)
         assert line.endswith(f"direction up: between {f[0]:g} and {f[1]:g} Hz, at {f[5]:g} Hz")

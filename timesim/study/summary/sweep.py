@@ -8,7 +8,7 @@ from xarray import Dataset
 
 from timesim.orbit.jump import suspects
 from timesim.orbit.steady_state import SAME
-from timesim.orbit.threshold import LONGEST
+from timesim.orbit.threshold import LONGEST, UNSTABLE
 from timesim.result.coordinate import over_keys, place_of_largest, runs
 from timesim.result.label import axis_value, counted, first_few, in_words, with_unit
 from timesim.study.outcome import DOUBT, took
@@ -89,6 +89,10 @@ def unusual_lines(data: Dataset) -> Iterator[str]:
     unknown = settled & np.isnan(data["floquet_max"].values)
     if unknown.any():
         yield f"the multipliers overflow, so stability is not known (floquet_max = NaN): {_spans(data, unknown)}"
+    unstable = settled & (data["floquet_max"].values > UNSTABLE)
+    if unstable.any():
+        points = counted(unstable.sum(), "of them is unstable", "of them are unstable")
+        yield f"{DOUBT}{points}, and would be left after a disturbance (floquet_max above 1): {_spans(data, unstable)}"
     if irregular.any():
         points = counted(irregular.sum(), "point does", "points do")
         kind = "the motion is quasi-periodic or irregular (irregular = 1, with the band of its amplitude)"
