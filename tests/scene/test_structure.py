@@ -211,6 +211,47 @@ def test_large_sparse_structure():
         modal_structure(Matrices(stiffness - sparse.mass, stiffness), points={}, damping_ratio=0, keep_modes=2)
 
 
+def test_clamps_of_large_sparse_structures_may_be_of_any_stiffness():
+    n, held, penalty = 2500, [0, 700, 1800], 1e20
+    off, ends = np.full(n - 1, -1.0), np.zeros(n)
+    ends[held] = penalty
+    stiffness = scipy.sparse.diags_array([off, 2.0 + ends, off], offsets=[-1, 0, 1])
+    found = modal_structure(Matrices(scipy.sparse.eye_array(n), stiffness), points={}, damping_ratio=0.0, keep_modes=6)
+    parts = [2 * np.sin(np.arange(1, 7) * np.pi / (2 * length)) for length in (700, 1100, 700)]
+    np.testing.assert_allclose(found.omega, np.sort(np.concatenate(parts))[:6], rtol=1e-9)
+
+
+def cantilever(elements: int) -> Matrices:
+    """Euler and Bernoulli's beam of length, bending stiffness and mass 1: deflection and slope of each node."""
+    length, size = 1 / elements, 2 * elements + 2
+    spring = np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]]) / length**3
+    inertia = np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]]) * length / 420
+    scale, every = np.diag([1, length, 1, length]), 2 * np.arange(elements)[:, None, None]
+    row, column = (np.broadcast_to(every + i, (elements, 4, 4)).ravel() for i in np.indices((4, 4)))
+
+    def assembled(element: np.ndarray) -> scipy.sparse.csc_array:
+        entries = np.tile((scale @ element @ scale).ravel(), elements)
+        return scipy.sparse.coo_array((entries, (row, column)), (size, size)).tocsc()[2:, 2:]
+
+    return Matrices(assembled(inertia), assembled(spring))
+
+
+@pytest.mark.parametrize("elements", [500, 1100])
+def test_a_finely_meshed_beam_is_no_free_body(elements: int):
+    """Its eigenvalues span 13 powers of ten and more; 1,000 rows are solved as dense, 2,200 as sparse ones."""
+    beam, tip = cantilever(elements), 2 * elements - 2
+    beam = Matrices(beam.mass, beam.stiffness, 1e-3 * beam.stiffness)
+    found = modal_structure(beam, points={"tip": {"x": tip}}, keep_modes=4)
+    exact = np.array([1.8751040687, 4.6940911330, 7.8547574382, 10.9955407349]) ** 2
+    np.testing.assert_allclose(found.omega, exact, rtol=1e-5)
+    np.testing.assert_allclose(found.damping, 1e-3 * exact**2, rtol=1e-4)
+    np.testing.assert_allclose(np.abs(found.shape[0, 0]), 2.0, rtol=1e-5)
+    sign = np.sign(found.shape[0, 0])
+    dashpot = scipy.sparse.coo_array(([1e-3], ([tip], [tip])), beam.mass.shape).tocsc()
+    whole = modal_structure(Matrices(beam.mass, beam.stiffness, beam.damping + dashpot), points={}, keep_modes=4)
+    np.testing.assert_allclose(whole.damping - np.diag(found.damping), 4e-3 * np.outer(sign, sign), rtol=1e-4)
+
+
 @pytest.mark.parametrize("sparse", [False, True])
 @pytest.mark.parametrize("names", [("mass", "stiffness", "damping"), ("M", "K", "C")])
 def test_mat_file(sparse: bool, names: tuple[str, ...], tmp_path: Path):

@@ -28,6 +28,9 @@ SLOW = 1e-3
 """Share of the lowest eigenvalue that is left out that counts as static: a free body has a flexibility then."""
 NEGATIVE = 1e-10
 """Eigenvalues down to minus this share of the largest are rounding of a free body's zero."""
+ROUNDING = 10
+"""Times what rounding of each entry of a matrix may make of an eigenvalue, up to which it counts as rounding. Those of
+free chains and beams of 10 to 12,000 rows reach 1.3; those of clamped beams that reach 3 err by less than 1 %."""
 
 
 def modal_structure(
@@ -83,14 +86,16 @@ def _left_out(mass: Any, stiffness: Any, squared: np.ndarray, modes: np.ndarray,
     unit[rows, np.arange(len(rows))] = 1.0
     if shift == 0:  # rigid-body motions are left out
         return np.zeros((len(rows),) * 2)
-    whole = stiffness + shift * mass
-    if hasattr(whole, "tocsc"):
-        from scipy.sparse.linalg import splu
-
-        moved = splu(whole.tocsc()).solve(unit)
-    else:
-        moved = np.linalg.solve(whole, unit)
+    moved = _solved(stiffness + shift * mass, unit)
     return np.asarray(moved[rows] - modes[rows] / (squared[: modes.shape[1]] + shift) @ modes[rows].T)
+
+
+def _solved(matrix: Any, right: np.ndarray) -> np.ndarray:
+    if not hasattr(matrix, "tocsc"):
+        return np.linalg.solve(matrix, right)
+    from scipy.sparse.linalg import splu
+
+    return np.asarray(splu(matrix.tocsc()).solve(right))
 
 
 def _symmetric(matrix: Any, name: str) -> Any:
@@ -150,13 +155,14 @@ def _eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.ndarray, 
     if smallest < -NEGATIVE * largest:
         raise _indefinite_stiffness(f"; the lowest is omega^2 = {smallest:.6g}")
     # The mode of a body without any spring makes next to nothing of the matrix, which then bounds nothing.
-    rounding = np.maximum(np.diag(_rounding(stiffness, modes)), np.finfo(float).eps ** 2 * largest)
+    rounding = np.maximum(_rounding(stiffness, modes), np.finfo(float).eps ** 2 * largest)
     return np.where(np.logical_and.accumulate(squared <= rounding), 0.0, squared), modes[:, :num_modes]
 
 
 def _rounding(matrix: Any, modes: np.ndarray) -> np.ndarray:
-    """What rounding may leave of the entries of a symmetric matrix in the modes, shape (M, M)."""
-    return np.abs(modes).T @ (abs(matrix) @ np.abs(modes)) * np.finfo(float).eps * 10 * modes.shape[0]
+    """What rounding may leave of the diagonal of a symmetric matrix in the modes, shape (M,)."""
+    size = np.abs(modes)
+    return np.asarray((size * (abs(matrix) @ size)).sum(axis=0) * np.finfo(float).eps * ROUNDING)
 
 
 def _dense_eigenmodes(mass: np.ndarray, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -177,13 +183,11 @@ def _dense_eigenmodes(mass: np.ndarray, stiffness: np.ndarray) -> tuple[np.ndarr
     return squared, modes
 
 
-def _soft_modes(
-    mass: np.ndarray, stiffness: np.ndarray, modes: np.ndarray, shift: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _soft_modes(mass: Any, stiffness: Any, modes: np.ndarray, shift: float) -> tuple[np.ndarray, np.ndarray]:
     """The lowest eigenvalues and modes, from approximate ones, by a step of inverse iteration and Rayleigh and Ritz."""
     import scipy.linalg
 
-    moved = np.linalg.solve(stiffness + shift * mass, mass @ modes)
+    moved = _solved(stiffness + shift * mass, mass @ modes)
     moved /= np.linalg.norm(moved, axis=0)
     squared, shares = scipy.linalg.eigh(moved.T @ stiffness @ moved, moved.T @ mass @ moved)
     return squared, moved @ shares
@@ -213,17 +217,18 @@ def _sparse_eigenmodes(mass: Any, stiffness: Any, num_modes: int) -> tuple[np.nd
     mass, stiffness = sparse.csc_matrix(mass), sparse.csc_matrix(stiffness)
     if np.any(mass.diagonal() < 1 / LARGEST) or _num_negative(mass):
         raise _indefinite_mass(mass)
-    scale = float(np.max(np.abs(stiffness.diagonal()) / mass.diagonal()))
+    scale = float(np.median(np.abs(stiffness.diagonal()) / mass.diagonal()))
     shift = -NEGATIVE * scale
     if _num_negative(stiffness - shift * mass):
         raise _indefinite_stiffness()
     size = min(mass.shape[0] - 1, num_modes + 1)
-    squared, modes = eigsh(stiffness, size, mass, sigma=shift, v0=np.ones(mass.shape[0]), tol=0)
-    order = np.argsort(squared)
-    squared, modes = squared[order], modes[:, order]
-    below = (squared[num_modes - 1] + squared[min(num_modes, size - 1)]) / 2
-    expected = int(np.sum(squared < below))
-    if num_modes < size and (count := _num_negative(stiffness - below * mass)) != expected:
+    _, modes = eigsh(stiffness, size, mass, sigma=shift, v0=np.ones(mass.shape[0]), tol=0)
+    squared, modes = _soft_modes(mass, stiffness, modes, -shift)
+    # Where modes of one frequency are kept in part, there is nothing to count between the kept and the next one.
+    apart = np.flatnonzero(np.diff(squared) > _rounding(stiffness, modes)[1:])
+    expected = int(apart.max(initial=-1)) + 1
+    below = squared[max(expected - 1, 0) : expected + 1].mean()
+    if expected and (count := _num_negative(stiffness - below * mass)) != expected:
         hint = f"{count} lie below omega^2 = {below:.6g}, Lanczos' method gave {expected}; try another keep_modes"
         raise RuleError(("keep_modes",), "the eigenvalue solver missed modes", hint, num_modes)
     return np.where(np.abs(squared) < -2 * shift, np.maximum(squared, 0), squared), modes
@@ -246,9 +251,10 @@ def _modal_damping(damping: Any, modes: np.ndarray) -> np.ndarray:
     modal = modes.T @ (damping @ modes)
     modal = (modal + modal.T) / 2
     values = np.linalg.eigvalsh(modal)
-    if values[0] < -max(NEGATIVE * values[-1], _rounding(damping, modes).max()):
+    rounding = _rounding(damping, modes)
+    if values[0] < -max(NEGATIVE * values[-1], rounding.max()):
         rule = "the damping matrix must have no negative eigenvalue"
         raise RuleError(("damping",), rule, f"look for a wrong sign; the lowest in the modes kept is {values[0]:.6g}")
     diagonal = np.clip(np.diag(modal), 0, None)
     coupling = np.abs(modal - np.diag(np.diag(modal)))
-    return diagonal if np.all(coupling <= _rounding(damping, modes) + 1e-10 * _outer_root(diagonal)) else modal
+    return diagonal if np.all(coupling <= _outer_root(rounding) + 1e-10 * _outer_root(diagonal)) else modal
