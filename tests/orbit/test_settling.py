@@ -271,9 +271,12 @@ def test_a_motion_whose_cycles_cannot_be_recorded_is_a_point_without_one_and_say
     assert after.orbit.reason == "at 1.39 Hz: a step holds so many vibrations"
 
 
-def test_an_unstable_motion_is_disturbed_once_and_marched_on():
+@pytest.mark.parametrize("way", [1, -1])
+def test_an_unstable_motion_is_disturbed_once_and_marched_on(way):
+    """Either way, where contacts do not allow the one or the other."""
     off = SimpleNamespace()
-    recorded = SimpleNamespace(complete=True, cycles=1, left=0.0, is_unstable=True, disturbed=lambda _: off)
+    disturbed = {"is_unstable": True, "disturbed": lambda share: off if share * way > 0 else None}
+    recorded = SimpleNamespace(complete=True, cycles=1, left=0.0, **disturbed)
     search = Search(0, 0, SimpleNamespace(), task=Task.MEASURE, cycles=30, period=1, returns=tuple(STILL))
     after = after_measure(search, recorded, PRESETS["standard"], Criterion())
     assert (after.task, after.cycles, after.period, after.returns, after.disturbed) == (Task.MARCH, 31, 0, (), True)

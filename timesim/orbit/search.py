@@ -168,7 +168,8 @@ def after_measure(search: Search, recorded: Recorded, solver: Solver, criterion:
 
 def _disturbed(search: Search, recorded: Recorded) -> Search:
     """The search off a motion on which rounding alone has kept it, as it may where equal bodies move alike."""
-    lane = recorded.disturbed(threshold.DISTURBANCE)
+    # One way may close a contact that is open at the start of the cycle, or open one.
+    lane = recorded.disturbed(threshold.DISTURBANCE) or recorded.disturbed(-threshold.DISTURBANCE)
     if lane is None:
         return _done(search, recorded)
     later = threshold.LATER * search.cycles
