@@ -655,3 +655,15 @@ def test_angles_stand_beside_their_transitions() -> None:
         box = text.get_window_extent()
         x, y = ax.transData.transform(dot)
         assert not box.padded(2).contains(x, y), text.get_text()
+
+
+def test_of_contacts_that_do_alike_the_first_is_shown() -> None:
+    """Not the one that rounding makes busiest."""
+    both = [_balance([2.0]), _sweep([2.0])]
+    hbm_data, swept = (
+        xarray.concat([one.assign_coords(contact=[name]) for name in ("a", "b")], "contact", data_vars="minimal")
+        for one in both
+    )
+    hbm_data["slip_share"] = hbm_data.slip_share + 1e-12 * xarray.DataArray([0, 1], dims="contact")
+    tree = xarray.DataTree.from_dict({"/": xarray.Dataset(attrs=ATTRS), "/sweep": swept, "/hbm": hbm_data})
+    assert compare.share(tree).get_title(loc="right") == "a"

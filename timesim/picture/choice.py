@@ -5,9 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from xarray import Dataset
 
+from timesim.result.coordinate import ALIKE
+
 MAX_ROWS = 3  # points or contacts, one above the other
 MAX_CURVES = 12  # sets of values of the further axes
-DIGITS = 6  # of the largest motion by which others are told from it
 STILL = 1e-9  # share of the largest motion below which something does not move
 
 
@@ -17,7 +18,7 @@ def motions(data: Dataset, size: np.ndarray) -> list[tuple[str, str]]:
     ``size``: of the motion of each, shape (P, 3).
     """
     # Bodies that are equal, and move alike, come in the order of the scene.
-    order = np.argsort(-np.round(size / max(size.max(), 1e-300), DIGITS), axis=None, kind="stable")
+    order = np.argsort(-np.round(size / max(ALIKE * size.max(), 1e-300)), axis=None, kind="stable")
     kept = [place for place in order if size.flat[place] > STILL * size.max()] or [0]
     rows, columns = np.unravel_index(kept, size.shape)
     return [(str(data.point.values[i]), str(data.axis.values[j])) for i, j in zip(rows, columns, strict=True)]

@@ -28,7 +28,7 @@ from timesim.picture.style import (
     state_bar,
     unit,
 )
-from timesim.result.coordinate import over_keys, rubs
+from timesim.result.coordinate import ALIKE, over_keys, rubs
 
 METHODS = {"sweep": "time integration", "hbm": "harmonic balance"}
 SHORT = {"sweep": "in time", "hbm": "balance"}  # beside a bar
@@ -118,10 +118,10 @@ def share(data: DataTree, ax: Axes | None = None, *, state: str = "slip") -> Axe
 
 
 def _most(data: DataTree, state: str) -> str:
-    """The contact that by the balance is in a state for most of the time."""
+    """The contact that by the balance is in a state for most of the time, the first of those that are alike."""
     hbm, sweep = _groups(data)
     size = hbm[f"{state}_share"].sum("solution").values * (rubs(sweep).values if state == "slip" else 1)
-    return str(sweep.contact.values[int(np.argmax(size))])
+    return str(sweep.contact.values[int(np.argmax(size >= (1 - ALIKE) * size.max()))])
 
 
 def _groups(data: DataTree) -> tuple[Dataset, Dataset]:
