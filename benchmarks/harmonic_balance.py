@@ -6,6 +6,7 @@ apart. Run it pinned to one core: ``taskset -c 0 python benchmarks/harmonic_bala
 
 ``--quick``: the first line alone. ``--picture FILE``: the growth with harmonics, contacts and modes drawn as well.
 ``--peaks``: instead, the peaks of the paper's nine preloads by harmonic balance and by time integration.
+``--estimates``: instead, what `timesim check` estimates of a solution, beside what it takes.
 ``--folds``: instead, where its curves turn for 1 to 15 harmonics.
 ``--pyharm PYTHON``: instead, a curve of the paper's oscillator by pyHarm beside ours; PYTHON has it installed.
 """
@@ -27,6 +28,7 @@ from timesim.hbm.branches import solutions_at
 from timesim.hbm.continuation import Controls, follow
 from timesim.hbm.curve import evaluated, hbm_curve
 from timesim.hbm.scheme import Scheme, enough_samples
+from timesim.model.cost import seconds_a_solution
 from timesim.model.model import GROUND, Contact, Excitation, Model, Start, Structure
 from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.settling import Chain, steady_states
@@ -112,6 +114,20 @@ def growth(repeats: int) -> dict[str, list[tuple[int, float]]]:
     for count in (3, 12, 50):
         add("modes", count, f"{count} modes, 1 contact, H = 9", chain(count, 1), by_default(9))
     return found
+
+
+def estimates(repeats: int) -> None:
+    """CPU of a solution against `seconds_a_solution`, for structures of few and many modes and contacts."""
+    print("| modes | contacts | ms a solution, estimated | with multipliers, estimated |\n|---|---|---|---|")
+    scheme = by_default(9)
+    for modes, contacts in ((3, 1), (50, 1), (12, 6), (18, 7), (24, 12), (50, 8)):
+        model = chain(modes, contacts)
+        points, _, *taken = seconds(model, scheme, Controls(), repeats)
+        cells = []
+        for own, stability in zip(taken, (False, True), strict=True):
+            estimate = seconds_a_solution(model, scheme.harmonics, scheme.time_samples, stability=stability)
+            cells.append(f"{1e3 * own / points:.3g}, {1e3 * estimate:.3g}")
+        print(f"| {modes} | {contacts} | {' | '.join(cells)} |", flush=True)
 
 
 def draw(found: dict[str, list[tuple[int, float]]], path: Path) -> None:
@@ -234,6 +250,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--quick", action="store_true", help="the first line alone")
     parser.add_argument("--picture", type=Path, help="draw the growth into this file")
+    parser.add_argument("--estimates", action="store_true", help="time of a solution beside its estimate")
     parser.add_argument("--peaks", action="store_true", help="peaks of nine preloads by two methods")
     parser.add_argument("--folds", action="store_true", help="folds for 1, 3, 9 and 15 harmonics")
     parser.add_argument("--pyharm", metavar="PYTHON", help="a Python that has pyHarm-os installed")
@@ -241,6 +258,8 @@ def main() -> None:
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, numpy {np.__version__}\n")
     if options.folds:
         return folds()
+    if options.estimates:
+        return estimates(options.repeats)
     if options.peaks:
         return peaks()
     if options.pyharm:

@@ -262,7 +262,7 @@ def test_vibrations_too_many_to_be_recorded_are_left_to_collocation() -> None:
 def test_the_cost_of_a_balance_grows_as_measured(
     modes: int, contacts: int, harmonics: int, samples: int, curve: float, multipliers: float
 ) -> None:
-    """Times of a solution, and of its multipliers, over that of a solution with 3 modes, 1 contact and 9 harmonics."""
+    """CPU of a solution, and of its multipliers, over that of a solution with 3 modes, 1 contact and 9 harmonics."""
     unit = seconds_a_solution(generated_model(0, 3, 1), 9, 256, stability=False)
     model = generated_model(0, modes, contacts)
     alone, whole = (seconds_a_solution(model, harmonics, samples, stability=stability) for stability in (False, True))

@@ -218,10 +218,10 @@ def cycles_to_settle(model: Model, criterion: Criterion, frequency: float) -> in
 
 
 def seconds_a_solution(model: Model, harmonics: int, time_samples: int, *, stability: bool) -> float:
-    """Of a solution of a harmonic balance, with its multipliers or without (benchmarks/harmonic_balance.py).
+    """Of a solution of a harmonic balance, with multipliers or without (benchmarks/harmonic_balance.py --estimates).
 
-    Within 40 % for 3 to 50 modes, 1 to 12 contacts, 3 to 39 harmonics: the law takes time for each sample, as do the
-    multipliers with all states, the matrix of the derivatives for each of its entries.
+    The law takes time for each sample, as do the multipliers with all states; the matrix of the derivatives for each of
+    its entries.
     """
     contacts, states = model.num_contacts, 2 * model.structure.num_modes + model.num_contacts
     unknowns = 3 * contacts * (2 * harmonics + 1)
