@@ -271,66 +271,6 @@ def test_a_motion_whose_cycles_cannot_be_recorded_is_a_point_without_one_and_say
     assert after.orbit.reason == "at 1.39 Hz: a step holds so many vibrations"
 
 
-@pytest.mark.parametrize("way", [1, -1])
-def test_an_unstable_motion_is_disturbed_once_and_marched_on(way):
-    """Either way, where contacts do not allow the one or the other."""
-    off = SimpleNamespace()
-    disturbed = {"is_unstable": True, "disturbed": lambda share: off if share * way > 0 else None}
-    recorded = SimpleNamespace(complete=True, cycles=1, left=0.0, **disturbed)
-    search = Search(0, 0, SimpleNamespace(), task=Task.MEASURE, cycles=30, period=1, returns=tuple(STILL))
-    after = after_measure(search, recorded, PRESETS["standard"], Criterion())
-    assert (after.task, after.cycles, after.period, after.returns, after.disturbed) == (Task.MARCH, 31, 0, (), True)
-    assert after.lane is off
-
-
-def pairs_on_stops(couplings, study):
-    """Pairs of equal bodies on stops that open, driven in step, each pair coupled by a spring, else apart."""
-    size = 2 * len(couplings)
-    stiffness = np.kron(np.diag(couplings), [[1, -1], [-1, 1]]) + 40 * np.eye(size)
-    names = [f"b{i}" for i in range(size)]
-    return {
-        "structure": {
-            "matrices": {
-                "mass": np.eye(size).tolist(),
-                "stiffness": stiffness.tolist(),
-                "damping_ratio": 0.005,
-                "points": {name: {"x": i} for i, name in enumerate(names)},
-            }
-        },
-        "contacts": [
-            {"name": name, "point": name, "normal": [1, 0, 0], "friction": 0, "preload": 0.2}
-            | {"tangential_stiffness": 0, "normal_stiffness": 40}
-            for name in names
-        ],
-        "excitation": {"forces": [{"point": name, "direction": [1, 0, 0], "amplitude": 3} for name in names]},
-        "study": study,
-    }
-
-
-@pytest.mark.long
-def test_bodies_that_begin_alike_do_not_end_on_an_unstable_motion():
-    """Two that open from their stops in step: the motion out of step is in resonance at one and a half times 1.4 Hz.
-
-    From rest they move alike, as on the unstable motion; from elsewhere they part. A harmonic balance knows of it, too.
-    """
-    scene = pairs_on_stops([60], {"kind": "sweep", "frequency": {"values": [1.4]}})
-    for begin in ({}, {"initial": {"modal_displacement": [0.0, 0.1]}}):
-        result = timesim.run(scene | begin)
-        assert (result["settled"].item(), result["period"].item()) == (1, 2)
-        np.testing.assert_allclose(result["amplitude"].sel(axis="x").values.ravel(), 0.183295, rtol=3e-6)
-    curve = timesim.run(pairs_on_stops([60], {"kind": "hbm", "frequency": {"from": 1.399, "to": 1.401}}))
-    assert not curve["stable"].values.any()
-
-
-@pytest.mark.long
-def test_all_bodies_leave_unstable_motions_though_those_of_one_pair_grow_faster():
-    result = timesim.run(pairs_on_stops([60, 59], {"kind": "sweep", "frequency": {"values": [1.4]}}))
-    assert result["settled"].item() == 1
-    assert result["floquet_max"].item() < 1
-    amplitude = result["amplitude"].sel(axis="x").values.ravel()
-    np.testing.assert_allclose(amplitude, np.repeat([0.183295, 0.224782], 2), rtol=5e-6)
-
-
 def test_it_is_shot_where_that_is_asked_for_and_not_too_early():
     assert marched(DRIFT, first_shot=SHOOT).task is Task.SHOOT
     assert marched(DRIFT, first_shot=SHOOT).shot.period == 1

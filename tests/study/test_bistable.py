@@ -21,7 +21,6 @@ import timesim
 from timesim.cli import app
 from timesim.model.contact_state import contact_loads
 from timesim.model.model import SEPARATION, STICK, Model, Start
-from timesim.orbit.basin import ANOTHER, IRREGULAR, NONE, branch_of, explore, offsets, placed, starts_between, unique
 from timesim.orbit.fourier import HARMONICS
 from timesim.orbit.jump import Stretch, jumps_of, narrowed, steps_of
 from timesim.orbit.settling import Chain, SteadyStates
@@ -37,6 +36,17 @@ from timesim.orbit.two_motions import (
     ranges,
     ranges_of,
     suspect_steps,
+)
+from timesim.orbit.two_motions.basin import (
+    ANOTHER,
+    IRREGULAR,
+    NONE,
+    branch_of,
+    explore,
+    offsets,
+    placed,
+    starts_between,
+    unique,
 )
 from timesim.picture import bistable as plot_bistable
 from timesim.result.netcdf import open_result, save

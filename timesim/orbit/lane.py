@@ -174,8 +174,8 @@ class Recorded:
         NaN where the derivative is not finite.
         """
         if not np.isfinite(self.slope).all():
-            return np.full(self._within.shape[1], np.nan)
-        values = np.linalg.eigvals(self._slope_within)
+            return np.full(self.disturbances.shape[1], np.nan)
+        values = np.linalg.eigvals(self.slope_of_disturbances)
         return np.asarray(values[np.argsort(-np.abs(values))])
 
     @property
@@ -183,24 +183,16 @@ class Recorded:
         """Whether a disturbance grows over the cycles."""
         return bool(np.max(np.abs(self.multipliers), initial=0.0) > UNSTABLE)
 
-    def disturbed(self, share: float) -> "Lane | None":
-        """The end, moved by a share of the state along all disturbances, by their growth; None as of `Lane.moved`.
-
-        That which grows most alone would leave unstable motions of other bodies, and symmetries, as they are.
-        """
-        values, vectors = np.linalg.eig(self._slope_within)
-        way = self._within @ (vectors @ np.abs(values)).real
-        return self.end.moved(self.end.vector + share * self.end.size / np.abs(way).max() * way)
-
     @cached_property
-    def _within(self) -> np.ndarray:
+    def disturbances(self) -> np.ndarray:
         """Disturbances but those of free offsets and of the place of a body that slides, as columns."""
-        disturbances = np.eye(len(self.slope))[:, self._moves]
-        return disturbances @ null_space(self._along) if len(self._along) else disturbances
+        moved = np.eye(len(self.slope))[:, self._moves]
+        return moved @ null_space(self._along) if len(self._along) else moved
 
     @property
-    def _slope_within(self) -> np.ndarray:
-        return np.asarray(self._within.T @ self.slope @ self._within)
+    def slope_of_disturbances(self) -> np.ndarray:
+        """The derivative, as a map of the parts of disturbances."""
+        return np.asarray(self.disturbances.T @ self.slope @ self.disturbances)
 
     @cached_property
     def _moves(self) -> np.ndarray:

@@ -14,10 +14,11 @@ from timesim.engine.status import RunError, Status, message_of
 from timesim.engine.step import PERIOD
 from timesim.model.solver import NEVER, Criterion, Solver
 from timesim.orbit import threshold
+from timesim.orbit.disturbance import Departure
 from timesim.orbit.lane import Lane, Recorded
 from timesim.orbit.linear import held_lane, proven_orbit, slowest_decay
 from timesim.orbit.recurrence import Recurrence, is_irregular, nearest_period, recurrence_of, without_way
-from timesim.orbit.shooting import Converged, Shot, iterated
+from timesim.orbit.shooting import Converged, Failure, Shot, iterated
 from timesim.orbit.steady_state import Orbit, without_orbit
 
 
@@ -146,7 +147,17 @@ def after_shot(search: Search, recorded: Recorded, criterion: Criterion) -> Sear
         return replace(search, task=Task.MEASURE)
     if shot.held:
         return replace(search, shot=Shot(search.lane))
+    off = _off_unstable(search, Departure(recorded, search.lane), criterion) if led_to is Failure.UNSTABLE else None
+    if off is not None:
+        return off
     return replace(search, task=Task.MARCH, shot=None, next_shot=threshold.LATER * search.cycles)
+
+
+def _off_unstable(search: Search, departure: Departure, criterion: Criterion) -> Search | None:
+    """The search farther off the unstable motion that was shot, if it is there and would stay within its budget."""
+    left = criterion.max_cycles - search.cycles
+    stays = left > 0 and not departure.ends_within(left)
+    return _departed(search, departure) if stays else None
 
 
 def after_measure(search: Search, recorded: Recorded, solver: Solver, criterion: Criterion) -> Search:
@@ -161,18 +172,17 @@ def after_measure(search: Search, recorded: Recorded, solver: Solver, criterion:
     may_shoot = search.period and search.shot is None and criterion.first_shot < NEVER
     if may_shoot and recorded.left > criterion.tolerance:
         return replace(search, task=Task.SHOOT, lane=recorded.end, shot=Shot(recorded.end, search.period))
-    if search.period and not search.disturbed and recorded.is_unstable:
-        return _disturbed(search, recorded)
-    return _done(search, recorded)
+    unstable = search.period and not search.disturbed and recorded.is_unstable
+    off = _departed(search, Departure(recorded, recorded.start)) if unstable else None
+    return _done(search, recorded) if off is None else off
 
 
-def _disturbed(search: Search, recorded: Recorded) -> Search:
-    """The search off a motion on which rounding alone has kept it, as it may where equal bodies move alike."""
-    # One way may close a contact that is open at the start of the cycle, or open one.
-    lane = recorded.disturbed(threshold.DISTURBANCE) or recorded.disturbed(-threshold.DISTURBANCE)
+def _departed(search: Search, departure: Departure) -> Search | None:
+    """The search off a motion that is unstable; None where contacts allow no way."""
+    lane = next(departure.disturbed(), None)
     if lane is None:
-        return _done(search, recorded)
-    later = threshold.LATER * search.cycles
+        return None
+    lane, later = replace(lane, control=search.lane.control), threshold.LATER * search.cycles
     return Search(search.chain, search.place, lane, cycles=search.cycles, next_shot=later, disturbed=True)
 
 

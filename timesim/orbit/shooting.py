@@ -3,8 +3,10 @@
 An iteration is one recorded period. A step that does not lead closer is shortened, where closeness is measured by the
 step that would follow with the derivative of the iterate before: the natural test of Deuflhard [2]_. It is not misled
 by a slow decay, which makes the change over a period small far away from the fixed point. The offset of a contact that
-sticks all along stays as it is. An unstable motion is refused. That a body slides on evenly is
-no matter, as the place where it is alters no force.
+sticks all along stays as it is. That a body slides on evenly is no matter, as the place where it is alters no force.
+
+An unstable motion is refused, and what was found from where disturbances grow: there a march moves away from what
+Newton's method steps to.
 
 A cycle is known to the tolerance of its steps, and the fixed point only to that error times what a slow decay makes of
 it: 1 / (2 pi zeta), 300 at a damping ratio of 5e-4. Where the iteration comes to rest at that noise, the cycles that
@@ -48,6 +50,7 @@ class Shot:
         before: the period shot from the iterate before; None at the first.
         share: of the step from there that has led here.
         count: of the iterations before.
+        leaves: whether disturbances grow where it began: a march moves away from there.
     """
 
     lane: Lane
@@ -56,6 +59,7 @@ class Shot:
     before: Recorded | None = None
     share: float = 1.0
     count: int = 0
+    leaves: bool = False
 
 
 def iterated(shot: Shot, recorded: Recorded, tolerance: float) -> Shot | Converged | Failure:
@@ -67,6 +71,8 @@ def iterated(shot: Shot, recorded: Recorded, tolerance: float) -> Shot | Converg
         return Converged(0.0) if recorded.is_held else Failure.ASTRAY
     if not recorded.closes:
         return _shorter(shot)
+    if shot.count == 0 and recorded.is_unstable:
+        shot = replace(shot, leaves=True)
     step, size = recorded.newton_step(recorded.change), shot.lane.size
     left, change = _largest(step) / size, _largest(recorded.change - recorded.drift) / size
     if left < tolerance:
@@ -124,10 +130,10 @@ def _ended(shot: Shot, recorded: Recorded, left: float) -> Shot | Converged | Fa
     repeats = [_largest(vector - end) < near for vector in recorded.returns]
     period = next(n for n, repeated in enumerate(repeats, 1) if repeated and shot.period % n == 0)
     if period < shot.period:
-        return Shot(shot.lane, period)
+        return Shot(shot.lane, period, leaves=shot.leaves)
     if recorded.is_unstable:
         return Failure.UNSTABLE
-    return Failure.ASTRAY if recorded.strays else Converged(left)
+    return Failure.ASTRAY if recorded.strays or shot.leaves else Converged(left)
 
 
 def _largest(vector: np.ndarray) -> float:

@@ -61,9 +61,18 @@ TRIES = 2**14
 """Most steps tried in a cycle that is shot: some hundred times as many as at usual tolerances, for a fine one."""
 UNSTABLE = 1 + 1e-6
 """Modulus of a Floquet multiplier above which a motion is unstable; multipliers are exact to 1e-6, as tested."""
-DISTURBANCE = 1e-3
-"""Of the state, by which an unstable motion is moved: small enough to keep to a stable one beside it, and large enough
-that a multiplier of 1.01 takes hundreds of cycles to lead away, not thousands."""
+# Departure from an unstable motion
+DISTURBANCE, FARTHEST = 1e-3, 0.03
+"""Of the state, by which an unstable motion is at least and at most moved: small enough to keep to a stable one beside
+it. What leaves for another motion has, at the farthest, begun to leave faster than small disturbances do."""
+SOON = 200
+"""Periods after which a disturbance has grown to the farthest, where it needs a larger one than the least to do so."""
+FARTHER = 2.0
+"""As a multiple of where a motion is that was moved and has not left."""
+GONE = 0.1
+"""Disturbance, of the state, with which a motion has left another for good."""
+
+# Noise
 NOISY = 100.0
 """Change over a period, in units of the tolerance of a step, that may be the noise of its steps: of some hundred, most
 are far more precise than they must be."""

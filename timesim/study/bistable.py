@@ -15,12 +15,12 @@ from xarray import Dataset
 
 from timesim.model.model import Model
 from timesim.model.solver import NEVER, Criterion, Solver
-from timesim.orbit.basin import LOWER, UPPER, explore, shares
 from timesim.orbit.fourier import phase_deg
 from timesim.orbit.jump import Watched
 from timesim.orbit.settling import Chain, warm_up
 from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of
 from timesim.orbit.two_motions import UP, RangeSearch, ranges_of
+from timesim.orbit.two_motions.basin import LOWER, UPPER, explore, shares
 from timesim.result.dataset import dataset
 from timesim.result.label import counted
 from timesim.scene.resolution import Scene

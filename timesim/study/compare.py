@@ -25,10 +25,10 @@ from timesim.hbm.period import period_of
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import SEPARATION, SLIP, STICK, Model, Start
 from timesim.model.solver import Solver
-from timesim.orbit.basin import placed
 from timesim.orbit.cycle import one_cycle
 from timesim.orbit.fourier import fourier_basis, fourier_coefficients
 from timesim.orbit.settling import Chain, steady_states
+from timesim.orbit.two_motions.basin import placed
 from timesim.result.dataset import dataset
 from timesim.result.label import counted, in_words
 from timesim.result.state import states_in

@@ -19,8 +19,8 @@ from timesim.model.model import CONE, SEPARATION, SLIP, Contact, Model
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import NEVER, SHOOT, Criterion
 from timesim.model.start import given_start, resumed_start
-from timesim.orbit.basin import placed
 from timesim.orbit.settling import Chain, steady_states
+from timesim.orbit.two_motions.basin import placed
 from timesim.study.recorder import contact_forces
 
 GAP, STIFFNESS = 0.5, 400.0

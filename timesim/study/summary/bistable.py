@@ -5,8 +5,8 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from xarray import Dataset
 
-from timesim.orbit.basin import ANOTHER, IRREGULAR, LOWER, NONE, UPPER, unique
 from timesim.orbit.two_motions import LARGER, NO_MOTION, SMALLER
+from timesim.orbit.two_motions.basin import ANOTHER, IRREGULAR, LOWER, NONE, UPPER, unique
 from timesim.result.coordinate import largest_motion, over_keys
 from timesim.result.label import counted, first_few, in_words, with_unit
 from timesim.study.summary.sweep import LINES, jump_lines
