@@ -76,10 +76,11 @@ def test_an_unstable_motion_is_refused(excess, outcome):
 
 def test_what_is_found_from_where_disturbances_grow_is_refused():
     """Beside an unstable motion that has a stable one on either side, a long step may lead to the wrong one."""
-    start = near(0.01)
-    led_to = iterated(Shot(start), cycle(start, turning(1.1)), TOLERANCE)
-    assert isinstance(led_to, Shot)
-    assert iterated(led_to, cycle(at(FIXED), turning(0.9)), TOLERANCE) is Failure.ASTRAY
+    for aside, outcome in ((0.2, Converged(0.0)), (0.01, Failure.ASTRAY)):  # far away a march may come to any
+        start = near(aside)
+        led_to = iterated(Shot(start), cycle(start, turning(1.1)), TOLERANCE)
+        assert isinstance(led_to, Shot)
+        assert iterated(led_to, cycle(at(FIXED), turning(0.9)), TOLERANCE) == outcome
     twice = replace(led_to, lane=at(FIXED), period=2)
     once = iterated(twice, replace(cycle(at(FIXED), turning(0.9)), cycles=2), TOLERANCE)
     assert once == Shot(twice.lane, 1, leaves=True)

@@ -5,8 +5,8 @@ step that would follow with the derivative of the iterate before: the natural te
 by a slow decay, which makes the change over a period small far away from the fixed point. The offset of a contact that
 sticks all along stays as it is. That a body slides on evenly is no matter, as the place where it is alters no force.
 
-An unstable motion is refused, and what was found from where disturbances grow: there a march moves away from what
-Newton's method steps to.
+An unstable motion is refused, and what was found from where disturbances grow and the motion nearly repeats: there a
+march moves away from what Newton's method steps to, slowly and to one motion. What moves fast may come to any.
 
 A cycle is known to the tolerance of its steps, and the fixed point only to that error times what a slow decay makes of
 it: 1 / (2 pi zeta), 300 at a damping ratio of 5e-4. Where the iteration comes to rest at that noise, the cycles that
@@ -50,7 +50,7 @@ class Shot:
         before: the period shot from the iterate before; None at the first.
         share: of the step from there that has led here.
         count: of the iterations before.
-        leaves: whether disturbances grow where it began: a march moves away from there.
+        leaves: whether it began where a march moves away, slowly.
     """
 
     lane: Lane
@@ -71,10 +71,10 @@ def iterated(shot: Shot, recorded: Recorded, tolerance: float) -> Shot | Converg
         return Converged(0.0) if recorded.is_held else Failure.ASTRAY
     if not recorded.closes:
         return _shorter(shot)
-    if shot.count == 0 and recorded.is_unstable:
-        shot = replace(shot, leaves=True)
     step, size = recorded.newton_step(recorded.change), shot.lane.size
     left, change = _largest(step) / size, _largest(recorded.change - recorded.drift) / size
+    if shot.count == 0 and change < threshold.NEARLY_REPEATS and recorded.is_unstable:
+        shot = replace(shot, leaves=True)
     if left < tolerance:
         return _ended(shot, recorded, left)
     closer, rtol = _led_closer(shot, recorded), float(shot.lane.control.rtol)

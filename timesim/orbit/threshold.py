@@ -32,7 +32,8 @@ DOUBLED = 30.0
 LONGEST = 64
 """Longest period that is looked for, once the budget is spent: it is shot in a fraction of what was marched."""
 NEARLY_REPEATS = 1e-2
-"""Change over it above which it is not worth a shot: what converges within hundreds of cycles has come closer."""
+"""Change over it above which it is not worth a shot: what converges within hundreds of cycles has come closer. Above
+it a march does not show its way, either."""
 NEARLY_LEAST = 2.0
 """Change over a period, as a multiple of the least over any: a period twice as long repeats as nearly."""
 CLEARLY = 0.7
