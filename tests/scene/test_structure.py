@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from timesim.fault import RuleError, SceneError
 from timesim.model import eigenmodes, matrices
 from timesim.model.eigenmodes import modal_structure
-from timesim.model.matrices import Matrices
+from timesim.model.matrices import Matrices, read_matrices
 from timesim.scene import structure as structure_sections
 from timesim.scene.report import warnings_of
 from timesim.study.registry import load_scene
@@ -366,7 +366,10 @@ def single(path: Path) -> Path:
         (lambda path: good(path, mass=np.diag([1.0, 0, 1])), "; the diagonal of row 1 is 0)"),
         (lambda path: good(path, mass=np.array([[1.0, 2, 0], [2, 1, 0], [0, 0, 1]])), "condensed out first)"),
         (lambda path: good(path, stiffness=np.triu(chain(3).stiffness)), "must be symmetric (mirrored entries differ"),
-        (lambda path: good(path, stiffness=np.eye(3) + 0.5 * np.eye(3, k=-2)), "by up to 0.5, those of rows 0 and 2)"),
+        (
+            lambda path: good(path, stiffness=np.eye(3) + 0.5 * np.eye(3, k=-2)),
+            "by up to 0.5, those of rows 0 and 2; it is one triangle: A + A.T",
+        ),
         (lambda path: good(path, stiffness=-np.eye(3)), "no negative eigenvalue"),
     ],
 )
@@ -430,6 +433,16 @@ def test_cell_array_is_no_matrix(tmp_path: Path):
         ("nothing", "cannot be read"),
         ("%%MatrixMarket matrix coordinate real general\n2 3 1\n1 1 1\n", "must be square, not 2 x 3"),
         ("%%MatrixMarket matrix coordinate complex general\n1 1 1\n1 1 1 1\n", "real numbers"),
+        ("%%MatrixMarket matrix coordinate pattern general\n1 1 1\n1 1\n", "where entries are, not what"),
+        (
+            "%%MatrixMarket matrix coordinate real general\n% a\n\n1 1 1\n1 1 3,6\n",
+            "line 5 is not of plain numbers: 1 1 3,6",
+        ),
+        ("%%MatrixMarket matrix coordinate real general\n1 1 1\n1 1 3.6+106\n", "line 3 is not of plain numbers"),
+        ("%%MatrixMarket matrix array real general\n1 1\n3.6\0", "line 3 is not of plain numbers: 3.6"),
+        ("%%MatrixMarket matrix coordinate real symmetric\n2 2 4\n1 1 2\n2 2 2\n1 2 1\n2 1 1\n", "entry twice"),
+        ("%%MatrixMarket matrix coordinate real general\n2000000000000 2000000000000 1\n1 1 1\n", "cannot be read"),
+        ("%%MatrixMarket matrix coordinate real general\n2 2 3\n1 1 2\n2 1 1\n2 2 2\n", "; it is one triangle"),
     ],
 )
 def test_matrix_market_that_is_wrong(content: str, rule: str, tmp_path: Path):
@@ -438,6 +451,45 @@ def test_matrix_market_that_is_wrong(content: str, rule: str, tmp_path: Path):
     key, loaded = refusal(files({"mass": tmp_path / "m.mtx", "stiffness": tmp_path / "k.mtx"}))
     assert key == "structure.file.mass"
     assert rule in loaded
+
+
+def test_exponents_of_fortran_and_decimals_of_integers_are_read_whole(tmp_path: Path):
+    """SciPy's own reader takes 2.5 for 2.5D+01, and 3 for 3.0e1 in a file of integers."""
+    (tmp_path / "m.mtx").write_text("%%MatrixMarket matrix coordinate integer general\n2 2 2\n1 1 3.0e1\n2 2 10")
+    (tmp_path / "k.mtx").write_text("%%MatrixMarket matrix array real symmetric\n2 2\n2.5D+01\n-1.d0\n25d0")
+    read = read_matrices({"mass": tmp_path / "m.mtx", "stiffness": tmp_path / "k.mtx"})
+    assert np.array_equal(read.mass.toarray(), np.diag([30.0, 10.0]))
+    assert np.array_equal(read.stiffness, [[25.0, -1.0], [-1.0, 25.0]])
+
+
+@pytest.mark.parametrize(
+    ("changes", "rule"),
+    [
+        ({"indices": np.array([0, 1, 5])}, "cannot be read (indices must be < 3)"),
+        ({"indices": np.array([0, -1, 2])}, "cannot be read (indices must be >= 0)"),
+        ({"format": "coo", "coords": np.array([[0, 1, 2]]), "shape": (3,)}, "must be square, not 3 (numpy.diag"),
+        ({"format": ""}, "scipy.sparse.save_npz)"),
+    ],
+)
+def test_sparse_npz_that_is_wrong(changes: dict[str, Any], rule: str, tmp_path: Path):
+    """Indices beyond the rows would be written to memory that is not the matrix'."""
+    whole = {"format": "csr", "indptr": np.arange(4), "indices": np.arange(3), "data": np.ones(3), "shape": (3, 3)}
+    np.savez(tmp_path / "m.npz", **whole | {"_is_array": True} | changes)
+    key, loaded = refusal(files({"mass": tmp_path / "m.npz", "stiffness": tmp_path / "m.npz"}))
+    assert key == "structure.file.mass"
+    assert rule in loaded
+
+
+@pytest.mark.parametrize(
+    ("damping", "rule"),
+    [
+        (np.zeros((0, 0)), "must be square, not 0 x 0 (it is empty: leave it out"),
+        (np.ones((1, 3)), "must be square, not 1 x 3 (numpy.diag"),
+    ],
+)
+def test_damping_of_a_mat_file_that_is_no_matrix(damping: np.ndarray, rule: str, tmp_path: Path):
+    scipy.io.savemat(tmp_path / "a.mat", {"M": np.eye(3), "K": np.eye(3), "C": damping})
+    assert rule in refusal(files(tmp_path / "a.mat"))[1]
 
 
 def test_other_kinds_of_file_are_refused(tmp_path: Path):

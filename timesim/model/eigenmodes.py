@@ -65,7 +65,9 @@ def modal_structure(
         damping = _modal_damping(_symmetric(matrices.damping, "damping"), modes)
     else:
         rule = "is required where there is no damping matrix"
-        raise RuleError(("damping_ratio",), rule, "0 for an undamped structure")
+        raise RuleError(
+            ("damping_ratio",), rule, "0 for an undamped structure; a matrix in a file is called damping or C"
+        )
     axes = {3 * i + AXES.index(axis): row for i, own in enumerate(points.values()) for axis, row in own.items()}
     place, rows = list(axes), list(axes.values())
     shape = np.zeros((3 * len(points), num_modes))
@@ -103,10 +105,14 @@ def _symmetric(matrix: Any, name: str) -> Any:
         matrix = numeric(matrix, f"the {name} matrix")
     except RuleError as error:
         raise error.below(name) from None
+    from scipy.sparse import tril
+
     difference, largest = abs(matrix - matrix.T).max(), abs(matrix).max()
     if difference > SYMMETRY * largest:
         rows = " and ".join(map(str, sorted(largest_entry(matrix - matrix.T))))
         hint = f"mirrored entries differ by up to {difference:.3g}, those of rows {rows}"
+        if not min(abs(tril(matrix, -1)).max(), abs(tril(matrix.T, -1)).max()):
+            hint += "; it is one triangle: A + A.T with the diagonal once is whole"
         raise RuleError((name,), f"the {name} matrix must be symmetric", hint)
     return (matrix + matrix.T) / 2
 

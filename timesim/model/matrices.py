@@ -3,12 +3,13 @@
 SciPy is loaded only when there are matrices to read.
 """
 
+import io
+import re
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,14 @@ from timesim.fault import FROM_SCENE, RuleError
 
 ARRAYS = {"mass": "M", "stiffness": "K", "damping": "C"}
 ONE_EACH = "for a file of each matrix write file: {{mass: m{0}, stiffness: k{0}}}"
+WRITERS = {
+    ".mat": "save(..., '-v7') or scipy.io.savemat",
+    ".mtx": "scipy.io.mmwrite",
+    ".npz": "numpy.savez, or of one sparse matrix scipy.sparse.save_npz",
+}
+MARKET = re.compile(rb"%%MatrixMarket[^\n]*\n(?:[ \t]*%[^\n]*\n|\s*\n)*")
+"""The header of a Matrix Market file, with comments."""
+NO_NUMBER = re.compile(rb"[^-+.\deEnaifNAIF\s]|[\d.][-+]")
 
 
 @dataclass(frozen=True)
@@ -77,7 +86,7 @@ def _reading(path: Path) -> Iterator[None]:
         yield
     except Exception as error:
         rule = f"cannot be read ({' '.join(str(error).split())[:200] or type(error).__name__})"
-        hint = "the file may be truncated; write it again"
+        hint = f"it may be truncated or of another kind: write it again, by {WRITERS[path.suffix.lower()]}"
         if isinstance(error, NotImplementedError) and path.suffix.lower() == ".mat":
             rule, hint = "is a MATLAB 7.3 file", "save it with save(..., '-v7')"
         elif "pickle" in str(error):
@@ -102,24 +111,60 @@ def _read_mat(path: Path) -> dict[str, Any]:
         names = [entry[0] for entry in scipy.io.whosmat(path)]
         wanted = [name for name in names if name in ARRAYS or name in ARRAYS.values()]
         arrays = scipy.io.loadmat(path, variable_names=wanted)
-        return {name: arrays.get(name) for name in names}
+        return {name: _sound(arrays.get(name)) for name in names}
 
 
 def _read_single(path: Path, name: str) -> Any:
     _check_present(path)
-    if path.suffix.lower() not in (".mtx", ".npz"):
-        rule, hint = "must be a .mtx file, or a .npz file of scipy.sparse.save_npz", "scipy.io.mmwrite writes a .mtx"
-        raise RuleError((name,), rule, hint, str(path))
-    import scipy.io
     import scipy.sparse
 
-    read = partial(scipy.io.mmread, spmatrix=False) if path.suffix.lower() == ".mtx" else scipy.sparse.load_npz
+    readers = {".npz": scipy.sparse.load_npz, ".mtx": _read_market}
+    if path.suffix.lower() not in readers:
+        rule, hint = "must be a .mtx file, or a .npz file of scipy.sparse.save_npz", "scipy.io.mmwrite writes a .mtx"
+        raise RuleError((name,), rule, hint, str(path))
     try:
         with _reading(path):
-            matrix = read(path)
+            matrix = _sound(readers[path.suffix.lower()](path))
         return numeric(matrix, path.name)
     except RuleError as error:
         raise error.below(name) from None
+
+
+def _read_market(path: Path) -> Any:
+    """A matrix from a Matrix Market file; exponents may be written with a D, as Fortran does.
+
+    SciPy's reader passes over what follows a number: it takes 3 for 3,6 and 3.6 for 3.6D+06 or 3.6+106, the whole part
+    of a number that is called an integer, and where the last line has no end it reads on behind its memory.
+    """
+    import scipy.io
+
+    text = path.read_bytes()
+    header = MARKET.match(text)
+    if header is None:
+        raise ValueError("its first line is no %%MatrixMarket header")
+    head, body = (
+        header[0].replace(b"integer", b"real", 1),
+        text[header.end() :].translate(bytes.maketrans(b"Dd", b"EE")),
+    )
+    if b"pattern" in head.partition(b"\n")[0]:
+        raise ValueError("a pattern says where entries are, not what they are")
+    if odd := NO_NUMBER.search(body):
+        line = text.count(b"\n", 0, header.end() + odd.end())
+        written = text.splitlines()[line].decode(errors="replace").strip()
+        raise ValueError(f"line {line + 1} is not of plain numbers: {written[:60]}")
+    matrix = scipy.io.mmread(io.BytesIO(head + body + b"\n"), spmatrix=False)
+    if b"symmetric" in head and hasattr(matrix, "tocsc") and matrix.tocsc().nnz < matrix.nnz:
+        raise ValueError("it is called symmetric and gives an entry twice: one triangle is enough")
+    return matrix
+
+
+def _sound(matrix: Any) -> Any:
+    """The same matrix, CSC if it is sparse; indices beyond its rows would lead SciPy into foreign memory."""
+    if not hasattr(matrix, "tocsc"):
+        return matrix
+    if hasattr(matrix, "check_format"):
+        matrix.check_format()
+    return matrix.tocsc() if matrix.ndim == 2 else matrix.toarray()
 
 
 def numeric(matrix: Any, name: str) -> Any:
@@ -134,8 +179,11 @@ def numeric(matrix: Any, name: str) -> Any:
         hint = "of hysteretic damping take the real part, and half the loss factor as damping_ratio"
         raise RuleError((), f"{name} must hold real numbers, not {matrix.dtype}", hint * (matrix.dtype.kind == "c"))
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] == 0:
-        shape, hint = " x ".join(map(str, matrix.shape)), "numpy.diag makes a matrix of its diagonal"
-        raise RuleError((), f"{name} must be square, not {shape}", hint * (matrix.ndim == 1))
+        shape = " x ".join(map(str, matrix.shape)) or "a single number"
+        hint = "numpy.diag makes a matrix of its diagonal" if max(matrix.shape, default=0) == matrix.size > 1 else ""
+        if matrix.size == 0:
+            hint = "it is empty: leave it out where there is none"
+        raise RuleError((), f"{name} must be square, not {shape}", hint)
     matrix = matrix.astype(np.float64)
     if not np.all(np.isfinite(matrix.data if sparse else matrix)):
         with np.errstate(invalid="ignore"):
