@@ -1,5 +1,7 @@
 """Errors in a scene: rules broken at a key of a section, and problems with file and line as a user reads them."""
 
+import sys
+import warnings
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -73,6 +75,15 @@ class SceneError(Exception):
 
 class SceneWarning(UserWarning):
     """What is accepted in a scene but may not be intended, or what its result is to be doubted for."""
+
+
+def warn(message: str, category: type[Warning] = SceneWarning) -> None:
+    """Warn, at the line outside this package that led here."""
+    frame = sys._getframe()
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in (__package__, "importlib"):
+        frame = frame.f_back
+    seen = frame.f_globals.setdefault("__warningregistry__", {})
+    warnings.warn_explicit(message, category, frame.f_code.co_filename, frame.f_lineno, registry=seen)
 
 
 def meant(word: str, known: Collection[str]) -> str:

@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, dataclass_transform
 
 import numpy as np
 
+from timesim.fault import warn
+
 # XLA runs a loop over small buffers as one compiled function, and any other as a sequence of kernels, each of which
 # costs more than the arithmetic in it. The event loop of one trajectory is 15 times faster as one function (measured;
 # see benchmarks/README.md), but its record of steps is larger than XLA's own limit of 1 kB. Read by JAX's first use.
@@ -113,7 +115,7 @@ def cache_folder() -> Path:
 
 
 def _warn(message: str) -> None:
-    warnings.warn(message, RuntimeWarning, stacklevel=3)
+    warn(message, RuntimeWarning)
 
 
 def _check_start() -> None:

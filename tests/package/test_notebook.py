@@ -52,6 +52,13 @@ def assert_same(one, other):
         xarray.testing.assert_identical(one[name].drop_attrs(), other[name].drop_attrs())
 
 
+def test_a_warning_names_the_line_of_the_caller():
+    system = timesim.system(timesim.modes([1.0], 1.5, {"tip": [[1, 0, 0]]}), [], timesim.modal_forces([1.0]))
+    with pytest.warns(timesim.SceneWarning, match="damping ratio") as said:
+        timesim.integrate(system, 1.0, 2)
+    assert {one.filename for one in said} == {__file__}
+
+
 def test_a_run_from_arrays_gives_the_bits_of_the_scene_file(tmp_path):
     file = timesim.load_scene(ROOT / "configs/oscillator.yaml").source.data
     short = {"study.cycles": 5, "study.record_last": 2}

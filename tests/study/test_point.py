@@ -96,6 +96,19 @@ def test_a_motion_that_is_cut_off_before_its_first_sample(folder: Path, monkeypa
     assert line.split()[-2:] == ["nan", "nan"]
 
 
+def test_a_scene_that_has_changed_since_is_doubted(folder: Path, tmp_path: Path):
+    """As where a file of matrices has."""
+    data = timesim.open_result(folder).load()
+    data.attrs["scene"] = data.attrs["scene"].replace("damping_ratio: 0.02", "damping_ratio: 0.03")
+    netcdf.save(data, tmp_path / "result.nc")
+    with pytest.warns(timesim.SceneWarning, match="a file that the scene names may have changed since") as said:
+        motion = timesim.show(tmp_path, POINT)
+    x, known = motion["displacement"].sel(point="tip").values, data["amplitude"].sel(POINT | {"point": "tip"}).values
+    moved = np.ptp(x, axis=0)[1] / 2
+    assert f"tip y moves by {moved:.5g}, not by {known[1]:.5g} as in the result" in str(said[0].message)
+    assert [one.filename for one in said] == [__file__]
+
+
 def test_a_point_goes_with_the_run_that_it_was_of(tmp_path: Path):
     point, own = tmp_path / "show" / "frequency=1", tmp_path / "show" / "own"
     for name in (point / "result.nc", own / "thesis.tex", tmp_path / "result.nc"):

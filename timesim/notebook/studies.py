@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from timesim.fault import RuleError
+from timesim.fault import RuleError, warn
 from timesim.notebook.parts import Section, array_of, given
 from timesim.result.argument import mapping_of, path_of
 from timesim.result.file import StoreError
 from timesim.result.label import is_scalar_key
+from timesim.study.outcome import DOUBT
 from timesim.study.point import point_again
 from timesim.study.registry import draw, run
 
@@ -151,9 +152,13 @@ def show(path: str | Path, at: Mapping[str, float | str]) -> xarray.Dataset:
     """
     at = mapping_of("at", at, "a mapping of values by their axis, {'frequency': 0.945}")
     try:
-        return point_again(path, at).motion
+        point = point_again(path, at)
     except RuleError as error:
         raise ValueError(f"{'.'.join(map(str, error.key)) or path}: {error.rule} ({error.hint})") from None
+    for line in point.table:
+        if line.startswith(DOUBT):
+            warn(line.removeprefix(DOUBT))
+    return point.motion
 
 
 def plot(

@@ -16,9 +16,11 @@ from timesim.picture.style import unit
 from timesim.result.label import axis_value, counted, is_scalar_key
 from timesim.result.netcdf import read
 from timesim.result.state import states_in
+from timesim.study.outcome import DOUBT
 from timesim.study.registry import carry_out, load_scene
 
 SAMPLES = 400  # of a cycle
+OTHER = 0.01  # share of the largest amplitude; that of a settled motion, from these samples, differs by less than 1e-3
 SHOWN = ("cycles", "harmonic_amplitude", "phase_deg", "dissipated_power", "irregular")
 """Variables of a point beside those of its state; results of earlier versions lack some."""
 POINTLESS = {
@@ -85,7 +87,8 @@ def point_again(path: Path | str, at: Mapping[str, float | str]) -> Point:
     outcome = carry_out(load_scene(groups[""].attrs["scene"], overrides))
     motion = outcome.groups[""]
     name = ",".join(f"{name}={axis_value(value)}" for name, value in where.items())
-    return Point(name, motion, (f"{words}: {_kind(here)}", *_table(here, motion)), outcome.reason)
+    table = (f"{words}: {_kind(here)}", *_table(here, motion), *([] if outcome.reason else _changes(here, motion)))
+    return Point(name, motion, table, outcome.reason)
 
 
 def _kind(here: Dataset) -> str:
@@ -98,6 +101,19 @@ def _kind(here: Dataset) -> str:
         return f"not settled after {cycles}; {more}"
     apart = " but for its drift" if "drift" in here and here["drift"].values.any() else ""
     return f"repeats {'every cycle' if period == 1 else f'after {period} cycles'}{apart}, settled after {cycles}"
+
+
+def _changes(here: Dataset, motion: Dataset) -> Iterator[str]:
+    """That a motion which repeats is another than that of the result, as where a file of matrices has changed since."""
+    before, now = here["amplitude"].values, np.ptp(motion["displacement"].values, axis=0) / 2
+    drifts = "drift" in here and here["drift"].values.any()
+    if int(here["period"]) and not drifts and np.abs(now - before).max() > OTHER * before.max():
+        place = np.unravel_index(np.argmax(np.abs(now - before)), before.shape)
+        moved = f"{here['point'].values[place[0]]} {here['axis'].values[place[1]]}"
+        yield (
+            f"{DOUBT}computed again, {moved} moves by {now[place]:.5g}, not by {before[place]:.5g} as in the result: a "
+            "file that the scene names may have changed since; run it again"
+        )
 
 
 def _table(here: Dataset, motion: Dataset) -> Iterator[str]:

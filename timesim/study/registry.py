@@ -12,7 +12,6 @@ module, JAX and Matplotlib are imported inside functions.
 """
 
 import logging
-import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -20,7 +19,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from timesim.fault import SceneWarning
+from timesim.fault import warn
 from timesim.result.netcdf import joined
 from timesim.scene import file, resolution
 from timesim.scene.report import warnings_of
@@ -191,14 +190,14 @@ def run(
     elif overrides is not None:
         scene = scene.with_overrides(overrides)
     for text in warnings_of(scene):
-        warnings.warn(text, SceneWarning, stacklevel=2)
+        warn(text)
     standing = Standing(scene.file.study.counts)
     with standing.told(SECONDS_A_LINE, LOGGER.info):
         outcome = carry_out(scene, Execution(cluster=cluster, workers=workers, progress=standing))
     for line in outcome.summary:
         LOGGER.info(line)
         if line.startswith(DOUBT):
-            warnings.warn(line.removeprefix(DOUBT), SceneWarning, stacklevel=2)
+            warn(line.removeprefix(DOUBT))
     if outcome.reason is not None:
-        warnings.warn(f"the run is incomplete: {outcome.reason}", RuntimeWarning, stacklevel=2)
+        warn(f"the run is incomplete: {outcome.reason}", RuntimeWarning)
     return joined(outcome.groups)

@@ -7,7 +7,6 @@ so a campaign gives the same whoever does the work, in whatever order, and howev
 import re
 import threading
 import time
-import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
@@ -22,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from timesim.fault import warn
 from timesim.result import checkpoint
 from timesim.result.argument import shown
 from timesim.result.change import fingerprint
@@ -48,7 +48,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
 
 
 def _warned(text: str) -> None:
-    warnings.warn(text, RuntimeWarning, stacklevel=3)
+    warn(text, RuntimeWarning)
 
 
 @dataclass(frozen=True)
