@@ -19,8 +19,8 @@ from timesim.model.model import SEPARATION, SLIP, STICK
 from timesim.picture import contact as plot_contact
 from timesim.picture import style
 from timesim.picture import transient as plot_transient
-from timesim.picture.draw import MARGIN, write
-from timesim.picture.figure import axes
+from timesim.picture.draw import BEYOND, MARGIN, fit_ordinate_labels, write
+from timesim.picture.figure import DPI, axes, stacked
 from timesim.picture.style import STATE_STYLE
 from timesim.result.dataset import dataset
 from timesim.result.file import StoreError
@@ -676,8 +676,49 @@ def test_figures_go_with_their_last_reference(run: xarray.Dataset, tmp_path: Pat
     assert not any(figure() for figure in drawn)
 
 
+@pytest.mark.parametrize("height", [1.6, 3.0])
+def test_long_labels_of_ordinates_do_not_reach_over_others(height: float) -> None:
+    fig, axs = stacked(3, height)
+    for ax in axs:
+        ax.set_ylabel(r"amplitude of a \$beta\$ blade, long tip of it [1e-3 mm]")
+    fit_ordinate_labels(fig)
+    fig.canvas.draw()
+    for ax in axs:
+        extent = ax.yaxis.label.get_window_extent()
+        assert extent.x0 > 0
+        assert extent.height <= ax.bbox.height + BEYOND * fig.dpi
+        *_, last = ax.get_ylabel().splitlines()
+        assert last.endswith("[1e-3\xa0mm]" if "\n" in ax.get_ylabel() else "[1e-3 mm]")
+
+
+def test_a_narrow_picture_leaves_no_letter_of_its_title_out() -> None:
+    """As hinted letters are wider in small than in proportion, and of other widths at another resolution."""
+    title = r"100% $\Omega$ of blade_1 ^ & # \test ~ ümlaut: a title that is very long, so long that it is cut"
+    figure = plot_transient.PICTURES["orbit"](friction_run(1, title=title))
+    figure.set_dpi(DPI)
+    heading = figure._suptitle.get_window_extent()
+    assert 0 <= heading.x0 < heading.x1 <= figure.bbox.width
+
+
+def test_letters_that_the_font_lacks_are_boxes_without_a_warning(run: xarray.Dataset, tmp_path: Path) -> None:
+    assert plot.draw(run.assign_coords(point=["tip", "\N{CJK UNIFIED IDEOGRAPH-975E}"]), tmp_path)
+
+
+def test_a_run_without_motion_has_no_empty_axes(run: xarray.Dataset) -> None:
+    still = run.assign({name: 0 * run[name] for name in run.data_vars if run[name].dtype.kind == "f"})
+    assert plot_transient.PICTURES["hysteresis"](still) is None
+    assert len(plot_transient.PICTURES["energy"](still).axes) == 1
+    assert all(ax.has_data() for name in ("displacement", "normal_load") for ax in _axes_of(still, name))
+
+
+def _axes_of(data: xarray.Dataset, name: str) -> list[Axes]:
+    return plot_transient.PICTURES[name](data).axes
+
+
 def test_a_picture_that_cannot_be_drawn_of_a_result_is_named(run: xarray.Dataset, tmp_path: Path) -> None:
+    """With the kind of the error, by which a wrong result is told from a fault in the drawing."""
     text = run.assign(slip=run["slip"].astype(str))
-    with pytest.raises(StoreError, match=r"lacks what picture \w+ shows \(.*\): draw a whole result, of this version"):
+    lacks = r"lacks what picture \w+ shows \(\w*Error: .*\): draw a whole result, of this version"
+    with pytest.raises(StoreError, match=lacks):
         plot.draw(text, tmp_path)
     assert not list(tmp_path.iterdir())

@@ -582,3 +582,14 @@ def test_many_points_of_the_structure_are_left_out_and_counted() -> None:
     assert figure is not None
     assert [ax.get_ylabel() for ax in figure.axes] == [f"amplitude of p{k} y [length]" for k in (4, 3, 2)]
     assert "2 of 5 points not shown" in [text.get_text() for text in figure.texts]
+
+
+@pytest.mark.parametrize(
+    "name", ["between disk and blade, lower edge, pressure side", "between_disk_and_blade_" * 3, "$a$ b" * 12]
+)
+def test_a_long_name_above_a_legend_leaves_its_entries_in_the_picture(name: str) -> None:
+    figure = plot_sweep.PICTURES["response"](sweep({f"contacts.{name}.preload": [-1, 0.5]}))
+    (legend,) = [ax.get_legend() for ax in figure.axes if ax.get_legend()]
+    figure.canvas.draw()
+    assert legend.get_window_extent().x1 <= figure.bbox.width
+    assert "".join(legend.get_title().get_text().replace("\\", "").split()).startswith("".join(name.split()))

@@ -35,6 +35,8 @@ def test_a_wide_axis_makes_no_other_value_the_same(asked: float):
 def test_a_value_that_rounding_keeps_from_zero_is_zero():
     axis = SavedStates((), {"cycles": np.arange(21)}, {"excitation.phase": -1 + 0.1 * np.arange(21)}, 0.0)
     assert axis.one({"excitation.phase": 0.0})["cycles"] == 10
+    with pytest.raises(RuleError, match=r"must be an excitation.phase of the result"):
+        axis.one({"excitation.phase": 7.0})
 
 
 def test_a_value_between_two_points_is_refused():

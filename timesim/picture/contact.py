@@ -177,9 +177,13 @@ def _orbit_figure(data: Dataset, contacts: Sequence[str]) -> Figure | None:
     return fig
 
 
-def _hysteresis_figure(data: Dataset, contacts: Sequence[str]) -> Figure:
+def _hysteresis_figure(data: Dataset, contacts: Sequence[str]) -> Figure | None:
     rubbed = {contact: tangents for contact in contacts if (tangents := _tangents(data, contact))}
-    rubbed = rubbed or {contacts[0]: ["t1"]}
+    if not rubbed:
+        u = data.contact_displacement.isel(time=last_cycles(data)).sel(contact=contacts[0]).values
+        if not np.ptp(u, axis=0).any():  # a run in which nothing moves
+            return None
+        rubbed = {contacts[0]: ["t1"]}
     columns = max(map(len, rubbed.values()))
     fig, grid = figure(len(rubbed), columns, width=7.5 + 0.5 * columns, height=2.2, gap=0.7)
     for row, (contact, tangents) in zip(grid, rubbed.items(), strict=True):

@@ -1,25 +1,36 @@
 """Pictures of a run, drawn into its folder."""
 
 import io
-from collections.abc import Collection, Mapping
+import warnings
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
-from timesim.picture.figure import plain_ticks
+from timesim.picture.figure import DPI, plain_ticks, wrapped
 from timesim.picture.style import Dataset, DataTree, Figure, Picture
 from timesim.result.argument import list_of, shown
 from timesim.result.file import StoreError, write_whole
 
-DPI = 110
 KINDS = ("png", "pdf", "svg")
 LOGARITHMIC = ("amplitude", "frequency")
 SMALLEST = 1e-6  # share of the largest value down to which a logarithmic axis goes
+BEYOND = 0.15  # inch by which the label of an ordinate may be longer than its axes
 MARGIN = 9  # pixels of white around what is drawn
 LEAST = {"time": 2, "angle": 2, "solution": 1}
 """Least length along these dimensions for which there is anything to draw."""
 
 
+@contextmanager
+def _boxes_for_missing_letters() -> Iterator[None]:
+    """Letters that the font lacks are drawn as boxes, without a warning of each."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from font")
+        yield
+
+
+@_boxes_for_missing_letters()
 def write(
     data: Dataset | DataTree,
     folder: Path | str,
@@ -58,6 +69,7 @@ def write(
     written: list[Path] = []
     for name, figure in figures.items():
         put_factors_in_labels(figure)
+        fit_ordinate_labels(figure)
         written.append(Path(folder) / f"{name}.{kind}")
         write_whole(written[-1], _png(figure) if kind == "png" else _vectors(figure, kind))
     return written
@@ -70,9 +82,8 @@ def _figures(data: Dataset | DataTree, pictures: Mapping[str, Picture]) -> dict[
         try:
             figure = picture(data)
         except Exception as error:  # xarray has several for a variable that a Dataset lacks, numpy for a wrong one
-            lacks = (
-                f"the result lacks what picture {name} shows ({' '.join(f'{error}'.split()) or type(error).__name__})"
-            )
+            why = ": ".join(filter(None, (type(error).__name__, " ".join(f"{error}".split()))))
+            lacks = f"the result lacks what picture {name} shows ({why})"
             raise StoreError(f"{lacks}: draw a whole result, of this version") from error
         if figure is not None:
             figures[name] = figure
@@ -129,6 +140,16 @@ def put_factors_in_labels(figure: Figure) -> None:
             axis.set_label_text(f"{before}[1e{power}{']' if unit == '1]' else f' {unit}'}")
 
 
+def fit_ordinate_labels(figure: Figure) -> None:
+    """Write the label of an ordinate that is longer than its axes on two lines, or smaller."""
+    for ax in figure.axes:
+        label, room = ax.yaxis.label, ax.bbox.height + BEYOND * figure.dpi
+        if label.get_window_extent().height > room:
+            label.set_text(wrapped(label.get_text(), len(label.get_text()) // 2 + 6))
+            label.set_linespacing(1.0)
+            label.set_fontsize(float(label.get_fontsize()) * min(1.0, room / label.get_window_extent().height))
+
+
 def _vectors(figure: Figure, kind: str) -> bytes:
     """A figure as vectors, cut to what is drawn; the same figure gives the same file."""
     from matplotlib import rc_context
@@ -144,7 +165,6 @@ def _png(figure: Figure) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.image import imsave
 
-    figure.set_dpi(DPI)
     canvas = FigureCanvasAgg(figure)
     # Where the faces of a surface differ in size, matplotlib also projects uninitialised memory.
     with np.errstate(over="ignore"):

@@ -4,7 +4,7 @@ They are made without pyplot, which is slow to import and whose global state wou
 """
 
 from collections.abc import Iterable
-from textwrap import fill
+from textwrap import fill, wrap
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,12 @@ import numpy as np
 from timesim.model.model import STATE_NAMES
 from timesim.picture.style import CLOSED, Axes, Dataset, DataTree, Figure, short
 
+DPI = 110  # of an image; the width of text, which is measured here, goes by steps with it
 LEAST_DECADES = 2.2  # with two powers of ten at least
 MANY_DECADES = 2.5  # from which on a logarithmic axis has ticks at powers of ten only
 _HEAD, _FOOT = 0.68, 0.95  # inch
 _WIDEST = 0.97  # of the figure, a title, or of the room for them, notes
+_LEGEND = 32  # letters of a line of the heading of a legend beside the axes
 _LABELLED, _PLAIN = 0.27, 0.1  # inch from axes with a label above them, or without one, to the title
 
 
@@ -50,7 +52,7 @@ def figure(
     from matplotlib.figure import Figure
 
     tall = _HEAD + rows * height + (rows - 1) * gap + _FOOT
-    fig = Figure(figsize=(width, tall))
+    fig = Figure(figsize=(width, tall), dpi=DPI)
     FigureCanvasAgg(fig)
     edges = {"left": left / width, "right": 1 - right / width, "top": 1 - _HEAD / tall, "bottom": _FOOT / tall}
     between = 0.8 / ((width - left - right - (columns - 1) * 0.8) / columns)
@@ -89,8 +91,9 @@ def finish(fig: Figure, data: Dataset | DataTree, what: str, *notes: str) -> Fig
     labels = any(ax.get_title(place) for ax in top for place in ("left", "center", "right"))
     foot = above + (_LABELLED if labels else _PLAIN) / tall
     drawn = fig.suptitle(heading.replace(r"\$", "$"), fontsize=10, y=foot, va="bottom", parse_math=False)
-    too_wide = drawn.get_window_extent().width / (_WIDEST * fig.bbox.width)
-    drawn.set_fontsize(10 / max(too_wide, 1.0))
+    for _ in range(2):  # small letters are wider than in proportion
+        too_wide = drawn.get_window_extent().width / (_WIDEST * fig.bbox.width)
+        drawn.set_fontsize(float(drawn.get_fontsize()) / max(too_wide, 1.0))
     places, room = [ax.get_position() for ax in fig.axes], 0.5 - drawn.get_window_extent().width / fig.bbox.width / 2
     middle = (min(place.x0 for place in places) + max(place.x1 for place in places)) / 2
     drawn.set_x(min(max(middle, 0.5 - room), 0.5 + room))
@@ -165,4 +168,13 @@ def legend_beside(ax: Axes, handles: Iterable[Any], title: str | None = None) ->
     """A legend to the right of the axes, of handles that have their labels."""
     if shown := list(handles):
         place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
-        ax.legend(handles=shown, title=title, title_fontsize=8, fontsize=8, **place)
+        title = title and "\n".join(wrapped(line, _LEGEND, split=True) for line in title.splitlines())
+        ax.legend(handles=shown, title=title, title_fontsize=8, fontsize=8, alignment="left", **place)
+
+
+def wrapped(text: str, letters: int, *, split: bool = False) -> str:
+    """The text on lines of so many letters, its unit in one piece; longer words are only ``split`` if that is asked."""
+    name, bracket, unit = text.replace(r"\$", "\0").rpartition(" [")
+    whole = name + bracket + unit.replace(" ", "\xa0")
+    lines = wrap(whole, letters, break_long_words=split, break_on_hyphens=False)
+    return "\n".join(lines).replace("\0", r"\$")

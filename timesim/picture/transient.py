@@ -209,9 +209,11 @@ def _hidden(data: Dataset) -> str:
 def _energy_figure(data: Dataset) -> Figure | None:
     if data.sizes["cycle"] < 2:
         return None
-    fig, grid = figure(2, 1, width=9.0, height=2.0, right=2.3, sharex=True, height_ratios=[2, 1])
-    energy(data, grid[0, 0]).set_xlabel("")
-    energy_residual(data, grid[1, 0])
+    ratios = [2, 1] if data.energy_input.values.any() or data.energy_residual.values.any() else [1]  # all are zero
+    fig, grid = figure(len(ratios), 1, width=9.0, height=2.0, right=2.3, sharex=True, height_ratios=ratios)
+    energy(data, grid[0, 0]).label_outer()
+    if len(ratios) > 1:
+        energy_residual(data, grid[1, 0])
     for ax in grid[:, 0]:
         legend_beside(ax, labelled(ax).values())
     number = int(rubs(data).sum())

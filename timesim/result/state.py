@@ -179,7 +179,8 @@ def _position(name: str, values: np.ndarray, value: float | str) -> int:
     else:
         apart, limit = np.abs(values - value), max(SAME * abs(value), ROUNDING * np.abs(values).max())
     if not apart.min() <= limit:
-        raise RuleError((name,), f"must be a {name} of the result", _listed(values, value), value)
+        article = "an" if name[0] in "aeiou" else "a"
+        raise RuleError((name,), f"must be {article} {name} of the result", _listed(values, value), value)
     return int(np.argmin(apart))
 
 
