@@ -693,7 +693,7 @@ def test_long_labels_of_ordinates_do_not_reach_over_others(height: float) -> Non
 
 def test_a_narrow_picture_leaves_no_letter_of_its_title_out() -> None:
     """As hinted letters are wider in small than in proportion, and of other widths at another resolution."""
-    title = r"100% $\Omega$ of blade_1 ^ & # \test ~ ümlaut: a title that is very long, so long that it is cut"
+    title = r"100% $\Omega$ of blade_1 ^ & # \test ~ ümlaut — a title that is very long, so long that it is cut"
     figure = plot_transient.PICTURES["orbit"](friction_run(1, title=title))
     figure.set_dpi(DPI)
     heading = figure._suptitle.get_window_extent()
