@@ -676,10 +676,11 @@ def test_figures_go_with_their_last_reference(run: xarray.Dataset, tmp_path: Pat
     assert not any(figure() for figure in drawn)
 
 
-@pytest.mark.parametrize("height", [1.6, 3.0])
-def test_long_labels_of_ordinates_do_not_reach_over_others(height: float) -> None:
+@pytest.mark.parametrize(("height", "ticks"), [(1.6, "7"), (3.0, "7"), (1.6, "0.000394")])
+def test_long_labels_of_ordinates_do_not_reach_over_others(height: float, ticks: str) -> None:
     fig, axs = stacked(3, height)
     for ax in axs:
+        ax.set_yticks([0, 1], [ticks, ticks])
         ax.set_ylabel(r"amplitude of a \$beta\$ blade, long tip of it [1e-3 mm]")
     fit_ordinate_labels(fig)
     fig.canvas.draw()
@@ -693,9 +694,10 @@ def test_long_labels_of_ordinates_do_not_reach_over_others(height: float) -> Non
 
 def test_a_narrow_picture_leaves_no_letter_of_its_title_out() -> None:
     """As hinted letters are wider in small than in proportion, and of other widths at another resolution."""
-    title = r"100% $\Omega$ of blade_1 ^ & # \test ~ ümlaut — a title that is very long, so long that it is cut"
+    title = r"100% $\Omega$ of blade_1 ^ & # \test ~ ümlaut — a title that is very long, so long that it does not fit"
     figure = plot_transient.PICTURES["orbit"](friction_run(1, title=title))
     figure.set_dpi(DPI)
+    figure.canvas.draw()
     heading = figure._suptitle.get_window_extent()
     assert 0 <= heading.x0 < heading.x1 <= figure.bbox.width
 

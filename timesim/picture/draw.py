@@ -141,12 +141,14 @@ def put_factors_in_labels(figure: Figure) -> None:
 
 
 def fit_ordinate_labels(figure: Figure) -> None:
-    """Write the label of an ordinate that is longer than its axes on two lines, or smaller."""
+    """Write the label of an ordinate that is longer than its axes on two lines, or smaller if ticks leave no room."""
     for ax in figure.axes:
-        label, room = ax.yaxis.label, ax.bbox.height + BEYOND * figure.dpi
+        label, room, text = ax.yaxis.label, ax.bbox.height + BEYOND * figure.dpi, ax.get_ylabel()
         if label.get_window_extent().height > room:
-            label.set_text(wrapped(label.get_text(), len(label.get_text()) // 2 + 6))
-            label.set_linespacing(1.0)
+            label.set(text=wrapped(text, len(text) // 2 + 6), linespacing=1.0)
+            extent = ax.yaxis.get_tightbbox()
+            if extent is not None and extent.x0 < 0:
+                label.set_text(text)
             label.set_fontsize(float(label.get_fontsize()) * min(1.0, room / label.get_window_extent().height))
 
 
