@@ -564,6 +564,9 @@ def test_what_has_not_settled_of_a_map_is_left_blank() -> None:
     """As where a run was interrupted; and the colour bar spans what is shown, not the means of its faces."""
     data = _map(np.add.outer(np.arange(5.0), np.arange(5.0)))
     data["settled"][3:] = 0
+    begun = data.assign(dissipation=data.dissipation.where(data.a < data.a[4]))
+    notes = [text.get_text() for text in element.MAP_PICTURES["contours"](begun).texts]
+    assert "blank: 5 points that had not settled; blank: 5 points not computed" in notes
     shades = element.contour(data).collections[0]
     assert shades.get_datalim(shades.axes.transData).x1 <= 2 + 1e-9
     (faces,) = element.surface(data).collections
@@ -643,6 +646,19 @@ def test_the_picture_of_hysteresis_has_the_loss_and_its_unit() -> None:
     figure = element.PICTURES["hysteresis"](data.assign(u=data.force, dissipation=((), 0.25)))
     assert figure is not None
     assert figure.get_suptitle().endswith("hysteresis, steady cycle, which dissipates 0.25 force·length")
+
+
+def test_a_contact_without_a_force_has_no_picture_of_it() -> None:
+    """And the loss of one that sticks is zero, not what rounding leaves of it."""
+    data = _element()
+    data = data.assign(u=data.force, dissipation=((), -3.7e-19))
+    figure = element.PICTURES["hysteresis"](data)
+    assert figure is not None
+    assert figure.get_suptitle().endswith("which dissipates 0 force·length")
+    apart = data.assign(force=0 * data.force, first_force=0 * data.force)
+    assert element.PICTURES["force_path"](apart) is None
+    assert element.PICTURES["hysteresis"](apart) is not None  # its motion is seen
+    assert element.PICTURES["hysteresis"](apart.assign(u=0 * data.u)) is None
 
 
 def test_angles_stand_beside_their_transitions() -> None:

@@ -29,6 +29,7 @@ MAX_CIRCLES = 8
 ANGLE = "angle θ [degree]"
 COEFFICIENTS = {"f_b": "static", "f_s": "in phase", "f_c": "out of phase"}
 APART = 0.12  # share of the axes, between labels of contour lines
+ROUNDING = 1e-12  # share of the ranges of force and motion below which a loss is zero
 NOISE = 1e-6
 """Of the largest coefficient: the steps leave up to 2e-9 of it in one that is zero by symmetry."""
 NOTHING = "nothing is computed"
@@ -135,17 +136,24 @@ def _closed(values: np.ndarray) -> np.ndarray:
     return np.concatenate([values, values[:1]])
 
 
-def _path_figure(data: Dataset) -> Figure:
+def _path_figure(data: Dataset) -> Figure | None:
+    if not (data.force.values.any() or data.first_force.values.any()):
+        return None
     fig, grid = figure(width=8.2, height=5.6)
     force_path(data, grid[0, 0])
     return finish(fig, data, "friction force in the contact plane, steady cycle")
 
 
-def _hysteresis_figure(data: Dataset) -> Figure:
+def _hysteresis_figure(data: Dataset) -> Figure | None:
+    ranges = [np.ptp(data[name].values, axis=0) for name in ("u", "force")]
+    if not np.any(ranges):
+        return None
     fig, grid = figure(1, 2, width=8.5, height=3.2)
     for ax, tangent in zip(grid[0], ("t1", "t2"), strict=True):
         hysteresis(data, ax, tangent=tangent)
-    lost = f"{float(data.dissipation):.4g} {unit(data, 'dissipation').strip(' []')}"
+    least = ROUNDING * np.prod(ranges, axis=0).max()
+    energy = float(data.dissipation) if abs(data.dissipation) > least else 0.0
+    lost = f"{energy:.4g} {unit(data, 'dissipation').strip(' []')}"
     return finish(fig, data, f"hysteresis, steady cycle, which dissipates {lost}".rstrip())
 
 
@@ -265,8 +273,9 @@ def _all_coefficients(data: Dataset, draw: Callable[..., Any], **options: Any) -
     fig, grid = figure(3, 2, **options)
     for ax, (name, tangent) in zip(grid.flat, product(COEFFICIENTS, ("t1", "t2")), strict=True):
         draw(data, ax, name=name, tangent=tangent)
-    loose = int(np.sum((data["settled"].values == 0) & np.isfinite(data["dissipation"].values)))
-    notes = [f"blank: {counted(loose, 'point')} that had not settled"] if loose else []
+    blank, known = data["settled"].values == 0, np.isfinite(data["dissipation"].values)
+    reasons = {"that had not settled": np.sum(blank & known), "not computed": np.sum(blank & ~known)}
+    notes = [f"blank: {counted(int(number), 'point')} {why}" for why, number in reasons.items() if number]
     return finish(fig, data, "Fourier coefficients of the friction force", *notes)
 
 
