@@ -648,17 +648,19 @@ def test_the_picture_of_hysteresis_has_the_loss_and_its_unit() -> None:
     assert figure.get_suptitle().endswith("hysteresis, steady cycle, which dissipates 0.25 force·length")
 
 
-def test_a_contact_without_a_force_has_no_picture_of_it() -> None:
+def test_a_contact_without_a_force_says_so() -> None:
     """And the loss of one that sticks is zero, not what rounding leaves of it."""
     data = _element()
-    data = data.assign(u=data.force, dissipation=((), -3.7e-19))
-    figure = element.PICTURES["hysteresis"](data)
+    figure = element.PICTURES["hysteresis"](data.assign(u=data.force, dissipation=((), -3.7e-19)))
     assert figure is not None
     assert figure.get_suptitle().endswith("which dissipates 0 force·length")
-    apart = data.assign(force=0 * data.force, first_force=0 * data.force)
-    assert element.PICTURES["force_path"](apart) is None
-    assert element.PICTURES["hysteresis"](apart) is not None  # its motion is seen
-    assert element.PICTURES["hysteresis"](apart.assign(u=0 * data.u)) is None
+    apart = data.drop_dims("event").assign(transition_to=("event", []), transition_angle_deg=("event", []))
+    apart = apart.assign(transition_force=(("event", "tangent"), np.zeros((0, 2))))
+    apart = apart.assign(force=0 * data.force, first_force=0 * data.force)
+    for one, said in ((apart, True), (data, False)):
+        figure = element.PICTURES["force_path"](one)
+        assert figure is not None
+        assert ("no friction force at any angle" in [text.get_text() for text in figure.axes[0].texts]) == said
 
 
 def test_angles_stand_beside_their_transitions() -> None:

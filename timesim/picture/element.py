@@ -136,22 +136,19 @@ def _closed(values: np.ndarray) -> np.ndarray:
     return np.concatenate([values, values[:1]])
 
 
-def _path_figure(data: Dataset) -> Figure | None:
-    if not (data.force.values.any() or data.first_force.values.any()):
-        return None
+def _path_figure(data: Dataset) -> Figure:
     fig, grid = figure(width=8.2, height=5.6)
-    force_path(data, grid[0, 0])
+    ax = force_path(data, grid[0, 0])
+    if not (data.force.values.any() or data.first_force.values.any()):
+        ax.text(0.5, 0.55, "no friction force at any angle", transform=ax.transAxes, ha="center", fontsize=9)
     return finish(fig, data, "friction force in the contact plane, steady cycle")
 
 
-def _hysteresis_figure(data: Dataset) -> Figure | None:
-    ranges = [np.ptp(data[name].values, axis=0) for name in ("u", "force")]
-    if not np.any(ranges):
-        return None
+def _hysteresis_figure(data: Dataset) -> Figure:
     fig, grid = figure(1, 2, width=8.5, height=3.2)
     for ax, tangent in zip(grid[0], ("t1", "t2"), strict=True):
         hysteresis(data, ax, tangent=tangent)
-    least = ROUNDING * np.prod(ranges, axis=0).max()
+    least = ROUNDING * np.prod([np.ptp(data[name].values, axis=0) for name in ("u", "force")], axis=0).max()
     energy = float(data.dissipation) if abs(data.dissipation) > least else 0.0
     lost = f"{energy:.4g} {unit(data, 'dissipation').strip(' []')}"
     return finish(fig, data, f"hysteresis, steady cycle, which dissipates {lost}".rstrip())
