@@ -713,6 +713,23 @@ def test_a_run_without_motion_has_no_empty_axes(run: xarray.Dataset) -> None:
     assert all(ax.has_data() for name in ("displacement", "normal_load") for ax in _axes_of(still, name))
 
 
+def test_a_displacement_that_a_static_load_holds_has_short_ticks(run: xarray.Dataset, tmp_path: Path) -> None:
+    """Not those of the rounding about it."""
+    noise = 1e-17 * np.sin(np.arange(run.time.size))[:, None, None]
+    held = run.assign(displacement=0 * run.displacement + 1.23e-5 + noise, cycle_amplitude=0 * run.cycle_amplitude)
+    drawn: list[Figure] = []
+
+    def picture(data: xarray.Dataset) -> Figure:
+        drawn.append(plot_transient.PICTURES["displacement"](data))
+        return drawn[-1]
+
+    write(held, tmp_path, {"displacement": picture})
+    for ax in drawn[0].axes:
+        low, high = ax.get_ylim()
+        assert low < 1.2e-5 < 1.3e-5 < high
+        assert all(len(label.get_text()) < 6 for label in ax.get_yticklabels())
+
+
 def _axes_of(data: xarray.Dataset, name: str) -> list[Axes]:
     return plot_transient.PICTURES[name](data).axes
 

@@ -317,6 +317,15 @@ def test_the_summary_of_a_transient_gives_the_last_amplitude_and_how_settled_it_
     assert once.summary[-1].endswith("in the last cycle")
 
 
+def test_the_summary_of_a_run_that_a_static_load_holds_has_no_amplitude_of_rounding() -> None:
+    force = {"point": "tip", "direction": [1, 0, 0], "amplitude": 1e-3}
+    held = {"frequency": 1.1, "constant_forces": [force]}
+    study = {"kind": "transient", "cycles": 3}
+    outcome = carry_out(load_scene(SHORT | {"study": study, "excitation": held, "initial": "static"}))
+    assert np.abs(outcome.groups[""].displacement.values).max() > 0
+    assert outcome.summary[-1] == "nothing moves in the last cycle"
+
+
 def test_the_summary_warns_of_an_energy_balance_that_does_not_close() -> None:
     """200 steps a cycle are too few for the closed contact: energy appears from nowhere."""
     study = {"kind": "transient", "cycles": 3}

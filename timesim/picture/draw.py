@@ -16,6 +16,7 @@ from timesim.result.file import StoreError, write_whole
 KINDS = ("png", "pdf", "svg")
 LOGARITHMIC = ("amplitude", "frequency")
 SMALLEST = 1e-6  # share of the largest value down to which a logarithmic axis goes
+ROUNDING = 1e-10  # share of a value over which no axis goes
 BEYOND = 0.15  # inch by which the label of an ordinate may be longer than its axes
 MARGIN = 9  # pixels of white around what is drawn
 LEAST = {"time": 2, "angle": 2, "solution": 1}
@@ -68,6 +69,7 @@ def write(
         raise ValueError(f"log: no picture of this result has an axis of {' or '.join(unmet)} that can be logarithmic")
     written: list[Path] = []
     for name, figure in figures.items():
+        widen_rounding(figure)
         put_factors_in_labels(figure)
         fit_ordinate_labels(figure)
         written.append(Path(folder) / f"{name}.{kind}")
@@ -117,6 +119,16 @@ def make_logarithmic(figure: Figure, quantities: Collection[str]) -> set[str]:
                 ax.set_ylim(max(0.8 * least, SMALLEST * top), 1.25 * top)
             plain_ticks(ax.yaxis, *ax.get_ylim())
     return met
+
+
+def widen_rounding(figure: Figure) -> None:
+    """Wider limits about a value that is constant but for rounding, whose ticks would need all of their digits."""
+    for ax in figure.axes:
+        for get, put in ((ax.get_xlim, ax.set_xlim), (ax.get_ylim, ax.set_ylim)):
+            low, high = get()
+            if 0 < high - low < ROUNDING * max(abs(low), abs(high)):
+                middle = (low + high) / 2
+                put(middle - 0.1 * abs(middle), middle + 0.1 * abs(middle))
 
 
 def put_factors_in_labels(figure: Figure) -> None:

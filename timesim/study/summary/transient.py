@@ -17,6 +17,9 @@ PHASES = 12  # of a schedule at most that are listed
 OPEN = 1e-2
 """Share of the energy from which on what a cycle leaves unexplained is no error of a few digits."""
 
+STILL = 1e-12
+"""Share of the largest displacement up to which an amplitude is rounding, as under a load that only holds."""
+
 
 def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
     """A run: its size, how well its energy balance closes, and the phases of its schedule unless they are many.
@@ -50,6 +53,8 @@ def _reached(data: Dataset, end: int, when: str, compared: bool) -> str:
     """The amplitude of a cycle, and perhaps how much the amplitudes of the one before differ."""
     amplitude = data["cycle_amplitude"].values
     point, axis = place_of_largest(amplitude)
+    if amplitude[end - 1].max() <= STILL * np.abs(data["displacement"].values).max(initial=0.0):
+        return f"nothing moves {when}"
     name = f"{data['point'].values[point]} {data['axis'].values[axis]}"
     size = with_unit(f"{amplitude[end - 1, point, axis]:.6g}", data["cycle_amplitude"].attrs)
     words = f"amplitude {size} of {name} {when}"
