@@ -142,10 +142,8 @@ def _read_market(path: Path) -> Any:
     header = MARKET.match(text)
     if header is None:
         raise ValueError("its first line is no %%MatrixMarket header")
-    head, body = (
-        header[0].replace(b"integer", b"real", 1),
-        text[header.end() :].translate(bytes.maketrans(b"Dd", b"EE")),
-    )
+    head = header[0].replace(b"integer", b"real", 1)
+    body = text[header.end() :].translate(bytes.maketrans(b"Dd", b"EE"))
     if b"pattern" in head.partition(b"\n")[0]:
         raise ValueError("a pattern says where entries are, not what they are")
     if odd := NO_NUMBER.search(body):
