@@ -343,6 +343,30 @@ def test_a_peak_in_the_first_or_last_step(best: float, at_end: bool, most: int, 
     assert found.peak_frequency == pytest.approx(np.clip(best, 1.0, 2.0), abs=2e-4)
 
 
+def test_a_peak_at_the_end_of_a_branch_that_longer_steps_lose(monkeypatch: pytest.MonkeyPatch):
+    """The branch rises down to 1.23 Hz; the sweep down has lost it at 1.4 Hz already, as a step above 0.07 Hz does."""
+    model = oscillator(3.0, 1.4)
+    frequency, fold, longest = np.linspace(1.0, 2.0, 11), 1.23, 0.07
+    sweep = SweepPlan(frequency, ("up", "down"), {KEY: (3.0, 4.0)}, Criterion(), None)
+
+    def orbit_at(f: float, upper: bool) -> Orbit:
+        """Its end has a phase that stands for the frequency on the upper branch, for none on the lower one."""
+        end = replace(model.start, phase=f if upper else 0.0)
+        size = np.full((1, 3), 3.0 - f if upper else 0.1)
+        return replace(without_orbit(model, ""), amplitude=size, end=end, reason=None, period=1)
+
+    def steady(self: Response, chain: Chain) -> list[list[Orbit]]:
+        ((f,), before) = chain.frequencies, chain.model.start.phase
+        return [[orbit_at(f, f >= fold and abs(f - before) <= longest)]]
+
+    monkeypatch.setattr(Response, "steady", steady)
+    orbits = [[orbit_at(float(f), bool(f > lost)) for f in frequency] for lost in (9.9, 1.45)]
+    found = _peak(Response(model, OptimumPlan(sweep, 0.1, None, None), PRESETS["draft"]), orbits)
+    assert found.peak == pytest.approx(3.0 - fold, abs=2e-4)
+    assert found.peak_frequency == pytest.approx(fold, abs=2e-4)
+    assert not found.peak_at_end
+
+
 @pytest.mark.slow
 def test_the_preload_of_the_papers_oscillator():
     data = timesim.run(CONFIGS / "preload.yaml")

@@ -10,6 +10,7 @@ by bounded minimisation [1]_, until no value at the distance of the accuracy has
 import time
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -123,24 +124,28 @@ def _peak(response: Response, orbits: list[list[Orbit]]) -> Peak:
 
 
 def _refined(response: Response, orbit: Orbit, i: int) -> Peak:
-    """The peak between the neighbours of a point of the sweep, its motion carried along.
+    """The peak between the neighbours of a point of the sweep, its motion carried along from the highest one seen.
 
-    At an end of the sweep it is sought only where the response rises from there.
+    A branch that ends at a jump is highest there, and a longer step would lose it, as one of the sweep may have done:
+    where it is still rising at the next point of the sweep, it is followed on from there. At an end of the sweep the
+    peak is sought only where the response rises from there.
     """
-    frequency = response.plan.sweep.frequency
-    low, here, high = (float(frequency[k]) for k in (max(i - 1, 0), i, min(i + 1, frequency.size - 1)))
-    model = replace(response.model, start=orbit.end)
-    seen: list[Peak] = []
+    frequency, last = response.plan.sweep.frequency, response.plan.sweep.frequency.size - 1
+    low, here, high = (float(frequency[k]) for k in (max(i - 1, 0), i, min(i + 1, last)))
+    seen = [(_peak_at(response, orbit, here, at_end=i in (0, last)), orbit)]
+    accuracy = FINE * (high - low) / 2
 
     def fall(frequency: float) -> float:
-        ((there,),) = response.steady(Chain(model, (float(frequency),)))
-        seen.append(_peak_at(response, there, float(frequency)))
-        return -seen[-1].peak
+        _, highest = max(seen, key=itemgetter(0))
+        ((there,),) = response.steady(Chain(replace(response.model, start=highest.end), (float(frequency),)))
+        seen.append((_peak_at(response, there, float(frequency)), there))
+        return -seen[-1][0].peak
 
-    if here in (low, high) and -fall(here + FINE * (low + high - 2 * here)) <= response.size(orbit):
-        return max(seen)
-    minimize_scalar(fall, bounds=(low, high), method="bounded", options={"xatol": FINE * (high - low) / 2})
-    return max(seen)
+    if here not in (low, high) or -fall(here + FINE * (low + high - 2 * here)) > response.size(orbit):
+        minimize_scalar(fall, bounds=(low, high), method="bounded", options={"xatol": accuracy})
+    peak, highest = max(seen, key=itemgetter(0))
+    beside = [k for k in (i - 1, i + 1) if 0 <= k <= last and abs(frequency[k] - peak.peak_frequency) <= 2 * accuracy]
+    return _refined(response, highest, beside[0]) if beside else peak
 
 
 def _peak_at(response: Response, orbit: Orbit, frequency: float, *, at_end: bool = False) -> Peak:
