@@ -111,10 +111,11 @@ def test_a_search_beside_an_unstable_motion_is_moved_where_it_would_not_leave_wi
 ):
     lane = at(STATE + 2 * np.array([0.0, aside, 0.0, 0.0]), apart)
     motion = at(STATE, rtol=1e-13)  # a finer one, of the shot alone
-    search = Search(0, 0, lane, task=Task.SHOOT, shot=Shot(motion, 2), cycles=cycles - 2)
+    search = Search(0, 0, lane, task=Task.SHOOT, shot=Shot(motion, 2), cycles=cycles - 2, attempts=1)
     after = after_shot(search, period_of(SLOW, motion), Criterion(max_cycles=1900))
     assert (after.task, after.cycles, after.disturbed) == (Task.MARCH, cycles, moves)
     assert after.lane.control is lane.control
+    assert after.attempts == 1  # the next is at another period
     assert (after.lane is lane) != moves
 
 

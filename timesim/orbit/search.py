@@ -183,7 +183,8 @@ def _departed(search: Search, departure: Departure) -> Search | None:
     if lane is None:
         return None
     lane, later = replace(lane, control=search.lane.control), threshold.LATER * search.cycles
-    return Search(search.chain, search.place, lane, cycles=search.cycles, next_shot=later, disturbed=True)
+    off = Search(search.chain, search.place, lane, cycles=search.cycles, next_shot=later, disturbed=True)
+    return replace(off, attempts=search.attempts)
 
 
 def _done(search: Search, recorded: Recorded) -> Search:
