@@ -63,6 +63,17 @@ def test_steps_are_free_where_the_contact_moves_every_resonance_or_nothing_excit
     assert longest(blades(**change))(10.0) > 1.0
 
 
+@pytest.mark.parametrize("force", [(1.0, 0.5), (1.0, -1.0)])
+def test_steps_do_not_depend_on_the_mass_of_a_mode(force):
+    """Mode 2 with nine times its mass and damping, and three times its shape and modal force, is the same one."""
+    model, root = blades(force=force), np.array([1.0, 3.0])
+    body, load = model.structure, model.excitation
+    body = replace(body, mass=body.mass * root**2, damping=body.damping * root**2, shape=body.shape * root)
+    heavier = replace(model, structure=body, excitation=replace(load, cosine=load.cosine * root))
+    assert longest(heavier)(10.0) == pytest.approx(longest(model)(10.0))
+    assert (longest(model)(10.0) < 0.01) == (force[1] > 0)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("stiffness", [100.0, 1e6])
 def test_a_curve_finds_the_peak_of_blades_that_move_together(stiffness):

@@ -112,6 +112,16 @@ def test_a_step_that_does_not_lead_closer_is_shortened_and_given_up_in_the_end()
     assert closer.share == 1.0
 
 
+@pytest.mark.parametrize(("distance", "share"), [(0.93, 1.0), (0.95, SHORTER**2)])
+def test_a_shortened_step_need_lead_closer_by_a_quarter_of_its_share_only(distance, share):
+    """By the natural monotonicity test: a quarter of the step leads to three quarters of the distance at best."""
+    slope = np.diag([0.5, 0.1])
+    shot = Shot(near(distance * 0.1), before=cycle(near(0.1), slope), share=SHORTER, count=1)
+    led_to = iterated(shot, cycle(shot.lane, slope), TOLERANCE)
+    assert isinstance(led_to, Shot)
+    assert led_to.share == share
+
+
 def test_a_step_that_closes_a_contact_is_judged_by_the_derivative_there():
     """By that before, a decay of a thousandth a cycle, the iterate would be a hundred times farther away."""
     before, here = cycle(near(0.3), np.diag([0.999, 0.1])), near(0.2)
@@ -205,6 +215,17 @@ def test_a_motion_that_repeats_within_the_period_is_shot_over_its_own(within, pe
     start = at(FIXED)
     led_to = iterated(Shot(start, 4), Four(start, at(FIXED), 4, True, SWING, turning(0.5), NOTHING), TOLERANCE)
     assert led_to == (Converged(0.0) if period == 4 else Shot(start, period))
+
+
+def test_a_motion_that_is_near_after_no_divisor_of_the_period_keeps_it():
+    class Three(Recorded):
+        @property
+        def returns(self):
+            return FIXED + 0.1 * np.array([[1.0], [2.0], [0.0], [0.0]])
+
+    start = at(FIXED)
+    led_to = iterated(Shot(start, 4), Three(start, at(FIXED), 4, True, SWING, turning(0.5), NOTHING), TOLERANCE)
+    assert led_to == Converged(0.0)
 
 
 def test_multipliers_come_largest_first_and_free_offsets_are_left_out():

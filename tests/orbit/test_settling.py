@@ -13,7 +13,7 @@ from timesim.engine.status import RunError, Status
 from timesim.model.solver import NEVER, PRESETS, SHOOT, SLOW, Criterion, Solver
 from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.fourier import phase_deg, to_phasors
-from timesim.orbit.recurrence import is_irregular, recurrence_of, without_way
+from timesim.orbit.recurrence import Recurrence, is_irregular, nearest_period, recurrence_of, without_way
 from timesim.orbit.search import Search, Task, after_march, after_measure, after_shot
 from timesim.orbit.settling import Chain, steady_states, warm_up
 from timesim.orbit.threshold import CYCLES_A_ROUND, LONGEST
@@ -152,6 +152,23 @@ def test_periods_of_sequences():
     assert np.max(np.abs(np.diff(drift, axis=0))) < 1e-8
     assert recurrence_of(drift, 1e-8).period == 0
     assert recurrence_of(still + (1e-6 * 0.3**cycles)[:, None], 1e-8).period == 1
+
+
+@pytest.mark.parametrize("ratio", [0.5, 0.9, 0.99])
+def test_what_is_left_of_a_decay_is_all_that_is_to_come(ratio):
+    """It is extrapolated from the largest change of the last half of a round, three cycles before the end."""
+    decay = 1e-6 * ratio ** np.arange(2 * CYCLES_A_ROUND)
+    left = decay[-1] / ratio**3
+    for share, period in ((0.99, 0), (1.01, 1)):
+        seen = recurrence_of((1 + decay)[:, None], share * left)
+        assert seen.period == period
+    assert seen.left == pytest.approx(left, rel=1e-4)
+
+
+def test_the_longest_period_that_a_short_march_shows():
+    """That over which half a round of changes is known."""
+    returns = np.random.default_rng(4).normal(size=(CYCLES_A_ROUND, 2))[np.arange(12) % CYCLES_A_ROUND]
+    assert nearest_period(returns, LONGEST) == Recurrence(CYCLES_A_ROUND, 0.0)
 
 
 def test_an_alternation_counts_from_thirty_times_the_tolerance():
