@@ -68,6 +68,22 @@ def test_it_is_moved_along_all_disturbances_by_their_growth_and_free_offsets_sta
     np.testing.assert_allclose(back, -there)
 
 
+def test_a_disturbance_that_turns_as_it_grows_begins_with_its_first_large_entry():
+    """Whatever the phase of its vector: here 1 and 0.5 i, of which the routine makes the larger entry real."""
+    slope, turn = np.eye(4), np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+    own = np.array([[0.0, 0.5], [1.0, 0.0]])
+    slope[1:3, 1:3], slope[3, 3] = 1.2 * own @ turn @ np.linalg.inv(own), 0.0
+    np.testing.assert_allclose(off(slope, np.zeros(4))[0], [0.0, DISTURBANCE, 0.0, 0.0], atol=1e-9)
+
+
+def test_how_far_a_trajectory_is_off_counts_from_the_motion_that_a_step_of_newton_leads_to():
+    recorded = period_of(SLOW, at(STATE))
+    recorded.change = np.array([0.0, 2e-3, 0.0, 0.0])
+    for aside, distance in ((2e-3, 0.0), (5e-3, 1.5e-3), (-1e-3, 1.5e-3)):
+        departure = Departure(recorded, at(STATE + np.array([0.0, aside, 0.0, 0.0])))
+        assert departure.off == pytest.approx(distance, abs=1e-15)
+
+
 def test_what_grows_slowly_is_moved_farther_to_the_side_of_the_trajectory_and_farther_again():
     assert np.abs(off(SLOW, np.zeros(4))[0]).max() == pytest.approx(FARTHEST * 1.001**-200)
     for side in (1, -1):
