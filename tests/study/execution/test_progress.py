@@ -52,11 +52,11 @@ def test_the_time_left_falls_while_nothing_advances():
     clock.now = 10.0
     standing(40, 100)
     left = []
-    for now in (10.0, 14.0, 30.0):
+    for now in (10.0, 14.0, 24.0, 30.0):
         clock.now = now
         standing(40, 100, "40 of 100 points")
         left.append(standing.left)
-    assert left == [15.0, 11.0, 45.0]  # more than was left has passed: it is slower than it was
+    assert left == [15.0, 11.0, 1.0, 45.0]  # more than was left has passed: it is slower than it was
     assert standing.line() == "40 %, 1.33 points/s, 0:00:30 so far, 0:00:45 left, 40 of 100 points"
 
 
