@@ -11,7 +11,7 @@ from timesim.hbm.adaptive import AdaptiveBalance
 from timesim.hbm.balance import Balance
 from timesim.hbm.curve import hbm_curve
 from timesim.hbm.curve.following import part_of_curve
-from timesim.hbm.hidden import SHARE, steps_to_resolve
+from timesim.hbm.hidden import SHARE, Hidden, steps_to_resolve
 from timesim.hbm.parameter import parameter_curve
 from timesim.hbm.scheme import Controls, Scheme
 from timesim.model.model import Contact, Model, Structure
@@ -61,6 +61,17 @@ def test_one_harmonic_of_the_excitation_meets_it_at_its_share_of_the_frequency()
 @pytest.mark.parametrize("change", [{"frequency": (10.0, 13.0)}, {"force": (1.0, -1.0)}])
 def test_steps_are_free_where_the_contact_moves_every_resonance_or_nothing_excites_the_others(change):
     assert longest(blades(**change))(10.0) > 1.0
+
+
+def test_a_force_however_small_beside_others_but_no_rounding_of_these_shows_a_resonance():
+    assert longest(blades(force=(1.0, -1.0 + 1e-9)))(10.0) == pytest.approx(SHARE * RATIO * 10.0)
+    assert longest(blades(force=(1.0, -1.0 + 1e-15)))(10.0) > 1.0
+
+
+def test_a_resonance_that_contacts_drive_is_met_where_they_do_and_not_from_then_on():
+    hidden, still = Hidden(blades(force=(1.0, -1.0)), 1), (np.zeros((1, 2)), 1.0)
+    driven = np.array([[1.0, 1.0]]) * hidden.low[0].min() ** 2, 1.0
+    assert [np.isfinite(hidden.away(9.0, lambda now=now: now)).any() for now in (driven, still)] == [True, False]
 
 
 @pytest.mark.parametrize("force", [(1.0, 0.5), (1.0, -1.0)])

@@ -15,7 +15,7 @@ from timesim.orbit.cycle import modal_coefficients
 from timesim.orbit.fourier import phase_deg, to_phasors
 from timesim.orbit.recurrence import Recurrence, is_irregular, nearest_period, recurrence_of, without_way
 from timesim.orbit.search import Search, Task, after_march, after_measure, after_shot
-from timesim.orbit.settling import Chain, steady_states, warm_up
+from timesim.orbit.settling import Chain, first_lane, steady_states, warm_up
 from timesim.orbit.threshold import CYCLES_A_ROUND, LONGEST
 
 HELD = np.zeros((0, 2))  # no body moves without an effect
@@ -286,6 +286,18 @@ def test_a_motion_whose_cycles_cannot_be_recorded_is_a_point_without_one_and_say
     after = after_measure(search, recorded, PRESETS["standard"], Criterion())
     assert (after.task, after.orbit.cycles) == (Task.DONE, 32)
     assert after.orbit.reason == "at 1.39 Hz: a step holds so many vibrations"
+
+
+def test_what_ends_early_names_the_cycle_in_which_it_does():
+    """Counted from 1: the fourth of a round after 16, and the second of those that are measured after 16."""
+    lane = replace(first_lane(Chain(oscillator(3.0, 1.39), (1.39,)), PRESETS["standard"]), status=Status.BUDGET)
+    search, recorded = Search(0, 0, lane, cycles=16), SimpleNamespace(complete=False, end=lane)
+    recorded.steps = SimpleNamespace(cycle=np.array([0, 0, 1]))
+    march = after_march(search, lane, np.zeros((3, 4)), PRESETS["standard"], Criterion())
+    measure = after_measure(search, recorded, PRESETS["standard"], Criterion())
+    for after, cycles in ((march, 19), (measure, 17)):
+        assert (after.task, after.orbit.cycles) == (Task.DONE, cycles)
+        assert after.orbit.reason.startswith(f"at 1.39 Hz, in cycle {cycles + 1}: ")
 
 
 def test_it_is_shot_where_that_is_asked_for_and_not_too_early():

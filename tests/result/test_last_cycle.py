@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from timesim.result.dataset import dataset
 from timesim.result.last_cycle import periodic_motion
@@ -11,22 +12,35 @@ from timesim.result.netcdf import REQUIRED_ATTRIBUTES, TEXTS, save
 FREQUENCY, PHASE, SAMPLES = 1.25, 0.4, 40
 
 
-def test_coefficients_belong_to_the_phase_of_the_excitation(tmp_path: Path):
-    time = np.arange(2 * SAMPLES + 1) / (SAMPLES * FREQUENCY)
-    theta = PHASE + 2 * np.pi * FREQUENCY * time
+def saved(folder: Path, time: np.ndarray, theta: np.ndarray, starts: list[float], periods: list[float]) -> Path:
+    """The result of a run with a phase of the excitation at each time, and with cycles of these starts and periods."""
     motion = np.stack([0.3 + 2 * np.cos(theta), np.sin(theta) - 0.5 * np.sin(2 * theta)], axis=1)
     variables = {
         "modal_displacement": (("time", "mode"), motion),
         "final_phase_deg": ((), np.array(np.rad2deg(PHASE))),
-        "cycle_start": (("cycle",), np.arange(2) / FREQUENCY),
-        "cycle_period": (("cycle",), np.full(2, 1 / FREQUENCY)),
+        "cycle_start": (("cycle",), np.array(starts)),
+        "cycle_period": (("cycle",), np.array(periods)),
     }
-    path = save(
+    return save(
         dataset(variables, {"time": time}, dict.fromkeys(REQUIRED_ATTRIBUTES, 1) | dict.fromkeys(TEXTS, "")),
-        tmp_path / "result.nc",
+        folder / "result.nc",
     )
-    found = periodic_motion(path)
+
+
+def test_coefficients_belong_to_the_phase_of_the_excitation_and_the_frequency_to_the_last_cycle(tmp_path: Path):
+    """The cycle before is one of another frequency."""
+    last = 2.0 + np.arange(SAMPLES + 1) / (SAMPLES * FREQUENCY)
+    time = np.concatenate([2.0 * np.arange(SAMPLES) / SAMPLES, last])
+    theta = PHASE + 2 * np.pi * np.arange(2 * SAMPLES + 1) / SAMPLES
+    found = periodic_motion(saved(tmp_path, time, theta, [0.0, 2.0], [2.0, 1 / FREQUENCY]))
     expected = [[0.3, 0.0], [2.0, 0.0], [0.0, 1.0], [0.0, 0.0], [0.0, -0.5]]
     assert abs(found.frequency / FREQUENCY - 1) < 1e-12
     np.testing.assert_allclose(found.modal[:5], expected, atol=1e-12)
     np.testing.assert_allclose(found.modal[5:], 0, atol=1e-12)
+
+
+def test_a_run_that_ends_within_a_cycle_has_no_phase_at_the_end_of_its_last_whole_one(tmp_path: Path):
+    time = np.arange(SAMPLES + 5) / (SAMPLES * FREQUENCY)
+    path = saved(tmp_path, time, PHASE + 2 * np.pi * FREQUENCY * time, [0.0], [1 / FREQUENCY])
+    with pytest.raises(ValueError, match="it does not end with a whole cycle"):
+        periodic_motion(path)

@@ -179,10 +179,15 @@ def test_resumed_bit_for_bit(tmp_path: Path):
 def test_without_resume_it_starts_anew(tmp_path: Path):
     log = tmp_path / "log"
     execution, notices = execution_of(tmp_path)
+    growing = tmp_path / "checkpoint" / checkpoint.GROWING_NAME
     for repeat in (1, 2):
         carried(chains(1, 3, log=log), execution)
         assert set(calls(log).values()) == {repeat}
+        assert not growing.exists()
+        growing.write_bytes(b"a curve that was cut off")
     assert notices == []
+    checkpoint.clear(tmp_path)
+    assert not growing.parent.exists()
 
 
 def test_nothing_to_resume_is_reported(tmp_path: Path):
