@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 import systems
 
+from timesim.hbm import parameter
 from timesim.hbm.adaptive import AdaptiveBalance
 from timesim.hbm.balance import Balance
 from timesim.hbm.curve import hbm_curve
 from timesim.hbm.curve.following import part_of_curve
 from timesim.hbm.hidden import SHARE, Hidden, steps_to_resolve
-from timesim.hbm.parameter import parameter_curve
+from timesim.hbm.parameter import ParameterBalance, parameter_curve
 from timesim.hbm.scheme import Controls, Scheme
 from timesim.model.model import Contact, Model, Structure
 
@@ -116,6 +117,25 @@ def test_so_does_a_curve_along_a_scalar_that_moves_the_resonance(ends):
     assert curve.parameter.size < 120
     together = 0.75 / (2 * RATIO * (systems.TURN * 10.0) ** 2)
     assert curve.harmonic_amplitude[:, 1].max() == pytest.approx(together, rel=0.02)
+
+
+def test_a_scalar_that_moves_only_the_upper_end_of_a_resonance_counts():
+    """A spring so soft that its resonance is hardly felt: it moves that of the stuck structure, and none without it."""
+    body, omega = blades().structure, systems.TURN * 10.0
+    one = replace(
+        body, frequency=body.frequency[:1], mass=np.ones(1), damping=body.damping[:1], shape=body.shape[..., :1]
+    )
+
+    def model_at(stiffness):
+        contact = Contact("pad", "one", "ground", np.eye(3), 0.3, stiffness * np.eye(2), 0.0, 1000.0)
+        return Model(one, (contact,), systems.excitation(10.0, [1.0], [0.0]), systems.at_rest(1, 1))
+
+    frequency, ends, scheme = 10.1, (1.0, 0.015 * omega**2), Scheme(1, 16)
+    balance = AdaptiveBalance(lambda own: ParameterBalance(model_at, frequency, own, ends), [scheme], 1)
+    far, stiffness = parameter.steps_to_resolve(model_at, frequency, ends, balance), 0.005 * omega**2
+    stuck = np.sqrt(omega**2 + stiffness)
+    way = (systems.TURN * frequency - stuck) * 2 * stuck
+    assert far(stiffness, np.zeros(balance.active.size)) == pytest.approx(SHARE * way, rel=1e-4)
 
 
 def light_mode():

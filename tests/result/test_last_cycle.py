@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from timesim.model.model import GROUND
 from timesim.result.dataset import dataset
 from timesim.result.last_cycle import periodic_motion
+from timesim.result.motion import read_result_motion
 from timesim.result.netcdf import REQUIRED_ATTRIBUTES, TEXTS, save
 
 FREQUENCY, PHASE, SAMPLES = 1.25, 0.4, 40
@@ -15,16 +17,17 @@ FREQUENCY, PHASE, SAMPLES = 1.25, 0.4, 40
 def saved(folder: Path, time: np.ndarray, theta: np.ndarray, starts: list[float], periods: list[float]) -> Path:
     """The result of a run with a phase of the excitation at each time, and with cycles of these starts and periods."""
     motion = np.stack([0.3 + 2 * np.cos(theta), np.sin(theta) - 0.5 * np.sin(2 * theta)], axis=1)
+    points = np.stack([np.outer(np.cos(theta), [1, 2, 3]), np.outer(np.sin(theta), [0.1, 0.2, 0.4])], axis=1)
     variables = {
         "modal_displacement": (("time", "mode"), motion),
+        "displacement": (("time", "point", "axis"), points),
         "final_phase_deg": ((), np.array(np.rad2deg(PHASE))),
         "cycle_start": (("cycle",), np.array(starts)),
         "cycle_period": (("cycle",), np.array(periods)),
     }
-    return save(
-        dataset(variables, {"time": time}, dict.fromkeys(REQUIRED_ATTRIBUTES, 1) | dict.fromkeys(TEXTS, "")),
-        folder / "result.nc",
-    )
+    coords = {"time": time, "point": ["tip", "root"]}
+    attrs = dict.fromkeys(REQUIRED_ATTRIBUTES, 1) | dict.fromkeys(TEXTS, "")
+    return save(dataset(variables, coords, attrs), folder / "result.nc")
 
 
 def test_coefficients_belong_to_the_phase_of_the_excitation_and_the_frequency_to_the_last_cycle(tmp_path: Path):
@@ -44,3 +47,15 @@ def test_a_run_that_ends_within_a_cycle_has_no_phase_at_the_end_of_its_last_whol
     path = saved(tmp_path, time, PHASE + 2 * np.pi * FREQUENCY * time, [0.0], [1 / FREQUENCY])
     with pytest.raises(ValueError, match="it does not end with a whole cycle"):
         periodic_motion(path)
+
+
+@pytest.mark.parametrize(("against", "share"), [(GROUND, 0.0), ("root", 1.0)])
+def test_the_motion_of_a_contact_is_that_of_its_point_relative_to_the_other_in_its_axes(
+    against: str, share: float, tmp_path: Path
+):
+    theta = PHASE + 2 * np.pi * np.arange(SAMPLES + 1) / SAMPLES
+    path = saved(tmp_path, theta - PHASE, theta, [0.0], [2 * np.pi])
+    frame = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    found = read_result_motion(path, "tip", against, frame).samples
+    own, other = np.cos(theta[:-1, None]) * [2, 3, 1], np.sin(theta[:-1, None]) * [0.2, 0.4, 0.1]
+    np.testing.assert_allclose(found, own - share * other, atol=1e-14)

@@ -78,3 +78,16 @@ def test_motions_that_repeat_each_cycle_with_contacts_that_do_not_only_stick_are
     states = SavedStates(("pad",), arrays, {"direction": np.array(["up"]), "frequency": frequency}, 0.0)
     assert [place for place, _ in settled_points(states, {"direction": "up"})] == [1.0, 6.0, 7.0]
     assert [place for place, _ in settled_points(states, {"frequency": 7.0})] == [7.0]
+
+
+def test_a_contact_that_sticks_beside_one_that_stays_apart_makes_a_motion_no_settled_point():
+    """Its offset is free; where all stay apart there is none."""
+    arrays = {
+        "failure": np.array(["", ""]),
+        "settled": np.ones(2),
+        "period": np.ones(2),
+        "slip_share": np.zeros((2, 2)),
+        "separation_share": np.array([[1.0, 0.0], [1.0, 1.0]]),
+    }
+    states = SavedStates(("stop", "pad"), arrays, {"frequency": FREQUENCY[:2]}, 0.0)
+    assert [place for place, _ in settled_points(states, {})] == [1.1]
