@@ -176,7 +176,7 @@ def begin(run_folder: Path, manifest: Manifest, *, resume: bool, stage: str = ""
         raise StoreError(f"checkpoint folder {folder} cannot be made: {error.strerror or error}") from error
     try:
         begun = _taken_up(folder, manifest, resume)
-        return Checkpoint(folder, lock, manifest, _seconds(folder) if begun else 0.0), begun
+        return Checkpoint(folder, lock, manifest, _seconds(folder)), begun
     except BaseException:
         lock.release()
         raise
