@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
+from scipy.linalg import block_diag, expm
 
 from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.balance import Array, Balance
@@ -143,7 +143,7 @@ def _resting(balance: Balance, frequency: Array, local: _Local, k: int) -> Array
     sticks, whole = np.repeat(local.slope.sticks[:, k], 2, axis=1), _rates(balance, frequency, 2 * balance.num_contacts)
     push = balance.force / balance.length * shape.T / (2 * np.pi * frequency[:, None, None]) ** 2
     whole[:, size : 2 * size, :size] -= push[..., 2::3] @ (local.touching[:, k, :, None] * shape[2::3])
-    whole[:, size : 2 * size, 2 * size :] = -push @ _spring(balance.law) * sticks[:, None]
+    whole[:, size : 2 * size, 2 * size :] = -push @ block_diag(*_springs(balance.law)) * sticks[:, None]
     whole[:, 2 * size :, size : 2 * size] = sticks[..., None] * np.delete(shape, np.s_[2::3], axis=0)
     flow = expm(2 * np.pi / local.touching.shape[1] * whole)
     flow[:, 2 * size :] *= sticks[..., None]
@@ -162,55 +162,65 @@ class _Moving(NamedTuple):
 
         x1 = keep x + hold (A (d, s) - F s1),  d1 = B (d, s) + D s1,
 
-    and F s1 = (1 + F T hold)^-1 F T (keep x + hold A (d, s)).
+    and F s1 = (1 + F T hold)^-1 F T (keep x + hold A (d, s)). A, B, F and D concern a contact at a time.
 
     Attributes:
-        given: A and B, shape (S, N, 5C, 8C).
-        held: (1 + F T hold)^-1 F, shape (S, N, 3C, 6C).
-        follows: D, shape (S, N, 2C, 6C).
-        flow: keep and hold, shape (S, 2M, 2M + 3C).
-        seen: T, (u1, u2, v) of each contact and their rates, time in units of the interval, shape (6C, 2M).
+        given: A and B, shape (S, N, C, 5, 8).
+        felt: F, shape (S, N, C, 3, 6).
+        inverse: (1 + F T hold)^-1, shape (S, N, 3C, 3C).
+        follows: D, shape (S, N, C, 2, 6).
+        keep, hold: shapes (S, 2M, 2M) and (S, 2M, 3C).
+        seen: T, from the displacements of the modes to (u1, u2, v) of each contact, and alike from their rates, time in
+            units of the interval, shape (2, 3C, M).
     """
 
     given: Array
-    held: Array
+    felt: Array
+    inverse: Array
     follows: Array
-    flow: Array
+    keep: Array
+    hold: Array
     seen: Array
 
     @classmethod
     def of(cls, balance: Balance, flow: Array, local: _Local, places: NDArray[np.int64]) -> "_Moving":
         """The maps over some intervals, by what `_modes` gives."""
         samples, ratio = local.touching.shape[1], balance.force / balance.length
-        spring, seen = ratio * _spring(balance.law), _seen(balance, samples)
-        press = np.zeros((2, *local.touching[:, places].shape, 3, 6))
-        press[..., 2, 2] = ratio * np.stack([local.touching[:, k] for k in (places - 1, places)])
-        press0, press1 = _blocks(press)
-        carry, begin, end = ([_blocks(part[..., rows, :]) for rows in RESULTS] for part in local.slopes(places))
+        spring, keep, hold = ratio * _springs(balance.law), *np.split(flow, [2 * balance.shape.shape[1]], axis=2)
+        seen = np.stack([balance.shape, 2 * np.pi / samples * balance.shape])
+        press0, press1 = np.zeros((2, *local.touching[:, places].shape, 3, 6))
+        press0[..., 2, 2], press1[..., 2, 2] = (ratio * local.touching[:, k] for k in (places - 1, places))
+        carry, begin, end = ([part[..., rows, :] for rows in RESULTS] for part in local.slopes(places))
         moved, put = (np.concatenate(pair, axis=-1) for pair in zip(carry, begin, strict=True))
-        at_start = np.concatenate([np.broadcast_to(spring, (*press0.shape[:-1], spring.shape[1])), press0], axis=-1)
+        at_start = np.concatenate([np.broadcast_to(spring, (*press0.shape[:-1], 2)), press0], axis=-1)
         given = np.concatenate([-at_start - 2 * ratio * put - spring @ moved, moved], axis=-2)
         felt = spring @ end[0] + press1 + 2 * ratio * end[1]
-        to_contacts = (seen @ flow[..., len(seen[0]) :])[:, None]
-        held = np.linalg.solve(np.eye(len(spring)) + felt @ to_contacts, felt)
-        return cls(given, held, end[0], flow, seen)
+        change = (felt @ _motion(seen, hold)[:, None]).reshape(*felt.shape[:2], *(len(balance.shape),) * 2)
+        return cls(given, felt, np.linalg.inv(np.eye(len(balance.shape)) + change), end[0], keep, hold, seen)
 
     def through(self, y: Array) -> Array:
         """(x, d) after the intervals, one after the other, from (x, d) before them, shape (S, 2M + 2C, columns)."""
-        size, forces = self.seen.shape[1], self.held.shape[-2]
-        x, d = y[:, :size], y[:, size:]
-        s, seen_flow = self.seen @ x, self.seen @ self.flow
+        size, (num, forces, columns) = self.keep.shape[1], (len(y), self.hold.shape[2], y.shape[2])
+        x, d = y[:, :size], y[:, size:].reshape(num, -1, 2, columns)
+        s = _motion(self.seen, x)
         for k in range(self.given.shape[1]):
-            own = self.given[:, k] @ np.concatenate([d, s], axis=1)
-            back = self.held[:, k] @ (seen_flow @ np.concatenate([x, own[:, :forces]], axis=1))
-            x = self.flow @ np.concatenate([x, own[:, :forces] - back], axis=1)
-            s = self.seen @ x
-            d = own[:, forces:] + self.follows[:, k] @ s
-        return np.concatenate([x, d], axis=1)
+            own, kept = self.given[:, k] @ np.concatenate([d, s], axis=2), self.keep @ x
+            force = own[:, :, :3].reshape(num, forces, columns)
+            felt = self.felt[:, k] @ _motion(self.seen, kept + self.hold @ force)
+            x = kept + self.hold @ (force - self.inverse[:, k] @ felt.reshape(num, forces, columns))
+            s = _motion(self.seen, x)
+            d = own[:, :, 3:] + self.follows[:, k] @ s
+        return np.concatenate([x, d.reshape(num, -1, columns)], axis=1)
+
+
+def _motion(seen: Array, x: Array) -> Array:
+    """(u1, u2, v) of each contact and their rates, shape (S, C, 6, columns), from x by the `seen` of `_Moving`."""
+    both = seen @ x.reshape(len(x), 2, seen.shape[2], -1)
+    return both.reshape(len(x), 2, -1, 3, x.shape[2]).swapaxes(1, 2).reshape(len(x), -1, 6, x.shape[2])
 
 
 def _modes(balance: Balance, frequency: Array, samples: int) -> Array:
-    """Keep and hold of `_Moving`: the modes over an interval, shape (S, 2M, 2M + 3C)."""
+    """Keep and hold of `_Moving`, side by side: the modes over an interval, shape (S, 2M, 2M + 3C)."""
     size = balance.model.structure.num_modes
     whole = _rates(balance, frequency, 3 * balance.num_contacts)
     whole[:, size : 2 * size, 2 * size :] = balance.shape.T / (2 * np.pi * frequency[:, None, None]) ** 2 / 2
@@ -218,26 +228,9 @@ def _modes(balance: Balance, frequency: Array, samples: int) -> Array:
     return flow
 
 
-def _seen(balance: Balance, samples: int) -> Array:
-    """T: (u1, u2, v) of each contact and their rates, time in units of the interval, from x, shape (6C, 2M)."""
-    shape = balance.shape.reshape(balance.num_contacts, 3, -1)
-    none = np.zeros_like(shape)
-    rows = [np.concatenate([shape, none], axis=2), np.concatenate([none, 2 * np.pi / samples * shape], axis=2)]
-    return np.concatenate(rows, axis=1).reshape(6 * balance.num_contacts, -1)
-
-
-def _blocks(small: Array) -> Array:
-    """Block diagonal matrices of one block a contact, from shape (..., C, rows, columns)."""
-    count, rows, columns = small.shape[-3:]
-    whole = np.zeros((*small.shape[:-3], count, rows, count, columns))
-    for i in range(count):
-        whole[..., i, :, i, :] = small[..., i, :, :]
-    return whole.reshape(*small.shape[:-3], count * rows, count * columns)
-
-
-def _spring(law: ConeLaw) -> Array:
-    """K_u of all contacts, from (d1, d2) to (f1, f2, 0), shape (3C, 2C)."""
+def _springs(law: ConeLaw) -> Array:
+    """K_u of each contact, from (d1, d2) to (f1, f2, 0), shape (C, 3, 2)."""
     parts = [np.asarray(part) for part in law.stiffness]
     k11, k12, k22 = parts if len(parts) == 3 else (parts[0], np.zeros_like(parts[0]), parts[0])
     none = np.zeros_like(k11)
-    return _blocks(np.stack([k11, k12, k12, k22, none, none], axis=1).reshape(-1, 3, 2))
+    return np.stack([k11, k12, k12, k22, none, none], axis=1).reshape(-1, 3, 2)
