@@ -79,6 +79,12 @@ def test_transitions_that_accumulate() -> None:
     )
 
 
+def test_vibrations_are_counted_in_a_cycle_of_the_frequency_of_its_phase() -> None:
+    data = cycles([75, 5000, 80], 9)
+    (line,) = effort_lines(data.assign(cycle_frequency=("cycle", [1.0, 0.01, 1.0])), soft(), PRESETS["standard"])
+    assert line.endswith(f": {VIBRATES} 100 times in a cycle")
+
+
 def test_what_has_no_known_cause_is_said_to_have_none() -> None:
     (line,) = effort_lines(cycles([75, 5000, 80], 9), soft(), PRESETS["standard"])
     assert line.endswith(": neither stiffness nor transitions nor little normal load account for them")

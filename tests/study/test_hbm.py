@@ -710,6 +710,9 @@ def test_a_peak_lies_between_solutions_however_far_apart_they_are():
     place = np.array([0.0, 0.1, 0.15, 0.3, 0.35])
     assert peak(place, 1 - (place - 0.17) ** 2, np.ones((5, 2))) == pytest.approx((0.17, 1.0))
     assert peak(place, place, np.ones((5, 2))) == (0.35, 0.35)
+    motion, height = np.random.default_rng(2).normal(size=(5, 2)), np.array([0.1, 0.5, 0.9, 0.8, 0.3])
+    at, top = peak(place, height, motion)
+    assert peak(1e6 * place, height, 1e-3 * motion) == pytest.approx((1e6 * at, top))  # in any units
 
 
 def test_stability_that_changes_at_a_fold_is_no_change_without_one():
