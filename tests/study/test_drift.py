@@ -1,15 +1,18 @@
 """Bodies that nothing holds are named as such, and no others."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from xarray import Dataset
 
 from timesim.fault import SceneError
 from timesim.model.solver import NEVER, SHOOT, Criterion
 from timesim.orbit.settling import Chain, steady_states
 from timesim.result.state import settled_points, states_in
 from timesim.study.registry import carry_out, load_scene
+from timesim.study.summary.drift import run_lines
 
 pytestmark = pytest.mark.long
 
@@ -76,6 +79,35 @@ def test_a_free_body_on_the_run():
 def test_what_is_held_does_not_drift(scene: dict[str, Any]):
     """By its contact, without a push, by a spring; nor is a run of two cycles judged."""
     assert drifts(scene) == []
+
+
+def moved_on(steps: np.ndarray, vibration: float = 1.0, samples: int = 4) -> list[str]:
+    """The line on a run whose point vibrates and moves on by a step each cycle."""
+    time = np.arange(steps.size * samples + 1) / samples
+    way = np.interp(time, np.arange(steps.size + 1), np.concatenate([[0.0], np.cumsum(steps)]))
+    x = np.outer(way + vibration * np.sin(2 * np.pi * time), [1.0, 0.0, 0.0])[:, None]
+    data = Dataset(
+        {"displacement": (("time", "point", "axis"), x)}, {"point": ["sled"], "axis": list("xyz")}, {"complete": 1}
+    )
+    plan: Any = SimpleNamespace(phases=[(1.0, steps.size)], samples_per_cycle=samples)
+    return list(run_lines(data, plan, np.zeros(1)))
+
+
+@pytest.mark.parametrize(
+    ("steps", "drifts"),
+    [
+        (np.append(np.full(4, 0.3), np.full(4, 0.1)), True),  # as it began does not matter
+        (0.3 * 0.98 ** np.arange(8), True),
+        (0.3 * 0.95 ** np.arange(8), False),  # it comes to rest
+        (np.append(np.full(7, 0.1), -0.1), False),
+        (np.full(8, 1e-3), False),  # of a vibration of 2
+        (np.full(8, 3e-3), True),
+        (np.full(2400, 1.0), True),  # however far it has come
+    ],
+)
+def test_a_body_drifts_if_it_moves_on_evenly_over_half_of_a_run(steps: np.ndarray, drifts: bool):
+    lines = moved_on(steps)
+    assert lines == [f"the body drifts, in the last cycle sled x by {steps[-1]:.4g}: nothing holds it"] * drifts
 
 
 def test_points_of_a_sweep_that_drift():
