@@ -627,6 +627,16 @@ def test_a_motion_lost_by_halving_is_followed(longest: float, high: float):
     assert far - low <= (0.5 if high > 1.75 else 1e-3)
 
 
+def test_steps_that_follow_a_motion_are_half_as_long_as_any_that_has_lost_it():
+    """They do not grow until they lose it again, so that it is lost by halving, and by steps that grow, once each."""
+    toy = two_branches(-np.inf, 1.9, slope=0.0)
+    steady, carried = stepping(toy, lambda branch, last, frequency: 1 if abs(frequency - last) > 0.01 else branch)
+    (on,), (beyond,) = carried(0, 1.25, [1.25]), carried(1, 1.75, [1.75])
+    counted = Counted(steady)
+    list(jumps_of([Stretch(oscillator(2.0, 1.0), 1.25, 1.75, on, beyond, least=0.05)], counted, 1e-3))
+    assert counted.num_points < 90
+
+
 def test_a_slope_and_a_jump_in_one_step():
     """Each half is looked at: the jump is narrowed down beside a slope that changes the amplitude more than it does."""
     toy = two_branches(1.43, 1.62, rise=0.3, slope=8.0)
