@@ -65,6 +65,16 @@ def test_the_flexibility_of_modes_left_out_is_the_whole_one_less_that_of_the_mod
     assert every.left_out is None
 
 
+def test_what_is_kept_of_matrices_goes_with_the_number_of_modes_and_the_points():
+    """As over an axis of a study, all values of which share what a file holds."""
+    given = chain(6)
+    for keep, names in ((2, list(POINTS)), (3, list(POINTS)), (2, list(POINTS)[::-1])):
+        points = {name: POINTS[name] for name in names}
+        own, fresh = (modal_structure(m, points=points, damping_ratio=0.0, keep_modes=keep) for m in (given, chain(6)))
+        for name in ("frequency", "shape", "left_out"):
+            np.testing.assert_array_equal(getattr(own, name), getattr(fresh, name))
+
+
 def test_chain_has_its_closed_form():
     structure = modal_structure(chain(6), points=POINTS, damping_ratio=0.03)
     number = np.arange(1, 7)
