@@ -375,24 +375,28 @@ def test_the_way_to_a_corner_does_not_lead_to_the_one_behind_it():
 
 @dataclass
 class Waver:
-    """p = x - 3/2 x exp(-x^2 / width^2): the parameter goes back on the way by 0.4 of the width."""
+    """p - place = x - 3/2 x exp(-x^2 / width^2): the parameter goes back on the way by 0.4 of the width."""
 
     width: float
+    place: float
 
     def value(self, x, p):
-        return x * (1 - 1.5 * np.exp(-((x / self.width) ** 2))) - p
+        return x * (1 - 1.5 * np.exp(-((x / self.width) ** 2))) - (p - self.place)
 
     def linearised(self, x, p):
         square = (x[0] / self.width) ** 2
         return self.value(x, p), np.array([[1 - 1.5 * (1 - 2 * square) * np.exp(-square)]]), -np.ones(1)
 
 
-@pytest.mark.parametrize(("width", "folds"), [(1e-6, 0), (1e-3, 2)])
-def test_what_goes_back_by_less_than_the_noise_of_samples_is_no_fold(width, folds):
-    controls = Controls(
-        size=1.0, first_step=width / 20, min_step=width / 1e4, max_step=width / 10, max_points=200, tolerance=1e-14
-    )
-    curve = follow(Waver(width), np.array([-5 * width]), -5 * width, 1.0, controls)
+@pytest.mark.parametrize(
+    ("width", "reach", "place", "folds"),
+    [(1e-6, 1.0, 0.0, 0), (1e-3, 1.0, 0.0, 2), (1e-6, 0.01, 0.0, 2), (1e-6, 0.01, 1.0, 0)],
+)
+def test_what_goes_back_by_less_than_the_noise_of_samples_is_no_fold(width, reach, place, folds):
+    """Relative to the range, and to the parameter, which may be far larger."""
+    steps = {name: width / reach / share for name, share in (("first_step", 20), ("min_step", 1e4), ("max_step", 10))}
+    controls = Controls(size=reach, max_points=200, tolerance=1e-14 / reach, **steps)
+    curve = follow(Waver(width, place), np.array([-5 * width]), place - 5 * width, place + reach, controls)
     assert curve.ending is Ending.POINTS
     assert curve.x[-1, 0] > 5 * width
     assert np.any(np.diff(curve.p) < 0)
