@@ -48,6 +48,7 @@ from timesim.orbit.two_motions.basin import (
     starts_between,
     unique,
 )
+from timesim.orbit.two_motions.loss import WALK
 from timesim.picture import bistable as plot_bistable
 from timesim.result.netcdf import open_result, save
 from timesim.scene.resolution import Scene
@@ -625,6 +626,23 @@ def test_a_motion_lost_by_halving_is_followed(longest: float, high: float):
     ((_, low, far),) = jumps_of([step], steady, 1e-3)
     assert low <= high <= far or (low, far) == (1.25, 1.75)
     assert far - low <= (0.5 if high > 1.75 else 1e-3)
+
+
+def test_a_motion_that_a_sweep_has_lost_is_led_on_by_a_quarter_of_its_steps():
+    """Longer ones would lose it time and again, far from where it ends."""
+    toy, frequency = two_branches(1.23, 1.82), np.linspace(1.0, 2.0, 21)
+    longest = 1.01 * (frequency[1] - frequency[0]) / WALK
+    steady, _ = stepping(toy, lambda branch, last, f: 1 if abs(f - last) > longest and f > 1.23 else branch)
+
+    def orbits(*branches: bool) -> list[Orbit]:
+        own = [(toy.orbit(branch, f), f) for branch, f in zip(branches, frequency, strict=True)]
+        ends = (replace(orbit.end, displacement=np.array([orbit.end.displacement[0], f])) for orbit, f in own)
+        return [replace(orbit, end=end) for (orbit, _), end in zip(own, ends, strict=True)]
+
+    search = replace(toy_search(toy), steady=steady)
+    sweeps = Sweeps(frequency, (orbits(*(frequency > 1.36)), orbits(*(frequency > 1.22))))
+    (lost,) = [loss for loss in losses(search, sweeps) if loss.direction == UP]
+    assert (lost.jump.near, lost.jump.far) == pytest.approx((1.82, 1.82), abs=2e-6)
 
 
 def test_steps_that_follow_a_motion_are_half_as_long_as_any_that_has_lost_it():
