@@ -716,6 +716,16 @@ def test_a_slope_over_several_steps_takes_one_motion_each():
     assert (jump.near, jump.far) == pytest.approx((2.25, 2.25), abs=1e-6)
 
 
+def test_of_a_slope_over_several_steps_of_two_sweeps_only_the_steepest_step_takes_more_than_one_motion():
+    toy = two_branches(-np.inf, np.inf, slope=1.0)
+    frequencies = np.linspace(2.0, 2.5, 6)
+    counted = Counted(toy_search(toy).steady)
+    search, sweeps = replace(toy_search(toy), steady=counted), toy_sweeps(toy, frequencies)
+    assert suspect_steps(sweeps, UP).tolist() == suspect_steps(sweeps, DOWN).tolist() == list(range(5))
+    assert list(losses(search, sweeps)) == []
+    assert counted.num_points == 2 * (4 + 3)
+
+
 @pytest.mark.parametrize("num", [5, 101])
 def test_three_motions(num: int):
     """Between jumps each sweep stays on one motion: there is a range for each pair, also of jumps in one step."""
