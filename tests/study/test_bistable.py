@@ -454,10 +454,21 @@ def test_a_motion_lost_by_a_long_step_is_led_on(high: float, cut: bool):
     assert (found.low, found.high) == pytest.approx((1.23, min(high, 2.0)), abs=1e-6)
     assert found.cut == (False, cut)
     assert np.isnan(found.jumped).all(axis=(1, 2, 3)).tolist() == [False, cut]
+    assert found.settled == (True, True)  # what is cut too
     columns = columns_of([early, sweeps.orbits[DOWN][::-1]]) | {"frequency": np.array([sweeps.frequency] * 2)}
     columns["frequency"][DOWN] = sweeps.frequency[::-1]
     (_, up_low, up_high), _ = ranges_of(search, columns)["jumps"]
     assert (up_low, up_high) == pytest.approx((1.35, 1.4) if cut else (high, high), abs=1e-6)
+
+
+def test_the_jump_of_a_sweep_down_whose_motion_lives_on_is_the_whole_step():
+    toy = two_branches(0.5, 1.52)
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    down = [toy.orbit(float(f > 1.36), f) for f in sweeps.frequency]
+    columns = columns_of([sweeps.orbits[UP], down[::-1]]) | {"frequency": np.array([sweeps.frequency] * 2)}
+    columns["frequency"][DOWN] = sweeps.frequency[::-1]
+    jumps = ranges_of(search, columns)["jumps"]
+    assert jumps[jumps[:, 0] == DOWN, 1:].tolist() == [pytest.approx([1.35, 1.4])]
 
 
 def test_a_jump_that_is_small_beside_the_slope():
