@@ -880,6 +880,8 @@ def test_starts_stay_in_the_cone():
         if start.state[0] == SEPARATION:
             np.testing.assert_allclose(start.slip[0], model.contact_shape[0, :2] @ displacement)
     assert states == {STICK, SEPARATION}
+    turned = replace(model, start=replace(model.start, phase=0.7))
+    assert placed(turned, np.zeros(2), np.zeros(2), np.zeros((1, 2))).phase == 0.7
     kept = placed(model, np.array([0.01, 0.0]), np.zeros(2), np.array([[0.02, 0.01]]))
     np.testing.assert_array_equal(kept.slip, [[0.02, 0.01]])
     none, pull = np.zeros(2), np.array([[0.5, -0.2]])
