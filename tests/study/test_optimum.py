@@ -212,6 +212,9 @@ def test_a_peak_that_is_the_same_over_a_span_is_told_and_drawn_so():
     first, last = (float(word.strip(":")) for word in (line.split()[6], line.split()[8]))
     assert 5.2 < first < 6.1
     assert last == 10
+    for share, told in ((3.1, True), (2.9, False)):  # a span of three accuracies is that of the search itself
+        lines = optimum_lines(data, (last - first) / share)
+        assert any("the peak is the same" in line for line in lines) == told
     units = {"peak": data["peak"].assign_attrs(units="mm"), KEY: data[KEY].assign_attrs(units="N")}
     said = list(optimum_lines(data.assign(peak=units["peak"]).assign_coords({KEY: units[KEY]}), 1e-3))
     assert any("to 10 N: any value between" in line for line in said)
