@@ -791,6 +791,24 @@ class CloseBranches:
         return self.value(x, p), np.array([[3 * ((x[0] - 1) / self.width) ** 2 - 3]]), np.array([-self.width])
 
 
+class Hole:
+    """x = p but for a small part of the range, where there is nothing."""
+
+    def value(self, x, p):
+        return np.where(0.5 < p < 0.51, np.nan, x - p)
+
+    def linearised(self, x, p):
+        return self.value(x, p), np.eye(1), np.array([-1.0])
+
+
+@pytest.mark.parametrize("max_step", [0.2, Controls.max_step, 0.008, 0.003])
+def test_how_wide_a_place_is_jumped_over_does_not_follow_from_how_short_steps_are_to_be(max_step):
+    controls = Controls(size=0.1, first_step=max_step / 5, max_step=max_step)
+    curve = follow(Hole(), np.zeros(1), 0.0, 1.0, controls)
+    assert curve.complete, curve.message
+    assert np.abs(np.diff(curve.p)).max() < max(max_step, 0.03)
+
+
 def test_a_curve_does_not_jump_to_where_it_has_been():
     """At the end of the third branch the first is near, ahead and of the same orientation: it would begin again."""
     controls = Controls(size=0.1, max_points=400)

@@ -28,7 +28,8 @@ from timesim.hbm.continuation.solutions import Curve, Ending, joined, part_of
 from timesim.hbm.continuation.step import Step, predicted
 from timesim.hbm.continuation.trace import Trace
 
-# Lengths of a jump over a place where the residual is not smooth, as shares of the longest step, tried in turn.
+# Lengths of a jump over a place where the residual is not smooth, as shares of the longest step, tried in turn; of the
+# default one at least: such a place is as wide where steps are to be short.
 JUMPS = (0.02, 0.06, 0.2, 0.6, 1.0)
 # Share of the way over such a place that lies along the tangent behind it, where the way is long.
 ALONG = 0.9
@@ -227,8 +228,8 @@ class _PathTracker:
         the way it went before, with x a little larger or smaller.
         """
         ahead = self.ahead * (self.sign * self.trace.direction)
-        for share in JUMPS:
-            length = share * self.controls.max_step
+        longest = max(self.controls.max_step, Controls.max_step)
+        for length in longest * np.array(JUMPS):
             guesses = [(point.y + length * point.tangent, point.tangent)]
             for factor in (1 + length, 1 - length, 1 + 4 * length):
                 larger = point.y[:-1] + (factor - 1) * (point.y[:-1] - self.corrector.centre / self.corrector.x_unit)
