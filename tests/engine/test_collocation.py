@@ -184,9 +184,10 @@ def test_the_amplitude_of_a_motion_on_which_a_fast_mode_rings() -> None:
         assert own == pytest.approx(others, rel=1e-6)
 
 
-def test_a_run_may_begin_at_any_phase_of_the_excitation() -> None:
+@pytest.mark.parametrize(("stiffness", "damping"), [(1.0, 0.02), (0.36, 1e-5)], ids=["off resonance", "at resonance"])
+def test_a_run_may_begin_at_any_phase_of_the_excitation(stiffness: float, damping: float) -> None:
     """The same force, counted from another zero of time: the same motion and energies, of slow and of fast modes."""
-    body = structure([1.0, 400.0], [0.02, 0.05], [[1.0, 0.2, 0.5], [0.3, 1.0, 0.4]])
+    body = structure([stiffness, 400.0], [damping, 0.05], [[1.0, 0.2, 0.5], [0.3, 1.0, 0.4]])
     start, angle = replace(at_rest(2, 1), displacement=np.array([0.0, 0.02])), 0.7
     force = np.array([0.5, 1.0]) + 1j * np.array([0.2, 0.0])
     traces = []
