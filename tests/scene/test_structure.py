@@ -55,13 +55,15 @@ def refusal(source: dict[str, Any]) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize("form", [np.asarray, scipy.sparse.csc_matrix])
-def test_the_flexibility_of_modes_left_out_is_the_whole_one_less_that_of_the_modes_kept(form):
-    whole = chain(6)
-    given = Matrices(form(whole.mass), form(whole.stiffness))
-    left = modal_structure(given, points=POINTS, damping_ratio=0.0, keep_modes=2).left_out
+@pytest.mark.parametrize(("free", "keep"), [(False, 2), (True, 2), (True, 1)])
+def test_the_flexibility_of_modes_left_out_is_the_whole_one_less_that_of_the_modes_kept(form, free, keep):
+    """Also of a free body of which no vibration is kept."""
+    stiffness = chain(6).stiffness - free * np.diag([1.0, 0, 0, 0, 0, 1])
+    given, whole = (Matrices(kind(np.eye(6)), kind(stiffness)) for kind in (form, np.asarray))
+    left = modal_structure(given, points=POINTS, damping_ratio=0.0, keep_modes=keep).left_out
     every = modal_structure(whole, points=POINTS, damping_ratio=0.0)
-    shape = every.shape.reshape(6, 6)[:, 2:]
-    assert left == pytest.approx((shape / every.omega[2:] ** 2) @ shape.T, rel=2e-3, abs=1e-12)
+    shape = every.shape.reshape(6, 6)[:, keep:]
+    assert left == pytest.approx((shape / every.omega[keep:] ** 2) @ shape.T, rel=2e-3, abs=1e-12)
     assert every.left_out is None
 
 
@@ -153,7 +155,7 @@ def test_damping_that_does_nothing_to_the_rigid_modes_kept_has_no_negative_eigen
     links[:2, :2] = [[1.0, -1.0], [-1.0, 1.0]]
     matrices = Matrices(np.diag(masses), 10 * links, 0.1 * links)
     found = modal_structure(matrices, points={"a": {"x": 0}}, keep_modes=num - 1)
-    assert np.abs(found.damping).max() < 1e-15
+    assert 0 <= found.damping.min() <= found.damping.max() < 1e-15
     for wrong in ({"stiffness": -matrices.stiffness}, {"damping": -matrices.damping}):
         with pytest.raises(RuleError, match="no negative eigenvalue") as raised:
             modal_structure(replace(matrices, **wrong), points={})
@@ -219,6 +221,19 @@ def test_large_sparse_structure():
         modal_structure(Matrices(sparse.mass, stiffness - 0.1 * sparse.mass), points={}, damping_ratio=0, keep_modes=2)
     with pytest.raises(RuleError, match="positive definite"):
         modal_structure(Matrices(stiffness - sparse.mass, stiffness), points={}, damping_ratio=0, keep_modes=2)
+
+
+def test_a_mode_that_the_solver_of_sparse_structures_misses_is_told(monkeypatch: pytest.MonkeyPatch):
+    whole = chain(12)
+    monkeypatch.setattr(eigenmodes, "MAX_DENSE", 4)
+    monkeypatch.setattr(
+        "scipy.sparse.linalg.eigsh", lambda *_, **__: (None, np.linalg.eigh(whole.stiffness)[1][:, 1:5])
+    )
+    given = Matrices(*map(scipy.sparse.csc_matrix, (whole.mass, whole.stiffness)))
+    with pytest.raises(RuleError, match="the eigenvalue solver missed modes") as raised:
+        modal_structure(given, points=POINTS, damping_ratio=0.0, keep_modes=3)
+    assert raised.value.hint.startswith("4 lie below")
+    assert raised.value.hint.endswith("gave 3; try another keep_modes")
 
 
 def test_clamps_of_large_sparse_structures_may_be_of_any_stiffness():
