@@ -170,6 +170,16 @@ def test_free_body_has_frequency_zero():
     assert np.all(structure.frequency[1:] > 0.1)
 
 
+@pytest.mark.parametrize("unit", [1e-15, 1.0, 1e9])
+def test_masses_may_be_in_any_unit(unit: float):
+    """What counts as no mass is relative to the others."""
+    plain, mass = chain(3), unit * np.array([[1.0, 1 - 1e-14, 0], [1 - 1e-14, 1, 0], [0, 0, 1]])
+    found = modal_structure(Matrices(unit * plain.mass, unit * plain.stiffness), points={}, damping_ratio=0.0)
+    np.testing.assert_allclose(found.omega, 2 * np.sin(np.arange(1, 4) * np.pi / 8))
+    with pytest.raises(RuleError, match="the mass matrix must be positive definite"):
+        modal_structure(Matrices(mass, unit * plain.stiffness), points={}, damping_ratio=0.0)
+
+
 def test_two_free_bodies_have_frequency_zero_along_each_axis():
     """One of them without any spring, of which rounding leaves a frequency of 1e-32."""
     links = 1668.8 * np.array([[1.0, -1, 0], [-1, 1, 0], [0, 0, 0]])
