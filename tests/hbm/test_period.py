@@ -13,6 +13,7 @@ from scipy.optimize import minimize
 from timesim.element.motion import CYCLE, SplineMotion
 from timesim.element.state_by_state import steady_cycle
 from timesim.engine.law.cone import ConeLaw
+from timesim.engine.law.contact_law import Motion
 from timesim.hbm.interval import Interval, advance
 from timesim.hbm.path import Cubic, window_of
 from timesim.hbm.period import (
@@ -23,7 +24,7 @@ from timesim.hbm.period import (
     period_of,
     starts_of,
 )
-from timesim.hbm.stuck_offset import stuck_offset, without_slip
+from timesim.hbm.stuck_offset import plainly_sticks, stuck_offset, without_slip
 from timesim.hbm.tangent import intervals_of, linearised
 from timesim.orbit.fourier import fourier_basis, to_coefficients, to_phasors
 
@@ -218,6 +219,14 @@ def test_the_search_for_an_offset_ends_where_it_does_not_converge():
     found = stuck_offset(law, motion_of(basis, motion))
     assert found.sticks.tolist() == [False] + [True] * (SIDE_BY_SIDE - 1)
     assert (found.force[0][0], found.force[1][0]) == (0.0, 0.0)
+
+
+def test_a_contact_that_opens_for_a_moment_does_not_plainly_stick():
+    """Nothing pulls at it, so its force is inside the cone at all times, also where this is turned over."""
+    law, none = law_of([element(np.eye(2), 1.0)] * 2), np.zeros((256, 2))
+    v = none.copy()
+    v[100, 0] = -2.0
+    assert plainly_sticks(law, Motion((none, none), v, (), v)).tolist() == [False, True]
 
 
 def test_a_contact_sticks_wherever_it_can():

@@ -84,6 +84,18 @@ def test_a_contact_that_never_sticks_has_no_share_of_rounding(folder: Path, tmp_
     assert line.split()[1:4] == ["0", "0.45", "0.55"]
 
 
+@pytest.mark.parametrize("irregular", [0, 1])
+def test_ten_cycles_of_a_motion_without_a_period_are_shown(folder: Path, tmp_path: Path, irregular: int):
+    data = timesim.open_result(folder).load()
+    data["period"][:], data["settled"][:], data["irregular"][:] = 0, 0, irregular
+    netcdf.save(data, tmp_path / "result.nc")
+    done = call(tmp_path, *(f"{name}={value}" for name, value in POINT.items()))
+    said = "does not repeat in" if irregular else "not settled after"
+    assert re.search(said + ".*; of its last 10 are the numbers, 10 more are drawn", done.stdout.splitlines()[0])
+    (path,) = (tmp_path / "show").glob("*/result.nc")
+    assert timesim.open_result(path).sizes["cycle"] == 10
+
+
 def test_a_motion_that_is_cut_off_before_its_first_sample(folder: Path, monkeypatch: pytest.MonkeyPatch):
     def interrupted(*_: Any) -> Any:
         raise KeyboardInterrupt

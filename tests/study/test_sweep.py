@@ -23,7 +23,7 @@ from timesim.cli import app
 from timesim.fault import SceneError
 from timesim.orbit.linear import linear_orbit
 from timesim.orbit.settling import Chain, GivenUpError, first_lane, steady_states
-from timesim.orbit.steady_state import without_orbit
+from timesim.orbit.steady_state import SAME, without_orbit
 from timesim.orbit.threshold import UNSETTLED_CYCLES
 from timesim.picture import sweep as plot_sweep
 from timesim.result.netcdf import read, save
@@ -300,7 +300,7 @@ def test_the_peak_of_each_set_of_values_is_named(both: xarray.Dataset) -> None:
     data.amplitude[:, 1] = np.nan  # as of a sweep that was interrupted
     (line,) = peak_lines(data)
     assert line.endswith(f" at {frequency[0]:g} Hz")
-    data.amplitude[:, 1] = data.amplitude[:, 0]
+    data.amplitude[:, 1] = data.amplitude[:, 0] * (1 - SAME / 10)
     (line,) = peak_lines(data)
     assert line.endswith(f" at {frequency[0]:g} Hz")
     (line,) = peak_lines(data.isel(frequency=slice(5)))
@@ -311,9 +311,10 @@ def test_the_peak_of_each_set_of_values_is_named(both: xarray.Dataset) -> None:
     (line,) = peak_lines(data)
     assert re.search(r"Hz; beside it \d+% of that: between the points it may be far higher$", line)
     data.attrs["jumps_bisected"] = 1
-    data.jump_low[:], data.jump_high[:] = both.frequency[5], both.frequency[6]
-    (line,) = peak_lines(data)
-    assert line.endswith("Hz")  # what lies between is known: a jump
+    for step in (5, 6):  # below the peak and above it
+        data.jump_low[:], data.jump_high[:] = both.frequency[step], both.frequency[step + 1]
+        (line,) = peak_lines(data)
+        assert line.endswith("Hz")  # what lies between is known: a jump
     data.amplitude[:, :, :3] = np.nan
     (line,) = peak_lines(data)
     size = both.sizes["frequency"]
@@ -336,6 +337,9 @@ def test_points_that_stand_apart_are_named_as_such(both: xarray.Dataset) -> None
     for _, _, words in kinds:
         (line,) = (line for line in lines if words in line)
         assert line.endswith(f"direction up: between {f[0]:g} and {f[1]:g} Hz, at {f[5]:g} Hz")
+    data["settled"][0, 1, [6, 7]], data["amplitude"][0, 1, 7] = 0, np.nan  # the latter was not computed
+    (line,) = (line for line in unusual_lines(data) if "did not settle" in line)
+    assert line.endswith(f"direction down: at {f[6]:g} Hz")
 
 
 def test_a_jump_between_points_that_each_start_anew_is_no_slope_in_silence() -> None:
