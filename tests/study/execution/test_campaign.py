@@ -97,6 +97,15 @@ def test_threads_share_the_parts_of_a_work_that_has_them_to_itself():
     assert sorted(counted) == [1, 2, 3, 4, 5]
 
 
+def test_the_parts_of_a_work_are_halted_with_it():
+    def work(payload: None, before: None) -> dict[str, np.ndarray]:
+        worker.halt_by(lambda: True)
+        return {"halted": np.array(list(worker.each(lambda _: worker.halted(), range(2))))}
+
+    results, _ = carry_through([Chunk("c", None)], work, Execution(workers=2), identity="")
+    assert results["c"]["halted"].tolist() == [True, True]
+
+
 def test_what_fails_in_a_part_fails_the_work():
     def work(payload: None, before: None) -> dict[str, np.ndarray]:
         return {"i": np.array(list(worker.each(lambda i: 1 // i, range(2))))}
