@@ -19,6 +19,7 @@ MODES = {
     "undamped": (1.7, 0.0),
     "light": (1.7, 0.01),
     "just below critical": (2.0, 2 * np.sqrt(2.0) * (1 - 1e-9)),
+    "nearly critical": (2.25, 3.0 * (1 - 5e-4)),
     "critical": (2.25, 3.0),
     "overdamped": (0.5, 9.0),
     "creeping": (1e-6, 40.0),
