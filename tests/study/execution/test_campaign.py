@@ -78,6 +78,13 @@ def test_threads_work_side_by_side():
     assert sorted(int(result["i"][1]) for result in results.values()) == [0, 1, 2]
 
 
+def test_threads_change_over_sooner_only_while_they_work():
+    before = sys.getswitchinterval()
+    with worker.threads(1):
+        assert sys.getswitchinterval() <= worker.SWITCH < before
+    assert sys.getswitchinterval() == before
+
+
 def test_threads_share_the_parts_of_a_work_that_has_them_to_itself():
     """In their order, each counted; a part that has parts again does them itself."""
     meeting, counted = threading.Barrier(2, timeout=600), list[int]()
