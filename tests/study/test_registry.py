@@ -12,6 +12,7 @@ import timesim
 from timesim.cli import app
 from timesim.scene.report import warnings_of
 from timesim.study import registry
+from timesim.study.outcome import took
 
 TOY = '''
 """The work of the excitation on the structure at rest: a study in one module."""
@@ -150,3 +151,8 @@ def test_every_row_of_the_table_can_be_loaded():
         assert section.model_fields["kind"].annotation.__args__ == (kind,)
         assert callable(run)
         assert all(map(callable, pictures.values()))
+
+
+@pytest.mark.parametrize(("compiling", "words"), [(0.4, "in 3.25 s"), (1.2, "in 3.25 s, after 1.2 s of compilation")])
+def test_compilation_is_told_where_it_is_felt(compiling: float, words: str):
+    assert took({"compile_seconds": compiling, "run_seconds": 3.25}) == words
